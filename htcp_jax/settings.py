@@ -1,0 +1,79 @@
+"""Every number and choice of the method. The scene (robot, workpiece, start, margin) is not here.
+
+The defaults are what works best; `configs/paper.yaml` holds the paper's choices.
+"""
+
+import math
+from dataclasses import dataclass, fields
+from typing import Literal, get_args, get_origin
+
+from htcp_jax.errors import InputError
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Constants of the planner; hashable, so it can be a static argument of a jitted function.
+
+    Equation numbers are the paper's; where no equation stands, the value is a choice the paper leaves open.
+    Raises InputError for a value outside its range.
+    """
+
+    # Step QP, equation (8)
+    q_weights: tuple[float, ...] = (5.0, 5.0, 2.0, 1.0, 5.0, 10.0)  # diagonal of Q, one weight a joint
+    cost_about: Literal["reference", "previous"] = "reference"  # J1 about x_ref (8) or about x_{t-1} (4)
+    rows: Literal["per-body", "smallest"] = "per-body"  # one clearance row a capsule, or one of the smallest D
+    inner_iterations: int = 20  # step QPs at one target before it counts as stuck
+    tolerance_m: float = 1e-3  # a target is reached at this TCP error or less; also xi of the re-anchoring
+    qp: str = "clarabel"  # solver: clarabel, or qpsolvers:<name>
+
+    # Null space, equations (10) and (11)
+    alpha_rad: float = 0.1  # length of a null-space step
+    j1_weight: float = 0.0  # weight of J1 in J2 = -D + J1
+    outer_steps: int = 20  # null-space steps of one escape
+    far_links: bool = True  # whether J2 sees the capsules far from the workpiece
+    after_escape: Literal["accept", "track"] = "accept"  # Algorithm 1 records the escape; the prose tracks again
+
+    # Straight joint paths between consecutive configurations
+    path_check: Literal["none", "escapes", "all"] = "none"  # which of them must be clear
+    path_steps: int = 20  # interpolation steps of one path
+
+    # Sampling escapes
+    samples: int = 50  # configurations or directions tried at one stuck target
+    sample_steps: int = 100  # steps along one null-space direction
+    sample_step_rad: float = 0.02  # length of each of them
+    sample_reach_rad: float = 3.0  # longest joint jump that a sample may ask for
+
+    # N-space CMA-ES
+    population: int = 100
+    generations: int = 5
+
+    # Keep-clear: max-min null-space steps after each target while D is below a set clearance
+    keep_clear_m: float = 0.02
+    keep_clear_steps: int = 5
+
+    # Hybrid
+    postures: int = 5  # retries of a scenario from another posture at its first target
+
+    seed: int = 0  # every scenario's random key is folded from it
+
+    def __post_init__(self):
+        for field in fields(self):
+            _check(field.name, getattr(self, field.name), field.type)
+
+
+_MAY_BE_ZERO = {"j1_weight", "keep_clear_m", "seed", "postures"}
+
+
+def _check(name: str, value, kind) -> None:
+    """Raise InputError unless `value` is in the range of the setting `name`."""
+    if get_origin(kind) is Literal:
+        if value not in get_args(kind):
+            raise InputError(f"{name} is {value!r}; valid: {', '.join(get_args(kind))}")
+    elif name == "qp":
+        if value != "clarabel" and not value.startswith("qpsolvers:"):
+            raise InputError(f"qp is {value!r}; valid: clarabel, qpsolvers:<name of a solver>")
+    elif kind is not bool:
+        for number in value if isinstance(value, tuple) else (value,):
+            if not math.isfinite(number) or number < 0 or (number == 0 and name not in _MAY_BE_ZERO):
+                least = "zero or more" if name in _MAY_BE_ZERO else "more than zero"
+                raise InputError(f"{name} must be {least} and finite, not {number}")

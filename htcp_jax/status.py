@@ -1,0 +1,39 @@
+"""What became of one target of one scenario. A failure is data: it has a number, a name and a sentence."""
+
+import enum
+
+
+class Status(enum.IntEnum):
+    """The answer for one target; stored as int8. The first target of a scenario that is not tracked ends it, and
+    all later ones are NOT_ATTEMPTED."""
+
+    TRACKED = 0
+    TRACKED_AFTER_ESCAPE = 1
+    QP_INFEASIBLE = 2
+    ITERATION_LIMIT = 3
+    ESCAPE_EXHAUSTED = 4
+    PATH_BLOCKED = 5
+    QP_FAILED = 6
+    NOT_ATTEMPTED = 7
+
+    @property
+    def tracked(self) -> bool:
+        """Whether the target was reached, clear and within the tolerance."""
+        return self <= Status.TRACKED_AFTER_ESCAPE
+
+    @property
+    def message(self) -> str:
+        """One sentence for a person."""
+        return _MESSAGES[self]
+
+
+_MESSAGES = {
+    Status.TRACKED: "tracked by step QPs",
+    Status.TRACKED_AFTER_ESCAPE: "tracked after an escape",
+    Status.QP_INFEASIBLE: "the step QP has no solution within its clearance rows, its target and the joint limits",
+    Status.ITERATION_LIMIT: "the step QPs ran out of iterations before the target was reached with positive clearance",
+    Status.ESCAPE_EXHAUSTED: "the escape found no clear configuration that reaches the target",
+    Status.PATH_BLOCKED: "every clear configuration that was found lies behind a joint path that collides",
+    Status.QP_FAILED: "the QP solver broke down and returned no usable answer",
+    Status.NOT_ATTEMPTED: "not attempted, because an earlier target of the scenario failed",
+}
