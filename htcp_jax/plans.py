@@ -21,6 +21,6 @@ class Plans(NamedTuple):
     iterations: Int[np.ndarray, "S T"]  # step QPs solved for the target
     joint_step: Float[np.ndarray, "S T"]  # |x_t - x_{t-1}|, the start being x_{-1} [rad]
     escape: Int[np.ndarray, "S T"]  # 0 none, k = stage k of the method's escapes
-    path_clear: Int8[np.ndarray, "S T"]  # straight joint path from the row before: 1 clear, 0 blocked, -1 unknown
+    path_clear: Int8[np.ndarray, "S T"]  # joint path from the row before: 1 clear, 0 blocked, -1 unknown
     compile_s: float  # wall time spent compiling [s]
     run_s: float  # wall time spent planning, compilation apart [s]

@@ -21,7 +21,7 @@ class Settings:
     # Step QP, equation (8)
     q_weights: tuple[float, ...] = (5.0, 5.0, 2.0, 1.0, 5.0, 10.0)  # diagonal of Q, one weight a joint
     cost_about: Literal["reference", "previous"] = "reference"  # J1 about x_ref (8) or about x_{t-1} (4)
-    rows: Literal["per-body", "smallest"] = "per-body"  # one clearance row a capsule, or one of the smallest D
+    rows: Literal["per-body", "smallest"] = "per-body"  # a clearance row a capsule, or one of the smallest
     inner_iterations: int = 20  # step QPs at one target before it counts as stuck
     tolerance_m: float = 1e-3  # a target is reached at this TCP error or less; also xi of the re-anchoring
     qp: str = "clarabel"  # solver: clarabel, or qpsolvers:<name>
@@ -31,7 +31,7 @@ class Settings:
     j1_weight: float = 0.0  # weight of J1 in J2 = -D + J1
     outer_steps: int = 20  # null-space steps of one escape
     far_links: bool = True  # whether J2 sees the capsules far from the workpiece
-    after_escape: Literal["accept", "track"] = "accept"  # Algorithm 1 records the escape; the prose tracks again
+    after_escape: Literal["accept", "track"] = "accept"  # Algorithm 1 accepts; the prose tracks again
 
     # Straight joint paths between consecutive configurations
     path_check: Literal["none", "escapes", "all"] = "none"  # which of them must be clear

@@ -4,8 +4,8 @@ import enum
 
 
 class Status(enum.IntEnum):
-    """The answer for one target; stored as int8. The first target of a scenario that is not tracked ends it, and
-    all later ones are NOT_ATTEMPTED."""
+    """The answer for one target; stored as int8. The first target of a scenario that is not tracked ends it,
+    and all later ones are NOT_ATTEMPTED."""
 
     TRACKED = 0
     TRACKED_AFTER_ESCAPE = 1
@@ -30,8 +30,8 @@ class Status(enum.IntEnum):
 _MESSAGES = {
     Status.TRACKED: "tracked by step QPs",
     Status.TRACKED_AFTER_ESCAPE: "tracked after an escape",
-    Status.QP_INFEASIBLE: "the step QP has no solution within its clearance rows, its target and the joint limits",
-    Status.ITERATION_LIMIT: "the step QPs ran out of iterations before the target was reached with positive clearance",
+    Status.QP_INFEASIBLE: "the step QP has no answer that keeps clear, nears the target and heeds the limits",
+    Status.ITERATION_LIMIT: "the step QPs ran out of iterations short of the target or of clearance",
     Status.ESCAPE_EXHAUSTED: "the escape found no clear configuration that reaches the target",
     Status.PATH_BLOCKED: "every clear configuration that was found lies behind a joint path that collides",
     Status.QP_FAILED: "the QP solver broke down and returned no usable answer",

@@ -1,0 +1,38 @@
+"""Compiled programs kept between runs: the first run compiles for seconds, later ones load them."""
+
+import os
+import sys
+from pathlib import Path
+
+import jax
+
+
+def enable() -> Path | None:
+    """Keep compiled programs in the user's cache folder, or where HTCP_CACHE says; HTCP_CACHE=off keeps none.
+
+    Returns the folder, or None where nothing is kept. A folder already chosen through JAX itself stays, and one
+    that cannot be written is done without: a cache must never stop a plan.
+    """
+    choice = os.environ.get("HTCP_CACHE", "")
+    if choice.lower() in ("off", "0", "no"):
+        return None
+    if jax.config.jax_compilation_cache_dir:
+        return Path(jax.config.jax_compilation_cache_dir)
+    try:
+        folder = Path(choice) if choice else _user_cache() / "htcp_jax"
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError):  # RuntimeError: no home folder
+        return None
+    if not os.access(folder, os.W_OK):
+        return None
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+    return folder
+
+
+def _user_cache() -> Path:
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")

@@ -1,0 +1,157 @@
+"""What a person writes in YAML for one plan, checked and turned into values.
+
+    load_config("plan.yaml", ["margin_m=0.001", "settings.alpha_rad=0.05"]) -> PlanConfig
+
+Unknown keys are errors that name the nearest valid key. Files named in a YAML file are relative to its
+folder; files named in an override are relative to the working folder, as on any command line.
+"""
+
+import difflib
+import reprlib
+from collections.abc import Sequence
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from htcp_jax.errors import InputError
+from htcp_jax.settings import Settings
+from htcp_jax.strict_yaml import parse_yaml, read_yaml
+
+METHODS = (
+    "baseline",
+    "cspace-sample",
+    "nspace-sample",
+    "nspace-sqp",
+    "nspace-ip",
+    "nspace-cmaes",
+    "nspace-adam",
+    "keep-clear",
+    "hybrid",
+)
+
+Point = tuple[float, float, float]
+
+
+class Section(BaseModel):
+    """A mapping in the file. Values are immutable; numbers are finite."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class RobotConfig(Section):
+    """The arm and its tool."""
+
+    model: str = "gp50"  # or an MJCF or URDF file
+    limits: Literal["simulation", "datasheet", "model"] = "simulation"
+    tool_extension_m: float = 0.0
+
+
+class WorkpieceConfig(Section):
+    """The cloud, the tool path in its frame, its pose, and the approach to the path."""
+
+    cloud: str = "duct"  # the generated duct, or a file of points or a mesh
+    path: str = "weld"  # the generated duct's weld, or a CSV file of x,y,z [m]
+    inlet_m: Point | None = None  # centre of the inlet; without it the duct's
+    rotation_y_rad: float = 0.4
+    rotation_z_rad: float = 0.1
+    shift_m: Point = (0.0, 0.0, 0.0)
+    approach_to_inlet: int = Field(5, ge=0)  # equal steps from the start's TCP to the inlet
+    approach_to_path: int = Field(5, ge=0)  # and from there to the first point of the path
+
+
+class PlanConfig(Section):
+    """One plan; the defaults are the default job."""
+
+    robot: RobotConfig = RobotConfig()
+    workpiece: WorkpieceConfig = WorkpieceConfig()
+    start_rad: tuple[float, ...] = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
+    margin_m: float = Field(5e-4, ge=0)  # what the clearance rows of the step QP keep
+    method: str = "nspace-sqp"
+    settings: Settings = Settings()
+
+    @field_validator("method")
+    @classmethod
+    def _known_method(cls, name: str) -> str:
+        if name not in METHODS:
+            raise InputError(f"{name!r} is no method; valid: {', '.join(METHODS)}")
+        return name
+
+
+FILES = {("robot", "model"): "gp50", ("workpiece", "cloud"): "duct", ("workpiece", "path"): "weld"}
+
+
+def load_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -> PlanConfig:
+    """The default job, changed by the YAML file at `path`, then by `overrides` ("dotted.key=value").
+
+    Raises InputError for a file that cannot be read, is no YAML mapping or repeats a key, for an unknown key
+    and for a value of the wrong type or outside its range.
+    """
+    raw, source = {}, "the default configuration"
+    if path is not None:
+        source = str(path)
+        raw = read_yaml(path)
+        _anchor_files(raw, Path(path).parent)
+    for override in overrides:
+        _set(raw, override)
+    return validate(raw, PlanConfig, source)
+
+
+def validate(raw: dict, model: type[BaseModel], source: str) -> Any:
+    """`raw` as a `model`. Raises InputError that names the first offender and how many more there are."""
+    _refuse_unknown(raw, model, source)
+    try:
+        return model.model_validate(raw)
+    except ValidationError as error:
+        first, *more = error.errors()
+        others = f" (and {len(more)} more)" if more else ""
+        raise InputError(f"{source}: {_sentence(first)}{others}") from None
+
+
+def _anchor_files(raw: dict, folder: Path) -> None:
+    """Make file names in `raw` relative to `folder`; the words of the built-in parts stay."""
+    for (section, key), word in FILES.items():
+        value = raw.get(section)
+        if isinstance(value, dict) and isinstance(value.get(key), str) and value[key] != word:
+            value[key] = str(folder / value[key])
+
+
+def _set(raw: dict, override: str) -> None:
+    dotted, equals, text = override.partition("=")
+    if not equals or not dotted:
+        raise InputError(f"--set expects key=value, not {override!r}")
+    *sections, key = dotted.split(".")
+    for section in sections:
+        if not isinstance(raw.get(section), dict):
+            raw[section] = {}
+        raw = raw[section]
+    raw[key] = parse_yaml(text, f"--set {override}")
+
+
+def _refuse_unknown(raw: dict, model: type, source: str, prefix: str = "") -> None:
+    """Raise InputError for the first key of `raw` that `model`, a pydantic model or a dataclass, lacks."""
+    kinds = (
+        {field.name: field.type for field in fields(model)}
+        if is_dataclass(model)
+        else {name: field.annotation for name, field in model.model_fields.items()}
+    )
+    for key, value in list(raw.items()):
+        if key not in kinds:
+            close = difflib.get_close_matches(str(key), kinds, n=1, cutoff=0.5)
+            hint = f"did you mean {prefix}{close[0]}?" if close else f"valid: {', '.join(kinds)}"
+            raise InputError(f"{source}: unknown key {prefix}{key}; {hint}")
+        is_section = is_dataclass(kinds[key]) or hasattr(kinds[key], "model_fields")
+        if is_section and value is None:
+            del raw[key]  # a section whose lines are all commented out
+        elif is_section and isinstance(value, dict):
+            _refuse_unknown(value, kinds[key], source, f"{prefix}{key}.")
+
+
+def _sentence(error: dict) -> str:
+    """One pydantic error in our words."""
+    where = ".".join(str(part) for part in error["loc"])
+    cause = error.get("ctx", {}).get("error")
+    if isinstance(cause, InputError):
+        return f"{where}.{cause}" if where == "settings" else f"{where}: {cause}"
+    return f"{where} is {reprlib.repr(error['input'])}: {error['msg'][0].lower()}{error['msg'][1:]}"

@@ -1,0 +1,113 @@
+"""Configurations: the default is the shipped file, and whatever a person gets wrong is one clear line."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from htcp_jax.config import PlanConfig, load_config
+from htcp_jax.errors import InputError
+
+CONFIGS = Path(__file__).parents[1] / "configs"
+
+
+def keys(mapping: dict, prefix: str = "") -> set[str]:
+    return {
+        name
+        for key, value in mapping.items()
+        for name in (keys(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}"})
+    }
+
+
+def test_the_default_job_is_duct_yaml_and_that_file_lists_every_key():
+    assert load_config(CONFIGS / "duct.yaml") == load_config() == PlanConfig()
+    listed = yaml.safe_load((CONFIGS / "duct.yaml").read_text())
+    assert keys(listed) == keys(PlanConfig().model_dump())
+
+
+def test_paper_yaml_is_reading_c_with_j1_at_weight_one():
+    paper = load_config(CONFIGS / "paper.yaml")
+    assert paper.margin_m == 0
+    chosen = paper.settings
+    assert (chosen.cost_about, chosen.rows, chosen.j1_weight) == ("previous", "smallest", 1)
+    assert (chosen.path_check, chosen.after_escape) == ("none", "accept")
+    assert paper.start_rad == PlanConfig().start_rad and paper.workpiece == PlanConfig().workpiece
+
+
+def test_overrides_come_last_and_are_yaml():
+    overrides = ["margin_m=1e-3", "workpiece.shift_m=[0, 0.01, 0]", "settings.seed=7"]
+    config = load_config(CONFIGS / "paper.yaml", overrides)
+    assert (config.margin_m, config.workpiece.shift_m, config.settings.seed) == (1e-3, (0, 0.01, 0), 7)
+    assert config.settings.rows == "smallest"
+
+
+def test_files_are_relative_to_the_yaml_file_and_to_the_working_folder_in_an_override(tmp_path):
+    (tmp_path / "plan.yaml").write_text("workpiece: {cloud: scan.xyz, path: weld}\nrobot:\n")
+    config = load_config(tmp_path / "plan.yaml", ["robot.model=arm.urdf"])
+    assert config.workpiece.cloud == str(tmp_path / "scan.xyz")
+    assert (config.workpiece.path, config.robot.model) == ("weld", "arm.urdf")
+
+
+@pytest.mark.parametrize(
+    ("override", "line"),
+    [
+        ("margin=0.1", "unknown key margin; did you mean margin_m?"),
+        ("settings.alpha=0.1", "unknown key settings.alpha; did you mean settings.alpha_rad?"),
+        ("zzz=1", "unknown key zzz; valid: robot, workpiece"),
+        ("method=rrt", "method: 'rrt' is no method; valid: baseline"),
+        ("settings.tolerance_m=0", "settings.tolerance_m must be more than zero and finite, not 0"),
+        ("settings.tolerance_m=-1", "settings.tolerance_m must be more than zero and finite, not -1"),
+        ("settings.q_weights=[1, 0]", "settings.q_weights must be more than zero"),
+        ("settings.rows=all", "settings.rows is 'all': input should be 'per-body' or 'smallest'"),
+        ("settings.qp=magic", "settings.qp is 'magic'; valid: clarabel"),
+        ("margin_m=-0.1", "margin_m is -0.1: input should be greater than or equal to 0"),
+        ("margin_m=.nan", "margin_m is nan: input should be a finite number"),
+        ("start_rad=here", "start_rad is 'here': input should be a valid tuple"),
+        ("settings=3", "settings is 3: input should be a dictionary"),
+        ("margin_m", "--set expects key=value, not 'margin_m'"),
+        ("margin_m=[", "--set margin_m=[, line 1: "),
+    ],
+)
+def test_a_wrong_value_is_named_in_one_line(override, line):
+    with pytest.raises(InputError) as error:
+        load_config(None, [override])
+    assert line in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        (b"margin_m: 1\nmargin_m: 2\n", "line 2: key 'margin_m' stands twice"),
+        (b"- 1\n", "expected a mapping of keys to values, found [1]"),
+        (b"a: [\n", "line 2: "),
+        (b"a: !!python/object/apply:os.getcwd []\n", "line 1: could not determine a constructor"),
+        (b"\xff\xfe\x00", "it is not UTF-8 text"),
+        (b"[" * 100_000, "not YAML: maximum recursion depth exceeded"),
+        (b"margin_m: 2020-13-45", "not YAML: month must be in 1..12"),
+    ],
+)
+def test_a_damaged_file_is_named_in_one_line(tmp_path, text, line):
+    file = tmp_path / "plan.yaml"
+    file.write_bytes(text)
+    with pytest.raises(InputError) as error:
+        load_config(file)
+    assert line in str(error.value) and "plan.yaml" in str(error.value) and "\n" not in str(error.value)
+
+
+def test_a_missing_file_is_named():
+    with pytest.raises(InputError, match=r"cannot read nowhere\.yaml: No such file"):
+        load_config("nowhere.yaml")
+
+
+SCALARS = st.none() | st.booleans() | st.floats() | st.text()
+
+
+@given(st.recursive(SCALARS, lambda inner: st.dictionaries(st.text(), inner)))
+def test_no_value_of_a_section_is_a_traceback(value):
+    for key in ("settings", "start_rad", "robot"):
+        try:
+            load_config(None, [f"{key}={yaml.safe_dump(value)}"])
+        except InputError:
+            pass

@@ -1,0 +1,60 @@
+"""Imports run downwards only, and never in a circle."""
+
+import ast
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+import htcp_jax
+
+PACKAGE = Path(htcp_jax.__file__).parent
+
+# From the bottom up. A module may import from its own row and from those above it in this list.
+LAYERS = [
+    ["__init__", "errors", "types", "numerics", "status", "settings", "plans", "compile_cache"],
+    ["robot", "kinematics", "duct", "cloud", "cloud_index", "workpiece"],
+    ["scenario"],
+    ["clearance", "task"],
+    ["nullspace", "sphere"],
+    ["qp", "qp_clarabel", "qp_qpsolvers", "qp_device"],
+    ["escape", "engine", "planner"],
+    ["sweep", "metrics", "results", "report", "gate", "ceiling"],
+    ["strict_yaml", "config", "picture", "viewer"],
+    ["cli_plan"],
+    ["cli", "__main__"],
+]
+LAYER = {module: number for number, row in enumerate(LAYERS) for module in row}
+
+
+def modules() -> list[str]:
+    return sorted(path.stem for path in PACKAGE.glob("*.py"))
+
+
+def imports(module: str) -> set[str]:
+    """Modules of the package that `module` imports anywhere in its source."""
+    found = set()
+    for node in ast.walk(ast.parse((PACKAGE / f"{module}.py").read_text())):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{module}.py: imports are absolute"
+            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+        else:
+            continue
+        found |= {name.split(".")[1] for name in names if name.startswith("htcp_jax.")}
+    return found & set(modules())
+
+
+@pytest.mark.parametrize("module", modules())
+def test_imports_run_downwards(module):
+    assert module in LAYER, f"{module}.py has no layer; give it one in {Path(__file__).name}"
+    upwards = sorted(other for other in imports(module) if LAYER[other] > LAYER[module])
+    assert not upwards, f"{module}.py imports from the layers over it: {', '.join(upwards)}"
+
+
+def test_imports_run_in_no_circle():
+    try:
+        TopologicalSorter({module: imports(module) - {module} for module in modules()}).prepare()
+    except CycleError as error:
+        pytest.fail(f"imports run in a circle: {' -> '.join(error.args[1])}")
