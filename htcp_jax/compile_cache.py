@@ -10,7 +10,7 @@ import jax
 def enable() -> Path | None:
     """Keep compiled programs in the user's cache folder, or where HTCP_CACHE says; HTCP_CACHE=off keeps none.
 
-    Returns the folder, or None where nothing is kept. A folder already chosen through JAX itself stays, and one
+    Returns the folder, or None where nothing is kept. A folder already chosen through JAX stays, and one
     that cannot be written is done without: a cache must never stop a plan.
     """
     choice = os.environ.get("HTCP_CACHE", "")

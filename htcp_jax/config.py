@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from htcp_jax.errors import InputError
 from htcp_jax.settings import Settings
 from htcp_jax.strict_yaml import parse_yaml, read_yaml
+from htcp_jax.workpiece import GATE_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
 
 METHODS = (
     "baseline",
@@ -53,7 +54,11 @@ class WorkpieceConfig(Section):
 
     cloud: str = "duct"  # the generated duct, or a file of points or a mesh
     path: str = "weld"  # the generated duct's weld, or a CSV file of x,y,z [m]
-    inlet_m: Point | None = None  # centre of the inlet; without it the duct's
+    inlet_m: Point | None = None  # centre of the inlet; without it the duct's, or none for another cloud
+    interior: Literal["hull", "none"] = "hull"  # what bounds the inside, deeper than gate_depth_m
+    gate_depth_m: float = Field(GATE_DEPTH_M, ge=0)
+    pivot_m: Point = PIVOT  # world point that the rotations turn about
+    neutral_translation_m: Point = NEUTRAL_TRANSLATION  # of the workpiece frame, before they turn it
     rotation_y_rad: float = 0.4
     rotation_z_rad: float = 0.1
     shift_m: Point = (0.0, 0.0, 0.0)

@@ -13,7 +13,7 @@ PACKAGE = Path(htcp_jax.__file__).parent
 # From the bottom up. A module may import from its own row and from those above it in this list.
 LAYERS = [
     ["__init__", "errors", "types", "numerics", "status", "settings", "plans", "compile_cache"],
-    ["robot", "kinematics", "duct", "cloud", "cloud_index", "workpiece"],
+    ["robot", "robot_file", "kinematics", "duct", "cloud", "cloud_index", "hull", "workpiece"],
     ["scenario"],
     ["clearance", "task"],
     ["nullspace", "sphere"],
