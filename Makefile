@@ -8,7 +8,7 @@ INSTALL = $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check 
 .PHONY: demo test test-slow lock clean
 
 demo: $(VENV)/.installed  ## plan the default job
-	$(VENV)/bin/htcp plan --out out/demo
+	$(VENV)/bin/htcp plan
 
 test: $(VENV)/.installed-test  ## lint and the quick tests
 	$(VENV)/bin/ruff check .

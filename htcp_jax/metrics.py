@@ -17,8 +17,10 @@ class Failure(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """What S scenarios with T targets each came to. Distances are over the tracked targets, NaN where there are
-    none; a step is one attempted target."""
+    """What S scenarios with T targets each came to.
+
+    Distances are over the tracked targets, NaN where there are none; a step is one attempted target.
+    """
 
     scenarios: int
     complete: int  # scenarios with every target tracked

@@ -2,40 +2,12 @@
 
 import numpy as np
 import pytest
+from hand_made import plans_with
 
 from htcp_jax.metrics import Failure, summarise
-from htcp_jax.plans import Plans
 from htcp_jax.status import Status
 
-
-def plans_with(status: list[list[Status]], run_s: float = 1.0) -> Plans:
-    """Plans of a 2-joint arm with these statuses: clearances 1, 2, 3, ... mm and residuals half of that."""
-    status = np.array(status, np.int8)
-    shape = status.shape
-    tracked = status <= Status.TRACKED_AFTER_ESCAPE
-    clearance = np.where(tracked, 1e-3 * np.arange(1, 1 + status.size).reshape(shape), np.nan)
-    return Plans(
-        x=np.where(tracked[..., None], np.zeros((*shape, 2)), np.nan),
-        tcp=np.where(tracked[..., None], np.zeros((*shape, 3)), np.nan),
-        target=np.zeros((*shape, 3)),
-        clearance=clearance,
-        residual=clearance / 2,
-        status=status,
-        iterations=np.ones(shape, int),
-        joint_step=np.where(tracked, 0.25, np.nan),
-        escape=(status == Status.TRACKED_AFTER_ESCAPE).astype(int),
-        path_clear=np.where(tracked, 0, -1).astype(np.int8),
-        compile_s=3.0,
-        run_s=run_s,
-    )
-
-
-DONE, ESCAPED, STUCK, LEFT = (
-    Status.TRACKED,
-    Status.TRACKED_AFTER_ESCAPE,
-    Status.ESCAPE_EXHAUSTED,
-    Status.NOT_ATTEMPTED,
-)
+DONE, ESCAPED, STUCK, LEFT = (Status(k) for k in (0, 1, 4, 7))
 
 
 def test_counts_times_and_distances():

@@ -1,0 +1,53 @@
+"""The command `htcp`. A command is a function in a module of its own, `cli_<name>.py`, and one line here.
+
+Commands return their exit code. Bad input, whether of the command line or of a file, is one line and code 2.
+"""
+
+import importlib.metadata
+import sys
+import warnings
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+from htcp_jax import compile_cache
+from htcp_jax.cli_plan import plan
+from htcp_jax.errors import InputError
+
+BAD_INPUT, INTERRUPTED = 2, 130
+
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
+app.command()(plan)
+
+
+@app.callback(invoke_without_command=True)
+def htcp(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Show the version.")] = False,
+) -> int:
+    """Plan the motion of a redundant arm that follows a path inside a narrow part."""
+    if context.invoked_subcommand is None:
+        print(f"htcp {importlib.metadata.version('htcp_jax')}" if version else context.get_help())
+    return 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code."""
+    compile_cache.enable()
+    warnings.formatwarning = lambda message, *_, **__: f"htcp: warning: {message}\n"
+    try:
+        code = app(args=argv, prog_name="htcp", standalone_mode=False)
+    except InputError as error:
+        return _refuse(str(error))
+    except typer.TyperException as error:
+        return _refuse(error.format_message())
+    except (KeyboardInterrupt, typer.Abort):
+        print("htcp: interrupted; nothing was written", file=sys.stderr)
+        return INTERRUPTED
+    return int(code or 0)
+
+
+def _refuse(reason: str) -> int:
+    print(f"htcp: {' '.join(reason.split())}", file=sys.stderr)
+    return BAD_INPUT

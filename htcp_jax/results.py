@@ -1,0 +1,122 @@
+"""The files of one plan. Everything is written aside and moved into place whole."""
+
+import contextlib
+import csv
+import dataclasses
+import importlib.metadata
+import json
+import math
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from htcp_jax.errors import InputError
+from htcp_jax.metrics import Summary
+from htcp_jax.plans import Plans
+from htcp_jax.robot import Robot
+from htcp_jax.status import Status
+
+
+@contextlib.contextmanager
+def written_whole(folder: Path) -> Iterator[Path]:
+    """A scratch folder whose files move into `folder` when the block ends well, and vanish when it does not.
+
+    Raises InputError at once if `folder` cannot be made or written, and later if the files cannot be moved.
+    """
+    made = not folder.exists()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        scratch = Path(tempfile.mkdtemp(prefix=".part-", dir=folder))
+    except OSError as error:
+        raise InputError(f"cannot write to {folder}: {error.strerror}") from None
+    try:
+        yield scratch
+        for file in sorted(scratch.iterdir()):
+            os.replace(file, folder / file.name)
+    except OSError as error:
+        raise InputError(f"cannot write to {folder}: {error.strerror}") from None
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+        if made and not any(folder.iterdir()):
+            folder.rmdir()
+
+
+def write_trajectory_csv(file: Path, robot: Robot, plans: Plans, row: int = 0) -> None:
+    """One line a target; cells of what is not known, NaN in `plans`, are empty. Numbers read back exactly."""
+    units = ["m" if slides else "rad" for slides in robot.slides]
+    statuses = [Status(status).name for status in plans.status[row].tolist()]
+    columns = {"target": range(len(statuses)), "status": statuses}
+    for j, (name, unit) in enumerate(zip(robot.joint_names, units, strict=True)):
+        columns[f"{name}_{unit}"] = plans.x[row, :, j]
+    for name, points in (("tcp", plans.tcp), ("target", plans.target)):
+        columns |= {f"{name}_{axis}_m": points[row, :, k] for k, axis in enumerate("xyz")}
+    columns |= {
+        "clearance_m": plans.clearance[row],
+        "residual_m": plans.residual[row],
+        "joint_step_rad": plans.joint_step[row],
+        "iterations": plans.iterations[row],
+        "escape": plans.escape[row],
+        "path_clear": plans.path_clear[row],
+    }
+    with file.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(columns)
+        for cells in zip(*columns.values(), strict=True):
+            writer.writerow(["" if cell != cell else cell for cell in cells])
+
+
+def write_trajectory_npz(file: Path, robot: Robot, plans: Plans, row: int = 0) -> None:
+    """The arrays of `plans` for one scenario under the names of its fields, and `joint_names`; no pickles."""
+    arrays = {name: value[row] for name, value in plans._asdict().items() if isinstance(value, np.ndarray)}
+    np.savez_compressed(file, joint_names=np.array(robot.joint_names), **arrays)
+
+
+def write_json(file: Path, record: dict) -> None:
+    """`record` as JSON, NaN and infinities as null."""
+    file.write_text(json.dumps(_plain(record), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def summary_record(summary: Summary) -> dict:
+    """The summary with the failed targets in words."""
+    failed = [
+        {"scenario": f.scenario, "target": f.target, "status": f.status.name, "reason": f.status.message}
+        for f in summary.failures
+    ]
+    return {**summary._asdict(), "failures": failed}
+
+
+def provenance() -> dict:
+    """What computed the result: versions, device and float width."""
+    packages = ("htcp_jax", "jax", "jaxlib", "numpy", "mujoco", "clarabel", "qpsolvers")
+    device = jax.devices()[0]
+    return {
+        "versions": {name: _version(name) for name in packages},
+        "device": f"{device.platform}: {device.device_kind}",
+        "dtype": str(np.dtype(jax.numpy.zeros(0).dtype)),
+    }
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None  # run from a source tree
+
+
+def _plain(value: Any) -> Any:
+    """`value` in JSON's own types."""
+    if dataclasses.is_dataclass(value):
+        value = dataclasses.asdict(value)
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value

@@ -1,0 +1,28 @@
+"""Plans made by hand, for tests of what comes after planning."""
+
+import numpy as np
+
+from htcp_jax.plans import Plans
+from htcp_jax.status import Status
+
+
+def plans_with(status: list[list[Status]], joints: int = 2, run_s: float = 1.0) -> Plans:
+    """Plans of an arm at rest with these statuses: clearances 1, 2, 3, ... mm and residuals half of that."""
+    status = np.array(status, np.int8)
+    shape = status.shape
+    tracked = status <= Status.TRACKED_AFTER_ESCAPE
+    clearance = np.where(tracked, 1e-3 * np.arange(1, 1 + status.size).reshape(shape), np.nan)
+    return Plans(
+        x=np.where(tracked[..., None], np.zeros((*shape, joints)), np.nan),
+        tcp=np.where(tracked[..., None], np.zeros((*shape, 3)), np.nan),
+        target=np.zeros((*shape, 3)),
+        clearance=clearance,
+        residual=clearance / 2,
+        status=status,
+        iterations=np.ones(shape, int),
+        joint_step=np.where(tracked, 0.25, np.nan),
+        escape=(status == Status.TRACKED_AFTER_ESCAPE).astype(int),
+        path_clear=np.where(tracked, 0, -1).astype(np.int8),
+        compile_s=3.0,
+        run_s=run_s,
+    )

@@ -1,0 +1,50 @@
+"""The picture: exact outlines, the side that shows the inside, and no plan that cannot be drawn."""
+
+import numpy as np
+import pytest
+from hand_made import plans_with
+from hypothesis import given
+from hypothesis import strategies as st
+
+from htcp_jax.picture import draw_plan, poses, side_view, stadium
+from htcp_jax.robot import gp50
+from htcp_jax.scenario import make_scenario
+from htcp_jax.status import Status
+from htcp_jax.workpiece import load_workpiece
+
+COORDINATE = st.floats(-3, 3)
+POINT = st.tuples(COORDINATE, COORDINATE).map(np.array)
+
+
+@given(POINT, POINT, st.floats(1e-3, 1))
+def test_every_point_of_a_stadium_is_one_radius_from_its_segment(p, q, radius):
+    outline = stadium(p, q, radius)
+    along = q - p
+    share = np.clip((outline - p) @ along / max(along @ along, 1e-300), 0, 1)
+    distance = np.linalg.norm(outline - p - share[:, None] * along, axis=1)
+    np.testing.assert_allclose(distance, radius, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_the_near_half_is_the_one_without_the_path(side):
+    cloud = np.random.default_rng(0).uniform(-1, 1, (100, 3))
+    targets = np.array([[-2, 0, 0], [0.9, 0.5 * side, 0]])
+    view = side_view(cloud, targets)
+    assert view.near @ targets[-1] < view.near @ cloud.mean(axis=0)
+    np.testing.assert_allclose(np.cross(view.right, view.up), view.near, atol=1e-12)
+
+
+def test_the_last_tracked_posture_is_the_last_drawn():
+    status = [[Status.TRACKED] * 5 + [Status.ITERATION_LIMIT] + [Status.NOT_ATTEMPTED] * 2]
+    assert poses(plans_with(status), 0)[-1] == 4
+    assert poses(plans_with([[Status.ITERATION_LIMIT]]), 0) == []
+
+
+@pytest.mark.parametrize("tracked", [0, 1, 60, 105])
+def test_complete_partial_and_empty_plans_are_drawn(tracked, tmp_path):
+    robot, workpiece = gp50(), load_workpiece()
+    scenario = make_scenario(robot, workpiece, (0.0, -2.3, 0.5, 0.0, 0.5, -2.0))
+    status = [Status.TRACKED] * tracked + [Status.PATH_BLOCKED] + [Status.NOT_ATTEMPTED] * 105
+    plans = plans_with([status[:105]], joints=6)._replace(target=np.asarray(scenario.targets)[None])
+    draw_plan(robot, workpiece, scenario, plans, title="a plan").savefig(tmp_path / "plan.png", dpi=30)
+    assert (tmp_path / "plan.png").read_bytes().startswith(b"\x89PNG")
