@@ -1,0 +1,103 @@
+"""CMA-ES with positive weights (Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv:1604.00772), as pure functions.
+
+Its own file and not a library's, because the whole strategy runs under vmap for thousands of scenarios in 64-bit, and
+one update must equal the `cma` package's on the same population: a test holds it to that.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from htcp_jax.types import Array, Float, Scalar
+
+
+class Distribution(NamedTuple):
+    """The search distribution N(mean, sigma^2 C) and its evolution paths."""
+
+    mean: Float[Array, "n"]
+    sigma: Scalar
+    C: Float[Array, "n n"]
+    path_sigma: Float[Array, "n"]
+    path_C: Float[Array, "n"]
+    generation: Scalar
+
+
+class Rates(NamedTuple):
+    """Strategy parameters of a population size and dimension; Table 1 of the tutorial, negative weights left out."""
+
+    weights: Float[np.ndarray, "parents"]
+    mu_eff: float
+    c_sigma: float
+    d_sigma: float
+    c_c: float
+    c_1: float
+    c_mu: float
+    chi_n: float
+
+
+def rates(population: int, n: int) -> Rates:
+    """Defaults of the tutorial: equations (49) to (58)."""
+    parents = population // 2
+    raw = np.log((population + 1) / 2) - np.log(np.arange(1, parents + 1))
+    weights = raw / raw.sum()
+    mu_eff = 1 / np.sum(weights**2)
+    c_1 = 2 / ((n + 1.3) ** 2 + mu_eff)
+    c_sigma = (mu_eff + 2) / (n + mu_eff + 5)
+    return Rates(
+        weights=weights,
+        mu_eff=mu_eff,
+        c_sigma=c_sigma,
+        d_sigma=1 + 2 * max(0.0, np.sqrt((mu_eff - 1) / (n + 1)) - 1) + c_sigma,
+        c_c=(4 + mu_eff / n) / (n + 4 + 2 * mu_eff / n),
+        c_1=c_1,
+        c_mu=min(1 - c_1, 2 * (1 / 4 + mu_eff + 1 / mu_eff - 2) / ((n + 2) ** 2 + mu_eff)),
+        chi_n=np.sqrt(n) * (1 - 1 / (4 * n) + 1 / (21 * n**2)),
+    )
+
+
+def start(mean: Float[Array, "n"], sigma: float) -> Distribution:
+    """The isotropic distribution about `mean`."""
+    zero = jnp.zeros_like(mean)
+    return Distribution(mean, jnp.full((), sigma), jnp.eye(len(mean)), zero, zero, jnp.zeros(()))
+
+
+def ask(distribution: Distribution, key: jax.Array, population: int) -> Float[Array, "population n"]:
+    """A population drawn from the distribution."""
+    n = distribution.mean.shape[0]
+    axes, _ = _square_roots(distribution.C)
+    normal = jax.random.normal(key, (population, n), distribution.mean.dtype)
+    return distribution.mean[None, :] + distribution.sigma * normal @ axes.T
+
+
+def tell(
+    distribution: Distribution, samples: Float[Array, "population n"], cost: Float[Array, "population"], r: Rates
+) -> Distribution:
+    """The distribution after ranking the samples by cost, lowest first; equations (41) to (47)."""
+    n = distribution.mean.shape[0]
+    best = samples[jnp.argsort(cost)[: len(r.weights)]]
+    steps = (best - distribution.mean[None, :]) / distribution.sigma
+    step = r.weights @ steps
+    _, whiten = _square_roots(distribution.C)
+    path_sigma = (1 - r.c_sigma) * distribution.path_sigma + np.sqrt(
+        r.c_sigma * (2 - r.c_sigma) * r.mu_eff
+    ) * whiten @ step
+    length = jnp.linalg.norm(path_sigma)
+    generation = distribution.generation + 1
+    fair = length / jnp.sqrt(1 - (1 - r.c_sigma) ** (2 * generation))
+    moving = jnp.where(fair < (1.4 + 2 / (n + 1)) * r.chi_n, 1.0, 0.0)
+    path_C = (1 - r.c_c) * distribution.path_C + moving * np.sqrt(r.c_c * (2 - r.c_c) * r.mu_eff) * step
+    stalled = (1 - moving) * r.c_c * (2 - r.c_c)
+    rank_mu = jnp.einsum("p,pi,pj->ij", r.weights, steps, steps)
+    C = (1 + r.c_1 * stalled - r.c_1 - r.c_mu) * distribution.C
+    C = C + r.c_1 * path_C[:, None] * path_C[None, :] + r.c_mu * rank_mu
+    sigma = distribution.sigma * jnp.exp(r.c_sigma / r.d_sigma * (length / r.chi_n - 1))
+    return Distribution(distribution.mean + distribution.sigma * step, sigma, C, path_sigma, path_C, generation)
+
+
+def _square_roots(C):
+    """B D with B D^2 B' = C, and C^(-1/2)."""
+    square, B = jnp.linalg.eigh(C)
+    D = jnp.sqrt(jnp.maximum(square, 1e-20))
+    return B * D[None, :], (B / D[None, :]) @ B.T

@@ -1,0 +1,306 @@
+"""Escapes: what a stuck scenario tries. Each is a pure function of one scenario; the table of methods is at the end.
+
+A null-space escape advances step by step from the inverse kinematics solution of the stuck target (Algorithm 1): each
+step minimises J2 over the unit sphere of null-space directions, equation (11), moves by alpha, and re-anchors. A
+sampling escape proposes many configurations at once, and the step QP then tracks the target from each.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from htcp_jax import sphere
+from htcp_jax.clearance import Contacts, Obstacle, clearance, contacts, is_clear
+from htcp_jax.kinematics import jacobian, link_poses, point_jacobians, tcp_position
+from htcp_jax.nullspace import null_basis, reanchor
+from htcp_jax.numerics import fold_keys, safe_norm
+from htcp_jax.robot import Robot, lengthen_tool
+from htcp_jax.scenario import Scenario
+from htcp_jax.settings import Settings
+from htcp_jax.types import Array, Bool, Float, Joints, Scalar, Vector3
+
+
+class Scene(NamedTuple):
+    """What all scenarios of a plan share."""
+
+    robot: Robot
+    obstacle: Obstacle
+
+
+class Stuck(NamedTuple):
+    """Where one scenario is stuck."""
+
+    x_previous: Joints  # x_{t-1}
+    target: Vector3  # C_next [m]
+    key: jax.Array  # folded from seed, scenario, target and attempt: depends on nothing else
+
+
+class Candidates(NamedTuple):
+    """Configurations from which the step QP tracks the stuck target; those not valid are never tried."""
+
+    x: Float[Array, "C N"]
+    valid: Bool[Array, "C"]
+
+
+class Planes(NamedTuple):
+    """One contact a body, held fixed: its point on the body, and the plane it must stay in front of."""
+
+    local: Float[Array, "R 3"]  # in the link's frame
+    normal: Float[Array, "R 3"]  # world
+    offset: Float[Array, "R"]  # clearance = normal . point - offset
+
+
+def hold(robot: Robot, x: Joints, touch: Contacts) -> Planes:
+    """The contacts at x as planes."""
+    T = _body_poses(robot, x)
+    arm = touch.point - T[:, :3, 3]
+    local = jnp.sum(T[:, :3, :3] * arm[:, :, None], axis=1)
+    return Planes(local, touch.normal, jnp.sum(touch.normal * touch.point, axis=1) - touch.distance)
+
+
+def held_clearance(
+    robot: Robot, x: Joints, planes: Planes
+) -> tuple[Float[Array, "R"], Float[Array, "R N"]]:
+    """Clearance to held planes at x and its gradient; planes are R / K observations of all K bodies, one after another."""
+    rounds = planes.local.shape[0] // len(robot.capsule_link)
+    T = jnp.concatenate([_body_poses(robot, x)] * rounds)
+    point = jnp.sum(T[:, :3, :3] * planes.local[:, None, :], axis=2) + T[:, :3, 3]
+    motion = point_jacobians(robot, x, point, robot.capsule_link * rounds)
+    value = jnp.sum(planes.normal * point, axis=1) - planes.offset
+    return value, jnp.sum(planes.normal[:, :, None] * motion, axis=1)
+
+
+def _body_poses(robot: Robot, x: Joints) -> Float[Array, "K 4 4"]:
+    T = jnp.concatenate([link_poses(robot, x), jnp.eye(4)[None]])
+    return T[jnp.asarray(robot.capsule_link)]
+
+
+def seen_bodies(robot: Robot, far_links: bool) -> tuple[bool, ...]:
+    """Which bodies J2 sees: all, or those of the outer half of the chain (capsules 4 to 8 of the GP50)."""
+    half = len(robot.slides) // 2
+    return tuple(far_links or link >= half for link in robot.capsule_link)
+
+
+def sphere_problem(
+    scene: Scene, settings: Settings, scenario: Scenario, x_ref: Joints
+) -> tuple[sphere.Sphere, Planes, Float[Array, "N D"]]:
+    """Equation (11) at x_ref: the problem, the planes seen from x_ref, and alpha N(x_ref)."""
+    robot, obstacle = scene
+    reach = settings.alpha_rad * null_basis(jacobian(robot, x_ref))
+    weights = jnp.asarray(settings.q_weights)
+    # J1 = |x - x_ref|_Q^2 = w' (alpha N)' Q (alpha N) w
+    half = settings.j1_weight * reach.T @ (weights[:, None] * reach)
+    unseen = ~jnp.asarray(seen_bodies(robot, settings.far_links))
+    # A body that J2 does not see is as far away as it ever gets.
+    far = jnp.where(unseen, 10.0, 0.0)
+
+    def observe(w):
+        x = x_ref + reach @ w
+        touch = contacts(robot, obstacle, scenario, x)
+        return touch.distance + far - w @ half @ w, hold(robot, x, touch)
+
+    def predict(w, planes):
+        value, gradient = held_clearance(robot, x_ref + reach @ w, planes)
+        rounds = value.shape[0] // far.shape[0]
+        value = value + jnp.concatenate([far] * rounds) - w @ half @ w
+        return value, gradient @ reach - (2 * half @ w)[None, :]
+
+    G = jnp.concatenate([reach, -reach])
+    h = jnp.concatenate([robot.upper - x_ref, x_ref - robot.lower])
+    problem = sphere.Sphere(observe, predict, 2 * half, G, jnp.minimum(h, 1e3))
+    return problem, hold(robot, x_ref, contacts(robot, obstacle, scenario, x_ref)), reach
+
+
+class Anchored(NamedTuple):
+    """A configuration on (or near) the target, and how good it is."""
+
+    x: Joints
+    clearance: Scalar  # D [m]
+    residual: Scalar  # TCP error [m]
+
+
+def anchor(scene: Scene, settings: Settings, scenario: Scenario, x: Joints, target: Vector3) -> Anchored:
+    """Re-anchor x where its TCP error exceeds the tolerance xi, equation (10b) and Algorithm 1; then measure it."""
+    off = safe_norm(target - tcp_position(scene.robot, x))
+    anchored, _ = reanchor(scene.robot, x, target, 0.1 * settings.tolerance_m)
+    x = jnp.where(off > settings.tolerance_m, anchored, x)
+    return Anchored(
+        x, clearance(scene.robot, scene.obstacle, scenario, x), safe_norm(target - tcp_position(scene.robot, x))
+    )
+
+
+Minimise = Callable[[sphere.Sphere, Planes, jax.Array, Settings], sphere.Best]
+
+
+def null_space_step(
+    minimise: Minimise, scene: Scene, settings: Settings, scenario: Scenario, stuck: Stuck, x_ref: Joints, count
+) -> Anchored:
+    """One round of Algorithm 1's null-space loop: minimise J2 on the sphere, x = x_ref + alpha N w, re-anchor."""
+    problem, planes, reach = sphere_problem(scene, settings, scenario, x_ref)
+    best = minimise(problem, planes, jax.random.fold_in(stuck.key, count), settings)
+    x = jnp.clip(x_ref + reach @ best.w, scene.robot.lower, scene.robot.upper)
+    return anchor(scene, settings, scenario, x, stuck.target)
+
+
+def keep_clear_ascent(scene: Scene, settings: Settings, scenario: Scenario, x: Joints, target: Vector3) -> Anchored:
+    """Max-min null-space steps away from the workpiece, while D is below `keep_clear_m`; never ends worse than it began.
+
+    One observation a step: the best direction for the planes seen from x, at the length alpha, halved when it fails.
+    """
+
+    def going(state):
+        best, _, count = state
+        return (best.clearance < settings.keep_clear_m) & (count < settings.keep_clear_steps)
+
+    def step(state):
+        best, scale, count = state
+        problem, planes, reach = sphere_problem(scene, settings, scenario, best.x)
+        w = sphere.max_min_step(problem, planes, scale)
+        x = jnp.clip(best.x + reach @ w, scene.robot.lower, scene.robot.upper)
+        new = anchor(scene, settings, scenario, x, target)
+        better = (new.clearance > best.clearance) & (new.residual <= settings.tolerance_m)
+        best = jax.tree.map(lambda n, b: jnp.where(better, n, b), new, best)
+        return best, jnp.where(better, scale, 0.5 * scale), count + 1
+
+    start = anchor(scene, settings, scenario, x, target)
+    best, _, _ = jax.lax.while_loop(going, step, (start, jnp.full((), 0.5), jnp.zeros((), jnp.int32)))
+    return best
+
+
+def cspace_samples(scene: Scene, settings: Settings, scenario: Scenario, stuck: Stuck) -> Candidates:
+    """C-Space sample: joints 3 and outwards uniform about x_{t-1}, within +-1 rad (joint 3) and +-2 rad (the others)."""
+    robot, n = scene.robot, len(scene.robot.slides)
+    # The paper's arm moves joints 3 to 6; on another arm, too, the first two, which carry all others, stay.
+    width = jnp.asarray([0.0, 0.0, 1.0] + [2.0] * (n - 3))
+    draw = jax.random.uniform(stuck.key, (settings.samples, n), minval=-1.0, maxval=1.0)
+    x = jnp.clip(stuck.x_previous[None, :] + width[None, :] * draw, robot.lower[None, :], robot.upper[None, :])
+    clear = jax.vmap(lambda x: is_clear(robot, scene.obstacle, scenario, x))(x)
+    near = jax.vmap(safe_norm)(x - stuck.x_previous[None, :]) <= settings.sample_reach_rad
+    return Candidates(x, clear & near)
+
+
+def nspace_samples(
+    scene: Scene, settings: Settings, scenario: Scenario, stuck: Stuck, step_rad: tuple[float, ...]
+) -> Candidates:
+    """N-Space sample: random null-space directions, each followed for `sample_steps` steps of each given length,
+    re-anchored whenever the TCP error exceeds the tolerance. The direction is carried along by projection."""
+    robot, n = scene.robot, len(scene.robot.slides)
+    origin, _ = reanchor(robot, stuck.x_previous, stuck.target, 0.1 * settings.tolerance_m)
+    first = null_basis(jacobian(robot, origin))
+    draw = jax.random.normal(stuck.key, (settings.samples, first.shape[1]))
+    directions = jax.vmap(lambda w: first @ (w / safe_norm(w)))(draw)
+
+    def walk(direction, length):
+        def step(_, state):
+            x, v = state
+            basis = null_basis(jacobian(robot, x))
+            v = basis @ (v @ basis)
+            v = v / jnp.maximum(safe_norm(v), 1e-12)
+            x = jnp.clip(x + length * v, robot.lower, robot.upper)
+            off = safe_norm(stuck.target - tcp_position(robot, x))
+            anchored, _ = reanchor(robot, x, stuck.target, 0.1 * settings.tolerance_m, iterations=3)
+            return jnp.where(off > settings.tolerance_m, anchored, x), v
+
+        x, _ = jax.lax.fori_loop(0, settings.sample_steps, step, (origin, direction))
+        return x
+
+    x = jnp.concatenate([jax.vmap(lambda v, r=r: walk(v, r))(directions) for r in step_rad])
+    near = jax.vmap(safe_norm)(x - stuck.x_previous[None, :]) <= settings.sample_reach_rad
+    return Candidates(x.reshape(-1, n), near)
+
+
+def postures(scene: Scene, settings: Settings, scenario: Scenario, stuck: Stuck) -> Candidates:
+    """Other clear postures at the stuck target, by seeded inverse kinematics from uniform draws in the joint limits."""
+    robot = scene.robot
+    lower, upper = jnp.maximum(robot.lower, -jnp.pi), jnp.minimum(robot.upper, jnp.pi)
+    draw = jax.random.uniform(stuck.key, (settings.samples, lower.shape[0]))
+    x = lower[None, :] + (upper - lower)[None, :] * draw
+    reached = jax.vmap(lambda x: anchor(scene, settings, scenario, x, stuck.target))(x)
+    return Candidates(reached.x, (reached.residual <= settings.tolerance_m) & (reached.clearance > 0))
+
+
+def path_clear(scene: Scene, settings: Settings, scenario: Scenario, a: Joints, b: Joints) -> Bool[Array, ""]:
+    """Whether the straight joint path from a to b is clear (D > 0) at its interpolation steps, the ends left out."""
+    fractions = jnp.arange(1, settings.path_steps) / settings.path_steps
+    between = jax.vmap(lambda s: is_clear(scene.robot, scene.obstacle, scenario, a + s * (b - a)))(fractions)
+    return jnp.all(between)
+
+
+def own_scene(scene: Scene, scenario: Scenario) -> Scene:
+    """The scene with the scenario's own tool."""
+    return Scene(lengthen_tool(scene.robot, scenario.tool_extension_m), scene.obstacle)
+
+
+def stuck_key(settings: Settings, scenario: Scenario, target, stage: int, attempt) -> jax.Array:
+    """Random key of one escape."""
+    return fold_keys(jax.random.key(settings.seed), scenario.number, target, stage, attempt)
+
+
+@dataclass(frozen=True)
+class NullSpace:
+    """A stage that walks the null space, one minimisation a step."""
+
+    minimise: Minimise
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A stage that proposes candidates for the step QP to track from."""
+
+    propose: Callable[[Scene, Settings, Scenario, Stuck], Candidates]
+
+
+@dataclass(frozen=True)
+class Method:
+    """A planner: what it does when the step QPs are stuck, and between targets."""
+
+    title: str
+    sentence: str
+    stages: tuple[NullSpace | Sample, ...] = ()  # tried in turn at a stuck target
+    keep_clear: bool = False  # ascend after every target
+    retries: bool = False  # start again from another posture when all stages fail
+    check_paths: bool = False  # every joint path must be clear, whatever the settings say
+
+
+_SQP = NullSpace(lambda problem, planes, key, settings: sphere.sqp(problem, planes))
+_SPREAD = (0.005, 0.01, 0.02, 0.04)
+
+METHODS: dict[str, Method] = {
+    "baseline": Method("Baseline planner", "iterative convex optimisation alone, equation (8)"),
+    "cspace-sample": Method(
+        "C-Space sample", "restarts from configurations sampled about the last one", (Sample(cspace_samples),)
+    ),
+    "nspace-sample": Method(
+        "N-Space sample",
+        "restarts from the ends of walks along random null-space directions",
+        (Sample(lambda scene, s, scenario, stuck: nspace_samples(scene, s, scenario, stuck, (s.sample_step_rad,))),),
+    ),
+    "nspace-sqp": Method("N-Space SQP", "null-space steps by sequential quadratic programming", (_SQP,)),
+    "nspace-ip": Method(
+        "N-Space Interior Point",
+        "null-space steps by a barrier method on the sphere",
+        (NullSpace(lambda problem, planes, key, settings: sphere.interior_point(problem, planes)),),
+    ),
+    "nspace-cmaes": Method(
+        "N-Space CMA-ES",
+        "null-space steps by CMA-ES",
+        (NullSpace(lambda p, planes, key, s: sphere.cmaes(p, planes, key, s.population, s.generations)),),
+    ),
+    "nspace-adam": Method(
+        "N-Space Adam",
+        "null-space steps by Adam, projected on the sphere",
+        (NullSpace(lambda problem, planes, key, settings: sphere.adam(problem, planes)),),
+    ),
+    "keep-clear": Method("Keep clear", "null-space ascent of the clearance after every target, no escape", keep_clear=True),
+    "hybrid": Method(
+        "Hybrid",
+        "keep clear; SQP, then null-space samples at four step lengths, then other start postures; joint paths clear",
+        (_SQP, Sample(lambda scene, s, scenario, stuck: nspace_samples(scene, s, scenario, stuck, _SPREAD))),
+        keep_clear=True,
+        retries=True,
+        check_paths=True,
+    ),
+}

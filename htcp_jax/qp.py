@@ -1,0 +1,108 @@
+"""The step QP, equation (8), in the step y = x - x_ref, and the seam behind which its solvers stand.
+
+    minimise    1/2 y' diag(weights) y + linear' y
+    subject to  A y = b          the task, linearised (7) with sigma = 0
+                G y <= h         the clearance rows (CFS)
+                lower <= y <= upper
+
+A solver takes a batch of them on the host and gives back steps and verdicts. Infeasible is a normal answer: it means
+that the arm is stuck. FAILED is a solver's own breakdown (no convergence, NaN), and never passes for an answer.
+"""
+
+import enum
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+import jax.numpy as jnp
+import numpy as np
+
+from htcp_jax.errors import InputError
+from htcp_jax.settings import Settings
+from htcp_jax.types import Array, Float, Int, Joints, Scalar
+
+
+class QPStatus(enum.IntEnum):
+    """Verdict on one QP; stored as int32."""
+
+    SOLVED = 0
+    INFEASIBLE = 1
+    FAILED = 2
+
+
+class StepQP(NamedTuple):
+    """One step QP; in a batch every field has a leading axis."""
+
+    weights: Joints
+    linear: Joints
+    A: Float[Array, "3 N"]
+    b: Float[Array, "3"]
+    G: Float[Array, "M N"]
+    h: Float[Array, "M"]
+    lower: Joints
+    upper: Joints
+
+
+class QPSolution(NamedTuple):
+    """Step (zeros where the QP is not solved) and verdict."""
+
+    y: Joints
+    status: Int[Array, ""]
+
+
+class QPSolver(Protocol):
+    """Solves a batch of step QPs given as numpy arrays with a leading axis B; results must not depend on the batch."""
+
+    def solve(self, qps: StepQP) -> QPSolution: ...
+
+
+def assemble(
+    settings: Settings,
+    x_ref: Joints,
+    x_previous: Joints,
+    to_target: Float[Array, "3"],
+    task_jacobian: Float[Array, "3 N"],
+    clearance: Float[Array, "K"],
+    gradient: Float[Array, "K N"],
+    margin_m: Scalar,
+    lower: Joints,
+    upper: Joints,
+) -> StepQP:
+    """Equation (8) about x_ref: `to_target` is Delta C = C_next - C_ref [m]; see `Settings` for the two options.
+
+    cost_about: J1 about x_ref (8), or about x_{t-1} (4). rows: one a body, or the one of the smallest clearance.
+    """
+    weights = jnp.asarray(settings.q_weights)
+    about = x_ref if settings.cost_about == "reference" else x_previous
+    if settings.rows == "smallest":
+        body = jnp.argmin(clearance)
+        clearance, gradient = clearance[body][None], gradient[body][None]
+    return StepQP(
+        weights=2 * weights,
+        linear=2 * weights * (x_ref - about),
+        A=task_jacobian,
+        b=to_target,
+        G=-gradient,
+        h=clearance - margin_m,
+        lower=lower - x_ref,
+        upper=upper - x_ref,
+    )
+
+
+def row_count(settings: Settings, bodies: int) -> int:
+    """Clearance rows of one step QP."""
+    return 1 if settings.rows == "smallest" else bodies
+
+
+def make_solver(settings: Settings, joints: int, rows: int) -> QPSolver:
+    """The solver that `settings.qp` names. Raises InputError for a name that is not installed."""
+    from htcp_jax.qp_clarabel import ClarabelSolver
+    from htcp_jax.qp_qpsolvers import QPSolversSolver
+
+    name, _, backend = settings.qp.partition(":")
+    makers: dict[str, Callable[[], QPSolver]] = {
+        "clarabel": lambda: ClarabelSolver(2 * np.asarray(settings.q_weights), rows, settings.qp_tolerance),
+        "qpsolvers": lambda: QPSolversSolver(backend),
+    }
+    if name not in makers:
+        raise InputError(f"qp is {settings.qp!r}; valid: clarabel, qpsolvers:<name of a solver>")
+    return makers[name]()

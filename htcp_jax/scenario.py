@@ -1,0 +1,124 @@
+"""One scenario: where the arm starts, where the workpiece is, and the targets in between; checked, then stacked."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from htcp_jax.errors import InputError
+from htcp_jax.kinematics import tcp_position
+from htcp_jax.robot import Robot, lengthen_tool
+from htcp_jax.types import Float, Int, Joints, Pose, Scalar
+from htcp_jax.workpiece import Workpiece
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Scenario:
+    """What differs between the members of a batch. Stacked, every leaf has a leading axis S."""
+
+    x_start: Joints  # [rad or m]
+    T_world_workpiece: Pose
+    gate_x: Scalar  # capsule ends with a world x beyond this must lie inside the tunnel [m]
+    targets: Float[jax.Array, "T 3"]  # world [m]; rows from `count` on are padding
+    count: Int[jax.Array, ""]  # targets to track
+    margin_m: Scalar  # least clearance that the step QP's rows ask for
+    tool_extension_m: Scalar
+    number: Int[jax.Array, ""]  # identity: the random keys are folded from it
+
+
+def path_targets(
+    tcp: Float[np.ndarray, "3"],
+    inlet: Float[np.ndarray, "3"] | None,
+    path: Float[np.ndarray, "W 3"],
+    approach: tuple[int, int] = (5, 5),
+) -> Float[np.ndarray, "T 3"]:
+    """Targets of one scenario [m], all in one frame: the start TCP itself, `approach[0]` equal steps to the inlet's
+    centre, `approach[1]` equal steps from there to the first path point, then the whole path (so that its first point
+    is met again). Without an inlet the steps go straight from the start to the path."""
+    stops = [tcp, path[0]] if inlet is None else [tcp, inlet, path[0]]
+    steps = [sum(approach)] if inlet is None else approach
+    legs = [
+        a + (b - a) * np.linspace(0, 1, n + 1)[1:, None] for a, b, n in zip(stops[:-1], stops[1:], steps, strict=True)
+    ]
+    return np.concatenate([np.asarray(tcp)[None], *legs, path])
+
+
+def make_scenario(
+    robot: Robot,
+    workpiece: Workpiece,
+    start: Sequence[float],
+    *,
+    rotation: tuple[float, float] = (0.4, 0.1),
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    approach: tuple[int, int] = (5, 5),
+    margin_m: float = 5e-4,
+    tool_extension_m: float = 0.0,
+    number: int = 0,
+) -> Scenario:
+    """One scenario of the scene's rules.
+
+    start: N joint positions [rad or m]; rotation: workpiece about world y, then z [rad]; shift: of the workpiece,
+    world [m]; tool_extension_m: see `robot.lengthen_tool`; number: identity for the random keys.
+    Raises InputError for a start of the wrong length or outside the joint limits, and for a target beyond reach.
+    """
+    x_start = np.asarray(start, float)
+    _check_start(robot, x_start)
+    longer = lengthen_tool(robot, tool_extension_m)
+    T_world_workpiece = workpiece.T_world(*rotation, shift=shift)
+    rotate, translate = T_world_workpiece[:3, :3], T_world_workpiece[:3, 3]
+    tcp = np.asarray(_TCP(longer, jnp.asarray(x_start)))
+    inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
+    targets = path_targets(tcp, inlet, workpiece.path @ rotate.T + translate, approach)
+    _check_reach(longer, targets)
+    return Scenario(
+        x_start=x_start,
+        T_world_workpiece=T_world_workpiece,
+        gate_x=np.asarray(workpiece.gate_x(T_world_workpiece)),
+        targets=targets,
+        count=np.asarray(len(targets), np.int32),
+        margin_m=np.asarray(margin_m, float),
+        tool_extension_m=np.asarray(tool_extension_m, float),
+        number=np.asarray(number, np.int32),
+    )
+
+
+def stack(scenarios: Sequence[Scenario]) -> Scenario:
+    """Scenarios as one batch (numpy leaves with a leading axis S); shorter target lists are padded with their last."""
+    if not scenarios:
+        raise InputError("no scenarios to plan")
+    longest = max(len(s.targets) for s in scenarios)
+
+    def pad(targets):
+        return np.concatenate([targets, np.repeat(targets[-1:], longest - len(targets), axis=0)])
+
+    padded = [jax.tree.map(np.asarray, Scenario(**{**vars(s), "targets": pad(s.targets)})) for s in scenarios]
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *padded)
+
+
+_TCP = jax.jit(tcp_position)
+
+
+def _check_start(robot: Robot, x_start: np.ndarray) -> None:
+    lower, upper = np.asarray(robot.lower), np.asarray(robot.upper)
+    if x_start.shape != lower.shape:
+        raise InputError(f"start has {x_start.size} joint positions, the robot {robot.name} has {lower.size} joints")
+    for name, value, low, high in zip(robot.joint_names, x_start, lower, upper, strict=True):
+        if not low <= value <= high:
+            raise InputError(f"start: joint {name} at {value:.6g} is outside its limits {low:.6g} to {high:.6g}")
+
+
+def _check_reach(robot: Robot, targets: np.ndarray) -> None:
+    """The chain's links, laid out straight, bound how far the TCP gets from the first joint's axis origin."""
+    if any(robot.slides):
+        return  # a slide's travel adds to the reach: left to the planner's own verdict
+    links = np.linalg.norm(np.asarray(robot.T_parent_joint)[1:, :3, 3], axis=1)
+    reach = links.sum() + np.linalg.norm(np.asarray(robot.T_link_tcp)[:3, 3])
+    base = np.asarray(robot.T_parent_joint)[0, :3, 3]
+    far = np.linalg.norm(targets - base, axis=1)
+    if (worst := int(np.argmax(far > reach))) or far[0] > reach:
+        raise InputError(
+            f"target {worst} is {far[worst]:.3f} m from the robot's base; {robot.name} reaches {reach:.3f} m at most"
+        )
