@@ -35,9 +35,11 @@ def htcp(
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     compile_cache.enable()
-    warnings.formatwarning = lambda message, *_, **__: f"htcp: warning: {message}\n"
     try:
-        code = app(args=argv, prog_name="htcp", standalone_mode=False)
+        with warnings.catch_warnings():
+            warnings.simplefilter("default", UserWarning)
+            warnings.showwarning = _warn
+            code = app(args=argv, prog_name="htcp", standalone_mode=False)
     except InputError as error:
         return _refuse(str(error))
     except typer.TyperException as error:
@@ -46,6 +48,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("htcp: interrupted; nothing was written", file=sys.stderr)
         return INTERRUPTED
     return int(code or 0)
+
+
+def _warn(message: Warning, *_) -> None:
+    print(f"htcp: warning: {message}", file=sys.stderr)
 
 
 def _refuse(reason: str) -> int:

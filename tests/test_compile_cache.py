@@ -1,0 +1,39 @@
+"""Where compiled programs are kept: the user's cache folder, or where a person says, or nowhere."""
+
+import jax
+import pytest
+
+from htcp_jax import compile_cache
+
+
+@pytest.fixture(autouse=True)
+def no_cache_yet(monkeypatch):
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", None)
+    monkeypatch.delenv("HTCP_CACHE", raising=False)
+    yield
+    jax.config.update("jax_compilation_cache_dir", before)
+
+
+def test_off_keeps_nothing(monkeypatch):
+    monkeypatch.setenv("HTCP_CACHE", "off")
+    assert compile_cache.enable() is None and jax.config.jax_compilation_cache_dir is None
+
+
+def test_a_folder_is_made_where_the_variable_says(monkeypatch, tmp_path):
+    monkeypatch.setenv("HTCP_CACHE", str(tmp_path / "a" / "b"))
+    assert compile_cache.enable() == tmp_path / "a" / "b"
+    assert (
+        jax.config.jax_compilation_cache_dir == str(tmp_path / "a" / "b") and (tmp_path / "a" / "b").is_dir()
+    )
+
+
+def test_a_folder_chosen_through_jax_stays(tmp_path):
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path))
+    assert compile_cache.enable() == tmp_path
+
+
+def test_a_folder_that_cannot_be_made_is_done_without(monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("HTCP_CACHE", str(tmp_path / "file" / "cache"))
+    assert compile_cache.enable() is None
