@@ -9,7 +9,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.text import Text
 
 from htcp_jax import planner
-from htcp_jax.config import METHODS, PlanConfig, load_config
+from htcp_jax.config import PlanConfig, load_config
+from htcp_jax.escape import METHODS
 from htcp_jax.metrics import Summary, summarise
 from htcp_jax.picture import draw_plan
 from htcp_jax.plans import Plans

@@ -16,21 +16,10 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from htcp_jax.errors import InputError
+from htcp_jax.escape import METHODS
 from htcp_jax.settings import Settings
 from htcp_jax.strict_yaml import parse_yaml, read_yaml
 from htcp_jax.workpiece import GATE_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
-
-METHODS = (
-    "baseline",
-    "cspace-sample",
-    "nspace-sample",
-    "nspace-sqp",
-    "nspace-ip",
-    "nspace-cmaes",
-    "nspace-adam",
-    "keep-clear",
-    "hybrid",
-)
 
 Point = tuple[float, float, float]
 

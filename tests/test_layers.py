@@ -21,7 +21,7 @@ LAYERS = [
     ["qp"],
     ["qp_clarabel", "qp_qpsolvers", "qp_device"],
     ["qp_solvers"],
-    ["escape", "engine", "planner"],
+    ["escape", "kernels", "engine", "planner"],
     ["sweep", "metrics", "results", "report", "gate", "ceiling"],
     ["strict_yaml", "config", "picture", "viewer"],
     ["cli_plan"],
