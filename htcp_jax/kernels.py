@@ -5,6 +5,7 @@ lanes at a time and only as far as the table is filled: one compiled program ser
 lane's result does not depend on how many others there are.
 """
 
+import threading
 import time
 from collections.abc import Callable
 from functools import partial
@@ -168,7 +169,9 @@ class Kernels:
     def __init__(self, shared: Shared, method: Method, settings: Settings, width: int, capacity: int):
         self._shared, self._width, self._capacity = shared, width, capacity
         self._compiled: dict[str, Callable] = {}
+        self._compiling = threading.Lock()
         self.compile_s = 0.0
+        self.bodies = len(shared.scene.robot.capsule_link)
         self._kernels = {
             "prepare": partial(prepare, settings),
             "advance": partial(advance, settings),
@@ -198,12 +201,13 @@ class Kernels:
         return jax.tree.map(lambda r: np.asarray(r)[:lanes], result)
 
     def _program(self, name: str, chunks, tables) -> Callable:
-        if name not in self._compiled:
-            began = time.perf_counter()
-            program = chunked(self._kernels[name], self._width)
-            self._compiled[name] = program.lower(self._shared, chunks, *tables).compile()
-            self.compile_s += time.perf_counter() - began
-        return self._compiled[name]
+        with self._compiling:
+            if name not in self._compiled:
+                began = time.perf_counter()
+                program = chunked(self._kernels[name], self._width)
+                self._compiled[name] = program.lower(self._shared, chunks, *tables).compile()
+                self.compile_s += time.perf_counter() - began
+            return self._compiled[name]
 
 
 def _pad(table: np.ndarray, capacity: int) -> np.ndarray:

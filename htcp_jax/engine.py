@@ -1,0 +1,421 @@
+"""The engine: a scenario is a small state machine, and the engine advances every unfinished one by one step at a time.
+
+    prepare   (device)  lane -> step QP             linearised task, clearance rows, limits about x_ref
+    solve     (host)    step QPs -> steps, verdicts Clarabel
+    advance   (device)  lane, step -> lane          linearised and measured at the new x_ref
+
+A lane tracks one target by step QPs until it is reached, then the next one; or it is stuck, and walks the null space one
+step at a time; or it is one of many candidates of a sampling escape, tracking the stuck target on behalf of a scenario
+that waits. Lanes never wait for each other: each has its own target, phase and count; finished ones leave, new scenarios
+take their place. Lanes in the same phase go through one kernel together. Which lanes those happen to be has no
+influence on any of them, so a scenario's result is the same alone, in any batch, in any order and on any thread.
+
+Everything here is bookkeeping on numpy tables. The mathematics is in `escape` and below; batching is in `kernels`.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from htcp_jax.clearance import Linearisation
+from htcp_jax.escape import METHODS, NullSpace, Sample
+from htcp_jax.kernels import Kernels, Measured, Place
+from htcp_jax.plans import Plans
+from htcp_jax.qp import QPSolver, QPStatus
+from htcp_jax.settings import Settings
+from htcp_jax.status import Status
+
+MAIN = -1  # `candidate` of a lane that tracks for its scenario itself
+
+TRACK, WALK = 0, 1
+
+
+class Lanes(NamedTuple):
+    """The active lanes, one row each."""
+
+    scenario: np.ndarray
+    target: np.ndarray
+    attempt: np.ndarray  # which start posture: 0 is the scenario's own
+    candidate: np.ndarray  # MAIN, or the number of a candidate
+    phase: np.ndarray  # TRACK, or WALK in the null space
+    stage: np.ndarray  # of the escape, while in it
+    fresh: np.ndarray  # x_ref not linearised yet
+    iteration: np.ndarray  # step QPs at this target so far
+    walked: np.ndarray  # null-space steps so far
+    x_previous: np.ndarray
+    x_ref: np.ndarray
+    linear: Linearisation
+
+    def take(self, rows) -> "Lanes":
+        """Some of the lanes, as copies."""
+        return _map(lambda t: t[rows], self)
+
+    @property
+    def place(self) -> Place:
+        """What the kernels need to know of where the lanes are."""
+        return Place(self.scenario, self.target, self.attempt)
+
+
+def _map(function: Callable, *lanes: Lanes) -> Lanes:
+    fields = [function(*columns) for columns in zip(*(lane[:-1] for lane in lanes), strict=True)]
+    linear = Linearisation(*(function(*columns) for columns in zip(*(lane.linear for lane in lanes), strict=True)))
+    return Lanes(*fields, linear)
+
+
+@dataclass
+class Waiting:
+    """A stuck scenario whose candidates are being tracked."""
+
+    lane: Lanes  # the one lane that is stuck
+    left: int  # candidates not decided yet
+    reached: list[Measured] = field(default_factory=list)
+    numbers: list[int] = field(default_factory=list)
+    qps: int = 0  # step QPs that the candidates took
+
+
+@dataclass
+class Retry:
+    """Other start postures of a scenario, and the best attempt so far."""
+
+    postures: list[np.ndarray]
+    rows: "dict[str, np.ndarray] | None" = None
+    tracked: int = -1
+
+
+class Engine:
+    """Plans the scenarios that an iterator hands out, writing into `plans`; one engine per thread."""
+
+    def __init__(
+        self,
+        kernels: Kernels,
+        solver: QPSolver,
+        method: str,
+        settings: Settings,
+        starts: np.ndarray,
+        counts: np.ndarray,
+        plans: Plans,
+        capacity: int,
+    ):
+        self._kernels, self._solver, self._settings = kernels, solver, settings
+        self._method = METHODS[method]
+        self._starts, self._counts, self._plans, self._capacity = starts, counts, plans, capacity
+        self._check_steps = self._method.check_paths or settings.path_check == "all"
+        self._check_escapes = self._check_steps or settings.path_check == "escapes"
+        self._lanes: Lanes | None = None
+        self._queue: list[Lanes] = []  # lanes waiting for room in the table
+        self._waiting: dict[int, Waiting] = {}
+        self._retries: dict[int, Retry] = {}
+        self._bodies, self._joints = kernels.bodies, starts.shape[1]
+
+    def run(self, scenarios: Iterator[int], tell: Callable[[int, int], None]) -> None:
+        """Plan until the iterator is empty. tell(targets newly tracked, scenarios newly finished) after every round."""
+        while self._fill(scenarios):
+            self._tracked = self._finished = 0
+            lanes, self._lanes = self._lanes, None
+            walking = lanes.phase == WALK
+            if (~walking).any():
+                self._track(lanes.take(~walking))
+            if walking.any():
+                self._walk(lanes.take(walking))
+            tell(self._tracked, self._finished)
+
+    # Filling the table
+
+    def _fill(self, scenarios: Iterator[int]) -> bool:
+        """Top the table up from the queue, then with new scenarios. False when nothing is left to do."""
+        parts, room = [], self._capacity
+        if self._lanes is not None:
+            parts, room = [self._lanes], room - len(self._lanes.scenario)
+        while room > 0 and self._queue:
+            block = self._queue.pop(0)
+            if len(block.scenario) > room:
+                self._queue.insert(0, block.take(slice(room, None)))
+                block = block.take(slice(0, room))
+            parts.append(block)
+            room -= len(block.scenario)
+        new = []
+        while room > len(new) and (scenario := next(scenarios, None)) is not None:
+            new.append(scenario)
+        if new:
+            parts.append(self._new_lanes(np.array(new), np.zeros(len(new), int), self._starts[new], self._starts[new]))
+        self._lanes = _map(lambda *t: np.concatenate(t), *parts) if parts else None
+        return self._lanes is not None
+
+    def _new_lanes(self, scenario, target, x_previous, x_ref, candidate=MAIN, attempt=0, stage=0) -> Lanes:
+        lanes, n, k = len(scenario), self._joints, self._bodies
+
+        def column(value):
+            return np.broadcast_to(np.asarray(value, np.int32), lanes).copy()
+
+        linear = Linearisation(
+            np.zeros((lanes, 3)), np.zeros((lanes, 3, n)), np.zeros((lanes, k)), np.zeros((lanes, k, n))
+        )
+        return Lanes(
+            column(scenario), column(target), column(attempt), column(candidate), column(TRACK), column(stage),
+            np.ones(lanes, bool), column(0), column(0), np.array(x_previous), np.array(x_ref), linear,
+        )  # fmt: skip
+
+    def _keep(self, lanes: Lanes) -> None:
+        """Put lanes that go on back into the table."""
+        if len(lanes.scenario):
+            self._lanes = lanes if self._lanes is None else _map(lambda a, b: np.concatenate([a, b]), self._lanes, lanes)
+
+    # Tracking by step QPs
+
+    def _track(self, lanes: Lanes) -> None:
+        settings = self._settings
+        y, verdict = np.zeros_like(lanes.x_ref), np.full(len(lanes.scenario), QPStatus.SOLVED, np.int32)
+        old = ~lanes.fresh
+        if old.any():
+            known = lanes.take(old)
+            qps = self._kernels("prepare", known.place, known.x_ref, known.x_previous, known.linear)
+            y[old], verdict[old] = self._solver.solve(qps)
+        now: Measured = self._kernels("advance", lanes.place, lanes.x_ref, y)
+        solved = verdict == QPStatus.SOLVED
+        lanes = lanes._replace(
+            x_ref=now.x, linear=now.linear, iteration=lanes.iteration + old, fresh=np.zeros_like(lanes.fresh)
+        )
+        reached = old & solved & (now.residual <= settings.tolerance_m) & (now.clearance > 0)
+        stuck = old & ~reached & (~solved | (lanes.iteration >= settings.inner_iterations))
+        self._keep(lanes.take(~reached & ~stuck))
+
+        reason = np.where(
+            verdict == QPStatus.INFEASIBLE,
+            Status.QP_INFEASIBLE,
+            np.where(verdict == QPStatus.FAILED, Status.QP_FAILED, Status.ITERATION_LIMIT),
+        )
+        main = lanes.candidate == MAIN
+        self._stuck(lanes.take(stuck & main), reason[stuck & main])
+        self._reached(lanes.take(reached & main), _rows(now, reached & main))
+        self._decided(lanes, now, reached & ~main, stuck & ~main)
+
+    def _reached(self, lanes: Lanes, now: Measured) -> None:
+        """Main lanes whose step QP reached the target: ascend if the method does, check the path, go on."""
+        if not len(lanes.scenario):
+            return
+        clear = np.full(len(lanes.scenario), -1, np.int8)
+        if self._method.keep_clear:
+            lanes, now = self._ascended(lanes, now)
+        if self._check_steps:
+            clear = self._kernels("check_path", lanes.place, lanes.x_previous, now.x).astype(np.int8)
+        blocked = clear == 0
+        self._accept(lanes.take(~blocked), _rows(now, ~blocked), Status.TRACKED, 0, clear[~blocked])
+        self._stuck(lanes.take(blocked), np.full(int(blocked.sum()), Status.PATH_BLOCKED))
+
+    def _ascended(self, lanes: Lanes, now: Measured) -> tuple[Lanes, Measured]:
+        """Keep clear: move on in the null space where D is small, unless that blocks a path that was clear."""
+        low = now.clearance < self._settings.keep_clear_m
+        if not low.any():
+            return lanes, now
+        near = lanes.take(low)
+        higher = self._kernels("ascend", near.place, now.x[low]).x
+        if self._check_steps:
+            clear = self._kernels("check_path", near.place, near.x_previous, higher)
+            higher = np.where(clear[:, None], higher, now.x[low])
+        moved = self._kernels("advance", near.place, higher, np.zeros_like(higher))
+        now = _unflat([_put(table, low, new) for table, new in zip(_flat(now), _flat(moved), strict=True)])
+        return lanes._replace(x_ref=now.x, linear=now.linear), now
+
+    def _accept(self, lanes: Lanes, now: Measured, status: Status, stage: int, clear: np.ndarray) -> None:
+        """Record the target and go on to the next one, or finish."""
+        if not len(lanes.scenario):
+            return
+        s, t, plans = lanes.scenario, lanes.target, self._plans
+        plans.x[s, t], plans.tcp[s, t] = now.x, now.linear.tcp
+        plans.clearance[s, t], plans.residual[s, t] = now.clearance, now.residual
+        plans.status[s, t], plans.escape[s, t] = status, stage
+        plans.iterations[s, t] = lanes.iteration
+        plans.joint_step[s, t] = np.linalg.norm(now.x - lanes.x_previous, axis=1)
+        plans.path_clear[s, t] = clear
+        self._tracked += len(s)
+        lanes = lanes._replace(
+            x_previous=now.x, x_ref=now.x, linear=now.linear, target=t + 1, iteration=np.zeros_like(t),
+            phase=np.full_like(t, TRACK), stage=np.zeros_like(t),
+        )  # fmt: skip
+        done = lanes.target >= self._counts[s]
+        self._finished += int(done.sum())
+        self._keep(lanes.take(~done))
+
+    # Escapes
+
+    def _stuck(self, lanes: Lanes, reason: np.ndarray) -> None:
+        """Main lanes that step QPs could not bring to their target."""
+        for stage in np.unique(lanes.stage):
+            at = lanes.stage == stage
+            self._enter(lanes.take(at), int(stage), reason[at])
+
+    def _enter(self, lanes: Lanes, stage: int, reason: np.ndarray) -> None:
+        """Begin a stage of the escape; without one, fail."""
+        if not len(lanes.scenario):
+            return
+        stages = self._method.stages
+        lanes = lanes._replace(stage=np.full_like(lanes.stage, stage))
+        if stage >= len(stages):
+            self._fail(lanes, reason)
+        elif isinstance(stages[stage], NullSpace):
+            here = self._kernels("enter", lanes.place, lanes.x_previous)
+            lanes = lanes._replace(
+                phase=np.full_like(lanes.phase, WALK), walked=np.zeros_like(lanes.walked), x_ref=here.x
+            )
+            self._arrived(lanes, here)
+        else:
+            found = self._kernels(f"stage {stage}", lanes.place, lanes.x_previous)
+            for k in range(len(lanes.scenario)):
+                self._try_candidates(lanes.take([k]), found.x[k][found.valid[k]])
+
+    def _walk(self, lanes: Lanes) -> None:
+        """One null-space step for every lane that walks."""
+        for stage in np.unique(lanes.stage):
+            part = lanes.take(lanes.stage == stage)
+            here = self._kernels(f"stage {stage}", part.place, part.x_previous, part.x_ref, part.walked)
+            self._arrived(part._replace(x_ref=here.x, walked=part.walked + 1), here)
+
+    def _arrived(self, lanes: Lanes, here) -> None:
+        """Lanes after a null-space step: out of it, at the end of it, or still in it."""
+        out = (here.clearance > 0) & (here.residual <= self._settings.tolerance_m)
+        spent = ~out & (lanes.walked >= self._settings.outer_steps)
+        self._keep(lanes.take(~out & ~spent))
+        for stage in np.unique(lanes.stage):
+            ended = spent & (lanes.stage == stage)
+            self._next_stage(lanes.take(ended), int(stage), Status.ESCAPE_EXHAUSTED)
+        free = lanes.take(out)
+        if self._settings.after_escape == "track":
+            for k in range(len(free.scenario)):
+                self._try_candidates(free.take([k]), free.x_ref[[k]])
+        elif len(free.scenario):
+            now = self._kernels("advance", free.place, free.x_ref, np.zeros_like(free.x_ref))
+            self._escaped(free, now)
+
+    def _escaped(self, lanes: Lanes, now: Measured) -> None:
+        """Lanes at a configuration that an escape found: the path there must be clear where paths are checked."""
+        clear = np.full(len(lanes.scenario), -1, np.int8)
+        if self._check_escapes:
+            clear = self._kernels("check_path", lanes.place, lanes.x_previous, now.x).astype(np.int8)
+        for stage in np.unique(lanes.stage):
+            good = (clear != 0) & (lanes.stage == stage)
+            self._accept(lanes.take(good), _rows(now, good), Status.TRACKED_AFTER_ESCAPE, int(stage) + 1, clear[good])
+            self._next_stage(lanes.take((clear == 0) & (lanes.stage == stage)), int(stage), Status.PATH_BLOCKED)
+
+    def _next_stage(self, lanes: Lanes, stage: int, reason: Status) -> None:
+        self._enter(lanes, stage + 1, np.full(len(lanes.scenario), reason))
+
+    # Candidates
+
+    def _try_candidates(self, lane: Lanes, x: np.ndarray) -> None:
+        """Track the lane's target from each of the configurations x (C, N) while the lane waits."""
+        scenario = int(lane.scenario[0])
+        self._waiting[scenario] = Waiting(lane, len(x))
+        if len(x):
+            n = len(x)
+            self._queue.append(
+                self._new_lanes(
+                    np.repeat(lane.scenario, n), np.repeat(lane.target, n), np.repeat(lane.x_previous, n, axis=0), x,
+                    candidate=np.arange(n), attempt=np.repeat(lane.attempt, n), stage=np.repeat(lane.stage, n),
+                )  # fmt: skip
+            )
+        else:
+            self._choose(scenario)
+
+    def _decided(self, lanes: Lanes, now: Measured, reached: np.ndarray, stuck: np.ndarray) -> None:
+        """Candidates that reached the target, and those that did not."""
+        for k in np.flatnonzero(reached | stuck):
+            scenario = int(lanes.scenario[k])
+            waiting = self._waiting[scenario]
+            waiting.left -= 1
+            waiting.qps += int(lanes.iteration[k])
+            if reached[k]:
+                waiting.reached.append(_rows(now, [k]))
+                waiting.numbers.append(int(lanes.candidate[k]))
+            if not waiting.left:
+                self._choose(scenario)
+
+    def _choose(self, scenario: int) -> None:
+        """Of the candidates that reached the target, the one with the smallest joint change whose path is clear."""
+        waiting = self._waiting.pop(scenario)
+        lane = waiting.lane._replace(iteration=waiting.lane.iteration + waiting.qps)
+        stage, reason = int(lane.stage[0]), Status.ESCAPE_EXHAUSTED
+        if waiting.reached:
+            x = np.concatenate([now.x for now in waiting.reached])
+            change = np.linalg.norm(x - lane.x_previous, axis=1)
+            # Ties go to the lower number, whatever the order in which candidates came in.
+            order = np.lexsort((waiting.numbers, change))
+            clear = np.full(len(x), -1, np.int8)
+            if self._check_escapes:
+                many = lane.take(np.zeros(len(x), int))
+                clear = self._kernels("check_path", many.place, many.x_previous, x).astype(np.int8)
+            for k in order:
+                if clear[k]:
+                    status = Status.TRACKED_AFTER_ESCAPE
+                    self._accept(lane, waiting.reached[k], status, stage + 1, clear[[k]])
+                    return
+            reason = Status.PATH_BLOCKED
+        self._next_stage(lane, stage, reason)
+
+    # Failure and retries
+
+    def _fail(self, lanes: Lanes, reason: np.ndarray) -> None:
+        """The target is lost, and with it the rest of the scenario, unless another posture is left to start from."""
+        self._plans.status[lanes.scenario, lanes.target] = reason
+        self._plans.iterations[lanes.scenario, lanes.target] = lanes.iteration
+        if not self._method.retries or not self._settings.postures:
+            self._finished += len(lanes.scenario)
+            return
+        new = np.array([s not in self._retries for s in lanes.scenario])
+        if new.any():
+            first = lanes.take(new)
+            place = Place(first.scenario, np.zeros_like(first.target), first.attempt)
+            found = self._kernels("postures", place, self._starts[first.scenario])
+            for k, scenario in enumerate(first.scenario):
+                postures = found.x[k][found.valid[k]][: self._settings.postures]
+                self._retries[int(scenario)] = Retry(list(postures))
+        for k in range(len(lanes.scenario)):
+            self._retry(int(lanes.scenario[k]), int(lanes.target[k]), int(lanes.attempt[k]))
+
+    def _retry(self, scenario: int, tracked: int, attempt: int) -> None:
+        """Keep the better of this attempt and the best so far; start again from the next posture, or finish."""
+        retry, plans = self._retries[scenario], self._plans
+        names = ("x", "tcp", "clearance", "residual", "status", "iterations", "joint_step", "escape", "path_clear")
+        rows = {name: getattr(plans, name)[scenario] for name in names}
+        if tracked > retry.tracked:
+            retry.tracked, retry.rows = tracked, {name: row.copy() for name, row in rows.items()}
+        self._tracked -= tracked
+        for name, row in rows.items():
+            row[:] = EMPTY[name]
+        if retry.postures:
+            posture = retry.postures.pop(0)[None]
+            self._queue.append(
+                self._new_lanes([scenario], [0], posture, posture, attempt=attempt + 1)
+            )
+            return
+        for name, row in rows.items():
+            row[:] = retry.rows[name]
+        self._tracked += retry.tracked
+        self._finished += 1
+        del self._retries[scenario]
+
+
+EMPTY = {
+    "x": np.nan, "tcp": np.nan, "clearance": np.nan, "residual": np.nan, "status": Status.NOT_ATTEMPTED,
+    "iterations": 0, "joint_step": np.nan, "escape": 0, "path_clear": -1,
+}  # fmt: skip
+
+
+def _rows(now: Measured, rows) -> Measured:
+    return _unflat([table[rows] for table in _flat(now)])
+
+
+def _flat(now: Measured) -> list[np.ndarray]:
+    return [now.x, *now.linear, now.clearance, now.residual]
+
+
+def _unflat(tables) -> Measured:
+    x, *linear, clearance, residual = tables
+    return Measured(x, Linearisation(*linear), clearance, residual)
+
+
+def _put(table: np.ndarray, rows: np.ndarray, new: np.ndarray) -> np.ndarray:
+    table = table.copy()
+    table[rows] = new
+    return table

@@ -1,0 +1,163 @@
+"""The public call: plan a batch of scenarios with one method."""
+
+import os
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from htcp_jax.clearance import clearances, make_obstacle
+from htcp_jax.engine import EMPTY, Engine
+from htcp_jax.errors import InputError
+from htcp_jax.escape import METHODS, Scene, own_scene
+from htcp_jax.kernels import Kernels, Place, Shared
+from htcp_jax.plans import Plans
+from htcp_jax.qp import make_solver, row_count
+from htcp_jax.robot import Robot
+from htcp_jax.scenario import Scenario, stack
+from htcp_jax.settings import Settings
+from htcp_jax.workpiece import Workpiece
+
+LANES_A_CHUNK = 8
+LANES_A_THREAD = 128
+
+
+class Progress(NamedTuple):
+    """How far a plan has come: all counts are totals."""
+
+    scenarios_done: int
+    scenarios: int
+    targets_tracked: int
+    targets: int
+
+
+def plan(
+    robot: Robot,
+    workpiece: Workpiece,
+    scenarios: Scenario | Sequence[Scenario],
+    method: str = "nspace-sqp",
+    settings: Settings | None = None,
+    *,
+    progress: Callable[[Progress], None] | None = None,
+    threads: int | None = None,
+    check_paths: bool = True,
+) -> Plans:
+    """Plan every scenario with one method (see `METHODS`).
+
+    scenarios: from `make_scenario`, one or many, or stacked already. threads: engines that share the scenarios, by
+    default one a core; results do not depend on it. check_paths: afterwards measure, for every accepted step that the
+    method did not check itself, whether its straight joint path is clear (`Plans.path_clear`).
+    Raises InputError for an unknown method, for weights of the wrong length, and for no scenarios.
+    """
+    settings = settings or Settings()
+    if method not in METHODS:
+        raise InputError(f"unknown method {method!r}; valid: {', '.join(METHODS)}")
+    joints = len(robot.joint_names)
+    if len(settings.q_weights) != joints:
+        raise InputError(f"q_weights has {len(settings.q_weights)} values, the robot {robot.name} has {joints} joints")
+    if not isinstance(scenarios, Scenario):
+        scenarios = stack(scenarios)
+    elif scenarios.x_start.ndim == 1:
+        scenarios = stack([scenarios])
+    began = time.perf_counter()
+    shared = Shared(Scene(robot, make_obstacle(workpiece)), jax.tree.map(jnp.asarray, scenarios))
+    kernels = Kernels(shared, METHODS[method], settings, LANES_A_CHUNK, LANES_A_THREAD)
+    plans = _empty_plans(np.asarray(scenarios.targets), joints)
+    _run_engines(kernels, robot, method, settings, scenarios, plans, threads or os.cpu_count() or 1, progress)
+    if check_paths:
+        _check_remaining_paths(kernels, np.asarray(scenarios.x_start), plans)
+    spent = time.perf_counter() - began
+    return plans._replace(compile_s=kernels.compile_s, run_s=spent - kernels.compile_s)
+
+
+def start_clearance(robot: Robot, workpiece: Workpiece, scenario: Scenario) -> tuple[float, str]:
+    """D at the scenario's start [m] and the name of the body it belongs to."""
+    scene = own_scene(Scene(robot, make_obstacle(workpiece)), jax.tree.map(jnp.asarray, scenario))
+    D = np.asarray(jax.jit(clearances)(scene.robot, scene.obstacle, scenario, jnp.asarray(scenario.x_start)))
+    return float(D.min()), robot.capsule_names[int(D.argmin())]
+
+
+def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario) -> None:
+    """Raise InputError when the start is in collision, naming the body and the depth."""
+    D, body = start_clearance(robot, workpiece, scenario)
+    if D <= 0:
+        raise InputError(f"start is in collision: {body} is {-1e3 * D:.3f} mm inside the workpiece")
+
+
+def _run_engines(kernels, robot, method, settings, scenarios, plans, threads, progress) -> None:
+    """One engine a thread; all take scenarios from one iterator and write into different rows of the plans."""
+    count = len(scenarios.number)
+    counts = np.asarray(scenarios.count)
+    order, lock = iter(range(count)), threading.Lock()
+    totals = [0, 0]
+
+    def hand_out():
+        while True:
+            with lock:
+                scenario = next(order, None)
+            if scenario is None:
+                return
+            yield scenario
+
+    def tell(tracked: int, finished: int) -> None:
+        with lock:
+            totals[0] += tracked
+            totals[1] += finished
+            if progress is not None:
+                progress(Progress(totals[1], count, totals[0], int(counts.sum())))
+
+    def work(_):
+        rows = row_count(settings, len(robot.capsule_link))
+        solver = make_solver(settings, len(robot.joint_names), rows)
+        engine = Engine(
+            kernels, solver, method, settings, np.asarray(scenarios.x_start), counts, plans, LANES_A_THREAD
+        )
+        engine.run(hand_out(), tell)
+
+    threads = min(threads, count)
+    if threads == 1:
+        work(0)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(work, range(threads)))
+
+
+def _check_remaining_paths(kernels: Kernels, starts: np.ndarray, plans: Plans) -> None:
+    """Fill in path_clear where a tracked target's path was not checked while planning."""
+    tracked = ~np.isnan(plans.clearance)
+    s, t = np.nonzero(tracked & (plans.path_clear < 0))
+    if not len(s):
+        return
+    before = np.where((t == 0)[:, None], starts[s], plans.x[s, np.maximum(t - 1, 0)])
+    place = Place(s.astype(np.int32), t.astype(np.int32), np.zeros(len(s), np.int32))
+    plans.path_clear[s, t] = kernels("check_path", place, before, plans.x[s, t])
+
+
+def _empty_plans(targets: np.ndarray, joints: int) -> Plans:
+    shape = targets.shape[:2]
+
+    def full(name, *more, dtype=float):
+        return np.full((*shape, *more), EMPTY[name], dtype)
+
+    return Plans(
+        x=full("x", joints),
+        tcp=full("tcp", 3),
+        target=targets,
+        clearance=full("clearance"),
+        residual=full("residual"),
+        status=full("status", dtype=np.int8),
+        iterations=full("iterations", dtype=np.int32),
+        joint_step=full("joint_step"),
+        escape=full("escape", dtype=np.int8),
+        path_clear=full("path_clear", dtype=np.int8),
+        compile_s=0.0,
+        run_s=0.0,
+    )
+
+
+__all__ = ["METHODS", "Progress", "check_start", "plan", "start_clearance"]
