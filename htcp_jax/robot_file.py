@@ -5,6 +5,7 @@ What a file can get wrong is an InputError here, one line that starts with its p
 
 import math
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -42,7 +43,7 @@ def read_robot_file(path: Path, tcp_site: str, limits: str) -> RobotFields:
     joint_names = _chain_joints(model, path, tcp_body)
     lower, upper = _limits(model, path, limits)
     T_parent_joint, frames = _link_frames(model)
-    capsules = _capsules(model, frames)
+    capsules = [_capsule(model, geom, frames) for geom in range(model.ngeom) if _is_round(model, geom)]
     if not capsules:
         raise InputError(f"{path}: no capsule or sphere geoms; geoms of the model: {geom_types or 'none'}")
     arrays = {
@@ -80,15 +81,17 @@ def _compile_model(path: Path) -> tuple[mujoco.MjModel, str]:
         if path.exists() and not path.is_file():
             raise InputError(f"{path}: not a file; a robot is an MJCF or URDF file")
         path.open("rb").close()  # for the system's own reason: MuJoCo gives none
-        spec = mujoco.MjSpec.from_file(str(path))
-        geom_types = sorted({_type_name(geom) for geom in spec.geoms})
-        _check_radii(spec, path)
-        _forget_meshes(spec)
-        spec.compiler.fusestatic = False  # the fixed links of a URDF name its TCP
-        # Kinematics needs no masses; MuJoCo insists on them.
-        spec.compiler.boundmass = spec.compiler.boundinertia = 1e-9
-        spec.compiler.balanceinertia = True
-        return spec.compile(), ", ".join(geom_types)
+        with _no_log():
+            spec = mujoco.MjSpec.from_file(str(path))
+            geom_types = sorted({_type_name(geom) for geom in spec.geoms})
+            _check_radii(spec, path)
+            _check_ranges(spec, path)
+            _forget_meshes(spec)
+            spec.compiler.fusestatic = False  # the fixed links of a URDF name its TCP
+            # Kinematics needs no masses; MuJoCo insists on them.
+            spec.compiler.boundmass = spec.compiler.boundinertia = 1e-9
+            spec.compiler.balanceinertia = True
+            return spec.compile(), ", ".join(geom_types)
     except InputError:
         raise
     except OSError as error:
@@ -96,6 +99,17 @@ def _compile_model(path: Path) -> tuple[mujoco.MjModel, str]:
     except (ValueError, mujoco.FatalError) as error:
         reason = " ".join(str(error).split())
         raise InputError(f"{path}: not a robot model that MuJoCo can read: {reason}") from None
+
+
+@contextmanager
+def _no_log() -> Iterator[None]:
+    """Keep MuJoCo from writing its warnings into MUJOCO_LOG.TXT in the working folder."""
+    handler = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(handler)
 
 
 def _type_name(geom: mujoco.MjsGeom) -> str:
@@ -109,6 +123,15 @@ def _check_radii(spec: mujoco.MjSpec, path: Path) -> None:
                 f"{path}: {_type_name(geom)} {geom.name!r} of body {geom.parent.name!r} has radius "
                 f"{geom.size[0]:g} m; it must be positive"
             )
+
+
+def _check_ranges(spec: mujoco.MjSpec, path: Path) -> None:
+    """MuJoCo itself takes a range that is turned round, or nan, for no limit at all."""
+    for joint in spec.joints:
+        lower, upper = joint.range
+        asked = joint.limited != mujoco.mjtLimited.mjLIMITED_FALSE and (lower, upper) != (0, 0)
+        if asked and not lower < upper:
+            raise InputError(f"{path}: joint {joint.name!r} has range {lower:g} to {upper:g}; it must ascend")
 
 
 def _forget_meshes(spec: mujoco.MjSpec) -> None:
@@ -248,11 +271,6 @@ def _is_round(model: mujoco.MjModel, geom: int) -> bool:
 
 def _geom_name(model: mujoco.MjModel, geom: int) -> str:
     return model.geom(geom).name or f"{model.body(model.geom_bodyid[geom]).name}:{geom}"
-
-
-def _capsules(model: mujoco.MjModel, frames: list[tuple[int, np.ndarray]]) -> list[_Capsule]:
-    """The capsule and sphere geoms, in the model's order."""
-    return [_capsule(model, geom, frames) for geom in range(model.ngeom) if _is_round(model, geom)]
 
 
 def _capsule(model: mujoco.MjModel, geom: int, frames: list[tuple[int, np.ndarray]]) -> _Capsule:
