@@ -1,0 +1,47 @@
+"""The convex hull of a cloud as half-spaces."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import ConvexHull, QhullError
+
+from htcp_jax.errors import InputError
+
+
+class Hull(NamedTuple):
+    """The points x with normal @ x <= offset; the normals are unit and point outwards."""
+
+    normal: Float[np.ndarray, "F 3"]
+    offset: Float[np.ndarray, "F"]
+    vertices: Float[np.ndarray, "V 3"]  # of the exact hull, whatever the tolerance
+
+
+def convex_hull(points: Float[np.ndarray, "P 3"], tolerance_m: float, source: str) -> Hull:
+    """The hull of P points [m]: exact at tolerance 0, else with fewer facets.
+
+    With a tolerance the half-spaces still hold every point and each touches one; they reach farther out than
+    the exact hull by about the tolerance at most. A smooth convex surface needs that: nearly all points on
+    it are vertices, and each vertex costs two facets.
+
+    Raises InputError, naming `source`, for points in one plane.
+    """
+    try:
+        exact = ConvexHull(points)
+    except QhullError:
+        raise InputError(f"{source}: flat, so it has no inside; choose interior 'none'") from None
+    vertices = points[exact.vertices]
+    if tolerance_m == 0.0:
+        planes = _distinct(exact.equations)
+        return Hull(planes[:, :3].copy(), -planes[:, 3], vertices)
+    # Qhull's W: a point becomes a vertex only if it lies farther than this outside the facets so far.
+    thinned = ConvexHull(vertices, qhull_options=f"Qt W{tolerance_m:.17g}")
+    normal = _distinct(thinned.equations)[:, :3].copy()
+    # Push every facet out to its farthest point, so that no point is called outside.
+    return Hull(normal, np.max(normal @ vertices.T, axis=1), vertices)
+
+
+def _distinct(equations: Float[np.ndarray, "E 4"]) -> Float[np.ndarray, "F 4"]:
+    """Each plane once: Qhull cuts a flat facet into triangles that share its equation."""
+    _, first = np.unique(equations.round(9), axis=0, return_index=True)
+    return equations[np.sort(first)]

@@ -1,0 +1,196 @@
+"""The workpiece: its cloud and tool path in its own frame, its pose in the world, and its convex hull.
+
+Host side, numpy. The hull serves the interior rule of the clearance: deep behind the inlet, a point of the
+robot that left the hull has pierced the wall.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax import duct
+from htcp_jax.cloud import (
+    TEXT,
+    check_points,
+    check_sampling,
+    known_ending,
+    load_cloud,
+    read_table,
+    warn_if_millimetres,
+)
+from htcp_jax.errors import InputError
+from htcp_jax.hull import Hull, convex_hull
+
+PIVOT = (1.73205679, -0.0037799, 0.57539635)  # [m] world
+NEUTRAL_TRANSLATION = (1.24549547, -0.0037799, 0.87525497)  # [m] workpiece origin at wy = wz = 0
+GATE_DEPTH_M = 0.2
+# Where the duct's wall bulges outwards nearly every point is a vertex of the hull: 22,914 facets.
+# At this tolerance they are 944, and the corners that they leave lie at most 0.42 mm outside the exact hull.
+DUCT_HULL_TOLERANCE_M = 5e-4
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Workpiece:
+    """A cloud and a tool path, both [m] in the workpiece frame. Immutable: arrays are read-only copies.
+
+    inlet: centre of the inlet, via-point of the approach; None means none.
+    pivot, neutral_translation: see `T_world`.
+    gate_depth_m: how far behind its nearest world x the interior begins, see `gate_x`.
+    interior: "hull" computes the half-spaces below; "none" leaves them empty (F = 0), for flat clouds.
+    hull_tolerance_m: 0 for the exact hull; above, fewer facets that reach out farther by about that much at
+        most and still hold all of the cloud.
+
+    Computed once: the cloud's convex hull is where hull_normal @ x <= hull_offset (unit outward normals);
+    hull_vertices are the vertices of the exact hull (the whole cloud with interior "none").
+
+    Raises InputError for wrong shapes, NaN, fewer than 4 points, an empty path, and a flat cloud with "hull".
+    """
+
+    name: str
+    cloud: Float[np.ndarray, "P 3"]
+    path: Float[np.ndarray, "T 3"]
+    inlet: Float[np.ndarray, "3"] | Triple | None = None  # these three are arrays once constructed
+    pivot: Float[np.ndarray, "3"] | Triple = PIVOT
+    neutral_translation: Float[np.ndarray, "3"] | Triple = NEUTRAL_TRANSLATION
+    gate_depth_m: float = GATE_DEPTH_M
+    interior: Literal["hull", "none"] = "hull"
+    hull_tolerance_m: float = 0.0
+    hull_normal: Float[np.ndarray, "F 3"] = field(init=False)
+    hull_offset: Float[np.ndarray, "F"] = field(init=False)
+    hull_vertices: Float[np.ndarray, "V 3"] = field(init=False)
+
+    def __post_init__(self):
+        cloud = _points(self.cloud, f"cloud of {self.name}", 4)
+        path = _points(self.path, f"path of {self.name}", 1)
+        inlet = None if self.inlet is None else _triple(self.inlet, "inlet")
+        for name in ("gate_depth_m", "hull_tolerance_m"):
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise InputError(f"{name} is {getattr(self, name)}; it must be 0 or more")
+        hull = _hull(cloud, self.interior, self.hull_tolerance_m, self.name)
+        arrays = {
+            "cloud": cloud, "path": path, "inlet": inlet,
+            "pivot": _triple(self.pivot, "pivot"),
+            "neutral_translation": _triple(self.neutral_translation, "neutral_translation"),
+            "hull_normal": hull.normal, "hull_offset": hull.offset, "hull_vertices": hull.vertices,
+        }  # fmt: skip
+        for name, array in arrays.items():
+            if array is not None:
+                array.setflags(write=False)
+            object.__setattr__(self, name, array)  # the one way into a frozen dataclass, taken only here
+
+    def T_world(self, wy: float, wz: float, shift: Triple = (0.0, 0.0, 0.0)) -> Float[np.ndarray, "4 4"]:
+        """T_world_workpiece: x_world = pivot + Rz(wz) Ry(wy) (x + neutral_translation - pivot) + shift.
+
+        wy, wz [rad] about world y, then world z; shift [m] in the world.
+        """
+        cy, sy, cz, sz = np.cos(wy), np.sin(wy), np.cos(wz), np.sin(wz)
+        T = np.eye(4)
+        T[:3, :3] = [[cz * cy, -sz, cz * sy], [sz * cy, cz, sz * sy], [-sy, 0.0, cy]]
+        T[:3, 3] = self.pivot + T[:3, :3] @ (self.neutral_translation - self.pivot) + shift
+        return T
+
+    def gate_x(self, T_world_workpiece: Float[np.ndarray, "4 4"]) -> float:
+        """World x [m] behind which a point of the robot must lie in the hull: the posed cloud's nearest x
+        plus gate_depth_m."""
+        x = self.hull_vertices @ T_world_workpiece[0, :3] + T_world_workpiece[0, 3]
+        return float(x.min() + self.gate_depth_m)
+
+
+def load_workpiece(
+    cloud: str | Path | None = None,
+    path: str | Path | None = None,
+    *,
+    name: str | None = None,
+    inlet: Triple | Literal["auto"] | None = "auto",
+    pivot: Triple = PIVOT,
+    neutral_translation: Triple = NEUTRAL_TRANSLATION,
+    gate_depth_m: float = GATE_DEPTH_M,
+    interior: Literal["hull", "none"] = "hull",
+    hull_tolerance_m: float | None = None,
+    points: int | None = None,
+    spacing: float | None = None,
+    seed: int = 0,
+) -> Workpiece:
+    """A workpiece from files; without a cloud the generated duct, without both the duct and its weld.
+
+    inlet: "auto" is the duct's inlet for the duct and None for another cloud.
+    hull_tolerance_m: None is 0 (the exact hull) for a cloud and 0.5 mm for the duct.
+    points, spacing [m], seed: how a mesh is sampled, see `load_cloud`; points and seed are the duct's too.
+    Raises InputError for what is wrong with a file or a figure, and for a cloud without a path.
+    """
+    generated = cloud is None
+    if generated:
+        check_sampling(points, spacing, seed)
+        if spacing is not None:
+            raise InputError("spacing is for meshes; the generated duct takes points")
+        surface = duct.duct_cloud(duct.POINTS if points is None else points, seed)
+    elif path is None:
+        raise InputError(f"{cloud}: a cloud needs a tool path of its own (x,y,z rows in a CSV file)")
+    else:
+        surface = load_cloud(cloud, points=points, spacing=spacing, seed=seed)
+    if inlet == "auto":
+        inlet = duct.INLET if generated else None
+    if hull_tolerance_m is None:
+        hull_tolerance_m = DUCT_HULL_TOLERANCE_M if generated else 0.0
+    return Workpiece(
+        name or ("duct" if generated else Path(cloud).stem),
+        surface,
+        duct.weld() if path is None else read_path(path),
+        inlet,
+        pivot,
+        neutral_translation,
+        gate_depth_m,
+        interior,
+        hull_tolerance_m,
+    )
+
+
+def read_path(path: str | Path) -> Float[np.ndarray, "T 3"]:
+    """Tool path [m], workpiece frame: x,y,z rows of a text file (.csv .txt .xyz) in tracking order.
+
+    Raises InputError for an unreadable or empty file, a wrong column count (naming the line) and NaN; warns
+    as `load_cloud` does.
+    """
+    path = Path(path)
+    known_ending(path, TEXT)
+    points = read_table(path)
+    if not len(points):
+        raise InputError(f"{path}: the tool path is empty")
+    check_points(points, str(path), at_least=1)
+    warn_if_millimetres(points, str(path))
+    return points
+
+
+def _hull(cloud: Float[np.ndarray, "P 3"], interior: str, tolerance_m: float, name: str) -> Hull:
+    if interior == "hull":
+        return convex_hull(cloud, tolerance_m, f"cloud of {name}")
+    if interior == "none":
+        return Hull(np.empty((0, 3)), np.empty(0), cloud)
+    raise InputError(f"interior is {interior!r}; valid are hull, none")
+
+
+def _points(value: object, source: str, at_least: int) -> Float[np.ndarray, "P 3"]:
+    points = _numbers(value, source)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"{source}: shape {points.shape}, (points, 3) is needed")
+    check_points(points, source, at_least)
+    return points
+
+
+def _triple(value: object, source: str) -> Float[np.ndarray, "3"]:
+    triple = _numbers(value, source)
+    if triple.shape != (3,) or not np.isfinite(triple).all():
+        raise InputError(f"{source} is {value!r}; three finite numbers [m] are needed")
+    return triple
+
+
+def _numbers(value: object, source: str) -> Float[np.ndarray, "..."]:
+    try:
+        return np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{source}: not an array of numbers") from None

@@ -1,0 +1,239 @@
+"""Readers take every format they name, and give one line for whatever is wrong."""
+
+import io
+import os
+import pickle
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import cKDTree
+
+from htcp_jax.cloud import CLOUDS, load_cloud
+from htcp_jax.errors import InputError
+
+POINTS = np.random.default_rng(0).uniform(-1.0, 1.0, (40, 3))
+BOX = trimesh.creation.box(extents=(1.0, 2.0, 3.0))
+
+
+def write(folder, name, content):
+    file = folder / name
+    file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return file
+
+
+def table(separator):
+    return "\n".join(separator.join(f"{value:.17g}" for value in row) for row in POINTS) + "\n"
+
+
+def npy(array):
+    stream = io.BytesIO()
+    np.save(stream, array)
+    return stream.getvalue()
+
+
+def fails(file, *words, **options):
+    """The reader's message: one line that names the file and holds the words."""
+    with pytest.raises(InputError) as caught:
+        load_cloud(file, **options)
+    message = str(caught.value)
+    assert "\n" not in message and str(file) in message
+    for word in words:
+        assert word in message, message
+    return message
+
+
+TABLES = {
+    "plain.xyz": table(" "),
+    "tabs.txt": table("\t"),
+    "commas.csv": table(","),
+    "semicolons.csv": table("; "),
+    "header.csv": "x,y,z [m]\n" + table(","),
+    "comments.csv": "# made by hand\n\n  # twice\nx,y,z\n" + table(",").replace("\n", " # a remark\n", 1),
+    "windows.CSV": "\ufeff" + table(",").replace("\n", "\r\n"),
+    "mac.txt": table(" ").replace("\n", "\r"),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_text_table_comes_back_exactly(tmp_path, name):
+    assert np.array_equal(load_cloud(write(tmp_path, name, TABLES[name])), POINTS)
+
+
+@pytest.mark.parametrize("order, kind", ["Cd", "Fd", ("C", ">f8"), "Cf", ("C", "i2")])
+def test_a_npy_array_comes_back_exactly(tmp_path, order, kind):
+    array = np.array(POINTS * 10, dtype=kind, order=order)
+    read = load_cloud(write(tmp_path, "cloud.npy", npy(array)))
+    assert read.dtype == np.float64 and np.array_equal(read, array)
+
+
+@pytest.mark.parametrize("encoding", ["binary", "ascii"])
+def test_a_ply_without_faces_is_a_cloud(tmp_path, encoding):
+    ply = trimesh.PointCloud(POINTS).export(file_type="ply", encoding=encoding)
+    np.testing.assert_allclose(load_cloud(write(tmp_path, "cloud.ply", ply)), POINTS, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["stl", "stl_ascii", "obj", "ply"])
+def test_a_mesh_is_sampled_on_its_faces_by_area(tmp_path, kind):
+    file = write(tmp_path, f"box.{kind.split('_')[0]}", BOX.export(file_type=kind))
+    points = load_cloud(file, points=22_000)
+    assert points.shape == (22_000, 3)
+    depth = np.array([0.5, 1.0, 1.5]) - np.abs(points)
+    assert np.abs(depth.min(axis=1)).max() < 1e-6  # on a face, and none outside
+    share = np.bincount(depth.argmin(axis=1)) / len(points)
+    np.testing.assert_allclose(share, np.array([6, 3, 2]) / 11, atol=0.015)
+
+
+def test_a_mesh_gives_the_papers_number_of_points_unless_told(tmp_path):
+    assert load_cloud(write(tmp_path, "box.stl", BOX.export(file_type="stl"))).shape == (50_015, 3)
+
+
+def test_same_seed_same_bytes(tmp_path):
+    file = write(tmp_path, "box.stl", BOX.export(file_type="stl"))
+    first = load_cloud(file, points=100, seed=3)
+    assert first.tobytes() == load_cloud(file, points=100, seed=3).tobytes()
+    assert first.tobytes() != load_cloud(file, points=100, seed=4).tobytes()
+
+
+def test_spacing_is_the_median_distance_to_the_nearest_neighbour(tmp_path):
+    points = load_cloud(write(tmp_path, "box.stl", BOX.export(file_type="stl")), spacing=0.03)
+    assert np.median(cKDTree(points).query(points, k=2)[0][:, 1]) == pytest.approx(0.03, rel=0.03)
+
+
+def test_an_obj_opens_no_other_file(tmp_path, monkeypatch):
+    """A material library is a reference to another file. Nothing may follow it."""
+    file = write(tmp_path, "box.obj", "mtllib secret.mtl\n" + BOX.export(file_type="obj"))
+    write(tmp_path, "secret.mtl", "newmtl secret\nmap_Kd secret.png\n")
+    load_cloud(file, points=4)  # trimesh's own imports come first
+    opened = []
+
+    def note(name, *args, **kwargs):
+        opened.append(str(name))
+        return open(name, *args, **kwargs)
+
+    monkeypatch.setattr(io, "open", note)
+    load_cloud(file, points=4)
+    assert opened == [str(file)]
+
+
+def test_files_that_are_not_there_or_no_files(tmp_path):
+    fails(tmp_path / "missing.csv", "no such file")
+    fails(tmp_path / ("x" * 300 + ".csv"), "cannot be read")
+    (tmp_path / "folder.csv").mkdir()
+    fails(tmp_path / "folder.csv", "not a regular file")
+    os.mkfifo(tmp_path / "pipe.xyz")  # opening it would wait for ever
+    fails(tmp_path / "pipe.xyz", "not a regular file")
+
+
+def test_an_unknown_ending_names_the_valid_ones(tmp_path):
+    fails(write(tmp_path, "cloud.pcd", b""), "'.pcd'", *CLOUDS)
+    fails(write(tmp_path, "cloud", b""), "''", *CLOUDS)
+
+
+@pytest.mark.parametrize("line", ["nan,1,2", "1,inf,2", "1,2,-Infinity", "1e999,2,3"])
+def test_a_number_that_is_none_names_its_line(tmp_path, line):
+    fails(write(tmp_path, "a.csv", "# c\n1,2,3\n" + line + "\n4,5,6\n"), "line 3", "NaN or an infinite")
+
+
+def test_nan_in_an_array_names_its_row(tmp_path):
+    bad = POINTS.copy()
+    bad[6, 1] = np.nan
+    fails(write(tmp_path, "a.npy", npy(bad)), "row 7", "1 such rows")
+
+
+@pytest.mark.parametrize("line, words", [
+    ("1,2", "line 3 has 2 columns, 3"), ("1,2,3,4", "line 3 has 4 columns, 3"), ("1,2,3,", "line 3 has 4"),
+    ("1 2 3 4", "line 3 has 4"), ("x,y,z", "line 3: 'x' is not a number"), ("1,,2", "line 3: '' is not"),
+    ("1_0,2,3", "line 3: '1_0' is not a number"), ("0x1,2,3", "line 3: '0x1'"),
+    ("1,5;2,5;3,5", "line 3: '1,5'"),
+])  # fmt: skip
+def test_a_bad_line_is_named(tmp_path, line, words):
+    fails(write(tmp_path, "a.csv", f"x,y,z\n1,2,3\n{line}\n4,5,6\n"), words)
+
+
+@pytest.mark.parametrize("content", ["", "# nothing\n", "x,y,z\n", "1,2,3\n4,5,6\n7,8,9\n"])
+def test_fewer_than_four_points(tmp_path, content):
+    fails(write(tmp_path, "a.csv", content), "at least 4")
+
+
+@pytest.mark.parametrize("array, words", [
+    (POINTS[:, :2], "shape (40, 2)"), (POINTS.ravel(), "shape (120,)"), (POINTS[:3], "at least 4"),
+    (POINTS.astype(complex), "complex128"), (np.full((5, 3), "a"), "numbers"),
+    (np.ones((5, 3), bool), "bool"),
+])  # fmt: skip
+def test_wrong_arrays(tmp_path, array, words):
+    fails(write(tmp_path, "a.npy", npy(array)), words)
+
+
+class Bomb:
+    def __reduce__(self):
+        return (pytest.fail, ("a pickle was run",))
+
+
+def test_pickles_are_refused_and_never_run(tmp_path):
+    stream = io.BytesIO()
+    np.save(stream, np.full((5, 3), Bomb(), dtype=object), allow_pickle=True)
+    fails(write(tmp_path, "object.npy", stream.getvalue()), "numbers are needed")
+    for ending in CLOUDS:
+        fails(write(tmp_path, f"pickle{ending}", pickle.dumps(Bomb())))
+
+
+def test_a_header_that_claims_more_than_the_file_holds_takes_no_memory(tmp_path):
+    fails(write(tmp_path, "huge.npy", npy(POINTS).replace(b"(40, 3)", b"(9999999999, 3)", 1)[:400]))
+    ply = trimesh.PointCloud(POINTS).export(file_type="ply")
+    fails(write(tmp_path, "huge.ply", ply.replace(b"element vertex 40", b"element vertex 99999999999")))
+
+
+@pytest.mark.parametrize("ending", CLOUDS)
+def test_garbage_and_truncation_give_one_line_and_print_nothing(tmp_path, capfd, ending):
+    good = {".npy": npy(POINTS), ".ply": BOX.export(file_type="ply"), ".stl": BOX.export(file_type="stl"),
+            ".obj": BOX.export(file_type="obj").encode()}.get(ending, table(",").encode())  # fmt: skip
+    rng = np.random.default_rng(1)
+    for size in range(0, 200, 10):
+        fails(write(tmp_path, f"noise{ending}", rng.bytes(size)))
+    for cut in (0, 5, 20, len(good) // 4):
+        fails(write(tmp_path, f"cut{ending}", good[:cut] + b"\xff\xfe\x1b[2J"))
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_parsers_own_log_stays_silent(tmp_path, caplog):
+    """trimesh logs a whole traceback for a bad normal, which it then does without."""
+    stl = BOX.export(file_type="stl_ascii").replace("normal ", "normal abc ")
+    assert load_cloud(write(tmp_path, "a.stl", stl), points=10).shape == (10, 3)
+    assert not caplog.records
+
+
+def test_words_among_an_ascii_ply_or_stl_are_not_skipped(tmp_path):
+    ply = trimesh.PointCloud(POINTS).export(file_type="ply", encoding="ascii")
+    fails(write(tmp_path, "a.ply", ply.replace(b"\n0.", b"\nabc 0.", 1)), "not a readable .ply")
+    stl = BOX.export(file_type="stl_ascii").replace("vertex ", "vertex abc ", 1)
+    fails(write(tmp_path, "a.stl", stl), "not a readable .stl")
+
+
+def test_meshes_that_cannot_be_sampled(tmp_path):
+    line = "v 0 0 0\nv 1 0 0\nv 2 0 0\n"
+    fails(write(tmp_path, "a.obj", line + "f 1 2 3\n"), "no area")
+    fails(write(tmp_path, "b.obj", line + "f 1 2 9\n"), "not a readable .obj")
+    for face in ("f -1 -2 -3", "f 1/1 2/2 -1/3", "f 0 1 2", "f 1 2 0", "f 1 \\\n -2 3"):
+        fails(write(tmp_path, "c.obj", f"{line}v 0 1 0\n{face}\n"), "number the vertices from 1")
+    fails(write(tmp_path, "d.obj", "v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n"), "NaN")
+    box = write(tmp_path, "box.stl", BOX.export(file_type="stl"))
+    fails(box, "more than 10000000 points", spacing=1e-6)
+    fails(box, "at least 4", spacing=100.0)
+
+
+@pytest.mark.parametrize("options", [
+    {"points": 3}, {"points": 10**9}, {"spacing": 0.0}, {"spacing": -1.0}, {"spacing": float("nan")},
+    {"points": 10, "spacing": 0.1}, {"seed": -1},
+])  # fmt: skip
+def test_sampling_that_makes_no_sense(tmp_path, options):
+    with pytest.raises(InputError):
+        load_cloud(write(tmp_path, "box.stl", BOX.export(file_type="stl")), **options)
+
+
+def test_millimetres_are_warned_of_with_the_extent(tmp_path):
+    file = write(tmp_path, "mm.npy", npy(1000.0 * (POINTS - POINTS.min(axis=0))))
+    extent = f"{1000.0 * np.ptp(POINTS, axis=0).max():.4g} m"
+    with pytest.warns(UserWarning, match=f"mm.npy.*extend over {extent}.*millimetres"):
+        load_cloud(file)
+    fails(write(tmp_path, "far.npy", npy(1e12 * POINTS)), "coordinates are metres")
