@@ -23,7 +23,7 @@ from htcp_jax.results import (
     written_whole,
 )
 from htcp_jax.robot import GP50, Robot, lengthen_tool, load_robot
-from htcp_jax.scenario import Scenario, make_scenario, stack
+from htcp_jax.scenario import Scenario, make_scenario
 from htcp_jax.workpiece import Workpiece, load_workpiece
 
 COMPLETE, INCOMPLETE = 0, 3
@@ -52,6 +52,7 @@ def plan(
     chosen = [*(overrides or []), *([f"method={method}"] if method is not None else [])]
     job = load_config(config, chosen)
     robot, workpiece, scenario = scene(job)
+    planner.check_start(robot, workpiece, scenario)
     with written_whole(out) as folder:
         plans = _plan_with_progress(job, robot, workpiece, scenario)
         summary = summarise(plans)
@@ -101,10 +102,10 @@ def _plan_with_progress(job: PlanConfig, robot: Robot, workpiece: Workpiece, sce
         return planner.plan(
             robot,
             workpiece,
-            stack([scenario]),
+            scenario,
             method=job.method,
             settings=job.settings,
-            progress=lambda done, tracked: bar.update(task, completed=tracked),
+            progress=lambda so_far: bar.update(task, completed=so_far.targets_tracked),
         )
 
 
@@ -115,8 +116,8 @@ def _print_table(job: PlanConfig, robot: Robot, workpiece: Workpiece, summary: S
         "success rate": f"{100 * s.success_rate:.2f} %",
         "time per step": f"{s.step_ms:.2f} ms",
         "run, compile time": f"{s.run_s:.2f} s, {s.compile_s:.2f} s",
-        "TCP distance": f"{s.tcp_distance_mean_mm:.3f} mm mean, {s.tcp_distance_max_mm:.3f} mm largest",
-        "clearance": f"{s.clearance_min_mm:.3f} mm smallest, {s.clearance_mean_mm:.3f} mm mean",
+        "TCP distance": f"{s.tcp_distance_mean_mm:.3g} mm mean, {s.tcp_distance_max_mm:.3g} mm largest",
+        "clearance": f"{s.clearance_min_mm:.3g} mm smallest, {s.clearance_mean_mm:.3g} mm mean",
         "escapes": str(s.after_escape),
         "files": str(out),
     }
