@@ -9,7 +9,7 @@ one-sided gradients elsewhere.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -20,8 +20,7 @@ from htcp_jax.half_spaces import HalfSpaces, crossed_facets
 from htcp_jax.kinematics import capsule_segments, jacobian, point_jacobians, tcp_position
 from htcp_jax.numerics import safe_divide, safe_norm, segment_parameter
 from htcp_jax.robot import Robot
-from htcp_jax.scenario import Scenario
-from htcp_jax.types import Bool, Float, Int, Joints, Scalar, Vector3
+from htcp_jax.types import Bool, Float, Int, Joints, Pose, Scalar, Vector3
 from htcp_jax.workpiece import Workpiece
 
 
@@ -44,6 +43,13 @@ def make_obstacle(workpiece: Workpiece) -> Obstacle:
     )
 
 
+class Posed(Protocol):
+    """Where the workpiece is: a scenario, or whatever else knows."""
+
+    T_world_workpiece: Pose
+    gate_x: Scalar  # capsule ends with a world x beyond this must lie inside the tunnel [m]
+
+
 class Contacts(NamedTuple):
     """Per body, what is nearest to it: the point on the body's axis, and the direction away from the obstacle."""
 
@@ -62,10 +68,10 @@ class Linearisation(NamedTuple):
     gradient: Float[jax.Array, "K N"]  # [m/rad]
 
 
-def contacts(robot: Robot, obstacle: Obstacle, scenario: Scenario, x: Joints) -> Contacts:
-    """Nearest obstacle of every body at configuration x [rad]; the robot is the scenario's (see `lengthen_tool`)."""
-    rotate, translate = scenario.T_world_workpiece[:3, :3], scenario.T_world_workpiece[:3, 3]
-    ends = _ends(robot, scenario, x)
+def contacts(robot: Robot, obstacle: Obstacle, where: Posed, x: Joints) -> Contacts:
+    """Nearest obstacle of every body at configuration x [rad]; its tool is the scenario's (see `lengthen_tool`)."""
+    rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
+    ends = _ends(robot, where, x)
     row = nearest_rows(obstacle.index, ends.p, ends.q)
     witness = obstacle.points[row]
     s = segment_parameter(ends.p, ends.q, witness)[:, None]
@@ -85,15 +91,15 @@ def contacts(robot: Robot, obstacle: Obstacle, scenario: Scenario, x: Joints) ->
     )
 
 
-def clearances(robot: Robot, obstacle: Obstacle, scenario: Scenario, x: Joints) -> Float[jax.Array, "K"]:
+def clearances(robot: Robot, obstacle: Obstacle, where: Posed, x: Joints) -> Float[jax.Array, "K"]:
     """D per body [m]; its autodiff gradient, through the witness, is what `linearise` gives in closed form."""
-    return contacts(robot, obstacle, scenario, x).distance
+    return contacts(robot, obstacle, where, x).distance
 
 
-def clearance(robot: Robot, obstacle: Obstacle, scenario: Scenario, x: Joints) -> Scalar:
+def clearance(robot: Robot, obstacle: Obstacle, where: Posed, x: Joints) -> Scalar:
     """D(x, O) [m], the smallest over all bodies, exact; cheaper than `clearances`, because no body is searched beyond
     a distance at which it cannot be the smallest."""
-    ends = _ends(robot, scenario, x)
+    ends = _ends(robot, where, x)
     smallest = jnp.min(distance_above(obstacle.index, ends.p, ends.q) - robot.capsule_radius)
     row = nearest_rows(obstacle.index, ends.p, ends.q, within=jnp.maximum(smallest + robot.capsule_radius, 0.0))
     witness = obstacle.points[row]
@@ -103,17 +109,17 @@ def clearance(robot: Robot, obstacle: Obstacle, scenario: Scenario, x: Joints) -
     return jnp.min(jnp.minimum(jnp.where(row < 0, jnp.inf, distance), jnp.where(outside > 0, -outside, jnp.inf)))
 
 
-def is_clear(robot: Robot, obstacle: Obstacle, scenario: Scenario, x: Joints) -> Bool[jax.Array, ""]:
+def is_clear(robot: Robot, obstacle: Obstacle, where: Posed, x: Joints) -> Bool[jax.Array, ""]:
     """Whether D(x, O) > 0; cheaper still, because the search may pass over all points beyond a capsule's radius."""
-    ends = _ends(robot, scenario, x)
+    ends = _ends(robot, where, x)
     touching = nearest_rows(obstacle.index, ends.p, ends.q, within=robot.capsule_radius) >= 0
     outside, _, _ = _outside_hull(obstacle, ends)
     return ~jnp.any(touching | (outside > 0))
 
 
-def linearise(robot: Robot, obstacle: Obstacle, scenario: Scenario, x: Joints) -> Linearisation:
+def linearise(robot: Robot, obstacle: Obstacle, where: Posed, x: Joints) -> Linearisation:
     """TCP, task Jacobian, clearances and their gradients at x [rad]."""
-    touch = contacts(robot, obstacle, scenario, x)
+    touch = contacts(robot, obstacle, where, x)
     motion = point_jacobians(robot, x, touch.point, robot.capsule_link)
     return Linearisation(
         tcp=tcp_position(robot, x),
@@ -131,10 +137,10 @@ class _Ends(NamedTuple):
     deep: Bool[jax.Array, "2K"]
 
 
-def _ends(robot: Robot, scenario: Scenario, x: Joints) -> _Ends:
-    rotate, translate = scenario.T_world_workpiece[:3, :3], scenario.T_world_workpiece[:3, 3]
+def _ends(robot: Robot, where: Posed, x: Joints) -> _Ends:
+    rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
     p, q = capsule_segments(robot, x)
-    deep = jnp.concatenate([p, q])[:, 0] > scenario.gate_x
+    deep = jnp.concatenate([p, q])[:, 0] > where.gate_x
     return _Ends((p - translate[None, :]) @ rotate, (q - translate[None, :]) @ rotate, deep)
 
 

@@ -80,10 +80,8 @@ def nearest_rows(
     return _nearest_rows(index, *jax.lax.stop_gradient((p, q, limit)))
 
 
-def distance_above(
-    index: CloudIndex, p: Float[Array, "K 3"], q: Float[Array, "K 3"]
-) -> Float[Array, "K"]:
-    """A distance [m] that the nearest point of the cloud to each segment does not exceed: that to the nodes' medoids."""
+def distance_above(index: CloudIndex, p: Float[Array, "K 3"], q: Float[Array, "K 3"]) -> Float[Array, "K"]:
+    """A distance [m] that the nearest point to each segment does not exceed: that to the nodes' medoids."""
 
     def above(p, q):
         d = q - p

@@ -4,11 +4,11 @@
     solve     (host)    step QPs -> steps, verdicts Clarabel
     advance   (device)  lane, step -> lane          linearised and measured at the new x_ref
 
-A lane tracks one target by step QPs until it is reached, then the next one; or it is stuck, and walks the null space one
-step at a time; or it is one of many candidates of a sampling escape, tracking the stuck target on behalf of a scenario
-that waits. Lanes never wait for each other: each has its own target, phase and count; finished ones leave, new scenarios
-take their place. Lanes in the same phase go through one kernel together. Which lanes those happen to be has no
-influence on any of them, so a scenario's result is the same alone, in any batch, in any order and on any thread.
+A lane tracks one target by step QPs until it is reached, then the next one; or it is stuck, and walks the null space
+one step at a time; or it is one of many candidates of a sampling escape, tracking the stuck target on behalf of a
+scenario that waits. Lanes never wait for each other: each has its own target, phase and count; finished ones leave, new
+scenarios take their place. Lanes in the same phase go through one kernel together. Which lanes those happen to be has
+no influence on any of them: a scenario's result is the same alone, in any batch, in any order and on any thread.
 
 Everything here is bookkeeping on numpy tables. The mathematics is in `escape` and below; batching is in `kernels`.
 """
@@ -20,10 +20,11 @@ from typing import NamedTuple
 import numpy as np
 
 from htcp_jax.clearance import Linearisation
-from htcp_jax.escape import METHODS, NullSpace, Sample
-from htcp_jax.kernels import Kernels, Measured, Place
+from htcp_jax.escape import METHODS, NullSpace
+from htcp_jax.kernels import Kernels, Measured, Task, tasks
 from htcp_jax.plans import Plans
 from htcp_jax.qp import QPSolver, QPStatus
+from htcp_jax.scenario import Scenario
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 
@@ -51,11 +52,6 @@ class Lanes(NamedTuple):
     def take(self, rows) -> "Lanes":
         """Some of the lanes, as copies."""
         return _map(lambda t: t[rows], self)
-
-    @property
-    def place(self) -> Place:
-        """What the kernels need to know of where the lanes are."""
-        return Place(self.scenario, self.target, self.attempt)
 
 
 def _map(function: Callable, *lanes: Lanes) -> Lanes:
@@ -93,21 +89,20 @@ class Engine:
         solver: QPSolver,
         method: str,
         settings: Settings,
-        starts: np.ndarray,
-        counts: np.ndarray,
+        scenarios: Scenario,
         plans: Plans,
         capacity: int,
     ):
         self._kernels, self._solver, self._settings = kernels, solver, settings
         self._method = METHODS[method]
-        self._starts, self._counts, self._plans, self._capacity = starts, counts, plans, capacity
+        self._scenarios, self._plans, self._capacity = scenarios, plans, capacity
         self._check_steps = self._method.check_paths or settings.path_check == "all"
         self._check_escapes = self._check_steps or settings.path_check == "escapes"
         self._lanes: Lanes | None = None
         self._queue: list[Lanes] = []  # lanes waiting for room in the table
         self._waiting: dict[int, Waiting] = {}
         self._retries: dict[int, Retry] = {}
-        self._bodies, self._joints = kernels.bodies, starts.shape[1]
+        self._bodies, self._joints = kernels.bodies, scenarios.x_start.shape[1]
 
     def run(self, scenarios: Iterator[int], tell: Callable[[int, int], None]) -> None:
         """Plan until the iterator is empty. tell(targets newly tracked, scenarios newly finished) after every round."""
@@ -120,6 +115,9 @@ class Engine:
             if walking.any():
                 self._walk(lanes.take(walking))
             tell(self._tracked, self._finished)
+
+    def _tasks(self, lanes: Lanes) -> Task:
+        return tasks(self._scenarios, lanes.scenario, lanes.target, lanes.attempt)
 
     # Filling the table
 
@@ -139,7 +137,8 @@ class Engine:
         while room > len(new) and (scenario := next(scenarios, None)) is not None:
             new.append(scenario)
         if new:
-            parts.append(self._new_lanes(np.array(new), np.zeros(len(new), int), self._starts[new], self._starts[new]))
+            starts = self._scenarios.x_start[new]
+            parts.append(self._new_lanes(np.array(new), np.zeros(len(new), int), starts, starts))
         self._lanes = _map(lambda *t: np.concatenate(t), *parts) if parts else None
         return self._lanes is not None
 
@@ -160,7 +159,9 @@ class Engine:
     def _keep(self, lanes: Lanes) -> None:
         """Put lanes that go on back into the table."""
         if len(lanes.scenario):
-            self._lanes = lanes if self._lanes is None else _map(lambda a, b: np.concatenate([a, b]), self._lanes, lanes)
+            self._lanes = (
+                lanes if self._lanes is None else _map(lambda a, b: np.concatenate([a, b]), self._lanes, lanes)
+            )
 
     # Tracking by step QPs
 
@@ -170,9 +171,9 @@ class Engine:
         old = ~lanes.fresh
         if old.any():
             known = lanes.take(old)
-            qps = self._kernels("prepare", known.place, known.x_ref, known.x_previous, known.linear)
+            qps = self._kernels("prepare", self._tasks(known), known.x_ref, known.x_previous, known.linear)
             y[old], verdict[old] = self._solver.solve(qps)
-        now: Measured = self._kernels("advance", lanes.place, lanes.x_ref, y)
+        now: Measured = self._kernels("advance", self._tasks(lanes), lanes.x_ref, y)
         solved = verdict == QPStatus.SOLVED
         lanes = lanes._replace(
             x_ref=now.x, linear=now.linear, iteration=lanes.iteration + old, fresh=np.zeros_like(lanes.fresh)
@@ -199,7 +200,7 @@ class Engine:
         if self._method.keep_clear:
             lanes, now = self._ascended(lanes, now)
         if self._check_steps:
-            clear = self._kernels("check_path", lanes.place, lanes.x_previous, now.x).astype(np.int8)
+            clear = self._kernels("check_path", self._tasks(lanes), lanes.x_previous, now.x).astype(np.int8)
         blocked = clear == 0
         self._accept(lanes.take(~blocked), _rows(now, ~blocked), Status.TRACKED, 0, clear[~blocked])
         self._stuck(lanes.take(blocked), np.full(int(blocked.sum()), Status.PATH_BLOCKED))
@@ -210,11 +211,11 @@ class Engine:
         if not low.any():
             return lanes, now
         near = lanes.take(low)
-        higher = self._kernels("ascend", near.place, now.x[low]).x
+        higher = self._kernels("ascend", self._tasks(near), now.x[low]).x
         if self._check_steps:
-            clear = self._kernels("check_path", near.place, near.x_previous, higher)
+            clear = self._kernels("check_path", self._tasks(near), near.x_previous, higher)
             higher = np.where(clear[:, None], higher, now.x[low])
-        moved = self._kernels("advance", near.place, higher, np.zeros_like(higher))
+        moved = self._kernels("advance", self._tasks(near), higher, np.zeros_like(higher))
         now = _unflat([_put(table, low, new) for table, new in zip(_flat(now), _flat(moved), strict=True)])
         return lanes._replace(x_ref=now.x, linear=now.linear), now
 
@@ -234,7 +235,7 @@ class Engine:
             x_previous=now.x, x_ref=now.x, linear=now.linear, target=t + 1, iteration=np.zeros_like(t),
             phase=np.full_like(t, TRACK), stage=np.zeros_like(t),
         )  # fmt: skip
-        done = lanes.target >= self._counts[s]
+        done = lanes.target >= self._scenarios.count[s]
         self._finished += int(done.sum())
         self._keep(lanes.take(~done))
 
@@ -255,13 +256,13 @@ class Engine:
         if stage >= len(stages):
             self._fail(lanes, reason)
         elif isinstance(stages[stage], NullSpace):
-            here = self._kernels("enter", lanes.place, lanes.x_previous)
+            here = self._kernels("enter", self._tasks(lanes), lanes.x_previous)
             lanes = lanes._replace(
                 phase=np.full_like(lanes.phase, WALK), walked=np.zeros_like(lanes.walked), x_ref=here.x
             )
             self._arrived(lanes, here)
         else:
-            found = self._kernels(f"stage {stage}", lanes.place, lanes.x_previous)
+            found = self._kernels(f"stage {stage}", self._tasks(lanes), lanes.x_previous)
             for k in range(len(lanes.scenario)):
                 self._try_candidates(lanes.take([k]), found.x[k][found.valid[k]])
 
@@ -269,7 +270,7 @@ class Engine:
         """One null-space step for every lane that walks."""
         for stage in np.unique(lanes.stage):
             part = lanes.take(lanes.stage == stage)
-            here = self._kernels(f"stage {stage}", part.place, part.x_previous, part.x_ref, part.walked)
+            here = self._kernels(f"stage {stage}", self._tasks(part), part.x_previous, part.x_ref, part.walked)
             self._arrived(part._replace(x_ref=here.x, walked=part.walked + 1), here)
 
     def _arrived(self, lanes: Lanes, here) -> None:
@@ -285,14 +286,14 @@ class Engine:
             for k in range(len(free.scenario)):
                 self._try_candidates(free.take([k]), free.x_ref[[k]])
         elif len(free.scenario):
-            now = self._kernels("advance", free.place, free.x_ref, np.zeros_like(free.x_ref))
+            now = self._kernels("advance", self._tasks(free), free.x_ref, np.zeros_like(free.x_ref))
             self._escaped(free, now)
 
     def _escaped(self, lanes: Lanes, now: Measured) -> None:
         """Lanes at a configuration that an escape found: the path there must be clear where paths are checked."""
         clear = np.full(len(lanes.scenario), -1, np.int8)
         if self._check_escapes:
-            clear = self._kernels("check_path", lanes.place, lanes.x_previous, now.x).astype(np.int8)
+            clear = self._kernels("check_path", self._tasks(lanes), lanes.x_previous, now.x).astype(np.int8)
         for stage in np.unique(lanes.stage):
             good = (clear != 0) & (lanes.stage == stage)
             self._accept(lanes.take(good), _rows(now, good), Status.TRACKED_AFTER_ESCAPE, int(stage) + 1, clear[good])
@@ -311,9 +312,14 @@ class Engine:
             n = len(x)
             self._queue.append(
                 self._new_lanes(
-                    np.repeat(lane.scenario, n), np.repeat(lane.target, n), np.repeat(lane.x_previous, n, axis=0), x,
-                    candidate=np.arange(n), attempt=np.repeat(lane.attempt, n), stage=np.repeat(lane.stage, n),
-                )  # fmt: skip
+                    np.repeat(lane.scenario, n),
+                    np.repeat(lane.target, n),
+                    np.repeat(lane.x_previous, n, axis=0),
+                    x,
+                    candidate=np.arange(n),
+                    attempt=np.repeat(lane.attempt, n),
+                    stage=np.repeat(lane.stage, n),
+                )
             )
         else:
             self._choose(scenario)
@@ -344,7 +350,7 @@ class Engine:
             clear = np.full(len(x), -1, np.int8)
             if self._check_escapes:
                 many = lane.take(np.zeros(len(x), int))
-                clear = self._kernels("check_path", many.place, many.x_previous, x).astype(np.int8)
+                clear = self._kernels("check_path", self._tasks(many), many.x_previous, x).astype(np.int8)
             for k in order:
                 if clear[k]:
                     status = Status.TRACKED_AFTER_ESCAPE
@@ -365,8 +371,8 @@ class Engine:
         new = np.array([s not in self._retries for s in lanes.scenario])
         if new.any():
             first = lanes.take(new)
-            place = Place(first.scenario, np.zeros_like(first.target), first.attempt)
-            found = self._kernels("postures", place, self._starts[first.scenario])
+            at_start = self._tasks(first._replace(target=np.zeros_like(first.target)))
+            found = self._kernels("postures", at_start, self._scenarios.x_start[first.scenario])
             for k, scenario in enumerate(first.scenario):
                 postures = found.x[k][found.valid[k]][: self._settings.postures]
                 self._retries[int(scenario)] = Retry(list(postures))
@@ -385,9 +391,7 @@ class Engine:
             row[:] = EMPTY[name]
         if retry.postures:
             posture = retry.postures.pop(0)[None]
-            self._queue.append(
-                self._new_lanes([scenario], [0], posture, posture, attempt=attempt + 1)
-            )
+            self._queue.append(self._new_lanes([scenario], [0], posture, posture, attempt=attempt + 1))
             return
         for name, row in rows.items():
             row[:] = retry.rows[name]

@@ -13,12 +13,11 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax import sphere
-from htcp_jax.clearance import Contacts, Obstacle, clearance, contacts, is_clear
+from htcp_jax.clearance import Contacts, Obstacle, Posed, clearance, contacts, is_clear
 from htcp_jax.kinematics import jacobian, link_poses, point_jacobians, tcp_position
 from htcp_jax.nullspace import null_basis, reanchor
 from htcp_jax.numerics import fold_keys, safe_norm
 from htcp_jax.robot import Robot, lengthen_tool
-from htcp_jax.scenario import Scenario
 from htcp_jax.settings import Settings
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar, Vector3
 
@@ -35,7 +34,7 @@ class Stuck(NamedTuple):
 
     x_previous: Joints  # x_{t-1}
     target: Vector3  # C_next [m]
-    key: jax.Array  # folded from seed, scenario, target and attempt: depends on nothing else
+    key: jax.Array  # folded from seed, where, target and attempt: depends on nothing else
 
 
 class Candidates(NamedTuple):
@@ -61,10 +60,8 @@ def hold(robot: Robot, x: Joints, touch: Contacts) -> Planes:
     return Planes(local, touch.normal, jnp.sum(touch.normal * touch.point, axis=1) - touch.distance)
 
 
-def held_clearance(
-    robot: Robot, x: Joints, planes: Planes
-) -> tuple[Float[Array, "R"], Float[Array, "R N"]]:
-    """Clearance to held planes at x and its gradient; planes are R / K observations of all K bodies, one after another."""
+def held_clearance(robot: Robot, x: Joints, planes: Planes) -> tuple[Float[Array, "R"], Float[Array, "R N"]]:
+    """Clearance to held planes at x and its gradient; planes are R / K observations of all K bodies."""
     rounds = planes.local.shape[0] // len(robot.capsule_link)
     T = jnp.concatenate([_body_poses(robot, x)] * rounds)
     point = jnp.sum(T[:, :3, :3] * planes.local[:, None, :], axis=2) + T[:, :3, 3]
@@ -85,7 +82,7 @@ def seen_bodies(robot: Robot, far_links: bool) -> tuple[bool, ...]:
 
 
 def sphere_problem(
-    scene: Scene, settings: Settings, scenario: Scenario, x_ref: Joints
+    scene: Scene, settings: Settings, where: Posed, x_ref: Joints
 ) -> tuple[sphere.Sphere, Planes, Float[Array, "N D"]]:
     """Equation (11) at x_ref: the problem, the planes seen from x_ref, and alpha N(x_ref)."""
     robot, obstacle = scene
@@ -99,7 +96,7 @@ def sphere_problem(
 
     def observe(w):
         x = x_ref + reach @ w
-        touch = contacts(robot, obstacle, scenario, x)
+        touch = contacts(robot, obstacle, where, x)
         return touch.distance + far - w @ half @ w, hold(robot, x, touch)
 
     def predict(w, planes):
@@ -111,7 +108,7 @@ def sphere_problem(
     G = jnp.concatenate([reach, -reach])
     h = jnp.concatenate([robot.upper - x_ref, x_ref - robot.lower])
     problem = sphere.Sphere(observe, predict, 2 * half, G, jnp.minimum(h, 1e3))
-    return problem, hold(robot, x_ref, contacts(robot, obstacle, scenario, x_ref)), reach
+    return problem, hold(robot, x_ref, contacts(robot, obstacle, where, x_ref)), reach
 
 
 class Anchored(NamedTuple):
@@ -122,13 +119,13 @@ class Anchored(NamedTuple):
     residual: Scalar  # TCP error [m]
 
 
-def anchor(scene: Scene, settings: Settings, scenario: Scenario, x: Joints, target: Vector3) -> Anchored:
+def anchor(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Vector3) -> Anchored:
     """Re-anchor x where its TCP error exceeds the tolerance xi, equation (10b) and Algorithm 1; then measure it."""
     off = safe_norm(target - tcp_position(scene.robot, x))
     anchored, _ = reanchor(scene.robot, x, target, 0.1 * settings.tolerance_m)
     x = jnp.where(off > settings.tolerance_m, anchored, x)
     return Anchored(
-        x, clearance(scene.robot, scene.obstacle, scenario, x), safe_norm(target - tcp_position(scene.robot, x))
+        x, clearance(scene.robot, scene.obstacle, where, x), safe_norm(target - tcp_position(scene.robot, x))
     )
 
 
@@ -136,19 +133,19 @@ Minimise = Callable[[sphere.Sphere, Planes, jax.Array, Settings], sphere.Best]
 
 
 def null_space_step(
-    minimise: Minimise, scene: Scene, settings: Settings, scenario: Scenario, stuck: Stuck, x_ref: Joints, count
+    minimise: Minimise, scene: Scene, settings: Settings, where: Posed, stuck: Stuck, x_ref: Joints, count
 ) -> Anchored:
     """One round of Algorithm 1's null-space loop: minimise J2 on the sphere, x = x_ref + alpha N w, re-anchor."""
-    problem, planes, reach = sphere_problem(scene, settings, scenario, x_ref)
+    problem, planes, reach = sphere_problem(scene, settings, where, x_ref)
     best = minimise(problem, planes, jax.random.fold_in(stuck.key, count), settings)
     x = jnp.clip(x_ref + reach @ best.w, scene.robot.lower, scene.robot.upper)
-    return anchor(scene, settings, scenario, x, stuck.target)
+    return anchor(scene, settings, where, x, stuck.target)
 
 
-def keep_clear_ascent(scene: Scene, settings: Settings, scenario: Scenario, x: Joints, target: Vector3) -> Anchored:
+def keep_clear_ascent(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Vector3) -> Anchored:
     """Max-min null-space steps away from the workpiece, while D is below `keep_clear_m`; never ends worse than it began.
 
-    One observation a step: the best direction for the planes seen from x, at the length alpha, halved when it fails.
+    One observation a step: the best direction for the planes seen from x, at most alpha long, halved on failure.
     """
 
     def going(state):
@@ -157,33 +154,33 @@ def keep_clear_ascent(scene: Scene, settings: Settings, scenario: Scenario, x: J
 
     def step(state):
         best, scale, count = state
-        problem, planes, reach = sphere_problem(scene, settings, scenario, best.x)
+        problem, planes, reach = sphere_problem(scene, settings, where, best.x)
         w = sphere.max_min_step(problem, planes, scale)
         x = jnp.clip(best.x + reach @ w, scene.robot.lower, scene.robot.upper)
-        new = anchor(scene, settings, scenario, x, target)
+        new = anchor(scene, settings, where, x, target)
         better = (new.clearance > best.clearance) & (new.residual <= settings.tolerance_m)
         best = jax.tree.map(lambda n, b: jnp.where(better, n, b), new, best)
         return best, jnp.where(better, scale, 0.5 * scale), count + 1
 
-    start = anchor(scene, settings, scenario, x, target)
+    start = anchor(scene, settings, where, x, target)
     best, _, _ = jax.lax.while_loop(going, step, (start, jnp.full((), 0.5), jnp.zeros((), jnp.int32)))
     return best
 
 
-def cspace_samples(scene: Scene, settings: Settings, scenario: Scenario, stuck: Stuck) -> Candidates:
-    """C-Space sample: joints 3 and outwards uniform about x_{t-1}, within +-1 rad (joint 3) and +-2 rad (the others)."""
+def cspace_samples(scene: Scene, settings: Settings, where: Posed, stuck: Stuck) -> Candidates:
+    """C-Space sample: joints 3 and outwards uniform about x_{t-1}, +-1 rad (joint 3) and +-2 rad (the others)."""
     robot, n = scene.robot, len(scene.robot.slides)
     # The paper's arm moves joints 3 to 6; on another arm, too, the first two, which carry all others, stay.
     width = jnp.asarray([0.0, 0.0, 1.0] + [2.0] * (n - 3))
     draw = jax.random.uniform(stuck.key, (settings.samples, n), minval=-1.0, maxval=1.0)
     x = jnp.clip(stuck.x_previous[None, :] + width[None, :] * draw, robot.lower[None, :], robot.upper[None, :])
-    clear = jax.vmap(lambda x: is_clear(robot, scene.obstacle, scenario, x))(x)
+    clear = jax.vmap(lambda x: is_clear(robot, scene.obstacle, where, x))(x)
     near = jax.vmap(safe_norm)(x - stuck.x_previous[None, :]) <= settings.sample_reach_rad
     return Candidates(x, clear & near)
 
 
 def nspace_samples(
-    scene: Scene, settings: Settings, scenario: Scenario, stuck: Stuck, step_rad: tuple[float, ...]
+    scene: Scene, settings: Settings, where: Posed, stuck: Stuck, step_rad: tuple[float, ...]
 ) -> Candidates:
     """N-Space sample: random null-space directions, each followed for `sample_steps` steps of each given length,
     re-anchored whenever the TCP error exceeds the tolerance. The direction is carried along by projection."""
@@ -212,31 +209,31 @@ def nspace_samples(
     return Candidates(x.reshape(-1, n), near)
 
 
-def postures(scene: Scene, settings: Settings, scenario: Scenario, stuck: Stuck) -> Candidates:
+def postures(scene: Scene, settings: Settings, where: Posed, stuck: Stuck) -> Candidates:
     """Other clear postures at the stuck target, by seeded inverse kinematics from uniform draws in the joint limits."""
     robot = scene.robot
     lower, upper = jnp.maximum(robot.lower, -jnp.pi), jnp.minimum(robot.upper, jnp.pi)
     draw = jax.random.uniform(stuck.key, (settings.samples, lower.shape[0]))
     x = lower[None, :] + (upper - lower)[None, :] * draw
-    reached = jax.vmap(lambda x: anchor(scene, settings, scenario, x, stuck.target))(x)
+    reached = jax.vmap(lambda x: anchor(scene, settings, where, x, stuck.target))(x)
     return Candidates(reached.x, (reached.residual <= settings.tolerance_m) & (reached.clearance > 0))
 
 
-def path_clear(scene: Scene, settings: Settings, scenario: Scenario, a: Joints, b: Joints) -> Bool[Array, ""]:
+def path_clear(scene: Scene, settings: Settings, where: Posed, a: Joints, b: Joints) -> Bool[Array, ""]:
     """Whether the straight joint path from a to b is clear (D > 0) at its interpolation steps, the ends left out."""
     fractions = jnp.arange(1, settings.path_steps) / settings.path_steps
-    between = jax.vmap(lambda s: is_clear(scene.robot, scene.obstacle, scenario, a + s * (b - a)))(fractions)
+    between = jax.vmap(lambda s: is_clear(scene.robot, scene.obstacle, where, a + s * (b - a)))(fractions)
     return jnp.all(between)
 
 
-def own_scene(scene: Scene, scenario: Scenario) -> Scene:
-    """The scene with the scenario's own tool."""
-    return Scene(lengthen_tool(scene.robot, scenario.tool_extension_m), scene.obstacle)
+def own_scene(scene: Scene, tool_extension_m: Scalar) -> Scene:
+    """The scene with a scenario's own tool."""
+    return Scene(lengthen_tool(scene.robot, tool_extension_m), scene.obstacle)
 
 
-def stuck_key(settings: Settings, scenario: Scenario, target, stage: int, attempt) -> jax.Array:
-    """Random key of one escape."""
-    return fold_keys(jax.random.key(settings.seed), scenario.number, target, stage, attempt)
+def stuck_key(settings: Settings, number, row, stage: int, attempt) -> jax.Array:
+    """Random key of one escape: of scenario `number`, at target `row`."""
+    return fold_keys(jax.random.key(settings.seed), number, row, stage, attempt)
 
 
 @dataclass(frozen=True)
@@ -250,7 +247,7 @@ class NullSpace:
 class Sample:
     """A stage that proposes candidates for the step QP to track from."""
 
-    propose: Callable[[Scene, Settings, Scenario, Stuck], Candidates]
+    propose: Callable[[Scene, Settings, Posed, Stuck], Candidates]
 
 
 @dataclass(frozen=True)
@@ -276,7 +273,7 @@ METHODS: dict[str, Method] = {
     "nspace-sample": Method(
         "N-Space sample",
         "restarts from the ends of walks along random null-space directions",
-        (Sample(lambda scene, s, scenario, stuck: nspace_samples(scene, s, scenario, stuck, (s.sample_step_rad,))),),
+        (Sample(lambda scene, s, where, stuck: nspace_samples(scene, s, where, stuck, (s.sample_step_rad,))),),
     ),
     "nspace-sqp": Method("N-Space SQP", "null-space steps by sequential quadratic programming", (_SQP,)),
     "nspace-ip": Method(
@@ -294,11 +291,13 @@ METHODS: dict[str, Method] = {
         "null-space steps by Adam, projected on the sphere",
         (NullSpace(lambda problem, planes, key, settings: sphere.adam(problem, planes)),),
     ),
-    "keep-clear": Method("Keep clear", "null-space ascent of the clearance after every target, no escape", keep_clear=True),
+    "keep-clear": Method(
+        "Keep clear", "null-space ascent of the clearance after every target, no escape", keep_clear=True
+    ),
     "hybrid": Method(
         "Hybrid",
         "keep clear; SQP, then null-space samples at four step lengths, then other start postures; joint paths clear",
-        (_SQP, Sample(lambda scene, s, scenario, stuck: nspace_samples(scene, s, scenario, stuck, _SPREAD))),
+        (_SQP, Sample(lambda scene, s, where, stuck: nspace_samples(scene, s, where, stuck, _SPREAD))),
         keep_clear=True,
         retries=True,
         check_paths=True,

@@ -25,9 +25,7 @@ class HalfSpaces:
     offset: Float[Array, "F"]
 
 
-def crossed_facets(
-    hull: HalfSpaces, points: Float[Array, "n 3"], asked: Bool[Array, "n"]
-) -> Int[Array, "n"]:
+def crossed_facets(hull: HalfSpaces, points: Float[Array, "n 3"], asked: Bool[Array, "n"]) -> Int[Array, "n"]:
     """For each point asked about that lies outside: the facet that it is furthest beyond; otherwise -1."""
     if not hull.offset.shape[0]:
         return jnp.full(points.shape[0], -1, jnp.int32)
@@ -44,7 +42,9 @@ def _crossed(hull: HalfSpaces, points, asked):
         - offset[None, :]
     )
     near = asked & (jnp.max(height, axis=1) > -ROOM)
-    return jax.lax.cond(jnp.any(near), _measure, lambda *_: jnp.full(points.shape[0], -1, jnp.int32), hull, points, near)
+    return jax.lax.cond(
+        jnp.any(near), _measure, lambda *_: jnp.full(points.shape[0], -1, jnp.int32), hull, points, near
+    )
 
 
 def _measure(hull: HalfSpaces, points, asked):

@@ -39,19 +39,27 @@ from htcp_jax.settings import Settings
 POSTURE_STAGE = 99  # random keys of retries lie apart from those of the stages
 
 
-class Shared(NamedTuple):
-    """What every lane reads: the scene, and all scenarios stacked."""
+class Task(NamedTuple):
+    """What one lane is about: its scenario's surroundings, and which target in which attempt. A lane brings all of it
+    along, so the compiled programs know nothing of how many scenarios there are."""
 
-    scene: Scene
-    scenarios: Scenario
-
-
-class Place(NamedTuple):
-    """Which target of which scenario, and in which attempt at it."""
-
-    scenario: jax.Array
-    target: jax.Array
+    T_world_workpiece: jax.Array
+    gate_x: jax.Array
+    margin_m: jax.Array
+    tool_extension_m: jax.Array
+    number: jax.Array
+    target: jax.Array  # [m]
+    row: jax.Array  # of the target
     attempt: jax.Array
+
+
+def tasks(scenarios: Scenario, scenario: np.ndarray, row: np.ndarray, attempt: np.ndarray) -> Task:
+    """The tasks of lanes that are at target `row` of their `scenario`; scenarios are stacked, numpy."""
+    own = [
+        getattr(scenarios, name)[scenario]
+        for name in ("T_world_workpiece", "gate_x", "margin_m", "tool_extension_m", "number")
+    ]
+    return Task(*own, scenarios.targets[scenario, row], row, attempt)
 
 
 class Measured(NamedTuple):
@@ -63,87 +71,86 @@ class Measured(NamedTuple):
     residual: jax.Array
 
 
-def _own(shared: Shared, place: Place) -> tuple[Scene, Scenario, jax.Array]:
-    scenario = jax.tree.map(lambda leaf: leaf[place.scenario], shared.scenarios)
-    return own_scene(shared.scene, scenario), scenario, scenario.targets[place.target]
+def _scene(scene: Scene, task: Task) -> Scene:
+    return own_scene(scene, task.tool_extension_m)
 
 
-def _stuck(settings: Settings, scenario, place: Place, x_previous, target, stage: int) -> Stuck:
-    return Stuck(x_previous, target, stuck_key(settings, scenario, place.target, stage, place.attempt))
+def _stuck(settings: Settings, task: Task, x_previous, stage: int) -> Stuck:
+    return Stuck(x_previous, task.target, stuck_key(settings, task.number, task.row, stage, task.attempt))
 
 
-def prepare(settings: Settings, shared: Shared, place: Place, x_ref, x_previous, linear: Linearisation) -> qp.StepQP:
+def prepare(settings: Settings, scene: Scene, task: Task, x_ref, x_previous, linear: Linearisation) -> qp.StepQP:
     """The step QP of one lane, equation (8)."""
-    scene, scenario, target = _own(shared, place)
+    scene = _scene(scene, task)
     robot = scene.robot
     return qp.assemble(
         settings,
         x_ref,
         x_previous,
-        target - linear.tcp,
+        task.target - linear.tcp,
         linear.jacobian,
         linear.clearance,
         linear.gradient,
-        scenario.margin_m,
+        task.margin_m,
         robot.lower,
         robot.upper,
     )
 
 
-def advance(settings: Settings, shared: Shared, place: Place, x_ref, y) -> Measured:
+def advance(settings: Settings, scene: Scene, task: Task, x_ref, y) -> Measured:
     """The lane after a step y: inside the limits to the last bit, linearised, and measured against its target."""
-    scene, scenario, target = _own(shared, place)
+    scene = _scene(scene, task)
     x = jnp.clip(x_ref + y, scene.robot.lower, scene.robot.upper)
-    linear = linearise(scene.robot, scene.obstacle, scenario, x)
-    return Measured(x, linear, jnp.min(linear.clearance), safe_norm(linear.tcp - target))
+    linear = linearise(scene.robot, scene.obstacle, task, x)
+    return Measured(x, linear, jnp.min(linear.clearance), safe_norm(linear.tcp - task.target))
 
 
-def enter_null_space(settings: Settings, shared: Shared, place: Place, x_previous):
+def enter_null_space(settings: Settings, scene: Scene, task: Task, x_previous):
     """Algorithm 1, line 9: inverse kinematics of the stuck target from x_{t-1}."""
-    scene, scenario, target = _own(shared, place)
-    x, _ = reanchor(scene.robot, x_previous, target, 0.1 * settings.tolerance_m)
-    return anchor(scene, settings, scenario, x, target)
+    scene = _scene(scene, task)
+    x, _ = reanchor(scene.robot, x_previous, task.target, 0.1 * settings.tolerance_m)
+    return anchor(scene, settings, task, x, task.target)
 
 
-def walk_null_space(stage, index, settings: Settings, shared: Shared, place: Place, x_previous, x_ref, count):
+def walk_null_space(stage, index, settings: Settings, scene: Scene, task: Task, x_previous, x_ref, count):
     """One step of a null-space stage."""
-    scene, scenario, target = _own(shared, place)
-    stuck = _stuck(settings, scenario, place, x_previous, target, index)
-    return null_space_step(stage.minimise, scene, settings, scenario, stuck, x_ref, count)
+    scene = _scene(scene, task)
+    stuck = _stuck(settings, task, x_previous, index)
+    return null_space_step(stage.minimise, scene, settings, task, stuck, x_ref, count)
 
 
-def propose(stage: Sample, index, settings: Settings, shared: Shared, place: Place, x_previous) -> Candidates:
+def propose(stage: Sample, index, settings: Settings, scene: Scene, task: Task, x_previous) -> Candidates:
     """Candidates of a sampling stage."""
-    scene, scenario, target = _own(shared, place)
-    return stage.propose(scene, settings, scenario, _stuck(settings, scenario, place, x_previous, target, index))
+    scene = _scene(scene, task)
+    return stage.propose(scene, settings, task, _stuck(settings, task, x_previous, index))
 
 
-def propose_postures(settings: Settings, shared: Shared, place: Place, x_previous) -> Candidates:
+def propose_postures(settings: Settings, scene: Scene, task: Task, x_previous) -> Candidates:
     """Other postures at the scenario's first target."""
-    scene, scenario, target = _own(shared, place)
-    return postures(scene, settings, scenario, _stuck(settings, scenario, place, x_previous, target, POSTURE_STAGE))
+    scene = _scene(scene, task)
+    return postures(scene, settings, task, _stuck(settings, task, x_previous, POSTURE_STAGE))
 
 
-def ascend(settings: Settings, shared: Shared, place: Place, x):
+def ascend(settings: Settings, scene: Scene, task: Task, x):
     """Keep-clear ascent at the target just reached."""
-    scene, scenario, target = _own(shared, place)
-    return keep_clear_ascent(scene, settings, scenario, x, target)
+    scene = _scene(scene, task)
+    return keep_clear_ascent(scene, settings, task, x, task.target)
 
 
-def check_path(settings: Settings, shared: Shared, place: Place, a, b):
+def check_path(settings: Settings, scene: Scene, task: Task, a, b):
     """Whether the straight joint path from a to b is clear."""
-    scene, scenario, _ = _own(shared, place)
-    return path_clear(scene, settings, scenario, a, b)
+    scene = _scene(scene, task)
+    return path_clear(scene, settings, task, a, b)
 
 
 def chunked(kernel: Callable, width: int) -> Callable:
-    """`kernel(shared, *one lane)` over tables with a leading axis of capacity C: run(shared, chunks, *tables) computes
+    """`kernel(scene, *one lane)` over tables with a leading axis of capacity C: run(scene, chunks, *tables) computes
     the first chunks x width lanes; the rest of the result is zeros."""
 
-    def run(shared, chunks, *tables):
+    def run(scene, chunks, *tables):
         def one_chunk(start):
             part = jax.tree.map(lambda t: jax.lax.dynamic_slice_in_dim(t, start, width), tables)
-            return jax.vmap(partial(kernel, shared))(*part)
+            return jax.vmap(partial(kernel, scene))(*part)
 
         def body(i, results):
             start = i * width
@@ -159,33 +166,36 @@ def chunked(kernel: Callable, width: int) -> Callable:
     return jax.jit(run)
 
 
+_PROGRAMS: dict = {}  # compiled for (kernel, settings, width, shapes); for the life of the process
+_COMPILING = threading.Lock()
+
+
 class Kernels:
-    """The kernels of one method, compiled on first use for one shape; knows the seconds that took.
+    """The kernels of one method on one scene. Compiles on first use, once for any number of scenarios, and knows the
+    seconds that took."""
 
-    Call them through the methods below with tables of n lanes: they are padded to a multiple of the capacity and come
-    back as numpy arrays of n lanes.
-    """
-
-    def __init__(self, shared: Shared, method: Method, settings: Settings, width: int, capacity: int):
-        self._shared, self._width, self._capacity = shared, width, capacity
-        self._compiled: dict[str, Callable] = {}
-        self._compiling = threading.Lock()
+    def __init__(self, scene: Scene, method: Method, settings: Settings, width: int, capacity: int):
+        self._scene, self._settings, self._width, self._capacity = scene, settings, width, capacity
+        self._programs: dict[str, Callable] = {}
         self.compile_s = 0.0
-        self.bodies = len(shared.scene.robot.capsule_link)
         self._kernels = {
-            "prepare": partial(prepare, settings),
-            "advance": partial(advance, settings),
-            "enter": partial(enter_null_space, settings),
-            "ascend": partial(ascend, settings),
-            "postures": partial(propose_postures, settings),
-            "check_path": partial(check_path, settings),
+            "prepare": prepare,
+            "advance": advance,
+            "enter": enter_null_space,
+            "ascend": ascend,
+            "postures": propose_postures,
+            "check_path": check_path,
         }
-        for index, stage in enumerate(method.stages):
-            work = partial(propose, stage) if isinstance(stage, Sample) else partial(walk_null_space, stage)
-            self._kernels[f"stage {index}"] = partial(work, index, settings)
+        self._stages = method.stages
+
+    @property
+    def bodies(self) -> int:
+        """Capsules of the robot."""
+        return len(self._scene.robot.capsule_link)
 
     def __call__(self, name: str, *tables):
-        """Run kernel `name` over tables of n >= 1 lanes; returns numpy arrays of n lanes."""
+        """Run kernel `name` ("stage k" for stage k of the method) over tables of n >= 1 lanes; numpy tables of n lanes
+        come back."""
         lanes = len(jax.tree.leaves(tables)[0])
         parts = [
             self._run(name, jax.tree.map(lambda t, s=start: t[s : s + self._capacity], tables))
@@ -197,17 +207,36 @@ class Kernels:
         lanes = len(jax.tree.leaves(tables)[0])
         padded = jax.tree.map(lambda t: _pad(np.asarray(t), self._capacity), tables)
         chunks = np.int32(-(-lanes // self._width))
-        result = self._program(name, chunks, padded)(self._shared, chunks, *padded)
+        result = self._program(name, chunks, padded)(self._scene, chunks, *padded)
         return jax.tree.map(lambda r: np.asarray(r)[:lanes], result)
 
     def _program(self, name: str, chunks, tables) -> Callable:
-        with self._compiling:
-            if name not in self._compiled:
+        if name in self._programs:
+            return self._programs[name]
+        with _COMPILING:
+            arguments = (self._scene, chunks, *tables)
+            leaves, structure = jax.tree.flatten(arguments)
+            work = self._work(name)
+            key = (
+                work.func,
+                work.args,
+                self._width,
+                structure,
+                tuple((np.shape(x), np.result_type(x)) for x in leaves),
+            )
+            if key not in _PROGRAMS:
                 began = time.perf_counter()
-                program = chunked(self._kernels[name], self._width)
-                self._compiled[name] = program.lower(self._shared, chunks, *tables).compile()
+                _PROGRAMS[key] = chunked(work, self._width).lower(*arguments).compile()
                 self.compile_s += time.perf_counter() - began
-            return self._compiled[name]
+            self._programs[name] = _PROGRAMS[key]
+        return self._programs[name]
+
+    def _work(self, name: str) -> partial:
+        if name in self._kernels:
+            return partial(self._kernels[name], self._settings)
+        index = int(name.removeprefix("stage "))
+        stage = self._stages[index]
+        return partial(propose if isinstance(stage, Sample) else walk_null_space, stage, index, self._settings)
 
 
 def _pad(table: np.ndarray, capacity: int) -> np.ndarray:

@@ -15,9 +15,10 @@ from htcp_jax.clearance import clearances, make_obstacle
 from htcp_jax.engine import EMPTY, Engine
 from htcp_jax.errors import InputError
 from htcp_jax.escape import METHODS, Scene, own_scene
-from htcp_jax.kernels import Kernels, Place, Shared
+from htcp_jax.kernels import Kernels, tasks
 from htcp_jax.plans import Plans
-from htcp_jax.qp import make_solver, row_count
+from htcp_jax.qp import row_count
+from htcp_jax.qp_solvers import make_solver
 from htcp_jax.robot import Robot
 from htcp_jax.scenario import Scenario, stack
 from htcp_jax.settings import Settings
@@ -64,20 +65,21 @@ def plan(
         scenarios = stack(scenarios)
     elif scenarios.x_start.ndim == 1:
         scenarios = stack([scenarios])
+    scenarios = jax.tree.map(np.asarray, scenarios)
     began = time.perf_counter()
-    shared = Shared(Scene(robot, make_obstacle(workpiece)), jax.tree.map(jnp.asarray, scenarios))
-    kernels = Kernels(shared, METHODS[method], settings, LANES_A_CHUNK, LANES_A_THREAD)
-    plans = _empty_plans(np.asarray(scenarios.targets), joints)
+    kernels = Kernels(Scene(robot, make_obstacle(workpiece)), METHODS[method], settings, LANES_A_CHUNK, LANES_A_THREAD)
+    plans = _empty_plans(scenarios.targets, joints)
     _run_engines(kernels, robot, method, settings, scenarios, plans, threads or os.cpu_count() or 1, progress)
     if check_paths:
-        _check_remaining_paths(kernels, np.asarray(scenarios.x_start), plans)
+        _check_remaining_paths(kernels, scenarios, plans)
     spent = time.perf_counter() - began
     return plans._replace(compile_s=kernels.compile_s, run_s=spent - kernels.compile_s)
 
 
 def start_clearance(robot: Robot, workpiece: Workpiece, scenario: Scenario) -> tuple[float, str]:
     """D at the scenario's start [m] and the name of the body it belongs to."""
-    scene = own_scene(Scene(robot, make_obstacle(workpiece)), jax.tree.map(jnp.asarray, scenario))
+    scene = own_scene(Scene(robot, make_obstacle(workpiece)), scenario.tool_extension_m)
+    scenario = jax.tree.map(jnp.asarray, scenario)
     D = np.asarray(jax.jit(clearances)(scene.robot, scene.obstacle, scenario, jnp.asarray(scenario.x_start)))
     return float(D.min()), robot.capsule_names[int(D.argmin())]
 
@@ -92,7 +94,7 @@ def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario) -> None:
 def _run_engines(kernels, robot, method, settings, scenarios, plans, threads, progress) -> None:
     """One engine a thread; all take scenarios from one iterator and write into different rows of the plans."""
     count = len(scenarios.number)
-    counts = np.asarray(scenarios.count)
+    targets = int(scenarios.count.sum())
     order, lock = iter(range(count)), threading.Lock()
     totals = [0, 0]
 
@@ -109,14 +111,12 @@ def _run_engines(kernels, robot, method, settings, scenarios, plans, threads, pr
             totals[0] += tracked
             totals[1] += finished
             if progress is not None:
-                progress(Progress(totals[1], count, totals[0], int(counts.sum())))
+                progress(Progress(totals[1], count, totals[0], targets))
 
     def work(_):
         rows = row_count(settings, len(robot.capsule_link))
         solver = make_solver(settings, len(robot.joint_names), rows)
-        engine = Engine(
-            kernels, solver, method, settings, np.asarray(scenarios.x_start), counts, plans, LANES_A_THREAD
-        )
+        engine = Engine(kernels, solver, method, settings, scenarios, plans, LANES_A_THREAD)
         engine.run(hand_out(), tell)
 
     threads = min(threads, count)
@@ -127,15 +127,15 @@ def _run_engines(kernels, robot, method, settings, scenarios, plans, threads, pr
         list(pool.map(work, range(threads)))
 
 
-def _check_remaining_paths(kernels: Kernels, starts: np.ndarray, plans: Plans) -> None:
+def _check_remaining_paths(kernels: Kernels, scenarios: Scenario, plans: Plans) -> None:
     """Fill in path_clear where a tracked target's path was not checked while planning."""
     tracked = ~np.isnan(plans.clearance)
     s, t = np.nonzero(tracked & (plans.path_clear < 0))
     if not len(s):
         return
-    before = np.where((t == 0)[:, None], starts[s], plans.x[s, np.maximum(t - 1, 0)])
-    place = Place(s.astype(np.int32), t.astype(np.int32), np.zeros(len(s), np.int32))
-    plans.path_clear[s, t] = kernels("check_path", place, before, plans.x[s, t])
+    before = np.where((t == 0)[:, None], scenarios.x_start[s], plans.x[s, np.maximum(t - 1, 0)])
+    task = tasks(scenarios, s, t.astype(np.int32), np.zeros(len(s), np.int32))
+    plans.path_clear[s, t] = kernels("check_path", task, before, plans.x[s, t])
 
 
 def _empty_plans(targets: np.ndarray, joints: int) -> Plans:

@@ -10,13 +10,10 @@ that the arm is stuck. FAILED is a solver's own breakdown (no convergence, NaN),
 """
 
 import enum
-from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 import jax.numpy as jnp
-import numpy as np
 
-from htcp_jax.errors import InputError
 from htcp_jax.settings import Settings
 from htcp_jax.types import Array, Float, Int, Joints, Scalar
 
@@ -91,18 +88,3 @@ def assemble(
 def row_count(settings: Settings, bodies: int) -> int:
     """Clearance rows of one step QP."""
     return 1 if settings.rows == "smallest" else bodies
-
-
-def make_solver(settings: Settings, joints: int, rows: int) -> QPSolver:
-    """The solver that `settings.qp` names. Raises InputError for a name that is not installed."""
-    from htcp_jax.qp_clarabel import ClarabelSolver
-    from htcp_jax.qp_qpsolvers import QPSolversSolver
-
-    name, _, backend = settings.qp.partition(":")
-    makers: dict[str, Callable[[], QPSolver]] = {
-        "clarabel": lambda: ClarabelSolver(2 * np.asarray(settings.q_weights), rows, settings.qp_tolerance),
-        "qpsolvers": lambda: QPSolversSolver(backend),
-    }
-    if name not in makers:
-        raise InputError(f"qp is {settings.qp!r}; valid: clarabel, qpsolvers:<name of a solver>")
-    return makers[name]()

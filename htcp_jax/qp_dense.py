@@ -30,7 +30,7 @@ def solve_dense(
     tolerance: float = 1e-11,
     iterations: int = 30,
 ) -> DenseSolution:
-    """Solve one QP, H positive semidefinite and G of full column rank. Method: Mehrotra (1992), Wright (1997) ch. 14."""
+    """Solve one QP, H positive semidefinite and G of full column rank. Mehrotra (1992); Wright (1997), ch. 14."""
     m = len(h)
 
     def step_length(value, change):

@@ -70,8 +70,8 @@ def sqp(sphere: Sphere, planes: Planes, iterations: int = 16, memory: int = 6) -
     """Sequential quadratic programming on the epigraph: maximise t with t <= every plane of the last observations.
 
     Each iteration solves one QP in the tangent plane at w, with the curvature of sphere and J1 and the multipliers of
-    the QP before, backtracks along the arc on the merit that the planes predict, and observes there. An observation that
-    is worse than w leaves its planes behind, and they are what the next QP needs: kinks are met from both sides.
+    the QP before, backtracks along the arc on the merit that the planes predict, and observes there. An observation
+    that is worse than w leaves its planes behind, and they are what the next QP needs: kinks are met from both sides.
     """
     w = first_guess(sphere, planes)
     values, seen = sphere.observe(w)
@@ -115,9 +115,7 @@ def max_min_step(sphere: Sphere, planes: Planes, longest: Scalar) -> Direction:
     lift = jnp.concatenate([-gradient, jnp.ones((*value.shape, 1))], axis=1)
     limits = jnp.concatenate([sphere.G, jnp.zeros((*sphere.h.shape, 1))], axis=1)
     G = jnp.concatenate([lift, limits, box, -box])
-    h = jnp.concatenate(
-        [value - jnp.min(value), jnp.maximum(sphere.h, 0.0), jnp.full(2 * dimension, 1.0) * longest]
-    )
+    h = jnp.concatenate([value - jnp.min(value), jnp.maximum(sphere.h, 0.0), jnp.full(2 * dimension, 1.0) * longest])
     w = solve_dense(1e-4 * jnp.diag(1 - up), -up, G, h).y[:-1]
     return w * jnp.minimum(1.0, longest / jnp.maximum(safe_norm(w), 1e-12))
 
@@ -137,9 +135,7 @@ def _tangent_step(sphere: Sphere, w, value, gradient, multipliers):
     rows = jnp.concatenate([-gradient @ tangent, sphere.G @ tangent])
     rise = jnp.concatenate([jnp.ones(value.shape), jnp.zeros(sphere.h.shape)])
     G = jnp.concatenate([jnp.concatenate([rows, rise[:, None]], axis=1), box, -box])
-    h = jnp.concatenate(
-        [value - t0, jnp.maximum(sphere.h - sphere.G @ w, 0.0), jnp.full(2 * (dimension - 1), 0.5)]
-    )
+    h = jnp.concatenate([value - t0, jnp.maximum(sphere.h - sphere.G @ w, 0.0), jnp.full(2 * (dimension - 1), 0.5)])
     solution = solve_dense(H, -jnp.eye(dimension)[-1], G, h)
     return tangent @ solution.y[:-1], solution.multipliers[: value.shape[0]], solution.y[-1]
 

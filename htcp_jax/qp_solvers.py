@@ -1,0 +1,23 @@
+"""The step QP's solvers by name."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from htcp_jax.errors import InputError
+from htcp_jax.qp import QPSolver
+from htcp_jax.qp_clarabel import ClarabelSolver
+from htcp_jax.qp_qpsolvers import QPSolversSolver
+from htcp_jax.settings import Settings
+
+
+def make_solver(settings: Settings, joints: int, rows: int) -> QPSolver:
+    """The solver that `settings.qp` names. Raises InputError for a name that is not installed."""
+    name, _, backend = settings.qp.partition(":")
+    makers: dict[str, Callable[[], QPSolver]] = {
+        "clarabel": lambda: ClarabelSolver(2 * np.asarray(settings.q_weights), rows, settings.qp_tolerance),
+        "qpsolvers": lambda: QPSolversSolver(backend),
+    }
+    if name not in makers:
+        raise InputError(f"qp is {settings.qp!r}; valid: clarabel, qpsolvers:<name of a solver>")
+    return makers[name]()
