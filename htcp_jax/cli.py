@@ -44,9 +44,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _refuse(str(error))
     except typer.TyperException as error:
         return _refuse(error.format_message())
-    except (KeyboardInterrupt, typer.Abort):
+    if code == INTERRUPTED:  # what typer makes of Ctrl-C
         print("htcp: interrupted; nothing was written", file=sys.stderr)
-        return INTERRUPTED
     return int(code or 0)
 
 

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 
+from htcp_jax import planner
 from htcp_jax.cli import main
 
 SHORT = ["--set", "workpiece.path=path.csv"]
@@ -75,6 +76,16 @@ def test_a_cloud_in_millimetres_is_warned_of_in_one_line(here, capsys):
     (here / "mm.xyz").write_text("0 0 0\n900 0 0\n0 900 0\n0 0 900\n")
     main(["plan", *SHORT, "--set", "workpiece.cloud=mm.xyz", "--out", "out"])
     assert capsys.readouterr().err.startswith("htcp: warning: mm.xyz: the points extend over 900 m")
+
+
+def test_ctrl_c_leaves_nothing_behind(here, capsys, monkeypatch):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(planner, "plan", interrupt)
+    assert main(["plan", *SHORT, "--out", "out"]) == 130
+    assert capsys.readouterr().err == "htcp: interrupted; nothing was written\n"
+    assert not (here / "out").exists()
 
 
 def test_help_and_version_are_answers(capsys):
