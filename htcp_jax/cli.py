@@ -21,25 +21,31 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 app.command()(plan)
 
 
-@app.callback(invoke_without_command=True)
+def _show_version(asked: bool) -> bool:
+    if asked:
+        print(f"htcp {importlib.metadata.version('htcp_jax')}")
+        raise typer.Exit
+    return asked
+
+
+@app.callback()
 def htcp(
-    context: typer.Context,
-    version: Annotated[bool, typer.Option("--version", help="Show the version.")] = False,
-) -> int:
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
     """Plan the motion of a redundant arm that follows a path inside a narrow part."""
-    if context.invoked_subcommand is None:
-        print(f"htcp {importlib.metadata.version('htcp_jax')}" if version else context.get_help())
-    return 0
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit code."""
+    """Run one command, without any the help; returns the exit code."""
+    words = list(sys.argv[1:] if argv is None else argv) or ["--help"]
     compile_cache.enable()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("default", UserWarning)
             warnings.showwarning = _warn
-            code = app(args=argv, prog_name="htcp", standalone_mode=False)
+            code = app(args=words, prog_name="htcp", standalone_mode=False)
     except InputError as error:
         return _refuse(str(error))
     except typer.TyperException as error:
