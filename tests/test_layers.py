@@ -22,7 +22,7 @@ LAYERS = [
     ["qp_clarabel", "qp_qpsolvers", "qp_device"],
     ["qp_solvers"],
     ["escape", "kernels", "engine", "planner"],
-    ["paper", "sweep", "metrics", "results", "report", "gate", "ceiling"],
+    ["paper", "sweep", "metrics", "results", "charts", "report", "gate", "ceiling"],
     ["strict_yaml", "config", "picture", "viewer"],
     ["cli_plan"],
     ["cli", "__main__"],
