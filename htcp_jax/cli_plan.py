@@ -11,6 +11,7 @@ from rich.text import Text
 from htcp_jax import planner
 from htcp_jax.config import PlanConfig, load_config
 from htcp_jax.escape import METHODS
+from htcp_jax.job import scene
 from htcp_jax.metrics import Summary, summarise
 from htcp_jax.picture import draw_plan
 from htcp_jax.plans import Plans
@@ -22,9 +23,9 @@ from htcp_jax.results import (
     write_trajectory_npz,
     written_whole,
 )
-from htcp_jax.robot import GP50, Robot, lengthen_tool, load_robot
-from htcp_jax.scenario import Scenario, make_scenario
-from htcp_jax.workpiece import Workpiece, load_workpiece
+from htcp_jax.robot import Robot, lengthen_tool
+from htcp_jax.scenario import Scenario
+from htcp_jax.workpiece import Workpiece
 
 COMPLETE, INCOMPLETE = 0, 3
 
@@ -65,32 +66,6 @@ def plan(
         write_json(folder / "summary.json", record)
     _print_table(job, robot, workpiece, summary, out)
     return INCOMPLETE if summary.failures else COMPLETE
-
-
-def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
-    """The robot, the workpiece and the one scenario of a configuration. Raises InputError."""
-    arm, part = job.robot, job.workpiece
-    robot = load_robot(GP50 if arm.model == "gp50" else arm.model, limits=arm.limits)
-    workpiece = load_workpiece(
-        None if part.cloud == "duct" else part.cloud,
-        None if part.path == "weld" else part.path,
-        inlet="auto" if part.inlet_m is None else part.inlet_m,
-        interior=part.interior,
-        gate_depth_m=part.gate_depth_m,
-        pivot=part.pivot_m,
-        neutral_translation=part.neutral_translation_m,
-    )
-    scenario = make_scenario(
-        robot,
-        workpiece,
-        job.start_rad,
-        rotation=(part.rotation_y_rad, part.rotation_z_rad),
-        shift=part.shift_m,
-        approach=(part.approach_to_inlet, part.approach_to_path),
-        margin_m=job.margin_m,
-        tool_extension_m=arm.tool_extension_m,
-    )
-    return robot, workpiece, scenario
 
 
 def _plan_with_progress(job: PlanConfig, robot: Robot, workpiece: Workpiece, scenario: Scenario) -> Plans:

@@ -22,9 +22,11 @@ LAYERS = [
     ["qp_clarabel", "qp_qpsolvers", "qp_device"],
     ["qp_solvers"],
     ["escape", "kernels", "engine", "planner"],
-    ["paper", "sweep", "metrics", "results", "charts", "report", "gate", "ceiling"],
-    ["strict_yaml", "config", "picture", "viewer"],
-    ["cli_plan"],
+    ["strict_yaml", "config", "job"],
+    ["paper", "grid", "metrics", "results", "charts", "ceiling"],
+    ["run_folder", "run_lock", "sweep", "report", "gate"],
+    ["picture", "viewer"],
+    ["cli_plan", "cli_sweep"],
     ["cli", "__main__"],
 ]
 LAYER = {module: number for number, row in enumerate(LAYERS) for module in row}
