@@ -1,0 +1,119 @@
+"""The style that all charts share: the colours of the methods, the frame of a figure, plain axes, named lines."""
+
+import math
+from collections.abc import Mapping
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+INK, QUIET, RULE, PAPER = "#22303c", "#5d6b77", "#dfe3e6", "#ffffff"
+WIDTH = 10.0  # of every figure [inch]
+
+LINES = {
+    "baseline": ("#5a5a5a", "-"),
+    "cspace-sample": ("#e69f00", "--"),
+    "nspace-sample": ("#d55e00", "--"),
+    "nspace-sqp": ("#0072b2", "-"),
+    "nspace-ip": ("#56b4e9", "-"),
+    "nspace-cmaes": ("#009e73", "-"),
+    "nspace-adam": ("#999933", "-"),
+    "keep-clear": ("#cc79a7", "-."),
+    "hybrid": ("#332288", "-."),
+}
+OTHER_LINES = (("#882255", ":"), ("#117733", ":"), ("#aa4499", ":"), ("#44aa99", ":"))
+
+
+def line_of(method: str) -> tuple[str, str]:
+    """Colour and line style of a method; of one that is not in the table, always the same by its name."""
+    return LINES.get(method) or OTHER_LINES[sum(map(ord, method)) % len(OTHER_LINES)]
+
+
+def new_figure(height: float, title: str, note: str) -> Figure:
+    """An empty figure with its title and, below it, one line that says how to read it."""
+    figure = Figure(figsize=(WIDTH, height), dpi=150, facecolor=PAPER, layout="constrained")
+    FigureCanvasAgg(figure)
+    space = 0.62 / height
+    figure.get_layout_engine().set(rect=(0.005, 0.01, 0.99, 1 - space - 0.01), w_pad=0.06, h_pad=0.06)
+    figure.text(0.012, 1 - 0.1 / height, title, color=INK, fontsize=14, fontweight="bold", va="top")
+    figure.text(0.012, 1 - 0.37 / height, note, color=QUIET, fontsize=10, va="top")
+    return figure
+
+
+def plain_axes(axes: Axes, grid: str = "y") -> None:
+    axes.grid(axis=grid, color=RULE, linewidth=0.8)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(RULE)
+    axes.tick_params(colors=INK, labelsize=9.5, length=0)
+    axes.xaxis.label.set(color=QUIET, fontsize=10)
+    axes.yaxis.label.set(color=QUIET, fontsize=10)
+
+
+def heading(axes: Axes, name: str, figure_of_merit: str) -> None:
+    axes.set_title(name, loc="left", color=INK, fontsize=10.5, fontweight="bold")
+    axes.set_title(figure_of_merit, loc="right", color=QUIET, fontsize=10)
+
+
+def blank_the_rest(panels, used: int) -> None:
+    for axes in panels.flat[used:]:
+        axes.axis("off")
+
+
+def outer_labels(panels, used: int, below: str, left: str) -> None:
+    """Axis labels at the left and under the lowest panel of every column alone."""
+    across = panels.shape[1]
+    for number, axes in enumerate(panels.flat[:used]):
+        axes.xaxis.label.set(color=QUIET, fontsize=10)
+        axes.yaxis.label.set(color=QUIET, fontsize=10)
+        if number + across >= used:
+            axes.set_xlabel(below)
+            axes.tick_params(labelbottom=True)
+        if number % across == 0:
+            axes.set_ylabel(left)
+
+
+def name_lines(axes: Axes, ends: Mapping[str, float], x: float, form: str) -> None:
+    """The name and the last value of every line at its end, spread so that none covers another."""
+    low, high = axes.get_ylim()
+    heights = spread({method: (end - low) / (high - low) for method, end in ends.items()}, 0.062)
+    for method, height in heights.items():
+        axes.annotate(
+            f"{method}  {form.format(ends[method])}",
+            (x, ends[method]),
+            (1.05, height),
+            textcoords="axes fraction",
+            va="center",
+            color=line_of(method)[0],
+            fontsize=10,
+            fontweight="bold",
+            arrowprops={"arrowstyle": "-", "color": line_of(method)[0], "linewidth": 0.7, "relpos": (0, 0.5)},
+        )
+
+
+def spread(heights: Mapping[str, float], gap: float) -> dict[str, float]:
+    """The heights moved apart to at least `gap`, in their order, within 0 and 1 where there is room."""
+    order = sorted(heights, key=lambda name: heights[name])
+    placed = {}
+    floor = 0.0
+    for name in order:
+        placed[name] = max(heights[name], floor)
+        floor = placed[name] + gap
+    roof = 1.0
+    for name in reversed(order):
+        placed[name] = min(placed[name], roof)
+        roof = placed[name] - gap
+    return placed
+
+
+def decimal(axis) -> None:
+    """A logarithmic axis with plain numbers, and powers of ten where these get long."""
+    axis.set_major_locator(LogLocator(numticks=8))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(_number))
+
+
+def _number(value: float, _position: int) -> str:
+    power = round(math.log10(value))
+    return f"{value:g}" if power >= -3 else f"$10^{{{power}}}$"

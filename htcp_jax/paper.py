@@ -1,0 +1,67 @@
+"""The paper's two result tables as data, and the settings that the paper chooses.
+
+Source: Y. Sun, W. Zhao, C. Liu, "Hybrid Task Constrained Planner for Robot Manipulator in Confined Environment",
+tables 1 and 2. Its times are of MATLAB 2022 on a 2.5 GHz Intel Core i9.
+"""
+
+from typing import NamedTuple
+
+SOURCE = "Sun, Zhao, Liu: Hybrid Task Constrained Planner for Robot Manipulator in Confined Environment"
+MACHINE = "MATLAB 2022, 2.5 GHz Intel Core i9"
+TARGETS = 105  # of one scenario
+
+
+class Figures(NamedTuple):
+    """One row of a table of the paper."""
+
+    success_percent: float
+    step_s: float  # "computation time", average of a step
+    tcp_distance_mm: float
+    safe_distance_mm: float  # "closest distance between robot and obstacle": smallest or mean, the paper leaves open
+
+
+class Table(NamedTuple):
+    """One table of the paper: a sweep planned by six methods, under the names that they have here."""
+
+    number: int
+    sweep: str
+    scenarios: int
+    rows: dict[str, Figures]
+
+    @property
+    def source(self) -> str:
+        """Where the figures stand."""
+        return f"{SOURCE}, table {self.number}"
+
+    def tracked(self, method: str) -> int:
+        """The count behind the method's percentage."""
+        return round(self.rows[method].success_percent / 100 * self.scenarios * TARGETS)
+
+
+ROBOT = Table(
+    1,
+    "125 start postures",
+    125,
+    {
+        "baseline": Figures(66.95, 0.4281, 0.4474, 0.1561),
+        "cspace-sample": Figures(68.50, 0.4697, 0.4510, 0.1572),
+        "nspace-sample": Figures(70.85, 0.5266, 0.4494, 0.4622),
+        "nspace-sqp": Figures(99.84, 0.4142, 0.4450, 0.6309),
+        "nspace-ip": Figures(99.71, 0.4145, 0.4385, 0.7028),
+        "nspace-cmaes": Figures(100.0, 0.6745, 0.4533, 0.8200),
+    },
+)
+
+WORKPIECE = Table(
+    2,
+    "49 workpiece poses",
+    49,
+    {
+        "baseline": Figures(39.16, 0.2789, 0.4831, 12.0973),
+        "cspace-sample": Figures(49.93, 0.5740, 0.4668, 4.6684),
+        "nspace-sample": Figures(50.11, 1.1377, 0.4557, 4.1437),
+        "nspace-sqp": Figures(70.73, 0.8583, 0.4207, 4.3668),
+        "nspace-ip": Figures(76.87, 1.0240, 0.3986, 1.7241),
+        "nspace-cmaes": Figures(62.22, 3.2577, 0.4287, 7.5280),
+    },
+)
