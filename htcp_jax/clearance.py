@@ -9,7 +9,7 @@ one-sided gradients elsewhere.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -19,12 +19,13 @@ from htcp_jax.cloud_index import CloudIndex, build_index, distance_above, neares
 from htcp_jax.half_spaces import HalfSpaces, crossed_facets
 from htcp_jax.kinematics import capsule_segments, jacobian, point_jacobians, tcp_position
 from htcp_jax.numerics import safe_divide, safe_norm, segment_parameter
+from htcp_jax.pytree import register_pytree
 from htcp_jax.robot import Robot
 from htcp_jax.types import Bool, Float, Int, Joints, Pose, Scalar, Vector3
 from htcp_jax.workpiece import Workpiece
 
 
-@jax.tree_util.register_dataclass
+@register_pytree
 @dataclass(frozen=True)
 class Obstacle:
     """The paper's O on the device, in the workpiece frame: points, their index, and the hull's half-spaces."""
@@ -43,6 +44,7 @@ def make_obstacle(workpiece: Workpiece) -> Obstacle:
     )
 
 
+@runtime_checkable
 class Posed(Protocol):
     """Where the workpiece is: a scenario, or whatever else knows."""
 
@@ -147,6 +149,8 @@ def _ends(robot: Robot, where: Posed, x: Joints) -> _Ends:
 def _outside_hull(obstacle: Obstacle, ends: _Ends):
     """Per body: how far its further deep end lies outside the hull [m] (-inf when none does), that end, the inward
     normal of the facet it crossed. Workpiece frame."""
+    if not obstacle.hull.offset.shape[0]:
+        return jnp.full(ends.p.shape[0], -jnp.inf), ends.p, jnp.zeros_like(ends.p)
     both = jnp.concatenate([ends.p, ends.q])
     facet = crossed_facets(obstacle.hull, both, ends.deep)
     normal = obstacle.hull.normal[facet]

@@ -16,7 +16,7 @@ Bounds are 32-bit (rounded down by `SLACK`) and carry their own index in their l
 minimum finds both; a sort or an argmin costs ten times that on a CPU. Distances are 64-bit.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -34,9 +34,7 @@ SLACK = 1e-5  # [m]; a bound in 32-bit floats is wrong by less than this within 
 NONE_LEFT = np.int32(2**31 - 1)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class CloudIndex:
+class CloudIndex(NamedTuple):
     """A cloud and its two-level tree. Rows of a bound: medoid xyz, normal xyz, half thickness, radius [m]."""
 
     node_bound: Float[Array, "8 nodes"]

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from htcp_jax import sphere
 from htcp_jax.clearance import Contacts, Obstacle, Posed, clearance, contacts, is_clear
 from htcp_jax.kinematics import jacobian, link_poses, point_jacobians, tcp_position
-from htcp_jax.nullspace import null_basis, reanchor
+from htcp_jax.nullspace import inside, null_basis, reanchor
 from htcp_jax.numerics import fold_keys, safe_norm
 from htcp_jax.robot import Robot, lengthen_tool
 from htcp_jax.settings import Settings
@@ -143,7 +143,7 @@ def null_space_step(
 
 
 def keep_clear_ascent(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Vector3) -> Anchored:
-    """Max-min null-space steps away from the workpiece, while D is below `keep_clear_m`; never ends worse than it began.
+    """Max-min null-space steps away from the workpiece while D is below `keep_clear_m`; never ends worse than it began.
 
     One observation a step: the best direction for the planes seen from x, at most alpha long, halved on failure.
     """
@@ -168,15 +168,18 @@ def keep_clear_ascent(scene: Scene, settings: Settings, where: Posed, x: Joints,
 
 
 def cspace_samples(scene: Scene, settings: Settings, where: Posed, stuck: Stuck) -> Candidates:
-    """C-Space sample: joints 3 and outwards uniform about x_{t-1}, +-1 rad (joint 3) and +-2 rad (the others)."""
+    """C-Space sample: joints 3 and outwards uniform about x_{t-1}, +-1 rad (joint 3) and +-2 rad (the others); the
+    first `samples` feasible ones (inside the limits and clear) out of eight times as many draws."""
     robot, n = scene.robot, len(scene.robot.slides)
     # The paper's arm moves joints 3 to 6; on another arm, too, the first two, which carry all others, stay.
     width = jnp.asarray([0.0, 0.0, 1.0] + [2.0] * (n - 3))
-    draw = jax.random.uniform(stuck.key, (settings.samples, n), minval=-1.0, maxval=1.0)
-    x = jnp.clip(stuck.x_previous[None, :] + width[None, :] * draw, robot.lower[None, :], robot.upper[None, :])
-    clear = jax.vmap(lambda x: is_clear(robot, scene.obstacle, where, x))(x)
-    near = jax.vmap(safe_norm)(x - stuck.x_previous[None, :]) <= settings.sample_reach_rad
-    return Candidates(x, clear & near)
+    draw = jax.random.uniform(stuck.key, (8 * settings.samples, n), minval=-1.0, maxval=1.0)
+    x = stuck.x_previous[None, :] + width[None, :] * draw
+    feasible = jax.vmap(lambda x: inside(robot, x))(x) & jax.vmap(
+        lambda x: is_clear(robot, scene.obstacle, where, x)
+    )(x)
+    feasible &= jax.vmap(safe_norm)(x - stuck.x_previous[None, :]) <= settings.sample_reach_rad
+    return Candidates(x, feasible & (jnp.cumsum(feasible) <= settings.samples))
 
 
 def nspace_samples(

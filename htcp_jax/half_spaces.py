@@ -4,7 +4,7 @@ Nearly always none, and that is decided in 32-bit floats with room for their err
 that room of the boundary are all facets measured in 64-bit.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,10 +16,8 @@ from htcp_jax.types import Array, Bool, Float, Int
 ROOM = 1e-5  # [m]; a 32-bit height is wrong by less than this within 20 m of the origin
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class HalfSpaces:
-    """The convex set normal @ x <= offset, unit normals outwards; F may be 0: everything is inside."""
+class HalfSpaces(NamedTuple):
+    """The convex set normal @ x <= offset, unit normals outwards; F >= 1."""
 
     normal: Float[Array, "F 3"]
     offset: Float[Array, "F"]
@@ -27,8 +25,6 @@ class HalfSpaces:
 
 def crossed_facets(hull: HalfSpaces, points: Float[Array, "n 3"], asked: Bool[Array, "n"]) -> Int[Array, "n"]:
     """For each point asked about that lies outside: the facet that it is furthest beyond; otherwise -1."""
-    if not hull.offset.shape[0]:
-        return jnp.full(points.shape[0], -1, jnp.int32)
     return _crossed(hull, *jax.lax.stop_gradient((points, asked)))
 
 

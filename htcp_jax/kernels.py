@@ -36,6 +36,8 @@ from htcp_jax.numerics import safe_norm
 from htcp_jax.scenario import Scenario
 from htcp_jax.settings import Settings
 
+LANES_A_CHUNK = 8
+LANES_A_TABLE = 128
 POSTURE_STAGE = 99  # random keys of retries lie apart from those of the stages
 
 
@@ -174,7 +176,16 @@ class Kernels:
     """The kernels of one method on one scene. Compiles on first use, once for any number of scenarios, and knows the
     seconds that took."""
 
-    def __init__(self, scene: Scene, method: Method, settings: Settings, width: int, capacity: int):
+    def __init__(
+        self,
+        scene: Scene,
+        method: Method,
+        settings: Settings,
+        more: dict[str, Callable] | None = None,
+        width: int = LANES_A_CHUNK,
+        capacity: int = LANES_A_TABLE,
+    ):
+        """more: further kernels by name, called with (settings, scene, task, ...) as those of this module."""
         self._scene, self._settings, self._width, self._capacity = scene, settings, width, capacity
         self._programs: dict[str, Callable] = {}
         self.compile_s = 0.0
@@ -185,6 +196,7 @@ class Kernels:
             "ascend": ascend,
             "postures": propose_postures,
             "check_path": check_path,
+            **(more or {}),
         }
         self._stages = method.stages
 
@@ -222,7 +234,7 @@ class Kernels:
                 work.args,
                 self._width,
                 structure,
-                tuple((np.shape(x), np.result_type(x)) for x in leaves),
+                tuple((x.shape, x.dtype) for x in leaves),
             )
             if key not in _PROGRAMS:
                 began = time.perf_counter()

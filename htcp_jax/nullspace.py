@@ -71,6 +71,6 @@ def _weighted(jac: Float[Array, "3 N"], error: Vector3) -> Vector3:
     return solve_spd(jac @ jac.T + 1e-6 * jnp.eye(3), error)
 
 
-def inside(robot: Robot, x: Joints, slack: float = 0.0) -> Bool[Array, ""]:
-    """Whether x respects the joint limits, up to `slack` [rad or m]."""
-    return jnp.all((x >= robot.lower - slack) & (x <= robot.upper + slack))
+def inside(robot: Robot, x: Joints) -> Bool[Array, ""]:
+    """Whether x respects the joint limits."""
+    return jnp.all((x >= robot.lower) & (x <= robot.upper))

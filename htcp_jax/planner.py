@@ -15,7 +15,7 @@ from htcp_jax.clearance import clearances, make_obstacle
 from htcp_jax.engine import EMPTY, Engine
 from htcp_jax.errors import InputError
 from htcp_jax.escape import METHODS, Scene, own_scene
-from htcp_jax.kernels import Kernels, tasks
+from htcp_jax.kernels import LANES_A_TABLE, Kernels, tasks
 from htcp_jax.plans import Plans
 from htcp_jax.qp import row_count
 from htcp_jax.qp_solvers import make_solver
@@ -23,9 +23,6 @@ from htcp_jax.robot import Robot
 from htcp_jax.scenario import Scenario, stack
 from htcp_jax.settings import Settings
 from htcp_jax.workpiece import Workpiece
-
-LANES_A_CHUNK = 8
-LANES_A_THREAD = 128
 
 
 class Progress(NamedTuple):
@@ -67,7 +64,7 @@ def plan(
         scenarios = stack([scenarios])
     scenarios = jax.tree.map(np.asarray, scenarios)
     began = time.perf_counter()
-    kernels = Kernels(Scene(robot, make_obstacle(workpiece)), METHODS[method], settings, LANES_A_CHUNK, LANES_A_THREAD)
+    kernels = Kernels(Scene(robot, make_obstacle(workpiece)), METHODS[method], settings)
     plans = _empty_plans(scenarios.targets, joints)
     _run_engines(kernels, robot, method, settings, scenarios, plans, threads or os.cpu_count() or 1, progress)
     if check_paths:
@@ -78,9 +75,9 @@ def plan(
 
 def start_clearance(robot: Robot, workpiece: Workpiece, scenario: Scenario) -> tuple[float, str]:
     """D at the scenario's start [m] and the name of the body it belongs to."""
-    scene = own_scene(Scene(robot, make_obstacle(workpiece)), scenario.tool_extension_m)
     scenario = jax.tree.map(jnp.asarray, scenario)
-    D = np.asarray(jax.jit(clearances)(scene.robot, scene.obstacle, scenario, jnp.asarray(scenario.x_start)))
+    scene = own_scene(Scene(robot, make_obstacle(workpiece)), scenario.tool_extension_m)
+    D = np.asarray(jax.jit(clearances)(scene.robot, scene.obstacle, scenario, scenario.x_start))
     return float(D.min()), robot.capsule_names[int(D.argmin())]
 
 
@@ -116,7 +113,7 @@ def _run_engines(kernels, robot, method, settings, scenarios, plans, threads, pr
     def work(_):
         rows = row_count(settings, len(robot.capsule_link))
         solver = make_solver(settings, len(robot.joint_names), rows)
-        engine = Engine(kernels, solver, method, settings, scenarios, plans, LANES_A_THREAD)
+        engine = Engine(kernels, solver, method, settings, scenarios, plans, LANES_A_TABLE)
         engine.run(hand_out(), tell)
 
     threads = min(threads, count)

@@ -10,7 +10,7 @@ that the arm is stuck. FAILED is a solver's own breakdown (no convergence, NaN),
 """
 
 import enum
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 
@@ -46,6 +46,7 @@ class QPSolution(NamedTuple):
     status: Int[Array, ""]
 
 
+@runtime_checkable
 class QPSolver(Protocol):
     """Solves a batch of step QPs given as numpy arrays with a leading axis B; results must not depend on the batch."""
 

@@ -7,9 +7,9 @@ belong to it. A Robot is plain arrays, made once from a model file; kinematics.p
 import dataclasses
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 
+from htcp_jax.pytree import register_pytree
 from htcp_jax.robot_file import read_robot_file
 from htcp_jax.types import Array, Float, Joints, Pose, Scalar
 
@@ -18,7 +18,7 @@ GP50 = Path(__file__).parent / "models" / "gp50.xml"
 _STATIC = {"static": True}
 
 
-@jax.tree_util.register_dataclass
+@register_pytree
 @dataclasses.dataclass(frozen=True)
 class Robot:
     """A serial arm of N hinge or slide joints with K capsules, in metres and radians.

@@ -9,24 +9,25 @@ import numpy as np
 
 from htcp_jax.errors import InputError
 from htcp_jax.kinematics import tcp_position
+from htcp_jax.pytree import register_pytree
 from htcp_jax.robot import Robot, lengthen_tool
-from htcp_jax.types import Float, Int, Joints, Pose, Scalar
+from htcp_jax.types import Anywhere, Float, Int
 from htcp_jax.workpiece import Workpiece
 
 
-@jax.tree_util.register_dataclass
+@register_pytree
 @dataclass(frozen=True)
 class Scenario:
     """What differs between the members of a batch. Stacked, every leaf has a leading axis S."""
 
-    x_start: Joints  # [rad or m]
-    T_world_workpiece: Pose
-    gate_x: Scalar  # capsule ends with a world x beyond this must lie inside the tunnel [m]
-    targets: Float[jax.Array, "T 3"]  # world [m]; rows from `count` on are padding
-    count: Int[jax.Array, ""]  # targets to track
-    margin_m: Scalar  # least clearance that the step QP's rows ask for
-    tool_extension_m: Scalar
-    number: Int[jax.Array, ""]  # identity: the random keys are folded from it
+    x_start: Float[Anywhere, "*S N"]  # [rad or m]
+    T_world_workpiece: Float[Anywhere, "*S 4 4"]
+    gate_x: Float[Anywhere, "*S"]  # capsule ends with a world x beyond this must lie inside the tunnel [m]
+    targets: Float[Anywhere, "*S T 3"]  # world [m]; rows from `count` on are padding
+    count: Int[Anywhere, "*S"]  # targets to track
+    margin_m: Float[Anywhere, "*S"]  # least clearance that the step QP's rows ask for
+    tool_extension_m: Float[Anywhere, "*S"]
+    number: Int[Anywhere, "*S"]  # identity: the random keys are folded from it
 
 
 def path_targets(

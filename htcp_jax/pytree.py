@@ -1,0 +1,29 @@
+"""Frozen dataclasses as pytrees, rebuilt without passing through `__init__`.
+
+JAX rebuilds pytrees around things that are no arrays: shapes, booleans, batch axes. The checks of `__init__` and of the
+type annotations are for those who make a robot or a scenario, not for those passes.
+"""
+
+import dataclasses
+
+import jax
+
+
+def register_pytree(cls: type) -> type:
+    """Class decorator, above `@dataclass(frozen=True)`. Fields with metadata {"static": True} are not leaves."""
+    fields = dataclasses.fields(cls)
+    leaves = [f.name for f in fields if not f.metadata.get("static")]
+    static = [f.name for f in fields if f.metadata.get("static")]
+
+    def flatten(value):
+        keyed = [(jax.tree_util.GetAttrKey(name), getattr(value, name)) for name in leaves]
+        return keyed, tuple(getattr(value, name) for name in static)
+
+    def unflatten(fixed, children):
+        value = object.__new__(cls)
+        for name, content in zip([*leaves, *static], [*children, *fixed], strict=True):
+            object.__setattr__(value, name, content)
+        return value
+
+    jax.tree_util.register_pytree_with_keys(cls, flatten, unflatten)
+    return cls
