@@ -13,12 +13,14 @@ import typer
 
 from htcp_jax import compile_cache
 from htcp_jax.cli_plan import plan
-from htcp_jax.errors import InputError
+from htcp_jax.cli_sweep import sweep
+from htcp_jax.errors import InputError, Interrupted
 
 BAD_INPUT, INTERRUPTED = 2, 130
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 app.command()(plan)
+app.command()(sweep)
 
 
 def _show_version(asked: bool) -> bool:
@@ -50,6 +52,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _refuse(str(error))
     except typer.TyperException as error:
         return _refuse(error.format_message())
+    except Interrupted as stop:
+        print(f"htcp: {stop}", file=sys.stderr)
+        return stop.code
     if code == INTERRUPTED:  # what typer makes of Ctrl-C
         print("htcp: interrupted; nothing was written", file=sys.stderr)
     return int(code or 0)

@@ -41,18 +41,18 @@ class Summary(NamedTuple):
 
 
 def summarise(plans: Plans) -> Summary:
-    """The summary of `plans`."""
-    tracked = is_tracked(plans.status)
-    attempted = int((plans.status != Status.NOT_ATTEMPTED).sum())
+    """The summary of `plans`. Targets with a status below zero do not exist, or are not planned yet."""
+    exists, tracked = plans.status >= 0, is_tracked(plans.status)
+    attempted = int((exists & (plans.status != Status.NOT_ATTEMPTED)).sum())
     residual_mm, clearance_mm = 1e3 * plans.residual[tracked], 1e3 * plans.clearance[tracked]
     return Summary(
-        scenarios=len(tracked),
-        complete=int(tracked.all(axis=1).sum()),
-        targets=tracked.size,
+        scenarios=int(exists.any(axis=1).sum()),
+        complete=int(((tracked == exists).all(axis=1) & exists.any(axis=1)).sum()),
+        targets=int(exists.sum()),
         tracked=int(tracked.sum()),
         after_escape=int((plans.status == Status.TRACKED_AFTER_ESCAPE).sum()),
         blocked_paths=int((plans.path_clear[tracked] == 0).sum()),
-        success_rate=float(tracked.mean()),
+        success_rate=_or_nan(np.mean, tracked[exists]),
         step_ms=1e3 * plans.run_s / attempted if attempted else np.nan,
         compile_s=float(plans.compile_s),
         run_s=float(plans.run_s),
@@ -67,12 +67,12 @@ def summarise(plans: Plans) -> Summary:
 
 def is_tracked(status: np.ndarray) -> np.ndarray:
     """Where `status` says tracked; any shape."""
-    return status <= Status.TRACKED_AFTER_ESCAPE
+    return (status >= 0) & (status <= Status.TRACKED_AFTER_ESCAPE)
 
 
 def failures(status: np.ndarray) -> tuple[Failure, ...]:
     """The first target that is not tracked, of every scenario that has one; `status` is (S, T)."""
-    missed = ~is_tracked(status)
+    missed = (status >= 0) & ~is_tracked(status)
     return tuple(
         Failure(int(s), int(t), Status(int(status[s, t])))
         for s, t in enumerate(missed.argmax(axis=1))

@@ -24,7 +24,7 @@ LAYERS = [
     ["escape", "kernels", "engine", "planner"],
     ["strict_yaml", "config", "job"],
     ["paper", "grid", "metrics", "results", "charts", "ceiling"],
-    ["run_folder", "run_lock", "sweep", "report", "gate"],
+    ["run_folder", "run_identity", "run_lock", "run_tables", "run_writer", "sweep", "report", "gate"],
     ["picture", "viewer"],
     ["cli_plan", "cli_sweep"],
     ["cli", "__main__"],

@@ -1,0 +1,119 @@
+"""`htcp sweep`: a grid of scenarios by several methods, from a sweep file to a run folder and a table."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+from htcp_jax import sweep as sweeps
+from htcp_jax.escape import METHODS
+from htcp_jax.metrics import Summary, summarise
+from htcp_jax.run_folder import Run
+
+SweepFile = Annotated[Path, typer.Argument(metavar="SWEEP.yaml", help="The grid, sweeps/robot.yaml for example.")]
+Methods = Annotated[str, typer.Option(metavar="A,B|all", help=f"Of {', '.join(METHODS)}.")]
+Out = Annotated[Path | None, typer.Option(metavar="DIR", help="The run folder; by default out/<name of the sweep>.")]
+Limit = Annotated[int | None, typer.Option(metavar="N", help="Plan only the first N scenarios.")]
+Seed = Annotated[int | None, typer.Option(metavar="S", help="Of everything random: settings.seed.")]
+Config = Annotated[Path | None, typer.Option(metavar="CONFIG.yaml", help="In place of the sweep file's own.")]
+Overrides = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key; may be repeated.")
+]
+
+
+def sweep(
+    file: SweepFile,
+    methods: Methods = "all",
+    out: Out = None,
+    limit: Limit = None,
+    seed: Seed = None,
+    config: Config = None,
+    overrides: Overrides = None,
+) -> int:
+    """Plan every scenario of a grid by every method asked for.
+
+    The run folder gets manifest.json and Parquet files, one row per method, scenario and target in targets/ and one
+    per method and scenario in scenarios/. The same command again goes on where the last one stopped; --methods and
+    --limit may grow. Exits with 0 when all is planned, with 2 on bad input, with 130 or 143 when a signal stopped it.
+
+    \b
+    htcp sweep sweeps/robot.yaml                           125 starts by all methods
+    htcp sweep sweeps/workpiece.yaml --methods baseline,nspace-sqp --config configs/paper.yaml
+    htcp sweep sweeps/robot.yaml --limit 3 --set settings.alpha_rad=0.05 --out out/try
+    """
+    if out is None:
+        out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
+    with _bars() as tell:
+        run = sweeps.sweep(
+            file, methods, out, config=config, overrides=overrides or (), limit=limit, seed=seed, progress=tell
+        )
+    _print_table(run)
+    return 0
+
+
+@contextmanager
+def _bars() -> Iterator[Callable[[sweeps.SweepProgress], None]]:
+    """A bar a method on a terminal and nothing elsewhere: scenarios done, targets tracked, time left."""
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description:<14}"),
+        BarColumn(),
+        TextColumn("{task.fields[scenarios]} scenarios, {task.fields[tracked]:,} targets tracked"),
+        TimeRemainingColumn(elapsed_when_finished=True),
+    )
+    shown = console.is_terminal
+    with Progress(*columns, console=console, transient=True, disable=not shown, speed_estimate_period=600) as bars:
+        tasks = {}
+
+        def tell(now: sweeps.SweepProgress) -> None:
+            # A scenario that is done has decided all of its targets, tracked or not.
+            decided = max(now.targets_tracked, now.targets * now.scenarios_done // now.scenarios)
+            fields = {"scenarios": f"{now.scenarios_done:,}/{now.scenarios:,}", "tracked": now.targets_tracked}
+            if now.method not in tasks:
+                tasks[now.method] = bars.add_task(now.method, total=now.targets, **fields)
+            bars.update(tasks[now.method], completed=decided, **fields)
+
+        yield tell
+
+
+HEADS = "method", "success", "targets", "complete", "a step", "TCP distance", "clearance", "blocked", "run", "compile"
+UNITS = "", "%", "tracked", "scenarios", "ms", "mean mm", "min / mean mm", "paths", "s", "s"
+
+
+def _print_table(run: Run) -> None:
+    rows = [_cells(method, summarise(run.plans(method))) for method in run.methods]
+    widths = [max(map(len, column)) for column in zip(HEADS, UNITS, *rows, strict=True)]
+    console = Console(highlight=False, soft_wrap=True)
+    limit = (
+        "" if run.manifest.limit is None else f", the first {run.manifest.count:,} of {run.manifest.full:,} scenarios"
+    )
+    console.print(Text(f"{run.manifest.name}{limit}", style="bold"))
+    for cells, style in ((HEADS, "cyan"), (UNITS, "dim cyan"), *((row, "") for row in rows)):
+        console.print(Text(_line(cells, widths), style=style))
+    console.print(Text.assemble(("files  ", "cyan"), str(run.folder)))
+
+
+def _cells(method: str, s: Summary) -> tuple[str, ...]:
+    """One row: the columns of the paper's tables, and the counts behind them."""
+    return (
+        method,
+        f"{100 * s.success_rate:.2f}",
+        f"{s.tracked:,} of {s.targets:,}",
+        f"{s.complete:,} of {s.scenarios:,}",
+        f"{s.step_ms:.2f}",
+        f"{s.tcp_distance_mean_mm:.3f}",
+        f"{s.clearance_min_mm:.3f} / {s.clearance_mean_mm:.2f}",
+        f"{s.blocked_paths:,}",
+        f"{s.run_s:.1f}",
+        f"{s.compile_s:.1f}",
+    )
+
+
+def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
+    first, *others = [f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True)]
+    return "  ".join([f"{first.strip():<{widths[0]}}", *others])

@@ -1,0 +1,218 @@
+"""The folder of a sweep's results. Everything in it is written aside and moved into place whole.
+
+    manifest.json                                     what was asked for, what computed it, what is there
+    targets/<method>-<first>-<last>.parquet           rows of the scenarios <first> to <last>: a shard
+    scenarios/<method>-<first>-<last>.parquet         see run_tables for the columns
+
+A file counts only if the manifest lists it and its size and SHA-256 are as listed. The manifest is written after
+the files of a shard, so a shard is in the run wholly or not at all, whenever the process dies.
+"""
+
+import hashlib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, Self
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+from pydantic import Field, ValidationError, model_validator
+
+from htcp_jax.config import PlanConfig, Section, validate
+from htcp_jax.errors import InputError
+from htcp_jax.plans import Plans
+from htcp_jax.run_tables import plans_of
+
+MANIFEST = "manifest.json"
+TABLES = ("targets", "scenarios")
+
+MethodName = Annotated[str, Field(pattern=r"^[a-z0-9-]+$")]  # it stands in names of files
+Count = Annotated[int, Field(ge=0)]
+
+
+class FileRecord(Section):
+    """What a file must be to count."""
+
+    rows: int
+    bytes: int
+    sha256: str
+
+
+class ShardRecord(Section):
+    """A finished shard: scenarios `first` to `last` by one method."""
+
+    method: MethodName
+    first: Count
+    last: Count
+    tracked: Count  # targets
+    compile_s: float
+    run_s: float
+    planned_by: Count  # place in the manifest's list of that name
+    targets: FileRecord
+    scenarios: FileRecord
+
+
+class Seconds(Section):
+    """Wall time of one method."""
+
+    compile_s: float = 0.0
+    run_s: float = 0.0
+
+
+class Manifest(Section):
+    """manifest.json. Config, grid, dtype and files say which run it is; `run_writer` never mixes two."""
+
+    format: Literal[1] = 1
+    name: str  # of the sweep
+    config: dict[str, Any]  # a PlanConfig; names of files are absolute
+    grid: tuple[dict[str, Any], ...]
+    dtype: str
+    files: dict[str, str]  # SHA-256 of the files that config and grid name
+    config_hash: str
+    seed: int
+    joints: tuple[str, ...]  # columns of x in the tables
+    targets: int  # of all scenarios together
+    full: int  # scenarios of the whole grid
+    limit: int | None  # of scenarios, as asked for
+    count: Count  # scenarios to plan: the first of the grid
+    shard_scenarios: Annotated[int, Field(gt=0)]
+    methods: tuple[MethodName, ...]
+    seconds: dict[str, Seconds] = Field(default_factory=dict)  # per method
+    planned_by: tuple[dict[str, Any], ...] = ()  # commit, versions, device
+    shards: tuple[ShardRecord, ...] = ()
+
+    @model_validator(mode="after")
+    def _shards_are_of_this_run(self) -> Self:
+        for shard in self.shards:
+            if shard.method not in self.methods or shard.planned_by >= len(self.planned_by):
+                raise ValueError(f"a shard of {shard.method} has no place in it")
+        return self
+
+
+class Span(NamedTuple):
+    """Scenarios `first` to `last`."""
+
+    first: int
+    last: int
+
+
+class Run:
+    """Results of a sweep, read from its folder; see run_tables for the columns of the tables."""
+
+    def __init__(self, folder: Path, manifest: Manifest, keep: Any = None):
+        self.folder, self.manifest = folder, manifest
+        self._keep = keep  # a temporary folder lives as long as its run
+
+    def __repr__(self) -> str:
+        state = "complete" if self.complete else "not complete"
+        return f"Run({str(self.folder)!r}: {', '.join(self.methods)}; {self.manifest.count} scenarios, {state})"
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """Methods asked for so far."""
+        return self.manifest.methods
+
+    @property
+    def complete(self) -> bool:
+        """Whether every method has planned every scenario up to the limit."""
+        return not any(self.missing(method) for method in self.methods)
+
+    @property
+    def config(self) -> PlanConfig:
+        """What all scenarios share; a scenario's own parameters are columns of `scenarios()`."""
+        return validate(self.manifest.config, PlanConfig, str(self.folder / MANIFEST))
+
+    def targets(self, *methods: str) -> pa.Table:
+        """One row per method, scenario and target, of all methods or of those named.
+
+        Raises InputError for a method that the run lacks, and naming a file that is missing or damaged.
+        """
+        return self._read("targets", methods)
+
+    def scenarios(self, *methods: str) -> pa.Table:
+        """One row per method and scenario. Raises InputError as `targets` does."""
+        return self._read("scenarios", methods)
+
+    def plans(self, method: str) -> Plans:
+        """The plans of one method as arrays; S = `manifest.count`, row s is scenario s. Where scenarios are not
+        planned yet, or have fewer targets than others, the status is -1. Raises InputError as `targets` does."""
+        rows, seconds = self.targets(method), self.manifest.seconds.get(method, Seconds())
+        return plans_of(rows, self.manifest.count, self.manifest.joints, seconds.compile_s, seconds.run_s)
+
+    def missing(self, method: str) -> list[Span]:
+        """The shards that are still to be planned."""
+        there = {(shard.first, shard.last) for shard in self.manifest.shards if shard.method == method}
+        return [span for span in spans(self.manifest) if span not in there]
+
+    def shard_files(self, shard: ShardRecord) -> dict[str, tuple[Path, FileRecord]]:
+        """The two files of a shard by the names of their tables."""
+        name = shard_name(shard.method, Span(shard.first, shard.last))
+        return {table: (self.folder / table / name, getattr(shard, table)) for table in TABLES}
+
+    def _read(self, table: str, methods: Iterable[str]) -> pa.Table:
+        for method in methods:
+            if method not in self.methods:
+                raise InputError(f"{self.folder} has no results of {method!r}; it has {', '.join(self.methods)}")
+        wanted = tuple(methods) or self.methods
+        order = sorted(
+            (shard for shard in self.manifest.shards if shard.method in wanted),
+            key=lambda shard: (wanted.index(shard.method), shard.first),
+        )
+        if not order:
+            raise InputError(f"{self.folder} has no finished shard of {', '.join(wanted)} yet")
+        return pa.concat_tables(_read_parquet(*self.shard_files(shard)[table]) for shard in order)
+
+
+def open_run(folder: str | Path) -> Run:
+    """The run in `folder`, also while it is being planned. Raises InputError for a folder that holds none."""
+    folder = Path(folder)
+    try:
+        text = (folder / MANIFEST).read_bytes()
+    except OSError as error:
+        raise InputError(f"{folder} holds no run: cannot read {MANIFEST}: {error.strerror}") from None
+    try:
+        return Run(folder, Manifest.model_validate_json(text))
+    except ValidationError as error:
+        where = ".".join(map(str, error.errors()[0]["loc"]))
+        what = f"{where}: " if where else ""
+        raise InputError(
+            f"{folder / MANIFEST} is damaged or no manifest of a run: {what}{error.errors()[0]['msg']}"
+        ) from None
+
+
+def spans(manifest: Manifest) -> list[Span]:
+    """How the scenarios of a run are cut into shards."""
+    step, count = manifest.shard_scenarios, manifest.count
+    return [Span(first, min(first + step, count) - 1) for first in range(0, count, step)]
+
+
+def shard_name(method: str, span: Span) -> str:
+    """Name of a shard's files."""
+    return f"{method}-{span.first:06d}-{span.last:06d}.parquet"
+
+
+def fault(file: Path, record: FileRecord) -> str | None:
+    """What is wrong with a file; None when it is as recorded."""
+    try:
+        return _fault_of(file.read_bytes(), record)
+    except OSError as error:
+        return f"cannot be read ({error.strerror})"
+
+
+def _fault_of(data: bytes, record: FileRecord) -> str | None:
+    if len(data) != record.bytes:
+        return f"has {len(data):,} bytes instead of {record.bytes:,}"
+    if hashlib.sha256(data).hexdigest() != record.sha256:
+        return "has other contents than were written"
+    return None
+
+
+def _read_parquet(file: Path, record: FileRecord) -> pa.Table:
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        problem = f"cannot be read ({error.strerror})"
+    else:
+        problem = _fault_of(data, record)
+    if problem:
+        raise InputError(f"{file} {problem}; the same sweep plans its scenarios again")
+    return pq.read_table(pa.BufferReader(data))

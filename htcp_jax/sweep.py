@@ -1,0 +1,245 @@
+"""The public call of a sweep: every scenario of a grid by several methods, shard by shard into a run folder.
+
+    run = sweep("sweeps/robot.yaml", methods="baseline,nspace-sqp", out="out/robot")
+    run.scenarios().to_pandas()
+
+All scenarios of a shard advance together. How the grid is cut has no influence on any result; it only decides how
+much is lost when the process dies. The same call again continues where the last one stopped.
+"""
+
+import contextlib
+import shutil
+import signal
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import pyarrow as pa
+
+from htcp_jax import planner, run_writer
+from htcp_jax.config import FILES
+from htcp_jax.errors import InputError, Interrupted
+from htcp_jax.escape import METHODS
+from htcp_jax.grid import Batch, Column, Group, Sweep, load_sweep
+from htcp_jax.plans import Plans
+from htcp_jax.run_folder import Manifest, Run, Span, spans
+from htcp_jax.run_identity import config_hash, file_hash, identity
+from htcp_jax.run_lock import locked
+from htcp_jax.run_tables import joint_columns, scenario_table, target_table
+from htcp_jax.settings import Settings
+
+PATH, WELD = "workpiece.path", FILES["workpiece", "path"]
+SHARD_SCENARIOS = 1024
+SHARD_BYTES = 16 << 20  # of results in memory; fixed, so that shards are the same on every machine
+
+
+class SweepProgress(NamedTuple):
+    """How far one method has come: all counts are totals."""
+
+    method: str
+    scenarios_done: int
+    scenarios: int
+    targets_tracked: int
+    targets: int
+
+
+def sweep(
+    spec: str | Path | Sweep,
+    methods: str | Sequence[str] = "all",
+    out: str | Path | None = None,
+    *,
+    config: str | Path | None = None,
+    overrides: Sequence[str] = (),
+    limit: int | None = None,
+    seed: int | None = None,
+    progress: Callable[[SweepProgress], None] | None = None,
+    threads: int | None = None,
+    shard_scenarios: int | None = None,
+) -> Run:
+    """Plan the grid of a sweep file, and return the run.
+
+    methods: "all", names with commas in between, or a list of names. out: the run folder; without one, a temporary
+    folder that vanishes with the run. config, overrides, seed: see `load_sweep`; the seed is `settings.seed`.
+    limit: plan only the first scenarios of the grid. shard_scenarios: at most so many are planned together; a
+    run folder keeps its first choice.
+
+    Raises InputError for bad input, for a folder that holds another sweep, is in use or cannot be written; and
+    Interrupted on SIGINT and SIGTERM, after which the finished shards are in the folder and the rest is not.
+    """
+    chosen = method_names(methods)
+    if isinstance(spec, Sweep):
+        if config is not None or overrides or seed is not None:
+            raise InputError("config, overrides and seed belong to load_sweep when the sweep is loaded already")
+    else:
+        spec = load_sweep(spec, config, [*overrides, *([] if seed is None else [f"settings.seed={seed}"])])
+    if limit is not None and limit < 1:
+        raise InputError(f"limit is {limit}; it must be 1 or more")
+    batch = spec.batch(limit)
+    asked = _manifest(spec, batch, chosen, limit, shard_scenarios)
+    with _folder(out) as (folder, keep), locked(folder), _signals() as came:
+        run = run_writer.begin(folder, asked, keep)
+        try:
+            for method in chosen:
+                for span in run.missing(method):
+                    tell = _teller(run.manifest, method, progress, came)
+                    plans = plan_shard(batch, method, spec.config.settings, span, progress=tell, threads=threads)
+                    run = run_writer.add(run, method, span, tables(batch, method, span, plans), plans)
+                _teller(run.manifest, method, progress, came)()
+        except _SignalCame:
+            raise Interrupted(_how_to_go_on(run), came[0]) from None
+        return run
+
+
+def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
+    """The methods that "all", "a,b" or a list of names means. Raises InputError for none, an unknown one, and one
+    that stands there twice."""
+    if methods == "all":
+        return tuple(METHODS)
+    names = [name.strip() for name in methods.split(",")] if isinstance(methods, str) else list(methods)
+    if not any(names):
+        raise InputError(f"no methods; valid: all, {', '.join(METHODS)}")
+    for name in names:
+        if name not in METHODS:
+            raise InputError(f"unknown method {name!r}; valid: all, {', '.join(METHODS)}")
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"method {name} is given twice")
+    return tuple(names)
+
+
+def plan_shard(batch: Batch, method: str, settings: Settings, span: Span, **how) -> Plans:
+    """The plans of a shard's scenarios, which all advance together. how: see `planner.plan`."""
+    rows = slice(span.first, span.last + 1)
+    scenarios = jax.tree.map(lambda leaf: leaf[rows], batch.scenarios)
+    return planner.plan(batch.robot, batch.workpiece, scenarios, method, settings, **how)
+
+
+def tables(batch: Batch, method: str, span: Span, plans: Plans) -> dict[str, pa.Table]:
+    """The rows of a shard, see `run_tables`."""
+    rows = slice(span.first, span.last + 1)
+    joints, count, points = joint_columns(batch.robot), batch.scenarios.count[rows], batch.points[rows]
+    numbers = np.array([point.number for point in points])
+    return {
+        "targets": target_table(method, numbers, count, plans, joints),
+        "scenarios": scenario_table(method, points, count, plans, joints),
+    }
+
+
+def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | None, most: int | None) -> Manifest:
+    """What is asked for, in the words of the manifest."""
+    config = spec.config.model_dump(mode="json")
+    for (section, key), word in FILES.items():
+        config[section][key] = _absolute(config[section][key], word)
+    grid = [_group_record(group) for group in spec.groups]
+    named = [config[section][key] for (section, key), word in FILES.items() if config[section][key] != word]
+    named += [path for group in grid for axis in group["axes"] for path in axis.get(PATH, {}).get("values", ())]
+    files = {name: file_hash(name) for name in dict.fromkeys(named) if name != WELD}
+    dtype = str(batch.scenarios.targets.dtype)
+    count, longest = batch.scenarios.targets.shape[:2]
+    joints = joint_columns(batch.robot)
+    fitting = max(1, SHARD_BYTES // (8 * longest * (len(joints) + 12)))
+    return Manifest(
+        name=spec.name,
+        config=config,
+        grid=grid,
+        dtype=dtype,
+        files=files,
+        config_hash=config_hash(identity(config, grid, dtype, files)),
+        seed=spec.config.settings.seed,
+        joints=joints,
+        targets=int(batch.scenarios.count.sum()),
+        full=len(spec),
+        limit=limit,
+        count=count,
+        shard_scenarios=min(most or SHARD_SCENARIOS, fitting),
+        methods=methods,
+    )
+
+
+def _group_record(group: Group) -> dict:
+    """A group of axes as it stands in the manifest."""
+
+    def values(column: Column) -> list:
+        return [_absolute(value, WELD) if column.parameter.key == PATH else value for value in column.values]
+
+    axes = [
+        {column.parameter.name: {"offsets" if column.relative else "values": values(column)} for column in axis}
+        for axis in group.axes
+    ]
+    return {"name": group.name, "axes": axes}
+
+
+def _absolute(name: str, word: str) -> str:
+    return name if name == word else str(Path(name).resolve())
+
+
+def _teller(manifest: Manifest, method: str, progress: Callable | None, came: list[int]) -> Callable:
+    """Turns the planner's progress within a shard into the method's. When a signal came it raises, in every thread of
+    the planner that calls it."""
+    kept = [shard for shard in manifest.shards if shard.method == method]
+    done = sum(shard.last - shard.first + 1 for shard in kept)
+    tracked = sum(shard.tracked for shard in kept)
+
+    def tell(shard: planner.Progress | None = None) -> None:
+        if came:
+            raise _SignalCame
+        if progress is not None:
+            more = (shard.scenarios_done, shard.targets_tracked) if shard else (0, 0)
+            progress(SweepProgress(method, done + more[0], manifest.count, tracked + more[1], manifest.targets))
+
+    return tell
+
+
+class _SignalCame(Exception):
+    """Stops the planner's threads."""
+
+
+@contextlib.contextmanager
+def _signals() -> Iterator[list[int]]:
+    """Hands out the list to which SIGINT and SIGTERM are added when they come. A second one ends the process."""
+    came, handlers = [], {}
+
+    def remember(number: int, _) -> None:
+        came.append(number)
+        for each in handlers:
+            signal.signal(each, signal.SIG_DFL)
+
+    if threading.current_thread() is threading.main_thread():  # no other may set handlers
+        handlers |= {each: signal.signal(each, remember) for each in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield came
+    finally:
+        for each, handler in handlers.items():
+            signal.signal(each, handler)
+
+
+def _how_to_go_on(run: Run) -> str:
+    manifest = run.manifest
+    there, all_ = len(manifest.shards), len(manifest.methods) * len(spans(manifest))
+    if not there:
+        return "stopped before anything was finished; nothing was written"
+    return f"stopped; {there} of {all_} shards are finished in {run.folder}; the same command goes on from there"
+
+
+@contextlib.contextmanager
+def _folder(out: str | Path | None) -> Iterator[tuple[Path, Any]]:
+    """The run folder, and what must live as long as it. A folder made here vanishes when it has come to nothing."""
+    if out is None:
+        keep = tempfile.TemporaryDirectory(prefix="htcp-sweep-")
+        yield Path(keep.name), keep
+        return
+    folder = Path(out)
+    made = not folder.exists()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot write to {folder}: {error.strerror}") from None
+    try:
+        yield folder, None
+    finally:
+        if made and not any(folder.glob("*/*.parquet")):
+            shutil.rmtree(folder, ignore_errors=True)
