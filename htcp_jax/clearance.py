@@ -59,6 +59,7 @@ class Contacts(NamedTuple):
     point: Float[jax.Array, "K 3"]  # on the body's axis, world [m]
     normal: Float[jax.Array, "K 3"]  # unit, from the obstacle to the body, world
     row: Int[jax.Array, "K"]  # nearest row of the cloud (also where the hull decides)
+    crossed: Bool[jax.Array, "K"]  # whether the hull decides, and not that row
 
 
 class Linearisation(NamedTuple):
@@ -90,6 +91,7 @@ def contacts(robot: Robot, obstacle: Obstacle, where: Posed, x: Joints) -> Conta
         point=jnp.where(decides[:, None], end, point) @ rotate.T + translate[None, :],
         normal=jnp.where(decides[:, None], inwards, normal) @ rotate.T,
         row=row,
+        crossed=decides,
     )
 
 

@@ -13,11 +13,12 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax import sphere
-from htcp_jax.clearance import Contacts, Obstacle, Posed, clearance, contacts, is_clear
-from htcp_jax.kinematics import jacobian, link_poses, point_jacobians, tcp_position
+from htcp_jax.clearance import Obstacle, Posed, clearance, contacts, is_clear
+from htcp_jax.kinematics import jacobian, tcp_position
 from htcp_jax.nullspace import inside, null_basis, reanchor
 from htcp_jax.numerics import fold_keys, safe_norm
 from htcp_jax.robot import Robot, lengthen_tool
+from htcp_jax.seen import Seen, see, seen_clearance
 from htcp_jax.settings import Settings
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar, Vector3
 
@@ -44,37 +45,6 @@ class Candidates(NamedTuple):
     valid: Bool[Array, "C"]
 
 
-class Planes(NamedTuple):
-    """One contact a body, held fixed: its point on the body, and the plane it must stay in front of."""
-
-    local: Float[Array, "R 3"]  # in the link's frame
-    normal: Float[Array, "R 3"]  # world
-    offset: Float[Array, "R"]  # clearance = normal . point - offset
-
-
-def hold(robot: Robot, x: Joints, touch: Contacts) -> Planes:
-    """The contacts at x as planes."""
-    T = _body_poses(robot, x)
-    arm = touch.point - T[:, :3, 3]
-    local = jnp.sum(T[:, :3, :3] * arm[:, :, None], axis=1)
-    return Planes(local, touch.normal, jnp.sum(touch.normal * touch.point, axis=1) - touch.distance)
-
-
-def held_clearance(robot: Robot, x: Joints, planes: Planes) -> tuple[Float[Array, "R"], Float[Array, "R N"]]:
-    """Clearance to held planes at x and its gradient; planes are R / K observations of all K bodies."""
-    rounds = planes.local.shape[0] // len(robot.capsule_link)
-    T = jnp.concatenate([_body_poses(robot, x)] * rounds)
-    point = jnp.sum(T[:, :3, :3] * planes.local[:, None, :], axis=2) + T[:, :3, 3]
-    motion = point_jacobians(robot, x, point, robot.capsule_link * rounds)
-    value = jnp.sum(planes.normal * point, axis=1) - planes.offset
-    return value, jnp.sum(planes.normal[:, :, None] * motion, axis=1)
-
-
-def _body_poses(robot: Robot, x: Joints) -> Float[Array, "K 4 4"]:
-    T = jnp.concatenate([link_poses(robot, x), jnp.eye(4)[None]])
-    return T[jnp.asarray(robot.capsule_link)]
-
-
 def seen_bodies(robot: Robot, far_links: bool) -> tuple[bool, ...]:
     """Which bodies J2 sees: all, or those of the outer half of the chain (capsules 4 to 8 of the GP50)."""
     half = len(robot.slides) // 2
@@ -83,8 +53,8 @@ def seen_bodies(robot: Robot, far_links: bool) -> tuple[bool, ...]:
 
 def sphere_problem(
     scene: Scene, settings: Settings, where: Posed, x_ref: Joints
-) -> tuple[sphere.Sphere, Planes, Float[Array, "N D"]]:
-    """Equation (11) at x_ref: the problem, the planes seen from x_ref, and alpha N(x_ref)."""
+) -> tuple[sphere.Sphere, Seen, Float[Array, "N D"]]:
+    """Equation (11) at x_ref: the problem, the contacts seen at x_ref, and alpha N(x_ref)."""
     robot, obstacle = scene
     reach = settings.alpha_rad * null_basis(jacobian(robot, x_ref))
     weights = jnp.asarray(settings.q_weights)
@@ -97,10 +67,10 @@ def sphere_problem(
     def observe(w):
         x = x_ref + reach @ w
         touch = contacts(robot, obstacle, where, x)
-        return touch.distance + far - w @ half @ w, hold(robot, x, touch)
+        return touch.distance + far - w @ half @ w, see(robot, x, touch)
 
-    def predict(w, planes):
-        value, gradient = held_clearance(robot, x_ref + reach @ w, planes)
+    def predict(w, seen):
+        value, gradient = seen_clearance(robot, x_ref + reach @ w, seen)
         rounds = value.shape[0] // far.shape[0]
         value = value + jnp.concatenate([far] * rounds) - w @ half @ w
         return value, gradient @ reach - (2 * half @ w)[None, :]
@@ -108,7 +78,7 @@ def sphere_problem(
     G = jnp.concatenate([reach, -reach])
     h = jnp.concatenate([robot.upper - x_ref, x_ref - robot.lower])
     problem = sphere.Sphere(observe, predict, 2 * half, G, jnp.minimum(h, 1e3))
-    return problem, hold(robot, x_ref, contacts(robot, obstacle, where, x_ref)), reach
+    return problem, see(robot, x_ref, contacts(robot, obstacle, where, x_ref)), reach
 
 
 class Anchored(NamedTuple):
@@ -129,15 +99,15 @@ def anchor(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Ve
     )
 
 
-Minimise = Callable[[sphere.Sphere, Planes, jax.Array, Settings], sphere.Best]
+Minimise = Callable[[sphere.Sphere, Seen, jax.Array, Settings], sphere.Best]
 
 
 def null_space_step(
     minimise: Minimise, scene: Scene, settings: Settings, where: Posed, stuck: Stuck, x_ref: Joints, count
 ) -> Anchored:
     """One round of Algorithm 1's null-space loop: minimise J2 on the sphere, x = x_ref + alpha N w, re-anchor."""
-    problem, planes, reach = sphere_problem(scene, settings, where, x_ref)
-    best = minimise(problem, planes, jax.random.fold_in(stuck.key, count), settings)
+    problem, seen, reach = sphere_problem(scene, settings, where, x_ref)
+    best = minimise(problem, seen, jax.random.fold_in(stuck.key, count), settings)
     x = jnp.clip(x_ref + reach @ best.w, scene.robot.lower, scene.robot.upper)
     return anchor(scene, settings, where, x, stuck.target)
 
@@ -145,7 +115,7 @@ def null_space_step(
 def keep_clear_ascent(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Vector3) -> Anchored:
     """Max-min null-space steps away from the workpiece while D is below `keep_clear_m`; never ends worse than it began.
 
-    One observation a step: the best direction for the planes seen from x, at most alpha long, halved on failure.
+    One observation a step: the best direction for the contacts seen at x, at most alpha long, halved on failure.
     """
 
     def going(state):
@@ -154,8 +124,8 @@ def keep_clear_ascent(scene: Scene, settings: Settings, where: Posed, x: Joints,
 
     def step(state):
         best, scale, count = state
-        problem, planes, reach = sphere_problem(scene, settings, where, best.x)
-        w = sphere.max_min_step(problem, planes, scale)
+        problem, seen, reach = sphere_problem(scene, settings, where, best.x)
+        w = sphere.max_min_step(problem, seen, scale)
         x = jnp.clip(best.x + reach @ w, scene.robot.lower, scene.robot.upper)
         new = anchor(scene, settings, where, x, target)
         better = (new.clearance > best.clearance) & (new.residual <= settings.tolerance_m)
@@ -265,7 +235,7 @@ class Method:
     check_paths: bool = False  # every joint path must be clear, whatever the settings say
 
 
-_SQP = NullSpace(lambda problem, planes, key, settings: sphere.sqp(problem, planes))
+_SQP = NullSpace(lambda problem, seen, key, settings: sphere.sqp(problem, seen))
 _SPREAD = (0.005, 0.01, 0.02, 0.04)
 
 METHODS: dict[str, Method] = {
@@ -282,17 +252,17 @@ METHODS: dict[str, Method] = {
     "nspace-ip": Method(
         "N-Space Interior Point",
         "null-space steps by a barrier method on the sphere",
-        (NullSpace(lambda problem, planes, key, settings: sphere.interior_point(problem, planes)),),
+        (NullSpace(lambda problem, seen, key, settings: sphere.interior_point(problem, seen)),),
     ),
     "nspace-cmaes": Method(
         "N-Space CMA-ES",
         "null-space steps by CMA-ES",
-        (NullSpace(lambda p, planes, key, s: sphere.cmaes(p, planes, key, s.population, s.generations)),),
+        (NullSpace(lambda p, seen, key, s: sphere.cmaes(p, seen, key, s.population, s.generations)),),
     ),
     "nspace-adam": Method(
         "N-Space Adam",
         "null-space steps by Adam, projected on the sphere",
-        (NullSpace(lambda problem, planes, key, settings: sphere.adam(problem, planes)),),
+        (NullSpace(lambda problem, seen, key, settings: sphere.adam(problem, seen)),),
     ),
     "keep-clear": Method(
         "Keep clear", "null-space ascent of the clearance after every target, no escape", keep_clear=True

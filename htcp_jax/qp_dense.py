@@ -43,7 +43,7 @@ def solve_dense(
         return jnp.maximum(worst, jnp.sum(slack * multipliers) / m)
 
     def body(state):
-        y, slack, multipliers, _, count = state
+        y, slack, multipliers, best, count = state
         dual = H @ y + c + G.T @ multipliers
         primal = G @ y + slack - h
         weight = multipliers / slack
@@ -62,9 +62,14 @@ def solve_dense(
         dy, ds, dm = direction(slack * multipliers + ds * dm - centre)
         step = 0.995 * jnp.minimum(step_length(slack, ds), step_length(multipliers, dm))
         y, slack, multipliers = y + step * dy, slack + step * ds, multipliers + step * dm
-        return y, slack, multipliers, error(y, slack, multipliers), count + 1
+        new = DenseSolution(y, multipliers, error(y, slack, multipliers))
+        better = new.error < best.error
+        best = jax.tree.map(lambda n, b: jnp.where(better, n, b), new, best)
+        return y, slack, multipliers, best, jnp.where(new.error < 1e2 * best.error, count + 1, iterations)
 
     y = jnp.zeros_like(c)
-    start = (y, jnp.maximum(h, 0.1), jnp.full(m, 0.1), jnp.full((), jnp.inf), jnp.zeros((), jnp.int32))
-    y, _, multipliers, worst, _ = jax.lax.while_loop(lambda s: (s[3] > tolerance) & (s[4] < iterations), body, start)
-    return DenseSolution(y, multipliers, worst)
+    nothing = DenseSolution(y, jnp.zeros(m), jnp.full((), jnp.inf))
+    start = (y, jnp.maximum(h, 0.1), jnp.full(m, 0.1), nothing, jnp.zeros((), jnp.int32))
+    # Beyond what rounding allows the error grows again (or turns NaN, which compares false): the best one counts.
+    *_, best, _ = jax.lax.while_loop(lambda s: (s[3].error > tolerance) & (s[4] < iterations), body, start)
+    return best

@@ -3,9 +3,9 @@
     maximise  min_k f_k(w)   over |w| = 1,  G w <= h,     f_k(w) = D_k(x_ref + alpha N w) - J1
 
 f_k belongs to body k, so the objective is a minimum of functions, each itself a minimum over points: kinked where it
-matters most. `observe` measures it exactly and is dear; every observation leaves K planes behind, one a body: its
-contact, held fixed to body and workpiece. `predict` moves the planes of earlier observations to another w, exact to
-first order and cheap. The minimisers know nothing else of robots or clouds.
+matters most. `observe` measures it exactly and is dear; every observation leaves K contacts behind, one a body.
+`predict` measures the distance to the contacts seen so far at another w: cheap, never below f_k, and equal to it where
+the right ones have been seen. The minimisers know nothing else of robots or clouds.
 """
 
 from collections.abc import Callable
@@ -20,17 +20,17 @@ from htcp_jax import cma_es
 from htcp_jax.nullspace import null_basis
 from htcp_jax.numerics import safe_norm
 from htcp_jax.qp_dense import solve_dense
-from htcp_jax.types import Array, Float, Scalar
+from htcp_jax.types import Array, Bool, Float, Int, Scalar
 
 Direction = Float[Array, "D"]
-Planes = object  # a pytree whose leaves have a leading axis K, or a multiple of it
+Seen = object  # contacts: a pytree whose leaves have a leading axis K, or R = a multiple of it
 
 
 class Sphere(NamedTuple):
     """The problem above. J1(w) = 1/2 w' curvature w is already inside the values that observe and predict return."""
 
-    observe: Callable[[Direction], tuple[Float[Array, "K"], Planes]]
-    predict: Callable[[Direction, Planes], tuple[Float[Array, "R"], Float[Array, "R D"]]]
+    observe: Callable[[Direction], tuple[Float[Array, "K"], Seen]]
+    predict: Callable[[Direction, Seen], tuple[Float[Array, "R"], Float[Array, "R D"]]]
     curvature: Float[Array, "D D"]
     G: Float[Array, "m D"]
     h: Float[Array, "m"]
@@ -59,57 +59,109 @@ def _merit(sphere: Sphere, w: Direction, value: Scalar) -> Scalar:
     return value - 10.0 * jnp.max(jnp.maximum(sphere.G @ w - sphere.h, 0.0), initial=0.0)
 
 
-def first_guess(sphere: Sphere, planes: Planes, count: int = 64) -> Direction:
-    """Best of `count` spread directions by the planes at hand: costs no observation."""
+def first_guess(sphere: Sphere, seen: Seen, count: int = 64) -> Direction:
+    """Best of `count` spread directions by the contacts at hand: costs no observation."""
     directions = jnp.asarray(spread_directions(count, sphere.curvature.shape[0]))
-    merit = jax.vmap(lambda w: _merit(sphere, w, jnp.min(sphere.predict(w, planes)[0])))(directions)
+    merit = jax.vmap(lambda w: _merit(sphere, w, jnp.min(sphere.predict(w, seen)[0])))(directions)
     return directions[jnp.argmax(merit)]
 
 
-def sqp(sphere: Sphere, planes: Planes, iterations: int = 16, memory: int = 6) -> Best:
-    """Sequential quadratic programming on the epigraph: maximise t with t <= every plane of the last observations.
+def sqp(sphere: Sphere, seen: Seen, observations: int = 12, memory: int = 8) -> Best:
+    """Sequential quadratic programming on the epigraph: maximise t with t <= the distance to every contact seen.
 
-    Each iteration solves one QP in the tangent plane at w, with the curvature of sphere and J1 and the multipliers of
-    the QP before, backtracks along the arc on the merit that the planes predict, and observes there. An observation
-    that is worse than w leaves its planes behind, and they are what the next QP needs: kinks are met from both sides.
+    An outer approximation: climb on what the contacts seen predict, observe where that leads, and so on from the best
+    direction observed. The prediction is never below the truth, so when nothing near is predicted to be better, nothing
+    near is. Three observations are usual; the contacts of the last `memory` are kept.
     """
-    w = first_guess(sphere, planes)
-    values, seen = sphere.observe(w)
-    store = jax.tree.map(lambda leaf: jnp.concatenate([leaf] * memory), seen)
-    bodies = values.shape[0]
 
     def body(state):
-        w, merit, store, multipliers, _, count = state
-        value, gradient = sphere.predict(w, store)
-        step, multipliers, gain = _tangent_step(sphere, w, value, gradient, multipliers)
-        w_new = _backtrack(sphere, w, step, store, merit)
-        values, seen = sphere.observe(w_new)
-        merit_new = _merit(sphere, w_new, jnp.min(values))
-        slot = (count + 1) % memory * bodies
-        store = jax.tree.map(lambda s, o: jax.lax.dynamic_update_slice_in_dim(s, o, slot, 0), store, seen)
-        better = merit_new > merit
-        w, merit = jnp.where(better, w_new, w), jnp.maximum(merit, merit_new)
-        return w, merit, store, multipliers, gain, count + 1
+        best, proposed, store, _, count = state
+        values, new = sphere.observe(proposed)
+        bodies = values.shape[0]
+        slot = count % memory * bodies
+        store = jax.tree.map(lambda s, n: jax.lax.dynamic_update_slice_in_dim(s, n, slot, 0), store, new)
+        now = Best(proposed, _merit(sphere, proposed, jnp.min(values)))
+        best = jax.tree.map(lambda n, b: jnp.where(now.value > best.value, n, b), now, best)
+        climb = _climb(sphere, best.w, store)
+        more = ~climb.ended | (climb.merit > best.value + 1e-9)
+        return best, climb.w, store, more, count + 1
 
-    start = (
-        w,
-        _merit(sphere, w, jnp.min(values)),
-        store,
-        jax.nn.one_hot(jnp.argmin(values), bodies * memory),
-        jnp.full((), jnp.inf),
-        jnp.zeros((), jnp.int32),
-    )
-    # The planes bound the gain from above where they are exact: 1e-8 m of it is not worth an observation.
-    w, merit, *_ = jax.lax.while_loop(lambda s: (s[4] > 1e-8) & (s[5] < iterations), body, start)
-    return Best(w, merit)
+    w = first_guess(sphere, seen)
+    store = jax.tree.map(lambda leaf: jnp.concatenate([leaf] * memory), seen)
+    start = (Best(w, jnp.full((), -jnp.inf)), w, store, jnp.full((), True), jnp.zeros((), jnp.int32))
+    best, *_ = jax.lax.while_loop(lambda s: s[3] & (s[4] < observations), body, start)
+    return best
 
 
-def max_min_step(sphere: Sphere, planes: Planes, longest: Scalar) -> Direction:
-    """Step w, |w| <= longest, that raises the smallest plane seen from w = 0 the most: one QP, no observation.
+class _Climb(NamedTuple):
+    """A climb on the predicted merit."""
+
+    w: Direction
+    value: Float[Array, "R"]  # predicted at w, one a contact seen
+    gradient: Float[Array, "R D"]
+    merit: Scalar
+    multipliers: Float[Array, "R"]  # of the QP before
+    radius: Scalar  # of the trust region, 0 at the end
+    steps: Int[Array, ""]
+
+    @property
+    def ended(self) -> Bool[Array, ""]:
+        """Whether no step, however short, is predicted to gain anything."""
+        return self.radius < 1e-6
+
+
+def _climb(sphere: Sphere, w: Direction, seen: Seen, steps: int = 12) -> _Climb:
+    """Towards the local maximum of the predicted merit from w, by SQP steps within a trust region."""
+
+    def body(climb):
+        step, multipliers, gain = _tangent_step(sphere, climb.w, climb.value, climb.gradient, *climb[4:6])
+        w = _unit(climb.w + step)
+        value, gradient = sphere.predict(w, seen)
+        merit = _merit(sphere, w, jnp.min(value))
+        # A step that gains too little was too long: the next is a quarter of it. A QP that hopes for nothing ends it.
+        shorter = 0.25 * jnp.max(jnp.abs(step))
+        radius = jnp.where(merit - climb.merit > 0.1 * gain, jnp.minimum(2 * climb.radius, 0.5), shorter)
+        radius = jnp.where(gain > 1e-10, radius, 0.0)
+        there, here = (w, value, gradient, merit), climb[:4]
+        higher = jax.tree.map(lambda new, old: jnp.where(merit > climb.merit, new, old), there, here)
+        return _Climb(*higher, multipliers, radius, climb.steps + 1)
+
+    value, gradient = sphere.predict(w, seen)
+    lowest = jax.nn.one_hot(jnp.argmin(value), value.shape[0])
+    merit = _merit(sphere, w, jnp.min(value))
+    start = _Climb(w, value, gradient, merit, lowest, jnp.full((), 0.5), jnp.zeros((), jnp.int32))
+    return jax.lax.while_loop(lambda climb: ~climb.ended & (climb.steps < steps), body, start)
+
+
+def _tangent_step(sphere: Sphere, w, value, gradient, multipliers, radius):
+    """Step in R^D from the tangent QP at w, no longer than radius along any axis; its multipliers of the contacts,
+    and the gain it predicts.
+
+    Along the arc w -> unit(w + T d), a function with gradient g gains g'T d - 1/2 (g'w) |d|^2 to second order; with the
+    curvature of J1 that is all the curvature that the QP knows."""
+    dimension = w.shape[0]
+    tangent = null_basis(w[None, :])
+    bend = jnp.sum(multipliers * (gradient @ w)) * jnp.eye(dimension - 1) + tangent.T @ sphere.curvature @ tangent
+    # Where the objective bends upwards the QP is held convex (Gershgorin); its rows and the box bound the step.
+    disc = jnp.diag(bend) - (jnp.sum(jnp.abs(bend), axis=1) - jnp.abs(jnp.diag(bend)))
+    lift = jnp.maximum(1e-3 - jnp.min(disc), 0.0)
+    H = jnp.zeros((dimension, dimension)).at[:-1, :-1].set(bend + lift * jnp.eye(dimension - 1))
+    box = jnp.eye(dimension)[:-1]
+    rows = jnp.concatenate([-gradient @ tangent, sphere.G @ tangent])
+    rise = jnp.concatenate([jnp.ones(value.shape), jnp.zeros(sphere.h.shape)])
+    G = jnp.concatenate([jnp.concatenate([rows, rise[:, None]], axis=1), box, -box])
+    room = jnp.maximum(sphere.h - sphere.G @ w, 0.0)
+    h = jnp.concatenate([value - jnp.min(value), room, jnp.full(2 * (dimension - 1), 1.0) * radius])
+    solution = solve_dense(H, -jnp.eye(dimension)[-1], G, h)
+    return tangent @ solution.y[:-1], solution.multipliers[: value.shape[0]], solution.y[-1]
+
+
+def max_min_step(sphere: Sphere, seen: Seen, longest: Scalar) -> Direction:
+    """Step w, |w| <= longest, that raises the smallest contact seen from w = 0 the most: one QP, no observation.
 
     The epigraph at first order with a trace of damping, so that a flat optimum gives the shortest step."""
     dimension = sphere.curvature.shape[0]
-    value, gradient = sphere.predict(jnp.zeros(dimension), planes)
+    value, gradient = sphere.predict(jnp.zeros(dimension), seen)
     up = jnp.eye(dimension + 1)[-1]
     box = jnp.eye(dimension + 1)[:-1]
     lift = jnp.concatenate([-gradient, jnp.ones((*value.shape, 1))], axis=1)
@@ -120,39 +172,7 @@ def max_min_step(sphere: Sphere, planes: Planes, longest: Scalar) -> Direction:
     return w * jnp.minimum(1.0, longest / jnp.maximum(safe_norm(w), 1e-12))
 
 
-def _tangent_step(sphere: Sphere, w, value, gradient, multipliers):
-    """Step in R^D from the tangent QP at w, its multipliers for the planes, and the gain it predicts.
-
-    Along the arc w -> unit(w + T d), a function with gradient g gains g'T d - 1/2 (g'w) |d|^2 to second order."""
-    dimension = w.shape[0]
-    tangent = null_basis(w[None, :])
-    t0 = jnp.min(value)
-    bend = jnp.sum(multipliers * (gradient @ w)) * jnp.eye(dimension - 1) + tangent.T @ sphere.curvature @ tangent
-    # Where the objective bends upwards the QP is held convex; its rows and the box bound the step.
-    lift = jnp.maximum(1e-3 - jnp.min(jnp.diag(bend) - _off_diagonal(bend)), 0.0)
-    H = jnp.zeros((dimension, dimension)).at[:-1, :-1].set(bend + lift * jnp.eye(dimension - 1))
-    box = jnp.eye(dimension)[:-1]
-    rows = jnp.concatenate([-gradient @ tangent, sphere.G @ tangent])
-    rise = jnp.concatenate([jnp.ones(value.shape), jnp.zeros(sphere.h.shape)])
-    G = jnp.concatenate([jnp.concatenate([rows, rise[:, None]], axis=1), box, -box])
-    h = jnp.concatenate([value - t0, jnp.maximum(sphere.h - sphere.G @ w, 0.0), jnp.full(2 * (dimension - 1), 0.5)])
-    solution = solve_dense(H, -jnp.eye(dimension)[-1], G, h)
-    return tangent @ solution.y[:-1], solution.multipliers[: value.shape[0]], solution.y[-1]
-
-
-def _off_diagonal(a):
-    return jnp.sum(jnp.abs(a), axis=1) - jnp.abs(jnp.diag(a))
-
-
-def _backtrack(sphere: Sphere, w, step, store, merit):
-    """Longest of the steps 1, 1/2, ..., 1/32 whose predicted merit is not below that of half of it."""
-    fractions = 0.5 ** np.arange(6)
-    arcs = jnp.stack([_unit(w + f * step) for f in fractions])
-    merits = jax.vmap(lambda v: _merit(sphere, v, jnp.min(sphere.predict(v, store)[0])))(arcs)
-    return arcs[jnp.argmax(merits)]
-
-
-def interior_point(sphere: Sphere, planes: Planes, iterations: int = 24) -> Best:
+def interior_point(sphere: Sphere, seen: Seen, iterations: int = 24) -> Best:
     """Log barrier on the sphere: maximise t + mu (sum log(f_k(w) - t) + sum log(h - G w)), mu falling to 1e-6 m.
 
     t is eliminated (its optimum solves sum mu / (f_k - t) = 1), which leaves a smooth minimum of the bodies, pushed
@@ -195,7 +215,7 @@ def interior_point(sphere: Sphere, planes: Planes, iterations: int = 24) -> Best
         scale = jnp.where(up, jnp.minimum(2 * scale, 1.0), 0.4 * scale)
         return w, values, seen, scale, jnp.where(better, w, best), jnp.maximum(merit, best_merit)
 
-    w = first_guess(sphere, planes)
+    w = first_guess(sphere, seen)
     values, seen = sphere.observe(w)
     merit = _merit(sphere, w, jnp.min(values))
     start = (w, values, seen, jnp.ones(()), w, merit)
@@ -217,7 +237,7 @@ def _epigraph(values, mu):
     return jax.lax.fori_loop(0, 8, newton, low)
 
 
-def adam(sphere: Sphere, planes: Planes, iterations: int = 40, rate: float = 0.15) -> Best:
+def adam(sphere: Sphere, seen: Seen, iterations: int = 40, rate: float = 0.15) -> Best:
     """Adam (optax) on the subgradient of the smallest f_k, projected onto the sphere after every step."""
     schedule = optax.cosine_decay_schedule(rate, iterations)
     optimiser = optax.adam(schedule)
@@ -237,14 +257,14 @@ def adam(sphere: Sphere, planes: Planes, iterations: int = 40, rate: float = 0.1
         update, momentum = optimiser.update(descent, momentum, w)
         return _unit(w + update), momentum, best, best_merit
 
-    w = first_guess(sphere, planes)
+    w = first_guess(sphere, seen)
     start = (w, optimiser.init(w), w, jnp.full((), -jnp.inf))
     *_, w, merit = jax.lax.fori_loop(0, iterations, body, start)
     return Best(w, merit)
 
 
 def cmaes(
-    sphere: Sphere, planes: Planes, key: jax.Array, population: int = 100, generations: int = 5, sigma: float = 0.5
+    sphere: Sphere, seen: Seen, key: jax.Array, population: int = 100, generations: int = 5, sigma: float = 0.5
 ) -> Best:
     """CMA-ES over directions: samples are normalised before they are measured; the best one ever measured is kept.
 
@@ -262,7 +282,7 @@ def cmaes(
         best = jnp.where(better, directions[top], best)
         return cma_es.tell(distribution, samples, -merit, strategy), best, jnp.maximum(merit[top], best_merit)
 
-    w = first_guess(sphere, planes)
+    w = first_guess(sphere, seen)
     state = (cma_es.start(w, sigma), w, jnp.full((), -jnp.inf))
     _, w, merit = jax.lax.fori_loop(0, generations, body, state)
     return Best(w, merit)

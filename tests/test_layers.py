@@ -15,7 +15,7 @@ LAYERS = [
     ["__init__", "errors", "types", "pytree", "numerics", "status", "settings", "plans", "compile_cache"],
     ["robot", "robot_file", "kinematics", "duct", "cloud", "cloud_index", "half_spaces", "hull", "workpiece"],
     ["scenario"],
-    ["clearance", "task"],
+    ["clearance", "task", "seen"],
     ["nullspace", "qp_dense", "cma_es"],
     ["sphere"],
     ["qp"],
