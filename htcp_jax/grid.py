@@ -190,9 +190,11 @@ def _read_axis(path: Path, where: str, raw: dict, known: dict[str, Parameter]) -
 
 def _read_column(path: Path, where: str, key: str, value: Any, known: dict[str, Parameter]) -> Column:
     if key not in known:
-        close = difflib.get_close_matches(key, known, n=2, cutoff=0.5)
-        hint = f"did you mean {' or '.join(close)}?" if close else f"valid: {', '.join(PARAMETERS)}"
-        raise InputError(f"{where}: unknown parameter {key}; {hint}")
+        close = difflib.get_close_matches(key, known, n=2, cutoff=0.6)
+        hint = f"did you mean {' or '.join(close)}? " if close else ""
+        raise InputError(
+            f"{where}: unknown parameter {key}; {hint}valid: {', '.join(PARAMETERS)}, one joint as start_rad.3"
+        )
     relative = isinstance(value, dict) and list(value) == ["offsets"]
     if isinstance(value, dict) and list(value) in (["offsets"], ["values"]):
         (value,) = value.values()

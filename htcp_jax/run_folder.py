@@ -11,7 +11,7 @@ the files of a shard, so a shard is in the run wholly or not at all, whenever th
 import hashlib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, Literal, NamedTuple
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -81,7 +81,7 @@ class Manifest(Section):
     shards: tuple[ShardRecord, ...] = ()
 
     @model_validator(mode="after")
-    def _shards_are_of_this_run(self) -> Self:
+    def _shards_are_of_this_run(self) -> "Manifest":
         for shard in self.shards:
             if shard.method not in self.methods or shard.planned_by >= len(self.planned_by):
                 raise ValueError(f"a shard of {shard.method} has no place in it")

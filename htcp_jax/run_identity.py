@@ -1,5 +1,6 @@
 """What makes two runs the same, and what computed them."""
 
+import functools
 import hashlib
 import json
 import os
@@ -47,6 +48,7 @@ def differences(there: dict, here: dict) -> list[str]:
     ]
 
 
+@functools.cache  # of the code that runs, whatever is checked out meanwhile
 def commit() -> str | None:
     """The commit of this package's source, with "+changes" if it was edited since; None where git does not know."""
     package = Path(__file__).parent

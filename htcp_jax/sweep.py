@@ -8,10 +8,12 @@ much is lost when the process dies. The same call again continues where the last
 """
 
 import contextlib
+import os
 import shutil
 import signal
 import tempfile
 import threading
+import weakref
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -205,6 +207,9 @@ def _signals() -> Iterator[list[int]]:
 
     def remember(number: int, _) -> None:
         came.append(number)
+        os.write(
+            2, b"\nstopping after the step at hand; once more to stop at once\n"
+        )  # print may be interrupted itself
         for each in handlers:
             signal.signal(each, signal.SIG_DFL)
 
@@ -225,12 +230,20 @@ def _how_to_go_on(run: Run) -> str:
     return f"stopped; {there} of {all_} shards are finished in {run.folder}; the same command goes on from there"
 
 
+class _Scratch:
+    """A temporary folder that vanishes with it."""
+
+    def __init__(self):
+        self.folder = Path(tempfile.mkdtemp(prefix="htcp-sweep-"))
+        weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
+
+
 @contextlib.contextmanager
 def _folder(out: str | Path | None) -> Iterator[tuple[Path, Any]]:
     """The run folder, and what must live as long as it. A folder made here vanishes when it has come to nothing."""
     if out is None:
-        keep = tempfile.TemporaryDirectory(prefix="htcp-sweep-")
-        yield Path(keep.name), keep
+        scratch = _Scratch()
+        yield scratch.folder, scratch
         return
     folder = Path(out)
     made = not folder.exists()

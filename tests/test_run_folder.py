@@ -1,0 +1,230 @@
+"""The run folder: what is written reads back; what is damaged, foreign or in use is named in one line."""
+
+import errno
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from hand_made import plans_with
+
+from htcp_jax import run_tables, run_writer
+from htcp_jax.config import load_config
+from htcp_jax.errors import InputError
+from htcp_jax.grid import Point
+from htcp_jax.robot import gp50
+from htcp_jax.run_folder import Manifest, Run, Span, open_run
+from htcp_jax.run_lock import locked
+from htcp_jax.status import Status
+
+A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_ESCAPE, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
+STATUS = [[A, A, A], [A, E, LIMIT], [A, LIMIT, NOT], [A, A, NOT]]
+COUNT = np.array([3, 3, 3, 2], np.int32)  # the last scenario has a target less: its third row is padding
+JOINTS = run_tables.joint_columns(gp50())
+PLANS = plans_with(STATUS, joints=6)
+POINTS = tuple(Point(k, "starts", load_config(None, [f"margin_m={k}"])) for k in range(4))
+SPANS = Span(0, 1), Span(2, 3)
+
+
+def manifest(**changes) -> Manifest:
+    asked = {
+        "name": "four", "config": load_config().model_dump(mode="json"), "grid": (), "dtype": "float64", "files": {},
+        "config_hash": "", "seed": 0, "joints": JOINTS, "targets": 11, "full": 4, "limit": None, "count": 4,
+        "shard_scenarios": 2, "methods": ("baseline",),
+    }  # fmt: skip
+    return Manifest(**asked | changes)
+
+
+def rows(method: str, span: Span) -> tuple:
+    """The tables of a shard and its plans."""
+    part = slice(span.first, span.last + 1)
+    plans = PLANS._replace(**{name: v[part] for name, v in PLANS._asdict().items() if isinstance(v, np.ndarray)})
+    numbers = np.arange(span.first, span.last + 1)
+    tables = {
+        "targets": run_tables.target_table(method, numbers, COUNT[part], plans, JOINTS),
+        "scenarios": run_tables.scenario_table(method, POINTS[part], COUNT[part], plans, JOINTS),
+    }
+    return tables, plans
+
+
+def completed(folder: Path) -> Run:
+    folder.mkdir(exist_ok=True)
+    run = run_writer.begin(folder, manifest())
+    for span in run.missing("baseline"):
+        run = run_writer.add(run, "baseline", span, *rows("baseline", span))
+    return run
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.glob("*/*"))}
+
+
+def test_what_is_written_reads_back_to_the_last_bit(tmp_path):
+    completed(tmp_path)
+    plans = open_run(tmp_path).plans("baseline")
+    exists = np.arange(3)[None, :] < COUNT[:, None]
+    for name, value in plans._asdict().items():
+        if isinstance(value, np.ndarray):
+            np.testing.assert_array_equal(value[exists], getattr(PLANS, name)[exists], err_msg=name)
+    assert (plans.status[~exists] == run_tables.NO_TARGET).all()
+    assert (plans.compile_s, plans.run_s) == (6.0, 2.0)  # the sums over two shards
+
+
+def test_a_scenario_s_row_tells_what_became_of_it_and_its_parameters(tmp_path):
+    table = completed(tmp_path).scenarios().to_pydict()
+    assert (table["tracked"], table["targets"]) == ([3, 2, 1, 2], [3, 3, 3, 2])
+    assert table["complete"] == [True, False, False, True]
+    assert table["failed_target"] == [None, 2, 1, None]
+    assert table["failure"] == [None, "ITERATION_LIMIT", "ITERATION_LIMIT", None]
+    assert table["reason"][1] == LIMIT.message
+    assert table["after_escape"] == [0, 1, 0, 0] and table["blocked_paths"] == table["tracked"]
+    assert (table["margin_m"], table["group"], table["path"]) == ([0, 1, 2, 3], ["starts"] * 4, ["weld"] * 4)
+    assert table["start_joint2_rad"] == [-2.3] * 4
+
+
+def test_what_is_not_known_is_null_not_nan(tmp_path):
+    table = completed(tmp_path).targets()
+    missed = [not tracked for tracked in table["tracked"].to_pylist()]
+    for name in ("clearance_m", "residual_m", "joint_step_rad", "path_clear", "joint1_rad", "tcp_x_m"):
+        assert table[name].is_null().to_pylist() == missed, name
+    assert table["target_x_m"].null_count == 0
+
+
+def test_the_documented_columns_are_the_columns(tmp_path):
+    run, text = completed(tmp_path), run_tables.__doc__
+    for table in (run.targets(), run.scenarios()):
+        for name in table.column_names:
+            pattern = re.sub(r"joint\d", "<joint>", re.sub(r"_[yz]_m$", "_x_m", name))
+            assert re.search(rf"\b{re.escape(pattern)}\b|{re.escape(pattern)}", text), f"{name} is not documented"
+
+
+def test_the_parquet_files_are_plain_and_the_same_each_time(tmp_path):
+    first, second = completed(tmp_path / "a"), completed(tmp_path / "b")
+    assert contents(first.folder) == contents(second.folder) and len(contents(first.folder)) == 4
+    read = [pq.read_table(first.folder / "targets" / f"baseline-{s.first:06d}-{s.last:06d}.parquet") for s in SPANS]
+    assert sum(table.num_rows for table in read) == COUNT.sum()
+
+
+def truncate(file: Path):
+    file.write_bytes(file.read_bytes()[:-7])
+
+
+def empty(file: Path):
+    file.write_bytes(b"")
+
+
+def flip_a_bit(file: Path):
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 1
+    file.write_bytes(data)
+
+
+def replace_by_another(file: Path):
+    other = file.with_name(file.name.replace("000000-000001", "000002-000003"))
+    file.write_bytes(other.read_bytes())
+
+
+DAMAGES = [truncate, empty, flip_a_bit, replace_by_another, Path.unlink]
+
+
+@pytest.mark.parametrize("table", ["targets", "scenarios"])
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_file_is_named_its_shard_planned_again_and_the_rest_kept(tmp_path, damage, table):
+    before = contents(completed(tmp_path).folder)
+    damage(tmp_path / table / "baseline-000000-000001.parquet")
+    with pytest.raises(InputError, match=rf"{table}.baseline-000000-000001\.parquet .*; the same sweep plans"):
+        getattr(open_run(tmp_path), table)()
+    with pytest.warns(UserWarning, match="baseline-000000-000001.* scenarios 0 to 1 are planned again by baseline"):
+        run = run_writer.begin(tmp_path, manifest())
+    assert run.missing("baseline") == [SPANS[0]] and not run.complete
+    run = run_writer.add(run, "baseline", SPANS[0], *rows("baseline", SPANS[0]))
+    assert run.complete and contents(tmp_path) == before
+
+
+def test_a_stranger_among_the_results_is_named_and_left_alone(tmp_path):
+    completed(tmp_path)
+    (tmp_path / "targets" / "mine.parquet").write_bytes(b"mine")
+    with pytest.warns(UserWarning, match=r"mine\.parquet is not of this run; it is left alone"):
+        assert run_writer.begin(tmp_path, manifest()).complete
+    (tmp_path / "manifest.json").unlink()
+    with pytest.raises(InputError, match=r"results without a manifest\.json"):
+        run_writer.begin(tmp_path, manifest())
+
+
+@pytest.mark.parametrize("data", [b"", b"{", b"[]", b"{}", b"\xff\xfe", b'{"format": 2}', b"null"])
+def test_a_damaged_manifest_is_one_line(tmp_path, data):
+    completed(tmp_path)
+    (tmp_path / "manifest.json").write_bytes(data)
+    with pytest.raises(InputError, match=r"manifest\.json is damaged or no manifest of a run") as error:
+        open_run(tmp_path)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"method": "baseline"', '"method": "../../outside"'),
+        ('"planned_by": 0', '"planned_by": 5'),
+        ('"last": 1', '"last": "x"'),
+    ],
+)
+def test_a_manifest_cannot_lead_out_of_its_folder_or_contradict_itself(tmp_path, old, new):
+    text = (completed(tmp_path).folder / "manifest.json").read_text()
+    assert old in text
+    (tmp_path / "manifest.json").write_text(text.replace(old, new))
+    with pytest.raises(InputError, match=r"is damaged or no manifest of a run: (shards|Value error)"):
+        open_run(tmp_path)
+
+
+def test_a_folder_without_a_run_and_a_method_that_a_run_lacks_are_named(tmp_path):
+    with pytest.raises(InputError, match=r"holds no run: cannot read manifest\.json"):
+        open_run(tmp_path)
+    with pytest.raises(InputError, match="has no results of 'hybrid'; it has baseline"):
+        completed(tmp_path).targets("hybrid")
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EROFS])
+def test_a_full_or_read_only_disk_is_one_line_and_leaves_the_run_as_it_was(tmp_path, monkeypatch, code):
+    run = run_writer.begin(tmp_path, manifest())
+
+    def refuse(*_):
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(os, "fsync", refuse)
+    with pytest.raises(InputError, match=f"cannot write to .*: {os.strerror(code)}"):
+        run_writer.add(run, "baseline", SPANS[0], *rows("baseline", SPANS[0]))
+    assert not contents(tmp_path) and not list(tmp_path.glob(".part-*"))
+    assert open_run(tmp_path).missing("baseline") == list(SPANS)
+
+
+def test_other_software_is_warned_of(tmp_path, monkeypatch):
+    completed(tmp_path)
+    monkeypatch.setattr(run_writer, "commit", lambda: "another")
+    with pytest.warns(UserWarning, match="was planned by other software: commit is .* there, another here"):
+        run_writer.begin(tmp_path, manifest())
+
+
+def test_two_sweeps_on_one_folder_are_refused(tmp_path):
+    with locked(tmp_path):
+        with pytest.raises(InputError, match=f"in use by another sweep: process {os.getpid()} on "):
+            with locked(tmp_path):
+                pass
+    with locked(tmp_path):
+        pass
+
+
+def test_the_lock_of_a_dead_process_is_taken_over(tmp_path):
+    holder = "import sys, time; from htcp_jax.run_lock import locked; from pathlib import Path\n"
+    holder += "with locked(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"
+    with subprocess.Popen([sys.executable, "-c", holder, str(tmp_path)], stdout=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"held\n"
+        with pytest.raises(InputError, match=f"process {process.pid} on "), locked(tmp_path):
+            pass
+        process.kill()
+        process.wait()
+        with locked(tmp_path):
+            pass

@@ -1,0 +1,256 @@
+"""A sweep by its public call and by its command: results, what continues, what is refused. The planner is real in a
+few tests; in the others a stand-in answers at once."""
+
+import itertools
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hand_made import plans_with
+
+from htcp_jax import planner
+from htcp_jax.cli import main
+from htcp_jax.errors import InputError, Interrupted
+from htcp_jax.grid import load_sweep
+from htcp_jax.run_folder import Run, open_run
+from htcp_jax.status import Status
+from htcp_jax.sweep import sweep
+
+GRID = """
+config: job.yaml
+grid:
+  - start_rad.joint3: {offsets: [-0.1, 0, 0.1]}
+"""
+BOX = "\n".join(f"{1.3 * x} {y} {z}" for x in (0, 1) for y in (-1, 1) for z in (-1, 1))
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A working folder with a grid of three starts, 13 targets each."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n")
+    (tmp_path / "box.xyz").write_text(BOX)  # quicker to load than the duct, for tests that do not plan
+    (tmp_path / "job.yaml").write_text("workpiece: {path: path.csv}\n")
+    (tmp_path / "grid.yaml").write_text(GRID)
+    return tmp_path
+
+
+@pytest.fixture
+def stand_in(here, monkeypatch):
+    """Instead of the planner: scenario k tracks all targets but the last k. Returns the calls made."""
+    (here / "job.yaml").write_text("workpiece: {path: path.csv, cloud: box.xyz, inlet_m: [0, 0, 0]}\n")
+    calls = []
+
+    def plan(robot, workpiece, scenarios, method, settings, *, progress=None, threads=None):
+        numbers, targets = scenarios.number.tolist(), scenarios.targets.shape[1]
+        calls.append((method, numbers))
+        lost = [
+            [Status.ITERATION_LIMIT] + [Status.NOT_ATTEMPTED] * (number - 1) if number else [] for number in numbers
+        ]
+        status = [[Status.TRACKED] * (targets - len(end)) + end for end in lost]
+        tracked = sum(targets - number for number in numbers)
+        progress(planner.Progress(len(numbers), len(numbers), tracked, targets * len(numbers)))
+        return plans_with(status, joints=6)._replace(target=scenarios.targets)
+
+    monkeypatch.setattr(planner, "plan", plan)
+    return calls
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.glob("*/*"))}
+
+
+def test_each_scenario_is_planned_as_it_would_be_alone_however_the_grid_is_cut(here):
+    whole = sweep("grid.yaml", "baseline,keep-clear", "whole")
+    cut = sweep("grid.yaml", ["baseline"], "cut", shard_scenarios=2)
+    assert whole.complete and whole.methods == ("baseline", "keep-clear")
+    assert cut.targets().equals(whole.targets("baseline")) and cut.scenarios().equals(whole.scenarios("baseline"))
+    batch = load_sweep("grid.yaml").batch()
+    alone = planner.plan(
+        batch.robot, batch.workpiece, batch.scenarios, "baseline", load_sweep("grid.yaml").config.settings
+    )
+    for name, value in whole.plans("baseline")._asdict().items():
+        if isinstance(value, np.ndarray):
+            np.testing.assert_array_equal(value, getattr(alone, name), err_msg=name)
+
+
+def test_the_command_prints_a_table_that_lines_up_and_nothing_else_when_piped(here, capsys):
+    assert main(["sweep", "grid.yaml", "--methods", "baseline,keep-clear", "--limit", "2", "--out", "run"]) == 0
+    output = capsys.readouterr()
+    assert output.err == ""
+    title, head, units, *rows, files = output.out.splitlines()
+    assert title == "grid, the first 2 of 3 scenarios" and files.split() == ["files", "run"]
+    assert [row.split()[0] for row in rows] == ["baseline", "keep-clear"]
+    assert len({len(line) for line in (head, units, *rows)}) == 1
+    assert "26 of 26" in rows[0] and "100.00" in rows[0]
+
+
+def test_what_is_finished_is_not_planned_again(stand_in):
+    sweep("grid.yaml", "baseline", "run", shard_scenarios=2)
+    assert stand_in == [("baseline", [0, 1]), ("baseline", [2])]
+    run = sweep("grid.yaml", "baseline,hybrid", "run")
+    assert stand_in[2:] == [("hybrid", [0, 1]), ("hybrid", [2])]  # cut as the folder was at first
+    assert run.methods == ("baseline", "hybrid") and run.complete
+
+
+def test_a_limit_may_grow_but_not_shrink(stand_in):
+    sweep("grid.yaml", "baseline", "run", limit=1)
+    run = sweep("grid.yaml", "baseline", "run", limit=3)
+    assert stand_in == [("baseline", [0]), ("baseline", [0, 1, 2])]
+    assert [file.name for file in Path("run/targets").iterdir()] == ["baseline-000000-000002.parquet"]
+    assert run.manifest.count == 3 and run.complete
+    with pytest.raises(InputError, match="run holds this sweep with 3 scenarios, more than 2; choose another --out"):
+        sweep("grid.yaml", "baseline", "run", limit=2)
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        ({"overrides": ["settings.alpha_rad=0.05"]}, "settings.alpha_rad is 0.1 there, 0.05 here; choose another"),
+        ({"overrides": ["margin_m=0"]}, "margin_m is 0.0005 there, 0.0 here"),
+        ({"seed": 1}, "settings.seed is 0 there, 1 here"),
+        ({"spec": "other.yaml"}, "its grid differs"),
+        ({"overrides": ["workpiece.cloud=moved.xyz"]}, "workpiece.cloud is box.xyz, SHA-256 "),
+    ],
+)
+def test_another_sweep_never_mixes_with_the_old_rows(here, stand_in, change, line):
+    (here / "other.yaml").write_text(GRID.replace("-0.1", "-0.2"))
+    (here / "moved.xyz").write_text(BOX + "\n0.5 0 0")
+    sweep("grid.yaml", "baseline", "run")
+    before = contents(here / "run"), (here / "run" / "manifest.json").read_bytes()
+    with pytest.raises(InputError) as error:
+        sweep(**{"spec": "grid.yaml", "methods": "baseline", "out": "run", **change})
+    assert line in str(error.value) and "run holds another sweep: " in str(error.value)
+    assert (contents(here / "run"), (here / "run" / "manifest.json").read_bytes()) == before
+
+
+def test_the_same_files_elsewhere_are_the_same_sweep(here, stand_in, tmp_path):
+    sweep("grid.yaml", "baseline", "run")
+    os.rename(here / "grid.yaml", here / "renamed.yaml")
+    os.chdir("/")
+    assert sweep(here / "renamed.yaml", "baseline", here / "run").complete and len(stand_in) == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_sweep_that_the_same_call_completes(here, stand_in, number):
+    sweep("grid.yaml", "baseline", "undisturbed", shard_scenarios=1)
+    handler = signal.getsignal(number)
+
+    def interrupt(now):
+        if now.scenarios_done == 2:
+            os.kill(os.getpid(), number)
+
+    with pytest.raises(Interrupted, match=r"stopped; 2 of 3 shards are finished in run; the same command") as stop:
+        sweep("grid.yaml", "baseline", "run", shard_scenarios=1, progress=interrupt)
+    assert stop.value.code == 128 + number
+    assert signal.getsignal(number) is handler
+    sweep("grid.yaml", "baseline", "run")
+    assert contents(here / "run") == contents(here / "undisturbed")
+
+
+def test_a_signal_stops_the_planner_in_the_middle_of_a_shard_and_leaves_nothing(here):
+    told = []
+
+    def interrupt(now):
+        told.append(now)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    with pytest.raises(Interrupted, match="stopped before anything was finished; nothing was written"):
+        sweep("grid.yaml", "baseline", "run", progress=interrupt)
+    assert told[-1].targets_tracked < told[-1].targets and not (here / "run").exists()
+
+
+def test_the_command_says_how_to_go_on_after_a_signal(here, capsys, monkeypatch):
+    def interrupted(*_, **__):
+        raise Interrupted("stopped; 1 of 2 shards", signal.SIGTERM)
+
+    monkeypatch.setattr("htcp_jax.sweep.sweep", interrupted)
+    assert main(["sweep", "grid.yaml"]) == 143
+    assert capsys.readouterr().err == "htcp: stopped; 1 of 2 shards\n"
+
+
+class Killed(BaseException):
+    """Stands for kill -9: nothing may tidy up after it."""
+
+
+def test_killed_at_any_write_a_sweep_continues_to_the_same_bytes(here, stand_in, monkeypatch):
+    sweep("grid.yaml", "baseline", "undisturbed", shard_scenarios=2)
+    replace, calls = os.replace, []
+
+    def dying(source, target):
+        calls.append(target)
+        if after or len(calls) != moment:
+            replace(source, target)
+        if len(calls) == moment:
+            raise Killed
+
+    monkeypatch.setattr(os, "replace", dying)
+    writes = 1 + 2 * 3  # the manifest at first; two tables and the manifest a shard
+    for moment, after in itertools.product(range(1, writes + 1), (False, True)):
+        calls.clear()
+        folder = here / f"run-{moment}-{after}"
+        with pytest.raises(Killed):
+            sweep("grid.yaml", "baseline", folder, shard_scenarios=2)
+        folder.mkdir(exist_ok=True)
+        run = sweep("grid.yaml", "baseline", folder, shard_scenarios=2)
+        assert run.complete and contents(folder) == contents(here / "undisturbed")
+        assert not list(folder.glob(".part-*"))
+
+
+def test_progress_counts_what_was_kept(stand_in):
+    sweep("grid.yaml", "baseline", "run", limit=2, shard_scenarios=2)
+    told = []
+    sweep("grid.yaml", "baseline", "run", progress=told.append)
+    assert told[0][:3] == ("baseline", 3, 3) and told[-1] == ("baseline", 3, 3, 13 + 12 + 11, 39)
+
+
+def test_without_a_folder_the_results_live_as_long_as_the_run(stand_in):
+    run = sweep("grid.yaml", "baseline")
+    folder = run.folder
+    assert isinstance(run, Run) and run.scenarios().num_rows == 3
+    assert run.scenarios()["tracked"].to_pylist() == [13, 12, 11]
+    del run
+    assert not folder.exists()
+
+
+def test_a_run_can_be_read_while_it_is_planned(stand_in):
+    seen = []
+
+    def look(now):
+        if now.scenarios_done == 2 and not seen:
+            seen.append(open_run("run"))
+
+    sweep("grid.yaml", "baseline", "run", shard_scenarios=1, progress=look)
+    (run,) = seen
+    assert not run.complete and run.scenarios().num_rows == 1
+    assert (run.plans("baseline").status[1:] == -1).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["nowhere.yaml"], "cannot read nowhere.yaml: No such file"),
+        (["grid.yaml", "--methods", "baseline,baseline"], "method baseline is given twice"),
+        (["grid.yaml", "--methods", "baseline,rrt"], "unknown method 'rrt'; valid: all, baseline"),
+        (["grid.yaml", "--methods", ""], "no methods; valid: all, baseline"),
+        (["grid.yaml", "--limit", "0"], "limit is 0; it must be 1 or more"),
+        (["grid.yaml", "--seed", "-1"], "settings.seed must be zero or more"),
+        (["grid.yaml", "--set", "margin=1"], "unknown key margin; did you mean margin_m?"),
+        (["grid.yaml", "--config", "none.yaml"], "cannot read none.yaml"),
+        (["bad.yaml"], "bad.yaml: grid, axis 1: unknown parameter margin; did you mean margin_m?"),
+        (["empty.yaml"], "empty.yaml: grid is empty"),
+        (["grid.yaml", "--out", "path.csv"], "cannot write to path.csv"),
+        (["grid.yaml", "--set", "settings.q_weights=[1]"], "q_weights has 1 values, the robot gp50 has 6 joints"),
+    ],
+)
+def test_bad_input_is_one_line_exit_2_and_no_file(here, capsys, arguments, line):
+    (here / "bad.yaml").write_text("grid: [margin: [1]]\n")
+    (here / "empty.yaml").write_text("grid: []\n")
+    before = sorted(here.iterdir())
+    assert main(["sweep", *arguments]) == 2
+    output = capsys.readouterr()
+    assert line in output.err and output.err.count("\n") == 1 and output.err.startswith("htcp: ")
+    assert output.out == "" and sorted(path for path in here.iterdir() if path.name != "out") == before
+    assert not list(here.glob("out/*"))
