@@ -9,24 +9,18 @@ gets further found what the draws missed, and is flagged.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.clearance import make_obstacle
-from htcp_jax.escape import METHODS, Anchored, Scene, anchor, keep_clear_ascent, own_scene, stuck_key
-from htcp_jax.kernels import Kernels, Task, tasks
+from htcp_jax.escape import DRAWS, METHODS, Anchored, Scene
+from htcp_jax.kernels import Kernels, tasks
 from htcp_jax.robot import Robot
 from htcp_jax.scenario import Scenario
 from htcp_jax.settings import Settings
 from htcp_jax.workpiece import Workpiece
-
-CEILING_STAGE = 98  # its random keys lie apart from those of the planners
-DRAWS, PUSHED, PUSHES = 64, 8, 30  # draws a round, how many of them are pushed clear, null-space steps of a push
 
 
 class Ceiling(NamedTuple):
@@ -47,11 +41,11 @@ def ceiling(
     draws: int = 2048,
     progress: Callable[[int, int], None] | None = None,
 ) -> Ceiling:
-    """Prefixes of the stacked scenarios. draws: at a target where carrying over fails, in rounds of 64; from the
+    """Prefixes of the stacked scenarios. draws: at a target where carrying over fails, in rounds of `DRAWS`; from the
     settings count alpha_rad, tolerance_m and the seed. progress(target, targets) is called after each target."""
-    settings = replace(settings or Settings(), keep_clear_m=1e-9, keep_clear_steps=PUSHES)
+    settings = settings or Settings()
     scene = Scene(robot, make_obstacle(workpiece))
-    kernels = Kernels(scene, METHODS["baseline"], settings, {"push": push, "draw": draw})
+    kernels = Kernels(scene, METHODS["baseline"], settings)
     scenarios = jax.tree.map(np.asarray, scenarios)
     count, rows = scenarios.targets.shape[:2]
     prefix, best = np.zeros(count, int), np.full(count, np.nan)
@@ -62,13 +56,13 @@ def ceiling(
         alive = alive[scenarios.count[alive] > row]
         if not len(alive):
             break
-        here = kernels("push", _tasks(scenarios, alive, row, 0), x[alive])
+        here = kernels("push", tasks(scenarios, alive, np.full(len(alive), row)), x[alive])
         x[alive], good = here.x, _clear(here, settings)
         for round_ in range(-(-draws // DRAWS)):
             lost = alive[~good]
             if not len(lost):
                 break
-            here = kernels("draw", _tasks(scenarios, lost, row, round_))
+            here = kernels("draw", tasks(scenarios, lost, np.full(len(lost), row), round_))
             x[lost] = here.x
             best[lost] = np.fmax(best[lost], np.where(here.residual <= settings.tolerance_m, here.clearance, -np.inf))
             good[~good] = _clear(here, settings)
@@ -81,31 +75,5 @@ def ceiling(
     return Ceiling(prefix, best, found, draws)
 
 
-def push(settings: Settings, scene: Scene, task: Task, x) -> Anchored:
-    """x brought onto the task's target and pushed clear of the workpiece in the null space."""
-    scene = own_scene(scene, task.tool_extension_m)
-    return keep_clear_ascent(scene, settings, task, anchor(scene, settings, task, x, task.target).x, task.target)
-
-
-def draw(settings: Settings, scene: Scene, task: Task) -> Anchored:
-    """The best of a round of random draws: on target, then clear, then clearest."""
-    own = own_scene(scene, task.tool_extension_m)
-    lower, upper = jnp.maximum(own.robot.lower, -jnp.pi), jnp.minimum(own.robot.upper, jnp.pi)
-    key = stuck_key(settings, task.number, task.row, CEILING_STAGE, task.attempt)
-    x = lower[None, :] + (upper - lower)[None, :] * jax.random.uniform(key, (DRAWS, lower.shape[0]))
-    reached = jax.vmap(lambda x: anchor(own, settings, task, x, task.target))(x)
-    rank = jnp.where(reached.residual <= settings.tolerance_m, reached.clearance, -jnp.inf)
-    _, first = jax.lax.top_k(rank, PUSHED)
-    pushed = jax.lax.map(partial(push, settings, scene, task), reached.x[first])
-    rank = jnp.where(pushed.residual <= settings.tolerance_m, pushed.clearance, -jnp.inf)
-    return jax.tree.map(lambda leaf: leaf[jnp.argmax(rank)], pushed)
-
-
 def _clear(here: Anchored, settings: Settings) -> np.ndarray:
     return (here.clearance > 0) & (here.residual <= settings.tolerance_m)
-
-
-def _tasks(scenarios: Scenario, which: np.ndarray, row: int, round_: int) -> Task:
-    return tasks(
-        scenarios, which, np.full(len(which), row, np.int32), np.full(len(which), round_, np.int32)
-    )

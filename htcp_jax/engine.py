@@ -38,7 +38,6 @@ class Lanes(NamedTuple):
 
     scenario: np.ndarray
     target: np.ndarray
-    attempt: np.ndarray  # which start posture: 0 is the scenario's own
     candidate: np.ndarray  # MAIN, or the number of a candidate
     phase: np.ndarray  # TRACK, or WALK in the null space
     stage: np.ndarray  # of the escape, while in it
@@ -66,18 +65,9 @@ class Waiting:
 
     lane: Lanes  # the one lane that is stuck
     left: int  # candidates not decided yet
-    reached: list[Measured] = field(default_factory=list)
+    reached: list[np.ndarray] = field(default_factory=list)
     numbers: list[int] = field(default_factory=list)
     qps: int = 0  # step QPs that the candidates took
-
-
-@dataclass
-class Retry:
-    """Other start postures of a scenario, and the best attempt so far."""
-
-    postures: list[np.ndarray]
-    rows: "dict[str, np.ndarray] | None" = None
-    tracked: int = -1
 
 
 class Engine:
@@ -101,7 +91,6 @@ class Engine:
         self._lanes: Lanes | None = None
         self._queue: list[Lanes] = []  # lanes waiting for room in the table
         self._waiting: dict[int, Waiting] = {}
-        self._retries: dict[int, Retry] = {}
         self._bodies, self._joints = kernels.bodies, scenarios.x_start.shape[1]
 
     def run(self, scenarios: Iterator[int], tell: Callable[[int, int], None]) -> None:
@@ -117,7 +106,7 @@ class Engine:
             tell(self._tracked, self._finished)
 
     def _tasks(self, lanes: Lanes) -> Task:
-        return tasks(self._scenarios, lanes.scenario, lanes.target, lanes.attempt)
+        return tasks(self._scenarios, lanes.scenario, lanes.target)
 
     # Filling the table
 
@@ -142,7 +131,7 @@ class Engine:
         self._lanes = _map(lambda *t: np.concatenate(t), *parts) if parts else None
         return self._lanes is not None
 
-    def _new_lanes(self, scenario, target, x_previous, x_ref, candidate=MAIN, attempt=0, stage=0) -> Lanes:
+    def _new_lanes(self, scenario, target, x_previous, x_ref, candidate=MAIN, stage=0) -> Lanes:
         lanes, n, k = len(scenario), self._joints, self._bodies
 
         def column(value):
@@ -152,7 +141,7 @@ class Engine:
             np.zeros((lanes, 3)), np.zeros((lanes, 3, n)), np.zeros((lanes, k)), np.zeros((lanes, k, n))
         )
         return Lanes(
-            column(scenario), column(target), column(attempt), column(candidate), column(TRACK), column(stage),
+            column(scenario), column(target), column(candidate), column(TRACK), column(stage),
             np.ones(lanes, bool), column(0), column(0), np.array(x_previous), np.array(x_ref), linear,
         )  # fmt: skip
 
@@ -221,8 +210,11 @@ class Engine:
 
     def _accept(self, lanes: Lanes, now: Measured, status: Status, stage: int, clear: np.ndarray) -> None:
         """Record the target and go on to the next one, or finish."""
-        if not len(lanes.scenario):
-            return
+        if len(lanes.scenario):
+            self._record(lanes, now, status, stage, clear)
+            self._go_on(lanes, now)
+
+    def _record(self, lanes: Lanes, now: Measured, status: Status, stage: int, clear: np.ndarray) -> None:
         s, t, plans = lanes.scenario, lanes.target, self._plans
         plans.x[s, t], plans.tcp[s, t] = now.x, now.linear.tcp
         plans.clearance[s, t], plans.residual[s, t] = now.clearance, now.residual
@@ -231,11 +223,19 @@ class Engine:
         plans.joint_step[s, t] = np.linalg.norm(now.x - lanes.x_previous, axis=1)
         plans.path_clear[s, t] = clear
         self._tracked += len(s)
+
+    def _go_on(self, lanes: Lanes, now: Measured) -> None:
+        zero = np.zeros_like(lanes.target)
         lanes = lanes._replace(
-            x_previous=now.x, x_ref=now.x, linear=now.linear, target=t + 1, iteration=np.zeros_like(t),
-            phase=np.full_like(t, TRACK), stage=np.zeros_like(t),
-        )  # fmt: skip
-        done = lanes.target >= self._scenarios.count[s]
+            x_previous=now.x,
+            x_ref=now.x,
+            linear=now.linear,
+            target=lanes.target + 1,
+            iteration=zero,
+            phase=zero + TRACK,
+            stage=zero,
+        )
+        done = lanes.target >= self._scenarios.count[lanes.scenario]
         self._finished += int(done.sum())
         self._keep(lanes.take(~done))
 
@@ -264,7 +264,11 @@ class Engine:
         else:
             found = self._kernels(f"stage {stage}", self._tasks(lanes), lanes.x_previous)
             for k in range(len(lanes.scenario)):
-                self._try_candidates(lanes.take([k]), found.x[k][found.valid[k]])
+                done = found.done[k]
+                if done.any():
+                    self._take_one(lanes.take([k]), found.x[k][done])
+                else:
+                    self._try_candidates(lanes.take([k]), found.x[k][found.valid[k]])
 
     def _walk(self, lanes: Lanes) -> None:
         """One null-space step for every lane that walks."""
@@ -317,7 +321,6 @@ class Engine:
                     np.repeat(lane.x_previous, n, axis=0),
                     x,
                     candidate=np.arange(n),
-                    attempt=np.repeat(lane.attempt, n),
                     stage=np.repeat(lane.stage, n),
                 )
             )
@@ -332,72 +335,77 @@ class Engine:
             waiting.left -= 1
             waiting.qps += int(lanes.iteration[k])
             if reached[k]:
-                waiting.reached.append(_rows(now, [k]))
+                waiting.reached.append(now.x[[k]])
                 waiting.numbers.append(int(lanes.candidate[k]))
             if not waiting.left:
                 self._choose(scenario)
 
     def _choose(self, scenario: int) -> None:
-        """Of the candidates that reached the target, the one with the smallest joint change whose path is clear."""
+        """Go on from the best of the candidates that reached the target."""
         waiting = self._waiting.pop(scenario)
         lane = waiting.lane._replace(iteration=waiting.lane.iteration + waiting.qps)
-        stage, reason = int(lane.stage[0]), Status.ESCAPE_EXHAUSTED
         if waiting.reached:
-            x = np.concatenate([now.x for now in waiting.reached])
-            change = np.linalg.norm(x - lane.x_previous, axis=1)
-            # Ties go to the lower number, whatever the order in which candidates came in.
-            order = np.lexsort((waiting.numbers, change))
-            clear = np.full(len(x), -1, np.int8)
-            if self._check_escapes:
-                many = lane.take(np.zeros(len(x), int))
-                clear = self._kernels("check_path", self._tasks(many), many.x_previous, x).astype(np.int8)
-            for k in order:
-                if clear[k]:
-                    status = Status.TRACKED_AFTER_ESCAPE
-                    self._accept(lane, waiting.reached[k], status, stage + 1, clear[[k]])
-                    return
-            reason = Status.PATH_BLOCKED
-        self._next_stage(lane, stage, reason)
+            # In the order of their numbers, whatever the order in which they came in.
+            self._take_one(lane, np.concatenate([waiting.reached[k] for k in np.argsort(waiting.numbers)]))
+        else:
+            self._next_stage(lane, int(lane.stage[0]), Status.ESCAPE_EXHAUSTED)
 
-    # Failure and retries
+    def _take_one(self, lane: Lanes, x: np.ndarray) -> None:
+        """Of configurations (C, N) that are clear on the target: the smallest joint change whose path is clear."""
+        x = x[np.argsort(np.linalg.norm(x - lane.x_previous, axis=1), kind="stable")]
+        clear = np.full(len(x), -1, np.int8)
+        if self._check_escapes:
+            many = lane.take(np.zeros(len(x), int))
+            clear = self._kernels("check_path", self._tasks(many), many.x_previous, x).astype(np.int8)
+        stage, best = int(lane.stage[0]), np.flatnonzero(clear)[:1]
+        if not len(best):
+            self._next_stage(lane, stage, Status.PATH_BLOCKED)
+            return
+        now = self._kernels("advance", self._tasks(lane), x[best], np.zeros_like(x[best]))
+        self._accept(lane, now, Status.TRACKED_AFTER_ESCAPE, stage + 1, clear[best])
+
+    # Failure, and the way back
 
     def _fail(self, lanes: Lanes, reason: np.ndarray) -> None:
-        """The target is lost, and with it the rest of the scenario, unless another posture is left to start from."""
+        """The target is lost, and with it the rest of the scenario, unless another posture leads there."""
         self._plans.status[lanes.scenario, lanes.target] = reason
         self._plans.iterations[lanes.scenario, lanes.target] = lanes.iteration
-        if not self._method.retries or not self._settings.postures:
-            self._finished += len(lanes.scenario)
-            return
-        new = np.array([s not in self._retries for s in lanes.scenario])
-        if new.any():
-            first = lanes.take(new)
-            at_start = self._tasks(first._replace(target=np.zeros_like(first.target)))
-            found = self._kernels("postures", at_start, self._scenarios.x_start[first.scenario])
-            for k, scenario in enumerate(first.scenario):
-                postures = found.x[k][found.valid[k]][: self._settings.postures]
-                self._retries[int(scenario)] = Retry(list(postures))
         for k in range(len(lanes.scenario)):
-            self._retry(int(lanes.scenario[k]), int(lanes.target[k]), int(lanes.attempt[k]))
+            if not (self._method.retries and self._plan_backwards(lanes.take([k]))):
+                self._finished += 1
 
-    def _retry(self, scenario: int, tracked: int, attempt: int) -> None:
-        """Keep the better of this attempt and the best so far; start again from the next posture, or finish."""
-        retry, plans = self._retries[scenario], self._plans
-        names = ("x", "tcp", "clearance", "residual", "status", "iterations", "joint_step", "escape", "path_clear")
-        rows = {name: getattr(plans, name)[scenario] for name in names}
-        if tracked > retry.tracked:
-            retry.tracked, retry.rows = tracked, {name: row.copy() for name, row in rows.items()}
-        self._tracked -= tracked
-        for name, row in rows.items():
-            row[:] = EMPTY[name]
-        if retry.postures:
-            posture = retry.postures.pop(0)[None]
-            self._queue.append(self._new_lanes([scenario], [0], posture, posture, attempt=attempt + 1))
-            return
-        for name, row in rows.items():
-            row[:] = retry.rows[name]
-        self._tracked += retry.tracked
-        self._finished += 1
-        del self._retries[scenario]
+    def _plan_backwards(self, lane: Lanes) -> bool:
+        """Draw clear configurations at the lost target and carry each back to the first target: a chain that stays
+        clear all along, paths included, replaces the rows so far, its first posture the start. False when none does."""
+        lost = int(lane.target[0])
+        for round_ in range(self._settings.postures):
+            here = self._kernels("draw", tasks(self._scenarios, lane.scenario, lane.target, round_))
+            chain = [here.x[0]]
+            for row in range(lost - 1, -1, -1):
+                if not self._good(here):
+                    break
+                here = self._kernels("push", tasks(self._scenarios, lane.scenario, np.array([row])), chain[-1][None])
+                chain.append(here.x[0])
+            if self._good(here) and self._record_chain(lane, np.array(chain[::-1])):
+                return True
+        return False
+
+    def _good(self, here) -> bool:
+        return bool(here.clearance[0] > 0 and here.residual[0] <= self._settings.tolerance_m)
+
+    def _record_chain(self, lane: Lanes, x: np.ndarray) -> bool:
+        """Write the chain x (rows, N) over the rows so far and go on behind it, if its paths are clear."""
+        rows = len(x)
+        many = lane.take(np.zeros(rows, int))._replace(
+            target=np.arange(rows, dtype=np.int32), x_previous=x[[0, *range(rows - 1)]]
+        )
+        if not self._kernels("check_path", self._tasks(many), many.x_previous, x).all():
+            return False
+        now = self._kernels("advance", self._tasks(many), x, np.zeros_like(x))
+        self._tracked -= rows - 1
+        self._record(many, now, Status.TRACKED_AFTER_ESCAPE, len(self._method.stages) + 1, np.ones(rows, np.int8))
+        self._go_on(many.take([-1]), _rows(now, [-1]))
+        return True
 
 
 EMPTY = {

@@ -6,7 +6,7 @@ sampling escape proposes many configurations at once, and the step QP then track
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import jax
@@ -22,6 +22,8 @@ from htcp_jax.seen import Seen, see, seen_clearance
 from htcp_jax.settings import Settings
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar, Vector3
 
+DRAWS, PUSHED, PUSHES = 256, 4, 60  # of `draw_clear`: draws, how many are pushed clear, null-space steps of a push
+
 
 class Scene(NamedTuple):
     """What all scenarios of a plan share."""
@@ -35,7 +37,7 @@ class Stuck(NamedTuple):
 
     x_previous: Joints  # x_{t-1}
     target: Vector3  # C_next [m]
-    key: jax.Array  # folded from seed, where, target and attempt: depends on nothing else
+    key: jax.Array  # folded from seed, scenario and target: depends on nothing else
 
 
 class Candidates(NamedTuple):
@@ -43,6 +45,7 @@ class Candidates(NamedTuple):
 
     x: Float[Array, "C N"]
     valid: Bool[Array, "C"]
+    done: Bool[Array, "C"]  # on the target and clear as they are: where a stage takes them so, no QP is needed
 
 
 def seen_bodies(robot: Robot, far_links: bool) -> tuple[bool, ...]:
@@ -119,8 +122,8 @@ def keep_clear_ascent(scene: Scene, settings: Settings, where: Posed, x: Joints,
     """
 
     def going(state):
-        best, _, count = state
-        return (best.clearance < settings.keep_clear_m) & (count < settings.keep_clear_steps)
+        best, scale, count = state
+        return (best.clearance < settings.keep_clear_m) & (count < settings.keep_clear_steps) & (scale > 1e-4)
 
     def step(state):
         best, scale, count = state
@@ -145,11 +148,11 @@ def cspace_samples(scene: Scene, settings: Settings, where: Posed, stuck: Stuck)
     width = jnp.asarray([0.0, 0.0, 1.0] + [2.0] * (n - 3))
     draw = jax.random.uniform(stuck.key, (8 * settings.samples, n), minval=-1.0, maxval=1.0)
     x = stuck.x_previous[None, :] + width[None, :] * draw
-    feasible = jax.vmap(lambda x: inside(robot, x))(x) & jax.vmap(
-        lambda x: is_clear(robot, scene.obstacle, where, x)
-    )(x)
+    feasible = jax.vmap(lambda x: inside(robot, x))(x) & jax.vmap(lambda x: is_clear(robot, scene.obstacle, where, x))(
+        x
+    )
     feasible &= jax.vmap(safe_norm)(x - stuck.x_previous[None, :]) <= settings.sample_reach_rad
-    return Candidates(x, feasible & (jnp.cumsum(feasible) <= settings.samples))
+    return Candidates(x, feasible & (jnp.cumsum(feasible) <= settings.samples), jnp.zeros_like(feasible))
 
 
 def nspace_samples(
@@ -157,7 +160,7 @@ def nspace_samples(
 ) -> Candidates:
     """N-Space sample: random null-space directions, each followed for `sample_steps` steps of each given length,
     re-anchored whenever the TCP error exceeds the tolerance. The direction is carried along by projection."""
-    robot, n = scene.robot, len(scene.robot.slides)
+    robot = scene.robot
     origin, _ = reanchor(robot, stuck.x_previous, stuck.target, 0.1 * settings.tolerance_m)
     first = null_basis(jacobian(robot, origin))
     draw = jax.random.normal(stuck.key, (settings.samples, first.shape[1]))
@@ -179,17 +182,43 @@ def nspace_samples(
 
     x = jnp.concatenate([jax.vmap(lambda v, r=r: walk(v, r))(directions) for r in step_rad])
     near = jax.vmap(safe_norm)(x - stuck.x_previous[None, :]) <= settings.sample_reach_rad
-    return Candidates(x.reshape(-1, n), near)
+    return Candidates(x, near, jnp.zeros_like(near))
 
 
-def postures(scene: Scene, settings: Settings, where: Posed, stuck: Stuck) -> Candidates:
-    """Other clear postures at the stuck target, by seeded inverse kinematics from uniform draws in the joint limits."""
+def best_nspace_samples(
+    scene: Scene, settings: Settings, where: Posed, stuck: Stuck, step_rad: tuple[float, ...], keep: int = 24
+) -> Candidates:
+    """N-Space samples that know their clearance: those that are clear on the target are done; of the others, only the
+    `keep` clearest are worth tracking from."""
+    x, near, _ = nspace_samples(scene, settings, where, stuck, step_rad)
+    here = jax.vmap(lambda x: anchor(scene, settings, where, x, stuck.target))(x)
+    done = near & (here.clearance > 0) & (here.residual <= settings.tolerance_m)
+    rank = jnp.where(near & ~done, here.clearance, -jnp.inf)
+    worth = rank >= jax.lax.top_k(rank, keep)[0][-1]
+    return Candidates(here.x, done | (near & worth & ~jnp.any(done)), done)
+
+
+def push_clear(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Vector3) -> Anchored:
+    """x brought onto the target and pushed in the null space until it is clear, or as clear as it gets."""
+    settings = replace(settings, keep_clear_m=1e-9, keep_clear_steps=PUSHES)
+    return keep_clear_ascent(scene, settings, where, anchor(scene, settings, where, x, target).x, target)
+
+
+def draw_clear(scene: Scene, settings: Settings, where: Posed, stuck: Stuck) -> Anchored:
+    """The best of a round of seeded uniform draws within the joint limits: each brought onto the target, the clearest
+    of them pushed clear."""
     robot = scene.robot
     lower, upper = jnp.maximum(robot.lower, -jnp.pi), jnp.minimum(robot.upper, jnp.pi)
-    draw = jax.random.uniform(stuck.key, (settings.samples, lower.shape[0]))
+    draw = jax.random.uniform(stuck.key, (DRAWS, lower.shape[0]))
     x = lower[None, :] + (upper - lower)[None, :] * draw
     reached = jax.vmap(lambda x: anchor(scene, settings, where, x, stuck.target))(x)
-    return Candidates(reached.x, (reached.residual <= settings.tolerance_m) & (reached.clearance > 0))
+    _, first = jax.lax.top_k(_rank(settings, reached), PUSHED)
+    pushed = jax.lax.map(lambda x: push_clear(scene, settings, where, x, stuck.target), reached.x[first])
+    return jax.tree.map(lambda leaf: leaf[jnp.argmax(_rank(settings, pushed))], pushed)
+
+
+def _rank(settings: Settings, here: Anchored) -> Float[Array, "*n"]:
+    return jnp.where(here.residual <= settings.tolerance_m, here.clearance, -jnp.inf)
 
 
 def path_clear(scene: Scene, settings: Settings, where: Posed, a: Joints, b: Joints) -> Bool[Array, ""]:
@@ -204,9 +233,9 @@ def own_scene(scene: Scene, tool_extension_m: Scalar) -> Scene:
     return Scene(lengthen_tool(scene.robot, tool_extension_m), scene.obstacle)
 
 
-def stuck_key(settings: Settings, number, row, stage: int, attempt) -> jax.Array:
+def stuck_key(settings: Settings, number, row, stage: int, round_) -> jax.Array:
     """Random key of one escape: of scenario `number`, at target `row`."""
-    return fold_keys(jax.random.key(settings.seed), number, row, stage, attempt)
+    return fold_keys(jax.random.key(settings.seed), number, row, stage, round_)
 
 
 @dataclass(frozen=True)
@@ -231,7 +260,7 @@ class Method:
     sentence: str
     stages: tuple[NullSpace | Sample, ...] = ()  # tried in turn at a stuck target
     keep_clear: bool = False  # ascend after every target
-    retries: bool = False  # start again from another posture when all stages fail
+    retries: bool = False  # when all stages fail, draw a clear configuration there and plan the way to it backwards
     check_paths: bool = False  # every joint path must be clear, whatever the settings say
 
 
@@ -269,8 +298,8 @@ METHODS: dict[str, Method] = {
     ),
     "hybrid": Method(
         "Hybrid",
-        "keep clear; SQP, then null-space samples at four step lengths, then other start postures; joint paths clear",
-        (_SQP, Sample(lambda scene, s, where, stuck: nspace_samples(scene, s, where, stuck, _SPREAD))),
+        "keep clear; SQP, then null-space samples, then other postures planned backwards; every joint path clear",
+        (_SQP, Sample(lambda scene, s, where, stuck: best_nspace_samples(scene, s, where, stuck, _SPREAD))),
         keep_clear=True,
         retries=True,
         check_paths=True,

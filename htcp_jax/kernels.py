@@ -18,17 +18,19 @@ import numpy as np
 from htcp_jax import qp
 from htcp_jax.clearance import Linearisation, linearise
 from htcp_jax.escape import (
+    Anchored,
     Candidates,
     Method,
     Sample,
     Scene,
     Stuck,
     anchor,
+    draw_clear,
     keep_clear_ascent,
     null_space_step,
     own_scene,
     path_clear,
-    postures,
+    push_clear,
     stuck_key,
 )
 from htcp_jax.nullspace import reanchor
@@ -36,13 +38,16 @@ from htcp_jax.numerics import safe_norm
 from htcp_jax.scenario import Scenario
 from htcp_jax.settings import Settings
 
-LANES_A_CHUNK = 8
+# Lanes that a program computes side by side: a chunk is computed whole, so a kernel that few lanes need at a time, and
+# that has loops of its own to vectorise, takes them one by one.
+LANES_A_CHUNK = 4
+ONE_BY_ONE = ("draw", "push", "enter", "ascend", "stage")
 LANES_A_TABLE = 128
-POSTURE_STAGE = 99  # random keys of retries lie apart from those of the stages
+DRAW_STAGE = 99  # random keys of draws lie apart from those of the stages
 
 
 class Task(NamedTuple):
-    """What one lane is about: its scenario's surroundings, and which target in which attempt. A lane brings all of it
+    """What one lane is about: its scenario's surroundings, and which target. A lane brings all of it
     along, so the compiled programs know nothing of how many scenarios there are."""
 
     T_world_workpiece: jax.Array
@@ -52,16 +57,17 @@ class Task(NamedTuple):
     number: jax.Array
     target: jax.Array  # [m]
     row: jax.Array  # of the target
-    attempt: jax.Array
+    round: jax.Array  # of draws
 
 
-def tasks(scenarios: Scenario, scenario: np.ndarray, row: np.ndarray, attempt: np.ndarray) -> Task:
+def tasks(scenarios: Scenario, scenario: np.ndarray, row: np.ndarray, round_: int = 0) -> Task:
     """The tasks of lanes that are at target `row` of their `scenario`; scenarios are stacked, numpy."""
+    row, scenario = np.asarray(row, np.int32), np.asarray(scenario)
     own = [
         getattr(scenarios, name)[scenario]
         for name in ("T_world_workpiece", "gate_x", "margin_m", "tool_extension_m", "number")
     ]
-    return Task(*own, scenarios.targets[scenario, row], row, attempt)
+    return Task(*own, scenarios.targets[scenario, row], row, np.full_like(row, round_))
 
 
 class Measured(NamedTuple):
@@ -78,7 +84,7 @@ def _scene(scene: Scene, task: Task) -> Scene:
 
 
 def _stuck(settings: Settings, task: Task, x_previous, stage: int) -> Stuck:
-    return Stuck(x_previous, task.target, stuck_key(settings, task.number, task.row, stage, task.attempt))
+    return Stuck(x_previous, task.target, stuck_key(settings, task.number, task.row, stage, task.round))
 
 
 def prepare(settings: Settings, scene: Scene, task: Task, x_ref, x_previous, linear: Linearisation) -> qp.StepQP:
@@ -127,10 +133,15 @@ def propose(stage: Sample, index, settings: Settings, scene: Scene, task: Task, 
     return stage.propose(scene, settings, task, _stuck(settings, task, x_previous, index))
 
 
-def propose_postures(settings: Settings, scene: Scene, task: Task, x_previous) -> Candidates:
-    """Other postures at the scenario's first target."""
+def push(settings: Settings, scene: Scene, task: Task, x) -> Anchored:
+    """x carried over to the task's target and pushed clear."""
+    return push_clear(_scene(scene, task), settings, task, x, task.target)
+
+
+def draw(settings: Settings, scene: Scene, task: Task) -> Anchored:
+    """The best of a round of draws at the task's target; which round is the task's."""
     scene = _scene(scene, task)
-    return postures(scene, settings, task, _stuck(settings, task, x_previous, POSTURE_STAGE))
+    return draw_clear(scene, settings, task, _stuck(settings, task, jnp.zeros_like(scene.robot.lower), DRAW_STAGE))
 
 
 def ascend(settings: Settings, scene: Scene, task: Task, x):
@@ -181,12 +192,9 @@ class Kernels:
         scene: Scene,
         method: Method,
         settings: Settings,
-        more: dict[str, Callable] | None = None,
-        width: int = LANES_A_CHUNK,
         capacity: int = LANES_A_TABLE,
     ):
-        """more: further kernels by name, called with (settings, scene, task, ...) as those of this module."""
-        self._scene, self._settings, self._width, self._capacity = scene, settings, width, capacity
+        self._scene, self._settings, self._capacity = scene, settings, capacity
         self._programs: dict[str, Callable] = {}
         self.compile_s = 0.0
         self._kernels = {
@@ -194,9 +202,9 @@ class Kernels:
             "advance": advance,
             "enter": enter_null_space,
             "ascend": ascend,
-            "postures": propose_postures,
+            "push": push,
+            "draw": draw,
             "check_path": check_path,
-            **(more or {}),
         }
         self._stages = method.stages
 
@@ -218,7 +226,7 @@ class Kernels:
     def _run(self, name: str, tables):
         lanes = len(jax.tree.leaves(tables)[0])
         padded = jax.tree.map(lambda t: _pad(np.asarray(t), self._capacity), tables)
-        chunks = np.int32(-(-lanes // self._width))
+        chunks = np.int32(-(-lanes // _width(name)))
         result = self._program(name, chunks, padded)(self._scene, chunks, *padded)
         return jax.tree.map(lambda r: np.asarray(r)[:lanes], result)
 
@@ -232,13 +240,13 @@ class Kernels:
             key = (
                 work.func,
                 work.args,
-                self._width,
+                _width(name),
                 structure,
                 tuple((x.shape, x.dtype) for x in leaves),
             )
             if key not in _PROGRAMS:
                 began = time.perf_counter()
-                _PROGRAMS[key] = chunked(work, self._width).lower(*arguments).compile()
+                _PROGRAMS[key] = chunked(work, _width(name)).lower(*arguments).compile()
                 self.compile_s += time.perf_counter() - began
             self._programs[name] = _PROGRAMS[key]
         return self._programs[name]
@@ -249,6 +257,10 @@ class Kernels:
         index = int(name.removeprefix("stage "))
         stage = self._stages[index]
         return partial(propose if isinstance(stage, Sample) else walk_null_space, stage, index, self._settings)
+
+
+def _width(name: str) -> int:
+    return 1 if name.startswith(ONE_BY_ONE) else LANES_A_CHUNK
 
 
 def _pad(table: np.ndarray, capacity: int) -> np.ndarray:

@@ -131,7 +131,7 @@ def _check_remaining_paths(kernels: Kernels, scenarios: Scenario, plans: Plans) 
     if not len(s):
         return
     before = np.where((t == 0)[:, None], scenarios.x_start[s], plans.x[s, np.maximum(t - 1, 0)])
-    task = tasks(scenarios, s, t.astype(np.int32), np.zeros(len(s), np.int32))
+    task = tasks(scenarios, s, t)
     plans.path_clear[s, t] = kernels("check_path", task, before, plans.x[s, t])
 
 
