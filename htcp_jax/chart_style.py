@@ -74,7 +74,7 @@ def outer_labels(panels, used: int, below: str, left: str) -> None:
             axes.set_ylabel(left)
 
 
-def name_lines(axes: Axes, ends: Mapping[str, float], x: float, form: str) -> None:
+def name_lines(axes: Axes, ends: Mapping[str, float], x: float | int, form: str) -> None:
     """The name and the last value of every line at its end, spread so that none covers another."""
     low, high = axes.get_ylim()
     heights = spread({method: (end - low) / (high - low) for method, end in ends.items()}, 0.062)

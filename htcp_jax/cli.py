@@ -13,6 +13,7 @@ import typer
 
 from htcp_jax import compile_cache
 from htcp_jax.cli_plan import plan
+from htcp_jax.cli_report import report
 from htcp_jax.cli_sweep import sweep
 from htcp_jax.errors import InputError, Interrupted
 
@@ -21,6 +22,7 @@ BAD_INPUT, INTERRUPTED = 2, 130
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 app.command()(plan)
 app.command()(sweep)
+app.command()(report)
 
 
 def _show_version(asked: bool) -> bool:

@@ -1,14 +1,29 @@
-"""The paper's two result tables as data, and the settings that the paper chooses.
+"""The paper's two result tables as data, the grids behind them, and the choices of `configs/paper.yaml`.
 
 Source: Y. Sun, W. Zhao, C. Liu, "Hybrid Task Constrained Planner for Robot Manipulator in Confined Environment",
 tables 1 and 2. Its times are of MATLAB 2022 on a 2.5 GHz Intel Core i9.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 SOURCE = "Sun, Zhao, Liu: Hybrid Task Constrained Planner for Robot Manipulator in Confined Environment"
 MACHINE = "MATLAB 2022, 2.5 GHz Intel Core i9"
 TARGETS = 105  # of one scenario
+START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # the middle of the starts, as we read the paper, which does not give it
+
+# What differs from the default job: `configs/paper.yaml`, here for the report, which says what was run.
+CHOICES = {
+    "margin_m": 0.0,
+    "settings": {
+        "cost_about": "previous",
+        "rows": "smallest",
+        "qp_tolerance": 1e-8,
+        "j1_weight": 1.0,
+        "after_escape": "accept",
+        "path_check": "none",
+    },
+}
 
 
 class Figures(NamedTuple):
@@ -26,12 +41,22 @@ class Table(NamedTuple):
     number: int
     sweep: str
     scenarios: int
+    grid: tuple[str, ...]  # what varies, as in `run_parts.Part.axes` for a robot with these joints
+    offsets: tuple[float, ...]  # the same on every axis, about its middle value
     rows: dict[str, Figures]
 
     @property
     def source(self) -> str:
         """Where the figures stand."""
         return f"{SOURCE}, table {self.number}"
+
+    def is_axis(self, values: Sequence[float]) -> bool:
+        """Whether the values of an axis are the paper's, about whatever middle."""
+        middle = sum(values) / len(values)
+        offsets = [value - middle for value in values]
+        return len(values) == len(self.offsets) and all(
+            abs(a - b) < 1e-6 for a, b in zip(offsets, self.offsets, strict=True)
+        )
 
     def tracked(self, method: str) -> int:
         """The count behind the method's percentage."""
@@ -42,6 +67,8 @@ ROBOT = Table(
     1,
     "125 start postures",
     125,
+    ("start_joint3_rad", "start_joint4_rad", "start_joint5_rad"),
+    (-0.2, -0.1, 0.0, 0.1, 0.2),
     {
         "baseline": Figures(66.95, 0.4281, 0.4474, 0.1561),
         "cspace-sample": Figures(68.50, 0.4697, 0.4510, 0.1572),
@@ -56,6 +83,8 @@ WORKPIECE = Table(
     2,
     "49 workpiece poses",
     49,
+    ("rotation_y_rad", "rotation_z_rad"),
+    (-0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3),
     {
         "baseline": Figures(39.16, 0.2789, 0.4831, 12.0973),
         "cspace-sample": Figures(49.93, 0.5740, 0.4668, 4.6684),

@@ -23,10 +23,12 @@ LAYERS = [
     ["qp_solvers"],
     ["escape", "kernels", "engine", "planner"],
     ["strict_yaml", "config", "job"],
-    ["paper", "grid", "metrics", "results", "charts", "ceiling"],
-    ["run_folder", "run_identity", "run_lock", "run_tables", "run_writer", "sweep", "report", "gate"],
+    ["paper", "grid", "metrics", "results", "ceiling"],
+    ["charts", "chart_style", "path_charts", "success_charts", "document"],
+    ["run_folder", "run_identity", "run_lock", "run_tables", "run_writer", "sweep", "gate"],
+    ["report", "report_chapter", "report_tables", "run_parts"],
     ["picture", "viewer"],
-    ["cli_plan", "cli_sweep"],
+    ["cli_plan", "cli_report", "cli_sweep"],
     ["cli", "__main__"],
 ]
 LAYER = {module: number for number, row in enumerate(LAYERS) for module in row}

@@ -1,0 +1,197 @@
+"""A report as blocks, written as Markdown, as one HTML file, as CSV and as plain records."""
+
+import base64
+import csv
+import io
+import math
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from matplotlib.figure import Figure
+
+NOTHING = "-"
+
+
+def unknown(value: Any) -> bool:
+    """Whether a cell holds no value: None or NaN."""
+    return value is None or (isinstance(value, float) and math.isnan(value))
+
+
+class Column(NamedTuple):
+    """One column of a table."""
+
+    key: str  # its name in CSV and JSON, with its unit
+    head: str
+    unit: str = ""
+    form: str = ""  # of numbers; a column without one holds text and is aligned left
+    quiet: bool = False  # for reference alone: figures that are not ours
+
+    @property
+    def title(self) -> str:
+        return f"{self.head} [{self.unit}]" if self.unit else self.head
+
+    def text(self, value: Any) -> str:
+        """A cell as a person reads it; what is not known is a dash."""
+        if unknown(value):
+            return NOTHING
+        return format(value, self.form) if self.form else str(value)
+
+
+class Table(NamedTuple):
+    """Rows of values under columns. `name` is the stem of its CSV file."""
+
+    name: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple, ...]
+    title: str = ""
+
+    def records(self) -> list[dict]:
+        """The rows as mappings from the columns' keys to values; what is not known is None."""
+        keys = [column.key for column in self.columns]
+        return [
+            {key: None if unknown(cell) else cell for key, cell in zip(keys, row, strict=True)} for row in self.rows
+        ]
+
+
+class Picture(NamedTuple):
+    """A figure. `name` is the stem of its file, `says` what it shows, for those who cannot see it."""
+
+    name: str
+    figure: Figure
+    says: str
+
+
+class Heading(NamedTuple):
+    """A heading of level 1 to 3."""
+
+    level: int
+    text: str
+
+
+Block = Heading | Table | Picture | str  # a string is a paragraph
+
+
+def markdown(blocks: Sequence[Block]) -> str:
+    """The blocks as Markdown; pictures are named as files beside it."""
+    return "\n\n".join(map(_markdown, blocks)) + "\n"
+
+
+def html(blocks: Sequence[Block], pictures: dict[str, bytes]) -> str:
+    """The blocks as one self-contained HTML file without scripts; `pictures` are PNG files by name."""
+    title = next((block.text for block in blocks if isinstance(block, Heading)), "Report")
+    body = "\n".join(_html(block, pictures) for block in blocks)
+    return _PAGE.format(title=escape(title), style=_STYLE, body=body)
+
+
+def write_csv(file: Path, table: Table) -> None:
+    """The table with numbers that read back exactly; what is not known is an empty cell."""
+    with file.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow([column.key for column in table.columns])
+        for row in table.rows:
+            writer.writerow(["" if unknown(cell) else cell for cell in row])
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as a PNG file."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", metadata={"Software": None})
+    return stream.getvalue()
+
+
+def _markdown(block: Block) -> str:
+    match block:
+        case Heading(level, text):
+            return f"{'#' * level} {text}"
+        case Table():
+            return _markdown_table(block)
+        case Picture(name, _, says):
+            return f"![{says}]({name}.png)"
+    return block
+
+
+def _markdown_table(table: Table) -> str:
+    """Aligned in the source too, so that it reads well in an editor."""
+    lines = [[column.title for column in table.columns], *_texts(table)]
+    lines = [[cell.replace("|", "\\|") for cell in line] for line in lines]
+    widths = [max(3, *map(len, cells)) for cells in zip(*lines, strict=True)]
+    rule = ["-" * (w - 1) + ":" if c.form else "-" * w for c, w in zip(table.columns, widths, strict=True)]
+    padded = [
+        [t.rjust(w) if c.form else t.ljust(w) for t, c, w in zip(line, table.columns, widths, strict=True)]
+        for line in lines
+    ]
+    text = "\n".join("| " + " | ".join(line) + " |" for line in (padded[0], rule, *padded[1:]))
+    return f"**{table.title}**\n\n{text}" if table.title else text
+
+
+def _html(block: Block, pictures: dict[str, bytes]) -> str:
+    match block:
+        case Heading(level, text):
+            return f"<h{level}>{escape(text)}</h{level}>"
+        case Table():
+            return _html_table(block)
+        case Picture(name, _, says):
+            data = base64.b64encode(pictures[name]).decode()
+            return f'<img src="data:image/png;base64,{data}" alt="{escape(says)}">'
+    return f"<p>{escape(block)}</p>"
+
+
+def _html_table(table: Table) -> str:
+    kinds = [" ".join(("number" if c.form else "", "quiet" if c.quiet else "")).strip() for c in table.columns]
+    heads = [
+        f'<th class="{kind}">{escape(c.head)}<br><small>{escape(c.unit) or "&nbsp;"}</small></th>'
+        for c, kind in zip(table.columns, kinds, strict=True)
+    ]
+    rows = [
+        "".join(f'<td class="{kind}">{escape(text)}</td>' for text, kind in zip(line, kinds, strict=True))
+        for line in _texts(table)
+    ]
+    caption = f"<caption>{escape(table.title)}</caption>" if table.title else ""
+    body = "\n".join(f"<tr>{row}</tr>" for row in rows)
+    head = f"<thead><tr>{''.join(heads)}</tr></thead>"
+    return f'<div class="wide"><table>{caption}{head}<tbody>\n{body}\n</tbody></table></div>'
+
+
+def _texts(table: Table) -> list[list[str]]:
+    return [[c.text(value) for c, value in zip(table.columns, row, strict=True)] for row in table.rows]
+
+
+_PAGE = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title}</title>
+<style>{style}</style>
+</head>
+<body>
+{body}
+</body>
+</html>
+"""
+
+_STYLE = """
+:root { color-scheme: light; }
+body { max-width: 70rem; margin: 2.5rem auto 5rem; padding: 0 1.25rem; background: #fff; color: #22303c;
+  font: 1rem/1.55 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
+h1 { font-size: 1.8rem; line-height: 1.2; margin: 0 0 .6rem; }
+h2 { font-size: 1.4rem; margin: 3.2rem 0 .6rem; padding-top: 1rem; border-top: 2px solid #22303c; }
+h3 { font-size: 1.1rem; margin: 2.2rem 0 .5rem; }
+p { max-width: 46rem; margin: .5rem 0 .9rem; }
+img { display: block; width: 100%; height: auto; margin: 1.2rem 0; }
+.wide { overflow-x: auto; margin: 1rem 0; }
+table { border-collapse: collapse; font-size: .86rem; font-variant-numeric: tabular-nums; }
+caption { text-align: left; font-weight: 600; padding-bottom: .4rem; }
+th, td { padding: .32rem .55rem; text-align: left; vertical-align: top; }
+th { font-weight: 600; line-height: 1.25; vertical-align: bottom; border-bottom: 1.5px solid #22303c; }
+th small { font-weight: 400; color: #5d6b77; }
+td { border-bottom: 1px solid #e6e9ec; }
+th:first-child, td:first-child { padding-left: 0; }
+td:not(:last-child) { white-space: nowrap; }
+.number { text-align: right; white-space: nowrap; }
+.quiet { color: #5d6b77; }
+tbody tr:hover { background: #f5f7f8; }
+@media print { body { max-width: none; margin: 0; } h2 { break-before: page; } img { break-inside: avoid; } }
+"""

@@ -1,0 +1,130 @@
+"""The charts: every one draws whatever results there are, tells its methods apart, and counts only what is planned."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hand_made import plans_with
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+
+from htcp_jax import charts
+from htcp_jax.chart_style import LINES, OTHER_LINES, line_of, spread
+from htcp_jax.document import png
+from htcp_jax.path_charts import REASONS
+from htcp_jax.status import Status
+
+GOOD, LIMIT, LATER, NONE = Status.TRACKED, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED, -1
+PLANS = {
+    "baseline": plans_with([[GOOD, GOOD, LIMIT, LATER], [GOOD, LIMIT, LATER, LATER]]),
+    "hybrid": plans_with([[GOOD] * 4, [GOOD] * 4]),
+    "keep-clear": plans_with([[LIMIT, LATER, LATER, LATER]] * 2),  # nothing tracked
+}
+STATUS = {method: plans.status for method, plans in PLANS.items()}
+TURN, TOOL = charts.Axis("turn [rad]", [0.1, 0.2, 0.30000000000000004]), charts.Axis("path", ["weld", "seam.csv"])
+
+
+def texts(figure: Figure) -> str:
+    """Everything that is written in a figure."""
+    figure.canvas.draw()
+    return "\n".join(text.get_text() for text in figure.findobj(lambda artist: hasattr(artist, "get_text")))
+
+
+def drawings() -> dict[str, Figure]:
+    cells = np.array([[0.0, 3.5, 4.0], [1.0, np.nan, 4.0]])
+    maps = dict.fromkeys(STATUS, cells) | {"keep-clear": np.full((2, 3), np.nan)}
+    return {
+        "success": charts.success(
+            dict.fromkeys(STATUS, 3), dict.fromkeys(STATUS, 8), paper={"baseline": 50.0}, ceiling=7
+        ),
+        "success_map": charts.success_map(maps, TOOL, TURN, 4),
+        "success_slices": charts.success_slices({m: np.stack([v, v, v]) for m, v in maps.items()}, TURN, TOOL, TURN, 4),
+        "success_line": charts.success_line({m: v[:, 0] for m, v in maps.items()}, TOOL, 4),
+        "survival": charts.survival(STATUS, ceiling=np.array([4, 2])),
+        "stops": charts.stops(STATUS),
+        "clearance_along": charts.clearance_along({method: plans.clearance for method, plans in PLANS.items()}),
+        "joint_motion": charts.joint_motion({method: plans.joint_step for method, plans in PLANS.items()}),
+        "joint_motion_by_joint": charts.joint_motion_by_joint({m: p.x for m, p in PLANS.items()}, ["elbow", "wrist"]),
+    }
+
+
+def test_every_chart_draws_a_figure_that_names_every_method_even_where_nothing_is_tracked():
+    figures = drawings()
+    assert set(figures) == set(charts.__all__) - {"Axis"}
+    for name, figure in figures.items():
+        written = texts(figure)
+        assert isinstance(figure, Figure), name
+        silent = {"keep-clear"} if name == "success_line" else set()  # nothing of it is planned there
+        assert all(method in written for method in PLANS.keys() - silent), name
+
+
+def test_the_same_results_give_the_same_picture_byte_for_byte():
+    assert png(charts.stops(STATUS)) == png(charts.stops(STATUS))
+
+
+@pytest.mark.parametrize("name", ["success_line", "survival"])
+def test_the_labels_of_lines_stand_at_the_right_of_them(name):
+    figure = drawings()[name]
+    labels = {text.get_text().split("  ")[0]: text for text in figure.axes[0].texts}
+    assert set(labels) <= set(PLANS) and "hybrid" in labels
+    assert all(text.get_color() == line_of(method)[0] for method, text in labels.items())
+
+
+def test_what_is_not_planned_is_not_counted_as_tracked():
+    partial = {"baseline": np.array([[GOOD, GOOD], [NONE, NONE]], np.int8)}
+    assert "1 of 1 complete" in texts(charts.stops(partial))
+    assert "baseline  1" in texts(charts.survival(partial))
+
+
+def test_the_stops_show_each_reason_that_occurs_and_no_other():
+    written = texts(charts.stops(STATUS))
+    assert "iteration limit" in written and "escape exhausted" not in written
+
+
+def test_every_reason_to_fail_has_a_marker_of_its_own():
+    failures = {status for status in Status if not status.tracked} - {LATER}
+    assert set(REASONS) == failures
+    assert len({marker for _, marker in REASONS.values()}) == len(REASONS)
+
+
+def test_a_map_holds_the_number_of_every_cell_and_none_where_nothing_is_planned():
+    figure = charts.success_map({"baseline": np.array([[0.0, 3.5], [4.0, np.nan]])}, TOOL, TOOL, 4)
+    assert sorted(text.get_text() for text in figure.axes[0].texts) == ["0", "3.5", "4"]
+    assert {text.get_text(): text.get_fontweight() for text in figure.axes[0].texts}["4"] == "bold"
+
+
+def test_a_large_map_has_fewer_names_and_no_numbers():
+    axis = charts.Axis("turn [rad]", list(range(40)))
+    figure = charts.success_map({"baseline": np.zeros((40, 40))}, axis, axis, 4)
+    assert not figure.axes[0].texts and len(figure.axes[0].get_xticks()) == 10
+
+
+def test_values_of_an_axis_read_as_they_were_written():
+    assert TURN.names == ["0.1", "0.2", "0.3"]
+
+
+# Linear RGB as eyes without one kind of cone see it: Vienot, Brettel, Mollon (1999)
+VISIONS = {
+    "all cones": np.eye(3),
+    "protanopia": np.array([[0.11238, 0.88762, 0], [0.11238, 0.88762, 0], [0.00401, -0.00401, 1]]),
+    "deuteranopia": np.array([[0.29275, 0.70725, 0], [0.29275, 0.70725, 0], [-0.02234, 0.02234, 1]]),
+}
+
+
+@pytest.mark.parametrize("vision", VISIONS)
+def test_methods_are_told_apart_by_colour_or_by_line_style(vision):
+    for (a, (colour_a, style_a)), (b, (colour_b, style_b)) in itertools.combinations(LINES.items(), 2):
+        seen = [VISIONS[vision] @ np.array(to_rgb(colour)) ** 2.2 for colour in (colour_a, colour_b)]
+        apart = np.abs(np.subtract(*np.clip(seen, 0, 1) ** (1 / 2.2))).max()
+        assert style_a != style_b or apart > 0.1, f"{a} and {b}"
+
+
+def test_a_method_of_your_own_has_a_line_that_no_other_has():
+    assert line_of("mine") in OTHER_LINES and line_of("mine") == line_of("mine")
+
+
+def test_labels_are_spread_in_their_order_and_stay_inside_where_there_is_room():
+    placed = spread({"a": 0.5, "b": 0.5, "c": 0.99, "d": 1.0, "e": 0.0}, 0.1)
+    heights = sorted(placed.values())
+    assert min(np.diff(heights)) >= 0.1 - 1e-12 and heights[0] >= 0 and heights[-1] <= 1
+    assert sorted(placed, key=placed.get) == ["e", "a", "b", "c", "d"]

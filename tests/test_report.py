@@ -1,0 +1,273 @@
+"""The report: its numbers from plans made by hand, on the paper's own grids; its files; what it refuses."""
+
+import csv
+import json
+import re
+
+import numpy as np
+import pytest
+import yaml
+from hand_made import plans_with
+
+from htcp_jax import paper, planner, report_tables
+from htcp_jax.cli import main
+from htcp_jax.config import load_config
+from htcp_jax.document import Column, Heading, Table, html, markdown
+from htcp_jax.errors import InputError
+from htcp_jax.report import make_report, overview
+from htcp_jax.report_chapter import choice, facts, label, presets
+from htcp_jax.run_folder import open_run
+from htcp_jax.run_parts import CEILING, read_parts
+from htcp_jax.status import Status
+from htcp_jax.sweep import sweep
+
+POSES = """
+  - workpiece.rotation_y_rad: [0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
+  - workpiece.rotation_z_rad: [-0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3]
+"""
+STARTS = "".join(f"\n  - start_rad.{k}: {{offsets: [-0.2, -0.1, 0.0, 0.1, 0.2]}}" for k in (3, 4, 5)) + "\n"
+BOX = "\n".join(f"{1.3 * x} {y} {z}" for x in (0, 1) for y in (-1, 1) for z in (-1, 1))
+
+
+def by_hand(robot, workpiece, scenarios, method, settings, *, progress=None, threads=None):
+    """Instead of the planner: the baseline loses scenario k's last k % 4 targets, the others none; each second target
+    of the baseline lies behind a blocked joint path."""
+    targets = scenarios.targets.shape[1]
+    lost = [number % 4 if method == "baseline" else 0 for number in scenarios.number.tolist()]
+    ends = [[Status.ITERATION_LIMIT] + [Status.NOT_ATTEMPTED] * (n - 1) if n else [] for n in lost]
+    plans = plans_with([[Status.TRACKED] * (targets - len(end)) + end for end in ends], joints=6)
+    open_path = np.where(plans.status <= 1, 1, -1).astype(np.int8)
+    open_path[:, 1::2] -= (method == "baseline") * (open_path[:, 1::2] == 1).astype(np.int8)
+    return plans._replace(target=scenarios.targets, path_clear=open_path)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with runs: the paper's two grids, with the paper's choices; and a list of smaller ones."""
+    with pytest.MonkeyPatch.context() as patch:
+        place = tmp_path_factory.mktemp("runs")
+        patch.chdir(place)
+        patch.setattr(planner, "plan", by_hand)
+        (place / "box.xyz").write_text(BOX)
+        for name, count in (("path", 94), ("short", 2)):
+            rows = [f"{0.1857 + 0.004 * k},-0.17,0.17" for k in range(count)]
+            (place / f"{name}.csv").write_text("\n".join(rows) + "\n")
+            scene = {"workpiece": {"cloud": "box.xyz", "path": f"{name}.csv", "inlet_m": [0, 0, 0.19]}}
+            (place / f"{name}.yaml").write_text(yaml.safe_dump(scene))
+            (place / f"{name}-paper.yaml").write_text(yaml.safe_dump(scene | paper.CHOICES))
+        short = "start_rad.6: [-2.0, -1.9]"
+        grids = {
+            "poses": ("path-paper", f"grid:{POSES}"),
+            "starts": ("path-paper", f"grid:{STARTS}"),
+            "measuring": ("path", f"grid:\n  - start_rad.6: [0.0]{POSES}"),
+            "one": ("short", f"grid:\n  - {short}"),
+            "groups": ("short", f"groups:\n  first:\n    - {short}\n  second:\n    - margin_m: [0.001, 0.002, 0.003]"),
+            "four": ("short", "grid:" + "".join(f"\n  - start_rad.{k}: [0.1, 0.2]" for k in (1, 4, 5, 6))),
+        }
+        for name, (config, text) in grids.items():
+            (place / f"{name}.yaml").write_text(f"config: {config}.yaml\n{text}\n")
+            sweep(f"{name}.yaml", "baseline,hybrid", place / name)
+    return place
+
+
+def part_of(folder, name: str):
+    (part,) = read_parts(open_run(folder / name), name)
+    return part
+
+
+def rows_of(table: Table) -> dict[str, dict]:
+    return {row["method"]: row for row in table.records()}
+
+
+@pytest.mark.parametrize("table", [paper.ROBOT, paper.WORKPIECE], ids=lambda table: table.sweep)
+def test_every_percentage_of_the_paper_is_a_whole_count_of_targets(table):
+    for method, row in table.rows.items():
+        exact = 100 * table.tracked(method) / (table.scenarios * paper.TARGETS)
+        assert abs(exact - row.success_percent) < 0.00501, method
+
+
+def test_the_papers_choices_are_those_of_the_shipped_configuration(request):
+    shipped = load_config(request.config.rootpath / "configs" / "paper.yaml")
+    assert presets()["paper.yaml"] == shipped
+
+
+def test_the_results_hold_the_counts_behind_each_percentage_and_the_papers_figures(folder):
+    rows = rows_of(report_tables.results(part_of(folder, "poses")))
+    lost = sum(k % 4 for k in range(49))
+    base = rows["baseline"]
+    assert (base["tracked"], base["targets"], base["complete"], base["scenarios"]) == (5145 - lost, 5145, 13, 49)
+    assert base["success_percent"] == pytest.approx(100 * (5145 - lost) / 5145)
+    assert base["clearance_min_mm"] == pytest.approx(1.0)
+    assert base["paper_success_percent"] == 39.16 and base["paper_step_ms"] == pytest.approx(278.9)
+    assert rows["hybrid"]["success_percent"] == 100 and rows["hybrid"]["paper_success_percent"] is None
+    attempted = 5145 - lost + 36  # the failed targets, one a scenario
+    assert base["step_ms"] == pytest.approx(1e3 / attempted)
+
+
+def test_the_papers_tables_stand_beside_its_own_grids_alone(folder):
+    found = {name: part_of(folder, name).paper_table for name in ("poses", "starts", "measuring", "one")}
+    assert found == {"poses": paper.WORKPIECE, "starts": paper.ROBOT, "measuring": None, "one": None}
+
+
+def test_the_stops_count_reasons_and_name_the_targets(folder):
+    (row,) = report_tables.stops(part_of(folder, "poses")).records()
+    assert (row["method"], row["reason"], row["scenarios"]) == ("baseline", "iteration limit", 36)
+    assert (row["first_target"], row["median_target"], row["last_target"]) == (102, 103, 104)
+    assert row["targets"] == "102 (12), 103 (12), 104 (12)"
+
+
+def test_blocked_joint_paths_are_counted_of_all_accepted_steps_and_cut_the_prefix(folder):
+    rows = rows_of(report_tables.steps(part_of(folder, "one")))
+    base = rows["baseline"]  # two scenarios of 13 targets, the second without its last
+    assert (base["accepted"], base["blocked"], base["not_checked"]) == (25, 12, 0)
+    assert base["scenarios_blocked"] == 2 and base["tracked_before"] == 2
+    assert rows["hybrid"]["blocked"] == 0 and rows["hybrid"]["tracked_before_percent"] == 100
+
+
+def test_the_axes_are_what_varies_without_what_follows_from_another(folder):
+    part = part_of(folder, "starts")
+    assert list(part.axes) == ["start_joint3_rad", "start_joint4_rad", "start_joint5_rad"]
+    np.testing.assert_allclose(part.axes["start_joint3_rad"], [0.3, 0.4, 0.5, 0.6, 0.7])
+    doubled = part._replace(parameters={**part.parameters, "margin_m": 2 * part.parameters["start_joint3_rad"]})
+    assert list(doubled.axes) == list(part.axes)
+
+
+def test_cells_are_means_over_the_other_axes_and_leave_out_what_is_not_known(folder):
+    part = part_of(folder, "four")
+    values = part.parameters["start_joint4_rad"] + 10 * part.parameters["start_joint6_rad"]
+    cells = part.cells(values, ["start_joint4_rad", "start_joint1_rad"])
+    np.testing.assert_allclose(cells, [[1.6, 1.6], [1.7, 1.7]])
+    unknown = np.where(part.parameters["start_joint4_rad"] == 0.1, np.nan, values)
+    assert np.isnan(part.cells(unknown, ["start_joint4_rad"])).tolist() == [True, False]
+
+
+def test_what_was_run_is_told_with_every_deviation(folder):
+    assert choice(part_of(folder, "poses")).startswith("paper.yaml, apart from workpiece.cloud box.xyz, ")
+    told = choice(part_of(folder, "measuring"))
+    assert told.startswith("duct.yaml, apart from") and "path.csv" in told and "margin" not in told
+    assert str(folder) not in " ".join(facts(part_of(folder, "poses")))
+
+
+def test_groups_are_parts_with_tables_of_their_own(folder):
+    report = make_report([folder / "groups", folder / "one"])
+    assert [part.name for part in report.parts] == ["groups: first", "groups: second", "one"]
+    assert [len(part.numbers) for part in report.parts] == [2, 3, 2]
+    assert [column.head for column in overview(report.parts).columns] == [
+        "method",
+        "groups: first",
+        "groups: second",
+        "one",
+    ]
+    scenarios = {table.name: table for table in report.tables}["scenarios"].records()
+    assert [row["run"] for row in scenarios].count("groups: second") == 6
+
+
+def test_an_unfinished_run_is_told_as_far_as_it_is(folder, monkeypatch, tmp_path):
+    def gives_up(robot, workpiece, scenarios, method, settings, **how):
+        if method == "hybrid" and scenarios.number[0] > 0:
+            raise InputError("stopped")
+        return by_hand(robot, workpiece, scenarios, method, settings, **how)
+
+    monkeypatch.setattr(planner, "plan", gives_up)
+    with pytest.raises(InputError, match="stopped"):
+        sweep(folder / "groups.yaml", "baseline,hybrid,keep-clear", tmp_path / "half", shard_scenarios=1)
+    report = make_report([tmp_path / "half"])
+    first, second = report.parts
+    assert rows_of(report_tables.results(first))["hybrid"]["scenarios"] == 1
+    assert "Scenarios still to plan: hybrid 4, keep-clear 5." in " ".join(facts(second))
+    assert list(second.plans) == ["baseline"]
+
+
+def test_the_ceiling_is_compared_with_and_what_beats_it_is_named(folder, tmp_path):
+    file = folder / "one" / CEILING
+    try:
+        file.write_text(json.dumps({"prefix": [12, 13]}))
+        part = part_of(folder, "one")
+        rows = rows_of(report_tables.ceiling(part))
+        assert (rows["baseline"]["reachable"], rows["baseline"]["of_reachable_percent"]) == (25, 100)
+        assert (rows["baseline"]["short"], rows["baseline"]["beyond"]) == (1, 1)
+        assert "Got further than sampling: baseline in 1 (0); hybrid in 1 (0)." in markdown(
+            make_report([folder / "one"]).blocks
+        )
+        for damaged in ("{", "[]", '{"prefix": [1]}', '{"prefix": ["x", 2]}'):
+            file.write_text(damaged)
+            with pytest.raises(InputError, match=CEILING):
+                part_of(folder, "one")
+    finally:
+        file.unlink()
+
+
+def test_the_command_prints_the_table_and_writes_a_report_that_stands_alone(folder, tmp_path, capsys):
+    assert main(["report", str(folder / "poses"), "--out", str(tmp_path / "report")]) == 0
+    output = capsys.readouterr()
+    assert re.search(r"baseline +98\.60 +39\.16 +5,073 +5,145 +13 +49", output.out) and output.err == ""
+    page = (tmp_path / "report" / "report.html").read_text()
+    assert page.count("data:image/png;base64,") == 7
+    assert not re.search(r"<script|src=\"(?!data:)|href=|url\(|@import", page)
+    text = (tmp_path / "report" / "report.md").read_text()
+    pictures = re.findall(r"!\[.+\]\((.+)\)", text)
+    assert len(pictures) == 7 and all((tmp_path / "report" / name).stat().st_size for name in pictures)
+    assert str(folder) not in page + text
+    with open(tmp_path / "report" / "results.csv", newline="") as stream:
+        (base, hybrid) = csv.DictReader(stream)
+    assert float(base["success_percent"]) == 100 * 5073 / 5145 and hybrid["paper_success_percent"] == ""
+    assert sorted(file.name for file in (tmp_path / "report").glob("*.csv")) == [
+        "joint-steps.csv", "results.csv", "scenarios.csv", "stops.csv", "times.csv",
+    ]  # fmt: skip
+
+
+def test_grids_of_any_number_of_axes_are_drawn(folder):
+    pictures = {
+        name: re.findall(r"\((map.*)\)", markdown(make_report([folder / name]).blocks)) for name in ("one", "four")
+    }
+    assert pictures == {"one": ["map.png"], "four": ["map-1-2.png", "map-3-4.png"]}
+
+
+def test_json_holds_the_tables_as_records(folder, tmp_path, capsys):
+    assert main(["report", str(folder / "one"), "--json", "--out", str(tmp_path / "out")]) == 0
+    (run,) = json.loads(capsys.readouterr().out)["runs"]
+    assert run["results"][1]["method"] == "hybrid" and run["results"][1]["tracked"] == 26
+    assert run["validated"] is None and run["configuration"].startswith("duct.yaml, apart from")
+
+
+def test_bad_input_is_one_line_and_exit_2(folder, tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    shard = next((folder / "measuring" / "targets").iterdir())
+    whole = shard.read_bytes()
+    try:
+        shard.write_bytes(whole[:100])
+        for name, line in {
+            tmp_path / "empty": "holds no run",
+            tmp_path / "none": "holds no run",
+            folder / "measuring": shard.name,
+        }.items():
+            assert main(["report", str(name), "--out", str(tmp_path / "out")]) == 2
+            output = capsys.readouterr()
+            assert line in output.err and output.err.count("\n") == 1 and output.out == ""
+            assert not (tmp_path / "out").exists()
+    finally:
+        shard.write_bytes(whole)
+
+
+def test_tables_are_aligned_and_safe_in_markdown_and_html():
+    columns = Column("a_mm", "a <i>", "mm", ".2f"), Column("b", "b")
+    table = Table("t", columns, ((1.5, "x|y"), (float("nan"), "<b>"), (1000.0, "")))
+    lines = markdown([table]).splitlines()
+    assert len({len(line.replace("\\|", "\\|")) for line in lines}) == 1 and "x\\|y" in lines[2]
+    page = html([Heading(1, "A & B"), table], {})
+    assert "&lt;b&gt;" in page and "<b>" not in page and "A &amp; B" in page
+    assert table.records()[1] == {"a_mm": None, "b": "<b>"}
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("start_joint3_rad", "start joint 3 [rad]"),
+        ("rotation_y_rad", "workpiece about y [rad]"),
+        ("shift_x_m", "workpiece along x [m]"),
+        ("tool_extension_m", "tool extension [m]"),
+        ("path", "path"),
+    ],
+)
+def test_parameters_have_readable_names_with_units(name, text):
+    assert label(name) == text
