@@ -11,6 +11,7 @@ from htcp_jax import charts, paper, report_tables
 from htcp_jax.config import PlanConfig, validate
 from htcp_jax.document import Block, Heading, Picture
 from htcp_jax.errors import InputError
+from htcp_jax.path_charts import words
 from htcp_jax.run_parts import Part, tracked
 from htcp_jax.run_tables import NO_TARGET
 
@@ -98,8 +99,8 @@ def label(name: str) -> str:
     stem, _, unit = name.rpartition("_")
     if unit not in UNITS:
         return name
-    words = {"rotation_y": "workpiece about y", "rotation_z": "workpiece about z"}
-    text = words.get(stem) or stem.replace("shift_", "workpiece along ").replace("_", " ")
+    own = {"rotation_y": "workpiece about y", "rotation_z": "workpiece about z"}
+    text = own.get(stem) or stem.replace("shift_", "workpiece along ").replace("_", " ")
     return f"{re.sub(r'(?<=[a-z])(?=[0-9])', ' ', text)} [{unit}]"
 
 
@@ -151,7 +152,7 @@ def _ends(part: Part, prefix: str) -> list[Block]:
     if not table.rows:
         return [survival, "No scenario failed."]
     found = sorted({reason for status in statuses.values() for reason in report_tables.reasons(status)})
-    told = (f"{report_tables.words(reason)}: {reason.message}." for reason in found)
+    told = (f"{words(reason)}: {reason.message}." for reason in found)
     meaning = " ".join(text[0].upper() + text[1:] for text in told)
     return [
         survival,

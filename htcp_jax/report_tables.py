@@ -11,6 +11,7 @@ from jaxtyping import Bool, Int, Int8
 
 from htcp_jax.config import PlanConfig
 from htcp_jax.document import Column, Table
+from htcp_jax.path_charts import words
 from htcp_jax.run_parts import Part, tracked
 from htcp_jax.run_tables import NO_TARGET
 from htcp_jax.status import Status
@@ -215,11 +216,6 @@ def end(status: Int8[np.ndarray, "T"]) -> str:
     """What ended a scenario, in words."""
     missed = ~tracked(status) & (status != NO_TARGET)
     return words(Status(int(status[missed.argmax()]))) if missed.any() else "complete"
-
-
-def words(status: Status) -> str:
-    """The name of a status as text."""
-    return status.name.replace("_", " ").lower().replace("qp", "QP")
 
 
 def _tally(values: Int[np.ndarray, "n"]) -> str:
