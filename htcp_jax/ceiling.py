@@ -63,6 +63,7 @@ def ceiling(
             if not len(lost):
                 break
             here = kernels("draw", tasks(scenarios, lost, np.full(len(lost), row), round_))
+            here = jax.tree.map(lambda leaf: leaf[:, 0], here)
             x[lost] = here.x
             best[lost] = np.fmax(best[lost], np.where(here.residual <= settings.tolerance_m, here.clearance, -np.inf))
             good[~good] = _clear(here, settings)

@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from htcp_jax.clearance import Linearisation
@@ -380,18 +381,21 @@ class Engine:
         lost = int(lane.target[0])
         for round_ in range(self._settings.postures):
             here = self._kernels("draw", tasks(self._scenarios, lane.scenario, lane.target, round_))
-            chain = [here.x[0]]
+            here = jax.tree.map(lambda leaf: leaf[0], here)
+            chains = here.x[self._good(here)][:, None]
             for row in range(lost - 1, -1, -1):
-                if not self._good(here):
+                if not len(chains):
                     break
-                here = self._kernels("push", tasks(self._scenarios, lane.scenario, np.array([row])), chain[-1][None])
-                chain.append(here.x[0])
-            if self._good(here) and self._record_chain(lane, np.array(chain[::-1])):
+                many = np.zeros(len(chains), int)
+                at = tasks(self._scenarios, lane.scenario[many], many + row)
+                here = self._kernels("push", at, chains[:, 0])
+                chains = np.concatenate([here.x[:, None], chains], axis=1)[self._good(here)]
+            if any(self._record_chain(lane, chain) for chain in chains):
                 return True
         return False
 
-    def _good(self, here) -> bool:
-        return bool(here.clearance[0] > 0 and here.residual[0] <= self._settings.tolerance_m)
+    def _good(self, here) -> np.ndarray:
+        return (here.clearance > 0) & (here.residual <= self._settings.tolerance_m)
 
     def _record_chain(self, lane: Lanes, x: np.ndarray) -> bool:
         """Write the chain x (rows, N) over the rows so far and go on behind it, if its paths are clear."""

@@ -22,7 +22,7 @@ from htcp_jax.seen import Seen, see, seen_clearance
 from htcp_jax.settings import Settings
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar, Vector3
 
-DRAWS, PUSHED, PUSHES = 256, 4, 60  # of `draw_clear`: draws, how many are pushed clear, null-space steps of a push
+DRAWS, PUSHED, PUSHES = 256, 6, 60  # of `draw_clear`: draws, how many are pushed clear, null-space steps of a push
 
 
 class Scene(NamedTuple):
@@ -205,8 +205,8 @@ def push_clear(scene: Scene, settings: Settings, where: Posed, x: Joints, target
 
 
 def draw_clear(scene: Scene, settings: Settings, where: Posed, stuck: Stuck) -> Anchored:
-    """The best of a round of seeded uniform draws within the joint limits: each brought onto the target, the clearest
-    of them pushed clear."""
+    """The best of a round of seeded uniform draws within the joint limits, clearest first (PUSHED rows): each draw is
+    brought onto the target, and the clearest of them are pushed clear."""
     robot = scene.robot
     lower, upper = jnp.maximum(robot.lower, -jnp.pi), jnp.minimum(robot.upper, jnp.pi)
     draw = jax.random.uniform(stuck.key, (DRAWS, lower.shape[0]))
@@ -214,7 +214,8 @@ def draw_clear(scene: Scene, settings: Settings, where: Posed, stuck: Stuck) -> 
     reached = jax.vmap(lambda x: anchor(scene, settings, where, x, stuck.target))(x)
     _, first = jax.lax.top_k(_rank(settings, reached), PUSHED)
     pushed = jax.lax.map(lambda x: push_clear(scene, settings, where, x, stuck.target), reached.x[first])
-    return jax.tree.map(lambda leaf: leaf[jnp.argmax(_rank(settings, pushed))], pushed)
+    order = jnp.argsort(-_rank(settings, pushed))
+    return jax.tree.map(lambda leaf: leaf[order], pushed)
 
 
 def _rank(settings: Settings, here: Anchored) -> Float[Array, "*n"]:
