@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from htcp_jax import compile_cache
+from htcp_jax.cli_ceiling import ceiling_command
 from htcp_jax.cli_plan import plan
 from htcp_jax.cli_report import report
 from htcp_jax.cli_sweep import sweep
@@ -23,6 +24,7 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 app.command()(plan)
 app.command()(sweep)
 app.command()(report)
+app.command("ceiling")(ceiling_command)
 
 
 def _show_version(asked: bool) -> bool:

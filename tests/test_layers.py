@@ -29,6 +29,7 @@ LAYERS = [
     ["report", "report_chapter", "report_tables", "run_parts"],
     ["picture", "viewer"],
     ["cli_plan", "cli_report", "cli_sweep"],
+    ["cli_ceiling"],
     ["cli", "__main__"],
 ]
 LAYER = {module: number for number, row in enumerate(LAYERS) for module in row}
