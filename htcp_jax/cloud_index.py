@@ -24,7 +24,7 @@ import numpy as np
 from jax.custom_batching import custom_vmap
 
 from htcp_jax.numerics import one_by_one
-from htcp_jax.types import Array, Float, Int, Scalar, Vector3
+from htcp_jax.types import Array, Float, Int
 
 POINTS_A_LEAF = 16
 LEAVES_A_NODE = 16
@@ -63,105 +63,152 @@ def build_index(points: Float[np.ndarray, "P 3"]) -> CloudIndex:
     )
 
 
-def nearest_rows(
+class Nearest(NamedTuple):
+    """Which point of the cloud is nearest to which of several segments; -1, -1 where none is within the limit."""
+
+    body: Int[Array, ""]
+    row: Int[Array, ""]
+
+
+def nearest_rows(index: CloudIndex, p: Float[Array, "K 3"], q: Float[Array, "K 3"]) -> Int[Array, "K"]:
+    """Row of the cloud nearest to each of K segments p q [m], exact (ties: one of the nearest).
+
+    An integer carries no gradient: differentiate the distance to the point it names.
+    """
+    alone = p.shape[0], 1
+    return _searches(
+        index,
+        *jax.lax.stop_gradient((p.reshape(*alone, 3), q.reshape(*alone, 3))),
+        jnp.zeros(alone),
+        jnp.full(p.shape[0], 1e150),
+    ).row
+
+
+def nearest_body(
     index: CloudIndex,
     p: Float[Array, "K 3"],
     q: Float[Array, "K 3"],
-    within: Float[Array, "K"] | None = None,
-) -> Int[Array, "K"]:
-    """Row of the cloud nearest to each of K segments p q [m], exact (ties: one of the nearest).
+    radius: Float[Array, "K"],
+    below: float = 1e150,
+) -> Nearest:
+    """The pair of body and point with the smallest distance(segment, point) - radius, if that is below `below` [m].
 
-    within: look no further than this [m]; -1 where no point is as near. An integer carries no gradient: differentiate
-    the distance to the point it names.
+    One search for all bodies: cheaper than one a body, because what is nearer to one body rules out all others.
     """
-    limit = jnp.full(p.shape[0], 1e150) if within is None else within
-    return _nearest_rows(index, *jax.lax.stop_gradient((p, q, limit)))
-
-
-def distance_above(index: CloudIndex, p: Float[Array, "K 3"], q: Float[Array, "K 3"]) -> Float[Array, "K"]:
-    """A distance [m] that the nearest point to each segment does not exceed: that to the nodes' medoids."""
-
-    def above(p, q):
-        d = q - p
-        square = jnp.sum(d * d)
-        inverse = jnp.where(square > 0, 1 / jnp.where(square > 0, square, 1.0), 0.0)
-        square = _squared_distance(
-            p.astype(jnp.float32), d.astype(jnp.float32), inverse.astype(jnp.float32), index.node_bound[:3]
-        )
-        return jnp.sqrt(jnp.min(square)).astype(p.dtype) + SLACK
-
-    return jax.lax.stop_gradient(jax.vmap(above)(p, q))
+    some = jax.lax.stop_gradient((p[None], q[None], radius[None], jnp.full(1, below)))
+    return jax.tree.map(lambda leaf: leaf[0], _searches(index, *some))
 
 
 @custom_vmap
-def _nearest_rows(index: CloudIndex, p, q, limit):
-    return jax.vmap(lambda *segment: _search(index, *segment))(p, q, limit)
+def _searches(index: CloudIndex, p, q, radius, below):
+    """Independent searches, one a row: p, q (n, K, 3), radius (n, K), below (n,)."""
+    return jax.vmap(lambda *search: _search(index, *search))(p, q, radius, below)
 
 
-@_nearest_rows.def_vmap
-def _nearest_rows_batch(axis_size, in_batched, index, *segments):
-    return one_by_one(_nearest_rows, axis_size, in_batched, index, segments)
+@_searches.def_vmap
+def _searches_batch(axis_size, in_batched, index, *searches):
+    return one_by_one(_searches, axis_size, in_batched, index, searches)
 
 
-def _search(index: CloudIndex, p: Vector3, q: Vector3, limit: Scalar) -> Int[Array, ""]:
-    """Row of the cloud nearest to one segment: nodes in rounds, the leaves of each round's nodes in rounds."""
-    d = q - p
-    square = jnp.sum(d * d)
-    inverse = jnp.where(square > 0, 1 / jnp.where(square > 0, square, 1.0), 0.0)
-    segment32 = (p.astype(jnp.float32), d.astype(jnp.float32), inverse.astype(jnp.float32))
-    nodes, leaves = index.node_bound.shape[1], NODES_A_ROUND * LEAVES_A_NODE
+def _search(index: CloudIndex, p, q, radius, below) -> Nearest:
+    """One search over K bodies: nodes in rounds, the leaves of each round's nodes in rounds. A pair of body and cluster
+    is numbered body * clusters + cluster."""
+    segments = _segments(p, q)
+    segments32 = jax.tree.map(lambda a: a.astype(jnp.float32), segments)
+    bodies, nodes = p.shape[0], index.node_bound.shape[1]
+    leaves = NODES_A_ROUND * LEAVES_A_NODE
+    # Keys must not be negative: bounds are of distance - radius + the largest radius.
+    lift = jnp.max(radius)
 
     def leaf_round(state):
-        keys, chosen_nodes, best, best_leaf = state
+        keys, pairs, best, best_leaf, best_body = state
         picked, keys = _take_best(keys)
         local = _picked_index(picked, leaves)
-        leaf_ids = chosen_nodes[local // LEAVES_A_NODE] * LEAVES_A_NODE + local % LEAVES_A_NODE
-        square = _squared_distance(p, d, inverse, index.leaf_points[leaf_ids].transpose(1, 0, 2))
-        square = jnp.min(square, axis=1)
-        smallest = jnp.min(square)
-        leaf = jnp.max(jnp.where(square == smallest, leaf_ids, -1))
+        pair = pairs[local // LEAVES_A_NODE]
+        body, leaf = pair // nodes, pair % nodes * LEAVES_A_NODE + local % LEAVES_A_NODE
+        own = jax.tree.map(lambda a: a[..., body, None], segments)
+        square = _squared_distance(own, index.leaf_points[leaf].transpose(1, 0, 2))
+        distance = jnp.sqrt(jnp.min(square, axis=1)) - radius[body]
+        smallest = jnp.min(distance)
+        first = jnp.max(jnp.where(distance == smallest, jnp.arange(LEAVES_A_ROUND, dtype=jnp.int32), -1))
         better = smallest < best
-        return keys, chosen_nodes, jnp.where(better, smallest, best), jnp.where(better, leaf, best_leaf)
+        return (
+            keys,
+            pairs,
+            jnp.where(better, smallest, best),
+            jnp.where(better, leaf[first], best_leaf),
+            jnp.where(better, body[first], best_body),
+        )
 
     def node_round(state):
-        keys, best, best_leaf = state
+        keys, best, best_leaf, best_body = state
         picked, keys = _take_best(keys)
-        chosen = _picked_index(picked, nodes)
-        bound = index.leaf_bound[chosen].transpose(1, 0, 2).reshape(8, -1)
-        leaf_keys = _keys(_lower_bound(segment32, bound)).reshape(-1, LEAVES_A_ROUND)
-        _, _, best, best_leaf = jax.lax.while_loop(
-            lambda s: jnp.min(s[0]) <= _key_above(s[2], leaves), leaf_round, (leaf_keys, chosen, best, best_leaf)
+        pairs = _picked_index(picked, bodies * nodes)
+        body = pairs // nodes
+        own = jax.tree.map(lambda a: a[..., body, None], segments32)
+        bound = _lower_bound(own, index.leaf_bound[pairs % nodes].transpose(1, 0, 2))
+        bound = _lifted(bound, radius[body], lift)
+        leaf_keys = _keys(bound.reshape(-1)).reshape(-1, LEAVES_A_ROUND)
+        _, _, *found = jax.lax.while_loop(
+            lambda s: jnp.min(s[0]) <= _key_above(s[2] + lift, leaves),
+            leaf_round,
+            (leaf_keys, pairs, best, best_leaf, best_body),
         )
-        return keys, best, best_leaf
+        return keys, *found
 
-    node_keys = _keys(_lower_bound(segment32, index.node_bound)).reshape(-1, NODES_A_ROUND)
-    start = (node_keys, limit * limit, jnp.full((), -1, jnp.int32))
-    _, _, leaf = jax.lax.while_loop(lambda s: jnp.min(s[0]) <= _key_above(s[1], nodes), node_round, start)
-    square = _squared_distance(p, d, inverse, index.leaf_points[leaf])
-    return jnp.where(leaf < 0, -1, index.leaf_rows[leaf, jnp.argmin(square)])
-
-
-def _squared_distance(p, d, inverse, points):
-    """Squared distance of points (3, ...) to the segment p + s d, 0 <= s <= 1; inverse is 1 / |d|^2 or 0."""
-    a0, a1, a2 = points[0] - p[0], points[1] - p[1], points[2] - p[2]
-    s = jnp.clip((a0 * d[0] + a1 * d[1] + a2 * d[2]) * inverse, 0, 1)
-    a0, a1, a2 = a0 - s * d[0], a1 - s * d[1], a2 - s * d[2]
-    return a0 * a0 + a1 * a1 + a2 * a2
+    own = jax.tree.map(lambda a: a[..., None], segments32)
+    bound = _lifted(_lower_bound(own, index.node_bound[:, None, :]), radius, lift)
+    node_keys = _keys(bound.reshape(-1)).reshape(-1, NODES_A_ROUND)
+    none = jnp.full((), -1, jnp.int32)
+    _, _, leaf, body = jax.lax.while_loop(
+        lambda s: jnp.min(s[0]) <= _key_above(s[1] + lift, bodies * nodes), node_round, (node_keys, below, none, none)
+    )
+    square = _squared_distance(jax.tree.map(lambda a: a[..., body, None], segments), index.leaf_points[leaf])
+    return Nearest(body, jnp.where(leaf < 0, -1, index.leaf_rows[leaf, jnp.argmin(square)]))
 
 
-def _lower_bound(segment, bound):
-    """The module's bound for clusters (8, n), not below 0, 32-bit [m]."""
-    p, d, inverse = segment
-    a0, a1, a2 = bound[0] - p[0], bound[1] - p[1], bound[2] - p[2]
-    s = jnp.clip((a0 * d[0] + a1 * d[1] + a2 * d[2]) * inverse, 0, 1)
-    a0, a1, a2 = a0 - s * d[0], a1 - s * d[1], a2 - s * d[2]
-    square = a0 * a0 + a1 * a1 + a2 * a2
+class _Segments(NamedTuple):
+    """Segments p + s d, 0 <= s <= 1: coordinates first, then the bodies, so that bodies can be picked and broadcast."""
+
+    p: Float[Array, "3 *K"]
+    d: Float[Array, "3 *K"]
+    inverse: Float[Array, "*K"]  # 1 / |d|^2, 0 for a point
+
+
+def _segments(p, q) -> _Segments:
+    d = q - p
+    square = jnp.sum(d * d, axis=1)
+    return _Segments(p.T, d.T, jnp.where(square > 0, 1 / jnp.where(square > 0, square, 1.0), 0.0))
+
+
+def _arm(segment: _Segments, points):
+    """From the closest point of the segment to each point (3, ...)."""
+    a = [points[i] - segment.p[i] for i in range(3)]
+    s = jnp.clip(sum(a[i] * segment.d[i] for i in range(3)) * segment.inverse, 0, 1)
+    return [a[i] - s * segment.d[i] for i in range(3)]
+
+
+def _squared_distance(segment: _Segments, points):
+    a = _arm(segment, points)
+    return a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
+
+
+def _lower_bound(segment: _Segments, bound):
+    """The module's bound for clusters (8, ...), 32-bit [m]."""
+    a = _arm(segment, bound)
+    square = a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
     distance = jnp.sqrt(square)
-    along = a0 * bound[3] + a1 * bound[4] + a2 * bound[5]  # |c - m| (v.n), up to its sign
+    along = a[0] * bound[3] + a[1] * bound[4] + a[2] * bound[5]  # |c - m| (v.n), up to its sign
     # The difference cancels where the patch is seen face on: 2e-6 is more than its rounding.
     across = jnp.sqrt(jnp.maximum(square - along * along, 0) + 2e-6 * square)
     reach = (jnp.abs(along) * bound[6] + across * bound[7]) / jnp.maximum(distance, 1e-12)
-    return jnp.maximum(distance - reach - jnp.float32(SLACK), 0)
+    return distance - reach - jnp.float32(SLACK)
+
+
+def _lifted(bound, radius, lift):
+    """Bounds of distance - radius + lift for pairs (n, clusters), not below 0, rounded down."""
+    more = (lift - radius).astype(jnp.float32)[:, None]
+    return jnp.maximum((jnp.maximum(bound, 0) + more) * jnp.float32(1 - 1e-6), 0)
 
 
 def _index_bits(count: int) -> int:
@@ -175,9 +222,9 @@ def _keys(bound):
     return (bits & ~mask) | jnp.arange(bound.shape[0], dtype=jnp.int32)
 
 
-def _key_above(square, count):
-    """Key above those of all bounds, out of `count`, that are smaller than sqrt(square)."""
-    distance = jnp.minimum(jnp.sqrt(square) * (1 + 1e-6), 1e30)
+def _key_above(value, count):
+    """Key above those of all bounds, out of `count`, that are smaller than `value`; below all keys if it is negative."""
+    distance = jnp.minimum(value * (1 + 1e-6), 1e30)
     bits = jax.lax.bitcast_convert_type(distance.astype(jnp.float32), jnp.int32)
     return bits | ((1 << _index_bits(count)) - 1)
 

@@ -1,0 +1,74 @@
+"""What several tests need and is slow to make: made once a session."""
+
+from functools import cache
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from htcp_jax.clearance import make_obstacle
+from htcp_jax.escape import Scene
+from htcp_jax.robot import Robot, gp50, load_robot
+from htcp_jax.scenario import Scenario, make_scenario
+from htcp_jax.workpiece import Workpiece, load_workpiece
+
+START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
+MEASURED = Path(__file__).parents[2] / "shared" / "data" / "duct"
+
+
+@cache
+def robot() -> Robot:
+    return gp50()
+
+
+@cache
+def duct() -> Workpiece:
+    """The generated duct."""
+    return load_workpiece()
+
+
+@cache
+def scene() -> Scene:
+    return Scene(robot(), make_obstacle(duct()))
+
+
+@cache
+def nominal() -> Scenario:
+    """The robot sweep's middle scenario on the generated duct, as device arrays."""
+    return jax.tree.map(jnp.asarray, make_scenario(robot(), duct(), START))
+
+
+@cache
+def measured_duct() -> Workpiece:
+    """The measured workpiece; skips the test where its data is not there."""
+    if not MEASURED.exists():
+        pytest.skip("the measured workpiece is not here (../shared/data/duct beside the repository)")
+    return load_workpiece(MEASURED / "cloud.xyz", MEASURED / "weld.csv", inlet=(0.0, 0.0, 0.19138))
+
+
+@cache
+def seven_joints(folder: Path) -> Robot:
+    """An arm with seven hinges in a row, whose last capsule is a sphere; its model file goes into `folder`."""
+    links, close = "", ""
+    for i in range(7):
+        axis = "0 0 1" if i % 2 == 0 else "0 1 0"
+        links += f'<body pos="0 0 0.3"><joint name="j{i}" axis="{axis}" range="-170 170"/>'
+        links += '<geom type="capsule" size="0.05" fromto="0 0 0.05 0 0 0.25"/>'
+        close += "</body>"
+    links += '<geom type="sphere" size="0.04" pos="0 0 0.3"/><site name="tcp" pos="0.05 0 0.35"/>'
+    path = folder / "seven.xml"
+    path.write_text(f'<mujoco model="seven"><worldbody>{links}{close}</worldbody></mujoco>')
+    return load_robot(path)
+
+
+def configurations(of: Robot, count: int, seed: int = 0) -> np.ndarray:
+    """Uniform draws within the joint limits (count, N)."""
+    lower, upper = np.maximum(of.lower, -np.pi), np.minimum(of.upper, np.pi)
+    return np.random.default_rng(seed).uniform(lower, upper, (count, len(lower)))
+
+
+def configurations_near(x: np.ndarray, count: int, width: float, seed: int = 0) -> np.ndarray:
+    """Uniform draws at most `width` [rad] from x in every joint (count, N)."""
+    return np.asarray(x) + np.random.default_rng(seed).uniform(-width, width, (count, len(x)))

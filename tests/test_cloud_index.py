@@ -1,0 +1,198 @@
+"""The index against brute force in numpy over all points: the same distance to the last bits, whatever the segment."""
+
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import made_once
+import numpy as np
+import pytest
+
+from htcp_jax.cloud_index import build_index, distance_above, nearest_rows
+
+LANES = 8  # segments that a search takes side by side, as a configuration's capsules do
+EPS = np.finfo(float).eps
+
+
+def distances(p, q, points):
+    """Distance of every point to every segment (K, P), numpy alone."""
+    d = q - p
+    square = np.sum(d * d, axis=1)
+    arm = points[None] - p[:, None]
+    s = np.einsum("kpi,ki->kp", arm, d) / np.where(square > 0, square, 1.0)[:, None]
+    return np.linalg.norm(arm - np.clip(s, 0, 1)[..., None] * d[:, None], axis=2)
+
+
+def smallest_distances(p, q, points):
+    return np.concatenate([distances(p[k : k + 16], q[k : k + 16], points).min(1) for k in range(0, len(p), 16)])
+
+
+@cache
+def cloud(name: str) -> np.ndarray:
+    """Clouds of 1 to 50,015 points: ordinary ones, and those that a tree finds hard to cut."""
+    rng = np.random.default_rng(len(name))
+    made = {
+        "one": lambda: rng.normal(size=(1, 3)),
+        "four": lambda: rng.normal(size=(4, 3)),
+        "seventeen": lambda: rng.normal(size=(17, 3)),
+        "three hundred": lambda: rng.normal(size=(300, 3)),
+        "all the same": lambda: np.repeat(rng.normal(size=(1, 3)), 300, axis=0),
+        "each five times": lambda: np.repeat(rng.normal(size=(120, 3)), 5, axis=0),
+        "on a line": lambda: np.linspace(-1, 1, 600)[:, None] * np.array([[0.6, -0.3, 0.74]]) + 0.2,
+        "on a plane": lambda: rng.normal(size=(2000, 3)) * np.array([[1.0, 1.0, 0.0]]),
+        "on a grid": lambda: np.stack(np.meshgrid(*[np.arange(9) / 8] * 3), axis=-1).reshape(-1, 3),
+        "far apart": lambda: np.concatenate([rng.normal(size=(400, 3)) * 0.01 + c for c in ((9, 0, 0), (-9, 3, 1))]),
+        "duct": lambda: made_once.duct().cloud,
+    }
+    return made[name]()
+
+
+SMALL = [
+    "one", "four", "seventeen", "three hundred", "all the same", "each five times", "on a line", "on a plane",
+    "on a grid", "far apart",
+]  # fmt: skip
+
+
+def segments(points, count, seed):
+    """Segments near and far, touching and through the cloud, of no length, tiny, short, long and huge."""
+    rng = np.random.default_rng(seed)
+    middle, extent = points.mean(0), np.ptp(points, axis=0).max() + 0.1
+    near = points[rng.integers(len(points), size=count)]
+    offset = rng.normal(size=(count, 3))
+    offset *= (10.0 ** rng.uniform(-9, 0, count) * (rng.random(count) < 0.8))[:, None]  # a fifth starts on a point
+    p = np.where(rng.random((count, 1)) < 0.6, near + offset, middle + extent * rng.normal(size=(count, 3)))
+    length = np.choose(
+        rng.integers(5, size=count),
+        [np.zeros(count), 10.0 ** rng.uniform(-30, -6, count), *np.geomspace(1e-2, 15.0, 3)[:, None] + np.zeros(count)],
+    )
+    direction = rng.normal(size=(count, 3))
+    q = p + length[:, None] * direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    # Some end on a point too, and some start at the very origin, where rounding makes no difference to a tiny length.
+    other = points[rng.integers(len(points), size=count)]
+    q = np.where(rng.random((count, 1)) < 0.15, other, q)
+    home = rng.random((count, 1)) < 0.05
+    return np.where(home, 0.0, p), np.where(home, length[:, None] * direction, q)
+
+
+_NEAREST = jax.jit(lambda index, p, q, within: jax.lax.map(lambda s: nearest_rows(index, *s), (p, q, within)))
+
+
+def nearest(index, p, q, within=None):
+    """Rows of the nearest points, LANES segments at a time."""
+    within = np.full(len(p), 1e150) if within is None else within
+    batches = (np.reshape(a, (-1, LANES, *a.shape[1:])) for a in (p, q, within))
+    return np.asarray(_NEAREST(index, *batches)).ravel()
+
+
+def check(points, count, seed):
+    p, q = segments(points, count, seed)
+    rows = nearest(build_index(points), p, q)
+    assert (rows >= 0).all() and (rows < len(points)).all()
+    found = np.array([distances(p[k : k + 1], q[k : k + 1], points[rows[k] : rows[k] + 1])[0, 0] for k in range(count)])
+    exact = smallest_distances(p, q, points)
+    scale = np.maximum(1.0, np.maximum(np.abs(p).max(1), np.abs(q).max(1)))
+    worst = np.argmax((found - exact) / scale)
+    assert (found - exact <= EPS * scale).all(), (p[worst], q[worst], found[worst], exact[worst])
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_the_nearest_point_is_the_nearest_of_all(name):
+    check(cloud(name), 400, seed=1)
+
+
+def test_the_nearest_point_of_the_duct_is_the_nearest_of_all():
+    check(cloud("duct"), 3000, seed=2)
+
+
+@pytest.mark.parametrize("length", 10.0 ** -np.arange(12, 200, 9))
+def test_a_segment_shorter_than_rounding_is_a_point(length):
+    """Its squared length, or the inverse of that, is beyond 32-bit floats, or beyond 64-bit ones."""
+    p = np.zeros((LANES, 3))
+    q = p + length * np.concatenate([np.eye(3), -np.eye(3), [[1, 1, 0], [0.3, -0.2, 0.1]]])
+    for points in (np.eye(3)[:1], cloud("on a grid"), cloud("on a grid") - 0.3, cloud("three hundred")):
+        rows = nearest(build_index(points), p, q)
+        assert (rows >= 0).all()
+        found, exact = np.linalg.norm(points[rows], axis=1), np.linalg.norm(points, axis=1).min()
+        np.testing.assert_allclose(found, exact, rtol=0, atol=2 * length + EPS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(10))
+def test_the_nearest_point_of_the_duct_is_the_nearest_of_all_100_000_times(seed):
+    check(cloud("duct"), 10_000, seed=10 + seed)
+
+
+def test_the_order_of_the_points_changes_no_distance():
+    points = cloud("three hundred")
+    p, q = segments(points, 160, seed=3)
+    turned = points[::-1].copy()
+    rows, mirrored = nearest(build_index(points), p, q), nearest(build_index(turned), p, q)
+    np.testing.assert_array_equal(points[rows], turned[mirrored])
+
+
+@pytest.mark.parametrize("name", ["three hundred", "each five times", "duct"])
+def test_within_a_limit_the_nearest_point_is_found_and_beyond_it_none(name):
+    points = cloud(name)
+    p, q = segments(points, 400, seed=4)
+    exact = smallest_distances(p, q, points)
+    factor = np.tile([0.0, 0.5, 1 - 1e-9, 1 + 1e-9, 1.001, 3.0, 1e3, 1e9], 50)
+    limit = factor * exact
+    rows = nearest(build_index(points), p, q, limit)
+    inside = (factor > 1) & (exact > 1e-12)
+    apart = exact > 1e-12  # of segments that touch, rounding alone decides
+    np.testing.assert_array_equal((rows >= 0)[apart], inside[apart])
+    found = np.linalg.norm(points[rows] - closest_points(p, q, points[rows]), axis=1)
+    np.testing.assert_allclose(found[inside], exact[inside], rtol=0, atol=16 * EPS)
+
+
+def closest_points(p, q, points):
+    d = q - p
+    square = np.sum(d * d, axis=1)
+    s = np.clip(np.sum((points - p) * d, axis=1) / np.where(square > 0, square, 1.0), 0, 1)
+    return p + s[:, None] * d
+
+
+def test_every_segment_has_its_own_limit():
+    """A limit that stops one segment's search leaves its neighbours' alone."""
+    points = cloud("three hundred")
+    p, q = segments(points, LANES, seed=5)
+    index, exact = build_index(points), smallest_distances(p, q, points)
+    free = nearest(index, p, q)
+    for stopped in range(LANES):
+        limit = np.where(np.arange(LANES) == stopped, 0.5 * exact, 1e150)
+        expected = np.where(np.arange(LANES) == stopped, -1, free)
+        np.testing.assert_array_equal(nearest(index, p, q, limit), expected)
+
+
+def test_a_batch_of_searches_equals_one_after_the_other():
+    index = build_index(cloud("three hundred"))
+    p, q = (a.reshape(20, LANES, 3) for a in segments(cloud("three hundred"), 20 * LANES, seed=6))
+    together = jax.jit(jax.vmap(nearest_rows, in_axes=(None, 0, 0)))(index, p, q)
+    np.testing.assert_array_equal(np.ravel(together), nearest(index, p.reshape(-1, 3), q.reshape(-1, 3)))
+
+
+@pytest.mark.parametrize("name", ["four", "three hundred", "duct"])
+def test_the_distance_above_is_above_and_not_far(name):
+    """A bound that is no bound would cut off the nearest point; one that is far off would save nothing."""
+    points = cloud(name)
+    p, q = segments(points, 400, seed=7)
+    above, exact = (
+        np.asarray(distance_above(build_index(points), jnp.asarray(p), jnp.asarray(q))),
+        smallest_distances(p, q, points),
+    )
+    assert (above >= exact).all()
+    assert np.median(above - exact) < 0.3 * np.ptp(points, axis=0).max()
+
+
+def test_no_gradient_passes_through_the_search():
+    index = build_index(cloud("four"))
+    points = jnp.asarray(cloud("four"))
+
+    def square(p):
+        row = nearest_rows(index, p, p + 0.1)
+        return jnp.sum((p - points[row]) ** 2)
+
+    p = jnp.asarray(segments(cloud("four"), 8, seed=8)[0])
+    row = nearest_rows(index, p, p + 0.1)
+    np.testing.assert_allclose(jax.jacrev(square)(p), 2 * (p - points[row]), atol=1e-14)
+    np.testing.assert_allclose(jax.jacfwd(square)(p), 2 * (p - points[row]), atol=1e-14)
