@@ -173,7 +173,7 @@ def max_min_step(sphere: Sphere, seen: Seen, longest: Scalar) -> Direction:
 
 
 def interior_point(sphere: Sphere, seen: Seen, iterations: int = 24) -> Best:
-    """Log barrier on the sphere: maximise t + mu (sum log(f_k(w) - t) + sum log(h - G w)), mu falling to 1e-6 m.
+    """Log barrier on the sphere: maximise t + mu (sum log(f_k(w) - t) + sum log(h - G w)), mu falling to 1e-7 m.
 
     t is eliminated (its optimum solves sum mu / (f_k - t) = 1), which leaves a smooth minimum of the bodies, pushed
     away from the joint limits. Newton steps in the tangent plane with the barrier's own curvature; a step that does
@@ -202,7 +202,7 @@ def interior_point(sphere: Sphere, seen: Seen, iterations: int = 24) -> Best:
 
     def body(count, state):
         w, values, seen, scale, best, best_merit = state
-        mu = 1e-2 * 0.45 ** (count // 2)
+        mu = 1e-2 * 0.35 ** (count // 2)
         _, gradient = sphere.predict(w, seen)
         w_new = _unit(w + scale * newton(w, values, gradient, mu))
         new_values, new_seen = sphere.observe(w_new)
