@@ -16,6 +16,7 @@ from htcp_jax.workpiece import Workpiece, load_workpiece
 
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
 MEASURED = Path(__file__).parents[2] / "shared" / "data" / "duct"
+RECORDED = Path(__file__).parent / "data" / "subproblems.npz"
 
 
 @cache

@@ -1,6 +1,6 @@
 """The index against brute force in numpy over all points: the same distance to the last bits, whatever the segment."""
 
-from functools import cache
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +8,7 @@ import made_once
 import numpy as np
 import pytest
 
-from htcp_jax.cloud_index import build_index, distance_above, nearest_rows
+from htcp_jax.cloud_index import build_index, nearest_body, nearest_rows
 
 LANES = 8  # segments that a search takes side by side, as a configuration's capsules do
 EPS = np.finfo(float).eps
@@ -171,17 +171,32 @@ def test_a_batch_of_searches_equals_one_after_the_other():
     np.testing.assert_array_equal(np.ravel(together), nearest(index, p.reshape(-1, 3), q.reshape(-1, 3)))
 
 
-@pytest.mark.parametrize("name", ["four", "three hundred", "duct"])
-def test_the_distance_above_is_above_and_not_far(name):
-    """A bound that is no bound would cut off the nearest point; one that is far off would save nothing."""
-    points = cloud(name)
-    p, q = segments(points, 400, seed=7)
-    above, exact = (
-        np.asarray(distance_above(build_index(points), jnp.asarray(p), jnp.asarray(q))),
-        smallest_distances(p, q, points),
-    )
-    assert (above >= exact).all()
-    assert np.median(above - exact) < 0.3 * np.ptp(points, axis=0).max()
+@partial(jax.jit, static_argnames="below")
+def nearest_bodies(index, p, q, radius, below=1e150):
+    return jax.lax.map(lambda s: nearest_body(index, *s, below), (p, q, radius))
+
+
+@pytest.mark.parametrize("name", ["one", "four", "three hundred", "far apart", "duct"])
+def test_the_nearest_body_is_the_one_with_the_smallest_distance_less_its_radius(name):
+    """In one search for all of them, whatever their radii; below a limit only where there is one."""
+    points, count = cloud(name), 100
+    p, q = (a.reshape(count, LANES, 3) for a in segments(points, count * LANES, seed=7))
+    radius = np.random.default_rng(8).choice([0.0, 0.03, 0.4], (count, LANES))
+    exact = smallest_distances(p.reshape(-1, 3), q.reshape(-1, 3), points).reshape(count, LANES) - radius
+    index = build_index(points)
+
+    body, row = nearest_bodies(index, p, q, radius)
+    mine = np.arange(count), np.asarray(body)
+    found = np.linalg.norm(closest_points(p[mine], q[mine], points[row]) - points[row], axis=1) - radius[mine]
+    scale = np.maximum(1.0, np.abs(np.concatenate([p, q], axis=1)).max((1, 2)))
+    assert (np.abs(found - exact.min(1)) <= 16 * EPS * scale).all()
+    assert (exact.min(1) < -0.02).any() or name == "one"
+
+    # All radii larger or smaller by the same: then the smallest distance is just below or just above the limit.
+    short = np.tile([1e-9, -1e-9, 0.1, -0.1], count // 4)
+    body, row = nearest_bodies(index, p, q, radius + (exact.min(1) + short)[:, None], below=0.0)
+    np.testing.assert_array_equal(row >= 0, short > 0)
+    np.testing.assert_array_equal(body >= 0, short > 0)
 
 
 def test_no_gradient_passes_through_the_search():

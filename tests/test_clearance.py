@@ -1,0 +1,254 @@
+"""D(x, O) against plain numpy over all points, against MuJoCo's own distances, and against the recorded run."""
+
+from functools import cache, partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import made_once
+import mujoco
+import numpy as np
+import pytest
+
+from htcp_jax.clearance import clearance, clearances, contacts, is_clear, linearise, make_obstacle
+from htcp_jax.kinematics import capsule_segments
+from htcp_jax.robot import GP50, lengthen_tool
+from htcp_jax.scenario import make_scenario
+from htcp_jax.workpiece import Workpiece
+
+
+class Where(NamedTuple):
+    T_world_workpiece: jax.Array
+    gate_x: jax.Array
+
+
+def posed(workpiece, wy=0.4, wz=0.1) -> Where:
+    T = workpiece.T_world(wy, wz)
+    return Where(jnp.asarray(T), jnp.asarray(workpiece.gate_x(T)))
+
+
+@cache
+def postures() -> np.ndarray:
+    """Configurations of the GP50 far from the duct, at its mouth, deep in it and through its wall (M, N)."""
+    robot = made_once.robot()
+    inside = np.load(made_once.RECORDED)["x"]
+    return np.concatenate(
+        [
+            made_once.configurations(robot, 60),
+            made_once.configurations_near(made_once.START, 40, 0.5),
+            inside[:60],
+            *(made_once.configurations_near(x, 1, 0.15, seed) for seed, x in enumerate(inside[60:120])),
+        ]
+    )
+
+
+@cache
+def jitted(function):
+    """`function` of (robot, obstacle, where, x), compiled once for all tests."""
+    return jax.jit(function)
+
+
+_ENDS = jax.jit(capsule_segments)
+
+
+def numpy_clearances(robot, workpiece: Workpiece, where: Where, x):
+    """D per body by brute force in numpy: all points, all facets; and where the hull decides."""
+    p, q = (np.asarray(end) for end in _ENDS(robot, x))
+    T = np.asarray(where.T_world_workpiece)
+    points = workpiece.cloud @ T[:3, :3].T + T[:3, 3]
+    D, hull = np.empty(len(p)), np.zeros(len(p), bool)
+    for k in range(len(p)):
+        d = q[k] - p[k]
+        s = np.clip((points - p[k]) @ d / (d @ d or 1.0), 0, 1)
+        D[k] = np.linalg.norm(p[k] + s[:, None] * d - points, axis=1).min() - robot.capsule_radius[k]
+        for end in (p[k], q[k]):
+            local = T[:3, :3].T @ (end - T[:3, 3])
+            outside = np.max(workpiece.hull_normal @ local - workpiece.hull_offset)
+            if end[0] > where.gate_x and outside > 0 and -outside < D[k]:
+                D[k], hull[k] = -outside, True
+    return D, hull
+
+
+def test_D_is_the_smallest_distance_to_all_points_and_minus_the_depth_outside_the_hull():
+    robot, obstacle = made_once.scene()
+    duct = made_once.duct()
+    decided = 0
+    for wy, wz in ((0.4, 0.1), (0.2, -0.3)):
+        where = posed(duct, wy, wz)
+        for x in postures()[::3]:
+            exact, hull = numpy_clearances(robot, duct, where, x)
+            touch = jitted(contacts)(robot, obstacle, where, x)
+            np.testing.assert_allclose(touch.distance, exact, rtol=0, atol=2e-15)
+            np.testing.assert_array_equal(touch.crossed, hull)
+            decided += hull.sum()
+    assert decided > 20
+
+
+def test_all_forms_of_D_agree():
+    """The scalar, the verdict, and the linearisation take shorter ways to the same number."""
+    robot, obstacle = made_once.scene()
+    signs = []
+    for wy, wz in ((0.4, 0.1), (0.8, 0.3)):
+        where = posed(made_once.duct(), wy, wz)
+        for x in postures():
+            every = jitted(clearances)(robot, obstacle, where, x)
+            np.testing.assert_allclose(jitted(clearance)(robot, obstacle, where, x), every.min(), rtol=0, atol=1e-15)
+            np.testing.assert_allclose(jitted(linearise)(robot, obstacle, where, x).clearance, every, rtol=0, atol=1e-15)
+            assert jitted(is_clear)(robot, obstacle, where, x) == (every.min() > 0)
+            signs.append(every.min() > 0)
+    assert 50 < np.sum(signs) < len(signs) - 50
+
+
+def test_contacts_lie_where_they_say():
+    """The point is on the body's axis; from it against the normal by distance plus radius is the cloud's point."""
+    robot, obstacle = made_once.scene()
+    duct, where = made_once.duct(), posed(made_once.duct())
+    T = np.asarray(where.T_world_workpiece)
+    for x in postures()[::4]:
+        touch = jax.tree.map(np.asarray, jitted(contacts)(robot, obstacle, where, x))
+        p, q = (np.asarray(end) for end in _ENDS(robot, x))
+        along = np.linalg.norm(touch.point - p, axis=1) + np.linalg.norm(q - touch.point, axis=1)
+        np.testing.assert_allclose(along, np.linalg.norm(q - p, axis=1), atol=1e-14)
+        np.testing.assert_allclose(np.linalg.norm(touch.normal, axis=1), 1.0, atol=1e-14)
+        witness = touch.point - touch.normal * (touch.distance + robot.capsule_radius)[:, None]
+        points = duct.cloud[touch.row] @ T[:3, :3].T + T[:3, 3]
+        np.testing.assert_allclose(witness[~touch.crossed], points[~touch.crossed], atol=1e-14)
+
+
+def gradients(robot, obstacle, where, x):
+    """Closed form, forward, reverse and central differences (4, K, N)."""
+    function = partial(jitted(clearances), robot, obstacle, where)
+    step = 1e-7 * np.eye(len(x))
+    differences = [(np.asarray(function(x + h)) - np.asarray(function(x - h))) / 2e-7 for h in step]
+    return (
+        np.asarray(jitted(linearise)(robot, obstacle, where, x).gradient),
+        np.asarray(jitted(_FORWARD)(robot, obstacle, where, x)),
+        np.asarray(jitted(_REVERSE)(robot, obstacle, where, x)),
+        np.stack(differences, axis=1),
+    )
+
+
+_FORWARD, _REVERSE = jax.jacfwd(clearances, argnums=3), jax.jacrev(clearances, argnums=3)
+
+
+def test_the_gradient_in_closed_form_is_that_of_autodiff_and_of_finite_differences():
+    """Except at kinks, where the two sides of a central difference see different points."""
+    robot, obstacle = made_once.scene()
+    where = posed(made_once.duct())
+    kinks, hull, total = 0, 0, 0
+    for x in postures()[::2]:
+        closed, forward, reverse, differences = gradients(robot, obstacle, where, x)
+        np.testing.assert_allclose(forward, closed, rtol=0, atol=1e-13)
+        np.testing.assert_allclose(reverse, closed, rtol=0, atol=1e-13)
+        smooth = np.abs(differences - closed).max(1) < 1e-6
+        kinks, total = kinks + (~smooth).sum(), total + len(smooth)
+        hull += np.asarray(jitted(contacts)(robot, obstacle, where, x).crossed).sum()
+    assert kinks <= 0.002 * total
+    assert hull > 20
+
+
+def few_points(cloud) -> Workpiece:
+    """A workpiece that is just these points, in the world's frame."""
+    home = (0.0, 0.0, 0.0)
+    return Workpiece("points", cloud, np.zeros((1, 3)), pivot=home, neutral_translation=home, interior="none")
+
+
+def test_the_gradient_is_finite_where_a_point_lies_on_a_capsules_axis():
+    """On an axis, at an end of it, and in the middle of a sphere: the distance is 0 there and has no direction."""
+    robot = made_once.robot()
+    x = jnp.asarray(made_once.START)
+    p, q = (np.asarray(end) for end in _ENDS(robot, x))
+    cloud = np.concatenate([p, q, 0.3 * p + 0.7 * q])
+    obstacle, where = make_obstacle(few_points(cloud)), Where(jnp.eye(4), jnp.array(100.0))
+    for gradient in gradients(robot, obstacle, where, x)[:3]:
+        assert np.isfinite(gradient).all()
+    np.testing.assert_allclose(clearances(robot, obstacle, where, x), -robot.capsule_radius, atol=1e-15)
+    assert not is_clear(robot, obstacle, where, x)
+
+
+def test_without_an_interior_only_the_points_count():
+    """A workpiece without a hull calls nothing outside, however deep the arm reaches."""
+    robot, rng = made_once.robot(), np.random.default_rng(0)
+    workpiece = few_points(rng.normal((1.5, 0.0, 1.0), 1.0, (50, 3)))
+    obstacle = make_obstacle(workpiece)
+    where = Where(jnp.eye(4), jnp.array(-100.0))
+    for x in postures()[:20]:
+        exact, hull = numpy_clearances(robot, _without_hull(workpiece), where, x)
+        np.testing.assert_allclose(jitted(clearances)(robot, obstacle, where, x), exact, rtol=0, atol=2e-15)
+        np.testing.assert_allclose(jitted(clearance)(robot, obstacle, where, x), exact.min(), rtol=0, atol=2e-15)
+        assert not hull.any()
+
+
+class _Everything(NamedTuple):
+    cloud: np.ndarray
+    hull_normal: np.ndarray
+    hull_offset: np.ndarray
+
+
+def _without_hull(workpiece):
+    return _Everything(workpiece.cloud, np.eye(3)[:1], np.array([np.inf]))
+
+
+def test_the_gate_is_a_world_x_and_only_ends_beyond_it_must_be_inside():
+    robot, obstacle = made_once.scene()
+    x = jnp.asarray(postures()[0])
+    p, q = (np.asarray(end) for end in _ENDS(robot, x))
+    T = jnp.asarray(made_once.duct().T_world(0.4, 0.1)).at[:3, 3].add(100.0)  # the hull is far from everything
+    order = np.sort(np.maximum(p[:, 0], q[:, 0]))
+    for gate in np.concatenate([[order[0] - 1], (order[1:] + order[:-1]) / 2, [order[-1] + 1]]):
+        crossed = jitted(contacts)(robot, obstacle, Where(T, jnp.asarray(gate)), x).crossed
+        np.testing.assert_array_equal(crossed, np.maximum(p[:, 0], q[:, 0]) > gate)
+
+
+def test_mujocos_own_geometry_measures_the_same():
+    """Every capsule of the model against tiny spheres, through MuJoCo's collision functions and kinematics."""
+    rng = np.random.default_rng(1)
+    cloud = rng.normal((1.2, 0.0, 1.2), 0.6, (40, 3))
+    radius = 1e-4
+    spec = mujoco.MjSpec.from_file(str(GP50))
+    for k, point in enumerate(cloud):
+        spec.worldbody.add_geom(name=f"point{k}", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], pos=point)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    robot = made_once.robot()
+    geoms = [model.geom(name).id for name in robot.capsule_names]
+    spheres = [model.geom(f"point{k}").id for k in range(len(cloud))]
+    obstacle, where = make_obstacle(few_points(cloud)), Where(jnp.eye(4), jnp.array(100.0))
+    for x in made_once.configurations(robot, 15, seed=2):
+        data.qpos[:] = x
+        mujoco.mj_kinematics(model, data)
+        theirs = [
+            min(mujoco.mj_geomDistance(model, data, geom, sphere, 100.0, None) for sphere in spheres) + radius
+            for geom in geoms
+        ]
+        ours = clearances(robot, obstacle, where, jnp.asarray(x))
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
+
+
+def test_the_recorded_run_comes_within_a_quarter_of_a_millimetre():
+    """Smallest clearance of capsules 4 to 6c over the recorded run: -0.25 mm (scene), each row at its own pose."""
+    duct, robot = made_once.measured_duct(), made_once.robot()
+    run = np.loadtxt(made_once.MEASURED / "reference_run.csv", delimiter=",")
+    obstacle = make_obstacle(duct)
+    smallest = np.inf
+    for row in run[11:]:
+        where = posed(duct, row[7], row[8])
+        smallest = min(smallest, float(jitted(clearances)(robot, obstacle, where, jnp.asarray(row[:6]))[3:].min()))
+    assert round(1e3 * smallest, 2) == -0.25
+
+
+@pytest.mark.parametrize("extension", [-0.05, 0.1])
+def test_a_longer_tool_is_measured_longer(extension):
+    """A scenario's own tool moves its capsules, so that D changes by what numpy says it does."""
+    robot = lengthen_tool(made_once.robot(), extension)
+    obstacle, where = made_once.scene().obstacle, posed(made_once.duct())
+    for x in postures()[100:110]:
+        exact, _ = numpy_clearances(robot, made_once.duct(), where, x)
+        np.testing.assert_allclose(jitted(clearances)(robot, obstacle, where, x), exact, rtol=0, atol=2e-15)
+
+
+def test_the_nominal_start_is_clear():
+    scenario = make_scenario(made_once.robot(), made_once.duct(), made_once.START)
+    robot, obstacle = made_once.scene()
+    D = jitted(clearances)(robot, obstacle, posed(made_once.duct()), jnp.asarray(scenario.x_start))
+    assert D.min() > 0.05

@@ -1,0 +1,99 @@
+import jax
+import jax.numpy as jnp
+import made_once
+import numpy as np
+
+from htcp_jax.half_spaces import ROOM, HalfSpaces, crossed_facets
+from htcp_jax.hull import convex_hull
+
+RNG = np.random.default_rng(0)
+
+
+def duct_hull():
+    duct = made_once.duct()
+    return np.asarray(duct.hull_normal), np.asarray(duct.hull_offset)
+
+
+def crossed(normal, offset, points, asked=None):
+    asked = np.ones(len(points), bool) if asked is None else asked
+    hull = HalfSpaces(jnp.asarray(normal), jnp.asarray(offset))
+    return np.asarray(jax.jit(crossed_facets)(hull, jnp.asarray(points), jnp.asarray(asked)))
+
+
+def points_about(normal, offset, count):
+    """Points everywhere about the duct, and points from 1e-12 m to 0.1 m on either side of a facet."""
+    cloud = made_once.duct().cloud
+    everywhere = RNG.uniform(cloud.min(0) - 0.3, cloud.max(0) + 0.3, (count, 3))
+    facet = RNG.integers(len(normal), size=count)
+    vertices = cloud[np.argmax(cloud @ normal[facet].T, axis=0)]  # one point that touches each facet
+    depth = RNG.choice([-1, 1], count) * 10.0 ** RNG.uniform(-12, -1, count)
+    return np.concatenate([everywhere, vertices + depth[:, None] * normal[facet]])
+
+
+def test_the_facet_crossed_is_the_one_furthest_beyond():
+    normal, offset = duct_hull()
+    points = points_about(normal, offset, 1000)
+    height = points @ normal.T - offset
+    facet = crossed(normal, offset, points)
+    outside = height.max(1) > 1e-15
+    inside = height.max(1) < -1e-15
+    assert 300 < outside.sum() < 1800 and inside.sum() > 300
+    assert (facet[inside] == -1).all()
+    np.testing.assert_allclose(height[outside, facet[outside]], height.max(1)[outside], rtol=0, atol=1e-15)
+
+
+def test_a_point_not_asked_about_has_crossed_nothing():
+    normal, offset = duct_hull()
+    points = points_about(normal, offset, 200)
+    asked = RNG.random(len(points)) < 0.5
+    np.testing.assert_array_equal(
+        crossed(normal, offset, points, asked), np.where(asked, crossed(normal, offset, points), -1)
+    )
+    assert (crossed(normal, offset, points, np.zeros(len(points), bool)) == -1).all()
+
+
+def test_one_point_near_the_boundary_does_not_change_the_others():
+    """The exact measurement is made for all points as soon as one needs it: the other answers must not depend on it."""
+    normal, offset = duct_hull()
+    middle = made_once.duct().cloud.mean(0)
+    far = middle + 3.0
+    on = made_once.duct().hull_vertices[0]
+    for points in ([middle, far], [middle, far, on], [on, middle, far]):
+        facet = crossed(normal, offset, np.array(points))
+        heights = np.array(points) @ normal.T - offset
+        for k, point in enumerate(points):
+            if point is not on:
+                assert facet[k] == (np.argmax(heights[k]) if heights[k].max() > 0 else -1)
+
+
+def test_32_bit_heights_are_within_their_room_up_to_20_metres():
+    normal = RNG.normal(size=(2000, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    offset = RNG.uniform(0, 20, 2000)
+    points = RNG.uniform(-1, 1, (200, 3)) * 20 / np.sqrt(3)
+    exact = points @ normal.T - offset
+    narrow = np.float32(points) @ np.float32(normal).T - np.float32(offset)
+    assert np.abs(narrow - exact).max() < ROOM
+
+
+def test_a_cube_is_crossed_where_its_faces_are():
+    corners = np.stack(np.meshgrid(*[[0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+    hull = convex_hull(corners, 0.0, "cube")
+    for axis in range(3):
+        for side, sign in ((0.0, -1.0), (1.0, 1.0)):
+            for beyond in (1e-9, 1e-3, 2.0):
+                point = np.full(3, 0.5)
+                point[axis] = side + sign * beyond
+                (facet,) = crossed(hull.normal, hull.offset, point[None])
+                np.testing.assert_allclose(hull.normal[facet], sign * np.eye(3)[axis], atol=1e-12)
+                point[axis] = side - sign * beyond * 0.1
+                assert crossed(hull.normal, hull.offset, point[None]) == -1
+
+
+def test_a_batch_equals_one_after_the_other():
+    normal, offset = duct_hull()
+    hull = HalfSpaces(jnp.asarray(normal), jnp.asarray(offset))
+    points = jnp.asarray(points_about(normal, offset, 40)).reshape(10, 8, 3)
+    asked = jnp.asarray(RNG.random((10, 8)) < 0.7)
+    together = jax.vmap(crossed_facets, in_axes=(None, 0, 0))(hull, points, asked)
+    np.testing.assert_array_equal(together, [crossed_facets(hull, *each) for each in zip(points, asked, strict=True)])
