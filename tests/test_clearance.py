@@ -93,7 +93,8 @@ def test_all_forms_of_D_agree():
         for x in postures():
             every = jitted(clearances)(robot, obstacle, where, x)
             np.testing.assert_allclose(jitted(clearance)(robot, obstacle, where, x), every.min(), rtol=0, atol=1e-15)
-            np.testing.assert_allclose(jitted(linearise)(robot, obstacle, where, x).clearance, every, rtol=0, atol=1e-15)
+            linear = jitted(linearise)(robot, obstacle, where, x)
+            np.testing.assert_allclose(linear.clearance, every, rtol=0, atol=1e-15)
             assert jitted(is_clear)(robot, obstacle, where, x) == (every.min() > 0)
             signs.append(every.min() > 0)
     assert 50 < np.sum(signs) < len(signs) - 50

@@ -1,0 +1,156 @@
+import jax
+import jax.numpy as jnp
+import made_once
+import numpy as np
+import pytest
+
+from htcp_jax.kinematics import jacobian, tcp_position
+from htcp_jax.nullspace import inside, null_basis, reanchor
+
+RNG = np.random.default_rng(0)
+BASIS = jax.jit(null_basis)
+
+
+@pytest.mark.parametrize(("m", "n"), [(3, 6), (3, 7), (3, 4), (1, 3), (2, 9), (5, 6)])
+def test_the_basis_is_orthonormal_and_the_task_does_not_move_along_it(m, n):
+    for scale in (1e-6, 1.0, 1e6):
+        for _ in range(20):
+            J = scale * RNG.normal(size=(m, n))
+            N = np.asarray(BASIS(jnp.asarray(J)))
+            assert N.shape == (n, n - m)
+            np.testing.assert_allclose(N.T @ N, np.eye(n - m), atol=1e-14)
+            np.testing.assert_allclose(J @ N, 0.0, atol=1e-14 * scale)
+
+
+def test_the_basis_spans_what_a_singular_value_decomposition_spans():
+    for x in made_once.configurations(made_once.robot(), 50):
+        J = np.asarray(jacobian(made_once.robot(), jnp.asarray(x)))
+        N, V = np.asarray(BASIS(jnp.asarray(J))), np.linalg.svd(J)[2][3:].T
+        np.testing.assert_allclose(N @ N.T, V @ V.T, atol=1e-11)
+
+
+def test_near_a_singular_posture_the_basis_is_still_orthonormal():
+    """Two rows of the task Jacobian nearly alike: J N = 0 may suffer, N' N = 1 must not."""
+    for parallel in (1e-4, 1e-8, 1e-12):
+        J = RNG.normal(size=(3, 6))
+        J[2] = J[1] + parallel * RNG.normal(size=6)
+        N = np.asarray(BASIS(jnp.asarray(J)))
+        np.testing.assert_allclose(N.T @ N, np.eye(3), atol=1e-13)
+        np.testing.assert_allclose(J @ N, 0.0, atol=1e-13)
+
+
+def test_a_jacobian_a_little_different_has_a_basis_a_little_different():
+    """Neither sign nor rotation jumps, except where two unit vectors stick out equally far and the pivot switches."""
+    moved = []
+    for _ in range(300):
+        J = RNG.normal(size=(3, 6))
+        change = RNG.normal(size=(3, 6))
+        a, b = (np.asarray(BASIS(jnp.asarray(J + h * change))) for h in (0.0, 1e-9))
+        moved.append(np.abs(a - b).max())
+    assert np.mean(np.array(moved) < 1e-6) > 0.99
+
+
+def test_each_column_is_positive_along_the_joint_that_sticks_out_furthest():
+    """The rule behind sign and rotation, told apart from its code: the first column is the projection of a unit vector
+    onto the null space, of the one whose projection is longest."""
+    for _ in range(50):
+        J = RNG.normal(size=(3, 6))
+        N = np.asarray(BASIS(jnp.asarray(J)))
+        projector = np.eye(6) - np.linalg.pinv(J) @ J
+        for k in range(3):
+            pivot = np.argmax(np.diag(projector))
+            expected = projector[pivot] / np.sqrt(projector[pivot, pivot])
+            np.testing.assert_allclose(N[:, k], expected, atol=1e-10)
+            projector = projector - np.outer(N[:, k], N[:, k])
+
+
+def test_the_basis_is_the_same_in_a_batch_to_rounding():
+    J = RNG.normal(size=(64, 3, 6))
+    together = jax.jit(jax.vmap(null_basis))(jnp.asarray(J))
+    np.testing.assert_allclose(together, [BASIS(jnp.asarray(each)) for each in J], atol=1e-13)
+
+
+@pytest.fixture(scope="session", params=["gp50", "seven"])
+def arm(request, tmp_path_factory):
+    return made_once.robot() if request.param == "gp50" else made_once.seven_joints(tmp_path_factory.mktemp("arm"))
+
+
+def test_a_step_in_the_null_space_keeps_the_tcp_to_first_order(arm):
+    for x in made_once.configurations(arm, 10):
+        N = null_basis(jacobian(arm, jnp.asarray(x)))
+        w = RNG.normal(size=N.shape[1])
+        before = tcp_position(arm, jnp.asarray(x))
+        moved = [np.linalg.norm(tcp_position(arm, x + h * N @ w) - before) for h in (1e-3, 1e-4)]
+        assert moved[0] < 1e-4 and moved[1] < 0.02 * moved[0]
+
+
+TOLERANCE_M = 1e-4
+REANCHOR = jax.jit(reanchor, static_argnames=("tolerance_m", "iterations"))
+
+
+def test_reanchoring_ends_inside_the_limits_and_on_the_target_or_says_that_it_did_not(arm):
+    """Targets reachable (another posture's TCP, near or far) and out of reach; starts at and between the limits."""
+    count = 150
+    starts = made_once.configurations(arm, count, seed=1)
+    at_limit = RNG.random(starts.shape) < 0.2
+    starts = np.where(at_limit, np.where(starts > 0, arm.upper, arm.lower), starts)
+    goals = np.clip(starts + np.geomspace(1e-3, 3.0, count)[:, None] * RNG.normal(size=starts.shape), -2.9, 2.9)
+    on_target = 0
+    for k, (start, goal) in enumerate(zip(starts, goals, strict=True)):
+        target = np.asarray(tcp_position(arm, jnp.asarray(goal))) + (10.0 if k % 10 == 9 else 0.0)
+        x, error = REANCHOR(arm, jnp.asarray(start), jnp.asarray(target), tolerance_m=TOLERANCE_M)
+        assert (x >= arm.lower).all() and (x <= arm.upper).all() and inside(arm, x)
+        actual = np.linalg.norm(np.asarray(tcp_position(arm, x)) - target)
+        np.testing.assert_allclose(error, actual, rtol=0, atol=1e-14)
+        on_target += error <= TOLERANCE_M
+        if k % 10 == 9:
+            assert error > 1.0  # out of reach: it says so
+        elif k < count // 2:
+            assert error <= TOLERANCE_M, (k, float(error))
+    assert on_target > 0.7 * count
+
+
+def test_reanchoring_leaves_a_configuration_on_its_target_alone(arm):
+    x = jnp.asarray(made_once.configurations(arm, 1)[0])
+    same, error = REANCHOR(arm, x, tcp_position(arm, x) + 1e-5, tolerance_m=TOLERANCE_M)
+    np.testing.assert_array_equal(same, x)
+    np.testing.assert_allclose(error, 1e-5 * np.sqrt(3), rtol=1e-6)
+
+
+def test_reanchoring_stops_at_its_iterations(arm):
+    x = jnp.asarray(made_once.configurations(arm, 1, seed=3)[0])
+    target = tcp_position(arm, x) + 0.1
+    errors = [float(REANCHOR(arm, x, target, tolerance_m=1e-12, iterations=n)[1]) for n in (0, 1, 2, 3)]
+    np.testing.assert_allclose(errors[0], 0.1 * np.sqrt(3), rtol=1e-12)
+    assert errors[3] < errors[2] < errors[1] < errors[0]
+
+
+def test_reanchoring_moves_the_joints_about_as_little_as_it_must():
+    """The damped pseudo-inverse takes the shortest way: no joint motion in the null space to first order."""
+    robot = made_once.robot()
+    for start in made_once.configurations(robot, 20, seed=4):
+        x = jnp.asarray(np.clip(start, -2.5, 2.5))
+        J = np.asarray(jacobian(robot, x))
+        if np.linalg.svd(J, compute_uv=False)[-1] < 0.1:
+            continue
+        target = np.asarray(tcp_position(robot, x)) + 1e-3 * RNG.normal(size=3)
+        moved, _ = REANCHOR(robot, x, jnp.asarray(target), tolerance_m=1e-9)
+        shortest = np.linalg.pinv(J) @ (target - np.asarray(tcp_position(robot, x)))
+        np.testing.assert_allclose(np.asarray(moved) - np.asarray(x), shortest, atol=1e-4)
+
+
+def test_reanchoring_survives_a_singular_posture(arm):
+    """The GP50 upright and stretched, and the seven joints in a line: large damping, no NaN."""
+    x = jnp.zeros(len(arm.slides))
+    for offset in ([0.0, 0.0, -0.05], [0.02, 0.0, 0.0], [0.0, 0.02, 0.0]):
+        x_new, error = REANCHOR(arm, x, tcp_position(arm, x) + jnp.asarray(offset), tolerance_m=TOLERANCE_M)
+        assert np.isfinite(x_new).all() and np.isfinite(error)
+        assert error < 0.06
+
+
+def test_inside_means_every_joint_and_the_limits_themselves():
+    robot = made_once.robot()
+    assert inside(robot, robot.lower) and inside(robot, robot.upper)
+    for joint in range(6):
+        assert not inside(robot, robot.upper.at[joint].add(1e-12))
+        assert not inside(robot, robot.lower.at[joint].add(-1e-12))
