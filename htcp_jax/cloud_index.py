@@ -70,18 +70,20 @@ class Nearest(NamedTuple):
     row: Int[Array, ""]
 
 
-def nearest_rows(index: CloudIndex, p: Float[Array, "K 3"], q: Float[Array, "K 3"]) -> Int[Array, "K"]:
+def nearest_rows(
+    index: CloudIndex,
+    p: Float[Array, "K 3"],
+    q: Float[Array, "K 3"],
+    within: Float[Array, "K"] | None = None,
+) -> Int[Array, "K"]:
     """Row of the cloud nearest to each of K segments p q [m], exact (ties: one of the nearest).
 
-    An integer carries no gradient: differentiate the distance to the point it names.
+    within: -1 where no point is nearer than this [m]. An integer carries no gradient: differentiate the distance to the
+    point it names.
     """
-    alone = p.shape[0], 1
-    return _searches(
-        index,
-        *jax.lax.stop_gradient((p.reshape(*alone, 3), q.reshape(*alone, 3))),
-        jnp.zeros(alone),
-        jnp.full(p.shape[0], 1e150),
-    ).row
+    limit = jnp.full(p.shape[0], 1e150) if within is None else within
+    alone = jax.lax.stop_gradient((p[:, None], q[:, None], jnp.zeros((p.shape[0], 1)), limit))
+    return _searches(index, *alone).row
 
 
 def nearest_body(
@@ -126,9 +128,9 @@ def _search(index: CloudIndex, p, q, radius, below) -> Nearest:
         local = _picked_index(picked, leaves)
         pair = pairs[local // LEAVES_A_NODE]
         body, leaf = pair // nodes, pair % nodes * LEAVES_A_NODE + local % LEAVES_A_NODE
-        own = jax.tree.map(lambda a: a[..., body, None], segments)
+        own = _of(segments, body)
         square = _squared_distance(own, index.leaf_points[leaf].transpose(1, 0, 2))
-        distance = jnp.sqrt(jnp.min(square, axis=1)) - radius[body]
+        distance = jnp.sqrt(jnp.min(square, axis=1)) - _of_body(radius, body)
         smallest = jnp.min(distance)
         first = jnp.max(jnp.where(distance == smallest, jnp.arange(LEAVES_A_ROUND, dtype=jnp.int32), -1))
         better = smallest < best
@@ -145,9 +147,9 @@ def _search(index: CloudIndex, p, q, radius, below) -> Nearest:
         picked, keys = _take_best(keys)
         pairs = _picked_index(picked, bodies * nodes)
         body = pairs // nodes
-        own = jax.tree.map(lambda a: a[..., body, None], segments32)
+        own = _of(segments32, body)
         bound = _lower_bound(own, index.leaf_bound[pairs % nodes].transpose(1, 0, 2))
-        bound = _lifted(bound, radius[body], lift)
+        bound = _lifted(bound, _of_body(radius, body), lift)
         leaf_keys = _keys(bound.reshape(-1)).reshape(-1, LEAVES_A_ROUND)
         _, _, *found = jax.lax.while_loop(
             lambda s: jnp.min(s[0]) <= _key_above(s[2] + lift, leaves),
@@ -163,7 +165,7 @@ def _search(index: CloudIndex, p, q, radius, below) -> Nearest:
     _, _, leaf, body = jax.lax.while_loop(
         lambda s: jnp.min(s[0]) <= _key_above(s[1] + lift, bodies * nodes), node_round, (node_keys, below, none, none)
     )
-    square = _squared_distance(jax.tree.map(lambda a: a[..., body, None], segments), index.leaf_points[leaf])
+    square = _squared_distance(_of(segments, body), index.leaf_points[leaf])
     return Nearest(body, jnp.where(leaf < 0, -1, index.leaf_rows[leaf, jnp.argmin(square)]))
 
 
@@ -179,6 +181,18 @@ def _segments(p, q) -> _Segments:
     d = q - p
     square = jnp.sum(d * d, axis=1)
     return _Segments(p.T, d.T, jnp.where(square > 0, 1 / jnp.where(square > 0, square, 1.0), 0.0))
+
+
+def _of_body(values, body):
+    """Values (..., K) of the given bodies; with a single body nothing is gathered, which is faster."""
+    if values.shape[-1] == 1:
+        return jnp.broadcast_to(values.reshape(*values.shape[:-1], *[1] * body.ndim), (*values.shape[:-1], *body.shape))
+    return values[..., body]
+
+
+def _of(segments: _Segments, body) -> _Segments:
+    """The segments of the given bodies, with an axis for points."""
+    return _Segments(*(_of_body(values, body)[..., None] for values in segments))
 
 
 def _arm(segment: _Segments, points):
@@ -223,7 +237,7 @@ def _keys(bound):
 
 
 def _key_above(value, count):
-    """Key above those of all bounds, out of `count`, that are smaller than `value`; below all keys if it is negative."""
+    """Key above those of all bounds, out of `count`, smaller than `value`; below all keys if that is negative."""
     distance = jnp.minimum(value * (1 + 1e-6), 1e30)
     bits = jax.lax.bitcast_convert_type(distance.astype(jnp.float32), jnp.int32)
     return bits | ((1 << _index_bits(count)) - 1)

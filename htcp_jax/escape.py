@@ -72,6 +72,11 @@ def sphere_problem(
         touch = contacts(robot, obstacle, where, x)
         return touch.distance + far - w @ half @ w, see(robot, x, touch)
 
+    def measure(w):
+        if not settings.far_links:
+            return jnp.min(observe(w)[0])
+        return clearance(robot, obstacle, where, x_ref + reach @ w) - w @ half @ w
+
     def predict(w, seen):
         value, gradient = seen_clearance(robot, x_ref + reach @ w, seen)
         rounds = value.shape[0] // far.shape[0]
@@ -80,7 +85,7 @@ def sphere_problem(
 
     G = jnp.concatenate([reach, -reach])
     h = jnp.concatenate([robot.upper - x_ref, x_ref - robot.lower])
-    problem = sphere.Sphere(observe, predict, 2 * half, G, jnp.minimum(h, 1e3))
+    problem = sphere.Sphere(observe, measure, predict, 2 * half, G, jnp.minimum(h, 1e3))
     return problem, see(robot, x_ref, contacts(robot, obstacle, where, x_ref)), reach
 
 

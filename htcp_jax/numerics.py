@@ -64,7 +64,7 @@ def one_by_one(search, axis_size, in_batched, shared, arguments):
 
     Under a plain vmap every lane waits for the slowest one, and a branch not taken is computed all the same. A CPU
     gains nothing from vectorising over lanes here, so there they go one after the other; a GPU takes them together.
-    `search(shared, *arguments)` maps arguments with a leading axis K to results with a leading axis K, row by row.
+    `search(shared, *arguments)` maps arguments with a leading axis n to results with a leading axis n, row by row.
     """
     if any(jax.tree.leaves(in_batched[0])):
         raise ValueError("what is searched must be the same for all lanes")
@@ -73,6 +73,9 @@ def one_by_one(search, axis_size, in_batched, shared, arguments):
         for a, batched in zip(arguments, in_batched[1:], strict=True)
     ]
     if jax.default_backend() == "cpu":
-        return jax.lax.map(lambda one: search(shared, *one), arguments), True
-    flat = [a.reshape(-1, *a.shape[2:]) for a in arguments]
-    return search(shared, *flat).reshape(arguments[0].shape[:2]), True
+        found = jax.lax.map(lambda one: search(shared, *one), arguments)
+    else:
+        rows = arguments[0].shape[:2]
+        found = search(shared, *(a.reshape(-1, *a.shape[2:]) for a in arguments))
+        found = jax.tree.map(lambda leaf: leaf.reshape(rows), found)
+    return found, jax.tree.map(lambda _: True, found)
