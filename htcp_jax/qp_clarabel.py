@@ -49,9 +49,13 @@ class ClarabelSolver:
         """Steps (B, N) and verdicts (B,) of a batch."""
         columns = np.concatenate([qps.A, qps.G], axis=1).transpose(0, 2, 1)
         batch, n = qps.linear.shape
-        signs = np.broadcast_to(np.array([1.0, -1.0]), (batch, n, 2))
+        limits = np.stack([qps.upper, -qps.lower], axis=2)
+        # A joint without a limit: the row 0 y <= 1. Clarabel takes no infinite bounds.
+        free = np.isposinf(limits)
+        signs = np.where(free, 0.0, np.array([1.0, -1.0]))
+        limits = np.where(free, 1.0, limits).transpose(0, 2, 1).reshape(batch, -1)
         values = np.ascontiguousarray(np.concatenate([columns, signs], axis=2).reshape(batch, -1))
-        bounds = np.concatenate([qps.b, qps.h, qps.upper, -qps.lower], axis=1)
+        bounds = np.concatenate([qps.b, qps.h, limits], axis=1)
         y = np.zeros((batch, n))
         status = np.full(batch, QPStatus.FAILED, np.int32)
         for k in range(batch):

@@ -25,6 +25,8 @@ class QPSolversSolver:
         status = np.full(len(y), QPStatus.FAILED, np.int32)
         for k in range(len(y)):
             one = StepQP(*(np.asarray(field[k]) for field in qps))
+            if not all(np.isfinite(field).all() for field in one[:6]) or np.isnan(one[6:]).any():
+                continue  # some solvers answer such a problem with numbers
             cost = np.diag(one.weights)
             # clarabel, scs, highs and others want sparse matrices, quadprog wants dense ones; qpsolvers converts
             problem = qpsolvers.Problem(cost, one.linear, one.G, one.h, one.A, one.b, one.lower, one.upper)

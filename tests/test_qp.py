@@ -1,0 +1,318 @@
+"""Step QPs built backwards from a known answer and judged by their KKT conditions; solvers against one another."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import qpsolvers
+from scipy.optimize import nnls
+
+from htcp_jax.errors import InputError
+from htcp_jax.qp import QPStatus, StepQP, assemble, row_count
+from htcp_jax.qp_clarabel import ClarabelSolver
+from htcp_jax.qp_dense import solve_dense
+from htcp_jax.qp_qpsolvers import QPSolversSolver
+from htcp_jax.qp_solvers import make_solver
+from htcp_jax.settings import Settings
+
+WEIGHTS = 2 * np.array(Settings().q_weights)
+N = len(WEIGHTS)
+ORACLE = pytest.param(
+    "quadprog",
+    marks=pytest.mark.skipif("quadprog" not in qpsolvers.available_solvers, reason="quadprog is not installed"),
+)
+# qpsolvers says that it converts matrices from dense to sparse and back: not our hot path.
+pytestmark = pytest.mark.filterwarnings("ignore::qpsolvers.warnings.SparseConversionWarning")
+
+
+def random_answer(rng, rows):
+    """A step QP and its minimiser y, chosen first: then multipliers, and the linear cost and bounds that fit both."""
+    y = rng.normal(size=N) * 10.0 ** rng.uniform(-3, 0)
+    A, G = rng.normal(size=(3, N)), 0.5 * rng.normal(size=(rows, N))
+    active = rng.random(rows) < 0.3
+    at_upper = rng.random(N) < 0.15
+    at_lower = (rng.random(N) < 0.15) & ~at_upper
+    if active.sum() + at_upper.sum() + at_lower.sum() > N - 3:
+        return random_answer(rng, rows)  # more active rows than unknowns: multipliers would not be unique
+    mu = np.where(active, rng.uniform(0.1, 10, rows), 0.0)
+    nu = np.where(at_upper, rng.uniform(0.1, 10, N), 0.0) - np.where(at_lower, rng.uniform(0.1, 10, N), 0.0)
+    linear = -(WEIGHTS * y + A.T @ rng.normal(size=3) + G.T @ mu + nu)
+    h = G @ y + np.where(active, 0.0, rng.uniform(0.01, 1, rows))
+    upper = y + np.where(at_upper, 0.0, rng.uniform(0.01, 3, N))
+    lower = y - np.where(at_lower, 0.0, rng.uniform(0.01, 3, N))
+    return StepQP(WEIGHTS, linear, A, A @ y, G, h, lower, upper), y
+
+
+def batch(qps) -> StepQP:
+    return StepQP(*(np.stack(field) for field in zip(*qps, strict=True)))
+
+
+def random_batch(count, rows, seed):
+    rng = np.random.default_rng(seed)
+    qps, answers = zip(*(random_answer(rng, rows) for _ in range(count)), strict=True)
+    return batch(qps), np.stack(answers)
+
+
+def infeasible(rng, rows, kind):
+    """A random QP made infeasible: by a clearance row and the limits, by the task and the limits, by two rows."""
+    qp, _ = random_answer(rng, rows)
+    if kind == "limits":
+        G = qp.G.copy()
+        G[0] = np.abs(G[0])
+        h = qp.h.copy()
+        h[0] = G[0] @ qp.lower - 0.05
+        return qp._replace(G=G, h=h)
+    if kind == "task":
+        A = np.abs(qp.A)
+        return qp._replace(A=A, b=A @ qp.upper + 0.05)
+    G, h = qp.G.copy(), qp.h.copy()
+    A, b = qp.A.copy(), qp.b.copy()
+    A[0], b[0] = G[0], h[0] + 0.01  # the task asks for what the row forbids
+    return qp._replace(A=A, b=b, G=G, h=h)
+
+
+@pytest.mark.parametrize("rows", [1, 8])
+@pytest.mark.parametrize("name", ["clarabel", "qpsolvers:clarabel", ORACLE])
+def test_a_solver_finds_the_answer_that_a_qp_was_built_from(name, rows):
+    solver = ClarabelSolver(WEIGHTS, rows) if name == "clarabel" else QPSolversSolver(name.removeprefix("qpsolvers:"))
+    qps, answers = random_batch(100, rows, seed=rows)
+    y, status = solver.solve(qps)
+    assert (status == QPStatus.SOLVED).all()
+    np.testing.assert_allclose(y, answers, rtol=0, atol=1e-6)  # of steps up to 2 rad; tolerance 1e-8 on residuals
+
+
+@pytest.mark.parametrize("rows", [1, 8])
+def test_an_answer_fulfils_the_kkt_conditions(rows):
+    """Feasible, and minus the cost's gradient lies in the cone of what is active (by non-negative least squares)."""
+    qps, _ = random_batch(50, rows, seed=10 + rows)
+    y, _ = ClarabelSolver(WEIGHTS, rows).solve(qps)
+    for k in range(50):
+        qp = StepQP(*(field[k] for field in qps))
+        np.testing.assert_allclose(qp.A @ y[k], qp.b, atol=1e-8)
+        assert (qp.G @ y[k] <= qp.h + 1e-8).all()
+        assert (y[k] <= qp.upper + 1e-8).all() and (y[k] >= qp.lower - 1e-8).all()
+        near = qp.G @ y[k] > qp.h - 1e-6, y[k] > qp.upper - 1e-6, y[k] < qp.lower + 1e-6
+        cone = np.concatenate([qp.A, -qp.A, qp.G[near[0]], np.eye(N)[near[1]], -np.eye(N)[near[2]]]).T
+        _, residual = nnls(cone, -(qp.weights * y[k] + qp.linear))
+        assert residual < 1e-5
+
+
+@pytest.mark.parametrize("rows", [1, 8])
+@pytest.mark.parametrize("kind", ["limits", "task", "row"])
+@pytest.mark.parametrize("name", ["clarabel", ORACLE])
+def test_infeasible_is_an_answer(name, kind, rows):
+    solver = ClarabelSolver(WEIGHTS, rows) if name == "clarabel" else QPSolversSolver(name)
+    rng = np.random.default_rng(rows)
+    y, status = solver.solve(batch([infeasible(rng, rows, kind) for _ in range(30)]))
+    assert (status == QPStatus.INFEASIBLE).all()
+    np.testing.assert_array_equal(y, 0.0)
+
+
+@pytest.mark.parametrize("name", ["clarabel", ORACLE])
+def test_a_joint_without_limits_has_infinite_bounds(name):
+    """Those of the model are, where it sets none: all of them, or those that the answer does not touch."""
+    solver = ClarabelSolver(WEIGHTS, 8) if name == "clarabel" else QPSolversSolver(name)
+    qps, answers = random_batch(40, 8, seed=2)
+    above, below = qps.upper > answers + 1e-9, qps.lower < answers - 1e-9
+    y, status = solver.solve(
+        qps._replace(upper=np.where(above, np.inf, qps.upper), lower=np.where(below, -np.inf, qps.lower))
+    )
+    assert (status == QPStatus.SOLVED).all()
+    np.testing.assert_allclose(y, answers, rtol=0, atol=1e-6)
+
+
+def mixed_batch(rows=8):
+    """Solvable QPs with infeasible ones and broken ones in between; and which are broken."""
+    rng = np.random.default_rng(5)
+    qps = [infeasible(rng, rows, "limits") if k % 5 == 3 else random_answer(rng, rows)[0] for k in range(60)]
+    broken = {}
+    for k, (field, value) in {
+        7: ("linear", np.nan), 14: ("A", np.nan), 21: ("G", np.nan), 22: ("h", np.nan), 29: ("b", np.nan),
+        36: ("A", np.inf), 37: ("linear", np.inf), 44: ("upper", np.nan),
+    }.items():  # fmt: skip
+        spoiled = getattr(qps[k], field).copy()
+        spoiled.flat[0] = value
+        broken[k] = qps[k] = qps[k]._replace(**{field: spoiled})
+    return batch(qps), np.array(sorted(broken))
+
+
+def pick(qps: StepQP, which) -> StepQP:
+    return StepQP(*(field[which] for field in qps))
+
+
+@pytest.mark.parametrize("name", ["clarabel", ORACLE])
+def test_a_broken_qp_fails_and_leaves_no_trace(name):
+    """NaN or infinity in any field: FAILED, never an answer; the others are the same to the last bit as without it."""
+    make = (lambda: ClarabelSolver(WEIGHTS, 8)) if name == "clarabel" else lambda: QPSolversSolver(name)
+    qps, broken = mixed_batch()
+    y, status = make().solve(qps)
+    assert (status[broken] == QPStatus.FAILED).all()
+    np.testing.assert_array_equal(y[broken], 0.0)
+    healthy = np.setdiff1d(np.arange(60), broken)
+    alone = make().solve(pick(qps, healthy))
+    np.testing.assert_array_equal(y[healthy], alone.y)
+    np.testing.assert_array_equal(status[healthy], alone.status)
+    assert {*status[healthy]} == {QPStatus.SOLVED, QPStatus.INFEASIBLE}
+
+
+def test_answers_are_bitwise_the_same_in_any_order_alone_and_on_any_thread():
+    qps, _ = mixed_batch()
+    y, status = ClarabelSolver(WEIGHTS, 8).solve(qps)
+
+    def check(order, solution):
+        np.testing.assert_array_equal(solution.y, y[order])
+        np.testing.assert_array_equal(solution.status, status[order])
+
+    used = ClarabelSolver(WEIGHTS, 8)
+    for seed in range(4):
+        order = np.random.default_rng(seed).permutation(60)
+        check(order, used.solve(pick(qps, order)))
+    for k in range(60):
+        check([k], ClarabelSolver(WEIGHTS, 8).solve(pick(qps, [k])))
+    orders = [np.random.default_rng(10 + t).permutation(60) for t in range(8)]
+    with ThreadPoolExecutor(4) as pool:
+        for order, solution in zip(
+            orders, pool.map(lambda o: ClarabelSolver(WEIGHTS, 8).solve(pick(qps, o)), orders), strict=True
+        ):
+            check(order, solution)
+
+
+def test_a_panic_of_the_core_fails_one_qp_and_the_solver_is_built_anew():
+    """Clarabel's Rust core panics outside Exception; an interrupt from the keyboard must still get through."""
+    solver, (qps, _) = ClarabelSolver(WEIGHTS, 8), random_batch(3, 8, seed=0)
+    clean = ClarabelSolver(WEIGHTS, 8).solve(qps)
+    working = solver._solver
+
+    class Breaking:
+        def __init__(self, breakage):
+            self.breakage, self.calls = breakage, 0
+
+        def update(self, **data):
+            self.calls += 1
+            if self.calls == 2:
+                raise self.breakage
+            working.update(**data)
+
+        def solve(self):
+            return working.solve()
+
+    solver._solver = Breaking(type("PanicException", (BaseException,), {})("index out of bounds"))
+    y, status = solver.solve(qps)
+    np.testing.assert_array_equal(status, [QPStatus.SOLVED, QPStatus.FAILED, QPStatus.SOLVED])
+    np.testing.assert_array_equal(y[[0, 2]], clean.y[[0, 2]])
+    np.testing.assert_array_equal(y[1], 0.0)
+
+    solver._solver = Breaking(KeyboardInterrupt())
+    with pytest.raises(KeyboardInterrupt):
+        solver.solve(qps)
+
+
+@pytest.mark.parametrize("rows", ["per-body", "smallest"])
+@pytest.mark.parametrize("cost_about", ["reference", "previous"])
+def test_the_step_qp_is_equation_8_row_by_row(rows, cost_about):
+    """In x: |x - about|_Q^2, Jac (x - x_ref) = C_next - C_ref, D_k + grad D_k (x - x_ref) >= margin, limits."""
+    rng = np.random.default_rng(0)
+    bodies, margin = 8, 5e-4
+    x_ref, x_previous = rng.normal(size=(2, N))
+    to_target, jac = rng.normal(size=3), rng.normal(size=(3, N))
+    D, gradient = rng.normal(size=bodies), rng.normal(size=(bodies, N))
+    lower, upper = -4 - rng.random(N), 4 + rng.random(N)
+    settings = Settings(rows=rows, cost_about=cost_about)
+    given = map(jnp.asarray, (x_ref, x_previous, to_target, jac, D, gradient, margin, lower, upper))
+    qp = StepQP(*map(np.asarray, assemble(settings, *given)))
+
+    about = x_ref if cost_about == "reference" else x_previous
+    kept = [int(np.argmin(D))] if rows == "smallest" else range(bodies)
+    assert qp.G.shape == (row_count(settings, bodies), N) == (len(kept), N)
+    for _ in range(10):
+        x, other = x_ref + 0.3 * rng.normal(size=(2, N))
+
+        def cost(x):
+            return np.sum(settings.q_weights * (x - about) ** 2)
+
+        def cost_of_step(y):
+            return 0.5 * np.sum(qp.weights * y * y) + qp.linear @ y
+
+        ours = cost_of_step(x - x_ref) - cost_of_step(other - x_ref)
+        np.testing.assert_allclose(ours, cost(x) - cost(other), atol=1e-12)
+        np.testing.assert_allclose(qp.A @ (x - x_ref) - qp.b, jac @ (x - x_ref) - to_target, atol=1e-13)
+        for row, body in enumerate(kept):
+            linearised = D[body] + gradient[body] @ (x - x_ref)
+            room = qp.h[row] - qp.G[row] @ (x - x_ref)
+            np.testing.assert_allclose(room, linearised - margin, atol=1e-13)
+        np.testing.assert_allclose(qp.upper - (x - x_ref), upper - x, atol=1e-13)
+        np.testing.assert_allclose((x - x_ref) - qp.lower, x - lower, atol=1e-13)
+
+
+def test_the_seam_makes_the_solver_that_the_settings_name():
+    assert isinstance(make_solver(Settings(), N, 8), ClarabelSolver)
+    assert isinstance(make_solver(Settings(qp="qpsolvers:clarabel"), N, 8), QPSolversSolver)
+    with pytest.raises(InputError, match=r"'gurobbi' is not installed; valid: .*clarabel"):
+        make_solver(Settings(qp="qpsolvers:gurobbi"), N, 8)
+
+
+def test_a_looser_tolerance_gives_a_looser_answer():
+    qps, answers = random_batch(30, 8, seed=3)
+    error = {t: np.abs(ClarabelSolver(WEIGHTS, 8, t).solve(qps).y - answers).max() for t in (1e-4, 1e-9)}
+    assert error[1e-9] < 1e-7 < error[1e-4] < 0.1
+
+
+# The small dense QP on the device
+
+
+def dense_answer(rng, n, m, degenerate=False):
+    """An epigraph QP as the minimisers on the sphere pose it, and its answer: the last unknown has no curvature."""
+    root = rng.normal(size=(n - 1, n - 1)) * 0.1
+    H = np.zeros((n, n))
+    H[:-1, :-1] = root @ root.T + 1e-3 * np.eye(n - 1)
+    y = 0.1 * rng.normal(size=n)
+    G = np.concatenate([rng.normal(size=(m, n - 1)) * 0.05, np.ones((m, 1))], axis=1)
+    active = np.zeros(m, bool)
+    active[: min(n, m)] = rng.random(min(n, m)) < 0.7
+    active[0] = True
+    multipliers = np.where(active, rng.uniform(0.1, 1, m), 0.0)
+    multipliers /= multipliers.sum()  # so that the last unknown's cost is -1
+    h = G @ y + np.where(active, 0.0, 10.0 ** rng.uniform(-9 if degenerate else -2, 0, m))
+    return H, -(H @ y + G.T @ multipliers), G, h, y
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 5])
+@pytest.mark.parametrize("degenerate", [False, True])
+def test_the_dense_solver_finds_the_answer_that_a_qp_was_built_from(n, degenerate):
+    """Judged by objective, feasibility and stationarity: with rows nearly active, the answer is ill-conditioned."""
+    rng = np.random.default_rng(n)
+    for m in (1, 5, 40, 100):
+        for _ in range(5):
+            H, c, G, h, y = dense_answer(rng, n, m, degenerate)
+            box = np.eye(n)[:-1]
+            G, h = np.concatenate([G, box, -box]), np.concatenate([h, np.full(2 * n - 2, 2.0)])
+            found = solve_dense(*map(jnp.asarray, (H, c, G, h)))
+            got = np.asarray(found.y)
+            assert found.error < 1e-10
+            assert (G @ got <= h + 1e-10).all() and (np.asarray(found.multipliers) >= 0).all()
+            np.testing.assert_allclose(0.5 * got @ H @ got + c @ got, 0.5 * y @ H @ y + c @ y, rtol=0, atol=1e-8)
+            residual = H @ got + c + G.T @ np.asarray(found.multipliers)
+            np.testing.assert_allclose(residual, 0.0, atol=1e-10)
+
+
+def test_the_dense_solver_keeps_its_best_iterate_where_rounding_ends_it():
+    """Planes through the very point it starts from, and hardly any curvature: past its best the error grew again."""
+    H, c = jnp.diag(jnp.array([1e-3, 1e-3, 0.0])), jnp.array([0.0, 0.0, -1.0])
+    G = np.array([[0.0, 0.0, 1.0], [1e-9, 0.0, 1.0], [0.0, 1e-9, 1.0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
+    for radius in (0.5, 1e-3, 1e-6):
+        h = np.array([0.0, 0.0, 0.0, radius, radius, radius, radius])
+        found = solve_dense(H, c, *map(jnp.asarray, (G, h)))
+        assert found.error < 1e-9 and np.isfinite(found.y).all()
+
+
+@pytest.mark.parametrize("name", [ORACLE])
+def test_the_dense_solver_agrees_with_another_one(name):
+    rng = np.random.default_rng(9)
+    for _ in range(40):
+        n, m = 4, 30
+        root = rng.normal(size=(n, n))
+        H, c = root @ root.T + 0.1 * np.eye(n), rng.normal(size=n)
+        G, h = rng.normal(size=(m, n)), rng.uniform(0.0, 1.0, m)
+        found = solve_dense(*map(jnp.asarray, (H, c, G, h)))
+        np.testing.assert_allclose(found.y, qpsolvers.solve_qp(H, c, G, h, solver=name), atol=1e-7)
