@@ -1,0 +1,68 @@
+"""How the baseline's success depends on the rows' margin and on the QP solver's tolerance.
+
+    python benchmarks/baseline_margin.py OUT.png [--set KEY=VALUE]...
+
+Plans sweeps/workpiece.yaml under configs/paper.yaml by the baseline for every pair of the values below and draws the
+success rate; the numbers go to OUT.csv. About three minutes on two cores.
+"""
+
+import argparse
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from htcp_jax import compile_cache
+from htcp_jax.chart_style import new_figure
+from htcp_jax.grid import load_sweep
+from htcp_jax.metrics import summarise
+from htcp_jax.planner import plan
+
+MARGINS_M = (0.0, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 5e-4, 1e-3, 2e-3, 5e-3)
+TOLERANCES = (1e-6, 1e-8, 1e-10)
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def main() -> None:
+    """Plan, write, draw."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
+    arguments = parser.parse_args()
+    compile_cache.enable()
+    spec = load_sweep(ROOT / "sweeps/workpiece.yaml", ROOT / "configs/paper.yaml", arguments.overrides)
+    batch = spec.batch()
+    success = np.zeros((len(TOLERANCES), len(MARGINS_M)))
+    for i, tolerance in enumerate(TOLERANCES):
+        settings = replace(spec.config.settings, qp_tolerance=tolerance)
+        for j, margin in enumerate(MARGINS_M):
+            scenarios = replace(batch.scenarios, margin_m=np.full_like(batch.scenarios.margin_m, margin))
+            plans = plan(batch.robot, batch.workpiece, scenarios, "baseline", settings, check_paths=False)
+            success[i, j] = 100 * summarise(plans).success_rate
+            print(f"tolerance {tolerance:.0e}  margin {margin:.0e} m  success {success[i, j]:.2f} %", flush=True)
+    with arguments.out.with_suffix(".csv").open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(["margin_m", *(f"success_percent_at_tolerance_{t:.0e}" for t in TOLERANCES)])
+        rows.writerows([f"{m:g}", *(f"{s:.2f}" for s in column)] for m, column in zip(MARGINS_M, success.T, strict=True))
+    draw(success, batch.workpiece.name).savefig(arguments.out, dpi=150)
+
+
+def draw(success: np.ndarray, workpiece: str):
+    """The figure: one line a tolerance, the margin on a logarithmic axis with 0 set apart on its left."""
+    figure = new_figure(3.6, "Baseline: success against margin and QP tolerance", f"49 poses, {workpiece}, one row")
+    axes = figure.subplots()
+    x = [1e-10, *MARGINS_M[1:]]
+    for tolerance, line in zip(TOLERANCES, success, strict=True):
+        axes.plot(x, line, marker="o", markersize=4, label=f"QP tolerance {tolerance:.0e}")
+    axes.set_xscale("log")
+    axes.set_xticks(x[::2], ["0", *(f"{m:g}" for m in MARGINS_M[2::2])])
+    axes.minorticks_off()
+    axes.set_xlabel("margin of the clearance rows [m]")
+    axes.set_ylabel("targets tracked [%]")
+    axes.legend(frameon=False)
+    return figure
+
+
+if __name__ == "__main__":
+    main()
