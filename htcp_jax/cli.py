@@ -16,6 +16,7 @@ from htcp_jax.cli_ceiling import ceiling_command
 from htcp_jax.cli_plan import plan
 from htcp_jax.cli_report import report
 from htcp_jax.cli_sweep import sweep
+from htcp_jax.cli_validate import validate
 from htcp_jax.errors import InputError, Interrupted
 
 BAD_INPUT, INTERRUPTED = 2, 130
@@ -24,6 +25,7 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 app.command()(plan)
 app.command()(sweep)
 app.command()(report)
+app.command()(validate)
 app.command("ceiling")(ceiling_command)
 
 

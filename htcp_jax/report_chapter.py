@@ -14,6 +14,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.path_charts import words
 from htcp_jax.run_parts import Part, tracked
 from htcp_jax.run_tables import NO_TARGET
+from htcp_jax.validate_input import result_files
 
 VALIDATION = "validation.json"  # what htcp validate leaves in the folder of a run
 MOST_SLICES = 9  # maps in a row
@@ -84,10 +85,12 @@ def presets() -> dict[str, PlanConfig]:
 
 
 def validated(part: Part) -> bool | None:
-    """What the independent validation found; None where none was made. Raises InputError for a damaged file."""
+    """What the independent validation found; None where none was made, or none of these very results. Raises
+    InputError for a damaged file."""
     file = Path(part.run.folder) / VALIDATION
     try:
-        return bool(json.loads(file.read_text(encoding="utf-8"))["validated"])
+        found = json.loads(file.read_text(encoding="utf-8"))
+        return bool(found["validated"]) if found["files"] == result_files(part.run) else None
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -26,9 +26,10 @@ LAYERS = [
     ["paper", "grid", "metrics", "results", "ceiling"],
     ["charts", "chart_style", "path_charts", "success_charts", "document"],
     ["run_folder", "run_identity", "run_lock", "run_tables", "run_writer", "sweep", "gate"],
+    ["validate", "validate_arm", "validate_input", "validate_track", "validate_wall"],
     ["report", "report_chapter", "report_tables", "run_parts"],
     ["picture", "viewer"],
-    ["cli_plan", "cli_report", "cli_sweep"],
+    ["cli_plan", "cli_report", "cli_sweep", "cli_validate"],
     ["cli_ceiling"],
     ["cli", "__main__"],
 ]

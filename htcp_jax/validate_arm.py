@@ -1,0 +1,170 @@
+"""The arm as MuJoCo sees it, for validation: poses, capsules and distances come from MuJoCo's C code alone.
+
+Nothing of robot.py, kinematics.py or clearance.py is used, nor anything they rest on: what a model file means (which
+site is the TCP, what a longer tool is, which limits hold) is read here a second time.
+"""
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int
+
+from htcp_jax.errors import InputError
+
+PROBE_M = 1e-9  # radius of the sphere that stands for a point of the cloud; distances are corrected by it
+FAR_M = 1e3  # MuJoCo looks no further
+_PROBE = "probe of htcp validate"
+_SPHERE, _CAPSULE = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE
+_OWN_FRAME = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)  # else MuJoCo may take the body's, and forget a changed position
+_HINGE = mujoco.mjtJoint.mjJNT_HINGE
+
+
+class Postures(NamedTuple):
+    """n configurations: the TCP and the ends of the K capsules' axes, world [m]."""
+
+    tcp: Float[np.ndarray, "n 3"]
+    p: Float[np.ndarray, "n K 3"]
+    q: Float[np.ndarray, "n K 3"]
+
+
+class Arm:
+    """A model file in MuJoCo, its tool longer by `tool_extension_m`, and a probe that can be put anywhere.
+
+    names, radius: of the K capsule and sphere geoms [m]; lower, upper: joint limits of the profile `limits` of
+    `robot.load_robot`; speed: inf where the model gives none. Raises InputError for a file that MuJoCo cannot read.
+    """
+
+    def __init__(self, path: Path, tool_extension_m: float = 0.0, limits: str = "model"):
+        self._model, self._site = _compile(Path(path))
+        self._data = mujoco.MjData(self._model)
+        self._probe = self._model.geom(_PROBE).id
+        self._geoms = np.array([g for g in range(self._model.ngeom) if g != self._probe])
+        if tool_extension_m:
+            _lengthen(self._model, self._site, self._geoms, tool_extension_m)
+        self.names = tuple(self._model.geom(g).name or f"geom {g}" for g in self._geoms)
+        self.radius = self._model.geom_size[self._geoms, 0].copy()
+        self._half = np.where(self._model.geom_type[self._geoms] == _CAPSULE, self._model.geom_size[self._geoms, 1], 0)
+        self.joints = tuple(self._model.joint(j).name or f"joint{j + 1}" for j in range(self._model.njnt))
+        self.lower, self.upper = _limits(self._model, limits)
+        self.speed = _numeric(self._model, "speed", math.inf)
+
+    def postures(self, x: Float[np.ndarray, "n N"]) -> Postures:
+        """Where MuJoCo's kinematics puts the arm."""
+        shape = len(x), len(self._geoms), 3
+        tcp, middle, axis = np.empty((len(x), 3)), np.empty(shape), np.empty(shape)
+        for k, row in enumerate(x):
+            self._pose(row)
+            tcp[k] = self._data.site_xpos[self._site]
+            middle[k] = self._data.geom_xpos[self._geoms]
+            axis[k] = self._data.geom_xmat[self._geoms, 2::3]  # a capsule lies along its own z
+        reach = self._half[None, :, None] * axis
+        return Postures(tcp, middle + reach, middle - reach)
+
+    def distances(
+        self, x: Float[np.ndarray, "N"], capsules: Int[np.ndarray, "c"], points: Float[np.ndarray, "c 3"]
+    ) -> Float[np.ndarray, "c"]:
+        """Signed distance of each world point to the surface of the capsule beside it [m], by mj_geomDistance."""
+        self._pose(x)
+        found = np.empty(len(points))
+        for k, (geom, point) in enumerate(zip(self._geoms[capsules].tolist(), points, strict=True)):
+            self._data.geom_xpos[self._probe] = point
+            found[k] = mujoco.mj_geomDistance(self._model, self._data, geom, self._probe, FAR_M, None)
+        return found + PROBE_M
+
+    def _pose(self, x: Float[np.ndarray, "N"]) -> None:
+        self._data.qpos[:] = x
+        mujoco.mj_kinematics(self._model, self._data)
+
+
+def _compile(path: Path) -> tuple[mujoco.MjModel, int]:
+    """The model with its capsules, its spheres and the probe as its only geoms, and the site at the TCP."""
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        for geom in list(spec.geoms):
+            if geom.type not in (_SPHERE, _CAPSULE):
+                spec.delete(geom)
+        for mesh in list(spec.meshes):
+            spec.delete(mesh)
+        spec.worldbody.add_geom(name=_PROBE, type=_SPHERE, size=[PROBE_M, 0, 0])
+        spec.compiler.fusestatic = False  # the fixed links of a URDF name its TCP
+        spec.compiler.boundmass = spec.compiler.boundinertia = 1e-9  # MuJoCo insists on masses
+        spec.compiler.balanceinertia = True
+        model = spec.compile()
+        site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "tcp")
+        body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "tcp")
+        if site < 0 and body < 0 and model.nsite == 1:
+            site = 0
+        if site < 0:
+            name = "tcp" if body >= 0 else _outermost_body(model)
+            site = spec.body(name).add_site(name="TCP of htcp validate").name
+            model = spec.compile()
+            site = model.site(site).id
+        return model, site
+    except (ValueError, OSError, mujoco.FatalError) as error:
+        raise InputError(f"{path}: not a robot model that MuJoCo can read: {' '.join(str(error).split())}") from None
+
+
+def _upwards(model: mujoco.MjModel, body: int) -> Iterator[int]:
+    """The body and its ancestors, without the world."""
+    while body > 0:
+        yield body
+        body = int(model.body_parentid[body])
+
+
+def _outermost_body(model: mujoco.MjModel) -> str:
+    """The last of the bodies with the most joints between them and the world."""
+    depth = [model.body_jntnum[list(_upwards(model, body))].sum() for body in range(model.nbody)]
+    return model.body(max(range(model.nbody), key=lambda body: (depth[body], body))).name
+
+
+def _lengthen(model: mujoco.MjModel, site: int, geoms: np.ndarray, extension_m: float) -> None:
+    """Move the TCP and what hangs on its body outwards along the tool's z axis; the first capsule there keeps the end
+    that is nearer to the last joint, and is stretched. Worked out in the world, at the model's own zero."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    shift = extension_m * data.site_xmat[site, 2::3]
+    geoms = geoms.tolist()
+    tool = [g for g in geoms if model.site_bodyid[site] in _upwards(model, int(model.geom_bodyid[g]))]
+    tool = tool or [g for g in geoms if model.jnt_bodyid[-1] in _upwards(model, int(model.geom_bodyid[g]))]
+    for g in tool:
+        half = model.geom_size[g, 1] if model.geom_type[g] == _CAPSULE else 0.0
+        along = half * data.geom_xmat[g, 2::3]
+        near, far = sorted(
+            (data.geom_xpos[g] + along, data.geom_xpos[g] - along), key=lambda end: math.dist(end, data.xanchor[-1])
+        )
+        _put(model, data, g, near if g == tool[0] else near + shift, far + shift)
+    model.site_sameframe[site] = _OWN_FRAME
+    model.site_pos[site] += data.xmat[model.site_bodyid[site]].reshape(3, 3).T @ shift
+
+
+def _put(model: mujoco.MjModel, data: mujoco.MjData, geom: int, p: np.ndarray, q: np.ndarray) -> None:
+    """Lay the axis of a geom from p to q, which are in the world."""
+    body, length = model.geom_bodyid[geom], math.dist(p, q)
+    rotation = data.xmat[body].reshape(3, 3)
+    model.geom_sameframe[geom] = _OWN_FRAME
+    model.geom_pos[geom] = rotation.T @ ((p + q) / 2 - data.xpos[body])
+    if length > 0:
+        model.geom_type[geom], model.geom_size[geom, 1] = _CAPSULE, length / 2
+        mujoco.mju_quatZ2Vec(model.geom_quat[geom], rotation.T @ (q - p))
+
+
+def _limits(model: mujoco.MjModel, profile: str) -> tuple[np.ndarray, np.ndarray]:
+    lower, upper = np.where(model.jnt_limited[:, None], model.jnt_range, [-math.inf, math.inf]).T
+    if profile == "simulation":
+        hinge = model.jnt_type == _HINGE
+        return np.where(hinge, -math.pi, lower), np.where(hinge, math.pi, upper)
+    if profile == "datasheet":
+        return _numeric(model, "datasheet_lower", math.nan), _numeric(model, "datasheet_upper", math.nan)
+    return lower, upper
+
+
+def _numeric(model: mujoco.MjModel, name: str, default: float) -> np.ndarray:
+    """The <numeric> of that name, a value a joint."""
+    at = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
+    if at < 0:
+        return np.full(model.njnt, default)
+    return model.numeric_data[model.numeric_adr[at] :][: model.njnt].copy()

@@ -1,0 +1,255 @@
+"""Validation: what is right validates, what is wrong is refuted and named, and no point is left out unmeasured."""
+
+import hashlib
+import json
+import shutil
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from htcp_jax import duct
+from htcp_jax.cli import main
+from htcp_jax.kinematics import capsule_segments, tcp_position
+from htcp_jax.report_chapter import validated
+from htcp_jax.robot import GP50, Robot, gp50, lengthen_tool, load_robot
+from htcp_jax.run_folder import MANIFEST, open_run
+from htcp_jax.run_parts import read_parts
+from htcp_jax.sweep import sweep
+from htcp_jax.validate import VALIDATION, validate
+from htcp_jax.validate_arm import Arm
+from htcp_jax.validate_wall import Scene, Wall
+from htcp_jax.workpiece import load_workpiece
+
+LONGER = 0.01  # [m]
+SWEEP = f"""
+config: job.yaml
+grid:
+  - robot.tool_extension_m: [0.0, {LONGER}]
+  - workpiece.rotation_y_rad: [0.4, 0.5]
+"""
+
+
+@pytest.fixture(scope="session")
+def planned(tmp_path_factory):
+    """A run of four scenarios over every twelfth point of the generated weld: two tools, two poses."""
+    place = tmp_path_factory.mktemp("validate")
+    np.savetxt(place / "weld.csv", duct.weld()[::12], delimiter=",")
+    (place / "job.yaml").write_text("workpiece: {path: weld.csv}\nmethod: baseline\n")
+    (place / "grid.yaml").write_text(SWEEP)
+    sweep(place / "grid.yaml", "baseline", place / "run")
+    return place
+
+
+@pytest.fixture
+def run(planned, tmp_path):
+    """A copy that a test may spoil."""
+    return shutil.copytree(planned / "run", tmp_path / "run")
+
+
+def spoil(folder, scenario: int, target: int, **values):
+    """Put other values into a row of the results, and make the manifest agree with the file."""
+    (file,) = (folder / "targets").iterdir()
+    rows = pq.read_table(file).to_pylist()
+    (row,) = (row for row in rows if (row["scenario"], row["target"]) == (scenario, target))
+    row |= values
+    pq.write_table(pa.Table.from_pylist(rows, pq.read_schema(file)), file)
+    manifest = json.loads((folder / MANIFEST).read_text())
+    data = file.read_bytes()
+    manifest["shards"][0]["targets"] |= {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+    (folder / MANIFEST).write_text(json.dumps(manifest))
+
+
+def scene(extension_m: float, rotation_y_rad: float, points: int | None = None) -> Scene:
+    """A scenario of the run, its pose by workpiece.py; or with a smaller cloud."""
+    part = load_workpiece(points=points)
+    T = part.T_world(rotation_y_rad, 0.1)
+    wall = Wall(np.asarray(part.cloud), "hull")
+    return Scene(Arm(GP50, extension_m, "simulation"), wall, T[:3, :3], T[:3, 3], part.gate_depth_m)
+
+
+def clearance(where: Scene, x: np.ndarray) -> float:
+    return where.at(x[None]).clearance[0]
+
+
+def into_the_wall(where: Scene, x: np.ndarray, depth_m: float) -> np.ndarray:
+    """The configuration moved down the gradient of its clearance, until it is that deep in the wall."""
+    for _ in range(100):
+        now = clearance(where, x)
+        if abs(now + depth_m) < 1e-5:
+            return x
+        slope = np.array([clearance(where, x + 1e-6 * e) - now for e in np.eye(6)]) / 1e-6
+        x = x - slope * min(now + depth_m, 1e-3) / (slope @ slope)
+    raise AssertionError("the wall is out of reach")
+
+
+def inside(planned, spread_rad: float, count: int) -> np.ndarray:
+    """Configurations about one that is deep in the duct."""
+    x = open_run(planned / "run").plans("baseline").x[0]
+    last = x[np.isfinite(x).all(axis=1)][-1]
+    return last + np.random.default_rng(2).uniform(-spread_rad, spread_rad, (count, 6))
+
+
+def test_a_run_validates_and_the_report_says_so(run, capsys):
+    assert main(["validate", str(run)]) == 0
+    assert "validated" in capsys.readouterr().out
+    found = json.loads((run / VALIDATION).read_text())
+    one = found["methods"]["baseline"]
+    assert found["validated"] and one["refuted"] == 0
+    assert one["checked"] == sum(open_run(run).scenarios()["tracked"].to_pylist()) > 60
+    assert 0 < one["clearance_min_mm"] and one["tcp_error_max_mm"] <= 1
+    assert max(one[f"{name}_off_max_mm"] for name in ("clearance", "tcp", "target")) < 1e-9
+    assert one["paths_touching"] == one["paths_blocked_on_record"]
+    (part,) = read_parts(open_run(run), "run")
+    assert validated(part) is True
+
+
+def test_a_report_does_not_call_other_results_validated_than_those_that_were(run):
+    main(["validate", str(run), "--between", "0"])
+    spoil(run, 0, 5, iterations=1)
+    (part,) = read_parts(open_run(run), "run")
+    assert validated(part) is None
+
+
+def test_a_configuration_5_mm_in_the_wall_is_refuted_and_named(run, capsys):
+    plans = open_run(run).plans("baseline")
+    target = int(np.nanargmin(plans.clearance[3]))
+    x = into_the_wall(scene(LONGER, 0.5), plans.x[3, target], 5e-3)
+    spoil(run, 3, target, **{f"joint{j + 1}_rad": float(value) for j, value in enumerate(x)})
+    assert main(["validate", str(run), "--between", "0"]) == 1
+    assert f"baseline, scenario 3, target {target}: " in capsys.readouterr().out
+    found = json.loads((run / VALIDATION).read_text())
+    (refuted,) = found["refuted"]
+    assert not found["validated"] and "the arm touches: clearance -5.0" in refuted["reason"]
+
+
+def test_a_recorded_clearance_that_is_1_mm_off_is_refuted(run):
+    recorded = open_run(run).plans("baseline").clearance[1, 7]
+    spoil(run, 1, 7, clearance_m=float(recorded + 1e-3))
+    found = validate(run, between=0)
+    (refuted,) = found.refuted
+    assert (refuted.scenario, refuted.target) == (1, 7) and f"{1e3 * recorded + 1:.3f} mm on record" in refuted.reason
+    assert found.methods["baseline"].clearance_off_max_mm == pytest.approx(1.0)
+
+
+def test_a_joint_beyond_its_limits_and_a_configuration_that_is_not_there_are_refuted(run):
+    x = open_run(run).plans("baseline").x[0, 3]
+    spoil(run, 0, 3, joint6_rad=float(x[5] - 2 * np.pi))
+    spoil(run, 2, 4, joint1_rad=None)
+    reasons = {(one.scenario, one.target): one.reason for one in validate(run).refuted}
+    assert set(reasons) == {(0, 3), (2, 4)}
+    assert "joint6 is outside its limits" in reasons[0, 3] and reasons[2, 4] == "no configuration on record"
+
+
+def test_a_longer_tool_is_the_planner_s():
+    x = np.random.default_rng(1).uniform(-3, 3, (20, 6))
+    for extension in (0.0, 0.05, -0.02):
+        _assert_same_postures(Arm(GP50, extension), lengthen_tool(gp50(), extension), x)
+
+
+def _assert_same_postures(arm: Arm, robot: Robot, x: np.ndarray) -> None:
+    """MuJoCo has the ends of an axis in either order."""
+    at = arm.postures(x)
+    p, q = jax.vmap(capsule_segments, (None, 0))(robot, jnp.asarray(x))
+    np.testing.assert_allclose(at.tcp, jax.vmap(tcp_position, (None, 0))(robot, jnp.asarray(x)), atol=1e-12)
+    np.testing.assert_allclose(at.p + at.q, p + q, atol=1e-12)
+    np.testing.assert_allclose(abs(at.p - at.q), abs(p - q), atol=1e-12)
+    np.testing.assert_array_equal(arm.radius, robot.capsule_radius)
+
+
+OWN = """
+<mujoco>
+  <worldbody>
+    <body><joint type="slide" axis="1 0 0"/><geom size="0.1"/><geom type="box" size="0.1 0.1 0.1"/>
+      <body pos="0 0 0.5"><joint axis="0 1 0"/><geom type="capsule" size="0.05" fromto="0 0 0 0.3 0 0.1"/>
+        <body pos="0.4 0 0"><joint axis="0 0 1" pos="0.1 0 0"/>
+          <geom size="0.03" pos="0.1 0.1 0"/><site name="tip" pos="0.2 0 0" euler="20 30 0"/></body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def test_models_of_one_s_own_are_read_as_the_planner_reads_them(tmp_path):
+    """A slide, a box to be ignored, a TCP that is the only site, and a sphere that a longer tool stretches."""
+    file = tmp_path / "own.xml"
+    file.write_text(OWN)
+    robot, x = load_robot(file, limits="simulation"), np.random.default_rng(4).uniform(-1, 1, (20, 3))
+    arm = Arm(file, 0.1, "simulation")
+    np.testing.assert_array_equal([arm.lower, arm.upper, arm.speed], [robot.lower, robot.upper, robot.speed])
+    _assert_same_postures(arm, lengthen_tool(robot, 0.1), x)
+
+
+def test_no_point_is_left_out_that_could_be_the_nearest(planned):
+    """Against every capsule and every point, measured one by one; among them configurations deep in the wall."""
+    where = scene(0.0, 0.4, points=400)
+    x = inside(planned, 0.03, 25)
+    points = where.wall.cloud @ where.rotate.T + where.translate
+    capsule, point = (index.ravel() for index in np.indices((8, 400)))
+    brute = np.array([where.arm.distances(row, capsule, points[point]).min() for row in x])
+    found = where.at(x)
+    in_hull = ~(found.outside > 0).any(axis=1)
+    assert (brute < -0.01).any() and (brute > 0).any() and 5 < in_hull.sum()
+    np.testing.assert_allclose(found.clearance[in_hull], brute[in_hull], atol=1e-12)
+    assert (found.clearance[~in_hull] < 0).all()
+
+
+def test_between_two_configurations_nothing_below_the_bound_is_missed(planned):
+    """Against the clearance of each step by itself."""
+    where = scene(0.0, 0.4, points=2000)
+    ends = inside(planned, 0.02, 12)
+    steps = np.arange(1, 10) / 10
+    way = (ends[:-1, None] + steps[None, :, None] * np.diff(ends, axis=0)[:, None]).reshape(-1, 6)
+    _, found = where.between(way, np.repeat(np.arange(11), 9), where.at(ends), 0.005)
+    each = where.at(way).clearance
+    assert (each < 0).any() and (each > 0.005).any()
+    np.testing.assert_allclose(found, np.where(each <= 0.005, each, np.inf), atol=1e-12)
+
+
+def test_joint_speeds_are_in_proportion_to_the_feed_rate(planned):
+    slow, fast = (validate(planned / "run", between=0, feed_mm_s=feed).methods["baseline"] for feed in (10.0, 30.0))
+    assert fast.speed_ratio_max == pytest.approx(3 * slow.speed_ratio_max) and slow.paths_touching is None
+
+
+def test_a_plan_validates_and_its_summary_says_so(planned, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(planned)
+    out = tmp_path / "plan"
+    main(["plan", "job.yaml", "--out", str(out)])
+    capsys.readouterr()
+    assert main(["validate", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["methods"]["baseline"]["checked"] > 10
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["validated"] is True and summary["method"] == "baseline"
+    (out / "trajectory.npz").write_bytes(b"PK")
+    assert main(["validate", str(out)]) == 2
+    assert "is damaged" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words, reason",
+    [
+        (["nowhere"], "holds neither a run"),
+        (["run", "--between", "-1"], "between is -1"),
+        (["run", "--feed-mm-s", "0"], "must be positive"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_2(planned, monkeypatch, capsys, words, reason):
+    monkeypatch.chdir(planned)
+    assert main(["validate", *words]) == 2
+    error = capsys.readouterr().err
+    assert reason in error and error.count("\n") == 1 and not (planned / "run" / VALIDATION).exists()
+
+
+def test_a_path_that_has_changed_since_is_bad_input(planned, run, monkeypatch, capsys):
+    path = planned / "weld.csv"
+    before = path.read_text()
+    try:
+        path.write_text(before + "0.9,0,0\n")
+        assert main(["validate", str(run)]) == 2
+    finally:
+        path.write_text(before)
+    assert "is not what it was when" in capsys.readouterr().err
