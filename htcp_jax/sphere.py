@@ -67,6 +67,13 @@ def first_guess(sphere: Sphere, seen: Seen, count: int = 64) -> Direction:
     return directions[jnp.argmax(merit)]
 
 
+def _better_of_two(sphere: Sphere) -> Best:
+    """The whole sphere where it has one dimension (an arm with four joints): its two directions."""
+    directions = jnp.array([[1.0], [-1.0]])
+    merit = jnp.stack([_merit(sphere, w, sphere.measure(w)) for w in directions])
+    return Best(directions[jnp.argmax(merit)], jnp.max(merit))
+
+
 def sqp(sphere: Sphere, seen: Seen, observations: int = 12, memory: int = 8) -> Best:
     """Sequential quadratic programming on the epigraph: maximise t with t <= the distance to every contact seen.
 
@@ -74,6 +81,8 @@ def sqp(sphere: Sphere, seen: Seen, observations: int = 12, memory: int = 8) -> 
     direction observed. The prediction is never below the truth, so when nothing near is predicted to be better, nothing
     near is. Three observations are usual; the contacts of the last `memory` are kept.
     """
+    if sphere.curvature.shape[0] == 1:
+        return _better_of_two(sphere)
 
     def body(state):
         best, proposed, store, _, count = state
@@ -181,6 +190,8 @@ def interior_point(sphere: Sphere, seen: Seen, iterations: int = 24) -> Best:
     not raise the barrier is halved; two steps for every mu.
     """
     dimension = sphere.curvature.shape[0]
+    if dimension == 1:
+        return _better_of_two(sphere)
 
     def barrier(w, values, mu):
         t = _epigraph(values, mu)

@@ -1,0 +1,149 @@
+"""Other people's minimisers on the subproblems of equation (11), for the tests of ours."""
+
+from collections.abc import Callable
+from functools import cache
+from typing import NamedTuple
+
+import cma
+import jax
+import jax.numpy as jnp
+import made_once
+import numpy as np
+from scipy.optimize import BFGS, NonlinearConstraint, minimize
+
+from htcp_jax import sphere
+from htcp_jax.clearance import linearise
+from htcp_jax.escape import sphere_problem
+from htcp_jax.settings import Settings
+
+
+class Where(NamedTuple):
+    T_world_workpiece: jax.Array
+    gate_x: jax.Array
+
+
+@cache
+def recorded() -> tuple[np.ndarray, Where]:
+    """x (200, N) and poses of the recorded subproblems, see benchmarks/record_subproblems.py."""
+    data = np.load(made_once.RECORDED)
+    return data["x"], Where(data["T_world_workpiece"], data["gate_x"])
+
+
+class Problem(NamedTuple):
+    """One subproblem for scipy: f(w) -> (values (K,), gradients (K, D)), exact; G w <= h; where ours starts."""
+
+    f: Callable
+    G: np.ndarray
+    h: np.ndarray
+    start: np.ndarray
+
+    def merit(self, w: np.ndarray) -> float:
+        """Objective at the unit vector along w, -inf outside the joint limits."""
+        w = w / np.linalg.norm(w)
+        return float(self.f(w)[0].min()) if np.all(self.G @ w <= self.h + 1e-9) else -np.inf
+
+
+@cache
+def _compiled(settings: Settings):
+    """Exact values and gradients, by the linearisation at x and not by the sphere's own functions; limits and start."""
+    weights = np.diag(settings.q_weights)
+
+    def exact(robot, obstacle, where, x_ref, reach, w):
+        linear = linearise(robot, obstacle, where, x_ref + reach @ w)
+        step = reach @ w
+        j1 = settings.j1_weight * step @ weights @ step
+        j1_gradient = 2 * settings.j1_weight * reach.T @ weights @ step
+        return linear.clearance - j1, linear.gradient @ reach - j1_gradient[None, :]
+
+    def begin(scene, where, x_ref):
+        problem, seen, reach = sphere_problem(scene, settings, where, x_ref)
+        return problem.G, problem.h, sphere.first_guess(problem, seen), reach
+
+    return jax.jit(exact), jax.jit(begin)
+
+
+def problem(k: int, settings: Settings, scene=None) -> Problem:
+    """Recorded subproblem k."""
+    scene = scene or made_once.scene()
+    x, poses = recorded()
+    x_ref, where = jnp.asarray(x[k]), Where(*(jnp.asarray(leaf[k]) for leaf in poses))
+    exact, begin = _compiled(settings)
+    G, h, start, reach = begin(scene, where, x_ref)
+
+    def f(w):
+        return tuple(map(np.asarray, exact(*scene, where, x_ref, reach, jnp.asarray(w))))
+
+    near = np.asarray(h) < 10.0  # scipy needs no rows for limits that are out of reach
+    return Problem(f, np.asarray(G)[near], np.asarray(h)[near], np.asarray(start))
+
+
+class _Remembered:
+    """f once a point, whichever of objective, constraints and gradients asks first."""
+
+    def __init__(self, f):
+        self._f, self._seen = f, {}
+
+    def __call__(self, z):
+        key = z[:-1].tobytes()
+        if key not in self._seen:
+            self._seen[key] = self._f(z[:-1])
+        return self._seen[key]
+
+
+def _epigraph(p: Problem):
+    """(f at z, start) for z = (w, t): maximise t with t <= f_k(w)."""
+    return _Remembered(p.f), np.append(p.start, p.f(p.start)[0].min())
+
+
+def slsqp(p: Problem) -> np.ndarray:
+    """scipy's SLSQP on the epigraph form from the same start: w."""
+    f, z0 = _epigraph(p)
+    constraints = [
+        {
+            "type": "ineq",
+            "fun": lambda z: f(z)[0] - z[-1],
+            "jac": lambda z: np.c_[f(z)[1], -np.ones(len(f(z)[0]))],
+        },
+        {"type": "eq", "fun": lambda z: z[:-1] @ z[:-1] - 1, "jac": lambda z: np.append(2 * z[:-1], 0)},
+    ]
+    if len(p.h):
+        rows = np.c_[-p.G, np.zeros(len(p.h))]
+        constraints.append({"type": "ineq", "fun": lambda z: p.h + rows @ z, "jac": lambda z: rows})
+    result = minimize(
+        lambda z: -z[-1], z0, jac=lambda z: np.append(np.zeros(len(z) - 1), -1.0), constraints=constraints,
+        method="SLSQP", options={"ftol": 1e-12, "maxiter": 100},
+    )  # fmt: skip
+    return result.x[:-1]
+
+
+def trust_constr(p: Problem) -> np.ndarray:
+    """scipy's trust-constr, an interior point method, on the epigraph form from the same start: w."""
+    f, z0 = _epigraph(p)
+    rows = np.c_[p.G, np.zeros(len(p.h))]
+
+    def values(z):
+        return np.concatenate([f(z)[0] - z[-1], p.h - rows @ z, [z[:-1] @ z[:-1]]])
+
+    def gradients(z):
+        return np.concatenate([np.c_[f(z)[1], -np.ones(len(f(z)[0]))], -rows, [np.append(2 * z[:-1], 0)]])
+
+    low = np.append(np.zeros(len(values(z0)) - 1), 1.0)
+    high = np.append(np.full(len(low) - 1, np.inf), 1.0)
+    result = minimize(
+        lambda z: -z[-1], z0, jac=lambda z: np.append(np.zeros(len(z) - 1), -1.0),
+        constraints=NonlinearConstraint(values, low, high, jac=gradients, hess=BFGS()), hess=lambda z: np.zeros((len(z), len(z))),
+        method="trust-constr", options={"gtol": 1e-8, "xtol": 1e-9, "barrier_tol": 1e-8, "maxiter": 150},
+    )  # fmt: skip
+    return result.x[:-1]
+
+
+def cma_package(p: Problem, population: int, generations: int, sigma: float, seed: int) -> float:
+    """The best objective that the `cma` package measures with our budget, our start and normalised samples."""
+    options = {"CMA_active": False, "popsize": population, "seed": seed, "verbose": -9}
+    es, best = cma.CMAEvolutionStrategy(list(p.start), sigma, options), -np.inf
+    for _ in range(generations):
+        samples = es.ask()
+        merits = [p.merit(np.asarray(w)) for w in samples]
+        es.tell(samples, [-m if np.isfinite(m) else 1e3 for m in merits])
+        best = max(best, *merits)
+    return best
