@@ -44,7 +44,8 @@ def main() -> None:
     with arguments.out.with_suffix(".csv").open("w", newline="") as file:
         rows = csv.writer(file)
         rows.writerow(["margin_m", *(f"success_percent_at_tolerance_{t:.0e}" for t in TOLERANCES)])
-        rows.writerows([f"{m:g}", *(f"{s:.2f}" for s in column)] for m, column in zip(MARGINS_M, success.T, strict=True))
+        for margin, column in zip(MARGINS_M, success.T, strict=True):
+            rows.writerow([f"{margin:g}", *(f"{s:.2f}" for s in column)])
     draw(success, batch.workpiece.name).savefig(arguments.out, dpi=150)
 
 

@@ -57,7 +57,7 @@ def draw_plan(
     `figure.savefig(path)`."""
     figure = Figure(figsize=(14, 9.6), dpi=120, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
-    figure.get_layout_engine().set(w_pad=0.12, h_pad=0.1)
+    figure.get_layout_engine().set(w_pad=0.12, h_pad=0.1, rect=(0, 0, 0.985, 1))
     figure.suptitle(title, color=INK, fontsize=16, fontweight="bold", x=0.015, ha="left")
     grid = figure.add_gridspec(2, 2, height_ratios=(1.4, 1), width_ratios=(1.12, 1))
     T = np.asarray(scenario.T_world_workpiece)
