@@ -131,7 +131,8 @@ def trust_constr(p: Problem) -> np.ndarray:
     high = np.append(np.full(len(low) - 1, np.inf), 1.0)
     result = minimize(
         lambda z: -z[-1], z0, jac=lambda z: np.append(np.zeros(len(z) - 1), -1.0),
-        constraints=NonlinearConstraint(values, low, high, jac=gradients, hess=BFGS()), hess=lambda z: np.zeros((len(z), len(z))),
+        hess=lambda z: np.zeros((len(z), len(z))),
+        constraints=NonlinearConstraint(values, low, high, jac=gradients, hess=BFGS()),
         method="trust-constr", options={"gtol": 1e-8, "xtol": 1e-9, "barrier_tol": 1e-8, "maxiter": 150},
     )  # fmt: skip
     return result.x[:-1]
