@@ -1,0 +1,128 @@
+"""The engine: who else is in the batch has no influence, nothing compiles twice, one broken QP breaks one scenario."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from htcp_jax import kernels, planner
+from htcp_jax.planner import plan
+from htcp_jax.qp import QPSolution, QPStatus
+from htcp_jax.qp_clarabel import ClarabelSolver
+from htcp_jax.robot import gp50
+from htcp_jax.scenario import make_scenario, stack
+from htcp_jax.settings import Settings
+from htcp_jax.status import Status
+from htcp_jax.workpiece import load_workpiece
+
+START = np.array([0.0, -2.3, 0.5, 0.0, 0.5, -2.0])
+# With one row and margin 0 the last bit of rounding decides who gets stuck.
+PAPER = Settings(rows="smallest", cost_about="previous")
+COMPARED = ("x", "status", "clearance", "residual", "iterations", "escape", "path_clear")
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return gp50(), load_workpiece()
+
+
+def poses(scene, *rotations):
+    return [
+        make_scenario(*scene, START, rotation=rotation, margin_m=0.0, number=k) for k, rotation in enumerate(rotations)
+    ]
+
+
+@pytest.fixture(scope="module")
+def scenarios(scene):
+    return poses(scene, (0.4, 0.1), (0.8, -0.3), (0.6, 0.0), (0.2, -0.3), (0.5, 0.2))
+
+
+@pytest.fixture(scope="module", params=["baseline", "nspace-sqp", "keep-clear", "cspace-sample"])
+def planned(request, scene, scenarios):
+    return request.param, plan(*scene, scenarios, request.param, PAPER, threads=2)
+
+
+def same(a, b, rows_a, rows_b):
+    for name in COMPARED:
+        np.testing.assert_array_equal(getattr(a, name)[rows_a], getattr(b, name)[rows_b], err_msg=name)
+
+
+def test_a_scenario_is_planned_the_same_to_the_last_bit_alone_in_a_batch_and_on_one_thread(planned, scene, scenarios):
+    method, together = planned
+    same(plan(*scene, scenarios[1:2], method, PAPER), together, [0], [1])
+    same(plan(*scene, scenarios[::-1], method, PAPER, threads=1), together, slice(None, None, -1), slice(None))
+
+
+def test_every_tracked_target_is_reached_and_clear_and_nothing_follows_a_failure(planned):
+    _, plans = planned
+    tracked = plans.status <= Status.TRACKED_AFTER_ESCAPE
+    assert (plans.residual[tracked] <= PAPER.tolerance_m).all()
+    assert (plans.clearance[tracked] > 0).all()
+    assert np.isnan(plans.x[~tracked]).all()
+    for row in plans.status:
+        after = row[np.argmax(row > Status.TRACKED_AFTER_ESCAPE) + 1 :]
+        assert (row <= Status.TRACKED_AFTER_ESCAPE).all() or (after == Status.NOT_ATTEMPTED).all()
+
+
+def test_the_joint_step_is_the_distance_from_the_configuration_before(planned, scenarios):
+    _, plans = planned
+    starts = np.stack([s.x_start for s in scenarios])[:, None]
+    steps = np.linalg.norm(np.diff(np.concatenate([starts, plans.x], axis=1), axis=1), axis=2)
+    np.testing.assert_allclose(steps, plans.joint_step, atol=1e-15)
+
+
+def test_an_escape_gets_further_than_the_baseline(scene, scenarios):
+    tracked = {
+        method: (plan(*scene, scenarios, method, PAPER).status <= Status.TRACKED_AFTER_ESCAPE).sum()
+        for method in ("baseline", "nspace-sqp")
+    }
+    assert tracked["nspace-sqp"] > tracked["baseline"] + 20
+
+
+def test_a_second_plan_compiles_nothing_whatever_the_number_of_scenarios(scene, scenarios):
+    plan(*scene, scenarios[:1], "baseline", PAPER)
+    before = len(kernels._PROGRAMS)
+    again = plan(*scene, scenarios[:3], "baseline", PAPER)
+    assert len(kernels._PROGRAMS) == before and again.compile_s == 0
+
+
+class Broken(ClarabelSolver):
+    """Clarabel that breaks down on every QP of the workpiece pose whose first target step is `victim`."""
+
+    victim: np.ndarray
+
+    def solve(self, qps):
+        y, status = super().solve(qps)
+        hit = np.isclose(qps.b, self.victim, atol=1e-12).all(axis=1)
+        return QPSolution(np.where(hit[:, None], np.nan, y), np.where(hit, QPStatus.FAILED, status))
+
+
+def test_a_qp_that_breaks_down_fails_its_scenario_and_no_other(scene, scenarios, monkeypatch):
+    whole = plan(*scene, scenarios[:3], "baseline", PAPER)
+    # Target 1 of scenario 1 is where its first real step goes.
+    Broken.victim = scenarios[1].targets[1] - whole.tcp[1, 0]
+    monkeypatch.setattr(planner, "make_solver", lambda s, joints, rows: Broken(2 * np.array(s.q_weights), rows))
+    broken = plan(*scene, scenarios[:3], "baseline", PAPER)
+    same(broken, whole, [0, 2], [0, 2])
+    assert broken.status[1, 1] == Status.QP_FAILED
+    assert (broken.status[1, 2:] == Status.NOT_ATTEMPTED).all()
+
+
+def test_candidates_of_a_sampling_escape_never_depend_on_the_order_of_scenarios(scene, scenarios):
+    few = Settings(rows="smallest", cost_about="previous", samples=6, sample_steps=20)
+    one = plan(*scene, scenarios[1:3], "nspace-sample", few)
+    other = plan(*scene, scenarios[2:0:-1], "nspace-sample", few)
+    same(one, other, [0, 1], [1, 0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["baseline", "nspace-sqp"])
+def test_a_hundred_starts_in_one_call_are_planned_as_each_is_alone(scene, method):
+    offsets = itertools.islice(itertools.product((-0.2, -0.1, 0.0, 0.1, 0.2), repeat=3), 100)
+    many = [
+        make_scenario(*scene, START + np.array([0, 0, *offset, 0]), margin_m=0.0, number=k)
+        for k, offset in enumerate(offsets)
+    ]
+    together = plan(*scene, stack(many), method, PAPER, check_paths=False)
+    for k, one in enumerate(many):
+        same(plan(*scene, [one], method, PAPER, check_paths=False), together, [0], [k])
