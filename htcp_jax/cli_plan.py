@@ -25,6 +25,7 @@ from htcp_jax.results import (
 )
 from htcp_jax.robot import Robot, lengthen_tool
 from htcp_jax.scenario import Scenario
+from htcp_jax.validate import VALIDATION
 from htcp_jax.workpiece import Workpiece
 
 COMPLETE, INCOMPLETE = 0, 3
@@ -62,8 +63,10 @@ def plan(
         write_trajectory_csv(folder / "trajectory.csv", robot, plans)
         write_trajectory_npz(folder / "trajectory.npz", robot, plans)
         draw_plan(longer, workpiece, scenario, plans, title=title).savefig(folder / "plan.png")
-        record = {"method": job.method, **summary_record(summary), **provenance(), "config": job.model_dump()}
+        known = {"method": job.method, "validated": None, **summary_record(summary)}
+        record = {**known, **provenance(), "config": job.model_dump()}
         write_json(folder / "summary.json", record)
+    (out / VALIDATION).unlink(missing_ok=True)  # it spoke of the plan before
     _print_table(job, robot, workpiece, summary, out)
     return INCOMPLETE if summary.failures else COMPLETE
 

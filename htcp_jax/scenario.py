@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import ArrayLike
 
 from htcp_jax.errors import InputError
 from htcp_jax.kinematics import tcp_position
@@ -51,7 +50,7 @@ def path_targets(
 def make_scenario(
     robot: Robot,
     workpiece: Workpiece,
-    start: ArrayLike,
+    start: Sequence[float] | np.ndarray,
     *,
     rotation: tuple[float, float] = (0.4, 0.1),
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0),

@@ -29,6 +29,12 @@ def recorded() -> tuple[np.ndarray, Where]:
     return data["x"], Where(data["T_world_workpiece"], data["gate_x"])
 
 
+def place(k: int) -> tuple[Where, jax.Array]:
+    """Pose and configuration of recorded subproblem k."""
+    x, poses = recorded()
+    return Where(*(jnp.asarray(leaf[k]) for leaf in poses)), jnp.asarray(x[k])
+
+
 class Problem(NamedTuple):
     """One subproblem for scipy: f(w) -> (values (K,), gradients (K, D)), exact; G w <= h; where ours starts."""
 
@@ -65,8 +71,7 @@ def _compiled(settings: Settings):
 def problem(k: int, settings: Settings, scene=None) -> Problem:
     """Recorded subproblem k."""
     scene = scene or made_once.scene()
-    x, poses = recorded()
-    x_ref, where = jnp.asarray(x[k]), Where(*(jnp.asarray(leaf[k]) for leaf in poses))
+    where, x_ref = place(k)
     exact, begin = _compiled(settings)
     G, h, start, reach = begin(scene, where, x_ref)
 
