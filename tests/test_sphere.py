@@ -168,12 +168,14 @@ def planes_problem(a, b, G=None, h=None):
     return problem, (a, b)
 
 
-@pytest.mark.parametrize("name", MINIMISERS)
-@pytest.mark.parametrize("dimension", [1, 2, 3, 4])
+@pytest.mark.parametrize(
+    ("name", "dimension"),
+    [("sqp", 1), ("sqp", 4), ("interior_point", 1), ("interior_point", 4), ("cmaes", 1), ("adam", 1)],
+)
 def test_a_single_plane_is_climbed_to_its_pole(name, dimension):
-    """Arms of four to seven joints have null spaces of one to four dimensions."""
+    """Arms of four to seven joints have null spaces of one to four dimensions; see below for two, above for three."""
     a = np.linspace(1.0, 2.0, dimension)[None] * 0.05
-    best = MINIMISERS[name](*planes_problem(a, np.array([0.01])))
+    best = jax.jit(lambda: MINIMISERS[name](*planes_problem(a, np.array([0.01]))))()
     exact = 0.01 + np.linalg.norm(a)
     np.testing.assert_allclose(best.value, exact, atol={"sqp": 1e-9, "interior_point": 1e-6}.get(name, 2e-3))
 
@@ -196,11 +198,11 @@ def test_planes_that_meet_in_a_kink_are_climbed_to_it(name):
 def test_the_step_of_keep_clear_is_that_of_its_linear_programme():
     """At first order it raises the smallest of the contacts seen as far as a box of that size allows."""
     rng = np.random.default_rng(1)
-    for _ in range(5):
+    longest = 0.3
+    step = jax.jit(lambda a, b: sphere.max_min_step(*planes_problem(a, b), jnp.asarray(longest)))
+    for _ in range(20):
         a, b = 0.1 * rng.normal(size=(8, 3)), 0.02 * rng.random(8)
-        problem, seen = planes_problem(a, b)
-        longest = 0.3
-        w = np.asarray(sphere.max_min_step(problem, seen, jnp.asarray(longest)))
+        w = np.asarray(step(a, b))
         assert np.linalg.norm(w) <= longest + 1e-12
         gained = (a @ w + b).min() - b.min()
         assert gained > 0
@@ -224,6 +226,6 @@ def test_a_direction_beyond_a_joint_limit_is_never_the_answer():
     a = np.array([[0.0, 0.0, 0.1]])
     limit = planes_problem(a, np.zeros(1), G=np.array([[0.0, 0.0, 1.0]]), h=np.array([0.5]))
     for name in ("sqp", "interior_point"):
-        best = MINIMISERS[name](*limit)
+        best = jax.jit(lambda n=name: MINIMISERS[n](*limit))()
         assert best.w[2] <= 0.5 + 1e-9
         np.testing.assert_allclose(best.value, 0.05, atol=2e-4)
