@@ -1,0 +1,243 @@
+"""plan(): what comes back keeps its promises, checked by plain numpy over all points and all facets."""
+
+import itertools
+from functools import cache
+
+import jax
+import made_once
+import numpy as np
+import pytest
+
+from htcp_jax.clearance import is_clear
+from htcp_jax.errors import InputError
+from htcp_jax.kinematics import capsule_segments, tcp_position
+from htcp_jax.planner import METHODS, check_start, plan, start_clearance
+from htcp_jax.robot import lengthen_tool
+from htcp_jax.scenario import make_scenario, stack
+from htcp_jax.settings import Settings
+from htcp_jax.status import Status
+
+# As in test_engine.py, whose compiled programs serve here too.
+PAPER = Settings(rows="smallest", cost_about="previous")
+PATH_STEPS = PAPER.path_steps
+TAKES_LONG = pytest.mark.slow
+
+
+def scene():
+    return made_once.robot(), made_once.duct()
+
+
+def scenario(number=0, rotation=(0.4, 0.1), start=made_once.START, **changes):
+    return make_scenario(*scene(), start, rotation=rotation, number=number, margin_m=0.0, **changes)
+
+
+@cache
+def poses():
+    """Three poses of the workpiece sweep at which the baseline gets stuck: soon, later, and near the end."""
+    return [scenario(0, (0.8, -0.3)), scenario(1, (0.4, 0.1)), scenario(2, (0.6, 0.0))]
+
+
+@cache
+def planned(method):
+    return plan(*scene(), poses(), method, PAPER)
+
+
+_ENDS, _TCP = jax.jit(capsule_segments), jax.jit(tcp_position)
+
+
+def numpy_D(robot, workpiece, scenario, x):
+    """D at x by brute force in the workpiece frame: every body, every point, every facet."""
+    T = np.asarray(scenario.T_world_workpiece)
+    p, q = (np.asarray(end) for end in _ENDS(robot, x))
+    smallest = np.inf
+    for k in range(len(p)):
+        ends = (np.stack([p[k], q[k]]) - T[:3, 3]) @ T[:3, :3]
+        d = ends[1] - ends[0]
+        s = np.clip((workpiece.cloud - ends[0]) @ d / (d @ d or 1.0), 0, 1)
+        distance = np.linalg.norm(workpiece.cloud - ends[0] - s[:, None] * d, axis=1).min()
+        outside = (ends @ workpiece.hull_normal.T - workpiece.hull_offset).max(1)
+        deep = np.array([p[k, 0], q[k, 0]]) > scenario.gate_x
+        smallest = min(smallest, distance - float(robot.capsule_radius[k]), *-outside[deep & (outside > 0)])
+    return smallest
+
+
+@pytest.mark.parametrize(
+    "method",
+    ["baseline", "nspace-sqp", "keep-clear", "cspace-sample"]
+    + [
+        pytest.param(m, marks=TAKES_LONG)
+        for m in ("nspace-sample", "nspace-ip", "nspace-cmaes", "nspace-adam", "hybrid")
+    ],
+)
+def test_a_tracked_target_is_reached_clear_and_within_the_limits(method):
+    """By independent means: TCP error at most 1 mm, D > 0 over all points; and what was recorded says the same."""
+    plans, (robot, duct) = planned(method), scene()
+    tracked = np.argwhere(plans.status <= Status.TRACKED_AFTER_ESCAPE)
+    assert len(tracked) > 60
+    for s, t in tracked[:: 1 + len(tracked) // 60]:
+        x = plans.x[s, t]
+        tcp = np.asarray(_TCP(robot, x))
+        np.testing.assert_allclose(plans.tcp[s, t], tcp, atol=1e-14)
+        residual = np.linalg.norm(tcp - poses()[s].targets[t])
+        np.testing.assert_allclose(plans.residual[s, t], residual, atol=1e-14)
+        assert residual <= PAPER.tolerance_m
+        D = numpy_D(robot, duct, poses()[s], x)
+        np.testing.assert_allclose(plans.clearance[s, t], D, atol=1e-14)
+        assert (x >= robot.lower).all() and (x <= robot.upper).all()
+    assert (plans.clearance[tuple(tracked.T)] > 0).all()
+    assert (plans.residual[tuple(tracked.T)] <= PAPER.tolerance_m).all()
+
+
+@pytest.mark.parametrize("method", ["baseline", "nspace-sqp", "cspace-sample", "keep-clear"])
+def test_plans_are_consistent(method):
+    """Nothing after the first failure; escapes only where the status says so; steps and paths as they were walked."""
+    plans = planned(method)
+    assert plans.compile_s >= 0 and plans.run_s > 0
+    np.testing.assert_array_equal(plans.target, stack(poses()).targets)
+    for s, one in enumerate(poses()):
+        status, count = plans.status[s], int((plans.status[s] <= Status.TRACKED_AFTER_ESCAPE).sum())
+        assert (status[:count] <= Status.TRACKED_AFTER_ESCAPE).all()
+        assert (status[count + 1 :] == Status.NOT_ATTEMPTED).all()
+        assert count == len(status) or status[count] not in (Status.NOT_ATTEMPTED, Status.TRACKED)
+        np.testing.assert_array_equal(plans.escape[s] > 0, status == Status.TRACKED_AFTER_ESCAPE)
+        assert (plans.escape[s] <= len(METHODS[method].stages)).all()
+        assert (plans.iterations[s, : count + 1] >= 1).all() and (plans.iterations[s, count + 1 :] == 0).all()
+        assert (plans.iterations[s, :count] <= PAPER.inner_iterations).all() or METHODS[method].stages
+        for rows in (plans.x, plans.tcp, plans.clearance, plans.residual, plans.joint_step):
+            assert np.isfinite(rows[s, :count]).all() and np.isnan(rows[s, count:]).all()
+        walked = np.concatenate([[one.x_start], plans.x[s, :count]])
+        np.testing.assert_allclose(plans.joint_step[s, :count], np.linalg.norm(np.diff(walked, axis=0), axis=1))
+        assert (plans.path_clear[s, :count] >= 0).all() and (plans.path_clear[s, count:] == -1).all()
+
+
+def test_paths_are_called_clear_where_their_interpolated_configurations_are():
+    """Densely, by the clearance itself, for the jumps of an escape and for small steps."""
+    plans, (robot, obstacle) = planned("cspace-sample"), made_once.scene()
+    verdict = jax.jit(jax.vmap(is_clear, in_axes=(None, None, None, 0)))
+    blocked = 0
+    for s, one in enumerate(poses()):
+        where = jax.tree.map(jax.numpy.asarray, one)
+        count = int((plans.status[s] <= Status.TRACKED_AFTER_ESCAPE).sum())
+        walked = np.concatenate([[one.x_start], plans.x[s, :count]])
+        jumps = {*np.argsort(-plans.joint_step[s, :count])[:6], *range(0, count, 9)}
+        for t in jumps:
+            fractions = np.arange(1, PATH_STEPS)[:, None] / PATH_STEPS
+            between = walked[t] + fractions * (walked[t + 1] - walked[t])
+            clear = bool(np.all(verdict(robot, obstacle, where, between)))
+            assert plans.path_clear[s, t] == clear
+            blocked += not clear
+    assert blocked > 0
+
+
+def test_an_unchecked_path_is_unknown():
+    plans = plan(*scene(), poses()[:1], "baseline", PAPER, check_paths=False)
+    assert (plans.path_clear == -1).all()
+
+
+def test_ten_starts_in_one_call_are_planned_as_each_is_alone():
+    """Statuses and configurations to the last bit. (A hundred of them: test_engine.py, slow.)"""
+    offsets = list(itertools.product((-0.2, 0.1), (-0.1, 0.2), (-0.2, 0.0, 0.2)))[:10]
+    starts = [scenario(k, start=np.add(made_once.START, (0, 0, *offset, 0))) for k, offset in enumerate(offsets)]
+    together = plan(*scene(), starts, "nspace-sqp", PAPER, check_paths=False)
+    for k in range(10):
+        alone = plan(*scene(), [starts[k]], "nspace-sqp", PAPER, check_paths=False)
+        np.testing.assert_array_equal(alone.status[0], together.status[k])
+        np.testing.assert_array_equal(alone.x[0], together.x[k])
+
+
+def test_scenarios_of_different_lengths_and_tools_share_a_batch():
+    """A shorter target list ends early; a longer tool is planned with its own TCP and capsules."""
+    mixed = [scenario(0, approach=(2, 2)), scenario(1, tool_extension_m=0.03), scenario(2)]
+    plans = plan(*scene(), mixed, "baseline", PAPER)
+    assert (plans.status[0, 99:] == Status.NOT_ATTEMPTED).all() and np.isnan(plans.x[0, 99:]).all()
+    longer = lengthen_tool(made_once.robot(), 0.03)
+    tracked = np.flatnonzero(plans.status[1] <= Status.TRACKED_AFTER_ESCAPE)
+    assert len(tracked) > 5
+    for t in tracked[::5]:
+        np.testing.assert_allclose(plans.tcp[1, t], _TCP(longer, plans.x[1, t]), atol=1e-14)
+        D = numpy_D(longer, made_once.duct(), mixed[1], plans.x[1, t])
+        np.testing.assert_allclose(plans.clearance[1, t], D, atol=1e-14)
+    for k, one in enumerate(mixed):
+        alone = plan(*scene(), one, "baseline", PAPER)
+        count = int(one.count)
+        np.testing.assert_array_equal(alone.x[0], plans.x[k, :count])
+        np.testing.assert_array_equal(alone.status[0], plans.status[k, :count])
+
+
+def test_progress_counts_up_to_everything_that_was_done():
+    heard = []
+    plans = plan(*scene(), poses(), "baseline", PAPER, progress=heard.append, threads=2, check_paths=False)
+    last = heard[-1]
+    assert last.scenarios_done == last.scenarios == 3
+    assert last.targets == 3 * 105
+    assert last.targets_tracked == (plans.status <= Status.TRACKED_AFTER_ESCAPE).sum()
+    for field in ("scenarios_done", "targets_tracked"):
+        counts = [getattr(p, field) for p in heard]
+        assert counts == sorted(counts)
+
+
+def test_the_start_itself_is_the_first_target():
+    """Reached at once, without moving, where the start is clear."""
+    plans = planned("baseline")
+    assert (plans.status[:, 0] == Status.TRACKED).all()
+    np.testing.assert_allclose(plans.joint_step[:, 0], 0.0, atol=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("check", ["escapes", "all"])
+def test_a_checked_path_is_never_blocked(check):
+    settings = Settings(rows="smallest", cost_about="previous", path_check=check)
+    plans = plan(*scene(), poses(), "nspace-sqp", settings)
+    escaped = plans.status == Status.TRACKED_AFTER_ESCAPE
+    must = escaped if check == "escapes" else plans.status <= Status.TRACKED_AFTER_ESCAPE
+    assert must.sum() > 2 and (plans.path_clear[must] == 1).all()
+
+
+@pytest.mark.slow
+def test_every_path_of_the_hybrid_is_clear():
+    plans = planned("hybrid")
+    assert (plans.path_clear[plans.status <= Status.TRACKED_AFTER_ESCAPE] == 1).all()
+
+
+@pytest.mark.slow
+def test_the_prose_of_the_paper_tracks_again_after_an_escape():
+    """after_escape="track": the step QP has the last word, so an escaped target is reached like any other."""
+    settings = Settings(rows="smallest", cost_about="previous", after_escape="track")
+    plans = plan(*scene(), poses(), "nspace-sqp", settings)
+    escaped = plans.status == Status.TRACKED_AFTER_ESCAPE
+    assert escaped.sum() > 2
+    assert (plans.residual[escaped] <= settings.tolerance_m).all() and (plans.clearance[escaped] > 0).all()
+
+
+@pytest.mark.slow
+def test_the_seed_decides_what_is_drawn_and_nothing_else_does():
+    def few(seed):
+        settings = Settings(rows="smallest", cost_about="previous", samples=8, seed=seed)
+        return plan(*scene(), poses()[:2], "cspace-sample", settings, check_paths=False).x
+
+    np.testing.assert_array_equal(few(0), few(0))
+    assert not np.array_equal(few(0), few(1), equal_nan=True)
+
+
+def test_what_cannot_be_planned_is_refused_by_name():
+    with pytest.raises(InputError, match=r"'nspace-sqq'; valid: baseline, .*hybrid"):
+        plan(*scene(), poses(), "nspace-sqq")
+    with pytest.raises(InputError, match=r"q_weights has 2 values.*6 joints"):
+        plan(*scene(), poses(), "baseline", Settings(q_weights=(1.0, 1.0)))
+    with pytest.raises(InputError, match="no scenarios"):
+        plan(*scene(), [], "baseline")
+    with pytest.raises(InputError, match="'nosuch' is not installed"):
+        plan(*scene(), poses(), "baseline", Settings(qp="qpsolvers:nosuch"))
+
+
+def test_a_start_in_collision_is_refused_with_its_body_and_depth():
+    robot, duct = scene()
+    check_start(robot, duct, scenario())
+    D, body = start_clearance(robot, duct, scenario())
+    np.testing.assert_allclose(D, numpy_D(robot, duct, scenario(), np.array(made_once.START)), atol=1e-14)
+    assert body in robot.capsule_names
+    stuck = scenario(start=np.load(made_once.RECORDED)["x"][1])
+    deep, body = start_clearance(robot, duct, stuck)
+    assert deep < 0
+    with pytest.raises(InputError, match=rf"start is in collision: {body} is {-1e3 * deep:.3f} mm inside"):
+        check_start(robot, duct, stuck)
