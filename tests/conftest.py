@@ -1,8 +1,16 @@
 """Strict JAX for every test: ranks are never promoted in silence; compiled programs are kept between runs."""
 
 import jax
+import pytest
 
 from htcp_jax import compile_cache
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 compile_cache.enable()
+
+
+@pytest.fixture(autouse=True, scope="module")
+def forget_programs():
+    """Every compiled program maps memory, and a process may have 65,530 maps: past that the compiler crashes."""
+    yield
+    jax.clear_caches()
