@@ -201,12 +201,16 @@ def test_every_path_of_the_hybrid_is_clear():
 
 @pytest.mark.slow
 def test_the_prose_of_the_paper_tracks_again_after_an_escape():
-    """after_escape="track": the step QP has the last word, so an escaped target is reached like any other."""
-    settings = Settings(rows="smallest", cost_about="previous", after_escape="track")
-    plans = plan(*scene(), poses(), "nspace-sqp", settings)
-    escaped = plans.status == Status.TRACKED_AFTER_ESCAPE
-    assert escaped.sum() > 2
-    assert (plans.residual[escaped] <= settings.tolerance_m).all() and (plans.clearance[escaped] > 0).all()
+    """after_escape="track": the step QP has the last word, so an escaped target is reached like any other. With its
+    cost about x_{t-1}, equation (4), it goes straight back to where it was stuck: no escape lasts."""
+    lasted = {}
+    for about in ("reference", "previous"):
+        settings = Settings(rows="smallest", cost_about=about, after_escape="track")
+        plans = plan(*scene(), poses(), "nspace-sqp", settings, check_paths=False)
+        escaped = plans.status == Status.TRACKED_AFTER_ESCAPE
+        lasted[about] = escaped.sum()
+        assert (plans.residual[escaped] <= settings.tolerance_m).all() and (plans.clearance[escaped] > 0).all()
+    assert lasted["reference"] >= 1 and lasted["previous"] == 0
 
 
 @pytest.mark.slow
