@@ -162,6 +162,8 @@ def test_keep_clear_never_ends_worse_and_stays_on_the_target():
         here = run(keep_clear_ascent, where, x, target)
         assert here.clearance >= before and here.residual <= SETTINGS.tolerance_m
         np.testing.assert_allclose(here.clearance, D(where, here.x), atol=1e-14)
+        again = run(keep_clear_ascent, where, jnp.asarray(here.x), target)  # from where there is little left to gain
+        assert again.clearance >= here.clearance
         if before >= SETTINGS.keep_clear_m:
             np.testing.assert_array_equal(here.x, x)
         else:

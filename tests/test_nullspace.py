@@ -142,6 +142,25 @@ def test_reanchoring_moves_the_joints_about_as_little_as_it_must():
         np.testing.assert_allclose(np.asarray(moved) - np.asarray(x), shortest, atol=1e-4)
 
 
+def test_a_joint_at_its_limit_is_held_there_while_the_others_make_up_for_it():
+    """The step is the shortest one of the joints that are free to take part in it, not a full one cut off."""
+    robot, held = made_once.robot(), 0
+    for start in made_once.configurations(robot, 40, seed=5):
+        for joint, limit in ((1, robot.upper[1]), (2, robot.lower[2])):
+            x = jnp.asarray(np.clip(start, -2.5, 2.5)).at[joint].set(limit)
+            J = np.asarray(jacobian(robot, x))
+            error = 1e-3 * RNG.normal(size=3)
+            push = np.linalg.pinv(J)[joint] @ error * (1 if limit > 0 else -1)
+            free = J.copy()
+            free[:, joint] *= push < 0
+            if np.linalg.svd(free, compute_uv=False)[-1] < 0.1 or abs(push) < 1e-6:
+                continue
+            moved, _ = REANCHOR(robot, x, tcp_position(robot, x) + error, tolerance_m=1e-12, iterations=1)
+            np.testing.assert_allclose(moved - x, np.linalg.pinv(free) @ error, rtol=1e-3, atol=1e-7)
+            held += push > 0
+    assert held > 20
+
+
 def test_reanchoring_survives_a_singular_posture(arm):
     """The GP50 upright and stretched, and the seven joints in a line: large damping, no NaN."""
     x = jnp.zeros(len(arm.slides))
