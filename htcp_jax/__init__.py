@@ -1,6 +1,61 @@
-"""HTCP in JAX: position-only path tracking inside narrow parts, batched over scenarios, with hard constraints."""
+"""HTCP in JAX: position-only path tracking inside narrow parts, batched over scenarios, with hard constraints.
+
+    import htcp_jax
+
+    plan = htcp_jax.plan()                                               # one job: the default one, or a YAML file
+    plan.frame(), plan.figure()                                          # a row a target, and the picture
+    run = htcp_jax.sweep("sweeps/workpiece.yaml", "baseline,hybrid")     # a grid of jobs by several methods
+    run.frame()                                                          # a row a method and scenario
+    report = htcp_jax.make_report(run)                                   # the paper's tables, and all charts
+    report.frame("results"), report.figures["success"]
+
+The names in `__all__` are public; each is loaded when it is first used, and that turns on the cache of compiled
+programs (see `compile_cache`), as the command does.
+"""
+
+import importlib
 
 import jax
 
 # Clearances of 0.1 mm decide results; 32-bit floats carry 0.1 um at 2 m, and the step QPs lose more. Once, here.
 jax.config.update("jax_enable_x64", True)
+
+_HOME = {
+    "plan": "api",
+    "Plan": "api",
+    "sweep": "sweep",
+    "open_run": "run_folder",
+    "make_report": "report",
+    "methods": "api",
+    "charts": "charts",
+    "gp50": "robot",
+    "load_robot": "robot",
+    "load_workpiece": "workpiece",
+    "InputError": "errors",
+}
+__all__ = [
+    "InputError",
+    "Plan",
+    "charts",
+    "gp50",
+    "load_robot",
+    "load_workpiece",
+    "make_report",
+    "methods",
+    "open_run",
+    "plan",
+    "sweep",
+]
+
+
+def __getattr__(name: str):
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; public are {', '.join(__all__)}")
+    importlib.import_module("htcp_jax.compile_cache").enable()
+    home = importlib.import_module(f"htcp_jax.{_HOME[name]}")
+    # A module of the name itself, charts or sweep, is public as a whole.
+    return home if name == _HOME[name] else getattr(home, name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -13,6 +13,8 @@ import typer
 
 from htcp_jax import compile_cache
 from htcp_jax.cli_ceiling import ceiling_command
+from htcp_jax.cli_doctor import doctor
+from htcp_jax.cli_methods import methods
 from htcp_jax.cli_plan import plan
 from htcp_jax.cli_report import report
 from htcp_jax.cli_sweep import sweep
@@ -22,11 +24,13 @@ from htcp_jax.errors import InputError, Interrupted
 BAD_INPUT, INTERRUPTED = 2, 130
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
-app.command()(plan)
-app.command()(sweep)
-app.command()(report)
-app.command()(validate)
-app.command("ceiling")(ceiling_command)
+app.command(short_help="Plan one job; a table, the trajectory, a picture.")(plan)
+app.command(short_help="Plan every scenario of a grid by several methods.")(sweep)
+app.command(short_help="Tables and charts of sweeps, beside the paper's figures.")(report)
+app.command(short_help="Check results by MuJoCo alone.")(validate)
+app.command("ceiling", short_help="How much is reachable at all, whatever the method.")(ceiling_command)
+app.command(short_help="List the planners and what each does.")(methods)
+app.command(short_help="Look at this installation and test it in 2 s.")(doctor)
 
 
 def _show_version(asked: bool) -> bool:
@@ -42,7 +46,28 @@ def htcp(
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
-    """Plan the motion of a redundant arm that follows a path inside a narrow part."""
+    """Plan the motion of a redundant arm that follows a path inside a narrow part.
+
+    \b
+    First steps:
+      htcp plan                                  plan the default job; look at out/plan/plan.png
+      htcp plan --method baseline                the same without a way out where it gets stuck
+      htcp plan job.yaml --set margin_m=0.001    a job of your own, one key changed
+    \b
+    Many plans at once:
+      htcp sweep sweeps/workpiece.yaml --methods baseline,hybrid    49 poses; results in out/workpiece
+      htcp report out/workpiece                  tables and charts: out/report/report.html
+      htcp validate out/workpiece                every tracked target again, by MuJoCo alone
+    \b
+    Good to know:
+      htcp methods                               the planners
+      htcp doctor                                is this installation sound?
+      htcp COMMAND --help                        options and examples of one command
+      htcp --install-completion                  let the shell complete commands, options and methods
+
+    A job is a YAML file that says what differs from the default one. Tables go to stdout, progress to stderr and only
+    onto a terminal; --json prints the same for another program; NO_COLOR is respected.
+    """
 
 
 def main(argv: Sequence[str] | None = None) -> int:

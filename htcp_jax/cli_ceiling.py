@@ -10,6 +10,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.text import Text
 
 from htcp_jax.ceiling import Ceiling, ceiling
+from htcp_jax.cli_output import Json, print_facts, print_json, stdout
 from htcp_jax.cli_sweep import Config, Limit, Overrides, SweepFile
 from htcp_jax.errors import InputError
 from htcp_jax.grid import Batch, load_sweep
@@ -28,6 +29,7 @@ def ceiling_command(
     limit: Limit = None,
     config: Config = None,
     overrides: Overrides = None,
+    as_json: Json = False,
 ) -> int:
     """Look for any clear configuration at every target, scenario by scenario, and count the targets in a row.
 
@@ -55,7 +57,10 @@ def ceiling_command(
     }
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "ceiling.json", record)
-    _print(spec.name, batch, found, targets, beaten, out)
+    if as_json:
+        print_json(record)
+    else:
+        _print(spec.name, batch, found, targets, beaten, out)
     return 0
 
 
@@ -98,9 +103,7 @@ def _print(name: str, batch: Batch, found: Ceiling, targets: int, beaten: dict[s
         "draws": f"{found.draws:,} at the first target without a clear configuration",
         "files": str(out / "ceiling.json"),
     }
-    console = Console(highlight=False, soft_wrap=True)
-    console.print(Text(name, style="bold"))
-    for word, value in rows.items():
-        console.print(Text.assemble((f"{word:<20}", "cyan"), value))
+    print_facts(name, rows)
     for method, scenarios in beaten.items():
-        console.print(Text.assemble((f"{method} gets further in scenarios ", "yellow"), ", ".join(map(str, scenarios))))
+        told = f"{method} gets further in scenarios "
+        stdout().print(Text.assemble((told, "yellow"), ", ".join(map(str, scenarios))))

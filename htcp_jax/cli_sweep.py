@@ -11,12 +11,17 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
 from htcp_jax import sweep as sweeps
+from htcp_jax.cli_methods import complete_methods
+from htcp_jax.cli_output import Json, print_json, stdout
 from htcp_jax.escape import METHODS
 from htcp_jax.metrics import Summary, summarise
+from htcp_jax.results import summary_record
 from htcp_jax.run_folder import Run
 
 SweepFile = Annotated[Path, typer.Argument(metavar="SWEEP.yaml", help="The grid, sweeps/robot.yaml for example.")]
-Methods = Annotated[str, typer.Option(metavar="A,B|all", help=f"Of {', '.join(METHODS)}.")]
+Methods = Annotated[
+    str, typer.Option(metavar="A,B|all", help=f"Of {', '.join(METHODS)}.", autocompletion=complete_methods)
+]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="The run folder; by default out/<name of the sweep>.")]
 Limit = Annotated[int | None, typer.Option(metavar="N", help="Plan only the first N scenarios.")]
 Seed = Annotated[int | None, typer.Option(metavar="S", help="Of everything random: settings.seed.")]
@@ -34,6 +39,7 @@ def sweep(
     seed: Seed = None,
     config: Config = None,
     overrides: Overrides = None,
+    as_json: Json = False,
 ) -> int:
     """Plan every scenario of a grid by every method asked for.
 
@@ -52,8 +58,17 @@ def sweep(
         run = sweeps.sweep(
             file, methods, out, config=config, overrides=overrides or (), limit=limit, seed=seed, progress=tell
         )
-    _print_table(run)
+    if as_json:
+        print_json(_record(run))
+    else:
+        _print_table(run)
     return 0
+
+
+def _record(run: Run) -> dict:
+    """What --json prints: where the results are, and the summary of every method."""
+    found = {method: summary_record(summarise(run.plans(method))) for method in run.methods}
+    return {"run": str(run.folder), "name": run.manifest.name, "complete": run.complete, "methods": found}
 
 
 @contextmanager
@@ -88,7 +103,7 @@ UNITS = "", "%", "tracked", "scenarios", "ms", "mean mm", "min / mean mm", "path
 def _print_table(run: Run) -> None:
     rows = [_cells(method, summarise(run.plans(method))) for method in run.methods]
     widths = [max(map(len, column)) for column in zip(HEADS, UNITS, *rows, strict=True)]
-    console = Console(highlight=False, soft_wrap=True)
+    console = stdout()
     limit = (
         "" if run.manifest.limit is None else f", the first {run.manifest.count:,} of {run.manifest.full:,} scenarios"
     )

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from htcp_jax.cli_report import print_table
+from htcp_jax.cli_output import Json, print_table
 from htcp_jax.document import Column, Table
 from htcp_jax.validate import VALIDATION, Validation, write_validation
 from htcp_jax.validate import validate as check
@@ -21,7 +21,6 @@ LISTED = 10  # refuted configurations on the terminal
 Run = Annotated[Path, typer.Argument(metavar="RUN", help="The folder that htcp sweep or htcp plan wrote.")]
 Between = Annotated[int, typer.Option(metavar="N", help="Steps of each joint path between targets; 0 skips them.")]
 Feed = Annotated[float, typer.Option(metavar="MM/S", help="Feed rate that joint speeds are told for.")]
-Json = Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")]
 
 COLUMNS = (
     Column("method", "method"),

@@ -8,7 +8,7 @@ folder; files named in an override are relative to the working folder, as on any
 
 import difflib
 import reprlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -76,8 +76,8 @@ class PlanConfig(Section):
 FILES = {("robot", "model"): "gp50", ("workpiece", "cloud"): "duct", ("workpiece", "path"): "weld"}
 
 
-def load_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -> PlanConfig:
-    """The default job, changed by the YAML file at `path`, then by `overrides` ("dotted.key=value").
+def load_config(path: str | Path | None = None, overrides: Sequence[str] | Mapping[str, Any] = ()) -> PlanConfig:
+    """The default job, changed by the YAML file at `path`, then by `overrides`: "dotted.key=value" each, or a mapping.
 
     Raises InputError for a file that cannot be read, is no YAML mapping or repeats a key, for an unknown key
     and for a value of the wrong type or outside its range.
@@ -87,8 +87,9 @@ def load_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -
         source = str(path)
         raw = read_yaml(path)
         _anchor_files(raw, Path(path).parent)
-    for override in overrides:
-        _set(raw, override)
+    pairs = overrides.items() if isinstance(overrides, Mapping) else map(_parsed, overrides)
+    for dotted, value in pairs:
+        _set(raw, dotted, value)
     return validate(raw, PlanConfig, source)
 
 
@@ -111,16 +112,20 @@ def _anchor_files(raw: dict, folder: Path) -> None:
             value[key] = str(folder / value[key])
 
 
-def _set(raw: dict, override: str) -> None:
+def _parsed(override: str) -> tuple[str, Any]:
     dotted, equals, text = override.partition("=")
     if not equals or not dotted:
         raise InputError(f"--set expects key=value, not {override!r}")
+    return dotted, parse_yaml(text, f"--set {override}")
+
+
+def _set(raw: dict, dotted: str, value: Any) -> None:
     *sections, key = dotted.split(".")
     for section in sections:
         if not isinstance(raw.get(section), dict):
             raw[section] = {}
         raw = raw[section]
-    raw[key] = parse_yaml(text, f"--set {override}")
+    raw[key] = value
 
 
 def _refuse_unknown(raw: dict, model: type, source: str, prefix: str = "") -> None:

@@ -15,7 +15,7 @@ its random keys hang on, is its place in the full grid.
 import difflib
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -139,14 +139,18 @@ class Sweep:
                 yield Point(k, group.name, validate(raw, PlanConfig, f"{self.name}: scenario {k}"))
 
 
-def load_sweep(path: str | Path, config: str | Path | None = None, overrides: Sequence[str] = ()) -> Sweep:
-    """The sweep file at `path`. `config` takes the place of the file's own; `overrides` ("dotted.key=value")
+def load_sweep(
+    spec: str | Path | Mapping[str, Any],
+    config: str | Path | None = None,
+    overrides: Sequence[str] | Mapping[str, Any] = (),
+) -> Sweep:
+    """The sweep file at the path `spec`, or the sweep that `spec` spells as a file would, {"grid": [...]}, whose files
+    are then relative to the working folder. `config` takes the place of its own; `overrides`, see `load_config`,
     change the configuration before the axes do.
 
     Raises InputError for what is wrong with either file, for an unknown parameter and for an empty grid.
     """
-    path = Path(path)
-    raw = read_yaml(path)
+    path, raw = (Path("sweep"), dict(spec)) if isinstance(spec, Mapping) else (Path(spec), read_yaml(spec))
     file: SweepFile = validate(raw, SweepFile, str(path))
     if config is None and file.config is not None:
         config = path.parent / file.config

@@ -7,14 +7,22 @@ after the part where there are several; a CSV file holds one table of all parts.
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
+
+import pyarrow as pa
+from matplotlib.figure import Figure
 
 from htcp_jax import report_tables
 from htcp_jax.document import Block, Column, Heading, Picture, Table, html, markdown, png, write_csv
+from htcp_jax.errors import InputError
 from htcp_jax.escape import METHODS
 from htcp_jax.report_chapter import chapter, choice, presets, validated
 from htcp_jax.run_folder import Run, open_run
 from htcp_jax.run_parts import Part, read_parts
+from htcp_jax.run_tables import frame_of
+
+if TYPE_CHECKING:
+    import pandas
 
 TABLES = (
     report_tables.results,
@@ -33,12 +41,32 @@ class Report(NamedTuple):
     blocks: tuple[Block, ...]
     tables: tuple[Table, ...]  # for CSV; the first column names the part
 
+    @property
+    def figures(self) -> dict[str, Figure]:
+        """The charts, by the names that their files have."""
+        return {block.name: block.figure for block in self.blocks if isinstance(block, Picture)}
 
-def make_report(folders: Sequence[Path]) -> Report:
-    """The report of the runs in these folders. Raises InputError for a folder that holds no run, and naming a file
-    that is missing or damaged."""
-    names = _names(folders)
-    parts = [part for folder, name in zip(folders, names, strict=True) for part in read_parts(open_run(folder), name)]
+    def frame(self, table: str = "results") -> "pandas.DataFrame":
+        """One of the tables as a pandas frame, with the names of its columns in CSV. Raises InputError."""
+        names = [each.name for each in self.tables]
+        if table not in names:
+            raise InputError(f"the report has no table {table!r}; valid: {', '.join(names)}")
+        return frame_of(pa.Table.from_pylist(self.tables[names.index(table)].records()))
+
+    def __repr__(self) -> str:
+        parts, tables = (", ".join(each.name for each in group) for group in (self.parts, self.tables))
+        return f"Report({parts}; tables: {tables}; figures: {', '.join(self.figures)})"
+
+
+def make_report(runs: Run | str | Path | Sequence[Run | str | Path]) -> Report:
+    """The report of runs, or of the runs in these folders.
+
+    Raises InputError for a folder that holds no run, and naming a file that is missing or damaged.
+    """
+    listed = [runs] if isinstance(runs, Run | str | Path) else list(runs)
+    opened = [run if isinstance(run, Run) else open_run(run) for run in listed]
+    names = _numbered([_name(given) for given in listed])
+    parts = [part for run, name in zip(opened, names, strict=True) for part in read_parts(run, name)]
     blocks: list[Block] = [Heading(1, f"Sweep report: {', '.join(names)}")]
     if len(parts) > 1:
         blocks += ["Success in percent of all targets, by method and run.", overview(parts)]
@@ -140,7 +168,11 @@ def _provenance(run: Run) -> str:
     return "; ".join(told) + "."
 
 
-def _names(folders: Sequence[Path]) -> list[str]:
-    """The folders' own names, numbered where two are the same."""
-    own = [Path(folder).resolve().name for folder in folders]
+def _name(run: Run | str | Path) -> str:
+    """A run is called as its sweep, a folder by its own name."""
+    return run.manifest.name if isinstance(run, Run) else Path(run).resolve().name
+
+
+def _numbered(own: Sequence[str]) -> list[str]:
+    """The names, numbered where two are the same."""
     return [name if own.count(name) == 1 else f"{name} ({own[: k + 1].count(name)})" for k, name in enumerate(own)]

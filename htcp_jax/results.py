@@ -79,7 +79,12 @@ def write_trajectory_npz(file: Path, robot: Robot, plans: Plans, row: int = 0) -
 
 def write_json(file: Path, record: dict) -> None:
     """`record` as JSON, NaN and infinities as null."""
-    file.write_text(json.dumps(_plain(record), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    file.write_text(json_text(record) + "\n", encoding="utf-8")
+
+
+def json_text(record: Any) -> str:
+    """`record` as JSON, NaN and infinities as null."""
+    return json.dumps(_plain(record), indent=2, allow_nan=False)
 
 
 def summary_record(summary: Summary) -> dict:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import jax.numpy as jnp
 
+from htcp_jax.html_facts import html_facts
 from htcp_jax.pytree import register_pytree
 from htcp_jax.robot_file import read_robot_file
 from htcp_jax.types import Array, Float, Joints, Pose, Scalar
@@ -43,6 +44,15 @@ class Robot:
     capsule_names: tuple[str, ...] = dataclasses.field(metadata=_STATIC)
     capsule_link: tuple[int, ...] = dataclasses.field(metadata=_STATIC)  # -1 is the world
     ignored_geoms: tuple[str, ...] = dataclasses.field(metadata=_STATIC)  # neither capsule nor sphere
+
+    def _repr_html_(self) -> str:
+        limits = zip(self.joint_names, self.lower.tolist(), self.upper.tolist(), self.slides, strict=True)
+        radii = zip(self.capsule_names, self.capsule_radius.tolist(), strict=True)
+        facts = {name: f"{low:.4g} to {high:.4g} {'m' if slides else 'rad'}" for name, low, high, slides in limits}
+        facts["capsules"] = ", ".join(f"{name} ({1e3 * radius:.0f} mm)" for name, radius in radii)
+        if self.ignored_geoms:
+            facts["ignored geoms"] = ", ".join(self.ignored_geoms)
+        return html_facts(f"{self.name}: {len(self.joint_names)} joints", facts)
 
 
 def load_robot(path: str | Path = GP50, *, tcp_site: str = "tcp", limits: str = "model") -> Robot:

@@ -11,7 +11,7 @@ the files of a shard, so a shard is in the run wholly or not at all, whenever th
 import hashlib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -19,8 +19,13 @@ from pydantic import Field, ValidationError, model_validator
 
 from htcp_jax.config import PlanConfig, Section, validate
 from htcp_jax.errors import InputError
+from htcp_jax.html_facts import html_facts
+from htcp_jax.metrics import summarise
 from htcp_jax.plans import Plans
-from htcp_jax.run_tables import plans_of
+from htcp_jax.run_tables import frame_of, plans_of
+
+if TYPE_CHECKING:
+    import pandas
 
 MANIFEST = "manifest.json"
 TABLES = ("targets", "scenarios")
@@ -105,6 +110,29 @@ class Run:
     def __repr__(self) -> str:
         state = "complete" if self.complete else "not complete"
         return f"Run({str(self.folder)!r}: {', '.join(self.methods)}; {self.manifest.count} scenarios, {state})"
+
+    def _repr_html_(self) -> str:
+        state = "complete" if self.complete else "not complete"
+        facts = {method: self._told(method) for method in self.methods}
+        return html_facts(f"{self.manifest.name}: {self.manifest.count:,} scenarios, {state}", facts)
+
+    def _told(self, method: str) -> str:
+        if all(shard.method != method for shard in self.manifest.shards):
+            return "not planned yet"
+        found = summarise(self.plans(method))
+        return (
+            f"{100 * found.success_rate:.2f} %: {found.tracked:,} of {found.targets:,} targets, "
+            f"{found.complete:,} of {found.scenarios:,} scenarios complete, {found.step_ms:.2f} ms a step"
+        )
+
+    def frame(self, table: str = "scenarios", *methods: str) -> "pandas.DataFrame":
+        """One of the two tables, scenarios or targets, of all methods or of those named, as a pandas frame.
+
+        Raises InputError as `targets` does, for another table, and without pandas.
+        """
+        if table not in TABLES:
+            raise InputError(f"a run has no table {table!r}; valid: scenarios, targets")
+        return frame_of(self.scenarios(*methods) if table == "scenarios" else self.targets(*methods))
 
     @property
     def methods(self) -> tuple[str, ...]:

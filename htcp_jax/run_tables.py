@@ -38,15 +38,20 @@ Columns hold results alone, no times: the same seed writes the same bytes.
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
 
+from htcp_jax.errors import InputError
 from htcp_jax.grid import Point
 from htcp_jax.metrics import is_tracked
 from htcp_jax.plans import Plans
 from htcp_jax.robot import Robot
 from htcp_jax.status import Status
+
+if TYPE_CHECKING:
+    import pandas
 
 NO_TARGET = -1  # status in plans read back: a row beyond a scenario's last target, or not planned yet
 STATUSES = {status.name: int(status) for status in Status}
@@ -140,6 +145,19 @@ def plans_of(targets: pa.Table, scenarios: int, joints: Sequence[str], compile_s
         compile_s=compile_s,
         run_s=run_s,
     )
+
+
+def frame_of(table: pa.Table) -> "pandas.DataFrame":
+    """The table as a pandas frame; whole numbers and truths stay what they are where some are null.
+
+    Raises InputError without pandas, which comes with the extra `notebooks`.
+    """
+    try:
+        import pandas
+    except ImportError:
+        raise InputError("frames need pandas: pip install 'htcp_jax[notebooks]'") from None
+    kinds = {pa.int8(): pandas.Int8Dtype(), pa.int32(): pandas.Int32Dtype(), pa.bool_(): pandas.BooleanDtype()}
+    return table.to_pandas(types_mapper=kinds.get)
 
 
 def _parameters(points: Sequence[Point], joints: Sequence[str]) -> dict[str, pa.Array]:

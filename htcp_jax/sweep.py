@@ -1,7 +1,7 @@
 """The public call of a sweep: every scenario of a grid by several methods, shard by shard into a run folder.
 
-    run = sweep("sweeps/robot.yaml", methods="baseline,nspace-sqp", out="out/robot")
-    run.scenarios().to_pandas()
+    run = htcp_jax.sweep("sweeps/robot.yaml", methods="baseline,nspace-sqp", out="out/robot")
+    run.frame()
 
 All scenarios of a shard advance together. How the grid is cut has no influence on any result; it only decides how
 much is lost when the process dies. The same call again continues where the last one stopped.
@@ -11,10 +11,12 @@ import contextlib
 import os
 import shutil
 import signal
+import sys
 import tempfile
 import threading
+import types
 import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -50,19 +52,19 @@ class SweepProgress(NamedTuple):
 
 
 def sweep(
-    spec: str | Path | Sweep,
+    spec: str | Path | Mapping[str, Any] | Sweep,
     methods: str | Sequence[str] = "all",
     out: str | Path | None = None,
     *,
     config: str | Path | None = None,
-    overrides: Sequence[str] = (),
+    overrides: Sequence[str] | Mapping[str, Any] = (),
     limit: int | None = None,
     seed: int | None = None,
     progress: Callable[[SweepProgress], None] | None = None,
     threads: int | None = None,
     shard_scenarios: int | None = None,
 ) -> Run:
-    """Plan the grid of a sweep file, and return the run.
+    """Plan the grid of a sweep file, or of a mapping that spells one, and return the run.
 
     methods: "all", names with commas in between, or a list of names. out: the run folder; without one, a temporary
     folder that vanishes with the run. config, overrides, seed: see `load_sweep`; the seed is `settings.seed`.
@@ -77,7 +79,7 @@ def sweep(
         if config is not None or overrides or seed is not None:
             raise InputError("config, overrides and seed belong to load_sweep when the sweep is loaded already")
     else:
-        spec = load_sweep(spec, config, [*overrides, *([] if seed is None else [f"settings.seed={seed}"])])
+        spec = load_sweep(spec, config, _seeded(overrides, seed))
     if limit is not None and limit < 1:
         raise InputError(f"limit is {limit}; it must be 1 or more")
     batch = spec.batch(limit)
@@ -94,6 +96,14 @@ def sweep(
         except _SignalCame:
             raise Interrupted(_how_to_go_on(run), came[0]) from None
         return run
+
+
+def _seeded(overrides: Sequence[str] | Mapping[str, Any], seed: int | None) -> Sequence[str] | Mapping[str, Any]:
+    if seed is None:
+        return overrides
+    if isinstance(overrides, Mapping):
+        return {**overrides, "settings.seed": seed}
+    return [*overrides, f"settings.seed={seed}"]
 
 
 def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
@@ -256,3 +266,12 @@ def _folder(out: str | Path | None) -> Iterator[tuple[Path, Any]]:
     finally:
         if made and not any(folder.glob("*/*.parquet")):
             shutil.rmtree(folder, ignore_errors=True)
+
+
+class _CallableModule(types.ModuleType):
+    """`htcp_jax.sweep` is this module and, called, its function of the same name."""
+
+    __call__ = staticmethod(sweep)
+
+
+sys.modules[__name__].__class__ = _CallableModule

@@ -22,6 +22,7 @@ from htcp_jax.cloud import (
     warn_if_millimetres,
 )
 from htcp_jax.errors import InputError
+from htcp_jax.html_facts import html_facts
 from htcp_jax.hull import Hull, convex_hull
 
 PIVOT = (1.73205679, -0.0037799, 0.57539635)  # [m] world
@@ -93,6 +94,19 @@ class Workpiece:
         T[:3, :3] = [[cz * cy, -sz, cz * sy], [sz * cy, cz, sz * sy], [-sy, 0.0, cy]]
         T[:3, 3] = self.pivot + T[:3, :3] @ (self.neutral_translation - self.pivot) + shift
         return T
+
+    def _repr_html_(self) -> str:
+        low, high = self.cloud.min(axis=0), self.cloud.max(axis=0)
+        length = np.linalg.norm(np.diff(self.path, axis=0), axis=1).sum()
+        inlet = "none" if self.inlet is None else ", ".join(f"{value:.4g}" for value in self.inlet) + " m"
+        facts = {
+            "cloud": f"{len(self.cloud):,} points",
+            "extent": " x ".join(f"{side:.3f}" for side in high - low) + " m",
+            "tool path": f"{len(self.path)} points, {length:.3f} m",
+            "inlet": inlet,
+            "interior": f"convex hull, {len(self.hull_offset):,} facets" if len(self.hull_offset) else "no rule",
+        }
+        return html_facts(self.name, facts)
 
     def gate_x(self, T_world_workpiece: Float[np.ndarray, "4 4"]) -> float:
         """World x [m] behind which a point of the robot must lie in the hull: the posed cloud's nearest x

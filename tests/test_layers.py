@@ -12,7 +12,7 @@ PACKAGE = Path(htcp_jax.__file__).parent
 
 # From the bottom up. A module may import from its own row and from those above it in this list.
 LAYERS = [
-    ["__init__", "errors", "types", "pytree", "numerics", "status", "settings", "plans", "compile_cache"],
+    ["__init__", "errors", "html_facts", "types", "pytree", "numerics", "status", "settings", "plans", "compile_cache"],
     ["robot", "robot_file", "kinematics", "duct", "cloud", "cloud_index", "half_spaces", "hull", "workpiece"],
     ["scenario"],
     ["clearance", "task", "seen"],
@@ -23,13 +23,15 @@ LAYERS = [
     ["qp_solvers"],
     ["escape", "kernels", "engine", "planner"],
     ["strict_yaml", "config", "job"],
-    ["paper", "grid", "metrics", "results", "ceiling"],
+    ["paper", "grid", "metrics", "results", "ceiling", "doctor"],
     ["charts", "chart_style", "path_charts", "success_charts", "document"],
     ["run_folder", "run_identity", "run_lock", "run_tables", "run_writer", "sweep", "gate"],
     ["validate", "validate_arm", "validate_input", "validate_track", "validate_wall"],
     ["report", "report_chapter", "report_tables", "run_parts"],
     ["picture", "viewer"],
-    ["cli_plan", "cli_report", "cli_sweep", "cli_validate"],
+    ["api"],
+    ["cli_output"],
+    ["cli_doctor", "cli_methods", "cli_plan", "cli_report", "cli_sweep", "cli_validate"],
     ["cli_ceiling"],
     ["cli", "__main__"],
 ]

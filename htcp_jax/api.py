@@ -1,0 +1,181 @@
+"""One job from Python: `htcp_jax.plan(...)` and the Plan that it returns. `htcp plan` is this and a progress bar.
+
+Figures show themselves in a notebook; nothing else is needed.
+"""
+
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+from matplotlib.figure import Figure
+
+from htcp_jax import planner
+from htcp_jax.config import PlanConfig, load_config, validate
+from htcp_jax.escape import METHODS
+from htcp_jax.html_facts import html_facts
+from htcp_jax.job import scene
+from htcp_jax.metrics import Summary, summarise
+from htcp_jax.picture import draw_plan
+from htcp_jax.plans import Plans
+from htcp_jax.results import (
+    provenance,
+    summary_record,
+    write_json,
+    write_trajectory_csv,
+    write_trajectory_npz,
+    written_whole,
+)
+from htcp_jax.robot import Robot, lengthen_tool
+from htcp_jax.run_tables import frame_of, joint_columns, target_table
+from htcp_jax.scenario import Scenario
+from htcp_jax.validate import VALIDATION
+from htcp_jax.workpiece import Workpiece
+
+if TYPE_CHECKING:
+    import pandas
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan:
+    """A job and what became of it."""
+
+    job: PlanConfig
+    robot: Robot  # without the job's tool extension, which belongs to the scenario
+    workpiece: Workpiece
+    scenario: Scenario
+    plans: Plans  # of this one scenario: the first axis of every array has length 1
+
+    @cached_property
+    def summary(self) -> Summary:
+        """Counts, times and distances."""
+        return summarise(self.plans)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every target is tracked."""
+        return not self.summary.failures
+
+    def facts(self) -> dict[str, str]:
+        """The summary as a person reads it."""
+        s = self.summary
+        return {
+            "targets tracked": f"{s.tracked} of {s.targets}",
+            "success rate": f"{100 * s.success_rate:.2f} %",
+            "time per step": f"{s.step_ms:.2f} ms",
+            "run, compile time": f"{s.run_s:.2f} s, {s.compile_s:.2f} s",
+            "TCP distance": f"{s.tcp_distance_mean_mm:.3g} mm mean, {s.tcp_distance_max_mm:.3g} mm largest",
+            "clearance": f"{s.clearance_min_mm:.3g} mm smallest, {s.clearance_mean_mm:.3g} mm mean",
+            "escapes": str(s.after_escape),
+        }
+
+    def failure(self) -> dict[str, str]:
+        """Where the plan ended and why, in words; nothing of a complete one."""
+        return {f"failed at target {f.target}": f.status.message for f in self.summary.failures}
+
+    def frame(self) -> "pandas.DataFrame":
+        """One row a target; the columns are those of a sweep's `targets` table, see `run_tables`."""
+        number, count = np.zeros(1, int), np.array([len(self.scenario.targets)])
+        return frame_of(target_table(self.job.method, number, count, self.plans, joint_columns(self.robot)))
+
+    def figure(self) -> Figure:
+        """The arm in the workpiece cut open, and the clearance along the path."""
+        longer = lengthen_tool(self.robot, self.job.robot.tool_extension_m)
+        title = f"{self.job.method}: {self.summary.tracked} of {self.summary.targets} targets"
+        return draw_plan(longer, self.workpiece, self.scenario, self.plans, title=title)
+
+    def record(self) -> dict[str, Any]:
+        """What summary.json holds: the summary, the failed target in words, versions, the whole configuration."""
+        known = {"method": self.job.method, "validated": None, **summary_record(self.summary)}
+        return {**known, **provenance(), "config": self.job.model_dump()}
+
+    def write(self, folder: Path) -> None:
+        """Write trajectory.csv, trajectory.npz, summary.json and plan.png into an existing folder."""
+        write_trajectory_csv(folder / "trajectory.csv", self.robot, self.plans)
+        write_trajectory_npz(folder / "trajectory.npz", self.robot, self.plans)
+        write_json(folder / "summary.json", self.record())
+        self.figure().savefig(folder / "plan.png")
+
+    def save(self, folder: str | Path) -> None:
+        """Write the four files into `folder`, all of them or none. Raises InputError where that cannot be done."""
+        with written_whole(Path(folder)) as scratch:
+            self.write(scratch)
+        forget_validation(Path(folder))
+
+    def __str__(self) -> str:
+        return f"{self.job.method}: {self.robot.name}, {self.workpiece.name}"
+
+    def __repr__(self) -> str:
+        return f"Plan({self}, {self.facts()['targets tracked']} targets tracked)"
+
+    def _repr_html_(self) -> str:
+        return html_facts(str(self), self.facts() | self.failure())
+
+
+def forget_validation(folder: Path) -> None:
+    """Remove what `htcp validate` said of the plan that was in the folder before."""
+    (folder / VALIDATION).unlink(missing_ok=True)
+
+
+def plan(
+    config: str | Path | None = None,
+    overrides: Sequence[str] | Mapping[str, Any] = (),
+    *,
+    method: str | None = None,
+    progress: Callable[[planner.Progress], None] | None = None,
+) -> Plan:
+    """Plan one job.
+
+    config: a YAML file; None is the default job. overrides: what differs from it, as on the command line,
+    ["margin_m=0.001"], or as values, {"margin_m": 0.001, "workpiece.rotation_y_rad": 0.5}. method: see `methods`.
+    Raises InputError for bad input and for a start in collision.
+    """
+    job = load_config(config, overrides)
+    if method is not None:
+        job = validate({**job.model_dump(), "method": method}, PlanConfig, "plan")
+    return plan_job(job, *checked_scene(job), progress)
+
+
+def checked_scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
+    """What a configuration speaks of. Raises InputError for bad input and for a start in collision."""
+    robot, workpiece, scenario = scene(job)
+    planner.check_start(robot, workpiece, scenario)
+    return robot, workpiece, scenario
+
+
+def plan_job(
+    job: PlanConfig,
+    robot: Robot,
+    workpiece: Workpiece,
+    scenario: Scenario,
+    progress: Callable[[planner.Progress], None] | None = None,
+) -> Plan:
+    """Plan what `checked_scene` returned for the configuration."""
+    plans = planner.plan(robot, workpiece, scenario, job.method, job.settings, progress=progress)
+    return Plan(job, robot, workpiece, scenario, plans)
+
+
+def methods() -> "pandas.DataFrame":
+    """The planners: their titles, and what each does when the step QPs are stuck."""
+    rows = [{"method": name, "title": it.title, "sentence": it.sentence} for name, it in METHODS.items()]
+    return frame_of(pa.Table.from_pylist(rows)).set_index("method")
+
+
+def _show_figures() -> None:
+    """In a notebook, show a figure that a cell returns, as IPython does once pyplot is imported."""
+    if "IPython" not in sys.modules:
+        return
+    from IPython import get_ipython
+    from IPython.core.pylabtools import print_figure
+
+    if (shell := get_ipython()) is not None:
+        formatters = shell.display_formatter.formatters
+        if not any(Figure in formatter.type_printers for formatter in formatters.values()):
+            formatters["image/png"].for_type(Figure, print_figure)
+
+
+_show_figures()

@@ -1,0 +1,46 @@
+"""`htcp doctor`: what is installed, what there is to compute with, and whether a known plan comes out right."""
+
+from rich.text import Text
+
+from htcp_jax.cli_output import Json, print_facts, print_json, stdout
+from htcp_jax.doctor import examine
+
+SOUND, UNSOUND = 0, 1
+
+
+def doctor(as_json: Json = False) -> int:
+    """Look at this installation, and plan a short path whose answer is known.
+
+    Tells versions, devices, cores, and where compiled programs are kept. The self-test takes about 2 s, and as much
+    again where its programs are not compiled yet. Exits with 0 when it passes, with 1 when it does not.
+
+    \b
+    htcp doctor                               before the first plan, and in a report of a fault
+    htcp doctor --json                        the same for another program
+    """
+    found = examine()
+    if as_json:
+        print_json(found)
+    else:
+        _print(found)
+    return SOUND if found["sound"] else UNSOUND
+
+
+def _print(found: dict) -> None:
+    cache, cores, test = found["cache"], found["cores"], found["self_test"]
+    versions = ", ".join(f"{name} {version or '(not installed)'}" for name, version in found["versions"].items())
+    kept = "none; every start compiles anew"
+    if cache is not None:
+        kept = f"{cache['folder']}, {cache['files']:,} files, {cache['bytes'] / 1e6:.1f} MB"
+    facts = {
+        "python": f"{found['python']} on {found['system']}",
+        "versions": versions,
+        "devices": ", ".join(found["devices"]),
+        "cores": f"{cores['usable']} usable of {cores['of_machine']}",
+        "numbers": found["dtype"],
+        "compiled programs": kept,
+        "self-test": f"{test['says']}; {test['seconds']:.1f} s, {test['compile_s']:.1f} s of them compiling",
+    }
+    print_facts("htcp doctor", facts)
+    verdict = ("sound", "bold green") if found["sound"] else ("the self-test failed", "bold red")
+    stdout().print(Text(*verdict))

@@ -1,0 +1,118 @@
+"""The package as a notebook uses it: public names, frames, figures, and objects that show themselves."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from matplotlib.figure import Figure
+
+import htcp_jax
+from htcp_jax.run_tables import frame_of
+
+TURNS = {"grid": [{"workpiece.rotation_z_rad": [0.1, 0.2]}]}
+
+
+@pytest.fixture
+def short(tmp_path):
+    """What shortens a job to a path of two points: 13 targets."""
+    (tmp_path / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n")
+    return {"workpiece.path": str(tmp_path / "path.csv")}
+
+
+def test_every_public_name_is_there_and_others_are_not():
+    assert set(htcp_jax.__all__) <= set(dir(htcp_jax))
+    for name in htcp_jax.__all__:
+        assert callable(getattr(htcp_jax, name)) or name == "charts"
+    with pytest.raises(AttributeError, match=r"no attribute 'plam'; public are InputError, Plan, "):
+        _ = htcp_jax.plam
+
+
+def test_importing_the_package_is_cheap():
+    code = "import htcp_jax, sys; print([m for m in sys.modules if m.startswith(('htcp_jax.', 'mujoco', 'pyarrow'))])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
+
+
+def test_sweep_is_the_call_also_once_its_module_is_imported():
+    import htcp_jax.sweep
+
+    assert callable(htcp_jax.sweep) and htcp_jax.sweep.sweep.__doc__.startswith("Plan the grid")
+
+
+def test_a_plan_is_a_frame_a_figure_and_a_table(short, tmp_path):
+    plan = htcp_jax.plan(overrides=short, method="baseline")
+    frame = plan.frame()
+    assert plan.complete and len(frame) == 13 and frame.tracked.all()
+    np.testing.assert_array_equal(frame.clearance_m, plan.plans.clearance[0])
+    np.testing.assert_array_equal(frame.filter(regex="^joint._rad$"), plan.plans.x[0])
+    assert isinstance(plan.figure(), Figure)
+    assert repr(plan) == "Plan(baseline: gp50, duct, 13 of 13 targets tracked)"
+    assert "13 of 13" in plan._repr_html_() and "failed" not in plan._repr_html_()
+    assert "capsule_6c (30 mm)" in plan.robot._repr_html_() and "50,015 points" in plan.workpiece._repr_html_()
+    plan.save(tmp_path / "out")
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["tracked"] == 13
+
+
+def test_a_failed_plan_says_where_and_why(short, tmp_path):
+    (tmp_path / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.1857,-0.25,0.1708\n")  # the second lies in the wall
+    plan = htcp_jax.plan(overrides=short, method="baseline")
+    (reason,) = plan.failure().values()
+    assert not plan.complete and "failed at target 12</td>" in plan._repr_html_() and reason in plan._repr_html_()
+    assert plan.frame().clearance_m.isna().sum() == 1 and plan.frame().path_clear.isna().sum() == 1
+
+
+def test_overrides_are_words_or_values(short):
+    words = [f"{key}={value}" for key, value in short.items()]
+    a = htcp_jax.plan(overrides=[*words, "method=baseline", "margin_m=0.001"])
+    b = htcp_jax.plan(overrides={**short, "method": "baseline", "margin_m": 0.001})
+    assert a.job == b.job
+    np.testing.assert_array_equal(a.plans.x, b.plans.x)
+
+
+@pytest.mark.parametrize(
+    ("how", "line"),
+    [
+        ({"method": "rrt"}, "method: 'rrt' is no method; valid: baseline"),
+        ({"overrides": {"margin": 1}}, "unknown key margin; did you mean margin_m?"),
+        ({"overrides": {"settings.alpha_rad": -1.0}}, "alpha_rad must be more than zero"),
+        ({"overrides": {"start_rad": [0, -1.2, -0.5, 0, 0.5, -2]}}, "start is in collision"),
+    ],
+)
+def test_bad_input_is_an_input_error(how, line):
+    with pytest.raises(htcp_jax.InputError, match=line):
+        htcp_jax.plan(**how)
+
+
+def test_a_sweep_of_a_mapping_has_frames_tables_and_charts(short):
+    run = htcp_jax.sweep(TURNS, "baseline", overrides=short, seed=3)
+    scenarios = run.frame()
+    assert scenarios.rotation_z_rad.tolist() == [0.1, 0.2] and scenarios.complete.all() and run.manifest.seed == 3
+    assert scenarios.failed_target.isna().all()
+    assert len(run.frame("targets")) == 2 * 13 and run.frame("targets", "baseline").equals(run.frame("targets"))
+    assert "100.00 %: 26 of 26 targets" in run._repr_html_()
+    report = htcp_jax.make_report(run)
+    assert report.frame().success_percent.tolist() == [100.0]
+    assert isinstance(report.figures["success"], Figure) and "sweep" in repr(report)
+    with pytest.raises(htcp_jax.InputError, match="no table 'result'; valid: results, "):
+        report.frame("result")
+    with pytest.raises(htcp_jax.InputError, match="no table 'target'; valid: scenarios, targets"):
+        run.frame("target")
+
+
+def test_a_sweep_of_a_mapping_names_what_is_wrong_with_it():
+    with pytest.raises(htcp_jax.InputError, match="sweep: grid, axis 1: unknown parameter rotation_z"):
+        htcp_jax.sweep({"grid": [{"rotation_z": [0.1]}]}, "baseline")
+
+
+def test_methods_are_a_frame():
+    assert htcp_jax.methods().title["nspace-sqp"] == "N-Space SQP"
+
+
+def test_frames_keep_whole_numbers_and_truths_beside_nulls(monkeypatch):
+    frame = frame_of(pa.table({"k": pa.array([1, None], pa.int32()), "clear": pa.array([True, None])}))
+    assert frame.k[0] == 1 and frame.k.dtype == "Int32" and frame.clear.dtype == "boolean"
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(htcp_jax.InputError, match="frames need pandas"):
+        frame_of(pa.table({}))

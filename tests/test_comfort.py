@@ -1,0 +1,125 @@
+"""What makes the command pleasant: help that teaches, completion, JSON for programs, colours for terminals alone."""
+
+import json
+import re
+
+import jax
+import numpy as np
+import pytest
+
+from htcp_jax import doctor
+from htcp_jax.cli import app, main
+from htcp_jax.cli_methods import complete_methods
+from htcp_jax.escape import METHODS
+
+SHORT = ["--set", "workpiece.path=path.csv", "--set", "method=baseline"]
+COLOUR = re.compile(r"\x1b\[[0-9;]*(?:3[0-7]|9[0-7])[0-9;]*m")
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A working folder with a path of two points and a sweep of two scenarios along it."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n")
+    (tmp_path / "two.yaml").write_text("grid: [{workpiece.rotation_z_rad: [0.1, 0.2]}]")
+    return tmp_path
+
+
+def json_of(capsys, arguments: list[str], code: int = 0):
+    """What a command prints with --json: one JSON document, and nothing beside it."""
+    assert main([*arguments, "--json"]) == code
+    output = capsys.readouterr()
+    assert output.err == ""
+    return json.loads(output.out)
+
+
+def test_every_command_has_help_with_an_example_of_itself(capsys):
+    names = [command.callback.__name__ if command.name is None else command.name for command in app.registered_commands]
+    for name in names:
+        assert main([name, "--help"]) == 0
+        assert f"  htcp {name}" in capsys.readouterr().out
+    assert main(["--help"]) == 0
+    shown = capsys.readouterr().out
+    assert all(f"\n  {name}" in shown for name in names)
+    assert "..." not in shown.split("Commands:")[1]  # every command's line is whole
+
+
+def test_completion_offers_commands_options_and_methods(monkeypatch, capsys):
+    def offered(words: str) -> list[str]:
+        monkeypatch.setenv("_HTCP_COMPLETE", "complete_bash")
+        monkeypatch.setenv("COMP_WORDS", words)
+        monkeypatch.setenv("COMP_CWORD", str(words.count(" ")))
+        with pytest.raises(SystemExit):
+            main([])
+        return capsys.readouterr().out.split()
+
+    assert offered("htcp me") == ["methods"]
+    assert offered("htcp plan --method nspace-s") == ["nspace-sample", "nspace-sqp"]
+    assert offered("htcp sweep x.yaml --methods baseline,h") == ["baseline,hybrid"]
+    assert "--json" in offered("htcp plan --j")
+    assert complete_methods("baseline,base") == []
+
+
+def test_completion_scripts_are_printed(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        main(["--show-completion", "bash"])
+    assert "complete -o default -F _htcp_completion htcp" in capsys.readouterr().out
+
+
+def test_methods_are_listed_with_their_sentences(capsys):
+    assert main(["methods"]) == 0
+    shown = capsys.readouterr().out
+    assert all(name in shown and method.sentence in shown for name, method in METHODS.items())
+    assert [row["method"] for row in json_of(capsys, ["methods"])] == list(METHODS)
+
+
+def test_plan_prints_its_summary_as_json(here, capsys):
+    told = json_of(capsys, ["plan", *SHORT, "--out", "out"])
+    assert told == json.loads((here / "out" / "summary.json").read_text())
+    assert told["tracked"] == 13 and told["config"]["method"] == "baseline"
+
+
+def test_sweep_and_ceiling_print_what_they_found_as_json(here, capsys):
+    told = json_of(capsys, ["sweep", "two.yaml", "--methods", "baseline", *SHORT[:2]])
+    assert told["complete"] and told["methods"]["baseline"]["targets"] == 2 * 13
+    found = json_of(capsys, ["ceiling", "two.yaml", "--limit", "1", "--draws", "16", *SHORT[:2], "--out", "c"])
+    assert found == json.loads((here / "c" / "ceiling.json").read_text())
+
+
+def test_the_doctor_tells_what_is_there(capsys, monkeypatch, tmp_path):
+    before = jax.config.jax_compilation_cache_dir
+    (tmp_path / "program").write_bytes(b"12345")
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path))
+    monkeypatch.setattr(doctor, "self_test", lambda: doctor.SelfTest(True, "planned before", 0.0, 0.0))
+    try:
+        found = json_of(capsys, ["doctor"])
+        assert main(["doctor"]) == 0
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before)
+    assert found["sound"] and found["versions"]["jax"] == jax.__version__ and found["dtype"] == "float64"
+    assert found["cores"]["usable"] >= 1 and found["devices"]
+    assert found["cache"] == {"folder": str(tmp_path), "files": 1, "bytes": 5}
+    shown = capsys.readouterr().out
+    assert str(tmp_path) in shown and "planned before" in shown and shown.endswith("sound\n")
+
+
+def test_the_self_test_passes_here_and_fails_on_another_answer(capsys, monkeypatch):
+    assert json_of(capsys, ["doctor"])["self_test"]["passed"]
+    monkeypatch.setattr(doctor, "KNOWN_RAD", np.add(doctor.KNOWN_RAD, 1e-5))
+    assert main(["doctor"]) == 1
+    assert "the self-test failed" in capsys.readouterr().out
+
+
+def test_colours_are_for_terminals_and_no_color_takes_them_away(capsys, monkeypatch):
+    def shown(**environment: str) -> str:
+        for name in ("NO_COLOR", "FORCE_COLOR"):
+            monkeypatch.delenv(name, raising=False)
+        for name, value in environment.items():
+            monkeypatch.setenv(name, value)
+        main(["methods"])
+        return capsys.readouterr().out
+
+    monkeypatch.setenv("TERM", "xterm-256color")
+    assert COLOUR.search(shown(FORCE_COLOR="1"))
+    assert not COLOUR.search(shown(FORCE_COLOR="1", NO_COLOR="1"))
+    assert "\x1b" not in shown()  # piped
