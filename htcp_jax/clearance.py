@@ -9,6 +9,7 @@ one-sided gradients elsewhere.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
@@ -16,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.cloud_index import CloudIndex, build_index, nearest_body, nearest_rows
-from htcp_jax.half_spaces import HalfSpaces, crossed_facets
+from htcp_jax.half_spaces import HalfSpaces, crossed_facets, depths, half_spaces
 from htcp_jax.kinematics import capsule_segments, jacobian, point_jacobians, tcp_position
 from htcp_jax.numerics import safe_divide, safe_norm, segment_parameter
 from htcp_jax.pytree import register_pytree
@@ -40,7 +41,7 @@ def make_obstacle(workpiece: Workpiece) -> Obstacle:
     return Obstacle(
         points=jnp.asarray(workpiece.cloud),
         index=build_index(np.asarray(workpiece.cloud)),
-        hull=HalfSpaces(jnp.asarray(workpiece.hull_normal), jnp.asarray(workpiece.hull_offset)),
+        hull=half_spaces(workpiece.hull_normal, workpiece.hull_offset, workpiece.hull_vertices),
     )
 
 
@@ -118,6 +119,48 @@ def is_clear(robot: Robot, obstacle: Obstacle, where: Posed, x: Joints) -> Bool[
     return ~(touching | jnp.any(outside > 0))
 
 
+def all_clear(robot: Robot, obstacle: Obstacle, where: Posed, x: Float[jax.Array, "S N"]) -> Bool[jax.Array, ""]:
+    """Whether D(x_s, O) > 0 at all of S >= 1 configurations that lie close together: a path.
+
+    Only the middle one is measured in full. A body is clear wherever its ends, and so all its points, have moved from
+    there by less than its room; where they have moved further, it is searched for points that touch it.
+    """
+    middle = x.shape[0] // 2
+    ends = jax.vmap(partial(_ends, robot, where))(x)
+    room = _room(robot, obstacle, where, x[middle])
+    moved = jnp.maximum(safe_norm(ends.p - ends.p[middle][None]), safe_norm(ends.q - ends.q[middle][None]))
+    open_ = moved >= room[None, :] - 1e-9  # [S K]; 1 nm is more than any rounding
+
+    def check_body(state):
+        left, _ = state
+        body = jnp.argmax(left)
+        p, q, here = ends.p[:, body], ends.q[:, body], open_[:, body]
+        within = jnp.where(here, robot.capsule_radius[body], -1.0)
+        touching = jnp.any(nearest_rows(obstacle.index, p, q, within) >= 0)
+        deep = here[None, :] & (ends.beyond.reshape(x.shape[0], 2, -1)[:, :, body].T > 0)
+        return left.at[body].set(False), ~(touching | _any_outside(obstacle, p, q, deep.reshape(-1)))
+
+    start = (jnp.any(open_, axis=0), jnp.full((), True))
+    return jax.lax.while_loop(lambda state: state[1] & jnp.any(state[0]), check_body, start)[1]
+
+
+def _room(robot: Robot, obstacle: Obstacle, where: Posed, x: Joints) -> Float[jax.Array, "K"]:
+    """How far all points of a body may move from x, any way, and it surely stays clear [m]; at most 0 in collision."""
+    D = clearances(robot, obstacle, where, x)
+    if not obstacle.hull.offset.shape[0]:
+        return D
+    ends = _ends(robot, where, x)
+    depth = depths(obstacle.hull, jnp.concatenate([ends.p, ends.q]), ends.beyond > 0)
+    inside = jnp.where(ends.beyond > 0, depth, -ends.beyond).reshape(2, -1)
+    return jnp.minimum(D, jnp.min(inside, axis=0))
+
+
+def _any_outside(obstacle: Obstacle, p, q, deep):
+    if not obstacle.hull.offset.shape[0]:
+        return jnp.full((), False)
+    return jnp.any(crossed_facets(obstacle.hull, jnp.concatenate([p, q]), deep) >= 0)
+
+
 def linearise(robot: Robot, obstacle: Obstacle, where: Posed, x: Joints) -> Linearisation:
     """TCP, task Jacobian, clearances and their gradients at x [rad]."""
     touch = contacts(robot, obstacle, where, x)
@@ -131,18 +174,18 @@ def linearise(robot: Robot, obstacle: Obstacle, where: Posed, x: Joints) -> Line
 
 
 class _Ends(NamedTuple):
-    """Ends of the bodies' segments in the workpiece frame, and which of them are beyond the gate (p's, then q's)."""
+    """Ends of the bodies' segments in the workpiece frame, and how far they are beyond the gate (p's, then q's) [m]."""
 
     p: Float[jax.Array, "K 3"]
     q: Float[jax.Array, "K 3"]
-    deep: Bool[jax.Array, "2K"]
+    beyond: Float[jax.Array, "2K"]
 
 
 def _ends(robot: Robot, where: Posed, x: Joints) -> _Ends:
     rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
     p, q = capsule_segments(robot, x)
-    deep = jnp.concatenate([p, q])[:, 0] > where.gate_x
-    return _Ends((p - translate[None, :]) @ rotate, (q - translate[None, :]) @ rotate, deep)
+    beyond = jnp.concatenate([p, q])[:, 0] - where.gate_x
+    return _Ends((p - translate[None, :]) @ rotate, (q - translate[None, :]) @ rotate, beyond)
 
 
 def _outside_hull(obstacle: Obstacle, ends: _Ends):
@@ -151,7 +194,7 @@ def _outside_hull(obstacle: Obstacle, ends: _Ends):
     if not obstacle.hull.offset.shape[0]:
         return jnp.full(ends.p.shape[0], -jnp.inf), ends.p, jnp.zeros_like(ends.p)
     both = jnp.concatenate([ends.p, ends.q])
-    facet = crossed_facets(obstacle.hull, both, ends.deep)
+    facet = crossed_facets(obstacle.hull, both, ends.beyond > 0)
     normal = obstacle.hull.normal[facet]
     outside = jnp.where(facet < 0, -jnp.inf, jnp.sum(normal * both, axis=1) - obstacle.hull.offset[facet])
     k = ends.p.shape[0]

@@ -21,15 +21,14 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.custom_batching import custom_vmap
 
 from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Float, Int
 
 POINTS_A_LEAF = 16
 LEAVES_A_NODE = 16
-NODES_A_ROUND = 16
-LEAVES_A_ROUND = 64
+NODES_A_ROUND = 8
+LEAVES_A_ROUND = 8
 SLACK = 1e-5  # [m]; a bound in 32-bit floats is wrong by less than this within 20 m of the origin
 NONE_LEFT = np.int32(2**31 - 1)
 
@@ -81,9 +80,8 @@ def nearest_rows(
     within: -1 where no point is nearer than this [m]. An integer carries no gradient: differentiate the distance to the
     point it names.
     """
-    limit = jnp.full(p.shape[0], 1e150) if within is None else within
-    alone = jax.lax.stop_gradient((p[:, None], q[:, None], jnp.zeros((p.shape[0], 1)), limit))
-    return _searches(index, *alone).row
+    limit = jnp.full(p.shape[0], 1e150, float) if within is None else within
+    return _nearest_rows(index, *jax.lax.stop_gradient((p, q, limit)))
 
 
 def nearest_body(
@@ -95,78 +93,66 @@ def nearest_body(
 ) -> Nearest:
     """The pair of body and point with the smallest distance(segment, point) - radius, if that is below `below` [m].
 
-    One search for all bodies: cheaper than one a body, because what is nearer to one body rules out all others.
+    Cheaper than the nearest point of every body, because what is nearer to one body rules out all others.
     """
-    some = jax.lax.stop_gradient((p[None], q[None], radius[None], jnp.full(1, below)))
-    return jax.tree.map(lambda leaf: leaf[0], _searches(index, *some))
+    return _nearest_body(index, *jax.lax.stop_gradient((p, q, radius, jnp.asarray(below, float))))
 
 
-@custom_vmap
-def _searches(index: CloudIndex, p, q, radius, below):
-    """Independent searches, one a row: p, q (n, K, 3), radius (n, K), below (n,)."""
-    return jax.vmap(lambda *search: _search(index, *search))(p, q, radius, below)
+@one_by_one
+def _nearest_rows(index: CloudIndex, p, q, limit):
+    return _search(index, p, q, jnp.zeros(limit.shape, float), limit, shared=False)
 
 
-@_searches.def_vmap
-def _searches_batch(axis_size, in_batched, index, *searches):
-    return one_by_one(_searches, axis_size, in_batched, index, searches)
+@one_by_one
+def _nearest_body(index: CloudIndex, p, q, radius, below):
+    rows = _search(index, p, q, radius, jnp.broadcast_to(below, radius.shape), shared=True)
+    body = jnp.argmax(rows).astype(jnp.int32)
+    return Nearest(jnp.where(rows[body] < 0, -1, body), rows[body])
 
 
-def _search(index: CloudIndex, p, q, radius, below) -> Nearest:
-    """One search over K bodies: nodes in rounds, the leaves of each round's nodes in rounds. A pair of body and cluster
-    is numbered body * clusters + cluster."""
+def _search(index: CloudIndex, p, q, radius, limit, shared: bool):
+    """Row of the nearest point of each of K bodies, -1 where none has distance - radius below its limit; with a shared
+    limit only the body that is nearest of all gets a row. The bodies search side by side, each its own clusters."""
     segments = _segments(p, q)
     segments32 = jax.tree.map(lambda a: a.astype(jnp.float32), segments)
-    bodies, nodes = p.shape[0], index.node_bound.shape[1]
-    leaves = NODES_A_ROUND * LEAVES_A_NODE
-    # Keys must not be negative: bounds are of distance - radius + the largest radius.
-    lift = jnp.max(radius)
+    bodies = p.shape[0]
+
+    def lowered(limit, distance):
+        """The limits, lowered to what the bodies attain: distance (K, n) - radius."""
+        nearest = jnp.min(distance, axis=1) - radius
+        return jnp.minimum(limit, jnp.min(nearest) if shared else nearest)
 
     def leaf_round(state):
-        keys, pairs, best, best_leaf, best_body = state
+        keys, node, limit, nearest = state
         picked, keys = _take_best(keys)
-        local = _picked_index(picked, leaves)
-        pair = pairs[local // LEAVES_A_NODE]
-        body, leaf = pair // nodes, pair % nodes * LEAVES_A_NODE + local % LEAVES_A_NODE
-        own = _of(segments, body)
-        square = _squared_distance(own, index.leaf_points[leaf].transpose(1, 0, 2))
-        distance = jnp.sqrt(jnp.min(square, axis=1)) - _of_body(radius, body)
-        smallest = jnp.min(distance)
-        first = jnp.max(jnp.where(distance == smallest, jnp.arange(LEAVES_A_ROUND, dtype=jnp.int32), -1))
-        better = smallest < best
-        return (
-            keys,
-            pairs,
-            jnp.where(better, smallest, best),
-            jnp.where(better, leaf[first], best_leaf),
-            jnp.where(better, body[first], best_body),
-        )
+        local = _picked_index(picked, NODES_A_ROUND * LEAVES_A_NODE)
+        leaf = jnp.take_along_axis(node, local // LEAVES_A_NODE, axis=1) * LEAVES_A_NODE + local % LEAVES_A_NODE
+        points = jnp.moveaxis(index.leaf_points[leaf], 2, 0)
+        distance = jnp.sqrt(jnp.min(_squared_distance(_spread(segments, 2), points), axis=2))
+        new = lowered(limit, distance)
+        found = distance - radius[:, None] == new[:, None]
+        found = jnp.max(jnp.where(found & (new < limit)[:, None], leaf, -1), axis=1)
+        nearest = jnp.where(new < limit, found, nearest)  # with a shared limit, -1 for all but one
+        return _prune(keys, new + radius), node, new, nearest
 
     def node_round(state):
-        keys, best, best_leaf, best_body = state
+        keys, limit, nearest = state
         picked, keys = _take_best(keys)
-        pairs = _picked_index(picked, bodies * nodes)
-        body = pairs // nodes
-        own = _of(segments32, body)
-        bound = _lower_bound(own, index.leaf_bound[pairs % nodes].transpose(1, 0, 2))
-        bound = _lifted(bound, _of_body(radius, body), lift)
-        leaf_keys = _keys(bound.reshape(-1)).reshape(-1, LEAVES_A_ROUND)
-        _, _, *found = jax.lax.while_loop(
-            lambda s: jnp.min(s[0]) <= _key_above(s[2] + lift, leaves),
-            leaf_round,
-            (leaf_keys, pairs, best, best_leaf, best_body),
-        )
-        return keys, *found
+        node = _picked_index(picked, index.node_bound.shape[1])
+        lower, upper = _bounds(_spread(segments32, 2), jnp.moveaxis(index.leaf_bound[node], 2, 0))
+        limit = lowered(limit, upper.reshape(bodies, -1))
+        leaf_keys = _prune(_keys(lower.reshape(bodies, -1), LEAVES_A_ROUND), limit + radius)
+        _, _, limit, nearest = jax.lax.while_loop(_any_left, leaf_round, (leaf_keys, node, limit, nearest))
+        return _prune(keys, limit + radius), limit, nearest
 
-    own = jax.tree.map(lambda a: a[..., None], segments32)
-    bound = _lifted(_lower_bound(own, index.node_bound[:, None, :]), radius, lift)
-    node_keys = _keys(bound.reshape(-1)).reshape(-1, NODES_A_ROUND)
-    none = jnp.full((), -1, jnp.int32)
-    _, _, leaf, body = jax.lax.while_loop(
-        lambda s: jnp.min(s[0]) <= _key_above(s[1] + lift, bodies * nodes), node_round, (node_keys, below, none, none)
-    )
-    square = _squared_distance(_of(segments, body), index.leaf_points[leaf])
-    return Nearest(body, jnp.where(leaf < 0, -1, index.leaf_rows[leaf, jnp.argmin(square)]))
+    lower, upper = _bounds(_spread(segments32, 1), index.node_bound[:, None, :])
+    limit = lowered(limit, upper)
+    keys = _prune(_keys(lower, NODES_A_ROUND), limit + radius)
+    start = (keys, limit, jnp.full(bodies, -1, jnp.int32))
+    _, _, leaf = jax.lax.while_loop(_any_left, node_round, start)
+    square = _squared_distance(_spread(segments, 1), index.leaf_points[leaf].transpose(1, 0, 2))
+    first = jnp.argmin(square, axis=1)
+    return jnp.where(leaf < 0, -1, index.leaf_rows[leaf, first])
 
 
 class _Segments(NamedTuple):
@@ -174,25 +160,19 @@ class _Segments(NamedTuple):
 
     p: Float[Array, "3 *K"]
     d: Float[Array, "3 *K"]
-    inverse: Float[Array, "*K"]  # 1 / |d|^2, 0 for a point
+    inverse: Float[Array, "*K"]  # 1 / |d|^2
 
 
 def _segments(p, q) -> _Segments:
     d = q - p
     square = jnp.sum(d * d, axis=1)
-    return _Segments(p.T, d.T, jnp.where(square > 0, 1 / jnp.where(square > 0, square, 1.0), 0.0))
+    # A segment shorter than 1e-15 m is as good as a point; its inverse would be infinite in 32-bit.
+    return _Segments(p.T, d.T, 1 / jnp.maximum(square, 1e-30))
 
 
-def _of_body(values, body):
-    """Values (..., K) of the given bodies; with a single body nothing is gathered, which is faster."""
-    if values.shape[-1] == 1:
-        return jnp.broadcast_to(values.reshape(*values.shape[:-1], *[1] * body.ndim), (*values.shape[:-1], *body.shape))
-    return values[..., body]
-
-
-def _of(segments: _Segments, body) -> _Segments:
-    """The segments of the given bodies, with an axis for points."""
-    return _Segments(*(_of_body(values, body)[..., None] for values in segments))
+def _spread(segments: _Segments, axes: int) -> _Segments:
+    """The segments with axes for what each of them is measured against."""
+    return jax.tree.map(lambda a: a.reshape(*a.shape, *[1] * axes), segments)
 
 
 def _arm(segment: _Segments, points):
@@ -207,8 +187,8 @@ def _squared_distance(segment: _Segments, points):
     return a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
 
 
-def _lower_bound(segment: _Segments, bound):
-    """The module's bound for clusters (8, ...), 32-bit [m]."""
+def _bounds(segment: _Segments, bound):
+    """The module's bound for clusters (8, ...), 32-bit [m], and the distance to their medoids, rounded up."""
     a = _arm(segment, bound)
     square = a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
     distance = jnp.sqrt(square)
@@ -216,31 +196,33 @@ def _lower_bound(segment: _Segments, bound):
     # The difference cancels where the patch is seen face on: 2e-6 is more than its rounding.
     across = jnp.sqrt(jnp.maximum(square - along * along, 0) + 2e-6 * square)
     reach = (jnp.abs(along) * bound[6] + across * bound[7]) / jnp.maximum(distance, 1e-12)
-    return distance - reach - jnp.float32(SLACK)
-
-
-def _lifted(bound, radius, lift):
-    """Bounds of distance - radius + lift for pairs (n, clusters), not below 0, rounded down."""
-    more = (lift - radius).astype(jnp.float32)[:, None]
-    return jnp.maximum((jnp.maximum(bound, 0) + more) * jnp.float32(1 - 1e-6), 0)
+    return distance - reach - jnp.float32(SLACK), distance + jnp.float32(SLACK)
 
 
 def _index_bits(count: int) -> int:
     return max(1, (count - 1).bit_length())
 
 
-def _keys(bound):
-    """Non-negative 32-bit floats order like their bits; the low bits make room for the index (rounding down)."""
-    mask = (1 << _index_bits(bound.shape[0])) - 1
-    bits = jax.lax.bitcast_convert_type(bound, jnp.int32)
-    return (bits & ~mask) | jnp.arange(bound.shape[0], dtype=jnp.int32)
+def _keys(bound, columns: int):
+    """Keys (K, n / columns, columns) of bounds (K, n). Non-negative 32-bit floats order like their bits; the low bits
+    make room for the index (rounding down)."""
+    bodies, clusters = bound.shape
+    bits = jax.lax.bitcast_convert_type(jnp.maximum(bound, 0), jnp.int32)
+    mask = (1 << _index_bits(clusters)) - 1
+    return ((bits & ~mask) | jnp.arange(clusters, dtype=jnp.int32)[None, :]).reshape(bodies, -1, columns)
 
 
-def _key_above(value, count):
-    """Key above those of all bounds, out of `count`, smaller than `value`; below all keys if that is negative."""
-    distance = jnp.minimum(value * (1 + 1e-6), 1e30)
-    bits = jax.lax.bitcast_convert_type(distance.astype(jnp.float32), jnp.int32)
-    return bits | ((1 << _index_bits(count)) - 1)
+def _prune(keys, limit):
+    """The keys of all bounds below the limit of their body (K,), NONE_LEFT in place of the others."""
+    nearest = jnp.minimum(limit * (1 + 1e-6), 1e30).astype(jnp.float32)
+    mask = (1 << _index_bits(keys[0].size)) - 1
+    above = jax.lax.bitcast_convert_type(nearest, jnp.int32) | mask  # negative, so below all keys, like the limit
+    return jnp.where(keys <= above[:, None, None], keys, NONE_LEFT)
+
+
+def _any_left(state):
+    """Whether a search goes on; its keys come first."""
+    return jnp.min(state[0]) < NONE_LEFT
 
 
 def _picked_index(picked, count):
@@ -250,8 +232,8 @@ def _picked_index(picked, count):
 
 def _take_best(keys):
     """The smallest key of each column, and the keys without them. Columns interleave clusters that are neighbours."""
-    picked = jnp.min(keys, axis=0)
-    return picked, jnp.where(keys == picked[None, :], NONE_LEFT, keys)
+    picked = jnp.min(keys, axis=1)
+    return picked, jnp.where(keys == picked[:, None, :], NONE_LEFT, keys)
 
 
 def _cut(points, rows, parts):

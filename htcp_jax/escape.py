@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax import sphere
-from htcp_jax.clearance import Obstacle, Posed, clearance, contacts, is_clear
+from htcp_jax.clearance import Obstacle, Posed, all_clear, clearance, contacts, is_clear
 from htcp_jax.kinematics import jacobian, tcp_position
 from htcp_jax.nullspace import inside, null_basis, reanchor
 from htcp_jax.numerics import fold_keys, safe_norm
@@ -229,9 +229,10 @@ def _rank(settings: Settings, here: Anchored) -> Float[Array, "*n"]:
 
 def path_clear(scene: Scene, settings: Settings, where: Posed, a: Joints, b: Joints) -> Bool[Array, ""]:
     """Whether the straight joint path from a to b is clear (D > 0) at its interpolation steps, the ends left out."""
+    if settings.path_steps == 1:
+        return jnp.full((), True)
     fractions = jnp.arange(1, settings.path_steps) / settings.path_steps
-    between = jax.vmap(lambda s: is_clear(scene.robot, scene.obstacle, where, a + s * (b - a)))(fractions)
-    return jnp.all(between)
+    return all_clear(scene.robot, scene.obstacle, where, a[None, :] + fractions[:, None] * (b - a)[None, :])
 
 
 def own_scene(scene: Scene, tool_extension_m: Scalar) -> Scene:

@@ -41,7 +41,7 @@ from htcp_jax.settings import Settings
 # Lanes that a program computes side by side: a chunk is computed whole, so a kernel that few lanes need at a time, and
 # that has loops of its own to vectorise, takes them one by one.
 LANES_A_CHUNK = 4
-ONE_BY_ONE = ("draw", "push", "enter", "ascend", "stage")
+ONE_BY_ONE = ("draw", "push", "enter", "ascend", "stage", "check_path")
 LANES_A_TABLE = 128
 DRAW_STAGE = 99  # random keys of draws lie apart from those of the stages
 

@@ -1,7 +1,11 @@
 """Primitives that stay defined and differentiable where the textbook form does not."""
 
+from collections.abc import Callable
+from functools import partial
+
 import jax
 import jax.numpy as jnp
+from jax.custom_batching import custom_vmap
 
 from htcp_jax.types import Array, Float, Scalar
 
@@ -59,23 +63,27 @@ def fold_keys(key: jax.Array, *data) -> jax.Array:
     return key
 
 
-def one_by_one(search, axis_size, in_batched, shared, arguments):
-    """Batching rule of a search (see `jax.custom_batching.custom_vmap`) whose effort differs from lane to lane.
+def one_by_one(function: Callable) -> Callable:
+    """`function(shared, *arguments)`, a search whose effort differs from lane to lane, with a batching rule of its own:
+    under vmap over the arguments, lanes go one after the other on a CPU, side by side on anything else.
 
-    Under a plain vmap every lane waits for the slowest one, and a branch not taken is computed all the same. A CPU
-    gains nothing from vectorising over lanes here, so there they go one after the other; a GPU takes them together.
-    `search(shared, *arguments)` maps arguments with a leading axis n to results with a leading axis n, row by row.
+    Under a plain vmap every lane waits for the slowest one, and a branch not taken is computed all the same; a CPU,
+    which gains nothing from vectorising over lanes here, would only lose.
     """
-    if any(jax.tree.leaves(in_batched[0])):
-        raise ValueError("what is searched must be the same for all lanes")
-    arguments = [
-        a if batched else jnp.broadcast_to(a, (axis_size, *a.shape))
-        for a, batched in zip(arguments, in_batched[1:], strict=True)
-    ]
-    if jax.default_backend() == "cpu":
-        found = jax.lax.map(lambda one: search(shared, *one), arguments)
-    else:
-        rows = arguments[0].shape[:2]
-        found = search(shared, *(a.reshape(-1, *a.shape[2:]) for a in arguments))
-        found = jax.tree.map(lambda leaf: leaf.reshape(rows), found)
-    return found, jax.tree.map(lambda _: True, found)
+    alone = custom_vmap(function)
+
+    @alone.def_vmap
+    def batch(axis_size, in_batched, shared, *arguments):
+        if any(jax.tree.leaves(in_batched[0])):
+            raise ValueError("what is searched must be the same for all lanes")
+        arguments = [
+            a if batched else jnp.broadcast_to(a, (axis_size, *a.shape))
+            for a, batched in zip(arguments, in_batched[1:], strict=True)
+        ]
+        if jax.default_backend() == "cpu":
+            found = jax.lax.map(lambda lane: alone(shared, *lane), arguments)
+        else:
+            found = jax.vmap(partial(function, shared))(*arguments)
+        return found, jax.tree.map(lambda _: True, found)
+
+    return alone

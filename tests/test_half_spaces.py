@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 
-from htcp_jax.half_spaces import ROOM, HalfSpaces, crossed_facets
+from htcp_jax.half_spaces import ROOM, crossed_facets, half_spaces
 from htcp_jax.hull import convex_hull
 
 RNG = np.random.default_rng(0)
@@ -14,9 +14,9 @@ def duct_hull():
     return np.asarray(duct.hull_normal), np.asarray(duct.hull_offset)
 
 
-def crossed(normal, offset, points, asked=None):
+def crossed(normal, offset, points, asked=None, vertices=None):
     asked = np.ones(len(points), bool) if asked is None else asked
-    hull = HalfSpaces(jnp.asarray(normal), jnp.asarray(offset))
+    hull = half_spaces(normal, offset, made_once.duct().hull_vertices if vertices is None else vertices)
     return np.asarray(jax.jit(crossed_facets)(hull, jnp.asarray(points), jnp.asarray(asked)))
 
 
@@ -66,6 +66,23 @@ def test_one_point_near_the_boundary_does_not_change_the_others():
                 assert facet[k] == (np.argmax(heights[k]) if heights[k].max() > 0 else -1)
 
 
+def test_the_core_lies_inside_the_hull_and_fills_most_of_it():
+    normal, offset = duct_hull()
+    hull = half_spaces(normal, offset, made_once.duct().hull_vertices)
+    points = points_about(normal, offset, 4000)[:4000]
+    inside = (points @ normal.T - offset).max(1) <= 0
+    core = (points @ np.asarray(hull.core_normal).T - np.asarray(hull.core_offset)).max(1) <= 0
+    assert inside[core].all()
+    assert core.sum() > 0.8 * inside.sum()
+
+
+def test_a_hull_too_thin_for_a_core_is_measured_all_the_same():
+    needle = np.array([[0.0, 0, 0], [1, 0, 0], [1, 0, 0], [1, 0, 0]])
+    normal, offset = np.eye(3), np.array([1.0, 0.0, 0.0])
+    points = np.array([[0.5, -1, -1], [2.0, -1, -1], [0.5, 0.25, -1]])
+    np.testing.assert_array_equal(crossed(normal, offset, points, vertices=needle), [-1, 0, 1])
+
+
 def test_32_bit_heights_are_within_their_room_up_to_20_metres():
     normal = RNG.normal(size=(2000, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -84,15 +101,15 @@ def test_a_cube_is_crossed_where_its_faces_are():
             for beyond in (1e-9, 1e-3, 2.0):
                 point = np.full(3, 0.5)
                 point[axis] = side + sign * beyond
-                (facet,) = crossed(hull.normal, hull.offset, point[None])
+                (facet,) = crossed(hull.normal, hull.offset, point[None], vertices=corners)
                 np.testing.assert_allclose(hull.normal[facet], sign * np.eye(3)[axis], atol=1e-12)
                 point[axis] = side - sign * beyond * 0.1
-                assert crossed(hull.normal, hull.offset, point[None]) == -1
+                assert crossed(hull.normal, hull.offset, point[None], vertices=corners) == -1
 
 
 def test_a_batch_equals_one_after_the_other():
     normal, offset = duct_hull()
-    hull = HalfSpaces(jnp.asarray(normal), jnp.asarray(offset))
+    hull = half_spaces(normal, offset, made_once.duct().hull_vertices)
     points = jnp.asarray(points_about(normal, offset, 40)).reshape(10, 8, 3)
     asked = jnp.asarray(RNG.random((10, 8)) < 0.7)
     together = jax.vmap(crossed_facets, in_axes=(None, 0, 0))(hull, points, asked)

@@ -2,7 +2,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.custom_batching import custom_vmap
 
 from htcp_jax.numerics import fold_keys, one_by_one, safe_divide, safe_norm, segment_parameter, solve_spd
 
@@ -79,14 +78,9 @@ def test_a_folded_key_depends_on_every_number_and_on_their_order():
     assert drawn[0] == int(jax.random.bits(fold_keys(key, *map(jnp.int32, numbers[0]))))
 
 
-@custom_vmap
+@one_by_one
 def _search(shared, rows, limits):
     return jax.vmap(lambda row, limit: jnp.sum(jnp.where(shared < row, shared, 0.0)) + limit)(rows, limits)
-
-
-@_search.def_vmap
-def _search_batch(axis_size, in_batched, shared, *arguments):
-    return one_by_one(_search, axis_size, in_batched, shared, arguments)
 
 
 def test_lanes_one_by_one_equal_a_loop_over_them():
