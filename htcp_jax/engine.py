@@ -4,6 +4,8 @@
     solve     (host)    step QPs -> steps, verdicts Clarabel
     advance   (device)  lane, step -> lane          linearised and measured at the new x_ref
 
+or, when the step QPs are solved on the device too (`qp: device`), a burst of these rounds at a time.
+
 A lane tracks one target by step QPs until it is reached, then the next one; or it is stuck, and walks the null space
 one step at a time; or it is one of many candidates of a sampling escape, tracking the stuck target on behalf of a
 scenario that waits. Lanes never wait for each other: each has its own target, phase and count; finished ones leave, new
@@ -72,21 +74,23 @@ class Waiting:
 
 
 class Engine:
-    """Plans the scenarios that an iterator hands out, writing into `plans`; one engine per thread."""
+    """Plans the scenarios that an iterator hands out, writing into `plans`; one engine per thread. Without a solver the
+    step QPs are solved on the device. It takes at most `share` new scenarios at a time."""
 
     def __init__(
         self,
         kernels: Kernels,
-        solver: QPSolver,
+        solver: QPSolver | None,
         method: str,
         settings: Settings,
         scenarios: Scenario,
         plans: Plans,
-        capacity: int,
+        share: int,
     ):
         self._kernels, self._solver, self._settings = kernels, solver, settings
         self._method = METHODS[method]
-        self._scenarios, self._plans, self._capacity = scenarios, plans, capacity
+        self._scenarios, self._plans, self._capacity = scenarios, plans, kernels.lanes
+        self._share = share
         self._check_steps = self._method.check_paths or settings.path_check == "all"
         self._check_escapes = self._check_steps or settings.path_check == "escapes"
         self._lanes: Lanes | None = None
@@ -124,7 +128,7 @@ class Engine:
             parts.append(block)
             room -= len(block.scenario)
         new = []
-        while room > len(new) and (scenario := next(scenarios, None)) is not None:
+        while len(new) < min(room, self._share) and (scenario := next(scenarios, None)) is not None:
             new.append(scenario)
         if new:
             starts = self._scenarios.x_start[new]
@@ -157,19 +161,10 @@ class Engine:
 
     def _track(self, lanes: Lanes) -> None:
         settings = self._settings
-        y, verdict = np.zeros_like(lanes.x_ref), np.full(len(lanes.scenario), QPStatus.SOLVED, np.int32)
-        old = ~lanes.fresh
-        if old.any():
-            known = lanes.take(old)
-            qps = self._kernels("prepare", self._tasks(known), known.x_ref, known.x_previous, known.linear)
-            y[old], verdict[old] = self._solver.solve(qps)
-        now: Measured = self._kernels("advance", self._tasks(lanes), lanes.x_ref, y)
-        solved = verdict == QPStatus.SOLVED
-        lanes = lanes._replace(
-            x_ref=now.x, linear=now.linear, iteration=lanes.iteration + old, fresh=np.zeros_like(lanes.fresh)
-        )
-        reached = old & solved & (now.residual <= settings.tolerance_m) & (now.clearance > 0)
-        stuck = old & ~reached & (~solved | (lanes.iteration >= settings.inner_iterations))
+        lanes, now, verdict = self._burst(lanes) if self._solver is None else self._step(lanes)
+        tried, solved = lanes.iteration > 0, verdict == QPStatus.SOLVED
+        reached = tried & solved & (now.residual <= settings.tolerance_m) & (now.clearance > 0)
+        stuck = tried & ~reached & (~solved | (lanes.iteration >= settings.inner_iterations))
         self._keep(lanes.take(~reached & ~stuck))
 
         reason = np.where(
@@ -181,6 +176,32 @@ class Engine:
         self._stuck(lanes.take(stuck & main), reason[stuck & main])
         self._reached(lanes.take(reached & main), _rows(now, reached & main))
         self._decided(lanes, now, reached & ~main, stuck & ~main)
+
+    def _step(self, lanes: Lanes) -> tuple[Lanes, Measured, np.ndarray]:
+        """One step QP for every lane, solved on the host; a fresh lane is linearised only."""
+        y, verdict = np.zeros_like(lanes.x_ref), np.full(len(lanes.scenario), QPStatus.SOLVED, np.int32)
+        old = ~lanes.fresh
+        if old.any():
+            known = lanes.take(old)
+            qps = self._kernels("prepare", self._tasks(known), known.x_ref, known.x_previous, known.linear)
+            y[old], verdict[old] = self._solver.solve(qps)
+        now: Measured = self._kernels("advance", self._tasks(lanes), lanes.x_ref, y)
+        return self._moved(lanes, now, lanes.iteration + old), now, verdict
+
+    def _burst(self, lanes: Lanes) -> tuple[Lanes, Measured, np.ndarray]:
+        """A few step QPs for every lane, solved on the device; a fresh lane is linearised first."""
+        if lanes.fresh.any():
+            new = lanes.take(lanes.fresh)
+            here = self._kernels("advance", self._tasks(new), new.x_ref, np.zeros_like(new.x_ref))
+            tables = zip(lanes.linear, here.linear, strict=True)
+            lanes = lanes._replace(linear=Linearisation(*(_put(table, lanes.fresh, rows) for table, rows in tables)))
+        state = lanes.x_ref, lanes.x_previous, lanes.linear, lanes.iteration
+        now, iteration, verdict = self._kernels("track", self._tasks(lanes), *state)
+        return self._moved(lanes, now, iteration), now, verdict
+
+    def _moved(self, lanes: Lanes, now: Measured, iteration: np.ndarray) -> Lanes:
+        fresh = np.zeros_like(lanes.fresh)
+        return lanes._replace(x_ref=now.x, linear=now.linear, iteration=iteration, fresh=fresh)
 
     def _reached(self, lanes: Lanes, now: Measured) -> None:
         """Main lanes whose step QP reached the target: ascend if the method does, check the path, go on."""

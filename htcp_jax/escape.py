@@ -209,15 +209,20 @@ def push_clear(scene: Scene, settings: Settings, where: Posed, x: Joints, target
     return keep_clear_ascent(scene, settings, where, anchor(scene, settings, where, x, target).x, target)
 
 
-def draw_clear(scene: Scene, settings: Settings, where: Posed, stuck: Stuck) -> Anchored:
+def draw_clear(scene: Scene, settings: Settings, where: Posed, stuck: Stuck, spread: Bool[Array, ""]) -> Anchored:
     """The best of a round of seeded uniform draws within the joint limits, clearest first (PUSHED rows): each draw is
-    brought onto the target, and the clearest of them are pushed clear."""
+    brought onto the target, and some are pushed clear: the clearest, or with `spread` any of the clearer quarter.
+
+    The clearest alone are often of one kind, all on the same side of the workpiece, say, from where no way leads back.
+    """
     robot = scene.robot
     lower, upper = jnp.maximum(robot.lower, -jnp.pi), jnp.minimum(robot.upper, jnp.pi)
     draw = jax.random.uniform(stuck.key, (DRAWS, lower.shape[0]))
     x = lower[None, :] + (upper - lower)[None, :] * draw
     reached = jax.vmap(lambda x: anchor(scene, settings, where, x, stuck.target))(x)
-    _, first = jax.lax.top_k(_rank(settings, reached), PUSHED)
+    order = jnp.argsort(-_rank(settings, reached))
+    quarter = jnp.sort(order[: DRAWS // 4])  # in the order of the draws: any PUSHED of them are as good as random
+    first = jnp.where(spread, quarter[:PUSHED], order[:PUSHED])
     pushed = jax.lax.map(lambda x: push_clear(scene, settings, where, x, stuck.target), reached.x[first])
     order = jnp.argsort(-_rank(settings, pushed))
     return jax.tree.map(lambda leaf: leaf[order], pushed)

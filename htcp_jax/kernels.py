@@ -35,14 +35,13 @@ from htcp_jax.escape import (
 )
 from htcp_jax.nullspace import reanchor
 from htcp_jax.numerics import safe_norm
+from htcp_jax.qp_device import solve_step
 from htcp_jax.scenario import Scenario
 from htcp_jax.settings import Settings
 
-# Lanes that a program computes side by side: a chunk is computed whole, so a kernel that few lanes need at a time, and
-# that has loops of its own to vectorise, takes them one by one.
-LANES_A_CHUNK = 4
-ONE_BY_ONE = ("draw", "push", "enter", "ascend", "stage", "check_path")
-LANES_A_TABLE = 128
+# Kernels that few lanes need at a time, or that have loops of their own to vectorise.
+DEEP = ("draw", "push", "enter", "ascend", "stage", "check_path")
+STEPS_A_BURST = 5  # step QPs that `track` takes before the engine looks at the lanes again
 DRAW_STAGE = 99  # random keys of draws lie apart from those of the stages
 
 
@@ -68,6 +67,22 @@ def tasks(scenarios: Scenario, scenario: np.ndarray, row: np.ndarray, round_: in
         for name in ("T_world_workpiece", "gate_x", "margin_m", "tool_extension_m", "number")
     ]
     return Task(*own, scenarios.targets[scenario, row], row, np.full_like(row, round_))
+
+
+class Tables(NamedTuple):
+    """Sizes of the tables that programs are compiled for, and how many lanes a program computes side by side."""
+
+    capacities: tuple[int, ...]
+    width: int
+
+
+def tables_on(device: jax.Device, name: str) -> Tables:
+    """Tables of kernel `name`. A CPU gains from a few lanes side by side, and nothing where a kernel has loops of its
+    own; a GPU computes a whole table at once, so it has a small one for what is left of a batch."""
+    deep = name.startswith(DEEP)
+    if device.platform == "cpu":
+        return Tables((128,), 1 if deep else 4)
+    return Tables((64, 512) if deep else (256, 4096), 0)
 
 
 class Measured(NamedTuple):
@@ -113,6 +128,36 @@ def advance(settings: Settings, scene: Scene, task: Task, x_ref, y) -> Measured:
     return Measured(x, linear, jnp.min(linear.clearance), safe_norm(linear.tcp - task.target))
 
 
+class Tracked(NamedTuple):
+    """A lane after a burst of step QPs: where it is, how many it has taken at this target, and the last one's verdict."""
+
+    now: Measured
+    iteration: jax.Array
+    verdict: jax.Array
+
+
+def track(settings: Settings, scene: Scene, task: Task, x_ref, x_previous, linear, iteration) -> Tracked:
+    """Step QPs solved on the device, one after the other, until the target is reached, the lane is stuck, or the burst
+    is over."""
+
+    def going(state: tuple[Tracked, jax.Array]):
+        lane, count = state
+        reached = (lane.now.residual <= settings.tolerance_m) & (lane.now.clearance > 0) & (lane.iteration > 0)
+        solved = lane.verdict == qp.QPStatus.SOLVED
+        return ~reached & solved & (lane.iteration < settings.inner_iterations) & (count < STEPS_A_BURST)
+
+    def step(state: tuple[Tracked, jax.Array]):
+        lane, count = state
+        step_qp = prepare(settings, scene, task, lane.now.x, x_previous, lane.now.linear)
+        found = solve_step(step_qp, settings.qp_tolerance)
+        return Tracked(advance(settings, scene, task, lane.now.x, found.y), lane.iteration + 1, found.status), count + 1
+
+    # At a new target, and in a candidate's first burst, nothing is reached before the first step QP.
+    known = Measured(x_ref, linear, jnp.full((), -jnp.inf), jnp.full((), jnp.inf))
+    start = Tracked(known, iteration, jnp.full((), int(qp.QPStatus.SOLVED), jnp.int32))
+    return jax.lax.while_loop(going, step, (start, jnp.zeros((), jnp.int32)))[0]
+
+
 def enter_null_space(settings: Settings, scene: Scene, task: Task, x_previous):
     """Algorithm 1, line 9: inverse kinematics of the stuck target from x_{t-1}."""
     scene = _scene(scene, task)
@@ -141,7 +186,8 @@ def push(settings: Settings, scene: Scene, task: Task, x) -> Anchored:
 def draw(settings: Settings, scene: Scene, task: Task) -> Anchored:
     """The best of a round of draws at the task's target; which round is the task's."""
     scene = _scene(scene, task)
-    return draw_clear(scene, settings, task, _stuck(settings, task, jnp.zeros_like(scene.robot.lower), DRAW_STAGE))
+    stuck = _stuck(settings, task, jnp.zeros_like(scene.robot.lower), DRAW_STAGE)
+    return draw_clear(scene, settings, task, stuck, task.round % 2 == 1)
 
 
 def ascend(settings: Settings, scene: Scene, task: Task, x):
@@ -172,6 +218,8 @@ def chunked(kernel: Callable, width: int) -> Callable:
             )
 
         capacity = jax.tree.leaves(tables)[0].shape[0]
+        if width == capacity:
+            return one_chunk(0)
         shapes = jax.eval_shape(one_chunk, 0)
         empty = jax.tree.map(lambda s: jnp.zeros((capacity, *s.shape[1:]), s.dtype), shapes)
         return jax.lax.fori_loop(0, chunks, body, empty)
@@ -184,22 +232,18 @@ _COMPILING = threading.Lock()
 
 
 class Kernels:
-    """The kernels of one method on one scene. Compiles on first use, once for any number of scenarios, and knows the
-    seconds that took."""
+    """The kernels of one method on one scene and one device. Compiles on first use, once for any number of scenarios,
+    and knows the seconds that took."""
 
-    def __init__(
-        self,
-        scene: Scene,
-        method: Method,
-        settings: Settings,
-        capacity: int = LANES_A_TABLE,
-    ):
-        self._scene, self._settings, self._capacity = scene, settings, capacity
-        self._programs: dict[str, Callable] = {}
+    def __init__(self, scene: Scene, method: Method, settings: Settings, device: jax.Device | None = None):
+        self.device = device or jax.local_devices()[0]
+        self._scene, self._settings = jax.device_put(scene, self.device), settings
+        self._programs: dict[tuple[str, int], Callable] = {}
         self.compile_s = 0.0
         self._kernels = {
             "prepare": prepare,
             "advance": advance,
+            "track": track,
             "enter": enter_null_space,
             "ascend": ascend,
             "push": push,
@@ -207,6 +251,11 @@ class Kernels:
             "check_path": check_path,
         }
         self._stages = method.stages
+
+    @property
+    def lanes(self) -> int:
+        """Lanes that an engine keeps in flight."""
+        return tables_on(self.device, "advance").capacities[-1]
 
     @property
     def bodies(self) -> int:
@@ -217,39 +266,37 @@ class Kernels:
         """Run kernel `name` ("stage k" for stage k of the method) over tables of n >= 1 lanes; numpy tables of n lanes
         come back."""
         lanes = len(jax.tree.leaves(tables)[0])
+        most = tables_on(self.device, name).capacities[-1]
         parts = [
-            self._run(name, jax.tree.map(lambda t, s=start: t[s : s + self._capacity], tables))
-            for start in range(0, lanes, self._capacity)
+            self._run(name, jax.tree.map(lambda t, s=start: t[s : s + most], tables))
+            for start in range(0, lanes, most)
         ]
         return parts[0] if len(parts) == 1 else jax.tree.map(lambda *p: np.concatenate(p), *parts)
 
     def _run(self, name: str, tables):
         lanes = len(jax.tree.leaves(tables)[0])
-        padded = jax.tree.map(lambda t: _pad(np.asarray(t), self._capacity), tables)
-        chunks = np.int32(-(-lanes // _width(name)))
-        result = self._program(name, chunks, padded)(self._scene, chunks, *padded)
-        return jax.tree.map(lambda r: np.asarray(r)[:lanes], result)
+        capacities, width = tables_on(self.device, name)
+        capacity = next(c for c in capacities if c >= lanes)
+        padded = jax.tree.map(lambda t: _pad(np.asarray(t), capacity), tables)
+        chunks = np.int32(-(-lanes // (width or capacity)))
+        result = self._program(name, capacity, chunks, padded)(self._scene, chunks, *padded)
+        return jax.tree.map(lambda r: r[:lanes], jax.device_get(result))
 
-    def _program(self, name: str, chunks, tables) -> Callable:
-        if name in self._programs:
-            return self._programs[name]
+    def _program(self, name: str, capacity: int, chunks, tables) -> Callable:
+        if (name, capacity) in self._programs:
+            return self._programs[name, capacity]
         with _COMPILING:
             arguments = (self._scene, chunks, *tables)
             leaves, structure = jax.tree.flatten(arguments)
-            work = self._work(name)
-            key = (
-                work.func,
-                work.args,
-                _width(name),
-                structure,
-                tuple((x.shape, x.dtype) for x in leaves),
-            )
+            work, width = self._work(name), tables_on(self.device, name).width or capacity
+            shapes = tuple((x.shape, x.dtype) for x in leaves)
+            key = (work.func, work.args, width, self.device, structure, shapes)
             if key not in _PROGRAMS:
                 began = time.perf_counter()
-                _PROGRAMS[key] = chunked(work, _width(name)).lower(*arguments).compile()
+                _PROGRAMS[key] = chunked(work, width).lower(*arguments).compile()
                 self.compile_s += time.perf_counter() - began
-            self._programs[name] = _PROGRAMS[key]
-        return self._programs[name]
+            self._programs[name, capacity] = _PROGRAMS[key]
+        return self._programs[name, capacity]
 
     def _work(self, name: str) -> partial:
         if name in self._kernels:
@@ -257,10 +304,6 @@ class Kernels:
         index = int(name.removeprefix("stage "))
         stage = self._stages[index]
         return partial(propose if isinstance(stage, Sample) else walk_null_space, stage, index, self._settings)
-
-
-def _width(name: str) -> int:
-    return 1 if name.startswith(ONE_BY_ONE) else LANES_A_CHUNK
 
 
 def _pad(table: np.ndarray, capacity: int) -> np.ndarray:

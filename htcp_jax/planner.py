@@ -1,6 +1,5 @@
 """The public call: plan a batch of scenarios with one method."""
 
-import os
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -12,10 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.clearance import clearances, make_obstacle
+from htcp_jax.devices import choose, default_threads
 from htcp_jax.engine import EMPTY, Engine
 from htcp_jax.errors import InputError
 from htcp_jax.escape import METHODS, Scene, own_scene
-from htcp_jax.kernels import LANES_A_TABLE, Kernels, tasks
+from htcp_jax.kernels import Kernels, tasks
 from htcp_jax.plans import Plans
 from htcp_jax.qp import row_count
 from htcp_jax.qp_solvers import make_solver
@@ -42,15 +42,16 @@ def plan(
     settings: Settings | None = None,
     *,
     progress: Callable[[Progress], None] | None = None,
+    device: str | None = None,
     threads: int | None = None,
     check_paths: bool = True,
 ) -> Plans:
     """Plan every scenario with one method (see `METHODS`).
 
-    scenarios: from `make_scenario`, one or many, or stacked already. threads: engines that share the scenarios, by
-    default one a core; results do not depend on it. check_paths: afterwards measure, for every accepted step that the
+    scenarios: from `make_scenario`, one or many, or stacked already. device: see `devices.choose`. threads: engines that
+    share the scenarios, by default one a core; results do not depend on it. check_paths: afterwards measure, for every accepted step that the
     method did not check itself, whether its straight joint path is clear (`Plans.path_clear`).
-    Raises InputError for an unknown method, for weights of the wrong length, and for no scenarios.
+    Raises InputError for an unknown method or device, for weights of the wrong length, and for no scenarios.
     """
     settings = settings or Settings()
     if method not in METHODS:
@@ -64,13 +65,17 @@ def plan(
         scenarios = stack([scenarios])
     scenarios = jax.tree.map(np.asarray, scenarios)
     began = time.perf_counter()
-    kernels = Kernels(Scene(robot, make_obstacle(workpiece)), METHODS[method], settings)
+    devices = choose(device)
+    scene = Scene(robot, make_obstacle(workpiece))
+    kernels = [Kernels(scene, METHODS[method], settings, device) for device in devices]
     plans = _empty_plans(scenarios.targets, joints)
-    _run_engines(kernels, robot, method, settings, scenarios, plans, threads or os.cpu_count() or 1, progress)
+    threads = threads or default_threads(devices, settings.qp)
+    _run_engines(kernels, robot, method, settings, scenarios, plans, threads, progress)
     if check_paths:
         _check_remaining_paths(kernels, scenarios, plans)
     spent = time.perf_counter() - began
-    return plans._replace(compile_s=kernels.compile_s, run_s=spent - kernels.compile_s)
+    compile_s = sum(each.compile_s for each in kernels)
+    return plans._replace(compile_s=compile_s, run_s=spent - compile_s)
 
 
 def start_clearance(robot: Robot, workpiece: Workpiece, scenario: Scenario) -> tuple[float, str]:
@@ -88,11 +93,16 @@ def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario) -> None:
         raise InputError(f"start is in collision: {body} is {-1e3 * D:.3f} mm inside the workpiece")
 
 
-def _run_engines(kernels, robot, method, settings, scenarios, plans, threads, progress) -> None:
-    """One engine a thread; all take scenarios from one iterator and write into different rows of the plans."""
+def _run_engines(kernels: list[Kernels], robot, method, settings, scenarios, plans, threads, progress) -> None:
+    """One engine a thread; all take scenarios from one iterator, their share at first, and write into different rows of
+    the plans."""
     count = len(scenarios.number)
     targets = int(scenarios.count.sum())
-    order, lock = iter(range(count)), threading.Lock()
+    threads = min(threads, count)
+    share = -(-count // threads)
+    # Neighbours in a grid are alike: dealt out in turn, every engine gets its part of the hard ones.
+    order = iter([k for first in range(threads) for k in range(first, count, threads)])
+    lock = threading.Lock()
     totals = [0, 0]
 
     def hand_out():
@@ -110,13 +120,12 @@ def _run_engines(kernels, robot, method, settings, scenarios, plans, threads, pr
             if progress is not None:
                 progress(Progress(totals[1], count, totals[0], targets))
 
-    def work(_):
+    def work(number: int) -> None:
         rows = row_count(settings, len(robot.capsule_link))
         solver = make_solver(settings, len(robot.joint_names), rows)
-        engine = Engine(kernels, solver, method, settings, scenarios, plans, LANES_A_TABLE)
+        engine = Engine(kernels[number % len(kernels)], solver, method, settings, scenarios, plans, share)
         engine.run(hand_out(), tell)
 
-    threads = min(threads, count)
     if threads == 1:
         work(0)
         return
@@ -124,7 +133,7 @@ def _run_engines(kernels, robot, method, settings, scenarios, plans, threads, pr
         list(pool.map(work, range(threads)))
 
 
-def _check_remaining_paths(kernels: Kernels, scenarios: Scenario, plans: Plans) -> None:
+def _check_remaining_paths(kernels: list[Kernels], scenarios: Scenario, plans: Plans) -> None:
     """Fill in path_clear where a tracked target's path was not checked while planning."""
     tracked = ~np.isnan(plans.clearance)
     s, t = np.nonzero(tracked & (plans.path_clear < 0))
@@ -132,7 +141,14 @@ def _check_remaining_paths(kernels: Kernels, scenarios: Scenario, plans: Plans) 
         return
     before = np.where((t == 0)[:, None], scenarios.x_start[s], plans.x[s, np.maximum(t - 1, 0)])
     task = tasks(scenarios, s, t)
-    plans.path_clear[s, t] = kernels("check_path", task, before, plans.x[s, t])
+    parts = [np.arange(len(s))[k :: len(kernels)] for k in range(len(kernels))]
+
+    def check(own: Kernels, part: np.ndarray) -> None:
+        pick = jax.tree.map(lambda table: table[part], (task, before, plans.x[s, t]))
+        plans.path_clear[s[part], t[part]] = own("check_path", *pick)
+
+    with ThreadPoolExecutor(len(kernels)) as pool:
+        list(pool.map(check, kernels, parts))
 
 
 def _empty_plans(targets: np.ndarray, joints: int) -> Plans:

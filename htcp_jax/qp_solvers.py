@@ -11,13 +11,16 @@ from htcp_jax.qp_qpsolvers import QPSolversSolver
 from htcp_jax.settings import Settings
 
 
-def make_solver(settings: Settings, joints: int, rows: int) -> QPSolver:
-    """The solver that `settings.qp` names. Raises InputError for a name that is not installed."""
+def make_solver(settings: Settings, joints: int, rows: int) -> QPSolver | None:
+    """The solver that `settings.qp` names; None for the one on the device, which the kernels call themselves. Raises
+    InputError for a name that is not installed."""
+    if settings.qp == "device":
+        return None
     name, _, backend = settings.qp.partition(":")
     makers: dict[str, Callable[[], QPSolver]] = {
         "clarabel": lambda: ClarabelSolver(2 * np.asarray(settings.q_weights), rows, settings.qp_tolerance),
         "qpsolvers": lambda: QPSolversSolver(backend),
     }
     if name not in makers:
-        raise InputError(f"qp is {settings.qp!r}; valid: clarabel, qpsolvers:<name of a solver>")
+        raise InputError(f"qp is {settings.qp!r}; valid: clarabel, device, qpsolvers:<name of a solver>")
     return makers[name]()

@@ -24,7 +24,7 @@ class Settings:
     rows: Literal["per-body", "smallest"] = "per-body"  # a clearance row a capsule, or one of the smallest
     inner_iterations: int = 20  # step QPs at one target before it counts as stuck
     tolerance_m: float = 1e-3  # a target is reached at this TCP error or less; also xi of the re-anchoring
-    qp: str = "clarabel"  # solver: clarabel, or qpsolvers:<name>
+    qp: str = "clarabel"  # solver: clarabel, device, or qpsolvers:<name>
     qp_tolerance: float = 1e-8  # of Clarabel's residuals and gap; at margin 0 it decides what gets stuck
 
     # Null space, equations (10) and (11)
@@ -71,8 +71,8 @@ def _check(name: str, value, kind) -> None:
         if value not in get_args(kind):
             raise InputError(f"{name} is {value!r}; valid: {', '.join(get_args(kind))}")
     elif name == "qp":
-        if value != "clarabel" and not value.startswith("qpsolvers:"):
-            raise InputError(f"qp is {value!r}; valid: clarabel, qpsolvers:<name of a solver>")
+        if value not in ("clarabel", "device") and not value.startswith("qpsolvers:"):
+            raise InputError(f"qp is {value!r}; valid: clarabel, device, qpsolvers:<name of a solver>")
     elif kind is not bool:
         for number in value if isinstance(value, tuple) else (value,):
             if not math.isfinite(number) or number < 0 or (number == 0 and name not in _MAY_BE_ZERO):
