@@ -129,7 +129,7 @@ def advance(settings: Settings, scene: Scene, task: Task, x_ref, y) -> Measured:
 
 
 class Tracked(NamedTuple):
-    """A lane after a burst of step QPs: where it is, how many it has taken at this target, and the last one's verdict."""
+    """A lane after a burst of step QPs: where it is, how many this target has taken, and the last one's verdict."""
 
     now: Measured
     iteration: jax.Array

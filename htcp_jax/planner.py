@@ -48,9 +48,10 @@ def plan(
 ) -> Plans:
     """Plan every scenario with one method (see `METHODS`).
 
-    scenarios: from `make_scenario`, one or many, or stacked already. device: see `devices.choose`. threads: engines that
-    share the scenarios, by default one a core; results do not depend on it. check_paths: afterwards measure, for every accepted step that the
-    method did not check itself, whether its straight joint path is clear (`Plans.path_clear`).
+    scenarios: from `make_scenario`, one or many, or stacked already. device: see `devices.choose`. threads: engines
+    that share the scenarios, by default one a core; results do not depend on it. check_paths: afterwards measure, for
+    every accepted step that the method did not check itself, whether its straight joint path is clear
+    (`Plans.path_clear`).
     Raises InputError for an unknown method or device, for weights of the wrong length, and for no scenarios.
     """
     settings = settings or Settings()
