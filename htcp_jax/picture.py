@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int8
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
@@ -17,16 +17,15 @@ from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
+from htcp_jax.fates import FAILED, INK, LINKS, PAPER, TOOL, WALL, fates, is_tool
 from htcp_jax.kinematics import capsule_segments, tcp_position
 from htcp_jax.metrics import Failure, failures, is_tracked
 from htcp_jax.plans import Plans
 from htcp_jax.robot import Robot
 from htcp_jax.scenario import Scenario
-from htcp_jax.status import Status
 from htcp_jax.workpiece import Workpiece
 
-LINKS, TOOL, INK, PAPER, FAILED = "#8d99a6", "#3c6e71", "#22303c", "#ffffff", "#c8102e"
-WALL = LinearSegmentedColormap.from_list("wall", ["#8a7a5f", "#d9cfba", "#efe9dc"])
+DEPTH = LinearSegmentedColormap.from_list("wall", WALL)
 
 
 class View(NamedTuple):
@@ -38,16 +37,6 @@ class View(NamedTuple):
 
     def flat(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
         return np.stack([points @ self.right, points @ self.up], axis=-1)
-
-
-class Kind(NamedTuple):
-    """Targets of one fate, told apart by colour (for colour-blind eyes too) and by marker."""
-
-    name: str
-    where: Bool[np.ndarray, "T"]
-    colour: str
-    size: float  # [points^2]
-    marker: str
 
 
 def draw_plan(
@@ -100,7 +89,7 @@ def _draw_wall(axes: Axes, view: View, cloud: Float[np.ndarray, "P 3"]) -> None:
     behind = np.flatnonzero(depth <= cut)
     behind = behind[np.argsort(depth[behind])]
     flat = view.flat(cloud[behind])
-    axes.scatter(*flat.T, c=cut - depth[behind], cmap=WALL, s=1.2, linewidths=0, rasterized=True, zorder=1)
+    axes.scatter(*flat.T, c=cut - depth[behind], cmap=DEPTH, s=1.2, linewidths=0, rasterized=True, zorder=1)
 
 
 def _draw_arm(axes: Axes, view: View, robot: Robot, x: Float[np.ndarray, "W N"]) -> None:
@@ -108,7 +97,7 @@ def _draw_arm(axes: Axes, view: View, robot: Robot, x: Float[np.ndarray, "W N"])
     parts = jax.jit(jax.vmap(lambda x: (*capsule_segments(robot, x), tcp_position(robot, x))))(jnp.asarray(x))
     p, q, tcp = map(np.asarray, parts)
     radius = np.asarray(robot.capsule_radius)
-    colours = np.where(np.asarray(robot.on_tool).any(axis=1), TOOL, LINKS)
+    colours = np.where(is_tool(robot.on_tool), TOOL, LINKS)
     for pose in range(len(x)):
         solid = pose == len(x) - 1
         order = np.argsort((p + q)[pose] @ view.near)
@@ -138,20 +127,9 @@ def _draw_targets(axes: Axes, view: View, plans: Plans, row: int) -> None:
     status = plans.status[row]
     flat = view.flat(plans.target[row])
     axes.plot(*flat.T, color=INK, linewidth=0.6, alpha=0.5, zorder=4)
-    for kind in _markers(status):
-        style = {"color": kind.colour, "s": kind.size, "marker": kind.marker, "linewidths": 0.6}
-        axes.scatter(*flat[kind.where].T, edgecolors=PAPER, zorder=5, **style)
-
-
-def _markers(status: Int8[np.ndarray, "T"]) -> list[Kind]:
-    """The kinds of target that a picture tells apart; the failed one last, on top."""
-    failed = ~is_tracked(status) & (status != Status.NOT_ATTEMPTED)
-    return [
-        Kind("not attempted", status == Status.NOT_ATTEMPTED, "#9aa3ab", 10, "o"),
-        Kind("tracked", status == Status.TRACKED, "#1f6fb4", 16, "o"),
-        Kind("tracked after an escape", status == Status.TRACKED_AFTER_ESCAPE, "#e8890c", 34, "D"),
-        Kind("failed", failed, FAILED, 130, "X"),
-    ]
+    for fate in fates(status):
+        style = {"color": fate.colour, "s": fate.size, "marker": fate.marker, "linewidths": 0.6}
+        axes.scatter(*flat[fate.where].T, edgecolors=PAPER, zorder=5, **style)
 
 
 def _frame(axes: Axes, around: Float[np.ndarray, "P 2"] | None) -> None:
@@ -208,11 +186,11 @@ def _draw_clearance(axes: Axes, plans: Plans, row: int, margin_m: float) -> None
     index = np.arange(len(status))
     axes.plot(index, clearance_mm, color=INK, linewidth=0.8, alpha=0.5, zorder=2)
     axes.set_yscale("log")
-    for kind in _markers(status):
-        if kind.where.any():
-            style = {"color": kind.colour, "s": 1.6 * kind.size, "marker": kind.marker, "linewidths": 0.6}
-            points = index[kind.where], clearance_mm[kind.where]
-            axes.scatter(*points, label=kind.name, edgecolors=PAPER, zorder=3, **style)
+    for fate in fates(status):
+        if fate.where.any():
+            style = {"color": fate.colour, "s": 1.6 * fate.size, "marker": fate.marker, "linewidths": 0.6}
+            points = index[fate.where], clearance_mm[fate.where]
+            axes.scatter(*points, label=fate.name, edgecolors=PAPER, zorder=3, **style)
     if margin_m > 0:
         style = {"color": INK, "linewidth": 0.9, "linestyle": "--", "zorder": 1}
         axes.axhline(1e3 * margin_m, label="margin of the step QP", **style)

@@ -1,0 +1,88 @@
+"""OpenGL without a screen, for MuJoCo's renderer: EGL where the machine has it, else OSMesa.
+
+MuJoCo chooses by MUJOCO_GL when it is imported, which is long done by then; PyOpenGL takes its platform once a process.
+So each is tried in a process of its own, and the first that works is taken here.
+"""
+
+import os
+import subprocess
+import sys
+from functools import cache
+
+import mujoco
+import numpy as np
+from jaxtyping import UInt8
+
+from htcp_jax.errors import InputError
+
+PLATFORMS = "egl", "osmesa"
+NEEDED = "install libegl1 and libgl1-mesa-dri (EGL), or libosmesa6 (OSMesa); these are Debian's names"
+TRIAL = """
+import mujoco
+from mujoco.{platform} import GLContext
+context = GLContext(8, 8)
+context.make_current()
+mujoco.MjrContext(mujoco.MjModel.from_xml_string("<mujoco/>"), 100)
+"""
+
+
+class Camera:
+    """Takes pictures of a model, which must allow for the size: `model.vis.global_.offwidth` and `offheight`.
+
+    Use it as a context manager. Raises InputError where there is neither EGL nor OSMesa.
+    """
+
+    def __init__(self, model: mujoco.MjModel, most_geoms: int = 10_000):
+        size = model.vis.global_.offwidth, model.vis.global_.offheight
+        self._gl = _context_class(platform())(*size)
+        self._gl.make_current()
+        self._model, self._rectangle = model, mujoco.MjrRect(0, 0, *size)
+        self._renderer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._renderer)
+        self._scene, self._option = mujoco.MjvScene(model, most_geoms), mujoco.MjvOption()
+
+    def __enter__(self) -> "Camera":
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._gl.make_current()
+        self._renderer.free()
+        self._gl.free()
+
+    def shoot(self, data: mujoco.MjData, view: mujoco.MjvCamera) -> UInt8[np.ndarray, "H W 3"]:
+        """The picture of a state from a view."""
+        self._gl.make_current()
+        everything = mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(self._model, data, self._option, None, view, everything, self._scene)
+        mujoco.mjr_render(self._rectangle, self._scene, self._renderer)
+        pixels = np.empty((self._rectangle.height, self._rectangle.width, 3), np.uint8)
+        mujoco.mjr_readPixels(pixels, None, self._rectangle, self._renderer)
+        return pixels[::-1]  # OpenGL counts rows from below
+
+
+@cache
+def platform() -> str:
+    """The platform that works here; MUJOCO_GL, if it names one, is the only one tried. Raises InputError."""
+    wish = os.environ.get("MUJOCO_GL", "").strip().lower()
+    tried = (wish,) if wish in PLATFORMS else PLATFORMS
+    for name in tried:
+        if _works(name):
+            return name
+    raise InputError(f"no off-screen OpenGL ({' or '.join(tried)}): {NEEDED}")
+
+
+def _works(name: str) -> bool:
+    environment = {**os.environ, "MUJOCO_GL": name}
+    trial = [sys.executable, "-c", TRIAL.format(platform=name)]
+    try:
+        return subprocess.run(trial, env=environment, capture_output=True, timeout=120).returncode == 0
+    except subprocess.TimeoutExpired:
+        return False
+
+
+def _context_class(name: str) -> type:
+    if name == "egl":
+        from mujoco.egl import GLContext  # importing it chooses PyOpenGL's platform
+    else:
+        from mujoco.osmesa import GLContext
+    return GLContext

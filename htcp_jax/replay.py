@@ -1,0 +1,258 @@
+"""Plans to look at: where the arm, the cloud and the targets are, target by target.
+
+    shelf = open_shelf("out/workpiece")         # a run of htcp sweep, a plan of htcp plan, or a job to plan now
+    replay = shelf.replay(12, "nspace-sqp")
+    replay.x[40]                                # the posture at target 40
+
+A picture or a viewer needs nothing else of the package than a `Replay`.
+"""
+
+import json
+import zipfile
+from collections.abc import Callable
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int8
+
+from htcp_jax.clearance import contacts, make_obstacle
+from htcp_jax.config import PlanConfig, validate
+from htcp_jax.errors import InputError
+from htcp_jax.job import robot_of, scene, workpiece_of
+from htcp_jax.kinematics import capsule_segments, tcp_position
+from htcp_jax.metrics import is_tracked
+from htcp_jax.plans import Plans
+from htcp_jax.robot import Robot, lengthen_tool
+from htcp_jax.run_folder import MANIFEST, Run, open_run
+from htcp_jax.run_identity import file_hash
+from htcp_jax.scenario import Scenario
+from htcp_jax.workpiece import Workpiece
+
+SUMMARY, TRAJECTORY = "summary.json", "trajectory.npz"
+ARRAYS = {name: kind for name, kind in Plans.__annotations__.items() if name not in ("compile_s", "run_s")}
+XYZ = "xyz"
+
+
+class Placement(NamedTuple):
+    """How one scenario differs from the others of its shelf; what `clearance.Posed` asks for, and the arm's."""
+
+    T_world_workpiece: Float[np.ndarray, "4 4"]
+    gate_x: Float[np.ndarray, ""]
+    x_start: Float[np.ndarray, "N"]
+    tool_extension_m: float
+
+
+class Witness(NamedTuple):
+    """The pair of points of the smallest distance, at each of T targets."""
+
+    body: list[str]  # the capsule's name
+    arm: Float[np.ndarray, "T 3"]  # on its surface, world [m]
+    cloud: Float[np.ndarray, "T 3"]  # the cloud's point, or the one on the hull that the capsule's end has crossed
+
+
+class Replay(NamedTuple):
+    """One method's plan of one scenario. Where a target is not tracked, the arm stays where it was before."""
+
+    method: str
+    number: int  # of the scenario
+    robot: Robot  # with the scenario's tool
+    cloud: Float[np.ndarray, "P 3"]  # world [m], as is all that follows
+    path: int  # targets from here on are the tool path; the ones before lead to it
+    target: Float[np.ndarray, "T 3"]
+    status: Int8[np.ndarray, "T"]
+    clearance: Float[np.ndarray, "T"]  # NaN where not tracked
+    residual: Float[np.ndarray, "T"]
+    x: Float[np.ndarray, "T N"]
+    p: Float[np.ndarray, "T K 3"]  # ends of the capsules' axes
+    q: Float[np.ndarray, "T K 3"]
+    tcp: Float[np.ndarray, "T 3"]
+    witness: Witness
+
+    @property
+    def tracked(self) -> int:
+        """The number of tracked targets."""
+        return int(is_tracked(self.status).sum())
+
+    @property
+    def failed(self) -> int | None:
+        """The first target that is not tracked."""
+        missed = np.flatnonzero(~is_tracked(self.status))
+        return int(missed[0]) if missed.size else None
+
+
+class Outcome(NamedTuple):
+    """What became of one scenario."""
+
+    number: int
+    tracked: int
+    targets: int
+
+    @property
+    def complete(self) -> bool:
+        """Whether every target is tracked."""
+        return self.tracked == self.targets
+
+
+class Shelf:
+    """The plans of one robot and one workpiece: several scenarios by several methods.
+
+    plans: by the name of a method, rows in the order of the scenarios' numbers from 0; -1 in its status where there
+    is nothing.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        config: PlanConfig,
+        robot: Robot,
+        workpiece: Workpiece,
+        methods: tuple[str, ...],
+        plans: Callable[[str], Plans],
+        placements: dict[int, Placement],
+    ):
+        self.name, self.robot, self.workpiece, self.methods = name, robot, workpiece, methods
+        self._config, self._placements = config, placements
+        self.plans = lru_cache(maxsize=None)(plans)
+
+    def outcomes(self, method: str) -> list[Outcome]:
+        """What became of every scenario that the method has planned; the failed ones first, each kind in order.
+
+        Raises InputError for a method without results.
+        """
+        if method not in self.methods:
+            raise InputError(f"{self.name} has no results of {method!r}; it has {', '.join(self.methods)}")
+        status = self.plans(method).status
+        there = np.flatnonzero((status >= 0).any(axis=1)).tolist()
+        found = [Outcome(k, int(is_tracked(status[k]).sum()), int((status[k] >= 0).sum())) for k in there]
+        return sorted(found, key=lambda outcome: outcome.complete)
+
+    def replay(self, number: int, method: str) -> Replay:
+        """The plan of a scenario by a method. Raises InputError for one that is not there, naming those that are."""
+        numbers = sorted(outcome.number for outcome in self.outcomes(method))
+        if number not in numbers:
+            raise InputError(f"{self.name} has no scenario {number} by {method}; it has {_spans(numbers)}")
+        placement = self._placements[number]
+        row = {name: getattr(self.plans(method), name)[number] for name in ARRAYS}
+        there = row["status"] >= 0
+        x = _held(row["x"][there], placement.x_start)
+        robot = lengthen_tool(self.robot, placement.tool_extension_m)
+        p, q, tcp, body, near, far = map(np.asarray, _looked_at(robot, self._obstacle, placement, jnp.asarray(x)))
+        T = placement.T_world_workpiece
+        names = [self.robot.capsule_names[k] for k in body.tolist()]
+        return Replay(
+            method=method,
+            number=number,
+            robot=robot,
+            cloud=self.workpiece.cloud @ T[:3, :3].T + T[:3, 3],
+            path=min(1 + self._config.workpiece.approach_to_inlet + self._config.workpiece.approach_to_path, len(x)),
+            target=row["target"][there],
+            status=row["status"][there],
+            clearance=row["clearance"][there],
+            residual=row["residual"][there],
+            x=x,
+            p=p,
+            q=q,
+            tcp=tcp,
+            witness=Witness(names, near, far),
+        )
+
+    @cached_property
+    def _obstacle(self):
+        return make_obstacle(self.workpiece)
+
+
+def open_shelf(folder: str | Path) -> Shelf:
+    """The plans in the folder of a sweep or of one plan. Raises InputError for any other folder, for damaged files,
+    and for a cloud, path or model that has changed since the run."""
+    folder = Path(folder)
+    if (folder / MANIFEST).exists():
+        return _of_run(open_run(folder))
+    if (folder / SUMMARY).exists():
+        return _of_plan(folder)
+    raise InputError(f"{folder} holds neither a run of htcp sweep ({MANIFEST}) nor a plan of htcp plan ({SUMMARY})")
+
+
+def shelf_of(
+    name: str, job: PlanConfig, robot: Robot, workpiece: Workpiece, scenario: Scenario, plans: Plans
+) -> Shelf:
+    """The shelf of one plan."""
+    placement = Placement(
+        T_world_workpiece=np.asarray(scenario.T_world_workpiece),
+        gate_x=np.asarray(scenario.gate_x),
+        x_start=np.asarray(scenario.x_start),
+        tool_extension_m=float(scenario.tool_extension_m),
+    )
+    return Shelf(name, job, robot, workpiece, (job.method,), lambda _: plans, {0: placement})
+
+
+def _of_run(run: Run) -> Shelf:
+    for file, known in run.manifest.files.items():
+        if file_hash(file) != known:
+            raise InputError(f"{file} is not what it was when {run.folder} was planned")
+    methods = tuple(dict.fromkeys(shard.method for shard in run.manifest.shards))
+    config, rows = run.config, run.scenarios(*methods).to_pylist()
+    # The targets are on record, so that the paths of the scenarios are not needed.
+    robot, workpiece = robot_of(config.robot), workpiece_of(config.workpiece)
+    placements = {row["scenario"]: _placement(row, workpiece, run.manifest.joints) for row in rows}
+    return Shelf(str(run.folder), config, robot, workpiece, methods, run.plans, placements)
+
+
+def _placement(row: dict[str, Any], workpiece: Workpiece, joints: tuple[str, ...]) -> Placement:
+    shift = tuple(row[f"shift_{axis}_m"] for axis in XYZ)
+    T = workpiece.T_world(row["rotation_y_rad"], row["rotation_z_rad"], shift)
+    start = np.array([row[f"start_{joint}"] for joint in joints])
+    return Placement(T, np.asarray(workpiece.gate_x(T)), start, row["tool_extension_m"])
+
+
+def _of_plan(folder: Path) -> Shelf:
+    try:
+        raw = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))["config"]
+        with np.load(folder / TRAJECTORY, allow_pickle=False) as file:
+            arrays = {name: file[name][None] for name in ARRAYS}
+    except OSError as error:
+        raise InputError(f"{folder} holds no plan: cannot read {error.filename}: {error.strerror}") from None
+    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(f"{folder}: {SUMMARY} or {TRAJECTORY} is damaged: {error}") from None
+    job: PlanConfig = validate(raw, PlanConfig, str(folder / SUMMARY))
+    robot, workpiece, scenario = scene(job)
+    if arrays["target"].shape != (1, *scenario.targets.shape) or arrays["x"].shape[2] != len(robot.joint_names):
+        raise InputError(f"{folder / TRAJECTORY} is no plan of the configuration beside it; damaged")
+    plans = Plans(**arrays, compile_s=0.0, run_s=0.0)
+    return shelf_of(str(folder), job, robot, workpiece, scenario, plans)
+
+
+@jax.jit
+def _looked_at(robot: Robot, obstacle, where: Placement, x: Float[jax.Array, "T N"]):
+    """Capsules' ends, TCP, and the witness of the smallest distance (body, point on it, point of the cloud), of every
+    configuration."""
+
+    def one(x):
+        p, q = capsule_segments(robot, x)
+        touch = contacts(robot, obstacle, where, x)
+        body = jnp.argmin(touch.distance)
+        point, normal, crossed = touch.point[body], touch.normal[body], touch.crossed[body]
+        arm = point - jnp.where(crossed, 0.0, robot.capsule_radius[body]) * normal
+        return p, q, tcp_position(robot, x), body, arm, arm - touch.distance[body] * normal
+
+    return jax.vmap(one)(x)
+
+
+def _held(x: Float[np.ndarray, "T N"], start: Float[np.ndarray, "N"]) -> Float[np.ndarray, "T N"]:
+    """The configurations, with the last known one in the place of those that are not known."""
+    rows = np.concatenate([start[None], x])
+    known = np.where(np.isnan(rows).any(axis=1), 0, np.arange(len(rows)))
+    return rows[np.maximum.accumulate(known)][1:]
+
+
+def _spans(numbers: list[int]) -> str:
+    """Sorted numbers as a person writes them: 0 to 3, 7."""
+    parts, first = [], 0
+    for k, number in enumerate(numbers):
+        if k + 1 == len(numbers) or numbers[k + 1] != number + 1:
+            parts.append(f"{numbers[first]}" if first == k else f"{numbers[first]} to {number}")
+            first = k + 1
+    return ", ".join(parts)

@@ -1,0 +1,67 @@
+"""A cloud of points as a surface to look at: for every point a normal and a small disc that meets its neighbours."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+
+MOST = 60_000  # points that are shown
+NEIGHBOURS, REACHED = 24, 8  # that a normal is fitted to; the one that a disc reaches beyond
+CORNERS, SURROUNDINGS = 6, 500
+
+
+class Surface(NamedTuple):
+    """P points of a cloud [m]."""
+
+    points: Float[np.ndarray, "P 3"]
+    normals: Float[np.ndarray, "P 3"]  # unit; which of the two sides is left open
+    radius: Float[np.ndarray, "P"]  # of the discs
+
+
+class Mesh(NamedTuple):
+    """Triangles, anticlockwise as seen from where their normals point."""
+
+    vertices: Float[np.ndarray, "V 3"]
+    normals: Float[np.ndarray, "V 3"]
+    faces: Int[np.ndarray, "F 3"]
+
+
+def surface_of(cloud: Float[np.ndarray, "P 3"]) -> Surface:
+    """The surface of a cloud: all of its points, or MOST of them drawn at random, the same each time."""
+    if len(cloud) > MOST:
+        cloud = cloud[np.sort(np.random.default_rng(0).choice(len(cloud), MOST, replace=False))]
+    count = min(NEIGHBOURS, len(cloud) - 1)
+    distance, near = cKDTree(cloud).query(cloud, k=count + 1)
+    spread = cloud[near] - cloud[near].mean(axis=1, keepdims=True)
+    _, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", spread, spread))
+    reach = 1.1 * distance[:, min(REACHED, count)]
+    return Surface(cloud, axes[:, :, 0], np.minimum(reach, 3 * np.median(reach)))
+
+
+def inwards(surface: Surface) -> Surface:
+    """The surface with its normals to the inside: the side on which, seen from a point, its wider surroundings lie."""
+    points, normals, _ = surface
+    some = points[:: max(1, len(points) // SURROUNDINGS)]
+    width = np.ptp(points, axis=0).max() / 4
+    squared = (points**2).sum(axis=1)[:, None] - 2 * points @ some.T + (some**2).sum(axis=1)
+    weight = np.exp(-squared / (2 * width**2))
+    middle = weight @ some / weight.sum(axis=1, keepdims=True)
+    side = np.where(((middle - points) * normals).sum(axis=1) < 0, -1.0, 1.0)
+    return surface._replace(normals=normals * side[:, None])
+
+
+def discs(surface: Surface, side: int = 1) -> Mesh:
+    """A hexagon for every point, seen from where its normal points, or with `side` -1 from where it does not."""
+    normals = side * surface.normals
+    first = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
+    first *= (surface.radius / np.linalg.norm(first, axis=1))[:, None]
+    second = np.cross(normals, first)
+    angle = 2 * np.pi * np.arange(CORNERS) / CORNERS
+    around = np.cos(angle)[:, None] * first[:, None] + np.sin(angle)[:, None] * second[:, None]
+    fan = np.array([[0, k, k + 1] for k in range(1, CORNERS - 1)])
+    return Mesh(
+        vertices=(surface.points[:, None] + around).reshape(-1, 3),
+        normals=np.repeat(normals, CORNERS, axis=0),
+        faces=(CORNERS * np.arange(len(normals))[:, None, None] + fan).reshape(-1, 3),
+    )
