@@ -16,9 +16,11 @@ from htcp_jax.cli_ceiling import ceiling_command
 from htcp_jax.cli_doctor import doctor
 from htcp_jax.cli_methods import methods
 from htcp_jax.cli_plan import plan
+from htcp_jax.cli_render import render
 from htcp_jax.cli_report import report
 from htcp_jax.cli_sweep import sweep
 from htcp_jax.cli_validate import validate
+from htcp_jax.cli_view import view
 from htcp_jax.errors import InputError, Interrupted
 
 BAD_INPUT, INTERRUPTED = 2, 130
@@ -28,6 +30,8 @@ app.command(short_help="Plan one job; a table, the trajectory, a picture.")(plan
 app.command(short_help="Plan every scenario of a grid by several methods.")(sweep)
 app.command(short_help="Tables and charts of sweeps, beside the paper's figures.")(report)
 app.command(short_help="Check results by MuJoCo alone.")(validate)
+app.command(short_help="Look at plans in the browser, target by target.")(view)
+app.command(short_help="A picture and a movie of one plan.")(render)
 app.command("ceiling", short_help="How much is reachable at all, whatever the method.")(ceiling_command)
 app.command(short_help="List the planners and what each does.")(methods)
 app.command(short_help="Look at this installation and test it in 2 s.")(doctor)
@@ -58,6 +62,8 @@ def htcp(
       htcp sweep sweeps/workpiece.yaml --methods baseline,hybrid    49 poses; results in out/workpiece
       htcp report out/workpiece                  tables and charts: out/report/report.html
       htcp validate out/workpiece                every tracked target again, by MuJoCo alone
+      htcp view out/workpiece                    look at them in the browser, failed ones first
+      htcp render out/workpiece --scenario 24    a picture and a movie of one of them
     \b
     Good to know:
       htcp methods                               the planners

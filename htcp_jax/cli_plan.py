@@ -54,7 +54,7 @@ def plan(
     job = load_config(config, chosen)
     parts = checked_scene(job)  # before a folder is made
     with written_whole(out) as folder:
-        made = _plan_with_progress(job, parts)
+        made = plan_with_progress(job, parts)
         made.write(folder)
     forget_validation(out)
     if as_json:
@@ -66,7 +66,7 @@ def plan(
     return COMPLETE if made.complete else INCOMPLETE
 
 
-def _plan_with_progress(job: PlanConfig, parts: tuple[Robot, Workpiece, Scenario]) -> Plan:
+def plan_with_progress(job: PlanConfig, parts: tuple[Robot, Workpiece, Scenario]) -> Plan:
     """The plan, with a bar of tracked targets on a terminal and nothing elsewhere."""
     console = Console(stderr=True)
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()

@@ -6,10 +6,12 @@ import numpy as np
 from jaxtyping import Bool, Int8
 
 from htcp_jax.metrics import is_tracked
+from htcp_jax.robot import Robot
 from htcp_jax.status import Status
 
 LINKS, TOOL, INK, PAPER, FAILED = "#8d99a6", "#3c6e71", "#22303c", "#ffffff", "#c8102e"
 WALL = "#8a7a5f", "#d9cfba", "#efe9dc"  # at the cut, and lighter the deeper
+OUTSIDE = "#a3917a"  # of the wall
 
 
 class Fate(NamedTuple):
@@ -33,6 +35,11 @@ def fates(status: Int8[np.ndarray, "T"]) -> list[Fate]:
     ]
 
 
-def is_tool(on_tool: np.ndarray) -> Bool[np.ndarray, "K"]:
-    """Which capsules are the tool's, by `Robot.on_tool`."""
-    return np.asarray(on_tool).any(axis=1)
+def is_tool(robot: Robot) -> Bool[np.ndarray, "K"]:
+    """Which capsules are the tool's."""
+    return np.asarray(robot.on_tool).any(axis=1)
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """#rrggbb as three numbers up to 255."""
+    return tuple(int(colour[k : k + 2], 16) for k in (1, 3, 5))

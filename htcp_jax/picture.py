@@ -97,7 +97,7 @@ def _draw_arm(axes: Axes, view: View, robot: Robot, x: Float[np.ndarray, "W N"])
     parts = jax.jit(jax.vmap(lambda x: (*capsule_segments(robot, x), tcp_position(robot, x))))(jnp.asarray(x))
     p, q, tcp = map(np.asarray, parts)
     radius = np.asarray(robot.capsule_radius)
-    colours = np.where(is_tool(robot.on_tool), TOOL, LINKS)
+    colours = np.where(is_tool(robot), TOOL, LINKS)
     for pose in range(len(x)):
         solid = pose == len(x) - 1
         order = np.argsort((p + q)[pose] @ view.near)

@@ -13,19 +13,17 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from htcp_jax.fates import FAILED, LINKS, TOOL, WALL, fates, is_tool
+from htcp_jax.fates import FAILED, LINKS, OUTSIDE, TOOL, WALL, fates, is_tool, rgb
+from htcp_jax.framing import kept, open_side, sight
 from htcp_jax.kinematics import capsule_segments, tcp_position
 from htcp_jax.offscreen import Camera
-from htcp_jax.picture import side_view
-from htcp_jax.replay import Replay
-from htcp_jax.surface import discs, inwards, surface_of
+from htcp_jax.replay import Replay, with_tip
+from htcp_jax.surface import discs
 
 BEAD_M, FAILED_M, TIP_M = 0.008, 0.018, 0.007  # radii of the targets, the failed one, the tool's bare tip
 STRIDE_M = 0.04  # nothing moves further from one frame of a movie to the next
-OUTSIDE = "#a3917a"  # of the cloud
 FLOOR, EDGE, SKY = (0.95, 0.955, 0.96), (0.85, 0.87, 0.89), (0.92, 0.935, 0.95)
-FOVY_DEG, ASIDE_DEG, ABOVE_DEG = 32.0, -28.0, 16.0  # of the camera; aside of the side view
-ROOM = 0.94  # share of the picture that what is looked at may fill
+FOVY_DEG = 32.0
 UNTOUCHED = {"contype": 0, "conaffinity": 0}  # nothing collides: the plan is what it is
 
 _Geom = mujoco.mjtGeom
@@ -43,13 +41,14 @@ class Posture(NamedTuple):
 class Studio:
     """A scene built once, to take frames of.
 
-    close: look at the cloud, and not at the whole arm. Use it as a context manager. Raises InputError where OpenGL is
+    close: look at the cloud and the tool, not at the whole arm. fine: smooth edges and shadows, at three times the time
+    of a frame. Use it as a context manager. Raises InputError where OpenGL is
     missing.
     """
 
-    def __init__(self, replay: Replay, width: int = 1280, height: int = 880, close: bool = False):
+    def __init__(self, replay: Replay, width: int = 1280, height: int = 880, close: bool = False, fine: bool = True):
         self._replay, self._close = replay, close
-        self._model = _model(replay, width, height)
+        self._model = _model(replay, width, height, fine)
         self._data = mujoco.MjData(self._model)
         self._camera = Camera(self._model)
         self._beads = np.array([self._model.geom(f"target {t}").id for t in range(len(replay.target))])
@@ -64,19 +63,17 @@ class Studio:
 
     def still(self, target: int) -> UInt8[np.ndarray, "H W 3"]:
         """The arm at a target, all targets in their colours."""
-        posture = at(self._replay, target)
-        return self._frame(posture, self._view([posture]), len(self._beads))
+        return self._frame(at(self._replay, target), self._view(slice(target, target + 1)), len(self._beads))
 
     def movie(self) -> Iterator[UInt8[np.ndarray, "H W 3"]]:
         """The way along the targets up to the last that is tracked; they take their colours as they are met."""
-        postures = way(self._replay)
-        view = self._view(postures)
+        postures, view = way(self._replay), self._view(slice(None))
         for posture in postures:
             yield self._frame(posture, view, posture.target + 1)
         yield self._frame(postures[-1], view, len(self._beads))
 
     def _frame(self, posture: Posture, view: mujoco.MjvCamera, met: int) -> UInt8[np.ndarray, "H W 3"]:
-        ends = _with_tip(posture)
+        ends = with_tip(*posture[:3])
         self._data.mocap_pos[:] = (ends[0] + ends[1]) / 2
         for body, axis in enumerate(ends[1] - ends[0]):
             mujoco.mju_quatZ2Vec(self._data.mocap_quat[body], axis)
@@ -87,17 +84,16 @@ class Studio:
         mujoco.mj_camlight(self._model, self._data)
         return self._camera.shoot(self._data, view)
 
-    def _view(self, postures: list[Posture]) -> mujoco.MjvCamera:
-        """From where the path is seen through the cut, just far enough away for all of the cloud and of the arm."""
-        side = side_view(self._replay.cloud, self._replay.target)
-        azimuth = np.arctan2(-side.near[1], -side.near[0]) + np.radians(ASIDE_DEG)
-        bodies = is_tool(self._replay.robot.on_tool) if self._close else slice(None)
-        ends = np.concatenate([end[bodies] for posture in postures for end in (posture.p, posture.q)])
-        radius = np.tile(np.asarray(self._replay.robot.capsule_radius)[bodies], 2 * len(postures))
-        seen = np.concatenate([self._replay.cloud, ends])
-        radii = np.concatenate([np.zeros(len(self._replay.cloud)), radius])
-        size = self._model.vis.global_
-        return _fitted(seen, radii, azimuth, -np.radians(ABOVE_DEG), size.offwidth / size.offheight)
+    def _view(self, targets: slice) -> mujoco.MjvCamera:
+        on_tool = is_tool(self._replay.robot)
+        size, bodies = self._model.vis.global_, on_tool if self._close else np.ones_like(on_tool)
+        eye, look_at = sight(self._replay, targets, np.radians(FOVY_DEG), size.offwidth / size.offheight, bodies)
+        ahead = look_at - eye
+        camera = mujoco.MjvCamera()
+        camera.lookat[:], camera.distance = look_at, np.linalg.norm(ahead)
+        camera.azimuth = np.degrees(np.arctan2(ahead[1], ahead[0]))
+        camera.elevation = np.degrees(np.arcsin(ahead[2] / camera.distance))
+        return camera
 
 
 def at(replay: Replay, target: int) -> Posture:
@@ -124,18 +120,11 @@ def _postures(robot, x: Float[jax.Array, "F N"]):
     return jax.vmap(lambda x: (*capsule_segments(robot, x), tcp_position(robot, x)))(x)
 
 
-def _with_tip(posture: Posture) -> Float[np.ndarray, "2 K1 3"]:
-    """Ends of the capsules and, last, of the tool's bare tip: from the nearest end of a capsule to the TCP."""
-    ends = np.concatenate([posture.p, posture.q])
-    nearest = ends[np.linalg.norm(ends - posture.tcp, axis=1).argmin()]
-    return np.stack([np.vstack([posture.p, nearest]), np.vstack([posture.q, posture.tcp])])
-
-
-def _model(replay: Replay, width: int, height: int) -> mujoco.MjModel:
+def _model(replay: Replay, width: int, height: int, fine: bool) -> mujoco.MjModel:
     spec = mujoco.MjSpec()
-    ends = _with_tip(at(replay, 0))
+    ends = with_tip(*at(replay, 0)[:3])
     radius = np.append(np.asarray(replay.robot.capsule_radius), TIP_M)
-    colours = [*np.where(is_tool(replay.robot.on_tool), TOOL, LINKS), TOOL]
+    colours = [*np.where(is_tool(replay.robot), TOOL, LINKS), TOOL]
     for p, q, r, colour in zip(*ends, radius, colours, strict=True):
         half = np.linalg.norm(q - p) / 2
         kind = {"type": _Geom.mjGEOM_CAPSULE} if half > 0 else {"type": _Geom.mjGEOM_SPHERE}
@@ -149,7 +138,7 @@ def _model(replay: Replay, width: int, height: int) -> mujoco.MjModel:
             spec.worldbody.add_geom(**place, **bead, material="bead", rgba=_rgba(fate.colour), **UNTOUCHED)
     _add_cloud(spec, replay)
     low = min(0.0, replay.cloud[:, 2].min(), (np.minimum(replay.p, replay.q)[..., 2] - radius[:-1]).min())
-    _add_room(spec, replay, low)
+    _add_room(spec, replay, low, fine)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
     spec.visual.global_.fovy = FOVY_DEG
     return spec.compile()
@@ -157,10 +146,7 @@ def _model(replay: Replay, width: int, height: int) -> mujoco.MjModel:
 
 def _add_cloud(spec: mujoco.MjSpec, replay: Replay) -> None:
     """The half of the cloud that the side view shows, as discs: lighter inside than outside."""
-    near = side_view(replay.cloud, replay.target).near
-    depth = replay.cloud @ near
-    surface = surface_of(replay.cloud[depth <= (depth.max() + depth.min()) / 2])
-    surface = inwards(surface)
+    surface = replay.surface.only(kept(replay))
     for name, side, colour in (("inside", 1, WALL[1]), ("outside", -1, OUTSIDE)):
         mesh = discs(surface, side)
         arrays = {"uservert": mesh.vertices, "usernormal": mesh.normals, "userface": mesh.faces}
@@ -169,50 +155,30 @@ def _add_cloud(spec: mujoco.MjSpec, replay: Replay) -> None:
         spec.worldbody.add_geom(type=_Geom.mjGEOM_MESH, meshname=name, rgba=_rgba(colour), **UNTOUCHED)
 
 
-def _add_room(spec: mujoco.MjSpec, replay: Replay, low: float) -> None:
+def _add_room(spec: mujoco.MjSpec, replay: Replay, low: float, fine: bool) -> None:
     """Floor, sky and light."""
     kind, drawn, mark = mujoco.mjtTexture, mujoco.mjtBuiltin, mujoco.mjtMark
     tiles = {"builtin": drawn.mjBUILTIN_FLAT, "mark": mark.mjMARK_EDGE, "rgb1": FLOOR, "rgb2": FLOOR, "markrgb": EDGE}
     spec.add_texture(name="tiles", type=kind.mjTEXTURE_2D, **tiles, width=512, height=512)
     sky = {"builtin": drawn.mjBUILTIN_FLAT, "rgb1": SKY, "rgb2": SKY}
     spec.add_texture(name="sky", type=kind.mjTEXTURE_SKYBOX, **sky, width=64, height=64)
-    floor = spec.add_material(name="floor", texrepeat=[2, 2], texuniform=True)
+    floor = spec.add_material(name="floor", texrepeat=[2, 2], texuniform=True, emission=0.12)
     floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
     plane = {"type": _Geom.mjGEOM_PLANE, "size": [0, 0, 0.1], "pos": [0, 0, low]}
     spec.worldbody.add_geom(**plane, material="floor", **UNTOUCHED)
-    near = side_view(replay.cloud, replay.target).near
+    near = open_side(replay).near
     lamp = spec.worldbody.add_light(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, castshadow=True)
-    lamp.dir = [*-near[:2], -0.75]  # into the open side
+    lamp.dir = [*-near[:2], -0.9]  # into the open side
     lamp.pos = replay.cloud.mean(axis=0) - 3 * lamp.dir
     lamp.diffuse, lamp.specular = [0.42] * 3, [0.15] * 3
     visual = spec.visual
     visual.headlight.ambient, visual.headlight.diffuse, visual.headlight.specular = [0.5] * 3, [0.3] * 3, [0.08] * 3
-    visual.quality.shadowsize, visual.quality.offsamples = 8192, 8
-    visual.quality.numslices, visual.quality.numstacks = 64, 32
+    visual.quality.shadowsize, visual.quality.offsamples = (8192, 8) if fine else (2048, 4)
+    visual.quality.numslices, visual.quality.numstacks = (64, 32) if fine else (32, 16)
     visual.map.znear, visual.rgba.haze = 0.01, [*SKY, 1]
     reach = np.ptp(np.concatenate([replay.cloud, replay.p.reshape(-1, 3)]), axis=0)
     spec.stat.extent, spec.stat.center = np.linalg.norm(reach), replay.cloud.mean(axis=0)
 
 
-def _fitted(
-    centres: Float[np.ndarray, "n 3"], radii: Float[np.ndarray, "n"], azimuth: float, elevation: float, aspect: float
-) -> mujoco.MjvCamera:
-    """A camera that looks in the direction given [rad] and sees all of these spheres, from as near as it can."""
-    ahead = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
-    right = np.array([np.sin(azimuth), -np.cos(azimuth), 0])
-    up = np.cross(right, ahead)
-    across, depth = centres @ np.stack([right, up], axis=1), centres @ ahead
-    slope = ROOM * np.tan(np.radians(FOVY_DEG) / 2) * np.array([aspect, 1.0])
-    # |across - middle| + radius / cos <= (depth - own) slope, to all sides and with the least way back
-    reach = radii[:, None] * np.hypot(1, slope) - depth[:, None] * slope
-    more, less = (reach + across).max(axis=0), (reach - across).max(axis=0)
-    own, middle = -((more + less) / (2 * slope)).max(), (more - less) / 2
-    camera = mujoco.MjvCamera()
-    camera.azimuth, camera.elevation = np.degrees(azimuth), np.degrees(elevation)
-    camera.distance = depth.mean() - own
-    camera.lookat[:] = middle[0] * right + middle[1] * up + depth.mean() * ahead
-    return camera
-
-
 def _rgba(colour: str) -> list[float]:
-    return [*(int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)), 1.0]
+    return [*(part / 255 for part in rgb(colour)), 1.0]

@@ -19,7 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int8
 
-from htcp_jax.clearance import contacts, make_obstacle
+from htcp_jax.api import Plan
+from htcp_jax.clearance import Obstacle, contacts, make_obstacle
 from htcp_jax.config import PlanConfig, validate
 from htcp_jax.errors import InputError
 from htcp_jax.job import robot_of, scene, workpiece_of
@@ -29,11 +30,11 @@ from htcp_jax.plans import Plans
 from htcp_jax.robot import Robot, lengthen_tool
 from htcp_jax.run_folder import MANIFEST, Run, open_run
 from htcp_jax.run_identity import file_hash
-from htcp_jax.scenario import Scenario
+from htcp_jax.surface import Surface, surface_of
 from htcp_jax.workpiece import Workpiece
 
 SUMMARY, TRAJECTORY = "summary.json", "trajectory.npz"
-ARRAYS = {name: kind for name, kind in Plans.__annotations__.items() if name not in ("compile_s", "run_s")}
+ARRAYS = tuple(name for name in Plans._fields if name not in ("compile_s", "run_s"))
 XYZ = "xyz"
 
 
@@ -60,7 +61,7 @@ class Replay(NamedTuple):
     method: str
     number: int  # of the scenario
     robot: Robot  # with the scenario's tool
-    cloud: Float[np.ndarray, "P 3"]  # world [m], as is all that follows
+    surface: Surface  # of the cloud; world [m], as is all that follows
     path: int  # targets from here on are the tool path; the ones before lead to it
     target: Float[np.ndarray, "T 3"]
     status: Int8[np.ndarray, "T"]
@@ -71,6 +72,11 @@ class Replay(NamedTuple):
     q: Float[np.ndarray, "T K 3"]
     tcp: Float[np.ndarray, "T 3"]
     witness: Witness
+
+    @property
+    def cloud(self) -> Float[np.ndarray, "P 3"]:
+        """The points to draw; the clearance is to all of the workpiece's."""
+        return self.surface.points
 
     @property
     def tracked(self) -> int:
@@ -141,13 +147,12 @@ class Shelf:
         x = _held(row["x"][there], placement.x_start)
         robot = lengthen_tool(self.robot, placement.tool_extension_m)
         p, q, tcp, body, near, far = map(np.asarray, _looked_at(robot, self._obstacle, placement, jnp.asarray(x)))
-        T = placement.T_world_workpiece
         names = [self.robot.capsule_names[k] for k in body.tolist()]
         return Replay(
             method=method,
             number=number,
             robot=robot,
-            cloud=self.workpiece.cloud @ T[:3, :3].T + T[:3, 3],
+            surface=self._surface.placed(placement.T_world_workpiece),
             path=min(1 + self._config.workpiece.approach_to_inlet + self._config.workpiece.approach_to_path, len(x)),
             target=row["target"][there],
             status=row["status"][there],
@@ -161,8 +166,12 @@ class Shelf:
         )
 
     @cached_property
-    def _obstacle(self):
+    def _obstacle(self) -> Obstacle:
         return make_obstacle(self.workpiece)
+
+    @cached_property
+    def _surface(self) -> Surface:
+        return surface_of(self.workpiece.cloud)
 
 
 def open_shelf(folder: str | Path) -> Shelf:
@@ -176,17 +185,16 @@ def open_shelf(folder: str | Path) -> Shelf:
     raise InputError(f"{folder} holds neither a run of htcp sweep ({MANIFEST}) nor a plan of htcp plan ({SUMMARY})")
 
 
-def shelf_of(
-    name: str, job: PlanConfig, robot: Robot, workpiece: Workpiece, scenario: Scenario, plans: Plans
-) -> Shelf:
+def shelf_of(name: str, plan: Plan) -> Shelf:
     """The shelf of one plan."""
+    where = plan.scenario
     placement = Placement(
-        T_world_workpiece=np.asarray(scenario.T_world_workpiece),
-        gate_x=np.asarray(scenario.gate_x),
-        x_start=np.asarray(scenario.x_start),
-        tool_extension_m=float(scenario.tool_extension_m),
+        T_world_workpiece=np.asarray(where.T_world_workpiece),
+        gate_x=np.asarray(where.gate_x),
+        x_start=np.asarray(where.x_start),
+        tool_extension_m=float(where.tool_extension_m),
     )
-    return Shelf(name, job, robot, workpiece, (job.method,), lambda _: plans, {0: placement})
+    return Shelf(name, plan.job, plan.robot, plan.workpiece, (plan.job.method,), lambda _: plan.plans, {0: placement})
 
 
 def _of_run(run: Run) -> Shelf:
@@ -222,11 +230,20 @@ def _of_plan(folder: Path) -> Shelf:
     if arrays["target"].shape != (1, *scenario.targets.shape) or arrays["x"].shape[2] != len(robot.joint_names):
         raise InputError(f"{folder / TRAJECTORY} is no plan of the configuration beside it; damaged")
     plans = Plans(**arrays, compile_s=0.0, run_s=0.0)
-    return shelf_of(str(folder), job, robot, workpiece, scenario, plans)
+    return shelf_of(str(folder), Plan(job, robot, workpiece, scenario, plans))
+
+
+def with_tip(
+    p: Float[np.ndarray, "K 3"], q: Float[np.ndarray, "K 3"], tcp: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "2 K1 3"]:
+    """Ends of the capsules and, last, of the tool's bare tip: from the nearest of these ends to the TCP."""
+    ends = np.concatenate([p, q])
+    nearest = ends[np.linalg.norm(ends - tcp, axis=1).argmin()]
+    return np.stack([np.vstack([p, nearest]), np.vstack([q, tcp])])
 
 
 @jax.jit
-def _looked_at(robot: Robot, obstacle, where: Placement, x: Float[jax.Array, "T N"]):
+def _looked_at(robot: Robot, obstacle: Obstacle, where: Placement, x: Float[jax.Array, "T N"]):
     """Capsules' ends, TCP, and the witness of the smallest distance (body, point on it, point of the cloud), of every
     configuration."""
 

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 MOST = 60_000  # points that are shown
@@ -15,8 +15,17 @@ class Surface(NamedTuple):
     """P points of a cloud [m]."""
 
     points: Float[np.ndarray, "P 3"]
-    normals: Float[np.ndarray, "P 3"]  # unit; which of the two sides is left open
+    normals: Float[np.ndarray, "P 3"]  # unit, to the inside
     radius: Float[np.ndarray, "P"]  # of the discs
+
+    def only(self, which: Bool[np.ndarray, "P"]) -> "Surface":
+        """Those of the points."""
+        return Surface(*(values[which] for values in self))
+
+    def placed(self, T: Float[np.ndarray, "4 4"]) -> "Surface":
+        """The surface moved."""
+        rotate, translate = T[:3, :3], T[:3, 3]
+        return Surface(self.points @ rotate.T + translate, self.normals @ rotate.T, self.radius)
 
 
 class Mesh(NamedTuple):
@@ -36,19 +45,17 @@ def surface_of(cloud: Float[np.ndarray, "P 3"]) -> Surface:
     spread = cloud[near] - cloud[near].mean(axis=1, keepdims=True)
     _, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", spread, spread))
     reach = 1.1 * distance[:, min(REACHED, count)]
-    return Surface(cloud, axes[:, :, 0], np.minimum(reach, 3 * np.median(reach)))
+    return Surface(cloud, _inwards(cloud, axes[:, :, 0]), np.minimum(reach, 3 * np.median(reach)))
 
 
-def inwards(surface: Surface) -> Surface:
-    """The surface with its normals to the inside: the side on which, seen from a point, its wider surroundings lie."""
-    points, normals, _ = surface
+def _inwards(points: Float[np.ndarray, "P 3"], normals: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 3"]:
+    """The normals turned to the side on which, seen from a point, its wider surroundings lie."""
     some = points[:: max(1, len(points) // SURROUNDINGS)]
-    width = np.ptp(points, axis=0).max() / 4
+    width = max(np.ptp(points, axis=0).max() / 4, 1e-9)
     squared = (points**2).sum(axis=1)[:, None] - 2 * points @ some.T + (some**2).sum(axis=1)
     weight = np.exp(-squared / (2 * width**2))
     middle = weight @ some / weight.sum(axis=1, keepdims=True)
-    side = np.where(((middle - points) * normals).sum(axis=1) < 0, -1.0, 1.0)
-    return surface._replace(normals=normals * side[:, None])
+    return normals * np.where(((middle - points) * normals).sum(axis=1) < 0, -1.0, 1.0)[:, None]
 
 
 def discs(surface: Surface, side: int = 1) -> Mesh:

@@ -28,11 +28,12 @@ LAYERS = [
     ["run_folder", "run_identity", "run_lock", "run_tables", "run_writer", "sweep", "gate"],
     ["validate", "validate_arm", "validate_input", "validate_track", "validate_wall"],
     ["report", "report_chapter", "report_tables", "run_parts"],
-    ["picture", "viewer"],
+    ["fates", "picture"],
     ["api"],
+    ["framing", "movie", "offscreen", "render", "replay", "surface", "viewer", "viewer_stage"],
     ["cli_output"],
     ["cli_doctor", "cli_methods", "cli_plan", "cli_report", "cli_sweep", "cli_validate"],
-    ["cli_ceiling"],
+    ["cli_ceiling", "cli_render", "cli_view"],
     ["cli", "__main__"],
 ]
 LAYER = {module: number for number, row in enumerate(LAYERS) for module in row}

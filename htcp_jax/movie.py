@@ -1,0 +1,58 @@
+"""Frames to files: a GIF, which needs nothing more, or an MP4, which needs the extra `movie`."""
+
+from collections.abc import Iterator
+from itertools import chain, repeat
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image
+
+from htcp_jax.errors import InputError
+
+RATE = 20  # frames a second
+HELD = 20  # times that the last frame is shown
+COLOURS = 128  # of a GIF
+KINDS = "gif", "mp4"
+
+Frame = UInt8[np.ndarray, "H W 3"]
+
+
+def check_kind(kind: str) -> None:
+    """Raise InputError for an unknown kind, and for an MP4 where its encoder is missing."""
+    if kind not in KINDS:
+        raise InputError(f"a movie is one of {', '.join(KINDS)}, not {kind!r}")
+    if kind == "mp4":
+        try:
+            import imageio_ffmpeg  # noqa: F401
+        except ImportError:
+            raise InputError("an MP4 needs imageio-ffmpeg: pip install 'htcp_jax[movie]'; a GIF does not") from None
+
+
+def write_movie(file: Path, frames: Iterator[Frame]) -> None:
+    """Write the frames, the kind by the ending of the name; both sides of an MP4's frames are even."""
+    (_write_gif if file.suffix == ".gif" else _write_mp4)(file, frames)
+
+
+def _write_gif(file: Path, frames: Iterator[Frame]) -> None:
+    """All frames share the colours of the last, which shows everything: what stands still does not flicker."""
+    images = [Image.fromarray(frame) for frame in frames]
+    palette = images[-1].quantize(COLOURS, method=Image.Quantize.MEDIANCUT)
+    first, *others = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+    lasts = [1000 // RATE] * len(others) + [HELD * 1000 // RATE]
+    first.save(file, save_all=True, append_images=others, duration=lasts, loop=0, optimize=False)
+
+
+def _write_mp4(file: Path, frames: Iterator[Frame]) -> None:
+    from imageio_ffmpeg import write_frames
+
+    first = next(frames)
+    height, width = first.shape[:2]
+    film = write_frames(str(file), (width, height), fps=RATE, quality=8, macro_block_size=2)
+    film.send(None)
+    frame = first
+    for frame in chain([first], frames):
+        film.send(np.ascontiguousarray(frame))
+    for last in repeat(np.ascontiguousarray(frame), HELD):
+        film.send(last)
+    film.close()

@@ -1,0 +1,131 @@
+"""Plans to look at: the same from a run, a plan's folder and memory; failed ones first; the smallest distance."""
+
+import json
+
+import numpy as np
+import pytest
+from hand_made import plans_with
+from made_once import START, seven_joints
+
+from htcp_jax import api
+from htcp_jax.duct import duct_cloud
+from htcp_jax.errors import InputError
+from htcp_jax.replay import Shelf, open_shelf, shelf_of
+from htcp_jax.scenario import make_scenario
+from htcp_jax.status import Status
+from htcp_jax.sweep import sweep
+from htcp_jax.workpiece import Workpiece
+
+A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_ESCAPE, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
+GRID = "config: job.yaml\ngrid:\n  - start_rad.joint3: {offsets: [-0.1, 0, 0.1]}\n"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A run of three scenarios with 13 targets, of which the last lies in the wall, and the plan of the second."""
+    folder = tmp_path_factory.mktemp("shelf")
+    (folder / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.1857,-0.25,0.1708\n")
+    np.save(folder / "cloud.npy", duct_cloud(3000))
+    (folder / "job.yaml").write_text(
+        "workpiece: {cloud: cloud.npy, path: path.csv, inlet_m: [0, 0, 0.19138]}\nmethod: baseline\n"
+    )
+    (folder / "grid.yaml").write_text(GRID)
+    sweep(folder / "grid.yaml", "baseline", folder / "run")
+    api.plan(folder / "job.yaml").save(folder / "plan")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def replay(folder):
+    """The run's second scenario."""
+    return open_shelf(folder / "run").replay(1, "baseline")
+
+
+def test_a_run_a_plan_s_folder_and_a_plan_in_memory_show_the_same(folder, replay):
+    replays = [
+        replay,
+        open_shelf(folder / "plan").replay(0, "baseline"),
+        shelf_of("memory", api.plan(folder / "job.yaml")).replay(0, "baseline"),
+    ]
+    for name in ("target", "status", "clearance", "x", "p", "q", "tcp", "cloud"):
+        first, *others = (getattr(replay, name) for replay in replays)
+        for other in others:
+            np.testing.assert_allclose(other, first, atol=1e-12, err_msg=name)
+    assert [(replay.tracked, replay.failed, replay.path) for replay in replays] == [(12, 12, 11)] * 3
+
+
+def test_the_witnesses_are_as_far_apart_as_the_clearance_says(replay):
+    apart = np.linalg.norm(replay.witness.arm - replay.witness.cloud, axis=1)
+    np.testing.assert_allclose(apart[:12], replay.clearance[:12], atol=1e-12)
+    to_cloud = np.linalg.norm(replay.cloud[None] - replay.witness.cloud[:, None], axis=2).min(axis=1)
+    assert to_cloud.max() < 1e-9  # it is a point of the cloud
+    k = replay.robot.capsule_names.index(replay.witness.body[5])
+    p, q, at = replay.p[5, k], replay.q[5, k], replay.witness.arm[5]
+    s = np.clip((at - p) @ (q - p) / max((q - p) @ (q - p), 1e-300), 0, 1)
+    assert np.isclose(np.linalg.norm(p + s * (q - p) - at), replay.robot.capsule_radius[k])  # on the capsule's surface
+
+
+def test_where_nothing_is_tracked_the_arm_stays(replay):
+    assert np.isnan(replay.clearance[12]) and (replay.x[12] == replay.x[11]).all() and not (replay.x[11] == START).all()
+
+
+def by_hand(status: list[list[Status]], folder) -> tuple[Shelf, Workpiece]:
+    """A shelf of an arm that is not the GP50, whose joints rest at zero, its tool 0.1 m longer."""
+    robot = seven_joints(folder)
+    rng = np.random.default_rng(0)
+    workpiece = Workpiece("ball", rng.normal(size=(200, 3)) * 0.2, np.zeros((3, 3)))
+    scenario = make_scenario(robot, workpiece, np.zeros(7), rotation=(0.0, 0.0), approach=(0, 0), tool_extension_m=0.1)
+    plan = api.Plan(api.load_config(), robot, workpiece, scenario, plans_with(status, joints=7))
+    shelf = shelf_of("ball", plan)
+    shelf._placements |= {k: shelf._placements[0] for k in range(len(status))}
+    return shelf, workpiece
+
+
+def test_failed_scenarios_come_first_and_what_is_not_planned_does_not(tmp_path):
+    shelf, _ = by_hand([[A, A, A], [A, LIMIT, NOT], [-1, -1, -1], [E, A, LIMIT], [A, A, -1]], tmp_path)
+    outcomes = shelf.outcomes("nspace-sqp")
+    assert [outcome.number for outcome in outcomes] == [1, 3, 0, 4]
+    assert [(outcome.tracked, outcome.targets) for outcome in outcomes] == [(1, 3), (2, 3), (3, 3), (2, 2)]
+    with pytest.raises(InputError, match="ball has no scenario 2 by nspace-sqp; it has 0 to 1, 3 to 4"):
+        shelf.replay(2, "nspace-sqp")
+    with pytest.raises(InputError, match="ball has no results of 'hybrid'; it has nspace-sqp"):
+        shelf.replay(0, "hybrid")
+
+
+def test_any_arm_is_shown_with_its_scenario_s_tool(tmp_path):
+    shelf, _ = by_hand([[LIMIT, NOT, NOT]], tmp_path)
+    replay = shelf.replay(0, "nspace-sqp")
+    assert replay.p.shape == (3, 8, 3) and replay.tracked == 0
+    # The seven links of 0.3 m stand upright; the TCP is 0.05 m aside and 0.35 m above the last, its z axis upwards.
+    np.testing.assert_allclose(replay.tcp, [[0.05, 0, 7 * 0.3 + 0.35 + 0.1]] * 3, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["summary.json", "trajectory.npz"])
+@pytest.mark.parametrize("data", [b"", b"{}", b"not this"])
+def test_damage_is_one_line(folder, tmp_path, name, data):
+    for file in (folder / "plan").iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(InputError, match=r"damaged|cannot read") as error:
+        open_shelf(tmp_path)
+    assert "\n" not in str(error.value)
+
+
+def test_a_plan_beside_another_configuration_is_refused(folder, tmp_path):
+    for file in (folder / "plan").iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    summary["config"]["workpiece"]["approach_to_path"] += 1
+    (tmp_path / "summary.json").write_text(json.dumps(summary))
+    with pytest.raises(InputError, match=r"trajectory\.npz is no plan of the configuration beside it"):
+        open_shelf(tmp_path)
+
+
+def test_a_folder_of_neither_and_a_changed_file_are_named(folder, tmp_path):
+    with pytest.raises(InputError, match="holds neither a run of htcp sweep"):
+        open_shelf(tmp_path)
+    text = (folder / "path.csv").read_text()
+    (folder / "path.csv").write_text(text + "0.2,-0.17,0.17\n")
+    with pytest.raises(InputError, match=r"path\.csv is not what it was when .*run was planned"):
+        open_shelf(folder / "run")
+    (folder / "path.csv").write_text(text)
