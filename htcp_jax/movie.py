@@ -1,7 +1,8 @@
 """Frames to files: a GIF, which needs nothing more, or an MP4, which needs the extra `movie`."""
 
+import subprocess
 from collections.abc import Iterator
-from itertools import chain, repeat
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -44,15 +45,18 @@ def _write_gif(file: Path, frames: Iterator[Frame]) -> None:
 
 
 def _write_mp4(file: Path, frames: Iterator[Frame]) -> None:
-    from imageio_ffmpeg import write_frames
+    """By the ffmpeg that imageio-ffmpeg brings; called without that package's fork, which JAX's threads forbid."""
+    from imageio_ffmpeg import get_ffmpeg_exe
 
     first = next(frames)
     height, width = first.shape[:2]
-    film = write_frames(str(file), (width, height), fps=RATE, quality=8, macro_block_size=2)
-    film.send(None)
-    frame = first
-    for frame in chain([first], frames):
-        film.send(np.ascontiguousarray(frame))
-    for last in repeat(np.ascontiguousarray(frame), HELD):
-        film.send(last)
-    film.close()
+    raw = "-f rawvideo -pix_fmt rgb24".split()
+    film = "-c:v libx264 -crf 20 -pix_fmt yuv420p -movflags +faststart".split()
+    command = [get_ffmpeg_exe(), "-v", "error", "-y", *raw, "-s", f"{width}x{height}", "-r", str(RATE), "-i", "-"]
+    with subprocess.Popen([*command, *film, file], stdin=subprocess.PIPE, stderr=subprocess.PIPE) as ffmpeg:
+        for frame in chain([first], frames):
+            ffmpeg.stdin.write(frame.tobytes())
+        ffmpeg.stdin.write(HELD * frame.tobytes())
+        _, said = ffmpeg.communicate()
+    if ffmpeg.returncode:
+        raise OSError(ffmpeg.returncode, said.decode(errors="replace").strip() or "ffmpeg failed")

@@ -51,12 +51,17 @@ class Viewer:
         self._stage = Stage(self._server)
         self._build(replay)
         self._show(replay)
-        threading.Thread(target=self._play, daemon=True).start()
+        threading.Thread(target=self._play, name="htcp view: play", daemon=True).start()
 
     @property
     def target(self) -> int:
         """The target that is shown."""
         return self._target
+
+    @property
+    def shown(self) -> tuple[int, str]:
+        """The scenario's number and the method."""
+        return self._replay.number, self._replay.method
 
     @property
     def stage(self) -> Stage:
@@ -132,8 +137,7 @@ class Viewer:
     def _pick_scenario(self) -> None:
         with self._lock:
             number = self._names(self._method.value).get(self._scenario.value)
-            shown = self._replay.number, self._replay.method
-            if number is not None and (number, self._method.value) != shown:
+            if number is not None and (number, self._method.value) != self.shown:
                 self._show(self._shelf.replay(number, self._method.value))
 
     # What is shown
@@ -271,7 +275,7 @@ def _curves(replay: Replay, target: int) -> tuple[np.ndarray, ...]:
 
 
 def _series(replay: Replay) -> tuple[uplot.Series, ...]:
-    def points(colour: str, size: float) -> uplot.Series:
+    def points(colour: str, size: int) -> uplot.Series:
         return {"stroke": colour, "width": 0, "points": {"show": True, "size": size, "fill": colour, "space": 0}}
 
     sizes = {"tracked": 3, "tracked after an escape": 6, "failed": 11}

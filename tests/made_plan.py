@@ -1,0 +1,40 @@
+"""A plan made by hand, to be shown: the GP50 reaches towards a coarse duct, at the speed of no planner."""
+
+from pathlib import Path
+
+import numpy as np
+from hand_made import plans_with
+from made_once import START, robot
+
+from htcp_jax import api
+from htcp_jax.config import load_config
+from htcp_jax.duct import duct_cloud, weld
+from htcp_jax.plans import Plans
+from htcp_jax.scenario import make_scenario
+from htcp_jax.status import Status
+from htcp_jax.workpiece import load_workpiece
+
+A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_ESCAPE, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
+STATUSES = [A, A, A, A, A, A, E, A, LIMIT, NOT], [A] * 10  # of two scenarios: the first fails at target 8
+END = (-0.05, -1.7, 0.3, -0.1, 0.25, -2.0)
+
+
+def made_plan(folder: Path) -> api.Plan:
+    """A plan of the first scenario; the files of its job go into `folder`."""
+    folder.mkdir(exist_ok=True)
+    np.save(folder / "cloud.npy", duct_cloud(3000))
+    np.savetxt(folder / "path.csv", weld()[::14], delimiter=",")
+    steps = {"workpiece.approach_to_inlet": 1, "workpiece.approach_to_path": 1}
+    files = {"workpiece.cloud": str(folder / "cloud.npy"), "workpiece.path": str(folder / "path.csv")}
+    job = load_config(None, steps | files | {"workpiece.inlet_m": (0.0, 0.0, 0.19138), "method": "baseline"})
+    workpiece = load_workpiece(folder / "cloud.npy", folder / "path.csv", inlet=(0.0, 0.0, 0.19138))
+    scenario = make_scenario(robot(), workpiece, START, approach=(1, 1))
+    return api.Plan(job, robot(), workpiece, scenario, made_plans(scenario.targets, STATUSES[:1]))
+
+
+def made_plans(targets: np.ndarray, statuses: list[list[Status]]) -> Plans:
+    """Rows on the way from START to END; the second half of a scenario's way ends short of that of the one before."""
+    plans = plans_with([list(row) for row in statuses], joints=6)
+    ends = [np.linspace(START, END, len(targets)) * (1 - 0.02 * k) for k in range(len(statuses))]
+    x = np.where(np.isnan(plans.x), np.nan, np.stack(ends))
+    return plans._replace(x=x, target=np.repeat(np.asarray(targets)[None], len(statuses), axis=0))

@@ -1,0 +1,216 @@
+"""Pictures and movies: not blank, moving, all in view, the targets' colours; and one line for what is wrong."""
+
+import json
+import subprocess
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from made_once import seven_joints
+from made_plan import STATUSES, made_plan
+from PIL import Image
+
+from htcp_jax import offscreen
+from htcp_jax.cli import main
+from htcp_jax.errors import InputError
+from htcp_jax.fates import FAILED, Fate, fates, rgb
+from htcp_jax.framing import fitted, kept, open_side
+from htcp_jax.movie import HELD, RATE, write_movie
+from htcp_jax.render import STRIDE_M, Studio, way
+from htcp_jax.replay import shelf_of
+
+SIZE = 320, 220
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A plan made by hand and the folder that it is saved in."""
+    folder = tmp_path_factory.mktemp("made")
+    plan = made_plan(folder)
+    plan.save(folder / "plan")
+    return plan, folder / "plan"
+
+
+@pytest.fixture(scope="module")
+def replay(made):
+    return shelf_of("by hand", made[0]).replay(0, "baseline")
+
+
+@pytest.fixture(scope="module")
+def screenless():
+    """Skips a test where OpenGL is missing."""
+    try:
+        offscreen.platform()
+    except InputError as missing:
+        pytest.skip(str(missing))
+
+
+@pytest.fixture(scope="module")
+def frames(replay, screenless):
+    """The frames of a small movie."""
+    with Studio(replay, *SIZE, fine=False) as studio:
+        return list(studio.movie())
+
+
+def near(frame: np.ndarray, colour: str) -> int:
+    """The number of pixels whose hue is that colour's: light and shade change a colour's length more than its
+    direction."""
+    pixels, wanted = frame.reshape(-1, 3) - frame.reshape(-1, 3).mean(axis=1, keepdims=True), np.array(rgb(colour))
+    wanted = (wanted - wanted.mean()) / np.linalg.norm(wanted - wanted.mean())
+    return int(((pixels @ wanted) > np.maximum(40, 0.97 * np.linalg.norm(pixels, axis=1))).sum())
+
+
+def colour_of(name: str) -> str:
+    (fate,) = [fate for fate in fates(np.zeros(1, np.int8)) if fate.name == name]
+    return fate.colour
+
+
+def test_a_picture_is_not_blank_and_shows_the_failed_target(replay, screenless):
+    with Studio(replay, *SIZE, close=True, fine=False) as studio:
+        picture = studio.still(7)
+    assert picture.shape == (SIZE[1], SIZE[0], 3) and picture.std() > 20
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 500
+    assert near(picture, FAILED) > 20
+
+
+def test_a_movie_moves_and_the_targets_take_their_colours_as_they_are_met(replay, frames):
+    assert len(frames) == len(way(replay)) + 1
+    changes = [np.abs(a.astype(int) - b).max(axis=2) > 30 for a, b in pairwise(frames)]
+    assert all(change.any() for change in changes)
+    assert (np.abs(frames[0].astype(int) - frames[-1]).max(axis=2) > 30).mean() > 0.02
+    assert not any(change[:10, :10].any() for change in changes)  # the far corner is the sky
+    assert not any(near(frame, FAILED) for frame in frames[:-1]) and near(frames[-1], FAILED)
+    assert near(frames[0], colour_of("tracked")) < near(frames[-1], colour_of("tracked"))
+
+
+def test_the_way_passes_every_tracked_target_in_small_strides(replay):
+    postures = way(replay)
+    met = [posture.target for posture in postures]
+    assert met == sorted(met) and set(met) == set(range(8))
+    for t in range(8):
+        first = postures[met.index(t)]
+        np.testing.assert_allclose(first.p, replay.p[t], atol=1e-12)
+        np.testing.assert_allclose(first.tcp, replay.tcp[t], atol=1e-12)
+    points = np.array([np.vstack([posture.p, posture.q, posture.tcp]) for posture in postures])
+    # Along an arc a point moves a little further than its share of the chord.
+    assert np.linalg.norm(np.diff(points, axis=0), axis=2).max() < 1.3 * STRIDE_M
+
+
+def test_the_open_side_s_half_is_cut_off(replay):
+    left = kept(replay)
+    near_side = open_side(replay).near
+    assert (replay.cloud[~left] @ near_side).min() >= (replay.cloud[left] @ near_side).max()
+    assert 0.2 < left.mean() < 0.8 and kept(replay, 0.0).all() and kept(replay, 1.0).sum() == 1
+
+
+SPHERES = st.lists(st.tuples(*[st.floats(-2, 2)] * 3, st.floats(0.01, 0.5)), min_size=1, max_size=6)
+
+
+@given(SPHERES, st.floats(-3, 3), st.floats(0.5, 2))
+def test_every_sphere_is_seen_whole_and_one_touches_the_edge(spheres, azimuth, aspect):
+    fovy = np.radians(40.0)
+    spheres = np.array(spheres)
+    eye, look_at = fitted(spheres[:, :3], spheres[:, 3], azimuth, fovy, aspect)
+    ahead = (look_at - eye) / np.linalg.norm(look_at - eye)
+    right = np.cross(ahead, [0, 0, 1]) / np.linalg.norm(np.cross(ahead, [0, 0, 1]))
+    seen = (spheres[:, :3] - eye) @ np.stack([right, np.cross(right, ahead), ahead], axis=1)
+    slope = 0.94 * np.tan(fovy / 2) * np.array([aspect, 1.0])
+    # Distance to each of the four planes through the eye that bound the view, less the radius.
+    room = [
+        (seen[:, 2] * s - sign * seen[:, k]) / np.hypot(1, s) - spheres[:, 3]
+        for k, s in enumerate(slope)
+        for sign in (1, -1)
+    ]
+    assert np.min(room) > -1e-9 and np.min(room) < 1e-9
+
+
+def test_a_gif_holds_all_frames_and_runs_for_ever(frames, tmp_path):
+    write_movie(tmp_path / "a.gif", iter(frames))
+    with Image.open(tmp_path / "a.gif") as gif:
+        assert (gif.n_frames, gif.size, gif.info["loop"]) == (len(frames), SIZE, 0)
+        gif.seek(gif.n_frames - 1)
+        assert gif.info["duration"] == 1000 * HELD / RATE
+        shown = np.asarray(gif.convert("RGB")).astype(int)
+    assert np.abs(shown - frames[-1]).mean() < 6
+
+
+def test_an_mp4_can_be_read_again(frames, tmp_path):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the extra `movie` is not installed")
+    write_movie(tmp_path / "a.mp4", iter(frames))
+    decode = [ffmpeg.get_ffmpeg_exe(), "-i", tmp_path / "a.mp4", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    pixels = np.frombuffer(subprocess.run(decode, capture_output=True, check=True).stdout, np.uint8)
+    film = pixels.reshape(-1, SIZE[1], SIZE[0], 3).astype(int)
+    assert len(film) == len(frames) + HELD
+    assert np.abs(film[0] - frames[0]).mean() < 6 and np.abs(film[-1] - frames[-1]).mean() < 6
+
+
+def test_the_command_leaves_a_picture_and_a_movie(made, screenless, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["render", str(made[1]), "--width", "200", "--out", str(out), "--json"]) == 0
+    output = capsys.readouterr()
+    record = json.loads(output.out)
+    assert output.err == "" and (record["tracked"], record["failed"], record["shown"]) == (8, 8, 7)
+    assert record["files"] == [str(out / "scenario-0-baseline.png"), str(out / "scenario-0-baseline.gif")]
+    for file, size in zip(record["files"], [(200, 138), (100, 68)], strict=True):
+        with Image.open(file) as image:
+            assert image.size == size
+    assert len(list(out.iterdir())) == 2
+
+
+def test_any_arm_is_drawn(made, screenless, tmp_path):
+    plan = made[0]
+    replay = shelf_of("by hand", plan).replay(0, "baseline")
+    arm = seven_joints(tmp_path)
+    ends = np.tile(np.linspace([0, 0, 0.0], [1.2, 0, 1.0], 8), (len(replay.target), 1, 1))
+    other = replay._replace(robot=arm, p=ends, q=ends + 0.1, tcp=ends[:, -1] + 0.3)
+    with Studio(other, *SIZE, fine=False) as studio:
+        assert studio.still(3).std() > 20
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["--scenario", "3"], "has no scenario 3 by baseline; it has 0"),
+        (["--method", "hybrid"], "has no results of 'hybrid'; it has baseline"),
+        (["--target", "10"], "scenario 0 has no target 10; it has 0 to 9"),
+        (["--movie", "avi"], "a movie is one of gif, mp4, not 'avi'"),
+        (["--width", "5"], "--width is 5; from 160 to 3840 pixels are possible"),
+    ],
+)
+def test_bad_input_is_one_line_exit_2_and_no_file(made, screenless, tmp_path, monkeypatch, capsys, arguments, line):
+    monkeypatch.chdir(tmp_path)
+    assert main(["render", str(made[1]), *arguments]) == 2
+    output = capsys.readouterr()
+    assert line in output.err and output.err.count("\n") == 1 and output.err.startswith("htcp: ")
+    assert output.out == "" and not list(tmp_path.iterdir())
+
+
+def test_no_such_run_is_one_line(screenless, tmp_path, capsys):
+    assert main(["render", str(tmp_path / "nowhere")]) == 2
+    assert "nowhere holds neither a run of htcp sweep" in capsys.readouterr().err
+
+
+def test_without_opengl_the_packages_are_named(made, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(offscreen, "TRIAL", "import no_such_library_of_opengl")
+    monkeypatch.setattr(offscreen, "platform", offscreen.platform.__wrapped__)  # without its memory
+    assert main(["render", str(made[1])]) == 2
+    error = capsys.readouterr().err
+    assert "libegl1 and libgl1-mesa-dri (EGL), or libosmesa6 (OSMesa)" in error and error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_osmesa_stands_in_where_egl_fails(monkeypatch):
+    monkeypatch.setattr(offscreen, "_works", lambda name: name == "osmesa")
+    assert offscreen.platform.__wrapped__() == "osmesa"
+    monkeypatch.setenv("MUJOCO_GL", "egl")
+    with pytest.raises(InputError, match=r"no off-screen OpenGL \(egl\)"):
+        offscreen.platform.__wrapped__()
+
+
+def test_the_statuses_are_all_told_apart():
+    found = fates(np.array(STATUSES[0], np.int8))
+    assert sum(fate.where for fate in found).tolist() == [1] * 10 and all(isinstance(fate, Fate) for fate in found)
+    assert len({fate.colour for fate in found}) == 4

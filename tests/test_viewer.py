@@ -1,0 +1,220 @@
+"""The viewer in a real browser: the page loads, the slider moves the arm, what is seen is not blank.
+
+Needs a Chromium of the system and Playwright (of the extra `test`); without either, the tests in the browser skip.
+"""
+
+import io
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from made_plan import STATUSES, made_plan, made_plans
+from PIL import Image
+
+from htcp_jax.cli import main
+from htcp_jax.replay import Shelf, shelf_of
+
+pytest.importorskip("viser", reason="the extra `view` is not installed")
+
+from htcp_jax.viewer import Viewer
+from htcp_jax.viewer_stage import turned_to
+
+BROWSERS = "chromium", "chromium-browser", "chromium-headless-shell", "google-chrome"
+FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """The folder of a plan made by hand."""
+    folder = tmp_path_factory.mktemp("made")
+    made_plan(folder).save(folder / "plan")
+    return folder / "plan"
+
+
+@pytest.fixture(scope="module")
+def shelf(tmp_path_factory) -> Shelf:
+    """Two scenarios by two methods: one fails in scenario 0, the other in none."""
+    plan = made_plan(tmp_path_factory.mktemp("shelf"))
+    plans = {
+        "baseline": made_plans(plan.scenario.targets, STATUSES[::-1]),  # scenario 1 is the one that fails
+        "hybrid": made_plans(plan.scenario.targets, [STATUSES[1], STATUSES[1]]),
+    }
+    shelf = shelf_of("two", plan)
+    placements = dict.fromkeys((0, 1), shelf._placements[0])
+    return Shelf("two", plan.job, plan.robot, plan.workpiece, tuple(plans), plans.__getitem__, placements)
+
+
+@pytest.fixture
+def viewer(shelf):
+    viewer = Viewer(shelf, port=0)
+    yield viewer
+    viewer.stop()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A browser without a screen; skips the test where none is installed."""
+    driver = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed (extra `test`)")
+    found = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if found is None:
+        pytest.skip(f"no browser is installed (one of {', '.join(BROWSERS)})")
+    with driver.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=found, args=FLAGS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def page(browser, viewer):
+    """The viewer's page, drawn; what it complains of fails the test, and so does asking another machine."""
+    page, problems = browser.new_page(viewport={"width": 900, "height": 560}), []
+    page.on("pageerror", lambda error: problems.append(str(error)))
+    page.on("console", lambda message: message.type == "error" and problems.append(message.text))
+    page.on("request", lambda request: viewer.address in request.url or problems.append(request.url))
+    page.goto(viewer.address)
+    page.get_by_role("slider").first.wait_for(timeout=60_000)
+    until(lambda: spread(seen(page)) > 15)
+    yield page
+    page.close()
+    assert not problems
+
+
+def until(done: Callable[[], bool], seconds: float = 60.0) -> None:
+    """Wait until it is so."""
+    end = time.monotonic() + seconds
+    while not done():
+        assert time.monotonic() < end, "it did not come to be so"
+        time.sleep(0.1)
+
+
+def seen(page) -> np.ndarray:
+    """What is left of the panel, without the notice at the top, once it does not change any more."""
+    box = {"x": 0, "y": 160, "width": 560, "height": 400}
+    last = None
+    for _ in range(60):
+        shot = np.asarray(Image.open(io.BytesIO(page.screenshot(clip=box))).convert("RGB")).astype(int)
+        if last is not None and np.abs(shot - last).max() < 8:
+            return shot
+        last = shot
+    raise AssertionError("the picture does not come to rest")
+
+
+def spread(picture: np.ndarray) -> float:
+    return float(picture.std())
+
+
+def test_the_slider_moves_the_arm_in_the_browser(page, viewer, shelf):
+    assert viewer.target == 0 and page.get_by_text("Target 0").is_visible()
+    before, start = seen(page), viewer.stage.arm_positions
+    slider = page.get_by_role("slider").first
+    slider.focus()
+    for _ in range(6):
+        page.keyboard.press("ArrowRight")
+    until(lambda: viewer.target == 6 and slider.get_attribute("aria-valuenow") == "6")
+    replay = shelf.replay(1, "baseline")
+    np.testing.assert_allclose(viewer.stage.arm_positions[:8], (replay.p[6] + replay.q[6]) / 2, atol=1e-6)
+    assert np.abs(viewer.stage.arm_positions - start).max() > 0.1
+    page.get_by_text("tracked after an escape.").wait_for()
+    assert page.get_by_text(f"{1e3 * replay.clearance[6]:.3g} mm", exact=True).is_visible()  # beside the witness
+    after = seen(page)
+    assert (np.abs(after - before).max(axis=2) > 40).mean() > 0.01  # the arm, and not a pixel here and there
+
+
+def test_the_pickers_show_failed_scenarios_first_and_other_methods(page, viewer):
+    method, scenario = page.get_by_role("combobox").nth(0), page.get_by_role("combobox").nth(1)
+    assert (method.input_value(), scenario.input_value()) == ("baseline", "1: failed at 8 of 10")
+    scenario.click()
+    assert page.get_by_role("option").all_inner_texts() == ["1: failed at 8 of 10", "0: all 10 tracked"]
+    page.get_by_role("option").nth(1).click()
+    until(lambda: viewer.shown == (0, "baseline"))
+    method.click()
+    page.get_by_role("option", name="hybrid").click()
+    until(lambda: viewer.shown == (0, "hybrid") and scenario.input_value() == "0: all 10 tracked")
+
+
+def test_play_walks_to_the_end_and_stops(page, viewer):
+    page.get_by_role("button", name="Play").click()
+    page.get_by_role("button", name="Pause").wait_for()
+    until(lambda: viewer.target == 9)
+    page.get_by_role("button", name="Play").wait_for()
+    assert page.get_by_text("The arm is shown where it came to before.").is_visible()
+
+
+def test_the_cut_the_points_and_the_closer_look_change_the_picture(page):
+    before = seen(page)
+    sliders = page.get_by_role("slider")
+    sliders.nth(1).focus()
+    page.keyboard.press("Home")  # nothing is cut off
+    until(lambda: sliders.nth(1).get_attribute("aria-valuenow") == "0")
+    until(lambda: (np.abs(seen(page) - before).max(axis=2) > 20).mean() > 0.01)
+    whole = seen(page)
+    page.get_by_role("button", name="Look at the smallest distance").click()
+    until(lambda: (np.abs(seen(page) - whole).max(axis=2) > 20).mean() > 0.1)
+
+
+def test_only_this_machine_can_connect(viewer):
+    port = int(viewer.address.rpartition(":")[2])
+    assert b"viser" in urllib.request.urlopen(viewer.address).read().lower()
+    with pytest.raises(OSError):  # another address of the loopback device, as good as one from outside
+        socket.create_connection(("127.0.0.2", port), timeout=5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["{plan}", "--scenario", "7"], "has no scenario 7 by baseline; it has 0"),
+        (["{plan}", "--method", "hybrid"], "has no results of 'hybrid'; it has baseline"),
+        (["{plan}", "--set", "margin_m=0"], "--set changes a job; a run folder is shown as it is"),
+        (["{plan}", "--host", "no such host"], "cannot listen on no such host, port 8080"),
+        (["{plan}/.."], "holds neither a run of htcp sweep"),
+        (["nowhere"], "nowhere: no such run folder, and no such job"),
+        (["{plan}/plan.png"], "plan.png"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_2(folder, capsys, arguments, line):
+    assert main(["view", *(word.format(plan=folder) for word in arguments)]) == 2
+    output = capsys.readouterr()
+    assert line in output.err and output.err.count("\n") == 1 and output.out == ""
+
+
+def test_a_port_in_use_is_refused_and_not_replaced_by_another(folder, viewer, capsys):
+    port = viewer.address.rpartition(":")[2]
+    assert main(["view", str(folder), "--port", port]) == 2
+    output = capsys.readouterr()
+    assert f"cannot listen on 127.0.0.1, port {port}: Address already in use" in output.err and output.out == ""
+
+
+@pytest.mark.slow
+def test_the_command_serves_a_job_that_it_plans_until_it_is_told_to_stop(tmp_path):
+    (tmp_path / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n")
+    (tmp_path / "job.yaml").write_text("workpiece: {path: path.csv}\nmethod: baseline\n")
+    run = "from htcp_jax.cli import main; raise SystemExit(main())"
+    command = [sys.executable, "-c", run, "view", "job.yaml", "--port", "0"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        line = process.stdout.readline()
+        assert urllib.request.urlopen(line.split()[1]).status == 200
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err) == (0, "", "") and "Ctrl-C" in line
+
+
+def test_capsules_are_turned_to_their_axes():
+    axes = np.vstack([np.random.default_rng(0).normal(size=(50, 3)), np.eye(3), -np.eye(3), np.zeros((1, 3))])
+    w, x, y, z = turned_to(axes).T
+    turned = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x**2 + y**2)], axis=1)
+    length = np.linalg.norm(axes, axis=1, keepdims=True)
+    np.testing.assert_allclose(turned, np.where(length > 0, axes / np.maximum(length, 1e-300), [0, 0, 1]), atol=1e-12)
+
+
+def test_nothing_is_left_running(shelf):
+    before = {thread.name for thread in threading.enumerate() if thread.name.startswith("htcp")}
+    Viewer(shelf, port=0).stop()
+    until(lambda: {t.name for t in threading.enumerate() if t.name.startswith("htcp")} == before, 10)
