@@ -3,9 +3,10 @@
 VENV ?= .venv
 PYTHON ?= $(firstword $(foreach p,python3 python3.14 python3.13 python3.12 python3.11 python,\
 	$(shell $(p) -c 'import sys; sys.version_info >= (3, 11) and print("$(p)")' 2>/dev/null)) no-python-3.11-found)
+BIN = $(abspath $(VENV))/bin
 INSTALL = $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable
 
-.PHONY: demo test test-slow lock clean
+.PHONY: demo test test-slow notebooks docs lock clean
 
 demo: $(VENV)/.installed  ## plan the default job
 	$(VENV)/bin/htcp plan
@@ -16,6 +17,16 @@ test: $(VENV)/.installed-test  ## lint and the quick tests
 
 test-slow: $(VENV)/.installed-test  ## every test
 	$(VENV)/bin/python -m pytest -m "slow or not slow"
+
+notebooks: $(VENV)/.installed-notebooks  ## execute the notebooks; build/notebooks/*.html
+	mkdir -p build/notebooks
+	cd notebooks && set -e && for name in *.py; do \
+		echo "$$name" && $(BIN)/jupytext --quiet --to ipynb --execute $$name --output ../build/notebooks/$${name%.py}.ipynb; \
+	done
+	$(BIN)/jupyter-nbconvert --log-level ERROR --to html build/notebooks/*.ipynb
+
+docs: $(VENV)/.installed-docs  ## build the documentation into build/site, warnings are errors
+	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --quiet --strict
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
@@ -30,10 +41,20 @@ $(VENV)/.installed-test: pyproject.toml requirements.lock | $(VENV)/bin/python
 	$(INSTALL) '.[test]'
 	touch $@ $(VENV)/.installed
 
+$(VENV)/.installed-notebooks: pyproject.toml requirements.lock | $(VENV)/bin/python
+	@echo "Installing htcp_jax and what executes notebooks into $(VENV)"
+	$(INSTALL) '.[notebooks]'
+	touch $@ $(VENV)/.installed
+
+$(VENV)/.installed-docs: pyproject.toml requirements.lock | $(VENV)/bin/python
+	@echo "Installing htcp_jax and what builds its documentation into $(VENV)"
+	$(INSTALL) '.[docs]'
+	touch $@ $(VENV)/.installed
+
 lock:  ## pin what a clean environment gets from pyproject.toml today
 	rm -rf build/venv-lock
 	$(PYTHON) -m venv build/venv-lock
-	build/venv-lock/bin/python -m pip install --quiet --disable-pip-version-check '.[test]'
+	build/venv-lock/bin/python -m pip install --quiet --disable-pip-version-check '.[test,notebooks,docs]'
 	build/venv-lock/bin/python -m pip freeze --exclude htcp_jax > requirements.lock
 
 clean:

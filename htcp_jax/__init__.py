@@ -9,8 +9,8 @@
     report = htcp_jax.make_report(run)                                   # the paper's tables, and all charts
     report.frame("results"), report.figures["success"]
 
-The names in `__all__` are public; each is loaded when it is first used, and that turns on the cache of compiled
-programs (see `compile_cache`), as the command does.
+The names in `__all__` are public; each is loaded when it is first used. That also turns on the cache of compiled
+programs (see `compile_cache`), as the command does, and lets a notebook show figures.
 """
 
 import importlib
@@ -51,10 +51,15 @@ __all__ = [
 def __getattr__(name: str):
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}; public are {', '.join(__all__)}")
-    importlib.import_module("htcp_jax.compile_cache").enable()
+    _begin()
     home = importlib.import_module(f"htcp_jax.{_HOME[name]}")
     # A module of the name itself, charts or sweep, is public as a whole.
     return home if name == _HOME[name] else getattr(home, name)
+
+
+def _begin() -> None:
+    importlib.import_module("htcp_jax.compile_cache").enable()
+    importlib.import_module("htcp_jax.notebook").show_figures()
 
 
 def __dir__() -> list[str]:

@@ -1,9 +1,5 @@
-"""One job from Python: `htcp_jax.plan(...)` and the Plan that it returns. `htcp plan` is this and a progress bar.
+"""One job from Python: `htcp_jax.plan(...)` and the Plan that it returns. `htcp plan` is this and a progress bar."""
 
-Figures show themselves in a notebook; nothing else is needed.
-"""
-
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,9 +13,9 @@ from matplotlib.figure import Figure
 from htcp_jax import planner
 from htcp_jax.config import PlanConfig, load_config, validate
 from htcp_jax.escape import METHODS
-from htcp_jax.html_facts import html_facts
 from htcp_jax.job import scene
 from htcp_jax.metrics import Summary, summarise
+from htcp_jax.notebook import html_facts
 from htcp_jax.picture import draw_plan
 from htcp_jax.plans import Plans
 from htcp_jax.results import (
@@ -163,19 +159,3 @@ def methods() -> "pandas.DataFrame":
     """The planners: their titles, and what each does when the step QPs are stuck."""
     rows = [{"method": name, "title": it.title, "sentence": it.sentence} for name, it in METHODS.items()]
     return frame_of(pa.Table.from_pylist(rows)).set_index("method")
-
-
-def _show_figures() -> None:
-    """In a notebook, show a figure that a cell returns, as IPython does once pyplot is imported."""
-    if "IPython" not in sys.modules:
-        return
-    from IPython import get_ipython
-    from IPython.core.pylabtools import print_figure
-
-    if (shell := get_ipython()) is not None:
-        formatters = shell.display_formatter.formatters
-        if not any(Figure in formatter.type_printers for formatter in formatters.values()):
-            formatters["image/png"].for_type(Figure, print_figure)
-
-
-_show_figures()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import jax.numpy as jnp
 
-from htcp_jax.html_facts import html_facts
+from htcp_jax.notebook import html_facts
 from htcp_jax.pytree import register_pytree
 from htcp_jax.robot_file import read_robot_file
 from htcp_jax.types import Array, Float, Joints, Pose, Scalar

@@ -19,8 +19,8 @@ from pydantic import Field, ValidationError, model_validator
 
 from htcp_jax.config import PlanConfig, Section, validate
 from htcp_jax.errors import InputError
-from htcp_jax.html_facts import html_facts
 from htcp_jax.metrics import summarise
+from htcp_jax.notebook import html_facts
 from htcp_jax.plans import Plans
 from htcp_jax.run_tables import frame_of, plans_of
 

@@ -22,8 +22,8 @@ from htcp_jax.cloud import (
     warn_if_millimetres,
 )
 from htcp_jax.errors import InputError
-from htcp_jax.html_facts import html_facts
 from htcp_jax.hull import Hull, convex_hull
+from htcp_jax.notebook import html_facts
 
 PIVOT = (1.73205679, -0.0037799, 0.57539635)  # [m] world
 NEUTRAL_TRANSLATION = (1.24549547, -0.0037799, 0.87525497)  # [m] workpiece origin at wy = wz = 0

@@ -1,0 +1,276 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Why planners get stuck
+#
+# The step QPs know the clearance to first order, near the last posture. Where the next target asks for another posture,
+# they have no answer, and the null space of the task has to be searched. This notebook takes one such target apart: the
+# clearance over the null space, and what each optimiser does there.
+
+# %%
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.figure import Figure
+
+import htcp_jax
+from htcp_jax.clearance import clearances, make_obstacle
+from htcp_jax.escape import METHODS, Scene, Stuck, anchor, sphere_problem
+from htcp_jax.kinematics import jacobian
+from htcp_jax.nullspace import null_basis, reanchor
+
+# %% [markdown]
+# ## A target where the baseline ends
+#
+# The arm starts in its posture for measuring, the last joint at 0, and comes to the inlet with its tool turned the
+# wrong way round.
+
+# %%
+MEASURING = {"start_rad": [0.0, -2.3, 0.5, 0.0, 0.5, 0.0], "workpiece.rotation_y_rad": 0.5}
+plan = htcp_jax.plan(overrides=MEASURING, method="baseline")
+plan
+
+# %%
+plan.figure()
+
+# %% [markdown]
+# ## The null space there
+#
+# From the last posture that was clear, inverse kinematics puts the tip onto the lost target: $x_{ref}$. Now $D < 0$,
+# something collides. All directions $N w$ with $|w| = 1$ keep the tip in place to first order. They are a sphere, the
+# null space having $6 - 3 = 3$ dimensions.
+
+# %%
+settings, robot = plan.job.settings, plan.robot
+scene = Scene(robot, make_obstacle(plan.workpiece))
+
+
+def lost_target(plan):
+    """The target that ended a plan, the posture before it, and the scenario."""
+    row = plan.summary.failures[0].target
+    key = jax.random.key(0)
+    stuck = Stuck(jnp.asarray(plan.plans.x[0, row - 1]), jnp.asarray(plan.scenario.targets[row]), key)
+    return stuck, jax.tree.map(jnp.asarray, plan.scenario)
+
+
+@jax.jit
+def enter(scene, scenario, stuck):
+    """The posture at the lost target, from the one before it: Algorithm 1, line 9."""
+    x, _ = reanchor(scene.robot, stuck.x_previous, stuck.target, 0.1 * settings.tolerance_m)
+    return anchor(scene, settings, scenario, x, stuck.target)
+
+
+@jax.jit
+def all_clearances(scene, scenario, xs):
+    """D of every capsule [m] at each of the postures xs."""
+    return jax.lax.map(lambda x: clearances(scene.robot, scene.obstacle, scenario, x), xs)
+
+
+stuck, scenario = lost_target(plan)
+here = enter(scene, scenario, stuck)
+bodies = np.asarray(all_clearances(scene, scenario, here.x[None]))[0]
+print(f"D = {1e3 * here.clearance:.2f} mm, at {robot.capsule_names[bodies.argmin()]}")
+
+# %% [markdown]
+# The whole sphere, flattened as a map of the earth is: the clearance one step of `alpha_rad` away from $x_{ref}$, in
+# every direction. White lines are where another capsule becomes the nearest one. The function is the smallest of
+# several, so it has a kink along each of them, and the best direction often lies on such a line: a ridge.
+
+# %%
+LONGITUDE, LATITUDE = np.linspace(-np.pi, np.pi, 97), np.linspace(-np.pi / 2, np.pi / 2, 49)
+
+
+def directions(longitude, latitude):
+    """Unit vectors w."""
+    across = np.cos(latitude)
+    return np.stack([across * np.cos(longitude), across * np.sin(longitude), np.sin(latitude)], axis=-1)
+
+
+reach = settings.alpha_rad * np.asarray(null_basis(jacobian(robot, here.x)))
+sphere = directions(*np.meshgrid(LONGITUDE, LATITUDE))
+all_bodies = np.asarray(all_clearances(scene, scenario, here.x + sphere.reshape(-1, 3) @ reach.T))
+all_bodies = all_bodies.reshape(*sphere.shape[:2], -1)
+
+# %% [markdown]
+# What each optimiser returns, as a mark on that map. All have the same objective. CMA-ES samples the whole sphere and
+# finds its summit; the others climb from the direction that looks best by the contacts known so far, and end on the
+# summit next to it.
+
+# %%
+OPTIMISERS = {
+    "nspace-sqp": ("#0072b2", "o"),
+    "nspace-ip": ("#56b4e9", "s"),
+    "nspace-cmaes": ("#009e73", "D"),
+    "nspace-adam": ("#e69f00", "^"),
+}
+
+
+@partial(jax.jit, static_argnums=0)
+def best_direction(method, scene, scenario, key, x):
+    """The direction w that an optimiser finds at x, and the clearance one step along it [m]."""
+    problem, seen, _ = sphere_problem(scene, settings, scenario, x)
+    return METHODS[method].stages[0].minimise(problem, seen, key, settings)
+
+
+best = {method: best_direction(method, scene, scenario, stuck.key, here.x) for method in OPTIMISERS}
+
+
+def sphere_map():
+    figure = Figure(figsize=(9, 4.6), dpi=120, layout="constrained")
+    axes = figure.subplots(subplot_kw={"projection": "mollweide"})
+    gain = 1e3 * all_bodies.min(axis=-1)
+    image = axes.pcolormesh(LONGITUDE, LATITUDE, gain, cmap="cividis", shading="gouraud", rasterized=True)
+    for body in np.unique(all_bodies.argmin(axis=-1)):
+        ahead = all_bodies[..., body] - np.delete(all_bodies, body, axis=-1).min(axis=-1)
+        axes.contour(LONGITUDE, LATITUDE, ahead, [0.0], colors="white", linewidths=0.8)
+    for size, (method, (colour, marker)) in zip((260, 150, 75, 30), OPTIMISERS.items(), strict=True):
+        x, y, z = best[method].w
+        style = {"marker": marker, "color": colour, "edgecolors": "black", "linewidths": 0.8, "s": size, "zorder": 3}
+        axes.scatter(np.arctan2(y, x), np.arcsin(np.clip(z, -1, 1)), label=method, **style)
+    axes.set(xticks=[], yticks=[])
+    figure.colorbar(image, ax=axes, shrink=0.7, label="D one step away [mm]")
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+    return figure
+
+
+sphere_map()
+
+# %%
+{method: f"{1e3 * found.value:.3f} mm" for method, found in best.items()}
+
+# %% [markdown]
+# ## Step by step out of it
+#
+# An escape repeats that: the best direction, a step, back onto the target, until $D > 0$. Here the better direction is
+# the worse one. Who took the lower summit walks out in a few steps; who took the higher one ends on a ridge between two
+# capsules, crosses it to and fro, and gains nothing.
+
+# %%
+STEPS = 20
+
+
+@jax.jit
+def advance(scene, scenario, stuck, x, w):
+    """One step along w, and back onto the target."""
+    x = x + settings.alpha_rad * null_basis(jacobian(scene.robot, x)) @ w
+    x = jnp.clip(x, scene.robot.lower, scene.robot.upper)
+    return anchor(scene, settings, scenario, x, stuck.target)
+
+
+def escape(method, scenario, stuck, start):
+    """D [mm] at the start and after every step, up to the first clear posture."""
+    found, here = [1e3 * float(start.clearance)], start
+    while found[-1] <= 0 and len(found) <= STEPS:
+        key = jax.random.fold_in(stuck.key, len(found) - 1)
+        here = advance(scene, scenario, stuck, here.x, best_direction(method, scene, scenario, key, here.x).w)
+        found.append(1e3 * float(here.clearance))
+    return found
+
+
+def steps_chart(walks):
+    figure = Figure(figsize=(9, 3.6), dpi=120, layout="constrained")
+    axes = figure.subplots()
+    axes.axhspan(0, 1e3, color="#e8f1e8")
+    axes.axhline(0, color="#22303c", linewidth=1)
+    for width, method in zip((5, 3.6, 2.4, 1.2), walks, strict=True):  # so that equal lines show
+        colour, marker = OPTIMISERS[method]
+        style = {"color": colour, "marker": marker, "markersize": 3 + 1.5 * width, "linewidth": width}
+        axes.plot(walks[method], label=f"{method}, {len(walks[method]) - 1} steps", **style)
+    low, high = min(map(min, walks.values())), max(map(max, walks.values()))
+    room = 0.12 * (high - low)
+    axes.set(xlim=(0, STEPS), ylim=(low - room, max(high, 0) + room))
+    axes.set(xlabel="null-space step", ylabel="clearance D [mm]")
+    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside lower center", ncols=4, frameon=False)
+    return figure
+
+
+steps_chart({method: escape(method, scenario, stuck, here) for method in OPTIMISERS})
+
+# %% [markdown]
+# ## The price of greed
+#
+# The same duct, tilted by 0.1 rad less. The baseline ends at the same target, and now the best direction of every step
+# leads onto the ridge, 20 mm inside the wall. Only the interior point method, whose barrier keeps it a little off the
+# best, slips down on the other side and comes out.
+
+# %%
+MEASURING["workpiece.rotation_y_rad"] = 0.4
+plan = htcp_jax.plan(overrides=MEASURING, method="baseline")
+stuck, scenario = lost_target(plan)
+here = enter(scene, scenario, stuck)
+steps_chart({method: escape(method, scenario, stuck, here) for method in OPTIMISERS})
+
+# %% [markdown]
+# Is there a clear posture at all? Walk straight on through the null space in 48 random directions, whatever the
+# clearance does on the way: 100 steps of 0.02 rad each, the tip held on the target. That is what `nspace-sample` does.
+
+# %%
+WALKS, WALK_STEPS, LENGTH_RAD = 48, 100, 0.02
+
+
+@jax.jit
+def walk(scene, scenario, stuck, x, direction):
+    """D [m] along one walk from x."""
+    robot = scene.robot
+
+    def step(state, _):
+        x, v = state
+        basis = null_basis(jacobian(robot, x))
+        v = basis @ (v @ basis)
+        v = v / jnp.linalg.norm(v)
+        x = jnp.clip(x + LENGTH_RAD * v, robot.lower, robot.upper)
+        x, _ = reanchor(robot, x, stuck.target, 0.1 * settings.tolerance_m, iterations=3)
+        return (x, v), jnp.min(clearances(robot, scene.obstacle, scenario, x))
+
+    start = x, null_basis(jacobian(robot, x)) @ direction
+    return jax.lax.scan(step, start, length=WALK_STEPS)[1]
+
+
+random = np.random.default_rng(0).standard_normal((WALKS, 3))
+random /= np.linalg.norm(random, axis=1, keepdims=True)
+walks = [walk(scene, scenario, stuck, here.x, direction) for direction in random]
+along = 1e3 * np.concatenate([np.full((WALKS, 1), here.clearance), np.stack(walks)], axis=1)
+
+
+def walks_chart():
+    figure = Figure(figsize=(9, 3.8), dpi=120, layout="constrained")
+    axes = figure.subplots()
+    axes.axhspan(0, 1e3, color="#e8f1e8")
+    axes.axhline(0, color="#22303c", linewidth=1)
+    out = (along > 0).any(axis=1)
+    distance = LENGTH_RAD * np.arange(WALK_STEPS + 1)
+    axes.plot(distance, along[~out].T, color="#9aa3ab", linewidth=0.7)
+    axes.plot(distance, along[out].T, color="#d55e00", linewidth=1.4)
+    axes.set(xlim=(0, distance[-1]), ylim=(max(along.min(), -150), max(20, along.max() + 5)))
+    axes.set(xlabel="distance walked through the null space [rad]", ylabel="clearance D [mm]")
+    axes.set_title(f"{out.sum()} of {WALKS} walks come to a clear posture", loc="left", fontsize=11)
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+walks_chart()
+
+# %% [markdown]
+# Many of them do, most after more than half a radian: clear postures are not rare, only far away, and who asks for the
+# steepest ascent at every step does not get there. But the arm has to get there, too. On the way the walks are inside
+# the wall, and so is the straight joint path from the last clear posture. `nspace-sample` takes the step all the same,
+# and its plan is only as good as that joint path. `hybrid` refuses it and looks for another start instead.
+
+# %%
+sampled = htcp_jax.plan(overrides=MEASURING, method="nspace-sample")
+frame = sampled.frame()
+frame[(frame.escape > 0) | (frame.path_clear == False)][["target", "status", "joint_step_rad", "path_clear"]]  # noqa: E712

@@ -1,0 +1,69 @@
+"""What the README and the documentation tell a reader to type: every shell and Python block, and how it is run here.
+
+A block may have a comment before it, `<!-- runs: HOW -->`:
+
+    (none)                   by a quick test, as it stands
+    slow                     by a slow test, as it stands
+    slow, two scenarios      by a slow test, with --limit 2: it would take longer than all other tests together
+    slow, in a fresh copy    by a slow test, in a copy of the repository without a virtual environment
+    in CI                    by .ci/run, which is made of such commands
+    slow suite               it is the slow tests themselves
+
+`python tests/documented.py` lists them all.
+"""
+
+import re
+import shlex
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[1]
+QUICK, SLOW, TWO, COPY = "quick", "slow", "slow, two scenarios", "slow, in a fresh copy"
+CI, SUITE = "in CI", "slow suite"
+WAYS = QUICK, SLOW, TWO, COPY, CI, SUITE
+FENCE = re.compile(
+    r"(?:^<!-- runs: (?P<how>[^\n]*?) -->\n)?^```(?P<kind>[^\n`]*)\n(?P<text>.*?)^```$", re.DOTALL | re.MULTILINE
+)
+FILE = re.compile(r'yaml title="(?P<name>[^"]+)"')
+
+
+class Block(NamedTuple):
+    """A fenced block of a page."""
+
+    page: str
+    kind: str  # sh, python, or yaml with the name of its file
+    text: str
+    how: str
+
+    @property
+    def commands(self) -> list[str]:
+        """The lines of a shell block without their comments."""
+        words = (shlex.split(line, comments=True) for line in self.text.splitlines())
+        return [shlex.join(line) for line in words if line]
+
+
+def pages() -> list[str]:
+    """All pages that a reader may follow, from the root of the repository."""
+    found = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    return [str(path.relative_to(ROOT)) for path in found]
+
+
+def blocks(page: str) -> list[Block]:
+    """The blocks of a page that do something, in order; examples of files come without their snippets."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    found = [Block(page, m["kind"].strip(), m["text"], m["how"] or QUICK) for m in FENCE.finditer(text)]
+    return [b for b in found if b.kind in ("sh", "python") or (FILE.match(b.kind) and "--8<--" not in b.text)]
+
+
+def indented_commands(page: str) -> list[str]:
+    """Commands that stand in an indented block, where nothing runs them."""
+    text = re.sub(r"^```.*?^```$", "", (ROOT / page).read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    return re.findall(r"^ {4}((?:htcp|make|python|pip|git|\.venv/bin)\b[^\n]*)$", text, flags=re.MULTILINE)
+
+
+if __name__ == "__main__":
+    for page in pages():
+        for block in blocks(page):
+            lines = block.commands if block.kind == "sh" else [f"({block.kind} block)"]
+            for line in lines:
+                print(f"{page:<28}{block.how:<24}{line}")

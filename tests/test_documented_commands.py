@@ -1,0 +1,108 @@
+"""Every command and every Python block of the README and of the documentation is run. `documented` says how each is."""
+
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import time
+
+import pytest
+from documented import CI, COPY, FILE, QUICK, ROOT, SLOW, SUITE, TWO, WAYS, blocks, indented_commands, pages
+
+from htcp_jax.cli import main
+from htcp_jax.escape import METHODS
+
+DEMO_S = 180  # from a clone to a picture
+
+
+def pages_with(how: str) -> list[str]:
+    return [page for page in pages() if any(block.how == how for block in blocks(page))]
+
+
+@pytest.fixture
+def reader(tmp_path, monkeypatch):
+    """The working folder of a reader: what ships is there, and what a page writes stays apart from it."""
+    for name in ("configs", "sweeps", "tests", "htcp_jax", "pyproject.toml"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    monkeypatch.chdir(tmp_path)
+    methods = dict(METHODS)
+    yield tmp_path
+    METHODS.clear()
+    METHODS.update(methods)
+
+
+def follow(page: str, how: str) -> None:
+    """Do what the blocks of a page say, those that are run `how`, in their order."""
+    for block in blocks(page):
+        if block.how != how:
+            continue
+        if file := FILE.match(block.kind):
+            with open(file["name"], "w", encoding="utf-8") as stream:
+                stream.write(block.text)
+        elif block.kind == "python":
+            exec(compile(block.text, f"{page}, python block", "exec"), {"__name__": "__main__"})
+        else:
+            for command in block.commands:
+                command += " --limit 2" * (how == TWO)
+                assert run(shlex.split(command)) == 0, f"{page}: {command}"
+
+
+def run(words: list[str]) -> int:
+    """The exit code of one command; `htcp` runs within this process, whose compiled programs it shares."""
+    if words[0] == "htcp":
+        try:
+            return main(words[1:])
+        except SystemExit as done:  # how --show-completion ends
+            return done.code or 0
+    if words[0] == ".venv/bin/python":
+        return subprocess.run([sys.executable, *words[1:]], cwd=ROOT).returncode
+    raise AssertionError(f"{shlex.join(words)}: no way to run it; mark its block with how it is run")
+
+
+def test_every_command_has_a_way_to_be_run():
+    for page in pages():
+        assert not indented_commands(page), f"{page}: commands in an indented block; fence them"
+        for block in blocks(page):
+            assert block.how in WAYS, f"{page}: {block.how!r} is no way to run a block; valid: {', '.join(WAYS)}"
+            if block.how == CI:
+                ran = (ROOT / ".ci" / "run").read_text()
+                for command in block.commands:
+                    assert f"\n{command} VENV=" in ran, f"{page}: {command} is not in .ci/run"
+            if block.how == SUITE:
+                assert block.commands == ["make test-slow"]
+    assert {block.how for page in pages() for block in blocks(page)} == set(WAYS)
+
+
+@pytest.mark.parametrize("page", pages_with(QUICK))
+def test_quick_blocks_run_as_they_stand(reader, page):
+    follow(page, QUICK)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", pages_with(SLOW))
+def test_slow_blocks_run_as_they_stand(reader, page):
+    follow(page, SLOW)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", pages_with(TWO))
+def test_the_longest_blocks_run_with_their_first_two_scenarios(reader, page):
+    follow(page, TWO)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", pages_with(COPY))
+def test_a_newcomer_gets_from_a_clone_to_a_picture_in_three_minutes(tmp_path, page):
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    for name in filter(None, listed.split("\0")):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(ROOT / name, tmp_path / name)
+    kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    began = time.perf_counter()
+    for block in blocks(page):
+        for command in block.commands if block.how == COPY else ():
+            environment = {**kept, "HTCP_CACHE": str(tmp_path / "cache")}
+            assert subprocess.run(shlex.split(command), cwd=tmp_path, env=environment).returncode == 0, command
+    print(f"{page}: {time.perf_counter() - began:.0f} s of {DEMO_S}")
+    assert (tmp_path / "out" / "plan" / "plan.png").stat().st_size > 10_000
