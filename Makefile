@@ -3,7 +3,6 @@
 VENV ?= .venv
 PYTHON ?= $(firstword $(foreach p,python3 python3.14 python3.13 python3.12 python3.11 python,\
 	$(shell $(p) -c 'import sys; sys.version_info >= (3, 11) and print("$(p)")' 2>/dev/null)) no-python-3.11-found)
-BIN = $(abspath $(VENV))/bin
 INSTALL = $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable
 
 .PHONY: demo test test-slow notebooks docs lock clean
@@ -20,10 +19,12 @@ test-slow: $(VENV)/.installed-test  ## every test
 
 notebooks: $(VENV)/.installed-notebooks  ## execute the notebooks; build/notebooks/*.html
 	mkdir -p build/notebooks
-	cd notebooks && set -e && for name in *.py; do \
-		echo "$$name" && $(BIN)/jupytext --quiet --to ipynb --execute $$name --output ../build/notebooks/$${name%.py}.ipynb; \
+	set -e; for name in $(basename $(notdir $(wildcard notebooks/*.py))); do \
+		echo "$$name"; \
+		$(VENV)/bin/jupytext --quiet --to ipynb --output build/notebooks/$$name.ipynb \
+			--execute --run-path $(CURDIR)/notebooks notebooks/$$name.py; \
 	done
-	$(BIN)/jupyter-nbconvert --log-level ERROR --to html build/notebooks/*.ipynb
+	$(VENV)/bin/jupyter-nbconvert --log-level ERROR --to html build/notebooks/*.ipynb
 
 docs: $(VENV)/.installed-docs  ## build the documentation into build/site, warnings are errors
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --quiet --strict
