@@ -18,7 +18,7 @@
 # target that stays out of reach ends its scenario, and all later targets count as missed.
 #
 # The measured duct of the paper is not part of this package. What follows is planned on the generated one, which is a
-# little roomier; `docs/reproduction.md` has the figures for both.
+# little roomier; `docs/reproduction.md` has the figures of the measured one.
 
 # %%
 import pandas

@@ -21,7 +21,7 @@ LAYERS = [
     ["qp"],
     ["qp_clarabel", "qp_qpsolvers", "qp_device"],
     ["qp_solvers"],
-    ["escape", "kernels", "engine", "planner"],
+    ["devices", "escape", "kernels", "engine", "planner"],
     ["strict_yaml", "config", "job"],
     ["paper", "grid", "metrics", "results", "ceiling", "doctor"],
     ["charts", "chart_style", "path_charts", "success_charts", "document"],
