@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from htcp_jax import planner
+from htcp_jax import devices, planner
 from htcp_jax.api import Plan, checked_scene, forget_validation, plan_job
 from htcp_jax.cli_methods import complete_method
 from htcp_jax.cli_output import Json, print_facts, print_json, stdout
@@ -31,6 +31,7 @@ Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key; may be repeated.")
 ]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.")]
+Device = Annotated[str | None, typer.Option(metavar="cpu|gpu[:N]", help="Where to compute; by default GPUs, if any.")]
 
 
 def plan(
@@ -38,6 +39,7 @@ def plan(
     method: Method = None,
     overrides: Overrides = None,
     out: Out = Path("out/plan"),
+    device: Device = None,
     as_json: Json = False,
 ) -> int:
     """Plan one job: track every target of the path while every capsule keeps clear of the workpiece.
@@ -50,6 +52,7 @@ def plan(
     htcp plan job.yaml --method baseline      a job of your own by another method
     htcp plan --set settings.alpha_rad=0.05 --set "start_rad=[0, -2.3, 0.5, 0, 0.5, 0]"
     """
+    devices.use(device)
     chosen = [*(overrides or []), *([f"method={method}"] if method is not None else [])]
     job = load_config(config, chosen)
     parts = checked_scene(job)  # before a folder is made

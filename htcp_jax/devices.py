@@ -1,4 +1,8 @@
-"""Which devices a plan runs on: `cpu`, `gpu` (all of this host) or `gpu:2` (the first two of them)."""
+"""Which devices plans run on: `cpu`, `gpu` (all of this host) or `gpu:2` (the first two of them).
+
+A process computes on one kind of device. By itself it takes what JAX prefers: every GPU where there is one, else the
+CPU.
+"""
 
 import os
 
@@ -6,24 +10,32 @@ import jax
 
 from htcp_jax.errors import InputError
 
+_DEFAULT: str | None = None
 
-def choose(name: str | None = None) -> list[jax.Device]:
-    """The devices of that name; None is what JAX prefers: every GPU when there is one, else the CPU.
 
-    A process computes on one kind of device. `cpu` can be chosen beside a GPU as long as nothing has been computed yet.
+def use(name: str | None) -> None:
+    """What `choose` returns by default from now on. `cpu` can be chosen beside a GPU before anything is computed.
+
     Raises InputError for a name that is no device here.
     """
+    global _DEFAULT
     if name == "cpu":
-        jax.config.update("jax_platforms", "cpu")  # without effect once a device is in use
+        jax.config.update("jax_platforms", "cpu")
+    choose(name)
+    _DEFAULT = name
+
+
+def choose(name: str | None = None) -> list[jax.Device]:
+    """The devices of that name. Raises InputError for a name that is no device here."""
+    name = name or _DEFAULT
     here = jax.local_devices()
     kind = "cpu" if here[0].platform == "cpu" else "gpu"
-    valid = [kind, *(f"{kind}:{count}" for count in range(1, len(here) + 1) if kind == "gpu")]
-    if name is not None and name not in valid:
-        raise InputError(f"device is {name!r}; valid here: {', '.join(valid)}")
-    if kind == "cpu":
-        return here[:1]
-    _, _, count = (name or kind).partition(":")
-    return here[: int(count or len(here))]
+    if name is None or name == kind:
+        return here[:1] if kind == "cpu" else here
+    counts = {f"gpu:{count}": count for count in range(1, len(here) + 1)} if kind == "gpu" else {}
+    if name not in counts:
+        raise InputError(f"device is {name!r}; valid here: {', '.join([kind, *counts])}")
+    return here[: counts[name]]
 
 
 def default_threads(devices: list[jax.Device], qp: str) -> int:

@@ -42,6 +42,7 @@ from htcp_jax.settings import Settings
 # Kernels that few lanes need at a time, or that have loops of their own to vectorise.
 DEEP = ("draw", "push", "enter", "ascend", "stage", "check_path")
 STEPS_A_BURST = 5  # step QPs that `track` takes before the engine looks at the lanes again
+SPREAD_EVERY = 3  # rounds of draws: in every third any of the better draws are pushed clear, not the clearest alone
 DRAW_STAGE = 99  # random keys of draws lie apart from those of the stages
 
 
@@ -187,7 +188,7 @@ def draw(settings: Settings, scene: Scene, task: Task) -> Anchored:
     """The best of a round of draws at the task's target; which round is the task's."""
     scene = _scene(scene, task)
     stuck = _stuck(settings, task, jnp.zeros_like(scene.robot.lower), DRAW_STAGE)
-    return draw_clear(scene, settings, task, stuck, task.round % 2 == 1)
+    return draw_clear(scene, settings, task, stuck, task.round % SPREAD_EVERY == SPREAD_EVERY - 1)
 
 
 def ascend(settings: Settings, scene: Scene, task: Task, x):

@@ -48,14 +48,14 @@ def solve_step(qp: StepQP, tolerance: float = 1e-8) -> QPSolution:
 
     rows = jnp.concatenate([qp.G, jnp.eye(n), -jnp.eye(n)])
     bound = jnp.concatenate([qp.h, qp.upper, -qp.lower])
-    has_bound = jnp.isfinite(bound)
+    has_bound = ~jnp.isposinf(bound)
     bound = jnp.where(has_bound, bound, 0.0) - rows @ y_task
     rows = rows @ to_y
     length = jnp.where(has_bound, safe_norm(rows), 0.0)
     flat = length < 1e-12  # such a row says nothing about u: true or false wherever it is
     normal = rows / jnp.where(flat, 1.0, length)[:, None]
     offset = jnp.where(flat, jnp.inf, bound / jnp.where(flat, 1.0, length))
-    hopeless = jnp.any(flat & has_bound & (bound < -tolerance))
+    hopeless = jnp.any((flat & has_bound & (bound < -tolerance)) | jnp.isneginf(bound))
 
     end = _closest_point(normal, offset, tolerance / jnp.where(flat, 1.0, length), u0)
     y = y_task + to_y @ end.u

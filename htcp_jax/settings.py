@@ -53,7 +53,7 @@ class Settings:
     keep_clear_steps: int = 5
 
     # Hybrid
-    postures: int = 8  # rounds of draws for a posture at a lost target that leads back to the first
+    postures: int = 9  # rounds of draws for a posture at a lost target that leads back to the first
 
     seed: int = 0  # every scenario's random key is folded from it
 

@@ -12,7 +12,7 @@ PACKAGE = Path(htcp_jax.__file__).parent
 
 # From the bottom up. A module may import from its own row and from those above it in this list.
 LAYERS = [
-    ["__init__", "errors", "notebook", "types", "pytree", "numerics", "status", "settings", "plans", "compile_cache"],
+    ["__init__", "errors", "notebook", "types", "pytree", "numerics", "status", "settings", "plans", "compile_cache", "devices"],
     ["robot", "robot_file", "kinematics", "duct", "cloud", "cloud_index", "half_spaces", "hull", "workpiece"],
     ["scenario"],
     ["clearance", "task", "seen"],
@@ -21,7 +21,7 @@ LAYERS = [
     ["qp"],
     ["qp_clarabel", "qp_qpsolvers", "qp_device"],
     ["qp_solvers"],
-    ["devices", "escape", "kernels", "engine", "planner"],
+    ["escape", "kernels", "engine", "planner"],
     ["strict_yaml", "config", "job"],
     ["paper", "grid", "metrics", "results", "ceiling", "doctor"],
     ["charts", "chart_style", "path_charts", "success_charts", "document"],

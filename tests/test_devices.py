@@ -1,0 +1,18 @@
+import jax
+import pytest
+
+from htcp_jax.devices import choose, default_threads
+from htcp_jax.errors import InputError
+
+
+def test_the_default_is_what_jax_prefers():
+    assert choose()[0] in jax.local_devices()
+    assert default_threads(choose(), "clarabel") >= 1
+
+
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="here is an accelerator")
+def test_without_an_accelerator_there_is_the_cpu_and_nothing_else():
+    assert choose("cpu") == jax.local_devices()[:1]
+    for name in ("gpu", "gpu:2", "tpu", "cpu:1", "gpu:0"):
+        with pytest.raises(InputError, match=f"device is '{name}'; valid here: cpu$"):
+            choose(name)

@@ -1,0 +1,132 @@
+"""The device's step QP: built backwards from known answers, judged by KKT, and held against Clarabel on real ones."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_qp import WEIGHTS, batch, infeasible, random_batch
+
+from htcp_jax import planner
+from htcp_jax.planner import plan
+from htcp_jax.qp import QPStatus, StepQP
+from htcp_jax.qp_clarabel import ClarabelSolver
+from htcp_jax.qp_device import solve_step
+from htcp_jax.qp_solvers import make_solver
+from htcp_jax.robot import gp50
+from htcp_jax.scenario import make_scenario, stack
+from htcp_jax.settings import Settings
+from htcp_jax.status import Status
+from htcp_jax.workpiece import load_workpiece
+
+solve = jax.jit(jax.vmap(solve_step))
+START = np.array([0.0, -2.3, 0.5, 0.0, 0.5, -2.0])
+
+
+def solved(qps: StepQP):
+    return jax.tree.map(np.asarray, solve(jax.tree.map(jnp.asarray, qps)))
+
+
+@pytest.mark.parametrize("rows", [1, 8])
+def test_it_finds_the_answer_that_a_qp_was_built_from(rows):
+    qps, answers = random_batch(500, rows, seed=rows)
+    y, status = solved(qps)
+    assert (status == QPStatus.SOLVED).all()
+    np.testing.assert_allclose(y, answers, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("kind", ["limits", "task", "rows"])
+def test_it_certifies_a_qp_that_has_no_solution(kind):
+    rng = np.random.default_rng(3)
+    y, status = solved(batch([infeasible(rng, 8, kind) for _ in range(100)]))
+    assert (status == QPStatus.INFEASIBLE).all() and (y == 0).all()
+
+
+def test_rows_that_say_the_same_or_nothing_change_nothing():
+    qps, answers = random_batch(100, 4, seed=9)
+    rng = np.random.default_rng(9)
+    again = 10.0 ** rng.uniform(-3, 3, 100)[:, None]
+    G = np.concatenate([qps.G, again[..., None] * qps.G, 0.0 * qps.G[:, :1]], axis=1)
+    h = np.concatenate([qps.h, again * qps.h, 0.0 * qps.h[:, :1]], axis=1)
+    y, status = solved(qps._replace(G=G, h=h))
+    assert (status == QPStatus.SOLVED).all()
+    np.testing.assert_allclose(y, answers, rtol=0, atol=1e-9)
+    # 0 y <= -1 is no small thing.
+    assert (solved(qps._replace(G=G, h=np.concatenate([h[:, :-1], h[:, -1:] - 1], axis=1))).status == 1).all()
+
+
+def test_a_joint_without_limits_is_free():
+    qps, _ = random_batch(100, 8, seed=4)
+    wide = qps._replace(upper=np.full_like(qps.upper, 1e3), lower=np.full_like(qps.lower, -1e3))
+    free = qps._replace(upper=np.full_like(qps.upper, np.inf), lower=np.full_like(qps.lower, -np.inf))
+    np.testing.assert_array_equal(solved(free).status, solved(wide).status)
+    np.testing.assert_allclose(solved(free).y, solved(wide).y, rtol=0, atol=1e-10)
+
+
+def test_a_task_that_a_singular_posture_cannot_do_is_infeasible():
+    qps, _ = random_batch(20, 2, seed=5)
+    A, b = qps.A.copy(), qps.b.copy()
+    A[:, 2] = A[:, 0] + A[:, 1]
+    b[:, 2] = b[:, 0] + b[:, 1] + 0.1
+    assert (solved(qps._replace(A=A, b=b)).status == QPStatus.INFEASIBLE).all()
+
+
+@pytest.mark.parametrize("field", StepQP._fields)
+def test_a_qp_with_a_nan_fails_and_the_others_do_not_notice(field):
+    qps, answers = random_batch(5, 8, seed=6)
+    broken = getattr(qps, field).copy()
+    broken[2].flat[0] = np.nan
+    y, status = solved(qps._replace(**{field: broken}))
+    assert status.tolist() == [0, 0, QPStatus.FAILED, 0, 0] and (y[2] == 0).all()
+    np.testing.assert_allclose(np.delete(y, 2, 0), np.delete(answers, 2, 0), rtol=0, atol=1e-10)
+
+
+class Recorder:
+    """Clarabel, and every QP that it was given."""
+
+    def __init__(self, settings, joints, rows):
+        self._solver, self.seen = make_solver(settings, joints, rows), []
+
+    def solve(self, qps):
+        self.seen.append(qps)
+        return self._solver.solve(qps)
+
+
+def recorded(monkeypatch, settings, margin_m) -> StepQP:
+    """The step QPs of a few hard poses."""
+    made = []
+    monkeypatch.setattr(planner, "make_solver", lambda *a: made.append(Recorder(*a)) or made[-1])
+    scene = gp50(), load_workpiece()
+    hard = [(0.8, -0.3), (0.7, 0.3), (0.6, 0.0), (0.2, -0.3)]
+    plan(*scene, [make_scenario(*scene, START, rotation=r, margin_m=margin_m) for r in hard], "baseline", settings)
+    return jax.tree.map(lambda *part: np.concatenate(part), *[qps for recorder in made for qps in recorder.seen])
+
+
+@pytest.mark.parametrize(
+    ("settings", "margin_m"), [(Settings(), 5e-4), (Settings(rows="smallest", cost_about="previous"), 0.0)]
+)
+def test_it_agrees_with_clarabel_on_the_step_qps_of_real_plans(monkeypatch, settings, margin_m):
+    qps = recorded(monkeypatch, settings, margin_m)
+    assert len(qps.b) > 200
+    tighter = qps._replace(h=qps.h - 0.05)  # as if the wall were 5 cm nearer: for many there is no way then
+    qps = jax.tree.map(lambda a, b: np.concatenate([a, b]), qps, tighter)
+    ours = solved(qps)
+    theirs = ClarabelSolver(WEIGHTS, qps.h.shape[1], tolerance=1e-10).solve(qps)
+    np.testing.assert_array_equal(ours.status, theirs.status)
+    assert (theirs.status == QPStatus.INFEASIBLE).sum() > 30
+    np.testing.assert_allclose(ours.y, theirs.y, rtol=0, atol=1e-6)
+
+
+def test_planning_with_it_tracks_the_same_targets_and_does_not_depend_on_the_batch():
+    scene, settings = (gp50(), load_workpiece()), Settings(qp="device")
+    scenarios = [
+        make_scenario(*scene, START, rotation=r, margin_m=5e-4, number=k)
+        for k, r in enumerate([(0.4, 0.1), (0.8, -0.3), (0.7, 0.3)])
+    ]
+    device = plan(*scene, scenarios, "nspace-sqp", settings, threads=2)
+    host = plan(*scene, stack(scenarios), "nspace-sqp", Settings())
+    np.testing.assert_array_equal(device.status == Status.NOT_ATTEMPTED, host.status == Status.NOT_ATTEMPTED)
+    alone = plan(*scene, scenarios[1:2], "nspace-sqp", settings)
+    for name in ("x", "status", "clearance", "iterations"):
+        np.testing.assert_array_equal(getattr(alone, name)[0], getattr(device, name)[1], err_msg=name)
+
+
