@@ -12,7 +12,8 @@ PACKAGE = Path(htcp_jax.__file__).parent
 
 # From the bottom up. A module may import from its own row and from those above it in this list.
 LAYERS = [
-    ["__init__", "errors", "notebook", "types", "pytree", "numerics", "status", "settings", "plans", "compile_cache", "devices"],
+    ["__init__", "errors", "notebook", "types", "pytree", "numerics", "status", "settings", "plans"],
+    ["compile_cache", "devices"],
     ["robot", "robot_file", "kinematics", "duct", "cloud", "cloud_index", "half_spaces", "hull", "workpiece"],
     ["scenario"],
     ["clearance", "task", "seen"],
