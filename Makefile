@@ -5,7 +5,7 @@ PYTHON ?= $(firstword $(foreach p,python3 python3.14 python3.13 python3.12 pytho
 	$(shell $(p) -c 'import sys; sys.version_info >= (3, 11) and print("$(p)")' 2>/dev/null)) no-python-3.11-found)
 INSTALL = $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable
 
-.PHONY: demo test test-slow notebooks docs lock clean
+.PHONY: demo test test-slow notebooks docs gate bless gate-runs lock clean
 
 demo: $(VENV)/.installed  ## plan the default job
 	$(VENV)/bin/htcp plan
@@ -28,6 +28,22 @@ notebooks: $(VENV)/.installed-notebooks  ## execute the notebooks; build/noteboo
 
 docs: $(VENV)/.installed-docs  ## build the documentation into build/site, warnings are errors
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --quiet --strict
+
+# The sweeps that `htcp gate` holds to sweeps/baselines/, planned by every method, and the folder of their runs.
+GATED = workpiece robot-third
+RUNS = build/gate
+GATE = $(VENV)/bin/htcp gate $(RUNS)/$$sweep --baseline sweeps/baselines/$$sweep.yaml
+
+gate: gate-runs  ## plan the gated sweeps and hold them to their baselines
+	@failed=0; for sweep in $(GATED); do $(GATE) || failed=1; done; exit $$failed
+
+bless: gate-runs  ## plan the gated sweeps and make them the new baselines
+	@set -e; for sweep in $(GATED); do $(GATE) --bless; done
+
+gate-runs: $(VENV)/.installed
+	rm -rf $(RUNS)
+	@set -e; for sweep in $(GATED); do $(VENV)/bin/htcp sweep sweeps/$$sweep.yaml --out $(RUNS)/$$sweep; done
+	$(VENV)/bin/htcp ceiling sweeps/workpiece.yaml --out $(RUNS)/workpiece
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

@@ -14,6 +14,7 @@ import typer
 from htcp_jax import compile_cache
 from htcp_jax.cli_ceiling import ceiling_command
 from htcp_jax.cli_doctor import doctor
+from htcp_jax.cli_gate import gate
 from htcp_jax.cli_methods import methods
 from htcp_jax.cli_plan import plan
 from htcp_jax.cli_render import render
@@ -33,6 +34,7 @@ app.command(short_help="Check results by MuJoCo alone.")(validate)
 app.command(short_help="Look at plans in the browser, target by target.")(view)
 app.command(short_help="A picture and a movie of one plan.")(render)
 app.command("ceiling", short_help="How much is reachable at all, whatever the method.")(ceiling_command)
+app.command(short_help="Hold a sweep to a baseline: does it still reach what it did?")(gate)
 app.command(short_help="List the planners and what each does.")(methods)
 app.command(short_help="Look at this installation and test it in 2 s.")(doctor)
 

@@ -16,7 +16,8 @@ from htcp_jax import report_tables
 from htcp_jax.document import Block, Column, Heading, Picture, Table, html, markdown, png, write_csv
 from htcp_jax.errors import InputError
 from htcp_jax.escape import METHODS
-from htcp_jax.report_chapter import chapter, choice, presets, validated
+from htcp_jax.report_chapter import chapter, choice, presets
+from htcp_jax.report_validation import validated
 from htcp_jax.run_folder import Run, open_run
 from htcp_jax.run_parts import Part, read_parts
 from htcp_jax.run_tables import frame_of
@@ -96,7 +97,7 @@ def record(report: Report) -> dict:
             {
                 "run": part.name,
                 "configuration": choice(part),
-                "validated": validated(part),
+                "validated": validated(part.run),
                 **{
                     table.name.replace("-", "_"): table.records()
                     for table in (make(part) for make in TABLES)

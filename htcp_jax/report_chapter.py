@@ -1,6 +1,5 @@
 """One part of a run as a chapter of the report: sentences, tables and charts."""
 
-import json
 import re
 from pathlib import Path
 
@@ -10,13 +9,11 @@ from matplotlib.figure import Figure
 from htcp_jax import charts, paper, report_tables
 from htcp_jax.config import PlanConfig, validate
 from htcp_jax.document import Block, Heading, Picture
-from htcp_jax.errors import InputError
 from htcp_jax.path_charts import words
+from htcp_jax.report_validation import validation_section, verdict
 from htcp_jax.run_parts import Part, tracked
 from htcp_jax.run_tables import NO_TARGET
-from htcp_jax.validate_input import result_files
 
-VALIDATION = "validation.json"  # what htcp validate leaves in the folder of a run
 MOST_SLICES = 9  # maps in a row
 UNITS = "rad", "m"
 BLOCKED = (
@@ -43,6 +40,7 @@ def chapter(part: Part, prefix: str, level: int) -> list[Block]:
         report_tables.steps(part),
         BLOCKED,
         *_motion(part, prefix),
+        *validation_section(part.run, level),
         Heading(level, "Time"),
         f"Of the whole run, on {_device(part)}.",
         report_tables.times(part),
@@ -60,7 +58,7 @@ def facts(part: Part) -> list[str]:
     names = scene.robot.model, scene.workpiece.cloud, scene.workpiece.path
     robot, cloud, path = (BUILT_IN.get(name, Path(name).name) for name in names)
     lines.append(f"Robot {robot}; workpiece {cloud}; path {path}.")
-    lines.append(f"Configuration: {choice(part)}. {_validation(part)}")
+    lines.append(f"Configuration: {choice(part)}. {verdict(part.run)}")
     if manifest.count < manifest.full:
         lines.append(f"The run is limited to the first {manifest.count:,} of {manifest.full:,} scenarios.")
     unfinished = {m: sum(span.last - span.first + 1 for span in part.run.missing(m)) for m in part.run.methods}
@@ -82,19 +80,6 @@ def choice(part: Part) -> str:
 def presets() -> dict[str, PlanConfig]:
     """The configurations that ship, by name."""
     return {"duct.yaml": PlanConfig(), "paper.yaml": validate(dict(paper.CHOICES), PlanConfig, "paper.yaml")}
-
-
-def validated(part: Part) -> bool | None:
-    """What the independent validation found; None where none was made, or none of these very results. Raises
-    InputError for a damaged file."""
-    file = Path(part.run.folder) / VALIDATION
-    try:
-        found = json.loads(file.read_text(encoding="utf-8"))
-        return bool(found["validated"]) if found["files"] == result_files(part.run) else None
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{file} is damaged or no result of htcp validate: {error}") from None
 
 
 def label(name: str) -> str:
@@ -217,11 +202,6 @@ def _beaten(part: Part) -> list[str]:
 def _tracked_or_nan(status: np.ndarray) -> np.ndarray:
     planned = (status != NO_TARGET).any(axis=1)
     return np.where(planned, tracked(status).sum(axis=1), np.nan)
-
-
-def _validation(part: Part) -> str:
-    told = {None: "Not validated independently.", True: "Validated.", False: "Validation refuted some of it."}
-    return told[validated(part)]
 
 
 def _device(part: Part) -> str:

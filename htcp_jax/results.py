@@ -3,10 +3,12 @@
 import contextlib
 import csv
 import dataclasses
+import functools
 import importlib.metadata
 import json
 import math
 import os
+import platform
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -78,13 +80,26 @@ def write_trajectory_npz(file: Path, robot: Robot, plans: Plans, row: int = 0) -
 
 
 def write_json(file: Path, record: dict) -> None:
-    """`record` as JSON, NaN and infinities as null."""
-    file.write_text(json_text(record) + "\n", encoding="utf-8")
+    """`record` as JSON, NaN and infinities as null. Raises InputError as `write_text` does."""
+    write_text(file, json_text(record) + "\n")
 
 
 def json_text(record: Any) -> str:
     """`record` as JSON, NaN and infinities as null."""
     return json.dumps(_plain(record), indent=2, allow_nan=False)
+
+
+def write_text(file: Path, text: str) -> None:
+    """A file in UTF-8, written aside and moved into place. Raises InputError when it cannot be written; what was there
+    is then as before."""
+    part = file.with_name(f".part-{file.name}")
+    try:
+        part.write_text(text, encoding="utf-8")
+        os.replace(part, file)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise InputError(f"cannot write to {file.parent}: {error.strerror}") from None
 
 
 def summary_record(summary: Summary) -> dict:
@@ -100,11 +115,23 @@ def provenance() -> dict:
     """What computed the result: versions, device and float width."""
     packages = ("htcp_jax", "jax", "jaxlib", "numpy", "mujoco", "clarabel", "qpsolvers")
     device = jax.devices()[0]
+    kind = _processor() if device.platform == "cpu" else device.device_kind
     return {
         "versions": {name: _version(name) for name in packages},
-        "device": f"{device.platform}: {device.device_kind}",
+        "device": f"{device.platform}: {kind}",
         "dtype": str(np.dtype(jax.numpy.zeros(0).dtype)),
     }
+
+
+@functools.cache
+def _processor() -> str:
+    """The processor's kind, as far as the system tells: what a compiler optimises for."""
+    try:
+        lines = (line.partition(":") for line in Path("/proc/cpuinfo").read_text().splitlines())
+        told = {name.strip(): value.strip() for name, _, value in lines}
+        return f"{told['model name']}, family {told['cpu family']}, model {told['model']}"
+    except (OSError, UnicodeDecodeError, KeyError):  # another system or another architecture
+        return platform.processor() or platform.machine()
 
 
 def _version(package: str) -> str | None:

@@ -17,7 +17,7 @@ from htcp_jax.run_folder import Run
 from htcp_jax.run_tables import NO_TARGET
 from htcp_jax.status import Status
 
-CEILING = "ceiling.json"  # {"prefix": [targets in a row that are known to be reachable, of scenario 0, 1, ...], ...}
+CEILING = "ceiling.json"
 XYZ = "xyz"
 
 
@@ -72,6 +72,30 @@ class Part(NamedTuple):
         return np.where(count > 0, total / np.maximum(count, 1), np.nan).reshape(shape)
 
 
+class Reachable(NamedTuple):
+    """What `htcp ceiling` left in a run's folder."""
+
+    prefix: np.ndarray  # (S,) targets in a row that are known to be reachable, of scenario 0, 1, ...
+    draws: int
+    seed: int
+
+
+def read_ceiling(run: Run) -> Reachable | None:
+    """The run's ceiling; None where none was searched. Raises InputError for a damaged file, and for one that is of
+    another number of scenarios."""
+    file = Path(run.folder) / CEILING
+    try:
+        record = json.loads(file.read_text(encoding="utf-8"))
+        found = Reachable(np.asarray(record["prefix"], int), int(record["draws"]), int(record["seed"]))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{file} is damaged or no result of htcp ceiling: {error}") from None
+    if found.prefix.shape != (run.manifest.count,):
+        raise InputError(f"{file} holds {found.prefix.size} scenarios, the run has {run.manifest.count}")
+    return found
+
+
 def read_parts(run: Run, name: str) -> list[Part]:
     """The parts of a run that is called `name`, in the order of its scenarios.
 
@@ -86,7 +110,7 @@ def read_parts(run: Run, name: str) -> list[Part]:
     plans = {method: _widened(whole, longest) for method, whole in plans.items()}
     parameters = {name: _column(table[name]) for name in _parameter_names(table, run.manifest.joints)}
     numbers = table["scenario"].to_numpy()
-    ceiling = _read_ceiling(run)
+    ceiling = read_ceiling(run)
     groups = np.array([group or "" for group in table["group"].to_pylist()])
     parts = []
     for group in dict.fromkeys(groups.tolist()):
@@ -98,7 +122,7 @@ def read_parts(run: Run, name: str) -> list[Part]:
                 numbers=numbers[here],
                 parameters={key: values[here] for key, values in parameters.items()},
                 plans={m: rows for m, whole in plans.items() if _any_planned(rows := _rows(whole, numbers[here]))},
-                ceiling=None if ceiling is None else ceiling[numbers[here]],
+                ceiling=None if ceiling is None else ceiling.prefix[numbers[here]],
                 step_s={method: _step_s(whole) for method, whole in plans.items()},
                 joints=run.manifest.joints,
                 run=run,
@@ -157,14 +181,3 @@ def _column(column: pa.ChunkedArray) -> np.ndarray:
     return np.round(values, 9) + 0.0 if values.dtype.kind == "f" else values
 
 
-def _read_ceiling(run: Run) -> np.ndarray | None:
-    file = Path(run.folder) / CEILING
-    try:
-        prefix = np.asarray(json.loads(file.read_text(encoding="utf-8"))["prefix"], int)
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{file} is damaged or no result of htcp ceiling: {error}") from None
-    if prefix.shape != (run.manifest.count,):
-        raise InputError(f"{file} holds {prefix.size} scenarios, the run has {run.manifest.count}")
-    return prefix

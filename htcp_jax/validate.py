@@ -10,7 +10,6 @@ in small steps. What is found there refutes nothing, because no target is there:
 """
 
 import json
-import os
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -32,6 +31,9 @@ VALIDATION = "validation.json"
 TOLD = 100  # refuted configurations that are told one by one
 
 
+Place = tuple[int, int]  # scenario and target, of a path the one that it leads to
+
+
 class MethodCheck(NamedTuple):
     """What was found for one method; None where there was nothing to measure."""
 
@@ -39,6 +41,7 @@ class MethodCheck(NamedTuple):
     refuted: int
     tcp_error_max_mm: float | None  # |site - target|
     clearance_min_mm: float | None
+    clearance_min_at: Place | None
     clearance_off_max_mm: float | None  # |MuJoCo's - recorded|, so are the next two
     tcp_off_max_mm: float | None
     target_off_max_mm: float | None
@@ -46,10 +49,12 @@ class MethodCheck(NamedTuple):
     paths_touching: int | None  # of them; None where nothing was looked at between the targets
     paths_blocked_on_record: int
     clearance_between_min_mm: float | None  # along the paths, targets included
+    clearance_between_min_at: Place | None
     line_deviation_max_mm: float | None  # of the TCP from the straight line between two targets
+    line_deviation_max_at: Place | None
     speed_ratio_max: float | None  # joint speed by its limit at the feed rate; None where the model has no limits
     speed_joint: str | None  # whose it is
-    speed_at: tuple[int, int] | None  # scenario and target that the path leads to
+    speed_at: Place | None
     in_place_max_rad: float | None  # largest joint change between targets closer than the tolerance, for which the
     # feed rate leaves no time; among them the one from the start to the first target
 
@@ -75,8 +80,9 @@ def validate(
 ) -> Validation:
     """Check the run or the plan in `folder`.
 
-    between: steps of each joint path, 0 to look at the targets alone. feed_mm_s: speed of the TCP along the straight
-    lines between the targets. progress: called with the tracks checked and their number.
+    between: least steps of each joint path, more where a joint would turn by more than `STEP_RAD` in one; 0 to look at
+    the targets alone. feed_mm_s: speed of the TCP along the straight lines between the targets. progress: called
+    with the tracks checked and their number.
     Raises InputError for a folder that holds no results, for damaged ones, and for numbers out of range.
     """
     if between < 0:
@@ -118,20 +124,10 @@ def record(found: Validation) -> dict[str, Any]:
 def write_validation(folder: Path, found: Validation) -> None:
     """validation.json, and in the folder of a plan "validated" in summary.json; aside, then moved into place.
     Raises InputError when the folder cannot be written."""
-    _replace(folder / VALIDATION, record(found))
+    write_json(folder / VALIDATION, record(found))
     summary = folder / SUMMARY
     if summary.exists():
-        _replace(summary, json.loads(summary.read_text(encoding="utf-8")) | {"validated": found.validated})
-
-
-def _replace(file: Path, content: dict) -> None:
-    part = file.with_name(f".{file.name}.part")
-    try:
-        write_json(part, content)
-        os.replace(part, file)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise InputError(f"cannot write to {file.parent}: {error.strerror}") from None
+        write_json(summary, json.loads(summary.read_text(encoding="utf-8")) | {"validated": found.validated})
 
 
 def _arm(arms: dict[float, Arm], results: Results, track: Track) -> Arm:
@@ -147,34 +143,48 @@ def _arm(arms: dict[float, Arm], results: Results, track: Track) -> Arm:
 
 def _sum_up(checked: Sequence[Checked], joints: Sequence[str], feed_mm_s: float) -> MethodCheck:
     """One method's tracks together."""
+    targets = [(one.scenario, target) for one in checked for target in one.target.tolist()]
+    paths = [(one.scenario, target) for one in checked for target in one.leads_to.tolist()]
+    walked = checked[0].touches is not None
 
-    def most(name: str, factor: float = 1e3) -> float | None:
-        parts = [getattr(one, name) for one in checked if getattr(one, name) is not None]
-        found = np.concatenate(parts) if parts else np.empty(0)
-        return factor * float(found.max()) if found.size else None
+    def all_of(name: str) -> np.ndarray:
+        return np.concatenate([getattr(one, name) for one in checked])
 
-    clearance = np.concatenate([one.clearance for one in checked])
-    walked = [one for one in checked if one.touches is not None]
-    least = [*clearance, *(one.clearance_between for one in checked)]
-    speed = np.concatenate([one.speed for one in checked])
-    ratio = speed * feed_mm_s / 1e3
-    where = [(one.scenario, target) for one in checked for target in one.leads_to.tolist()]
+    clearance = all_of("clearance")
+    clearance_min, clearance_at = _worst(np.argmin, clearance, targets)
+    between_min = between_at = deviation_max = deviation_at = None
+    if walked:
+        along = np.concatenate([clearance, all_of("clearance_between")])
+        between_min, between_at = _worst(np.argmin, along, [*targets, *paths])
+        deviation_max, deviation_at = _worst(np.argmax, all_of("deviation"), paths)
+    ratio = all_of("speed") * feed_mm_s / 1e3
     path, joint = np.unravel_index(ratio.argmax(), ratio.shape) if ratio.any() else (None, None)
     return MethodCheck(
         checked=sum(one.tracked for one in checked),
         refuted=sum(len(one.refuted) for one in checked),
-        tcp_error_max_mm=most("tcp_error"),
-        clearance_min_mm=1e3 * float(clearance.min()) if clearance.size else None,
-        clearance_off_max_mm=most("clearance_off"),
-        tcp_off_max_mm=most("tcp_off"),
-        target_off_max_mm=most("target_off"),
-        paths=len(where),
-        paths_touching=sum(int(one.touches.sum()) for one in walked) if walked else None,
+        tcp_error_max_mm=_worst(np.argmax, all_of("tcp_error"), targets)[0],
+        clearance_min_mm=clearance_min,
+        clearance_min_at=clearance_at,
+        clearance_off_max_mm=_worst(np.argmax, all_of("clearance_off"), targets)[0],
+        tcp_off_max_mm=_worst(np.argmax, all_of("tcp_off"), targets)[0],
+        target_off_max_mm=_worst(np.argmax, all_of("target_off"), targets)[0],
+        paths=len(paths),
+        paths_touching=int(all_of("touches").sum()) if walked else None,
         paths_blocked_on_record=sum(one.blocked for one in checked),
-        clearance_between_min_mm=1e3 * float(min(least)) if walked and least else None,
-        line_deviation_max_mm=most("deviation"),
+        clearance_between_min_mm=between_min,
+        clearance_between_min_at=between_at,
+        line_deviation_max_mm=deviation_max,
+        line_deviation_max_at=deviation_at,
         speed_ratio_max=None if path is None else float(ratio[path, joint]),
         speed_joint=None if path is None else joints[joint],
-        speed_at=None if path is None else where[path],
-        in_place_max_rad=most("in_place", 1.0),
+        speed_at=None if path is None else paths[path],
+        in_place_max_rad=float(all_of("in_place").max()) if paths else None,
     )
+
+
+def _worst(which: Callable, values: np.ndarray, places: Sequence[Place]) -> tuple[float | None, Place | None]:
+    """The worst of values [m] in mm, and where it is; `which` is argmin or argmax."""
+    if not values.size:
+        return None, None
+    at = int(which(values))
+    return 1e3 * float(values[at]), places[at]

@@ -12,6 +12,7 @@ from htcp_jax.validate_wall import AtTargets, Scene, Wall
 
 ROUNDING_M = 1e-9  # two ways to compute a clearance differ by 1e-15; 0 and the tolerance are meant to this width
 RECORD_M = 1e-5  # a record further off is refuted; 32-bit planners are within it
+STEP_RAD = 0.002  # a joint turns no further between two looks; a point 2 m away moves by 4 mm
 
 
 class Refuted(NamedTuple):
@@ -39,14 +40,14 @@ class Checked(NamedTuple):
     refuted: list[Refuted]
     leads_to: Int[np.ndarray, "m"]  # target
     touches: Bool[np.ndarray, "m"] | None
-    clearance_between: float  # least on the way, if less than at the targets; else inf
+    clearance_between: Float[np.ndarray, "m"] | None  # least on the way; inf where more than at all the targets
     deviation: Float[np.ndarray, "m"] | None
     speed: Float[np.ndarray, "m N"]  # ratio to the limit at a feed rate of 1 m/s; 0 where the targets coincide
     in_place: Float[np.ndarray, "m"]  # largest joint change where the targets coincide [rad or m]
 
 
 def check(results: Results, arm: Arm, wall: Wall, track: Track, between: int) -> Checked:
-    """Check one track with the arm that has its tool; between: steps of a joint path, 0 for none.
+    """Check one track with the arm that has its tool; between: least steps of a joint path, 0 to look at none.
     Raises InputError where the configuration leads to another number of targets than are on record."""
     scene, targets = _scene(results, arm, wall, track)
     t = np.flatnonzero(track.tracked & np.isfinite(track.x).all(axis=1))
@@ -125,35 +126,42 @@ def _reasons(arm: Arm, tolerance_m: float, x: np.ndarray, recorded: float, found
 
 
 def _walk(
-    scene: Scene, at: AtTargets, x: np.ndarray, first: np.ndarray, targets: np.ndarray, t: np.ndarray, steps: int
+    scene: Scene, at: AtTargets, x: np.ndarray, first: np.ndarray, targets: np.ndarray, t: np.ndarray, between: int
 ) -> dict[str, Any]:
-    """Along the joint paths from the rows `first` of x to the next ones, in `steps` steps: which of them touch, the
-    least clearance where it is less than at all of these rows, and how far the TCP leaves the line of its targets."""
-    if not steps:
-        return {"touches": None, "clearance_between": np.inf, "deviation": None}
-    below = max(0.0, float(at.clearance.min()))
-    fractions = np.arange(1, steps) / steps
-    moves = np.flatnonzero((x[first] != x[first + 1]).any(axis=1))
-    a = first[moves]
-    touches, deviation = np.zeros(len(first), bool), np.zeros(len(first))
-    if not len(a) or steps == 1:
-        return {"touches": touches, "clearance_between": np.inf, "deviation": deviation}
-    way = x[a, None] + fractions[None, :, None] * (x[a + 1] - x[a])[:, None]
-    tcp, clearance = scene.between(way.reshape(-1, x.shape[1]), np.repeat(a, steps - 1), at, below)
-    clearance = clearance.reshape(len(a), steps - 1)
-    touches[moves] = (clearance <= 0).any(axis=1)
-    to = t[a]
-    line = _from_line(tcp.reshape(len(a), steps - 1, 3), targets[np.maximum(to - 1, 0)], targets[to])
-    deviation[moves] = np.where(to > 0, line.max(axis=1, initial=0.0), 0.0)  # the way to the first is not on the path
-    return {"touches": touches, "clearance_between": clearance.min(initial=np.inf), "deviation": deviation}
+    """Along the joint paths from the rows `first` of x to the next ones: which of them touch, the least clearance where
+    it is less than at all of these rows, and how far the TCP leaves the line of its targets."""
+    if not between:
+        return dict.fromkeys(("touches", "clearance_between", "deviation"))
+    least, deviation = np.full(len(first), np.inf), np.zeros(len(first))
+    move = x[first + 1] - x[first]
+    furthest = abs(move).max(axis=1, initial=0.0)
+    steps = np.where(furthest > 0, np.maximum(between, np.ceil(furthest / STEP_RAD)), 1).astype(int)
+    path, fraction = _looks(steps)
+    if len(path):
+        way = x[first[path]] + fraction[:, None] * move[path]
+        tcp, clearance = scene.between(way, first[path], at, max(0.0, float(at.clearance.min())))
+        np.minimum.at(least, path, clearance)
+        to = t[first[path]]
+        off = np.where(to > 0, _from_line(tcp, targets[np.maximum(to - 1, 0)], targets[to]), 0.0)
+        np.maximum.at(deviation, path, off)  # the way to the first target is not on the path
+    return {"touches": least <= 0, "clearance_between": least, "deviation": deviation}
 
 
-def _from_line(points: Float[np.ndarray, "m k 3"], a: Float[np.ndarray, "m 3"], b: Float[np.ndarray, "m 3"]):
-    """Distances (m, k) of points to the straight lines from a to b."""
+def _looks(steps: Int[np.ndarray, "m"]) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Of paths in so many steps each: the path and the fraction of every point between two steps."""
+    path = np.repeat(np.arange(len(steps)), steps - 1)
+    before = np.cumsum(steps - 1) - (steps - 1)
+    return path, (np.arange(len(path)) - before[path] + 1) / steps[path]
+
+
+def _from_line(
+    points: Float[np.ndarray, "n 3"], a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n"]:
+    """Distance of each point to its straight line from a to b."""
     along = b - a
-    square = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)[:, None]
-    fraction = np.clip(((points - a[:, None]) * along[:, None]).sum(axis=2) / square, 0.0, 1.0)
-    return np.linalg.norm(points - a[:, None] - fraction[:, :, None] * along[:, None], axis=2)
+    square = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
+    fraction = np.clip(((points - a) * along).sum(axis=1) / square, 0.0, 1.0)
+    return np.linalg.norm(points - a - fraction[:, None] * along, axis=1)
 
 
 def _speed(arm: Arm, moved: np.ndarray, length: np.ndarray, tolerance_m: float) -> tuple[np.ndarray, np.ndarray]:

@@ -81,7 +81,7 @@ class Scene:
         postures = self.arm.postures(x)
         pieces = _whole_axes(postures, self.arm.radius)
         samples = _centres(postures, pieces)
-        distance = self.wall.tree.query(self._local(samples))[0]
+        distance = self.wall.tree.query(self._local(samples), workers=-1)[0]
         upper = _least(np.full(len(x), np.inf), pieces, distance - self.arm.radius[pieces.capsule])
         kept = pieces.only(self._may_hold(pieces, distance, upper))
         clearance = self._measured(x, postures, kept, upper)

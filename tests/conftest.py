@@ -14,3 +14,11 @@ def forget_programs():
     """Every compiled program maps memory, and a process may have 65,530 maps: past that the compiler crashes."""
     yield
     jax.clear_caches()
+
+
+@pytest.fixture(scope="session")
+def planned(tmp_path_factory):
+    """The folder with a small real run, see small_run.py; not to be changed."""
+    from small_run import plan_small_run  # here, because what is imported before the tests has unchecked annotations
+
+    return plan_small_run(tmp_path_factory.mktemp("planned"))

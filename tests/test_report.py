@@ -181,7 +181,7 @@ def test_an_unfinished_run_is_told_as_far_as_it_is(folder, monkeypatch, tmp_path
 def test_the_ceiling_is_compared_with_and_what_beats_it_is_named(folder, tmp_path):
     file = folder / "one" / CEILING
     try:
-        file.write_text(json.dumps({"prefix": [12, 13]}))
+        file.write_text(json.dumps({"prefix": [12, 13], "draws": 8, "seed": 0}))
         part = part_of(folder, "one")
         rows = rows_of(report_tables.ceiling(part))
         assert (rows["baseline"]["reachable"], rows["baseline"]["of_reachable_percent"]) == (25, 100)
@@ -189,7 +189,9 @@ def test_the_ceiling_is_compared_with_and_what_beats_it_is_named(folder, tmp_pat
         assert "Got further than sampling: baseline in 1 (0); hybrid in 1 (0)." in markdown(
             make_report([folder / "one"]).blocks
         )
-        for damaged in ("{", "[]", '{"prefix": [1]}', '{"prefix": ["x", 2]}'):
+        other = '"draws": 8, "seed": 0}'
+        wrong = (f'{{"prefix": {prefix}, {other}' for prefix in ("[1]", '["x", 2]'))
+        for damaged in ("{", "[]", '{"prefix": [12, 13]}', *wrong):
             file.write_text(damaged)
             with pytest.raises(InputError, match=CEILING):
                 part_of(folder, "one")

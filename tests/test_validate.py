@@ -1,66 +1,33 @@
 """Validation: what is right validates, what is wrong is refuted and named, and no point is left out unmeasured."""
 
-import hashlib
 import json
 import shutil
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
+from small_run import LONGER, spoil
 
-from htcp_jax import duct
 from htcp_jax.cli import main
+from htcp_jax.document import markdown
+from htcp_jax.errors import InputError
 from htcp_jax.kinematics import capsule_segments, tcp_position
-from htcp_jax.report_chapter import validated
+from htcp_jax.report import make_report
+from htcp_jax.report_validation import validated, verdict
 from htcp_jax.robot import GP50, Robot, gp50, lengthen_tool, load_robot
-from htcp_jax.run_folder import MANIFEST, open_run
-from htcp_jax.run_parts import read_parts
-from htcp_jax.sweep import sweep
+from htcp_jax.run_folder import open_run
 from htcp_jax.validate import VALIDATION, validate
 from htcp_jax.validate_arm import Arm
+from htcp_jax.validate_track import STEP_RAD
 from htcp_jax.validate_wall import Scene, Wall
 from htcp_jax.workpiece import load_workpiece
-
-LONGER = 0.01  # [m]
-SWEEP = f"""
-config: job.yaml
-grid:
-  - robot.tool_extension_m: [0.0, {LONGER}]
-  - workpiece.rotation_y_rad: [0.4, 0.5]
-"""
-
-
-@pytest.fixture(scope="session")
-def planned(tmp_path_factory):
-    """A run of four scenarios over every twelfth point of the generated weld: two tools, two poses."""
-    place = tmp_path_factory.mktemp("validate")
-    np.savetxt(place / "weld.csv", duct.weld()[::12], delimiter=",")
-    (place / "job.yaml").write_text("workpiece: {path: weld.csv}\nmethod: baseline\n")
-    (place / "grid.yaml").write_text(SWEEP)
-    sweep(place / "grid.yaml", "baseline", place / "run")
-    return place
 
 
 @pytest.fixture
 def run(planned, tmp_path):
     """A copy that a test may spoil."""
     return shutil.copytree(planned / "run", tmp_path / "run")
-
-
-def spoil(folder, scenario: int, target: int, **values):
-    """Put other values into a row of the results, and make the manifest agree with the file."""
-    (file,) = (folder / "targets").iterdir()
-    rows = pq.read_table(file).to_pylist()
-    (row,) = (row for row in rows if (row["scenario"], row["target"]) == (scenario, target))
-    row |= values
-    pq.write_table(pa.Table.from_pylist(rows, pq.read_schema(file)), file)
-    manifest = json.loads((folder / MANIFEST).read_text())
-    data = file.read_bytes()
-    manifest["shards"][0]["targets"] |= {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
-    (folder / MANIFEST).write_text(json.dumps(manifest))
 
 
 def scene(extension_m: float, rotation_y_rad: float, points: int | None = None) -> Scene:
@@ -99,19 +66,47 @@ def test_a_run_validates_and_the_report_says_so(run, capsys):
     found = json.loads((run / VALIDATION).read_text())
     one = found["methods"]["baseline"]
     assert found["validated"] and one["refuted"] == 0
-    assert one["checked"] == sum(open_run(run).scenarios()["tracked"].to_pylist()) > 60
+    assert one["checked"] == sum(open_run(run).scenarios("baseline")["tracked"].to_pylist()) > 60
     assert 0 < one["clearance_min_mm"] and one["tcp_error_max_mm"] <= 1
     assert max(one[f"{name}_off_max_mm"] for name in ("clearance", "tcp", "target")) < 1e-9
     assert one["paths_touching"] == one["paths_blocked_on_record"]
-    (part,) = read_parts(open_run(run), "run")
-    assert validated(part) is True
+    assert one["clearance_between_min_mm"] <= one["clearance_min_mm"]
+    scenario, target = one["clearance_min_at"]
+    recorded = open_run(run).plans("baseline").clearance
+    assert recorded[scenario, target] == np.nanmin(recorded)
+    assert validated(open_run(run)) is True
+    text = markdown(make_report([run]).blocks)
+    touching = sum(check["paths_touching"] for check in found["methods"].values())
+    told = f"Validated: MuJoCo refutes none of 152 tracked targets; {touching} of the 152 joint paths between"
+    assert "## Validation" in text and told in text and touching > 0
 
 
 def test_a_report_does_not_call_other_results_validated_than_those_that_were(run):
     main(["validate", str(run), "--between", "0"])
     spoil(run, 0, 5, iterations=1)
-    (part,) = read_parts(open_run(run), "run")
-    assert validated(part) is None
+    assert validated(open_run(run)) is None and verdict(open_run(run)) == "Not validated independently."
+
+
+def test_a_damaged_validation_is_named(run):
+    main(["validate", str(run), "--between", "0"])
+    whole = json.loads((run / VALIDATION).read_text())
+    for damaged in ({}, whole | {"methods": 3}, whole | {"refuted_count": None}, {k: whole[k] for k in ("files",)}):
+        (run / VALIDATION).write_text(json.dumps(damaged))
+        with pytest.raises(InputError, match=VALIDATION):
+            validated(open_run(run))
+
+
+def test_between_two_targets_no_joint_turns_far_from_one_look_to_the_next(planned, monkeypatch):
+    ways, between = [], Scene.between
+
+    def recorded(self, x, a, known, below):
+        ways.extend(x[a == one] for one in np.unique(a))
+        return between(self, x, a, known, below)
+
+    monkeypatch.setattr(Scene, "between", recorded)
+    validate(planned / "run", between=3)
+    furthest = max(abs(np.diff(way, axis=0)).max() for way in ways)
+    assert 0.8 * STEP_RAD < furthest <= STEP_RAD * (1 + 1e-9) and min(map(len, ways)) == 2
 
 
 def test_a_configuration_5_mm_in_the_wall_is_refuted_and_named(run, capsys):

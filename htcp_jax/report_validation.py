@@ -1,0 +1,107 @@
+"""What `htcp validate` found, as the report and the terminal tell it."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from htcp_jax.document import Block, Column, Heading, Table
+from htcp_jax.errors import InputError
+from htcp_jax.run_folder import Run
+from htcp_jax.validate import VALIDATION
+from htcp_jax.validate_input import result_files
+from htcp_jax.validate_track import STEP_RAD
+
+COLUMNS = (
+    Column("method", "method"),
+    Column("checked", "targets", "checked", ",d"),
+    Column("refuted", "refuted", "", ",d"),
+    Column("tcp_error_max_mm", "TCP error", "max mm", ".3f"),
+    Column("clearance_min_mm", "clearance", "min mm", ".4f"),
+    Column("clearance_off_max_mm", "off record", "max mm", ".1e"),
+    Column("paths", "paths", "", ",d"),
+    Column("paths_touching", "touch", "", ",d"),
+    Column("paths_blocked_on_record", "on record", "blocked", ",d"),
+    Column("clearance_between_min_mm", "clearance", "on them mm", ".4f"),
+    Column("clearance_between_min_at", "worst at", "scen.: target"),
+    Column("line_deviation_max_mm", "off the line", "max mm", ".2f"),
+    Column("speed_ratio_max", "joint speed", "of limit", ".2f"),
+    Column("speed_joint", "of"),
+    Column("in_place_max_rad", "in place", "max rad", ".2f"),
+)
+
+
+def read_validation(run: Run) -> dict[str, Any] | None:
+    """The validation in the run's folder; None where there is none, or none of these very results. Raises InputError
+    for a damaged file."""
+    file = Path(run.folder) / VALIDATION
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+        if found["files"] != result_files(run):
+            return None
+        sentence(found), validation_table(found), notes(found)  # whatever else it lacks is of no use here
+        return found
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+        raise InputError(f"{file} is damaged or no result of htcp validate: {error}") from None
+
+
+def validated(run: Run) -> bool | None:
+    """Whether every tracked target stands; None where that is not known. Raises InputError as `read_validation`."""
+    found = read_validation(run)
+    return None if found is None else bool(found["validated"])
+
+
+def verdict(run: Run) -> str:
+    """The same in a sentence."""
+    found = read_validation(run)
+    return "Not validated independently." if found is None else sentence(found)
+
+
+def validation_section(run: Run, level: int) -> list[Block]:
+    """A section of the report, with a heading of that level; nothing where there is no validation."""
+    found = read_validation(run)
+    if found is None:
+        return []
+    about = f"By MuJoCo's kinematics and distances alone, of the whole run. {sentence(found)}"
+    return [Heading(level, "Validation"), about, validation_table(found), *notes(found)]
+
+
+def sentence(found: dict[str, Any]) -> str:
+    """What came of it; `found` is as validation.json has it, here as in the next two."""
+    checks = found["methods"].values()
+    checked, touching, paths = (sum(check[k] or 0 for check in checks) for k in ("checked", "paths_touching", "paths"))
+    refuted = int(found["refuted_count"])
+    told = "Validated: MuJoCo refutes none" if found["validated"] else f"Not valid: MuJoCo refutes {refuted:,}"
+    between = f"; {touching:,} of the {paths:,} joint paths between them touch" if found["between"] else ""
+    return f"{told} of {checked:,} tracked targets{between}."
+
+
+def validation_table(found: dict[str, Any]) -> Table:
+    """Method by method."""
+
+    def cell(check: dict, key: str) -> Any:
+        value = check.get(key)
+        return f"{value[0]}: {value[1]}" if key.endswith("_at") and value else value
+
+    rows = [{"method": method, **check} for method, check in found["methods"].items()]
+    filled = [column for column in COLUMNS if any(row.get(column.key) is not None for row in rows)]
+    return Table("validation", tuple(filled), tuple(tuple(cell(row, c.key) for c in filled) for row in rows))
+
+
+def notes(found: dict[str, Any]) -> list[str]:
+    """What the table's columns mean, as far as they are filled."""
+    told = []
+    if found["between"]:
+        told.append(
+            "Paths are the straight joint paths between tracked targets and from the start to the first, in at least "
+            f"{found['between']} steps, in none of which a joint turns by more than {STEP_RAD:g} rad. What touches "
+            "there refutes nothing, as no target is there. Off the line: how far the TCP leaves that of its targets."
+        )
+    if any(check.get("speed_ratio_max") is not None for check in found["methods"].values()):
+        told.append(
+            f"Joint speeds are for a feed rate of {found['feed_mm_s']:g} mm/s, and in proportion to it; the limits are "
+            "the model file's, for the GP50 its data-sheet's. In place: the joint change between targets closer to "
+            "each other than the tolerance, and from the start to the first, which the feed rate leaves no time for."
+        )
+    return told

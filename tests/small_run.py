@@ -1,0 +1,65 @@
+"""A run of four scenarios by two methods, small but real, and ways to spoil a copy of it."""
+
+import hashlib
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from htcp_jax import duct
+from htcp_jax.run_folder import MANIFEST, open_run
+from htcp_jax.status import Status
+from htcp_jax.sweep import sweep
+
+METHODS = ("baseline", "cspace-sample")
+LONGER = 0.01  # [m]
+SWEEP = f"""
+config: job.yaml
+grid:
+  - robot.tool_extension_m: [0.0, {LONGER}]
+  - workpiece.rotation_y_rad: [0.4, 0.5]
+"""
+
+
+def plan_small_run(place: Path) -> Path:
+    """Two tools, two poses, every twelfth point of the generated weld; in `place` its files and the folder run."""
+    np.savetxt(place / "weld.csv", duct.weld()[::12], delimiter=",")
+    (place / "job.yaml").write_text("workpiece: {path: weld.csv}\nmethod: baseline\n")
+    (place / "grid.yaml").write_text(SWEEP)
+    sweep(place / "grid.yaml", METHODS, place / "run", shard_scenarios=2)
+    return place
+
+
+def spoil(folder: Path, scenario: int, target: int, method: str = METHODS[0], **values) -> None:
+    """Put other values into one row of the results."""
+
+    def put(rows: pa.Table) -> pa.Table:
+        told = rows.to_pylist()
+        (row,) = (row for row in told if (row["scenario"], row["target"]) == (scenario, target))
+        row |= values
+        return pa.Table.from_pylist(told, rows.schema)
+
+    rewrite(folder, method, scenario, put)
+
+
+def end_early(folder: Path, scenario: int, target: int, status: Status, method: str = METHODS[0]) -> None:
+    """As if the scenario had been lost at that target."""
+    lost = {"tracked": False, "clearance_m": None, "residual_m": None, "joint_step_rad": None, "path_clear": None}
+    for later in range(target, int(open_run(folder).scenarios(method)["targets"][scenario].as_py())):
+        name = (status if later == target else Status.NOT_ATTEMPTED).name
+        joints = {f"joint{j + 1}_rad": None for j in range(6)} | {f"tcp_{axis}_m": None for axis in "xyz"}
+        spoil(folder, scenario, later, method, status=name, **lost, **joints)
+
+
+def rewrite(folder: Path, method: str, scenario: int, change: Callable[[pa.Table], pa.Table]) -> None:
+    """Change the shard with a scenario, and make the manifest agree with the file."""
+    manifest = json.loads((folder / MANIFEST).read_text())
+    (shard,) = (s for s in manifest["shards"] if s["method"] == method and s["first"] <= scenario <= s["last"])
+    file = folder / "targets" / f"{method}-{shard['first']:06d}-{shard['last']:06d}.parquet"
+    pq.write_table(change(pq.read_table(file)), file)
+    data = file.read_bytes()
+    shard["targets"] |= {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+    (folder / MANIFEST).write_text(json.dumps(manifest))

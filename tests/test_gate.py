@@ -1,0 +1,330 @@
+"""The gate: what stands as it stood passes, what is worse or missing or unreadable fails, time never counts."""
+
+import json
+import shutil
+
+import pytest
+import yaml
+from small_run import end_early, rewrite, spoil
+
+from htcp_jax.cli import main
+from htcp_jax.gate_baseline import Baseline, read_baseline
+from htcp_jax.results import provenance
+from htcp_jax.run_folder import MANIFEST
+from htcp_jax.run_parts import CEILING
+from htcp_jax.status import Status
+
+PASSED, REGRESSION, BAD_INPUT = 0, 1, 2
+TARGETS = 19  # of each of the four scenarios
+
+
+@pytest.fixture(scope="session")
+def blessed(planned):
+    """The small run with a ceiling, and its baseline."""
+    run = shutil.copytree(planned / "run", planned / "with-ceiling")
+    (run / CEILING).write_text(json.dumps({"prefix": [TARGETS] * 4, "draws": 8, "seed": 0}))
+    assert main(["gate", str(run), "--baseline", str(planned / "baseline.yaml"), "--bless"]) == PASSED
+    return planned
+
+
+@pytest.fixture
+def run(blessed, tmp_path):
+    """A copy of the run that a test may spoil."""
+    return shutil.copytree(blessed / "with-ceiling", tmp_path / "run")
+
+
+@pytest.fixture
+def baseline(blessed, tmp_path):
+    """A copy of the baseline that a test may edit."""
+    return shutil.copy(blessed / "baseline.yaml", tmp_path / "baseline.yaml")
+
+
+def gate(run, baseline, *options) -> int:
+    return main(["gate", str(run), "--baseline", str(baseline), *options])
+
+
+def outcome(run, baseline, capsys) -> dict:
+    """The verdict as JSON, which must agree with the exit code."""
+    code = gate(run, baseline, "--json")
+    verdict = json.loads(capsys.readouterr().out)
+    assert code == (PASSED if verdict["passed"] else REGRESSION)
+    return verdict
+
+
+def edit(file, change) -> None:
+    raw = yaml.safe_load(file.read_text())
+    change(raw)
+    file.write_text(yaml.safe_dump(raw))
+
+
+def edit_manifest(run, change) -> None:
+    manifest = json.loads((run / MANIFEST).read_text())
+    change(manifest)
+    (run / MANIFEST).write_text(json.dumps(manifest))
+
+
+def test_a_run_passes_its_own_baseline_and_the_table_lines_up(run, baseline, capsys):
+    assert gate(run, baseline) == PASSED
+    output = capsys.readouterr()
+    title, head, units, *rows, passed = output.out.splitlines()
+    assert (title, passed, output.err) == ("grid", "passed", "")
+    assert [row.split()[0] for row in rows] == ["baseline", "cspace-sample", "ceiling"]
+    assert all(row.index("ok") == head.index("verdict") for row in rows) and len(units) <= len(head)
+
+
+def test_the_baseline_says_what_was_planned_and_one_line_a_scenario(baseline):
+    lines = baseline.read_text().splitlines()
+    assert lines.count(f"      3: {TARGETS} complete") == 2 and len(lines) < 130
+    known = read_baseline(baseline)
+    here = provenance()
+    assert (known.sweep, known.seed, known.dtype, known.device) == ("grid", 0, "float64", here["device"])
+    assert known.versions == here["versions"] and known.planned["margin_m"] == 0.0005 and known.commit is not None
+    assert known.methods["baseline"].tracked == 4 * TARGETS
+    assert 0 < known.methods["baseline"].clearance_min_mm and known.methods["baseline"].tcp_error_max_mm <= 1
+    assert not any("run_s" in line or "compile_s" in line for line in lines)
+
+
+def test_time_never_gates(run, baseline):
+    def slower(manifest):
+        for shard in manifest["shards"]:
+            shard["run_s"] = 1e6 * shard["run_s"] + 1e6
+        manifest["seconds"] = {method: {"run_s": 1e9, "compile_s": 1e9} for method in manifest["methods"]}
+
+    edit_manifest(run, slower)
+    assert gate(run, baseline) == PASSED
+
+
+def test_a_scenario_that_ends_earlier_fails_and_is_named_with_target_and_reason(run, baseline, capsys):
+    end_early(run, 2, 12, Status.QP_INFEASIBLE)
+    assert gate(run, baseline) == REGRESSION
+    told = capsys.readouterr().out
+    line = f"baseline, scenario 2: first at target 12, {TARGETS} tracked before, 12 now; {Status.QP_INFEASIBLE.message}"
+    assert line in told.splitlines() and told.endswith("FAILED\n")
+    assert "failed  baseline: 7 targets fewer are tracked, 69 of 76; 0 may be lost" in told
+    assert "failed  baseline: 1 scenarios end earlier; 0 may" in told
+    assert "failed  baseline: 90.79 % of the reachable targets are tracked, 100.00 % before" in told
+
+
+def test_as_much_as_the_baseline_allows_may_be_lost(run, baseline, capsys):
+    end_early(run, 2, 17, Status.ITERATION_LIMIT)
+    edit(baseline, lambda raw: raw["allow"]["here"].update(targets=2, scenarios=1))
+    assert outcome(run, baseline, capsys)["flips"][0]["target"] == 17
+    edit(baseline, lambda raw: raw["allow"]["here"].update(targets=1))
+    assert outcome(run, baseline, capsys)["passed"] is False
+
+
+def test_on_another_device_or_with_other_versions_another_allowance_holds(run, baseline, capsys):
+    end_early(run, 2, 17, Status.ITERATION_LIMIT)
+    edit(baseline, lambda raw: raw["allow"]["elsewhere"].update(targets=2, scenarios=1))
+    assert outcome(run, baseline, capsys)["passed"] is False
+    edit_manifest(run, lambda manifest: manifest["planned_by"][0].update(device="cpu: another"))
+    verdict = outcome(run, baseline, capsys)
+    assert verdict["passed"] and verdict["elsewhere"]
+    edit_manifest(run, lambda manifest: manifest["planned_by"][0].update(device=provenance()["device"]))
+    edit_manifest(run, lambda manifest: manifest["planned_by"][0]["versions"].update(jaxlib="9"))
+    assert outcome(run, baseline, capsys)["elsewhere"]
+
+
+def test_gains_elsewhere_do_not_hide_a_scenario_that_ends_earlier(run, planned, tmp_path, capsys):
+    worse = shutil.copytree(run, tmp_path / "worse")
+    end_early(worse, 0, 10, Status.ITERATION_LIMIT)
+    assert gate(worse, tmp_path / "was.yaml", "--bless") == PASSED
+    end_early(run, 1, 15, Status.ESCAPE_EXHAUSTED)
+    capsys.readouterr()
+    verdict = outcome(run, tmp_path / "was.yaml", capsys)
+    (row, *_) = verdict["rows"]
+    assert (row["was_tracked"], row["tracked"], row["worse"], row["better"]) == (67, 72, 1, 1)
+    assert not verdict["passed"] and [flip["scenario"] for flip in verdict["flips"]] == [1, 0]
+
+
+def test_an_improvement_passes_and_is_listed(run, tmp_path, capsys):
+    worse = shutil.copytree(run, tmp_path / "worse")
+    end_early(worse, 0, 10, Status.ITERATION_LIMIT)
+    assert gate(worse, tmp_path / "was.yaml", "--bless") == PASSED
+    capsys.readouterr()
+    assert gate(run, tmp_path / "was.yaml") == PASSED
+    told = capsys.readouterr().out
+    assert "better  baseline tracks 9 targets more" in told and "baseline, scenario 0: first at target 10" in told
+    assert Status.ITERATION_LIMIT.message in told
+
+
+def test_another_reason_at_the_same_target_is_told_and_passes(run, tmp_path, capsys):
+    was = shutil.copytree(run, tmp_path / "was")
+    end_early(was, 0, 10, Status.ITERATION_LIMIT)
+    gate(was, tmp_path / "was.yaml", "--bless")
+    end_early(run, 0, 10, Status.QP_INFEASIBLE)
+    capsys.readouterr()
+    verdict = outcome(run, tmp_path / "was.yaml", capsys)
+    assert verdict["passed"] and verdict["flips"][0]["reason"] == Status.QP_INFEASIBLE.message
+
+
+def test_a_missing_method_fails(run, baseline, capsys):
+    def without(manifest):
+        manifest["methods"] = ["baseline"]
+        manifest["shards"] = [shard for shard in manifest["shards"] if shard["method"] == "baseline"]
+
+    edit_manifest(run, without)
+    verdict = outcome(run, baseline, capsys)
+    assert not verdict["passed"] and "cspace-sample: missing" in verdict["failures"]
+
+
+def test_a_method_that_the_baseline_lacks_is_told_and_passes(run, baseline, capsys):
+    edit(baseline, lambda raw: raw["methods"].pop("cspace-sample"))
+    verdict = outcome(run, baseline, capsys)
+    assert verdict["passed"] and verdict["news"] == ["cspace-sample is not in the baseline"]
+
+
+def test_missing_scenarios_fail(run, baseline, capsys):
+    edit_manifest(run, lambda manifest: manifest["shards"].pop(1))
+    verdict = outcome(run, baseline, capsys)
+    assert "baseline: 2 of 4 scenarios are missing, 2 the first" in verdict["failures"]
+
+
+def test_a_sweep_that_died_before_its_first_shard_fails(run, baseline, capsys):
+    edit_manifest(run, lambda manifest: manifest.update(shards=[]))
+    verdict = outcome(run, baseline, capsys)
+    assert not verdict["passed"] and any("no finished shard" in failure for failure in verdict["failures"])
+
+
+@pytest.mark.parametrize("column", ["clearance_m", "status", "joint3_rad"])
+def test_a_missing_column_fails(run, baseline, capsys, column):
+    for scenario in (0, 2):
+        rewrite(run, "baseline", scenario, lambda rows: rows.drop_columns([column]))
+    verdict = outcome(run, baseline, capsys)
+    assert not verdict["passed"] and any(column in failure for failure in verdict["failures"])
+
+
+def test_a_missing_figure_of_a_tracked_target_fails(run, baseline, capsys):
+    spoil(run, 0, 5, clearance_m=None)
+    assert not outcome(run, baseline, capsys)["passed"]
+
+
+def test_a_missing_ceiling_and_one_of_other_draws_fail(run, baseline, capsys):
+    file = run / CEILING
+    file.write_text(file.read_text().replace('"draws": 8', '"draws": 9'))
+    assert any("searched with 9 draws" in failure for failure in outcome(run, baseline, capsys)["failures"])
+    file.unlink()
+    assert any("ceiling: missing" in failure for failure in outcome(run, baseline, capsys)["failures"])
+
+
+def test_a_lower_ceiling_fails(run, baseline, capsys):
+    (run / CEILING).write_text(json.dumps({"prefix": [TARGETS, TARGETS, TARGETS, 4], "draws": 8, "seed": 0}))
+    verdict = outcome(run, baseline, capsys)
+    assert verdict["failures"] == ["ceiling: 15 targets fewer are reachable; 0 may be lost"]
+
+
+def test_what_mujoco_refutes_fails_though_every_count_is_as_it_was(run, baseline, capsys):
+    spoil(run, 1, 7, joint2_rad=-1.5)
+    verdict = outcome(run, baseline, capsys)
+    assert not verdict["passed"] and verdict["flips"] == []
+    line = "baseline: 1 tracked targets are refuted by MuJoCo, the first in scenario 1 at target 7: the TCP is"
+    assert any(failure.startswith(line) for failure in verdict["failures"])
+
+
+def test_bounds_that_are_worse_than_before_fail(run, baseline, capsys):
+    def better(raw):
+        raw["methods"]["baseline"].update(clearance_min_mm=5.0, tcp_error_max_mm=0.1)
+
+    edit(baseline, better)
+    failures = outcome(run, baseline, capsys)["failures"]
+    assert any(failure.startswith("baseline: the smallest clearance is") for failure in failures)
+    assert any(failure.startswith("baseline: the largest TCP error is") for failure in failures)
+    edit(baseline, lambda raw: raw["allow"]["here"].update(clearance_mm=10.0, tcp_error_mm=10.0))
+    assert outcome(run, baseline, capsys)["passed"]
+
+
+@pytest.mark.parametrize("damage", [b"", b"PAR1"])
+def test_a_damaged_file_fails_and_is_named(run, baseline, capsys, damage):
+    (run / "targets" / "cspace-sample-000002-000003.parquet").write_bytes(damage)
+    verdict = outcome(run, baseline, capsys)
+    assert not verdict["passed"] and "cspace-sample: missing" in verdict["failures"]
+    assert any("cspace-sample-000002-000003.parquet" in failure for failure in verdict["failures"])
+    assert "baseline: missing" not in verdict["failures"]
+
+
+def test_a_damaged_manifest_fails(run, baseline, capsys):
+    whole = (run / MANIFEST).read_text()
+    (run / MANIFEST).write_text(whole[: len(whole) // 2])
+    assert gate(run, baseline) == REGRESSION
+    assert "manifest.json is damaged" in capsys.readouterr().out
+
+
+def test_a_run_of_another_configuration_is_bad_input(blessed, run, baseline, capsys):
+    edit_manifest(run, lambda manifest: manifest["config"].update(margin_m=0.001))
+    assert gate(run, baseline) == BAD_INPUT
+    assert "margin_m is 0.0005 there, 0.001 here" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (lambda raw: raw["methods"]["baseline"]["scenarios"].pop(3), "tracked is 76, which is not the sum"),
+        (lambda raw: raw["methods"]["baseline"].update(tracked=0), "tracked is 0, which is not the sum"),
+        (lambda raw: raw["methods"]["baseline"]["scenarios"].update({3: "19 FINE"}), "is no end of a scenario"),
+        (lambda raw: raw["methods"]["baseline"].pop("tcp_error_max_mm"), "tcp_error_max_mm"),
+        (lambda raw: raw["planned"].update(margin_m=0.1), "config_hash is not that of"),
+        (lambda raw: raw.update(methods={}), "methods"),
+        (lambda raw: raw.update(time_s=3), "unknown key time_s"),
+    ],
+)
+def test_a_damaged_baseline_is_one_line_and_exit_2(run, baseline, capsys, change, line):
+    edit(baseline, change)
+    assert gate(run, baseline) == BAD_INPUT
+    output = capsys.readouterr()
+    assert line in output.err and output.err.count("\n") == 1 and output.out == ""
+
+
+def test_a_folder_without_a_run_and_a_missing_baseline_are_exit_2(run, baseline, tmp_path, capsys):
+    assert gate(tmp_path, baseline) == BAD_INPUT
+    assert gate(run, tmp_path / "nowhere.yaml") == BAD_INPUT
+    assert gate(tmp_path, tmp_path / "b.yaml", "--bless") == BAD_INPUT and not (tmp_path / "b.yaml").exists()
+    assert capsys.readouterr().err.count("\n") == 3
+
+
+def limited(manifest):
+    manifest.update(count=2, limit=2, shards=[shard for shard in manifest["shards"] if shard["first"] == 0])
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (limited, "it is limited to 2 of 4 scenarios"),
+        (lambda manifest: manifest["shards"].pop(), "it is not complete, cspace-sample lacks 2 scenarios"),
+        (lambda manifest: manifest["planned_by"].append({"device": "cpu: other"}), "planned in parts"),
+        (lambda manifest: manifest.update(name="another"), "the baseline there is of the sweep grid"),
+        (
+            lambda manifest: manifest.update(methods=["baseline"], shards=manifest["shards"][:2]),
+            "the baseline there also has cspace-sample",
+        ),
+    ],
+)
+def test_what_may_not_be_blessed_leaves_the_baseline_as_it_was(run, baseline, capsys, change, line):
+    before = baseline.read_bytes()
+    edit_manifest(run, change)
+    assert gate(run, baseline, "--bless") == BAD_INPUT
+    assert line in capsys.readouterr().err and baseline.read_bytes() == before
+
+
+def test_a_refuted_run_and_a_damaged_one_are_not_blessed(run, tmp_path, capsys):
+    spoil(run, 1, 7, joint2_rad=-1.5)
+    assert gate(run, tmp_path / "b.yaml", "--bless") == BAD_INPUT
+    assert "1 tracked targets are refuted" in capsys.readouterr().err
+    (run / "targets" / "baseline-000000-000001.parquet").write_bytes(b"")
+    assert gate(run, tmp_path / "b.yaml", "--bless") == BAD_INPUT and not (tmp_path / "b.yaml").exists()
+
+
+def test_blessing_never_overwrites_what_is_no_baseline(run, tmp_path, capsys):
+    (tmp_path / "job.yaml").write_text("margin_m: 0.1\n")
+    assert gate(run, tmp_path / "job.yaml", "--bless") == BAD_INPUT
+    assert (tmp_path / "job.yaml").read_text() == "margin_m: 0.1\n"
+
+
+def test_blessing_again_keeps_what_is_allowed(run, baseline):
+    edit(baseline, lambda raw: raw["allow"]["elsewhere"].update(targets=21))
+    assert gate(run, baseline, "--bless") == PASSED
+    assert read_baseline(baseline).allow.elsewhere.targets == 21
+
+
+def test_a_baseline_reads_back_as_it_was_written(baseline):
+    known = read_baseline(baseline)
+    assert Baseline(**known.model_dump()) == known

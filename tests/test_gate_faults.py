@@ -1,0 +1,104 @@
+"""The gate notices a fault in each part that a plan rests on.
+
+Every fault is seeded where the number is computed, in a process of its own that then plans the same small sweep: no
+program compiled without the fault can hide it, as programs on disk are found by what they compute.
+"""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import htcp_jax
+from htcp_jax import duct
+from htcp_jax.cli import main
+
+JOB = """
+workpiece: {path: weld.csv}
+margin_m: 0.0
+settings: {cost_about: previous, rows: smallest}
+"""
+GRID = """
+config: job.yaml
+grid:
+  - workpiece.rotation_y_rad: [0.3, 0.4, 0.5]
+"""
+FAULTS = {
+    "kinematics": """
+from htcp_jax import kinematics
+turned = kinematics._turned
+kinematics._turned = lambda axis, turn: turned(axis, 1.0005 * turn)
+""",
+    "clearance sign": """
+from htcp_jax import clearance
+contacts = clearance.contacts
+def wrong(*arguments):
+    found = contacts(*arguments)
+    return found._replace(distance=-found.distance)
+clearance.contacts = wrong
+""",
+    "QP row": """
+from htcp_jax import qp
+assemble = qp.assemble
+def wrong(*arguments):
+    found = assemble(*arguments)
+    return found._replace(G=-found.G)
+qp.assemble = wrong
+""",
+    "escape": """
+from htcp_jax import sphere
+sqp = sphere.sqp
+def wrong(*arguments):
+    best = sqp(*arguments)
+    return best._replace(w=-best.w)
+sphere.sqp = wrong
+""",
+}
+PLANNED_BY = {fault: "nspace-sqp" if fault == "escape" else "baseline" for fault in FAULTS}
+
+
+def plan(place: Path, method: str, out: str, fault: str = "") -> Path:
+    """The run of the sweep, planned in a process of its own."""
+    command = ["sweep", "grid.yaml", "--methods", method, "--out", out]
+    program = f"{fault}\nfrom htcp_jax.cli import main\nraise SystemExit(main({command}))"
+    environment = os.environ | {"PYTHONPATH": str(Path(htcp_jax.__file__).parents[1])}
+    done = subprocess.run([sys.executable, "-c", program], cwd=place, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return place / out
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A sweep of three poses in which the baseline planner gets stuck and escapes help, and its baselines."""
+    place = tmp_path_factory.mktemp("faults")
+    np.savetxt(place / "weld.csv", duct.weld()[::12], delimiter=",")
+    (place / "job.yaml").write_text(JOB)
+    (place / "grid.yaml").write_text(GRID)
+    for method in dict.fromkeys(PLANNED_BY.values()):
+        assert main(["gate", str(plan(place, method, method)), *baseline(place, method), "--bless"]) == 0
+    return place
+
+
+def baseline(place: Path, method: str) -> list[str]:
+    return ["--baseline", str(place / f"{method}.yaml")]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", dict.fromkeys(PLANNED_BY.values()))
+def test_without_a_fault_the_gate_passes(place, method):
+    again = plan(place, method, f"{method}-again")
+    assert main(["gate", str(again), *baseline(place, method)]) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_does_not_pass_the_gate(place, fault, capsys):
+    run = plan(place, PLANNED_BY[fault], fault.replace(" ", "-"), FAULTS[fault])
+    capsys.readouterr()
+    assert main(["gate", str(run), *baseline(place, PLANNED_BY[fault])]) == 1
+    told = capsys.readouterr().out
+    print(told)
+    assert told.endswith("FAILED\n")
