@@ -22,7 +22,7 @@ LAYERS = [
     ["qp"],
     ["qp_clarabel", "qp_qpsolvers", "qp_device"],
     ["qp_solvers"],
-    ["devices", "escape", "kernels", "engine", "planner"],
+    ["escape", "kernels", "engine", "planner"],
     ["strict_yaml", "config", "job"],
     ["paper", "grid", "metrics", "results", "ceiling", "doctor"],
     ["charts", "chart_style", "path_charts", "success_charts", "document"],
