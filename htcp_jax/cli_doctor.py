@@ -11,8 +11,9 @@ SOUND, UNSOUND = 0, 1
 def doctor(as_json: Json = False) -> int:
     """Look at this installation, and plan a short path whose answer is known.
 
-    Tells versions, devices, cores, and where compiled programs are kept. The self-test takes about 2 s, and as much
-    again where its programs are not compiled yet. Exits with 0 when it passes, with 1 when it does not.
+    Tells versions, devices, cores, what pictures are drawn with, and where compiled programs are kept. The self-test
+    takes about 2 s, and longer where its programs are not compiled yet. Exits with 0 when it passes, with 1 when it
+    does not; what is missing for pictures is told, but no plan needs it.
 
     \b
     htcp doctor                               before the first plan, and in a report of a fault
@@ -38,6 +39,7 @@ def _print(found: dict) -> None:
         "devices": ", ".join(found["devices"]),
         "cores": f"{cores['usable']} usable of {cores['of_machine']}",
         "numbers": found["dtype"],
+        "rendering": found["rendering"]["platform"] or found["rendering"]["lacks"],
         "compiled programs": kept,
         "self-test": f"{test['says']}; {test['seconds']:.1f} s, {test['compile_s']:.1f} s of them compiling",
     }

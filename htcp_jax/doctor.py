@@ -1,5 +1,5 @@
-"""Is this installation sound? What is installed, what there is to compute with, what is kept, and a plan whose answer
-is known."""
+"""Is this installation sound? What is installed, what there is to compute and to draw with, what is kept, and a plan
+whose answer is known."""
 
 import dataclasses
 import os
@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from htcp_jax import compile_cache, planner
+from htcp_jax import compile_cache, offscreen, planner
+from htcp_jax.errors import InputError
 from htcp_jax.results import provenance
 from htcp_jax.robot import gp50
 from htcp_jax.scenario import make_scenario
@@ -46,6 +47,7 @@ def examine() -> dict[str, Any]:
         **provenance(),
         "devices": [f"{device.platform}: {device.device_kind}" for device in jax.devices()],
         "cores": {"of_machine": os.cpu_count(), "usable": _usable_cores()},
+        "rendering": _rendering(),
         "cache": None if folder is None else _contents(folder),
         "self_test": test._asdict(),
     }
@@ -64,6 +66,14 @@ def self_test() -> SelfTest:
     passed = off_rad <= TOLERANCE and off_m <= TOLERANCE  # NaN, where a target is not tracked, does not pass
     says = f"{count} targets, {off_rad:.0e} rad and {1e3 * off_m:.0e} mm off the known answer"
     return SelfTest(passed, says, time.perf_counter() - began, plans.compile_s)
+
+
+def _rendering() -> dict[str, str | None]:
+    """What `htcp render` draws with, or what it lacks."""
+    try:
+        return {"platform": offscreen.platform(), "lacks": None}
+    except InputError as error:
+        return {"platform": None, "lacks": str(error)}
 
 
 def _usable_cores() -> int | None:

@@ -7,9 +7,10 @@ import jax
 import numpy as np
 import pytest
 
-from htcp_jax import doctor
+from htcp_jax import doctor, offscreen
 from htcp_jax.cli import app, main
 from htcp_jax.cli_methods import complete_methods
+from htcp_jax.errors import InputError
 from htcp_jax.escape import METHODS
 
 SHORT = ["--set", "workpiece.path=path.csv", "--set", "method=baseline"]
@@ -91,6 +92,7 @@ def test_the_doctor_tells_what_is_there(capsys, monkeypatch, tmp_path):
     (tmp_path / "program").write_bytes(b"12345")
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))
     monkeypatch.setattr(doctor, "self_test", lambda: doctor.SelfTest(True, "planned before", 0.0, 0.0))
+    monkeypatch.setattr(offscreen, "platform", lambda: "osmesa")
     try:
         found = json_of(capsys, ["doctor"])
         assert main(["doctor"]) == 0
@@ -98,9 +100,21 @@ def test_the_doctor_tells_what_is_there(capsys, monkeypatch, tmp_path):
         jax.config.update("jax_compilation_cache_dir", before)
     assert found["sound"] and found["versions"]["jax"] == jax.__version__ and found["dtype"] == "float64"
     assert found["cores"]["usable"] >= 1 and found["devices"]
+    assert found["rendering"] == {"platform": "osmesa", "lacks": None}
     assert found["cache"] == {"folder": str(tmp_path), "files": 1, "bytes": 5}
     shown = capsys.readouterr().out
     assert str(tmp_path) in shown and "planned before" in shown and shown.endswith("sound\n")
+
+
+def test_a_machine_that_cannot_draw_is_sound_and_told_what_it_lacks(capsys, monkeypatch):
+    def none():
+        raise InputError("no off-screen OpenGL: install libegl1")
+
+    monkeypatch.setattr(offscreen, "platform", none)
+    monkeypatch.setattr(doctor, "self_test", lambda: doctor.SelfTest(True, "planned before", 0.0, 0.0))
+    assert json_of(capsys, ["doctor"])["rendering"]["platform"] is None
+    assert main(["doctor"]) == 0
+    assert "install libegl1" in capsys.readouterr().out
 
 
 def test_the_self_test_passes_here_and_fails_on_another_answer(capsys, monkeypatch):

@@ -3,6 +3,7 @@
 import os
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -50,6 +51,8 @@ def follow(page: str, how: str) -> None:
 
 def run(words: list[str]) -> int:
     """The exit code of one command; `htcp` runs within this process, whose compiled programs it shares."""
+    if words[:2] == ["htcp", "view"]:
+        return serve(words)
     if words[0] == "htcp":
         try:
             return main(words[1:])
@@ -58,6 +61,17 @@ def run(words: list[str]) -> int:
     if words[0] == ".venv/bin/python":
         return subprocess.run([sys.executable, *words[1:]], cwd=ROOT).returncode
     raise AssertionError(f"{shlex.join(words)}: no way to run it; mark its block with how it is run")
+
+
+def serve(words: list[str]) -> int:
+    """The exit code of a command that goes on until Ctrl-C, which comes once it serves."""
+    code = "import sys; from htcp_jax.cli import main; raise SystemExit(main(sys.argv[1:]))"
+    command = [sys.executable, "-u", "-c", code, *words[1:], "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert "http://" in process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        process.stdout.read()
+    return process.returncode
 
 
 def test_every_command_has_a_way_to_be_run():
