@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from htcp_jax.fates import is_tool
 from htcp_jax.picture import View, side_view
 from htcp_jax.replay import Replay
 
@@ -20,8 +21,9 @@ class Sight(NamedTuple):
 
 
 def open_side(replay: Replay) -> View:
-    """The side from which the cloud is cut open: the one without the path."""
-    return side_view(replay.cloud, replay.target)
+    """The side from which the cloud is cut open: the one without the path, square to the way it leads."""
+    path = replay.target[replay.path :]
+    return side_view(replay.cloud, path if len(path) > 1 else replay.target)
 
 
 def kept(replay: Replay, share: float = 0.5, direction: Float[np.ndarray, "3"] | None = None) -> Bool[np.ndarray, "P"]:
@@ -31,14 +33,18 @@ def kept(replay: Replay, share: float = 0.5, direction: Float[np.ndarray, "3"] |
     return depth <= depth.max() - share * np.ptp(depth)
 
 
-def sight(replay: Replay, targets: slice, fovy_rad: float, aspect: float, bodies: Bool[np.ndarray, "K"]) -> Sight:
-    """From where the cloud and these bodies at these targets are seen whole."""
+def sight(replay: Replay, shown: slice, fovy_rad: float, aspect: float, close: bool = False) -> Sight:
+    """From where the cloud, the targets and the arm at the targets shown are seen whole; close: of the targets only the
+    path, of the arm only the tool."""
     near = open_side(replay).near
     azimuth = np.arctan2(-near[1], -near[0]) + ASIDE_RAD
-    ends = np.concatenate([replay.p[targets][:, bodies], replay.q[targets][:, bodies]])
+    on_tool = is_tool(replay.robot)
+    bodies = on_tool if close else np.ones_like(on_tool)
+    ends = np.concatenate([replay.p[shown][:, bodies], replay.q[shown][:, bodies]])
     radii = np.broadcast_to(np.asarray(replay.robot.capsule_radius)[bodies], ends.shape[:2])
-    centres = np.concatenate([replay.cloud, ends.reshape(-1, 3)])
-    return fitted(centres, np.append(np.zeros(len(replay.cloud)), radii.ravel()), azimuth, fovy_rad, aspect)
+    points = np.concatenate([replay.cloud, replay.target[replay.path if close else 0 :]])
+    centres = np.concatenate([points, ends.reshape(-1, 3)])
+    return fitted(centres, np.append(np.zeros(len(points)), radii.ravel()), azimuth, fovy_rad, aspect)
 
 
 def fitted(

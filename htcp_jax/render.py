@@ -85,9 +85,9 @@ class Studio:
         return self._camera.shoot(self._data, view)
 
     def _view(self, targets: slice) -> mujoco.MjvCamera:
-        on_tool = is_tool(self._replay.robot)
-        size, bodies = self._model.vis.global_, on_tool if self._close else np.ones_like(on_tool)
-        eye, look_at = sight(self._replay, targets, np.radians(FOVY_DEG), size.offwidth / size.offheight, bodies)
+        size = self._model.vis.global_
+        aspect = size.offwidth / size.offheight
+        eye, look_at = sight(self._replay, targets, np.radians(FOVY_DEG), aspect, self._close)
         ahead = look_at - eye
         camera = mujoco.MjvCamera()
         camera.lookat[:], camera.distance = look_at, np.linalg.norm(ahead)

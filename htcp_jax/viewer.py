@@ -207,8 +207,7 @@ class Viewer:
 
     def _aim(self) -> None:
         """Let new browsers, and everyone's reset of the view, see all of the arm and the workpiece."""
-        all_bodies = np.ones(len(self._replay.robot.capsule_link), bool)
-        eye, look_at = sight(self._replay, slice(None), FOVY_RAD, ASPECT, all_bodies)
+        eye, look_at = sight(self._replay, slice(None), FOVY_RAD, ASPECT)
         camera = self._server.initial_camera
         camera.position, camera.look_at, camera.fov = eye, look_at, FOVY_RAD
 
