@@ -1,0 +1,33 @@
+"""One command for every case:
+
+    python -m benchmarks clearance         an exact query against brute force, 5,000 to 500,000 points
+    python -m benchmarks step-qps          the step QP's solvers, on 100,000 recorded ones
+    python -m benchmarks tables            both of the paper's tables by six planners under configs/paper.yaml
+    python -m benchmarks cross             125 starts x 49 poses by the baseline and N-space SQP
+    python -m benchmarks peers             other planners on the same task (pip install -e '.[peers]')
+    python -m benchmarks baseline-margin OUT.png
+
+Options follow the case: --help shows them. Nothing else should run on the machine. RESULTS.md beside this file has the
+numbers measured so far.
+"""
+
+import importlib
+import sys
+
+CASES = ("clearance", "step-qps", "tables", "cross", "peers", "baseline-margin")
+
+
+def main() -> int:
+    """Run the case that the first argument names."""
+    if len(sys.argv) < 2 or sys.argv[1] not in CASES:
+        print(__doc__, file=sys.stderr)
+        return 0 if sys.argv[1:] in ([], ["--help"]) else 2
+    case = sys.argv.pop(1)
+    if case == "cross":
+        sys.argv[1:1] = ["--sweeps", "cross", "--methods", "baseline,nspace-sqp"]
+        case = "tables"
+    importlib.import_module(f"benchmarks.{case.replace('-', '_')}").main()
+    return 0
+
+
+sys.exit(main())

@@ -1,0 +1,102 @@
+"""An exact clearance query with its gradient, through the index and by brute force, on growing clouds.
+
+    python -m benchmarks clearance [--set KEY=VALUE]...
+
+Configurations lie about the nominal plan. Brute force is what one writes first, jitted and vectorised:
+all distances and the smallest of every body, here even without a gradient.
+"""
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from benchmarks import hardware
+from htcp_jax import compile_cache
+from htcp_jax.clearance import Obstacle, all_clear, clearance, linearise, make_obstacle
+from htcp_jax.cloud_index import build_index
+from htcp_jax.config import load_config
+from htcp_jax.job import scene
+from htcp_jax.kinematics import capsule_segments
+from htcp_jax.planner import plan
+
+ROOT = Path(__file__).resolve().parents[1]
+CLOUDS = (5_000, 50_000, 500_000)
+QUERIES = 1024
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
+    compile_cache.enable()
+    job = load_config(ROOT / "configs/duct.yaml", parser.parse_args().overrides)
+    robot, workpiece, where = scene(job)
+    random = np.random.default_rng(0)
+    tracked = plan(robot, workpiece, where, "nspace-sqp", job.settings, check_paths=False).x[0]
+    tracked = tracked[np.isfinite(tracked).all(axis=1)]
+    x = tracked[random.integers(len(tracked), size=QUERIES)] + random.normal(0, 0.03, (QUERIES, tracked.shape[1]))
+    where = jax.tree.map(jnp.asarray, where)
+    whole = make_obstacle(workpiece)
+
+    print(hardware.line())
+    print("  points  D of all bodies, gradient  D alone  path of 20  brute force, D  ratio")
+    for size in CLOUDS:
+        points = _cloud(np.asarray(workpiece.cloud), size, random)
+        obstacle = replace(whole, points=jnp.asarray(points), index=build_index(points))
+        ours = _time(lambda q, o=obstacle: linearise(robot, o, where, q), x)
+        alone = _time(lambda q, o=obstacle: clearance(robot, o, where, q), x)
+        path = _time(lambda q, o=obstacle: _path(robot, o, where, q), x)
+        brute = _time(lambda q, o=obstacle: _brute_force(robot, o, where, q), x[: max(8, QUERIES * 500 // size)])
+        print(f"{size:8,} {ours:23.1f} us {alone:5.1f} us {path:8.1f} us {brute:12.0f} us {brute / ours:6.0f}")
+
+
+def _cloud(points: np.ndarray, size: int, random) -> np.ndarray:
+    """Part of the cloud, or the cloud several times over with 1 mm of noise."""
+    if size <= len(points):
+        return points[random.permutation(len(points))[:size]]
+    more = np.tile(points, (-(-size // len(points)), 1))[:size]
+    return more + random.normal(0, 1e-3, more.shape)
+
+
+def _brute_force(robot, obstacle: Obstacle, where, x):
+    """The smallest distance of every body to all points, without its gradient."""
+    p, q = capsule_segments(robot, x)
+    T = where.T_world_workpiece
+    p, q = (p - T[:3, 3][None]) @ T[:3, :3], (q - T[:3, 3][None]) @ T[:3, :3]
+    x, y, z = obstacle.points.T
+
+    def body(p, q):
+        d = q - p
+        ax, ay, az = x - p[0], y - p[1], z - p[2]
+        s = jnp.clip((ax * d[0] + ay * d[1] + az * d[2]) / jnp.maximum(d @ d, 1e-30), 0, 1)
+        return jnp.sqrt(jnp.min((ax - s * d[0]) ** 2 + (ay - s * d[1]) ** 2 + (az - s * d[2]) ** 2))
+
+    return jax.vmap(body)(p, q) - robot.capsule_radius
+
+
+def _path(robot, obstacle: Obstacle, where, x):
+    steps = x[None, :] + jnp.linspace(0.0, 0.01, 19)[:, None]
+    return all_clear(robot, obstacle, where, steps)
+
+
+def _time(function, x: np.ndarray, repeats: int = 5) -> float:
+    """Microseconds a configuration: the median of some runs after the first, a few side by side as the engine does on a
+    CPU, all of them on a GPU."""
+    side_by_side = 4 if jax.default_backend() == "cpu" else len(x)
+    program = jax.jit(lambda x: jax.lax.map(function, x, batch_size=side_by_side))
+    jax.block_until_ready(program(x))
+    spent = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        jax.block_until_ready(program(x))
+        spent.append(time.perf_counter() - began)
+    return 1e6 * float(np.median(spent)) / len(x)
+
+
+if __name__ == "__main__":
+    main()
