@@ -33,8 +33,8 @@ COLUMNS = (
     Column("share", "of reachable", "now %", ".2f"),
     Column("was_tcp_error_max_mm", "TCP error", "before mm", ".3f"),
     Column("tcp_error_max_mm", "TCP error", "now mm", ".3f"),
-    Column("was_clearance_min_mm", "clearance", "before mm", ".4f"),
-    Column("clearance_min_mm", "clearance", "now mm", ".4f"),
+    Column("was_clearance_min_mm", "clearance", "before mm", ".3g"),
+    Column("clearance_min_mm", "clearance", "now mm", ".3g"),
     Column("verdict", "verdict"),
 )
 

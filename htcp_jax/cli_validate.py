@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.text import Text
 
 from htcp_jax.cli_output import Json, print_table, stdout
-from htcp_jax.report_validation import notes, validation_table
+from htcp_jax.report_validation import notes, validation_tables
 from htcp_jax.validate import VALIDATION, Validation, record, write_validation
 from htcp_jax.validate import validate as check
 
@@ -59,7 +59,9 @@ def bar() -> Iterator[Callable[[int, int], None]]:
 def _print(run: Path, found: Validation) -> None:
     console = stdout()
     told = record(found)
-    print_table(console, validation_table(told))
+    for table in validation_tables(told):
+        print_table(console, table)
+        console.print()
     for line in notes(told):
         console.print(Text(line, style="dim"))
     for one in found.refuted[:LISTED]:

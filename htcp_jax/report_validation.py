@@ -11,20 +11,24 @@ from htcp_jax.validate import VALIDATION
 from htcp_jax.validate_input import result_files
 from htcp_jax.validate_track import STEP_RAD
 
-COLUMNS = (
+AT_TARGETS = (
     Column("method", "method"),
     Column("checked", "targets", "checked", ",d"),
     Column("refuted", "refuted", "", ",d"),
     Column("tcp_error_max_mm", "TCP error", "max mm", ".3f"),
-    Column("clearance_min_mm", "clearance", "min mm", ".4f"),
+    Column("clearance_min_mm", "clearance", "min mm", ".3g"),
+    Column("clearance_min_at", "at", "scenario: target"),
     Column("clearance_off_max_mm", "off record", "max mm", ".1e"),
-    Column("paths", "paths", "", ",d"),
+)
+ON_THE_WAY = (
+    Column("method", "method"),
+    Column("paths", "joint paths", "", ",d"),
     Column("paths_touching", "touch", "", ",d"),
     Column("paths_blocked_on_record", "on record", "blocked", ",d"),
-    Column("clearance_between_min_mm", "clearance", "on them mm", ".4f"),
-    Column("clearance_between_min_at", "worst at", "scen.: target"),
+    Column("clearance_between_min_mm", "clearance", "min mm", ".3g"),
+    Column("clearance_between_min_at", "at", "scenario: target"),
     Column("line_deviation_max_mm", "off the line", "max mm", ".2f"),
-    Column("speed_ratio_max", "joint speed", "of limit", ".2f"),
+    Column("speed_ratio_max", "joint speed", "of limit", ".3f"),
     Column("speed_joint", "of"),
     Column("in_place_max_rad", "in place", "max rad", ".2f"),
 )
@@ -38,7 +42,7 @@ def read_validation(run: Run) -> dict[str, Any] | None:
         found = json.loads(file.read_text(encoding="utf-8"))
         if found["files"] != result_files(run):
             return None
-        sentence(found), validation_table(found), notes(found)  # whatever else it lacks is of no use here
+        sentence(found), validation_tables(found), notes(found)  # whatever else it lacks is of no use here
         return found
     except FileNotFoundError:
         return None
@@ -64,7 +68,7 @@ def validation_section(run: Run, level: int) -> list[Block]:
     if found is None:
         return []
     about = f"By MuJoCo's kinematics and distances alone, of the whole run. {sentence(found)}"
-    return [Heading(level, "Validation"), about, validation_table(found), *notes(found)]
+    return [Heading(level, "Validation"), about, *validation_tables(found), *notes(found)]
 
 
 def sentence(found: dict[str, Any]) -> str:
@@ -77,26 +81,29 @@ def sentence(found: dict[str, Any]) -> str:
     return f"{told} of {checked:,} tracked targets{between}."
 
 
-def validation_table(found: dict[str, Any]) -> Table:
-    """Method by method."""
-
-    def cell(check: dict, key: str) -> Any:
-        value = check.get(key)
-        return f"{value[0]}: {value[1]}" if key.endswith("_at") and value else value
-
+def validation_tables(found: dict[str, Any]) -> tuple[Table, Table]:
+    """Method by method, at the targets and on the way between them."""
     rows = [{"method": method, **check} for method, check in found["methods"].items()]
-    filled = [column for column in COLUMNS if any(row.get(column.key) is not None for row in rows)]
-    return Table("validation", tuple(filled), tuple(tuple(cell(row, c.key) for c in filled) for row in rows))
+    return _table("validation", AT_TARGETS, rows), _table("validation-paths", ON_THE_WAY, rows)
+
+
+def _table(name: str, columns: tuple[Column, ...], rows: list[dict]) -> Table:
+    def cell(value: Any) -> Any:
+        return f"{value[0]}: {value[1]}" if isinstance(value, list | tuple) else value
+
+    filled = tuple(column for column in columns if any(row.get(column.key) is not None for row in rows))
+    return Table(name, filled, tuple(tuple(cell(row.get(column.key)) for column in filled) for row in rows))
 
 
 def notes(found: dict[str, Any]) -> list[str]:
-    """What the table's columns mean, as far as they are filled."""
+    """What the tables' columns mean, as far as they are filled."""
     told = []
     if found["between"]:
         told.append(
             "Paths are the straight joint paths between tracked targets and from the start to the first, in at least "
             f"{found['between']} steps, in none of which a joint turns by more than {STEP_RAD:g} rad. What touches "
-            "there refutes nothing, as no target is there. Off the line: how far the TCP leaves that of its targets."
+            "there refutes nothing, as no target is there; on record as blocked is what the planner found itself, at "
+            "the steps it looked at. Off the line: how far the TCP leaves that of its targets."
         )
     if any(check.get("speed_ratio_max") is not None for check in found["methods"].values()):
         told.append(
