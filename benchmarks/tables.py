@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 import jax
+import numpy as np
 
 from benchmarks import hardware
 from htcp_jax import compile_cache, devices
@@ -31,6 +32,7 @@ def main() -> None:
     parser.add_argument("--sweeps", default="robot,workpiece")
     parser.add_argument("--methods", default=SIX)
     parser.add_argument("--every", type=int, default=1, help="only every N-th scenario")
+    parser.add_argument("--copies", type=int, default=1, help="every scenario so many times, to see the memory")
     parser.add_argument("--device")
     parser.add_argument("--config", type=Path, default=ROOT / "configs/paper.yaml")
     parser.add_argument("--profile", action="store_true", help="seconds and lanes by kernel")
@@ -48,16 +50,17 @@ def main() -> None:
     for sweep in chosen.sweeps.split(","):
         spec = load_sweep(ROOT / f"sweeps/{sweep}.yaml", chosen.config, chosen.overrides)
         batch = spec.batch()
-        scenarios = jax.tree.map(lambda leaf: leaf[:: chosen.every], batch.scenarios)
+        scenarios = jax.tree.map(lambda leaf: np.concatenate([leaf[:: chosen.every]] * chosen.copies), batch.scenarios)
         for method in chosen.methods.split(","):
 
             def run(method=method, batch=batch, scenarios=scenarios, settings=spec.config.settings):
                 paths = not chosen.no_paths
                 return plan(batch.robot, batch.workpiece, scenarios, method, settings, check_paths=paths)
 
-            first = run()
-            spent.clear()
-            plans = first if chosen.once else run()
+            plans = first = run()
+            if not chosen.once:
+                spent.clear()
+                plans = run()
             found = summarise(plans)
             total += plans.run_s
             tracked = f"{found.tracked:,} of {found.targets:,}"
