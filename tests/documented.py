@@ -9,6 +9,9 @@ A block may have a comment before it, `<!-- runs: HOW -->`:
     in CI                    by .ci/run, which is made of such commands
     slow suite               it is the slow tests themselves
 
+Commands within sentences are held to what there is: commands and their options, targets of make, extras. Those that
+name files run as well, in a slow test.
+
 `python tests/documented.py` lists them all.
 """
 
@@ -55,6 +58,17 @@ def blocks(page: str) -> list[Block]:
     return [b for b in found if b.kind in ("sh", "python") or (FILE.match(b.kind) and "--8<--" not in b.text)]
 
 
+def in_sentences(page: str) -> list[str]:
+    """Commands that stand within sentences, in the order of the page."""
+    text = re.sub(r"^```.*?^```$", "", (ROOT / page).read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    return [" ".join(found.split()) for found in re.findall(r"`((?:htcp|make|\.venv/bin/pip) [^`]+)`", text)]
+
+
+def runs(command: str) -> bool:
+    """Whether a command within a sentence is whole, and not the mention of one."""
+    return command == "htcp plan" or (command.startswith("htcp ") and "/" in command)
+
+
 def indented_commands(page: str) -> list[str]:
     """Commands that stand in an indented block, where nothing runs them."""
     text = re.sub(r"^```.*?^```$", "", (ROOT / page).read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
@@ -67,3 +81,5 @@ if __name__ == "__main__":
             lines = block.commands if block.kind == "sh" else [f"({block.kind} block)"]
             for line in lines:
                 print(f"{page:<28}{block.how:<24}{line}")
+        for command in in_sentences(page):
+            print(f"{page:<28}{'slow' if runs(command) else 'is there':<24}{command}")

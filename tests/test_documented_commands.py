@@ -7,9 +7,25 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 
 import pytest
-from documented import CI, COPY, FILE, QUICK, ROOT, SLOW, SUITE, TWO, WAYS, blocks, indented_commands, pages
+from documented import (
+    CI,
+    COPY,
+    FILE,
+    QUICK,
+    ROOT,
+    SLOW,
+    SUITE,
+    TWO,
+    WAYS,
+    blocks,
+    in_sentences,
+    indented_commands,
+    pages,
+    runs,
+)
 
 from htcp_jax.cli import main
 from htcp_jax.escape import METHODS
@@ -86,6 +102,27 @@ def test_every_command_has_a_way_to_be_run():
             if block.how == SUITE:
                 assert block.commands == ["make test-slow"]
     assert {block.how for page in pages() for block in blocks(page)} == set(WAYS)
+
+
+@pytest.mark.parametrize("page", pages())
+def test_what_sentences_speak_of_is_there(page, capsys):
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    for command in in_sentences(page):
+        program, *words = shlex.split(command)
+        if program == "htcp" and words != ["--install-completion"]:
+            assert main([*words, "--help"]) == 0, f"{page}: {command}"
+        elif program == "make":
+            known = subprocess.run(["make", "--dry-run", *words], cwd=ROOT, capture_output=True, text=True)
+            assert known.returncode == 0, f"{page}: {command}: {known.stderr}"
+        elif program == ".venv/bin/pip":
+            assert words[:2] == ["install", "-e"] and words[2][2:-1] in extras, f"{page}: {command}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [page for page in pages() if any(map(runs, in_sentences(page)))])
+def test_whole_commands_in_sentences_run(reader, page):
+    for command in filter(runs, in_sentences(page)):
+        assert run(shlex.split(command)) == 0, f"{page}: {command}"
 
 
 @pytest.mark.parametrize("page", pages_with(QUICK))
