@@ -10,17 +10,19 @@ import threading
 
 import numpy as np
 import viser
+from jaxtyping import Float
 from viser import uplot
 
 from htcp_jax.errors import InputError
 from htcp_jax.fates import INK, Fate, fates
 from htcp_jax.framing import open_side, sight
+from htcp_jax.picture import View
 from htcp_jax.replay import Outcome, Replay, Shelf
 from htcp_jax.status import Status
 from htcp_jax.viewer_stage import HERE, Stage
 
 FOVY_RAD, ASPECT = np.radians(40.0), 1.05  # of the first sight
-CLOSER_M = 0.35  # how far away the smallest distance is looked at from
+CLOSER_M = 0.25  # how far away the smallest distance is looked at from
 RATES = "5", "10", "20", "40"  # targets a second
 SIDES = "open side", "above", "front", "nothing"  # that the workpiece is cut from
 
@@ -213,15 +215,31 @@ class Viewer:
 
     def _look_closer(self, event: viser.GuiEvent) -> None:
         with self._lock:
-            where, near = self._replay.witness.cloud[self._target], open_side(self._replay).near
-        if event.client is not None:
-            event.client.camera.look_at = where
-            event.client.camera.position = where + CLOSER_M * (near + np.array([0, 0, 0.4]))
+            arm, cloud = self._replay.witness.arm[self._target], self._replay.witness.cloud[self._target]
+            side = open_side(self._replay)
+        _stand(event, cloud + CLOSER_M * grazing(arm - cloud, side), cloud)
 
     def _look_back(self, event: viser.GuiEvent) -> None:
-        if event.client is not None:
-            event.client.camera.look_at = self._server.initial_camera.look_at
-            event.client.camera.position = self._server.initial_camera.position
+        _stand(event, self._server.initial_camera.position, self._server.initial_camera.look_at)
+
+
+def _stand(event: viser.GuiEvent, position: np.ndarray, look_at: np.ndarray) -> None:
+    """Put the camera of the browser that asked; viser lets a new position take what is looked at along."""
+    if event.client is not None:
+        with event.client.atomic():
+            event.client.camera.position = position
+            event.client.camera.look_at = look_at
+
+
+def grazing(gap: Float[np.ndarray, "3"], side: View) -> Float[np.ndarray, "3"]:
+    """The unit direction square to a gap, so that it is seen from beside, that is nearest to the open side."""
+    length = np.linalg.norm(gap)
+    across = gap / length if length > 0 else side.up
+    for wish in (side.near, side.up):
+        direction = wish - (wish @ across) * across
+        if np.linalg.norm(direction) > 0.1:
+            break
+    return direction / np.linalg.norm(direction)
 
 
 def _serve(host: str, port: int) -> viser.ViserServer:

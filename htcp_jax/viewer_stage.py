@@ -16,7 +16,8 @@ BEAD_M, FAILED_M, HERE_M, WITNESS_M, TIP_M = 0.007, 0.017, 0.012, 0.003, 0.007  
 NEAREST, HERE = "#b5179e", "#f6c945"
 LIT = 0.72  # share of a colour that viser's lights bring back to the whole of it
 LIGHT_UP = 0.8  # of the light's direction, which is else towards the open side
-ROUND = 36, 24  # facets about a capsule and along its ends
+AROUND_M, AROUND_SIZE_M = 0.05, 0.0015  # the cloud about the smallest distance is shown even where it is cut off
+ROUND = 72, 72  # facets of a capsule about its axis and along its ends
 
 Vector = Float[np.ndarray, "3"]
 
@@ -42,6 +43,8 @@ class Stage:
             self._line = self._scene.add_line_segments(
                 "/smallest distance/line", points[None], rgb(NEAREST), thickness=4, thickness_units="screen"
             )
+            look = {"point_size": AROUND_SIZE_M, "point_shape": "circle", "precision": "float32"}
+            self._around = self._scene.add_point_cloud("/smallest distance/around", points, rgb(OUTSIDE), **look)
             self._label = self._scene.add_label("/smallest distance/label", "", anchor="bottom-left")
             here = trimesh.creation.icosphere(subdivisions=3, radius=HERE_M)
             self._here = self._scene.add_mesh_simple(
@@ -61,6 +64,8 @@ class Stage:
             self._pair.batched_positions = pair
             self._line.points = pair[None]
             self._label.position = pair[1]
+            there = np.linalg.norm(replay.cloud - pair[1], axis=1) < AROUND_M
+            self._around.points = replay.cloud[there].astype(np.float32)
             distance = 1e3 * replay.clearance[target]
             self._label.text = "" if np.isnan(distance) else f"{distance:.3g} mm"
 
@@ -89,7 +94,7 @@ class Stage:
 
     def show_smallest_distance(self, visible: bool) -> None:
         """Show or hide the witness pair."""
-        for node in (self._pair, self._line, self._label):
+        for node in (self._pair, self._line, self._around, self._label):
             node.visible = visible
 
     def _capsule(self, k: int, opacity: float) -> viser.MeshHandle:

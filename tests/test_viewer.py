@@ -20,11 +20,12 @@ from made_plan import STATUSES, made_plan, made_plans
 from PIL import Image
 
 from htcp_jax.cli import main
+from htcp_jax.picture import View
 from htcp_jax.replay import Shelf, shelf_of
 
 pytest.importorskip("viser", reason="the extra `view` is not installed")
 
-from htcp_jax.viewer import Viewer
+from htcp_jax.viewer import Viewer, grazing
 from htcp_jax.viewer_stage import turned_to
 
 BROWSERS = "chromium", "chromium-browser", "chromium-headless-shell", "google-chrome"
@@ -76,18 +77,19 @@ def browser():
 def page(browser, viewer):
     """The viewer's page, drawn; what it complains of fails the test, and so does asking another machine."""
     page, problems = browser.new_page(viewport={"width": 900, "height": 560}), []
+    page.set_default_timeout(180_000)  # a busy machine without a GPU draws slowly
     page.on("pageerror", lambda error: problems.append(str(error)))
     page.on("console", lambda message: message.type == "error" and problems.append(message.text))
     page.on("request", lambda request: viewer.address in request.url or problems.append(request.url))
     page.goto(viewer.address)
-    page.get_by_role("slider").first.wait_for(timeout=60_000)
+    page.get_by_role("slider").first.wait_for()
     until(lambda: spread(seen(page)) > 15)
     yield page
     page.close()
     assert not problems
 
 
-def until(done: Callable[[], bool], seconds: float = 60.0) -> None:
+def until(done: Callable[[], bool], seconds: float = 180.0) -> None:
     """Wait until it is so."""
     end = time.monotonic() + seconds
     while not done():
@@ -212,6 +214,14 @@ def test_capsules_are_turned_to_their_axes():
     turned = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x**2 + y**2)], axis=1)
     length = np.linalg.norm(axes, axis=1, keepdims=True)
     np.testing.assert_allclose(turned, np.where(length > 0, axes / np.maximum(length, 1e-300), [0, 0, 1]), atol=1e-12)
+
+
+@pytest.mark.parametrize("gap", [[0, 0, 1e-5], [0, 1e-5, 0], [0, -1, 1e-9], [1, 1, 1], [0, 0, 0]])
+def test_the_smallest_distance_is_looked_at_from_beside(gap):
+    gap, side = np.array(gap, float), View(np.array([1.0, 0, 0]), np.array([0, 0, 1.0]), np.array([0, 1.0, 0]))
+    direction = grazing(gap, side)
+    assert np.isclose(np.linalg.norm(direction), 1) and abs(direction @ gap) <= 1e-12 * max(1, np.linalg.norm(gap))
+    assert max(direction @ side.near, direction @ side.up) > 0.5
 
 
 def test_nothing_is_left_running(shelf):
