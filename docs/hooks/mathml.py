@@ -1,12 +1,14 @@
 """Formulas as MathML, written into the page when the site is built: no script, no font, nothing from the network.
 
-pymdownx.arithmatex finds the formulas; a formula that cannot be converted stops the build.
+pymdownx.arithmatex finds the formulas. One with braces that do not match or with a command that the converter does not
+know, which it would print as it stands, stops the build.
 """
 
 import re
 from html import unescape
 
 from latex2mathml.converter import convert
+from mkdocs.exceptions import PluginError
 
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
 
@@ -17,6 +19,9 @@ def on_page_content(html: str, **_) -> str:
 
 
 def _mathml(found: re.Match) -> str:
-    tag, opening, formula = found.groups()
-    display = "block" if opening == "[" else "inline"
-    return f"<{tag}>{convert(unescape(formula), display=display)}</{tag}>"
+    tag, opening, escaped = found.groups()
+    formula = unescape(escaped)
+    mathml = convert(formula, display="block" if opening == "[" else "inline")
+    if "\\" in mathml or formula.count("{") != formula.count("}"):
+        raise PluginError(f"no formula: {formula.strip()}")
+    return f"<{tag}>{mathml}</{tag}>"
