@@ -22,9 +22,9 @@ from htcp_jax.cli_report import report
 from htcp_jax.cli_sweep import sweep
 from htcp_jax.cli_validate import validate
 from htcp_jax.cli_view import view
-from htcp_jax.errors import InputError, Interrupted
+from htcp_jax.errors import InputError, Interrupted, Lost
 
-BAD_INPUT, INTERRUPTED = 2, 130
+LOST, BAD_INPUT, INTERRUPTED = 1, 2, 130
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 app.command(short_help="Plan one job; a table, the trajectory, a picture.")(plan)
@@ -91,6 +91,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _refuse(str(error))
     except typer.TyperException as error:
         return _refuse(error.format_message())
+    except Lost as lost:
+        print(f"htcp: {lost}", file=sys.stderr)
+        return LOST
     except Interrupted as stop:
         print(f"htcp: {stop}", file=sys.stderr)
         return stop.code

@@ -26,6 +26,8 @@ Out = Annotated[Path | None, typer.Option(metavar="DIR", help="The run folder; b
 Limit = Annotated[int | None, typer.Option(metavar="N", help="Plan only the first N scenarios.")]
 Seed = Annotated[int | None, typer.Option(metavar="S", help="Of everything random: settings.seed.")]
 Config = Annotated[Path | None, typer.Option(metavar="CONFIG.yaml", help="In place of the sweep file's own.")]
+On = Annotated[str, typer.Option(metavar="here|ray[:ADDRESS]", help="This process, or the workers of a Ray cluster.")]
+Shard = Annotated[int | None, typer.Option(metavar="N", help="Scenarios planned together, and lost together.")]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key; may be repeated.")
 ]
@@ -39,24 +41,37 @@ def sweep(
     seed: Seed = None,
     config: Config = None,
     overrides: Overrides = None,
+    on: On = "here",
+    shard: Shard = None,
     as_json: Json = False,
 ) -> int:
     """Plan every scenario of a grid by every method asked for.
 
     The run folder gets manifest.json and Parquet files, one row per method, scenario and target in targets/ and one
     per method and scenario in scenarios/. The same command again goes on where the last one stopped; --methods and
-    --limit may grow. Exits with 0 when all is planned, with 2 on bad input, with 130 or 143 when a signal stopped it.
+    --limit may grow. Exits with 0 when all is planned, with 1 when a cluster's workers are lost, with 2 on bad input,
+    with 130 or 143 when a signal stopped it; what is finished by then is kept.
 
     \b
     htcp sweep sweeps/robot.yaml                           125 starts by all methods
     htcp sweep sweeps/workpiece.yaml --methods baseline,nspace-sqp --config configs/paper.yaml
     htcp sweep sweeps/robot.yaml --limit 3 --set settings.alpha_rad=0.05 --out out/try
+    htcp sweep sweeps/cross.yaml --on ray                  on all cores, or on the cluster that Ray knows of
     """
     if out is None:
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
     with _bars() as tell:
         run = sweeps.sweep(
-            file, methods, out, config=config, overrides=overrides or (), limit=limit, seed=seed, progress=tell
+            file,
+            methods,
+            out,
+            config=config,
+            overrides=overrides or (),
+            limit=limit,
+            seed=seed,
+            progress=tell,
+            shard_scenarios=shard,
+            on=on,
         )
     if as_json:
         print_json(_record(run))

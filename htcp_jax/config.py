@@ -55,6 +55,14 @@ class WorkpieceConfig(Section):
     approach_to_path: int = Field(5, ge=0)  # and from there to the first point of the path
 
 
+class RayConfig(Section):
+    """What a shard of a sweep asks of a Ray cluster; has no influence on results."""
+
+    num_cpus: float = Field(1.0, gt=0)
+    num_gpus: float = Field(0.0, ge=0)  # a part below 1 shares the GPU
+    retries: int = Field(3, ge=0)  # of a shard whose worker or node died
+
+
 class PlanConfig(Section):
     """One plan; the defaults are the default job."""
 
@@ -64,6 +72,7 @@ class PlanConfig(Section):
     margin_m: float = Field(5e-4, ge=0)  # what the clearance rows of the step QP keep
     method: str = "nspace-sqp"
     settings: Settings = Settings()
+    ray: RayConfig = RayConfig()
 
     @field_validator("method")
     @classmethod

@@ -12,3 +12,7 @@ class Interrupted(Exception):
     def __init__(self, message: str, signal: int):
         super().__init__(message)
         self.code = 128 + signal
+
+
+class Lost(Exception):
+    """The machines that did the work are gone. The message says what was kept."""

@@ -9,6 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError
+from htcp_jax.results import provenance
+
+
+NO_IDENTITY = "method", "ray"  # of a configuration: a run has methods of its own, and is the same wherever it is planned
 
 
 def file_hash(file: str | Path) -> str:
@@ -30,7 +34,7 @@ def identity(config: dict, grid: list | tuple, dtype: str, files: dict[str, str]
             return [plain(item) for item in value]
         return f"{Path(value).name}, SHA-256 {files[value]}" if isinstance(value, str) and value in files else value
 
-    config = {key: value for key, value in config.items() if key != "method"}
+    config = {key: value for key, value in config.items() if key not in NO_IDENTITY}
     return plain({**config, "grid": json.dumps(plain(grid)), "dtype": dtype})
 
 
@@ -46,6 +50,11 @@ def differences(there: dict, here: dict) -> list[str]:
     return [
         "its grid differs" if name == "grid" else f"{name} is {a.get(name)} there, {b.get(name)} here" for name in names
     ]
+
+
+def planned_by() -> dict:
+    """What computes the results of this process: versions, device, float width, commit."""
+    return provenance() | {"commit": commit()}
 
 
 @functools.cache  # of the code that runs, whatever is checked out meanwhile

@@ -12,7 +12,6 @@ import pyarrow.parquet as pq
 from htcp_jax.errors import InputError
 from htcp_jax.metrics import is_tracked
 from htcp_jax.plans import Plans
-from htcp_jax.results import provenance
 from htcp_jax.run_folder import (
     MANIFEST,
     TABLES,
@@ -27,7 +26,7 @@ from htcp_jax.run_folder import (
     shard_name,
     spans,
 )
-from htcp_jax.run_identity import commit, differences, identity
+from htcp_jax.run_identity import differences, identity, planned_by
 
 PART = ".part-"
 
@@ -59,16 +58,16 @@ def begin(folder: Path, asked: Manifest, keep: Any = None) -> Run:
     return _saved(_with_shards(run, shards))
 
 
-def add(run: Run, method: str, span: Span, tables: dict[str, pa.Table], plans: Plans) -> Run:
-    """The run with one more shard. Raises InputError when it cannot be written; the run on disk is then as before."""
+def add(run: Run, method: str, span: Span, tables: dict[str, pa.Table], plans: Plans, by: dict) -> Run:
+    """The run with one more shard; `by` is the `planned_by` of the process that planned it. Raises InputError when it
+    cannot be written; the run on disk is then as before."""
     name, manifest = shard_name(method, span), run.manifest
     files = {table: _write_parquet(run.folder, table, name, rows) for table, rows in tables.items()}
-    here = provenance() | {"commit": commit()}
-    planned_by = manifest.planned_by if here in manifest.planned_by else (*manifest.planned_by, here)
+    planned_by = manifest.planned_by if by in manifest.planned_by else (*manifest.planned_by, by)
     tracked = int(is_tracked(plans.status).sum())
     shard = ShardRecord(
         method=method, first=span.first, last=span.last, tracked=tracked,
-        compile_s=plans.compile_s, run_s=plans.run_s, planned_by=planned_by.index(here), **files,
+        compile_s=plans.compile_s, run_s=plans.run_s, planned_by=planned_by.index(by), **files,
     )  # fmt: skip
     run = Run(run.folder, manifest.model_copy(update={"planned_by": planned_by}), run._keep)
     return _saved(_with_shards(run, (*manifest.shards, shard)))
@@ -88,7 +87,7 @@ def _refuse_other(old: Run, asked: Manifest) -> None:
 
 def _warn_of_other_software(old: Run) -> None:
     if old.manifest.planned_by:
-        if told := differences(old.manifest.planned_by[-1], provenance() | {"commit": commit()}):
+        if told := differences(old.manifest.planned_by[-1], planned_by()):
             warnings.warn(f"{old.folder} was planned by other software: {told[0]}", stacklevel=4)
 
 
@@ -118,7 +117,8 @@ def _with_shards(run: Run, shards: tuple[ShardRecord, ...]) -> Run:
     for method in run.methods:
         own = [shard for shard in shards if shard.method == method]
         seconds[method] = Seconds(compile_s=sum(s.compile_s for s in own), run_s=sum(s.run_s for s in own))
-    return Run(run.folder, run.manifest.model_copy(update={"shards": shards, "seconds": seconds}), run._keep)
+    order = tuple(sorted(shards, key=lambda shard: (run.methods.index(shard.method), shard.first)))
+    return Run(run.folder, run.manifest.model_copy(update={"shards": order, "seconds": seconds}), run._keep)
 
 
 def _saved(run: Run) -> Run:

@@ -3,42 +3,42 @@
     run = htcp_jax.sweep("sweeps/robot.yaml", methods="baseline,nspace-sqp", out="out/robot")
     run.frame()
 
-All scenarios of a shard advance together. How the grid is cut has no influence on any result; it only decides how
-much is lost when the process dies. The same call again continues where the last one stopped.
+A shard is one method on a block of scenarios, which advance together. How the grid is cut and where a shard is planned
+have no influence on any result; a shard is what is lost when the process dies, and what a worker of a cluster is given.
+The same call again continues where the last one stopped.
 """
 
 import contextlib
-import os
 import shutil
-import signal
 import sys
 import tempfile
-import threading
 import types
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 import pyarrow as pa
 
-from htcp_jax import planner, run_writer
+from htcp_jax import run_writer
 from htcp_jax.config import FILES
-from htcp_jax.errors import InputError, Interrupted
+from htcp_jax.errors import InputError, Interrupted, Lost
 from htcp_jax.escape import METHODS
 from htcp_jax.grid import Batch, Column, Group, Sweep, load_sweep
 from htcp_jax.plans import Plans
 from htcp_jax.run_folder import Manifest, Run, Span, spans
 from htcp_jax.run_identity import config_hash, file_hash, identity
 from htcp_jax.run_lock import locked
+from htcp_jax.run_signals import SignalCame, signals
 from htcp_jax.run_tables import joint_columns, scenario_table, target_table
-from htcp_jax.settings import Settings
+from htcp_jax.planner import Progress as ShardProgress
+from htcp_jax.sweep_here import Shard, plan_here
+from htcp_jax.sweep_ray import on_ray
 
 PATH, WELD = "workpiece.path", FILES["workpiece", "path"]
-SHARD_SCENARIOS = 1024
-SHARD_BYTES = 16 << 20  # of results in memory; fixed, so that shards are the same on every machine
+SHARD_SCENARIOS = 32  # fixed, so that shards are the same on every machine
 
 
 class SweepProgress(NamedTuple):
@@ -63,16 +63,19 @@ def sweep(
     progress: Callable[[SweepProgress], None] | None = None,
     threads: int | None = None,
     shard_scenarios: int | None = None,
+    on: str = "here",
 ) -> Run:
     """Plan the grid of a sweep file, or of a mapping that spells one, and return the run.
 
     methods: "all", names with commas in between, or a list of names. out: the run folder; without one, a temporary
     folder that vanishes with the run. config, overrides, seed: see `load_sweep`; the seed is `settings.seed`.
-    limit: plan only the first scenarios of the grid. shard_scenarios: at most so many are planned together; a
-    run folder keeps its first choice.
+    limit: plan only the first scenarios of the grid. shard_scenarios: so many make a shard; a run folder keeps its
+    first choice. on: "here" plans in this process, with `threads` engines; "ray" or "ray:<address>" sends the shards
+    to Ray's workers, see `sweep_ray`.
 
-    Raises InputError for bad input, for a folder that holds another sweep, is in use or cannot be written; and
-    Interrupted on SIGINT and SIGTERM, after which the finished shards are in the folder and the rest is not.
+    Raises InputError for bad input, for a folder that holds another sweep, is in use or cannot be written;
+    Interrupted on SIGINT and SIGTERM, and Lost when Ray's workers are, after which the finished shards are in the
+    folder and the rest is not.
     """
     chosen = method_names(methods)
     if isinstance(spec, Sweep):
@@ -80,21 +83,32 @@ def sweep(
             raise InputError("config, overrides and seed belong to load_sweep when the sweep is loaded already")
     else:
         spec = load_sweep(spec, config, _seeded(overrides, seed))
-    if limit is not None and limit < 1:
-        raise InputError(f"limit is {limit}; it must be 1 or more")
+    for name, value in (("limit", limit), ("shard_scenarios", shard_scenarios)):
+        if value is not None and value < 1:
+            raise InputError(f"{name} is {value}; it must be 1 or more")
     batch = spec.batch(limit)
-    asked = _manifest(spec, batch, chosen, limit, shard_scenarios)
-    with _folder(out) as (folder, keep), locked(folder), _signals() as came:
+    asked = _manifest(spec, batch, chosen, limit, shard_scenarios or SHARD_SCENARIOS)
+    planned = _planner(on, batch, spec, threads)
+    with _folder(out) as (folder, keep), locked(folder), planned as plan, signals() as came:
         run = run_writer.begin(folder, asked, keep)
+
+        def tell(method: str, shard: ShardProgress | None = None) -> None:
+            if came:
+                raise SignalCame
+            if progress is not None:
+                progress(_progress(run.manifest, method, shard))
+
         try:
+            shards = [Shard(method, span) for method in chosen for span in run.missing(method)]
             for method in chosen:
-                for span in run.missing(method):
-                    tell = _teller(run.manifest, method, progress, came)
-                    plans = plan_shard(batch, method, spec.config.settings, span, progress=tell, threads=threads)
-                    run = run_writer.add(run, method, span, tables(batch, method, span, plans), plans)
-                _teller(run.manifest, method, progress, came)()
-        except _SignalCame:
+                tell(method)
+            for (method, span), plans, by in plan(shards, tell):
+                run = run_writer.add(run, method, span, tables(batch, method, span, plans), plans, by)
+                tell(method)
+        except SignalCame:
             raise Interrupted(_how_to_go_on(run), came[0]) from None
+        except Lost as lost:
+            raise Lost(f"{lost}; {_how_to_go_on(run)}") from None
         return run
 
 
@@ -123,13 +137,6 @@ def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def plan_shard(batch: Batch, method: str, settings: Settings, span: Span, **how) -> Plans:
-    """The plans of a shard's scenarios, which all advance together. how: see `planner.plan`."""
-    rows = slice(span.first, span.last + 1)
-    scenarios = jax.tree.map(lambda leaf: leaf[rows], batch.scenarios)
-    return planner.plan(batch.robot, batch.workpiece, scenarios, method, settings, **how)
-
-
 def tables(batch: Batch, method: str, span: Span, plans: Plans) -> dict[str, pa.Table]:
     """The rows of a shard, see `run_tables`."""
     rows = slice(span.first, span.last + 1)
@@ -141,7 +148,7 @@ def tables(batch: Batch, method: str, span: Span, plans: Plans) -> dict[str, pa.
     }
 
 
-def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | None, most: int | None) -> Manifest:
+def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | None, shard_scenarios: int) -> Manifest:
     """What is asked for, in the words of the manifest."""
     config = spec.config.model_dump(mode="json")
     for (section, key), word in FILES.items():
@@ -151,9 +158,6 @@ def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | 
     named += [path for group in grid for axis in group["axes"] for path in axis.get(PATH, {}).get("values", ())]
     files = {name: file_hash(name) for name in dict.fromkeys(named) if name != WELD}
     dtype = str(batch.scenarios.targets.dtype)
-    count, longest = batch.scenarios.targets.shape[:2]
-    joints = joint_columns(batch.robot)
-    fitting = max(1, SHARD_BYTES // (8 * longest * (len(joints) + 12)))
     return Manifest(
         name=spec.name,
         config=config,
@@ -162,12 +166,12 @@ def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | 
         files=files,
         config_hash=config_hash(identity(config, grid, dtype, files)),
         seed=spec.config.settings.seed,
-        joints=joints,
+        joints=joint_columns(batch.robot),
         targets=int(batch.scenarios.count.sum()),
         full=len(spec),
         limit=limit,
-        count=count,
-        shard_scenarios=min(most or SHARD_SCENARIOS, fitting),
+        count=len(batch.points),
+        shard_scenarios=shard_scenarios,
         methods=methods,
     )
 
@@ -189,47 +193,23 @@ def _absolute(name: str, word: str) -> str:
     return name if name == word else str(Path(name).resolve())
 
 
-def _teller(manifest: Manifest, method: str, progress: Callable | None, came: list[int]) -> Callable:
-    """Turns the planner's progress within a shard into the method's. When a signal came it raises, in every thread of
-    the planner that calls it."""
-    kept = [shard for shard in manifest.shards if shard.method == method]
-    done = sum(shard.last - shard.first + 1 for shard in kept)
-    tracked = sum(shard.tracked for shard in kept)
-
-    def tell(shard: planner.Progress | None = None) -> None:
-        if came:
-            raise _SignalCame
-        if progress is not None:
-            more = (shard.scenarios_done, shard.targets_tracked) if shard else (0, 0)
-            progress(SweepProgress(method, done + more[0], manifest.count, tracked + more[1], manifest.targets))
-
-    return tell
+def _planner(on: str, batch: Batch, spec: Sweep, threads: int | None):
+    """Hands out what plans shards, while it is there: plan(shards, tell) yields (shard, plans, what planned it)."""
+    where, _, address = on.partition(":")
+    if on == "here":
+        return contextlib.nullcontext(partial(plan_here, batch, spec.config.settings, threads))
+    if where == "ray":
+        return on_ray(batch, spec.config, address)
+    raise InputError(f"on is {on!r}; valid: here, ray, ray:<address of a cluster>")
 
 
-class _SignalCame(Exception):
-    """Stops the planner's threads."""
-
-
-@contextlib.contextmanager
-def _signals() -> Iterator[list[int]]:
-    """Hands out the list to which SIGINT and SIGTERM are added when they come. A second one ends the process."""
-    came, handlers = [], {}
-
-    def remember(number: int, _) -> None:
-        came.append(number)
-        os.write(
-            2, b"\nstopping after the step at hand; once more to stop at once\n"
-        )  # print may be interrupted itself
-        for each in handlers:
-            signal.signal(each, signal.SIG_DFL)
-
-    if threading.current_thread() is threading.main_thread():  # no other may set handlers
-        handlers |= {each: signal.signal(each, remember) for each in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield came
-    finally:
-        for each, handler in handlers.items():
-            signal.signal(each, handler)
+def _progress(manifest: Manifest, method: str, shard: ShardProgress | None) -> SweepProgress:
+    """The method's progress: its finished shards, and how far the one at hand has come."""
+    kept = [record for record in manifest.shards if record.method == method]
+    done, tracked = (shard.scenarios_done, shard.targets_tracked) if shard else (0, 0)
+    done += sum(record.last - record.first + 1 for record in kept)
+    tracked += sum(record.tracked for record in kept)
+    return SweepProgress(method, done, manifest.count, tracked, manifest.targets)
 
 
 def _how_to_go_on(run: Run) -> str:

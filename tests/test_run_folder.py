@@ -18,6 +18,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.grid import Point
 from htcp_jax.robot import gp50
 from htcp_jax.run_folder import Manifest, Run, Span, open_run
+from htcp_jax.run_identity import planned_by
 from htcp_jax.run_lock import locked
 from htcp_jax.status import Status
 
@@ -28,6 +29,7 @@ JOINTS = run_tables.joint_columns(gp50())
 PLANS = plans_with(STATUS, joints=6)
 POINTS = tuple(Point(k, "starts", load_config(None, [f"margin_m={k}"])) for k in range(4))
 SPANS = Span(0, 1), Span(2, 3)
+BY = planned_by()
 
 
 def manifest(**changes) -> Manifest:
@@ -55,7 +57,7 @@ def completed(folder: Path) -> Run:
     folder.mkdir(exist_ok=True)
     run = run_writer.begin(folder, manifest())
     for span in run.missing("baseline"):
-        run = run_writer.add(run, "baseline", span, *rows("baseline", span))
+        run = run_writer.add(run, "baseline", span, *rows("baseline", span), BY)
     return run
 
 
@@ -141,7 +143,7 @@ def test_a_damaged_file_is_named_its_shard_planned_again_and_the_rest_kept(tmp_p
     with pytest.warns(UserWarning, match="baseline-000000-000001.* scenarios 0 to 1 are planned again by baseline"):
         run = run_writer.begin(tmp_path, manifest())
     assert run.missing("baseline") == [SPANS[0]] and not run.complete
-    run = run_writer.add(run, "baseline", SPANS[0], *rows("baseline", SPANS[0]))
+    run = run_writer.add(run, "baseline", SPANS[0], *rows("baseline", SPANS[0]), BY)
     assert run.complete and contents(tmp_path) == before
 
 
@@ -196,14 +198,14 @@ def test_a_full_or_read_only_disk_is_one_line_and_leaves_the_run_as_it_was(tmp_p
 
     monkeypatch.setattr(os, "fsync", refuse)
     with pytest.raises(InputError, match=f"cannot write to .*: {os.strerror(code)}"):
-        run_writer.add(run, "baseline", SPANS[0], *rows("baseline", SPANS[0]))
+        run_writer.add(run, "baseline", SPANS[0], *rows("baseline", SPANS[0]), BY)
     assert not contents(tmp_path) and not list(tmp_path.glob(".part-*"))
     assert open_run(tmp_path).missing("baseline") == list(SPANS)
 
 
 def test_other_software_is_warned_of(tmp_path, monkeypatch):
     completed(tmp_path)
-    monkeypatch.setattr(run_writer, "commit", lambda: "another")
+    monkeypatch.setattr(run_writer, "planned_by", lambda: BY | {"commit": "another"})
     with pytest.warns(UserWarning, match="was planned by other software: commit is .* there, another here"):
         run_writer.begin(tmp_path, manifest())
 

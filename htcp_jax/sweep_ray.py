@@ -1,0 +1,107 @@
+"""Planning the shards of a sweep on Ray: a larger machine, or many.
+
+Every shard is a task. A worker needs this package and nothing else: the arm, the workpiece and the scenarios travel to
+it, plans travel back, and the process that was called writes them. A task whose worker or node dies is given to
+another one. Results do not depend on who planned a shard: they are those of `sweep_here` on equal hardware.
+"""
+
+import contextlib
+import logging
+import os
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from htcp_jax import compile_cache, planner
+from htcp_jax.config import PlanConfig, RayConfig
+from htcp_jax.errors import InputError, Lost
+from htcp_jax.grid import Batch
+from htcp_jax.plans import Plans
+from htcp_jax.robot import Robot
+from htcp_jax.run_identity import planned_by
+from htcp_jax.scenario import Scenario
+from htcp_jax.settings import Settings
+from htcp_jax.sweep_here import Planned, Shard, scenarios_of
+from htcp_jax.workpiece import Workpiece
+
+LOOK_S = 0.5  # how often a waiting sweep looks for a signal
+GPU_SHARE = 0.75  # of a GPU's memory that JAX takes for itself unless told
+
+
+@contextlib.contextmanager
+def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]:
+    """Connects to the cluster at `address`, without one to the cluster that Ray knows of or to a new one of this
+    machine, and hands out plan(shards, tell), see `sweep_here.plan_here`.
+
+    Raises InputError where Ray is not installed or not there; plan raises Lost when a shard's workers died more
+    often than `config.ray.retries` allows, or the cluster did.
+    """
+    try:
+        import ray  # here, because it is an extra
+    except ImportError:
+        raise InputError("Ray is not installed; get it with: pip install 'htcp_jax[ray]'") from None
+    logging.getLogger("ray").setLevel(logging.ERROR)
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    ours = not ray.is_initialized()
+    try:
+        if ours:
+            warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)  # Ray starts programs so
+            ray.init(address or None, include_dashboard=False, log_to_driver=False, configure_logging=False)
+    except (OSError, ValueError, RuntimeError) as error:
+        raise InputError(f"cannot reach Ray at {address or 'this machine'}: {' '.join(str(error).split())}") from None
+    try:
+        yield lambda shards, tell: _plan(ray, batch, config, shards, tell)
+    finally:
+        if ours:
+            ray.shutdown()
+
+
+def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], tell: Callable) -> Iterator[Planned]:
+    """Keeps some more tasks waiting than the cluster has room for, so that it never idles and one that can grow does."""
+    task = ray.remote(_plan_shard).options(
+        num_cpus=config.ray.num_cpus,
+        num_gpus=config.ray.num_gpus,
+        max_retries=config.ray.retries,
+        runtime_env={"env_vars": _environment(config.ray)},
+    )
+    scene = ray.put(jax.tree.map(np.asarray, batch.robot)), ray.put(batch.workpiece)
+    left, running = iter(shards), {}
+    try:
+        while True:
+            room = 2 * int(ray.cluster_resources().get("CPU", 1)) + 8 - len(running)
+            for _, shard in zip(range(room), left):  # noqa: B905 - as many as there is room for
+                scenarios = scenarios_of(batch, shard.span)
+                running[task.remote(*scene, scenarios, shard.method, config.settings, config.ray)] = shard
+            if not running:
+                return
+            done, _ = ray.wait(list(running), timeout=LOOK_S)
+            tell(next(iter(running.values())).method)
+            for ref in done:
+                yield Planned(running.pop(ref), *ray.get(ref))
+    except ray.exceptions.RayTaskError as error:
+        raise error.cause from None  # what the planner itself raised
+    except ray.exceptions.RayError as error:
+        raise Lost(f"Ray lost its workers ({type(error).__name__})") from None
+    finally:
+        with contextlib.suppress(Exception):  # a cluster that is gone has nothing to cancel
+            for ref in running:
+                ray.cancel(ref, force=True)
+
+
+def _plan_shard(
+    robot: Robot, workpiece: Workpiece, scenarios: Scenario, method: str, settings: Settings, share: RayConfig
+) -> tuple[Plans, dict]:
+    """What a worker does: the plans of one shard, and what planned it."""
+    compile_cache.enable()
+    robot, threads = jax.tree.map(jnp.asarray, robot), max(1, int(share.num_cpus))
+    return planner.plan(robot, workpiece, scenarios, method, settings, threads=threads), planned_by()
+
+
+def _environment(share: RayConfig) -> dict[str, str]:
+    """Of the workers: no GPU for tasks that ask for none, and its part of the memory for one that shares it."""
+    if not share.num_gpus:
+        return {"JAX_PLATFORMS": "cpu"}
+    return {"XLA_PYTHON_CLIENT_MEM_FRACTION": f"{GPU_SHARE * min(1.0, share.num_gpus):.3f}"}
