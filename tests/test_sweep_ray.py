@@ -1,0 +1,192 @@
+"""A sweep on a real Ray: the same bytes as in one process, also when workers, nodes or the whole cluster are killed."""
+
+import os
+import signal
+import subprocess
+import time
+import warnings
+from pathlib import Path
+
+import pytest
+from sweep_process import SHARDS, finish, make_sweep, rows, start
+
+from htcp_jax.cli import main
+from htcp_jax.errors import InputError
+from htcp_jax.run_folder import open_run
+from htcp_jax.run_identity import planned_by
+from htcp_jax.sweep import sweep
+
+ray = pytest.importorskip("ray", reason="Ray is an extra: pip install 'htcp_jax[ray]'")
+WORKING = "ray::_plan_shard"
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory) -> dict[str, bytes]:
+    """The row files of a sweep in one process."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    make_sweep(folder)
+    return rows(sweep(folder / "grid.yaml", "baseline", folder / "run", shard_scenarios=1).folder)
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    make_sweep(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def one_worker():
+    """A Ray of this process with room for one task."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Ray's own
+        ray.init("local", num_cpus=1, include_dashboard=False, log_to_driver=False, configure_logging=False)
+        yield
+        ray.shutdown()
+
+
+def processes() -> dict[int, tuple[int, str]]:
+    """Parent and command line of every process."""
+    found = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+            found[int(folder.name)] = int((folder / "stat").read_text().rpartition(")")[2].split()[1]), words
+        except OSError:
+            continue  # it has just ended
+    return found
+
+
+def under(top: int) -> list[int]:
+    """Processes below `top` that plan a shard just now."""
+    all_ = processes()
+
+    def is_below(pid: int) -> bool:
+        while pid in all_ and pid != top:
+            pid = all_[pid][0]
+        return pid == top
+
+    return [pid for pid, (_, words) in all_.items() if words.startswith(WORKING) and is_below(pid)]
+
+
+def wait_for_worker(top: int, driver: subprocess.Popen) -> int:
+    """The first process below `top` seen planning."""
+    while driver.poll() is None:
+        if found := under(top):
+            return found[0]
+        time.sleep(0.02)
+    raise AssertionError(driver.communicate())
+
+
+def test_ray_plans_the_same_bytes_as_one_process(here, undisturbed, one_worker):
+    run = sweep("grid.yaml", "baseline", "run", shard_scenarios=1, on="ray")
+    assert run.complete and rows(run.folder) == undisturbed
+    (by,) = run.manifest.planned_by
+    assert by == planned_by()
+
+
+@pytest.mark.slow
+def test_the_command_on_ray_prints_what_it_prints_without_and_nothing_else(here, undisturbed):
+    """On a new Ray of this machine, by the command; it prints what it prints without Ray, and nothing else."""
+    done = finish(here, "run", "--on", "ray:local")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == "" and done.stdout.splitlines()[0] == "grid"
+    assert rows(here / "run") == undisturbed
+
+
+@pytest.mark.parametrize(
+    ("on", "line"),
+    [
+        ("cluster", "on is 'cluster'; valid: here, ray, ray:<address of a cluster>"),
+        ("ray:nowhere", "cannot reach Ray at nowhere: "),
+    ],
+)
+def test_a_place_that_is_none_is_one_line(here, capsys, on, line):
+    assert main(["sweep", "grid.yaml", "--on", on, "--out", "run"]) == 2
+    assert line in (errors := capsys.readouterr().err) and errors.count("\n") == 1
+    assert not (here / "run").exists()
+
+
+def test_what_a_shard_asks_of_the_cluster_is_no_part_of_a_runs_identity(here):
+    sweep("grid.yaml", "baseline", "run", limit=1)
+    assert sweep("grid.yaml", "baseline", "run", overrides=["ray.num_gpus=0.5"], limit=1).complete
+    with pytest.raises(InputError, match=r"ray\.num_gpus is -1"):
+        sweep("grid.yaml", "baseline", overrides=["ray.num_gpus=-1"])
+
+
+@pytest.mark.slow
+def test_shards_of_killed_workers_are_planned_by_others(here, undisturbed):
+    with start(here, "run", "--on", "ray:local") as driver:
+        for _ in range(2):
+            os.kill(wait_for_worker(driver.pid, driver), signal.SIGKILL)
+            time.sleep(0.5)
+        _, errors = driver.communicate()
+    assert driver.returncode == 0, errors
+    assert rows(here / "run") == undisturbed
+
+
+@pytest.mark.slow
+def test_a_driver_killed_with_its_ray_goes_on_to_the_same_bytes(here, undisturbed):
+    with start(here, "run", "--on", "ray:local") as driver:
+        wait_for_worker(driver.pid, driver)
+        while driver.poll() is None and not list(Path("run").glob("targets/*.parquet")):
+            time.sleep(0.02)
+        driver.kill()
+    assert not open_run("run").complete
+    assert finish(here, "run", "--on", "ray:local").returncode == 0
+    assert rows(here / "run") == undisturbed
+
+
+@pytest.mark.slow
+def test_a_signal_drops_the_shards_at_hand_and_the_same_command_goes_on(here, undisturbed):
+    with start(here, "run", "--on", "ray:local") as driver:
+        wait_for_worker(driver.pid, driver)
+        driver.send_signal(signal.SIGTERM)
+        _, errors = driver.communicate()
+    assert driver.returncode == 143 and "htcp: stopped" in errors
+    assert sweep("grid.yaml", "baseline", "run", shard_scenarios=1).complete and rows(here / "run") == undisturbed
+
+
+@pytest.fixture
+def cluster():
+    """Two real nodes on this machine: the head, which plans nothing, and another."""
+    from ray.cluster_utils import Cluster
+
+    nodes = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
+    nodes.add_node(num_cpus=1)
+    nodes.wait_for_nodes()
+    yield nodes
+    nodes.shutdown()
+
+
+def raylet(node) -> int:
+    """The process that is a node."""
+    return node.all_processes["raylet"][0].process.pid
+
+
+@pytest.mark.slow
+def test_shards_of_a_killed_node_are_planned_by_another(here, undisturbed, cluster):
+    (node,) = [each for each in cluster.list_all_nodes() if each is not cluster.head_node]
+    with start(here, "run", "--on", f"ray:{cluster.address}") as driver:
+        wait_for_worker(raylet(node), driver)
+        os.kill(raylet(node), signal.SIGKILL)
+        cluster.add_node(num_cpus=1)
+        _, errors = driver.communicate()
+    assert driver.returncode == 0, errors
+    assert rows(here / "run") == undisturbed
+
+
+@pytest.mark.slow
+def test_when_the_whole_cluster_is_lost_what_is_finished_is_kept(here, undisturbed, cluster):
+    (node,) = [each for each in cluster.list_all_nodes() if each is not cluster.head_node]
+    with start(here, "run", "--on", f"ray:{cluster.address}") as driver:
+        wait_for_worker(raylet(node), driver)
+        while driver.poll() is None and not list(Path("run").glob("targets/*.parquet")):
+            time.sleep(0.02)
+        os.kill(raylet(cluster.head_node), signal.SIGKILL)
+        _, errors = driver.communicate()
+    assert driver.returncode == 1, errors
+    last = errors.strip().splitlines()[-1]
+    assert last.startswith("htcp: Ray lost its workers") and last.endswith("the same command goes on from there")
+    assert len(open_run("run").manifest.shards) < SHARDS
+    assert finish(here, "run").returncode == 0 and rows(here / "run") == undisturbed
