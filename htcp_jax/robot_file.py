@@ -13,9 +13,11 @@ import mujoco
 import numpy as np
 
 from htcp_jax.errors import InputError
+from htcp_jax.robot_xml import read_spec, unreadable
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _SPHERE, _CAPSULE = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+_DESCRIBED_ELSEWHERE = mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF
 
 
 class RobotFields(NamedTuple):
@@ -76,17 +78,14 @@ def read_robot_file(path: Path, tcp_site: str, limits: str) -> RobotFields:
 
 
 def _compile_model(path: Path) -> tuple[mujoco.MjModel, str]:
-    """The only place that opens model files. Returns the model and the geom types of the file."""
+    """Returns the model and the geom types of the file."""
     try:
-        if path.exists() and not path.is_file():
-            raise InputError(f"{path}: not a file; a robot is an MJCF or URDF file")
-        path.open("rb").close()  # for the system's own reason: MuJoCo gives none
         with _no_log():
-            spec = mujoco.MjSpec.from_file(str(path))
+            spec = read_spec(path)
             geom_types = sorted({_type_name(geom) for geom in spec.geoms})
             _check_radii(spec, path)
             _check_ranges(spec, path)
-            _forget_meshes(spec)
+            _forget_shapes(spec)
             spec.compiler.fusestatic = False  # the fixed links of a URDF name its TCP
             # Kinematics needs no masses; MuJoCo insists on them.
             spec.compiler.boundmass = spec.compiler.boundinertia = 1e-9
@@ -94,11 +93,8 @@ def _compile_model(path: Path) -> tuple[mujoco.MjModel, str]:
             return spec.compile(), ", ".join(geom_types)
     except InputError:
         raise
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the robot model: {error.strerror}") from None
     except (ValueError, mujoco.FatalError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path}: not a robot model that MuJoCo can read: {reason}") from None
+        raise unreadable(path, error) from None
 
 
 @contextmanager
@@ -134,11 +130,11 @@ def _check_ranges(spec: mujoco.MjSpec, path: Path) -> None:
             raise InputError(f"{path}: joint {joint.name!r} has range {lower:g} to {upper:g}; it must ascend")
 
 
-def _forget_meshes(spec: mujoco.MjSpec) -> None:
-    """Turn meshes into boxes: both are ignored, and the mesh files of a URDF can often not be found."""
+def _forget_shapes(spec: mujoco.MjSpec) -> None:
+    """Turn meshes and what else is described elsewhere into boxes: all are ignored, and no file of theirs is opened."""
     for geom in spec.geoms:
-        if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
-            geom.type, geom.size, geom.meshname = mujoco.mjtGeom.mjGEOM_BOX, [1.0, 1.0, 1.0], ""
+        if geom.type in _DESCRIBED_ELSEWHERE:
+            geom.type, geom.size, geom.meshname, geom.hfieldname = mujoco.mjtGeom.mjGEOM_BOX, [1.0, 1.0, 1.0], "", ""
     for mesh in list(spec.meshes):
         spec.delete(mesh)
 

@@ -19,10 +19,12 @@ from pydantic import Field, ValidationError, model_validator
 
 from htcp_jax.config import PlanConfig, Section, validate
 from htcp_jax.errors import InputError
+from htcp_jax.grid import MOST
 from htcp_jax.metrics import summarise
 from htcp_jax.notebook import html_facts
 from htcp_jax.plans import Plans
-from htcp_jax.run_tables import frame_of, plans_of
+from htcp_jax.run_identity import config_hash, identity
+from htcp_jax.run_tables import empty_tables, frame_of, plans_of
 
 if TYPE_CHECKING:
     import pandas
@@ -31,14 +33,15 @@ MANIFEST = "manifest.json"
 TABLES = ("targets", "scenarios")
 
 MethodName = Annotated[str, Field(pattern=r"^[a-z0-9-]+$")]  # it stands in names of files
-Count = Annotated[int, Field(ge=0)]
+Count = Annotated[int, Field(ge=0, lt=2**53)]
+Scenarios = Annotated[int, Field(ge=0, le=MOST)]
 
 
 class FileRecord(Section):
     """What a file must be to count."""
 
-    rows: int
-    bytes: int
+    rows: Count
+    bytes: Count
     sha256: str
 
 
@@ -46,8 +49,8 @@ class ShardRecord(Section):
     """A finished shard: scenarios `first` to `last` by one method."""
 
     method: MethodName
-    first: Count
-    last: Count
+    first: Scenarios
+    last: Scenarios
     tracked: Count  # targets
     compile_s: float
     run_s: float
@@ -75,10 +78,10 @@ class Manifest(Section):
     config_hash: str
     seed: int
     joints: tuple[str, ...]  # columns of x in the tables
-    targets: int  # of all scenarios together
-    full: int  # scenarios of the whole grid
+    targets: Count  # of all scenarios together
+    full: Scenarios  # scenarios of the whole grid
     limit: int | None  # of scenarios, as asked for
-    count: Count  # scenarios to plan: the first of the grid
+    count: Scenarios  # scenarios to plan: the first of the grid
     shard_scenarios: Annotated[int, Field(gt=0)]
     methods: tuple[MethodName, ...]
     seconds: dict[str, Seconds] = Field(default_factory=dict)  # per method
@@ -86,10 +89,19 @@ class Manifest(Section):
     shards: tuple[ShardRecord, ...] = ()
 
     @model_validator(mode="after")
-    def _shards_are_of_this_run(self) -> "Manifest":
+    def _agrees_with_itself(self) -> "Manifest":
+        if self.config_hash != config_hash(identity(self.config, self.grid, self.dtype, self.files)):
+            raise ValueError("config_hash is not that of what it holds")
+        seen = set()
         for shard in self.shards:
-            if shard.method not in self.methods or shard.planned_by >= len(self.planned_by):
+            place = shard.method, shard.first
+            last = min(shard.first + self.shard_scenarios, self.count) - 1
+            known = shard.method in self.methods and shard.planned_by < len(self.planned_by)
+            if not known or shard.first % self.shard_scenarios or shard.last != last or place in seen:
                 raise ValueError(f"a shard of {shard.method} has no place in it")
+            if shard.scenarios.rows != last - shard.first + 1 or shard.tracked > shard.targets.rows:
+                raise ValueError(f"a shard of {shard.method} has other rows than scenarios")
+            seen.add(place)
         return self
 
 
@@ -164,7 +176,10 @@ class Run:
         """The plans of one method as arrays; S = `manifest.count`, row s is scenario s. Where scenarios are not
         planned yet, or have fewer targets than others, the status is -1. Raises InputError as `targets` does."""
         rows, seconds = self.targets(method), self.manifest.seconds.get(method, Seconds())
-        return plans_of(rows, self.manifest.count, self.manifest.joints, seconds.compile_s, seconds.run_s)
+        try:
+            return plans_of(rows, self.manifest.count, self.manifest.joints, seconds.compile_s, seconds.run_s)
+        except (IndexError, KeyError, ValueError) as error:
+            raise InputError(f"{self.folder}: the rows of {method} are not of this run: {error}") from None
 
     def missing(self, method: str) -> list[Span]:
         """The shards that are still to be planned."""
@@ -187,7 +202,8 @@ class Run:
         )
         if not order:
             raise InputError(f"{self.folder} has no finished shard of {', '.join(wanted)} yet")
-        return pa.concat_tables(_read_parquet(*self.shard_files(shard)[table]) for shard in order)
+        schema = empty_tables(self.manifest.joints)[table].schema
+        return pa.concat_tables(_read_parquet(*self.shard_files(shard)[table], schema) for shard in order)
 
 
 def open_run(folder: str | Path) -> Run:
@@ -234,7 +250,7 @@ def _fault_of(data: bytes, record: FileRecord) -> str | None:
     return None
 
 
-def _read_parquet(file: Path, record: FileRecord) -> pa.Table:
+def _read_parquet(file: Path, record: FileRecord, schema: pa.Schema) -> pa.Table:
     try:
         data = file.read_bytes()
     except OSError as error:
@@ -243,4 +259,10 @@ def _read_parquet(file: Path, record: FileRecord) -> pa.Table:
         problem = _fault_of(data, record)
     if problem:
         raise InputError(f"{file} {problem}; the same sweep plans its scenarios again")
-    return pq.read_table(pa.BufferReader(data))
+    try:
+        rows = pq.read_table(pa.BufferReader(data))
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"{file} is no Parquet file: {' '.join(str(error).split())}") from None
+    if not rows.schema.equals(schema) or len(rows) != record.rows:
+        raise InputError(f"{file} is not a file of this run: it has other columns or another number of rows")
+    return rows

@@ -117,10 +117,23 @@ def scenario_table(
     return pa.table(columns | _parameters(points, joints))
 
 
+def empty_tables(joints: Sequence[str]) -> dict[str, pa.Table]:
+    """Both tables without rows, for their schemas."""
+    shape, none = (0, 1), np.zeros(0, int)
+    names = {"x": (len(joints),), "tcp": (3,), "target": (3,)}
+    plans = Plans(**{name: np.zeros((*shape, *names.get(name, ())), int) for name in Plans._fields})
+    return {
+        "targets": target_table("", none, none, plans, joints),
+        "scenarios": scenario_table("", (), none, plans, joints),
+    }
+
+
 def plans_of(targets: pa.Table, scenarios: int, joints: Sequence[str], compile_s: float, run_s: float) -> Plans:
     """Plans of scenarios 0 to `scenarios` - 1 from one method's rows. Rows that the table lacks have the status
-    NO_TARGET."""
+    NO_TARGET. Raises IndexError, KeyError or ValueError for rows of other scenarios and for unknown statuses."""
     s, t = targets["scenario"].to_numpy(), targets["target"].to_numpy()
+    if min(s.min(initial=0), t.min(initial=0)) < 0 or t.max(initial=0) >= len(targets):
+        raise IndexError("a row of no scenario or no target")
     shape = scenarios, int(t.max(initial=-1)) + 1
 
     def filled(names: str | Sequence[str], empty, dtype) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Strict JAX for every test: ranks are never promoted in silence; compiled programs are kept between runs."""
 
+import hypothesis
 import jax
 import pytest
 
@@ -7,6 +8,8 @@ from htcp_jax import compile_cache
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 compile_cache.enable()
+hypothesis.settings.register_profile("patient", deadline=None)  # no test depends on how busy the machine is
+hypothesis.settings.load_profile("patient")
 
 
 @pytest.fixture(autouse=True, scope="module")

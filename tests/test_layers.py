@@ -14,7 +14,8 @@ PACKAGE = Path(htcp_jax.__file__).parent
 LAYERS = [
     ["__init__", "errors", "notebook", "types", "pytree", "numerics", "status", "settings", "plans"],
     ["compile_cache", "devices"],
-    ["robot", "robot_file", "kinematics", "duct", "cloud", "cloud_index", "half_spaces", "hull", "workpiece"],
+    ["robot", "robot_file", "robot_xml", "kinematics", "duct", "cloud", "cloud_index", "half_spaces", "hull"],
+    ["workpiece"],
     ["scenario"],
     ["clearance", "task", "seen"],
     ["nullspace", "qp_dense", "cma_es"],

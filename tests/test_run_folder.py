@@ -18,7 +18,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.grid import Point
 from htcp_jax.robot import gp50
 from htcp_jax.run_folder import Manifest, Run, Span, open_run
-from htcp_jax.run_identity import planned_by
+from htcp_jax.run_identity import config_hash, identity, planned_by
 from htcp_jax.run_lock import locked
 from htcp_jax.status import Status
 
@@ -35,10 +35,12 @@ BY = planned_by()
 def manifest(**changes) -> Manifest:
     asked = {
         "name": "four", "config": load_config().model_dump(mode="json"), "grid": (), "dtype": "float64", "files": {},
-        "config_hash": "", "seed": 0, "joints": JOINTS, "targets": 11, "full": 4, "limit": None, "count": 4,
+        "seed": 0, "joints": JOINTS, "targets": 11, "full": 4, "limit": None, "count": 4,
         "shard_scenarios": 2, "methods": ("baseline",),
     }  # fmt: skip
-    return Manifest(**asked | changes)
+    asked |= changes
+    same = identity(asked["config"], asked["grid"], asked["dtype"], asked["files"])
+    return Manifest(**asked | {"config_hash": config_hash(same)})
 
 
 def rows(method: str, span: Span) -> tuple:

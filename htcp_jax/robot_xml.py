@@ -1,0 +1,123 @@
+"""A robot's model file as text that is safe to hand to MuJoCo.
+
+MuJoCo follows what a file names: included models, meshes, textures, height fields, plugins. Here a file is read as
+plain XML without a document type, so without entities; its includes are put in place from its own folder; and what
+has no part in where the links and their capsules are is left out. In the text that results nothing names a file, but
+for the meshes of a URDF, which robot_file.py takes out before MuJoCo would open them.
+"""
+
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+
+from htcp_jax.errors import InputError
+
+LARGEST_FILE = 10 * 2**20  # [bytes]
+MOST_ELEMENTS = 50_000
+LARGEST_NUMERIC = 1000  # values of a <numeric>
+
+# Of MJCF; tendons, actuators and the like move nothing here, and what is for the eye or for dynamics neither.
+LEFT_OUT = {
+    "actuator", "asset", "camera", "contact", "deformable", "equality", "extension", "hfield", "keyframe", "light",
+    "material", "option", "plugin", "sensor", "size", "skin", "statistic", "tendon", "text", "texture", "tuple",
+    "visual",
+}  # fmt: skip
+# They make bodies and joints that do not stand in the file.
+REFUSED = {"attach", "composite", "flexcomp", "replicate"}
+
+
+class _Builder(ElementTree.TreeBuilder):
+    """Refuses document types, where entities are defined, and absurdly many elements."""
+
+    def __init__(self, path: Path):
+        super().__init__()
+        self._path, self._elements = path, 0
+
+    def doctype(self, *_) -> None:
+        raise InputError(f"{self._path}: a document type (<!DOCTYPE) is not part of a robot model")
+
+    def start(self, tag, attributes):
+        self._elements += 1
+        if self._elements > MOST_ELEMENTS:
+            raise InputError(f"{self._path}: more than {MOST_ELEMENTS:,} elements")
+        return super().start(tag, attributes)
+
+
+def read_spec(path: Path) -> mujoco.MjSpec:
+    """MuJoCo's reading of an MJCF or URDF file, not compiled yet. Raises InputError for a file that cannot be read or
+    is too large, and for one that includes a file outside its folder."""
+    root = _parse(path)
+    _put_includes_in_place(root, path, {path.resolve()})
+    if root.tag == "mujoco":
+        _leave_out(root, path)
+    text = ElementTree.tostring(root, encoding="unicode")
+    try:
+        return mujoco.MjSpec.from_string(text)
+    except (ValueError, mujoco.FatalError) as error:
+        raise unreadable(path, error) from None
+
+
+def unreadable(path: Path, error: Exception) -> InputError:
+    """What MuJoCo, or the parser, has to say about the file, in one line."""
+    reason = re.sub(r",? line \d+$", "", " ".join(str(error).split()))  # of our text, not of the file
+    return InputError(f"{path}: not a robot model that MuJoCo can read: {reason}")
+
+
+def _parse(path: Path) -> ElementTree.Element:
+    try:
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: not a file; a robot is an MJCF or URDF file")
+        if (size := path.stat().st_size) > LARGEST_FILE:
+            raise InputError(f"{path}: {size:,} bytes; a robot model has at most {LARGEST_FILE:,}")
+        parser = ElementTree.XMLParser(target=_Builder(path))
+        parser.feed(path.read_bytes())
+        return parser.close()
+    except InputError:
+        raise
+    except OSError as error:
+        raise InputError(f"{path}: cannot read the robot model: {error.strerror}") from None
+    except (ElementTree.ParseError, ValueError, LookupError) as error:  # LookupError: an encoding that is none
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: not a robot model that MuJoCo can read: {reason}") from None
+
+
+def _put_includes_in_place(root: ElementTree.Element, path: Path, seen: set[Path]) -> None:
+    """Every <include file="..."/> becomes what stands in that file's root; file names are relative to `path`."""
+    for parent in list(root.iter()):
+        for include in [child for child in parent if child.tag == "include"]:
+            file = _included(include, path)
+            if file in seen:
+                raise InputError(f"{path}: {include.get('file')} is included twice")
+            seen.add(file)
+            part = _parse(file)
+            _put_includes_in_place(part, path, seen)
+            at = list(parent).index(include)
+            parent.remove(include)
+            for k, child in enumerate(part):
+                parent.insert(at + k, child)
+
+
+def _included(include: ElementTree.Element, path: Path) -> Path:
+    name, folder = include.get("file", ""), path.parent.resolve()
+    try:
+        file = (folder / name).resolve()
+    except (OSError, ValueError, RuntimeError):  # a name that cannot be one, links in a circle
+        raise InputError(f"{path}: cannot include {name!r}") from None
+    if not name or not file.is_relative_to(folder):
+        raise InputError(f"{path}: cannot include {name!r}: it leads out of the model's folder")
+    return file
+
+
+def _leave_out(root: ElementTree.Element, path: Path) -> None:
+    for parent in list(root.iter()):
+        for child in list(parent):
+            if child.tag in REFUSED:
+                raise InputError(f"{path}: <{child.tag}> is not read; write the bodies out")
+            if child.tag in LEFT_OUT or (child.tag == "mesh" and parent.tag == "default"):
+                parent.remove(child)
+        parent.attrib.pop("material", None)
+    for numeric in root.iter("numeric"):
+        if not numeric.get("size", "0").strip().isdigit() or int(numeric.get("size", "0")) > LARGEST_NUMERIC:
+            raise InputError(f"{path}: numeric {numeric.get('name')!r} has a size over {LARGEST_NUMERIC:,}")
