@@ -15,7 +15,7 @@ import mujoco
 from htcp_jax.errors import InputError
 
 LARGEST_FILE = 10 * 2**20  # [bytes]
-MOST_ELEMENTS = 50_000
+MOST_ELEMENTS, DEEPEST = 50_000, 200
 LARGEST_NUMERIC = 1000  # values of a <numeric>
 
 # Of MJCF; tendons, actuators and the like move nothing here, and what is for the eye or for dynamics neither.
@@ -29,11 +29,11 @@ REFUSED = {"attach", "composite", "flexcomp", "replicate"}
 
 
 class _Builder(ElementTree.TreeBuilder):
-    """Refuses document types, where entities are defined, and absurdly many elements."""
+    """Refuses document types, where entities are defined, and absurdly many or deep elements."""
 
     def __init__(self, path: Path):
         super().__init__()
-        self._path, self._elements = path, 0
+        self._path, self._elements, self._depth = path, 0, 0
 
     def doctype(self, *_) -> None:
         raise InputError(f"{self._path}: a document type (<!DOCTYPE) is not part of a robot model")
@@ -42,7 +42,14 @@ class _Builder(ElementTree.TreeBuilder):
         self._elements += 1
         if self._elements > MOST_ELEMENTS:
             raise InputError(f"{self._path}: more than {MOST_ELEMENTS:,} elements")
+        self._depth += 1
+        if self._depth > DEEPEST:
+            raise InputError(f"{self._path}: elements nested more than {DEEPEST} deep")
         return super().start(tag, attributes)
+
+    def end(self, tag):
+        self._depth -= 1
+        return super().end(tag)
 
 
 def read_spec(path: Path) -> mujoco.MjSpec:

@@ -50,7 +50,7 @@ def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]
         if ours:
             warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)  # Ray starts programs so
             ray.init(address or None, include_dashboard=False, log_to_driver=False, configure_logging=False)
-    except (OSError, ValueError, RuntimeError) as error:
+    except Exception as error:  # of many kinds, plain Exception among them
         raise InputError(f"cannot reach Ray at {address or 'this machine'}: {' '.join(str(error).split())}") from None
     try:
         yield lambda shards, tell: _plan(ray, batch, config, shards, tell)

@@ -5,7 +5,6 @@ the pose rule of workpiece.py are among what is validated.
 """
 
 import json
-import zipfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -13,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from htcp_jax.cloud import one_line
 from htcp_jax.config import PlanConfig, WorkpieceConfig, validate
 from htcp_jax.errors import InputError
 from htcp_jax.job import workpiece_of
@@ -150,8 +150,8 @@ def _read_plan(folder: Path) -> Results:
             arrays = {name: file[name] for name in ARRAYS}
     except OSError as error:
         raise InputError(f"{folder} holds no plan: cannot read {error.filename}: {error.strerror}") from None
-    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(f"{folder}: {SUMMARY} or {TRAJECTORY} is damaged: {error}") from None
+    except Exception as error:  # foreign parsers on foreign bytes: whatever they raise, the files are bad
+        raise InputError(f"{folder}: {SUMMARY} or {TRAJECTORY} is damaged: {one_line(error)}") from None
     config: PlanConfig = validate(raw, PlanConfig, str(folder / SUMMARY))
     part, start = config.workpiece, np.array(config.start_rad)
     count, joints = arrays["status"].size, len(start)

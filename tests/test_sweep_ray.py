@@ -18,6 +18,7 @@ from htcp_jax.sweep import sweep
 
 ray = pytest.importorskip("ray", reason="Ray is an extra: pip install 'htcp_jax[ray]'")
 WORKING = "ray::_plan_shard"
+pytestmark = pytest.mark.filterwarnings(r"ignore:os\.fork\(\) was called:RuntimeWarning")  # Ray starts programs so
 
 
 @pytest.fixture(scope="module")
