@@ -5,7 +5,7 @@ PYTHON ?= $(firstword $(foreach p,python3 python3.14 python3.13 python3.12 pytho
 	$(shell $(p) -c 'import sys; sys.version_info >= (3, 11) and print("$(p)")' 2>/dev/null)) no-python-3.11-found)
 INSTALL = $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable
 
-.PHONY: demo test test-slow notebooks docs gate bless gate-runs lock clean
+.PHONY: demo test test-slow notebooks docs gate bless gate-runs faults fuzz lock clean
 
 demo: $(VENV)/.installed  ## plan the default job
 	$(VENV)/bin/htcp plan
@@ -44,6 +44,12 @@ gate-runs: $(VENV)/.installed
 	rm -rf $(RUNS)
 	@set -e; for sweep in $(GATED); do $(VENV)/bin/htcp sweep sweeps/$$sweep.yaml --out $(RUNS)/$$sweep; done
 	$(VENV)/bin/htcp ceiling sweeps/workpiece.yaml --out $(RUNS)/workpiece
+
+faults: $(VENV)/.installed-test  ## kill drivers, workers and nodes, fill disks, and compare bytes: a quarter of an hour
+	$(VENV)/bin/python -m pytest -m "slow or not slow" -v tests/test_faults.py tests/test_sweep_ray.py
+
+fuzz: $(VENV)/.installed-test  ## 100,000 damaged inputs for every reader; FUZZ="INPUTS SEED" for others
+	$(VENV)/bin/python tests/fuzz.py $(FUZZ)
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
