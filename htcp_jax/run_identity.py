@@ -11,8 +11,7 @@ from typing import Any
 from htcp_jax.errors import InputError
 from htcp_jax.results import provenance
 
-
-NO_IDENTITY = "method", "ray"  # of a configuration: a run has methods of its own, and is the same wherever it is planned
+NO_IDENTITY = "method", "ray"  # of a configuration: a run has methods of its own, and may be planned anywhere
 
 
 def file_hash(file: str | Path) -> str:

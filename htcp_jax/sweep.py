@@ -27,13 +27,13 @@ from htcp_jax.config import FILES
 from htcp_jax.errors import InputError, Interrupted, Lost
 from htcp_jax.escape import METHODS
 from htcp_jax.grid import Batch, Column, Group, Sweep, load_sweep
+from htcp_jax.planner import Progress as ShardProgress
 from htcp_jax.plans import Plans
 from htcp_jax.run_folder import Manifest, Run, Span, spans
 from htcp_jax.run_identity import config_hash, file_hash, identity
 from htcp_jax.run_lock import locked
 from htcp_jax.run_signals import SignalCame, signals
 from htcp_jax.run_tables import joint_columns, scenario_table, target_table
-from htcp_jax.planner import Progress as ShardProgress
 from htcp_jax.sweep_here import Shard, plan_here
 from htcp_jax.sweep_ray import on_ray
 

@@ -60,7 +60,7 @@ def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]
 
 
 def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], tell: Callable) -> Iterator[Planned]:
-    """Keeps some more tasks waiting than the cluster has room for, so that it never idles and one that can grow does."""
+    """Keeps more tasks waiting than the cluster has room for: it never idles, and one that can grow does."""
     task = ray.remote(_plan_shard).options(
         num_cpus=config.ray.num_cpus,
         num_gpus=config.ray.num_gpus,

@@ -74,10 +74,12 @@ def main(inputs: int, first: int) -> int:
             print(f"{name:24}{taken:9,}{refused:9,}{taken + refused:10,}{'   WRONG' if trouble else ''}", flush=True)
             if trouble:
                 wrong[name] = trouble
-    print(f"{'all':24}{sums[0]:9,}{sums[1]:9,}{sum(sums):10,}   in {(time.monotonic() - began) / 60:.1f} minutes, seed {first}")
+    minutes = (time.monotonic() - began) / 60
+    print(f"{'all':24}{sums[0]:9,}{sums[1]:9,}{sum(sums):10,}   in {minutes:.1f} minutes, seed {first}")
     for name, trouble in wrong.items():
         print(f"\n{name}: {trouble}")
-    print(f"{sum(sums):,} inputs, {len(wrong)} kinds with an answer that is none" if wrong else f"{sum(sums):,} inputs, no traceback, no hang, no wrong result")
+    verdict = f"wrong answers to {', '.join(wrong)}" if wrong else "no traceback, no hang, no wrong result"
+    print(f"{sum(sums):,} inputs, {verdict}")
     return 1 if wrong else 0
 
 

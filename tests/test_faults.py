@@ -122,7 +122,7 @@ def mounted(here):
 @pytest.mark.parametrize("kilobytes", [4, 16, 40, 80])
 def test_on_a_full_disk_a_sweep_keeps_what_is_finished_and_goes_on_when_there_is_room(mounted, undisturbed, kilobytes):
     mount("-t", "tmpfs", "-o", f"size={kilobytes}k", "none", str(mounted))
-    with pytest.raises(InputError, match="cannot write to .*run: No space left on device"):
+    with pytest.raises(InputError, match=r"cannot write to .*run: No space left on device"):
         sweep("grid.yaml", "baseline", mounted / "run", shard_scenarios=1)
     if (mounted / "run" / "manifest.json").exists():
         kept = open_run(mounted / "run")

@@ -184,7 +184,8 @@ def test_when_the_whole_cluster_is_lost_what_is_finished_is_kept(here, undisturb
         wait_for_worker(raylet(node), driver)
         while driver.poll() is None and not list(Path("run").glob("targets/*.parquet")):
             time.sleep(0.02)
-        os.kill(raylet(cluster.head_node), signal.SIGKILL)
+        for each in (node, cluster.head_node):
+            os.kill(raylet(each), signal.SIGKILL)
         _, errors = driver.communicate()
     assert driver.returncode == 1, errors
     last = errors.strip().splitlines()[-1]
