@@ -11,7 +11,7 @@ import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
@@ -21,7 +21,10 @@ from htcp_jax.settings import Settings
 from htcp_jax.strict_yaml import parse_yaml, read_yaml
 from htcp_jax.workpiece import GATE_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
 
-Point = tuple[float, float, float]
+LARGEST = 1e6  # of lengths [m] and joint positions: beyond, the tolerance is lost to rounding
+Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+Point = tuple[Number, Number, Number]
+Steps = Annotated[int, Field(ge=0, le=10_000)]
 
 
 class Section(BaseModel):
@@ -35,7 +38,7 @@ class RobotConfig(Section):
 
     model: str = "gp50"  # or an MJCF or URDF file
     limits: Literal["simulation", "datasheet", "model"] = "simulation"
-    tool_extension_m: float = 0.0
+    tool_extension_m: Number = 0.0
 
 
 class WorkpieceConfig(Section):
@@ -45,14 +48,14 @@ class WorkpieceConfig(Section):
     path: str = "weld"  # the generated duct's weld, or a CSV file of x,y,z [m]
     inlet_m: Point | None = None  # centre of the inlet; without it the duct's, or none for another cloud
     interior: Literal["hull", "none"] = "hull"  # what bounds the inside, deeper than gate_depth_m
-    gate_depth_m: float = Field(GATE_DEPTH_M, ge=0)
+    gate_depth_m: float = Field(GATE_DEPTH_M, ge=0, le=LARGEST)
     pivot_m: Point = PIVOT  # world point that the rotations turn about
     neutral_translation_m: Point = NEUTRAL_TRANSLATION  # of the workpiece frame, before they turn it
     rotation_y_rad: float = 0.4
     rotation_z_rad: float = 0.1
     shift_m: Point = (0.0, 0.0, 0.0)
-    approach_to_inlet: int = Field(5, ge=0)  # equal steps from the start's TCP to the inlet
-    approach_to_path: int = Field(5, ge=0)  # and from there to the first point of the path
+    approach_to_inlet: Steps = 5  # equal steps from the start's TCP to the inlet
+    approach_to_path: Steps = 5  # and from there to the first point of the path
 
 
 class RayConfig(Section):
@@ -68,7 +71,7 @@ class PlanConfig(Section):
 
     robot: RobotConfig = RobotConfig()
     workpiece: WorkpieceConfig = WorkpieceConfig()
-    start_rad: tuple[float, ...] = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
+    start_rad: tuple[Number, ...] = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
     margin_m: float = Field(5e-4, ge=0)  # what the clearance rows of the step QP keep
     method: str = "nspace-sqp"
     settings: Settings = Settings()

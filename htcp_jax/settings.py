@@ -62,6 +62,7 @@ class Settings:
             _check(field.name, getattr(self, field.name), field.type)
 
 
+MOST, LARGEST_SEED = 100_000, 2**63 - 1  # of whatever is counted; of the seed
 _MAY_BE_ZERO = {"j1_weight", "keep_clear_m", "seed", "postures"}
 
 
@@ -78,3 +79,5 @@ def _check(name: str, value, kind) -> None:
             if not math.isfinite(number) or number < 0 or (number == 0 and name not in _MAY_BE_ZERO):
                 least = "zero or more" if name in _MAY_BE_ZERO else "more than zero"
                 raise InputError(f"{name} must be {least} and finite, not {number}")
+        if kind is int and value > (most := LARGEST_SEED if name == "seed" else MOST):
+            raise InputError(f"{name} is {value}; at most {most}")
