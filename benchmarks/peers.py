@@ -1,0 +1,191 @@
+"""The same task by other planners, side by side: robot, path, workpiece and poses of sweeps/workpiece.yaml.
+
+    python -m benchmarks peers [--scenarios N] [--real CLOUD PATH X Y Z]
+
+Only the tool's position is asked for. All run on one thread, one scenario after the other, but for htcp_jax, which
+advances all of them together. "setup s" is compilation or the building of models, apart from the time a step. "cpu ms"
+is less than "ms a step" where others use the processor.
+
+- htcp_jax: its baseline and N-space SQP; the first run compiles, the second is timed.
+- step QPs: the baseline's in a plain Python loop, with MuJoCo's kinematics, scipy's tree of the cloud, and Clarabel.
+- SLSQP: scipy's, on the nonlinear problem of each target, with the same distances and gradients.
+- mink: differential inverse kinematics, the obstacle a moving sphere on the nearest point of each capsule.
+- TrajOpt of tesseract-robotics, on all points. Its Descartes samples whole poses, turned about one axis only: left out.
+
+A target is passed when MuJoCo's own kinematics and distances (htcp_jax/validate*.py) find the tool within the
+tolerance, the arm clear and inside its limits, and all targets before it passed.
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from scipy.spatial import cKDTree
+
+from benchmarks import hardware, peer_planners, peer_trajopt
+from benchmarks.peer_planners import Advance, Task
+from htcp_jax.grid import Batch, load_sweep
+from htcp_jax.metrics import is_tracked
+from htcp_jax.planner import plan
+from htcp_jax.robot import GP50
+from htcp_jax.status import Status
+from htcp_jax.validate_arm import Arm
+from htcp_jax.validate_input import Pose, targets_of, turned_and_moved
+from htcp_jax.validate_track import ROUNDING_M
+from htcp_jax.validate_wall import Scene, Wall
+
+SWEEP = Path(__file__).resolve().parents[1] / "sweeps" / "workpiece.yaml"
+POSES = 49
+PACKAGES = "mujoco", "scipy", "clarabel", "mink", "tesseract-robotics"
+ROW = "{:20} {:>7} {:>6} {:>10} {:>10} {:>7} {:>8}  {}"
+
+
+class Outcome(NamedTuple):
+    """What a planner made of the scenarios: the configurations (n, N) it calls tracked, one array a scenario."""
+
+    found: list[np.ndarray]
+    attempted: int
+    run_s: float
+    cpu_s: float
+    setup_s: float
+    note: str
+
+
+class Clock:
+    """Adds up the wall and processor time [s] of what runs inside it."""
+
+    def __init__(self):
+        self.wall = self.cpu = 0.0
+
+    def __enter__(self) -> "Clock":
+        self._began = time.perf_counter(), time.process_time()
+        return self
+
+    def __exit__(self, *_) -> None:
+        self.wall += time.perf_counter() - self._began[0]
+        self.cpu += time.process_time() - self._began[1]
+
+
+def ours(method: str) -> Callable[[Batch, list[Task]], Outcome]:
+    """A method of htcp_jax."""
+
+    def run(batch: Batch, tasks: list[Task]) -> Outcome:
+        how = {"settings": tasks[0].settings, "threads": 1, "check_paths": False}
+        first = plan(batch.robot, batch.workpiece, batch.scenarios, method, **how)
+        with Clock() as clock:
+            plans = plan(batch.robot, batch.workpiece, batch.scenarios, method, **how)
+        found = [x[tracked] for x, tracked in zip(plans.x, is_tracked(plans.status), strict=True)]
+        attempted = int(np.sum((plans.status >= 0) & (plans.status != Status.NOT_ATTEMPTED)))
+        return Outcome(found, attempted, plans.run_s, clock.cpu, first.compile_s, "all scenarios advance together")
+
+    return run
+
+
+def theirs(make: Callable[[Task], Advance], note: str) -> Callable[[Batch, list[Task]], Outcome]:
+    """A planner of single targets: scenario by scenario, each until its first failure."""
+
+    def run(batch: Batch, tasks: list[Task]) -> Outcome:
+        found, attempted, run, setup = [], 0, Clock(), Clock()
+        for task in tasks:
+            with setup:
+                advance = make(task)
+            x, rows = task.start, []
+            with run:
+                for target in task.targets:
+                    x, attempted = advance(x, target), attempted + 1
+                    if not task.reached(x, target):
+                        break
+                    rows.append(x)
+            found.append(np.array(rows).reshape(-1, len(x)))
+        return Outcome(found, attempted, run.wall, run.cpu, setup.wall, note)
+
+    return run
+
+
+PLANNERS = {
+    "htcp_jax baseline": ours("baseline"),
+    "htcp_jax nspace-sqp": ours("nspace-sqp"),
+    "step QPs, Clarabel": theirs(peer_planners.step_qps, "the baseline's QPs in a plain Python loop"),
+    "scipy SLSQP": theirs(peer_planners.slsqp, "the nonlinear problem of each target, the same loop"),
+    "mink": theirs(peer_planners.mink, "greedy, moving spheres on the nearest points"),
+    "TrajOpt": theirs(peer_trajopt.trajopt, "term by term; its Python planner cannot do position-only"),
+}
+
+
+def passed(batch: Batch, arm: Arm, wall: Wall, found: list[np.ndarray]) -> int:
+    """How many targets MuJoCo finds passed, each scenario's up to its first that is not."""
+    total = 0
+    for point, x in zip(batch.points, found, strict=True):
+        config, part = point.config, point.config.workpiece
+        turn = part.rotation_y_rad, part.rotation_z_rad
+        pose = Pose(np.array(config.start_rad), *turn, np.array(part.shift_m), 0.0, part.path)
+        rotate, translate = turned_and_moved(part, pose)
+        inlet = None if batch.workpiece.inlet is None else rotate @ batch.workpiece.inlet + translate
+        start_tcp = arm.postures(pose.start[None]).tcp[0]
+        targets = targets_of(part, start_tcp, inlet, batch.workpiece.path @ rotate.T + translate)
+        if len(x):
+            at = Scene(arm, wall, rotate, translate, part.gate_depth_m).at(x)
+            error = np.linalg.norm(at.postures.tcp - targets[: len(x)], axis=1)
+            inside = ((x >= arm.lower - ROUNDING_M) & (x <= arm.upper + ROUNDING_M)).all(axis=1)
+            good = (error <= config.settings.tolerance_m + ROUNDING_M) & (at.clearance > 0) & inside
+            total += len(x) if good.all() else int(good.argmin())
+    return total
+
+
+def chosen_scenarios(count: int, real: list[str] | None) -> Batch:
+    """`count` poses of the sweep, the same few first at any count, and spread."""
+    changes = {}
+    if real:
+        cloud, path, *inlet = real
+        changes = {"workpiece.cloud": cloud, "workpiece.path": path, "workpiece.inlet_m": [float(v) for v in inlet]}
+    batch = load_sweep(SWEEP, None, changes).batch()
+    numbers = [(24 + 19 * k) % POSES for k in range(count)]
+    scenarios = jax.tree.map(lambda leaf: leaf[numbers], batch.scenarios)
+    return batch._replace(scenarios=scenarios, points=tuple(batch.points[k] for k in numbers))
+
+
+def main() -> None:
+    """Run every planner and print a row each."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenarios", type=int, default=9, choices=range(1, POSES + 1), metavar="N", help="poses")
+    parser.add_argument("--real", nargs=5, metavar=("CLOUD", "PATH", "X", "Y", "Z"), help="files; the inlet's centre")
+    asked = parser.parse_args()
+    batch = chosen_scenarios(asked.scenarios, asked.real)
+    part, arm = batch.points[0].config.workpiece, Arm(GP50, limits=batch.points[0].config.robot.limits)
+    wall, tree = Wall(batch.workpiece.cloud, part.interior), cKDTree(batch.workpiece.cloud)
+    targets = int(batch.scenarios.count.sum())
+    print(f"{hardware.line()}, {', '.join(_version(package) for package in PACKAGES)}")
+    points = f"{len(batch.workpiece.cloud):,} points"
+    print(f"{batch.workpiece.name}, {points}; {asked.scenarios} of {POSES} poses, {targets:,} targets")
+    print(ROW.format("planner", "passed", "%", "attempted", "ms a step", "cpu ms", "setup s", "notes"), flush=True)
+    for name, run in PLANNERS.items():
+        if sys.stderr.isatty():
+            print(f"{name} ...", end="\r", file=sys.stderr, flush=True)
+        try:
+            outcome = run(batch, [Task(batch, tree, k) for k in range(asked.scenarios)])
+        except ModuleNotFoundError as error:
+            lacking = error.name.partition(".")[0]
+            print(ROW.format(name, *"------", f"{lacking} is missing: pip install -e '.[peers]'"), flush=True)
+            continue
+        good, claimed = passed(batch, arm, wall, outcome.found), sum(map(len, outcome.found))
+        note = outcome.note if good == claimed else f"{outcome.note}; {claimed - good} more claimed, refuted"
+        times = (f"{1e3 * spent / outcome.attempted:.2f}" for spent in (outcome.run_s, outcome.cpu_s))
+        share, setup = f"{100 * good / targets:.1f}", f"{outcome.setup_s:.1f}"
+        print(ROW.format(name, good, share, outcome.attempted, *times, setup, note), flush=True)
+
+
+def _version(package: str) -> str:
+    try:
+        return f"{package} {version(package)}"
+    except PackageNotFoundError:
+        return f"no {package}"
+
+
+if __name__ == "__main__":
+    main()
