@@ -13,6 +13,7 @@ from rich.text import Text
 from htcp_jax.document import Column, Table
 from htcp_jax.results import json_text
 
+Device = Annotated[str | None, typer.Option(metavar="cpu|gpu[:N]", help="Where to compute; by default GPUs, if any.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON, and nothing else, in place of the table.")]
 
 

@@ -11,7 +11,7 @@ from rich.text import Text
 from htcp_jax import devices, planner
 from htcp_jax.api import Plan, checked_scene, forget_validation, plan_job
 from htcp_jax.cli_methods import complete_method
-from htcp_jax.cli_output import Json, print_facts, print_json, stdout
+from htcp_jax.cli_output import Device, Json, print_facts, print_json, stdout
 from htcp_jax.config import PlanConfig, load_config
 from htcp_jax.escape import METHODS
 from htcp_jax.results import written_whole
@@ -31,7 +31,6 @@ Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key; may be repeated.")
 ]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.")]
-Device = Annotated[str | None, typer.Option(metavar="cpu|gpu[:N]", help="Where to compute; by default GPUs, if any.")]
 
 
 def plan(

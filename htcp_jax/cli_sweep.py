@@ -10,9 +10,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from htcp_jax import devices
 from htcp_jax import sweep as sweeps
 from htcp_jax.cli_methods import complete_methods
-from htcp_jax.cli_output import Json, print_json, stdout
+from htcp_jax.cli_output import Device, Json, print_json, stdout
 from htcp_jax.escape import METHODS
 from htcp_jax.metrics import Summary, summarise
 from htcp_jax.results import summary_record
@@ -43,6 +44,7 @@ def sweep(
     overrides: Overrides = None,
     on: On = "here",
     shard: Shard = None,
+    device: Device = None,
     as_json: Json = False,
 ) -> int:
     """Plan every scenario of a grid by every method asked for.
@@ -58,6 +60,7 @@ def sweep(
     htcp sweep sweeps/robot.yaml --limit 3 --set settings.alpha_rad=0.05 --out out/try
     htcp sweep sweeps/cross.yaml --on ray                  on all cores, or on the cluster that Ray knows of
     """
+    devices.use(device)
     if out is None:
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
     with _bars() as tell:

@@ -1,6 +1,7 @@
 import jax
 import pytest
 
+from htcp_jax.cli import main
 from htcp_jax.devices import choose, default_threads
 from htcp_jax.errors import InputError
 
@@ -16,3 +17,9 @@ def test_without_an_accelerator_there_is_the_cpu_and_nothing_else():
     for name in ("gpu", "gpu:2", "tpu", "cpu:1", "gpu:0"):
         with pytest.raises(InputError, match=f"device is '{name}'; valid here: cpu$"):
             choose(name)
+
+
+@pytest.mark.parametrize("command", [["plan"], ["sweep", "robot.yaml"]])
+def test_the_command_line_names_the_devices_that_there_are(command, capsys):
+    assert main([*command, "--device", "gpu:9"]) == 2
+    assert "device is 'gpu:9'; valid here: " in capsys.readouterr().err
