@@ -23,6 +23,7 @@ CLOUDS = (*TEXT, ".npy", *MESHES)
 NPY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 # An OBJ face that counts its vertices back from its own line. trimesh takes other vertices and says nothing.
 RELATIVE_FACE = re.compile(rb"^f\b[^\n]*[ \t](?:-\d|0+(?:[/ \t\r]|$))", re.MULTILINE)
+PLY_ELEMENT = re.compile(rb"^element[ \t]+(vertex|face)[ \t]+(\d{1,12})[ \t\r]*$", re.MULTILINE)
 MESH_POINTS = 50_015  # as many as the paper's cloud
 LARGEST_FILE = 2 * 2**30
 LARGEST_SAMPLE = 10_000_000
@@ -220,7 +221,17 @@ def _geometry(path: Path, ending: str) -> tuple[Float[np.ndarray, "V 3"], Float[
             triangles = [np.asarray(mesh.triangles, np.float64).reshape(-1, 3, 3) for mesh in meshes]
     except Exception as error:  # a foreign parser on foreign bytes: whatever it raises, the file is bad
         raise InputError(f"{path}: not a readable {ending} file ({one_line(error)})") from None
-    return np.concatenate([np.empty((0, 3)), *vertices]), np.concatenate([np.empty((0, 3, 3)), *triangles])
+    geometry = np.concatenate([np.empty((0, 3)), *vertices]), np.concatenate([np.empty((0, 3, 3)), *triangles])
+    if ending == ".ply":
+        _check_ply_is_whole(path, data, *map(len, geometry))
+    return geometry
+
+
+def _check_ply_is_whole(path: Path, data: bytes, vertices: int, triangles: int) -> None:
+    """trimesh takes what there is of a text that was cut off, and says nothing."""
+    promised = dict(PLY_ELEMENT.findall(data.partition(b"end_header")[0]))
+    if vertices != int(promised.get(b"vertex", vertices)) or triangles < int(promised.get(b"face", 0)):
+        raise InputError(f"{path}: damaged, it holds fewer vertices or faces than its header says")
 
 
 @contextlib.contextmanager

@@ -210,6 +210,13 @@ def test_words_among_an_ascii_ply_or_stl_are_not_skipped(tmp_path):
     fails(write(tmp_path, "a.stl", stl), "not a readable .stl")
 
 
+@pytest.mark.parametrize("shape", [trimesh.PointCloud(POINTS), BOX])
+def test_an_ascii_ply_that_was_cut_off_is_not_taken_for_a_smaller_one(tmp_path, shape):
+    lines = shape.export(file_type="ply", encoding="ascii").splitlines(keepends=True)
+    fails(write(tmp_path, "a.ply", b"".join(lines[:-3])), "a.ply: ")
+    assert len(load_cloud(write(tmp_path, "b.ply", b"".join(lines)), points=None if shape is not BOX else 50))
+
+
 def test_meshes_that_cannot_be_sampled(tmp_path):
     line = "v 0 0 0\nv 1 0 0\nv 2 0 0\n"
     fails(write(tmp_path, "a.obj", line + "f 1 2 3\n"), "no area")
