@@ -89,8 +89,7 @@ def judge(run: Run, baseline: Baseline, progress: Callable[[int, int], None] | N
     if told := differences(baseline.planned, planned(run.manifest)):
         more = f" (and {len(told) - 1} more)" if told[1:] else ""
         raise InputError(
-            f"{run.folder} is not the sweep of the baseline: {told[0]}{more}, there being the baseline; "
-            "where that is meant, bless a run of it"
+            f"{run.folder} was not planned as the baseline was: {told[0]}{more}; where that is meant, --bless a new one"
         )
     elsewhere = _elsewhere(run, baseline)
     allow = baseline.allow.elsewhere if elsewhere else baseline.allow.here
