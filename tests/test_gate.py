@@ -11,6 +11,7 @@ from htcp_jax.cli import main
 from htcp_jax.gate_baseline import Baseline, read_baseline
 from htcp_jax.results import provenance
 from htcp_jax.run_folder import MANIFEST
+from htcp_jax.run_identity import config_hash, identity
 from htcp_jax.run_parts import CEILING
 from htcp_jax.status import Status
 
@@ -191,7 +192,8 @@ def test_a_missing_column_fails(run, baseline, capsys, column):
     for scenario in (0, 2):
         rewrite(run, "baseline", scenario, lambda rows: rows.drop_columns([column]))
     verdict = outcome(run, baseline, capsys)
-    assert not verdict["passed"] and any(column in failure for failure in verdict["failures"])
+    assert not verdict["passed"] and "baseline: missing" in verdict["failures"]
+    assert any("baseline-000000-000001.parquet" in failure for failure in verdict["failures"])
 
 
 def test_a_missing_figure_of_a_tracked_target_fails(run, baseline, capsys):
@@ -250,7 +252,12 @@ def test_a_damaged_manifest_fails(run, baseline, capsys):
 
 
 def test_a_run_of_another_configuration_is_bad_input(blessed, run, baseline, capsys):
-    edit_manifest(run, lambda manifest: manifest["config"].update(margin_m=0.001))
+    def other(manifest):
+        manifest["config"]["margin_m"] = 0.001
+        same = identity(*(manifest[key] for key in ("config", "grid", "dtype", "files")))
+        manifest["config_hash"] = config_hash(same)
+
+    edit_manifest(run, other)
     assert gate(run, baseline) == BAD_INPUT
     assert "margin_m is 0.0005 there, 0.001 here" in capsys.readouterr().err
 
