@@ -187,7 +187,8 @@ def test_bad_input_is_one_line_and_exit_2(folder, capsys, arguments, line):
     assert line in output.err and output.err.count("\n") == 1 and output.out == ""
 
 
-def test_a_port_in_use_is_refused_and_not_replaced_by_another(folder, viewer, capsys):
+def test_a_port_in_use_is_refused_and_not_replaced_by_another(folder, viewer, capsys, monkeypatch):
+    monkeypatch.setattr(Viewer, "wait", lambda _: None)  # that it would serve is a failure, and not for ever
     port = viewer.address.rpartition(":")[2]
     assert main(["view", str(folder), "--port", port]) == 2
     output = capsys.readouterr()
