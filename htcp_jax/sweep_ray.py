@@ -79,6 +79,8 @@ def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], tell: 
                 return
             done, _ = ray.wait(list(running), timeout=LOOK_S)
             tell(next(iter(running.values())).method)
+            if not any(node["Alive"] for node in ray.nodes()):  # Ray itself would wait for ever
+                raise Lost("Ray lost its workers (no node is left)")
             for ref in done:
                 yield Planned(running.pop(ref), *ray.get(ref))
     except ray.exceptions.RayTaskError as error:
