@@ -14,6 +14,11 @@ programs (see `compile_cache`), as the command does, and lets a notebook show fi
 """
 
 import importlib
+import os
+
+# XLA's own threads cost small programs more than they give: with two of them a clearance query takes twice as long.
+# Read when JAX starts, so it comes first; whoever has set it decides.
+os.environ.setdefault("PJRT_NPROC", "1")
 
 import jax
 
