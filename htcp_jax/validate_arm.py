@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError
+from htcp_jax.robot_xml import read_spec
 
 PROBE_M = 1e-9  # radius of the sphere that stands for a point of the cloud; distances are corrected by it
 FAR_M = 1e3  # MuJoCo looks no further
@@ -82,8 +83,8 @@ class Arm:
 
 def _compile(path: Path) -> tuple[mujoco.MjModel, int]:
     """The model with its capsules, its spheres and the probe as its only geoms, and the site at the TCP."""
+    spec = read_spec(path)
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
         for geom in list(spec.geoms):
             if geom.type not in (_SPHERE, _CAPSULE):
                 spec.delete(geom)
