@@ -1,6 +1,6 @@
 """The fuzzing of a night: `make fuzz`, or python tests/fuzz.py [INPUTS] [SEED].
 
-Inputs of every kind in `fuzz_targets`, each kind in a process of its own, two at a time. Ends with a table of how many
+Inputs of every kind in `fuzz_targets`, each kind in a process of its own, as many at a time as there are cores. Ends with a table of how many
 there were, and with exit code 1 when one was answered by anything but a result or one line: a traceback, a wrong
 result, a crash, or no answer within a minute.
 """
@@ -66,7 +66,7 @@ def main(inputs: int, first: int) -> int:
     wanted = {name: -(-inputs * target.share // whole) for name, target in TARGETS.items()}
     print(f"{'inputs':24}{'taken':>9}{'refused':>9}{'together':>10}", flush=True)
     sums, wrong = [0, 0], {}
-    with ThreadPoolExecutor(2) as pool:
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
         work = {name: pool.submit(in_a_process, name, count, first) for name, count in wanted.items()}
         for name, each in work.items():
             taken, refused, trouble = each.result()
