@@ -1,8 +1,8 @@
 """The fuzzing of a night: `make fuzz`, or python tests/fuzz.py [INPUTS] [SEED].
 
-Inputs of every kind in `fuzz_targets`, each kind in a process of its own, as many at a time as there are cores. Ends with a table of how many
-there were, and with exit code 1 when one was answered by anything but a result or one line: a traceback, a wrong
-result, a crash, or no answer within a minute.
+Inputs of every kind in `fuzz_targets`, each kind in a process of its own, as many at a time as there are cores. Ends
+with a table of how many there were, and with exit code 1 when one was answered by anything but a result or one line: a
+traceback, a wrong result, a crash, or no answer within a minute.
 """
 
 import contextlib
