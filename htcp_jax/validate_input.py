@@ -146,7 +146,8 @@ def _read_plan(folder: Path) -> Results:
     try:
         summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
         method, raw = str(summary["method"]), dict(summary["config"])
-        with np.load(folder / TRAJECTORY, allow_pickle=False) as file:
+        # np.load leaves a file that it opened itself open when it is no archive.
+        with (folder / TRAJECTORY).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = {name: file[name] for name in ARRAYS}
     except OSError as error:
         raise InputError(f"{folder} holds no plan: cannot read {error.filename}: {error.strerror}") from None
