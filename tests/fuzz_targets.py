@@ -183,7 +183,7 @@ def _leaves(data, prefix="") -> set:
     if isinstance(data, list | tuple):
         return set().union(*(_leaves(value, f"{prefix}.{key}") for key, value in enumerate(data)))
     # JSON writes infinity as a word, which in YAML is a text like any other: the name of a file, say.
-    return set() if data is None or isinstance(data, str) or not np.isfinite(data) else {(prefix, float(data))}
+    return set() if data is None or isinstance(data, str) or not np.isfinite(float(data)) else {(prefix, float(data))}
 
 
 def check_sweep(folder: Path, data: bytes) -> bool:
