@@ -7,7 +7,6 @@
 A picture or a viewer needs nothing else of the package than a `Replay`.
 """
 
-import json
 from collections.abc import Callable
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -26,13 +25,13 @@ from htcp_jax.job import robot_of, scene, workpiece_of
 from htcp_jax.kinematics import capsule_segments, tcp_position
 from htcp_jax.metrics import is_tracked
 from htcp_jax.plans import Plans
+from htcp_jax.results import SUMMARY, TRAJECTORY, read_plan
 from htcp_jax.robot import Robot, lengthen_tool
 from htcp_jax.run_folder import MANIFEST, Run, open_run
 from htcp_jax.run_identity import file_hash
 from htcp_jax.surface import Surface, surface_of
 from htcp_jax.workpiece import Workpiece
 
-SUMMARY, TRAJECTORY = "summary.json", "trajectory.npz"
 ARRAYS = tuple(name for name in Plans._fields if name not in ("compile_s", "run_s"))
 XYZ = "xyz"
 
@@ -216,19 +215,12 @@ def _placement(row: dict[str, Any], workpiece: Workpiece, joints: tuple[str, ...
 
 
 def _of_plan(folder: Path) -> Shelf:
-    try:
-        raw = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))["config"]
-        with (folder / TRAJECTORY).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            arrays = {name: file[name][None] for name in ARRAYS}
-    except OSError as error:
-        raise InputError(f"{folder} holds no plan: cannot read {error.filename}: {error.strerror}") from None
-    except Exception as error:  # foreign parsers on foreign bytes: whatever they raise, the files are bad
-        raise InputError(f"{folder}: {SUMMARY} or {TRAJECTORY} is damaged: {error}") from None
+    _, raw, arrays = read_plan(folder, ARRAYS)
     job: PlanConfig = validate(raw, PlanConfig, str(folder / SUMMARY))
     robot, workpiece, scenario = scene(job)
-    if arrays["target"].shape != (1, *scenario.targets.shape) or arrays["x"].shape[2] != len(robot.joint_names):
+    if arrays["target"].shape != scenario.targets.shape or arrays["x"].shape[1:] != (len(robot.joint_names),):
         raise InputError(f"{folder / TRAJECTORY} is no plan of the configuration beside it; damaged")
-    plans = Plans(**arrays, compile_s=0.0, run_s=0.0)
+    plans = Plans(**{name: array[None] for name, array in arrays.items()}, compile_s=0.0, run_s=0.0)
     return shelf_of(str(folder), Plan(job, robot, workpiece, scenario, plans))
 
 

@@ -11,18 +11,38 @@ import os
 import platform
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
+from htcp_jax.cloud import one_line
 from htcp_jax.errors import InputError
 from htcp_jax.metrics import Summary
 from htcp_jax.plans import Plans
 from htcp_jax.robot import Robot
 from htcp_jax.status import Status
+
+SUMMARY, TRAJECTORY = "summary.json", "trajectory.npz"
+
+
+def read_plan(folder: Path, names: Iterable[str]) -> tuple[str, dict, dict[str, np.ndarray]]:
+    """The method, the configuration as it was written, and the named arrays of the plan in `folder`.
+
+    Raises InputError for files that are not there or damaged.
+    """
+    try:
+        summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+        method, config = str(summary["method"]), dict(summary["config"])
+        # np.load leaves a file that it opened itself open when it is no archive.
+        with (folder / TRAJECTORY).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            return method, config, {name: file[name] for name in names}
+    except OSError as error:
+        raise InputError(f"{folder} holds no plan: cannot read {error.filename}: {error.strerror}") from None
+    except Exception as error:  # foreign parsers on foreign bytes: whatever they raise, the files are bad
+        raise InputError(f"{folder}: {SUMMARY} or {TRAJECTORY} is damaged: {one_line(error)}") from None
 
 
 @contextlib.contextmanager

@@ -20,10 +20,10 @@ import numpy as np
 import scipy
 
 from htcp_jax.errors import InputError
-from htcp_jax.results import write_json
+from htcp_jax.results import SUMMARY, write_json
 from htcp_jax.robot import GP50
 from htcp_jax.validate_arm import Arm
-from htcp_jax.validate_input import SUMMARY, Results, Track, read_results
+from htcp_jax.validate_input import Results, Track, read_results
 from htcp_jax.validate_track import Checked, Refuted, check
 from htcp_jax.validate_wall import Wall
 

@@ -4,7 +4,6 @@ The results come as recorded. Their targets are worked out anew, by the scene's 
 the pose rule of workpiece.py are among what is validated.
 """
 
-import json
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -12,16 +11,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from htcp_jax.cloud import one_line
 from htcp_jax.config import PlanConfig, WorkpieceConfig, validate
 from htcp_jax.errors import InputError
 from htcp_jax.job import workpiece_of
 from htcp_jax.metrics import is_tracked
+from htcp_jax.results import SUMMARY, TRAJECTORY, read_plan
 from htcp_jax.run_folder import MANIFEST, Run, open_run
 from htcp_jax.run_identity import file_hash
 from htcp_jax.workpiece import Workpiece
 
-SUMMARY, TRAJECTORY = "summary.json", "trajectory.npz"
 ARRAYS = "status", "path_clear", "x", "tcp", "target", "clearance"
 XYZ = "xyz"
 
@@ -143,16 +141,7 @@ def _paths(run: Run) -> dict[str, str]:
 
 
 def _read_plan(folder: Path) -> Results:
-    try:
-        summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
-        method, raw = str(summary["method"]), dict(summary["config"])
-        # np.load leaves a file that it opened itself open when it is no archive.
-        with (folder / TRAJECTORY).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in ARRAYS}
-    except OSError as error:
-        raise InputError(f"{folder} holds no plan: cannot read {error.filename}: {error.strerror}") from None
-    except Exception as error:  # foreign parsers on foreign bytes: whatever they raise, the files are bad
-        raise InputError(f"{folder}: {SUMMARY} or {TRAJECTORY} is damaged: {one_line(error)}") from None
+    method, raw, arrays = read_plan(folder, ARRAYS)
     config: PlanConfig = validate(raw, PlanConfig, str(folder / SUMMARY))
     part, start = config.workpiece, np.array(config.start_rad)
     count, joints = arrays["status"].size, len(start)
