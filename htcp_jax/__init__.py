@@ -16,9 +16,14 @@ programs (see `compile_cache`), as the command does, and lets a notebook show fi
 import importlib
 import os
 
-# XLA's own threads cost small programs more than they give: with two of them a clearance query takes twice as long.
-# Read when JAX starts, so it comes first; whoever has set it decides.
-os.environ.setdefault("PJRT_NPROC", "1")
+# On a CPU, XLA compiles a loop of a program to a series of small kernels, which it hands one by one to threads of its
+# own. Our loops are made of hundreds of tiny ones: as one native function each they take half the time, and threads
+# that run programs do not wait for each other. Read when JAX starts, so it comes first; whoever has set it decides.
+os.environ.setdefault(
+    "XLA_FLAGS",
+    "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000000000000"
+    ",xla_cpu_disable_loop_unrolling=true",
+)
 
 import jax
 

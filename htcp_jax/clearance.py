@@ -9,7 +9,7 @@ one-sided gradients elsewhere.
 """
 
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
@@ -19,7 +19,7 @@ import numpy as np
 from htcp_jax.cloud_index import CloudIndex, build_index, nearest_body, nearest_rows
 from htcp_jax.half_spaces import HalfSpaces, crossed_facets, depths, half_spaces
 from htcp_jax.kinematics import capsule_segments, jacobian, point_jacobians, tcp_position
-from htcp_jax.numerics import safe_divide, safe_norm, segment_parameter
+from htcp_jax.numerics import product, safe_divide, safe_norm, segment_parameter
 from htcp_jax.pytree import register_pytree
 from htcp_jax.robot import Robot
 from htcp_jax.types import Bool, Float, Int, Joints, Pose, Scalar, Vector3
@@ -36,8 +36,9 @@ class Obstacle:
     hull: HalfSpaces
 
 
+@lru_cache(maxsize=2)
 def make_obstacle(workpiece: Workpiece) -> Obstacle:
-    """Obstacle of a workpiece. The order of its points does not change any distance."""
+    """Obstacle of a workpiece, kept for the next plan. The order of its points does not change any distance."""
     return Obstacle(
         points=jnp.asarray(workpiece.cloud),
         index=build_index(np.asarray(workpiece.cloud)),
@@ -72,6 +73,7 @@ class Linearisation(NamedTuple):
     gradient: Float[jax.Array, "K N"]  # [m/rad]
 
 
+@jax.jit
 def contacts(robot: Robot, obstacle: Obstacle, where: Posed, x: Joints) -> Contacts:
     """Nearest obstacle of every body at configuration x [rad]; its tool is the scenario's (see `lengthen_tool`)."""
     rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
@@ -89,8 +91,8 @@ def contacts(robot: Robot, obstacle: Obstacle, where: Posed, x: Joints) -> Conta
     decides = outside > jnp.maximum(0.0, -distance)
     return Contacts(
         distance=jnp.where(decides, -outside, distance),
-        point=jnp.where(decides[:, None], end, point) @ rotate.T + translate[None, :],
-        normal=jnp.where(decides[:, None], inwards, normal) @ rotate.T,
+        point=product(jnp.where(decides[:, None], end, point), rotate.T) + translate[None, :],
+        normal=product(jnp.where(decides[:, None], inwards, normal), rotate.T),
         row=row,
         crossed=decides,
     )
@@ -101,6 +103,7 @@ def clearances(robot: Robot, obstacle: Obstacle, where: Posed, x: Joints) -> Flo
     return contacts(robot, obstacle, where, x).distance
 
 
+@jax.jit
 def clearance(robot: Robot, obstacle: Obstacle, where: Posed, x: Joints) -> Scalar:
     """D(x, O) [m], the smallest over all bodies, exact: one search for all bodies, cheaper than `clearances`."""
     ends = _ends(robot, where, x)
@@ -138,7 +141,7 @@ def all_clear(robot: Robot, obstacle: Obstacle, where: Posed, x: Float[jax.Array
         within = jnp.where(here, robot.capsule_radius[body], -1.0)
         touching = jnp.any(nearest_rows(obstacle.index, p, q, within) >= 0)
         deep = here[None, :] & (ends.beyond.reshape(x.shape[0], 2, -1)[:, :, body].T > 0)
-        return left.at[body].set(False), ~(touching | _any_outside(obstacle, p, q, deep.reshape(-1)))
+        return left & (jnp.arange(left.shape[0]) != body), ~(touching | _any_outside(obstacle, p, q, deep.reshape(-1)))
 
     start = (jnp.any(open_, axis=0), jnp.full((), True))
     return jax.lax.while_loop(lambda state: state[1] & jnp.any(state[0]), check_body, start)[1]
@@ -185,7 +188,7 @@ def _ends(robot: Robot, where: Posed, x: Joints) -> _Ends:
     rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
     p, q = capsule_segments(robot, x)
     beyond = jnp.concatenate([p, q])[:, 0] - where.gate_x
-    return _Ends((p - translate[None, :]) @ rotate, (q - translate[None, :]) @ rotate, beyond)
+    return _Ends(product(p - translate[None, :], rotate), product(q - translate[None, :], rotate), beyond)
 
 
 def _outside_hull(obstacle: Obstacle, ends: _Ends):

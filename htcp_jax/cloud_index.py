@@ -1,65 +1,74 @@
-"""Exact nearest point of a cloud to a line segment, by branch and bound over a two-level tree.
+"""Exact nearest point of a cloud to a line segment, by branch and bound over a tree of three levels.
 
-The cloud is cut once into balanced leaves of 16 points, and 16 neighbouring leaves make a node. A cluster is bounded
-by a flat disc about one of its points m (the medoid): normal n, half thickness e, radius r. Let c be the point of the
-segment closest to m, and v the unit vector from m to c. Every point of the segment lies beyond the plane through c
-normal to v (c is the projection of m onto a convex set), and no point of the cluster lies further along v than
-|v.n| e + sqrt(1 - (v.n)^2) r. So
+The cloud is cut once into balanced leaves of 16 points; 16 neighbouring leaves make a branch, and 16 branches a bough.
+Each of these clusters is bounded by a flat disc about one of its points m (the medoid): normal n, half thickness e,
+radius r. Let c be the point of the segment closest to m, and v the unit vector from m to c. Every point of the segment
+lies beyond the plane through c normal to v (c is the projection of m onto a convex set), and no point of the cluster
+lies further along v than |v.n| e + sqrt(1 - (v.n)^2) r. So
 
     distance(segment, cluster) >= |c - m| - |v.n| e - sqrt(1 - (v.n)^2) r,
 
-which for a patch of a wall seen face on is the wall's thickness away from exact. A search round takes the best nodes,
-bounds their leaves, takes the best leaves, measures their points; it ends when no bound left is below the smallest
-distance found: that is the certificate, and nothing is returned without it.
+which for a patch of a wall seen face on is the wall's thickness away from exact. The distance to m itself, a point of
+the cloud, is a limit from above. At every level the search takes the clusters in the order of their bounds, and
+descends into each until no bound left is below the smallest distance found: that is the certificate, and nothing is
+returned without it.
 
-Bounds are 32-bit (rounded down by `SLACK`) and carry their own index in their low bits, so that one vectorised integer
-minimum finds both; a sort or an argmin costs ten times that on a CPU. Distances are 64-bit.
+A CPU searches for one body after the other and takes one cluster at a time: that is the least arithmetic. A GPU, where
+a turn of a loop costs more than the arithmetic in it, searches for all bodies side by side, several clusters at a time.
+
+Bounds are 32-bit (rounded down by `SLACK`), distances 64-bit.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from htcp_jax import clusters
+from htcp_jax.clusters import FAN
 from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Float, Int
 
-POINTS_A_LEAF = 16
-LEAVES_A_NODE = 16
-NODES_A_ROUND = 8
-LEAVES_A_ROUND = 8
+ONE_BODY = 1, 1, 4  # boughs, branches and leaves that a CPU takes at a time: leaves wait for square roots
+SIDE_BY_SIDE = 8, 8  # branches and leaves that a GPU takes at a time, for each body
 SLACK = 1e-5  # [m]; a bound in 32-bit floats is wrong by less than this within 20 m of the origin
-NONE_LEFT = np.int32(2**31 - 1)
 
 
 class CloudIndex(NamedTuple):
-    """A cloud and its two-level tree. Rows of a bound: medoid xyz, normal xyz, half thickness, radius [m]."""
+    """A cloud and its tree. Rows of a bound: medoid xyz, normal xyz, half thickness, radius [m]."""
 
-    node_bound: Float[Array, "8 nodes"]
-    leaf_bound: Float[Array, "nodes 8 leaves"]
-    leaf_points: Float[Array, "all_leaves 3 points"]
-    leaf_rows: Int[Array, "all_leaves points"]  # row of the cloud that each point came from
+    boughs: Float[Array, "1 8 boughs"]
+    branches: Float[Array, "boughs 8 branches"]
+    leaves: Float[Array, "all_branches 8 leaves"]
+    points: Float[Array, "all_leaves 3 points"]
+    rows: Int[Array, "all_leaves points"]  # row of the cloud that each point came from
 
 
 def build_index(points: Float[np.ndarray, "P 3"]) -> CloudIndex:
     """Index of a cloud of P >= 1 points [m]. Clusters that are short of points repeat one of their own."""
-    per_node = POINTS_A_LEAF * LEAVES_A_NODE
-    nodes = _cut(points, np.arange(len(points)), -(-len(points) // per_node))
-    leaves = [leaf for node in nodes for leaf in _cut(points, node, LEAVES_A_NODE)]
-    rows = np.stack([_padded(leaf, POINTS_A_LEAF) for leaf in leaves])
-    rows = rows.reshape(len(nodes), LEAVES_A_NODE, POINTS_A_LEAF)
-    short = -len(nodes) % NODES_A_ROUND
-    rows = np.concatenate([rows, np.repeat(rows[:1], short, axis=0)])
-    clusters = points[rows]
-    node_bound = _disc(clusters.reshape(len(rows), -1, 3))
-    leaf_bound = _disc(clusters.reshape(-1, POINTS_A_LEAF, 3)).reshape(len(rows), LEAVES_A_NODE, 8)
+    rows = _tree(points, np.arange(len(points)), -(-len(points) // FAN**3), 3)
+    boughs = len(rows)
+    bounds = [_disc(points[rows.reshape(count, -1)]) for count in (boughs, boughs * FAN, boughs * FAN**2)]
+    levels = [
+        b.reshape(parents, -1, 8).transpose(0, 2, 1)
+        for b, parents in zip(bounds, (1, boughs, boughs * FAN), strict=True)
+    ]
+    leaves = rows.reshape(-1, FAN)
     return CloudIndex(
-        node_bound=jnp.asarray(node_bound.T, jnp.float32),
-        leaf_bound=jnp.asarray(leaf_bound.transpose(0, 2, 1), jnp.float32),
-        leaf_points=jnp.asarray(clusters.reshape(-1, POINTS_A_LEAF, 3).transpose(0, 2, 1)),
-        leaf_rows=jnp.asarray(rows.reshape(-1, POINTS_A_LEAF), jnp.int32),
+        *(jnp.asarray(level, jnp.float32) for level in levels),
+        points=jnp.asarray(points[leaves].transpose(0, 2, 1)),
+        rows=jnp.asarray(leaves, jnp.int32),
     )
+
+
+def _tree(points, rows, parts: int, levels: int):
+    """Rows cut into `parts` clusters, each of these into FAN, and so on: (parts, FAN, ..., FAN)."""
+    groups = clusters.cut(points, rows, parts)
+    if levels == 1:
+        return np.stack([clusters.padded(group) for group in groups])
+    return np.stack([_tree(points, group, FAN, levels - 1) for group in groups])
 
 
 class Nearest(NamedTuple):
@@ -112,47 +121,81 @@ def _nearest_body(index: CloudIndex, p, q, radius, below):
 
 def _search(index: CloudIndex, p, q, radius, limit, shared: bool):
     """Row of the nearest point of each of K bodies, -1 where none has distance - radius below its limit; with a shared
-    limit only the body that is nearest of all gets a row. The bodies search side by side, each its own clusters."""
+    limit only the body that is nearest of all gets a row."""
     segments = _segments(p, q)
-    segments32 = jax.tree.map(lambda a: a.astype(jnp.float32), segments)
-    bodies = p.shape[0]
+    if jax.default_backend() == "cpu":
+        leaf = _in_turn(index, segments, radius, limit, shared)
+    else:
+        # Without the boughs: they would be a loop more.
+        levels = index.branches.transpose(1, 0, 2).reshape(1, 8, -1), index.leaves
+        _, leaf = _descend(levels, index.points, segments, radius, limit, shared, SIDE_BY_SIDE)
+    square = _squared_distance(_spread(segments, 1), index.points[leaf].transpose(1, 0, 2))
+    return jnp.where(leaf < 0, -1, index.rows[leaf, jnp.argmin(square, axis=1)])
+
+
+def _in_turn(index: CloudIndex, segments: "_Segments", radius, limit, shared: bool):
+    """The leaf of each body's nearest point, -1 for none: one body after the other, the most promising first."""
+    levels, bodies = (index.boughs, index.branches, index.leaves), radius.shape[0]
+    _, upper = _bounds(_single(_spread(segments, 1)), index.boughs[0, :, None, :])
+    promise = jnp.min(upper, axis=1) - radius
+
+    def search_one(state):
+        left, limit, leaf = state
+        body = jnp.argmin(jnp.where(left, promise, jnp.inf))
+        this = jnp.arange(bodies) == body
+        one = jax.tree.map(lambda a: jax.lax.dynamic_slice_in_dim(a, body, 1, axis=-1), (segments, radius, limit))
+        lowest, found = _descend(levels, index.points, *one, shared, ONE_BODY)
+        if shared:  # what is found beats all that was found before
+            leaf = jnp.where(found >= 0, jnp.where(this, found, -1), leaf)
+            limit = jnp.broadcast_to(lowest, limit.shape)
+        else:
+            leaf = jnp.where(this, found, leaf)
+        return left & ~this, limit, leaf
+
+    start = jnp.full(bodies, True), limit, jnp.full(bodies, -1, jnp.int32)
+    return jax.lax.while_loop(lambda state: jnp.any(state[0]), search_one, start)[2]
+
+
+def _descend(levels, points, segments: "_Segments", radius, limit, shared: bool, widths):
+    """The limits of K bodies, lowered to what they attain, and the leaves where they do, -1 where none does: the bodies
+    search side by side, each `width` clusters of its own at a time."""
+    segments32, bodies = _single(segments), radius.shape[0]
 
     def lowered(limit, distance):
-        """The limits, lowered to what the bodies attain: distance (K, n) - radius."""
+        """The limits, lowered by distances (K, n)."""
         nearest = jnp.min(distance, axis=1) - radius
         return jnp.minimum(limit, jnp.min(nearest) if shared else nearest)
 
-    def leaf_round(state):
-        keys, node, limit, nearest = state
-        picked, keys = _take_best(keys)
-        local = _picked_index(picked, NODES_A_ROUND * LEAVES_A_NODE)
-        leaf = jnp.take_along_axis(node, local // LEAVES_A_NODE, axis=1) * LEAVES_A_NODE + local % LEAVES_A_NODE
-        points = jnp.moveaxis(index.leaf_points[leaf], 2, 0)
-        distance = jnp.sqrt(jnp.min(_squared_distance(_spread(segments, 2), points), axis=2))
+    def search(level, parent, limit, leaf):
+        """The clusters inside of each body's parents (K, width), in the order of their bounds."""
+        bound = jnp.moveaxis(levels[level][parent], 2, 0)
+        fan = bound.shape[-1]
+        lower, upper = _bounds(_spread(segments32, 2), bound)
+        limit = lowered(limit, upper.reshape(bodies, -1))
+        keys = clusters.prune(clusters.order_keys(lower.reshape(bodies, -1), widths[level]), limit + radius)
+
+        def take(state):
+            picked, keys, limit, leaf = state
+            local = clusters.number(picked, parent.shape[1] * fan)
+            child = jnp.take_along_axis(parent, local // fan, axis=1) * fan + local % fan
+            deeper = measure if level + 1 == len(levels) else partial(search, level + 1)
+            limit, leaf = deeper(child, limit, leaf)
+            keys = clusters.prune(clusters.without(keys, picked), limit + radius)
+            return clusters.best(keys), keys, limit, leaf
+
+        start = clusters.best(keys), keys, limit, leaf
+        return jax.lax.while_loop(lambda state: clusters.any_left(state[0]), take, start)[2:]
+
+    def measure(child, limit, leaf):
+        """The points of leaves (K, width)."""
+        square = _squared_distance(_spread(segments, 2), jnp.moveaxis(points[child], 2, 0))
+        distance = jnp.sqrt(jnp.min(square, axis=2))
         new = lowered(limit, distance)
         found = distance - radius[:, None] == new[:, None]
-        found = jnp.max(jnp.where(found & (new < limit)[:, None], leaf, -1), axis=1)
-        nearest = jnp.where(new < limit, found, nearest)  # with a shared limit, -1 for all but one
-        return _prune(keys, new + radius), node, new, nearest
+        found = jnp.max(jnp.where(found & (new < limit)[:, None], child, -1), axis=1)
+        return new, jnp.where(new < limit, found, leaf)  # with a shared limit, -1 for all but one
 
-    def node_round(state):
-        keys, limit, nearest = state
-        picked, keys = _take_best(keys)
-        node = _picked_index(picked, index.node_bound.shape[1])
-        lower, upper = _bounds(_spread(segments32, 2), jnp.moveaxis(index.leaf_bound[node], 2, 0))
-        limit = lowered(limit, upper.reshape(bodies, -1))
-        leaf_keys = _prune(_keys(lower.reshape(bodies, -1), LEAVES_A_ROUND), limit + radius)
-        _, _, limit, nearest = jax.lax.while_loop(_any_left, leaf_round, (leaf_keys, node, limit, nearest))
-        return _prune(keys, limit + radius), limit, nearest
-
-    lower, upper = _bounds(_spread(segments32, 1), index.node_bound[:, None, :])
-    limit = lowered(limit, upper)
-    keys = _prune(_keys(lower, NODES_A_ROUND), limit + radius)
-    start = (keys, limit, jnp.full(bodies, -1, jnp.int32))
-    _, _, leaf = jax.lax.while_loop(_any_left, node_round, start)
-    square = _squared_distance(_spread(segments, 1), index.leaf_points[leaf].transpose(1, 0, 2))
-    first = jnp.argmin(square, axis=1)
-    return jnp.where(leaf < 0, -1, index.leaf_rows[leaf, first])
+    return search(0, jnp.zeros((bodies, 1), jnp.int32), limit, jnp.full(bodies, -1, jnp.int32))
 
 
 class _Segments(NamedTuple):
@@ -168,6 +211,11 @@ def _segments(p, q) -> _Segments:
     square = jnp.sum(d * d, axis=1)
     # A segment shorter than 1e-15 m is as good as a point; its inverse would be infinite in 32-bit.
     return _Segments(p.T, d.T, 1 / jnp.maximum(square, 1e-30))
+
+
+def _single(segments: _Segments) -> _Segments:
+    """The segments in 32-bit."""
+    return jax.tree.map(lambda a: a.astype(jnp.float32), segments)
 
 
 def _spread(segments: _Segments, axes: int) -> _Segments:
@@ -199,68 +247,13 @@ def _bounds(segment: _Segments, bound):
     return distance - reach - jnp.float32(SLACK), distance + jnp.float32(SLACK)
 
 
-def _index_bits(count: int) -> int:
-    return max(1, (count - 1).bit_length())
-
-
-def _keys(bound, columns: int):
-    """Keys (K, n / columns, columns) of bounds (K, n). Non-negative 32-bit floats order like their bits; the low bits
-    make room for the index (rounding down)."""
-    bodies, clusters = bound.shape
-    bits = jax.lax.bitcast_convert_type(jnp.maximum(bound, 0), jnp.int32)
-    mask = (1 << _index_bits(clusters)) - 1
-    return ((bits & ~mask) | jnp.arange(clusters, dtype=jnp.int32)[None, :]).reshape(bodies, -1, columns)
-
-
-def _prune(keys, limit):
-    """The keys of all bounds below the limit of their body (K,), NONE_LEFT in place of the others."""
-    nearest = jnp.minimum(limit * (1 + 1e-6), 1e30).astype(jnp.float32)
-    mask = (1 << _index_bits(keys[0].size)) - 1
-    above = jax.lax.bitcast_convert_type(nearest, jnp.int32) | mask  # negative, so below all keys, like the limit
-    return jnp.where(keys <= above[:, None, None], keys, NONE_LEFT)
-
-
-def _any_left(state):
-    """Whether a search goes on; its keys come first."""
-    return jnp.min(state[0]) < NONE_LEFT
-
-
-def _picked_index(picked, count):
-    """Which of `count` clusters a key stands for; the first one where none was left."""
-    return jnp.where(picked == NONE_LEFT, 0, picked & ((1 << _index_bits(count)) - 1))
-
-
-def _take_best(keys):
-    """The smallest key of each column, and the keys without them. Columns interleave clusters that are neighbours."""
-    picked = jnp.min(keys, axis=1)
-    return picked, jnp.where(keys == picked[:, None, :], NONE_LEFT, keys)
-
-
-def _cut(points, rows, parts):
-    """Rows cut into `parts` groups of nearly equal size, each time across the longest axis of inertia."""
-    if parts == 1 or len(rows) <= 1:
-        return [rows] * parts
-    centred = points[rows] - points[rows].mean(axis=0)
-    axis = np.linalg.eigh(centred.T @ centred)[1][:, -1]
-    order = rows[np.argsort(centred @ axis, kind="stable")]
-    left = parts // 2
-    middle = len(rows) * left // parts
-    # A part without points repeats a neighbour's.
-    low, high = (order[:middle], order[middle:]) if middle else (order, order)
-    return _cut(points, low, left) + _cut(points, high, parts - left)
-
-
-def _padded(rows, size):
-    return np.concatenate([rows, np.repeat(rows[-1:], size - len(rows))])
-
-
-def _disc(clusters):
-    """Bounding disc of each cluster (n, points, 3): medoid, normal, half thickness, radius, as rows (n, 8)."""
-    n = np.arange(len(clusters))
-    offset = clusters - clusters.mean(axis=1, keepdims=True)
-    medoid = clusters[n, np.argmin(np.sum(offset**2, axis=-1), axis=1)]
+def _disc(groups):
+    """Bounding disc of each group (n, points, 3): medoid, normal, half thickness, radius, as rows (n, 8)."""
+    n = np.arange(len(groups))
+    offset = groups - groups.mean(axis=1, keepdims=True)
+    medoid = groups[n, np.argmin(np.sum(offset**2, axis=-1), axis=1)]
     normal = np.linalg.eigh(np.einsum("npi,npj->nij", offset, offset))[1][:, :, 0]
-    arm = clusters - medoid[:, None]
+    arm = groups - medoid[:, None]
     height = np.einsum("npi,ni->np", arm, normal)
     across = np.linalg.norm(arm - height[..., None] * normal[:, None], axis=-1)
     return np.concatenate([medoid, normal, np.abs(height).max(1)[:, None], across.max(1)[:, None]], axis=1)

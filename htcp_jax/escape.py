@@ -16,7 +16,7 @@ from htcp_jax import sphere
 from htcp_jax.clearance import Obstacle, Posed, all_clear, clearance, contacts, is_clear
 from htcp_jax.kinematics import jacobian, tcp_position
 from htcp_jax.nullspace import inside, null_basis, reanchor
-from htcp_jax.numerics import fold_keys, safe_norm
+from htcp_jax.numerics import fold_keys, product, safe_norm
 from htcp_jax.robot import Robot, lengthen_tool
 from htcp_jax.seen import Seen, see, seen_clearance
 from htcp_jax.settings import Settings
@@ -62,26 +62,26 @@ def sphere_problem(
     reach = settings.alpha_rad * null_basis(jacobian(robot, x_ref))
     weights = jnp.asarray(settings.q_weights)
     # J1 = |x - x_ref|_Q^2 = w' (alpha N)' Q (alpha N) w
-    half = settings.j1_weight * reach.T @ (weights[:, None] * reach)
+    half = settings.j1_weight * product(reach.T, weights[:, None] * reach)
     unseen = ~jnp.asarray(seen_bodies(robot, settings.far_links))
     # A body that J2 does not see is as far away as it ever gets.
     far = jnp.where(unseen, 10.0, 0.0)
 
     def observe(w):
-        x = x_ref + reach @ w
+        x = x_ref + product(reach, w)
         touch = contacts(robot, obstacle, where, x)
-        return touch.distance + far - w @ half @ w, see(robot, x, touch)
+        return touch.distance + far - product(w, product(half, w)), see(robot, x, touch)
 
     def measure(w):
         if not settings.far_links:
             return jnp.min(observe(w)[0])
-        return clearance(robot, obstacle, where, x_ref + reach @ w) - w @ half @ w
+        return clearance(robot, obstacle, where, x_ref + product(reach, w)) - product(w, product(half, w))
 
     def predict(w, seen):
-        value, gradient = seen_clearance(robot, x_ref + reach @ w, seen)
+        value, gradient = seen_clearance(robot, x_ref + product(reach, w), seen)
         rounds = value.shape[0] // far.shape[0]
-        value = value + jnp.concatenate([far] * rounds) - w @ half @ w
-        return value, gradient @ reach - (2 * half @ w)[None, :]
+        value = value + jnp.concatenate([far] * rounds) - product(w, product(half, w))
+        return value, product(gradient, reach) - 2 * product(half, w)[None, :]
 
     G = jnp.concatenate([reach, -reach])
     h = jnp.concatenate([robot.upper - x_ref, x_ref - robot.lower])
@@ -116,7 +116,7 @@ def null_space_step(
     """One round of Algorithm 1's null-space loop: minimise J2 on the sphere, x = x_ref + alpha N w, re-anchor."""
     problem, seen, reach = sphere_problem(scene, settings, where, x_ref)
     best = minimise(problem, seen, jax.random.fold_in(stuck.key, count), settings)
-    x = jnp.clip(x_ref + reach @ best.w, scene.robot.lower, scene.robot.upper)
+    x = jnp.clip(x_ref + product(reach, best.w), scene.robot.lower, scene.robot.upper)
     return anchor(scene, settings, where, x, stuck.target)
 
 
@@ -134,7 +134,7 @@ def keep_clear_ascent(scene: Scene, settings: Settings, where: Posed, x: Joints,
         best, scale, count = state
         problem, seen, reach = sphere_problem(scene, settings, where, best.x)
         w = sphere.max_min_step(problem, seen, scale)
-        x = jnp.clip(best.x + reach @ w, scene.robot.lower, scene.robot.upper)
+        x = jnp.clip(best.x + product(reach, w), scene.robot.lower, scene.robot.upper)
         new = anchor(scene, settings, where, x, target)
         better = (new.clearance > best.clearance) & (new.residual <= settings.tolerance_m)
         best = jax.tree.map(lambda n, b: jnp.where(better, n, b), new, best)
@@ -169,13 +169,13 @@ def nspace_samples(
     origin, _ = reanchor(robot, stuck.x_previous, stuck.target, 0.1 * settings.tolerance_m)
     first = null_basis(jacobian(robot, origin))
     draw = jax.random.normal(stuck.key, (settings.samples, first.shape[1]))
-    directions = jax.vmap(lambda w: first @ (w / safe_norm(w)))(draw)
+    directions = jax.vmap(lambda w: product(first, w / safe_norm(w)))(draw)
 
     def walk(direction, length):
         def step(_, state):
             x, v = state
             basis = null_basis(jacobian(robot, x))
-            v = basis @ (v @ basis)
+            v = product(basis, product(v, basis))
             v = v / jnp.maximum(safe_norm(v), 1e-12)
             x = jnp.clip(x + length * v, robot.lower, robot.upper)
             off = safe_norm(stuck.target - tcp_position(robot, x))

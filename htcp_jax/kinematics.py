@@ -6,9 +6,11 @@ Several of these in one jitted function cost one pass over the joints, as the co
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
+from htcp_jax.numerics import product
 from htcp_jax.robot import Robot
 from htcp_jax.types import Array, Float, Int, Joints, Pose, Vector3
 
@@ -22,7 +24,7 @@ def tcp_pose(robot: Robot, x: Joints) -> Pose:
     """T_world_tcp, the frame of the tool centre point in the world [m]."""
     last = _row(_link_frames(robot, x), -1)
     T = robot.T_link_tcp
-    return _homogeneous(_Frames(_product(last.rotation, T[:3, :3]), _to_world(last, T[:3, 3])))
+    return _homogeneous(_Frames(product(last.rotation, T[:3, :3]), _to_world(last, T[:3, 3])))
 
 
 def tcp_position(robot: Robot, x: Joints) -> Vector3:
@@ -70,24 +72,24 @@ class _Frames(NamedTuple):
     origin: Float[Array, "*n 3"]
 
 
+@jax.jit
 def _link_frames(robot: Robot, x: Joints) -> _Frames:
     """Frames of the N links: the motion of each joint, then the product along the chain."""
     fixed = _Frames(robot.T_parent_joint[:, :3, :3], robot.T_parent_joint[:, :3, 3])
     slides = np.array(robot.slides)
     turn, slide = jnp.where(slides, 0.0, x), jnp.where(slides, x, 0.0)
-    steps = _Frames(
-        _product(fixed.rotation, _turned(robot.axis, turn)), _to_world(fixed, slide[:, None] * robot.axis)
-    )
+    steps = _Frames(product(fixed.rotation, _turned(robot.axis, turn)), _to_world(fixed, slide[:, None] * robot.axis))
     links = [_row(steps, 0)]
     for i in range(1, len(robot.slides)):
         rotation, origin = _row(steps, i)
-        links.append(_Frames(_product(links[-1].rotation, rotation), _to_world(links[-1], origin)))
+        links.append(_Frames(product(links[-1].rotation, rotation), _to_world(links[-1], origin)))
     return _Frames(*(jnp.stack(parts) for parts in zip(*links, strict=True)))
 
 
+@jax.jit
 def _velocities(robot: Robot, links: _Frames, points: Float[Array, "P 3"]) -> Float[Array, "P N 3"]:
     """Velocity of each world point per unit velocity of each joint, as if it were fixed to the last link."""
-    axes = _product(links.rotation, robot.axis[:, :, None])[..., 0]
+    axes = product(links.rotation, robot.axis[:, :, None])[..., 0]
     turning = jnp.cross(axes[None], points[:, None] - links.origin[None])
     return jnp.where(np.array(robot.slides)[None, :, None], axes[None], turning)
 
@@ -98,17 +100,11 @@ def _turned(axis: Float[Array, "N 3"], turn: Joints) -> Float[Array, "N 3 3"]:
     o = jnp.zeros_like(x)
     K = jnp.stack([o, -z, y, z, o, -x, -y, x, o], axis=1).reshape(-1, 3, 3)
     sin, cos = jnp.sin(turn)[:, None, None], jnp.cos(turn)[:, None, None]
-    return jnp.eye(3, dtype=axis.dtype)[None] + sin * K + (1.0 - cos) * _product(K, K)
-
-
-def _product(a: Float[Array, "*n i j"], b: Float[Array, "*n j k"]) -> Float[Array, "*n i k"]:
-    """Matrix product. At any batch size it rounds the same (tested on CPU), unlike sums of elementwise
-    products, which the compiler reorders with the batch; "highest" keeps 32-bit floats whole on a GPU."""
-    return jnp.matmul(a, b, precision="highest")
+    return jnp.eye(3, dtype=axis.dtype)[None] + sin * K + (1.0 - cos) * product(K, K)
 
 
 def _to_world(frames: _Frames, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-    return _product(frames.rotation, points[..., None])[..., 0] + frames.origin
+    return product(frames.rotation, points[..., None])[..., 0] + frames.origin
 
 
 def _row(frames: _Frames, index: int | np.ndarray) -> _Frames:

@@ -1,14 +1,17 @@
 """The null space of the position task: its basis, the step along it, and the way back onto the target."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 
 from htcp_jax.kinematics import jacobian, tcp_position
-from htcp_jax.numerics import safe_norm, solve_spd
+from htcp_jax.numerics import product, safe_norm, solve_spd
 from htcp_jax.robot import Robot
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar, Vector3
 
 
+@jax.jit
 def null_basis(task_jacobian: Float[Array, "M N"]) -> Float[Array, "N D"]:
     """Orthonormal basis of the null space of a task Jacobian of full rank M; D = N - M columns.
 
@@ -22,21 +25,22 @@ def null_basis(task_jacobian: Float[Array, "M N"]) -> Float[Array, "N D"]:
         v = _without(found, task_jacobian[row])
         found.append(v / jnp.maximum(safe_norm(v), 1e-12))
     for _ in range(n - m):
-        rest = _without(found, jnp.eye(n))
-        furthest = jnp.argmax(jnp.sum(rest * rest, axis=1))
-        v = _without(found, rest[furthest])
+        # How far a unit vector sticks out of the span of those found: the rest of its square.
+        furthest = jnp.argmax(1.0 - sum(u * u for u in found))
+        v = _without(found, jnp.where(jnp.arange(n) == furthest, 1.0, 0.0))
         found.append(v / safe_norm(v))
     return jnp.stack(found[m:], axis=1)
 
 
-def _without(found: list[Joints], v: Float[Array, "*batch N"]) -> Float[Array, "*batch N"]:
+def _without(found: list[Joints], v: Joints) -> Joints:
     """v less its components along the unit vectors found; twice, because once leaves rounding behind."""
     for _ in range(2):
         for u in found:
-            v = v - jnp.sum(v * u, axis=-1, keepdims=True) * u if v.ndim == 1 else v - (v @ u)[:, None] * u[None, :]
+            v = v - product(v, u) * u
     return v
 
 
+@partial(jax.jit, static_argnames=("tolerance_m", "iterations"))
 def reanchor(
     robot: Robot, x: Joints, target: Vector3, tolerance_m: float, iterations: int = 20
 ) -> tuple[Joints, Scalar]:
@@ -53,10 +57,10 @@ def reanchor(
         x, error, count = state
         jac = jacobian(robot, x)
         # A joint at its limit that the step would push further out takes no part.
-        push = jac.T @ _weighted(jac, error)
+        push = product(jac.T, _weighted(jac, error))
         blocked = ((x <= robot.lower) & (push < 0)) | ((x >= robot.upper) & (push > 0))
         jac = jnp.where(blocked[None, :], 0.0, jac)
-        x = jnp.clip(x + jac.T @ _weighted(jac, error), robot.lower, robot.upper)
+        x = jnp.clip(x + product(jac.T, _weighted(jac, error)), robot.lower, robot.upper)
         return x, off(x), count + 1
 
     def going(state):
@@ -68,7 +72,7 @@ def reanchor(
 
 
 def _weighted(jac: Float[Array, "3 N"], error: Vector3) -> Vector3:
-    return solve_spd(jac @ jac.T + 1e-6 * jnp.eye(3), error)
+    return solve_spd(product(jac, jac.T) + 1e-6 * jnp.eye(3), error)
 
 
 def inside(robot: Robot, x: Joints) -> Bool[Array, ""]:

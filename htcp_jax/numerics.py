@@ -32,6 +32,21 @@ def segment_parameter(
     return jnp.clip(s, 0.0, 1.0)
 
 
+@jax.jit
+def product(a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "..."]:
+    """a @ b for small matrices and vectors, batched over leading axes like `jnp.matmul`, as a plain sum of products.
+
+    A matrix product proper is a call into a library: a launch of its own on a GPU, and on a CPU what keeps XLA from
+    compiling a loop as one function (see `htcp_jax/__init__.py`).
+    """
+    left, right = a.ndim == 1, b.ndim == 1
+    a, b = a[None, :] if left else a, b[:, None] if right else b
+    c = jnp.sum(a[..., :, :, None] * b[..., None, :, :], axis=-2)
+    c = c[..., 0, :] if left else c
+    return c[..., 0] if right else c
+
+
+@partial(jax.jit, static_argnames="floor")
 def solve_spd(a: Float[Array, "n n"], b: Float[Array, "n"], floor: float = 1e-300) -> Float[Array, "n"]:
     """Solution of a x = b for a small symmetric positive definite a, by an unrolled Cholesky factorisation.
 

@@ -73,7 +73,7 @@ def plan(
     threads = threads or default_threads(devices, settings.qp)
     _run_engines(kernels, robot, method, settings, scenarios, plans, threads, progress)
     if check_paths:
-        _check_remaining_paths(kernels, scenarios, plans)
+        _check_remaining_paths(kernels, scenarios, plans, threads)
     spent = time.perf_counter() - began
     compile_s = sum(each.compile_s for each in kernels)
     return plans._replace(compile_s=compile_s, run_s=spent - compile_s)
@@ -134,7 +134,7 @@ def _run_engines(kernels: list[Kernels], robot, method, settings, scenarios, pla
         list(pool.map(work, range(threads)))
 
 
-def _check_remaining_paths(kernels: list[Kernels], scenarios: Scenario, plans: Plans) -> None:
+def _check_remaining_paths(kernels: list[Kernels], scenarios: Scenario, plans: Plans, threads: int) -> None:
     """Fill in path_clear where a tracked target's path was not checked while planning."""
     tracked = ~np.isnan(plans.clearance)
     s, t = np.nonzero(tracked & (plans.path_clear < 0))
@@ -142,14 +142,15 @@ def _check_remaining_paths(kernels: list[Kernels], scenarios: Scenario, plans: P
         return
     before = np.where((t == 0)[:, None], scenarios.x_start[s], plans.x[s, np.maximum(t - 1, 0)])
     task = tasks(scenarios, s, t)
-    parts = [np.arange(len(s))[k :: len(kernels)] for k in range(len(kernels))]
 
-    def check(own: Kernels, part: np.ndarray) -> None:
+    def check(number: int) -> None:
+        part = np.arange(len(s))[number::threads]
         pick = jax.tree.map(lambda table: table[part], (task, before, plans.x[s, t]))
-        plans.path_clear[s[part], t[part]] = own("check_path", *pick)
+        if len(part):
+            plans.path_clear[s[part], t[part]] = kernels[number % len(kernels)]("check_path", *pick)
 
-    with ThreadPoolExecutor(len(kernels)) as pool:
-        list(pool.map(check, kernels, parts))
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(check, range(threads)))
 
 
 def _empty_plans(targets: np.ndarray, joints: int) -> Plans:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.numerics import solve_spd
+from htcp_jax.numerics import product, solve_spd
 from htcp_jax.types import Array, Float, Scalar
 
 
@@ -37,21 +37,21 @@ def solve_dense(
         return jnp.min(jnp.where(change < 0, -value / jnp.where(change < 0, change, -1.0), 1.0), initial=1.0)
 
     def error(y, slack, multipliers):
-        dual = H @ y + c + G.T @ multipliers
-        primal = G @ y + slack - h
+        dual = product(H, y) + c + product(G.T, multipliers)
+        primal = product(G, y) + slack - h
         worst = jnp.maximum(jnp.max(jnp.abs(dual)), jnp.max(jnp.abs(primal)))
         return jnp.maximum(worst, jnp.sum(slack * multipliers) / m)
 
     def body(state):
         y, slack, multipliers, best, count = state
-        dual = H @ y + c + G.T @ multipliers
-        primal = G @ y + slack - h
+        dual = product(H, y) + c + product(G.T, multipliers)
+        primal = product(G, y) + slack - h
         weight = multipliers / slack
-        normal = H + G.T @ (weight[:, None] * G)
+        normal = H + product(G.T, weight[:, None] * G)
 
         def direction(complement):
-            dy = solve_spd(normal, -dual - G.T @ (weight * primal - complement / slack), floor=1e-30)
-            dslack = -primal - G @ dy
+            dy = solve_spd(normal, -dual - product(G.T, weight * primal - complement / slack), floor=1e-30)
+            dslack = -primal - product(G, dy)
             return dy, dslack, -(complement + multipliers * dslack) / slack
 
         mu = jnp.sum(slack * multipliers) / m

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.nullspace import null_basis
-from htcp_jax.numerics import safe_norm
+from htcp_jax.numerics import product, safe_norm
 from htcp_jax.qp import QPSolution, QPStatus, StepQP
 from htcp_jax.types import Array, Bool, Float, Int, Scalar
 
@@ -42,15 +42,15 @@ def solve_step(qp: StepQP, tolerance: float = 1e-8) -> QPSolution:
     n = qp.linear.shape[0]
     basis = null_basis(qp.A)
     y_task = _on_task(qp)
-    inverse = _inverse_factor(basis.T @ (qp.weights[:, None] * basis))  # z = inverse.T u
-    to_y = basis @ inverse.T
-    u0 = -inverse @ (basis.T @ (qp.weights * y_task + qp.linear))
+    inverse = _inverse_factor(product(basis.T, qp.weights[:, None] * basis))  # z = inverse.T u
+    to_y = product(basis, inverse.T)
+    u0 = -product(inverse, product(basis.T, qp.weights * y_task + qp.linear))
 
     rows = jnp.concatenate([qp.G, jnp.eye(n), -jnp.eye(n)])
     bound = jnp.concatenate([qp.h, qp.upper, -qp.lower])
     has_bound = ~jnp.isposinf(bound)
-    bound = jnp.where(has_bound, bound, 0.0) - rows @ y_task
-    rows = rows @ to_y
+    bound = jnp.where(has_bound, bound, 0.0) - product(rows, y_task)
+    rows = product(rows, to_y)
     length = jnp.where(has_bound, safe_norm(rows), 0.0)
     flat = length < 1e-12  # such a row says nothing about u: true or false wherever it is
     normal = rows / jnp.where(flat, 1.0, length)[:, None]
@@ -58,7 +58,7 @@ def solve_step(qp: StepQP, tolerance: float = 1e-8) -> QPSolution:
     hopeless = jnp.any((flat & has_bound & (bound < -tolerance)) | jnp.isneginf(bound))
 
     end = _closest_point(normal, offset, tolerance / jnp.where(flat, 1.0, length), u0)
-    y = y_task + to_y @ end.u
+    y = y_task + product(to_y, end.u)
     usable = jnp.all(jnp.isfinite(y)) & ~jnp.any(jnp.isnan(bound)) & end.done
     infeasible = hopeless | end.infeasible
     status = jnp.where(usable, jnp.where(infeasible, QPStatus.INFEASIBLE, QPStatus.SOLVED), QPStatus.FAILED)
@@ -70,7 +70,7 @@ def _closest_point(normal, offset, tolerance, u0) -> _Active:
     dimension = u0.shape[0]
 
     def step(state: _Active) -> _Active:
-        height = normal @ state.u - offset
+        height = product(normal, state.u) - offset
         worst = jnp.argmax(jnp.where(height > tolerance, height, -jnp.inf)).astype(jnp.int32)
         entering = jnp.where(state.entering < 0, worst, state.entering)
         new = normal[entering]
@@ -80,7 +80,7 @@ def _closest_point(normal, offset, tolerance, u0) -> _Active:
         uses = (state.row >= 0) & (along > 1e-14)
         left = jnp.where(uses, state.multiplier / jnp.where(uses, along, 1.0), jnp.inf)
         leaving = jnp.argmin(left)
-        square = across @ across
+        square = product(across, across)
         free = square > PARALLEL**2
         to_meet = jnp.where(free, jnp.maximum(height[entering], 0.0) / jnp.where(free, square, 1.0), jnp.inf)
         length = jnp.minimum(left[leaving], to_meet)
@@ -122,7 +122,7 @@ def _split(normal, rows, new):
         v = jnp.where(active, normal[rows[k]], 0.0)
         for _ in range(2):
             for j in range(k):
-                part = unit[j] @ v
+                part = product(unit[j], v)
                 v = v - part * unit[j]
                 factor[j][k] = factor[j][k] + part
         length = safe_norm(v)
@@ -131,7 +131,7 @@ def _split(normal, rows, new):
     across, parts = new, [jnp.zeros(())] * dimension
     for _ in range(2):
         for k in range(dimension):
-            part = unit[k] @ across
+            part = product(unit[k], across)
             across = across - part * unit[k]
             parts[k] = parts[k] + part
     along = [jnp.zeros(())] * dimension
@@ -149,9 +149,9 @@ def _on_task(qp: StepQP) -> Float[Array, "N"]:
         v = row
         for _ in range(2):
             for u in unit:
-                v = v - (v @ u) * u
-        square = jnp.maximum(v @ v, 1e-24)
-        y = y + (bound - row @ y) / square * v
+                v = v - product(v, u) * u
+        square = jnp.maximum(product(v, v), 1e-24)
+        y = y + (bound - product(row, y)) / square * v
         unit.append(v / jnp.sqrt(square))
     return y
 
@@ -165,6 +165,6 @@ def _inverse_factor(H: Float[Array, "D D"]) -> Float[Array, "D D"]:
         v = jnp.eye(dimension)[k]
         for _ in range(2):
             for r in rows:
-                v = v - (r @ H @ v) * r
-        rows.append(v / jnp.sqrt(v @ H @ v))
+                v = v - product(r, product(H, v)) * r
+        rows.append(v / jnp.sqrt(product(v, product(H, v))))
     return jnp.stack(rows)

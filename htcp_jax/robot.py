@@ -93,7 +93,7 @@ def lengthen_tool(robot: Robot, extension_m: float | Scalar) -> Robot:
     ends = robot.on_tool[:, :, None] * shift[None, None, :]
     return dataclasses.replace(
         robot,
-        T_link_tcp=robot.T_link_tcp.at[:3, 3].add(shift),
+        T_link_tcp=robot.T_link_tcp + jnp.pad(shift[:, None], ((0, 1), (3, 0))),
         capsule_p=robot.capsule_p + ends[:, 0],
         capsule_q=robot.capsule_q + ends[:, 1],
     )

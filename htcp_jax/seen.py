@@ -8,6 +8,7 @@ away from where it was seen: it cuts off configurations that are clear.
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance import Contacts
@@ -39,6 +40,7 @@ def see(robot: Robot, x: Joints, touch: Contacts) -> Seen:
     )
 
 
+@jax.jit
 def seen_clearance(robot: Robot, x: Joints, seen: Seen) -> tuple[Float[Array, "R"], Float[Array, "R N"]]:
     """Clearance at x [m] from each contact seen, and its gradient [m/rad]."""
     rounds = seen.offset.shape[0] // len(robot.capsule_link)

@@ -18,7 +18,7 @@ import optax
 
 from htcp_jax import cma_es
 from htcp_jax.nullspace import null_basis
-from htcp_jax.numerics import safe_norm
+from htcp_jax.numerics import product, safe_norm, solve_spd
 from htcp_jax.qp_dense import solve_dense
 from htcp_jax.types import Array, Bool, Float, Int, Scalar
 
@@ -57,7 +57,7 @@ def _unit(v: Direction) -> Direction:
 
 def _merit(sphere: Sphere, w: Direction, value: Scalar) -> Scalar:
     """Objective less an exact penalty on joint limits: 10 m/rad is steeper than any clearance."""
-    return value - 10.0 * jnp.max(jnp.maximum(sphere.G @ w - sphere.h, 0.0), initial=0.0)
+    return value - 10.0 * jnp.max(jnp.maximum(product(sphere.G, w) - sphere.h, 0.0), initial=0.0)
 
 
 def first_guess(sphere: Sphere, seen: Seen, count: int = 64) -> Direction:
@@ -151,19 +151,21 @@ def _tangent_step(sphere: Sphere, w, value, gradient, multipliers, radius):
     curvature of J1 that is all the curvature that the QP knows."""
     dimension = w.shape[0]
     tangent = null_basis(w[None, :])
-    bend = jnp.sum(multipliers * (gradient @ w)) * jnp.eye(dimension - 1) + tangent.T @ sphere.curvature @ tangent
+    bend = jnp.sum(multipliers * product(gradient, w)) * jnp.eye(dimension - 1) + product(
+        tangent.T, product(sphere.curvature, tangent)
+    )
     # Where the objective bends upwards the QP is held convex (Gershgorin); its rows and the box bound the step.
     disc = jnp.diag(bend) - (jnp.sum(jnp.abs(bend), axis=1) - jnp.abs(jnp.diag(bend)))
     lift = jnp.maximum(1e-3 - jnp.min(disc), 0.0)
-    H = jnp.zeros((dimension, dimension)).at[:-1, :-1].set(bend + lift * jnp.eye(dimension - 1))
+    H = jnp.pad(bend + lift * jnp.eye(dimension - 1), (0, 1))
     box = jnp.eye(dimension)[:-1]
-    rows = jnp.concatenate([-gradient @ tangent, sphere.G @ tangent])
+    rows = jnp.concatenate([-product(gradient, tangent), product(sphere.G, tangent)])
     rise = jnp.concatenate([jnp.ones(value.shape), jnp.zeros(sphere.h.shape)])
     G = jnp.concatenate([jnp.concatenate([rows, rise[:, None]], axis=1), box, -box])
-    room = jnp.maximum(sphere.h - sphere.G @ w, 0.0)
+    room = jnp.maximum(sphere.h - product(sphere.G, w), 0.0)
     h = jnp.concatenate([value - jnp.min(value), room, jnp.full(2 * (dimension - 1), 1.0) * radius])
     solution = solve_dense(H, -jnp.eye(dimension)[-1], G, h)
-    return tangent @ solution.y[:-1], solution.multipliers[: value.shape[0]], solution.y[-1]
+    return product(tangent, solution.y[:-1]), solution.multipliers[: value.shape[0]], solution.y[-1]
 
 
 def max_min_step(sphere: Sphere, seen: Seen, longest: Scalar) -> Direction:
@@ -195,22 +197,24 @@ def interior_point(sphere: Sphere, seen: Seen, iterations: int = 24) -> Best:
 
     def barrier(w, values, mu):
         t = _epigraph(values, mu)
-        room = jnp.maximum(sphere.h - sphere.G @ w, 1e-12)
+        room = jnp.maximum(sphere.h - product(sphere.G, w), 1e-12)
         return t + mu * (jnp.sum(jnp.log(values - t)) + jnp.sum(jnp.log(room)))
 
     def newton(w, values, gradient, mu):
         tangent = null_basis(w[None, :])
         t = _epigraph(values, mu)
         weight = mu / (values - t)  # sums to 1
-        room = jnp.maximum(sphere.h - sphere.G @ w, 1e-12)
-        pull = weight @ gradient - (mu / room) @ sphere.G
-        across = gradient - (weight @ gradient)[None, :]
+        room = jnp.maximum(sphere.h - product(sphere.G, w), 1e-12)
+        pull = product(weight, gradient) - product(mu / room, sphere.G)
+        across = gradient - product(weight, gradient)[None, :]
         # d2(-barrier): the bodies' trade-off (t moves with the weighted mean), the limits, the sphere, J1.
-        stiff = across.T @ ((weight / (values - t))[:, None] * across)
-        stiff = stiff + sphere.G.T @ ((mu / room**2)[:, None] * sphere.G) + sphere.curvature
-        bend = tangent.T @ stiff @ tangent + jnp.maximum(pull @ w, 1e-3) * jnp.eye(dimension - 1)
-        step = jnp.linalg.solve(bend, tangent.T @ pull)
-        return tangent @ (step * jnp.minimum(1.0, 0.5 / jnp.maximum(safe_norm(step), 1e-12)))
+        stiff = product(across.T, (weight / (values - t))[:, None] * across)
+        stiff = stiff + product(sphere.G.T, (mu / room**2)[:, None] * sphere.G) + sphere.curvature
+        bend = product(tangent.T, product(stiff, tangent)) + jnp.maximum(product(pull, w), 1e-3) * jnp.eye(
+            dimension - 1
+        )
+        step = solve_spd(bend, product(tangent.T, pull))
+        return product(tangent, step * jnp.minimum(1.0, 0.5 / jnp.maximum(safe_norm(step), 1e-12)))
 
     def body(count, state):
         w, values, seen, scale, best, best_merit = state
@@ -218,7 +222,7 @@ def interior_point(sphere: Sphere, seen: Seen, iterations: int = 24) -> Best:
         _, gradient = sphere.predict(w, seen)
         w_new = _unit(w + scale * newton(w, values, gradient, mu))
         new_values, new_seen = sphere.observe(w_new)
-        up = (barrier(w_new, new_values, mu) > barrier(w, values, mu)) & jnp.all(sphere.G @ w_new < sphere.h)
+        up = (barrier(w_new, new_values, mu) > barrier(w, values, mu)) & jnp.all(product(sphere.G, w_new) < sphere.h)
         w = jnp.where(up, w_new, w)
         values = jnp.where(up, new_values, values)
         seen = jax.tree.map(lambda new, old: jnp.where(up, new, old), new_seen, seen)
@@ -261,11 +265,11 @@ def adam(sphere: Sphere, seen: Seen, iterations: int = 40, rate: float = 0.15) -
         better = merit > best_merit
         best, best_merit = jnp.where(better, w, best), jnp.maximum(merit, best_merit)
         value, gradient = sphere.predict(w, seen)
-        over = sphere.G @ w - sphere.h
+        over = product(sphere.G, w) - sphere.h
         worst = jnp.argmax(over)
         # Minus the merit's subgradient, in the tangent plane.
         descent = -gradient[jnp.argmin(value)] + jnp.where(over[worst] > 0, 10.0, 0.0) * sphere.G[worst]
-        descent = descent - (descent @ w) * w
+        descent = descent - product(descent, w) * w
         update, momentum = optimiser.update(descent, momentum, w)
         return _unit(w + update), momentum, best, best_merit
 
