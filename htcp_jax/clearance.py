@@ -128,6 +128,8 @@ def all_clear(robot: Robot, obstacle: Obstacle, where: Posed, x: Float[jax.Array
     Only the middle one is measured in full. A body is clear wherever its ends, and so all its points, have moved from
     there by less than its room; where they have moved further, it is searched for points that touch it.
     """
+    if jax.default_backend() != "cpu":  # where a loop costs more than the measurements that it saves
+        return jnp.all(jax.vmap(partial(is_clear, robot, obstacle, where))(x))
     middle = x.shape[0] // 2
     ends = jax.vmap(partial(_ends, robot, where))(x)
     room = _room(robot, obstacle, where, x[middle])

@@ -1,22 +1,12 @@
 """Exact nearest point of a cloud to a line segment, by branch and bound over a tree of three levels.
 
 The cloud is cut once into balanced leaves of 16 points; 16 neighbouring leaves make a branch, and 16 branches a bough.
-Each of these clusters is bounded by a flat disc about one of its points m (the medoid): normal n, half thickness e,
-radius r. Let c be the point of the segment closest to m, and v the unit vector from m to c. Every point of the segment
-lies beyond the plane through c normal to v (c is the projection of m onto a convex set), and no point of the cluster
-lies further along v than |v.n| e + sqrt(1 - (v.n)^2) r. So
-
-    distance(segment, cluster) >= |c - m| - |v.n| e - sqrt(1 - (v.n)^2) r,
-
-which for a patch of a wall seen face on is the wall's thickness away from exact. The distance to m itself, a point of
-the cloud, is a limit from above. At every level the search takes the clusters in the order of their bounds, and
-descends into each until no bound left is below the smallest distance found: that is the certificate, and nothing is
-returned without it.
+Each of these clusters is bounded by a flat disc (see `discs`). At every level the search takes the clusters in the
+order of their bounds, and descends into each until no bound left is below the smallest distance found: that is the
+certificate, and nothing is returned without it.
 
 A CPU searches for one body after the other and takes one cluster at a time: that is the least arithmetic. A GPU, where
 a turn of a loop costs more than the arithmetic in it, searches for all bodies side by side, several clusters at a time.
-
-Bounds are 32-bit (rounded down by `SLACK`), distances 64-bit.
 """
 
 from functools import partial
@@ -27,13 +17,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax import clusters
+from htcp_jax.cloud_index_gpu import HAS_KERNEL, nearest_leaves
 from htcp_jax.clusters import FAN
+from htcp_jax.discs import Segments, as_segments, bounding_discs, disc_bounds, single, spread, squared_distance
 from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Float, Int
 
 ONE_BODY = 1, 1, 4  # boughs, branches and leaves that a CPU takes at a time: leaves wait for square roots
 SIDE_BY_SIDE = 8, 8  # branches and leaves that a GPU takes at a time, for each body
-SLACK = 1e-5  # [m]; a bound in 32-bit floats is wrong by less than this within 20 m of the origin
 
 
 class CloudIndex(NamedTuple):
@@ -50,7 +41,7 @@ def build_index(points: Float[np.ndarray, "P 3"]) -> CloudIndex:
     """Index of a cloud of P >= 1 points [m]. Clusters that are short of points repeat one of their own."""
     rows = _tree(points, np.arange(len(points)), -(-len(points) // FAN**3), 3)
     boughs = len(rows)
-    bounds = [_disc(points[rows.reshape(count, -1)]) for count in (boughs, boughs * FAN, boughs * FAN**2)]
+    bounds = [bounding_discs(points[rows.reshape(count, -1)]) for count in (boughs, boughs * FAN, boughs * FAN**2)]
     levels = [
         b.reshape(parents, -1, 8).transpose(0, 2, 1)
         for b, parents in zip(bounds, (1, boughs, boughs * FAN), strict=True)
@@ -122,21 +113,24 @@ def _nearest_body(index: CloudIndex, p, q, radius, below):
 def _search(index: CloudIndex, p, q, radius, limit, shared: bool):
     """Row of the nearest point of each of K bodies, -1 where none has distance - radius below its limit; with a shared
     limit only the body that is nearest of all gets a row."""
-    segments = _segments(p, q)
-    if jax.default_backend() == "cpu":
+    segments = as_segments(p, q)
+    backend = jax.default_backend()
+    if backend == "cpu":
         leaf = _in_turn(index, segments, radius, limit, shared)
+    elif backend == "gpu" and HAS_KERNEL:
+        leaf = nearest_leaves(index, p, q, radius, limit, shared)
     else:
         # Without the boughs: they would be a loop more.
         levels = index.branches.transpose(1, 0, 2).reshape(1, 8, -1), index.leaves
         _, leaf = _descend(levels, index.points, segments, radius, limit, shared, SIDE_BY_SIDE)
-    square = _squared_distance(_spread(segments, 1), index.points[leaf].transpose(1, 0, 2))
+    square = squared_distance(spread(segments, 1), index.points[leaf].transpose(1, 0, 2))
     return jnp.where(leaf < 0, -1, index.rows[leaf, jnp.argmin(square, axis=1)])
 
 
-def _in_turn(index: CloudIndex, segments: "_Segments", radius, limit, shared: bool):
+def _in_turn(index: CloudIndex, segments: Segments, radius, limit, shared: bool):
     """The leaf of each body's nearest point, -1 for none: one body after the other, the most promising first."""
     levels, bodies = (index.boughs, index.branches, index.leaves), radius.shape[0]
-    _, upper = _bounds(_single(_spread(segments, 1)), index.boughs[0, :, None, :])
+    _, upper = disc_bounds(single(spread(segments, 1)), index.boughs[0, :, None, :])
     promise = jnp.min(upper, axis=1) - radius
 
     def search_one(state):
@@ -156,10 +150,10 @@ def _in_turn(index: CloudIndex, segments: "_Segments", radius, limit, shared: bo
     return jax.lax.while_loop(lambda state: jnp.any(state[0]), search_one, start)[2]
 
 
-def _descend(levels, points, segments: "_Segments", radius, limit, shared: bool, widths):
+def _descend(levels, points, segments: Segments, radius, limit, shared: bool, widths):
     """The limits of K bodies, lowered to what they attain, and the leaves where they do, -1 where none does: the bodies
     search side by side, each `width` clusters of its own at a time."""
-    segments32, bodies = _single(segments), radius.shape[0]
+    segments32, bodies = single(segments), radius.shape[0]
 
     def lowered(limit, distance):
         """The limits, lowered by distances (K, n)."""
@@ -170,7 +164,7 @@ def _descend(levels, points, segments: "_Segments", radius, limit, shared: bool,
         """The clusters inside of each body's parents (K, width), in the order of their bounds."""
         bound = jnp.moveaxis(levels[level][parent], 2, 0)
         fan = bound.shape[-1]
-        lower, upper = _bounds(_spread(segments32, 2), bound)
+        lower, upper = disc_bounds(spread(segments32, 2), bound)
         limit = lowered(limit, upper.reshape(bodies, -1))
         keys = clusters.prune(clusters.order_keys(lower.reshape(bodies, -1), widths[level]), limit + radius)
 
@@ -188,7 +182,7 @@ def _descend(levels, points, segments: "_Segments", radius, limit, shared: bool,
 
     def measure(child, limit, leaf):
         """The points of leaves (K, width)."""
-        square = _squared_distance(_spread(segments, 2), jnp.moveaxis(points[child], 2, 0))
+        square = squared_distance(spread(segments, 2), jnp.moveaxis(points[child], 2, 0))
         distance = jnp.sqrt(jnp.min(square, axis=2))
         new = lowered(limit, distance)
         found = distance - radius[:, None] == new[:, None]
@@ -196,64 +190,3 @@ def _descend(levels, points, segments: "_Segments", radius, limit, shared: bool,
         return new, jnp.where(new < limit, found, leaf)  # with a shared limit, -1 for all but one
 
     return search(0, jnp.zeros((bodies, 1), jnp.int32), limit, jnp.full(bodies, -1, jnp.int32))
-
-
-class _Segments(NamedTuple):
-    """Segments p + s d, 0 <= s <= 1: coordinates first, then the bodies, so that bodies can be picked and broadcast."""
-
-    p: Float[Array, "3 *K"]
-    d: Float[Array, "3 *K"]
-    inverse: Float[Array, "*K"]  # 1 / |d|^2
-
-
-def _segments(p, q) -> _Segments:
-    d = q - p
-    square = jnp.sum(d * d, axis=1)
-    # A segment shorter than 1e-15 m is as good as a point; its inverse would be infinite in 32-bit.
-    return _Segments(p.T, d.T, 1 / jnp.maximum(square, 1e-30))
-
-
-def _single(segments: _Segments) -> _Segments:
-    """The segments in 32-bit."""
-    return jax.tree.map(lambda a: a.astype(jnp.float32), segments)
-
-
-def _spread(segments: _Segments, axes: int) -> _Segments:
-    """The segments with axes for what each of them is measured against."""
-    return jax.tree.map(lambda a: a.reshape(*a.shape, *[1] * axes), segments)
-
-
-def _arm(segment: _Segments, points):
-    """From the closest point of the segment to each point (3, ...)."""
-    a = [points[i] - segment.p[i] for i in range(3)]
-    s = jnp.clip(sum(a[i] * segment.d[i] for i in range(3)) * segment.inverse, 0, 1)
-    return [a[i] - s * segment.d[i] for i in range(3)]
-
-
-def _squared_distance(segment: _Segments, points):
-    a = _arm(segment, points)
-    return a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
-
-
-def _bounds(segment: _Segments, bound):
-    """The module's bound for clusters (8, ...), 32-bit [m], and the distance to their medoids, rounded up."""
-    a = _arm(segment, bound)
-    square = a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
-    distance = jnp.sqrt(square)
-    along = a[0] * bound[3] + a[1] * bound[4] + a[2] * bound[5]  # |c - m| (v.n), up to its sign
-    # The difference cancels where the patch is seen face on: 2e-6 is more than its rounding.
-    across = jnp.sqrt(jnp.maximum(square - along * along, 0) + 2e-6 * square)
-    reach = (jnp.abs(along) * bound[6] + across * bound[7]) / jnp.maximum(distance, 1e-12)
-    return distance - reach - jnp.float32(SLACK), distance + jnp.float32(SLACK)
-
-
-def _disc(groups):
-    """Bounding disc of each group (n, points, 3): medoid, normal, half thickness, radius, as rows (n, 8)."""
-    n = np.arange(len(groups))
-    offset = groups - groups.mean(axis=1, keepdims=True)
-    medoid = groups[n, np.argmin(np.sum(offset**2, axis=-1), axis=1)]
-    normal = np.linalg.eigh(np.einsum("npi,npj->nij", offset, offset))[1][:, :, 0]
-    arm = groups - medoid[:, None]
-    height = np.einsum("npi,ni->np", arm, normal)
-    across = np.linalg.norm(arm - height[..., None] * normal[:, None], axis=-1)
-    return np.concatenate([medoid, normal, np.abs(height).max(1)[:, None], across.max(1)[:, None]], axis=1)

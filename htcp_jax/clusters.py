@@ -38,14 +38,14 @@ def order_keys(bound: Float[Array, "K n"], width: int) -> Int[Array, "K rows wid
     """Keys of bounds; those below 0 count as 0. Non-negative 32-bit floats order like their bits."""
     bodies, clusters = bound.shape
     bits = jax.lax.bitcast_convert_type(jnp.maximum(bound, 0), jnp.int32)
-    mask = (1 << _index_bits(clusters)) - 1
+    mask = (1 << index_bits(clusters)) - 1
     return ((bits & ~mask) | jnp.arange(clusters, dtype=jnp.int32)[None, :]).reshape(bodies, -1, width)
 
 
 def prune(keys: Int[Array, "K rows width"], limit: Float[Array, "K"]) -> Int[Array, "K rows width"]:
     """The keys of all bounds below the limit of their search, NONE_LEFT in place of the others."""
     nearest = jnp.minimum(limit * (1 + 1e-6), 1e30).astype(jnp.float32)
-    mask = (1 << _index_bits(keys[0].size)) - 1
+    mask = (1 << index_bits(keys[0].size)) - 1
     above = jax.lax.bitcast_convert_type(nearest, jnp.int32) | mask  # negative, so below all keys, like the limit
     return jnp.where(keys <= above[:, None, None], keys, NONE_LEFT)
 
@@ -67,7 +67,7 @@ def without(keys: Int[Array, "K rows width"], picked: Int[Array, "K width"]) -> 
 
 def number(picked: Int[Array, "K width"], clusters: int) -> Int[Array, "K width"]:
     """Which of the clusters a key stands for; the first one where none was left."""
-    return jnp.where(picked == NONE_LEFT, 0, picked & ((1 << _index_bits(clusters)) - 1))
+    return jnp.where(picked == NONE_LEFT, 0, picked & ((1 << index_bits(clusters)) - 1))
 
 
 def least(values: Array, axis: int) -> Array:
@@ -81,5 +81,5 @@ def least(values: Array, axis: int) -> Array:
     return jnp.min(values, axis=axis)
 
 
-def _index_bits(count: int) -> int:
+def index_bits(count: int) -> int:
     return max(1, (count - 1).bit_length())

@@ -104,9 +104,15 @@ class Engine:
             self._tracked = self._finished = 0
             lanes, self._lanes = self._lanes, None
             walking = lanes.phase == WALK
-            if (~walking).any():
+            track, walk = (~walking).any(), walking.any()
+            if track and walk and not self._kernels.pays_by_lane:
+                # A call takes its time however few lanes there are: let the smaller group grow.
+                track = walking.sum() <= (~walking).sum()
+                walk = not track
+                self._keep(lanes.take(walking if track else ~walking))
+            if track:
                 self._track(lanes.take(~walking))
-            if walking.any():
+            if walk:
                 self._walk(lanes.take(walking))
             tell(self._tracked, self._finished)
 

@@ -83,7 +83,7 @@ def tables_on(device: jax.Device, name: str) -> Tables:
     deep = name.startswith(DEEP)
     if device.platform == "cpu":
         return Tables((128,), 1 if deep else 4)
-    return Tables((64, 512) if deep else (256, 4096), 0)
+    return Tables((256, 2048) if deep else (256, 4096), 0)
 
 
 class Measured(NamedTuple):
@@ -257,6 +257,11 @@ class Kernels:
     def lanes(self) -> int:
         """Lanes that an engine keeps in flight."""
         return tables_on(self.device, "advance").capacities[-1]
+
+    @property
+    def pays_by_lane(self) -> bool:
+        """Whether a call with half the lanes takes half the time, as on a CPU."""
+        return self.device.platform == "cpu"
 
     @property
     def bodies(self) -> int:

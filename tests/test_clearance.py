@@ -139,8 +139,8 @@ def test_the_gradient_in_closed_form_is_that_of_autodiff_and_of_finite_differenc
     kinks, hull, total = 0, 0, 0
     for x in postures()[::2]:
         closed, forward, reverse, differences = gradients(robot, obstacle, where, x)
-        np.testing.assert_allclose(forward, closed, rtol=0, atol=1e-13)
-        np.testing.assert_allclose(reverse, closed, rtol=0, atol=1e-13)
+        np.testing.assert_allclose(forward, closed, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(reverse, closed, rtol=0, atol=1e-12)
         smooth = np.abs(differences - closed).max(1) < 1e-6
         kinks, total = kinks + (~smooth).sum(), total + len(smooth)
         hull += np.asarray(jitted(contacts)(robot, obstacle, where, x).crossed).sum()

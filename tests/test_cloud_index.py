@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from htcp_jax.cloud_index import build_index, nearest_body, nearest_rows
+from htcp_jax.cloud_index_gpu import nearest_leaves
 
 LANES = 8  # segments that a search takes side by side, as a configuration's capsules do
+RNG = np.random.default_rng(0)
 EPS = np.finfo(float).eps
 
 
@@ -211,3 +213,24 @@ def test_no_gradient_passes_through_the_search():
     row = nearest_rows(index, p, p + 0.1)
     np.testing.assert_allclose(jax.jacrev(square)(p), 2 * (p - points[row]), atol=1e-14)
     np.testing.assert_allclose(jax.jacfwd(square)(p), 2 * (p - points[row]), atol=1e-14)
+
+
+@pytest.mark.parametrize("shared", [False, True])
+@pytest.mark.parametrize("name", ["one", "three hundred", "on a plane", "far apart"])
+def test_the_kernel_for_gpus_finds_the_same_leaves(name, shared):
+    """Interpreted here, where there is no GPU. Both end at a leaf with a point as near as the nearest one."""
+    index, radius = build_index(cloud(name)), RNG.uniform(0, 0.1, LANES)
+    p, q = (a.reshape(-1, LANES, 3) for a in segments(cloud(name), 5 * LANES, seed=5))
+    limit = np.where(RNG.random((5, LANES)) < 0.7, 1e150, 0.01)
+    limit = np.broadcast_to(limit[:, :1], limit.shape) if shared else limit
+    search = partial(nearest_leaves, index, shared=shared, interpret=True)
+    leaves = np.asarray(jax.jit(jax.vmap(lambda p, q, limit: search(p, q, radius, limit)))(p, q, limit))
+    clearance = smallest_distances(p.reshape(-1, 3), q.reshape(-1, 3), cloud(name)).reshape(-1, LANES) - radius
+    expected = clearance < limit
+    if shared:
+        expected &= np.arange(LANES) == clearance.argmin(1)[:, None]
+    np.testing.assert_array_equal(leaves >= 0, expected)
+    for lane, body in zip(*np.nonzero(expected), strict=True):
+        points = np.asarray(index.points)[leaves[lane, body]].T
+        found = distances(p[lane, [body]], q[lane, [body]], points).min() - radius[body]
+        assert found - clearance[lane, body] <= 4 * EPS * max(1.0, np.abs(p[lane]).max(), np.abs(q[lane]).max())

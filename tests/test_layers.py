@@ -14,7 +14,8 @@ PACKAGE = Path(htcp_jax.__file__).parent
 LAYERS = [
     ["__init__", "errors", "notebook", "types", "pytree", "numerics", "status", "settings", "plans"],
     ["compile_cache", "devices"],
-    ["robot", "robot_file", "robot_xml", "kinematics", "duct", "cloud", "cloud_index", "half_spaces", "hull"],
+    ["robot", "robot_file", "robot_xml", "kinematics", "duct", "cloud", "hull"],
+    ["clusters", "discs", "cloud_index_gpu", "cloud_index", "half_spaces"],
     ["workpiece"],
     ["scenario"],
     ["clearance", "task", "seen"],
