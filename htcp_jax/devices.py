@@ -39,9 +39,9 @@ def choose(name: str | None = None) -> list[jax.Device]:
 
 
 def default_threads(devices: list[jax.Device], qp: str) -> int:
-    """Engines that share the scenarios. On a CPU one a core. On GPUs two each, so that one keeps its books while the
-    other computes; more where the host solves the step QPs."""
+    """Engines that share the scenarios. On a CPU one a core. On GPUs one each, for the largest batches; more where
+    the host solves the step QPs."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if devices[0].platform == "cpu":
         return cores
-    return 2 * len(devices) if qp == "device" else max(cores, 2 * len(devices))
+    return len(devices) if qp == "device" else max(cores, 2 * len(devices))

@@ -290,19 +290,21 @@ class Engine:
             )
             self._arrived(lanes, here)
         else:
-            found = self._kernels(f"stage {stage}", self._tasks(lanes), lanes.x_previous)
+            found = self._kernels(f"sample {stage}", self._tasks(lanes), lanes.x_previous)
+            clear = []
             for k in range(len(lanes.scenario)):
                 done = found.done[k]
                 if done.any():
-                    self._take_one(lanes.take([k]), found.x[k][done])
+                    clear.append((lanes.take([k]), found.x[k][done]))
                 else:
                     self._try_candidates(lanes.take([k]), found.x[k][found.valid[k]])
+            self._take_best(clear)
 
     def _walk(self, lanes: Lanes) -> None:
         """One null-space step for every lane that walks."""
         for stage in np.unique(lanes.stage):
             part = lanes.take(lanes.stage == stage)
-            here = self._kernels(f"stage {stage}", self._tasks(part), part.x_previous, part.x_ref, part.walked)
+            here = self._kernels(f"walk {stage}", self._tasks(part), part.x_previous, part.x_ref, part.walked)
             self._arrived(part._replace(x_ref=here.x, walked=part.walked + 1), here)
 
     def _arrived(self, lanes: Lanes, here) -> None:
@@ -353,10 +355,11 @@ class Engine:
                 )
             )
         else:
-            self._choose(scenario)
+            self._choose([scenario])
 
     def _decided(self, lanes: Lanes, now: Measured, reached: np.ndarray, stuck: np.ndarray) -> None:
         """Candidates that reached the target, and those that did not."""
+        ready = []
         for k in np.flatnonzero(reached | stuck):
             scenario = int(lanes.scenario[k])
             waiting = self._waiting[scenario]
@@ -366,31 +369,49 @@ class Engine:
                 waiting.reached.append(now.x[[k]])
                 waiting.numbers.append(int(lanes.candidate[k]))
             if not waiting.left:
-                self._choose(scenario)
+                ready.append(scenario)
+        self._choose(ready)
 
-    def _choose(self, scenario: int) -> None:
+    def _choose(self, scenarios: list[int]) -> None:
         """Go on from the best of the candidates that reached the target."""
-        waiting = self._waiting.pop(scenario)
-        lane = waiting.lane._replace(iteration=waiting.lane.iteration + waiting.qps)
-        if waiting.reached:
-            # In the order of their numbers, whatever the order in which they came in.
-            self._take_one(lane, np.concatenate([waiting.reached[k] for k in np.argsort(waiting.numbers)]))
-        else:
-            self._next_stage(lane, int(lane.stage[0]), Status.ESCAPE_EXHAUSTED)
+        clear = []
+        for waiting in [self._waiting.pop(scenario) for scenario in scenarios]:
+            lane = waiting.lane._replace(iteration=waiting.lane.iteration + waiting.qps)
+            if waiting.reached:
+                # In the order of their numbers, whatever the order in which they came in.
+                x = np.concatenate([waiting.reached[k] for k in np.argsort(waiting.numbers)])
+                clear.append((lane, x))
+            else:
+                self._next_stage(lane, int(lane.stage[0]), Status.ESCAPE_EXHAUSTED)
+        self._take_best(clear)
 
-    def _take_one(self, lane: Lanes, x: np.ndarray) -> None:
-        """Of configurations (C, N) that are clear on the target: the smallest joint change whose path is clear."""
-        x = x[np.argsort(np.linalg.norm(x - lane.x_previous, axis=1), kind="stable")]
+    def _take_best(self, found: list[tuple[Lanes, np.ndarray]]) -> None:
+        """Go on, from every lane, with one of its configurations (C, N) that are clear on the target: the smallest
+        joint change whose path is clear."""
+        if not found:
+            return
+        sizes = [len(x) for _, x in found]
+        many = _map(lambda *t: np.concatenate(t), *(lane.take(np.zeros(len(x), int)) for lane, x in found))
+        x = np.concatenate([x for _, x in found])
         clear = np.full(len(x), -1, np.int8)
         if self._check_escapes:
-            many = lane.take(np.zeros(len(x), int))
             clear = self._kernels("check_path", self._tasks(many), many.x_previous, x).astype(np.int8)
-        stage, best = int(lane.stage[0]), np.flatnonzero(clear)[:1]
-        if not len(best):
-            self._next_stage(lane, stage, Status.PATH_BLOCKED)
+        change = np.where(clear != 0, np.linalg.norm(x - many.x_previous, axis=1), np.inf)
+        ends = np.cumsum(sizes)
+        best = np.array([end - n + np.argmin(change[end - n : end]) for end, n in zip(ends, sizes, strict=True)])
+        free = clear[best] != 0
+        self._escaped_to(many.take(best[free]), x[best[free]], clear[best[free]])
+        lost = many.take(best[~free])
+        for stage in np.unique(lost.stage):
+            self._next_stage(lost.take(lost.stage == stage), int(stage), Status.PATH_BLOCKED)
+
+    def _escaped_to(self, lanes: Lanes, x: np.ndarray, clear: np.ndarray) -> None:
+        if not len(x):
             return
-        now = self._kernels("advance", self._tasks(lane), x[best], np.zeros_like(x[best]))
-        self._accept(lane, now, Status.TRACKED_AFTER_ESCAPE, stage + 1, clear[best])
+        now = self._kernels("advance", self._tasks(lanes), x, np.zeros_like(x))
+        for stage in np.unique(lanes.stage):
+            at = lanes.stage == stage
+            self._accept(lanes.take(at), _rows(now, at), Status.TRACKED_AFTER_ESCAPE, int(stage) + 1, clear[at])
 
     # Failure, and the way back
 

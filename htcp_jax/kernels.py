@@ -40,7 +40,8 @@ from htcp_jax.scenario import Scenario
 from htcp_jax.settings import Settings
 
 # Kernels that few lanes need at a time, or that have loops of their own to vectorise.
-DEEP = ("draw", "push", "enter", "ascend", "stage", "check_path")
+DEEP = ("enter", "walk", "ascend", "push", "check_path", "sample", "draw")
+SAMPLED = ("sample", "draw")  # those with hundreds of configurations a lane
 STEPS_A_BURST = 5  # step QPs that `track` takes before the engine looks at the lanes again
 SPREAD_EVERY = 3  # rounds of draws: in every third any of the better draws are pushed clear, not the clearest alone
 DRAW_STAGE = 99  # random keys of draws lie apart from those of the stages
@@ -70,20 +71,22 @@ def tasks(scenarios: Scenario, scenario: np.ndarray, row: np.ndarray, round_: in
     return Task(*own, scenarios.targets[scenario, row], row, np.full_like(row, round_))
 
 
-class Tables(NamedTuple):
-    """Sizes of the tables that programs are compiled for, and how many lanes a program computes side by side."""
+class Table(NamedTuple):
+    """Size of the table that a program is compiled for, and how many of its lanes it computes side by side."""
 
-    capacities: tuple[int, ...]
+    capacity: int
     width: int
 
 
-def tables_on(device: jax.Device, name: str) -> Tables:
-    """Tables of kernel `name`. A CPU gains from a few lanes side by side, and nothing where a kernel has loops of its
-    own; a GPU computes a whole table at once, so it has a small one for what is left of a batch."""
-    deep = name.startswith(DEEP)
+def table_on(device: jax.Device, name: str) -> Table:
+    """The table of kernel `name`, one for any number of lanes: another one would round in its own way. A CPU gains from
+    a few lanes side by side, and nothing where a kernel has loops of its own; a GPU from thousands, fewer where each
+    lane has hundreds of samples."""
     if device.platform == "cpu":
-        return Tables((128,), 1 if deep else 4)
-    return Tables((256, 2048) if deep else (256, 4096), 0)
+        return Table(128, 1 if name.startswith(DEEP) else 4)
+    if name.startswith(SAMPLED):
+        return Table(256, 32)
+    return Table(2048, 512) if name.startswith(DEEP) else Table(4096, 4096)
 
 
 class Measured(NamedTuple):
@@ -239,7 +242,7 @@ class Kernels:
     def __init__(self, scene: Scene, method: Method, settings: Settings, device: jax.Device | None = None):
         self.device = device or jax.local_devices()[0]
         self._scene, self._settings = jax.device_put(scene, self.device), settings
-        self._programs: dict[tuple[str, int], Callable] = {}
+        self._programs: dict[str, Callable] = {}
         self.compile_s = 0.0
         self._kernels = {
             "prepare": prepare,
@@ -256,7 +259,7 @@ class Kernels:
     @property
     def lanes(self) -> int:
         """Lanes that an engine keeps in flight."""
-        return tables_on(self.device, "advance").capacities[-1]
+        return table_on(self.device, "advance").capacity
 
     @property
     def pays_by_lane(self) -> bool:
@@ -269,47 +272,45 @@ class Kernels:
         return len(self._scene.robot.capsule_link)
 
     def __call__(self, name: str, *tables):
-        """Run kernel `name` ("stage k" for stage k of the method) over tables of n >= 1 lanes; numpy tables of n lanes
-        come back."""
+        """Run kernel `name`, "walk k" or "sample k" for stage k of the method, over tables of n >= 1 lanes; numpy tables
+        of n lanes come back."""
         lanes = len(jax.tree.leaves(tables)[0])
-        most = tables_on(self.device, name).capacities[-1]
+        most = table_on(self.device, name).capacity
         parts = [
-            self._run(name, jax.tree.map(lambda t, s=start: t[s : s + most], tables))
-            for start in range(0, lanes, most)
+            self._run(name, jax.tree.map(lambda t, s=start: t[s : s + most], tables)) for start in range(0, lanes, most)
         ]
         return parts[0] if len(parts) == 1 else jax.tree.map(lambda *p: np.concatenate(p), *parts)
 
     def _run(self, name: str, tables):
         lanes = len(jax.tree.leaves(tables)[0])
-        capacities, width = tables_on(self.device, name)
-        capacity = next(c for c in capacities if c >= lanes)
+        capacity, width = table_on(self.device, name)
         padded = jax.tree.map(lambda t: _pad(np.asarray(t), capacity), tables)
-        chunks = np.int32(-(-lanes // (width or capacity)))
-        result = self._program(name, capacity, chunks, padded)(self._scene, chunks, *padded)
+        chunks = np.int32(-(-lanes // width))
+        result = self._program(name, width, chunks, padded)(self._scene, chunks, *padded)
         return jax.tree.map(lambda r: r[:lanes], jax.device_get(result))
 
-    def _program(self, name: str, capacity: int, chunks, tables) -> Callable:
-        if (name, capacity) in self._programs:
-            return self._programs[name, capacity]
+    def _program(self, name: str, width: int, chunks, tables) -> Callable:
+        if name in self._programs:
+            return self._programs[name]
         with _COMPILING:
             arguments = (self._scene, chunks, *tables)
             leaves, structure = jax.tree.flatten(arguments)
-            work, width = self._work(name), tables_on(self.device, name).width or capacity
+            work = self._work(name)
             shapes = tuple((x.shape, x.dtype) for x in leaves)
             key = (work.func, work.args, width, self.device, structure, shapes)
             if key not in _PROGRAMS:
                 began = time.perf_counter()
                 _PROGRAMS[key] = chunked(work, width).lower(*arguments).compile()
                 self.compile_s += time.perf_counter() - began
-            self._programs[name, capacity] = _PROGRAMS[key]
-        return self._programs[name, capacity]
+            self._programs[name] = _PROGRAMS[key]
+        return self._programs[name]
 
     def _work(self, name: str) -> partial:
         if name in self._kernels:
             return partial(self._kernels[name], self._settings)
-        index = int(name.removeprefix("stage "))
-        stage = self._stages[index]
-        return partial(propose if isinstance(stage, Sample) else walk_null_space, stage, index, self._settings)
+        kind, index = name.split()
+        kernel = propose if kind == "sample" else walk_null_space
+        return partial(kernel, self._stages[int(index)], int(index), self._settings)
 
 
 def _pad(table: np.ndarray, capacity: int) -> np.ndarray:
