@@ -272,8 +272,8 @@ class Kernels:
         return len(self._scene.robot.capsule_link)
 
     def __call__(self, name: str, *tables):
-        """Run kernel `name`, "walk k" or "sample k" for stage k of the method, over tables of n >= 1 lanes; numpy tables
-        of n lanes come back."""
+        """Run kernel `name`, "walk k" or "sample k" for stage k of the method, over tables of n >= 1 lanes; numpy
+        tables of n lanes come back."""
         lanes = len(jax.tree.leaves(tables)[0])
         most = table_on(self.device, name).capacity
         parts = [
