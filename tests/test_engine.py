@@ -86,6 +86,20 @@ def test_a_second_plan_compiles_nothing_whatever_the_number_of_scenarios(scene, 
     assert len(kernels._PROGRAMS) == before and again.compile_s == 0
 
 
+@pytest.mark.skipif(kernels.jax.default_backend() != "cpu", reason="a GPU launches a loop's kernels one by one")
+def test_on_a_cpu_every_kernel_is_one_native_function(scene, scenarios, planned):
+    """A library call in a loop, a matrix product say, would have XLA dispatch its parts one by one: nothing else would
+    fail, and everything take twice the time."""
+    seen = set()
+    for (work, arguments, *_), program in kernels._PROGRAMS.items():
+        if work.__module__ != "htcp_jax.kernels" or "CMA-ES" in str(arguments):
+            continue
+        main = program.as_text().partition("\nENTRY ")[2]
+        assert " while(" not in main, work.__name__
+        seen.add(work.__name__)
+    assert {"prepare", "advance", "check_path"} <= seen
+
+
 class Broken(ClarabelSolver):
     """Clarabel that breaks down on every QP of the workpiece pose whose first target step is `victim`."""
 
