@@ -17,9 +17,9 @@ import importlib
 import os
 
 # On a CPU, XLA compiles a loop of a program to a series of small kernels, which it hands one by one to threads of its
-# own, or to a library (YNNPACK). Our loops are made of hundreds of tiny ones: as one native function each they take half
-# the time, and threads that run programs do not wait for each other. Read when JAX starts, so it comes first; whoever
-# has set it decides.
+# own, or to a library (YNNPACK). Our loops are made of hundreds of tiny ones: as one native function each they take
+# half the time, and threads that run programs do not wait for each other. Read when JAX starts, so it comes first;
+# whoever has set it decides.
 os.environ.setdefault(
     "XLA_FLAGS",
     "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000000000000"

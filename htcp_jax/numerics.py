@@ -36,8 +36,8 @@ def segment_parameter(
 def product(a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "..."]:
     """a @ b for small matrices and vectors, batched over leading axes like `jnp.matmul`, as a plain sum of products.
 
-    A matrix product proper is a call into a library: a launch of its own on a GPU, and on a CPU what keeps XLA from
-    compiling a loop as one function (see `htcp_jax/__init__.py`).
+    A matrix product proper may be a call into a library, on a GPU with a launch of its own; this becomes part of what
+    is around it. Traced once for every shape.
     """
     left, right = a.ndim == 1, b.ndim == 1
     a, b = a[None, :] if left else a, b[:, None] if right else b

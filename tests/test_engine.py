@@ -88,7 +88,7 @@ def test_a_second_plan_compiles_nothing_whatever_the_number_of_scenarios(scene, 
 
 @pytest.mark.skipif(kernels.jax.default_backend() != "cpu", reason="a GPU launches a loop's kernels one by one")
 def test_on_a_cpu_every_kernel_is_one_native_function(scene, scenarios, planned):
-    """A library call in a loop, a matrix product say, would have XLA dispatch its parts one by one: nothing else would
+    """A library call in a loop, to LAPACK say, would have XLA dispatch its parts one by one: nothing else would
     fail, and everything take twice the time."""
     seen = set()
     for (work, arguments, *_), program in kernels._PROGRAMS.items():
