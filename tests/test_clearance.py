@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from htcp_jax.clearance import clearance, clearances, contacts, is_clear, linearise, make_obstacle
+from htcp_jax.clearance import all_clear, clearance, clearances, contacts, is_clear, linearise, make_obstacle
 from htcp_jax.kinematics import capsule_segments
 from htcp_jax.robot import GP50, lengthen_tool
 from htcp_jax.scenario import make_scenario
@@ -253,3 +253,25 @@ def test_the_nominal_start_is_clear():
     robot, obstacle = made_once.scene()
     D = jitted(clearances)(robot, obstacle, posed(made_once.duct()), jnp.asarray(scenario.x_start))
     assert D.min() > 0.05
+
+
+def test_what_other_devices_compute_is_the_same(monkeypatch):
+    """Off a CPU, bodies are searched side by side, all facets are measured, and a path is measured whole."""
+    robot, obstacle = made_once.scene()
+    where = posed(made_once.duct())
+    x = postures()[::3]
+    paths = x[:, None] + np.linspace(0, 0.05, 5)[:, None] * np.ones(x.shape[1])
+
+    def measure():
+        jax.clear_caches()
+        touch = jax.jit(jax.vmap(partial(contacts, robot, obstacle, where)))(x)
+        smallest = jax.jit(jax.vmap(partial(clearance, robot, obstacle, where)))(x)
+        return touch.distance, smallest, jax.jit(jax.vmap(partial(all_clear, robot, obstacle, where)))(paths)
+
+    here = measure()
+    monkeypatch.setattr(jax, "default_backend", lambda: "another")
+    there = measure()
+    jax.clear_caches()
+    assert 10 < np.asarray(here[2]).sum() < len(x) - 10
+    for ours, theirs in zip(here, there, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-14)

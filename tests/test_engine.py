@@ -42,6 +42,14 @@ def planned(request, scene, scenarios):
     return request.param, plan(*scene, scenarios, request.param, PAPER, threads=2)
 
 
+@pytest.mark.parametrize("method", ["nspace-sqp", "cspace-sample"])
+def test_which_group_of_lanes_goes_first_has_no_influence(method, scene, scenarios, monkeypatch):
+    """On a GPU the larger one of those that track and those that walk, on a CPU both."""
+    both = plan(*scene, scenarios, method, PAPER)
+    monkeypatch.setattr(kernels.Kernels, "pays_by_lane", False)
+    same(both, plan(*scene, scenarios, method, PAPER), slice(None), slice(None))
+
+
 def same(a, b, rows_a, rows_b):
     for name in COMPARED:
         np.testing.assert_array_equal(getattr(a, name)[rows_a], getattr(b, name)[rows_b], err_msg=name)
