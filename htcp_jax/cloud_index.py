@@ -5,8 +5,9 @@ Each of these clusters is bounded by a flat disc (see `discs`). At every level t
 order of their bounds, and descends into each until no bound left is below the smallest distance found: that is the
 certificate, and nothing is returned without it.
 
-A CPU searches for one body after the other and takes one cluster at a time: that is the least arithmetic. A GPU, where
-a turn of a loop costs more than the arithmetic in it, searches for all bodies side by side, several clusters at a time.
+A CPU searches for one body after the other and takes one cluster at a time: that is the least arithmetic. So does each
+thread of a GPU's kernel (`cloud_index_gpu`). Where neither is at hand, a turn of a loop costs more than the arithmetic in
+it: all bodies are searched for side by side, several clusters at a time.
 """
 
 from functools import partial
@@ -24,7 +25,7 @@ from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Float, Int
 
 ONE_BODY = 1, 1, 4  # boughs, branches and leaves that a CPU takes at a time: leaves wait for square roots
-SIDE_BY_SIDE = 8, 8  # branches and leaves that a GPU takes at a time, for each body
+SIDE_BY_SIDE = 8, 8  # branches and leaves that other devices take at a time, for each body
 
 
 class CloudIndex(NamedTuple):
@@ -152,7 +153,7 @@ def _in_turn(index: CloudIndex, segments: Segments, radius, limit, shared: bool)
 
 def _descend(levels, points, segments: Segments, radius, limit, shared: bool, widths):
     """The limits of K bodies, lowered to what they attain, and the leaves where they do, -1 where none does: the bodies
-    search side by side, each `width` clusters of its own at a time."""
+    search side by side, each so many clusters of its own at a time as `widths` says for the level."""
     segments32, bodies = single(segments), radius.shape[0]
 
     def lowered(limit, distance):

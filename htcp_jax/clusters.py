@@ -82,4 +82,5 @@ def least(values: Array, axis: int) -> Array:
 
 
 def index_bits(count: int) -> int:
+    """Low bits of a key that its cluster's number takes."""
     return max(1, (count - 1).bit_length())

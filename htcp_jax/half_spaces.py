@@ -98,8 +98,6 @@ def _crossed(hull: HalfSpaces, points, asked):
 
 @one_by_one
 def _depths(hull: HalfSpaces, points, asked):
-    if jax.default_backend() != "cpu":
-        return jnp.maximum(-jnp.max(product(points, hull.normal.T) - hull.offset[None, :], axis=1), 0.0)
     core = -_top32(hull.core_normal, hull.core_offset, points.T).astype(float) - ROOM
     exact = _one_at_a_time(lambda point: -_highest(hull, point, -1e9).height, asked & (core <= 0), points, core)
     return jnp.maximum(exact, 0.0)
