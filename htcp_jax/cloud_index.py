@@ -6,8 +6,8 @@ order of their bounds, and descends into each until no bound left is below the s
 certificate, and nothing is returned without it.
 
 A CPU searches for one body after the other and takes one cluster at a time: that is the least arithmetic. So does each
-thread of a GPU's kernel (`cloud_index_gpu`). Where neither is at hand, a turn of a loop costs more than the arithmetic in
-it: all bodies are searched for side by side, several clusters at a time.
+program of a GPU's kernel (`cloud_index_gpu`). Where neither is at hand, a turn of a loop costs more than the arithmetic
+in it: all bodies are searched for side by side, several clusters at a time.
 """
 
 from functools import partial
