@@ -95,7 +95,6 @@ def test_a_second_plan_compiles_nothing_whatever_the_number_of_scenarios(scene, 
 
 
 @pytest.mark.skipif(kernels.jax.default_backend() != "cpu", reason="a GPU launches a loop's kernels one by one")
-@pytest.mark.skipif(kernels.jax.default_backend() != "cpu", reason="a GPU launches a loop's kernels one by one")
 def test_on_a_cpu_a_kernel_is_one_native_function(planned):
     """A library call in a loop, to LAPACK say, would have XLA dispatch its parts one by one: nothing else would
     fail, and everything take twice the time. Those that every method needs, and the walks' way in."""
