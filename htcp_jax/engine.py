@@ -328,6 +328,10 @@ class Engine:
         clear = np.full(len(lanes.scenario), -1, np.int8)
         if self._check_escapes:
             clear = self._kernels("check_path", self._tasks(lanes), lanes.x_previous, now.x).astype(np.int8)
+        self._at_the_end(lanes, now, clear)
+
+    def _at_the_end(self, lanes: Lanes, now: Measured, clear: np.ndarray) -> None:
+        """Lanes that an escape has brought to their target: go on where the path is clear, or not checked (-1)."""
         for stage in np.unique(lanes.stage):
             good = (clear != 0) & (lanes.stage == stage)
             self._accept(lanes.take(good), _rows(now, good), Status.TRACKED_AFTER_ESCAPE, int(stage) + 1, clear[good])
@@ -399,19 +403,9 @@ class Engine:
         change = np.where(clear != 0, np.linalg.norm(x - many.x_previous, axis=1), np.inf)
         ends = np.cumsum(sizes)
         best = np.array([end - n + np.argmin(change[end - n : end]) for end, n in zip(ends, sizes, strict=True)])
-        free = clear[best] != 0
-        self._escaped_to(many.take(best[free]), x[best[free]], clear[best[free]])
-        lost = many.take(best[~free])
-        for stage in np.unique(lost.stage):
-            self._next_stage(lost.take(lost.stage == stage), int(stage), Status.PATH_BLOCKED)
-
-    def _escaped_to(self, lanes: Lanes, x: np.ndarray, clear: np.ndarray) -> None:
-        if not len(x):
-            return
-        now = self._kernels("advance", self._tasks(lanes), x, np.zeros_like(x))
-        for stage in np.unique(lanes.stage):
-            at = lanes.stage == stage
-            self._accept(lanes.take(at), _rows(now, at), Status.TRACKED_AFTER_ESCAPE, int(stage) + 1, clear[at])
+        many, x = many.take(best), x[best]
+        now = self._kernels("advance", self._tasks(many), x, np.zeros_like(x))
+        self._at_the_end(many, now, clear[best])
 
     # Failure, and the way back
 
