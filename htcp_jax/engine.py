@@ -6,11 +6,12 @@
 
 or, when the step QPs are solved on the device too (`qp: device`), a burst of these rounds at a time.
 
-A lane tracks one target by step QPs until it is reached, then the next one; or it is stuck, and walks the null space
-one step at a time; or it is one of many candidates of a sampling escape, tracking the stuck target on behalf of a
-scenario that waits. Lanes never wait for each other: each has its own target, phase and count; finished ones leave, new
-scenarios take their place. Lanes in the same phase go through one kernel together. Which lanes those happen to be has
-no influence on any of them: a scenario's result is the same alone, in any batch, in any order and on any thread.
+A lane tracks one target by step QPs until it is reached, then the next one; or it is stuck and in a stage of its
+escape, which walks the null space one step at a time or samples; or it is one of many candidates of a sampling stage,
+tracking the stuck target on behalf of a scenario that waits. Each lane has its own target, phase and count; finished
+ones leave, new scenarios take their place. Lanes in the same phase go through one kernel together. Which lanes those
+happen to be has no influence on any of them: a scenario's result is the same alone, in any batch, in any order and on
+any thread.
 
 Everything here is bookkeeping on numpy tables. The mathematics is in `escape` and below; batching is in `kernels`.
 """
@@ -32,8 +33,8 @@ from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 
 MAIN = -1  # `candidate` of a lane that tracks for its scenario itself
-
-TRACK, WALK = 0, 1
+NEW, TRACK = -2, -1  # phases; of a lane that is in a stage of its escape, the phase is the number of that stage
+ENTERING = -1  # `walked` of a lane that is not in the null space yet
 
 
 class Lanes(NamedTuple):
@@ -42,11 +43,9 @@ class Lanes(NamedTuple):
     scenario: np.ndarray
     target: np.ndarray
     candidate: np.ndarray  # MAIN, or the number of a candidate
-    phase: np.ndarray  # TRACK, or WALK in the null space
-    stage: np.ndarray  # of the escape, while in it
-    fresh: np.ndarray  # x_ref not linearised yet
+    phase: np.ndarray  # NEW: to be linearised; TRACK: by step QPs; or a stage of the escape
     iteration: np.ndarray  # step QPs at this target so far
-    walked: np.ndarray  # null-space steps so far
+    walked: np.ndarray  # ENTERING, or null-space steps so far
     x_previous: np.ndarray
     x_ref: np.ndarray
     linear: Linearisation
@@ -68,9 +67,9 @@ class Waiting:
 
     lane: Lanes  # the one lane that is stuck
     left: int  # candidates not decided yet
-    reached: list[np.ndarray] = field(default_factory=list)
-    numbers: list[int] = field(default_factory=list)
     qps: int = 0  # step QPs that the candidates took
+    numbers: list[np.ndarray] = field(default_factory=list)  # of the candidates that reached the target
+    ends: list[Measured] = field(default_factory=list)  # where those are
 
 
 class Engine:
@@ -102,19 +101,26 @@ class Engine:
         """Plan until the iterator is empty. tell(targets newly tracked, scenarios newly finished) after every round."""
         while self._fill(scenarios):
             self._tracked = self._finished = 0
-            lanes, self._lanes = self._lanes, None
-            walking = lanes.phase == WALK
-            track, walk = (~walking).any(), walking.any()
-            if track and walk and not self._kernels.pays_by_lane:
-                # A call takes its time however few lanes there are: let the smaller group grow.
-                track = walking.sum() <= (~walking).sum()
-                walk = not track
-                self._keep(lanes.take(walking if track else ~walking))
-            if track:
-                self._track(lanes.take(~walking))
-            if walk:
-                self._walk(lanes.take(walking))
+            for phase, lanes in self._turn():
+                if phase == NEW:
+                    self._linearise(lanes)
+                elif phase == TRACK:
+                    self._track(lanes)
+                elif isinstance(self._method.stages[phase], NullSpace):
+                    self._walk(lanes, phase)
+                else:
+                    self._sample(lanes, phase)
             tell(self._tracked, self._finished)
+
+    def _turn(self) -> list[tuple[int, Lanes]]:
+        """Take the lanes whose turn it is out of the table, by phase. Where a call takes its time however few lanes
+        there are, it is the turn of the phase that has most: the others grow meanwhile."""
+        lanes, self._lanes = self._lanes, None
+        phases, counts = np.unique(lanes.phase, return_counts=True)
+        if not self._kernels.pays_by_lane:
+            phases = phases[[np.argmax(counts)]]
+            self._keep(lanes.take(lanes.phase != phases[0]))
+        return [(int(phase), lanes.take(lanes.phase == phase)) for phase in phases]
 
     def _tasks(self, lanes: Lanes) -> Task:
         return tasks(self._scenarios, lanes.scenario, lanes.target)
@@ -139,10 +145,10 @@ class Engine:
         if new:
             starts = self._scenarios.x_start[new]
             parts.append(self._new_lanes(np.array(new), np.zeros(len(new), int), starts, starts))
-        self._lanes = _map(lambda *t: np.concatenate(t), *parts) if parts else None
+        self._lanes = _join(parts) if parts else None
         return self._lanes is not None
 
-    def _new_lanes(self, scenario, target, x_previous, x_ref, candidate=MAIN, stage=0) -> Lanes:
+    def _new_lanes(self, scenario, target, x_previous, x_ref, candidate=MAIN) -> Lanes:
         lanes, n, k = len(scenario), self._joints, self._bodies
 
         def column(value):
@@ -152,25 +158,30 @@ class Engine:
             np.zeros((lanes, 3)), np.zeros((lanes, 3, n)), np.zeros((lanes, k)), np.zeros((lanes, k, n))
         )
         return Lanes(
-            column(scenario), column(target), column(candidate), column(TRACK), column(stage),
-            np.ones(lanes, bool), column(0), column(0), np.array(x_previous), np.array(x_ref), linear,
+            column(scenario), column(target), column(candidate), column(NEW), column(0), column(0),
+            np.array(x_previous), np.array(x_ref), linear,
         )  # fmt: skip
 
     def _keep(self, lanes: Lanes) -> None:
         """Put lanes that go on back into the table."""
         if len(lanes.scenario):
-            self._lanes = (
-                lanes if self._lanes is None else _map(lambda a, b: np.concatenate([a, b]), self._lanes, lanes)
-            )
+            self._lanes = lanes if self._lanes is None else _join([self._lanes, lanes])
 
     # Tracking by step QPs
 
+    def _linearise(self, lanes: Lanes) -> None:
+        """Linearise new lanes where they are."""
+        now = self._kernels("advance", self._tasks(lanes), lanes.x_ref, np.zeros_like(lanes.x_ref))
+        self._keep(lanes._replace(x_ref=now.x, linear=now.linear, phase=np.full_like(lanes.phase, TRACK)))
+
     def _track(self, lanes: Lanes) -> None:
+        """One step QP for every lane, or on the device a burst of them."""
         settings = self._settings
-        lanes, now, verdict = self._burst(lanes) if self._solver is None else self._step(lanes)
-        tried, solved = lanes.iteration > 0, verdict == QPStatus.SOLVED
-        reached = tried & solved & (now.residual <= settings.tolerance_m) & (now.clearance > 0)
-        stuck = tried & ~reached & (~solved | (lanes.iteration >= settings.inner_iterations))
+        now, iteration, verdict = self._burst(lanes) if self._solver is None else self._step(lanes)
+        lanes = lanes._replace(x_ref=now.x, linear=now.linear, iteration=iteration)
+        solved = verdict == QPStatus.SOLVED
+        reached = solved & (now.residual <= settings.tolerance_m) & (now.clearance > 0)
+        stuck = ~reached & (~solved | (iteration >= settings.inner_iterations))
         self._keep(lanes.take(~reached & ~stuck))
 
         reason = np.where(
@@ -179,35 +190,19 @@ class Engine:
             np.where(verdict == QPStatus.FAILED, Status.QP_FAILED, Status.ITERATION_LIMIT),
         )
         main = lanes.candidate == MAIN
-        self._stuck(lanes.take(stuck & main), reason[stuck & main])
+        self._enter(lanes.take(stuck & main), 0, reason[stuck & main])
         self._reached(lanes.take(reached & main), _rows(now, reached & main))
         self._decided(lanes, now, reached & ~main, stuck & ~main)
 
-    def _step(self, lanes: Lanes) -> tuple[Lanes, Measured, np.ndarray]:
-        """One step QP for every lane, solved on the host; a fresh lane is linearised only."""
-        y, verdict = np.zeros_like(lanes.x_ref), np.full(len(lanes.scenario), QPStatus.SOLVED, np.int32)
-        old = ~lanes.fresh
-        if old.any():
-            known = lanes.take(old)
-            qps = self._kernels("prepare", self._tasks(known), known.x_ref, known.x_previous, known.linear)
-            y[old], verdict[old] = self._solver.solve(qps)
-        now: Measured = self._kernels("advance", self._tasks(lanes), lanes.x_ref, y)
-        return self._moved(lanes, now, lanes.iteration + old), now, verdict
+    def _step(self, lanes: Lanes) -> tuple[Measured, np.ndarray, np.ndarray]:
+        task = self._tasks(lanes)
+        qps = self._kernels("prepare", task, lanes.x_ref, lanes.x_previous, lanes.linear)
+        y, verdict = self._solver.solve(qps)
+        return self._kernels("advance", task, lanes.x_ref, y), lanes.iteration + 1, verdict
 
-    def _burst(self, lanes: Lanes) -> tuple[Lanes, Measured, np.ndarray]:
-        """A few step QPs for every lane, solved on the device; a fresh lane is linearised first."""
-        if lanes.fresh.any():
-            new = lanes.take(lanes.fresh)
-            here = self._kernels("advance", self._tasks(new), new.x_ref, np.zeros_like(new.x_ref))
-            tables = zip(lanes.linear, here.linear, strict=True)
-            lanes = lanes._replace(linear=Linearisation(*(_put(table, lanes.fresh, rows) for table, rows in tables)))
+    def _burst(self, lanes: Lanes) -> tuple[Measured, np.ndarray, np.ndarray]:
         state = lanes.x_ref, lanes.x_previous, lanes.linear, lanes.iteration
-        now, iteration, verdict = self._kernels("track", self._tasks(lanes), *state)
-        return self._moved(lanes, now, iteration), now, verdict
-
-    def _moved(self, lanes: Lanes, now: Measured, iteration: np.ndarray) -> Lanes:
-        fresh = np.zeros_like(lanes.fresh)
-        return lanes._replace(x_ref=now.x, linear=now.linear, iteration=iteration, fresh=fresh)
+        return self._kernels("track", self._tasks(lanes), *state)
 
     def _reached(self, lanes: Lanes, now: Measured) -> None:
         """Main lanes whose step QP reached the target: ascend if the method does, check the path, go on."""
@@ -220,7 +215,7 @@ class Engine:
             clear = self._kernels("check_path", self._tasks(lanes), lanes.x_previous, now.x).astype(np.int8)
         blocked = clear == 0
         self._accept(lanes.take(~blocked), _rows(now, ~blocked), Status.TRACKED, 0, clear[~blocked])
-        self._stuck(lanes.take(blocked), np.full(int(blocked.sum()), Status.PATH_BLOCKED))
+        self._enter(lanes.take(blocked), 0, Status.PATH_BLOCKED)
 
     def _ascended(self, lanes: Lanes, now: Measured) -> tuple[Lanes, Measured]:
         """Keep clear: move on in the null space where D is small, unless that blocks a path that was clear."""
@@ -261,7 +256,6 @@ class Engine:
             target=lanes.target + 1,
             iteration=zero,
             phase=zero + TRACK,
-            stage=zero,
         )
         done = lanes.target >= self._scenarios.count[lanes.scenario]
         self._finished += int(done.sum())
@@ -269,147 +263,126 @@ class Engine:
 
     # Escapes
 
-    def _stuck(self, lanes: Lanes, reason: np.ndarray) -> None:
-        """Main lanes that step QPs could not bring to their target."""
-        for stage in np.unique(lanes.stage):
-            at = lanes.stage == stage
-            self._enter(lanes.take(at), int(stage), reason[at])
-
-    def _enter(self, lanes: Lanes, stage: int, reason: np.ndarray) -> None:
-        """Begin a stage of the escape; without one, fail."""
+    def _enter(self, lanes: Lanes, stage: int, reason: np.ndarray | Status) -> None:
+        """Main lanes that have not come to their target: the given stage of the escape is next; without one, fail."""
         if not len(lanes.scenario):
             return
-        stages = self._method.stages
-        lanes = lanes._replace(stage=np.full_like(lanes.stage, stage))
-        if stage >= len(stages):
-            self._fail(lanes, reason)
-        elif isinstance(stages[stage], NullSpace):
-            here = self._kernels("enter", self._tasks(lanes), lanes.x_previous)
-            lanes = lanes._replace(
-                phase=np.full_like(lanes.phase, WALK), walked=np.zeros_like(lanes.walked), x_ref=here.x
-            )
-            self._arrived(lanes, here)
+        if stage < len(self._method.stages):
+            phase, walked = np.full_like(lanes.phase, stage), np.full_like(lanes.walked, ENTERING)
+            self._keep(lanes._replace(phase=phase, walked=walked))
         else:
-            found = self._kernels(f"sample {stage}", self._tasks(lanes), lanes.x_previous)
-            clear = []
-            for k in range(len(lanes.scenario)):
-                done = found.done[k]
-                if done.any():
-                    clear.append((lanes.take([k]), found.x[k][done]))
-                else:
-                    self._try_candidates(lanes.take([k]), found.x[k][found.valid[k]])
-            self._take_best(clear)
+            self._fail(lanes, reason)
 
-    def _walk(self, lanes: Lanes) -> None:
-        """One null-space step for every lane that walks."""
-        for stage in np.unique(lanes.stage):
-            part = lanes.take(lanes.stage == stage)
-            here = self._kernels(f"walk {stage}", self._tasks(part), part.x_previous, part.x_ref, part.walked)
-            self._arrived(part._replace(x_ref=here.x, walked=part.walked + 1), here)
+    def _walk(self, lanes: Lanes, stage: int) -> None:
+        """One null-space step for every lane; one that enters is brought onto its target first."""
+        entering = lanes.walked == ENTERING
+        if entering.any():
+            new = lanes.take(entering)
+            now = self._kernels("enter", self._tasks(new), new.x_previous)
+            lanes = _join([lanes.take(~entering), self._arrived(new, now, stage)])
+        if len(lanes.scenario):
+            now = self._kernels(f"walk {stage}", self._tasks(lanes), lanes.x_previous, lanes.x_ref, lanes.walked)
+            self._keep(self._arrived(lanes, now, stage))
 
-    def _arrived(self, lanes: Lanes, here) -> None:
-        """Lanes after a null-space step: out of it, at the end of it, or still in it."""
-        out = (here.clearance > 0) & (here.residual <= self._settings.tolerance_m)
+    def _arrived(self, lanes: Lanes, now: Measured, stage: int) -> Lanes:
+        """Lanes after one more step in the null space: those that are out of it, or at the end of it, leave; the others
+        come back."""
+        lanes = lanes._replace(x_ref=now.x, walked=lanes.walked + 1)
+        out = (now.clearance > 0) & (now.residual <= self._settings.tolerance_m)
         spent = ~out & (lanes.walked >= self._settings.outer_steps)
-        self._keep(lanes.take(~out & ~spent))
-        for stage in np.unique(lanes.stage):
-            ended = spent & (lanes.stage == stage)
-            self._next_stage(lanes.take(ended), int(stage), Status.ESCAPE_EXHAUSTED)
+        self._enter(lanes.take(spent), stage + 1, Status.ESCAPE_EXHAUSTED)
         free = lanes.take(out)
         if self._settings.after_escape == "track":
-            for k in range(len(free.scenario)):
-                self._try_candidates(free.take([k]), free.x_ref[[k]])
-        elif len(free.scenario):
-            now = self._kernels("advance", self._tasks(free), free.x_ref, np.zeros_like(free.x_ref))
-            self._escaped(free, now)
+            self._try_candidates(free, free.x_ref[:, None], np.ones((len(free.scenario), 1), bool), stage)
+        else:
+            self._escaped(free, _rows(now, out), self._path_clear(free, free.x_ref), stage)
+        return lanes.take(~out & ~spent)
 
-    def _escaped(self, lanes: Lanes, now: Measured) -> None:
-        """Lanes at a configuration that an escape found: the path there must be clear where paths are checked."""
-        clear = np.full(len(lanes.scenario), -1, np.int8)
-        if self._check_escapes:
-            clear = self._kernels("check_path", self._tasks(lanes), lanes.x_previous, now.x).astype(np.int8)
-        self._at_the_end(lanes, now, clear)
+    def _path_clear(self, lanes: Lanes, x: np.ndarray) -> np.ndarray:
+        """Whether the joint path from each lane's last target to the end x of its escape is clear; -1: not checked."""
+        if not (self._check_escapes and len(x)):
+            return np.full(len(x), -1, np.int8)
+        return self._kernels("check_path", self._tasks(lanes), lanes.x_previous, x).astype(np.int8)
 
-    def _at_the_end(self, lanes: Lanes, now: Measured, clear: np.ndarray) -> None:
-        """Lanes that an escape has brought to their target: go on where the path is clear, or not checked (-1)."""
-        for stage in np.unique(lanes.stage):
-            good = (clear != 0) & (lanes.stage == stage)
-            self._accept(lanes.take(good), _rows(now, good), Status.TRACKED_AFTER_ESCAPE, int(stage) + 1, clear[good])
-            self._next_stage(lanes.take((clear == 0) & (lanes.stage == stage)), int(stage), Status.PATH_BLOCKED)
-
-    def _next_stage(self, lanes: Lanes, stage: int, reason: Status) -> None:
-        self._enter(lanes, stage + 1, np.full(len(lanes.scenario), reason))
+    def _escaped(self, lanes: Lanes, now: Measured, clear: np.ndarray, stage: int) -> None:
+        """Lanes that a stage has brought to their target: go on where the path there is clear, or not checked."""
+        good = clear != 0
+        self._accept(lanes.take(good), _rows(now, good), Status.TRACKED_AFTER_ESCAPE, stage + 1, clear[good])
+        self._enter(lanes.take(~good), stage + 1, Status.PATH_BLOCKED)
 
     # Candidates
 
-    def _try_candidates(self, lane: Lanes, x: np.ndarray) -> None:
-        """Track the lane's target from each of the configurations x (C, N) while the lane waits."""
-        scenario = int(lane.scenario[0])
-        self._waiting[scenario] = Waiting(lane, len(x))
-        if len(x):
-            n = len(x)
-            self._queue.append(
-                self._new_lanes(
-                    np.repeat(lane.scenario, n),
-                    np.repeat(lane.target, n),
-                    np.repeat(lane.x_previous, n, axis=0),
-                    x,
-                    candidate=np.arange(n),
-                    stage=np.repeat(lane.stage, n),
-                )
-            )
-        else:
-            self._choose([scenario])
+    def _sample(self, lanes: Lanes, stage: int) -> None:
+        """Propose candidates for every lane. Where some are done as they are, take the best of them; elsewhere try."""
+        found = self._kernels(f"sample {stage}", self._tasks(lanes), lanes.x_previous)
+        done = found.done.any(axis=1)
+        self._try_candidates(lanes.take(~done), found.x[~done], found.valid[~done], stage)
+        if done.any():
+            lanes, (owner, number) = lanes.take(done), np.nonzero(found.done[done])
+            x = found.x[done][owner, number]
+            best, clear = self._best(lanes, owner, number, x)
+            now = self._kernels("advance", self._tasks(lanes), x[best], np.zeros_like(x[best]))
+            self._escaped(lanes, now, clear, stage)
+
+    def _try_candidates(self, lanes: Lanes, x: np.ndarray, valid: np.ndarray, stage: int) -> None:
+        """Track the target of each lane from its valid configurations, x (lanes, C, N), while the lane waits."""
+        left = valid.sum(axis=1)
+        for k in np.flatnonzero(left):
+            self._waiting[int(lanes.scenario[k])] = Waiting(lanes.take([k]), int(left[k]))
+        owner, number = np.nonzero(valid)
+        if len(owner):
+            task = lanes.scenario[owner], lanes.target[owner]
+            self._queue.append(self._new_lanes(*task, lanes.x_previous[owner], x[owner, number], number))
+        self._enter(lanes.take(left == 0), stage + 1, Status.ESCAPE_EXHAUSTED)
 
     def _decided(self, lanes: Lanes, now: Measured, reached: np.ndarray, stuck: np.ndarray) -> None:
         """Candidates that reached the target, and those that did not."""
-        ready = []
-        for k in np.flatnonzero(reached | stuck):
-            scenario = int(lanes.scenario[k])
-            waiting = self._waiting[scenario]
-            waiting.left -= 1
-            waiting.qps += int(lanes.iteration[k])
-            if reached[k]:
-                waiting.reached.append(now.x[[k]])
-                waiting.numbers.append(int(lanes.candidate[k]))
-            if not waiting.left:
-                ready.append(scenario)
-        self._choose(ready)
-
-    def _choose(self, scenarios: list[int]) -> None:
-        """Go on from the best of the candidates that reached the target."""
-        clear = []
-        for waiting in [self._waiting.pop(scenario) for scenario in scenarios]:
-            lane = waiting.lane._replace(iteration=waiting.lane.iteration + waiting.qps)
-            if waiting.reached:
-                # In the order of their numbers, whatever the order in which they came in.
-                x = np.concatenate([waiting.reached[k] for k in np.argsort(waiting.numbers)])
-                clear.append((lane, x))
-            else:
-                self._next_stage(lane, int(lane.stage[0]), Status.ESCAPE_EXHAUSTED)
-        self._take_best(clear)
-
-    def _take_best(self, found: list[tuple[Lanes, np.ndarray]]) -> None:
-        """Go on, from every lane, with one of its configurations (C, N) that are clear on the target: the smallest
-        joint change whose path is clear."""
-        if not found:
+        decided = np.flatnonzero(reached | stuck)
+        if not len(decided):
             return
-        sizes = [len(x) for _, x in found]
-        many = _map(lambda *t: np.concatenate(t), *(lane.take(np.zeros(len(x), int)) for lane, x in found))
-        x = np.concatenate([x for _, x in found])
-        clear = np.full(len(x), -1, np.int8)
-        if self._check_escapes:
-            clear = self._kernels("check_path", self._tasks(many), many.x_previous, x).astype(np.int8)
-        change = np.where(clear != 0, np.linalg.norm(x - many.x_previous, axis=1), np.inf)
-        ends = np.cumsum(sizes)
-        best = np.array([end - n + np.argmin(change[end - n : end]) for end, n in zip(ends, sizes, strict=True)])
-        many, x = many.take(best), x[best]
-        now = self._kernels("advance", self._tasks(many), x, np.zeros_like(x))
-        self._at_the_end(many, now, clear[best])
+        decided = decided[np.argsort(lanes.scenario[decided], kind="stable")]
+        ready = []
+        for rows in np.split(decided, np.flatnonzero(np.diff(lanes.scenario[decided])) + 1):
+            scenario = int(lanes.scenario[rows[0]])
+            waiting = self._waiting[scenario]
+            waiting.left -= len(rows)
+            waiting.qps += int(lanes.iteration[rows].sum())
+            if reached[rows].any():
+                good = rows[reached[rows]]
+                waiting.numbers.append(lanes.candidate[good])
+                waiting.ends.append(_rows(now, good))
+            if not waiting.left:
+                ready.append(self._waiting.pop(scenario))
+        for stage in sorted({int(waiting.lane.phase[0]) for waiting in ready}):
+            self._choose([waiting for waiting in ready if waiting.lane.phase[0] == stage], stage)
+
+    def _choose(self, ready: list[Waiting], stage: int) -> None:
+        """Go on from the best of the candidates that reached the target."""
+        lanes = _join([each.lane._replace(iteration=each.lane.iteration + each.qps) for each in ready])
+        found = np.array([bool(each.numbers) for each in ready])
+        self._enter(lanes.take(~found), stage + 1, Status.ESCAPE_EXHAUSTED)
+        if found.any():
+            ready, lanes = [each for each in ready if each.numbers], lanes.take(found)
+            owner = np.repeat(np.arange(len(ready)), [sum(map(len, each.numbers)) for each in ready])
+            number = np.concatenate([part for each in ready for part in each.numbers])
+            ends = zip(*(_flat(part) for each in ready for part in each.ends), strict=True)
+            now = _unflat([np.concatenate(parts) for parts in ends])
+            best, clear = self._best(lanes, owner, number, now.x)
+            self._escaped(lanes, _rows(now, best), clear, stage)
+
+    def _best(self, lanes: Lanes, owner: np.ndarray, number: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, ...]:
+        """For every lane, which of the configurations x (M, N) that it owns has the smallest joint change of those
+        whose path is clear, and whether that is clear (-1: not checked)."""
+        start = lanes.x_previous[owner]
+        clear = self._path_clear(lanes.take(owner), x)
+        change = np.where(clear != 0, np.linalg.norm(x - start, axis=1), np.inf)
+        order = np.lexsort((number, change, owner))
+        best = order[np.unique(owner[order], return_index=True)[1]]
+        return best, clear[best]
 
     # Failure, and the way back
 
-    def _fail(self, lanes: Lanes, reason: np.ndarray) -> None:
+    def _fail(self, lanes: Lanes, reason: np.ndarray | Status) -> None:
         """The target is lost, and with it the rest of the scenario, unless another posture leads there."""
         self._plans.status[lanes.scenario, lanes.target] = reason
         self._plans.iterations[lanes.scenario, lanes.target] = lanes.iteration
@@ -458,6 +431,10 @@ EMPTY = {
     "x": np.nan, "tcp": np.nan, "clearance": np.nan, "residual": np.nan, "status": Status.NOT_ATTEMPTED,
     "iterations": 0, "joint_step": np.nan, "escape": 0, "path_clear": -1,
 }  # fmt: skip
+
+
+def _join(lanes: list[Lanes]) -> Lanes:
+    return lanes[0] if len(lanes) == 1 else _map(lambda *tables: np.concatenate(tables), *lanes)
 
 
 def _rows(now: Measured, rows) -> Measured:

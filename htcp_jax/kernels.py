@@ -132,6 +132,10 @@ def advance(settings: Settings, scene: Scene, task: Task, x_ref, y) -> Measured:
     return Measured(x, linear, jnp.min(linear.clearance), safe_norm(linear.tcp - task.target))
 
 
+def _measured(settings: Settings, scene: Scene, task: Task, x) -> Measured:
+    return advance(settings, scene, task, x, jnp.zeros_like(x))
+
+
 class Tracked(NamedTuple):
     """A lane after a burst of step QPs: where it is, how many this target has taken, and the last one's verdict."""
 
@@ -162,18 +166,18 @@ def track(settings: Settings, scene: Scene, task: Task, x_ref, x_previous, linea
     return jax.lax.while_loop(going, step, (start, jnp.zeros((), jnp.int32)))[0]
 
 
-def enter_null_space(settings: Settings, scene: Scene, task: Task, x_previous):
+def enter_null_space(settings: Settings, scene: Scene, task: Task, x_previous) -> Measured:
     """Algorithm 1, line 9: inverse kinematics of the stuck target from x_{t-1}."""
-    scene = _scene(scene, task)
-    x, _ = reanchor(scene.robot, x_previous, task.target, 0.1 * settings.tolerance_m)
-    return anchor(scene, settings, task, x, task.target)
+    own = _scene(scene, task)
+    x, _ = reanchor(own.robot, x_previous, task.target, 0.1 * settings.tolerance_m)
+    return _measured(settings, scene, task, anchor(own, settings, task, x, task.target).x)
 
 
-def walk_null_space(stage, index, settings: Settings, scene: Scene, task: Task, x_previous, x_ref, count):
+def walk_null_space(stage, index, settings: Settings, scene: Scene, task: Task, x_previous, x_ref, count) -> Measured:
     """One step of a null-space stage."""
-    scene = _scene(scene, task)
     stuck = _stuck(settings, task, x_previous, index)
-    return null_space_step(stage.minimise, scene, settings, task, stuck, x_ref, count)
+    there = null_space_step(stage.minimise, _scene(scene, task), settings, task, stuck, x_ref, count)
+    return _measured(settings, scene, task, there.x)
 
 
 def propose(stage: Sample, index, settings: Settings, scene: Scene, task: Task, x_previous) -> Candidates:
