@@ -291,7 +291,11 @@ class Kernels:
         padded = jax.tree.map(lambda t: _pad(np.asarray(t), capacity), tables)
         chunks = np.int32(-(-lanes // width))
         result = self._program(name, width, chunks, padded)(self._scene, chunks, *padded)
-        return jax.tree.map(lambda r: r[:lanes], jax.device_get(result))
+        # Waiting for an array holds the interpreter's lock, which other engines need; this does not.
+        jax.block_until_ready(result)
+        if self.device.platform != "cpu":
+            result = jax.device_get(result)  # all copies at once
+        return jax.tree.map(lambda r: np.asarray(r)[:lanes], result)
 
     def _program(self, name: str, width: int, chunks, tables) -> Callable:
         if name in self._programs:

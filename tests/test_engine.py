@@ -1,6 +1,7 @@
 """The engine: who else is in the batch has no influence, nothing compiles twice, one broken QP breaks one scenario."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -43,11 +44,24 @@ def planned(request, scene, scenarios):
 
 
 @pytest.mark.parametrize("method", ["nspace-sqp", "cspace-sample"])
-def test_which_group_of_lanes_goes_first_has_no_influence(method, scene, scenarios, monkeypatch):
-    """On a GPU the larger one of those that track and those that walk, on a CPU both."""
-    both = plan(*scene, scenarios, method, PAPER)
+@pytest.mark.parametrize("after_escape", ["accept", "track"])
+def test_which_phase_goes_first_has_no_influence(method, after_escape, scene, scenarios, monkeypatch):
+    """On a GPU the one that most lanes are in, so that an escape's calls are fewer and fuller; on a CPU all of them."""
+    settings, calls = replace(PAPER, after_escape=after_escape), []
+    run = kernels.Kernels._run
+
+    def counted(self, name, tables):
+        calls.append((name, len(tables[0].row)))
+        return run(self, name, tables)
+
+    monkeypatch.setattr(kernels.Kernels, "_run", counted)
+    both, all_phases = plan(*scene, scenarios, method, settings, threads=1), list(calls)
+    calls.clear()
     monkeypatch.setattr(kernels.Kernels, "pays_by_lane", False)
-    same(both, plan(*scene, scenarios, method, PAPER), slice(None), slice(None))
+    same(both, plan(*scene, scenarios, method, settings, threads=1), slice(None), slice(None))
+    escape = "walk 0" if method == "nspace-sqp" else "sample 0"
+    every, fuller = ([lanes for name, lanes in log if name == escape] for log in (all_phases, calls))
+    assert sum(fuller) == sum(every) and len(fuller) < len(every)
 
 
 def same(a, b, rows_a, rows_b):
