@@ -13,52 +13,22 @@ ones leave, new scenarios take their place. Lanes in the same phase go through o
 happen to be has no influence on any of them: a scenario's result is the same alone, in any batch, in any order and on
 any thread.
 
-Everything here is bookkeeping on numpy tables. The mathematics is in `escape` and below; batching is in `kernels`.
+Everything here is bookkeeping on numpy tables (`lanes`). The mathematics is in `escape` and below; batching is in `kernels`.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
-import jax
 import numpy as np
 
-from htcp_jax.clearance import Linearisation
 from htcp_jax.escape import METHODS, NullSpace
 from htcp_jax.kernels import Kernels, Measured, Task, tasks
+from htcp_jax.lanes import ENTERING, MAIN, NEW, TRACK, Lanes, join, new_lanes, put, take
 from htcp_jax.plans import Plans
 from htcp_jax.qp import QPSolver, QPStatus
 from htcp_jax.scenario import Scenario
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
-
-MAIN = -1  # `candidate` of a lane that tracks for its scenario itself
-NEW, TRACK = -2, -1  # phases; of a lane that is in a stage of its escape, the phase is the number of that stage
-ENTERING = -1  # `walked` of a lane that is not in the null space yet
-
-
-class Lanes(NamedTuple):
-    """The active lanes, one row each."""
-
-    scenario: np.ndarray
-    target: np.ndarray
-    candidate: np.ndarray  # MAIN, or the number of a candidate
-    phase: np.ndarray  # NEW: to be linearised; TRACK: by step QPs; or a stage of the escape
-    iteration: np.ndarray  # step QPs at this target so far
-    walked: np.ndarray  # ENTERING, or null-space steps so far
-    x_previous: np.ndarray
-    x_ref: np.ndarray
-    linear: Linearisation
-
-    def take(self, rows) -> "Lanes":
-        """Some of the lanes, as copies."""
-        return _map(lambda t: t[rows], self)
-
-
-def _map(function: Callable, *lanes: Lanes) -> Lanes:
-    fields = [function(*columns) for columns in zip(*(lane[:-1] for lane in lanes), strict=True)]
-    linear = Linearisation(*(function(*columns) for columns in zip(*(lane.linear for lane in lanes), strict=True)))
-    return Lanes(*fields, linear)
 
 
 @dataclass
@@ -95,7 +65,6 @@ class Engine:
         self._lanes: Lanes | None = None
         self._queue: list[Lanes] = []  # lanes waiting for room in the table
         self._waiting: dict[int, Waiting] = {}
-        self._bodies, self._joints = kernels.bodies, scenarios.x_start.shape[1]
 
     def run(self, scenarios: Iterator[int], tell: Callable[[int, int], None]) -> None:
         """Plan until the iterator is empty. tell(targets newly tracked, scenarios newly finished) after every round."""
@@ -119,8 +88,8 @@ class Engine:
         phases, counts = np.unique(lanes.phase, return_counts=True)
         if not self._kernels.pays_by_lane:
             phases = phases[[np.argmax(counts)]]
-            self._keep(lanes.take(lanes.phase != phases[0]))
-        return [(int(phase), lanes.take(lanes.phase == phase)) for phase in phases]
+            self._keep(take(lanes, lanes.phase != phases[0]))
+        return [(int(phase), take(lanes, lanes.phase == phase)) for phase in phases]
 
     def _tasks(self, lanes: Lanes) -> Task:
         return tasks(self._scenarios, lanes.scenario, lanes.target)
@@ -131,41 +100,27 @@ class Engine:
         """Top the table up from the queue, then with new scenarios. False when nothing is left to do."""
         parts, room = [], self._capacity
         if self._lanes is not None:
-            parts, room = [self._lanes], room - len(self._lanes.scenario)
+            parts, room = [self._lanes], room - self._lanes.size
         while room > 0 and self._queue:
             block = self._queue.pop(0)
-            if len(block.scenario) > room:
-                self._queue.insert(0, block.take(slice(room, None)))
-                block = block.take(slice(0, room))
+            if block.size > room:
+                self._queue.insert(0, take(block, slice(room, None)))
+                block = take(block, slice(0, room))
             parts.append(block)
-            room -= len(block.scenario)
+            room -= block.size
         new = []
         while len(new) < min(room, self._share) and (scenario := next(scenarios, None)) is not None:
             new.append(scenario)
         if new:
             starts = self._scenarios.x_start[new]
-            parts.append(self._new_lanes(np.array(new), np.zeros(len(new), int), starts, starts))
-        self._lanes = _join(parts) if parts else None
+            parts.append(new_lanes(self._kernels.bodies, np.array(new), np.zeros(len(new), int), starts, starts))
+        self._lanes = join(parts) if parts else None
         return self._lanes is not None
-
-    def _new_lanes(self, scenario, target, x_previous, x_ref, candidate=MAIN) -> Lanes:
-        lanes, n, k = len(scenario), self._joints, self._bodies
-
-        def column(value):
-            return np.broadcast_to(np.asarray(value, np.int32), lanes).copy()
-
-        linear = Linearisation(
-            np.zeros((lanes, 3)), np.zeros((lanes, 3, n)), np.zeros((lanes, k)), np.zeros((lanes, k, n))
-        )
-        return Lanes(
-            column(scenario), column(target), column(candidate), column(NEW), column(0), column(0),
-            np.array(x_previous), np.array(x_ref), linear,
-        )  # fmt: skip
 
     def _keep(self, lanes: Lanes) -> None:
         """Put lanes that go on back into the table."""
-        if len(lanes.scenario):
-            self._lanes = lanes if self._lanes is None else _join([self._lanes, lanes])
+        if lanes.size:
+            self._lanes = lanes if self._lanes is None else join([self._lanes, lanes])
 
     # Tracking by step QPs
 
@@ -182,7 +137,7 @@ class Engine:
         solved = verdict == QPStatus.SOLVED
         reached = solved & (now.residual <= settings.tolerance_m) & (now.clearance > 0)
         stuck = ~reached & (~solved | (iteration >= settings.inner_iterations))
-        self._keep(lanes.take(~reached & ~stuck))
+        self._keep(take(lanes, ~reached & ~stuck))
 
         reason = np.where(
             verdict == QPStatus.INFEASIBLE,
@@ -190,8 +145,8 @@ class Engine:
             np.where(verdict == QPStatus.FAILED, Status.QP_FAILED, Status.ITERATION_LIMIT),
         )
         main = lanes.candidate == MAIN
-        self._enter(lanes.take(stuck & main), 0, reason[stuck & main])
-        self._reached(lanes.take(reached & main), _rows(now, reached & main))
+        self._enter(take(lanes, stuck & main), 0, reason[stuck & main])
+        self._reached(take(lanes, reached & main), take(now, reached & main))
         self._decided(lanes, now, reached & ~main, stuck & ~main)
 
     def _step(self, lanes: Lanes) -> tuple[Measured, np.ndarray, np.ndarray]:
@@ -206,34 +161,34 @@ class Engine:
 
     def _reached(self, lanes: Lanes, now: Measured) -> None:
         """Main lanes whose step QP reached the target: ascend if the method does, check the path, go on."""
-        if not len(lanes.scenario):
+        if not lanes.size:
             return
-        clear = np.full(len(lanes.scenario), -1, np.int8)
+        clear = np.full(lanes.size, -1, np.int8)
         if self._method.keep_clear:
             lanes, now = self._ascended(lanes, now)
         if self._check_steps:
             clear = self._kernels("check_path", self._tasks(lanes), lanes.x_previous, now.x).astype(np.int8)
         blocked = clear == 0
-        self._accept(lanes.take(~blocked), _rows(now, ~blocked), Status.TRACKED, 0, clear[~blocked])
-        self._enter(lanes.take(blocked), 0, Status.PATH_BLOCKED)
+        self._accept(take(lanes, ~blocked), take(now, ~blocked), Status.TRACKED, 0, clear[~blocked])
+        self._enter(take(lanes, blocked), 0, Status.PATH_BLOCKED)
 
     def _ascended(self, lanes: Lanes, now: Measured) -> tuple[Lanes, Measured]:
         """Keep clear: move on in the null space where D is small, unless that blocks a path that was clear."""
         low = now.clearance < self._settings.keep_clear_m
         if not low.any():
             return lanes, now
-        near = lanes.take(low)
+        near = take(lanes, low)
         higher = self._kernels("ascend", self._tasks(near), now.x[low]).x
         if self._check_steps:
             clear = self._kernels("check_path", self._tasks(near), near.x_previous, higher)
             higher = np.where(clear[:, None], higher, now.x[low])
         moved = self._kernels("advance", self._tasks(near), higher, np.zeros_like(higher))
-        now = _unflat([_put(table, low, new) for table, new in zip(_flat(now), _flat(moved), strict=True)])
+        now = put(now, low, moved)
         return lanes._replace(x_ref=now.x, linear=now.linear), now
 
     def _accept(self, lanes: Lanes, now: Measured, status: Status, stage: int, clear: np.ndarray) -> None:
         """Record the target and go on to the next one, or finish."""
-        if len(lanes.scenario):
+        if lanes.size:
             self._record(lanes, now, status, stage, clear)
             self._go_on(lanes, now)
 
@@ -259,13 +214,13 @@ class Engine:
         )
         done = lanes.target >= self._scenarios.count[lanes.scenario]
         self._finished += int(done.sum())
-        self._keep(lanes.take(~done))
+        self._keep(take(lanes, ~done))
 
     # Escapes
 
     def _enter(self, lanes: Lanes, stage: int, reason: np.ndarray | Status) -> None:
         """Main lanes that have not come to their target: the given stage of the escape is next; without one, fail."""
-        if not len(lanes.scenario):
+        if not lanes.size:
             return
         if stage < len(self._method.stages):
             phase, walked = np.full_like(lanes.phase, stage), np.full_like(lanes.walked, ENTERING)
@@ -277,10 +232,10 @@ class Engine:
         """One null-space step for every lane; one that enters is brought onto its target first."""
         entering = lanes.walked == ENTERING
         if entering.any():
-            new = lanes.take(entering)
+            new = take(lanes, entering)
             now = self._kernels("enter", self._tasks(new), new.x_previous)
-            lanes = _join([lanes.take(~entering), self._arrived(new, now, stage)])
-        if len(lanes.scenario):
+            lanes = join([take(lanes, ~entering), self._arrived(new, now, stage)])
+        if lanes.size:
             now = self._kernels(f"walk {stage}", self._tasks(lanes), lanes.x_previous, lanes.x_ref, lanes.walked)
             self._keep(self._arrived(lanes, now, stage))
 
@@ -290,13 +245,13 @@ class Engine:
         lanes = lanes._replace(x_ref=now.x, walked=lanes.walked + 1)
         out = (now.clearance > 0) & (now.residual <= self._settings.tolerance_m)
         spent = ~out & (lanes.walked >= self._settings.outer_steps)
-        self._enter(lanes.take(spent), stage + 1, Status.ESCAPE_EXHAUSTED)
-        free = lanes.take(out)
+        self._enter(take(lanes, spent), stage + 1, Status.ESCAPE_EXHAUSTED)
+        free = take(lanes, out)
         if self._settings.after_escape == "track":
-            self._try_candidates(free, free.x_ref[:, None], np.ones((len(free.scenario), 1), bool), stage)
+            self._try_candidates(free, free.x_ref[:, None], np.ones((free.size, 1), bool), stage)
         else:
-            self._escaped(free, _rows(now, out), self._path_clear(free, free.x_ref), stage)
-        return lanes.take(~out & ~spent)
+            self._escaped(free, take(now, out), self._path_clear(free, free.x_ref), stage)
+        return take(lanes, ~out & ~spent)
 
     def _path_clear(self, lanes: Lanes, x: np.ndarray) -> np.ndarray:
         """Whether the joint path from each lane's last target to the end x of its escape is clear; -1: not checked."""
@@ -307,8 +262,8 @@ class Engine:
     def _escaped(self, lanes: Lanes, now: Measured, clear: np.ndarray, stage: int) -> None:
         """Lanes that a stage has brought to their target: go on where the path there is clear, or not checked."""
         good = clear != 0
-        self._accept(lanes.take(good), _rows(now, good), Status.TRACKED_AFTER_ESCAPE, stage + 1, clear[good])
-        self._enter(lanes.take(~good), stage + 1, Status.PATH_BLOCKED)
+        self._accept(take(lanes, good), take(now, good), Status.TRACKED_AFTER_ESCAPE, stage + 1, clear[good])
+        self._enter(take(lanes, ~good), stage + 1, Status.PATH_BLOCKED)
 
     # Candidates
 
@@ -316,9 +271,9 @@ class Engine:
         """Propose candidates for every lane. Where some are done as they are, take the best of them; elsewhere try."""
         found = self._kernels(f"sample {stage}", self._tasks(lanes), lanes.x_previous)
         done = found.done.any(axis=1)
-        self._try_candidates(lanes.take(~done), found.x[~done], found.valid[~done], stage)
+        self._try_candidates(take(lanes, ~done), found.x[~done], found.valid[~done], stage)
         if done.any():
-            lanes, (owner, number) = lanes.take(done), np.nonzero(found.done[done])
+            lanes, (owner, number) = take(lanes, done), np.nonzero(found.done[done])
             x = found.x[done][owner, number]
             best, clear = self._best(lanes, owner, number, x)
             now = self._kernels("advance", self._tasks(lanes), x[best], np.zeros_like(x[best]))
@@ -328,12 +283,13 @@ class Engine:
         """Track the target of each lane from its valid configurations, x (lanes, C, N), while the lane waits."""
         left = valid.sum(axis=1)
         for k in np.flatnonzero(left):
-            self._waiting[int(lanes.scenario[k])] = Waiting(lanes.take([k]), int(left[k]))
+            self._waiting[int(lanes.scenario[k])] = Waiting(take(lanes, [k]), int(left[k]))
         owner, number = np.nonzero(valid)
         if len(owner):
             task = lanes.scenario[owner], lanes.target[owner]
-            self._queue.append(self._new_lanes(*task, lanes.x_previous[owner], x[owner, number], number))
-        self._enter(lanes.take(left == 0), stage + 1, Status.ESCAPE_EXHAUSTED)
+            x = x[owner, number]
+            self._queue.append(new_lanes(self._kernels.bodies, *task, lanes.x_previous[owner], x, number))
+        self._enter(take(lanes, left == 0), stage + 1, Status.ESCAPE_EXHAUSTED)
 
     def _decided(self, lanes: Lanes, now: Measured, reached: np.ndarray, stuck: np.ndarray) -> None:
         """Candidates that reached the target, and those that did not."""
@@ -350,7 +306,7 @@ class Engine:
             if reached[rows].any():
                 good = rows[reached[rows]]
                 waiting.numbers.append(lanes.candidate[good])
-                waiting.ends.append(_rows(now, good))
+                waiting.ends.append(take(now, good))
             if not waiting.left:
                 ready.append(self._waiting.pop(scenario))
         for stage in sorted({int(waiting.lane.phase[0]) for waiting in ready}):
@@ -358,23 +314,22 @@ class Engine:
 
     def _choose(self, ready: list[Waiting], stage: int) -> None:
         """Go on from the best of the candidates that reached the target."""
-        lanes = _join([each.lane._replace(iteration=each.lane.iteration + each.qps) for each in ready])
+        lanes = join([each.lane._replace(iteration=each.lane.iteration + each.qps) for each in ready])
         found = np.array([bool(each.numbers) for each in ready])
-        self._enter(lanes.take(~found), stage + 1, Status.ESCAPE_EXHAUSTED)
+        self._enter(take(lanes, ~found), stage + 1, Status.ESCAPE_EXHAUSTED)
         if found.any():
-            ready, lanes = [each for each in ready if each.numbers], lanes.take(found)
+            ready, lanes = [each for each in ready if each.numbers], take(lanes, found)
             owner = np.repeat(np.arange(len(ready)), [sum(map(len, each.numbers)) for each in ready])
             number = np.concatenate([part for each in ready for part in each.numbers])
-            ends = zip(*(_flat(part) for each in ready for part in each.ends), strict=True)
-            now = _unflat([np.concatenate(parts) for parts in ends])
+            now = join([part for each in ready for part in each.ends])
             best, clear = self._best(lanes, owner, number, now.x)
-            self._escaped(lanes, _rows(now, best), clear, stage)
+            self._escaped(lanes, take(now, best), clear, stage)
 
     def _best(self, lanes: Lanes, owner: np.ndarray, number: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, ...]:
         """For every lane, which of the configurations x (M, N) that it owns has the smallest joint change of those
         whose path is clear, and whether that is clear (-1: not checked)."""
         start = lanes.x_previous[owner]
-        clear = self._path_clear(lanes.take(owner), x)
+        clear = self._path_clear(take(lanes, owner), x)
         change = np.where(clear != 0, np.linalg.norm(x - start, axis=1), np.inf)
         order = np.lexsort((number, change, owner))
         best = order[np.unique(owner[order], return_index=True)[1]]
@@ -386,8 +341,8 @@ class Engine:
         """The target is lost, and with it the rest of the scenario, unless another posture leads there."""
         self._plans.status[lanes.scenario, lanes.target] = reason
         self._plans.iterations[lanes.scenario, lanes.target] = lanes.iteration
-        for k in range(len(lanes.scenario)):
-            if not (self._method.retries and self._plan_backwards(lanes.take([k]))):
+        for k in range(lanes.size):
+            if not (self._method.retries and self._plan_backwards(take(lanes, [k]))):
                 self._finished += 1
 
     def _plan_backwards(self, lane: Lanes) -> bool:
@@ -396,7 +351,7 @@ class Engine:
         lost = int(lane.target[0])
         for round_ in range(self._settings.postures):
             here = self._kernels("draw", tasks(self._scenarios, lane.scenario, lane.target, round_))
-            here = jax.tree.map(lambda leaf: leaf[0], here)
+            here = take(here, 0)
             chains = here.x[self._good(here)][:, None]
             for row in range(lost - 1, -1, -1):
                 if not len(chains):
@@ -415,7 +370,7 @@ class Engine:
     def _record_chain(self, lane: Lanes, x: np.ndarray) -> bool:
         """Write the chain x (rows, N) over the rows so far and go on behind it, if its paths are clear."""
         rows = len(x)
-        many = lane.take(np.zeros(rows, int))._replace(
+        many = take(lane, np.zeros(rows, int))._replace(
             target=np.arange(rows, dtype=np.int32), x_previous=x[[0, *range(rows - 1)]]
         )
         if not self._kernels("check_path", self._tasks(many), many.x_previous, x).all():
@@ -423,7 +378,7 @@ class Engine:
         now = self._kernels("advance", self._tasks(many), x, np.zeros_like(x))
         self._tracked -= rows - 1
         self._record(many, now, Status.TRACKED_AFTER_ESCAPE, len(self._method.stages) + 1, np.ones(rows, np.int8))
-        self._go_on(many.take([-1]), _rows(now, [-1]))
+        self._go_on(take(many, [-1]), take(now, [-1]))
         return True
 
 
@@ -431,26 +386,3 @@ EMPTY = {
     "x": np.nan, "tcp": np.nan, "clearance": np.nan, "residual": np.nan, "status": Status.NOT_ATTEMPTED,
     "iterations": 0, "joint_step": np.nan, "escape": 0, "path_clear": -1,
 }  # fmt: skip
-
-
-def _join(lanes: list[Lanes]) -> Lanes:
-    return lanes[0] if len(lanes) == 1 else _map(lambda *tables: np.concatenate(tables), *lanes)
-
-
-def _rows(now: Measured, rows) -> Measured:
-    return _unflat([table[rows] for table in _flat(now)])
-
-
-def _flat(now: Measured) -> list[np.ndarray]:
-    return [now.x, *now.linear, now.clearance, now.residual]
-
-
-def _unflat(tables) -> Measured:
-    x, *linear, clearance, residual = tables
-    return Measured(x, Linearisation(*linear), clearance, residual)
-
-
-def _put(table: np.ndarray, rows: np.ndarray, new: np.ndarray) -> np.ndarray:
-    table = table.copy()
-    table[rows] = new
-    return table

@@ -24,7 +24,7 @@ LAYERS = [
     ["qp"],
     ["qp_clarabel", "qp_qpsolvers", "qp_device"],
     ["qp_solvers"],
-    ["escape", "kernels", "engine", "planner"],
+    ["escape", "kernels", "lanes", "engine", "planner"],
     ["strict_yaml", "config", "job"],
     ["paper", "grid", "metrics", "results", "ceiling"],
     ["charts", "chart_style", "path_charts", "success_charts", "document"],
