@@ -13,7 +13,8 @@ ones leave, new scenarios take their place. Lanes in the same phase go through o
 happen to be has no influence on any of them: a scenario's result is the same alone, in any batch, in any order and on
 any thread.
 
-Everything here is bookkeeping on numpy tables (`lanes`). The mathematics is in `escape` and below; batching is in `kernels`.
+Everything here is bookkeeping on numpy tables (`lanes`). The mathematics is in `escape` and below; batching is in
+`kernels`.
 """
 
 from collections.abc import Callable, Iterator
