@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from htcp_jax import kernels, planner
+from htcp_jax.engine import Engine
+from htcp_jax.lanes import take
 from htcp_jax.planner import plan
 from htcp_jax.qp import QPSolution, QPStatus
 from htcp_jax.qp_clarabel import ClarabelSolver
@@ -48,20 +50,69 @@ def planned(request, scene, scenarios):
 def test_which_phase_goes_first_has_no_influence(method, after_escape, scene, scenarios, monkeypatch):
     """On a GPU the one that most lanes are in, so that an escape's calls are fewer and fuller; on a CPU all of them."""
     settings, calls = replace(PAPER, after_escape=after_escape), []
-    run = kernels.Kernels._run
+    run, turn = kernels.Kernels._run, Engine._turn
 
     def counted(self, name, tables):
         calls.append((name, len(tables[0].row)))
         return run(self, name, tables)
 
+    def one_turn(self):
+        _, counts = np.unique(self._lanes.phase, return_counts=True)
+        ((phase, lanes),) = turn(self)
+        assert lanes.size == counts.max() and (lanes.phase == phase).all()
+        return [(phase, lanes)]
+
     monkeypatch.setattr(kernels.Kernels, "_run", counted)
     both, all_phases = plan(*scene, scenarios, method, settings, threads=1), list(calls)
     calls.clear()
     monkeypatch.setattr(kernels.Kernels, "pays_by_lane", False)
+    monkeypatch.setattr(Engine, "_turn", one_turn)
     same(both, plan(*scene, scenarios, method, settings, threads=1), slice(None), slice(None))
     escape = "walk 0" if method == "nspace-sqp" else "sample 0"
     every, fuller = ([lanes for name, lanes in log if name == escape] for log in (all_phases, calls))
     assert sum(fuller) == sum(every) and len(fuller) < len(every)
+
+
+@pytest.mark.parametrize("path_check", ["none", "escapes"])
+def test_the_best_candidate_is_the_nearest_whose_path_is_clear(path_check, scene, scenarios, monkeypatch):
+    """Of equals the first; and one that is not clear only where none is."""
+    best, chosen = Engine._best, []
+
+    def watched(self, lanes, owner, number, x):
+        rows, clear = best(self, lanes, owner, number, x)
+        all_clear = self._path_clear(take(lanes, owner), x)
+        for k, (row, is_clear) in enumerate(zip(rows, clear, strict=True)):
+            own = [r for r in np.flatnonzero(owner == k) if all_clear[r]] or list(np.flatnonzero(owner == k))
+            assert row in own and is_clear == all_clear[row]
+            if is_clear:
+                far = [(np.linalg.norm(x[r] - lanes.x_previous[k]), number[r]) for r in own]
+                assert (np.linalg.norm(x[row] - lanes.x_previous[k]), number[row]) == min(far)
+            chosen.append(len(own))
+        return rows, clear
+
+    monkeypatch.setattr(Engine, "_best", watched)
+    plan(*scene, scenarios, "cspace-sample", replace(PAPER, path_check=path_check), threads=1)
+    assert max(chosen) > 1
+
+
+def test_a_walk_goes_on_from_where_it_came_to(scene, scenarios, monkeypatch):
+    """Every null-space step but the first begins where the one before it ended."""
+    run, ends = kernels.Kernels._run, {}
+
+    def followed(self, name, tables):
+        result = run(self, name, tables)
+        if name in ("enter", "walk 0"):
+            task = tables[0]
+            for k, at in enumerate(zip(task.number.tolist(), task.row.tolist(), strict=True)):
+                if name == "walk 0":
+                    np.testing.assert_array_equal(tables[2][k], ends[at][-1])
+                    assert tables[3][k] == len(ends[at]) - 1
+                ends.setdefault(at, []).append(result.x[k])
+        return result
+
+    monkeypatch.setattr(kernels.Kernels, "_run", followed)
+    plan(*scene, scenarios, "nspace-sqp", PAPER, threads=1)
+    assert max(map(len, ends.values())) > 2
 
 
 def same(a, b, rows_a, rows_b):
