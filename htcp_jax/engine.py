@@ -95,6 +95,20 @@ class Engine:
     def _tasks(self, lanes: Lanes) -> Task:
         return tasks(self._scenarios, lanes.scenario, lanes.target)
 
+    def _measured(self, lanes: Lanes, x: np.ndarray) -> Measured:
+        """The lanes at configurations x (lanes, N)."""
+        return self._kernels("advance", self._tasks(lanes), x, np.zeros_like(x))
+
+    def _at_target(self, here) -> np.ndarray:
+        """Which rows are clear and on their target."""
+        return (here.clearance > 0) & (here.residual <= self._settings.tolerance_m)
+
+    def _path_clear(self, lanes: Lanes, x: np.ndarray, asked: bool) -> np.ndarray:
+        """Whether the joint path from each lane's last target to x is clear; -1 where nobody asked."""
+        if not (asked and len(x)):
+            return np.full(len(x), -1, np.int8)
+        return self._kernels("check_path", self._tasks(lanes), lanes.x_previous, x).astype(np.int8)
+
     # Filling the table
 
     def _fill(self, scenarios: Iterator[int]) -> bool:
@@ -127,17 +141,16 @@ class Engine:
 
     def _linearise(self, lanes: Lanes) -> None:
         """Linearise new lanes where they are."""
-        now = self._kernels("advance", self._tasks(lanes), lanes.x_ref, np.zeros_like(lanes.x_ref))
+        now = self._measured(lanes, lanes.x_ref)
         self._keep(lanes._replace(x_ref=now.x, linear=now.linear, phase=np.full_like(lanes.phase, TRACK)))
 
     def _track(self, lanes: Lanes) -> None:
         """One step QP for every lane, or on the device a burst of them."""
-        settings = self._settings
         now, iteration, verdict = self._burst(lanes) if self._solver is None else self._step(lanes)
         lanes = lanes._replace(x_ref=now.x, linear=now.linear, iteration=iteration)
         solved = verdict == QPStatus.SOLVED
-        reached = solved & (now.residual <= settings.tolerance_m) & (now.clearance > 0)
-        stuck = ~reached & (~solved | (iteration >= settings.inner_iterations))
+        reached = solved & self._at_target(now)
+        stuck = ~reached & (~solved | (iteration >= self._settings.inner_iterations))
         self._keep(take(lanes, ~reached & ~stuck))
 
         reason = np.where(
@@ -164,11 +177,9 @@ class Engine:
         """Main lanes whose step QP reached the target: ascend if the method does, check the path, go on."""
         if not lanes.size:
             return
-        clear = np.full(lanes.size, -1, np.int8)
         if self._method.keep_clear:
             lanes, now = self._ascended(lanes, now)
-        if self._check_steps:
-            clear = self._kernels("check_path", self._tasks(lanes), lanes.x_previous, now.x).astype(np.int8)
+        clear = self._path_clear(lanes, now.x, self._check_steps)
         blocked = clear == 0
         self._accept(take(lanes, ~blocked), take(now, ~blocked), Status.TRACKED, 0, clear[~blocked])
         self._enter(take(lanes, blocked), 0, Status.PATH_BLOCKED)
@@ -180,10 +191,9 @@ class Engine:
             return lanes, now
         near = take(lanes, low)
         higher = self._kernels("ascend", self._tasks(near), now.x[low]).x
-        if self._check_steps:
-            clear = self._kernels("check_path", self._tasks(near), near.x_previous, higher)
-            higher = np.where(clear[:, None], higher, now.x[low])
-        moved = self._kernels("advance", self._tasks(near), higher, np.zeros_like(higher))
+        clear = self._path_clear(near, higher, self._check_steps)
+        higher = np.where(clear[:, None] != 0, higher, now.x[low])
+        moved = self._measured(near, higher)
         now = put(now, low, moved)
         return lanes._replace(x_ref=now.x, linear=now.linear), now
 
@@ -244,21 +254,15 @@ class Engine:
         """Lanes after one more step in the null space: those that are out of it, or at the end of it, leave; the others
         come back."""
         lanes = lanes._replace(x_ref=now.x, walked=lanes.walked + 1)
-        out = (now.clearance > 0) & (now.residual <= self._settings.tolerance_m)
+        out = self._at_target(now)
         spent = ~out & (lanes.walked >= self._settings.outer_steps)
         self._enter(take(lanes, spent), stage + 1, Status.ESCAPE_EXHAUSTED)
         free = take(lanes, out)
         if self._settings.after_escape == "track":
             self._try_candidates(free, free.x_ref[:, None], np.ones((free.size, 1), bool), stage)
         else:
-            self._escaped(free, take(now, out), self._path_clear(free, free.x_ref), stage)
+            self._escaped(free, take(now, out), self._path_clear(free, free.x_ref, self._check_escapes), stage)
         return take(lanes, ~out & ~spent)
-
-    def _path_clear(self, lanes: Lanes, x: np.ndarray) -> np.ndarray:
-        """Whether the joint path from each lane's last target to the end x of its escape is clear; -1: not checked."""
-        if not (self._check_escapes and len(x)):
-            return np.full(len(x), -1, np.int8)
-        return self._kernels("check_path", self._tasks(lanes), lanes.x_previous, x).astype(np.int8)
 
     def _escaped(self, lanes: Lanes, now: Measured, clear: np.ndarray, stage: int) -> None:
         """Lanes that a stage has brought to their target: go on where the path there is clear, or not checked."""
@@ -277,8 +281,7 @@ class Engine:
             lanes, (owner, number) = take(lanes, done), np.nonzero(found.done[done])
             x = found.x[done][owner, number]
             best, clear = self._best(lanes, owner, number, x)
-            now = self._kernels("advance", self._tasks(lanes), x[best], np.zeros_like(x[best]))
-            self._escaped(lanes, now, clear, stage)
+            self._escaped(lanes, self._measured(lanes, x[best]), clear, stage)
 
     def _try_candidates(self, lanes: Lanes, x: np.ndarray, valid: np.ndarray, stage: int) -> None:
         """Track the target of each lane from its valid configurations, x (lanes, C, N), while the lane waits."""
@@ -330,7 +333,7 @@ class Engine:
         """For every lane, which of the configurations x (M, N) that it owns has the smallest joint change of those
         whose path is clear, and whether that is clear (-1: not checked)."""
         start = lanes.x_previous[owner]
-        clear = self._path_clear(take(lanes, owner), x)
+        clear = self._path_clear(take(lanes, owner), x, self._check_escapes)
         change = np.where(clear != 0, np.linalg.norm(x - start, axis=1), np.inf)
         order = np.lexsort((number, change, owner))
         best = order[np.unique(owner[order], return_index=True)[1]]
@@ -353,20 +356,17 @@ class Engine:
         for round_ in range(self._settings.postures):
             here = self._kernels("draw", tasks(self._scenarios, lane.scenario, lane.target, round_))
             here = take(here, 0)
-            chains = here.x[self._good(here)][:, None]
+            chains = here.x[self._at_target(here)][:, None]
             for row in range(lost - 1, -1, -1):
                 if not len(chains):
                     break
                 many = np.zeros(len(chains), int)
                 at = tasks(self._scenarios, lane.scenario[many], many + row)
                 here = self._kernels("push", at, chains[:, 0])
-                chains = np.concatenate([here.x[:, None], chains], axis=1)[self._good(here)]
+                chains = np.concatenate([here.x[:, None], chains], axis=1)[self._at_target(here)]
             if any(self._record_chain(lane, chain) for chain in chains):
                 return True
         return False
-
-    def _good(self, here) -> np.ndarray:
-        return (here.clearance > 0) & (here.residual <= self._settings.tolerance_m)
 
     def _record_chain(self, lane: Lanes, x: np.ndarray) -> bool:
         """Write the chain x (rows, N) over the rows so far and go on behind it, if its paths are clear."""
@@ -374,9 +374,9 @@ class Engine:
         many = take(lane, np.zeros(rows, int))._replace(
             target=np.arange(rows, dtype=np.int32), x_previous=x[[0, *range(rows - 1)]]
         )
-        if not self._kernels("check_path", self._tasks(many), many.x_previous, x).all():
+        if not self._path_clear(many, x, asked=True).all():
             return False
-        now = self._kernels("advance", self._tasks(many), x, np.zeros_like(x))
+        now = self._measured(many, x)
         self._tracked -= rows - 1
         self._record(many, now, Status.TRACKED_AFTER_ESCAPE, len(self._method.stages) + 1, np.ones(rows, np.int8))
         self._go_on(take(many, [-1]), take(now, [-1]))

@@ -12,7 +12,6 @@ from htcp_jax.cloud_index import build_index, nearest_body, nearest_rows
 from htcp_jax.cloud_index_gpu import HAS_KERNEL, nearest_leaves
 
 LANES = 8  # segments that a search takes side by side, as a configuration's capsules do
-RNG = np.random.default_rng(0)
 EPS = np.finfo(float).eps
 
 
@@ -220,9 +219,10 @@ def test_no_gradient_passes_through_the_search():
 @pytest.mark.parametrize("name", ["one", "three hundred", "on a plane", "far apart"])
 def test_the_kernel_for_gpus_finds_the_same_leaves(name, shared):
     """Interpreted here, where there is no GPU. Both end at a leaf with a point as near as the nearest one."""
-    index, radius = build_index(cloud(name)), RNG.uniform(0, 0.1, LANES)
+    rng = np.random.default_rng(0)
+    index, radius = build_index(cloud(name)), rng.uniform(0, 0.1, LANES)
     p, q = (a.reshape(-1, LANES, 3) for a in segments(cloud(name), 5 * LANES, seed=5))
-    limit = np.where(RNG.random((5, LANES)) < 0.7, 1e150, 0.01)
+    limit = np.where(rng.random((5, LANES)) < 0.7, 1e150, 0.01)
     limit = np.broadcast_to(limit[:, :1], limit.shape) if shared else limit
     search = partial(nearest_leaves, index, shared=shared, interpret=True)
     leaves = np.asarray(jax.jit(jax.vmap(lambda p, q, limit: search(p, q, radius, limit)))(p, q, limit))

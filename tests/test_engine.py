@@ -73,19 +73,21 @@ def test_which_phase_goes_first_has_no_influence(method, after_escape, scene, sc
     assert sum(fuller) == sum(every) and len(fuller) < len(every)
 
 
-def every_other(self, lanes, x):
-    """A path check that blocks half of all paths, whichever."""
+def every_other(self, lanes, x, asked):
+    """A path check that blocks half of the paths asked about, whichever."""
+    if not asked:
+        return np.full(len(x), -1, np.int8)
     return (np.floor(1e3 * x[:, -1]) % 2).astype(np.int8)
 
 
-@pytest.mark.parametrize("check", [Engine._path_clear, every_other])
-def test_the_best_candidate_is_the_nearest_whose_path_is_clear(check, scene, scenarios, monkeypatch):
+@pytest.mark.parametrize(("check", "path_check"), [(Engine._path_clear, "none"), (every_other, "escapes")])
+def test_the_best_candidate_is_the_nearest_whose_path_is_clear(check, path_check, scene, scenarios, monkeypatch):
     """Of equals the first; and one that is not clear only where none is."""
     best, chosen = Engine._best, []
 
     def watched(self, lanes, owner, number, x):
         rows, clear = best(self, lanes, owner, number, x)
-        all_clear = self._path_clear(take(lanes, owner), x)
+        all_clear = self._path_clear(take(lanes, owner), x, self._check_escapes)
         for k, (row, is_clear) in enumerate(zip(rows, clear, strict=True)):
             own = [r for r in np.flatnonzero(owner == k) if all_clear[r]] or list(np.flatnonzero(owner == k))
             assert row in own and is_clear == all_clear[row]
@@ -97,7 +99,7 @@ def test_the_best_candidate_is_the_nearest_whose_path_is_clear(check, scene, sce
 
     monkeypatch.setattr(Engine, "_path_clear", check)
     monkeypatch.setattr(Engine, "_best", watched)
-    plan(*scene, scenarios, "cspace-sample", PAPER, threads=1)
+    plan(*scene, scenarios, "cspace-sample", replace(PAPER, path_check=path_check), threads=1)
     assert max(chosen) > 1
 
 
