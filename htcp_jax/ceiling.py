@@ -20,6 +20,7 @@ from htcp_jax.kernels import Kernels, tasks
 from htcp_jax.robot import Robot
 from htcp_jax.scenario import Scenario
 from htcp_jax.settings import Settings
+from htcp_jax.verdict import counts
 from htcp_jax.workpiece import Workpiece
 
 
@@ -57,7 +58,7 @@ def ceiling(
         if not len(alive):
             break
         here = kernels("push", tasks(scenarios, alive, np.full(len(alive), row)), x[alive])
-        x[alive], good = here.x, _clear(here, settings)
+        x[alive], good = here.x, _counts(scenarios, alive, here, settings)
         for round_ in range(-(-draws // DRAWS)):
             lost = alive[~good]
             if not len(lost):
@@ -66,7 +67,7 @@ def ceiling(
             here = jax.tree.map(lambda leaf: leaf[:, 0], here)
             x[lost] = here.x
             best[lost] = np.fmax(best[lost], np.where(here.residual <= settings.tolerance_m, here.clearance, -np.inf))
-            good[~good] = _clear(here, settings)
+            good[~good] = _counts(scenarios, lost, here, settings)
         best[alive[good]] = np.nan
         alive = alive[good]
         found[alive, row] = x[alive]
@@ -76,5 +77,5 @@ def ceiling(
     return Ceiling(prefix, best, found, draws)
 
 
-def _clear(here: Anchored, settings: Settings) -> np.ndarray:
-    return (here.clearance > 0) & (here.residual <= settings.tolerance_m)
+def _counts(scenarios: Scenario, rows: np.ndarray, here: Anchored, settings: Settings) -> np.ndarray:
+    return counts(here.clearance, here.residual, scenarios.margin_m[rows], settings.tolerance_m)

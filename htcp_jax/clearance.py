@@ -132,9 +132,9 @@ def all_clear(robot: Robot, obstacle: Obstacle, where: Posed, x: Float[jax.Array
         return jnp.all(jax.vmap(partial(is_clear, robot, obstacle, where))(x))
     middle = x.shape[0] // 2
     ends = jax.vmap(partial(_ends, robot, where))(x)
-    room = _room(robot, obstacle, where, x[middle])
+    free = room(robot, obstacle, where, x[middle])
     moved = jnp.maximum(safe_norm(ends.p - ends.p[middle][None]), safe_norm(ends.q - ends.q[middle][None]))
-    open_ = moved >= room[None, :] - 1e-9  # [S K]; 1 nm is more than any rounding
+    open_ = moved >= free[None, :] - 1e-9  # [S K]; 1 nm is more than any rounding
 
     def check_body(state):
         left, _ = state
@@ -149,7 +149,7 @@ def all_clear(robot: Robot, obstacle: Obstacle, where: Posed, x: Float[jax.Array
     return jax.lax.while_loop(lambda state: state[1] & jnp.any(state[0]), check_body, start)[1]
 
 
-def _room(robot: Robot, obstacle: Obstacle, where: Posed, x: Joints) -> Float[jax.Array, "K"]:
+def room(robot: Robot, obstacle: Obstacle, where: Posed, x: Joints) -> Float[jax.Array, "K"]:
     """How far all points of a body may move from x, any way, and it surely stays clear [m]; at most 0 in collision."""
     D = clearances(robot, obstacle, where, x)
     if not obstacle.hull.offset.shape[0]:

@@ -72,7 +72,7 @@ class PlanConfig(Section):
     robot: RobotConfig = RobotConfig()
     workpiece: WorkpieceConfig = WorkpieceConfig()
     start_rad: tuple[Number, ...] = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
-    margin_m: float = Field(5e-4, ge=0)  # what the clearance rows of the step QP keep
+    margin_m: float = Field(5e-4, ge=0)  # least clearance with which a target counts
     method: str = "nspace-sqp"
     settings: Settings = Settings()
     ray: RayConfig = RayConfig()

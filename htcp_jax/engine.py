@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from htcp_jax.escape import METHODS, NullSpace
+from htcp_jax.escape import METHODS, Anchored, NullSpace
 from htcp_jax.kernels import Kernels, Measured, Task, tasks
 from htcp_jax.lanes import ENTERING, MAIN, NEW, TRACK, Lanes, join, new_lanes, put, take
 from htcp_jax.plans import Plans
@@ -30,6 +30,7 @@ from htcp_jax.qp import QPSolver, QPStatus
 from htcp_jax.scenario import Scenario
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
+from htcp_jax.verdict import counts
 
 
 @dataclass
@@ -99,9 +100,10 @@ class Engine:
         """The lanes at configurations x (lanes, N)."""
         return self._kernels("advance", self._tasks(lanes), x, np.zeros_like(x))
 
-    def _at_target(self, here) -> np.ndarray:
-        """Which rows are clear and on their target."""
-        return (here.clearance > 0) & (here.residual <= self._settings.tolerance_m)
+    def _at_target(self, lanes: Lanes, here: Measured | Anchored) -> np.ndarray:
+        """Which lanes keep their margin on their target."""
+        margin_m = self._scenarios.margin_m[lanes.scenario]
+        return counts(here.clearance, here.residual, margin_m, self._settings.tolerance_m)
 
     def _path_clear(self, lanes: Lanes, x: np.ndarray, asked: bool) -> np.ndarray:
         """Whether the joint path from each lane's last target to x is clear; -1 where nobody asked."""
@@ -140,16 +142,20 @@ class Engine:
     # Tracking by step QPs
 
     def _linearise(self, lanes: Lanes) -> None:
-        """Linearise new lanes where they are."""
+        """Linearise new lanes where they are. A scenario whose start is in collision is over."""
         now = self._measured(lanes, lanes.x_ref)
-        self._keep(lanes._replace(x_ref=now.x, linear=now.linear, phase=np.full_like(lanes.phase, TRACK)))
+        lanes = lanes._replace(x_ref=now.x, linear=now.linear, phase=np.full_like(lanes.phase, TRACK))
+        collides = (lanes.candidate == MAIN) & (now.clearance <= 0)
+        self._plans.status[lanes.scenario[collides], lanes.target[collides]] = Status.START_IN_COLLISION
+        self._finished += int(collides.sum())
+        self._keep(take(lanes, ~collides))
 
     def _track(self, lanes: Lanes) -> None:
         """One step QP for every lane, or on the device a burst of them."""
         now, iteration, verdict = self._burst(lanes) if self._solver is None else self._step(lanes)
         lanes = lanes._replace(x_ref=now.x, linear=now.linear, iteration=iteration)
         solved = verdict == QPStatus.SOLVED
-        reached = solved & self._at_target(now)
+        reached = solved & self._at_target(lanes, now)
         stuck = ~reached & (~solved | (iteration >= self._settings.inner_iterations))
         self._keep(take(lanes, ~reached & ~stuck))
 
@@ -254,7 +260,7 @@ class Engine:
         """Lanes after one more step in the null space: those that are out of it, or at the end of it, leave; the others
         come back."""
         lanes = lanes._replace(x_ref=now.x, walked=lanes.walked + 1)
-        out = self._at_target(now)
+        out = self._at_target(lanes, now)
         spent = ~out & (lanes.walked >= self._settings.outer_steps)
         self._enter(take(lanes, spent), stage + 1, Status.ESCAPE_EXHAUSTED)
         free = take(lanes, out)
@@ -350,29 +356,29 @@ class Engine:
                 self._finished += 1
 
     def _plan_backwards(self, lane: Lanes) -> bool:
-        """Draw clear configurations at the lost target and carry each back to the first target: a chain that stays
-        clear all along, paths included, replaces the rows so far, its first posture the start. False when none does."""
+        """Draw clear configurations at the lost target and carry each back to the first target: a chain that is clear
+        all along, from the start to its first posture too, replaces the rows so far. False when none does."""
         lost = int(lane.target[0])
         for round_ in range(self._settings.postures):
             here = self._kernels("draw", tasks(self._scenarios, lane.scenario, lane.target, round_))
             here = take(here, 0)
-            chains = here.x[self._at_target(here)][:, None]
+            chains = here.x[self._at_target(take(lane, np.zeros(len(here.x), int)), here)][:, None]
             for row in range(lost - 1, -1, -1):
                 if not len(chains):
                     break
-                many = np.zeros(len(chains), int)
-                at = tasks(self._scenarios, lane.scenario[many], many + row)
+                many = take(lane, np.zeros(len(chains), int))
+                at = tasks(self._scenarios, many.scenario, np.full(many.size, row))
                 here = self._kernels("push", at, chains[:, 0])
-                chains = np.concatenate([here.x[:, None], chains], axis=1)[self._at_target(here)]
+                chains = np.concatenate([here.x[:, None], chains], axis=1)[self._at_target(many, here)]
             if any(self._record_chain(lane, chain) for chain in chains):
                 return True
         return False
 
     def _record_chain(self, lane: Lanes, x: np.ndarray) -> bool:
         """Write the chain x (rows, N) over the rows so far and go on behind it, if its paths are clear."""
-        rows = len(x)
+        rows, start = len(x), self._scenarios.x_start[lane.scenario]
         many = take(lane, np.zeros(rows, int))._replace(
-            target=np.arange(rows, dtype=np.int32), x_previous=x[[0, *range(rows - 1)]]
+            target=np.arange(rows, dtype=np.int32), x_previous=np.concatenate([start, x[:-1]])
         )
         if not self._path_clear(many, x, asked=True).all():
             return False

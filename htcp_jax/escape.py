@@ -6,14 +6,14 @@ sampling escape proposes many configurations at once, and the step QP then track
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 
 from htcp_jax import sphere
-from htcp_jax.clearance import Obstacle, Posed, all_clear, clearance, contacts, is_clear
+from htcp_jax.clearance import Obstacle, Posed, clearance, contacts, is_clear
 from htcp_jax.kinematics import jacobian, tcp_position
 from htcp_jax.nullspace import inside, null_basis, reanchor
 from htcp_jax.numerics import fold_keys, product, safe_norm
@@ -21,6 +21,7 @@ from htcp_jax.robot import Robot, lengthen_tool
 from htcp_jax.seen import Seen, see, seen_clearance
 from htcp_jax.settings import Settings
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar, Vector3
+from htcp_jax.verdict import counts
 
 DRAWS, PUSHED, PUSHES = 256, 6, 60  # of `draw_clear`: draws, how many are pushed clear, null-space steps of a push
 
@@ -30,6 +31,13 @@ class Scene(NamedTuple):
 
     robot: Robot
     obstacle: Obstacle
+
+
+@runtime_checkable
+class Asked(Posed, Protocol):
+    """Where the workpiece is, and the clearance that a configuration has to keep: a scenario, or a lane's task."""
+
+    margin_m: Scalar
 
 
 class Stuck(NamedTuple):
@@ -120,15 +128,26 @@ def null_space_step(
     return anchor(scene, settings, where, x, stuck.target)
 
 
-def keep_clear_ascent(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Vector3) -> Anchored:
-    """Max-min null-space steps away from the workpiece while D is below `keep_clear_m`; never ends worse than it began.
+def keep_clear_ascent(
+    scene: Scene,
+    settings: Settings,
+    where: Posed,
+    x: Joints,
+    target: Vector3,
+    enough_m: Scalar | float | None = None,
+    steps: int | None = None,
+) -> Anchored:
+    """Max-min null-space steps away from the workpiece while D is below `enough_m`, at most `steps` of them (by default
+    `keep_clear_m` and `keep_clear_steps`); never ends worse than it began.
 
     One observation a step: the best direction for the contacts seen at x, at most alpha long, halved on failure.
     """
+    enough_m = settings.keep_clear_m if enough_m is None else enough_m
+    steps = settings.keep_clear_steps if steps is None else steps
 
     def going(state):
         best, scale, count = state
-        return (best.clearance < settings.keep_clear_m) & (count < settings.keep_clear_steps) & (scale > 1e-4)
+        return (best.clearance < enough_m) & (count < steps) & (scale > 1e-4)
 
     def step(state):
         best, scale, count = state
@@ -191,25 +210,26 @@ def nspace_samples(
 
 
 def best_nspace_samples(
-    scene: Scene, settings: Settings, where: Posed, stuck: Stuck, step_rad: tuple[float, ...], keep: int = 24
+    scene: Scene, settings: Settings, where: Asked, stuck: Stuck, step_rad: tuple[float, ...], keep: int = 24
 ) -> Candidates:
     """N-Space samples that know their clearance: those that are clear on the target are done; of the others, only the
     `keep` clearest are worth tracking from."""
     x, near, _ = nspace_samples(scene, settings, where, stuck, step_rad)
     here = jax.vmap(lambda x: anchor(scene, settings, where, x, stuck.target))(x)
-    done = near & (here.clearance > 0) & (here.residual <= settings.tolerance_m)
+    done = near & counts(here.clearance, here.residual, where.margin_m, settings.tolerance_m)
     rank = jnp.where(near & ~done, here.clearance, -jnp.inf)
     worth = rank >= jax.lax.top_k(rank, keep)[0][-1]
     return Candidates(here.x, done | (near & worth & ~jnp.any(done)), done)
 
 
-def push_clear(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Vector3) -> Anchored:
-    """x brought onto the target and pushed in the null space until it is clear, or as clear as it gets."""
-    settings = replace(settings, keep_clear_m=1e-9, keep_clear_steps=PUSHES)
-    return keep_clear_ascent(scene, settings, where, anchor(scene, settings, where, x, target).x, target)
+def push_clear(scene: Scene, settings: Settings, where: Asked, x: Joints, target: Vector3) -> Anchored:
+    """x brought onto the target and pushed in the null space until it keeps the margin, or as clear as it gets."""
+    enough_m = jnp.maximum(1e-9, where.margin_m)
+    x = anchor(scene, settings, where, x, target).x
+    return keep_clear_ascent(scene, settings, where, x, target, enough_m, PUSHES)
 
 
-def draw_clear(scene: Scene, settings: Settings, where: Posed, stuck: Stuck, spread: Bool[Array, ""]) -> Anchored:
+def draw_clear(scene: Scene, settings: Settings, where: Asked, stuck: Stuck, spread: Bool[Array, ""]) -> Anchored:
     """The best of a round of seeded uniform draws within the joint limits, clearest first (PUSHED rows): each draw is
     brought onto the target, and some are pushed clear: the clearest, or with `spread` any of the clearer quarter.
 
@@ -230,14 +250,6 @@ def draw_clear(scene: Scene, settings: Settings, where: Posed, stuck: Stuck, spr
 
 def _rank(settings: Settings, here: Anchored) -> Float[Array, "*n"]:
     return jnp.where(here.residual <= settings.tolerance_m, here.clearance, -jnp.inf)
-
-
-def path_clear(scene: Scene, settings: Settings, where: Posed, a: Joints, b: Joints) -> Bool[Array, ""]:
-    """Whether the straight joint path from a to b is clear (D > 0) at its interpolation steps, the ends left out."""
-    if settings.path_steps == 1:
-        return jnp.full((), True)
-    fractions = jnp.arange(1, settings.path_steps) / settings.path_steps
-    return all_clear(scene.robot, scene.obstacle, where, a[None, :] + fractions[:, None] * (b - a)[None, :])
 
 
 def own_scene(scene: Scene, tool_extension_m: Scalar) -> Scene:

@@ -266,6 +266,6 @@ def _copy(raw: dict) -> dict:
 
 def _scenario(point: Point, robot: Robot, workpiece: Workpiece) -> Scenario:
     try:
-        return scenario_of(point.config, robot, workpiece, point.number)
+        return scenario_of(point.config, robot, workpiece, point.number, beyond_reach="record")
     except InputError as error:
         raise InputError(f"scenario {point.number}: {error}") from None

@@ -1,5 +1,7 @@
 """From a configuration to what it speaks of: the robot, the workpiece, the scenario. All raise InputError."""
 
+from typing import Literal
+
 from htcp_jax.config import PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.robot import GP50, Robot, load_robot
 from htcp_jax.scenario import Scenario, make_scenario
@@ -30,8 +32,15 @@ def workpiece_of(part: WorkpieceConfig) -> Workpiece:
     )
 
 
-def scenario_of(job: PlanConfig, robot: Robot, workpiece: Workpiece, number: int = 0) -> Scenario:
-    """Start, pose, targets, margin and tool of a configuration; `number` is its identity for the random keys."""
+def scenario_of(
+    job: PlanConfig,
+    robot: Robot,
+    workpiece: Workpiece,
+    number: int = 0,
+    beyond_reach: Literal["raise", "record"] = "raise",
+) -> Scenario:
+    """Start, pose, targets, margin and tool of a configuration; `number` is its identity for the random keys;
+    beyond_reach: see `make_scenario`."""
     part = job.workpiece
     return make_scenario(
         robot,
@@ -43,4 +52,5 @@ def scenario_of(job: PlanConfig, robot: Robot, workpiece: Workpiece, number: int
         margin_m=job.margin_m,
         tool_extension_m=job.robot.tool_extension_m,
         number=number,
+        beyond_reach=beyond_reach,
     )

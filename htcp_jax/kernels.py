@@ -29,15 +29,16 @@ from htcp_jax.escape import (
     keep_clear_ascent,
     null_space_step,
     own_scene,
-    path_clear,
     push_clear,
     stuck_key,
 )
+from htcp_jax.joint_path import path_clear
 from htcp_jax.nullspace import reanchor
 from htcp_jax.numerics import safe_norm
 from htcp_jax.qp_device import solve_step
 from htcp_jax.scenario import Scenario
 from htcp_jax.settings import Settings
+from htcp_jax.verdict import counts
 
 # Kernels that few lanes need at a time, or that have loops of their own to vectorise.
 DEEP = ("enter", "walk", "ascend", "push", "check_path", "sample", "draw")
@@ -118,7 +119,7 @@ def prepare(settings: Settings, scene: Scene, task: Task, x_ref, x_previous, lin
         linear.jacobian,
         linear.clearance,
         linear.gradient,
-        task.margin_m,
+        task.margin_m + settings.aim_above_m,
         robot.lower,
         robot.upper,
     )
@@ -150,7 +151,8 @@ def track(settings: Settings, scene: Scene, task: Task, x_ref, x_previous, linea
 
     def going(state: tuple[Tracked, jax.Array]):
         lane, count = state
-        reached = (lane.now.residual <= settings.tolerance_m) & (lane.now.clearance > 0) & (lane.iteration > 0)
+        here = counts(lane.now.clearance, lane.now.residual, task.margin_m, settings.tolerance_m)
+        reached = here & (lane.iteration > 0)
         solved = lane.verdict == qp.QPStatus.SOLVED
         return ~reached & solved & (lane.iteration < settings.inner_iterations) & (count < STEPS_A_BURST)
 

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from htcp_jax.numerics import product
+from htcp_jax.numerics import product, safe_norm
 from htcp_jax.robot import Robot
 from htcp_jax.types import Array, Float, Int, Joints, Pose, Vector3
 
@@ -63,6 +63,11 @@ def point_jacobians(
     moves = jnp.arange(len(robot.slides))[None, :] <= jnp.asarray(links)[:, None]
     velocities = _velocities(robot, _link_frames(robot, x), points)
     return jnp.where(moves[:, :, None], velocities, 0.0).swapaxes(1, 2)
+
+
+def joint_levers(robot: Robot, x: Joints, points: Float[Array, "P 3"]) -> Float[Array, "P N"]:
+    """Distance at x of world points to the axis of each hinge [m]; 1 for a slide, which moves every point alike."""
+    return safe_norm(_velocities(robot, _link_frames(robot, x), points))
 
 
 class _Frames(NamedTuple):

@@ -18,10 +18,12 @@ CHOICES = {
     "settings": {
         "cost_about": "previous",
         "rows": "smallest",
+        "aim_above_m": 0.0,
         "qp_tolerance": 1e-8,
         "j1_weight": 1.0,
         "after_escape": "accept",
         "path_check": "none",
+        "path_test": "samples",
     },
 }
 

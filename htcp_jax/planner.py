@@ -20,7 +20,7 @@ from htcp_jax.plans import Plans
 from htcp_jax.qp import row_count
 from htcp_jax.qp_solvers import make_solver
 from htcp_jax.robot import Robot
-from htcp_jax.scenario import Scenario, stack
+from htcp_jax.scenario import NOT_REFUSED, Scenario, stack
 from htcp_jax.settings import Settings
 from htcp_jax.workpiece import Workpiece
 
@@ -102,9 +102,11 @@ def _run_engines(kernels: list[Kernels], robot, method, settings, scenarios, pla
     threads = min(threads, count)
     share = -(-count // threads)
     # Neighbours in a grid are alike: dealt out in turn, every engine gets its part of the hard ones.
-    order = iter([k for first in range(threads) for k in range(first, count, threads)])
+    refused = scenarios.refused != NOT_REFUSED
+    plans.status[refused, 0] = scenarios.refused[refused]
+    order = iter([k for first in range(threads) for k in range(first, count, threads) if not refused[k]])
     lock = threading.Lock()
-    totals = [0, 0]
+    totals = [0, int(refused.sum())]
 
     def hand_out():
         while True:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -11,8 +12,15 @@ from htcp_jax.errors import InputError
 from htcp_jax.kinematics import tcp_position
 from htcp_jax.pytree import register_pytree
 from htcp_jax.robot import Robot, lengthen_tool
+from htcp_jax.status import Status
 from htcp_jax.types import Anywhere, Float, Int
 from htcp_jax.workpiece import Workpiece
+
+NOT_REFUSED = -1
+
+
+class OutOfReach(InputError):
+    """A target that no posture of the arm comes near."""
 
 
 @register_pytree
@@ -25,9 +33,10 @@ class Scenario:
     gate_x: Float[Anywhere, "*S"]  # capsule ends with a world x beyond this must lie inside the tunnel [m]
     targets: Float[Anywhere, "*S T 3"]  # world [m]; rows from `count` on are padding
     count: Int[Anywhere, "*S"]  # targets to track
-    margin_m: Float[Anywhere, "*S"]  # least clearance that the step QP's rows ask for
+    margin_m: Float[Anywhere, "*S"]  # least clearance with which a target counts
     tool_extension_m: Float[Anywhere, "*S"]
     number: Int[Anywhere, "*S"]  # identity: the random keys are folded from it
+    refused: Int[Anywhere, "*S"]  # NOT_REFUSED, or the Status for which nothing is planned
 
 
 def path_targets(
@@ -58,12 +67,15 @@ def make_scenario(
     margin_m: float = 5e-4,
     tool_extension_m: float = 0.0,
     number: int = 0,
+    beyond_reach: Literal["raise", "record"] = "raise",
 ) -> Scenario:
     """One scenario of the scene's rules.
 
     start: N joint positions [rad or m]; rotation: workpiece about world y, then z [rad]; shift: of the workpiece,
-    world [m]; tool_extension_m: see `robot.lengthen_tool`; number: identity for the random keys.
-    Raises InputError for a start of the wrong length or outside the joint limits, and for a target beyond reach.
+    world [m]; margin_m: least clearance with which a target counts; tool_extension_m: see `robot.lengthen_tool`;
+    number: identity for the random keys. beyond_reach: what to do about a target beyond the arm's reach; "record" makes
+    a scenario that is planned as a failure, with that reason.
+    Raises InputError for a start of the wrong length or outside the joint limits, and OutOfReach, which is one.
     """
     x_start = np.asarray(start, float)
     _check_start(robot, x_start)
@@ -73,7 +85,13 @@ def make_scenario(
     tcp = np.asarray(_TCP(longer, jnp.asarray(x_start)))
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
     targets = path_targets(tcp, inlet, workpiece.path @ rotate.T + translate, approach)
-    _check_reach(longer, targets)
+    refused = NOT_REFUSED
+    try:
+        _check_reach(longer, targets)
+    except OutOfReach:
+        if beyond_reach == "raise":
+            raise
+        refused = Status.OUT_OF_REACH
     return Scenario(
         x_start=x_start,
         T_world_workpiece=T_world_workpiece,
@@ -83,6 +101,7 @@ def make_scenario(
         margin_m=np.asarray(margin_m, float),
         tool_extension_m=np.asarray(tool_extension_m, float),
         number=np.asarray(number, np.int32),
+        refused=np.asarray(refused, np.int32),
     )
 
 
@@ -120,6 +139,6 @@ def _check_reach(robot: Robot, targets: np.ndarray) -> None:
     base = np.asarray(robot.T_parent_joint)[0, :3, 3]
     far = np.linalg.norm(targets - base, axis=1)
     if (worst := int(np.argmax(far > reach))) or far[0] > reach:
-        raise InputError(
+        raise OutOfReach(
             f"target {worst} is {far[worst]:.3f} m from the robot's base; {robot.name} reaches {reach:.3f} m at most"
         )

@@ -22,6 +22,7 @@ class Settings:
     q_weights: tuple[float, ...] = (5.0, 5.0, 2.0, 1.0, 5.0, 10.0)  # diagonal of Q, one weight a joint
     cost_about: Literal["reference", "previous"] = "reference"  # J1 about x_ref (8) or about x_{t-1} (4)
     rows: Literal["per-body", "smallest"] = "per-body"  # a clearance row a capsule, or one of the smallest
+    aim_above_m: float = 5e-4  # how far above the margin that must be kept the step QP's clearance rows aim
     inner_iterations: int = 20  # step QPs at one target before it counts as stuck
     tolerance_m: float = 1e-3  # a target is reached at this TCP error or less; also xi of the re-anchoring
     qp: str = "clarabel"  # solver: clarabel, device, or qpsolvers:<name>
@@ -35,8 +36,9 @@ class Settings:
     after_escape: Literal["accept", "track"] = "accept"  # Algorithm 1 accepts; the prose tracks again
 
     # Straight joint paths between consecutive configurations
-    path_check: Literal["none", "escapes", "all"] = "none"  # which of them must be clear
-    path_steps: int = 20  # interpolation steps of one path
+    path_check: Literal["none", "escapes", "all"] = "all"  # which of them must be clear
+    path_test: Literal["bisection", "samples"] = "bisection"  # by proof, or at the ends of `path_steps` equal steps
+    path_steps: int = 20
 
     # Sampling escapes
     samples: int = 50  # configurations or directions tried at one stuck target
@@ -63,7 +65,7 @@ class Settings:
 
 
 MOST, LARGEST_SEED = 100_000, 2**63 - 1  # of whatever is counted; of the seed
-_MAY_BE_ZERO = {"j1_weight", "keep_clear_m", "seed", "postures"}
+_MAY_BE_ZERO = {"aim_above_m", "j1_weight", "keep_clear_m", "seed", "postures"}
 
 
 def _check(name: str, value, kind) -> None:

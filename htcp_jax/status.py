@@ -15,10 +15,13 @@ class Status(enum.IntEnum):
     PATH_BLOCKED = 5
     QP_FAILED = 6
     NOT_ATTEMPTED = 7
+    START_IN_COLLISION = 8
+    OUT_OF_REACH = 9
+    TIP_BLOCKED = 10
 
     @property
     def tracked(self) -> bool:
-        """Whether the target was reached, clear and within the tolerance."""
+        """Whether the target was reached within the tolerance, with the clearance that was asked for."""
         return self <= Status.TRACKED_AFTER_ESCAPE
 
     @property
@@ -36,4 +39,7 @@ _MESSAGES = {
     Status.PATH_BLOCKED: "every clear configuration that was found lies behind a joint path that collides",
     Status.QP_FAILED: "the QP solver broke down and returned no usable answer",
     Status.NOT_ATTEMPTED: "not attempted, because an earlier target of the scenario failed",
+    Status.START_IN_COLLISION: "the start is in collision, so nothing was tried",
+    Status.OUT_OF_REACH: "a target is farther away than the arm is long, so nothing was tried",
+    Status.TIP_BLOCKED: "the arm is clear there, but the bare end of the tool passes through the wall",
 }

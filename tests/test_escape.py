@@ -19,7 +19,6 @@ from htcp_jax.escape import (
     keep_clear_ascent,
     nspace_samples,
     null_space_step,
-    path_clear,
     seen_bodies,
     sphere_problem,
     stuck_key,
@@ -216,31 +215,7 @@ def test_nspace_samples_walk_their_length_and_stay_on_the_target():
         assert not np.allclose(found.x, other.x, atol=1e-3)
 
 
-# Paths, keys, table
-
-
-def test_a_path_is_clear_if_all_its_inner_steps_are():
-    verdicts = []
-    for where, stuck, _ in stuck_places(20):
-        x = jnp.asarray(made_once.START)
-        b = x + RNG.uniform(0.2, 0.9) * (stuck - x)
-        clear = run(path_clear, where, x, b)
-        between = [D(where, x + k / 20 * (b - x)) > 0 for k in range(1, 20)]
-        assert clear == all(between)
-        assert clear == run(path_clear, where, b, x)
-        verdicts.append(bool(clear))
-    assert 2 <= sum(verdicts) <= 18
-
-
-def test_the_ends_of_a_path_are_left_out():
-    """They were tested when they were accepted; a start in collision must not block what leads out of it."""
-    for where, x, _ in stuck_places(40):
-        if D(where, x) < -1e-3:
-            out = run(_STEP, where, Stuck(x, jnp.asarray(tcp(x)), jax.random.key(0)), x, 0).x
-            short = Settings(path_steps=1)
-            assert run(path_clear, where, x, jnp.asarray(out), settings=short)
-            return
-    pytest.fail("no recorded configuration is in collision")
+# Keys, table
 
 
 def test_a_random_key_belongs_to_one_scenario_one_target_one_stage_and_one_round():

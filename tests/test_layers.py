@@ -12,7 +12,7 @@ PACKAGE = Path(htcp_jax.__file__).parent
 
 # From the bottom up. A module may import from its own row and from those above it in this list.
 LAYERS = [
-    ["__init__", "errors", "notebook", "types", "pytree", "numerics", "status", "settings", "plans"],
+    ["__init__", "errors", "notebook", "types", "pytree", "numerics", "status", "verdict", "settings", "plans"],
     ["compile_cache", "devices"],
     ["robot", "robot_file", "robot_xml", "kinematics", "duct", "cloud", "hull"],
     ["clusters", "discs", "cloud_index_gpu", "cloud_index", "half_spaces"],
@@ -24,7 +24,7 @@ LAYERS = [
     ["qp"],
     ["qp_clarabel", "qp_qpsolvers", "qp_device"],
     ["qp_solvers"],
-    ["escape", "kernels", "lanes", "engine", "planner"],
+    ["escape", "joint_path", "kernels", "lanes", "engine", "planner"],
     ["strict_yaml", "config", "job"],
     ["paper", "grid", "metrics", "results", "ceiling"],
     ["charts", "chart_style", "path_charts", "success_charts", "document"],

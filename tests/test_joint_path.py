@@ -1,0 +1,120 @@
+"""Joint paths: what is called clear is clear all along, and the bound on how far the arm moves holds."""
+
+from functools import cache, partial
+
+import jax
+import jax.numpy as jnp
+import made_once
+import numpy as np
+import pytest
+from sphere_references import place
+
+from htcp_jax.clearance import clearance
+from htcp_jax.escape import Scene
+from htcp_jax.joint_path import RESOLUTION_M, motion_bound, path_clear, proven_clear
+from htcp_jax.kinematics import capsule_segments
+from htcp_jax.robot import load_robot
+from htcp_jax.settings import Settings
+
+SAMPLES = Settings(path_test="samples")
+START = jnp.asarray(made_once.START)
+_D = jax.jit(clearance)
+_D_everywhere = jax.jit(lambda robot, obstacle, where, x: jax.lax.map(partial(clearance, robot, obstacle, where), x))
+
+
+@cache
+def _tested(settings):
+    scene = Scene(*made_once.scene())
+    return jax.jit(lambda where, a, b: path_clear(scene, settings, where, a, b))
+
+
+def smallest_D(where, a, b, places):
+    """The smallest D at so many places of the path, its ends apart."""
+    x = a[None] + jnp.linspace(0, 1, places + 2)[1:-1, None] * (b - a)[None]
+    return float(jnp.min(_D_everywhere(*made_once.scene(), where, x)))
+
+
+def clear(where, a, b, settings=Settings()):  # noqa: B008 - frozen
+    return bool(_tested(settings)(where, a, b))
+
+
+def D(where, x):
+    return float(_D(*made_once.scene(), where, x))
+
+
+@cache
+def paths():
+    """(where, a, b): from the start towards recorded configurations at which the baseline got stuck, some
+    of them inside the wall; short steps about them; and long swings past them."""
+    rng, found = np.random.default_rng(0), []
+    for k in range(0, 200, 8):
+        where, x = place(k)
+        found.append((where, START, START + rng.uniform(0.3, 1.0) * (x - START)))
+        found.append((where, x, x + 0.03 * rng.normal(size=6)))
+        found.append((where, START, x + 0.5 * rng.normal(size=6)))
+    return found
+
+
+def test_what_bisection_calls_clear_is_clear_at_a_thousand_places():
+    """And what it calls blocked touches somewhere, by a finer look."""
+    verdicts = []
+    for where, a, b in paths():
+        smallest, verdict = smallest_D(where, a, b, 999), clear(where, a, b)
+        assert smallest > -RESOLUTION_M if verdict else smallest < 1e-3
+        verdicts.append(verdict)
+    assert 10 <= sum(verdicts) <= len(verdicts) - 10
+
+
+def test_bisection_finds_what_twenty_samples_miss():
+    """A swing through the wall and out again between two of the samples: the sampled test is shown to pass it."""
+    missed = [p for p in paths() if clear(*p, settings=Settings(path_test="samples", path_steps=2)) and not clear(*p)]
+    assert missed
+    for where, a, b in missed:
+        assert smallest_D(where, a, b, 1999) <= 0
+
+
+def test_a_path_of_no_length_is_as_clear_as_its_ends():
+    where, x = place(0)
+    assert clear(where, START, START)
+    assert bool(jax.jit(proven_clear)(Scene(*made_once.scene()), where, x, x)) == (D(where, x) > 0)
+
+
+@pytest.mark.parametrize("model", ["gp50", "rail"])
+def test_no_point_of_a_body_moves_further_than_the_bound(model, tmp_path):
+    """Random postures, turns up to half a radian, random points along the axes; hinges, and a slide."""
+    robot = made_once.robot() if model == "gp50" else load_robot(_rail(tmp_path), limits="model")
+    rng, n = np.random.default_rng(1), len(robot.slides)
+    bound, ends = jax.jit(motion_bound), jax.jit(capsule_segments)
+    tightest = 0.0
+    for _ in range(200):
+        x, turns = jnp.asarray(rng.uniform(-1, 1, n)), jnp.asarray(rng.uniform(0, 0.5, n) * rng.integers(0, 2, n))
+        most = np.asarray(bound(robot, x, turns))
+        there = x + turns * rng.choice([-1.0, 1.0], n) * rng.choice([1.0, 1.0, rng.uniform()], n)
+        s = rng.uniform(size=(len(most), 1))
+        (p, q), (p2, q2) = (map(np.asarray, ends(robot, y)) for y in (x, there))
+        moved = np.linalg.norm((1 - s) * (p2 - p) + s * (q2 - q), axis=1)
+        assert (moved <= most + 1e-12).all()
+        tightest = max(tightest, float((moved / np.maximum(most, 1e-9)).max()))
+    assert tightest > 0.9  # and it is no more than it has to be
+
+
+def _rail(folder):
+    file = folder / "rail.xml"
+    file.write_text("""<mujoco><worldbody><body><joint name="rail" type="slide" axis="0 1 0" range="-2 2"/>
+        <geom type="capsule" fromto="0 0 0 0 0 0.4" size="0.1"/>
+        <body pos="0 0 0.4"><joint name="a" axis="0 1 0" range="-2 2"/>
+          <geom type="capsule" fromto="0 0 0 0.5 0 0.1" size="0.08"/>
+          <body pos="0.5 0 0"><joint name="b" axis="0 0 1" range="-2 2"/>
+            <geom type="capsule" fromto="0 0 0 0.4 0 0" size="0.05"/><site name="tcp" pos="0.5 0 0"/>
+    </body></body></body></worldbody></mujoco>""")
+    return file
+
+
+def test_samples_look_at_their_inner_steps_and_nowhere_else():
+    verdicts = []
+    for where, a, b in paths():
+        between = [D(where, a + k / 20 * (b - a)) > 0 for k in range(1, 20)]
+        assert clear(where, a, b, SAMPLES) == clear(where, b, a, SAMPLES) == all(between)
+        assert clear(where, a, b, Settings(path_test="samples", path_steps=1))
+        verdicts.append(all(between))
+    assert 10 <= sum(verdicts) <= len(verdicts) - 10
