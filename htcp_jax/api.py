@@ -14,7 +14,7 @@ from htcp_jax import planner
 from htcp_jax.config import PlanConfig, load_config, validate
 from htcp_jax.escape import METHODS
 from htcp_jax.job import scene
-from htcp_jax.metrics import Summary, summarise
+from htcp_jax.metrics import Summary, is_tracked, summarise
 from htcp_jax.notebook import html_facts
 from htcp_jax.picture import draw_plan
 from htcp_jax.plans import Plans
@@ -53,8 +53,8 @@ class Plan:
 
     @property
     def complete(self) -> bool:
-        """Whether every target is tracked."""
-        return not self.summary.failures
+        """Whether every target is tracked, by joint paths none of which is known to collide."""
+        return not self.summary.failures and not self.summary.blocked_paths
 
     def facts(self) -> dict[str, str]:
         """The summary as a person reads it."""
@@ -65,13 +65,26 @@ class Plan:
             "time per step": f"{s.step_ms:.2f} ms",
             "run, compile time": f"{s.run_s:.2f} s, {s.compile_s:.2f} s",
             "TCP distance": f"{s.tcp_distance_mean_mm:.3g} mm mean, {s.tcp_distance_max_mm:.3g} mm largest",
-            "clearance": f"{s.clearance_min_mm:.3g} mm smallest, {s.clearance_mean_mm:.3g} mm mean",
+            "clearance": f"{s.clearance_min_mm:.3g} mm smallest, {s.clearance_mean_mm:.3g} mm mean; "
+            f"{1e3 * self.job.margin_m:g} mm asked for",
             "escapes": str(s.after_escape),
+            "joint paths": self._joint_paths(),
         }
+
+    def _joint_paths(self) -> str:
+        """What is known of the straight joint paths to the tracked targets."""
+        clear = self.plans.path_clear[is_tracked(self.plans.status)]
+        told = f"{np.sum(clear == 0)} blocked of {clear.size}"
+        if not (clear == 0).any():
+            return told
+        return f"{told}, the first to target {np.argmax(self.plans.path_clear[0] == 0)}"
 
     def failure(self) -> dict[str, str]:
         """Where the plan ended and why, in words; nothing of a complete one."""
-        return {f"failed at target {f.target}": f.status.message for f in self.summary.failures}
+        told = {f"failed at target {f.target}": f.status.message for f in self.summary.failures}
+        if blocked := self.summary.blocked_paths:
+            told["not to be driven"] = f"{blocked} joint paths between tracked targets collide"
+        return told
 
     def frame(self) -> "pandas.DataFrame":
         """One row a target; the columns are those of a sweep's `targets` table, see `run_tables`."""

@@ -43,8 +43,8 @@ def plan(
 ) -> int:
     """Plan one job: track every target of the path while every capsule keeps clear of the workpiece.
 
-    Writes trajectory.csv, trajectory.npz, summary.json and plan.png. Exits with 0 when every target is
-    tracked, with 3 when some are not (what was tracked is saved), with 2 on bad input.
+    Writes trajectory.csv, trajectory.npz, summary.json and plan.png. Exits with 0 when every target is tracked and
+    no joint path between them collides, else with 3 (what was tracked is saved), with 2 on bad input.
 
     \b
     htcp plan                                 the default job, which is configs/duct.yaml

@@ -193,7 +193,7 @@ def _draw_clearance(axes: Axes, plans: Plans, row: int, margin_m: float) -> None
             axes.scatter(*points, label=fate.name, edgecolors=PAPER, zorder=3, **style)
     if margin_m > 0:
         style = {"color": INK, "linewidth": 0.9, "linestyle": "--", "zorder": 1}
-        axes.axhline(1e3 * margin_m, label="margin of the step QP", **style)
+        axes.axhline(1e3 * margin_m, label="margin asked for", **style)
     for failure in failures(plans.status[row : row + 1]):
         _draw_failure(axes, failure, len(status))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -16,6 +16,13 @@ from htcp_jax.workpiece import Workpiece, load_workpiece
 
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
 MEASURED = Path(__file__).parents[2] / "shared" / "data" / "duct"
+PAPER_CHOICES = {  # of `configs/paper.yaml` that decide what gets stuck, and how paths are looked at
+    "rows": "smallest",
+    "cost_about": "previous",
+    "aim_above_m": 0.0,
+    "path_check": "none",
+    "path_test": "samples",
+}
 RECORDED = Path(__file__).parent / "data" / "subproblems.npz"
 
 

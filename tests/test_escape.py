@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import made_once
 import numpy as np
-import pytest
 from sphere_references import place
 
 from htcp_jax import sphere

@@ -18,7 +18,7 @@ from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 
 # As in test_engine.py, whose compiled programs serve here too.
-PAPER = Settings(rows="smallest", cost_about="previous")
+PAPER = Settings(**made_once.PAPER_CHOICES)
 PATH_STEPS = PAPER.path_steps
 TAKES_LONG = pytest.mark.slow
 
@@ -186,7 +186,7 @@ def test_the_start_itself_is_the_first_target():
 @pytest.mark.slow
 @pytest.mark.parametrize("check", ["escapes", "all"])
 def test_a_checked_path_is_never_blocked(check):
-    settings = Settings(rows="smallest", cost_about="previous", path_check=check)
+    settings = Settings(**{**made_once.PAPER_CHOICES, "path_check": check})
     plans = plan(*scene(), poses(), "nspace-sqp", settings)
     escaped = plans.status == Status.TRACKED_AFTER_ESCAPE
     must = escaped if check == "escapes" else plans.status <= Status.TRACKED_AFTER_ESCAPE
@@ -205,7 +205,7 @@ def test_the_prose_of_the_paper_tracks_again_after_an_escape():
     cost about x_{t-1}, equation (4), it goes straight back to where it was stuck: no escape lasts."""
     lasted = {}
     for about in ("reference", "previous"):
-        settings = Settings(rows="smallest", cost_about=about, after_escape="track")
+        settings = Settings(**{**made_once.PAPER_CHOICES, "cost_about": about}, after_escape="track")
         plans = plan(*scene(), poses(), "nspace-sqp", settings, check_paths=False)
         escaped = plans.status == Status.TRACKED_AFTER_ESCAPE
         lasted[about] = escaped.sum()
@@ -216,7 +216,7 @@ def test_the_prose_of_the_paper_tracks_again_after_an_escape():
 @pytest.mark.slow
 def test_the_seed_decides_what_is_drawn_and_nothing_else_does():
     def few(seed):
-        settings = Settings(rows="smallest", cost_about="previous", samples=8, seed=seed)
+        settings = Settings(**made_once.PAPER_CHOICES, samples=8, seed=seed)
         return plan(*scene(), poses()[:2], "cspace-sample", settings, check_paths=False).x
 
     np.testing.assert_array_equal(few(0), few(0))

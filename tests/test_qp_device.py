@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import made_once
 import numpy as np
 import pytest
 from test_qp import WEIGHTS, batch, infeasible, random_batch
@@ -103,7 +104,7 @@ def recorded(monkeypatch, settings, margin_m) -> StepQP:
 
 @pytest.mark.parametrize(
     ("settings", "margin_m", "least"),
-    [(Settings(), 5e-4, 30), (Settings(rows="smallest", cost_about="previous"), 0.0, 0)],
+    [(Settings(), 5e-4, 30), (Settings(**made_once.PAPER_CHOICES), 0.0, 0)],
 )
 def test_it_agrees_with_clarabel_on_the_step_qps_of_real_plans(monkeypatch, settings, margin_m, least):
     qps = recorded(monkeypatch, settings, margin_m)

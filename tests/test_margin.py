@@ -1,0 +1,87 @@
+"""A margin is a promise: no target counts with less clearance than the job asks for, whatever the planner.
+
+And what was not even tried says why: a start in collision, a target out of reach.
+"""
+
+from functools import cache
+
+import made_once
+import numpy as np
+import pytest
+
+from htcp_jax.ceiling import ceiling
+from htcp_jax.metrics import is_tracked, summarise
+from htcp_jax.planner import METHODS, plan
+from htcp_jax.scenario import OutOfReach, make_scenario, stack
+from htcp_jax.settings import Settings
+from htcp_jax.status import Status
+from htcp_jax.verdict import counts
+
+SLOW = {"nspace-ip", "nspace-cmaes", "nspace-adam", "hybrid", "nspace-sample"}
+
+
+def scene():
+    return made_once.robot(), made_once.duct()
+
+
+@cache
+def tight(margin_m):
+    """Poses at which every planner comes near to the wall."""
+    return [
+        make_scenario(*scene(), made_once.START, rotation=rotation, margin_m=margin_m, number=k)
+        for k, rotation in enumerate([(0.8, -0.3), (0.4, 0.1), (0.2, -0.2)])
+    ]
+
+
+@pytest.mark.parametrize("method", [pytest.param(m, marks=pytest.mark.slow if m in SLOW else ()) for m in METHODS])
+def test_no_tracked_target_has_less_than_the_margin(method):
+    """W3: the default job's 0.5 mm came out as 0.0461 mm, and nothing said so."""
+    margin_m = 2e-3
+    plans = plan(*scene(), tight(margin_m), method)
+    tracked = is_tracked(plans.status)
+    assert tracked.sum() > 150 and not tracked.all()
+    assert plans.clearance[tracked].min() >= margin_m
+    assert (plans.path_clear[tracked] == 1).all()
+
+
+def test_on_the_device_too():
+    """The burst of step QPs asks the same of a target as the host does."""
+    plans = plan(*scene(), tight(2e-3), "baseline", Settings(qp="device"))
+    assert plans.clearance[is_tracked(plans.status)].min() >= 2e-3
+
+
+def test_a_margin_of_nothing_asks_for_a_clearance_above_zero():
+    clearance = np.array([-1e-9, 0.0, 1e-12, 5e-4, 4.999e-4])
+    np.testing.assert_array_equal(counts(clearance, 0.0, 0.0, 1e-3), [False, False, True, True, True])
+    np.testing.assert_array_equal(counts(clearance, 0.0, 5e-4, 1e-3), [False, False, False, True, False])
+
+
+def test_what_is_reachable_keeps_the_margin_too():
+    near = ceiling(*scene(), stack(tight(0.0)[:1]), draws=256).prefix
+    far = ceiling(*scene(), stack(tight(0.03)[:1]), draws=256).prefix
+    assert 0 < far[0] < near[0]
+
+
+COLLIDES = (0.1, -1.6, 0.3, 0.0, 0.4, -2.0)
+
+
+@pytest.mark.parametrize("method", ["baseline", "nspace-sqp", pytest.param("hybrid", marks=pytest.mark.slow)])
+def test_a_start_in_collision_is_a_scenario_without_targets(method):
+    """W5: in a sweep such scenarios were "complete" after a jump of 0.94 rad; beside it a good one plans as alone."""
+    good = tight(5e-4)[1]
+    bad = make_scenario(*scene(), COLLIDES, margin_m=5e-4, number=7)
+    plans = plan(*scene(), [bad, good], method)
+    assert plans.status[0, 0] == Status.START_IN_COLLISION and (plans.status[0, 1:] == Status.NOT_ATTEMPTED).all()
+    assert summarise(plans).failures[0].status == Status.START_IN_COLLISION
+    alone = plan(*scene(), [good], method)
+    np.testing.assert_array_equal(plans.x[1], alone.x[0])
+
+
+def test_a_target_out_of_reach_is_a_scenario_without_targets():
+    """B4: one pose out of reach ended the whole sweep."""
+    with pytest.raises(OutOfReach, match="reaches"):
+        make_scenario(*scene(), made_once.START, shift=(5.0, 0.0, 0.0))
+    far = make_scenario(*scene(), made_once.START, shift=(5.0, 0.0, 0.0), beyond_reach="record")
+    plans = plan(*scene(), [far, tight(5e-4)[1]], "baseline")
+    assert plans.status[0, 0] == Status.OUT_OF_REACH and (plans.status[0, 1:] == Status.NOT_ATTEMPTED).all()
+    assert is_tracked(plans.status[1]).all()
