@@ -35,8 +35,9 @@ class Postures(NamedTuple):
 class Arm:
     """A model file in MuJoCo, its tool longer by `tool_extension_m`, and a probe that can be put anywhere.
 
-    names, radius: of the K capsule and sphere geoms [m]; lower, upper: joint limits of the profile `limits` of
-    `robot.load_robot`; speed: inf where the model gives none. Raises InputError for a file that MuJoCo cannot read.
+    names, radius, length: of the K capsule and sphere geoms, and their axes' [m]; lower, upper: joint limits of the
+    profile `limits` of `robot.load_robot`; speed: inf where the model gives none. Raises InputError for a file that
+    MuJoCo cannot read.
     """
 
     def __init__(self, path: Path, tool_extension_m: float = 0.0, limits: str = "model"):
@@ -49,6 +50,7 @@ class Arm:
         self.names = tuple(self._model.geom(g).name or f"geom {g}" for g in self._geoms)
         self.radius = self._model.geom_size[self._geoms, 0].copy()
         self._half = np.where(self._model.geom_type[self._geoms] == _CAPSULE, self._model.geom_size[self._geoms, 1], 0)
+        self.length = 2 * self._half
         self.joints = tuple(self._model.joint(j).name or f"joint{j + 1}" for j in range(self._model.njnt))
         self.lower, self.upper = _limits(self._model, limits)
         self.speed = _numeric(self._model, "speed", math.inf)

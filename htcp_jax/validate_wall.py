@@ -79,7 +79,7 @@ class Scene:
     def at(self, x: Float[np.ndarray, "n N"]) -> AtTargets:
         """The clearance of every configuration."""
         postures = self.arm.postures(x)
-        pieces = _whole_axes(postures, self.arm.radius)
+        pieces = _whole_axes(self.arm, len(x))
         samples = _centres(postures, pieces)
         distance = self.wall.tree.query(self._local(samples), workers=-1)[0]
         upper = _least(np.full(len(x), np.inf), pieces, distance - self.arm.radius[pieces.capsule])
@@ -100,7 +100,7 @@ class Scene:
         decided by what is known at a or at a + 1.
         """
         postures = self.arm.postures(x)
-        pieces = _whole_axes(postures, self.arm.radius)
+        pieces = _whole_axes(self.arm, len(x))
         samples = _centres(postures, pieces).reshape(len(x), -1, 3)
         near = [known.distance[b] - np.linalg.norm(samples - known.samples[b], axis=2) for b in (a, a + 1)]
         distance = np.maximum(0.0, np.maximum(*near)).reshape(-1)
@@ -162,16 +162,17 @@ class Scene:
         return (points - self.translate) @ self.rotate
 
 
-def _whole_axes(postures: Postures, radius: np.ndarray) -> Pieces:
-    """Every capsule's axis in pieces of COARSE radii, and its ends; row by row, the same pieces for each."""
+def _whole_axes(arm: Arm, n: int) -> Pieces:
+    """Every capsule's axis in pieces of COARSE radii, and its ends, the same for each of n configurations. Their number
+    comes from the model's lengths: those of a posture are rounded in its own way."""
     capsule, centre, half = [], [], []
-    for k, length in enumerate(np.linalg.norm(postures.p[0] - postures.q[0], axis=1)):
-        count = int(np.ceil(length / (2 * COARSE * radius[k])))
+    for k, (length, radius) in enumerate(zip(arm.length.tolist(), arm.radius.tolist(), strict=True)):
+        count = int(np.ceil(length / (2 * COARSE * radius)))
         parts = (np.arange(count) + 0.5) / max(1, count)
         centre += [0.0, 1.0, *parts] if count else [0.0]
         half += [0.0, 0.0, *(length / 2 / count,) * count] if count else [0.0]
         capsule += [k] * (count + 2 if count else 1)
-    n, each = len(postures.tcp), len(capsule)
+    each = len(capsule)
     return Pieces(np.repeat(np.arange(n), each), *(np.tile(column, n) for column in (capsule, centre, half)))
 
 
