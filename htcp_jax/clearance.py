@@ -4,9 +4,9 @@ D is the paper's (workspace inequality constraints): per body, the distance betw
 nearest of all points, less the radius. "Outside the tunnel is negative": a capsule end beyond the gate (deeper than a
 set depth behind where the cloud begins, along its inlet's direction) must lie in the cloud's convex hull; where it does
 not, the body's clearance is at most minus how far outside it is. Where the points were sampled on a mesh, D is less by
-the distance within which they cover it: a bound on the clearance to the mesh itself. The far-off point and the crossed facet are found once and then held,
-so the gradient is that of a distance to a fixed point or plane: exact wherever D is differentiable, and one of its
-one-sided gradients elsewhere.
+the distance within which they cover it: a bound on the clearance to the mesh itself. The far-off point and the crossed
+facet are found once and then held, so the gradient is that of a distance to a fixed point or plane: exact wherever D is
+differentiable, and one of its one-sided gradients elsewhere.
 """
 
 from dataclasses import dataclass
@@ -30,8 +30,8 @@ from htcp_jax.workpiece import Workpiece
 @register_pytree
 @dataclass(frozen=True)
 class Obstacle:
-    """The paper's O on the device, in the workpiece frame: points, their index, the hull's half-spaces, and how far from
-    a point there may be wall [m], which makes every body that much thicker."""
+    """The paper's O on the device, in the workpiece frame: points, their index, the hull's half-spaces, and how far
+    from a point there may be wall [m], which makes every body that much thicker."""
 
     points: Float[jax.Array, "P 3"]
     index: CloudIndex
@@ -55,7 +55,7 @@ class Posed(Protocol):
     """Where the workpiece is: a scenario, or whatever else knows."""
 
     T_world_workpiece: Pose
-    gate: Float[jax.Array, "4"]  # unit normal n, offset: capsule ends with n @ x > offset must lie inside the tunnel [m]
+    gate: Float[jax.Array, "4"]  # unit normal n, offset [m]: capsule ends with n @ x > offset must lie in the tunnel
 
 
 class Contacts(NamedTuple):

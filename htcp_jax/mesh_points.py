@@ -35,9 +35,9 @@ def cover(triangles: Triangles, source: str, spacing: float | None = None, thinn
     """The corners of F >= 1 triangles [m], and of their pieces, until these cover the mesh.
 
     spacing: the widest gap between points [m], that is, every point of the mesh has one of them within half of it.
-    By itself about ABOUT points, and more where half the radius `thinnest_m` of the thinnest body asks for them. A finer
-    mesh keeps all of its corners. Raises InputError, naming `source`, for a mesh without an area, a spacing that is not
-    positive, and where more than MOST points would be needed.
+    By itself about ABOUT points, and more where half the radius `thinnest_m` of the thinnest body asks for them. A
+    finer mesh keeps all of its corners. Raises InputError, naming `source`, for a mesh without an area, a spacing that
+    is not positive, and where more than MOST points would be needed.
     """
     total = area(triangles).sum()
     if not total > 0:

@@ -94,9 +94,8 @@ def gate_of(robot: Robot, workpiece: Workpiece, T_world_workpiece: Float[np.ndar
     """
     gate = workpiece.gate(T_world_workpiece)
     fixed = np.asarray(robot.capsule_link) < 0
-    base = np.concatenate([
-        np.asarray(robot.T_parent_joint)[:1, :3, 3], *(np.asarray(end)[fixed] for end in (robot.capsule_p, robot.capsule_q))
-    ])  # fmt: skip
+    ends = (np.asarray(end)[fixed] for end in (robot.capsule_p, robot.capsule_q))
+    base = np.concatenate([np.asarray(robot.T_parent_joint)[:1, :3, 3], *ends])
     if workpiece.inlet_direction is not None and (base @ gate[:3] > gate[3]).any():
         gate[3] = np.inf
     return gate

@@ -46,7 +46,7 @@ class Workpiece:
         normal of the hull's facet nearest to the inlet, and without an inlet no interior.
     triangles: of the mesh that the cloud was sampled on [m]; none for a cloud.
     covering_radius_m: no point of the mesh is further from one of the cloud; 0 for a cloud.
-    tip_contact_m: how near to the TCP the stretch between the last body and the TCP may touch the walls; None: anywhere.
+    tip_contact_m: how near to the TCP the stretch between the last body and the TCP may touch walls; None: anywhere.
 
     Computed once: the cloud's convex hull is where hull_normal @ x <= hull_offset (unit outward normals);
     hull_vertices are the vertices of the exact hull (the whole cloud with interior "none").

@@ -19,12 +19,12 @@ from htcp_jax.workpiece import Workpiece
 
 class Where(NamedTuple):
     T_world_workpiece: jax.Array
-    gate_x: jax.Array
+    gate: jax.Array
 
 
 def posed(workpiece, wy=0.4, wz=0.1) -> Where:
     T = workpiece.T_world(wy, wz)
-    return Where(jnp.asarray(T), jnp.asarray(workpiece.gate_x(T)))
+    return Where(jnp.asarray(T), jnp.asarray(workpiece.gate(T)))
 
 
 @cache
@@ -64,7 +64,7 @@ def numpy_clearances(robot, workpiece: Workpiece, where: Where, x):
         for end in (p[k], q[k]):
             local = T[:3, :3].T @ (end - T[:3, 3])
             outside = np.max(workpiece.hull_normal @ local - workpiece.hull_offset)
-            if end[0] > where.gate_x and outside > 0 and -outside < D[k]:
+            if end @ where.gate[:3] > where.gate[3] and outside > 0 and -outside < D[k]:
                 D[k], hull[k] = -outside, True
     return D, hull
 
@@ -160,7 +160,7 @@ def test_the_gradient_is_finite_where_a_point_lies_on_a_capsules_axis():
     x = jnp.asarray(made_once.START)
     p, q = (np.asarray(end) for end in _ENDS(robot, x))
     cloud = np.concatenate([p, q, 0.3 * p + 0.7 * q])
-    obstacle, where = make_obstacle(few_points(cloud)), Where(jnp.eye(4), jnp.array(100.0))
+    obstacle, where = make_obstacle(few_points(cloud)), Where(jnp.eye(4), jnp.array([1.0, 0, 0, 100.0]))
     for gradient in gradients(robot, obstacle, where, x)[:3]:
         assert np.isfinite(gradient).all()
     np.testing.assert_allclose(clearances(robot, obstacle, where, x), -robot.capsule_radius, atol=1e-15)
@@ -214,7 +214,7 @@ def test_mujocos_own_geometry_measures_the_same():
     robot = made_once.robot()
     geoms = [model.geom(name).id for name in robot.capsule_names]
     spheres = [model.geom(f"point{k}").id for k in range(len(cloud))]
-    obstacle, where = make_obstacle(few_points(cloud)), Where(jnp.eye(4), jnp.array(100.0))
+    obstacle, where = make_obstacle(few_points(cloud)), Where(jnp.eye(4), jnp.array([1.0, 0, 0, 100.0]))
     for x in made_once.configurations(robot, 15, seed=2):
         data.qpos[:] = x
         mujoco.mj_kinematics(model, data)
