@@ -172,7 +172,7 @@ def test_without_an_interior_only_the_points_count():
     robot, rng = made_once.robot(), np.random.default_rng(0)
     workpiece = few_points(rng.normal((1.5, 0.0, 1.0), 1.0, (50, 3)))
     obstacle = make_obstacle(workpiece)
-    where = Where(jnp.eye(4), jnp.array(-100.0))
+    where = Where(jnp.eye(4), jnp.array([1.0, 0, 0, -100.0]))
     for x in postures()[:20]:
         exact, hull = numpy_clearances(robot, _without_hull(workpiece), where, x)
         np.testing.assert_allclose(jitted(clearances)(robot, obstacle, where, x), exact, rtol=0, atol=2e-15)
@@ -190,15 +190,18 @@ def _without_hull(workpiece):
     return _Everything(workpiece.cloud, np.eye(3)[:1], np.array([np.inf]))
 
 
-def test_the_gate_is_a_world_x_and_only_ends_beyond_it_must_be_inside():
+@pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.6, -0.8, 0.0)])
+def test_the_gate_is_a_plane_and_only_ends_beyond_it_must_be_inside(direction):
+    """W1: in any direction, not along the world's x alone."""
     robot, obstacle = made_once.scene()
     x = jnp.asarray(postures()[0])
     p, q = (np.asarray(end) for end in _ENDS(robot, x))
     T = jnp.asarray(made_once.duct().T_world(0.4, 0.1)).at[:3, 3].add(100.0)  # the hull is far from everything
-    order = np.sort(np.maximum(p[:, 0], q[:, 0]))
+    furthest = np.maximum(p @ np.array(direction), q @ np.array(direction))
+    order = np.sort(furthest)
     for gate in np.concatenate([[order[0] - 1], (order[1:] + order[:-1]) / 2, [order[-1] + 1]]):
-        crossed = jitted(contacts)(robot, obstacle, Where(T, jnp.asarray(gate)), x).crossed
-        np.testing.assert_array_equal(crossed, np.maximum(p[:, 0], q[:, 0]) > gate)
+        crossed = jitted(contacts)(robot, obstacle, Where(T, jnp.array([*direction, gate])), x).crossed
+        np.testing.assert_array_equal(crossed, furthest > gate)
 
 
 def test_mujocos_own_geometry_measures_the_same():
