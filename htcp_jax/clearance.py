@@ -2,10 +2,11 @@
 
 D is the paper's (workspace inequality constraints): per body, the distance between the capsule's segment and the
 nearest of all points, less the radius. "Outside the tunnel is negative": a capsule end beyond the gate (deeper than a
-set depth behind the cloud's nearest world x) must lie in the cloud's convex hull; where it does not, the body's
-clearance is at most minus how far outside it is. The far-off point and the crossed facet are found once and then held,
-so the gradient is that of a distance to a fixed point or plane: exact wherever D is differentiable, and one of its
-one-sided gradients elsewhere.
+set depth behind where the cloud begins, along its inlet's direction) must lie in the cloud's convex hull; where it does
+not, the body's clearance is at most minus how far outside it is. Where the points were sampled on a mesh, D is less by
+the distance within which they cover it: a bound on the clearance to the mesh itself. The far-off point and the crossed
+facet are found once and then held, so the gradient is that of a distance to a fixed point or plane: exact wherever D is
+differentiable, and one of its one-sided gradients elsewhere.
 """
 
 from dataclasses import dataclass
@@ -29,11 +30,13 @@ from htcp_jax.workpiece import Workpiece
 @register_pytree
 @dataclass(frozen=True)
 class Obstacle:
-    """The paper's O on the device, in the workpiece frame: points, their index, and the hull's half-spaces."""
+    """The paper's O on the device, in the workpiece frame: points, their index, the hull's half-spaces, and how far
+    from a point there may be wall [m], which makes every body that much thicker."""
 
     points: Float[jax.Array, "P 3"]
     index: CloudIndex
     hull: HalfSpaces
+    cover: Float[jax.Array, ""]
 
 
 @lru_cache(maxsize=2)
@@ -43,6 +46,7 @@ def make_obstacle(workpiece: Workpiece) -> Obstacle:
         points=jnp.asarray(workpiece.cloud),
         index=build_index(np.asarray(workpiece.cloud)),
         hull=half_spaces(workpiece.hull_normal, workpiece.hull_offset, workpiece.hull_vertices),
+        cover=jnp.asarray(workpiece.covering_radius_m, float),
     )
 
 
@@ -51,7 +55,7 @@ class Posed(Protocol):
     """Where the workpiece is: a scenario, or whatever else knows."""
 
     T_world_workpiece: Pose
-    gate_x: Scalar  # capsule ends with a world x beyond this must lie inside the tunnel [m]
+    gate: Float[jax.Array, "4"]  # unit normal n, offset [m]: capsule ends with n @ x > offset must lie in the tunnel
 
 
 class Contacts(NamedTuple):
@@ -61,6 +65,7 @@ class Contacts(NamedTuple):
     point: Float[jax.Array, "K 3"]  # on the body's axis, world [m]
     normal: Float[jax.Array, "K 3"]  # unit, from the obstacle to the body, world
     row: Int[jax.Array, "K"]  # nearest row of the cloud (also where the hull decides)
+    reach: Float[jax.Array, "K"]  # from the axis: the body's radius and the cloud's cover [m]
     crossed: Bool[jax.Array, "K"]  # whether the hull decides, and not that row
 
 
@@ -84,7 +89,8 @@ def contacts(robot: Robot, obstacle: Obstacle, where: Posed, x: Joints) -> Conta
     point = ends.p + s * (ends.q - ends.p)
     arm = point - witness
     length = safe_norm(arm)
-    distance = length - robot.capsule_radius
+    reach = robot.capsule_radius + obstacle.cover
+    distance = length - reach
     normal = safe_divide(arm, jnp.broadcast_to(length[:, None], arm.shape))
 
     outside, end, inwards = _outside_hull(obstacle, ends)
@@ -94,6 +100,7 @@ def contacts(robot: Robot, obstacle: Obstacle, where: Posed, x: Joints) -> Conta
         point=product(jnp.where(decides[:, None], end, point), rotate.T) + translate[None, :],
         normal=product(jnp.where(decides[:, None], inwards, normal), rotate.T),
         row=row,
+        reach=reach,
         crossed=decides,
     )
 
@@ -107,17 +114,19 @@ def clearances(robot: Robot, obstacle: Obstacle, where: Posed, x: Joints) -> Flo
 def clearance(robot: Robot, obstacle: Obstacle, where: Posed, x: Joints) -> Scalar:
     """D(x, O) [m], the smallest over all bodies, exact: one search for all bodies, cheaper than `clearances`."""
     ends = _ends(robot, where, x)
-    body, row = nearest_body(obstacle.index, ends.p, ends.q, robot.capsule_radius)
+    reach = robot.capsule_radius + obstacle.cover
+    body, row = nearest_body(obstacle.index, ends.p, ends.q, reach)
     p, q, witness = ends.p[body], ends.q[body], obstacle.points[row]
     arm = p + segment_parameter(p, q, witness) * (q - p) - witness
     outside, _, _ = _outside_hull(obstacle, ends)
-    return jnp.minimum(safe_norm(arm) - robot.capsule_radius[body], jnp.min(jnp.where(outside > 0, -outside, jnp.inf)))
+    return jnp.minimum(safe_norm(arm) - reach[body], jnp.min(jnp.where(outside > 0, -outside, jnp.inf)))
 
 
 def is_clear(robot: Robot, obstacle: Obstacle, where: Posed, x: Joints) -> Bool[jax.Array, ""]:
     """Whether D(x, O) > 0; cheaper still, because the search passes over all points beyond the capsules' radii."""
     ends = _ends(robot, where, x)
-    touching = nearest_body(obstacle.index, ends.p, ends.q, robot.capsule_radius, below=0.0).row >= 0
+    reach = robot.capsule_radius + obstacle.cover
+    touching = nearest_body(obstacle.index, ends.p, ends.q, reach, below=0.0).row >= 0
     outside, _, _ = _outside_hull(obstacle, ends)
     return ~(touching | jnp.any(outside > 0))
 
@@ -140,7 +149,7 @@ def all_clear(robot: Robot, obstacle: Obstacle, where: Posed, x: Float[jax.Array
         left, _ = state
         body = jnp.argmax(left)
         p, q, here = ends.p[:, body], ends.q[:, body], open_[:, body]
-        within = jnp.where(here, robot.capsule_radius[body], -1.0)
+        within = jnp.where(here, robot.capsule_radius[body] + obstacle.cover, -1.0)
         touching = jnp.any(nearest_rows(obstacle.index, p, q, within) >= 0)
         deep = here[None, :] & (ends.beyond.reshape(x.shape[0], 2, -1)[:, :, body].T > 0)
         return left & (jnp.arange(left.shape[0]) != body), ~(touching | _any_outside(obstacle, p, q, deep.reshape(-1)))
@@ -189,7 +198,7 @@ class _Ends(NamedTuple):
 def _ends(robot: Robot, where: Posed, x: Joints) -> _Ends:
     rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
     p, q = capsule_segments(robot, x)
-    beyond = jnp.concatenate([p, q])[:, 0] - where.gate_x
+    beyond = product(jnp.concatenate([p, q]), where.gate[:3]) - where.gate[3]
     return _Ends(product(p - translate[None, :], rotate), product(q - translate[None, :], rotate), beyond)
 
 

@@ -10,11 +10,13 @@ import logging
 import re
 import warnings
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
+from htcp_jax.mesh_points import cover
 
 TEXT = (".xyz", ".csv", ".txt")
 MESHES = (".ply", ".stl", ".obj")
@@ -24,37 +26,42 @@ NPY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.forma
 # An OBJ face that counts its vertices back from its own line. trimesh takes other vertices and says nothing.
 RELATIVE_FACE = re.compile(rb"^f\b[^\n]*[ \t](?:-\d|0+(?:[/ \t\r]|$))", re.MULTILINE)
 PLY_ELEMENT = re.compile(rb"^element[ \t]+(vertex|face)[ \t]+(\d{1,12})[ \t\r]*$", re.MULTILINE)
-MESH_POINTS = 50_015  # as many as the paper's cloud
 LARGEST_FILE = 2 * 2**30
-LARGEST_SAMPLE = 10_000_000
 LARGEST_COORDINATE = 1e9  # [m]
-LEAST_SPACING = 1e-6  # [m]
 METRES_AT_MOST = 20.0  # no part inside a robot's reach is larger; one given in millimetres is
 
 
-def load_cloud(
-    path: str | Path, *, points: int | None = None, spacing: float | None = None, seed: int = 0
-) -> Float[np.ndarray, "P 3"]:
-    """Points [m] of a cloud file (.xyz .csv .txt .npy, a .ply or .obj without faces) or sampled on a mesh
-    (.stl .obj .ply).
+class Geometry(NamedTuple):
+    """What a file holds: P points and no triangles, or F triangles with their P corners [m]."""
 
-    A mesh is sampled uniformly by area, with the same bytes for the same seed: `points` of them (50,015 if
-    neither is given), or as many as give the median nearest-neighbour `spacing` [m]. Clouds are taken as they
-    are. Raises InputError for a file that cannot be read, for NaN and infinite points, and for fewer than 4
-    points. Warns (UserWarning) when the extent says millimetres.
-    """
+    points: Float[np.ndarray, "P 3"]
+    triangles: Float[np.ndarray, "F 3 3"]
+
+
+def load_geometry(path: str | Path) -> Geometry:
+    """The points of a cloud file (.xyz .csv .txt .npy, a .ply or .obj without faces), or the triangles of a mesh
+    (.stl .obj .ply) [m]. Raises InputError for a file that cannot be read, for NaN and infinite points, and for fewer
+    than 4 points of a cloud. Warns (UserWarning) when the extent says millimetres."""
     path = Path(path)
     ending = known_ending(path, CLOUDS)
-    check_sampling(points, spacing, seed)
     if ending in TEXT:
-        cloud = read_table(path)
+        found = Geometry(read_table(path), np.empty((0, 3, 3)))
     elif ending == ".npy":
-        cloud = _read_npy(path)
+        found = Geometry(_read_npy(path), np.empty((0, 3, 3)))
     else:
-        cloud = _read_mesh(path, ending, points, spacing, seed)
-    check_points(cloud, str(path), at_least=4)
-    warn_if_millimetres(cloud, str(path))
-    return cloud
+        found = _read_mesh(path, ending)
+    check_points(found.points, str(path), at_least=1 if len(found.triangles) else 4)
+    warn_if_millimetres(found.points, str(path))
+    return found
+
+
+def load_cloud(
+    path: str | Path, *, spacing: float | None = None, thinnest_m: float = np.inf
+) -> Float[np.ndarray, "P 3"]:
+    """Points [m] of a cloud file, as they are, or points that cover a mesh, see `mesh_points.cover`. Raises InputError
+    and warns as `load_geometry` does."""
+    found = load_geometry(path)
+    return cover(found.triangles, str(path), spacing, thinnest_m).points if len(found.triangles) else found.points
 
 
 def read_table(path: Path) -> Float[np.ndarray, "P 3"]:
@@ -97,18 +104,6 @@ def warn_if_millimetres(points: Float[np.ndarray, "P 3"], source: str) -> None:
     if extent > METRES_AT_MOST:
         text = f"the points extend over {extent:.4g} m; are they in millimetres? Metres are expected"
         warnings.warn(f"{source}: {text}", UserWarning, stacklevel=3)
-
-
-def check_sampling(points: int | None, spacing: float | None, seed: int) -> None:
-    """Raise InputError for a number of points, a spacing [m] or a seed that nothing can be sampled with."""
-    if seed < 0:
-        raise InputError(f"seed is {seed}; it must be 0 or more")
-    if points is not None and spacing is not None:
-        raise InputError("give the number of points or their spacing, not both")
-    if points is not None and not 4 <= points <= LARGEST_SAMPLE:
-        raise InputError(f"points is {points}; valid are 4 to {LARGEST_SAMPLE}")
-    if spacing is not None and not LEAST_SPACING <= spacing < np.inf:
-        raise InputError(f"spacing is {spacing} m; it must be at least {LEAST_SPACING} m")
 
 
 def known_ending(path: Path, endings: tuple[str, ...]) -> str:
@@ -187,16 +182,12 @@ def _read_npy(path: Path) -> Float[np.ndarray, "P 3"]:
     return np.ascontiguousarray(array, dtype=np.float64)
 
 
-def _read_mesh(
-    path: Path, ending: str, points: int | None, spacing: float | None, seed: int
-) -> Float[np.ndarray, "P 3"]:
+def _read_mesh(path: Path, ending: str) -> Geometry:
     vertices, triangles = _geometry(path, ending)
-    if not len(triangles):
-        return vertices
-    check = triangles.reshape(-1, 3)
-    if not np.isfinite(check).all() or np.abs(check).max() > LARGEST_COORDINATE:
+    corners = triangles.reshape(-1, 3)
+    if not np.isfinite(corners).all() or np.abs(corners).max(initial=0.0) > LARGEST_COORDINATE:
         raise InputError(f"{path}: a vertex of the mesh is NaN, infinite or absurdly far away")
-    return _sample(path, triangles, points, spacing, seed)
+    return Geometry(corners if len(corners) else vertices, triangles)
 
 
 def _geometry(path: Path, ending: str) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "F 3 3"]]:
@@ -246,24 +237,3 @@ def _quiet():
             yield
     finally:
         logger.setLevel(level)
-
-
-def _sample(
-    path: Path, triangles: Float[np.ndarray, "F 3 3"], points: int | None, spacing: float | None, seed: int
-) -> Float[np.ndarray, "P 3"]:
-    a, b, c = np.moveaxis(triangles, 1, 0)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
-    total = area.sum()
-    if not total > 0.0:
-        raise InputError(f"{path}: the mesh has no area")
-    # Of uniform points, d to the square metre, the share exp(-pi d s^2) has no neighbour within s.
-    wanted = MESH_POINTS if spacing is None else total * np.log(2.0) / (np.pi * spacing**2)
-    count = int(np.ceil(min(wanted, 2.0 * LARGEST_SAMPLE))) if points is None else points
-    if count > LARGEST_SAMPLE:
-        raise InputError(f"{path}: a spacing of {spacing} m takes more than {LARGEST_SAMPLE} points")
-    rng = np.random.Generator(np.random.PCG64(seed))
-    cumulative = np.cumsum(area)
-    drawn = np.searchsorted(cumulative, rng.random(count) * cumulative[-1], side="right")
-    u, v = rng.random((2, count, 1))
-    u, v = np.where(u + v > 1.0, 1.0 - u, u), np.where(u + v > 1.0, 1.0 - v, v)
-    return a[drawn] + u * (b - a)[drawn] + v * (c - a)[drawn]

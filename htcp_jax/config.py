@@ -13,7 +13,7 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from htcp_jax.errors import InputError
 from htcp_jax.escape import METHODS
@@ -21,6 +21,7 @@ from htcp_jax.settings import Settings
 from htcp_jax.strict_yaml import parse_yaml, read_yaml
 from htcp_jax.workpiece import GATE_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
 
+TIP_CONTACT_M = 0.01
 LARGEST = 1e6  # of lengths [m] and joint positions: beyond, the tolerance is lost to rounding
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Point = tuple[Number, Number, Number]
@@ -49,6 +50,9 @@ class WorkpieceConfig(Section):
     inlet_m: Point | None = None  # centre of the inlet; without it the duct's, or none for another cloud
     interior: Literal["hull", "none"] = "hull"  # what bounds the inside, deeper than gate_depth_m
     gate_depth_m: float = Field(GATE_DEPTH_M, ge=0, le=LARGEST)
+    inlet_direction: Point | None = None  # into the part, in its frame; the hull's facet nearest to the inlet by itself
+    mesh_spacing_m: Annotated[float, Field(gt=0, le=LARGEST)] | None = None  # widest gap of the points on a mesh
+    tip_contact_m: Annotated[float, Field(ge=0, le=LARGEST)] | None = None  # of the bare tip, from the TCP; null: all
     pivot_m: Point = PIVOT  # world point that the rotations turn about
     neutral_translation_m: Point = NEUTRAL_TRANSLATION  # of the workpiece frame, before they turn it
     rotation_y_rad: float = 0.4
@@ -56,6 +60,14 @@ class WorkpieceConfig(Section):
     shift_m: Point = (0.0, 0.0, 0.0)
     approach_to_inlet: Steps = 5  # equal steps from the start's TCP to the inlet
     approach_to_path: Steps = 5  # and from there to the first point of the path
+
+    @model_validator(mode="before")
+    @classmethod
+    def _own_part(cls, raw: Any) -> Any:
+        """The tip of a tool stays out of the walls of a part of one's own; the paper's duct exempts it."""
+        if isinstance(raw, dict) and raw.get("cloud", "duct") != "duct":
+            return {"tip_contact_m": TIP_CONTACT_M} | raw
+        return raw
 
 
 class RayConfig(Section):

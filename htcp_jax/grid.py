@@ -119,7 +119,7 @@ class Sweep:
         """
         points = self.points(limit)
         workpieces = {
-            path: workpiece_of(self.config.workpiece.model_copy(update={"path": path}))
+            path: workpiece_of(self.config.workpiece.model_copy(update={"path": path}), self.robot)
             for path in dict.fromkeys(point.config.workpiece.path for point in points)
         }
         scenarios = [_scenario(point, self.robot, workpieces[point.config.workpiece.path]) for point in points]

@@ -1,6 +1,9 @@
 """From a configuration to what it speaks of: the robot, the workpiece, the scenario. All raise InputError."""
 
+import warnings
 from typing import Literal
+
+import numpy as np
 
 from htcp_jax.config import PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.robot import GP50, Robot, load_robot
@@ -10,7 +13,8 @@ from htcp_jax.workpiece import Workpiece, load_workpiece
 
 def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
     """The robot, the workpiece and the one scenario of a configuration."""
-    robot, workpiece = robot_of(job.robot), workpiece_of(job.workpiece)
+    robot = robot_of(job.robot)
+    workpiece = workpiece_of(job.workpiece, robot)
     return robot, workpiece, scenario_of(job, robot, workpiece)
 
 
@@ -19,17 +23,32 @@ def robot_of(arm: RobotConfig) -> Robot:
     return load_robot(GP50 if arm.model == "gp50" else arm.model, limits=arm.limits)
 
 
-def workpiece_of(part: WorkpieceConfig) -> Workpiece:
-    """The workpiece, without its pose: that belongs to the scenario."""
-    return load_workpiece(
+def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
+    """The workpiece, without its pose: that belongs to the scenario. Points on a mesh are as close as the robot's
+    thinnest body needs; where that body fits between the points of a cloud, a UserWarning says so."""
+    thinnest = int(np.argmin(robot.capsule_radius))
+    radius = float(robot.capsule_radius[thinnest])
+    workpiece = load_workpiece(
         None if part.cloud == "duct" else part.cloud,
         None if part.path == "weld" else part.path,
         inlet="auto" if part.inlet_m is None else part.inlet_m,
         interior=part.interior,
         gate_depth_m=part.gate_depth_m,
+        inlet_direction=part.inlet_direction,
+        tip_contact_m=part.tip_contact_m,
         pivot=part.pivot_m,
         neutral_translation=part.neutral_translation_m,
+        spacing=part.mesh_spacing_m if part.cloud != "duct" else None,
+        thinnest_m=radius,
     )
+    if not len(workpiece.triangles) and workpiece.largest_gap_m > 2 * radius:
+        warnings.warn(
+            f"{part.cloud}: a gap of {1e3 * workpiece.largest_gap_m:.3g} mm between its points; "
+            f"{robot.capsule_names[thinnest]}, {2e3 * radius:.3g} mm thick, fits through",
+            UserWarning,
+            stacklevel=2,
+        )
+    return workpiece
 
 
 def scenario_of(

@@ -53,7 +53,7 @@ class Task(NamedTuple):
     along, so the compiled programs know nothing of how many scenarios there are."""
 
     T_world_workpiece: jax.Array
-    gate_x: jax.Array
+    gate: jax.Array
     margin_m: jax.Array
     tool_extension_m: jax.Array
     number: jax.Array
@@ -67,7 +67,7 @@ def tasks(scenarios: Scenario, scenario: np.ndarray, row: np.ndarray, round_: in
     row, scenario = np.asarray(row, np.int32), np.asarray(scenario)
     own = [
         getattr(scenarios, name)[scenario]
-        for name in ("T_world_workpiece", "gate_x", "margin_m", "tool_extension_m", "number")
+        for name in ("T_world_workpiece", "gate", "margin_m", "tool_extension_m", "number")
     ]
     return Task(*own, scenarios.targets[scenario, row], row, np.full_like(row, round_))
 

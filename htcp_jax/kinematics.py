@@ -43,6 +43,18 @@ def capsule_segments(robot: Robot, x: Joints) -> tuple[Float[Array, "K 3"], Floa
     return _to_world(own, robot.capsule_p), _to_world(own, robot.capsule_q)
 
 
+def tip_segment(robot: Robot, x: Joints) -> Float[Array, "2 3"]:
+    """The bare tip in the world [m]: from the end of a capsule that is nearest to the TCP, to the TCP.
+
+    Of the capsules on the last link, or else on the last that has any; nearest at the model's zero, so that it is the
+    same end in every posture.
+    """
+    last = np.flatnonzero(np.array(robot.capsule_link) == max(robot.capsule_link))
+    zero, here = (jnp.concatenate([e[last] for e in capsule_segments(robot, at)]) for at in (jnp.zeros_like(x), x))
+    away = zero - tcp_position(robot, jnp.zeros_like(x))[None]
+    return jnp.stack([here[jnp.argmin(jnp.sum(away * away, axis=1))], tcp_position(robot, x)])
+
+
 def jacobian(robot: Robot, x: Joints) -> Float[Array, "3 N"]:
     """Geometric Jacobian of the TCP's position, d tcp_position / dx [m/rad or m/m]; the paper's Jac(x)."""
     links = _link_frames(robot, x)

@@ -29,6 +29,7 @@ from htcp_jax.results import SUMMARY, TRAJECTORY, read_plan
 from htcp_jax.robot import Robot, lengthen_tool
 from htcp_jax.run_folder import MANIFEST, Run, open_run
 from htcp_jax.run_identity import file_hash
+from htcp_jax.scenario import gate_of
 from htcp_jax.surface import Surface, surface_of
 from htcp_jax.workpiece import Workpiece
 
@@ -40,7 +41,7 @@ class Placement(NamedTuple):
     """How one scenario differs from the others of its shelf; what `clearance.Posed` asks for, and the arm's."""
 
     T_world_workpiece: Float[np.ndarray, "4 4"]
-    gate_x: Float[np.ndarray, ""]
+    gate: Float[np.ndarray, "4"]
     x_start: Float[np.ndarray, "N"]
     tool_extension_m: float
 
@@ -188,7 +189,7 @@ def shelf_of(name: str, plan: Plan) -> Shelf:
     where = plan.scenario
     placement = Placement(
         T_world_workpiece=np.asarray(where.T_world_workpiece),
-        gate_x=np.asarray(where.gate_x),
+        gate=np.asarray(where.gate),
         x_start=np.asarray(where.x_start),
         tool_extension_m=float(where.tool_extension_m),
     )
@@ -202,16 +203,17 @@ def _of_run(run: Run) -> Shelf:
     methods = tuple(dict.fromkeys(shard.method for shard in run.manifest.shards))
     config, rows = run.config, run.scenarios(*methods).to_pylist()
     # The targets are on record, so that the paths of the scenarios are not needed.
-    robot, workpiece = robot_of(config.robot), workpiece_of(config.workpiece)
-    placements = {row["scenario"]: _placement(row, workpiece, run.manifest.joints) for row in rows}
+    robot = robot_of(config.robot)
+    workpiece = workpiece_of(config.workpiece, robot)
+    placements = {row["scenario"]: _placement(row, robot, workpiece, run.manifest.joints) for row in rows}
     return Shelf(str(run.folder), config, robot, workpiece, methods, run.plans, placements)
 
 
-def _placement(row: dict[str, Any], workpiece: Workpiece, joints: tuple[str, ...]) -> Placement:
+def _placement(row: dict[str, Any], robot: Robot, workpiece: Workpiece, joints: tuple[str, ...]) -> Placement:
     shift = tuple(row[f"shift_{axis}_m"] for axis in XYZ)
     T = workpiece.T_world(row["rotation_y_rad"], row["rotation_z_rad"], shift)
     start = np.array([row[f"start_{joint}"] for joint in joints])
-    return Placement(T, np.asarray(workpiece.gate_x(T)), start, row["tool_extension_m"])
+    return Placement(T, gate_of(robot, workpiece, T), start, row["tool_extension_m"])
 
 
 def _of_plan(folder: Path) -> Shelf:

@@ -30,7 +30,7 @@ class Scenario:
 
     x_start: Float[Anywhere, "*S N"]  # [rad or m]
     T_world_workpiece: Float[Anywhere, "*S 4 4"]
-    gate_x: Float[Anywhere, "*S"]  # capsule ends with a world x beyond this must lie inside the tunnel [m]
+    gate: Float[Anywhere, "*S 4"]  # see `gate_of`
     targets: Float[Anywhere, "*S T 3"]  # world [m]; rows from `count` on are padding
     count: Int[Anywhere, "*S"]  # targets to track
     margin_m: Float[Anywhere, "*S"]  # least clearance with which a target counts
@@ -95,7 +95,7 @@ def make_scenario(
     return Scenario(
         x_start=x_start,
         T_world_workpiece=T_world_workpiece,
-        gate_x=np.asarray(workpiece.gate_x(T_world_workpiece)),
+        gate=gate_of(robot, workpiece, T_world_workpiece),
         targets=targets,
         count=np.asarray(len(targets), np.int32),
         margin_m=np.asarray(margin_m, float),
@@ -103,6 +103,27 @@ def make_scenario(
         number=np.asarray(number, np.int32),
         refused=np.asarray(refused, np.int32),
     )
+
+
+def gate_of(robot: Robot, workpiece: Workpiece, T_world_workpiece: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4"]:
+    """Unit normal n, offset [m]: capsule ends with n @ x > offset in the world must lie inside the workpiece.
+
+    Where the robot itself stands beyond that plane, beside the workpiece, it divides nothing: the offset is infinite,
+    and the rule off. The paper's rule, along the world's x, holds anywhere.
+    """
+    gate = workpiece.gate(T_world_workpiece)
+    fixed = np.asarray(robot.capsule_link) < 0
+    ends = (np.asarray(end)[fixed] for end in (robot.capsule_p, robot.capsule_q))
+    base = np.concatenate([np.asarray(robot.T_parent_joint)[:1, :3, 3], *ends])
+    if workpiece.inlet_direction is not None and (base @ gate[:3] > gate[3]).any():
+        gate[3] = np.inf
+    return gate
+
+
+def interior_rule(workpiece: Workpiece, scenario: Scenario) -> str:
+    """Whether bodies deep in the workpiece must be in its hull, in words."""
+    beside = np.isinf(scenario.gate[3]) and len(workpiece.hull_offset)
+    return "off: the robot stands beyond the inlet" if beside else workpiece.interior_rule
 
 
 def stack(scenarios: Sequence[Scenario]) -> Scenario:

@@ -26,17 +26,19 @@ class Seen(NamedTuple):
     end: Float[Array, "R 3"]  # that end, in the frame of the body's link
     normal: Float[Array, "R 3"]  # of the facet, inwards
     offset: Float[Array, "R"]  # clearance = normal . end - offset
+    reach: Float[Array, "R"]  # clearance = distance from the axis to the witness - reach
 
 
 def see(robot: Robot, x: Joints, touch: Contacts) -> Seen:
     """The contacts at x, to be held."""
     T = _body_poses(robot, x)
     return Seen(
-        witness=touch.point - touch.normal * (touch.distance + robot.capsule_radius)[:, None],
+        witness=touch.point - touch.normal * (touch.distance + touch.reach)[:, None],
         crossed=touch.crossed,
         end=jnp.sum(T[:, :3, :3] * (touch.point - T[:, :3, 3])[:, :, None], axis=1),
         normal=touch.normal,
         offset=jnp.sum(touch.normal * touch.point, axis=1) - touch.distance,
+        reach=touch.reach,
     )
 
 
@@ -46,7 +48,7 @@ def seen_clearance(robot: Robot, x: Joints, seen: Seen) -> tuple[Float[Array, "R
     rounds = seen.offset.shape[0] // len(robot.capsule_link)
     T = _body_poses(robot, x)
     p, q = _moved(T, robot.capsule_p), _moved(T, robot.capsule_q)
-    p, q, T, radius = (jnp.concatenate([each] * rounds) for each in (p, q, T, robot.capsule_radius))
+    p, q, T = (jnp.concatenate([each] * rounds) for each in (p, q, T))
     axis_point = p + segment_parameter(p, q, seen.witness)[:, None] * (q - p)
     arm = axis_point - seen.witness
     length = safe_norm(arm)
@@ -54,7 +56,7 @@ def seen_clearance(robot: Robot, x: Joints, seen: Seen) -> tuple[Float[Array, "R
 
     point = jnp.where(seen.crossed[:, None], _moved(T, seen.end), axis_point)
     normal = jnp.where(seen.crossed[:, None], seen.normal, away)
-    value = jnp.where(seen.crossed, jnp.sum(seen.normal * point, axis=1) - seen.offset, length - radius)
+    value = jnp.where(seen.crossed, jnp.sum(seen.normal * point, axis=1) - seen.offset, length - seen.reach)
     motion = point_jacobians(robot, x, point, robot.capsule_link * rounds)
     return value, jnp.sum(normal[:, :, None] * motion, axis=1)
 

@@ -5,7 +5,9 @@
     found.methods["hybrid"].clearance_min_mm
 
 At the targets every tracked configuration must reach its target, be clear, keep the joint limits, and have the
-clearance, TCP and target on record; one that does not is refuted. Between the targets the straight joint path is walked
+clearance, TCP and target on record; one that does not is refuted. The clearance
+to a mesh is to its triangles, and what is on record must be a bound on it from below; where the job asks for it, the
+tool's bare tip must not go through them. Between the targets the straight joint path is walked
 in small steps. What is found there refutes nothing, because no target is there: it is counted and told.
 """
 
@@ -25,7 +27,7 @@ from htcp_jax.robot import GP50
 from htcp_jax.validate_arm import Arm
 from htcp_jax.validate_input import Results, Track, read_results
 from htcp_jax.validate_track import Checked, Refuted, check
-from htcp_jax.validate_wall import Wall
+from htcp_jax.validate_wall import wall_of
 
 VALIDATION = "validation.json"
 TOLD = 100  # refuted configurations that are told one by one
@@ -91,7 +93,7 @@ def validate(
         raise InputError(f"the feed rate is {feed_mm_s:g} mm/s; it must be positive")
     began = time.perf_counter()
     results = read_results(Path(folder))
-    wall = Wall(next(iter(results.workpieces.values())).cloud, results.config.workpiece.interior)
+    wall = wall_of(results.config.workpiece, next(iter(results.workpieces.values())))
     arms: dict[float, Arm] = {}
     checked = []
     for track in results.tracks:

@@ -35,8 +35,9 @@ class Postures(NamedTuple):
 class Arm:
     """A model file in MuJoCo, its tool longer by `tool_extension_m`, and a probe that can be put anywhere.
 
-    names, radius: of the K capsule and sphere geoms [m]; lower, upper: joint limits of the profile `limits` of
-    `robot.load_robot`; speed: inf where the model gives none. Raises InputError for a file that MuJoCo cannot read.
+    names, radius, length: of the K capsule and sphere geoms, and their axes' [m]; lower, upper: joint limits of the
+    profile `limits` of `robot.load_robot`; speed: inf where the model gives none. Raises InputError for a file that
+    MuJoCo cannot read.
     """
 
     def __init__(self, path: Path, tool_extension_m: float = 0.0, limits: str = "model"):
@@ -49,21 +50,31 @@ class Arm:
         self.names = tuple(self._model.geom(g).name or f"geom {g}" for g in self._geoms)
         self.radius = self._model.geom_size[self._geoms, 0].copy()
         self._half = np.where(self._model.geom_type[self._geoms] == _CAPSULE, self._model.geom_size[self._geoms, 1], 0)
+        self.length = 2 * self._half
         self.joints = tuple(self._model.joint(j).name or f"joint{j + 1}" for j in range(self._model.njnt))
         self.lower, self.upper = _limits(self._model, limits)
         self.speed = _numeric(self._model, "speed", math.inf)
+        self._pose(np.zeros(self._model.njnt))
+        fixed = self._model.body_weldid[self._model.geom_bodyid[self._geoms]] == 0
+        ends = self._ends()
+        self.base = np.vstack([self._data.xanchor[:1], *ends[:, fixed]])  # what stands still, world
+        joints = np.array([_joints_below(self._model, int(b)) for b in self._model.geom_bodyid[self._geoms]])
+        away = np.where(joints == joints.max(), np.linalg.norm(ends - self._data.site_xpos[self._site], axis=2), np.inf)
+        self._tip = np.unravel_index(away.argmin(), away.shape)
 
     def postures(self, x: Float[np.ndarray, "n N"]) -> Postures:
         """Where MuJoCo's kinematics puts the arm."""
-        shape = len(x), len(self._geoms), 3
-        tcp, middle, axis = np.empty((len(x), 3)), np.empty(shape), np.empty(shape)
+        tcp, ends = np.empty((len(x), 3)), np.empty((2, len(x), len(self._geoms), 3))
         for k, row in enumerate(x):
             self._pose(row)
             tcp[k] = self._data.site_xpos[self._site]
-            middle[k] = self._data.geom_xpos[self._geoms]
-            axis[k] = self._data.geom_xmat[self._geoms, 2::3]  # a capsule lies along its own z
-        reach = self._half[None, :, None] * axis
-        return Postures(tcp, middle + reach, middle - reach)
+            ends[:, k] = self._ends()
+        return Postures(tcp, *ends)
+
+    def tip_start(self, postures: Postures) -> Float[np.ndarray, "n 3"]:
+        """Where the bare tip begins: the end on the last link that is nearest to the TCP at the model's zero; world."""
+        end, body = self._tip
+        return (postures.p, postures.q)[end][:, body]
 
     def distances(
         self, x: Float[np.ndarray, "N"], capsules: Int[np.ndarray, "c"], points: Float[np.ndarray, "c 3"]
@@ -75,6 +86,10 @@ class Arm:
             self._data.geom_xpos[self._probe] = point
             found[k] = mujoco.mj_geomDistance(self._model, self._data, geom, self._probe, FAR_M, None)
         return found + PROBE_M
+
+    def _ends(self) -> Float[np.ndarray, "2 K 3"]:
+        reach = self._half[:, None] * self._data.geom_xmat[self._geoms, 2::3]  # a capsule lies along its own z
+        return self._data.geom_xpos[self._geoms] + np.stack([reach, -reach])
 
     def _pose(self, x: Float[np.ndarray, "N"]) -> None:
         self._data.qpos[:] = x
@@ -116,9 +131,14 @@ def _upwards(model: mujoco.MjModel, body: int) -> Iterator[int]:
         body = int(model.body_parentid[body])
 
 
+def _joints_below(model: mujoco.MjModel, body: int) -> int:
+    """How many joints there are between the world and the body, its own included."""
+    return int(model.body_jntnum[list(_upwards(model, body))].sum())
+
+
 def _outermost_body(model: mujoco.MjModel) -> str:
     """The last of the bodies with the most joints between them and the world."""
-    depth = [model.body_jntnum[list(_upwards(model, body))].sum() for body in range(model.nbody)]
+    depth = [_joints_below(model, body) for body in range(model.nbody)]
     return model.body(max(range(model.nbody), key=lambda body: (depth[body], body))).name
 
 

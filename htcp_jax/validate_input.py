@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 
 from htcp_jax.config import PlanConfig, WorkpieceConfig, validate
 from htcp_jax.errors import InputError
-from htcp_jax.job import workpiece_of
+from htcp_jax.job import robot_of, workpiece_of
 from htcp_jax.metrics import is_tracked
 from htcp_jax.results import SUMMARY, TRAJECTORY, read_plan
 from htcp_jax.run_folder import MANIFEST, Run, open_run
@@ -163,5 +163,5 @@ def _track(method: str, scenario: int, pose: Pose, arrays: dict[str, np.ndarray]
 
 
 def _workpiece(config: PlanConfig, path: str) -> Workpiece:
-    """Only its points, path and inlet are used."""
-    return workpiece_of(config.workpiece.model_copy(update={"path": path}))
+    """Only its points, path and inlet are used, and that it is a mesh."""
+    return workpiece_of(config.workpiece.model_copy(update={"path": path}), robot_of(config.robot))

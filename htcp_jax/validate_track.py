@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.errors import InputError
-from htcp_jax.validate_arm import Arm
+from htcp_jax.validate_arm import Arm, Postures
 from htcp_jax.validate_input import Results, Track, targets_of, turned_and_moved
 from htcp_jax.validate_wall import AtTargets, Scene, Wall
 
@@ -54,14 +54,20 @@ def check(results: Results, arm: Arm, wall: Wall, track: Track, between: int) ->
     x = np.concatenate([track.pose.start[None], track.x[t]])  # the start is row 0
     at = scene.at(x)
     reached = at.postures.tcp[1:]
+    more = at.clearance[1:] - track.clearance[t]
+    bound = wall.triangles is not None  # what is on record may be less, by how closely points cover the mesh
     found = {
         "tcp_error": np.linalg.norm(reached - targets[t], axis=1),
         "clearance": at.clearance[1:],
-        "clearance_off": _off(at.clearance[1:] - track.clearance[t]),
+        "clearance_off": _off(np.minimum(more, 0.0) if bound else more),
         "tcp_off": _off(np.linalg.norm(reached - track.tcp[t], axis=1)),
         "target_off": _off(np.linalg.norm(targets[t] - track.target[t], axis=1)),
     }
     tolerance = results.config.settings.tolerance_m
+    contact = results.config.workpiece.tip_contact_m
+    through = np.zeros(len(t), bool)
+    if bound and contact is not None and len(t):
+        through = scene.tip_goes_through(Postures(*(values[1:] for values in at.postures)), contact)
     first = np.flatnonzero(t == np.concatenate([[-1], t[:-1]])[: len(t)] + 1)  # rows of x that a path leaves
     moved, line = np.abs(np.diff(x, axis=0)[first]), targets[t[first]] - targets[np.maximum(t[first] - 1, 0)]
     speed, in_place = _speed(arm, moved, np.linalg.norm(line, axis=1), tolerance)
@@ -72,7 +78,7 @@ def check(results: Results, arm: Arm, wall: Wall, track: Track, between: int) ->
         blocked=int((track.tracked & track.blocked).sum()),
         target=t,
         **found,
-        refuted=_refuted(arm, track, t, tolerance, found),
+        refuted=_refuted(arm, track, t, tolerance, ROUNDING_M if bound else RECORD_M, {**found, "through": through}),
         leads_to=t[first],
         **_walk(scene, at, x, first, targets, t, between),
         speed=speed,
@@ -95,11 +101,13 @@ def _scene(results: Results, arm: Arm, wall: Wall, track: Track) -> tuple[Scene,
     return Scene(arm, wall, rotate, translate, part.gate_depth_m), targets
 
 
-def _refuted(arm: Arm, track: Track, t: np.ndarray, tolerance_m: float, found: dict[str, np.ndarray]) -> list[Refuted]:
+def _refuted(
+    arm: Arm, track: Track, t: np.ndarray, tolerance_m: float, record_m: float, found: dict[str, np.ndarray]
+) -> list[Refuted]:
     told = {int(k): ["no configuration on record"] for k in np.setdiff1d(np.flatnonzero(track.tracked), t)}
     for k, target in enumerate(t.tolist()):
         own = {name: float(values[k]) for name, values in found.items()}
-        told[target] = _reasons(arm, tolerance_m, track.x[target], float(track.clearance[target]), own)
+        told[target] = _reasons(arm, tolerance_m, record_m, track.x[target], float(track.clearance[target]), own)
     return [Refuted(track.method, track.scenario, k, "; ".join(told[k])) for k in sorted(told) if told[k]]
 
 
@@ -108,7 +116,9 @@ def _off(difference: np.ndarray) -> np.ndarray:
     return np.where(np.isnan(difference), np.inf, np.abs(difference))
 
 
-def _reasons(arm: Arm, tolerance_m: float, x: np.ndarray, recorded: float, found: dict[str, float]) -> list[str]:
+def _reasons(
+    arm: Arm, tolerance_m: float, record_m: float, x: np.ndarray, recorded: float, found: dict[str, float]
+) -> list[str]:
     """In words, why a configuration does not stand."""
     reasons = []
     if found["tcp_error"] > tolerance_m + ROUNDING_M:
@@ -117,7 +127,9 @@ def _reasons(arm: Arm, tolerance_m: float, x: np.ndarray, recorded: float, found
         reasons.append(f"the arm touches: clearance {1e3 * found['clearance']:.3f} mm")
     beyond = (x < arm.lower - ROUNDING_M) | (x > arm.upper + ROUNDING_M)
     reasons += [f"{arm.joints[j]} is outside its limits at {x[j]:.6g}" for j in np.flatnonzero(beyond)]
-    if found["clearance_off"] > RECORD_M:
+    if found["through"]:
+        reasons.append("the tool's tip goes through the wall")
+    if found["clearance_off"] > record_m:
         reasons.append(f"its clearance is {1e3 * found['clearance']:.3f} mm, {1e3 * recorded:.3f} mm on record")
     for name in ("tcp", "target"):
         if found[f"{name}_off"] > RECORD_M:

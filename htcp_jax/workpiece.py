@@ -1,33 +1,30 @@
-"""The workpiece: its cloud and tool path in its own frame, its pose in the world, and its convex hull.
+"""The workpiece: its walls and tool path in its own frame, its pose in the world, and its convex hull.
 
-Host side, numpy. The hull serves the interior rule of the clearance: deep behind the inlet, a point of the
-robot that left the hull has pierced the wall.
+Host side, numpy. Walls are points. Those of a mesh cover it within a known distance, which every clearance is less.
+The hull serves the interior rule of the clearance: deep behind the inlet, a point of the robot that left the hull has
+pierced the wall.
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import cKDTree
 
 from htcp_jax import duct
-from htcp_jax.cloud import (
-    TEXT,
-    check_points,
-    check_sampling,
-    known_ending,
-    load_cloud,
-    read_table,
-    warn_if_millimetres,
-)
+from htcp_jax.cloud import TEXT, check_points, known_ending, load_geometry, read_table, warn_if_millimetres
 from htcp_jax.errors import InputError
 from htcp_jax.hull import Hull, convex_hull
+from htcp_jax.mesh_points import Cover, cover
 from htcp_jax.notebook import html_facts
 
 PIVOT = (1.73205679, -0.0037799, 0.57539635)  # [m] world
 NEUTRAL_TRANSLATION = (1.24549547, -0.0037799, 0.87525497)  # [m] workpiece origin at wy = wz = 0
 GATE_DEPTH_M = 0.2
+MOST_POINTS = 10_000_000  # of the generated duct
 # Where the duct's wall bulges outwards nearly every point is a vertex of the hull: 22,914 facets.
 # At this tolerance they are 944, and the corners that they leave lie at most 0.42 mm outside the exact hull.
 DUCT_HULL_TOLERANCE_M = 5e-4
@@ -41,10 +38,15 @@ class Workpiece:
 
     inlet: centre of the inlet, via-point of the approach; None means none.
     pivot, neutral_translation: see `T_world`.
-    gate_depth_m: how far behind its nearest world x the interior begins, see `gate_x`.
+    gate_depth_m: how far behind its nearest point the interior begins, see `gate`.
     interior: "hull" computes the half-spaces below; "none" leaves them empty (F = 0), for flat clouds.
     hull_tolerance_m: 0 for the exact hull; above, fewer facets that reach out farther by about that much at
         most and still hold all of the cloud.
+    inlet_direction: into the part, made unit; None is the world's x, however the part is turned; "facet" the inward
+        normal of the hull's facet nearest to the inlet, and without an inlet no interior.
+    triangles: of the mesh that the cloud was sampled on [m]; none for a cloud.
+    covering_radius_m: no point of the mesh is further from one of the cloud; 0 for a cloud.
+    tip_contact_m: how near to the TCP the stretch between the last body and the TCP may touch walls; None: anywhere.
 
     Computed once: the cloud's convex hull is where hull_normal @ x <= hull_offset (unit outward normals);
     hull_vertices are the vertices of the exact hull (the whole cloud with interior "none").
@@ -61,6 +63,10 @@ class Workpiece:
     gate_depth_m: float = GATE_DEPTH_M
     interior: Literal["hull", "none"] = "hull"
     hull_tolerance_m: float = 0.0
+    inlet_direction: Float[np.ndarray, "3"] | Triple | Literal["facet"] | None = None
+    triangles: Float[np.ndarray, "M 3 3"] = field(default_factory=lambda: np.empty((0, 3, 3)))
+    covering_radius_m: float = 0.0
+    tip_contact_m: float | None = None
     hull_normal: Float[np.ndarray, "F 3"] = field(init=False)
     hull_offset: Float[np.ndarray, "F"] = field(init=False)
     hull_vertices: Float[np.ndarray, "V 3"] = field(init=False)
@@ -69,12 +75,16 @@ class Workpiece:
         cloud = _points(self.cloud, f"cloud of {self.name}", 4)
         path = _points(self.path, f"path of {self.name}", 1)
         inlet = None if self.inlet is None else _triple(self.inlet, "inlet")
-        for name in ("gate_depth_m", "hull_tolerance_m"):
-            if not 0.0 <= getattr(self, name) < np.inf:
+        for name in ("gate_depth_m", "hull_tolerance_m", "covering_radius_m", "tip_contact_m"):
+            if getattr(self, name) is not None and not 0.0 <= getattr(self, name) < np.inf:
                 raise InputError(f"{name} is {getattr(self, name)}; it must be 0 or more")
-        hull = _hull(cloud, self.interior, self.hull_tolerance_m, self.name)
+        triangles = np.array(self.triangles, dtype=np.float64)
+        corners = triangles.reshape(-1, 3) if len(triangles) else cloud  # what is sampled between adds no vertex
+        lost = inlet is None and self.inlet_direction == "facet"
+        hull = _hull(corners, "none" if lost else self.interior, self.hull_tolerance_m, self.name)
         arrays = {
-            "cloud": cloud, "path": path, "inlet": inlet,
+            "cloud": cloud, "path": path, "inlet": inlet, "triangles": triangles,
+            "inlet_direction": _direction(self.inlet_direction, hull, inlet),
             "pivot": _triple(self.pivot, "pivot"),
             "neutral_translation": _triple(self.neutral_translation, "neutral_translation"),
             "hull_normal": hull.normal, "hull_offset": hull.offset, "hull_vertices": hull.vertices,
@@ -95,24 +105,46 @@ class Workpiece:
         T[:3, 3] = self.pivot + T[:3, :3] @ (self.neutral_translation - self.pivot) + shift
         return T
 
+    @cached_property
+    def largest_gap_m(self) -> float:
+        """The largest distance from a point of the cloud to the next one: holes are at least as wide."""
+        return float(cKDTree(self.cloud).query(self.cloud, k=2)[0][:, 1].max())
+
+    @property
+    def walls(self) -> str:
+        """What clearance is measured to, in words."""
+        if len(self.triangles):
+            reach = f"{len(self.triangles):,} triangles within {1e3 * self.covering_radius_m:.3g} mm of"
+            return f"{reach} {len(self.cloud):,} points, subtracted"
+        return f"{len(self.cloud):,} points, gaps up to {1e3 * self.largest_gap_m:.3g} mm"
+
+    @property
+    def interior_rule(self) -> str:
+        """Whether bodies deep in the part must be in its hull, in words."""
+        if len(self.hull_offset):
+            along = "world x" if self.inlet_direction is None else f"({_told(self.inlet_direction)})"
+            return f"convex hull, {self.gate_depth_m:.3g} m deep along {along}"
+        return "off: no inlet" if self.inlet is None else "off"
+
     def _repr_html_(self) -> str:
         low, high = self.cloud.min(axis=0), self.cloud.max(axis=0)
         length = np.linalg.norm(np.diff(self.path, axis=0), axis=1).sum()
-        inlet = "none" if self.inlet is None else ", ".join(f"{value:.4g}" for value in self.inlet) + " m"
         facts = {
-            "cloud": f"{len(self.cloud):,} points",
+            "walls": self.walls,
             "extent": " x ".join(f"{side:.3f}" for side in high - low) + " m",
             "tool path": f"{len(self.path)} points, {length:.3f} m",
-            "inlet": inlet,
-            "interior": f"convex hull, {len(self.hull_offset):,} facets" if len(self.hull_offset) else "no rule",
+            "inlet": "none" if self.inlet is None else f"{_told(self.inlet)} m",
+            "interior": self.interior_rule,
         }
         return html_facts(self.name, facts)
 
-    def gate_x(self, T_world_workpiece: Float[np.ndarray, "4 4"]) -> float:
-        """World x [m] behind which a point of the robot must lie in the hull: the posed cloud's nearest x
-        plus gate_depth_m."""
-        x = self.hull_vertices @ T_world_workpiece[0, :3] + T_world_workpiece[0, 3]
-        return float(x.min() + self.gate_depth_m)
+    def gate(self, T_world_workpiece: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4"]:
+        """Unit normal n, offset: a point of the robot with n @ x > offset [m] in the world must lie in the hull. n is
+        the inlet's direction; the plane lies gate_depth_m behind the point of the part that comes first along it."""
+        rotate, translate = T_world_workpiece[:3, :3], T_world_workpiece[:3, 3]
+        n = np.array([1.0, 0.0, 0.0]) if self.inlet_direction is None else rotate @ self.inlet_direction
+        along = self.hull_vertices @ (rotate.T @ n) + translate @ n
+        return np.append(n, along.min() + self.gate_depth_m)
 
 
 def load_workpiece(
@@ -126,34 +158,45 @@ def load_workpiece(
     gate_depth_m: float = GATE_DEPTH_M,
     interior: Literal["hull", "none"] = "hull",
     hull_tolerance_m: float | None = None,
+    inlet_direction: Triple | None = None,
+    tip_contact_m: float | None = None,
     points: int | None = None,
-    spacing: float | None = None,
     seed: int = 0,
+    spacing: float | None = None,
+    thinnest_m: float = np.inf,
 ) -> Workpiece:
     """A workpiece from files; without a cloud the generated duct, without both the duct and its weld.
 
     inlet: "auto" is the duct's inlet for the duct and None for another cloud.
     hull_tolerance_m: None is 0 (the exact hull) for a cloud and 0.5 mm for the duct.
-    points, spacing [m], seed: how a mesh is sampled, see `load_cloud`; points and seed are the duct's too.
+    inlet_direction: None is the world's x for the duct, and "facet" for another cloud, see `Workpiece`.
+    points, seed: of the generated duct.
+    spacing [m]: of the points on a mesh, see `mesh_points.cover`; thinnest_m: radius of the thinnest body [m], which
+        must be larger than the covering radius of a mesh.
     Raises InputError for what is wrong with a file or a figure, and for a cloud without a path.
     """
     generated = cloud is None
     if generated:
-        check_sampling(points, spacing, seed)
-        if spacing is not None:
-            raise InputError("spacing is for meshes; the generated duct takes points")
-        surface = duct.duct_cloud(duct.POINTS if points is None else points, seed)
+        surface, triangles = _generated(points, seed, spacing), np.empty((0, 3, 3))
     elif path is None:
         raise InputError(f"{cloud}: a cloud needs a tool path of its own (x,y,z rows in a CSV file)")
+    elif points is not None:
+        raise InputError(f"{cloud}: the number of points is for the generated duct; a mesh takes a spacing")
     else:
-        surface = load_cloud(cloud, points=points, spacing=spacing, seed=seed)
+        read, triangles = load_geometry(cloud)
+        surface = Cover(read, 0.0)
+        if len(triangles):
+            surface = cover(triangles, str(cloud), spacing, thinnest_m)
+            _check_thinnest(surface, str(cloud), thinnest_m)
     if inlet == "auto":
         inlet = duct.INLET if generated else None
     if hull_tolerance_m is None:
         hull_tolerance_m = DUCT_HULL_TOLERANCE_M if generated else 0.0
+    if inlet_direction is None and not generated:
+        inlet_direction = "facet"
     return Workpiece(
         name or ("duct" if generated else Path(cloud).stem),
-        surface,
+        surface.points,
         duct.weld() if path is None else read_path(path),
         inlet,
         pivot,
@@ -161,6 +204,10 @@ def load_workpiece(
         gate_depth_m,
         interior,
         hull_tolerance_m,
+        inlet_direction,
+        triangles,
+        surface.radius_m,
+        tip_contact_m,
     )
 
 
@@ -178,6 +225,40 @@ def read_path(path: str | Path) -> Float[np.ndarray, "T 3"]:
     check_points(points, str(path), at_least=1)
     warn_if_millimetres(points, str(path))
     return points
+
+
+def _generated(points: int | None, seed: int, spacing: float | None) -> Cover:
+    if spacing is not None:
+        raise InputError("spacing is for meshes; the generated duct takes points")
+    if seed < 0:
+        raise InputError(f"seed is {seed}; it must be 0 or more")
+    if points is not None and not 4 <= points <= MOST_POINTS:
+        raise InputError(f"points is {points}; valid are 4 to {MOST_POINTS}")
+    return Cover(duct.duct_cloud(duct.POINTS if points is None else points, seed), 0.0)
+
+
+def _check_thinnest(surface: Cover, source: str, thinnest_m: float) -> None:
+    if surface.radius_m >= thinnest_m:
+        raise InputError(
+            f"{source}: the mesh is up to {1e3 * surface.radius_m:.4g} mm from its points, and the thinnest body has a "
+            f"radius of {1e3 * thinnest_m:.4g} mm; workpiece.mesh_spacing_m must be smaller"
+        )
+
+
+def _direction(value: object, hull: Hull, inlet: np.ndarray | None) -> Float[np.ndarray, "3"] | None:
+    """The unit vector into the part."""
+    if value is None or (isinstance(value, str) and not len(hull.offset)):
+        return None
+    if isinstance(value, str):
+        return -hull.normal[np.argmax(hull.normal @ inlet - hull.offset)]
+    direction = _triple(value, "inlet_direction")
+    if not np.linalg.norm(direction) > 0:
+        raise InputError("inlet_direction is zero; it must point into the part")
+    return direction / np.linalg.norm(direction)
+
+
+def _told(values: Float[np.ndarray, "3"]) -> str:
+    return ", ".join(f"{value:.4g}" for value in values + 0.0)
 
 
 def _hull(cloud: Float[np.ndarray, "P 3"], interior: str, tolerance_m: float, name: str) -> Hull:

@@ -26,11 +26,12 @@ import yaml
 from hypothesis import strategies as st
 from sweep_process import make_sweep
 
-from htcp_jax.cloud import load_cloud
+from htcp_jax.cloud import load_cloud, load_geometry
 from htcp_jax.config import PlanConfig, load_config
 from htcp_jax.errors import InputError
 from htcp_jax.grid import load_sweep
 from htcp_jax.job import scenario_of
+from htcp_jax.mesh_points import cover
 from htcp_jax.qp import QPStatus, StepQP
 from htcp_jax.qp_clarabel import ClarabelSolver
 from htcp_jax.robot import gp50
@@ -172,7 +173,7 @@ def check_config(folder: Path, raw: dict) -> bool:
     assert _leaves(config.model_dump()) >= _leaves(raw), "a value was changed or dropped in silence"
     made = refusal(lambda: scenario_of(config, gp50(), box()))
     if made is not None:
-        assert np.isfinite(made.targets).all() and np.isfinite(made.gate_x)
+        assert np.isfinite(made.targets).all() and np.isfinite(made.gate[:3]).all()
     return made is not None
 
 
@@ -252,9 +253,12 @@ def check_npy(folder: Path, data: bytes) -> bool:
 
 def check_mesh(folder: Path, case: tuple[str, bytes]) -> bool:
     ending, data = case
-    points = refusal(lambda: load_cloud(written(folder, f"mesh{ending}", data), points=16))
-    if points is None:
+    found = refusal(lambda: load_geometry(written(folder, f"mesh{ending}", data)))
+    if found is None:
         return False
+    points, triangles = found
+    if len(triangles):
+        refusal(lambda: cover(triangles, "mesh", spacing=max(float(np.ptp(points, axis=0).max()) / 10, 1e-3)))
     assert np.isfinite(points).all()
     said = re.findall(rb"^element vertex (\d+)\r?$", data, re.MULTILINE)
     if ending == ".ply" and len(said) == 1 and data.count(b"element") == 1:

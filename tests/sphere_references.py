@@ -19,14 +19,14 @@ from htcp_jax.settings import Settings
 
 class Where(NamedTuple):
     T_world_workpiece: jax.Array
-    gate_x: jax.Array
+    gate: jax.Array
 
 
 @cache
 def recorded() -> tuple[np.ndarray, Where]:
     """x (200, N) and poses of the recorded subproblems, see benchmarks/record_subproblems.py."""
     data = np.load(made_once.RECORDED)
-    return data["x"], Where(data["T_world_workpiece"], data["gate_x"])
+    return data["x"], Where(data["T_world_workpiece"], data["gate"])
 
 
 def place(k: int) -> tuple[Where, jax.Array]:

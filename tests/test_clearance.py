@@ -19,12 +19,12 @@ from htcp_jax.workpiece import Workpiece
 
 class Where(NamedTuple):
     T_world_workpiece: jax.Array
-    gate_x: jax.Array
+    gate: jax.Array
 
 
 def posed(workpiece, wy=0.4, wz=0.1) -> Where:
     T = workpiece.T_world(wy, wz)
-    return Where(jnp.asarray(T), jnp.asarray(workpiece.gate_x(T)))
+    return Where(jnp.asarray(T), jnp.asarray(workpiece.gate(T)))
 
 
 @cache
@@ -64,7 +64,7 @@ def numpy_clearances(robot, workpiece: Workpiece, where: Where, x):
         for end in (p[k], q[k]):
             local = T[:3, :3].T @ (end - T[:3, 3])
             outside = np.max(workpiece.hull_normal @ local - workpiece.hull_offset)
-            if end[0] > where.gate_x and outside > 0 and -outside < D[k]:
+            if end @ where.gate[:3] > where.gate[3] and outside > 0 and -outside < D[k]:
                 D[k], hull[k] = -outside, True
     return D, hull
 
@@ -160,7 +160,7 @@ def test_the_gradient_is_finite_where_a_point_lies_on_a_capsules_axis():
     x = jnp.asarray(made_once.START)
     p, q = (np.asarray(end) for end in _ENDS(robot, x))
     cloud = np.concatenate([p, q, 0.3 * p + 0.7 * q])
-    obstacle, where = make_obstacle(few_points(cloud)), Where(jnp.eye(4), jnp.array(100.0))
+    obstacle, where = make_obstacle(few_points(cloud)), Where(jnp.eye(4), jnp.array([1.0, 0, 0, 100.0]))
     for gradient in gradients(robot, obstacle, where, x)[:3]:
         assert np.isfinite(gradient).all()
     np.testing.assert_allclose(clearances(robot, obstacle, where, x), -robot.capsule_radius, atol=1e-15)
@@ -172,7 +172,7 @@ def test_without_an_interior_only_the_points_count():
     robot, rng = made_once.robot(), np.random.default_rng(0)
     workpiece = few_points(rng.normal((1.5, 0.0, 1.0), 1.0, (50, 3)))
     obstacle = make_obstacle(workpiece)
-    where = Where(jnp.eye(4), jnp.array(-100.0))
+    where = Where(jnp.eye(4), jnp.array([1.0, 0, 0, -100.0]))
     for x in postures()[:20]:
         exact, hull = numpy_clearances(robot, _without_hull(workpiece), where, x)
         np.testing.assert_allclose(jitted(clearances)(robot, obstacle, where, x), exact, rtol=0, atol=2e-15)
@@ -190,15 +190,18 @@ def _without_hull(workpiece):
     return _Everything(workpiece.cloud, np.eye(3)[:1], np.array([np.inf]))
 
 
-def test_the_gate_is_a_world_x_and_only_ends_beyond_it_must_be_inside():
+@pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.6, -0.8, 0.0)])
+def test_the_gate_is_a_plane_and_only_ends_beyond_it_must_be_inside(direction):
+    """W1: in any direction, not along the world's x alone."""
     robot, obstacle = made_once.scene()
     x = jnp.asarray(postures()[0])
     p, q = (np.asarray(end) for end in _ENDS(robot, x))
     T = jnp.asarray(made_once.duct().T_world(0.4, 0.1)).at[:3, 3].add(100.0)  # the hull is far from everything
-    order = np.sort(np.maximum(p[:, 0], q[:, 0]))
+    furthest = np.maximum(p @ np.array(direction), q @ np.array(direction))
+    order = np.sort(furthest)
     for gate in np.concatenate([[order[0] - 1], (order[1:] + order[:-1]) / 2, [order[-1] + 1]]):
-        crossed = jitted(contacts)(robot, obstacle, Where(T, jnp.asarray(gate)), x).crossed
-        np.testing.assert_array_equal(crossed, np.maximum(p[:, 0], q[:, 0]) > gate)
+        crossed = jitted(contacts)(robot, obstacle, Where(T, jnp.array([*direction, gate])), x).crossed
+        np.testing.assert_array_equal(crossed, furthest > gate)
 
 
 def test_mujocos_own_geometry_measures_the_same():
@@ -214,7 +217,7 @@ def test_mujocos_own_geometry_measures_the_same():
     robot = made_once.robot()
     geoms = [model.geom(name).id for name in robot.capsule_names]
     spheres = [model.geom(f"point{k}").id for k in range(len(cloud))]
-    obstacle, where = make_obstacle(few_points(cloud)), Where(jnp.eye(4), jnp.array(100.0))
+    obstacle, where = make_obstacle(few_points(cloud)), Where(jnp.eye(4), jnp.array([1.0, 0, 0, 100.0]))
     for x in made_once.configurations(robot, 15, seed=2):
         data.qpos[:] = x
         mujoco.mj_kinematics(model, data)

@@ -7,9 +7,8 @@ import pickle
 import numpy as np
 import pytest
 import trimesh
-from scipy.spatial import cKDTree
 
-from htcp_jax.cloud import CLOUDS, load_cloud
+from htcp_jax.cloud import CLOUDS, load_cloud, load_geometry
 from htcp_jax.errors import InputError
 
 POINTS = np.random.default_rng(0).uniform(-1.0, 1.0, (40, 3))
@@ -74,37 +73,21 @@ def test_a_ply_without_faces_is_a_cloud(tmp_path, encoding):
 
 
 @pytest.mark.parametrize("kind", ["stl", "stl_ascii", "obj", "ply"])
-def test_a_mesh_is_sampled_on_its_faces_by_area(tmp_path, kind):
+def test_a_mesh_is_its_triangles_whatever_the_file(tmp_path, kind):
     file = write(tmp_path, f"box.{kind.split('_')[0]}", BOX.export(file_type=kind))
-    points = load_cloud(file, points=22_000)
-    assert points.shape == (22_000, 3)
+    found = load_geometry(file)
+    assert sorted(map(tuple, found.points.round(6))) == sorted(map(tuple, BOX.triangles.reshape(-1, 3).round(6)))
+    points = load_cloud(file, spacing=0.1)
     depth = np.array([0.5, 1.0, 1.5]) - np.abs(points)
     assert np.abs(depth.min(axis=1)).max() < 1e-6  # on a face, and none outside
-    share = np.bincount(depth.argmin(axis=1)) / len(points)
-    np.testing.assert_allclose(share, np.array([6, 3, 2]) / 11, atol=0.015)
-
-
-def test_a_mesh_gives_the_papers_number_of_points_unless_told(tmp_path):
-    assert load_cloud(write(tmp_path, "box.stl", BOX.export(file_type="stl"))).shape == (50_015, 3)
-
-
-def test_same_seed_same_bytes(tmp_path):
-    file = write(tmp_path, "box.stl", BOX.export(file_type="stl"))
-    first = load_cloud(file, points=100, seed=3)
-    assert first.tobytes() == load_cloud(file, points=100, seed=3).tobytes()
-    assert first.tobytes() != load_cloud(file, points=100, seed=4).tobytes()
-
-
-def test_spacing_is_the_median_distance_to_the_nearest_neighbour(tmp_path):
-    points = load_cloud(write(tmp_path, "box.stl", BOX.export(file_type="stl")), spacing=0.03)
-    assert np.median(cKDTree(points).query(points, k=2)[0][:, 1]) == pytest.approx(0.03, rel=0.03)
+    assert np.array_equal(points, load_cloud(file, spacing=0.1))
 
 
 def test_an_obj_opens_no_other_file(tmp_path, monkeypatch):
     """A material library is a reference to another file. Nothing may follow it."""
     file = write(tmp_path, "box.obj", "mtllib secret.mtl\n" + BOX.export(file_type="obj"))
     write(tmp_path, "secret.mtl", "newmtl secret\nmap_Kd secret.png\n")
-    load_cloud(file, points=4)  # trimesh's own imports come first
+    load_cloud(file, spacing=0.5)  # trimesh's own imports come first
     opened = []
 
     def note(name, *args, **kwargs):
@@ -112,7 +95,7 @@ def test_an_obj_opens_no_other_file(tmp_path, monkeypatch):
         return open(name, *args, **kwargs)
 
     monkeypatch.setattr(io, "open", note)
-    load_cloud(file, points=4)
+    load_cloud(file, spacing=0.5)
     assert opened == [str(file)]
 
 
@@ -199,7 +182,7 @@ def test_garbage_and_truncation_give_one_line_and_print_nothing(tmp_path, capfd,
 def test_a_parsers_own_log_stays_silent(tmp_path, caplog):
     """trimesh logs a whole traceback for a bad normal, which it then does without."""
     stl = BOX.export(file_type="stl_ascii").replace("normal ", "normal abc ")
-    assert load_cloud(write(tmp_path, "a.stl", stl), points=10).shape == (10, 3)
+    assert load_cloud(write(tmp_path, "a.stl", stl), spacing=0.5).shape[1] == 3
     assert not caplog.records
 
 
@@ -214,7 +197,7 @@ def test_words_among_an_ascii_ply_or_stl_are_not_skipped(tmp_path):
 def test_an_ascii_ply_that_was_cut_off_is_not_taken_for_a_smaller_one(tmp_path, shape):
     lines = shape.export(file_type="ply", encoding="ascii").splitlines(keepends=True)
     fails(write(tmp_path, "a.ply", b"".join(lines[:-3])), "a.ply: ")
-    assert len(load_cloud(write(tmp_path, "b.ply", b"".join(lines)), points=None if shape is not BOX else 50))
+    assert len(load_cloud(write(tmp_path, "b.ply", b"".join(lines)), spacing=0.5))
 
 
 def test_meshes_that_cannot_be_sampled(tmp_path):
@@ -225,17 +208,9 @@ def test_meshes_that_cannot_be_sampled(tmp_path):
         fails(write(tmp_path, "c.obj", f"{line}v 0 1 0\n{face}\n"), "number the vertices from 1")
     fails(write(tmp_path, "d.obj", "v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n"), "NaN")
     box = write(tmp_path, "box.stl", BOX.export(file_type="stl"))
-    fails(box, "more than 10000000 points", spacing=1e-6)
-    fails(box, "at least 4", spacing=100.0)
-
-
-@pytest.mark.parametrize("options", [
-    {"points": 3}, {"points": 10**9}, {"spacing": 0.0}, {"spacing": -1.0}, {"spacing": float("nan")},
-    {"points": 10, "spacing": 0.1}, {"seed": -1},
-])  # fmt: skip
-def test_sampling_that_makes_no_sense(tmp_path, options):
-    with pytest.raises(InputError):
-        load_cloud(write(tmp_path, "box.stl", BOX.export(file_type="stl")), **options)
+    fails(box, "more than 3,000,000 points at a spacing of 1e-06 m; see workpiece.mesh_spacing_m", spacing=1e-6)
+    for wrong in (0.0, -1.0, float("nan"), float("inf")):
+        fails(box, "must be more than 0", spacing=wrong)
 
 
 def test_millimetres_are_warned_of_with_the_extent(tmp_path):

@@ -225,5 +225,5 @@ def test_a_mesh_that_names_a_file_outside_does_not_open_it(tmp_path, outside):
     folder, watch = outside
     (tmp_path / "a.obj").write_text("mtllib ../outside/m.obj\n" + (folder / "m.obj").read_text())
     assert watch.opened()  # that was us
-    load_cloud(tmp_path / "a.obj", points=10)
+    load_cloud(tmp_path / "a.obj", spacing=1.0)
     assert not watch.opened()

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +23,8 @@ from htcp_jax.validate_arm import Arm
 from htcp_jax.validate_track import STEP_RAD
 from htcp_jax.validate_wall import Scene, Wall
 from htcp_jax.workpiece import load_workpiece
+
+PIPE = Path(__file__).parents[1] / "configs" / "pipe" / "job.yaml"
 
 
 @pytest.fixture
@@ -203,6 +206,43 @@ def test_between_two_configurations_nothing_below_the_bound_is_missed(planned):
     each = where.at(way).clearance
     assert (each < 0).any() and (each > 0.005).any()
     np.testing.assert_allclose(found, np.where(each <= 0.005, each, np.inf), atol=1e-12)
+
+
+ROUND = """
+<mujoco>
+  <worldbody>
+    <body><joint axis="0 0 1"/><geom type="capsule" size="0.08" fromto="0 0 0 0 0 0.32"/>
+      <body pos="0 0 0.32"><joint axis="0 1 0"/><geom type="capsule" size="0.06" fromto="0 0 0 0.6 0 0"/>
+        <body pos="0.6 0 0"><joint axis="0 0 1"/><geom type="capsule" size="0.05" fromto="0 0 0 0.3 0 0"/>
+          <site name="tip" pos="0.35 0 0"/></body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def test_round_numbers_in_a_model_are_cut_into_the_same_pieces_in_every_posture(tmp_path):
+    """B1: axes of 4, 10 and 6 radii. Taken from postures, rounding decided between n and n + 1 pieces."""
+    file = tmp_path / "round.xml"
+    file.write_text(ROUND)
+    cloud = np.random.default_rng(0).uniform(-1, 1, (500, 3))
+    where = Scene(Arm(file), Wall(cloud, "none"), np.eye(3), np.zeros(3), 0.2)
+    ways = np.random.default_rng(1).uniform(-3, 3, (40, 3))
+    counts = {where.at(x[None]).samples.shape[1] for x in ways}
+    assert counts == {4 + 2 + 10 + 2 + 6 + 2}
+    known = where.at(ways)
+    for k in range(39):
+        _, found = where.between(ways[k : k + 1] * (1 + 1e-9), np.array([k]), known, 1.0)
+        assert found[0] == pytest.approx(known.clearance[k], abs=1e-6)
+
+
+@pytest.mark.slow
+def test_the_documented_job_validates(tmp_path):
+    """B1: the forearm of configs/pipe is 0.32 m long and 0.08 m thick."""
+    out = tmp_path / "pipe"
+    main(["plan", str(PIPE), "--out", str(out)])
+    assert main(["validate", str(out)]) == 0
 
 
 def test_joint_speeds_are_in_proportion_to_the_feed_rate(planned):

@@ -143,13 +143,14 @@ def test_a_flat_cloud_needs_interior_none(generated):
         Workpiece("sheet", flat, PATH)
     sheet = Workpiece("sheet", flat, PATH, interior="none")
     assert sheet.hull_normal.shape == (0, 3) and sheet.hull_offset.shape == (0,)
-    assert sheet.gate_x(np.eye(4)) == 0.2
+    assert sheet.gate(np.eye(4)).tolist() == [1, 0, 0, 0.2]
 
 
 def test_the_gate_is_behind_the_clouds_nearest_x(generated):
     for wy, wz in ((0.0, 0.0), (0.4, 0.1), (0.8, 0.8), (-1.0, 2.0)):
         T = generated.T_world(wy, wz)
-        assert generated.gate_x(T) == pytest.approx(place(T, generated.cloud)[:, 0].min() + 0.2, abs=1e-12)
+        nearest = place(T, generated.cloud)[:, 0].min()
+        np.testing.assert_allclose(generated.gate(T), [1, 0, 0, nearest + 0.2], atol=1e-12)
 
 
 # Construction

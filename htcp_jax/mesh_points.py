@@ -1,0 +1,137 @@
+"""Points that cover a mesh: no point of its triangles is further than a known distance from one of them.
+
+Every triangle is cut at the middle of its longest edge until its own three corners cover it. Nothing is drawn at
+random: the same mesh gives the same points, evenly spread whatever the shapes of its triangles.
+
+A triangle's covering radius is the largest distance of any of its points to the nearest corner. Where no angle is
+obtuse, that is attained at the circumcentre. Otherwise the circumcentre lies outside, and it is attained where the
+bisector of one of the two shorter edges meets the longest one: at c / (2 cos B) from B, or b / (2 cos C) from C.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.errors import InputError
+
+MOST = 3_000_000  # points
+ABOUT = 200_000  # points that a mesh gets by itself, where the bodies do not ask for more
+ROUNDING = 1e-6  # of a covering radius: nearly flat triangles cost digits
+KEY = "workpiece.mesh_spacing_m"
+
+Triangles = Float[np.ndarray, "F 3 3"]
+Corners = Float[np.ndarray, "3 3 F"]  # the same, corner and coordinate first: numpy works along the last axis
+
+
+class Cover(NamedTuple):
+    """P points on a mesh, and the distance within which every point of the mesh has one of them [m]."""
+
+    points: Float[np.ndarray, "P 3"]
+    radius_m: float
+
+
+def cover(triangles: Triangles, source: str, spacing: float | None = None, thinnest_m: float = np.inf) -> Cover:
+    """The corners of F >= 1 triangles [m], and of their pieces, until these cover the mesh.
+
+    spacing: the widest gap between points [m], that is, every point of the mesh has one of them within half of it.
+    By itself about ABOUT points, and more where half the radius `thinnest_m` of the thinnest body asks for them. A
+    finer mesh keeps all of its corners. Raises InputError, naming `source`, for a mesh without an area, a spacing that
+    is not positive, and where more than MOST points would be needed.
+    """
+    total = area(triangles).sum()
+    if not total > 0:
+        raise InputError(f"{source}: the mesh has no area")
+    if spacing is not None and not 0 < spacing < np.inf:
+        raise InputError(f"{source}: a spacing of {spacing} m; it must be more than 0")
+    by_itself = min(thinnest_m / 2, float(np.sqrt(total / (2 * ABOUT))))
+    wanted = by_itself if spacing is None else spacing / 2
+    _check_count(total / (2 * wanted**2), 2 * wanted, source)  # what a square grid takes
+    left = np.ascontiguousarray(np.moveaxis(triangles, 0, 2))
+    points, reached, done = [*left], 0.0, 0
+    while left.shape[2]:
+        left = _longest_edge_first(left)
+        reach = _covering_radius(left)
+        coarse = reach > wanted
+        reached = max(reached, float(reach[~coarse].max(initial=0.0)))
+        done += reach.size - int(coarse.sum())
+        left, middle = _halves(left[:, :, coarse])
+        points.append(middle)
+        _check_count((done + left.shape[2]) / 2, 2 * wanted, source)
+    return Cover(_distinct(np.concatenate(points, axis=1).T), reached * (1 + ROUNDING))
+
+
+def pieces(triangles: Triangles, edge_m: float, source: str) -> Triangles:
+    """The triangles, cut until no edge is longer than `edge_m`. Raises InputError for more than 2 MOST."""
+    left = np.ascontiguousarray(np.moveaxis(triangles, 0, 2))
+    done, count = [], 0
+    while left.shape[2]:
+        left = _longest_edge_first(left)
+        coarse = _square(left[1] - left[0]) > edge_m**2
+        done.append(left[:, :, ~coarse])
+        count += done[-1].shape[2]
+        left, _ = _halves(left[:, :, coarse])
+        _check_count((count + left.shape[2]) / 2, edge_m, source)
+    return np.ascontiguousarray(np.moveaxis(np.concatenate(done, axis=2), 2, 0))
+
+
+def area(triangles: Triangles) -> Float[np.ndarray, "F"]:
+    """Of each triangle [m2]."""
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+
+
+def covering_radius(triangles: Triangles) -> Float[np.ndarray, "F"]:
+    """Of each triangle by its own corners [m], exact; see the module."""
+    return _covering_radius(_longest_edge_first(np.moveaxis(triangles, 0, 2)))
+
+
+def _covering_radius(corners: Corners) -> Float[np.ndarray, "F"]:
+    """The longest edge is from b to c; the angle opposite to it, the largest, is at a."""
+    b, c, a = corners
+    bc, ba, ca = c - b, a - b, a - c
+    square, square_b, square_c = _square(bc), _square(ba), _square(ca)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # |b - a| |c - a| |b - c| / (4 area), squared; 16 area^2 = 4 |bc x ba|^2
+        acute = square * square_b * square_c / (4 * _square(np.cross(bc, ba, axis=0)))
+        obtuse = square * np.fmax(square_b / _dot(ba, bc), -square_c / _dot(ca, bc)) ** 2 / 4
+    is_acute = _dot(ba, ca) > 0
+    return np.sqrt(np.where(is_acute, np.fmin(acute, square / 3), np.fmin(obtuse, square / 4)))
+
+
+def _halves(corners: Corners) -> tuple[Corners, Float[np.ndarray, "3 f"]]:
+    """Each triangle in two, cut from the middle of its longest edge, the first; and these middles. Two neighbours with
+    this edge have the same middle to the last bit."""
+    b, c, a = corners
+    middle = (b + c) / 2
+    return np.concatenate([np.stack([a, b, middle]), np.stack([c, a, middle])], axis=2), middle
+
+
+def _longest_edge_first(corners: Corners) -> Corners:
+    """The corners in the same sense of rotation, from where the longest edge begins."""
+    a, b, c = corners
+    ab, bc, ca = _square(b - a), _square(c - b), _square(a - c)
+    from_b, from_c = (bc > ab) & (bc >= ca), (ca > ab) & (ca > bc)
+    turned = corners.copy()
+    turned[:, :, from_b] = corners[[1, 2, 0]][:, :, from_b]
+    turned[:, :, from_c] = corners[[2, 0, 1]][:, :, from_c]
+    return turned
+
+
+def _distinct(points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "p 3"]:
+    points = points + 0.0  # -0.0 is 0.0
+    points = points[np.lexsort(points.T)]
+    return points[np.concatenate([[True], (points[1:] != points[:-1]).any(axis=1)])]
+
+
+def _dot(u: Float[np.ndarray, "3 F"], v: Float[np.ndarray, "3 F"]) -> Float[np.ndarray, "F"]:
+    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+
+
+def _square(u: Float[np.ndarray, "3 F"]) -> Float[np.ndarray, "F"]:
+    return _dot(u, u)
+
+
+def _check_count(points: float, spacing: float, source: str) -> None:
+    if points > MOST:
+        raise InputError(f"{source}: more than {MOST:,} points at a spacing of {spacing:.3g} m; see {KEY}")

@@ -1,0 +1,99 @@
+"""The triangles of a mesh, for validation: read again by trimesh, and measured as they are, not by points on them.
+
+Nothing of mesh_points.py or tip_guard.py is used. The distance from a capsule's axis to a triangle is 0 where one goes
+through the other. Otherwise it is attained at an end of the axis or on an edge of the triangle.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from jaxtyping import Bool, Float
+
+from htcp_jax.errors import InputError
+
+GRAINS = 100_000  # pieces that the triangles are cut into, about, so that a tree of their middles says where they are
+AT_ONCE = 500_000  # pairs of an axis and a triangle in memory
+
+Triangles = Float[np.ndarray, "m 3 3"]
+Points = Float[np.ndarray, "m 3"]
+
+
+def read_triangles(path: str | Path) -> Triangles:
+    """All triangles of a mesh file [m]. Raises InputError for a file that cannot be read."""
+    try:
+        mesh = trimesh.load(path, force="mesh", process=False, skip_materials=True)
+        return np.asarray(mesh.triangles, float).reshape(-1, 3, 3)
+    except Exception as error:  # a foreign parser on foreign bytes
+        raise InputError(f"{path}: not a readable mesh ({type(error).__name__})") from None
+
+
+def in_grains(triangles: Triangles) -> Triangles:
+    """The triangles cut in halves, across their longest edges, until none of these is much longer than a grain."""
+    area = _size(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])).sum() / 2
+    longest, done = 2 * np.sqrt(area / GRAINS), []
+    while len(triangles):
+        edges = np.linalg.norm(triangles[:, [1, 2, 0]] - triangles, axis=2)
+        row, first = np.arange(len(triangles)), edges.argmax(axis=1)
+        long = edges[row, first] > longest
+        done.append(triangles[~long])
+        a, b, c = (triangles[row, (first + k) % 3][long] for k in range(3))
+        triangles = np.concatenate([np.stack([a, (a + b) / 2, c], 1), np.stack([(a + b) / 2, b, c], 1)])
+    return np.concatenate(done)
+
+
+def axis_distances(p: Points, q: Points, triangles: Triangles) -> Float[np.ndarray, "m"]:
+    """From the straight line p q to the triangle beside it [m], pair by pair."""
+    steps = range(0, len(p), AT_ONCE)
+    parts = [_distances(*(values[k : k + AT_ONCE] for values in (p, q, triangles))) for k in steps]
+    return np.concatenate(parts or [np.empty(0)])
+
+
+def _distances(p: Points, q: Points, triangles: Triangles) -> Float[np.ndarray, "m"]:
+    ends = [_size(trimesh.triangles.closest_point(triangles, end) - end) for end in (p, q)]
+    corners = np.moveaxis(triangles, 1, 0)
+    edges = [_between(p, q, corners[k], corners[k - 1]) for k in range(3)]
+    return np.where(goes_through(p, q, triangles), 0.0, np.minimum.reduce([*ends, *edges]))
+
+
+def goes_through(p: Points, q: Points, triangles: Triangles) -> Bool[np.ndarray, "m"]:
+    """Whether the straight line p q goes through the triangle beside it: its ends are on both sides of the plane, and
+    it turns about all three edges in the same sense."""
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    sides = [_volume(a, b, c, end) for end in (p, q)]
+    about = np.stack([_volume(p, q, *edge) for edge in ((a, b), (b, c), (c, a))])
+    return (sides[0] * sides[1] < 0) & ((about >= 0).all(axis=0) | (about <= 0).all(axis=0))
+
+
+def _between(p: Points, q: Points, a: Points, b: Points) -> Float[np.ndarray, "m"]:
+    """From the line p q to the line a b, at places where neither can come nearer: of two that are not parallel the
+    nearest; of parallel ones an end of p q or of a b is among the nearest."""
+    u, v, w = q - p, b - a, p - a
+    uu, vv, uv = _dot(u, u), _dot(v, v), _dot(u, v)
+    s = _share(uv * _dot(v, w) - vv * _dot(u, w), uu * vv - uv * uv)
+    t = _share(_dot(v, w) + s * uv, vv)
+    found = [_apart(p, u, _share(t * uv - _dot(u, w), uu), a, v, t)]
+    for end in (np.zeros(len(p)), np.ones(len(p))):
+        found.append(_apart(p, u, _share(end * uv - _dot(u, w), uu), a, v, end))
+    return np.minimum.reduce(found)
+
+
+def _apart(p: Points, u: Points, s: np.ndarray, a: Points, v: Points, t: np.ndarray) -> Float[np.ndarray, "m"]:
+    return _size(p + s[:, None] * u - a - t[:, None] * v)
+
+
+def _share(a: np.ndarray, b: np.ndarray) -> Float[np.ndarray, "m"]:
+    """a / b within 0 and 1; 0 where b is 0."""
+    return np.clip(np.divide(a, b, out=np.zeros_like(a), where=b > 0), 0.0, 1.0)
+
+
+def _volume(a: Points, b: Points, c: Points, d: Points) -> Float[np.ndarray, "m"]:
+    return _dot(np.cross(b - a, c - a), d - a)
+
+
+def _dot(u: Points, v: Points) -> Float[np.ndarray, "m"]:
+    return (u * v).sum(axis=1)
+
+
+def _size(u: Points) -> Float[np.ndarray, "m"]:
+    return np.linalg.norm(u, axis=1)
