@@ -20,6 +20,7 @@ from htcp_jax.kernels import Kernels, tasks
 from htcp_jax.robot import Robot
 from htcp_jax.scenario import Scenario
 from htcp_jax.settings import Settings
+from htcp_jax.tip_check import tip_checks
 from htcp_jax.verdict import counts
 from htcp_jax.workpiece import Workpiece
 
@@ -47,6 +48,14 @@ def ceiling(
     settings = settings or Settings()
     scene = Scene(robot, make_obstacle(workpiece))
     kernels = Kernels(scene, METHODS["baseline"], settings)
+    [tip] = tip_checks([kernels], workpiece)
+
+    def good_at(row: int, rows: np.ndarray, here: Anchored) -> np.ndarray:
+        good = counts(here.clearance, here.residual, scenarios.margin_m[rows], settings.tolerance_m)
+        if tip is not None and good.any():
+            good[good] = ~tip.at(tasks(scenarios, rows[good], np.full(good.sum(), row)), here.x[good])
+        return good
+
     scenarios = jax.tree.map(np.asarray, scenarios)
     count, rows = scenarios.targets.shape[:2]
     prefix, best = np.zeros(count, int), np.full(count, np.nan)
@@ -58,7 +67,7 @@ def ceiling(
         if not len(alive):
             break
         here = kernels("push", tasks(scenarios, alive, np.full(len(alive), row)), x[alive])
-        x[alive], good = here.x, _counts(scenarios, alive, here, settings)
+        x[alive], good = here.x, good_at(row, alive, here)
         for round_ in range(-(-draws // DRAWS)):
             lost = alive[~good]
             if not len(lost):
@@ -67,7 +76,7 @@ def ceiling(
             here = jax.tree.map(lambda leaf: leaf[:, 0], here)
             x[lost] = here.x
             best[lost] = np.fmax(best[lost], np.where(here.residual <= settings.tolerance_m, here.clearance, -np.inf))
-            good[~good] = _counts(scenarios, lost, here, settings)
+            good[~good] = good_at(row, lost, here)
         best[alive[good]] = np.nan
         alive = alive[good]
         found[alive, row] = x[alive]
@@ -75,7 +84,3 @@ def ceiling(
         if progress is not None:
             progress(row + 1, rows)
     return Ceiling(prefix, best, found, draws)
-
-
-def _counts(scenarios: Scenario, rows: np.ndarray, here: Anchored, settings: Settings) -> np.ndarray:
-    return counts(here.clearance, here.residual, scenarios.margin_m[rows], settings.tolerance_m)

@@ -50,7 +50,7 @@ class WorkpieceConfig(Section):
     inlet_m: Point | None = None  # centre of the inlet; without it the duct's, or none for another cloud
     interior: Literal["hull", "none"] = "hull"  # what bounds the inside, deeper than gate_depth_m
     gate_depth_m: float = Field(GATE_DEPTH_M, ge=0, le=LARGEST)
-    inlet_direction: Point | None = None  # into the part, in its frame; the hull's facet nearest to the inlet by itself
+    inlet_direction: Point | Literal["world-x"] | None = None  # into the part; see `load_workpiece`
     mesh_spacing_m: Annotated[float, Field(gt=0, le=LARGEST)] | None = None  # widest gap of the points on a mesh
     tip_contact_m: Annotated[float, Field(ge=0, le=LARGEST)] | None = None  # of the bare tip, from the TCP; null: all
     pivot_m: Point = PIVOT  # world point that the rotations turn about

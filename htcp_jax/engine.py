@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from htcp_jax.escape import METHODS, Anchored, NullSpace
+from htcp_jax.escape import METHODS, Anchored, Candidates, NullSpace
 from htcp_jax.kernels import Kernels, Measured, Task, tasks
 from htcp_jax.lanes import ENTERING, MAIN, NEW, TRACK, Lanes, join, new_lanes, put, take
 from htcp_jax.plans import Plans
@@ -30,6 +30,7 @@ from htcp_jax.qp import QPSolver, QPStatus
 from htcp_jax.scenario import Scenario
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
+from htcp_jax.tip_check import TipCheck
 from htcp_jax.verdict import counts
 
 
@@ -46,7 +47,8 @@ class Waiting:
 
 class Engine:
     """Plans the scenarios that an iterator hands out, writing into `plans`; one engine per thread. Without a solver the
-    step QPs are solved on the device. It takes at most `share` new scenarios at a time."""
+    step QPs are solved on the device. It takes at most `share` new scenarios at a time. With `tip`, no target counts at
+    which the tool's bare tip passes through a wall."""
 
     def __init__(
         self,
@@ -57,8 +59,9 @@ class Engine:
         scenarios: Scenario,
         plans: Plans,
         share: int,
+        tip: TipCheck | None = None,
     ):
-        self._kernels, self._solver, self._settings = kernels, solver, settings
+        self._kernels, self._solver, self._settings, self._tip = kernels, solver, settings, tip
         self._method = METHODS[method]
         self._scenarios, self._plans, self._capacity = scenarios, plans, kernels.lanes
         self._share = share
@@ -100,16 +103,32 @@ class Engine:
         """The lanes at configurations x (lanes, N)."""
         return self._kernels("advance", self._tasks(lanes), x, np.zeros_like(x))
 
-    def _at_target(self, lanes: Lanes, here: Measured | Anchored) -> np.ndarray:
+    def _counts(self, lanes: Lanes, here: Measured | Anchored) -> np.ndarray:
         """Which lanes keep their margin on their target."""
         margin_m = self._scenarios.margin_m[lanes.scenario]
         return counts(here.clearance, here.residual, margin_m, self._settings.tolerance_m)
+
+    def _tip_passes(self, lanes: Lanes, x: np.ndarray, among: np.ndarray) -> np.ndarray:
+        """In which of some lanes, `among`, the tip of the tool passes through a wall at x."""
+        through = np.zeros(len(x), bool)
+        if self._tip is not None and among.any():
+            through[among] = self._tip.at(self._tasks(take(lanes, among)), x[among])
+        return through
+
+    def _at_target(self, lanes: Lanes, here: Measured | Anchored) -> np.ndarray:
+        """Which lanes count: they keep their margin on their target, and the tool's tip is out of the walls."""
+        good = self._counts(lanes, here)
+        return good & ~self._tip_passes(lanes, here.x, good)
 
     def _path_clear(self, lanes: Lanes, x: np.ndarray, asked: bool) -> np.ndarray:
         """Whether the joint path from each lane's last target to x is clear; -1 where nobody asked."""
         if not (asked and len(x)):
             return np.full(len(x), -1, np.int8)
-        return self._kernels("check_path", self._tasks(lanes), lanes.x_previous, x).astype(np.int8)
+        task = self._tasks(lanes)
+        clear = self._kernels("check_path", task, lanes.x_previous, x)
+        if self._tip is not None:
+            clear = clear & ~self._tip.along(task, lanes.x_previous, x)
+        return clear.astype(np.int8)
 
     # Filling the table
 
@@ -155,8 +174,10 @@ class Engine:
         now, iteration, verdict = self._burst(lanes) if self._solver is None else self._step(lanes)
         lanes = lanes._replace(x_ref=now.x, linear=now.linear, iteration=iteration)
         solved = verdict == QPStatus.SOLVED
-        reached = solved & self._at_target(lanes, now)
-        stuck = ~reached & (~solved | (iteration >= self._settings.inner_iterations))
+        reached = solved & self._counts(lanes, now)
+        tip_blocked = self._tip_passes(lanes, now.x, reached)
+        reached &= ~tip_blocked
+        stuck = tip_blocked | ~reached & (~solved | (iteration >= self._settings.inner_iterations))
         self._keep(take(lanes, ~reached & ~stuck))
 
         reason = np.where(
@@ -164,6 +185,7 @@ class Engine:
             Status.QP_INFEASIBLE,
             np.where(verdict == QPStatus.FAILED, Status.QP_FAILED, Status.ITERATION_LIMIT),
         )
+        reason[tip_blocked] = Status.TIP_BLOCKED
         main = lanes.candidate == MAIN
         self._enter(take(lanes, stuck & main), 0, reason[stuck & main])
         self._reached(take(lanes, reached & main), take(now, reached & main))
@@ -198,6 +220,7 @@ class Engine:
         near = take(lanes, low)
         higher = self._kernels("ascend", self._tasks(near), now.x[low]).x
         clear = self._path_clear(near, higher, self._check_steps)
+        clear[self._tip_passes(near, higher, clear != 0)] = 0
         higher = np.where(clear[:, None] != 0, higher, now.x[low])
         moved = self._measured(near, higher)
         now = put(now, low, moved)
@@ -262,7 +285,8 @@ class Engine:
         lanes = lanes._replace(x_ref=now.x, walked=lanes.walked + 1)
         out = self._at_target(lanes, now)
         spent = ~out & (lanes.walked >= self._settings.outer_steps)
-        self._enter(take(lanes, spent), stage + 1, Status.ESCAPE_EXHAUSTED)
+        reason = np.where(self._counts(lanes, now), Status.TIP_BLOCKED, Status.ESCAPE_EXHAUSTED)
+        self._enter(take(lanes, spent), stage + 1, reason[spent])
         free = take(lanes, out)
         if self._settings.after_escape == "track":
             self._try_candidates(free, free.x_ref[:, None], np.ones((free.size, 1), bool), stage)
@@ -281,6 +305,7 @@ class Engine:
     def _sample(self, lanes: Lanes, stage: int) -> None:
         """Propose candidates for every lane. Where some are done as they are, take the best of them; elsewhere try."""
         found = self._kernels(f"sample {stage}", self._tasks(lanes), lanes.x_previous)
+        found = found._replace(done=self._without_passing_tips(lanes, found))
         done = found.done.any(axis=1)
         self._try_candidates(take(lanes, ~done), found.x[~done], found.valid[~done], stage)
         if done.any():
@@ -288,6 +313,14 @@ class Engine:
             x = found.x[done][owner, number]
             best, clear = self._best(lanes, owner, number, x)
             self._escaped(lanes, self._measured(lanes, x[best]), clear, stage)
+
+    def _without_passing_tips(self, lanes: Lanes, found: Candidates) -> np.ndarray:
+        """Which candidates (lanes, C) are done, but for those whose tip passes through a wall."""
+        owner, number = np.nonzero(found.done)
+        through = self._tip_passes(take(lanes, owner), found.x[owner, number], np.ones(len(owner), bool))
+        done = found.done.copy()
+        done[owner[through], number[through]] = False
+        return done
 
     def _try_candidates(self, lanes: Lanes, x: np.ndarray, valid: np.ndarray, stage: int) -> None:
         """Track the target of each lane from its valid configurations, x (lanes, C, N), while the lane waits."""

@@ -33,8 +33,9 @@ from htcp_jax.escape import (
     stuck_key,
 )
 from htcp_jax.joint_path import path_clear
+from htcp_jax.kinematics import tip_segment
 from htcp_jax.nullspace import reanchor
-from htcp_jax.numerics import safe_norm
+from htcp_jax.numerics import product, safe_norm
 from htcp_jax.qp_device import solve_step
 from htcp_jax.scenario import Scenario
 from htcp_jax.settings import Settings
@@ -212,6 +213,12 @@ def check_path(settings: Settings, scene: Scene, task: Task, a, b):
     return path_clear(scene, settings, task, a, b)
 
 
+def tip(settings: Settings, scene: Scene, task: Task, x):
+    """The tool's bare tip at x in the workpiece's frame, from the last body to the TCP."""
+    rotate, translate = task.T_world_workpiece[:3, :3], task.T_world_workpiece[:3, 3]
+    return product(tip_segment(_scene(scene, task).robot, x) - translate[None, :], rotate)
+
+
 def chunked(kernel: Callable, width: int) -> Callable:
     """`kernel(scene, *one lane)` over tables with a leading axis of capacity C: run(scene, chunks, *tables) computes
     the first chunks x width lanes; the rest of the result is zeros."""
@@ -259,6 +266,7 @@ class Kernels:
             "push": push,
             "draw": draw,
             "check_path": check_path,
+            "tip": tip,
         }
         self._stages = method.stages
 

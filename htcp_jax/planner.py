@@ -22,6 +22,7 @@ from htcp_jax.qp_solvers import make_solver
 from htcp_jax.robot import Robot
 from htcp_jax.scenario import NOT_REFUSED, Scenario, stack
 from htcp_jax.settings import Settings
+from htcp_jax.tip_check import TipCheck, tip_checks
 from htcp_jax.workpiece import Workpiece
 
 
@@ -69,11 +70,12 @@ def plan(
     devices = choose(device)
     scene = Scene(robot, make_obstacle(workpiece))
     kernels = [Kernels(scene, METHODS[method], settings, device) for device in devices]
+    tips = tip_checks(kernels, workpiece)
     plans = _empty_plans(scenarios.targets, joints)
     threads = threads or default_threads(devices, settings.qp)
-    _run_engines(kernels, robot, method, settings, scenarios, plans, threads, progress)
+    _run_engines(kernels, tips, robot, method, settings, scenarios, plans, threads, progress)
     if check_paths:
-        _check_remaining_paths(kernels, scenarios, plans, threads)
+        _check_remaining_paths(kernels, tips, scenarios, plans, threads)
     spent = time.perf_counter() - began
     compile_s = sum(each.compile_s for each in kernels)
     return plans._replace(compile_s=compile_s, run_s=spent - compile_s)
@@ -94,7 +96,7 @@ def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario) -> None:
         raise InputError(f"start is in collision: {body} is {-1e3 * D:.3f} mm inside the workpiece")
 
 
-def _run_engines(kernels: list[Kernels], robot, method, settings, scenarios, plans, threads, progress) -> None:
+def _run_engines(kernels: list[Kernels], tips, robot, method, settings, scenarios, plans, threads, progress) -> None:
     """One engine a thread; all take scenarios from one iterator, their share at first, and write into different rows of
     the plans."""
     count = len(scenarios.number)
@@ -126,7 +128,8 @@ def _run_engines(kernels: list[Kernels], robot, method, settings, scenarios, pla
     def work(number: int) -> None:
         rows = row_count(settings, len(robot.capsule_link))
         solver = make_solver(settings, len(robot.joint_names), rows)
-        engine = Engine(kernels[number % len(kernels)], solver, method, settings, scenarios, plans, share)
+        own = number % len(kernels)
+        engine = Engine(kernels[own], solver, method, settings, scenarios, plans, share, tips[own])
         engine.run(hand_out(), tell)
 
     if threads == 1:
@@ -136,7 +139,9 @@ def _run_engines(kernels: list[Kernels], robot, method, settings, scenarios, pla
         list(pool.map(work, range(threads)))
 
 
-def _check_remaining_paths(kernels: list[Kernels], scenarios: Scenario, plans: Plans, threads: int) -> None:
+def _check_remaining_paths(
+    kernels: list[Kernels], tips: list[TipCheck | None], scenarios: Scenario, plans: Plans, threads: int
+) -> None:
     """Fill in path_clear where a tracked target's path was not checked while planning."""
     tracked = ~np.isnan(plans.clearance)
     s, t = np.nonzero(tracked & (plans.path_clear < 0))
@@ -149,7 +154,9 @@ def _check_remaining_paths(kernels: list[Kernels], scenarios: Scenario, plans: P
         part = np.arange(len(s))[number::threads]
         pick = jax.tree.map(lambda table: table[part], (task, before, plans.x[s, t]))
         if len(part):
-            plans.path_clear[s[part], t[part]] = kernels[number % len(kernels)]("check_path", *pick)
+            own = number % len(kernels)
+            clear = kernels[own]("check_path", *pick)
+            plans.path_clear[s[part], t[part]] = clear if tips[own] is None else clear & ~tips[own].along(*pick)
 
     with ThreadPoolExecutor(threads) as pool:
         list(pool.map(check, range(threads)))

@@ -10,7 +10,8 @@ cut into stretches of a grain at most: what a stretch passes through has its mid
 stretch's. What a tree of the middles finds there is tested exactly.
 """
 
-from typing import NamedTuple, Protocol
+from functools import lru_cache
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -25,6 +26,7 @@ INCLUSIVE = 1e-9  # of a triangle's size: what meets an edge meets one of its tr
 Ends = Float[np.ndarray, "n 3"]
 
 
+@runtime_checkable
 class Wall(Protocol):
     """Flat things, each in a ball about its middle."""
 
@@ -60,8 +62,9 @@ class TipGuard:
         return through
 
 
+@lru_cache(maxsize=2)
 def make_tip_guard(workpiece: Workpiece) -> TipGuard | None:
-    """The guard of a workpiece; None where its tip may touch anywhere."""
+    """The guard of a workpiece, kept for the next plan; None where its tip may touch anywhere."""
     if workpiece.tip_contact_m is None:
         return None
     wall = Triangles(workpiece.triangles) if len(workpiece.triangles) else Discs(surface_of(workpiece.cloud))

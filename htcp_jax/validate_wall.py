@@ -82,7 +82,7 @@ def wall_of(part: WorkpieceConfig, workpiece: Workpiece) -> Wall:
     triangles = read_triangles(part.cloud) if len(workpiece.triangles) else None
     if part.cloud == "duct" or part.interior != "hull" or part.inlet_direction is not None:
         given = part.inlet_direction
-        direction = None if given is None else np.array(given) / np.linalg.norm(given)
+        direction = None if given in (None, "world-x") else np.array(given) / np.linalg.norm(given)
         return Wall(workpiece.cloud, part.interior, direction, triangles)
     if workpiece.inlet is None:
         return Wall(workpiece.cloud, "none", None, triangles)

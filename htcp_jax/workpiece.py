@@ -158,7 +158,7 @@ def load_workpiece(
     gate_depth_m: float = GATE_DEPTH_M,
     interior: Literal["hull", "none"] = "hull",
     hull_tolerance_m: float | None = None,
-    inlet_direction: Triple | None = None,
+    inlet_direction: Triple | Literal["world-x"] | None = None,
     tip_contact_m: float | None = None,
     points: int | None = None,
     seed: int = 0,
@@ -169,7 +169,8 @@ def load_workpiece(
 
     inlet: "auto" is the duct's inlet for the duct and None for another cloud.
     hull_tolerance_m: None is 0 (the exact hull) for a cloud and 0.5 mm for the duct.
-    inlet_direction: None is the world's x for the duct, and "facet" for another cloud, see `Workpiece`.
+    inlet_direction: "world-x" is the world's x, however the part is turned, as in the paper's scene; None is that for
+        the duct, and "facet" for another cloud, see `Workpiece`.
     points, seed: of the generated duct.
     spacing [m]: of the points on a mesh, see `mesh_points.cover`; thinnest_m: radius of the thinnest body [m], which
         must be larger than the covering radius of a mesh.
@@ -194,6 +195,8 @@ def load_workpiece(
         hull_tolerance_m = DUCT_HULL_TOLERANCE_M if generated else 0.0
     if inlet_direction is None and not generated:
         inlet_direction = "facet"
+    elif inlet_direction == "world-x":
+        inlet_direction = None
     return Workpiece(
         name or ("duct" if generated else Path(cloud).stem),
         surface.points,

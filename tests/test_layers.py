@@ -25,7 +25,7 @@ LAYERS = [
     ["qp"],
     ["qp_clarabel", "qp_qpsolvers", "qp_device"],
     ["qp_solvers"],
-    ["escape", "joint_path", "kernels", "lanes", "engine", "planner"],
+    ["escape", "joint_path", "kernels", "tip_check", "lanes", "engine", "planner"],
     ["strict_yaml", "config", "job"],
     ["paper", "grid", "metrics", "results", "ceiling"],
     ["charts", "chart_style", "path_charts", "success_charts", "document"],
