@@ -59,7 +59,7 @@ def path_targets(
 def make_scenario(
     robot: Robot,
     workpiece: Workpiece,
-    start: Sequence[float] | np.ndarray,
+    start: Sequence[float] | Anywhere,
     *,
     rotation: tuple[float, float] = (0.4, 0.1),
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
