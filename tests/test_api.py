@@ -146,8 +146,7 @@ def pixels(figure: Figure) -> np.ndarray:
 
 def test_a_plan_s_robot_is_the_one_with_its_tool(short, tmp_path):
     """Rough: plan.robot was the arm without the job's tool extension, and what was measured with it was another arm."""
-    job = {"robot": {"tool_extension_m": 0.05}, "workpiece": {"path": short["workpiece.path"]}, "method": "baseline"}
-    plan = htcp_jax.plan(job)
+    plan = htcp_jax.plan(overrides=short | {"robot.tool_extension_m": 0.05}, method="baseline")
     obstacle = htcp_jax.make_obstacle(plan.workpiece)
     longer = lengthen_tool(htcp_jax.gp50(), 0.05)
     np.testing.assert_array_equal(plan.robot.T_link_tcp, longer.T_link_tcp)
