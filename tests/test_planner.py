@@ -249,7 +249,7 @@ def test_a_start_in_collision_is_refused_with_its_body_and_depth():
 
 def test_settings_are_a_mapping_too():
     """Rough: planner.plan(settings={...}) was an AttributeError."""
-    spelled = {"rows": "smallest", "cost_about": "previous", "q_weights": [5, 5, 2, 1, 5, 10]}
+    spelled = {**made_once.PAPER_CHOICES, "q_weights": [5, 5, 2, 1, 5, 10]}
     assert settings_of(spelled) == PAPER and settings_of(None) == settings_of({}) == Settings()
     assert settings_of(PAPER) is PAPER
     one = scenario(0, approach=(1, 1))
