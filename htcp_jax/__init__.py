@@ -9,6 +9,10 @@
     report = htcp_jax.make_report(run)                                   # the paper's tables, and all charts
     report.frame("results"), report.figures["success"]
 
+Kinematics, clearance and the null-space objective are pure functions of arrays, for jax.grad, jax.vmap and jax.jit:
+
+    jax.grad(htcp_jax.clearance.clearance, argnums=3)(plan.robot, obstacle, plan.scenario, x)
+
 The names in `__all__` are public; each is loaded when it is first used. That also turns on the cache of compiled
 programs (see `compile_cache`), as the command does, and lets a notebook show figures.
 """
@@ -42,20 +46,47 @@ _HOME = {
     "gp50": "robot",
     "load_robot": "robot",
     "load_workpiece": "workpiece",
+    "make_scenario": "scenario",
     "InputError": "errors",
+    # The mathematics, for jax.grad, jax.vmap and jax.jit; the smallest distance is clearance.clearance.
+    "tcp_position": "kinematics",
+    "tcp_pose": "kinematics",
+    "jacobian": "kinematics",
+    "capsule_segments": "kinematics",
+    "capsule_point_distance": "numerics",
+    "make_obstacle": "clearance",
+    "clearance": "clearance",
+    "clearances": "clearance",
+    "linearise": "clearance",
+    "null_basis": "nullspace",
+    "reanchor": "nullspace",
+    "null_space_objective": "escape",
 }
 __all__ = [
     "InputError",
     "Plan",
+    "capsule_point_distance",
+    "capsule_segments",
     "charts",
+    "clearance",
+    "clearances",
     "gp50",
+    "jacobian",
+    "linearise",
     "load_robot",
     "load_workpiece",
+    "make_obstacle",
     "make_report",
+    "make_scenario",
     "methods",
+    "null_basis",
+    "null_space_objective",
     "open_run",
     "plan",
+    "reanchor",
     "sweep",
+    "tcp_pose",
+    "tcp_position",
 ]
 
 
@@ -64,7 +95,7 @@ def __getattr__(name: str):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}; public are {', '.join(__all__)}")
     _begin()
     home = importlib.import_module(f"htcp_jax.{_HOME[name]}")
-    # A module of the name itself, charts or sweep, is public as a whole.
+    # A module of the name itself, charts, clearance or sweep, is public as a whole.
     return home if name == _HOME[name] else getattr(home, name)
 
 

@@ -26,9 +26,9 @@ from htcp_jax.results import (
     write_trajectory_npz,
     written_whole,
 )
-from htcp_jax.robot import Robot, lengthen_tool
+from htcp_jax.robot import Robot
 from htcp_jax.run_tables import frame_of, joint_columns, target_table
-from htcp_jax.scenario import Scenario
+from htcp_jax.scenario import Scenario, with_own_tool
 from htcp_jax.validate import VALIDATION
 from htcp_jax.workpiece import Workpiece
 
@@ -41,9 +41,9 @@ class Plan:
     """A job and what became of it."""
 
     job: PlanConfig
-    robot: Robot  # without the job's tool extension, which belongs to the scenario
+    robot: Robot  # with the job's tool
     workpiece: Workpiece
-    scenario: Scenario
+    scenario: Scenario  # adds nothing to the tool
     plans: Plans  # of this one scenario: the first axis of every array has length 1
 
     @cached_property
@@ -93,9 +93,8 @@ class Plan:
 
     def figure(self) -> Figure:
         """The arm in the workpiece cut open, and the clearance along the path."""
-        longer = lengthen_tool(self.robot, self.job.robot.tool_extension_m)
         title = f"{self.job.method}: {self.summary.tracked} of {self.summary.targets} targets"
-        return draw_plan(longer, self.workpiece, self.scenario, self.plans, title=title)
+        return draw_plan(self.robot, self.workpiece, self.scenario, self.plans, title=title)
 
     def record(self) -> dict[str, Any]:
         """What summary.json holds: the summary, the failed target in words, versions, the whole configuration."""
@@ -131,7 +130,7 @@ def forget_validation(folder: Path) -> None:
 
 
 def plan(
-    config: str | Path | None = None,
+    config: str | Path | Mapping[str, Any] | None = None,
     overrides: Sequence[str] | Mapping[str, Any] = (),
     *,
     method: str | None = None,
@@ -139,8 +138,9 @@ def plan(
 ) -> Plan:
     """Plan one job.
 
-    config: a YAML file; None is the default job. overrides: what differs from it, as on the command line,
-    ["margin_m=0.001"], or as values, {"margin_m": 0.001, "workpiece.rotation_y_rad": 0.5}. method: see `methods`.
+    config: a YAML file, or a mapping that spells one, {"workpiece": {"rotation_y_rad": 0.5}}; None is the default job.
+    overrides: what differs from it, as on the command line, ["margin_m=0.001"], or as values, {"margin_m": 0.001,
+    "workpiece.rotation_y_rad": 0.5}. method: see `methods`.
     Raises InputError for bad input and for a start in collision.
     """
     job = load_config(config, overrides)
@@ -165,6 +165,7 @@ def plan_job(
 ) -> Plan:
     """Plan what `checked_scene` returned for the configuration."""
     plans = planner.plan(robot, workpiece, scenario, job.method, job.settings, progress=progress)
+    robot, scenario = with_own_tool(robot, scenario)
     return Plan(job, robot, workpiece, scenario, plans)
 
 

@@ -6,6 +6,7 @@ Unknown keys are errors that name the nearest valid key. Files named in a YAML f
 folder; files named in an override are relative to the working folder, as on any command line.
 """
 
+import copy
 import difflib
 import reprlib
 from collections.abc import Mapping, Sequence
@@ -100,14 +101,21 @@ class PlanConfig(Section):
 FILES = {("robot", "model"): "gp50", ("workpiece", "cloud"): "duct", ("workpiece", "path"): "weld"}
 
 
-def load_config(path: str | Path | None = None, overrides: Sequence[str] | Mapping[str, Any] = ()) -> PlanConfig:
+def load_config(
+    path: str | Path | Mapping[str, Any] | None = None, overrides: Sequence[str] | Mapping[str, Any] = ()
+) -> PlanConfig:
     """The default job, changed by the YAML file at `path`, then by `overrides`: "dotted.key=value" each, or a mapping.
+
+    A mapping in the place of the path spells a job as a file would, {"workpiece": {"rotation_y_rad": 0.5}}; files in it
+    are relative to the working folder.
 
     Raises InputError for a file that cannot be read, is no YAML mapping or repeats a key, for an unknown key
     and for a value of the wrong type or outside its range.
     """
     raw, source = {}, "the default configuration"
-    if path is not None:
+    if isinstance(path, Mapping):
+        raw, source = copy.deepcopy(dict(path)), "the configuration"
+    elif path is not None:
         source = str(path)
         raw = read_yaml(path)
         _anchor_files(raw, Path(path).parent)

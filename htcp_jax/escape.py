@@ -7,6 +7,7 @@ sampling escape proposes many configurations at once, and the step QP then track
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
@@ -14,9 +15,10 @@ import jax.numpy as jnp
 
 from htcp_jax import sphere
 from htcp_jax.clearance import Obstacle, Posed, clearance, contacts, is_clear
-from htcp_jax.kinematics import jacobian, tcp_position
+from htcp_jax.errors import InputError
+from htcp_jax.kinematics import configuration, jacobian, tcp_position
 from htcp_jax.nullspace import inside, null_basis, reanchor
-from htcp_jax.numerics import fold_keys, product, safe_norm
+from htcp_jax.numerics import fold_keys, of_shape, product, safe_norm
 from htcp_jax.robot import Robot, lengthen_tool
 from htcp_jax.seen import Seen, see, seen_clearance
 from htcp_jax.settings import Settings
@@ -95,6 +97,52 @@ def sphere_problem(
     h = jnp.concatenate([robot.upper - x_ref, x_ref - robot.lower])
     problem = sphere.Sphere(observe, measure, predict, 2 * half, G, jnp.minimum(h, 1e3))
     return problem, see(robot, x_ref, contacts(robot, obstacle, where, x_ref)), reach
+
+
+@partial(jax.jit, static_argnames="settings")
+def null_space_objective(
+    robot: Robot,
+    obstacle: Obstacle,
+    where: Posed,
+    x_ref: Joints,
+    w: Float[Array, "D"],
+    settings: Settings | None = None,
+) -> Scalar:
+    """J2 of equation (5) along the null space: -D(x, O) + J1(x, x_ref) [m] at (11)'s x = x_ref + alpha N(x_ref) w.
+
+    The smaller, the clearer: the planners minimise it over |w| = 1, within the joint limits, which it does not look at.
+    robot: with its tool, as a plan's is. where: a scenario, or whatever else is `Posed`. w: D = N - 3 numbers.
+    settings: `alpha_rad`; `j1_weight` and `q_weights` of J1 = j1_weight (x - x_ref)' Q (x - x_ref), where the paper's
+    weight is 1; and `far_links`. None is the defaults, whose `j1_weight` is 0: then J2 = -D.
+
+    Raises InputError for an x_ref or w of another shape, many at once among them, and for `q_weights` of another arm.
+
+    ```python
+    >>> import jax
+    >>> import jax.numpy as jnp
+    >>> import htcp_jax
+    >>> arm, duct = htcp_jax.gp50(), htcp_jax.load_workpiece()
+    >>> where = htcp_jax.make_scenario(arm, duct, (0.0, -2.3, 0.5, 0.0, 0.5, -2.0))
+    >>> J2 = htcp_jax.null_space_objective
+    >>> scene = arm, htcp_jax.make_obstacle(duct), where, jnp.array(where.x_start)
+    >>> w = jnp.array([1.0, 0.0, 0.0])
+    >>> round(float(J2(*scene, w)), 3)
+    -0.497
+    >>> jax.grad(J2, argnums=4)(*scene, w).shape
+    (3,)
+    >>> jax.vmap(J2, in_axes=(None, None, None, None, 0))(*scene, jnp.eye(3)).round(3).tolist()
+    [-0.497, -0.499, -0.498]
+
+    ```
+    """
+    x_ref = configuration(robot, x_ref, "x_ref")
+    joints = x_ref.shape[0]
+    w = of_shape(w, (joints - 3,), "w")
+    settings = settings or Settings(q_weights=(1.0,) * joints)
+    if len(settings.q_weights) != joints:
+        raise InputError(f"q_weights has {len(settings.q_weights)} values, the robot {robot.name} has {joints} joints")
+    problem, _, _ = sphere_problem(Scene(robot, obstacle), settings, where, x_ref)
+    return -problem.measure(w)
 
 
 class Anchored(NamedTuple):

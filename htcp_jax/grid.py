@@ -141,7 +141,7 @@ class Sweep:
 
 def load_sweep(
     spec: str | Path | Mapping[str, Any],
-    config: str | Path | None = None,
+    config: str | Path | Mapping[str, Any] | None = None,
     overrides: Sequence[str] | Mapping[str, Any] = (),
 ) -> Sweep:
     """The sweep file at the path `spec`, or the sweep that `spec` spells as a file would, {"grid": [...]}, whose files

@@ -1,7 +1,8 @@
 """Kinematics of one configuration x (N,) [rad or m], in closed form: link poses, TCP, capsules, Jacobians.
 
 The loop over the joints is unrolled and nothing is inverted or decomposed: it compiles fast and batches well.
-Several of these in one jitted function cost one pass over the joints, as the compiler merges what they share.
+Several of these in one jitted function cost one pass over the joints, as the compiler merges what they share. A list
+serves as x, too; InputError for an x that is not one configuration of the robot.
 """
 
 from typing import NamedTuple
@@ -10,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from htcp_jax.numerics import product, safe_norm
+from htcp_jax.numerics import of_shape, product, safe_norm
 from htcp_jax.robot import Robot
 from htcp_jax.types import Array, Float, Int, Joints, Pose, Vector3
 
@@ -35,7 +36,7 @@ def tcp_position(robot: Robot, x: Joints) -> Vector3:
 def capsule_segments(robot: Robot, x: Joints) -> tuple[Float[Array, "K 3"], Float[Array, "K 3"]]:
     """Ends p, q of the capsules' segments in the world [m]."""
     links = _link_frames(robot, x)
-    world = jnp.eye(3, 4, dtype=x.dtype)[None]
+    world = jnp.eye(3, 4, dtype=links.origin.dtype)[None]
     with_world = _Frames(  # last, so that link -1 finds it
         jnp.concatenate([links.rotation, world[:, :, :3]]), jnp.concatenate([links.origin, world[:, :, 3]])
     )
@@ -82,6 +83,11 @@ def joint_levers(robot: Robot, x: Joints, points: Float[Array, "P 3"]) -> Float[
     return safe_norm(_velocities(robot, _link_frames(robot, x), points))
 
 
+def configuration(robot: Robot, x: Joints, name: str = "x") -> Joints:
+    """x as an array of N joint positions. Raises InputError for another shape, and for many configurations at once."""
+    return of_shape(x, (len(robot.slides),), f"{name} of {robot.name}")
+
+
 class _Frames(NamedTuple):
     """Frames in the world."""
 
@@ -92,6 +98,7 @@ class _Frames(NamedTuple):
 @jax.jit
 def _link_frames(robot: Robot, x: Joints) -> _Frames:
     """Frames of the N links: the motion of each joint, then the product along the chain."""
+    x = configuration(robot, x)
     fixed = _Frames(robot.T_parent_joint[:, :3, :3], robot.T_parent_joint[:, :3, 3])
     slides = np.array(robot.slides)
     turn, slide = jnp.where(slides, 0.0, x), jnp.where(slides, x, 0.0)

@@ -5,8 +5,9 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.kinematics import jacobian, tcp_position
-from htcp_jax.numerics import product, safe_norm, solve_spd
+from htcp_jax.errors import InputError
+from htcp_jax.kinematics import configuration, jacobian, tcp_position
+from htcp_jax.numerics import of_shape, product, safe_norm, solve_spd
 from htcp_jax.robot import Robot
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar, Vector3
 
@@ -17,8 +18,11 @@ def null_basis(task_jacobian: Float[Array, "M N"]) -> Float[Array, "N D"]:
 
     (The paper prints its shape as M x (N - M); N x (N - M) is meant.) Gram-Schmidt on the rows, then on the unit
     vectors, each time the one that sticks out furthest (the first of equals), positive along it: unlike a singular
-    value decomposition, sign and rotation are the same on every machine.
+    value decomposition, sign and rotation are the same on every machine. Raises InputError for what is no matrix.
     """
+    task_jacobian = jnp.asarray(task_jacobian)
+    if task_jacobian.ndim != 2:
+        raise InputError(f"the Jacobian has the shape {task_jacobian.shape}, (M, N) is needed; for many use jax.vmap")
     m, n = task_jacobian.shape
     found: list[Joints] = []
     for row in range(m):
@@ -47,8 +51,10 @@ def reanchor(
     """Damped Newton inverse kinematics inside the joint limits: (x, TCP error [m]), equation (10b).
 
     Stops at tolerance_m or after `iterations`. The damping (1e-3 m/rad)^2 keeps singular postures bounded and costs
-    1e-6 of a Newton step elsewhere; a joint at its limit is held there while the others make up for it.
+    1e-6 of a Newton step elsewhere; a joint at its limit is held there while the others make up for it. Raises
+    InputError for more than one configuration or target.
     """
+    x, target = configuration(robot, x), of_shape(target, (3,), "target")
 
     def off(x):
         return target - tcp_position(robot, x)

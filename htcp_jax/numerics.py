@@ -6,8 +6,19 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
+from jax.typing import ArrayLike
 
+from htcp_jax.errors import InputError
 from htcp_jax.types import Array, Float, Scalar
+
+
+def of_shape(value: object, shape: tuple[int, ...], name: str) -> Float[Array, "..."]:
+    """`value`, an array or lists of numbers, as floats. Raises InputError where it has another shape: while a function
+    is traced, so it costs nothing when the function runs."""
+    array = jnp.asarray(value, float)
+    if array.shape != shape:
+        raise InputError(f"{name} has the shape {array.shape}, {shape} is needed; for many at once use jax.vmap")
+    return array
 
 
 def safe_divide(a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -30,6 +41,36 @@ def segment_parameter(
     d = q - p
     s = safe_divide(jnp.sum((point - p) * d, axis=-1), jnp.sum(d * d, axis=-1))
     return jnp.clip(s, 0.0, 1.0)
+
+
+def capsule_point_distance(
+    p: Float[Array, "*batch 3"],
+    q: Float[Array, "*batch 3"],
+    radius: Float[ArrayLike, "*batch"],
+    point: Float[Array, "*batch 3"],
+) -> Float[Array, "*batch"]:
+    """Distance [m] from `point` to the capsule of that radius about the segment from p to q; negative inside.
+
+    A sphere has p == q. The gradient is defined everywhere: 0 for a point on the capsule's own axis, and where
+    p == q that of the sphere about p.
+
+    ```python
+    >>> import jax
+    >>> import jax.numpy as jnp
+    >>> from htcp_jax import capsule_point_distance
+    >>> p, q = jnp.array([0.0, 0.0, 0.0]), jnp.array([0.0, 0.0, 1.0])
+    >>> float(capsule_point_distance(p, q, 0.25, jnp.array([2.0, 0.0, 0.5])))
+    1.75
+    >>> points = jnp.array([[2.0, 0.0, 0.5], [0.0, 0.0, 0.5]])
+    >>> gradient = jax.grad(capsule_point_distance, argnums=3)
+    >>> jax.vmap(gradient, in_axes=(None, None, None, 0))(p, q, 0.25, points).tolist()
+    [[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+
+    ```
+    """
+    p, q, point = (jnp.asarray(value, float) for value in (p, q, point))
+    s = segment_parameter(p, q, point)
+    return safe_norm(p + s[..., None] * (q - p) - point) - jnp.asarray(radius, float)
 
 
 @jax.jit

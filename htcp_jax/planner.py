@@ -2,9 +2,9 @@
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,7 @@ from htcp_jax.qp import row_count
 from htcp_jax.qp_solvers import make_solver
 from htcp_jax.robot import Robot
 from htcp_jax.scenario import NOT_REFUSED, Scenario, stack
-from htcp_jax.settings import Settings
+from htcp_jax.settings import Settings, settings_of
 from htcp_jax.tip_check import TipCheck, tip_checks
 from htcp_jax.workpiece import Workpiece
 
@@ -40,7 +40,7 @@ def plan(
     workpiece: Workpiece,
     scenarios: Scenario | Sequence[Scenario],
     method: str = "nspace-sqp",
-    settings: Settings | None = None,
+    settings: Settings | Mapping[str, Any] | None = None,
     *,
     progress: Callable[[Progress], None] | None = None,
     device: str | None = None,
@@ -49,13 +49,13 @@ def plan(
 ) -> Plans:
     """Plan every scenario with one method (see `METHODS`).
 
-    scenarios: from `make_scenario`, one or many, or stacked already. device: see `devices.choose`. threads: engines
-    that share the scenarios, by default one a core; results do not depend on it. check_paths: afterwards measure, for
-    every accepted step that the method did not check itself, whether its straight joint path is clear
-    (`Plans.path_clear`).
-    Raises InputError for an unknown method or device, for weights of the wrong length, and for no scenarios.
+    scenarios: from `make_scenario`, one or many, or stacked already. settings: a mapping, {"alpha_rad": 0.05}, changes
+    the defaults. device: see `devices.choose`. threads: engines that share the scenarios, by default one a core;
+    results do not depend on it. check_paths: afterwards measure, for every accepted step that the method did not check
+    itself, whether its straight joint path is clear (`Plans.path_clear`).
+    Raises InputError for an unknown method, device or setting, for weights of the wrong length, and for no scenarios.
     """
-    settings = settings or Settings()
+    settings = settings_of(settings)
     if method not in METHODS:
         raise InputError(f"unknown method {method!r}; valid: {', '.join(METHODS)}")
     joints = len(robot.joint_names)

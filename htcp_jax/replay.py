@@ -29,7 +29,7 @@ from htcp_jax.results import SUMMARY, TRAJECTORY, read_plan
 from htcp_jax.robot import Robot, lengthen_tool
 from htcp_jax.run_folder import MANIFEST, Run, open_run
 from htcp_jax.run_identity import file_hash
-from htcp_jax.scenario import gate_of
+from htcp_jax.scenario import gate_of, with_own_tool
 from htcp_jax.surface import Surface, surface_of
 from htcp_jax.workpiece import Workpiece
 
@@ -223,6 +223,7 @@ def _of_plan(folder: Path) -> Shelf:
     if arrays["target"].shape != scenario.targets.shape or arrays["x"].shape[1:] != (len(robot.joint_names),):
         raise InputError(f"{folder / TRAJECTORY} is no plan of the configuration beside it; damaged")
     plans = Plans(**{name: array[None] for name, array in arrays.items()}, compile_s=0.0, run_s=0.0)
+    robot, scenario = with_own_tool(robot, scenario)
     return shelf_of(str(folder), Plan(job, robot, workpiece, scenario, plans))
 
 

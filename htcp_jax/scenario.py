@@ -1,7 +1,7 @@
 """One scenario: where the arm starts, where the workpiece is, and the targets in between; checked, then stacked."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import jax
@@ -59,7 +59,7 @@ def path_targets(
 def make_scenario(
     robot: Robot,
     workpiece: Workpiece,
-    start: Sequence[float] | np.ndarray,
+    start: Sequence[float] | Anywhere,
     *,
     rotation: tuple[float, float] = (0.4, 0.1),
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
@@ -124,6 +124,12 @@ def interior_rule(workpiece: Workpiece, scenario: Scenario) -> str:
     """Whether bodies deep in the workpiece must be in its hull, in words."""
     beside = np.isinf(scenario.gate[3]) and len(workpiece.hull_offset)
     return "off: the robot stands beyond the inlet" if beside else workpiece.interior_rule
+
+
+def with_own_tool(robot: Robot, scenario: Scenario) -> tuple[Robot, Scenario]:
+    """The robot with the tool of one scenario, and the scenario that adds nothing to it: together what they were."""
+    own = replace(scenario, tool_extension_m=np.zeros_like(scenario.tool_extension_m))
+    return lengthen_tool(robot, float(scenario.tool_extension_m)), own
 
 
 def stack(scenarios: Sequence[Scenario]) -> Scenario:

@@ -3,9 +3,14 @@
 The defaults are what works best; `configs/paper.yaml` holds the paper's choices.
 """
 
+import difflib
 import math
+import reprlib
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Literal, get_args, get_origin
+from typing import Any, Literal, get_args, get_origin
+
+from pydantic import TypeAdapter, ValidationError
 
 from htcp_jax.errors import InputError
 
@@ -62,6 +67,29 @@ class Settings:
     def __post_init__(self):
         for field in fields(self):
             _check(field.name, getattr(self, field.name), field.type)
+
+
+def settings_of(values: Settings | Mapping[str, Any] | None) -> Settings:
+    """Settings as they are; of a mapping, {"alpha_rad": 0.05}, the defaults with these values; of None, the defaults.
+
+    Raises InputError for an unknown name and for a value of the wrong type or outside its range.
+    """
+    if isinstance(values, Settings):
+        return values
+    values = dict(values or {})
+    known = [field.name for field in fields(Settings)]
+    for name in values:
+        if name not in known:
+            close = difflib.get_close_matches(str(name), known, n=1, cutoff=0.5)
+            hint = f"did you mean {close[0]}?" if close else f"valid: {', '.join(known)}"
+            raise InputError(f"settings: unknown key {name}; {hint}")
+    try:
+        return TypeAdapter(Settings).validate_python(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        told = f"{where} is {reprlib.repr(first['input'])}: {first['msg'][0].lower()}{first['msg'][1:]}"
+        raise InputError(f"settings: {first.get('ctx', {}).get('error') or told}") from None
 
 
 MOST, LARGEST_SEED = 100_000, 2**63 - 1  # of whatever is counted; of the seed

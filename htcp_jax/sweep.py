@@ -56,7 +56,7 @@ def sweep(
     methods: str | Sequence[str] = "all",
     out: str | Path | None = None,
     *,
-    config: str | Path | None = None,
+    config: str | Path | Mapping[str, Any] | None = None,
     overrides: Sequence[str] | Mapping[str, Any] = (),
     limit: int | None = None,
     seed: int | None = None,

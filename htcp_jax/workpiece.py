@@ -20,6 +20,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.hull import Hull, convex_hull
 from htcp_jax.mesh_points import Cover, cover
 from htcp_jax.notebook import html_facts
+from htcp_jax.types import Anywhere
 
 PIVOT = (1.73205679, -0.0037799, 0.57539635)  # [m] world
 NEUTRAL_TRANSLATION = (1.24549547, -0.0037799, 0.87525497)  # [m] workpiece origin at wy = wz = 0
@@ -148,8 +149,8 @@ class Workpiece:
 
 
 def load_workpiece(
-    cloud: str | Path | None = None,
-    path: str | Path | None = None,
+    cloud: str | Path | Anywhere | None = None,
+    path: str | Path | Anywhere | None = None,
     *,
     name: str | None = None,
     inlet: Triple | Literal["auto"] | None = "auto",
@@ -165,8 +166,9 @@ def load_workpiece(
     spacing: float | None = None,
     thinnest_m: float = np.inf,
 ) -> Workpiece:
-    """A workpiece from files; without a cloud the generated duct, without both the duct and its weld.
+    """A workpiece from files or arrays; without a cloud the generated duct, without both the duct and its weld.
 
+    cloud, path: files, see `load_cloud` and `read_path`, or points (P, 3), (T, 3) [m].
     inlet: "auto" is the duct's inlet for the duct and None for another cloud.
     hull_tolerance_m: None is 0 (the exact hull) for a cloud and 0.5 mm for the duct.
     inlet_direction: "world-x" is the world's x, however the part is turned, as in the paper's scene; None is that for
@@ -180,11 +182,11 @@ def load_workpiece(
     if generated:
         surface, triangles = _generated(points, seed, spacing), np.empty((0, 3, 3))
     elif path is None:
-        raise InputError(f"{cloud}: a cloud needs a tool path of its own (x,y,z rows in a CSV file)")
+        raise InputError(f"{_named(cloud)}: a cloud needs a tool path of its own (x,y,z rows in a CSV file)")
     elif points is not None:
-        raise InputError(f"{cloud}: the number of points is for the generated duct; a mesh takes a spacing")
+        raise InputError(f"{_named(cloud)}: the number of points is for the generated duct; a mesh takes a spacing")
     else:
-        read, triangles = load_geometry(cloud)
+        read, triangles = load_geometry(cloud) if _is_file(cloud) else (_points(cloud, "cloud", 4), np.empty((0, 3, 3)))
         surface = Cover(read, 0.0)
         if len(triangles):
             surface = cover(triangles, str(cloud), spacing, thinnest_m)
@@ -198,7 +200,7 @@ def load_workpiece(
     elif inlet_direction == "world-x":
         inlet_direction = None
     return Workpiece(
-        name or ("duct" if generated else Path(cloud).stem),
+        name or ("duct" if generated else Path(_named(cloud)).stem),
         surface.points,
         duct.weld() if path is None else read_path(path),
         inlet,
@@ -214,12 +216,22 @@ def load_workpiece(
     )
 
 
-def read_path(path: str | Path) -> Float[np.ndarray, "T 3"]:
-    """Tool path [m], workpiece frame: x,y,z rows of a text file (.csv .txt .xyz) in tracking order.
+def _is_file(given: object) -> bool:
+    return isinstance(given, str | Path)
+
+
+def _named(cloud: str | Path | Anywhere) -> str | Path:
+    return cloud if _is_file(cloud) else "cloud"
+
+
+def read_path(path: str | Path | Anywhere) -> Float[np.ndarray, "T 3"]:
+    """Tool path [m], workpiece frame: x,y,z rows of a text file (.csv .txt .xyz), or an array, in tracking order.
 
     Raises InputError for an unreadable or empty file, a wrong column count (naming the line) and NaN; warns
     as `load_cloud` does.
     """
+    if not _is_file(path):
+        return _points(path, "path", 1)
     path = Path(path)
     known_ending(path, TEXT)
     points = read_table(path)

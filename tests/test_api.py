@@ -4,12 +4,18 @@ import json
 import subprocess
 import sys
 
+import jax
 import numpy as np
 import pyarrow as pa
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import htcp_jax
+from htcp_jax import planner
+from htcp_jax.picture import draw_plan
+from htcp_jax.replay import open_shelf, shelf_of
+from htcp_jax.robot import lengthen_tool
 from htcp_jax.run_tables import frame_of
 
 TURNS = {"grid": [{"workpiece.rotation_z_rad": [0.1, 0.2]}]}
@@ -25,7 +31,7 @@ def short(tmp_path):
 def test_every_public_name_is_there_and_others_are_not():
     assert set(htcp_jax.__all__) <= set(dir(htcp_jax))
     for name in htcp_jax.__all__:
-        assert callable(getattr(htcp_jax, name)) or name == "charts"
+        assert callable(getattr(htcp_jax, name)) or name in ("charts", "clearance")
     with pytest.raises(AttributeError, match=r"no attribute 'plam'; public are InputError, Plan, "):
         _ = htcp_jax.plam
 
@@ -116,3 +122,45 @@ def test_frames_keep_whole_numbers_and_truths_beside_nulls(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(htcp_jax.InputError, match="frames need pandas"):
         frame_of(pa.table({}))
+
+
+def test_a_job_is_a_mapping_as_a_sweep_is(short):
+    """Rough: plan({...}) was a TypeError."""
+    job = {"workpiece": {"path": short["workpiece.path"], "rotation_z_rad": 0.05}, "method": "baseline", "ray": None}
+    spelled = htcp_jax.plan(job)
+    assert job["ray"] is None  # what is the caller's stays as it is
+    same = htcp_jax.plan(overrides=short | {"workpiece.rotation_z_rad": 0.05}, method="baseline")
+    assert spelled.job == same.job
+    np.testing.assert_array_equal(spelled.plans.x, same.plans.x)
+    run = htcp_jax.sweep({"grid": [{"margin_m": [5e-4]}]}, "baseline", config=job)
+    np.testing.assert_array_equal(run.plans("baseline").x, same.plans.x)
+    with pytest.raises(htcp_jax.InputError, match=r"unknown key workpiece\.rotation; did you mean"):
+        htcp_jax.plan({"workpiece": {"rotation": 0.1}})
+
+
+def pixels(figure: Figure) -> np.ndarray:
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())
+
+
+def test_a_plan_s_robot_is_the_one_with_its_tool(short, tmp_path):
+    """Rough: plan.robot was the arm without the job's tool extension, and what was measured with it was another arm."""
+    plan = htcp_jax.plan(overrides=short | {"robot.tool_extension_m": 0.05}, method="baseline")
+    obstacle = htcp_jax.make_obstacle(plan.workpiece)
+    longer = lengthen_tool(htcp_jax.gp50(), 0.05)
+    np.testing.assert_array_equal(plan.robot.T_link_tcp, longer.T_link_tcp)
+    title = f"{plan.job.method}: {plan.summary.tracked} of 13 targets"
+    once = draw_plan(longer, plan.workpiece, plan.scenario, plan.plans, title=title)
+    assert (pixels(plan.figure()) == pixels(once)).all()
+    plan.save(tmp_path)
+    shelves = shelf_of("memory", plan), open_shelf(tmp_path)
+    for t in np.flatnonzero(plan.frame().tracked)[::4]:
+        x = jax.numpy.asarray(plan.plans.x[0, t])
+        D = htcp_jax.clearance.clearance(plan.robot, obstacle, plan.scenario, x)
+        np.testing.assert_allclose(D, plan.plans.clearance[0, t], atol=1e-12)
+        np.testing.assert_allclose(htcp_jax.tcp_position(plan.robot, x), plan.plans.tcp[0, t], atol=1e-12)
+        for shelf in shelves:
+            np.testing.assert_allclose(shelf.replay(0, "baseline").tcp[t], plan.plans.tcp[0, t], atol=1e-12)
+    again = planner.plan(plan.robot, plan.workpiece, plan.scenario, "baseline", plan.job.settings)
+    np.testing.assert_allclose(again.x, plan.plans.x, atol=1e-9)  # the same arm, not one with the tool twice

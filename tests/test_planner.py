@@ -14,7 +14,7 @@ from htcp_jax.kinematics import capsule_segments, tcp_position
 from htcp_jax.planner import METHODS, check_start, plan, start_clearance
 from htcp_jax.robot import lengthen_tool
 from htcp_jax.scenario import make_scenario, stack
-from htcp_jax.settings import Settings
+from htcp_jax.settings import Settings, settings_of
 from htcp_jax.status import Status
 
 # As in test_engine.py, whose compiled programs serve here too.
@@ -245,3 +245,30 @@ def test_a_start_in_collision_is_refused_with_its_body_and_depth():
     assert deep < 0
     with pytest.raises(InputError, match=rf"start is in collision: {body} is {-1e3 * deep:.3f} mm inside"):
         check_start(robot, duct, stuck)
+
+
+def test_settings_are_a_mapping_too():
+    """Rough: planner.plan(settings={...}) was an AttributeError."""
+    spelled = {**made_once.PAPER_CHOICES, "q_weights": [5, 5, 2, 1, 5, 10]}
+    assert settings_of(spelled) == PAPER and settings_of(None) == settings_of({}) == Settings()
+    assert settings_of(PAPER) is PAPER
+    one = scenario(0, approach=(1, 1))
+    by_mapping = plan(*scene(), one, "baseline", spelled, check_paths=False)
+    np.testing.assert_array_equal(by_mapping.x, plan(*scene(), one, "baseline", PAPER, check_paths=False).x)
+
+
+@pytest.mark.parametrize(
+    ("settings", "line"),
+    [
+        ({"alpha": 0.1}, r"settings: unknown key alpha; did you mean alpha_rad\?"),
+        ({"zzz": 0.1}, "settings: unknown key zzz; valid: q_weights, cost_about"),
+        ({"alpha_rad": -1.0}, "settings: alpha_rad must be more than zero and finite, not -1.0"),
+        ({"samples": "many"}, "settings: samples is 'many': input should be a valid integer"),
+        ({"far_links": [1] * 100}, r"settings: far_links is \[1, 1, 1, 1, 1, 1, ...\]: input should be a valid bool"),
+        ({"q_weights": [1.0]}, "q_weights has 1 values, the robot gp50 has 6 joints"),
+    ],
+)
+def test_wrong_settings_are_one_line(settings, line):
+    with pytest.raises(InputError, match=line) as error:
+        plan(*scene(), scenario(), "baseline", settings)
+    assert "\n" not in str(error.value)

@@ -3,6 +3,7 @@
 import dataclasses
 from pathlib import Path
 
+import jax.numpy as jnp
 import jaxtyping
 import numpy as np
 import pytest
@@ -240,6 +241,37 @@ def test_a_path_is_a_text_table_that_may_be_one_point(tmp_path):
     (tmp_path / "mm.csv").write_text("0,0,0\n750,0,0\n")
     with pytest.warns(UserWarning, match="750 m.*millimetres"):
         read_path(tmp_path / "mm.csv")
+
+
+def test_a_workpiece_of_arrays_is_that_of_their_files(tmp_path):
+    """Rough: load_workpiece(array) was a TypeError."""
+    cloud, seam = duct.duct_cloud(500), duct.weld()[::9]
+    np.save(tmp_path / "part.npy", cloud)
+    np.savetxt(tmp_path / "seam.csv", seam, delimiter=",")
+    read = load_workpiece(tmp_path / "part.npy", tmp_path / "seam.csv")
+    for given in (cloud, jnp.asarray(cloud)):
+        part = load_workpiece(given, seam, name="part")
+        for name in ("name", "inlet", "cloud", "path", "hull_normal", "hull_offset", "gate_depth_m"):
+            np.testing.assert_array_equal(getattr(part, name), getattr(read, name), err_msg=name)
+    assert load_workpiece(cloud, seam).name == "cloud"
+    np.testing.assert_array_equal(load_workpiece(path=seam).path, seam)
+
+
+@pytest.mark.parametrize(
+    ("cloud", "path", "how", "line"),
+    [
+        (np.zeros((5, 2)), np.zeros((1, 3)), {}, r"cloud: shape \(5, 2\), \(points, 3\) is needed"),
+        (np.zeros((3, 3)), np.zeros((1, 3)), {}, "cloud: 3 points, at least 4 are needed"),
+        (np.full((9, 3), np.nan), np.zeros((1, 3)), {}, "cloud: row 1 holds NaN"),
+        (np.eye(4)[:, :3], None, {}, "cloud: a cloud needs a tool path of its own"),
+        (np.eye(4)[:, :3], np.zeros(3), {}, r"path: shape \(3,\), \(points, 3\) is needed"),
+        (np.eye(4)[:, :3], np.zeros((0, 3)), {}, "path: 0 points, at least 1 are needed"),
+        (np.eye(4)[:, :3], np.zeros((1, 3)), {"points": 9}, "cloud: the number of points is for the generated duct"),
+    ],
+)
+def test_bad_arrays_give_one_line(cloud, path, how, line):
+    with pytest.raises(InputError, match=line):
+        load_workpiece(cloud, path, **how)
 
 
 @needs_real_duct

@@ -1,0 +1,196 @@
+"""The mathematics as a user calls it: by name, differentiable everywhere, equal to what the planners use."""
+
+import doctest
+import importlib
+import subprocess
+import sys
+from functools import cache, partial
+
+import jax
+import jax.numpy as jnp
+import made_once
+import numpy as np
+import pytest
+from sphere_references import place
+
+import htcp_jax
+from htcp_jax.errors import InputError
+from htcp_jax.escape import sphere_problem
+from htcp_jax.settings import Settings
+
+capsule_point_distance = htcp_jax.capsule_point_distance
+
+
+# The distance of a capsule and a point
+
+
+def capsules(count: int):
+    """Axes, of which some are points, with radii and points, of which some lie inside."""
+    rng = np.random.default_rng(0)
+    p, q, point = rng.uniform(-1, 1, (3, count, 3))
+    q[::5] = p[::5]
+    return p, q, rng.uniform(0.05, 0.6, count), point
+
+
+def test_a_capsule_s_distance_is_the_smallest_over_spheres_along_its_axis_and_negative_inside():
+    p, q, radius, point = capsules(200)
+    found = np.asarray(capsule_point_distance(jnp.asarray(p), jnp.asarray(q), jnp.asarray(radius), jnp.asarray(point)))
+    s = np.linspace(0, 1, 20_001)
+    for k in range(200):
+        dense = np.linalg.norm(p[k] + s[:, None] * (q[k] - p[k]) - point[k], axis=1).min() - radius[k]
+        assert dense - 1e-7 < found[k] < dense + 1e-15
+    assert (found < 0).sum() > 10 and (found > 0).sum() > 100
+
+
+def test_its_gradient_is_that_of_differences_and_turns_with_what_it_belongs_to():
+    p, q, radius, point = map(jnp.asarray, capsules(200))
+    gradient = jax.jit(jax.vmap(jax.grad(capsule_point_distance, argnums=(0, 1, 2, 3))))
+    dp, dq, dr, dpoint = map(np.asarray, gradient(p, q, radius, point))
+    np.testing.assert_allclose(dr, -1.0)
+    np.testing.assert_allclose(np.linalg.norm(dpoint, axis=1), 1.0, atol=1e-14)
+    np.testing.assert_allclose(dp + dq + dpoint, 0.0, atol=1e-14)  # moved together, all stays as it is
+    for axis in np.eye(3) * 1e-6:
+        moved = [capsule_point_distance(p, q, radius, point + sign * axis[None]) for sign in (1.0, -1.0)]
+        np.testing.assert_allclose(2 * dpoint @ axis, moved[0] - moved[1], atol=1e-14)
+
+
+@pytest.mark.parametrize("q", [(0.0, 0.0, 1.0), (0.0, 0.0, 0.0)])
+def test_on_the_axis_and_at_a_sphere_s_centre_the_gradient_is_zero_and_not_NaN(q):
+    p, q = jnp.zeros(3), jnp.array(q)
+    on_axis = 0.5 * (p + q)
+    assert capsule_point_distance(p, q, 0.2, on_axis) == -0.2
+    for gradient in jax.grad(capsule_point_distance, argnums=(0, 1, 3))(p, q, 0.2, on_axis):
+        np.testing.assert_array_equal(gradient, 0.0)
+
+
+# The null-space objective
+
+WEIGHED = Settings(j1_weight=1.0, alpha_rad=0.05)
+FAR_UNSEEN = Settings(j1_weight=1.0, alpha_rad=0.05, far_links=False)
+
+
+def objective(settings):
+    scene = made_once.scene()
+    return lambda where, x_ref, w: htcp_jax.null_space_objective(*scene, where, x_ref, w, settings)
+
+
+@cache
+def both(settings):
+    """J2 and its gradient by the public function; what the planners maximise, and the gradient that they predict."""
+
+    scene = made_once.scene()
+
+    def planners(where, x_ref, w):
+        problem, _, _ = sphere_problem(scene, settings, where, x_ref)
+        value, gradient = problem.predict(w, problem.observe(w)[1])
+        return problem.measure(w), gradient[jnp.argmin(value)]
+
+    return jax.jit(jax.value_and_grad(objective(settings), argnums=2)), jax.jit(planners)
+
+
+def cases(count):
+    rng = np.random.default_rng(1)
+    for k in range(0, 200, 200 // count):
+        w = rng.normal(size=3)
+        yield *place(k), jnp.asarray(w / np.linalg.norm(w))
+
+
+@pytest.mark.parametrize("settings", [WEIGHED, FAR_UNSEEN], ids=["all links", "outer links"])
+def test_the_null_space_objective_is_what_the_planners_minimise_and_so_is_its_gradient(settings):
+    ours, planners = both(settings)
+    for case in cases(20):
+        (value, gradient), (negative, predicted) = ours(*case), planners(*case)
+        np.testing.assert_allclose(value, -negative, atol=1e-14)
+        np.testing.assert_allclose(gradient, -predicted, atol=1e-12)
+
+
+def test_its_gradient_is_that_of_differences():
+    J2 = jax.jit(objective(WEIGHED))
+    h, off = 1e-6, []
+    for where, x_ref, w in cases(20):
+        gradient = both(WEIGHED)[0](where, x_ref, w)[1]
+        sides = [[J2(where, x_ref, w + sign * h * axis) for sign in (1, -1)] for axis in jnp.eye(3)]
+        off.append(max(abs((float(a) - float(b)) / (2 * h) - g) for (a, b), g in zip(sides, gradient, strict=True)))
+    assert np.sort(off)[-2] < 1e-8  # one of them may lie on a kink of D
+
+
+def test_many_directions_at_once_are_each_as_alone():
+    where, x_ref, _ = next(cases(1))
+    w = jnp.concatenate([jnp.eye(3), -jnp.eye(3)])
+    J2 = partial(objective(WEIGHED), where, x_ref)
+    together = jax.jit(jax.vmap(J2))(w)
+    np.testing.assert_allclose(together, [J2(one) for one in w], atol=1e-15)
+    assert len(set(together.tolist())) == 6
+
+
+def test_without_settings_it_is_minus_the_clearance_for_an_arm_of_any_number_of_joints(tmp_path):
+    arm, obstacle, where = made_once.seven_joints(tmp_path), made_once.scene().obstacle, made_once.nominal()
+    x_ref, w = jnp.full(7, 0.3), jnp.array([1.0, 0.0, 0.0, 0.0])
+    x = x_ref + 0.1 * htcp_jax.null_basis(htcp_jax.jacobian(arm, x_ref)) @ w
+    J2 = htcp_jax.null_space_objective(arm, obstacle, where, x_ref, w)
+    np.testing.assert_allclose(J2, -htcp_jax.clearance.clearance(arm, obstacle, where, x), atol=1e-14)
+    with pytest.raises(InputError, match="q_weights has 6 values, the robot seven has 7 joints"):
+        htcp_jax.null_space_objective(arm, obstacle, where, x_ref, w, Settings())
+
+
+# How a user meets them
+
+LISTS_AND_BATCHES = """
+import numpy as np, htcp_jax
+arm, start = htcp_jax.gp50(), [0.0, -2.3, 0.5, 0.0, 0.5, -2.0]
+cloud = np.random.default_rng(0).normal(size=(50, 3)) + [3, 0, 0]
+part = htcp_jax.load_workpiece(cloud, [[2.0, 0.0, 0.5]], interior="none", neutral_translation=(0, 0, 0))
+scene = arm, htcp_jax.make_obstacle(part), htcp_jax.make_scenario(arm, part, start, rotation=(0, 0))
+x, w = np.array(start), np.array([1.0, 0, 0])
+calls = {
+    "tcp_position": lambda x: htcp_jax.tcp_position(arm, x),
+    "jacobian": lambda x: htcp_jax.jacobian(arm, x),
+    "capsule_segments": lambda x: htcp_jax.capsule_segments(arm, x)[0],
+    "clearance": lambda x: htcp_jax.clearance.clearance(*scene, x),
+    "linearise": lambda x: htcp_jax.linearise(*scene, x).gradient,
+    "reanchor": lambda x: htcp_jax.reanchor(arm, x, [1.1, 0, 1.4], 1e-6)[0],
+    "objective": lambda x: htcp_jax.null_space_objective(*scene, x, w.tolist()),
+}
+for name in ("tcp_position", "clearance"):
+    assert np.array_equal(calls[name](start), calls[name](x)), name
+for name, call in calls.items():
+    for wrong in (x[None], x[:4], [start, start]):
+        try:
+            call(wrong)
+        except htcp_jax.InputError as error:
+            assert "(6,) is needed; for many at once use jax.vmap" in str(error) and "\\n" not in str(error), name
+        else:
+            raise AssertionError(name)
+for call in (
+    lambda: htcp_jax.null_space_objective(*scene, x, np.eye(3)),
+    lambda: htcp_jax.null_basis(np.zeros((2, 3, 6))),
+    lambda: htcp_jax.reanchor(arm, x, np.zeros((2, 3)), 1e-6),
+):
+    try:
+        call()
+    except htcp_jax.InputError as error:
+        assert "jax.vmap" in str(error)
+    else:
+        raise AssertionError
+assert htcp_jax.capsule_point_distance([0, 0, 0], [0, 0, 1], 0.25, [2, 0, 0.5]) == 1.75
+"""
+
+
+def test_lists_are_taken_and_a_batch_is_refused_in_one_line_that_names_vmap():
+    """Rough: raw TypeErrors. In a process of its own, where the tests do not execute the annotations."""
+    done = subprocess.run([sys.executable, "-c", LISTS_AND_BATCHES], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_mathematics_is_there_by_name_and_clearance_is_its_module():
+    for name in ("tcp_position", "tcp_pose", "jacobian", "capsule_segments", "clearances", "linearise", "null_basis"):
+        assert callable(getattr(htcp_jax, name)) and name in htcp_jax.__all__
+    from htcp_jax import clearance
+
+    assert htcp_jax.clearance is clearance and callable(clearance.clearance)
+
+
+@pytest.mark.parametrize("module", ["numerics", "escape"])
+def test_examples_in_docstrings_hold(module):
+    found = doctest.testmod(importlib.import_module(f"htcp_jax.{module}"))
+    assert found.attempted and not found.failed
