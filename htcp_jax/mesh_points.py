@@ -61,7 +61,7 @@ def cover(triangles: Triangles, source: str, spacing: float | None = None, thinn
     return Cover(_distinct(np.concatenate(points, axis=1).T), reached * (1 + ROUNDING))
 
 
-def pieces(triangles: Triangles, edge_m: float, source: str) -> Triangles:
+def pieces(triangles: Triangles, edge_m: float, source: str) -> Float[np.ndarray, "G 3 3"]:
     """The triangles, cut until no edge is longer than `edge_m`. Raises InputError for more than 2 MOST."""
     left = np.ascontiguousarray(np.moveaxis(triangles, 0, 2))
     done, count = [], 0
@@ -99,7 +99,7 @@ def _covering_radius(corners: Corners) -> Float[np.ndarray, "F"]:
     return np.sqrt(np.where(is_acute, np.fmin(acute, square / 3), np.fmin(obtuse, square / 4)))
 
 
-def _halves(corners: Corners) -> tuple[Corners, Float[np.ndarray, "3 f"]]:
+def _halves(corners: Corners) -> tuple[Float[np.ndarray, "3 3 2*F"], Float[np.ndarray, "3 F"]]:
     """Each triangle in two, cut from the middle of its longest edge, the first; and these middles. Two neighbours with
     this edge have the same middle to the last bit."""
     b, c, a = corners

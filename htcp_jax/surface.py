@@ -18,8 +18,8 @@ class Surface(NamedTuple):
     normals: Float[np.ndarray, "P 3"]  # unit, to the inside
     radius: Float[np.ndarray, "P"]  # of the discs
 
-    def only(self, which: Bool[np.ndarray, "P"]) -> "Surface":
-        """Those of the points."""
+    def only(self, which: Bool[np.ndarray, "P"] | Int[np.ndarray, "n"]) -> "Surface":
+        """Those of the points, or the ones with these numbers."""
         return Surface(*(values[which] for values in self))
 
     def placed(self, T: Float[np.ndarray, "4 4"]) -> "Surface":

@@ -2,7 +2,7 @@
 
 The tip has to come near the wall, so it is no body that keeps clear. But what it passes through, but for its very end,
 is a wall between the tool and its target. The walls are the triangles of a mesh, or for a cloud one flat disc a point,
-as pictures draw them, each beyond the point's eighth neighbour, so that discs overlap where points are spread
+as pictures draw them: each reaches beyond its point's eighth neighbour, so that discs overlap where points are spread
 evenly.
 
 A triangle or disc lies in a ball about its middle; the radius of the largest of these balls is the grain. The tip is
@@ -11,7 +11,7 @@ stretch's. What a tree of the middles finds there is tested exactly.
 """
 
 from functools import lru_cache
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -26,22 +26,52 @@ INCLUSIVE = 1e-9  # of a triangle's size: what meets an edge meets one of its tr
 Ends = Float[np.ndarray, "n 3"]
 
 
-@runtime_checkable
-class Wall(Protocol):
-    """Flat things, each in a ball about its middle."""
+class Triangles:
+    """The triangles of a mesh, in pieces of about the same size; their middles, and the grain [m]."""
 
-    middle: Float[np.ndarray, "F 3"]
-    grain: float  # radius of the largest ball [m]
+    def __init__(self, triangles: Float[np.ndarray, "F 3 3"]):
+        edges = triangles - np.roll(triangles, 1, axis=1)
+        area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum() / 2
+        self._corners = pieces(triangles, 2 * np.sqrt(area / GRAINS), "the mesh")
+        self.middle = self._corners.mean(axis=1)
+        self.grain = float(np.linalg.norm(self._corners - self.middle[:, None], axis=2).max())
 
     def crossed(self, rows: Int[np.ndarray, "n"], p: Ends, q: Ends) -> Bool[np.ndarray, "n"]:
-        """Whether the straight line from p to q passes through the thing in that row."""
-        ...
+        """Whether the straight line from p to q passes through the piece in that row.
+
+        By Moeller and Trumbore: the line meets the plane between its ends, at a point with barycentric coordinates
+        u, v, 1 - u - v that are not negative. What runs within the plane passes through nothing."""
+        a, b, c = np.moveaxis(self._corners[rows], 1, 0)
+        way, ab, ac = q - p, b - a, c - a
+        across = np.cross(way, ac)
+        det = _dot(ab, across)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u = _dot(p - a, across) / det
+            other = np.cross(p - a, ab)
+            v, t = _dot(way, other) / det, _dot(ac, other) / det
+            return (np.minimum(np.minimum(u, v), 1 - u - v) >= -INCLUSIVE) & (t >= 0) & (t <= 1)
+
+
+class Discs:
+    """The flat discs of a cloud's points; their middles, and the grain [m]."""
+
+    def __init__(self, surface: Surface):
+        self._surface, self.middle, self.grain = surface, surface.points, float(surface.radius.max())
+
+    def crossed(self, rows: Int[np.ndarray, "n"], p: Ends, q: Ends) -> Bool[np.ndarray, "n"]:
+        """Whether the straight line from p to q passes through the disc in that row: its ends lie on both sides of the
+        plane, and its point in the plane within the disc."""
+        disc = self._surface.only(rows)
+        before, after = _dot(p - disc.points, disc.normals), _dot(q - disc.points, disc.normals)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            point = p + (before / (before - after))[:, None] * (q - p)
+            return (before * after <= 0) & (np.linalg.norm(point - disc.points, axis=1) <= disc.radius)
 
 
 class TipGuard:
     """What the tip must not pass through, in the workpiece frame; `contact_m` of its end may touch [m]."""
 
-    def __init__(self, wall: Wall, contact_m: float):
+    def __init__(self, wall: Triangles | Discs, contact_m: float):
         self._wall, self._contact = wall, contact_m
         self._tree = cKDTree(wall.middle)
         self._reach = 1.5 * wall.grain * (1 + INCLUSIVE)
@@ -69,45 +99,6 @@ def make_tip_guard(workpiece: Workpiece) -> TipGuard | None:
         return None
     wall = Triangles(workpiece.triangles) if len(workpiece.triangles) else Discs(surface_of(workpiece.cloud))
     return TipGuard(wall, workpiece.tip_contact_m)
-
-
-class Triangles:
-    """The triangles of a mesh, in pieces of about the same size."""
-
-    def __init__(self, triangles: Float[np.ndarray, "F 3 3"]):
-        edges = triangles - np.roll(triangles, 1, axis=1)
-        area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum() / 2
-        self._corners = pieces(triangles, 2 * np.sqrt(area / GRAINS), "the mesh")
-        self.middle = self._corners.mean(axis=1)
-        self.grain = float(np.linalg.norm(self._corners - self.middle[:, None], axis=2).max())
-
-    def crossed(self, rows: Int[np.ndarray, "n"], p: Ends, q: Ends) -> Bool[np.ndarray, "n"]:
-        """By Moeller and Trumbore: the line meets the plane between its ends, at a point with barycentric coordinates
-        u, v, 1 - u - v that are not negative. What runs within the plane passes through nothing."""
-        a, b, c = np.moveaxis(self._corners[rows], 1, 0)
-        way, ab, ac = q - p, b - a, c - a
-        across = np.cross(way, ac)
-        det = _dot(ab, across)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            u = _dot(p - a, across) / det
-            other = np.cross(p - a, ab)
-            v, t = _dot(way, other) / det, _dot(ac, other) / det
-            return (np.minimum(np.minimum(u, v), 1 - u - v) >= -INCLUSIVE) & (t >= 0) & (t <= 1)
-
-
-class Discs:
-    """The flat discs of a cloud's points."""
-
-    def __init__(self, surface: Surface):
-        self._surface, self.middle, self.grain = surface, surface.points, float(surface.radius.max())
-
-    def crossed(self, rows: Int[np.ndarray, "n"], p: Ends, q: Ends) -> Bool[np.ndarray, "n"]:
-        """Whether the line's ends lie on both sides of the plane, and its point in the plane within the disc."""
-        disc = self._surface.only(rows)
-        before, after = _dot(p - disc.points, disc.normals), _dot(q - disc.points, disc.normals)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            point = p + (before / (before - after))[:, None] * (q - p)
-            return (before * after <= 0) & (np.linalg.norm(point - disc.points, axis=1) <= disc.radius)
 
 
 class _Stretches(NamedTuple):

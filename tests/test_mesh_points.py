@@ -1,0 +1,104 @@
+"""Points on a mesh: whatever lies between them is known."""
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
+from htcp_jax.errors import InputError
+from htcp_jax.mesh_points import ABOUT, area, cover, covering_radius, pieces
+
+MESHES = {
+    "box": trimesh.creation.box((0.4, 0.36, 0.02)),
+    "cylinder": trimesh.creation.cylinder(0.1, 0.5, sections=200),
+    "sphere": trimesh.creation.icosphere(4, 0.2),
+}
+ROOM = 1e-12
+
+
+def on(triangles: np.ndarray, count: int, seed: int = 0) -> np.ndarray:
+    """Random points on the triangles, as many on small ones as on large ones."""
+    rng = np.random.default_rng(seed)
+    weights = rng.dirichlet(np.ones(3), count)
+    return np.einsum("pk,pkc->pc", weights, triangles[rng.integers(len(triangles), size=count)])
+
+
+@pytest.mark.parametrize("shape", MESHES)
+@pytest.mark.parametrize("spacing", [0.03, 0.011])
+def test_no_point_of_a_mesh_is_further_from_a_sample_than_it_says(shape, spacing):
+    """W2: and that is at most half the spacing asked for, on every kind of triangle."""
+    triangles = np.asarray(MESHES[shape].triangles)
+    found = cover(triangles, "mesh", spacing)
+    distance, _ = cKDTree(found.points).query(on(triangles, 20_000))
+    assert 0.5 * found.radius_m < distance.max() <= found.radius_m <= spacing / 2 * (1 + 1e-6)
+    assert len(np.unique(found.points, axis=0)) == len(found.points)
+
+
+def test_the_points_are_on_the_mesh_and_the_same_each_time():
+    triangles = np.asarray(MESHES["box"].triangles)
+    found = cover(triangles, "mesh", 0.01)
+    depth = np.array([0.2, 0.18, 0.01]) - np.abs(found.points)
+    assert np.abs(depth.min(axis=1)).max() < 1e-15
+    assert found.points.tobytes() == cover(triangles, "mesh", 0.01).points.tobytes()
+
+
+def test_the_points_are_spread_evenly():
+    """W2: drawn at random, neighbours of 1 mm and gaps of 30 mm stood side by side."""
+    found = cover(np.asarray(trimesh.creation.box((1, 1, 1)).triangles), "mesh", 0.05)
+    near = cKDTree(found.points).query(found.points, k=2)[0][:, 1]
+    assert near.max() < 2 * near.min()
+
+
+corner = st.tuples(*[st.floats(-1, 1, allow_subnormal=False)] * 3)
+
+
+@given(st.tuples(corner, corner, corner))
+def test_a_triangles_covering_radius_is_attained_and_never_exceeded(corners):
+    """Against a dense grid of barycentric coordinates; flat and pointed triangles among them."""
+    triangle = np.array(corners, float).round(9)
+    grid = np.array([(i, j, 120 - i - j) for i in range(121) for j in range(121 - i)]) / 120
+    points = grid @ triangle
+    furthest = np.linalg.norm(points[:, None] - triangle, axis=2).min(axis=1).max()
+    radius = covering_radius(triangle[None])[0]
+    longest = np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1).max()
+    assert furthest <= radius * (1 + 1e-6) + ROOM and radius <= furthest + longest / 120 + ROOM
+
+
+def test_a_sliver_takes_points_along_its_length_alone():
+    sliver = np.array([[[0, 0, 0], [1, 0, 0], [0.3, 1e-7, 0]]])
+    found = cover(np.repeat(sliver, 50, axis=0), "mesh", 0.02)
+    assert found.radius_m <= 0.01 * (1 + 1e-6) and len(found.points) < 300
+
+
+def test_by_itself_a_mesh_gets_many_points_and_more_where_a_thin_body_asks_for_them():
+    triangles = np.asarray(trimesh.creation.box((1.4, 1.8, 1.1)).triangles)
+    itself, thin = cover(triangles, "mesh"), cover(triangles, "mesh", thinnest_m=0.008)
+    assert ABOUT <= len(itself.points) < 3 * ABOUT < len(thin.points)
+    assert thin.radius_m <= 0.004 < itself.radius_m < 0.008
+
+
+@pytest.mark.parametrize("options, words", [
+    ({"spacing": 0.0}, "must be more than 0"),
+    ({"spacing": float("nan")}, "must be more than 0"),
+    ({"spacing": 1e-5}, "more than 3,000,000 points at a spacing of 1e-05 m; see workpiece.mesh_spacing_m"),
+    ({"thinnest_m": 1e-6}, "more than 3,000,000 points"),
+])  # fmt: skip
+def test_what_cannot_be_sampled_is_one_line(options, words):
+    with pytest.raises(InputError, match=words) as error:
+        cover(np.asarray(MESHES["box"].triangles), "part.stl", **options)
+    assert str(error.value).startswith("part.stl: ") and "\n" not in str(error.value)
+
+
+def test_a_mesh_without_an_area_is_refused():
+    with pytest.raises(InputError, match="no area"):
+        cover(np.zeros((2, 3, 3)), "part.stl")
+
+
+@pytest.mark.parametrize("shape", MESHES)
+def test_pieces_are_the_mesh_and_none_is_long(shape):
+    triangles = np.asarray(MESHES[shape].triangles)
+    cut = pieces(triangles, 0.02, "mesh")
+    edges = np.linalg.norm(cut - np.roll(cut, 1, axis=1), axis=2)
+    assert edges.max() <= 0.02 and area(cut).sum() == pytest.approx(area(triangles).sum(), rel=1e-9)

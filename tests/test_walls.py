@@ -1,0 +1,199 @@
+"""Walls are walls: a mesh is measured by its triangles, whatever points were put on it."""
+
+import json
+from functools import partial
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import stranger_jobs
+import trimesh
+
+from htcp_jax.clearance import all_clear, clearance, clearances, contacts, is_clear, make_obstacle
+from htcp_jax.cli import main
+from htcp_jax.config import load_config
+from htcp_jax.errors import InputError
+from htcp_jax.escape import METHODS
+from htcp_jax.job import robot_of, scenario_of, scene, workpiece_of
+from htcp_jax.kinematics import capsule_segments
+from htcp_jax.metrics import is_tracked
+from htcp_jax.results import read_plan
+from htcp_jax.robot import Robot
+from htcp_jax.scenario import Scenario, interior_rule
+from htcp_jax.seen import see, seen_clearance
+from htcp_jax.validate_arm import Arm
+from htcp_jax.validate_input import Pose, turned_and_moved
+from htcp_jax.validate_mesh import axis_distances
+from htcp_jax.validate_wall import Scene, wall_of
+from htcp_jax.workpiece import Workpiece
+
+
+@pytest.fixture(scope="module")
+def car(tmp_path_factory) -> tuple[Robot, Workpiece, Scenario]:
+    return scene(load_config(stranger_jobs.car_job(tmp_path_factory.mktemp("car"))))
+
+
+def sampled_distances(robot: Robot, part: Workpiece, where: Scenario, x: np.ndarray) -> np.ndarray:
+    """Of every capsule to the triangles, by trimesh, at 200 places of its axis: never less than the true one (K,)."""
+    p, q = (np.asarray(end) for end in capsule_segments(robot, jnp.asarray(x)))
+    s = np.linspace(0, 1, 200)[:, None, None]
+    places = (p + s * (q - p) - where.T_world_workpiece[:3, 3]) @ where.T_world_workpiece[:3, :3]
+    each = [
+        np.linalg.norm(trimesh.triangles.closest_point(np.repeat(t[None], 200 * len(p), 0), places.reshape(-1, 3))
+                       - places.reshape(-1, 3), axis=1)
+        for t in part.triangles
+    ]  # fmt: skip
+    return np.min(each, axis=0).reshape(200, -1).min(axis=0) - np.asarray(robot.capsule_radius)
+
+
+def near_the_rib(robot: Robot, where: Scenario, count: int) -> np.ndarray:
+    """Configurations whose spindle crosses the rib's plate, or nearly (count, N)."""
+    rng, found = np.random.default_rng(0), []
+    axis = jax.jit(lambda x: [end[-1] for end in capsule_segments(robot, x)])
+    x0 = where.T_world_workpiece[0, 3] + stranger_jobs.RIB[0]
+    while len(found) < count:
+        x = np.array([rng.uniform(-0.6, 0.6), rng.uniform(-1.2, 0.2), *rng.uniform(-2, 2, 4)])
+        p, q = (np.asarray(end) for end in axis(jnp.asarray(x)))
+        if min(p[0], q[0]) < x0 - 0.01 and max(p[0], q[0]) > x0 + 0.01 and 0.05 < min(p[2], q[2]) < 0.4:
+            found.append(x)
+    return np.array(found)
+
+
+def test_a_spindle_through_a_plate_is_never_clear(car):
+    """W2: 50,015 points on 14 m2, drawn at random, let a spindle of 16 mm through; its plans validated."""
+    robot, part, where = car
+    obstacle = make_obstacle(part)
+    assert part.covering_radius_m <= stranger_jobs.SPINDLE_M / 2
+    clear = jax.jit(partial(is_clear, robot, obstacle, where))
+    x = near_the_rib(robot, where, 40)
+    assert not any(clear(jnp.asarray(row)) for row in x)
+    assert not np.asarray(all_clear(robot, obstacle, where, jnp.asarray(x[:1])))
+
+
+def test_the_clearance_is_a_bound_on_that_to_the_triangles(car):
+    """W2: less than the truth everywhere, and by little more than the covering radius at most."""
+    robot, part, where = car
+    obstacle = make_obstacle(part)
+    measure = jax.jit(lambda x: (contacts(robot, obstacle, where, x), clearance(robot, obstacle, where, x)))
+    x0, rng = np.asarray(where.x_start), np.random.default_rng(0)
+    for x in [x0, *(x0 + rng.uniform(-0.4, 0.4, (12, 6)))]:
+        truth, (touch, D) = sampled_distances(robot, part, where, x), measure(jnp.asarray(x))
+        inside = ~np.asarray(touch.crossed) & (truth > 0)
+        assert (touch.distance <= truth + 1e-9)[inside].all()
+        assert (touch.distance >= truth - 2.1 * part.covering_radius_m - 1e-4)[inside].all()
+        assert D == np.min(touch.distance)
+        values, _ = seen_clearance(robot, jnp.asarray(x), see(robot, jnp.asarray(x), touch))
+        np.testing.assert_allclose(values, touch.distance, atol=1e-12)
+        near = jnp.asarray(x + 0.01)
+        assert (seen_clearance(robot, near, see(robot, jnp.asarray(x), touch))[0]
+                >= clearances(robot, obstacle, where, near) - 1e-12)[inside].all()  # fmt: skip
+
+
+def test_validation_measures_the_triangles(car, tmp_path):
+    """W2: its distances against trimesh's, and its hull and gate against the planner's."""
+    robot, part, where = car
+    job = load_config(stranger_jobs.car_job(tmp_path))
+    walls = wall_of(job.workpiece, part)
+    arm = Arm(Path(job.robot.model), 0.0, "model")
+    T = where.T_world_workpiece
+    beside = Scene(arm, walls, T[:3, :3], T[:3, 3], job.workpiece.gate_depth_m)
+    np.testing.assert_allclose([*beside.along, beside.gate], where.gate, atol=1e-9)
+    x0, rng = np.asarray(where.x_start), np.random.default_rng(1)
+    x = np.concatenate([x0 + rng.uniform(-0.4, 0.4, (8, 6)), near_the_rib(robot, where, 2)])
+    found = beside.at(x)
+    for k, row in enumerate(x):
+        truth = sampled_distances(robot, part, where, row).min()
+        if not (found.outside[k] > 0).any():
+            assert truth - 2e-3 < found.clearance[k] <= truth + 1e-9 or found.clearance[k] < truth < 0
+    tip = beside.tip_goes_through(found.postures, 0.0)
+    first = arm.tip_start(found.postures)
+    assert np.allclose(np.linalg.norm(first - found.postures.tcp, axis=1), 0.038) and tip.shape == (10,)
+
+
+def test_an_axis_and_a_triangle_are_measured_exactly():
+    """Against a dense grid of both, crossing, parallel and flat ones among them."""
+    rng = np.random.default_rng(0)
+    p, q = rng.normal(size=(2, 60, 3))
+    triangles = rng.normal(size=(60, 3, 3))
+    q[:10] = p[:10]
+    triangles[10:20, 2] = triangles[10:20, 1]
+    q[20:30] = p[20:30] + triangles[20:30, 1] - triangles[20:30, 0]
+    found = axis_distances(p, q, triangles)
+    s = np.linspace(0, 1, 41)
+    grid = np.array([(a, b, 1 - a - b) for a in s for b in s if a + b <= 1 + 1e-12])
+    for k in range(60):
+        axis, plane = p[k] + s[:, None] * (q[k] - p[k]), grid @ triangles[k]
+        least = np.linalg.norm(axis[:, None] - plane[None], axis=2).min()
+        step = (np.linalg.norm(q[k] - p[k]) + np.linalg.norm(np.ptp(triangles[k], axis=0))) / 40
+        assert found[k] <= least + 1e-12 and least <= found[k] + step
+
+
+def test_a_spacing_that_a_body_fits_through_is_refused_with_both_figures(tmp_path):
+    """W2: the figures to compare are at hand."""
+    job = load_config(stranger_jobs.box_job(tmp_path), ["workpiece.mesh_spacing_m=0.05"])
+    with pytest.raises(InputError, match=r"up to .* mm from its points, and the thinnest body has a radius of 8 mm"):
+        scene(job)
+
+
+def test_a_cloud_says_its_gap_and_warns_where_a_body_fits_through(tmp_path):
+    """W2: nothing told how far apart the points were."""
+    job = load_config(stranger_jobs.box_job(tmp_path), ["workpiece.mesh_spacing_m=0.01"])
+    robot = robot_of(job.robot)
+    points = workpiece_of(job.workpiece, robot).cloud
+    for apart, name in ((points, "close.npy"), (np.vstack([points, [[0.2, 0.0, 0.155]]]), "gap.npy")):
+        np.save(tmp_path / name, apart)
+    part = job.workpiece.model_copy(update={"cloud": str(tmp_path / "close.npy")})
+    assert workpiece_of(part, robot).largest_gap_m < 0.01 and "gaps up to" in workpiece_of(part, robot).walls
+    with pytest.warns(UserWarning, match=r"gap.npy: a gap of 25 mm between its points; spindle, 16 mm thick, fits"):
+        workpiece_of(part.model_copy(update={"cloud": str(tmp_path / "gap.npy")}), robot)
+
+
+def test_the_interior_is_looked_for_along_the_inlet_and_says_when_it_is_off(tmp_path):
+    """W1: an inlet that faces another way than the world's x switched the rule off in effect, and nothing said so."""
+    told, makers = {}, {"box": stranger_jobs.box_job, "tub": stranger_jobs.tub_job}
+    laid_down = [f"workpiece.rotation_y_rad={-np.pi / 2}", "workpiece.pivot_m=[0.8, 0, 0.4]"]
+    changes = {"": [], " laid down": laid_down, " no inlet": ["workpiece.inlet_m=null"]}
+    for name, make in makers.items():
+        for key, more in changes.items():
+            job = load_config(make(tmp_path / name), [*more, "workpiece.mesh_spacing_m=0.015"])
+            robot, part = robot_of(job.robot), workpiece_of(job.workpiece, robot_of(job.robot))
+            where = scenario_of(job, robot, part)
+            told[name + key] = interior_rule(part, where), where.gate
+    rule, gate = told["box"]
+    assert rule == "convex hull, 0.2 m deep along (1, 0, 0)" and gate.tolist() == pytest.approx([1, 0, 0, 0.8])
+    rule, gate = told["tub laid down"]
+    assert rule == "convex hull, 0.2 m deep along (0, 0, -1)" and gate.tolist() == pytest.approx([1, 0, 0, 1.0])
+    assert told["tub"][0] == "off: the robot stands beyond the inlet" and told["tub"][1][3] == np.inf
+    assert told["box no inlet"][0] == told["tub no inlet"][0] == "off: no inlet"
+
+
+def test_an_inlet_direction_turns_with_the_part(tmp_path):
+    more = ["workpiece.inlet_direction=[0, 0, -2]", "workpiece.rotation_y_rad=0.3", "workpiece.mesh_spacing_m=0.015"]
+    job = load_config(stranger_jobs.box_job(tmp_path), more)
+    part = workpiece_of(job.workpiece, robot_of(job.robot))
+    gate = part.gate(part.T_world(0.3, 0.0))
+    np.testing.assert_allclose(gate[:3], [-np.sin(0.3), 0, -np.cos(0.3)], atol=1e-12)
+    pose = Pose(np.zeros(6), 0.3, 0.0, np.zeros(3), 0.0, "")
+    rotate, translate = turned_and_moved(job.workpiece, pose)
+    along = (part.triangles.reshape(-1, 3) @ rotate.T + translate) @ gate[:3]
+    assert gate[3] == pytest.approx(along.min() + 0.2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", list(METHODS))
+def test_no_plan_through_a_wall_is_called_tracked(tmp_path, method):
+    """W2: at every tracked target, against the triangles by trimesh, and by validation."""
+    for make in (stranger_jobs.car_job, stranger_jobs.box_job):
+        job, out = make(tmp_path), tmp_path / "out"
+        main(["plan", str(job), "--method", method, "--out", str(out)])
+        robot, part, where = scene(load_config(job))
+        _, _, arrays = read_plan(out, ("status", "x", "clearance"))
+        tracked = np.flatnonzero(is_tracked(arrays["status"]))
+        assert len(tracked) > 5
+        for x, recorded in zip(arrays["x"][tracked], arrays["clearance"][tracked], strict=True):
+            assert 0 < recorded <= sampled_distances(robot, part, where, x).min() + 1e-9
+        main(["validate", str(out), "--between", "0"])
+        reasons = [one["reason"] for one in json.loads((out / "validation.json").read_text())["refuted"]]
+        assert all("tip" in reason for reason in reasons)
