@@ -64,15 +64,16 @@ def tub_job(folder: Path) -> Path:
 
 
 def car_job(folder: Path) -> Path:
-    """Seam 60 mm behind the rib and 200 mm lower than its edge."""
-    seam = np.column_stack([np.full(21, RIB[1] + 0.06), np.linspace(-0.2, 0.2, 21), np.full(21, 0.25)])
+    """Seam 60 mm behind the rib, at the height of the window and 200 mm lower than the rib's edge: right before the
+    arm, on the other side of the plate."""
+    seam = np.column_stack([np.full(21, RIB[1] + 0.06), np.linspace(-0.2, 0.2, 21), np.full(21, 0.6)])
     walls = [face for face in _box((0, -0.9, 0), (1.4, 0.9, 1.1)) if np.ptp(face[:, 0]) or face[0, 0]]
-    front = [(-0.9, 0.9, 0, 0.5), (-0.9, 0.9, 1.0, 1.1), (-0.9, -0.4, 0.5, 1.0), (0.4, 0.9, 0.5, 1.0)]
+    front = [(-0.9, 0.9, 0, 0.4), (-0.9, 0.9, 1.0, 1.1), (-0.9, -0.4, 0.4, 1.0), (0.4, 0.9, 0.4, 1.0)]
     window = [_quad((0, y, z), (0, y2, z), (0, y2, z2), (0, y, z2)) for y, y2, z, z2 in front]
-    rib = _box((RIB[0], -0.9, 0), (RIB[1], 0.9, 0.45))
+    rib = _box((RIB[0], -0.9, 0), (RIB[1], 0.9, 0.8))
     faces = [*walls, *window, *rib]
     start = (-0.5, -2.52, 2.43, 3.1, 1.44, 0)
-    return _job(folder, faces, seam, inlet=(0, 0, 0.75), at=(0.5, 0, 0.0), start=start)
+    return _job(folder, faces, seam, inlet=(0, 0, 0.7), at=(0.5, 0, 0.0), start=start)
 
 
 def _job(folder: Path, faces: list[np.ndarray], seam: np.ndarray, inlet: Point, at: Point, start: Point) -> Path:
