@@ -39,7 +39,8 @@ def begin(folder: Path, asked: Manifest, keep: Any = None) -> Run:
     and when it cannot be written.
     """
     for part in folder.glob(f"{PART}*"):
-        part.unlink(missing_ok=True)  # its writer died
+        if part.is_file():
+            part.unlink(missing_ok=True)  # its writer died
     _lay_out(folder)
     if not (folder / MANIFEST).exists():
         if strangers := _unlisted(folder, set()):
