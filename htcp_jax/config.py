@@ -14,7 +14,7 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from htcp_jax.errors import InputError
 from htcp_jax.escape import METHODS
@@ -94,7 +94,7 @@ class PlanConfig(Section):
 
     @field_validator("method")
     @classmethod
-    def _known_method(cls, name: str, info: ValidationInfo) -> str:
+    def _known_method(cls, name: str, info) -> str:
         of_record = info.context is RECORD and NAME.fullmatch(name)  # by a planner of one's own, which is not here now
         if name not in METHODS and not of_record:
             raise InputError(f"{name!r} is no method; valid: {', '.join(METHODS)}")

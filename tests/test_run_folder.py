@@ -27,7 +27,7 @@ STATUS = [[A, A, A], [A, E, LIMIT], [A, LIMIT, NOT], [A, A, NOT]]
 COUNT = np.array([3, 3, 3, 2], np.int32)  # the last scenario has a target less: its third row is padding
 JOINTS = run_tables.joint_columns(gp50())
 PLANS = plans_with(STATUS, joints=6)
-POINTS = tuple(Point(k, "starts", load_config(None, [f"margin_m={k}"])) for k in range(4))
+POINTS = tuple(Point(k, "starts", load_config(None, [f"margin_m={k / 10}"])) for k in range(4))
 SPANS = Span(0, 1), Span(2, 3)
 BY = planned_by()
 
@@ -86,7 +86,7 @@ def test_a_scenario_s_row_tells_what_became_of_it_and_its_parameters(tmp_path):
     assert table["failure"] == [None, "ITERATION_LIMIT", "ITERATION_LIMIT", None]
     assert table["reason"][1] == LIMIT.message
     assert table["after_escape"] == [0, 1, 0, 0] and table["blocked_paths"] == table["tracked"]
-    assert (table["margin_m"], table["group"], table["path"]) == ([0, 1, 2, 3], ["starts"] * 4, ["weld"] * 4)
+    assert (table["margin_m"], table["group"], table["path"]) == ([0, 0.1, 0.2, 0.3], ["starts"] * 4, ["weld"] * 4)
     assert table["start_joint2_rad"] == [-2.3] * 4
 
 
