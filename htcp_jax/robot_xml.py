@@ -6,6 +6,7 @@ has no part in where the links and their capsules are is left out. In the text t
 for the meshes of a URDF, which robot_file.py takes out before MuJoCo would open them.
 """
 
+import math
 import re
 from pathlib import Path
 from xml.etree import ElementTree
@@ -59,11 +60,45 @@ def read_spec(path: Path) -> mujoco.MjSpec:
     _put_includes_in_place(root, path, {path.resolve()})
     if root.tag == "mujoco":
         _leave_out(root, path)
+    speeds = _urdf_speeds(root, path) if root.tag == "robot" else []
     text = ElementTree.tostring(root, encoding="unicode")
     try:
-        return mujoco.MjSpec.from_string(text)
+        spec = mujoco.MjSpec.from_string(text)
+        if speeds:
+            spec.add_numeric(name="speed", data=speeds, size=len(speeds))
+        return spec
     except (ValueError, mujoco.FatalError) as error:
         raise unreadable(path, error) from None
+
+
+def _urdf_speeds(root: ElementTree.Element, path: Path) -> list[float]:
+    """The velocities of a URDF's joints from the base outwards, which MuJoCo does not read, as an MJCF gives them in its
+    <numeric> "speed": inf where there is none, or 0 in its place."""
+    joints = root.findall("joint")
+    above = {_link(joint, "child"): _link(joint, "parent") for joint in joints}
+
+    def depth(joint: ElementTree.Element) -> int:
+        link, links = _link(joint, "parent"), {""}
+        while link not in links:  # a circle is for MuJoCo to refuse
+            links.add(link)
+            link = above.get(link, "")
+        return len(links)
+
+    moving = [joint for joint in joints if joint.get("type") in ("revolute", "continuous", "prismatic")]
+    return [_velocity(joint, path) for joint in sorted(moving, key=depth)]
+
+
+def _link(joint: ElementTree.Element, end: str) -> str:
+    return "" if (found := joint.find(end)) is None else found.get("link", "")
+
+
+def _velocity(joint: ElementTree.Element, path: Path) -> float:
+    limit = joint.find("limit")
+    told = "0" if limit is None else limit.get("velocity", "0")
+    try:
+        return float(told) if float(told) > 0 else math.inf
+    except ValueError:
+        raise InputError(f"{path}: joint {joint.get('name')!r} has the velocity {told!r}, which is no number") from None
 
 
 def unreadable(path: Path, error: Exception) -> InputError:

@@ -3,7 +3,11 @@
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
+
+from htcp_jax.run_folder import MANIFEST
+from htcp_jax.sweep import sweep
 
 GRID = """
 config: job.yaml
@@ -13,6 +17,8 @@ grid:
 """
 BOX = "\n".join(f"{1.3 * x} {y} {z}" for x in (0, 1) for y in (-1, 1) for z in (-1, 1))
 SHARDS = 6  # a scenario each
+HALF = 3
+COLD = {"HTCP_CACHE": "off"}  # compiles everything first, which takes many seconds whatever the machine
 
 
 def make_sweep(folder: Path) -> None:
@@ -36,10 +42,24 @@ def environment() -> dict[str, str]:
     return os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
 
 
-def start(folder: Path, out: str, *more: str) -> subprocess.Popen:
-    """The sweep, running."""
-    pipe = subprocess.PIPE
-    return subprocess.Popen(command(out, *more), cwd=folder, env=environment(), stdout=pipe, stderr=pipe, text=True)
+def start(folder: Path, out: str, *more: str, **environs: str) -> subprocess.Popen:
+    """The sweep, running; `environs` are further variables of its environment."""
+    known, pipe = environment() | environs, subprocess.PIPE
+    return subprocess.Popen(command(out, *more), cwd=folder, env=known, stdout=pipe, stderr=pipe, text=True)
+
+
+def plan_half(folder: Path, out: str) -> None:
+    """The first shards of the sweep, planned here: what goes on with them and is COLD has rows to lose and cannot end
+    before it is disturbed."""
+    assert sweep(folder / "grid.yaml", "baseline", folder / out, shard_scenarios=1, limit=HALF).complete
+
+
+def wait_for_work(process: subprocess.Popen, run: Path) -> None:
+    """Until a process that goes on with a run has taken it over; it writes the manifest anew then."""
+    before = (run / MANIFEST).stat().st_ino
+    while (run / MANIFEST).stat().st_ino == before:
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.01)
 
 
 def finish(folder: Path, out: str, *more: str) -> subprocess.CompletedProcess:
