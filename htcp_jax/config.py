@@ -175,6 +175,12 @@ def _refuse_unknown(raw: dict, model: type, source: str, prefix: str = "") -> No
             del raw[key]  # a section whose lines are all commented out
         elif is_section and isinstance(value, dict):
             _refuse_unknown(value, kinds[key], source, f"{prefix}{key}.")
+        elif kinds[key] is not bool and any(isinstance(item, bool) for item in _items(value)):
+            raise InputError(f"{source}: {prefix}{key} is {reprlib.repr(value)}: true and false are no numbers")
+
+
+def _items(value: Any) -> Sequence[Any]:
+    return value if isinstance(value, list | tuple) else [value]
 
 
 def _sentence(error: dict) -> str:

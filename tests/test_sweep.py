@@ -1,6 +1,7 @@
 """A sweep by its public call and by its command: results, what continues, what is refused."""
 
 import itertools
+import json
 import os
 import signal
 from pathlib import Path
@@ -138,6 +139,26 @@ def test_a_signal_ends_a_sweep_that_the_same_call_completes(here, planned, numbe
     assert signal.getsignal(number) is handler
     sweep("grid.yaml", "baseline", "run")
     assert contents(here / "run") == contents(here / "undisturbed")
+
+
+def test_a_sweep_continued_with_fewer_methods_tells_what_it_planned_and_what_is_left(here, planned, capsys):
+    """W7: it planned all that it was asked for, printed no table and ended with 2."""
+
+    def interrupt(now):
+        if now.method == "baseline" and now.scenarios_done == 1:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(Interrupted):
+        sweep("grid.yaml", "baseline,hybrid", "run", shard_scenarios=1, progress=interrupt)
+    words = ["sweep", "grid.yaml", "--methods", "baseline", "--out", "run"]
+    assert main(words) == 0
+    shown = capsys.readouterr()
+    told = "unfinished  hybrid: 3 of 3 scenarios left; --methods hybrid plans them"
+    assert shown.err == "" and told in shown.out and "baseline" in shown.out
+    assert main([*words, "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert (list(record["methods"]), record["unfinished"], record["complete"]) == (["baseline"], {"hybrid": 3}, False)
+    assert {method for method, _ in planned} == {"baseline"}
 
 
 def test_a_signal_stops_the_planner_in_the_middle_of_a_shard_and_leaves_nothing(here):
