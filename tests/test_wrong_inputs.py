@@ -544,10 +544,20 @@ def test_output_without_room_is_one_line_and_exit_2(here, words, unbuffered):
 def test_every_command_whose_output_has_no_room_says_so_and_has_done_its_work(here, planned):
     lay_out(here, FILES | GRID)
     run, short = planned / "run", "--set workpiece.path=path.csv"
-    words = [f"plan {short}", f"plan {short} --json", f"sweep grid.yaml --methods baseline {short}",
-             f"report {run}", f"report {run} --json", f"validate {run} --between 0",
-             f"ceiling grid.yaml --draws 1 {short} --out ceiling", "doctor", "doctor --json",
-             "render out/plan --movie none", f"gate {run} --bless --baseline new.yaml", f"gate {run} --baseline new.yaml"]  # fmt: skip
+    words = [
+        f"plan {short}",
+        f"plan {short} --json",
+        f"sweep grid.yaml --methods baseline {short}",
+        f"ceiling grid.yaml --draws 1 {short} --out ceiling",
+        f"report {run}",
+        f"report {run} --json",
+        f"validate {run} --between 0",
+        f"gate {run} --bless --baseline new.yaml",
+        f"gate {run} --baseline new.yaml",
+        "render out/plan --movie none",
+        "doctor",
+        "doctor --json",
+    ]
     with FULL.open("wb") as full:
         for line in words:
             done = command(line, full)
