@@ -357,8 +357,6 @@ CLOUDS = [
     cloud("a.xyz", "0 0 0\n0 inf 0\n1 1 1\n0 0 1\n", "line 2"),
     cloud("a.xyz", "0 0 0\n0 1e999 0\n1 1 1\n0 0 1\n", "line 2"),
     cloud("a.xyz", "0 0 0\n0 1e12 0\n1 1 1\n0 0 1\n", "a coordinate of 1e+12 m; coordinates are metres"),
-    Wrong(["plan", "--set", "workpiece.cloud=a.xyz", "--set", "workpiece.path=path.csv"], "cloud of a: flat",
-          {"a.xyz": "0 0 0\n1 0 0\n0 1 0\n1 1 0\n"}),
     cloud("a.xyz", b"\xff\xfe\x00\x01", "not a text file of points"),
     cloud("a.npy", b"", ""),
     cloud("a.npy", b"\x93NUMPY", ""),
