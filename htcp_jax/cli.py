@@ -3,13 +3,20 @@
 Commands return their exit code. Bad input, whether of the command line or of a file, is one line and code 2.
 """
 
+import contextlib
+import errno
 import importlib.metadata
+import logging
+import os
 import sys
 import warnings
 from collections.abc import Sequence
 from typing import Annotated
 
 import typer
+
+# Without a home folder to write into, matplotlib says so when it is imported; its fonts go elsewhere then.
+logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
 from htcp_jax import compile_cache
 from htcp_jax.cli_ceiling import ceiling_command
@@ -24,7 +31,9 @@ from htcp_jax.cli_validate import validate
 from htcp_jax.cli_view import view
 from htcp_jax.errors import InputError, Interrupted, Lost
 
-LOST, BAD_INPUT, INTERRUPTED = 1, 2, 130
+LOST, UNREAD, BAD_INPUT, INTERRUPTED = 1, 1, 2, 130  # UNREAD: nobody reads the pipe any more
+FULL = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO  # what a disk says; no program's mistake
+LONGEST = 60  # letters of a file's name in a message
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 app.command(short_help="Plan one job; a table, the trajectory, a picture.")(plan)
@@ -81,31 +90,73 @@ def htcp(
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command, without any the help; returns the exit code."""
     words = list(sys.argv[1:] if argv is None else argv) or ["--help"]
-    compile_cache.enable()
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("default", UserWarning)
-            warnings.showwarning = _warn
-            code = app(args=words, prog_name="htcp", standalone_mode=False)
+        code = _run(words)
+        if sys.stdout is not None:
+            sys.stdout.flush()  # here, where it can still be said that there is no room
+        return code
     except InputError as error:
         return _refuse(str(error))
     except typer.TyperException as error:
         return _refuse(error.format_message())
     except Lost as lost:
-        print(f"htcp: {lost}", file=sys.stderr)
+        _tell(str(lost))
         return LOST
     except Interrupted as stop:
-        print(f"htcp: {stop}", file=sys.stderr)
+        _tell(str(stop))
         return stop.code
+    except BrokenPipeError:
+        _forget_stdout()
+        return UNREAD
+    except OSError as error:
+        if error.filename is None and error.errno not in FULL:
+            raise
+        _forget_stdout()
+        return _refuse(_said_by_the_system(error))
+
+
+def _run(words: list[str]) -> int:
+    """The exit code of the command that `words` are."""
+    if any("\0" in word for word in words):
+        raise InputError("an argument holds a NUL byte; no name of a file does")
+    compile_cache.enable()
+    with warnings.catch_warnings():
+        warnings.simplefilter("default", UserWarning)
+        warnings.showwarning = _warn
+        code = app(args=words, prog_name="htcp", standalone_mode=False)
     if code == INTERRUPTED:  # what typer makes of Ctrl-C
-        print("htcp: interrupted; nothing was written", file=sys.stderr)
+        _tell("interrupted; nothing was written")
     return int(code or 0)
 
 
+def _said_by_the_system(error: OSError) -> str:
+    """A name that cannot be one, or a disk without room, in one line."""
+    if error.filename is None:
+        return f"cannot write the output: {error.strerror}"
+    name = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else str(error.filename)
+    return f"{name if len(name) <= LONGEST else name[:LONGEST] + '...'}: {error.strerror}"
+
+
+def _forget_stdout() -> None:
+    """Let what could not be written go, so that Python does not try again at its end and say so in its own words."""
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except OSError:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
+
+
 def _warn(message: Warning, *_) -> None:
-    print(f"htcp: warning: {message}", file=sys.stderr)
+    _tell(f"warning: {message}")
 
 
 def _refuse(reason: str) -> int:
-    print(f"htcp: {' '.join(reason.split())}", file=sys.stderr)
+    _tell(" ".join(reason.split()))
     return BAD_INPUT
+
+
+def _tell(line: str) -> None:
+    with contextlib.suppress(OSError):  # stderr may be as full as stdout
+        print(f"htcp: {line}", file=sys.stderr)

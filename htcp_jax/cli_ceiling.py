@@ -14,7 +14,7 @@ from htcp_jax.cli_output import Json, print_facts, print_json, stdout
 from htcp_jax.cli_sweep import Config, Limit, Overrides, SweepFile
 from htcp_jax.errors import InputError
 from htcp_jax.grid import Batch, load_sweep
-from htcp_jax.results import write_json
+from htcp_jax.results import write_json, written_whole
 from htcp_jax.run_folder import MANIFEST, Run, open_run
 from htcp_jax.status import Status
 
@@ -44,19 +44,19 @@ def ceiling_command(
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
     batch = (spec := load_sweep(file, config, overrides or ())).batch(limit)
     run = open_run(out) if (out / MANIFEST).exists() else None
-    found = _search(batch, draws, spec.config.settings)
-    beaten = {} if run is None else _beaten(run, batch, found)
-    targets = int(batch.scenarios.count.sum())
-    record = {
-        "prefix": found.prefix.tolist(),
-        "best_mm": [None if np.isnan(b) else 1e3 * b for b in found.best],
-        "draws": draws,
-        "seed": spec.config.settings.seed,
-        "targets": targets,
-        "beaten_by": beaten,
-    }
-    out.mkdir(parents=True, exist_ok=True)
-    write_json(out / "ceiling.json", record)
+    with written_whole(out) as folder:
+        found = _search(batch, draws, spec.config.settings)
+        beaten = {} if run is None else _beaten(run, batch, found)
+        targets = int(batch.scenarios.count.sum())
+        record = {
+            "prefix": found.prefix.tolist(),
+            "best_mm": [None if np.isnan(b) else 1e3 * b for b in found.best],
+            "draws": draws,
+            "seed": spec.config.settings.seed,
+            "targets": targets,
+            "beaten_by": beaten,
+        }
+        write_json(folder / "ceiling.json", record)
     if as_json:
         print_json(record)
     else:

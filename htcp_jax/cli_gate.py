@@ -56,11 +56,11 @@ def gate(run: RunFolder, baseline: File, bless: Bless = False, as_json: Json = F
         print_json({"baseline": str(baseline)}) if as_json else print(f"{run} is the baseline now: {baseline}")
         return PASSED
     known = read_baseline(baseline)
-    if not (run / MANIFEST).exists():
-        raise InputError(f"{run} holds no run: there is no {MANIFEST}")
     try:
         there = open_run(run)
     except InputError as error:
+        if not (run / MANIFEST).exists():
+            raise
         _print_unreadable(str(error), as_json)
         return REGRESSION
     with bar() as tell:

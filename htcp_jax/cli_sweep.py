@@ -84,9 +84,16 @@ def sweep(
 
 
 def _record(run: Run) -> dict:
-    """What --json prints: where the results are, and the summary of every method."""
-    found = {method: summary_record(summarise(run.plans(method))) for method in run.methods}
-    return {"run": str(run.folder), "name": run.manifest.name, "complete": run.complete, "methods": found}
+    """What --json prints: where the results are, and the summary of every method that is finished."""
+    found = {method: summary_record(summarise(run.plans(method))) for method in _finished(run)}
+    known = {"run": str(run.folder), "name": run.manifest.name, "complete": run.complete}
+    return {**known, "unfinished": run.unfinished(), "methods": found}
+
+
+def _finished(run: Run) -> list[str]:
+    """Methods of the run that have planned all of it: those asked for just now, and perhaps others."""
+    left = run.unfinished()
+    return [method for method in run.methods if method not in left]
 
 
 @contextmanager
@@ -119,7 +126,7 @@ UNITS = "", "%", "tracked", "scenarios", "ms", "mean mm", "min / mean mm", "path
 
 
 def _print_table(run: Run) -> None:
-    rows = [_cells(method, summarise(run.plans(method))) for method in run.methods]
+    rows = [_cells(method, summarise(run.plans(method))) for method in _finished(run)]
     widths = [max(map(len, column)) for column in zip(HEADS, UNITS, *rows, strict=True)]
     console = stdout()
     limit = (
@@ -128,6 +135,9 @@ def _print_table(run: Run) -> None:
     console.print(Text(f"{run.manifest.name}{limit}", style="bold"))
     for cells, style in ((HEADS, "cyan"), (UNITS, "dim cyan"), *((row, "") for row in rows)):
         console.print(Text(_line(cells, widths), style=style))
+    for method, count in run.unfinished().items():
+        told = f"{count:,} of {run.manifest.count:,} scenarios left; --methods {method} plans them"
+        console.print(Text.assemble(("unfinished  ", "yellow"), f"{method}: {told}"))
     console.print(Text.assemble(("files  ", "cyan"), str(run.folder)))
 
 

@@ -1,5 +1,6 @@
 """`htcp view`: plans in the browser."""
 
+import contextlib
 import importlib.util
 from pathlib import Path
 from typing import Annotated
@@ -48,17 +49,16 @@ def view(
     """
     if importlib.util.find_spec("viser") is None:
         raise InputError("htcp view needs viser: pip install 'htcp_jax[view]'")
-    shelf = _shelf(what, method, overrides or [])
-    from htcp_jax.viewer import Viewer  # viser is an extra
+    with contextlib.suppress(KeyboardInterrupt):  # before the page is up as well as after
+        shelf = _shelf(what, method, overrides or [])
+        from htcp_jax.viewer import Viewer  # viser is an extra
 
-    viewer = Viewer(shelf, host, port, scenario, method)
-    stdout().print(Text.assemble(("viewer  ", "cyan"), viewer.address, ("  (Ctrl-C ends it)", "dim")))
-    try:
-        viewer.wait()
-    except KeyboardInterrupt:
-        pass
-    finally:
-        viewer.stop()
+        viewer = Viewer(shelf, host, port, scenario, method)
+        try:
+            stdout().print(Text.assemble(("viewer  ", "cyan"), viewer.address, ("  (Ctrl-C ends it)", "dim")))
+            viewer.wait()
+        finally:
+            viewer.stop()
     return 0
 
 

@@ -8,6 +8,7 @@ folder; files named in an override are relative to the working folder, as on any
 
 import copy
 import difflib
+import re
 import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
@@ -27,6 +28,8 @@ LARGEST = 1e6  # of lengths [m] and joint positions: beyond, the tolerance is lo
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Point = tuple[Number, Number, Number]
 Steps = Annotated[int, Field(ge=0, le=10_000)]
+NAME = re.compile(r"[a-z0-9-]+")  # of a method; it stands in names of files
+RECORD = "of results"
 
 
 class Section(BaseModel):
@@ -85,15 +88,16 @@ class PlanConfig(Section):
     robot: RobotConfig = RobotConfig()
     workpiece: WorkpieceConfig = WorkpieceConfig()
     start_rad: tuple[Number, ...] = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
-    margin_m: float = Field(5e-4, ge=0)  # least clearance with which a target counts
+    margin_m: float = Field(5e-4, ge=0, le=1)  # least clearance with which a target counts
     method: str = "nspace-sqp"
     settings: Settings = Settings()
     ray: RayConfig = RayConfig()
 
     @field_validator("method")
     @classmethod
-    def _known_method(cls, name: str) -> str:
-        if name not in METHODS:
+    def _known_method(cls, name: str, info) -> str:
+        of_record = info.context is RECORD and NAME.fullmatch(name)  # by a planner of one's own, which is not here now
+        if name not in METHODS and not of_record:
             raise InputError(f"{name!r} is no method; valid: {', '.join(METHODS)}")
         return name
 
@@ -125,11 +129,13 @@ def load_config(
     return validate(raw, PlanConfig, source)
 
 
-def validate(raw: dict, model: type[BaseModel], source: str) -> Any:
-    """`raw` as a `model`. Raises InputError that names the first offender and how many more there are."""
+def validate(raw: dict, model: type[BaseModel], source: str, *, of_record: bool = False) -> Any:
+    """`raw` as a `model`; `of_record`: of results that are there, by a method that need not be known.
+
+    Raises InputError that names the first offender and how many more there are."""
     _refuse_unknown(raw, model, source)
     try:
-        return model.model_validate(raw)
+        return model.model_validate(raw, context=RECORD if of_record else None)
     except ValidationError as error:
         first, *more = error.errors()
         others = f" (and {len(more)} more)" if more else ""
@@ -177,6 +183,12 @@ def _refuse_unknown(raw: dict, model: type, source: str, prefix: str = "") -> No
             del raw[key]  # a section whose lines are all commented out
         elif is_section and isinstance(value, dict):
             _refuse_unknown(value, kinds[key], source, f"{prefix}{key}.")
+        elif kinds[key] is not bool and any(isinstance(item, bool) for item in _items(value)):
+            raise InputError(f"{source}: {prefix}{key} is {reprlib.repr(value)}: true and false are no numbers")
+
+
+def _items(value: Any) -> Sequence[Any]:
+    return value if isinstance(value, list | tuple) else [value]
 
 
 def _sentence(error: dict) -> str:

@@ -218,7 +218,7 @@ def _placement(row: dict[str, Any], robot: Robot, workpiece: Workpiece, joints: 
 
 def _of_plan(folder: Path) -> Shelf:
     _, raw, arrays = read_plan(folder, ARRAYS)
-    job: PlanConfig = validate(raw, PlanConfig, str(folder / SUMMARY))
+    job: PlanConfig = validate(raw, PlanConfig, str(folder / SUMMARY), of_record=True)
     robot, workpiece, scenario = scene(job)
     if arrays["target"].shape != scenario.targets.shape or arrays["x"].shape[1:] != (len(robot.joint_names),):
         raise InputError(f"{folder / TRAJECTORY} is no plan of the configuration beside it; damaged")

@@ -46,27 +46,51 @@ def read_plan(folder: Path, names: Iterable[str]) -> tuple[str, dict, dict[str, 
 
 
 @contextlib.contextmanager
+def made_folder(folder: Path) -> Iterator[bool]:
+    """`folder` is there, with all above it; what was made for this and is empty at the end vanishes again. Hands out
+    whether it was made.
+
+    Raises InputError if it cannot be made.
+    """
+    try:
+        missing = [each for each in (folder, *folder.parents) if not each.exists()]  # a name may be too long to ask for
+    except OSError as error:
+        raise _unwritable(folder, error) from None
+    try:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise _unwritable(folder, error) from None
+        yield bool(missing)
+    finally:
+        for each in missing:
+            with contextlib.suppress(OSError):  # what is in use stays
+                each.rmdir()
+
+
+@contextlib.contextmanager
 def written_whole(folder: Path) -> Iterator[Path]:
     """A scratch folder whose files move into `folder` when the block ends well, and vanish when it does not.
 
     Raises InputError at once if `folder` cannot be made or written, and later if the files cannot be moved.
     """
-    made = not folder.exists()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        scratch = Path(tempfile.mkdtemp(prefix=".part-", dir=folder))
-    except OSError as error:
-        raise InputError(f"cannot write to {folder}: {error.strerror}") from None
-    try:
-        yield scratch
-        for file in sorted(scratch.iterdir()):
-            os.replace(file, folder / file.name)
-    except OSError as error:
-        raise InputError(f"cannot write to {folder}: {error.strerror}") from None
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
-        if made and not any(folder.iterdir()):
-            folder.rmdir()
+    with made_folder(folder):
+        try:
+            scratch = Path(tempfile.mkdtemp(prefix=".part-", dir=folder))
+        except OSError as error:
+            raise _unwritable(folder, error) from None
+        try:
+            yield scratch
+            for file in sorted(scratch.iterdir()):
+                os.replace(file, folder / file.name)
+        except OSError as error:
+            raise _unwritable(folder, error) from None
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _unwritable(folder: Path, error: OSError) -> InputError:
+    return InputError(f"cannot write to {folder}: {error.strerror}")
 
 
 def write_trajectory_csv(file: Path, robot: Robot, plans: Plans, row: int = 0) -> None:
@@ -119,7 +143,7 @@ def write_text(file: Path, text: str) -> None:
     except OSError as error:
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)
-        raise InputError(f"cannot write to {file.parent}: {error.strerror}") from None
+        raise _unwritable(file.parent, error) from None
 
 
 def summary_record(summary: Summary) -> dict:

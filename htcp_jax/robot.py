@@ -59,12 +59,13 @@ def load_robot(path: str | Path = GP50, *, tcp_site: str = "tcp", limits: str = 
     """Read the serial chain from the world to the TCP out of an MJCF or URDF file, through MuJoCo.
 
     path: the file. Its capsule and sphere geoms become capsules, wherever they are fixed; all others are
-        listed in `ignored_geoms`. Mesh files are never opened. MuJoCo does not read the velocities of a URDF.
+        listed in `ignored_geoms`. Mesh files are never opened.
     tcp_site: the site, or else the body, whose frame is the TCP. By default "tcp"; where there is none, the
         only site of the model, or the outermost link of a URDF, which has no sites.
     limits: "model" (the joint ranges of the file, infinite where there is none), "simulation" (+-pi on
         hinges, slides as in the file) or "datasheet" (the <numeric> entries "datasheet_lower" and
-        "datasheet_upper" of the file, a value a joint). Joint speeds are its <numeric> "speed".
+        "datasheet_upper" of the file, a value a joint). Joint speeds are its <numeric> "speed", of a URDF the
+        velocities of its joints.
 
     Raises InputError for a file that cannot be read, fewer than three joints, ball or free joints, joints off
     the chain, no TCP, no capsules, a radius that is not positive, a number that is not finite, and a profile

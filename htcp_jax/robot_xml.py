@@ -6,6 +6,7 @@ has no part in where the links and their capsules are is left out. In the text t
 for the meshes of a URDF, which robot_file.py takes out before MuJoCo would open them.
 """
 
+import math
 import re
 from pathlib import Path
 from xml.etree import ElementTree
@@ -59,11 +60,57 @@ def read_spec(path: Path) -> mujoco.MjSpec:
     _put_includes_in_place(root, path, {path.resolve()})
     if root.tag == "mujoco":
         _leave_out(root, path)
+    speeds = _urdf_speeds(root, path) if root.tag == "robot" else []
     text = ElementTree.tostring(root, encoding="unicode")
     try:
-        return mujoco.MjSpec.from_string(text)
+        spec = mujoco.MjSpec.from_string(text)
+        if speeds:
+            spec.add_numeric(name="speed", data=speeds, size=len(speeds))
+        return spec
     except (ValueError, mujoco.FatalError) as error:
         raise unreadable(path, error) from None
+
+
+def _urdf_speeds(root: ElementTree.Element, path: Path) -> list[float]:
+    """The velocities of a URDF's joints from the base outwards, which MuJoCo does not read, as an MJCF gives them in
+    its <numeric> "speed": inf where there is none, or 0 in its place. Raises InputError for a range turned round."""
+    joints = root.findall("joint")
+    above = {_link(joint, "child"): _link(joint, "parent") for joint in joints}
+
+    def depth(joint: ElementTree.Element) -> int:
+        link, links = _link(joint, "parent"), {""}
+        while link not in links:  # a circle is for MuJoCo to refuse
+            links.add(link)
+            link = above.get(link, "")
+        return len(links)
+
+    moving = [joint for joint in joints if joint.get("type") in ("revolute", "continuous", "prismatic")]
+    for joint in moving:
+        if joint.get("type") != "continuous":
+            _check_range(joint, path)
+    speeds = [_number(joint, "velocity", path) for joint in sorted(moving, key=depth)]
+    return [speed if speed > 0 else math.inf for speed in speeds]
+
+
+def _link(joint: ElementTree.Element, end: str) -> str:
+    return "" if (found := joint.find(end)) is None else found.get("link", "")
+
+
+def _check_range(joint: ElementTree.Element, path: Path) -> None:
+    """MuJoCo takes a range that is turned round for no limit at all."""
+    lower, upper = _number(joint, "lower", path), _number(joint, "upper", path)
+    if not lower < upper and (lower, upper) != (0, 0):
+        raise InputError(f"{path}: joint {joint.get('name')!r} has range {lower:g} to {upper:g}; it must ascend")
+
+
+def _number(joint: ElementTree.Element, name: str, path: Path) -> float:
+    """A number of a joint's <limit>; 0 where it is not there, as URDF has it."""
+    limit = joint.find("limit")
+    told = "0" if limit is None else limit.get(name, "0")
+    try:
+        return float(told)
+    except ValueError:
+        raise InputError(f"{path}: joint {joint.get('name')!r} has the {name} {told!r}, which is no number") from None
 
 
 def unreadable(path: Path, error: Exception) -> InputError:

@@ -23,6 +23,7 @@ from htcp_jax.grid import MOST
 from htcp_jax.metrics import summarise
 from htcp_jax.notebook import html_facts
 from htcp_jax.plans import Plans
+from htcp_jax.results import SUMMARY
 from htcp_jax.run_identity import config_hash, identity
 from htcp_jax.run_tables import empty_tables, frame_of, plans_of
 
@@ -154,12 +155,17 @@ class Run:
     @property
     def complete(self) -> bool:
         """Whether every method has planned every scenario up to the limit."""
-        return not any(self.missing(method) for method in self.methods)
+        return not self.unfinished()
+
+    def unfinished(self) -> dict[str, int]:
+        """The methods that have scenarios left to plan, and how many."""
+        left = {method: sum(last - first + 1 for first, last in self.missing(method)) for method in self.methods}
+        return {method: count for method, count in left.items() if count}
 
     @property
     def config(self) -> PlanConfig:
         """What all scenarios share; a scenario's own parameters are columns of `scenarios()`."""
-        return validate(self.manifest.config, PlanConfig, str(self.folder / MANIFEST))
+        return validate(self.manifest.config, PlanConfig, str(self.folder / MANIFEST), of_record=True)
 
     def targets(self, *methods: str) -> pa.Table:
         """One row per method, scenario and target, of all methods or of those named.
@@ -212,6 +218,9 @@ def open_run(folder: str | Path) -> Run:
     try:
         text = (folder / MANIFEST).read_bytes()
     except OSError as error:
+        if isinstance(error, FileNotFoundError) and (folder / SUMMARY).exists():
+            told = "holds a plan of htcp plan, no run; htcp view, htcp render and htcp validate open it"
+            raise InputError(f"{folder} {told}") from None
         raise InputError(f"{folder} holds no run: cannot read {MANIFEST}: {error.strerror}") from None
     try:
         return Run(folder, Manifest.model_validate_json(text))

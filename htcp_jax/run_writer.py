@@ -3,6 +3,7 @@
 import hashlib
 import os
 import warnings
+from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -32,14 +33,15 @@ PART = ".part-"
 
 
 def begin(folder: Path, asked: Manifest, keep: Any = None) -> Run:
-    """The run `asked` for in `folder`, with the finished shards that it holds already. A damaged file is named in a
-    warning, and its shard is no longer counted as finished.
+    """The run `asked` for in `folder`, with the finished shards that it holds already. Shards with a damaged file no
+    longer count as finished, and a warning a method says so.
 
     Raises InputError when the folder holds another run, more scenarios of this one, or results without a manifest,
     and when it cannot be written.
     """
     for part in folder.glob(f"{PART}*"):
-        part.unlink(missing_ok=True)  # its writer died
+        if part.is_file():
+            part.unlink(missing_ok=True)  # its writer died
     _lay_out(folder)
     if not (folder / MANIFEST).exists():
         if strangers := _unlisted(folder, set()):
@@ -52,7 +54,7 @@ def begin(folder: Path, asked: Manifest, keep: Any = None) -> Run:
     methods = tuple(dict.fromkeys((*old.methods, *asked.methods)))
     run = Run(folder, asked.model_copy(update={**kept, "methods": methods}), keep)
     expected = {shard_name(method, span) for method in methods for span in spans(run.manifest)}
-    shards = tuple(shard for shard in run.manifest.shards if _counts(run, shard))
+    shards = _whole(run, asked.methods)
     for stranger in _unlisted(folder, expected):
         warnings.warn(f"{stranger} is not of this run; it is left alone", stacklevel=3)
     return _saved(_with_shards(run, shards))
@@ -95,20 +97,24 @@ def _identity(manifest: Manifest) -> dict:
     return identity(manifest.config, manifest.grid, manifest.dtype, manifest.files)
 
 
-def _counts(run: Run, shard: ShardRecord) -> bool:
-    """Whether a shard on record is as recorded. One that a larger limit has outgrown is taken away."""
-    span = Span(shard.first, shard.last)
-    files = run.shard_files(shard).values()
-    if span not in spans(run.manifest):
-        for file, _ in files:
-            file.unlink(missing_ok=True)
-        return False
-    faults = [f"{file} {problem}" for file, record in files if (problem := fault(file, record))]
-    for problem in faults:
-        warnings.warn(
-            f"{problem}; scenarios {span.first} to {span.last} are planned again by {shard.method}", stacklevel=4
-        )
-    return not faults
+def _whole(run: Run, asked: tuple[str, ...]) -> tuple[ShardRecord, ...]:
+    """The shards on record that are as recorded. Those that a larger limit has outgrown are taken away."""
+    known, whole, damaged = set(spans(run.manifest)), [], defaultdict(list)
+    for shard in run.manifest.shards:
+        files = run.shard_files(shard).values()
+        if (shard.first, shard.last) not in known:
+            for file, _ in files:
+                file.unlink(missing_ok=True)
+        elif faults := [f"{file} {problem}" for file, record in files if (problem := fault(file, record))]:
+            damaged[shard.method].append((shard, faults[0]))
+        else:
+            whole.append(shard)
+    for method, lost in damaged.items():
+        scenarios = ", ".join(f"{shard.first} to {shard.last}" for shard, _ in lost)
+        then = f"are planned again by {method}" if method in asked else f"of {method} are unfinished now"
+        more = f" (and {len(lost) - 1} more shards)" if lost[1:] else ""
+        warnings.warn(f"{lost[0][1]}{more}; scenarios {scenarios} {then}", stacklevel=4)
+    return tuple(whole)
 
 
 def _with_shards(run: Run, shards: tuple[ShardRecord, ...]) -> Run:

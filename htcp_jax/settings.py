@@ -94,6 +94,12 @@ def settings_of(values: Settings | Mapping[str, Any] | None) -> Settings:
 
 MOST, LARGEST_SEED = 100_000, 2**63 - 1  # of whatever is counted; of the seed
 _MAY_BE_ZERO = {"aim_above_m", "j1_weight", "keep_clear_m", "seed", "postures"}
+# Beyond these a value is a slip of the pen or of the unit: a target "reached" within a kilometre, a step of many turns.
+_AT_MOST = {
+    "q_weights": 1e6, "j1_weight": 1e6, "tolerance_m": 0.1, "aim_above_m": 1.0, "keep_clear_m": 1.0,
+    "qp_tolerance": 0.01, "alpha_rad": 3.0, "sample_step_rad": 3.0, "sample_reach_rad": 1e3,
+    "inner_iterations": 10_000, "outer_steps": 10_000, "path_steps": 10_000, "seed": LARGEST_SEED,
+}  # fmt: skip
 
 
 def _check(name: str, value, kind) -> None:
@@ -109,5 +115,5 @@ def _check(name: str, value, kind) -> None:
             if not math.isfinite(number) or number < 0 or (number == 0 and name not in _MAY_BE_ZERO):
                 least = "zero or more" if name in _MAY_BE_ZERO else "more than zero"
                 raise InputError(f"{name} must be {least} and finite, not {number}")
-        if kind is int and value > (most := LARGEST_SEED if name == "seed" else MOST):
-            raise InputError(f"{name} is {value}; at most {most}")
+            if number > (most := _AT_MOST.get(name, MOST)):
+                raise InputError(f"{name} is {number}; at most {most}")

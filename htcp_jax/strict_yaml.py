@@ -25,8 +25,11 @@ def read_yaml(path: str | Path) -> dict:
         if (size := Path(path).stat().st_size) > LARGEST_FILE:
             raise InputError(f"{path}: {size:,} bytes; at most {LARGEST_FILE:,} are read")
         text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+    except (OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        text = isinstance(error, UnicodeDecodeError)  # else a NUL byte in the name
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text" if text else str(error)
         raise InputError(f"cannot read {path}: {reason}") from None
     raw = parse_yaml(text, str(path))
     if raw is None:

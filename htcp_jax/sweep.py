@@ -29,6 +29,7 @@ from htcp_jax.escape import METHODS
 from htcp_jax.grid import Batch, Column, Group, Sweep, load_sweep
 from htcp_jax.planner import Progress as ShardProgress
 from htcp_jax.plans import Plans
+from htcp_jax.results import made_folder
 from htcp_jax.run_folder import Manifest, Run, Span, spans
 from htcp_jax.run_identity import config_hash, file_hash, identity
 from htcp_jax.run_lock import locked
@@ -236,16 +237,12 @@ def _folder(out: str | Path | None) -> Iterator[tuple[Path, Any]]:
         yield scratch.folder, scratch
         return
     folder = Path(out)
-    made = not folder.exists()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot write to {folder}: {error.strerror}") from None
-    try:
-        yield folder, None
-    finally:
-        if made and not any(folder.glob("*/*.parquet")):
-            shutil.rmtree(folder, ignore_errors=True)
+    with made_folder(folder) as is_new:
+        try:
+            yield folder, None
+        finally:
+            if is_new and not any(folder.glob("*/*.parquet")):
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 class _CallableModule(types.ModuleType):

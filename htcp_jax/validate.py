@@ -13,6 +13,7 @@ in small steps. What is found there refutes nothing, because no target is there:
 
 import json
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -125,11 +126,37 @@ def record(found: Validation) -> dict[str, Any]:
 
 def write_validation(folder: Path, found: Validation) -> None:
     """validation.json, and in the folder of a plan "validated" in summary.json; aside, then moved into place.
-    Raises InputError when the folder cannot be written."""
-    write_json(folder / VALIDATION, record(found))
+
+    A stronger validation of the very same results stays, and a warning says so: one that looked at more places between
+    the targets, whatever the feed rate. Raises InputError when the folder cannot be written."""
+    told = record(found)
+    if _is_stronger(folder / VALIDATION, told):
+        warnings.warn(
+            f"{folder / VALIDATION} is kept: of the same results, it looks closer between the targets than "
+            f"--between {found.between} does",
+            stacklevel=2,
+        )
+    else:
+        write_json(folder / VALIDATION, told)
     summary = folder / SUMMARY
     if summary.exists():
         write_json(summary, json.loads(summary.read_text(encoding="utf-8")) | {"validated": found.validated})
+
+
+def _is_stronger(file: Path, told: dict[str, Any]) -> bool:
+    """Whether the validation in `file` is of the same results, says the same of their targets, tells no less than
+    `told`, and looked at more places between the targets."""
+    try:
+        known = json.loads(file.read_text(encoding="utf-8"))
+        same = all(known[key] == told[key] for key in ("files", "validated"))
+        return same and known["between"] > told["between"] and _keys(known) >= _keys(told)
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return False  # there is none, or it is damaged
+
+
+def _keys(told: dict[str, Any]) -> set[str]:
+    """What a validation tells, of all and of the methods; later programs may tell more."""
+    return {*told, *(f"{method}.{key}" for method, check in told["methods"].items() for key in check)}
 
 
 def _arm(arms: dict[float, Arm], results: Results, track: Track) -> Arm:

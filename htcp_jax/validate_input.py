@@ -142,7 +142,7 @@ def _paths(run: Run) -> dict[str, str]:
 
 def _read_plan(folder: Path) -> Results:
     method, raw, arrays = read_plan(folder, ARRAYS)
-    config: PlanConfig = validate(raw, PlanConfig, str(folder / SUMMARY))
+    config: PlanConfig = validate(raw, PlanConfig, str(folder / SUMMARY), of_record=True)
     part, start = config.workpiece, np.array(config.start_rad)
     count, joints = arrays["status"].size, len(start)
     shapes = {"x": (count, joints), "tcp": (count, 3), "target": (count, 3)}

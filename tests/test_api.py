@@ -13,6 +13,8 @@ from matplotlib.figure import Figure
 
 import htcp_jax
 from htcp_jax import planner
+from htcp_jax.cli import main
+from htcp_jax.escape import METHODS
 from htcp_jax.picture import draw_plan
 from htcp_jax.replay import open_shelf, shelf_of
 from htcp_jax.robot import lengthen_tool
@@ -59,6 +61,20 @@ def test_a_plan_is_a_frame_a_figure_and_a_table(short, tmp_path):
     assert "capsule_6c (30 mm)" in plan.robot._repr_html_() and "50,015 points" in plan.workpiece._repr_html_()
     plan.save(tmp_path / "out")
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["tracked"] == 13
+
+
+def test_a_saved_plan_is_read_where_its_planner_is_not(short, tmp_path, monkeypatch, capsys):
+    """Rough: the plan of a planner of one's own was saved, and then no command took it: `is no method`."""
+    monkeypatch.setitem(METHODS, "of-ones-own", METHODS["baseline"])
+    plan = htcp_jax.plan(overrides=short, method="of-ones-own")
+    plan.save(tmp_path / "out")
+    monkeypatch.delitem(METHODS, "of-ones-own")
+    assert main(["validate", str(tmp_path / "out"), "--between", "0"]) == 0
+    assert "of-ones-own" in capsys.readouterr().out
+    shelf = open_shelf(tmp_path / "out")
+    np.testing.assert_array_equal(shelf.replay(0, "of-ones-own").x, plan.plans.x[0])
+    with pytest.raises(htcp_jax.InputError, match="'of-ones-own' is no method"):
+        htcp_jax.plan(overrides=short, method="of-ones-own")
 
 
 def test_a_failed_plan_says_where_and_why(short, tmp_path):

@@ -11,6 +11,7 @@ import pytest
 from htcp_jax import kinematics
 from htcp_jax.errors import InputError
 from htcp_jax.robot import Robot, gp50, lengthen_tool, load_robot
+from htcp_jax.validate_arm import Arm
 
 # Standard DH of the GP50: d, a, alpha; and its capsules: frame, p, q, radius.
 DH = (
@@ -237,7 +238,7 @@ def test_urdf_with_a_slide_joint(tmp_path):
     assert len(robot.ignored_geoms) == 1  # the mesh that collides; MuJoCo drops a URDF's visual geoms
     np.testing.assert_array_equal(robot.lower, (-0.2, -2, -np.inf))
     np.testing.assert_array_equal(robot.upper, (0.8, 1.5, np.inf))
-    assert np.isinf(robot.speed).all()
+    np.testing.assert_array_equal(robot.speed, (1, 1, np.inf))
     x = jnp.array([0.25, -0.5, 0.4])  # the turn cancels the joint's own 0.5 rad
     c, s = np.cos(0.4), np.sin(0.4)
     by_hand = (0.1 + 0.4 + 0.1 * c + 0.02 * s, 0, 0.3 + 0.25 + 0.2 - 0.1 * s + 0.02 * c)
@@ -245,6 +246,22 @@ def test_urdf_with_a_slide_joint(tmp_path):
     p, q = kinematics.capsule_segments(robot, x)
     np.testing.assert_allclose(p, [(0, 0, 0.3), (0.1, 0, 0.55), (0.45, 0, 0.75)], rtol=0, atol=1e-12)
     np.testing.assert_allclose(q, [(0, 0, -0.3), (0.1, 0, 0.55), (0.15, 0, 0.75)], rtol=0, atol=1e-12)
+
+
+def test_speeds_of_a_urdf_are_its_joints_wherever_they_stand_in_the_file(tmp_path):
+    """Rough: they were not read, so that validation had no speed column for most arms."""
+    joints = URDF[URDF.index('  <joint name="lift"') : URDF.index("</robot>")].split("  <joint")[1:]
+    text = URDF[: URDF.index('  <joint name="lift"')] + "".join(f"  <joint{each}" for each in reversed(joints))
+    text = text.replace('upper="1.5" effort="1" velocity="1"', 'upper="1.5" effort="1" velocity="2.5"') + "</robot>"
+    file = written(tmp_path, text, "lifter.urdf")
+    for arm in (load_robot(file), Arm(file)):
+        np.testing.assert_array_equal(arm.speed, (1, 2.5, np.inf))
+
+
+def test_a_urdf_range_that_is_turned_round_is_refused(tmp_path):
+    """MuJoCo takes it for no limit at all."""
+    with pytest.raises(InputError, match=r"joint 'turn' has range 1.5 to -2; it must ascend"):
+        load_robot(written(tmp_path, URDF.replace('lower="-2" upper="1.5"', 'lower="1.5" upper="-2"'), "lifter.urdf"))
 
 
 def test_urdf_with_simulation_limits(tmp_path):

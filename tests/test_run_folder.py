@@ -27,7 +27,7 @@ STATUS = [[A, A, A], [A, E, LIMIT], [A, LIMIT, NOT], [A, A, NOT]]
 COUNT = np.array([3, 3, 3, 2], np.int32)  # the last scenario has a target less: its third row is padding
 JOINTS = run_tables.joint_columns(gp50())
 PLANS = plans_with(STATUS, joints=6)
-POINTS = tuple(Point(k, "starts", load_config(None, [f"margin_m={k}"])) for k in range(4))
+POINTS = tuple(Point(k, "starts", load_config(None, [f"margin_m={k / 10}"])) for k in range(4))
 SPANS = Span(0, 1), Span(2, 3)
 BY = planned_by()
 
@@ -86,7 +86,7 @@ def test_a_scenario_s_row_tells_what_became_of_it_and_its_parameters(tmp_path):
     assert table["failure"] == [None, "ITERATION_LIMIT", "ITERATION_LIMIT", None]
     assert table["reason"][1] == LIMIT.message
     assert table["after_escape"] == [0, 1, 0, 0] and table["blocked_paths"] == table["tracked"]
-    assert (table["margin_m"], table["group"], table["path"]) == ([0, 1, 2, 3], ["starts"] * 4, ["weld"] * 4)
+    assert (table["margin_m"], table["group"], table["path"]) == ([0, 0.1, 0.2, 0.3], ["starts"] * 4, ["weld"] * 4)
     assert table["start_joint2_rad"] == [-2.3] * 4
 
 
@@ -147,6 +147,31 @@ def test_a_damaged_file_is_named_its_shard_planned_again_and_the_rest_kept(tmp_p
     assert run.missing("baseline") == [SPANS[0]] and not run.complete
     run = run_writer.add(run, "baseline", SPANS[0], *rows("baseline", SPANS[0]), BY)
     assert run.complete and contents(tmp_path) == before
+
+
+def test_lost_files_are_one_line_a_method_and_only_those_asked_for_are_planned_again(tmp_path):
+    """W7: two lines a shard, and `planned again` of methods that nobody asked for."""
+    both = manifest(methods=("baseline", "hybrid"))
+    run = run_writer.begin(tmp_path, both)
+    for method in both.methods:
+        for span in SPANS:
+            run = run_writer.add(run, method, span, *rows(method, span), BY)
+    for file in tmp_path.glob("*/*.parquet"):
+        file.unlink()
+    with pytest.warns(UserWarning) as warned:
+        run = run_writer.begin(tmp_path, manifest())
+    first, second = (str(warning.message) for warning in warned)
+    assert "baseline-000000-000001.parquet cannot be read" in first
+    assert first.endswith("(and 1 more shards); scenarios 0 to 1, 2 to 3 are planned again by baseline")
+    assert second.endswith("scenarios 0 to 1, 2 to 3 of hybrid are unfinished now")
+    assert run.unfinished() == {"baseline": 4, "hybrid": 4}
+
+
+def test_the_folder_of_a_plan_is_told_from_one_that_holds_nothing(tmp_path):
+    """Rough: `htcp report out/plan` said that there was no manifest.json."""
+    (tmp_path / "summary.json").write_text("{}")
+    with pytest.raises(InputError, match="holds a plan of htcp plan, no run; htcp view, htcp render and htcp validate"):
+        open_run(tmp_path)
 
 
 def test_a_stranger_among_the_results_is_named_and_left_alone(tmp_path):

@@ -1,12 +1,14 @@
 """A sweep by its public call and by its command: results, what continues, what is refused."""
 
 import itertools
+import json
 import os
 import signal
 from pathlib import Path
 
 import numpy as np
 import pytest
+from sweep_process import JOB, PLATE
 
 from htcp_jax import planner
 from htcp_jax.cli import main
@@ -20,7 +22,6 @@ config: job.yaml
 grid:
   - start_rad.joint3: {offsets: [-0.1, 0, 0.1]}
 """
-BOX = "\n".join(f"{1.3 * x} {y} {z}" for x in (0, 1) for y in (-1, 1) for z in (-1, 1))
 
 
 @pytest.fixture
@@ -28,7 +29,7 @@ def here(tmp_path, monkeypatch):
     """A working folder with a grid of three starts, 13 targets each."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n")
-    (tmp_path / "box.xyz").write_text(BOX)
+    (tmp_path / "plate.xyz").write_text(PLATE)
     (tmp_path / "job.yaml").write_text("workpiece: {path: path.csv}\n")
     (tmp_path / "grid.yaml").write_text(GRID)
     return tmp_path
@@ -36,8 +37,8 @@ def here(tmp_path, monkeypatch):
 
 @pytest.fixture
 def planned(here, monkeypatch):
-    """The same in a box, which is quicker to plan in. Returns what is planned: methods and scenarios."""
-    (here / "job.yaml").write_text("workpiece: {path: path.csv, cloud: box.xyz, inlet_m: [0, 0, 0]}\n")
+    """The same before a plate, which is quicker to plan. Returns what is planned: methods and scenarios."""
+    (here / "job.yaml").write_text(JOB)
     calls, plan = [], planner.plan
 
     def noted(robot, workpiece, scenarios, method, *arguments, **options):
@@ -102,12 +103,12 @@ def test_a_limit_may_grow_but_not_shrink(planned):
         ({"overrides": ["margin_m=0"]}, "margin_m is 0.0005 there, 0.0 here"),
         ({"seed": 1}, "settings.seed is 0 there, 1 here"),
         ({"spec": "other.yaml"}, "its grid differs"),
-        ({"overrides": ["workpiece.cloud=moved.xyz"]}, "workpiece.cloud is box.xyz, SHA-256 "),
+        ({"overrides": ["workpiece.cloud=moved.xyz"]}, "workpiece.cloud is plate.xyz, SHA-256 "),
     ],
 )
 def test_another_sweep_never_mixes_with_the_old_rows(here, planned, change, line):
     (here / "other.yaml").write_text(GRID.replace("-0.1", "-0.2"))
-    (here / "moved.xyz").write_text(BOX + "\n0.5 0 0")
+    (here / "moved.xyz").write_text(PLATE + "\n0.45 0 0")
     sweep("grid.yaml", "baseline", "run")
     before = contents(here / "run"), (here / "run" / "manifest.json").read_bytes()
     with pytest.raises(InputError) as error:
@@ -138,6 +139,26 @@ def test_a_signal_ends_a_sweep_that_the_same_call_completes(here, planned, numbe
     assert signal.getsignal(number) is handler
     sweep("grid.yaml", "baseline", "run")
     assert contents(here / "run") == contents(here / "undisturbed")
+
+
+def test_a_sweep_continued_with_fewer_methods_tells_what_it_planned_and_what_is_left(here, planned, capsys):
+    """W7: it planned all that it was asked for, printed no table and ended with 2."""
+
+    def interrupt(now):
+        if now.method == "baseline" and now.scenarios_done == 1:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(Interrupted):
+        sweep("grid.yaml", "baseline,hybrid", "run", shard_scenarios=1, progress=interrupt)
+    words = ["sweep", "grid.yaml", "--methods", "baseline", "--out", "run"]
+    assert main(words) == 0
+    shown = capsys.readouterr()
+    told = "unfinished  hybrid: 3 of 3 scenarios left; --methods hybrid plans them"
+    assert shown.err == "" and told in shown.out and "baseline" in shown.out
+    assert main([*words, "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert (list(record["methods"]), record["unfinished"], record["complete"]) == (["baseline"], {"hybrid": 3}, False)
+    assert {method for method, _ in planned} == {"baseline"}
 
 
 def test_a_signal_stops_the_planner_in_the_middle_of_a_shard_and_leaves_nothing(here):
@@ -193,14 +214,14 @@ def test_progress_counts_what_was_kept(planned):
     sweep("grid.yaml", "baseline", "run", limit=2, shard_scenarios=2)
     told = []
     sweep("grid.yaml", "baseline", "run", progress=told.append)
-    assert told[0] == ("baseline", 2, 3, 5, 39) and told[-1] == ("baseline", 3, 3, 7, 39)
+    assert told[0] == ("baseline", 2, 3, 26, 39) and told[-1] == ("baseline", 3, 3, 7, 39)
 
 
 def test_without_a_folder_the_results_live_as_long_as_the_run(planned):
     run = sweep("grid.yaml", "baseline")
     folder = run.folder
     assert isinstance(run, Run) and run.scenarios().num_rows == 3
-    assert run.scenarios()["tracked"].to_pylist() == [3, 2, 2]
+    assert run.scenarios()["tracked"].to_pylist() == [13, 13, 13]
     del run
     assert not folder.exists()
 

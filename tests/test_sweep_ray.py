@@ -5,10 +5,11 @@ import signal
 import subprocess
 import time
 import warnings
+from collections.abc import Collection
 from pathlib import Path
 
 import pytest
-from sweep_process import SHARDS, finish, make_sweep, rows, start
+from sweep_process import COLD, HALF, SHARDS, finish, make_sweep, plan_half, rows, start
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
@@ -70,10 +71,10 @@ def under(top: int) -> list[int]:
     return [pid for pid, (_, words) in all_.items() if words.startswith(WORKING) and is_below(pid)]
 
 
-def wait_for_worker(top: int, driver: subprocess.Popen) -> int:
-    """The first process below `top` seen planning."""
+def wait_for_worker(top: int, driver: subprocess.Popen, known: Collection[int] = ()) -> int:
+    """The first process below `top` seen planning that is not `known`."""
     while driver.poll() is None:
-        if found := under(top):
+        if found := [pid for pid in under(top) if pid not in known]:
             return found[0]
         time.sleep(0.02)
     raise AssertionError(driver.communicate())
@@ -117,10 +118,11 @@ def test_what_a_shard_asks_of_the_cluster_is_no_part_of_a_runs_identity(here):
 
 @pytest.mark.slow
 def test_shards_of_killed_workers_are_planned_by_others(here, undisturbed):
-    with start(here, "run", "--on", "ray:local") as driver:
-        for _ in range(2):
-            os.kill(wait_for_worker(driver.pid, driver), signal.SIGKILL)
-            time.sleep(0.5)
+    with start(here, "run", "--on", "ray:local", **COLD) as driver:
+        killed = set()
+        while len(killed) < 2:
+            killed.add(worker := wait_for_worker(driver.pid, driver, killed))
+            os.kill(worker, signal.SIGKILL)
         _, errors = driver.communicate()
     assert driver.returncode == 0, errors
     assert rows(here / "run") == undisturbed
@@ -128,31 +130,34 @@ def test_shards_of_killed_workers_are_planned_by_others(here, undisturbed):
 
 @pytest.mark.slow
 def test_a_driver_killed_with_its_ray_goes_on_to_the_same_bytes(here, undisturbed):
-    with start(here, "run", "--on", "ray:local") as driver:
+    plan_half(here, "run")
+    with start(here, "run", "--on", "ray:local", **COLD) as driver:
         wait_for_worker(driver.pid, driver)
-        while driver.poll() is None and not list(Path("run").glob("targets/*.parquet")):
-            time.sleep(0.02)
         driver.kill()
-    assert not open_run("run").complete
+    assert len(open_run("run").manifest.shards) == HALF
     assert finish(here, "run", "--on", "ray:local").returncode == 0
     assert rows(here / "run") == undisturbed
 
 
 @pytest.mark.slow
 def test_a_signal_drops_the_shards_at_hand_and_the_same_command_goes_on(here, undisturbed):
-    with start(here, "run", "--on", "ray:local") as driver:
+    plan_half(here, "run")
+    with start(here, "run", "--on", "ray:local", **COLD) as driver:
         wait_for_worker(driver.pid, driver)
         driver.send_signal(signal.SIGTERM)
         _, errors = driver.communicate()
-    assert driver.returncode == 143 and "htcp: stopped" in errors
+    assert driver.returncode == 143 and f"htcp: stopped; {HALF} of {SHARDS} shards" in errors
     assert sweep("grid.yaml", "baseline", "run", shard_scenarios=1).complete and rows(here / "run") == undisturbed
 
 
 @pytest.fixture
-def cluster():
-    """Two real nodes on this machine: the head, which plans nothing, and another."""
+def cluster(monkeypatch):
+    """Two real nodes on this machine: the head, which plans nothing, and another. Their workers are COLD, so that they
+    are at work when the node is killed."""
     from ray.cluster_utils import Cluster
 
+    for name, value in COLD.items():
+        monkeypatch.setenv(name, value)
     nodes = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
     nodes.add_node(num_cpus=1)
     nodes.wait_for_nodes()
@@ -168,6 +173,7 @@ def raylet(node) -> int:
 @pytest.mark.slow
 def test_shards_of_a_killed_node_are_planned_by_another(here, undisturbed, cluster):
     (node,) = [each for each in cluster.list_all_nodes() if each is not cluster.head_node]
+    plan_half(here, "run")
     with start(here, "run", "--on", f"ray:{cluster.address}") as driver:
         wait_for_worker(raylet(node), driver)
         os.kill(raylet(node), signal.SIGKILL)
@@ -180,15 +186,14 @@ def test_shards_of_a_killed_node_are_planned_by_another(here, undisturbed, clust
 @pytest.mark.slow
 def test_when_the_whole_cluster_is_lost_what_is_finished_is_kept(here, undisturbed, cluster):
     (node,) = [each for each in cluster.list_all_nodes() if each is not cluster.head_node]
+    plan_half(here, "run")
     with start(here, "run", "--on", f"ray:{cluster.address}") as driver:
         wait_for_worker(raylet(node), driver)
-        while driver.poll() is None and not list(Path("run").glob("targets/*.parquet")):
-            time.sleep(0.02)
         for each in (node, cluster.head_node):
             os.kill(raylet(each), signal.SIGKILL)
         _, errors = driver.communicate()
     assert driver.returncode == 1, errors
     (line,) = [line for line in errors.splitlines() if line.startswith("htcp: ")]  # among what Ray itself has to say
     assert line.startswith("htcp: Ray lost its workers") and line.endswith("the same command goes on from there")
-    assert len(open_run("run").manifest.shards) < SHARDS
+    assert f"{HALF} of {SHARDS} shards are finished" in line
     assert finish(here, "run").returncode == 0 and rows(here / "run") == undisturbed

@@ -90,6 +90,32 @@ def test_a_report_does_not_call_other_results_validated_than_those_that_were(run
     assert validated(open_run(run)) is None and verdict(open_run(run)) == "Not validated independently."
 
 
+def test_a_weaker_validation_never_replaces_a_stronger_one_of_the_same_results(run, capsys):
+    """W8: `--between 0` after a whole validation, and the report lost what touches between the targets."""
+    main(["validate", str(run), "--between", "2"])
+    before = (run / VALIDATION).read_bytes()
+    capsys.readouterr()
+    assert main(["validate", str(run), "--between", "0", "--feed-mm-s", "50", "--json"]) == 0
+    shown = capsys.readouterr()
+    assert json.loads(shown.out)["between"] == 0 and (run / VALIDATION).read_bytes() == before
+    assert "validation.json is kept: of the same results, it looks closer" in shown.err and shown.err.count("\n") == 1
+    assert main(["validate", str(run), "--between", "2", "--feed-mm-s", "50"]) == 0
+    assert json.loads((run / VALIDATION).read_text())["feed_mm_s"] == 50  # as strong: the later one stays
+    spoil(run, 0, 5, iterations=1)
+    assert main(["validate", str(run), "--between", "0"]) == 0
+    assert json.loads((run / VALIDATION).read_text())["between"] == 0  # of other results
+
+
+def test_a_refutation_and_what_tells_more_replace_a_stronger_validation(run, capsys):
+    main(["validate", str(run), "--between", "2"])
+    strong = json.loads((run / VALIDATION).read_text())
+    for other in (strong | {"validated": False}, {key: strong[key] for key in strong if key != "versions"}):
+        (run / VALIDATION).write_text(json.dumps(other))
+        assert main(["validate", str(run), "--between", "0"]) == 0
+        assert json.loads((run / VALIDATION).read_text())["between"] == 0
+    assert capsys.readouterr().err == ""
+
+
 def test_a_damaged_validation_is_named(run):
     main(["validate", str(run), "--between", "0"])
     whole = json.loads((run / VALIDATION).read_text())

@@ -213,6 +213,19 @@ def test_the_command_serves_a_job_that_it_plans_until_it_is_told_to_stop(tmp_pat
     assert (process.returncode, out, err) == (0, "", "") and "Ctrl-C" in line
 
 
+def test_ctrl_c_before_the_page_is_up_ends_like_one_after_it(folder, capsys, monkeypatch):
+    """Rough: it said that nothing was written, and ended with 130."""
+
+    def interrupt(_):
+        raise KeyboardInterrupt
+
+    for place in ("htcp_jax.cli_view.open_shelf", "htcp_jax.viewer.Viewer.wait"):
+        with monkeypatch.context() as patch:
+            patch.setattr(place, interrupt)
+            assert main(["view", str(folder), "--port", "0"]) == 0
+            assert capsys.readouterr().err == ""
+
+
 def test_capsules_are_turned_to_their_axes():
     axes = np.vstack([np.random.default_rng(0).normal(size=(50, 3)), np.eye(3), -np.eye(3), np.zeros((1, 3))])
     w, x, y, z = turned_to(axes).T

@@ -1,0 +1,580 @@
+"""Wrong inputs, over 300: each ends in exit code 2 and one line on stderr that names the offender, and leaves no file
+behind. Whoever finds another one adds it here."""
+
+import os
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from htcp_jax import offscreen
+from htcp_jax.cli import main
+from htcp_jax.config import PlanConfig
+from htcp_jax.errors import InputError
+
+LONG = "x" * 300
+BOX = "".join(f"{x} {y} {z}\n" for x in (0, 1) for y in (-1, 1) for z in (-1, 1))
+ARM = """<mujoco model="arm"><worldbody><body name="a" pos="0 0 1"><joint name="j1" axis="0 0 1" range="-90 90"/>
+<geom type="capsule" size=".05" fromto="0 0 0 1 0 0"/><body name="b" pos="1 0 0"><joint name="j2" axis="0 1 0"/>
+<geom type="box" size=".1 .1 .1"/><body name="c" pos="1 0 0"><joint name="j3" type="slide" axis="0 0 1"/>
+<geom type="sphere" size=".05"/><site name="tcp" pos=".2 0 0"/></body></body></body></worldbody></mujoco>"""
+URDF = """<robot name="lifter"><link name="l0"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>
+<link name="l1"/><link name="l2"/><link name="l3"/>
+<joint name="j1" type="revolute"><parent link="l0"/><child link="l1"/><limit lower="-1" upper="1" velocity="1"/></joint>
+<joint name="j2" type="revolute"><parent link="l1"/><child link="l2"/><limit lower="-1" upper="1" velocity="2"/></joint>
+<joint name="j3" type="revolute"><parent link="l2"/><child link="l3"/><limit lower="-1" upper="1" velocity="3"/></joint>
+</robot>"""
+BASELINE = str(Path(__file__).parents[1] / "sweeps" / "baselines" / "workpiece.yaml")
+GRID = {"grid.yaml": "grid: [margin_m: [0]]"}
+HUGE = "grid: [" + ", ".join(f"start_rad.{k}: [" + ", ".join(["0"] * 11) + "]" for k in range(1, 7)) + "]"
+FILES = {"path.csv": "0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n", "box.xyz": BOX, "arm.xml": ARM, "arm.urdf": URDF}
+
+
+class Wrong(NamedTuple):
+    """What is typed, what its line must say, the files that there are beside FILES, and which the line must name."""
+
+    words: list[str]
+    says: str
+    files: dict[str, str | bytes] = {}  # noqa: RUF012 - nobody changes it
+    name: str = ""
+
+
+def keys(model=PlanConfig, prefix: str = "") -> list[str]:
+    """Every key of a configuration, dotted."""
+    found = []
+    for name, field in model.model_fields.items():
+        inner = field.annotation
+        if hasattr(inner, "model_fields"):
+            found += keys(inner, f"{prefix}{name}.")
+        elif hasattr(inner, "__dataclass_fields__"):
+            found += [f"{prefix}{name}.{key}" for key in inner.__dataclass_fields__]
+        else:
+            found.append(prefix + name)
+    return found
+
+
+def setting(override: str, says: str) -> Wrong:
+    return Wrong(["plan", "--set", override], says)
+
+
+def job(text: str | bytes, says: str) -> Wrong:
+    return Wrong(["plan", "job.yaml"], says, {"job.yaml": text})
+
+
+def grid(text: str | bytes, says: str, command: str = "sweep") -> Wrong:
+    return Wrong([command, "grid.yaml"], says, {"grid.yaml": text})
+
+
+def cloud(name: str, data: str | bytes, says: str) -> Wrong:
+    words = ["plan", "--set", f"workpiece.cloud={name}", "--set", "workpiece.path=path.csv"]
+    return Wrong(words, says, {name: data}, name)
+
+
+def path(name: str, data: str | bytes, says: str) -> Wrong:
+    return Wrong(["plan", "--set", f"workpiece.path={name}"], says, {name: data}, name)
+
+
+def model(name: str, text: str, says: str) -> Wrong:
+    start = "start_rad=[0, 0, 0]"
+    words = ["plan", "--set", f"robot.model={name}", "--set", "robot.limits=model", "--set", start]
+    return Wrong(words, says, {name: text}, name)
+
+
+def arm(old: str, new: str, says: str) -> Wrong:
+    assert old in ARM
+    return model("bad.xml", ARM.replace(old, new, 1), says)
+
+
+def urdf(old: str, new: str, says: str) -> Wrong:
+    assert old in URDF
+    return model("bad.urdf", URDF.replace(old, new, 1), says)
+
+
+def folder(command: str, says: str, **files: str | bytes) -> Wrong:
+    """`command` on the folder run, which holds the files; "_" stands for a full stop."""
+    more = ["--baseline", BASELINE] if command == "gate" else []
+    return Wrong([command, "run", *more], says, {f"run/{name.replace('_', '.')}": data for name, data in files.items()})
+
+
+MISSPELT = [setting(f"{key}q=1", f"unknown key {key}q") for key in keys()]
+NOT_A_NUMBER = [setting(f"{key}=.nan", key) for key in keys()]
+NO_MAPPING = [setting(f"{key}={{a: 1}}", key) for key in keys()]
+
+RANGES = [
+    setting("settings.tolerance_m=1e3", "settings.tolerance_m is 1000.0; at most 0.1"),
+    setting("settings.tolerance_m=0.11", "settings.tolerance_m is 0.11; at most 0.1"),
+    setting("settings.tolerance_m=0", "settings.tolerance_m must be more than zero and finite"),
+    setting("settings.tolerance_m=-1e-3", "settings.tolerance_m must be more than zero"),
+    setting("settings.qp_tolerance=1", "settings.qp_tolerance is 1.0; at most 0.01"),
+    setting("settings.alpha_rad=10", "settings.alpha_rad is 10.0; at most 3.0"),
+    setting("settings.alpha_rad=0", "settings.alpha_rad must be more than zero"),
+    setting("settings.sample_step_rad=30", "settings.sample_step_rad is 30.0; at most 3.0"),
+    setting("settings.sample_reach_rad=1e9", "settings.sample_reach_rad is 1000000000.0; at most 1000.0"),
+    setting("settings.keep_clear_m=20", "settings.keep_clear_m is 20.0; at most 1.0"),
+    setting("settings.keep_clear_m=-1", "settings.keep_clear_m must be zero or more"),
+    setting("settings.j1_weight=1e9", "settings.j1_weight is 1000000000.0; at most"),
+    setting("settings.q_weights=[1, 1, 1, 1, 1, 1e9]", "settings.q_weights is 1000000000.0; at most"),
+    setting("settings.q_weights=[1, 1, 1, 1, 1, 0]", "settings.q_weights must be more than zero"),
+    setting("settings.q_weights=[]", "q_weights has 0 values, the robot gp50 has 6 joints"),
+    setting("settings.q_weights=[1, 1]", "q_weights has 2 values, the robot gp50 has 6 joints"),
+    setting("settings.path_steps=1000000", "settings.path_steps is 1000000; at most 10000"),
+    setting("settings.path_steps=0", "settings.path_steps must be more than zero"),
+    setting("settings.path_steps=2.5", "settings.path_steps is 2.5"),
+    setting("settings.inner_iterations=1000000", "settings.inner_iterations is 1000000; at most 10000"),
+    setting("settings.outer_steps=1000000", "settings.outer_steps is 1000000; at most 10000"),
+    setting("settings.samples=1000000", "settings.samples is 1000000; at most 100000"),
+    setting("settings.samples=-1", "settings.samples must be more than zero"),
+    setting("settings.population=0", "settings.population must be more than zero"),
+    setting("settings.generations=1e9", "settings.generations"),
+    setting("settings.postures=-2", "settings.postures must be zero or more"),
+    setting("settings.seed=-1", "settings.seed must be zero or more"),
+    setting("settings.seed=99999999999999999999", "settings.seed"),
+    setting("settings.qp=gurobi", "settings.qp is 'gurobi'; valid: clarabel, device, qpsolvers:"),
+    setting("settings.qp=qpsolvers:nothing", "nothing"),
+    setting("settings.rows=all", "settings.rows is 'all'"),
+    setting("settings.cost_about=now", "settings.cost_about is 'now'"),
+    setting("settings.after_escape=maybe", "settings.after_escape is 'maybe'"),
+    setting("settings.path_check=some", "settings.path_check is 'some'"),
+    setting("settings.far_links=perhaps", "settings.far_links is 'perhaps'"),
+    setting("margin_m=-0.001", "margin_m is -0.001"),
+    setting("margin_m=10", "margin_m is 10"),
+    setting("margin_m=1mm", "margin_m is '1mm'"),
+    setting("margin_m=0,001", "margin_m is '0,001'"),
+    setting("margin_m=.inf", "margin_m is inf"),
+    setting("method=rrt", "'rrt' is no method; valid: baseline"),
+    setting("method=", "method"),
+    setting("method=../outside", "'../outside' is no method"),
+    setting("ray.num_cpus=0", "ray.num_cpus is 0"),
+    setting("ray.num_gpus=-1", "ray.num_gpus is -1"),
+    setting("ray.retries=-1", "ray.retries is -1"),
+    setting("robot.limits=paper", "robot.limits is 'paper'"),
+    setting("robot.model=", "robot.model"),
+    setting("robot.model=gp5O", "gp5O"),
+    setting("robot.tool_extension_m=1e300", "robot.tool_extension_m is 1e+300"),
+    setting("workpiece.interior=box", "workpiece.interior is 'box'"),
+    setting("workpiece.gate_depth_m=-1", "workpiece.gate_depth_m is -1"),
+    setting("workpiece.approach_to_path=-1", "workpiece.approach_to_path is -1"),
+    setting("workpiece.approach_to_inlet=100000", "workpiece.approach_to_inlet is 100000"),
+    setting("workpiece.pivot_m=[0, 0]", "workpiece.pivot_m"),
+    setting("workpiece.shift_m=[9, 0, 0]", "target 1 is "),
+    setting("workpiece.shift_m=[0, 0, 1e9]", "workpiece.shift_m"),
+    setting("workpiece.inlet_m=[0, 0, far]", "workpiece.inlet_m"),
+    setting("start_rad=[]", "start has 0 joint positions, the robot gp50 has 6 joints"),
+    setting("start_rad=[0, 0]", "start has 2 joint positions, the robot gp50 has 6 joints"),
+    setting("start_rad=[0, -2.3, 0.5, 0, 0.5, -2, 0]", "start has 7 joint positions"),
+    setting("start_rad=[9, -2.3, 0.5, 0, 0.5, -2]", "outside its limits"),
+    setting("start_rad=[a, -2.3, 0.5, 0, 0.5, -2]", "start_rad.0 is 'a'"),
+    setting("start_rad=[0, -1.2, -0.5, 0, 0.5, -2]", "start is in collision: "),
+    setting("start_deg=[0]", "unknown key start_deg; did you mean start_rad?"),
+]
+YAML = [
+    job("- margin_m\n", "job.yaml: expected a mapping"),
+    job("just a word", "job.yaml: expected a mapping"),
+    job("3", "job.yaml: expected a mapping"),
+    job("margin_m: 1\nmargin_m: 2\n", "job.yaml, line 2: key 'margin_m' stands twice"),
+    job("robot:\n  model: a\n  model: b\n", "job.yaml, line 3: key 'model' stands twice"),
+    job("margin_m: [1\n", "job.yaml, line 2"),
+    job("margin_m: 'open\n", "job.yaml, line"),
+    job("\tmargin_m: 1\n", "job.yaml, line 1"),
+    job("a: 1: 2\n", "job.yaml, line 1"),
+    job("margin_m: !!python/object/apply:os.system ['touch hacked']", "plain values only"),
+    job("margin_m: !!float 1", "plain values only"),
+    job("a: &a [x,x]\nb: *a\n", "line 2: alias *a: write it out"),
+    job("start_rad: " + "[" * 5_000, "nested too deeply"),
+    job("{" * 5_000, "nested too deeply"),
+    job("? [1, 2]\n: 3\n", "job.yaml, line 1: a key that is no word"),
+    job("margin_m: " + "9" * 10_000, "margin_m is"),
+    job("# " + "x" * 3_000_000, "job.yaml: 3,000,002 bytes"),
+    job(b"\xff\xfe\x00", "cannot read job.yaml: it is not UTF-8 text"),
+    job(b"\x00\x00", "job.yaml"),
+    job(b"\x89PNG\r\n\x1a\n", "cannot read job.yaml"),
+    job("--- \nmargin_m: 0\n---\nmargin_m: 1\n", "job.yaml"),
+    job("%YAML 3.0\n---\na: 1\n", "job.yaml"),
+    job("robot: gp50\n", "robot is 'gp50'"),
+    job("robot: [model, gp50]\n", "robot"),
+    job("workpiece: duct\n", "workpiece is 'duct'"),
+    job("settings: 5\n", "settings is 5"),
+    job("settings: [alpha_rad]\n", "settings"),
+    job("start_rad: 0\n", "start_rad is 0"),
+    job("start_rad: {joint1: 0}\n", "start_rad"),
+    job("margin_m: true\n", "margin_m is True"),
+    job("margin_m: 1:30\n", "margin_m is '1:30'"),
+    job("margin_m: 0x10q\n", "margin_m is '0x10q'"),
+    job("margin_m: 2020-13-45\n", "margin_m is '2020-13-45'"),
+    job("margin_m: null\n", "margin_m is None"),
+    job("margin: 0.001\n", "unknown key margin; did you mean margin_m?"),
+    job("1: 2\n", "unknown key 1"),
+    job("robot: {tcpp: tool0}\n", "unknown key robot.tcpp"),
+    job("workpiece: {cloud: box.xyz}\n", "box.xyz: a cloud needs a tool path of its own"),
+    job("workpiece: {cloud: none.xyz, path: path.csv}\n", "none.xyz: no such file"),
+    job("workpiece: {cloud: [box.xyz], path: path.csv}\n", "workpiece.cloud is ['box.xyz']"),
+    job("workpiece: {cloud: ., path: path.csv}\n", "unknown ending ''"),
+    job('workpiece: {cloud: "a\\0b.xyz", path: path.csv}\n', "b.xyz: no such file"),
+    job('workpiece: {path: "a\\0b.csv"}\n', "b.csv: no such file"),
+    job('robot: {model: "a\\0b.xml"}\nstart_rad: [0]\n', "b.xml: "),
+    job(f"workpiece: {{path: {LONG}.csv}}\n", "File name too long"),
+    job(f"workpiece: {{cloud: {LONG}.xyz, path: path.csv}}\n", "File name too long"),
+    job(f"robot: {{model: {LONG}.xml}}\nstart_rad: [0]\n", "File name too long"),
+]
+COMMANDS = [
+    Wrong(["plam"], "No such command 'plam'"),
+    Wrong(["plan", "--fast"], "No such option: --fast"),
+    Wrong(["plan", "a.yaml", "b.yaml"], "b.yaml"),
+    Wrong(["plan", "nowhere.yaml"], "cannot read nowhere.yaml: No such file"),
+    Wrong(["plan", "."], "cannot read .: not a regular file"),
+    Wrong(["plan", "/dev/zero"], "cannot read /dev/zero: not a regular file"),
+    Wrong(["plan", "box.xyz"], "box.xyz"),
+    Wrong(["plan", LONG], "File name too long"),
+    Wrong(["plan", "--out", LONG], "File name too long"),
+    Wrong(["plan", "--out", f"new/{LONG}"], "File name too long"),
+    Wrong(["plan", "--out", "path.csv"], "cannot write to path.csv"),
+    Wrong(["plan", "--out", "path.csv/under"], "cannot write to path.csv/under: Not a directory"),
+    Wrong(["plan", "--out", "/proc/none"], "cannot write to /proc/none"),
+    Wrong(["plan", "--out", "a\0b"], "NUL byte"),
+    Wrong(["plan", "a\0b"], "NUL byte"),
+    Wrong(["plan", "--set"], "--set"),
+    Wrong(["plan", "--set", "margin_m"], "--set expects key=value, not 'margin_m'"),
+    Wrong(["plan", "--set", "=1"], "--set expects key=value, not '=1'"),
+    Wrong(["plan", "--set", "margin_m=["], "--set margin_m=["),
+    Wrong(["plan", "--set", "margin_m=*a"], "alias *a"),
+    Wrong(["plan", "--set", "settings..seed=1"], "unknown key settings."),
+    Wrong(["plan", "--method", "rrt"], "'rrt' is no method; valid: baseline"),
+    Wrong(["plan", "--method", ""], "method is None"),
+    Wrong(["plan", "--device", "tpu"], "device is 'tpu'"),
+    Wrong(["plan", "--device", "gpu:x"], "device is 'gpu:x'"),
+    Wrong(["sweep"], "SWEEP.yaml"),
+    Wrong(["sweep", "nowhere.yaml"], "cannot read nowhere.yaml"),
+    Wrong(["sweep", "."], "cannot read .: not a regular file"),
+    Wrong(["sweep", LONG], "File name too long"),
+    Wrong(["sweep", "grid.yaml", "--limit", "0"], "limit is 0", GRID),
+    Wrong(["sweep", "grid.yaml", "--limit", "x"], "--limit", GRID),
+    Wrong(["sweep", "grid.yaml", "--shard", "-3"], "shard_scenarios is -3", GRID),
+    Wrong(["sweep", "grid.yaml", "--seed", "-1"], "settings.seed", GRID),
+    Wrong(["sweep", "grid.yaml", "--on", "mars"], "on is 'mars'", GRID),
+    Wrong(["sweep", "grid.yaml", "--methods", ""], "no methods; valid: all", GRID),
+    Wrong(["sweep", "grid.yaml", "--methods", ","], "no methods; valid: all", GRID),
+    Wrong(["sweep", "grid.yaml", "--methods", "baseline,rrt"], "'rrt'", GRID),
+    Wrong(["sweep", "grid.yaml", "--methods", "hybrid,hybrid"], "method hybrid is given twice", GRID),
+    Wrong(["sweep", "grid.yaml", "--config", "no.yaml"], "cannot read no.yaml", GRID),
+    Wrong(["sweep", "grid.yaml", "--config", LONG], "File name too long", GRID),
+    Wrong(["sweep", "grid.yaml", "--out", LONG], "File name too long", GRID),
+    Wrong(["sweep", "grid.yaml", "--out", f"new/{LONG}"], "File name too", GRID),
+    Wrong(["sweep", "grid.yaml", "--out", "path.csv"], "write to path.csv", GRID),
+    Wrong(["sweep", "grid.yaml", "--out", "/proc/none"], "/proc/none", GRID),
+    Wrong(["ceiling", "nowhere.yaml"], "cannot read nowhere.yaml"),
+    Wrong(["ceiling", "grid.yaml", "--draws", "0"], "--draws", GRID),
+    Wrong(["ceiling", "grid.yaml", "--out", LONG], "File name too long", GRID),
+    Wrong(["ceiling", "grid.yaml", "--out", f"new/{LONG}"], "File name too", GRID),
+    Wrong(["ceiling", "grid.yaml", "--out", "path.csv"], "write to path.csv", GRID),
+    Wrong(["validate"], "RUN"),
+    Wrong(["validate", "nowhere"], "nowhere holds neither a run of htcp sweep"),
+    Wrong(["validate", "path.csv"], "path.csv holds neither a run of htcp sweep"),
+    Wrong(["validate", LONG], "File name too long"),
+    Wrong(["validate", ".", "--between", "-1"], "between is -1"),
+    Wrong(["validate", ".", "--between", "many"], "--between"),
+    Wrong(["validate", ".", "--feed-mm-s", "0"], "the feed rate is 0 mm/s"),
+    Wrong(["validate", ".", "--feed-mm-s", "nan"], "the feed rate is nan mm/s"),
+    Wrong(["validate", ".", "--feed-mm-s", "inf"], "the feed rate is inf mm/s"),
+    Wrong(["report"], "RUN"),
+    Wrong(["report", "nowhere"], "nowhere holds no run: cannot read manifest.json"),
+    Wrong(["report", "path.csv"], "path.csv holds no run"),
+    Wrong(["report", LONG], "File name too long"),
+    Wrong(["view", "nowhere"], "nowhere: no such run folder, and no such job"),
+    Wrong(["view", LONG], "File name too long"),
+    Wrong(["view", "--port", "99999", "."], "--port"),
+    Wrong(["view", "--port", "http", "."], "--port"),
+    Wrong(["view", "--set", "margin_m=1e-3", "."], "--set changes a job"),
+    Wrong(["view", "--method", "rrt"], "'rrt' is no method"),
+    Wrong(["view", "."], ". holds neither a run of htcp sweep"),
+    Wrong(["render"], "RUN"),
+    Wrong(["render", ".", "--width", "1"], "--width is 1; from 160 to 3840"),
+    Wrong(["render", ".", "--width", "100000"], "--width is 100000"),
+    Wrong(["render", ".", "--movie", "avi"], "avi"),
+    Wrong(["render", ".", "--scenario", "one"], "--scenario"),
+    Wrong(["render", "nowhere"], "nowhere holds neither a run of htcp sweep"),
+    Wrong(["render", LONG], "File name too long"),
+    Wrong(["gate", "run"], "--baseline"),
+    Wrong(["gate", "run", "--baseline", "no.yaml"], "cannot read no.yaml"),
+    Wrong(["gate", "run", "--baseline", "."], "cannot read .: not a regular file"),
+    Wrong(["gate", "run", "--baseline", LONG], "File name too long"),
+    Wrong(["gate", "run", "--baseline", "path.csv"], "path.csv"),
+    Wrong(["gate", "run", "--baseline", "b.yaml"], "b.yaml", {"b.yaml": "{}"}),
+    Wrong(["gate", "run", "--baseline", "b.yaml"], "unknown key metods", {"b.yaml": "metods: {}"}),
+    Wrong(["gate", "nowhere", "--bless", "--baseline", "b.yaml"], "nowhere holds no run"),
+    Wrong(["gate", LONG, "--bless", "--baseline", "b.yaml"], "File name too long"),
+    Wrong(["doctor", "--deep"], "No such option: --deep"),
+    Wrong(["doctor", "now"], "now"),
+    Wrong(["methods", "all"], "all"),
+]
+SWEEPS = [
+    grid("{}", "a sweep has either a grid or groups"),
+    grid("grid: []", "grid is empty"),
+    grid("groups: {}", "groups is empty"),
+    grid("groups: {a: []}", "groups.a is empty"),
+    grid("grid: [{}]", "axis 1 is empty"),
+    grid("grid: 3", "grid is 3"),
+    grid("grid: [3]", "grid.0 is 3"),
+    grid("gird: []", "unknown key gird; did you mean grid?"),
+    grid("grid: [margin_m: []]", "margin_m has no values"),
+    grid("grid: [margin_m: 1]", "margin_m needs a list of values"),
+    grid("grid: [margin_m: {offset: [1]}]", "margin_m needs a list of values"),
+    grid("grid: [margin_m: [true]]", "margin_m takes finite numbers, not True"),
+    grid("grid: [margin_m: [.nan]]", "margin_m takes finite numbers, not nan"),
+    grid("grid: [margin_m: [-1]]", "scenario 0: margin_m is -1"),
+    grid("grid: [margin_m: [0, 1.0e+300]]", "scenario 1: margin_m is 1e+300"),
+    grid("grid: [margin: [1]]", "unknown parameter margin; did you mean margin_m?"),
+    grid("grid: [start_rad.7: [1]]", "unknown parameter start_rad.7"),
+    grid("grid: [start_rad: [0]]", "start_rad takes lists of numbers, not 0"),
+    grid("grid: [start_rad: [[0, 0]]]", "scenario 0: start has 2 joint positions"),
+    grid("grid: [start_rad.1: [0, 9]]", "scenario 1: start: joint joint1 at 9 is outside its limits"),
+    grid("grid: [{margin_m: [0, 1], start_rad.1: [0]}]", "margin_m has 2 values, start_rad.joint1 has 1 values"),
+    grid("grid: [{start_rad.3: [0]}, {start_rad.joint3: [0]}]", "start_rad.joint3 stands in it twice"),
+    grid("grid: [workpiece.path: {offsets: [a]}]", "workpiece.path takes names of files"),
+    grid("grid: [workpiece.path: [none.csv]]", "none.csv: no such file"),
+    grid("grid: [margin_m: [0]]\ngroups: {a: [margin_m: [0]]}", "a sweep has either a grid or groups"),
+    grid("config: none.yaml\ngrid: [margin_m: [0]]", "cannot read none.yaml"),
+    grid('config: "a\\0b"\ngrid: [margin_m: [0]]', "cannot read a"),
+    grid(f"config: {LONG}\ngrid: [margin_m: [0]]", "File name too long"),
+    grid("config: grid.yaml\ngrid: [margin_m: [0]]", "grid.yaml"),
+    grid("config: 5\ngrid: [margin_m: [0]]", "config is 5"),
+    grid(HUGE, "the grid has 1,771,561 scenarios; at most 1,000,000"),
+    grid("grid: [margin_m: [x]]", "margin_m takes finite numbers, not 'x'", "ceiling"),
+    grid("grid: []", "grid is empty", "ceiling"),
+]
+CLOUDS = [
+    cloud("a.xyz", "", "0 points, at least 4"),
+    cloud("a.xyz", "0 0 0\n1 0 0\n0 1 0\n", "3 points, at least 4"),
+    cloud("a.xyz", "0 0\n1 0\n0 1\n1 1\n", "line 1 has 2 columns"),
+    cloud("a.csv", "1,2,3\n1,2\n4,5,6\n", "line 2 has 2 columns"),
+    cloud("a.csv", "x,y,z\nx,y,z\n", "line 2: 'x' is not a number"),
+    cloud("a.csv", "1,2,3\n1,,2\n", "line 2: '' is not a number"),
+    cloud("a.csv", "1,2,3\n1_0,2,3\n", "line 2: '1_0' is not a number"),
+    cloud("a.csv", "1,2,3\n0x1,2,3\n", "line 2: '0x1' is not a number"),
+    cloud("a.xyz", "0 0 0\n0 nan 0\n1 1 1\n0 0 1\n", "line 2"),
+    cloud("a.xyz", "0 0 0\n0 inf 0\n1 1 1\n0 0 1\n", "line 2"),
+    cloud("a.xyz", "0 0 0\n0 1e999 0\n1 1 1\n0 0 1\n", "line 2"),
+    cloud("a.xyz", "0 0 0\n0 1e12 0\n1 1 1\n0 0 1\n", "a coordinate of 1e+12 m; coordinates are metres"),
+    cloud("a.xyz", b"\xff\xfe\x00\x01", "not a text file of points"),
+    cloud("a.npy", b"", ""),
+    cloud("a.npy", b"\x93NUMPY", ""),
+    cloud("a.npy", b"no array at all", ""),
+    cloud("a.ply", b"", ""),
+    cloud("a.ply", b"ply\nformat ascii 1.0\nend_header\n", ""),
+    cloud("a.ply", b"ply\nformat ascii 1.0\nelement vertex 9\nproperty float x\n", ""),
+    cloud("a.stl", b"", ""),
+    cloud("a.stl", b"solid nothing\nendsolid\n", ""),
+    cloud("a.stl", b"\x00" * 84, ""),
+    cloud("a.obj", "", ""),
+    cloud("a.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "the mesh has no area"),
+    cloud("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "not a readable .obj file"),
+    cloud("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -1 -2 -3\n", "number the vertices from 1"),
+    cloud("a.obj", "v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", ""),
+    cloud("a.dxf", "", "unknown ending '.dxf'; valid are .xyz"),
+    cloud("a", "", "unknown ending ''"),
+]  # fmt: skip
+PATHS = [
+    path("p.csv", "", "the tool path is empty"),
+    path("p.csv", "# nothing\n", "the tool path is empty"),
+    path("p.csv", "x,y,z\n", "the tool path is empty"),
+    path("p.csv", "1,2\n", "line 1 has 2 columns"),
+    path("p.csv", "x,y,z\n0.1,0.2,0.3\n0.1,a,0.3\n", "line 3: 'a' is not a number"),
+    path("p.csv", "0.1,0.2,0.3\n0.1,nan,0.3\n", "line 2"),
+    path("p.csv", "0.1,0.2,0.3\n0.1,inf,0.3\n", "line 2"),
+    path("p.csv", "0.1,0.2,0.3\n\n0.1\n", "line 3 has 1 columns"),
+    path("p.csv", "0.1,0.2,1e12\n", "coordinates are metres"),
+    path("p.csv", b"\xff\xfe0\x00", "not a text file of points"),
+    path("p.npy", b"", "unknown ending '.npy'"),
+    path("p.obj", "v 0 0 0\n", "unknown ending '.obj'"),
+    path("p", "0 0 0\n", "unknown ending ''"),
+    Wrong(["plan", "--set", "workpiece.path=p.csv"], "reaches", {"p.csv": "9,0,0\n"}),
+    setting("workpiece.path=none.csv", "none.csv: no such file"),
+    setting("workpiece.path=.", "unknown ending ''"),
+    setting("workpiece.path=/dev/zero", "unknown ending ''"),
+]
+ARMS = [
+    model("bad.xml", "", "not a robot model that MuJoCo can read"),
+    model("bad.xml", "<mujoco", "not a robot model that MuJoCo can read"),
+    model("bad.xml", "<html/>", "not a robot model that MuJoCo can read"),
+    model("bad.xml", "<mujoco/>", ""),
+    model("bad.xml", "\x00\x01", "not a robot model that MuJoCo can read"),
+    model("bad.xml", "<!DOCTYPE x><mujoco/>", "a document type"),
+    arm('<site name="tcp" pos=".2 0 0"/>', "", "no site or body 'tcp'"),
+    arm('size=".05" fromto', 'size="0" fromto', "has radius 0 m; it must be positive"),
+    arm('size=".05" fromto', 'size="-1" fromto', "it must be positive"),
+    arm('range="-90 90"', 'range="90 -90"', "joint 'j1' has range 90 to -90; it must ascend"),
+    arm('axis="0 1 0"', 'axis="0 0 0"', "not a robot model that MuJoCo can read"),
+    arm('axis="0 1 0"', 'axis="0 1"', "not a robot model that MuJoCo can read"),
+    arm('<joint name="j2" axis="0 1 0"/>', "<freejoint/>", "not a robot model"),
+    arm('<joint name="j2" axis="0 1 0"/>', '<joint name="j2" type="ball"/>', "ball or free joints (j2)"),
+    arm('<joint name="j2" axis="0 1 0"/>', "", "2 joints from the world to the TCP; at least 3"),
+    arm("</worldbody>", '<body name="d"><joint name="j4"/><geom type="sphere" size="1"/></body></worldbody>',
+        "joints off the chain from the world to the TCP: j4"),
+    arm("<worldbody>", '<worldbody><replicate count="9"><geom size="1"/></replicate>', "<replicate> is not read"),
+    arm("<worldbody>", '<include file="../other.xml"/><worldbody>', "it leads out of the model's folder"),
+    arm("<worldbody>", '<include file=""/><worldbody>', "cannot include ''"),
+    arm("<worldbody>", '<custom><numeric name="speed" data="1 1"/></custom><worldbody>', "'speed' has 2 values"),
+    arm("<worldbody>", '<custom><numeric name="speed" data="1 0 1"/></custom><worldbody>', "'speed' must be positive"),
+    arm('pos="0 0 1"', 'pos="0 0 nan"', ""),
+    urdf('type="revolute"', 'type="floating"', "free joint"),
+    urdf('velocity="2"', 'velocity="fast"', "joint 'j2' has the velocity 'fast', which is no number"),
+    urdf('<sphere radius="0.1"/>', '<box size="1 1 1"/>', "no capsule or sphere geoms"),
+    urdf('<child link="l3"/>', '<child link="l9"/>', "not a robot model that MuJoCo can read"),
+    urdf('lower="-1" upper="1" velocity="1"', 'lower="2" upper="1" velocity="1"', "joint 'j1' has range 2 to 1"),
+    setting("robot.model=none.urdf", "none.urdf: cannot read the robot model: No such file"),
+    setting("robot.model=.", "not a file; a robot is an MJCF or URDF file"),
+]  # fmt: skip
+PLAN = {"summary_json": '{"method": "baseline", "config": {}}', "trajectory_npz": b"PK"}
+FOLDERS = [
+    folder("report", "run holds a plan of htcp plan, no run; htcp view, htcp render and htcp validate open it", **PLAN),
+    folder("gate", "run holds a plan of htcp plan, no run; htcp view, htcp render and htcp validate open it", **PLAN),
+    folder("validate", "run: summary.json or trajectory.npz is damaged", **PLAN),
+    folder("view", "run: summary.json or trajectory.npz is damaged", **PLAN),
+    folder("validate", "trajectory.npz", summary_json=PLAN["summary_json"]),
+    folder("validate", "summary.json", summary_json="{"),
+    folder("validate", "summary.json", summary_json=b"\xff"),
+    folder("view", "summary.json", summary_json="[]"),
+    folder("report", "manifest.json is damaged", manifest_json="{}"),
+    folder("report", "manifest.json is damaged", manifest_json=b""),
+    folder("validate", "manifest.json is damaged", manifest_json="null"),
+    folder("view", "manifest.json is damaged", manifest_json='{"format": 2}'),
+    folder("report", "run holds no run: cannot read manifest.json", other="x"),
+    folder("gate", "run holds no run: cannot read manifest.json", other="x"),
+    folder("validate", "run holds neither a run", other="x"),
+    folder("view", "run holds neither a run", other="x"),
+]
+WRONG = [*MISSPELT, *NOT_A_NUMBER, *NO_MAPPING, *RANGES, *YAML, *COMMANDS, *SWEEPS, *CLOUDS, *PATHS, *ARMS, *FOLDERS]
+# Refused by what is not finished yet: to be moved into the lists above with it.
+AWAITED = [
+    job("config: job.yaml\n", "job.yaml"),
+    job("config: none.yaml\n", "none.yaml"),
+    job("config: [a, b]\n", "config"),
+    job("robot: {tcpp: tool0}\n", "did you mean robot.tcp?"),
+    job("robot: {tcp: 5}\n", "robot.tcp"),
+    job("robot: {model: arm.xml, tcp: tool9}\nstart_rad: [0, 0, 0]\n", "'tool9'"),
+    job("robot: {base_m: [0, 0]}\n", "robot.base_m"),
+    job("robot: {base_rpy_rad: [0, 0, 0, 0]}\n", "robot.base_rpy_rad"),
+    job("robot: {tool: 5}\n", "robot.tool"),
+    job("workpiece: {rotation_x_rad: right}\n", "workpiece.rotation_x_rad"),
+    job("workpiece: {spacing_m: 0}\n", "workpiece.spacing_m"),
+    Wrong(["plan", "--set", "robot.model=arm.xml"], "start_rad"),
+    Wrong(["plan", "--set", "robot.model=arm.urdf"], "start_rad"),
+    cloud("a.csv", "1,5;2,5;3,5\n2,5;3,5;4,5\n", "decimal comma"),
+    cloud("a.xyz", "1,5 2,5 3,5\n2,5 3,5 4,5\n", "decimal comma"),
+    path("p.csv", "0,1;0,2;0,3\n0,2;0,2;0,3\n", "decimal comma"),
+    cloud("a.xyz", "0 0 0 1 1\n1 0 0 1\n0 1 0 1 1\n0 0 1 1 1\n", "line 2"),
+    path("p.csv", "0.1,0.2,0.3,0,0\n0.1,0.2,0.3,0\n", "line 2"),
+    path("p.csv", "185.7,-173.7,170.8\n190,-173.8,170.5\n", "millimetres"),
+]
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def lay_out(folder: Path, files: dict[str, str | bytes]) -> None:
+    for name, data in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data if isinstance(data, bytes) else data.encode())
+
+
+def contents(folder: Path) -> dict[Path, bytes | None]:
+    return {file: file.read_bytes() if file.is_file() else None for file in folder.rglob("*")}
+
+
+def named(wrong: Wrong) -> str:
+    """What a failing test is called."""
+    return " ".join([*wrong.words, *map(repr, wrong.files.values())]).replace("\0", "NUL")[:60]
+
+
+@pytest.mark.parametrize("wrong", WRONG, ids=named)
+def test_a_wrong_input_is_one_line_that_names_the_offender_exit_2_and_no_file(here, capsys, wrong):
+    if wrong.words[0] == "render" and "--" not in " ".join(wrong.words):
+        can_draw()
+    lay_out(here, FILES | wrong.files)
+    before = contents(here)
+    code = main(wrong.words)
+    output = capsys.readouterr()
+    assert output.err.count("\n") == 1 and output.err.startswith("htcp: ") and wrong.says in output.err
+    assert wrong.name in output.err
+    assert (code, output.out) == (2, "") and contents(here) == before
+
+
+def test_there_are_300_different_ones():
+    assert len({(tuple(wrong.words), *wrong.files.items()) for wrong in WRONG}) == len(WRONG) >= 300
+
+
+def can_draw() -> None:
+    try:
+        offscreen.platform()
+    except InputError as lacks:
+        pytest.skip(str(lacks))
+
+
+# What the system says of the command's own output
+
+
+def command(words: str, out: int, **environs: str) -> subprocess.CompletedProcess:
+    code = "from htcp_jax.cli import main; raise SystemExit(main())"
+    known = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])} | environs
+    line = [sys.executable, "-c", code, *shlex.split(words)]
+    return subprocess.run(line, stdout=out, stderr=subprocess.PIPE, text=True, env=known)
+
+
+FULL = Path("/dev/full")
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="needs /dev/full")
+@pytest.mark.parametrize(("words", "unbuffered"), [("methods", ""), ("methods", "1"), ("plan --help", "")])
+def test_output_without_room_is_one_line_and_exit_2(here, words, unbuffered):
+    """Rough: `> /dev/full` was a traceback. 2, because 1 is what validate and gate say of results."""
+    with FULL.open("wb") as full:
+        done = command(words, full, PYTHONUNBUFFERED=unbuffered)
+    assert (done.returncode, done.stderr) == (2, "htcp: cannot write the output: No space left on device\n")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not FULL.exists(), reason="needs /dev/full")
+def test_every_command_whose_output_has_no_room_says_so_and_has_done_its_work(here, planned):
+    lay_out(here, FILES | GRID)
+    run, short = planned / "run", "--set workpiece.path=path.csv"
+    words = [
+        f"plan {short}",
+        f"plan {short} --json",
+        f"sweep grid.yaml --methods baseline {short}",
+        f"ceiling grid.yaml --draws 1 {short} --out ceiling",
+        f"report {run}",
+        f"report {run} --json",
+        f"validate {run} --between 0",
+        f"gate {run} --bless --baseline new.yaml",
+        f"gate {run} --baseline new.yaml",
+        "render out/plan --movie none",
+        "doctor",
+        "doctor --json",
+    ]
+    with FULL.open("wb") as full:
+        for line in words:
+            done = command(line, full)
+            assert (done.returncode, done.stderr.count("\n")) == (2, 1), line
+            assert done.stderr.startswith("htcp: cannot write the output: No space left on device"), line
+    assert {file.name for file in (here / "out").iterdir()} == {"plan", "grid", "report", "render"}
+
+
+def test_a_pipe_that_nobody_reads_any_more_is_quiet(here):
+    read, write = os.pipe()
+    os.close(read)
+    done = command("methods", write)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (1, "")
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a folder that nobody can make one in")
+def test_without_a_home_folder_nothing_is_said(here):
+    """Rough: matplotlib wrote two lines to stderr."""
+    nowhere = {"HOME": "/proc/none", "XDG_CONFIG_HOME": "", "XDG_CACHE_HOME": "", "MPLCONFIGDIR": ""}
+    done = command("methods", subprocess.DEVNULL, **nowhere)
+    assert (done.returncode, done.stderr) == (0, "")
