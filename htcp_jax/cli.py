@@ -22,7 +22,7 @@ from htcp_jax.cli_report import report
 from htcp_jax.cli_sweep import sweep
 from htcp_jax.cli_validate import validate
 from htcp_jax.cli_view import view
-from htcp_jax.errors import InputError, Interrupted, Lost
+from htcp_jax.errors import InputError, Interrupted, Lost, Note
 
 LOST, BAD_INPUT, INTERRUPTED = 1, 2, 130
 
@@ -103,7 +103,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _warn(message: Warning, *_) -> None:
-    print(f"htcp: warning: {message}", file=sys.stderr)
+    kind = "note" if isinstance(message, Note) else "warning"
+    print(f"htcp: {kind}: {message}", file=sys.stderr)
 
 
 def _refuse(reason: str) -> int:
