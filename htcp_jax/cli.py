@@ -29,7 +29,7 @@ from htcp_jax.cli_report import report
 from htcp_jax.cli_sweep import sweep
 from htcp_jax.cli_validate import validate
 from htcp_jax.cli_view import view
-from htcp_jax.errors import InputError, Interrupted, Lost
+from htcp_jax.errors import InputError, Interrupted, Lost, Note
 
 LOST, UNREAD, BAD_INPUT, INTERRUPTED = 1, 1, 2, 130  # UNREAD: nobody reads the pipe any more
 FULL = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO  # what a disk says; no program's mistake
@@ -149,7 +149,8 @@ def _forget_stdout() -> None:
 
 
 def _warn(message: Warning, *_) -> None:
-    _tell(f"warning: {message}")
+    kind = "note" if isinstance(message, Note) else "warning"
+    _tell(f"{kind}: {message}")
 
 
 def _refuse(reason: str) -> int:

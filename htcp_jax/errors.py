@@ -1,9 +1,13 @@
-"""The exceptions that a user can cause."""
+"""The exceptions and notes that a user can cause."""
 
 
 class InputError(ValueError):
     """Bad input. The message is one line that names the offender and the valid choices; the command line
     prints it and exits with 2."""
+
+
+class Note(UserWarning):
+    """Something that was assumed, and that the user may want to know. The command line prints it in one line."""
 
 
 class Interrupted(Exception):

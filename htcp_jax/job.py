@@ -40,6 +40,7 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
         neutral_translation=part.neutral_translation_m,
         spacing=part.mesh_spacing_m if part.cloud != "duct" else None,
         thinnest_m=radius,
+        robot=robot,
     )
     if not len(workpiece.triangles) and workpiece.largest_gap_m > 2 * radius:
         warnings.warn(

@@ -88,6 +88,14 @@ def configuration(robot: Robot, x: Joints, name: str = "x") -> Joints:
     return of_shape(x, (len(robot.slides),), f"{name} of {robot.name}")
 
 
+def reach(robot: Robot) -> float:
+    """A bound on the TCP's distance from the origin of the first joint's frame [m]: the links laid out straight, and
+    the travel of the slides; infinite where a slide has no limits."""
+    links = np.linalg.norm(np.asarray(robot.T_parent_joint)[1:, :3, 3], axis=1)
+    travel = np.maximum(np.abs(robot.lower), np.abs(robot.upper))[np.array(robot.slides)]
+    return float(links.sum() + travel.sum() + np.linalg.norm(np.asarray(robot.T_link_tcp)[:3, 3]))
+
+
 class _Frames(NamedTuple):
     """Frames in the world."""
 

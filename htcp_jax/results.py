@@ -18,8 +18,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from htcp_jax.cloud import one_line
 from htcp_jax.errors import InputError
+from htcp_jax.foreign import one_line
 from htcp_jax.metrics import Summary
 from htcp_jax.plans import Plans
 from htcp_jax.robot import Robot

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.kinematics import tcp_position
+from htcp_jax.kinematics import reach, tcp_position
 from htcp_jax.pytree import register_pytree
 from htcp_jax.robot import Robot, lengthen_tool
 from htcp_jax.status import Status
@@ -158,14 +158,9 @@ def _check_start(robot: Robot, x_start: np.ndarray) -> None:
 
 
 def _check_reach(robot: Robot, targets: np.ndarray) -> None:
-    """The chain's links, laid out straight, bound how far the TCP gets from the first joint's axis origin."""
-    if any(robot.slides):
-        return  # a slide's travel adds to the reach: left to the planner's own verdict
-    links = np.linalg.norm(np.asarray(robot.T_parent_joint)[1:, :3, 3], axis=1)
-    reach = links.sum() + np.linalg.norm(np.asarray(robot.T_link_tcp)[:3, 3])
-    base = np.asarray(robot.T_parent_joint)[0, :3, 3]
+    base, longest = np.asarray(robot.T_parent_joint)[0, :3, 3], reach(robot)
     far = np.linalg.norm(targets - base, axis=1)
-    if (worst := int(np.argmax(far > reach))) or far[0] > reach:
+    if (worst := int(np.argmax(far > longest))) or far[0] > longest:
         raise OutOfReach(
-            f"target {worst} is {far[worst]:.3f} m from the robot's base; {robot.name} reaches {reach:.3f} m at most"
+            f"target {worst} is {far[worst]:.3f} m from the robot's base; {robot.name} reaches {longest:.3f} m at most"
         )

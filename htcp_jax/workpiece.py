@@ -15,12 +15,16 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from htcp_jax import duct
-from htcp_jax.cloud import TEXT, check_points, known_ending, load_geometry, read_table, warn_if_millimetres
+from htcp_jax.cloud import TEXT, check_points, load_geometry
 from htcp_jax.errors import InputError
+from htcp_jax.foreign import known_ending
 from htcp_jax.hull import Hull, convex_hull
 from htcp_jax.mesh_points import Cover, cover
 from htcp_jax.notebook import html_facts
+from htcp_jax.robot import Robot
+from htcp_jax.table import read_table
 from htcp_jax.types import Anywhere
+from htcp_jax.units import check_extent, check_path
 
 PIVOT = (1.73205679, -0.0037799, 0.57539635)  # [m] world
 NEUTRAL_TRANSLATION = (1.24549547, -0.0037799, 0.87525497)  # [m] workpiece origin at wy = wz = 0
@@ -165,6 +169,7 @@ def load_workpiece(
     seed: int = 0,
     spacing: float | None = None,
     thinnest_m: float = np.inf,
+    robot: Robot | None = None,
 ) -> Workpiece:
     """A workpiece from files or arrays; without a cloud the generated duct, without both the duct and its weld.
 
@@ -176,10 +181,13 @@ def load_workpiece(
     points, seed: of the generated duct.
     spacing [m]: of the points on a mesh, see `mesh_points.cover`; thinnest_m: radius of the thinnest body [m], which
         must be larger than the covering radius of a mesh.
+    robot: whose reach and bodies part and path have to make sense for by their size, see `units`; None: no such check.
     Raises InputError for what is wrong with a file or a figure, and for a cloud without a path.
     """
     generated = cloud is None
+    name = name or ("duct" if generated else Path(_named(cloud)).stem)
     if generated:
+        track = duct.weld() if path is None else read_path(path)
         surface, triangles = _generated(points, seed, spacing), np.empty((0, 3, 3))
     elif path is None:
         raise InputError(f"{_named(cloud)}: a cloud needs a tool path of its own (x,y,z rows in a CSV file)")
@@ -187,10 +195,14 @@ def load_workpiece(
         raise InputError(f"{_named(cloud)}: the number of points is for the generated duct; a mesh takes a spacing")
     else:
         read, triangles = load_geometry(cloud) if _is_file(cloud) else (_points(cloud, "cloud", 4), np.empty((0, 3, 3)))
-        surface = Cover(read, 0.0)
+        track, surface = read_path(path), Cover(read, 0.0)
+        if robot is not None:
+            check_extent(robot, read, track, name)
         if len(triangles):
             surface = cover(triangles, str(cloud), spacing, thinnest_m)
             _check_thinnest(surface, str(cloud), thinnest_m)
+    if robot is not None:
+        check_path(surface.points, track, name)
     if inlet == "auto":
         inlet = duct.INLET if generated else None
     if hull_tolerance_m is None:
@@ -200,9 +212,9 @@ def load_workpiece(
     elif inlet_direction == "world-x":
         inlet_direction = None
     return Workpiece(
-        name or ("duct" if generated else Path(_named(cloud)).stem),
+        name,
         surface.points,
-        duct.weld() if path is None else read_path(path),
+        track,
         inlet,
         pivot,
         neutral_translation,
@@ -225,20 +237,19 @@ def _named(cloud: str | Path | Anywhere) -> str | Path:
 
 
 def read_path(path: str | Path | Anywhere) -> Float[np.ndarray, "T 3"]:
-    """Tool path [m], workpiece frame: x,y,z rows of a text file (.csv .txt .xyz), or an array, in tracking order.
+    """Tool path [m], workpiece frame: x,y,z rows of a text file (.csv .txt .xyz), or its columns of these
+    names, or an array, in tracking order; `cloud.read_points` has the normals too.
 
-    Raises InputError for an unreadable or empty file, a wrong column count (naming the line) and NaN; warns
-    as `load_cloud` does.
+    Raises InputError for an unreadable or empty file, what is wrong with a line (naming it) and NaN.
     """
     if not _is_file(path):
         return _points(path, "path", 1)
     path = Path(path)
     known_ending(path, TEXT)
-    points = read_table(path)
+    points = read_table(path).xyz
     if not len(points):
         raise InputError(f"{path}: the tool path is empty")
     check_points(points, str(path), at_least=1)
-    warn_if_millimetres(points, str(path))
     return points
 
 

@@ -202,8 +202,8 @@ ROWS = np.random.default_rng(0).uniform(-1, 1, (12, 3))
 BOX = trimesh.creation.box(extents=(1.0, 2.0, 3.0))
 
 
-def table(separator: str) -> bytes:
-    return "\n".join(separator.join(f"{value:.6g}" for value in row) for row in ROWS).encode()
+def table(separator: str, rows: np.ndarray = ROWS) -> bytes:
+    return "\n".join(separator.join(f"{value:.6g}" for value in row) for row in rows).encode()
 
 
 def npy(array: np.ndarray, **options) -> bytes:
@@ -212,8 +212,11 @@ def npy(array: np.ndarray, **options) -> bytes:
     return stream.getvalue()
 
 
-TABLES = [table(" "), table(","), table("; "), b"x,y,z\n" + table(","), b"\xef\xbb\xbf# by hand\n" + table("\t")]
-ARRAYS = [npy(ROWS), npy(ROWS.astype("f4")), npy(np.asfortranarray(ROWS)), npy((ROWS * 9).astype(">i2"))]
+WIDE = np.hstack([ROWS, ROWS / np.linalg.norm(ROWS, axis=1, keepdims=True)])
+TABLES = [table(" "), table(","), table("; "), b"x,y,z\n" + table(","), b"\xef\xbb\xbf# by hand\n" + table("\t"),
+          table(" ", WIDE), b"//X Y Z R G B\n" + table(" ", WIDE), b"nx;ny;nz;x [m];y;z\n" + table(";", WIDE),
+          b"x,y,z\n" + table(",", WIDE), table(";").replace(b".", b",")]  # fmt: skip
+ARRAYS = [npy(ROWS), npy(ROWS.astype("f4")), npy(np.asfortranarray(ROWS)), npy((ROWS * 9).astype(">i2")), npy(WIDE)]
 POINTS = trimesh.PointCloud(ROWS)
 MESHES = {
     ".stl": [BOX.export(file_type="stl"), BOX.export(file_type="stl_ascii").encode()],
@@ -236,18 +239,28 @@ def check_table(folder: Path, case: tuple[str, bytes]) -> bool:
     if points is None:
         return path is not None
     assert np.array_equal(points, path), "the same table is one cloud and another path"
-    lines = [line.partition("#")[0].strip() for line in re.split(r"\r\n|\r|\n", data.decode("utf-8-sig"))]
-    lines = [re.split(r"[;,\s]\s*", line) for line in lines if line]
+    text = data.decode("utf-8-sig")
+    lines = [line.partition("#")[0].strip() for line in re.split(r"\r\n|\r|\n", text)]
+    lines = [re.split(r"[;,\s]\s*", line) for line in lines if line and not line.startswith("//")]
     assert len(lines) - len(points) in (0, 1), "lines were dropped"
-    for row, cells in zip(points[::-1], lines[::-1], strict=False):
-        assert [float(cell) for cell in cells if cell] == row.tolist(), "a line was read as another"
+    named = set("xyz") <= set(re.split(r"[^a-z]+", text.lower()))  # then x, y and z may stand in any column
+    for row, cells in zip(points[::-1].tolist(), lines[::-1], strict=False):
+        said = [number for number in map(_number, cells) if number is not None]
+        assert row == said[:3] or (named and set(row) <= set(said)), "a line was read as another"
     return True
+
+
+def _number(cell: str) -> float | None:
+    try:
+        return float(cell)
+    except ValueError:
+        return None
 
 
 def check_npy(folder: Path, data: bytes) -> bool:
     points = refusal(lambda: load_cloud(written(folder, "cloud.npy", data)))
     if points is not None:
-        assert np.array_equal(np.load(io.BytesIO(data), allow_pickle=False), points)
+        assert np.array_equal(np.load(io.BytesIO(data), allow_pickle=False)[:, :3], points)
     return points is not None
 
 
@@ -483,7 +496,8 @@ PLANS = st.tuples(st.lists(ALTERATION, max_size=2), st.lists(CHANGE, max_size=2)
 QPS = st.tuples(st.integers(0, 2**32), st.lists(st.tuples(FIELDS, SPOT, QP_NUMBER), max_size=3))
 YAMLS = [file.read_bytes() for file in sorted(CONFIGS.glob("*.yaml"))] + [b"margin_m: 1e-3\nstart_rad: [0, -2.3]\n"]
 GRIDS = [re.sub(rb"config: .*", b"", file.read_bytes()) for file in sorted(SWEEPS.glob("*.yaml"))]
-TEXTS, TEXT_WORDS = [(ending, TABLES) for ending in (".xyz", ".csv", ".txt")], ["#", ";", ",", "\n", "\r", "x"]
+TEXTS = [(ending, TABLES) for ending in (".xyz", ".csv", ".txt")]
+TEXT_WORDS = ["#", ";", ",", "\n", "\r", "x", "//", "nx", " 1,5 "]
 ARRAY_WORDS = ["descr", "(", ")", "|O", "<f8", "True", "L", "{", "}"]
 MODELS = [(".xml", [ARM, SMALL]), (".urdf", [URDF])]
 

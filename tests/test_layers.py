@@ -14,8 +14,11 @@ PACKAGE = Path(htcp_jax.__file__).parent
 LAYERS = [
     ["__init__", "errors", "notebook", "types", "pytree", "numerics", "status", "verdict", "settings", "plans"],
     ["compile_cache", "devices"],
+    ["foreign", "columns", "parsers"],
+    ["table", "scan"],
     ["robot", "robot_file", "robot_xml", "kinematics", "duct", "mesh_points", "cloud", "hull", "surface"],
     ["clusters", "discs", "cloud_index_gpu", "cloud_index", "half_spaces"],
+    ["units"],
     ["workpiece"],
     ["tip_guard"],
     ["scenario"],

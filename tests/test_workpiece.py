@@ -238,9 +238,6 @@ def test_a_path_is_a_text_table_that_may_be_one_point(tmp_path):
         read_path(tmp_path / "missing.csv")
     with pytest.raises(InputError, match=r"unknown ending '.npy'; valid are .xyz .csv .txt"):
         read_path(tmp_path / "seam.npy")
-    (tmp_path / "mm.csv").write_text("0,0,0\n750,0,0\n")
-    with pytest.warns(UserWarning, match="750 m.*millimetres"):
-        read_path(tmp_path / "mm.csv")
 
 
 def test_a_workpiece_of_arrays_is_that_of_their_files(tmp_path):

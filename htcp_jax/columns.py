@@ -1,0 +1,78 @@
+"""Which columns of a table are the coordinates of a point, and which its normal."""
+
+import re
+import warnings
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.errors import InputError, Note
+
+NORMALS = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"), ("i", "j", "k"))  # i, j, k: of tool paths
+UNIT = re.compile(r"\[[^\]]*\]|\([^)]*\)")  # x [m], y (mm)
+NEARLY_ALL = 0.95
+NEARLY_UNIT = 0.01
+
+
+class Points(NamedTuple):
+    """P points of a file."""
+
+    xyz: Float[np.ndarray, "P 3"]  # [m]
+    normals: Float[np.ndarray, "P 3"] | None = None  # unit, or 0 where a point has none; None without such columns
+
+
+class Columns(NamedTuple):
+    """Where, from 0, a table of `width` columns holds what."""
+
+    width: int
+    xyz: tuple[int, ...]
+    normals: tuple[int, ...] | None
+    named: bool  # by a header; otherwise the normals are a guess that `points` checks
+
+    def points(self, xyz: np.ndarray, normals: np.ndarray | None, source: str) -> Points:
+        """Points of these columns' numbers, (P, 3) each. A Note tells what was guessed."""
+        normals = None if normals is None else _unit(normals, certain=self.named)
+        if not self.named and self.width > 3:
+            rest = "and the others left out" if normals is None else "the others as normals"
+            text = f"{self.width} columns; the first three are taken as x, y, z, {rest}"
+            warnings.warn(f"{source}: {text}", Note, stacklevel=4)
+        return Points(xyz, normals)
+
+
+def header_names(cells: Sequence[str]) -> list[str]:
+    """A header's cells as plain names."""
+    return [cell.strip().strip("\"'").strip().lower() for cell in cells]
+
+
+def without_units(header: str) -> str:
+    """A header's line without units in brackets."""
+    return UNIT.sub("", header)
+
+
+def columns_of(names: Sequence[str] | None, width: int, source: str) -> Columns:
+    """The columns of a table: by its header's names where x, y and z are among them, else the first three, and
+    of six the last three for normals. Raises InputError where the names speak against that."""
+    names = [] if names is None else list(names)
+    at = {axis: [k for k, name in enumerate(names) if name == axis] for axis in "xyz"}
+    if twice := [axis for axis, places in at.items() if len(places) > 1]:
+        raise InputError(f"{source}: the header names {twice[0]} twice")
+    if all(at.values()) and len(names) == width:
+        known = [family for family in NORMALS if all(names.count(name) == 1 for name in family)]
+        normals = tuple(names.index(name) for name in known[0]) if known else None
+        return Columns(width, tuple(places[0] for places in at.values()), normals, named=True)
+    if any(places and places[0] != k for k, places in enumerate(at.values())):
+        told = f"{len(names)} columns ({' '.join(names)[:40]}), the rows have {width}"
+        raise InputError(f"{source}: the header names {told}; name x, y and z, or put them first")
+    return Columns(width, (0, 1, 2), (3, 4, 5) if width == 6 else None, named=False)
+
+
+def _unit(vectors: np.ndarray, certain: bool) -> Float[np.ndarray, "P 3"] | None:
+    """Vectors of length 1, or 0 where there is none; None for a guess that nearly no length 1 supports."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    if not certain and not np.mean(np.abs(length - 1.0) < NEARLY_UNIT) >= NEARLY_ALL:
+        return None
+    sound = np.isfinite(length) & (length > 1e-6)
+    return np.divide(vectors, length, out=np.zeros_like(vectors), where=sound)

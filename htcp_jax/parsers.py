@@ -1,0 +1,91 @@
+"""A script: `python parsers.py KIND FILE FOLDER MEMORY` parses FILE and writes its arrays into FOLDER.
+
+A parser that is written in C++ may crash, hang, fill the memory or print when a file is damaged. In a process of
+its own it harms nobody; `scan.parsed` starts it, sets its limits and reads the answer: FOLDER/arrays.npz, or the
+exception in FOLDER/error.txt. Nothing of the package is imported, so it starts at once.
+"""
+
+import contextlib
+import io
+import sys
+from pathlib import Path
+
+import numpy as np
+
+SAG_MM = 0.05  # at most so far do the triangles of a curved STEP face leave it
+TURN_RAD = 0.2
+
+
+def pcd(file: Path) -> dict[str, np.ndarray]:
+    """Points of a PCD cloud, in the order and the frame of the file, and normals where it has them."""
+    from pypcd4 import PointCloud
+
+    cloud = PointCloud.from_path(file)
+    data = cloud.pc_data
+    if len(data) != cloud.metadata.points:
+        raise ValueError(f"{cloud.metadata.points} points were promised, there are {len(data)}")
+    normals = ["normal_x", "normal_y", "normal_z"]
+    arrays = {"points": np.stack([data[name].astype(np.float64) for name in "xyz"], axis=-1)}
+    if all(name in data.dtype.names for name in normals):
+        arrays["normals"] = np.stack([data[name].astype(np.float64) for name in normals], axis=-1)
+    return arrays
+
+
+def las(file: Path) -> dict[str, np.ndarray]:
+    """Points of a LAS or LAZ cloud, scaled and offset as its header says."""
+    import laspy
+
+    with file.open("rb") as stream:
+        head = stream.read(104)
+    if int.from_bytes(head[100:104], "little") * 54 > file.stat().st_size:  # laspy would try to read them all
+        raise ValueError("more variable length records than the file has room for")
+    cloud = laspy.read(file)
+    if len(cloud.points) != cloud.header.point_count:
+        raise ValueError(f"{cloud.header.point_count} points were promised, there are {len(cloud.points)}")
+    return {"points": np.array(cloud.xyz, dtype=np.float64)}
+
+
+def e57(file: Path) -> dict[str, np.ndarray]:
+    """Valid points of all scans of an E57 file, each moved by its pose into the file's frame."""
+    import pye57
+
+    axes = ("cartesianX", "cartesianY", "cartesianZ")
+    with pye57.E57(str(file)) as scans:
+        read = [scans.read_scan(k, ignore_missing_fields=True) for k in range(scans.scan_count)]
+    clouds = [np.stack([scan[axis] for axis in axes], axis=-1) for scan in read]
+    return {"points": np.concatenate([np.empty((0, 3)), *clouds])}
+
+
+def step(file: Path) -> dict[str, np.ndarray]:
+    """Triangles [m] of all solids and faces of a STEP file; it states its unit itself."""
+    import cascadio
+    import trimesh
+
+    glb = cascadio.load(file.read_bytes(), tol_linear=SAG_MM, tol_angular=TURN_RAD, use_parallel=False)
+    if not glb:
+        raise ValueError("no shapes in it")
+    scene = trimesh.load_scene(io.BytesIO(glb), file_type="glb", process=False)
+    placed = [np.empty((0, 3, 3))]
+    for node in scene.graph.nodes_geometry:
+        T, name = scene.graph[node]
+        triangles = np.asarray(scene.geometry[name].triangles, np.float64)
+        placed.append(triangles @ T[:3, :3].T + T[:3, 3])
+    return {"triangles": np.concatenate(placed)}
+
+
+def main(kind: str, file: str, folder: str, memory: str) -> None:
+    with contextlib.suppress(ImportError, OSError, ValueError):  # Linux alone limits the memory of a process
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        resource.setrlimit(resource.RLIMIT_AS, (int(memory), int(memory)))
+    try:
+        arrays = {"pcd": pcd, "las": las, "e57": e57, "step": step}[kind](Path(file))
+        np.savez(Path(folder, "arrays.npz"), **arrays)
+    except BaseException as error:  # a Rust parser's panic is no Exception
+        Path(folder, "error.txt").write_text(f"{type(error).__name__}: {error}"[:500], errors="replace")
+        raise SystemExit(1) from None
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,157 @@
+"""A part or a path in another unit than metres is named before anything is planned with it."""
+
+import dataclasses
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+
+from htcp_jax import units
+from htcp_jax.cli import main
+from htcp_jax.errors import InputError
+from htcp_jax.grid import load_sweep
+from htcp_jax.kinematics import reach, tcp_position
+from htcp_jax.robot import gp50
+from htcp_jax.scenario import make_scenario
+from htcp_jax.workpiece import Workpiece, load_workpiece
+
+UNITS = {"millimetres": 1e3, "inches": 1 / 0.0254, "centimetres": 1e2, "kilometres": 1e-3}
+SEAM = np.linspace((0.02, 0.01, 0.015), (0.38, 0.015, 0.01), 41)
+
+
+def box(part=1.0, path=1.0, at=(0.0, 0.0, 0.0)) -> Workpiece:
+    """An open box of 0.40 x 0.36 x 0.36 m with a seam in a corner, both in metres times these."""
+    u, v = np.meshgrid(np.linspace(0, 0.36, 20), np.linspace(0, 0.40, 20))
+    u, v, o = u.ravel(), v.ravel(), np.zeros(u.size)
+    sides = [(v, u, o), (v, u, o + 0.36), (v, o, u), (v, o + 0.36, u), (o + 0.4, 0.9 * u, 0.9 * v)]
+    cloud = np.concatenate([np.stack(side, axis=-1) for side in sides])
+    return Workpiece("box", part * (cloud + at), path * (SEAM + at))
+
+
+def check(part: Workpiece) -> None:
+    units.check_extent(gp50(), part.cloud, part.path, part.name)
+    units.check_path(part.cloud, part.path, part.name)
+
+
+def refusal(part: Workpiece) -> str:
+    with pytest.raises(InputError) as caught:
+        check(part)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("at", [(0.0, 0.0, 0.0), (1.0, -0.3, 0.5)])
+@pytest.mark.parametrize("unit, factor", [("millimetres", "0.001"), ("inches", "0.0254")])
+def test_a_part_far_larger_than_the_arm_is_refused_with_its_unit(unit, factor, at):
+    """W9: 52 of 52, clearance 180 m, was the answer. Of a part in centimetres the size alone may mean inches."""
+    said = refusal(box(UNITS[unit], UNITS[unit], at))
+    assert f"box extends over {0.4 * UNITS[unit]:.3g} m, gp50 reaches 3.07 m; it and its path seem" in said
+    assert said.endswith(f"in {unit}, metres are needed (factor {factor})")
+
+
+@pytest.mark.parametrize("unit", ["millimetres", "inches"])
+def test_a_path_in_metres_is_not_called_wrong_with_its_part(unit):
+    """W9"""
+    assert f"; it seems to be in {unit}" in refusal(box(UNITS[unit], 1.0))
+
+
+@pytest.mark.parametrize("at", [(0.0, 0.0, 0.0), (1.0, -0.3, 0.5)])
+@pytest.mark.parametrize("unit, factor", [("millimetres", "0.001"), ("inches", "0.0254"), ("centimetres", "0.01")])
+def test_a_path_that_stays_far_from_its_part_is_refused_with_its_unit(unit, factor, at):
+    """W9"""
+    said = refusal(box(1.0, UNITS[unit], at))
+    assert said.startswith("half of the path is ")
+    assert said.endswith(f"; the path seems to be in {unit}, metres are needed (factor {factor})")
+
+
+def test_a_path_in_another_frame_is_refused_without_a_guess():
+    """W9"""
+    part = box()
+    said = refusal(Workpiece("box", part.cloud, part.path + np.array([7.0, 7.0, 7.0])))
+    assert said.endswith("from box; both have to be in metres and in the same frame")
+
+
+def test_a_part_far_smaller_than_the_thinnest_body_is_refused():
+    """W9"""
+    said = refusal(box(1e-3, 1e-3))
+    assert "box extends over 0.0004 m, the thinnest body of gp50 over 0.06 m" in said
+    assert "in kilometres, metres are needed (factor 1000)" in said
+
+
+@pytest.mark.parametrize("scale, words", [(0.1, "the thinnest body"), (20.0, "gp50 reaches")])
+def test_a_size_that_is_possible_but_odd_is_warned_of(scale, words):
+    """W9"""
+    with pytest.warns(UserWarning, match=f"box extends over .*{words}"):
+        check(box(scale, scale))
+
+
+@pytest.mark.parametrize("part", [
+    load_workpiece(points=1000), box(), box(0.3, 0.3), box(10.0, 10.0), box(at=(1.0, 2.0, -3.0)),
+    Workpiece("box", box().cloud, SEAM + np.array([0.0, -0.3, 0.0])),  # a stand-off, as for a spray gun
+])  # fmt: skip
+def test_ordinary_parts_pass_in_silence(part):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check(part)
+
+
+def test_the_command_refuses_a_part_in_millimetres(tmp_path, capsys, monkeypatch):
+    """W9: it was warned of, planned, and exited with 0."""
+    monkeypatch.chdir(tmp_path)
+    np.savetxt("box.xyz", box(1e3).cloud)
+    np.savetxt("seam.csv", SEAM, delimiter=",")
+    files = ["--set", "workpiece.cloud=box.xyz", "--set", "workpiece.path=seam.csv"]
+    assert main(["plan", *files, "--out", "out"]) == 2
+    assert capsys.readouterr().err == (
+        "htcp: box extends over 400 m, gp50 reaches 3.07 m; "
+        "it seems to be in millimetres, metres are needed (factor 0.001)\n"
+    )
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("ending", [".stl", ".ply"])
+def test_a_mesh_in_millimetres_is_named_before_points_are_laid_on_it(tmp_path, ending):
+    """W9: at the spacing that the arm's bodies need it would take millions of points."""
+    part = trimesh.creation.box(extents=(400.0, 360.0, 360.0))
+    (tmp_path / f"box{ending}").write_bytes(part.export(file_type=ending[1:]))
+    np.savetxt(tmp_path / "seam.csv", 1e3 * SEAM, delimiter=",")
+    with pytest.raises(InputError, match=r"box extends over 400 m.*it and its path seem to be in millimetres"):
+        load_workpiece(tmp_path / f"box{ending}", tmp_path / "seam.csv", robot=gp50())
+
+
+def test_a_sweep_refuses_a_part_in_inches(tmp_path):
+    """W9: in a sweep poses out of reach are results, a part in another unit is none."""
+    np.savetxt(tmp_path / "box.xyz", box(UNITS["inches"]).cloud)
+    np.savetxt(tmp_path / "seam.csv", UNITS["inches"] * SEAM, delimiter=",")
+    (tmp_path / "job.yaml").write_text("workpiece: {cloud: box.xyz, path: seam.csv}\n")
+    (tmp_path / "grid.yaml").write_text("config: job.yaml\ngrid:\n  - workpiece.rotation_y_rad: [0.0, 0.1]\n")
+    with pytest.raises(InputError, match=r"it and its path seem to be in inches, metres are needed \(factor 0.0254\)"):
+        load_sweep(tmp_path / "grid.yaml").batch()
+
+
+def sliding():
+    """The GP50 whose first joint slides along a rail of 4 m."""
+    arm = gp50()
+    return dataclasses.replace(
+        arm, slides=(True, *arm.slides[1:]), lower=arm.lower.at[0].set(-1.0), upper=arm.upper.at[0].set(3.0)
+    )
+
+
+@pytest.mark.parametrize("robot", [gp50(), gp50("datasheet"), sliding()])
+def test_no_posture_reaches_beyond_the_reach(robot):
+    x = np.random.default_rng(0).uniform(robot.lower, robot.upper, (2000, 6))
+    tcp = jax.vmap(tcp_position, in_axes=(None, 0))(robot, jnp.asarray(x))
+    far = np.linalg.norm(np.asarray(tcp) - np.asarray(robot.T_parent_joint)[0, :3, 3], axis=1)
+    assert 0.8 * reach(robot) < far.max() <= reach(robot)
+
+
+def test_a_rail_adds_its_travel_to_the_reach_of_the_targets():
+    arm, part = sliding(), box(at=(40.0, 0.0, 0.0))
+    assert reach(arm) == pytest.approx(reach(gp50()) + 3.0)
+    with pytest.raises(InputError, match=f"reaches {reach(arm):.3f} m at most"):
+        make_scenario(arm, part, np.zeros(6))
+    endless = dataclasses.replace(arm, upper=arm.upper.at[0].set(np.inf))
+    assert make_scenario(endless, part, np.zeros(6)).count == 52
