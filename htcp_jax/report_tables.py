@@ -12,7 +12,7 @@ from jaxtyping import Bool, Int, Int8
 from htcp_jax.config import PlanConfig
 from htcp_jax.document import Column, Table
 from htcp_jax.path_charts import words
-from htcp_jax.run_parts import Part, tracked
+from htcp_jax.run_parts import Part, drivable, tracked
 from htcp_jax.run_tables import NO_TARGET
 from htcp_jax.status import Status
 
@@ -20,9 +20,11 @@ RESULTS = (
     Column("method", "method"),
     Column("success_percent", "success", "%", ".2f"),
     Column("paper_success_percent", "paper", "%", ".2f", quiet=True),
-    Column("tracked", "tracked", "", ",d"),
+    Column("tracked", "tracked", "targets", ",d"),
     Column("targets", "of", "", ",d"),
-    Column("complete", "complete", "", ",d"),
+    Column("drivable", "drivable", "targets", ",d"),
+    Column("drivable_percent", "drivable", "%", ".2f"),
+    Column("complete", "complete", "scenarios", ",d"),
     Column("scenarios", "of", "", ",d"),
     Column("step_ms", "time/step", "ms", ".2f"),
     Column("paper_step_ms", "paper", "ms", ".0f", quiet=True),
@@ -84,6 +86,8 @@ def _result(part: Part, method: str) -> dict:
         "success_percent": percent(good.sum(), there.sum()),
         "tracked": int(good.sum()),
         "targets": int(there.sum()),
+        "drivable": int(drivable(plans).sum()),
+        "drivable_percent": percent(drivable(plans).sum(), there.sum()),
         "complete": int(complete(plans.status).sum()),
         "scenarios": int(there.any(axis=1).sum()),
         "step_ms": 1e3 * part.step_s[method],
@@ -129,8 +133,7 @@ def steps(part: Part) -> Table:
 def _step(part: Part, method: str) -> dict:
     plans = part.plans[method]
     there, good = plans.status != NO_TARGET, tracked(plans.status)
-    blocked = good & (plans.path_clear == 0)
-    before = good & ~np.logical_or.accumulate(blocked, axis=1)
+    blocked, before = good & (plans.path_clear == 0), drivable(plans)
     return {
         "method": method,
         "accepted": int(good.sum()),

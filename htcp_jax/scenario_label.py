@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from htcp_jax.run_folder import Run
+
 RESULTS = (
     "method", "scenario", "group", "targets", "tracked", "complete", "failed_target", "failure", "reason",
     "after_escape", "blocked_paths", "clearance_min_m", "residual_max_m", "joint_motion_rad",
@@ -32,6 +34,16 @@ def labels_of(table: pa.Table) -> dict[int, str]:
     groups = [f"{group}: " if group else "" for group in table["group"].to_pylist()]
     told = [", ".join(part(name, values[k]) for name, values in columns.items()) for k in range(len(numbers))]
     return {int(number): group + text for number, group, text in zip(numbers, groups, told, strict=True)}
+
+
+def labels_in(run: Run) -> dict[int, str]:
+    """The labels of the scenarios that at least one method of a run has planned."""
+    return labels_of(run.scenarios(*dict.fromkeys(shard.method for shard in run.manifest.shards)))
+
+
+def named(number: int, labels: dict[int, str]) -> str:
+    """A scenario in a sentence: its number and, where it has one, its label in brackets."""
+    return f"{number} ({labels[number]})" if labels.get(number) else str(number)
 
 
 def parameter_names(table: pa.Table) -> list[str]:
