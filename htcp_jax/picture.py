@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
 from matplotlib.ticker import FuncFormatter
 
 from htcp_jax.fates import FAILED, INK, LINKS, PAPER, TOOL, WALL, fates, is_tool
@@ -46,8 +47,25 @@ def draw_plan(
     grid = figure.add_gridspec(2, 2, height_ratios=(1.4, 1), width_ratios=(1.12, 1))
     T = np.asarray(scenario.T_world_workpiece)
     cloud = workpiece.cloud @ T[:3, :3].T + T[:3, 3]
+    _draw_scene(figure, grid, robot, cloud, plans, row, np.asarray(scenario.x_start)[None], obstruction)
+    told = obstruction.sentence if obstruction is not None else ""
+    _draw_clearance(figure.add_subplot(grid[1, :]), plans, row, float(scenario.margin_m), told)
+    return figure
+
+
+def _draw_scene(
+    figure: Figure,
+    grid: GridSpec,
+    robot: Robot,
+    cloud: Float[np.ndarray, "P 3"],
+    plans: Plans,
+    row: int,
+    x_start: Float[np.ndarray, "1 N"],
+    obstruction: Obstruction | None = None,
+) -> None:
+    """Two views of the same: of everything, and of the workpiece."""
     shown = poses(plans, row)
-    x = plans.x[row, shown] if shown else np.asarray(scenario.x_start)[None]
+    x = plans.x[row, shown] if shown else x_start
     arm = _segments(robot, x)
     view = flat_side(cloud, plans.target[row], Bodies(*arm[:2], np.asarray(robot.capsule_radius), is_tool(robot)))
     for column, heading in enumerate((_pose_heading(shown), "Inside")):
@@ -59,8 +77,16 @@ def draw_plan(
             _draw_obstruction(axes, view, robot, obstruction)
         _frame(axes, view.flat(cloud) if column else None)
         _heading(axes, heading)
-    told = obstruction.sentence if obstruction is not None else ""
-    _draw_clearance(figure.add_subplot(grid[1, :]), plans, row, float(scenario.margin_m), told)
+
+
+def draw_cell(
+    robot: Robot, cloud: Float[np.ndarray, "P 3"], x_start: Float[np.ndarray, "1 N"], plans: Plans, title: str
+) -> Figure:
+    """The arm in the workpiece cut open, and nothing else, of plans of one scenario; cloud: in the world [m]."""
+    figure = Figure(figsize=(14, 5.6), dpi=120, facecolor=PAPER, layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, color=INK, fontsize=16, fontweight="bold", x=0.015, ha="left")
+    _draw_scene(figure, figure.add_gridspec(1, 2, width_ratios=(1.12, 1)), robot, cloud, plans, 0, x_start)
     return figure
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -62,6 +63,7 @@ STOPS = (
     Column("first_target", "first", "target", "d"),
     Column("median_target", "median", "target", ".0f"),
     Column("last_target", "last", "target", "d"),
+    Column("in_the_way", "in the way (how often)"),
     Column("targets", "at targets (how many)"),
 )
 TIMES = (
@@ -150,11 +152,11 @@ def _step(part: Part, method: str) -> dict:
 
 
 def stops(part: Part) -> Table:
-    """What ended the scenarios that are not complete, and at which targets."""
+    """What ended the scenarios that are not complete, at which targets, and which bodies are in the way there."""
     rows = []
     for method, plans in part.plans.items():
         for reason in reasons(plans.status):
-            at = np.nonzero(plans.status == reason)[1]
+            lost, at = np.nonzero(plans.status == reason)
             rows.append(
                 {
                     "method": method,
@@ -163,27 +165,39 @@ def stops(part: Part) -> Table:
                     "first_target": int(at.min()),
                     "median_target": float(np.median(at)),
                     "last_target": int(at.max()),
+                    "in_the_way": _bodies(part, method, part.numbers[lost].tolist()),
                     "targets": _tally(at),
                 }
             )
-    return _table("stops", STOPS, rows)
+    return _without_empty(_table("stops", STOPS, rows))
+
+
+def _bodies(part: Part, method: str, numbers: Sequence[int]) -> str | None:
+    """The bodies in the way in these scenarios, the commonest first; None where that is not known."""
+    found = [known for k in numbers if (known := part.scene.in_the_way(method).get(k)) is not None]
+    counts = Counter(each.body if each.reached else "out of reach" for each in found)
+    return ", ".join(f"{body} ({count})" for body, count in counts.most_common()) or None
 
 
 def scenarios(part: Part) -> Table:
     """One row a scenario and method: its parameters, how far it got, what ended it, how far it could have got."""
     columns = [Column("scenario", "scenario", "", "d"), *(Column(name, name) for name in part.parameters)]
     columns += [Column("method", "method"), Column("tracked", "tracked", "", "d"), Column("targets", "of", "", "d")]
-    columns += [Column("end", "end"), Column("reachable", "reachable", "", "d")]
-    rows = []
+    columns += [Column("drivable", "drivable", "", "d")]
+    columns += [Column("end", "end"), Column("in_the_way", "in the way"), Column("reachable", "reachable", "", "d")]
+    rows, reach = [], {method: drivable(plans).sum(axis=1) for method, plans in part.plans.items()}
     for s, number in enumerate(part.numbers.tolist()):
         given = {name: values[s].item() for name, values in part.parameters.items()}
         for method, plans in part.plans.items():
             status = plans.status[s]
             if (status != NO_TARGET).any():
                 count = {"tracked": int(tracked(status).sum()), "targets": int((status != NO_TARGET).sum())}
+                count["drivable"] = int(reach[method][s])
+                blocked = part.scene.in_the_way(method).get(number)
                 reachable = None if part.ceiling is None else int(part.ceiling[s])
                 row = {"scenario": number, **given, "method": method, **count}
-                rows.append({**row, "end": end(status), "reachable": reachable})
+                told = {"end": end(status), "in_the_way": blocked and blocked.sentence, "reachable": reachable}
+                rows.append({**row, **told})
     return _table("scenarios", columns, rows)
 
 

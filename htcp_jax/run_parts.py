@@ -13,6 +13,7 @@ from htcp_jax import paper
 from htcp_jax.errors import InputError
 from htcp_jax.metrics import is_tracked
 from htcp_jax.plans import Plans
+from htcp_jax.report_scene import RunScene
 from htcp_jax.run_folder import Run
 from htcp_jax.run_tables import NO_TARGET
 from htcp_jax.scenario_label import column_of, parameter_names, part, varying
@@ -33,6 +34,7 @@ class Part(NamedTuple):
     step_s: dict[str, float]  # run time by attempted targets, over the whole run
     joints: tuple[str, ...]
     run: Run
+    scene: RunScene
 
     @property
     def targets(self) -> int:
@@ -114,7 +116,7 @@ def read_parts(run: Run, name: str) -> list[Part]:
     numbers = table["scenario"].to_numpy()
     ceiling = read_ceiling(run)
     groups = np.array([group or "" for group in table["group"].to_pylist()])
-    parts = []
+    parts, scene = [], RunScene(run)
     for group in dict.fromkeys(groups.tolist()):
         here = groups == group
         parts.append(
@@ -128,6 +130,7 @@ def read_parts(run: Run, name: str) -> list[Part]:
                 step_s={method: _step_s(whole) for method, whole in plans.items()},
                 joints=run.manifest.joints,
                 run=run,
+                scene=scene,
             )
         )
     return parts

@@ -35,7 +35,7 @@ LAYERS = [
     ["fates", "picture", "sides"],
     ["api"],
     ["replay"],
-    ["report", "report_chapter", "report_tables", "report_validation", "run_parts"],
+    ["report", "report_best", "report_chapter", "report_scene", "report_tables", "report_validation", "run_parts"],
     ["gate_baseline", "gate"],
     ["doctor", "framing", "movie", "offscreen", "render", "viewer", "viewer_stage"],
     ["cli_output"],
