@@ -97,7 +97,8 @@ def success_map(
     panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
     for axes, method in zip(panels.flat, tracked, strict=False):
         image = _map(axes, shown[method], tracked[method], rows, columns, targets)
-        heading(axes, method, _shares(shown[method], tracked[method], targets))
+        share = _shares(shown[method], tracked[method], targets)
+        heading(axes, method if len(share) < 10 else f"{method}\n", share)  # two shares take a line of their own
     blank_the_rest(panels, len(tracked))
     outer_labels(panels, len(tracked), columns.label, rows.label)
     _scale(figure, image, panels, targets)
@@ -222,7 +223,7 @@ def _counted(tracked: Mapping[str, np.ndarray], shown: Mapping[str, np.ndarray],
 def _shares(shown: np.ndarray, tracked: np.ndarray, targets: int) -> str:
     if np.array_equal(shown, tracked, equal_nan=True):
         return _share(tracked, targets)
-    return f"{_share(shown, targets)} of {_share(tracked, targets)}"
+    return f"{_share(shown, targets)} ({_share(tracked, targets)})"
 
 
 def _share(values: Float[np.ndarray, "*n"], targets: int) -> str:
