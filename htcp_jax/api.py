@@ -16,6 +16,7 @@ from htcp_jax.escape import METHODS
 from htcp_jax.job import scene
 from htcp_jax.metrics import Summary, is_tracked, summarise
 from htcp_jax.notebook import html_facts
+from htcp_jax.obstruction import Obstruction, last_posture, obstruction
 from htcp_jax.picture import draw_plan
 from htcp_jax.plans import Plans
 from htcp_jax.results import (
@@ -79,9 +80,19 @@ class Plan:
             return told
         return f"{told}, the first to target {np.argmax(self.plans.path_clear[0] == 0)}"
 
+    @cached_property
+    def obstruction(self) -> Obstruction | None:
+        """What is in the way at the target that failed; None of a complete plan."""
+        failed = last_posture(self.plans, 0, self.scenario.x_start)
+        if failed is None:
+            return None
+        return obstruction(self.robot, self.workpiece, self.scenario, failed[1], failed[0], self.job.settings)
+
     def failure(self) -> dict[str, str]:
-        """Where the plan ended and why, in words; nothing of a complete one."""
+        """Where the plan ended, why, and what is in the way, in words; nothing of a complete one."""
         told = {f"failed at target {f.target}": f.status.message for f in self.summary.failures}
+        if self.obstruction is not None:
+            told["in the way"] = self.obstruction.sentence
         if blocked := self.summary.blocked_paths:
             told["not to be driven"] = f"{blocked} joint paths between tracked targets collide"
         return told
@@ -94,11 +105,13 @@ class Plan:
     def figure(self) -> Figure:
         """The arm in the workpiece cut open, and the clearance along the path."""
         title = f"{self.job.method}: {self.summary.tracked} of {self.summary.targets} targets"
-        return draw_plan(self.robot, self.workpiece, self.scenario, self.plans, title=title)
+        blocked = self.obstruction
+        return draw_plan(self.robot, self.workpiece, self.scenario, self.plans, title=title, obstruction=blocked)
 
     def record(self) -> dict[str, Any]:
         """What summary.json holds: the summary, the failed target in words, versions, the whole configuration."""
         known = {"method": self.job.method, "validated": None, **summary_record(self.summary)}
+        known["in_the_way"] = self.obstruction and self.obstruction.record()
         return {**known, **provenance(), "config": self.job.model_dump()}
 
     def write(self, folder: Path) -> None:

@@ -14,6 +14,7 @@ from htcp_jax.gate import Flip, Verdict, judge
 from htcp_jax.gate_baseline import bless as write_baseline
 from htcp_jax.gate_baseline import read_baseline
 from htcp_jax.run_folder import MANIFEST, Run, open_run
+from htcp_jax.scenario_label import labels_in, named
 
 PASSED, REGRESSION = 0, 1
 LISTED = 20  # scenarios on the terminal
@@ -22,20 +23,23 @@ RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="The folder that 
 File = Annotated[Path, typer.Option(metavar="FILE", help="The baseline, sweeps/baselines/workpiece.yaml for example.")]
 Bless = Annotated[bool, typer.Option("--bless", help="Write RUN into FILE as the new baseline.")]
 
-COLUMNS = (
+COUNTS = (
     Column("method", "method"),
+    Column("verdict", "verdict"),
     Column("was_tracked", "tracked", "before", ",d"),
     Column("tracked", "tracked", "now", ",d"),
     Column("targets", "of", "", ",d"),
     Column("worse", "scenarios", "earlier", "d"),
     Column("better", "scenarios", "further", "d"),
-    Column("was_share", "of reachable", "before %", ".2f"),
-    Column("share", "of reachable", "now %", ".2f"),
+)
+FIGURES = (
+    Column("method", "method"),
+    Column("was_share", "reachable", "before %", ".2f"),
+    Column("share", "reachable", "now %", ".2f"),
     Column("was_tcp_error_max_mm", "TCP error", "before mm", ".3f"),
     Column("tcp_error_max_mm", "TCP error", "now mm", ".3f"),
     Column("was_clearance_min_mm", "clearance", "before mm", ".3g"),
     Column("clearance_min_mm", "clearance", "now mm", ".3g"),
-    Column("verdict", "verdict"),
 )
 
 
@@ -88,12 +92,16 @@ def _record(verdict: Verdict) -> dict:
 
 def _print(run: Run, verdict: Verdict) -> None:
     console = stdout()
-    columns = [c for c in COLUMNS if any(getattr(row, c.key) is not None for row in verdict.rows)]
-    rows = tuple(tuple(getattr(row, column.key) for column in columns) for row in verdict.rows)
+    labels = labels_in(run) if verdict.flips else {}
     console.print(Text(run.manifest.name, style="bold"))
-    print_table(console, Table("gate", tuple(columns), rows))
+    for columns in (COUNTS, FIGURES):
+        known = [c for c in columns if any(getattr(row, c.key) is not None for row in verdict.rows)]
+        if known[1:]:
+            rows = tuple(tuple(getattr(row, column.key) for column in known) for row in verdict.rows)
+            print_table(console, Table("gate", tuple(known), rows))
+            console.print()
     for flip in verdict.flips[:LISTED]:
-        console.print(_told(flip))
+        console.print(_told(flip, labels))
     if len(verdict.flips) > LISTED:
         console.print(f"and {len(verdict.flips) - LISTED:,} more scenarios that flipped")
     if verdict.elsewhere:
@@ -107,7 +115,7 @@ def _print(run: Run, verdict: Verdict) -> None:
     console.print(Text("passed", "bold green") if verdict.passed else Text("FAILED", "bold red"))
 
 
-def _told(flip: Flip) -> Text:
+def _told(flip: Flip, labels: dict[int, str]) -> Text:
     style = "red" if flip.worse else "green" if flip.better else "dim"
-    where = f"{flip.method}, scenario {flip.scenario}: first at target {flip.target}, "
+    where = f"{flip.method}, scenario {named(flip.scenario, labels)}: first at target {flip.target}, "
     return Text.assemble((where, style), f"{flip.was.tracked} tracked before, {flip.now.tracked} now; {flip.reason}")

@@ -101,4 +101,6 @@ def _print(replay: Replay, shown: int, files: list[str], as_json: bool) -> None:
     facts = {"targets tracked": tracked, "the arm is at": f"target {shown}"}
     if replay.failed is not None:
         facts["failed at"] = f"target {replay.failed}"
-    print_facts(f"{replay.method}, scenario {replay.number}", facts | {"files": ", ".join(files)})
+    if replay.obstruction is not None:
+        facts["in the way"] = replay.obstruction.sentence
+    print_facts(f"{replay.method}, scenario {replay.label}", facts | {"files": ", ".join(files)})

@@ -1,6 +1,6 @@
 """`htcp sweep`: a grid of scenarios by several methods, from a sweep file to a run folder and a table."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -13,11 +13,13 @@ from rich.text import Text
 from htcp_jax import devices
 from htcp_jax import sweep as sweeps
 from htcp_jax.cli_methods import complete_methods
-from htcp_jax.cli_output import Device, Json, print_json, stdout
+from htcp_jax.cli_output import Device, Json, print_json, print_table, stdout
+from htcp_jax.document import Column, Table
 from htcp_jax.escape import METHODS
-from htcp_jax.metrics import Summary, summarise
+from htcp_jax.metrics import summarise
 from htcp_jax.results import summary_record
 from htcp_jax.run_folder import Run
+from htcp_jax.run_parts import drivable
 
 SweepFile = Annotated[Path, typer.Argument(metavar="SWEEP.yaml", help="The grid, sweeps/robot.yaml for example.")]
 Methods = Annotated[
@@ -121,42 +123,50 @@ def _bars() -> Iterator[Callable[[sweeps.SweepProgress], None]]:
         yield tell
 
 
-HEADS = "method", "success", "targets", "complete", "a step", "TCP distance", "clearance", "blocked", "run", "compile"
-UNITS = "", "%", "tracked", "scenarios", "ms", "mean mm", "min / mean mm", "paths", "s", "s"
+COUNTS = (
+    Column("method", "method"),
+    Column("success", "success", "%", ".2f"),
+    Column("tracked", "tracked", "targets", ",d"),
+    Column("targets", "of", "", ",d"),
+    Column("drivable", "drivable", "targets", ",d"),
+    Column("complete", "complete", "scenarios", ",d"),
+    Column("scenarios", "of", "", ",d"),
+    Column("blocked", "blocked", "paths", ",d"),
+)
+FIGURES = (
+    Column("method", "method"),
+    Column("step_ms", "a step", "ms", ".2f"),
+    Column("tcp", "TCP distance", "mean mm", ".3g"),
+    Column("clearance_min", "clearance", "min mm", ".3g"),
+    Column("clearance_mean", "clearance", "mean mm", ".3g"),
+    Column("run_s", "run", "s", ".1f"),
+    Column("compile_s", "compile", "s", ".1f"),
+)
 
 
 def _print_table(run: Run) -> None:
-    rows = [_cells(method, summarise(run.plans(method))) for method in _finished(run)]
-    widths = [max(map(len, column)) for column in zip(HEADS, UNITS, *rows, strict=True)]
+    """The columns of the paper's tables, and the counts behind them."""
     console = stdout()
     limit = (
         "" if run.manifest.limit is None else f", the first {run.manifest.count:,} of {run.manifest.full:,} scenarios"
     )
     console.print(Text(f"{run.manifest.name}{limit}", style="bold"))
-    for cells, style in ((HEADS, "cyan"), (UNITS, "dim cyan"), *((row, "") for row in rows)):
-        console.print(Text(_line(cells, widths), style=style))
+    plans = {method: run.plans(method) for method in _finished(run)}
+    found = {method: summarise(whole) for method, whole in plans.items()}
+    counts = [
+        (m, 100 * s.success_rate, s.tracked, s.targets, int(drivable(plans[m]).sum()), s.complete, s.scenarios,
+         s.blocked_paths)
+        for m, s in found.items()
+    ]  # fmt: skip
+    figures = [
+        (m, s.step_ms, s.tcp_distance_mean_mm, s.clearance_min_mm, s.clearance_mean_mm, s.run_s, s.compile_s)
+        for m, s in found.items()
+    ]
+    for columns, rows in ((COUNTS, counts), (FIGURES, figures)):
+        print_table(console, Table("sweep", columns, tuple(rows)))
+        console.print()
+    console.print(Text("Drivable: tracked before the first blocked joint path of the scenario.", style="dim"))
     for method, count in run.unfinished().items():
         told = f"{count:,} of {run.manifest.count:,} scenarios left; --methods {method} plans them"
         console.print(Text.assemble(("unfinished  ", "yellow"), f"{method}: {told}"))
     console.print(Text.assemble(("files  ", "cyan"), str(run.folder)))
-
-
-def _cells(method: str, s: Summary) -> tuple[str, ...]:
-    """One row: the columns of the paper's tables, and the counts behind them."""
-    return (
-        method,
-        f"{100 * s.success_rate:.2f}",
-        f"{s.tracked:,} of {s.targets:,}",
-        f"{s.complete:,} of {s.scenarios:,}",
-        f"{s.step_ms:.2f}",
-        f"{s.tcp_distance_mean_mm:.3g}",
-        f"{s.clearance_min_mm:.3g} / {s.clearance_mean_mm:.3g}",
-        f"{s.blocked_paths:,}",
-        f"{s.run_s:.1f}",
-        f"{s.compile_s:.1f}",
-    )
-
-
-def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
-    first, *others = [f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True)]
-    return "  ".join([f"{first.strip():<{widths[0]}}", *others])

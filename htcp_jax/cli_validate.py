@@ -11,7 +11,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.text import Text
 
 from htcp_jax.cli_output import Json, print_json, print_table, stdout
-from htcp_jax.report_validation import notes, validation_tables
+from htcp_jax.report_validation import notes, told_apart, validation_tables
+from htcp_jax.run_folder import MANIFEST, open_run
+from htcp_jax.scenario_label import labels_in, named
 from htcp_jax.validate import VALIDATION, Validation, record, write_validation
 from htcp_jax.validate import validate as check
 
@@ -62,10 +64,11 @@ def _print(run: Path, found: Validation) -> None:
     for table in validation_tables(told):
         print_table(console, table)
         console.print()
-    for line in notes(told):
+    labels = labels_in(open_run(run)) if (run / MANIFEST).exists() else {}
+    for line in (*told_apart(told, labels), *notes(told)):
         console.print(Text(line, style="dim"))
     for one in found.refuted[:LISTED]:
-        where = f"{one.method}, scenario {one.scenario}, target {one.target}: "
+        where = f"{one.method}, scenario {named(one.scenario, labels)}, target {one.target}: "
         console.print(Text.assemble((where, "red"), one.reason))
     if len(found.refuted) > LISTED:
         console.print(f"and {len(found.refuted) - LISTED:,} more")

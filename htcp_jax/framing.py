@@ -6,10 +6,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from htcp_jax.fates import is_tool
-from htcp_jax.picture import View, side_view
 from htcp_jax.replay import Replay
+from htcp_jax.sides import ABOVE_RAD, View, towards_camera
 
-ASIDE_RAD, ABOVE_RAD = np.radians(-28.0), np.radians(16.0)  # of the side view
 FILLED = 0.94  # share of the picture that what is looked at may fill
 
 
@@ -21,9 +20,8 @@ class Sight(NamedTuple):
 
 
 def open_side(replay: Replay) -> View:
-    """The side from which the cloud is cut open: the one without the path, square to the way it leads."""
-    path = replay.target[replay.path :]
-    return side_view(replay.cloud, path if len(path) > 1 else replay.target)
+    """The side from which the cloud is cut open."""
+    return replay.side.view
 
 
 def kept(replay: Replay, share: float = 0.5, direction: Float[np.ndarray, "3"] | None = None) -> Bool[np.ndarray, "P"]:
@@ -36,8 +34,8 @@ def kept(replay: Replay, share: float = 0.5, direction: Float[np.ndarray, "3"] |
 def sight(replay: Replay, shown: slice, fovy_rad: float, aspect: float, close: bool = False) -> Sight:
     """From where the cloud, the targets and the arm at the targets shown are seen whole; close: of the targets only the
     path, of the arm only the tool."""
-    near = open_side(replay).near
-    azimuth = np.arctan2(-near[1], -near[0]) + ASIDE_RAD
+    toward = towards_camera(*replay.side, 0.0)
+    azimuth = np.arctan2(-toward[1], -toward[0])
     on_tool = is_tool(replay.robot)
     bodies = on_tool if close else np.ones_like(on_tool)
     ends = np.concatenate([replay.p[shown][:, bodies], replay.q[shown][:, bodies]])

@@ -4,8 +4,6 @@ The scene is drawn in orthographic projection from the side, where a capsule's o
 circles and two lines. Drawing needs no screen.
 """
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,35 +13,33 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
 from matplotlib.ticker import FuncFormatter
 
 from htcp_jax.fates import FAILED, INK, LINKS, PAPER, TOOL, WALL, fates, is_tool
 from htcp_jax.kinematics import capsule_segments, tcp_position
 from htcp_jax.metrics import Failure, failures, is_tracked
+from htcp_jax.obstruction import Obstruction
 from htcp_jax.plans import Plans
 from htcp_jax.robot import Robot
 from htcp_jax.scenario import Scenario
+from htcp_jax.sides import Bodies, View, flat_side
 from htcp_jax.workpiece import Workpiece
 
 DEPTH = LinearSegmentedColormap.from_list("wall", WALL)
 
 
-class View(NamedTuple):
-    """A side view of the world: a point projects to (right @ p, up @ p), nearer ones have larger near @ p."""
-
-    right: Float[np.ndarray, "3"]
-    up: Float[np.ndarray, "3"]
-    near: Float[np.ndarray, "3"]
-
-    def flat(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
-        return np.stack([points @ self.right, points @ self.up], axis=-1)
-
-
 def draw_plan(
-    robot: Robot, workpiece: Workpiece, scenario: Scenario, plans: Plans, row: int = 0, title: str = ""
+    robot: Robot,
+    workpiece: Workpiece,
+    scenario: Scenario,
+    plans: Plans,
+    row: int = 0,
+    title: str = "",
+    obstruction: Obstruction | None = None,
 ) -> Figure:
-    """The plan of `scenario`, which is row `row` of `plans`; `robot` has the scenario's tool. Save it with
-    `figure.savefig(path)`."""
+    """The plan of `scenario`, which is row `row` of `plans`; `robot` has the scenario's tool. obstruction: what is in
+    the way at the target that failed, drawn in red. Save it with `figure.savefig(path)`."""
     figure = Figure(figsize=(14, 9.6), dpi=120, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.1, rect=(0, 0, 0.985, 1))
@@ -51,29 +47,47 @@ def draw_plan(
     grid = figure.add_gridspec(2, 2, height_ratios=(1.4, 1), width_ratios=(1.12, 1))
     T = np.asarray(scenario.T_world_workpiece)
     cloud = workpiece.cloud @ T[:3, :3].T + T[:3, 3]
-    view = side_view(cloud, plans.target[row])
-    shown = poses(plans, row)
-    x = plans.x[row, shown] if shown else np.asarray(scenario.x_start)[None]
-    for column, heading in enumerate((_pose_heading(shown), "Inside")):
-        axes = figure.add_subplot(grid[0, column])
-        _draw_wall(axes, view, cloud)
-        _draw_arm(axes, view, robot, x)
-        _draw_targets(axes, view, plans, row)
-        _frame(axes, view.flat(cloud) if column else None)
-        _heading(axes, heading)
-    _draw_clearance(figure.add_subplot(grid[1, :]), plans, row, float(scenario.margin_m))
+    _draw_scene(figure, grid, robot, cloud, plans, row, np.asarray(scenario.x_start)[None], obstruction)
+    told = obstruction.sentence if obstruction is not None else ""
+    _draw_clearance(figure.add_subplot(grid[1, :]), plans, row, float(scenario.margin_m), told)
     return figure
 
 
-def side_view(cloud: Float[np.ndarray, "P 3"], targets: Float[np.ndarray, "T 3"]) -> View:
-    """Level, square to the way the targets lead, from the side of the cloud where they are not."""
-    ahead = (targets[-1] - targets[0]) * [1, 1, 0]
-    ahead = ahead / np.linalg.norm(ahead) if np.linalg.norm(ahead) > 1e-6 else np.array([1.0, 0, 0])
-    up = np.array([0.0, 0, 1])
-    near = np.cross(ahead, up)
-    if near @ (targets[-1] - cloud.mean(axis=0)) > 0:
-        near = -near
-    return View(np.cross(up, near), up, near)
+def _draw_scene(
+    figure: Figure,
+    grid: GridSpec,
+    robot: Robot,
+    cloud: Float[np.ndarray, "P 3"],
+    plans: Plans,
+    row: int,
+    x_start: Float[np.ndarray, "1 N"],
+    obstruction: Obstruction | None = None,
+) -> None:
+    """Two views of the same: of everything, and of the workpiece."""
+    shown = poses(plans, row)
+    x = plans.x[row, shown] if shown else x_start
+    arm = _segments(robot, x)
+    view = flat_side(cloud, plans.target[row], Bodies(*arm[:2], np.asarray(robot.capsule_radius), is_tool(robot)))
+    for column, heading in enumerate((_pose_heading(shown), "Inside")):
+        axes = figure.add_subplot(grid[0, column])
+        _draw_wall(axes, view, cloud)
+        _draw_arm(axes, view, robot, *arm)
+        _draw_targets(axes, view, plans, row)
+        if obstruction is not None:
+            _draw_obstruction(axes, view, robot, obstruction)
+        _frame(axes, view.flat(cloud) if column else None)
+        _heading(axes, heading)
+
+
+def draw_cell(
+    robot: Robot, cloud: Float[np.ndarray, "P 3"], x_start: Float[np.ndarray, "1 N"], plans: Plans, title: str
+) -> Figure:
+    """The arm in the workpiece cut open, and nothing else, of plans of one scenario; cloud: in the world [m]."""
+    figure = Figure(figsize=(14, 5.6), dpi=120, facecolor=PAPER, layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, color=INK, fontsize=16, fontweight="bold", x=0.015, ha="left")
+    _draw_scene(figure, figure.add_gridspec(1, 2, width_ratios=(1.12, 1)), robot, cloud, plans, 0, x_start)
+    return figure
 
 
 def poses(plans: Plans, row: int) -> list[int]:
@@ -92,14 +106,26 @@ def _draw_wall(axes: Axes, view: View, cloud: Float[np.ndarray, "P 3"]) -> None:
     axes.scatter(*flat.T, c=cut - depth[behind], cmap=DEPTH, s=1.2, linewidths=0, rasterized=True, zorder=1)
 
 
-def _draw_arm(axes: Axes, view: View, robot: Robot, x: Float[np.ndarray, "W N"]) -> None:
-    """The capsules of several configurations: the last one solid, with its bare tip; the others shadows."""
+def _segments(robot: Robot, x: Float[np.ndarray, "W N"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ends of the capsules' axes, and the TCP, of several configurations."""
     parts = jax.jit(jax.vmap(lambda x: (*capsule_segments(robot, x), tcp_position(robot, x))))(jnp.asarray(x))
     p, q, tcp = map(np.asarray, parts)
+    return p, q, tcp
+
+
+def _draw_arm(
+    axes: Axes,
+    view: View,
+    robot: Robot,
+    p: Float[np.ndarray, "W K 3"],
+    q: Float[np.ndarray, "W K 3"],
+    tcp: Float[np.ndarray, "W 3"],
+) -> None:
+    """The capsules at several configurations: the last one solid, with its bare tip; the others shadows."""
     radius = np.asarray(robot.capsule_radius)
     colours = np.where(is_tool(robot), TOOL, LINKS)
-    for pose in range(len(x)):
-        solid = pose == len(x) - 1
+    for pose in range(len(p)):
+        solid = pose == len(p) - 1
         order = np.argsort((p + q)[pose] @ view.near)
         bodies = PolyCollection(
             [stadium(view.flat(p[pose, k]), view.flat(q[pose, k]), radius[k]) for k in order],
@@ -112,6 +138,17 @@ def _draw_arm(axes: Axes, view: View, robot: Robot, x: Float[np.ndarray, "W N"])
     ends = np.concatenate([p[-1], q[-1]])
     nearest = ends[np.argmin(np.linalg.norm(ends - tcp[-1], axis=1))]
     axes.plot(*view.flat(np.stack([nearest, tcp[-1]])).T, color=TOOL, linewidth=2.5, zorder=3)
+
+
+def _draw_obstruction(axes: Axes, view: View, robot: Robot, found: Obstruction) -> None:
+    """The body in the way, where it would be at the failed target, and the point where it meets the wall."""
+    p, q, _ = _segments(robot, found.x[None])
+    k = robot.capsule_names.index(found.body)
+    outline = stadium(view.flat(p[0, k]), view.flat(q[0, k]), float(robot.capsule_radius[k]))
+    body = PolyCollection([outline], facecolors=[to_rgba(FAILED, 0.12)], edgecolors=FAILED, linewidths=1.2, zorder=4)
+    body.set_linestyle("--")
+    axes.add_collection(body)
+    axes.scatter(*view.flat(found.point[None]).T, s=90, marker="+", color=FAILED, linewidths=1.6, zorder=6)
 
 
 def stadium(p: Float[np.ndarray, "2"], q: Float[np.ndarray, "2"], radius: float) -> Float[np.ndarray, "64 2"]:
@@ -162,13 +199,13 @@ def _heading(axes: Axes, text: str) -> None:
     axes.set_title(text, color=INK, fontsize=12, loc="left")
 
 
-def _draw_failure(axes: Axes, failure: Failure, targets: int) -> None:
+def _draw_failure(axes: Axes, failure: Failure, targets: int, told: str) -> None:
     """A line at the failed target, its reason where there is more room, grey where nothing was attempted."""
     axes.axvspan(failure.target + 0.5, targets, color="#eef0f2", linewidth=0, zorder=0)
     axes.axvline(failure.target, color=FAILED, linewidth=1.2, zorder=1)
     side, align = (-7, "right") if failure.target > targets / 2 else (7, "left")
     axes.annotate(
-        f"target {failure.target}: {failure.status.message}",
+        "\n".join(filter(None, (f"target {failure.target}: {failure.status.message}", told))),
         (failure.target, 1.0),
         (side, -7),
         xycoords=("data", "axes fraction"),
@@ -180,7 +217,7 @@ def _draw_failure(axes: Axes, failure: Failure, targets: int) -> None:
     )
 
 
-def _draw_clearance(axes: Axes, plans: Plans, row: int, margin_m: float) -> None:
+def _draw_clearance(axes: Axes, plans: Plans, row: int, margin_m: float, told: str) -> None:
     """Clearance over target index, on a logarithmic scale: what matters happens where it is smallest."""
     status, clearance_mm = plans.status[row], 1e3 * plans.clearance[row]
     index = np.arange(len(status))
@@ -195,7 +232,7 @@ def _draw_clearance(axes: Axes, plans: Plans, row: int, margin_m: float) -> None
         style = {"color": INK, "linewidth": 0.9, "linestyle": "--", "zorder": 1}
         axes.axhline(1e3 * margin_m, label="margin asked for", **style)
     for failure in failures(plans.status[row : row + 1]):
-        _draw_failure(axes, failure, len(status))
+        _draw_failure(axes, failure, len(status), told)
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.set_xlim(-1, len(status))
     axes.set_xlabel("target", color=INK)

@@ -21,6 +21,7 @@ from htcp_jax.replay import Replay, with_tip
 from htcp_jax.surface import discs
 
 BEAD_M, FAILED_M, TIP_M = 0.008, 0.018, 0.007  # radii of the targets, the failed one, the tool's bare tip
+MARK_M, NEAREST, NOWHERE = 0.012, "#b5179e", [0.0] * 4  # of where the body in the way meets the workpiece
 STRIDE_M = 0.04  # nothing moves further from one frame of a movie to the next
 FLOOR, EDGE, SKY = (0.95, 0.955, 0.96), (0.85, 0.87, 0.89), (0.92, 0.935, 0.95)
 FOVY_DEG = 32.0
@@ -54,6 +55,7 @@ class Studio:
         self._beads = np.array([self._model.geom(f"target {t}").id for t in range(len(replay.target))])
         self._fate_rgba = self._model.geom_rgba[self._beads].copy()
         self._not_yet = _rgba(fates(replay.status)[0].colour)
+        self._in_the_way = _in_the_way(replay, self._model)
 
     def __enter__(self) -> "Studio":
         return self
@@ -80,6 +82,8 @@ class Studio:
         self._model.geom_rgba[self._beads] = np.where(
             np.arange(len(self._beads))[:, None] < met, self._fate_rgba, self._not_yet
         )
+        for geom, shown, else_shown in self._in_the_way:
+            self._model.geom_rgba[geom] = shown if posture.target == self._replay.failed else else_shown
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
         return self._camera.shoot(self._data, view)
@@ -125,23 +129,37 @@ def _model(replay: Replay, width: int, height: int, fine: bool) -> mujoco.MjMode
     ends = with_tip(*at(replay, 0)[:3])
     radius = np.append(np.asarray(replay.robot.capsule_radius), TIP_M)
     colours = [*np.where(is_tool(replay.robot), TOOL, LINKS), TOOL]
-    for p, q, r, colour in zip(*ends, radius, colours, strict=True):
+    for k, (p, q, r, colour) in enumerate(zip(*ends, radius, colours, strict=True)):
         half = np.linalg.norm(q - p) / 2
         kind = {"type": _Geom.mjGEOM_CAPSULE} if half > 0 else {"type": _Geom.mjGEOM_SPHERE}
         body = spec.worldbody.add_body(mocap=True)
-        body.add_geom(**kind, size=[r, half, 0], rgba=_rgba(colour), **UNTOUCHED)
+        body.add_geom(name=f"body {k}", **kind, size=[r, half, 0], rgba=_rgba(colour), **UNTOUCHED)
     spec.add_material(name="bead", emission=0.35)
     for fate in fates(replay.status):
         bead = {"type": _Geom.mjGEOM_SPHERE, "size": [FAILED_M if fate.colour == FAILED else BEAD_M, 0, 0]}
         for t in np.flatnonzero(fate.where).tolist():
             place = {"name": f"target {t}", "pos": replay.target[t]}
             spec.worldbody.add_geom(**place, **bead, material="bead", rgba=_rgba(fate.colour), **UNTOUCHED)
+    if replay.obstruction is not None:
+        ball = {"type": _Geom.mjGEOM_SPHERE, "size": [MARK_M, 0, 0], "pos": replay.obstruction.point}
+        spec.worldbody.add_geom(name="in the way", **ball, material="bead", rgba=NOWHERE, **UNTOUCHED)
     _add_cloud(spec, replay)
     low = min(0.0, replay.cloud[:, 2].min(), (np.minimum(replay.p, replay.q)[..., 2] - radius[:-1]).min())
     _add_room(spec, replay, low, fine)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
     spec.visual.global_.fovy = FOVY_DEG
     return spec.compile()
+
+
+def _in_the_way(replay: Replay, model: mujoco.MjModel) -> list[tuple[int, list[float], np.ndarray]]:
+    """The geoms that stand out at the failed target, the body in the way and the place, with their colours there and
+    elsewhere."""
+    if replay.obstruction is None:
+        return []
+    names = f"body {replay.robot.capsule_names.index(replay.obstruction.body)}", "in the way"
+    colours = _rgba(FAILED), _rgba(NEAREST)
+    geoms = [model.geom(name).id for name in names]
+    return [(geom, colour, model.geom_rgba[geom].copy()) for geom, colour in zip(geoms, colours, strict=True)]
 
 
 def _add_cloud(spec: mujoco.MjSpec, replay: Replay) -> None:

@@ -7,7 +7,7 @@
 A picture or a viewer needs nothing else of the package than a `Replay`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,18 +21,23 @@ from htcp_jax.api import Plan
 from htcp_jax.clearance import Obstacle, contacts, make_obstacle
 from htcp_jax.config import PlanConfig, validate
 from htcp_jax.errors import InputError
+from htcp_jax.fates import is_tool
 from htcp_jax.job import robot_of, scene, workpiece_of
 from htcp_jax.kinematics import capsule_segments, tcp_position
 from htcp_jax.metrics import is_tracked
+from htcp_jax.obstruction import Obstruction, last_posture, obstructions
 from htcp_jax.plans import Plans
 from htcp_jax.results import SUMMARY, TRAJECTORY, read_plan
 from htcp_jax.robot import Robot, lengthen_tool
 from htcp_jax.run_folder import MANIFEST, Run, open_run
 from htcp_jax.run_identity import file_hash
 from htcp_jax.scenario import gate_of, with_own_tool
+from htcp_jax.scenario_label import labels_of
+from htcp_jax.sides import Bodies, Side, camera_side
 from htcp_jax.surface import Surface, surface_of
 from htcp_jax.workpiece import Workpiece
 
+LOOKED_AT = 5  # postures by which the side to look from is chosen
 ARRAYS = tuple(name for name in Plans._fields if name not in ("compile_s", "run_s"))
 XYZ = "xyz"
 
@@ -55,10 +60,12 @@ class Witness(NamedTuple):
 
 
 class Replay(NamedTuple):
-    """One method's plan of one scenario. Where a target is not tracked, the arm stays where it was before."""
+    """One method's plan of one scenario. At the target that failed the arm is brought there all the same, into what is
+    in the way; where nothing was attempted it stays where it was tracked last."""
 
     method: str
     number: int  # of the scenario
+    label: str  # its number and what sets it apart
     robot: Robot  # with the scenario's tool
     surface: Surface  # of the cloud; world [m], as is all that follows
     path: int  # targets from here on are the tool path; the ones before lead to it
@@ -71,6 +78,8 @@ class Replay(NamedTuple):
     q: Float[np.ndarray, "T K 3"]
     tcp: Float[np.ndarray, "T 3"]
     witness: Witness
+    obstruction: Obstruction | None  # at the target that failed
+    side: Side  # to look from
 
     @property
     def cloud(self) -> Float[np.ndarray, "P 3"]:
@@ -106,7 +115,7 @@ class Shelf:
     """The plans of one robot and one workpiece: several scenarios by several methods.
 
     plans: by the name of a method, rows in the order of the scenarios' numbers from 0; -1 in its status where there
-    is nothing.
+    is nothing. labels: what sets scenarios apart, by number, see `scenario_label`.
     """
 
     def __init__(
@@ -118,7 +127,9 @@ class Shelf:
         methods: tuple[str, ...],
         plans: Callable[[str], Plans],
         placements: dict[int, Placement],
+        labels: dict[int, str] | None = None,
     ):
+        self.labels = labels or {}
         self.name, self.robot, self.workpiece, self.methods = name, robot, workpiece, methods
         self._config, self._placements = config, placements
         self.plans = lru_cache(maxsize=None)(plans)
@@ -144,16 +155,26 @@ class Shelf:
         row = {name: getattr(self.plans(method), name)[number] for name in ARRAYS}
         there = row["status"] >= 0
         x = _held(row["x"][there], placement.x_start)
+        blocked = self.obstructions(method, [number]).get(number)
+        if blocked is not None:
+            x[last_posture(self.plans(method), number, placement.x_start)[0]] = blocked.x
         robot = lengthen_tool(self.robot, placement.tool_extension_m)
         p, q, tcp, body, near, far = map(np.asarray, _looked_at(robot, self._obstacle, placement, jnp.asarray(x)))
         names = [self.robot.capsule_names[k] for k in body.tolist()]
+        surface = self._surface.placed(placement.T_world_workpiece)
+        path = min(1 + self._config.workpiece.approach_to_inlet + self._config.workpiece.approach_to_path, len(x))
+        target, good = row["target"][there], np.flatnonzero(is_tracked(row["status"][there]))
+        shown = good[good >= path] if (good >= path).any() else good if good.size else np.zeros(1, int)
+        shown = shown[np.linspace(0, len(shown) - 1, LOOKED_AT).round().astype(int)]
+        arm = Bodies(p[shown], q[shown], np.asarray(robot.capsule_radius), is_tool(robot))
         return Replay(
             method=method,
             number=number,
+            label=self.label(number),
             robot=robot,
-            surface=self._surface.placed(placement.T_world_workpiece),
-            path=min(1 + self._config.workpiece.approach_to_inlet + self._config.workpiece.approach_to_path, len(x)),
-            target=row["target"][there],
+            surface=surface,
+            path=path,
+            target=target,
             status=row["status"][there],
             clearance=row["clearance"][there],
             residual=row["residual"][there],
@@ -162,7 +183,27 @@ class Shelf:
             q=q,
             tcp=tcp,
             witness=Witness(names, near, far),
+            obstruction=blocked,
+            side=camera_side(surface.points, target[path:] if len(target) > path + 1 else target, arm),
         )
+
+    def label(self, number: int) -> str:
+        """A scenario's number and what sets it apart."""
+        return f"{number}: {self.labels[number]}" if self.labels.get(number) else str(number)
+
+    def obstructions(self, method: str, numbers: Sequence[int] | None = None) -> dict[int, Obstruction]:
+        """What is in the way in the scenarios that failed, of those numbers or of all; one call for hundreds."""
+        plans = self.plans(method)
+        there = sorted(self._placements) if numbers is None else numbers
+        ends = {k: last_posture(plans, k, self._placements[k].x_start) for k in there if k < len(plans.status)}
+        failed = {k: end for k, end in ends.items() if end is not None}
+        if not failed:
+            return {}
+        where = jax.tree.map(lambda *leaves: np.stack(leaves), *(self._placements[k] for k in failed))
+        x = np.stack([posture for _, posture in failed.values()])
+        targets = np.stack([plans.target[k, target] for k, (target, _) in failed.items()])
+        found = obstructions(self.robot, self._obstacle, where, x, targets, self._config.settings)
+        return dict(zip(failed, found, strict=True))
 
     @cached_property
     def _obstacle(self) -> Obstacle:
@@ -201,12 +242,13 @@ def _of_run(run: Run) -> Shelf:
         if file_hash(file) != known:
             raise InputError(f"{file} is not what it was when {run.folder} was planned")
     methods = tuple(dict.fromkeys(shard.method for shard in run.manifest.shards))
-    config, rows = run.config, run.scenarios(*methods).to_pylist()
+    config, table = run.config, run.scenarios(*methods)
+    rows = table.to_pylist()
     # The targets are on record, so that the paths of the scenarios are not needed.
     robot = robot_of(config.robot)
     workpiece = workpiece_of(config.workpiece, robot)
     placements = {row["scenario"]: _placement(row, robot, workpiece, run.manifest.joints) for row in rows}
-    return Shelf(str(run.folder), config, robot, workpiece, methods, run.plans, placements)
+    return Shelf(str(run.folder), config, robot, workpiece, methods, run.plans, placements, labels_of(table))
 
 
 def _placement(row: dict[str, Any], robot: Robot, workpiece: Workpiece, joints: tuple[str, ...]) -> Placement:

@@ -13,10 +13,12 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from htcp_jax import report_tables
+from htcp_jax.config import PlanConfig
 from htcp_jax.document import Block, Column, Heading, Picture, Table, html, markdown, png, write_csv
 from htcp_jax.errors import InputError
 from htcp_jax.escape import METHODS
-from htcp_jax.report_chapter import chapter, choice, presets
+from htcp_jax.report_best import best
+from htcp_jax.report_chapter import chapter, choice, fits_presets, presets
 from htcp_jax.report_validation import validated
 from htcp_jax.run_folder import Run, open_run
 from htcp_jax.run_parts import Part, read_parts
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
 
 TABLES = (
     report_tables.results,
+    best,
     report_tables.ceiling,
     report_tables.stops,
     report_tables.steps,
@@ -132,12 +135,23 @@ def _appendix(parts: Sequence[Part]) -> list[Block]:
         (Column("method", "method"), Column("title", "name"), Column("what", "what it does when stuck")),
         tuple((method, METHODS[method].title, METHODS[method].sentence) for method in known),
     )
+    beside = presets() if any(fits_presets(part) for part in parts) else {}
     return [
         Heading(2, "What was run"),
-        "Keys of the configuration in which the runs and the two configurations that ship are not all the same.",
-        report_tables.configuration(ran, presets()),
+        *_compared(ran, beside),
         about,
         *(f"{name}: {_provenance(run)}" for name, run in {part.run_name: part.run for part in parts}.items()),
+    ]
+
+
+def _compared(ran: dict[str, PlanConfig], beside: dict[str, PlanConfig]) -> list[Block]:
+    """The runs' configurations beside each other, and beside the ones that ship where these have the same scene."""
+    if not beside and len(ran) < 2:
+        return []
+    others = " and the two configurations that ship" if beside else ""
+    return [
+        f"Keys of the configuration in which the runs{others} are not all the same.",
+        report_tables.configuration(ran, beside),
     ]
 
 

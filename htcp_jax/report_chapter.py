@@ -10,8 +10,10 @@ from htcp_jax import charts, paper, report_tables
 from htcp_jax.config import PlanConfig, validate
 from htcp_jax.document import Block, Heading, Picture
 from htcp_jax.path_charts import words
+from htcp_jax.plans import Plans
+from htcp_jax.report_best import best_of_all
 from htcp_jax.report_validation import validation_section, verdict
-from htcp_jax.run_parts import Part, tracked
+from htcp_jax.run_parts import Part, drivable, tracked
 from htcp_jax.run_tables import NO_TARGET
 
 MOST_SLICES = 9  # maps in a row
@@ -33,6 +35,8 @@ def chapter(part: Part, prefix: str, level: int) -> list[Block]:
         *_ceiling(part),
         Picture(f"{prefix}success", _success(part), f"Success of each method on {part.name}"),
         *_maps(part, prefix),
+        Heading(level, "Best scenarios"),
+        *best_of_all(part, prefix),
         Heading(level, "Failures"),
         *_ends(part, prefix),
         Heading(level, "Clearance and joint motion"),
@@ -51,7 +55,7 @@ def facts(part: Part) -> list[str]:
     """What was run, in sentences."""
     manifest = part.run.manifest
     grid = " x ".join(f"{len(values)}" for values in part.axes.values())
-    varied = ", ".join(label(name).split(" [")[0] for name in part.axes)
+    varied = ", ".join(f"{label(name).split(' [')[0]}{_range(name, values)}" for name, values in part.axes.items())
     over = f", a grid of {grid} over {varied}" if len(part.axes) > 1 else f" over {varied}" if part.axes else ""
     lines = [f"{len(part.numbers):,} scenarios{over}; up to {part.targets} targets each; seed {manifest.seed}."]
     scene = part.run.config
@@ -68,13 +72,35 @@ def facts(part: Part) -> list[str]:
     return lines
 
 
+def _range(name: str, values: np.ndarray) -> str:
+    """From where to where an axis goes, with its unit; angles in degrees too."""
+    unit = name.rpartition("_")[2]
+    if unit not in UNITS:
+        return ""
+    low, high = float(values[0]), float(values[-1])
+    degrees = f", {np.degrees(low):.3g} to {np.degrees(high):.3g} degrees" if unit == "rad" else ""
+    return f" ({low:g} to {high:g} {unit}{degrees})"
+
+
 def choice(part: Part) -> str:
-    """Which of the shipped configurations was run, and every key that differs from it."""
+    """Which of the shipped configurations was run, and every key that differs from it; of a job with a scene of its own
+    only the margin and the settings that are not the default."""
     ran = part.run.config
+    if not fits_presets(part):
+        differ = report_tables.differences(ran, PlanConfig())
+        own = ", ".join(f"{key} {value}" for key, value in differ.items() if key.startswith("settings."))
+        return f"margin {1e3 * ran.margin_m:g} mm, {own or 'settings as they are by default'}"
     differ = {name: report_tables.differences(ran, preset) for name, preset in presets().items()}
     nearest = min(differ, key=lambda name: len(differ[name]))
     told = ", ".join(f"{key} {value}" for key, value in differ[nearest].items())
     return f"{nearest}, apart from {told}" if told else nearest
+
+
+def fits_presets(part: Part) -> bool:
+    """Whether the configurations that ship speak of the same scene: the built-in one, or the paper's own grid."""
+    scene = part.run.config
+    names = scene.robot.model, scene.workpiece.cloud, scene.workpiece.path
+    return all(name in BUILT_IN for name in names) or part.paper_table is not None
 
 
 def presets() -> dict[str, PlanConfig]:
@@ -99,6 +125,7 @@ def _success(part: Part) -> Figure:
     return charts.success(
         {row["method"]: row["tracked"] for row in rows},
         {row["method"]: row["targets"] for row in rows},
+        drivable={row["method"]: row["drivable"] for row in rows},
         paper=theirs or None,
         ceiling=int(part.ceiling.sum()) if part.ceiling is not None and whole else None,
     )
@@ -106,7 +133,8 @@ def _success(part: Part) -> Figure:
 
 def _maps(part: Part, prefix: str) -> list[Block]:
     """The scenarios over their grid: a line for one axis, maps for two, slices for three, else maps of means."""
-    counts = {method: _tracked_or_nan(plans.status) for method, plans in part.plans.items()}
+    counts = {method: _or_nan(plans, tracked(plans.status)) for method, plans in part.plans.items()}
+    open_ = {method: _or_nan(plans, drivable(plans)) for method, plans in part.plans.items()}
     names = list(part.axes)
     axes = {name: charts.Axis(label(name), values.tolist()) for name, values in part.axes.items()}
     says = "Tracked targets of every scenario over the grid, by method"
@@ -114,19 +142,23 @@ def _maps(part: Part, prefix: str) -> list[Block]:
     def over(*chosen):
         return {method: part.cells(values, chosen) for method, values in counts.items()}
 
+    def ways(*chosen):
+        return {method: part.cells(values, chosen) for method, values in open_.items()}
+
     def means(*chosen):
         note = "Mean over the other axes."
-        figure = charts.success_map(over(*chosen), *(axes[name] for name in chosen), part.targets, note=note)
+        given = over(*chosen), *(axes[name] for name in chosen), part.targets
+        figure = charts.success_map(*given, drivable=ways(*chosen), note=note)
         return Picture(f"{prefix}map-{'-'.join(str(names.index(name) + 1) for name in chosen)}", figure, says)
 
     if not names:
         return ["The scenarios do not differ in any parameter."]
     if len(names) == 1:
-        figure = charts.success_line(over(*names), axes[names[0]], part.targets)
+        figure = charts.success_line(over(*names), axes[names[0]], part.targets, drivable=ways(*names))
     elif len(names) == 2:
-        figure = charts.success_map(over(*names), *axes.values(), part.targets)
+        figure = charts.success_map(over(*names), *axes.values(), part.targets, drivable=ways(*names))
     elif len(names) == 3 and len(part.axes[names[0]]) <= MOST_SLICES:
-        figure = charts.success_slices(over(*names), *axes.values(), part.targets)
+        figure = charts.success_slices(over(*names), *axes.values(), part.targets, drivable=ways(*names))
     else:
         return [means(*names[:2]), *([means(*names[-2:])] if len(names) > 3 else [])]
     return [Picture(f"{prefix}map", figure, says)]
@@ -169,8 +201,10 @@ def _motion(part: Part, prefix: str) -> list[Picture]:
 def _notes_on_results(part: Part) -> list[str]:
     table = part.paper_table
     notes = [
+        "Drivable are the targets that are tracked before the first step of their scenario whose straight joint path "
+        "is known to collide: what lies beyond cannot be driven as it is planned. " + _unchecked(part),
         "Means and the smallest clearance are over the tracked targets: a method that gets further also meets "
-        "tighter places. Time is run time by attempted targets, over the whole run."
+        "tighter places. Time is run time by attempted targets, over the whole run.",
     ]
     if table is not None:
         notes.append(
@@ -178,6 +212,12 @@ def _notes_on_results(part: Part) -> list[str]:
             "workpiece's pose open, and whether its safe distance is a mean or the smallest."
         )
     return notes
+
+
+def _unchecked(part: Part) -> str:
+    """How many of the joint paths nobody looked at."""
+    count = sum(int((tracked(plans.status) & (plans.path_clear < 0)).sum()) for plans in part.plans.values())
+    return f"Of {count:,} steps the joint path was not checked; they count as clear." if count else ""
 
 
 def _ceiling(part: Part) -> list[Block]:
@@ -199,9 +239,9 @@ def _beaten(part: Part) -> list[str]:
     return [f"Got further than sampling: {'; '.join(told)}."] if told else []
 
 
-def _tracked_or_nan(status: np.ndarray) -> np.ndarray:
-    planned = (status != NO_TARGET).any(axis=1)
-    return np.where(planned, tracked(status).sum(axis=1), np.nan)
+def _or_nan(plans: Plans, good: np.ndarray) -> np.ndarray:
+    """How many targets are good, a scenario; NaN where it is not planned."""
+    return np.where((plans.status != NO_TARGET).any(axis=1), good.sum(axis=1), np.nan)
 
 
 def _device(part: Part) -> str:

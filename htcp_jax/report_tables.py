@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from jaxtyping import Bool, Int, Int8
 from htcp_jax.config import PlanConfig
 from htcp_jax.document import Column, Table
 from htcp_jax.path_charts import words
-from htcp_jax.run_parts import Part, tracked
+from htcp_jax.run_parts import Part, drivable, tracked
 from htcp_jax.run_tables import NO_TARGET
 from htcp_jax.status import Status
 
@@ -20,9 +21,11 @@ RESULTS = (
     Column("method", "method"),
     Column("success_percent", "success", "%", ".2f"),
     Column("paper_success_percent", "paper", "%", ".2f", quiet=True),
-    Column("tracked", "tracked", "", ",d"),
+    Column("tracked", "tracked", "targets", ",d"),
     Column("targets", "of", "", ",d"),
-    Column("complete", "complete", "", ",d"),
+    Column("drivable", "drivable", "targets", ",d"),
+    Column("drivable_percent", "drivable", "%", ".2f"),
+    Column("complete", "complete", "scenarios", ",d"),
     Column("scenarios", "of", "", ",d"),
     Column("step_ms", "time/step", "ms", ".2f"),
     Column("paper_step_ms", "paper", "ms", ".0f", quiet=True),
@@ -60,6 +63,7 @@ STOPS = (
     Column("first_target", "first", "target", "d"),
     Column("median_target", "median", "target", ".0f"),
     Column("last_target", "last", "target", "d"),
+    Column("in_the_way", "in the way (how often)"),
     Column("targets", "at targets (how many)"),
 )
 TIMES = (
@@ -84,6 +88,8 @@ def _result(part: Part, method: str) -> dict:
         "success_percent": percent(good.sum(), there.sum()),
         "tracked": int(good.sum()),
         "targets": int(there.sum()),
+        "drivable": int(drivable(plans).sum()),
+        "drivable_percent": percent(drivable(plans).sum(), there.sum()),
         "complete": int(complete(plans.status).sum()),
         "scenarios": int(there.any(axis=1).sum()),
         "step_ms": 1e3 * part.step_s[method],
@@ -129,8 +135,7 @@ def steps(part: Part) -> Table:
 def _step(part: Part, method: str) -> dict:
     plans = part.plans[method]
     there, good = plans.status != NO_TARGET, tracked(plans.status)
-    blocked = good & (plans.path_clear == 0)
-    before = good & ~np.logical_or.accumulate(blocked, axis=1)
+    blocked, before = good & (plans.path_clear == 0), drivable(plans)
     return {
         "method": method,
         "accepted": int(good.sum()),
@@ -147,11 +152,11 @@ def _step(part: Part, method: str) -> dict:
 
 
 def stops(part: Part) -> Table:
-    """What ended the scenarios that are not complete, and at which targets."""
+    """What ended the scenarios that are not complete, at which targets, and which bodies are in the way there."""
     rows = []
     for method, plans in part.plans.items():
         for reason in reasons(plans.status):
-            at = np.nonzero(plans.status == reason)[1]
+            lost, at = np.nonzero(plans.status == reason)
             rows.append(
                 {
                     "method": method,
@@ -160,27 +165,39 @@ def stops(part: Part) -> Table:
                     "first_target": int(at.min()),
                     "median_target": float(np.median(at)),
                     "last_target": int(at.max()),
+                    "in_the_way": _bodies(part, method, part.numbers[lost].tolist()),
                     "targets": _tally(at),
                 }
             )
-    return _table("stops", STOPS, rows)
+    return _without_empty(_table("stops", STOPS, rows))
+
+
+def _bodies(part: Part, method: str, numbers: Sequence[int]) -> str | None:
+    """The bodies in the way in these scenarios, the commonest first; None where that is not known."""
+    found = [known for k in numbers if (known := part.scene.in_the_way(method).get(k)) is not None]
+    counts = Counter(each.body if each.reached else "out of reach" for each in found)
+    return ", ".join(f"{body} ({count})" for body, count in counts.most_common()) or None
 
 
 def scenarios(part: Part) -> Table:
     """One row a scenario and method: its parameters, how far it got, what ended it, how far it could have got."""
     columns = [Column("scenario", "scenario", "", "d"), *(Column(name, name) for name in part.parameters)]
     columns += [Column("method", "method"), Column("tracked", "tracked", "", "d"), Column("targets", "of", "", "d")]
-    columns += [Column("end", "end"), Column("reachable", "reachable", "", "d")]
-    rows = []
+    columns += [Column("drivable", "drivable", "", "d")]
+    columns += [Column("end", "end"), Column("in_the_way", "in the way"), Column("reachable", "reachable", "", "d")]
+    rows, reach = [], {method: drivable(plans).sum(axis=1) for method, plans in part.plans.items()}
     for s, number in enumerate(part.numbers.tolist()):
         given = {name: values[s].item() for name, values in part.parameters.items()}
         for method, plans in part.plans.items():
             status = plans.status[s]
             if (status != NO_TARGET).any():
                 count = {"tracked": int(tracked(status).sum()), "targets": int((status != NO_TARGET).sum())}
+                count["drivable"] = int(reach[method][s])
+                blocked = part.scene.in_the_way(method).get(number)
                 reachable = None if part.ceiling is None else int(part.ceiling[s])
                 row = {"scenario": number, **given, "method": method, **count}
-                rows.append({**row, "end": end(status), "reachable": reachable})
+                told = {"end": end(status), "in_the_way": blocked and blocked.sentence, "reachable": reachable}
+                rows.append({**row, **told})
     return _table("scenarios", columns, rows)
 
 

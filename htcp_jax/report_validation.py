@@ -7,6 +7,7 @@ from typing import Any
 from htcp_jax.document import Block, Column, Heading, Table
 from htcp_jax.errors import InputError
 from htcp_jax.run_folder import Run
+from htcp_jax.scenario_label import labels_in
 from htcp_jax.validate import VALIDATION
 from htcp_jax.validate_input import result_files
 from htcp_jax.validate_track import STEP_RAD
@@ -17,21 +18,22 @@ AT_TARGETS = (
     Column("refuted", "refuted", "", ",d"),
     Column("tcp_error_max_mm", "TCP error", "max mm", ".3f"),
     Column("clearance_min_mm", "clearance", "min mm", ".3g"),
-    Column("clearance_min_at", "at", "scenario: target"),
+    Column("clearance_min_at", "scenario:", "target"),
     Column("clearance_off_max_mm", "off record", "max mm", ".1e"),
 )
 ON_THE_WAY = (
     Column("method", "method"),
-    Column("paths", "joint paths", "", ",d"),
+    Column("paths", "paths", "joint", ",d"),
     Column("paths_touching", "touch", "", ",d"),
     Column("paths_blocked_on_record", "on record", "blocked", ",d"),
     Column("clearance_between_min_mm", "clearance", "min mm", ".3g"),
-    Column("clearance_between_min_at", "at", "scenario: target"),
+    Column("clearance_between_min_at", "scenario:", "target"),
     Column("line_deviation_max_mm", "off the line", "max mm", ".2f"),
     Column("speed_ratio_max", "joint speed", "of limit", ".3f"),
     Column("speed_joint", "of"),
     Column("in_place_max_rad", "in place", "max rad", ".2f"),
 )
+BETWEEN = ("clearance_between_min_at",)
 
 
 def read_validation(run: Run) -> dict[str, Any] | None:
@@ -68,7 +70,8 @@ def validation_section(run: Run, level: int) -> list[Block]:
     if found is None:
         return []
     about = f"By MuJoCo's kinematics and distances alone, of the whole run. {sentence(found)}"
-    return [Heading(level, "Validation"), about, *validation_tables(found), *notes(found)]
+    where = told_apart(found, labels_in(run))
+    return [Heading(level, "Validation"), about, *validation_tables(found), *where, *notes(found)]
 
 
 def sentence(found: dict[str, Any]) -> str:
@@ -95,6 +98,13 @@ def _table(name: str, columns: tuple[Column, ...], rows: list[dict]) -> Table:
     return Table(name, filled, tuple(tuple(cell(row.get(column.key)) for column in filled) for row in rows))
 
 
+def told_apart(found: dict[str, Any], labels: dict[int, str]) -> list[str]:
+    """A sentence that says which scenarios the tables speak of."""
+    at = [check.get(key) for check in found["methods"].values() for key in ("clearance_min_at", *BETWEEN)]
+    numbers = sorted({place[0] for place in at if place is not None and labels.get(place[0])})
+    return [f"Scenarios: {'; '.join(f'{number} is {labels[number]}' for number in numbers)}."] if numbers else []
+
+
 def notes(found: dict[str, Any]) -> list[str]:
     """What the tables' columns mean, as far as they are filled."""
     told = []
@@ -111,4 +121,6 @@ def notes(found: dict[str, Any]) -> list[str]:
             "the model file's, for the GP50 its data-sheet's. In place: the joint change between targets closer to "
             "each other than the tolerance, and from the start to the first, which the feed rate leaves no time for."
         )
+    elif any(check["paths"] for check in found["methods"].values()):
+        told.append("There is no column of joint speeds, because the model states none to hold them against.")
     return told

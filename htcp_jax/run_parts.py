@@ -13,12 +13,13 @@ from htcp_jax import paper
 from htcp_jax.errors import InputError
 from htcp_jax.metrics import is_tracked
 from htcp_jax.plans import Plans
+from htcp_jax.report_scene import RunScene
 from htcp_jax.run_folder import Run
 from htcp_jax.run_tables import NO_TARGET
+from htcp_jax.scenario_label import column_of, parameter_names, part, varying
 from htcp_jax.status import Status
 
 CEILING = "ceiling.json"
-XYZ = "xyz"
 
 
 class Part(NamedTuple):
@@ -33,6 +34,7 @@ class Part(NamedTuple):
     step_s: dict[str, float]  # run time by attempted targets, over the whole run
     joints: tuple[str, ...]
     run: Run
+    scene: RunScene
 
     @property
     def targets(self) -> int:
@@ -42,12 +44,14 @@ class Part(NamedTuple):
     @property
     def axes(self) -> dict[str, np.ndarray]:
         """The parameters that vary, each with its values in order, without those that another one determines."""
-        found: dict[str, np.ndarray] = {}
-        for name, values in self.parameters.items():
-            levels = np.unique(values)
-            if len(levels) > 1 and not any(_determines(self.parameters[other], values) for other in found):
-                found[name] = levels
-        return found
+        return {name: np.unique(values) for name, values in varying(self.parameters).items()}
+
+    @property
+    def labels(self) -> dict[int, str]:
+        """What sets each scenario apart from the others of the part, by its number."""
+        own = varying(self.parameters)
+        told = [", ".join(part(name, values[s]) for name, values in own.items()) for s in range(len(self.numbers))]
+        return dict(zip(self.numbers.tolist(), told, strict=True))
 
     @property
     def paper_table(self) -> paper.Table | None:
@@ -108,11 +112,11 @@ def read_parts(run: Run, name: str) -> list[Part]:
     plans = {method: run.plans(method) for method in methods}
     longest = max(whole.status.shape[1] for whole in plans.values())
     plans = {method: _widened(whole, longest) for method, whole in plans.items()}
-    parameters = {name: _column(table[name]) for name in _parameter_names(table, run.manifest.joints)}
+    parameters = {name: column_of(table[name]) for name in parameter_names(table)}
     numbers = table["scenario"].to_numpy()
     ceiling = read_ceiling(run)
     groups = np.array([group or "" for group in table["group"].to_pylist()])
-    parts = []
+    parts, scene = [], RunScene(run)
     for group in dict.fromkeys(groups.tolist()):
         here = groups == group
         parts.append(
@@ -126,6 +130,7 @@ def read_parts(run: Run, name: str) -> list[Part]:
                 step_s={method: _step_s(whole) for method, whole in plans.items()},
                 joints=run.manifest.joints,
                 run=run,
+                scene=scene,
             )
         )
     return parts
@@ -136,10 +141,10 @@ def tracked(status: np.ndarray) -> np.ndarray:
     return (status != NO_TARGET) & is_tracked(status)
 
 
-def _determines(these: np.ndarray, those: np.ndarray) -> bool:
-    """Whether scenarios that agree in `these` agree in `those`."""
-    pairs = {(a, b) for a, b in zip(these.tolist(), those.tolist(), strict=True)}
-    return len(pairs) == len(set(these.tolist()))
+def drivable(plans: Plans) -> np.ndarray:
+    """Where a target is tracked and no straight joint path up to it, from the start, is known to collide."""
+    good = tracked(plans.status)
+    return good & ~np.logical_or.accumulate(good & (plans.path_clear == 0), axis=1)
 
 
 def _rows(plans: Plans, numbers: np.ndarray) -> Plans:
@@ -167,17 +172,3 @@ def _widened(plans: Plans, targets: int) -> Plans:
 def _step_s(plans: Plans) -> float:
     attempted = int(((plans.status != NO_TARGET) & (plans.status != Status.NOT_ATTEMPTED)).sum())
     return plans.run_s / attempted if attempted else math.nan
-
-
-def _parameter_names(table: pa.Table, joints: Sequence[str]) -> list[str]:
-    names = [f"start_{joint}" for joint in joints]
-    names += ["rotation_y_rad", "rotation_z_rad", *(f"shift_{axis}_m" for axis in XYZ)]
-    return [*names, "tool_extension_m", "margin_m", "path"]
-
-
-def _column(column: pa.ChunkedArray) -> np.ndarray:
-    """Numbers rounded to what a person writes, so that 0.1 + 0.2 and 0.3 are one value of an axis."""
-    values = np.array(column.to_pylist())
-    return np.round(values, 9) + 0.0 if values.dtype.kind == "f" else values
-
-

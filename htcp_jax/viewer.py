@@ -16,8 +16,8 @@ from viser import uplot
 from htcp_jax.errors import InputError
 from htcp_jax.fates import INK, Fate, fates
 from htcp_jax.framing import open_side, sight
-from htcp_jax.picture import View
 from htcp_jax.replay import Outcome, Replay, Shelf
+from htcp_jax.sides import View
 from htcp_jax.status import Status
 from htcp_jax.viewer_stage import HERE, Stage
 
@@ -125,7 +125,7 @@ class Viewer:
 
     def _names(self, method: str) -> dict[str, int]:
         """The scenarios as the picker lists them, failed first, with their numbers."""
-        return {_told(outcome): outcome.number for outcome in self._shelf.outcomes(method)}
+        return {_told(outcome, self._shelf): outcome.number for outcome in self._shelf.outcomes(method)}
 
     def _pick_method(self) -> None:
         """The same scenario by another method, or that method's first."""
@@ -261,10 +261,11 @@ def _silent():
     return contextlib.redirect_stdout(io.StringIO())
 
 
-def _told(outcome: Outcome) -> str:
+def _told(outcome: Outcome, shelf: Shelf) -> str:
+    label = shelf.label(outcome.number)
     if outcome.complete:
-        return f"{outcome.number}: all {outcome.targets} tracked"
-    return f"{outcome.number}: failed at {outcome.tracked} of {outcome.targets}"
+        return f"{label}: all {outcome.targets} tracked"
+    return f"{label}: failed at {outcome.tracked} of {outcome.targets}"
 
 
 def _name_of(names: dict[str, int], number: int) -> str | None:
@@ -275,6 +276,8 @@ def _facts(replay: Replay, target: int) -> str:
     """What is known of a target, in two lines."""
     status = Status(int(replay.status[target]))
     what = f"**Target {target}** {status.message}"
+    if target == replay.failed and replay.obstruction is not None:
+        return f"{what}.\n\nBrought there all the same, as shown: {replay.obstruction.sentence}."
     if not status.tracked:
         return f"{what}.\n\nThe arm is shown where it came to before."
     clearance, error = 1e3 * replay.clearance[target], 1e3 * replay.residual[target]

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from htcp_jax.fates import FAILED, INK, LINKS, OUTSIDE, TOOL, WALL, fates, is_tool, rgb
 from htcp_jax.framing import kept, open_side
+from htcp_jax.obstruction import Obstruction
 from htcp_jax.replay import Replay, with_tip
 
 BEAD_M, FAILED_M, HERE_M, WITNESS_M, TIP_M = 0.007, 0.017, 0.012, 0.003, 0.007  # radii
@@ -57,8 +58,12 @@ class Stage:
         replay = self._replay
         p, q = with_tip(replay.p[target], replay.q[target], replay.tcp[target])
         with self._server.atomic():
-            for node, wxyz, middle in zip(self._arm, turned_to(q - p), (p + q) / 2, strict=True):
+            blocked = replay.obstruction if target == replay.failed else None
+            colours = [lit(self._colour(k, blocked)) for k in range(len(self._arm))]
+            for node, wxyz, middle, colour in zip(self._arm, turned_to(q - p), (p + q) / 2, colours, strict=True):
                 node.wxyz, node.position = wxyz, middle
+                if tuple(node.color) != tuple(colour.tolist()):
+                    node.color = tuple(colour.tolist())
             self._here.position = replay.target[target]
             pair = np.stack([replay.witness.arm[target], replay.witness.cloud[target]]).astype(np.float32)
             self._pair.batched_positions = pair
@@ -67,7 +72,8 @@ class Stage:
             there = np.linalg.norm(replay.cloud - pair[1], axis=1) < AROUND_M
             self._around.points = replay.cloud[there].astype(np.float32)
             distance = 1e3 * replay.clearance[target]
-            self._label.text = "" if np.isnan(distance) else f"{distance:.3g} mm"
+            near = "" if np.isnan(distance) else f"{distance:.3g} mm"
+            self._label.text = near if blocked is None else blocked.sentence
 
     @property
     def arm_positions(self) -> Float[np.ndarray, "K1 3"]:
@@ -104,9 +110,17 @@ class Stage:
         last = k == len(robot.capsule_link)
         radius = TIP_M if last else float(robot.capsule_radius[k])
         mesh = trimesh.creation.capsule(height=float(np.linalg.norm(q - p)), radius=radius, count=ROUND)
-        colour = TOOL if last or is_tool(robot)[k] else LINKS
-        name = f"/arm/{'tip' if last else f'{k + 1} {robot.capsule_names[k]}'}"
-        return self._scene.add_mesh_simple(name, mesh.vertices, mesh.faces, color=lit(colour), opacity=opacity)
+        name, colour = f"/arm/{'tip' if last else f'{k + 1} {robot.capsule_names[k]}'}", lit(self._colour(k))
+        return self._scene.add_mesh_simple(name, mesh.vertices, mesh.faces, color=colour, opacity=opacity)
+
+    def _colour(self, k: int, blocked: Obstruction | None = None) -> str:
+        """Of capsule k, or of the tip after the last; the body in the way stands out."""
+        robot = self._replay.robot
+        if k == len(robot.capsule_names):
+            return TOOL
+        if blocked is not None and robot.capsule_names[k] == blocked.body:
+            return FAILED
+        return TOOL if is_tool(robot)[k] else LINKS
 
     def _add_balls(
         self, name: str, places: Float[np.ndarray, "n 3"], radius: float, colour: str

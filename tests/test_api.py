@@ -80,8 +80,9 @@ def test_a_saved_plan_is_read_where_its_planner_is_not(short, tmp_path, monkeypa
 def test_a_failed_plan_says_where_and_why(short, tmp_path):
     (tmp_path / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.1857,-0.25,0.1708\n")  # the second lies in the wall
     plan = htcp_jax.plan(overrides=short, method="baseline")
-    (reason,) = plan.failure().values()
+    reason, in_the_way = plan.failure().values()
     assert not plan.complete and "failed at target 12</td>" in plan._repr_html_() and reason in plan._repr_html_()
+    assert "inside the workpiece" in in_the_way and in_the_way in plan._repr_html_()
     assert plan.frame().clearance_m.isna().sum() == 1 and plan.frame().path_clear.isna().sum() == 1
 
 

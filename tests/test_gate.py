@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 import yaml
-from small_run import end_early, rewrite, spoil
+from small_run import LONGER, end_early, rewrite, spoil
 
 from htcp_jax.cli import main
 from htcp_jax.gate_baseline import Baseline, read_baseline
@@ -67,10 +67,12 @@ def edit_manifest(run, change) -> None:
 def test_a_run_passes_its_own_baseline_and_the_table_lines_up(run, baseline, capsys):
     assert gate(run, baseline) == PASSED
     output = capsys.readouterr()
-    title, head, units, *rows, passed = output.out.splitlines()
-    assert (title, passed, output.err) == ("grid", "passed", "")
+    counts, figures, passed = output.out.split("\n\n")
+    title, head, units, *rows = counts.splitlines()
+    assert (title, passed, output.err) == ("grid", "passed\n", "")
     assert [row.split()[0] for row in rows] == ["baseline", "cspace-sample", "ceiling"]
     assert all(row.index("ok") == head.index("verdict") for row in rows) and len(units) <= len(head)
+    assert [row.split()[0] for row in figures.splitlines()[2:]] == ["baseline", "cspace-sample", "ceiling"]
 
 
 def test_the_baseline_says_what_was_planned_and_one_line_a_scenario(baseline):
@@ -99,8 +101,8 @@ def test_a_scenario_that_ends_earlier_fails_and_is_named_with_target_and_reason(
     end_early(run, 2, 12, Status.QP_INFEASIBLE)
     assert gate(run, baseline) == REGRESSION
     told = capsys.readouterr().out
-    line = f"baseline, scenario 2: first at target 12, {TARGETS} tracked before, 12 now; {Status.QP_INFEASIBLE.message}"
-    assert line in told.splitlines() and told.endswith("FAILED\n")
+    line = f"baseline, scenario 2 (tilt y 0.4 rad, tool {LONGER} m): first at target 12, {TARGETS} tracked before, 12 now"
+    assert f"{line}; {Status.QP_INFEASIBLE.message}" in told.splitlines() and told.endswith("FAILED\n")
     assert "failed  baseline: 7 targets fewer are tracked, 69 of 76; 0 may be lost" in told
     assert "failed  baseline: 1 scenarios end earlier; 0 may" in told
     assert "failed  baseline: 90.79 % of the reachable targets are tracked, 100.00 % before" in told
@@ -145,7 +147,7 @@ def test_an_improvement_passes_and_is_listed(run, tmp_path, capsys):
     capsys.readouterr()
     assert gate(run, tmp_path / "was.yaml") == PASSED
     told = capsys.readouterr().out
-    assert "better  baseline tracks 9 targets more" in told and "baseline, scenario 0: first at target 10" in told
+    assert "better  baseline tracks 9 targets more" in told and "scenario 0 (tilt y 0.4 rad, tool 0 m): first" in told
     assert Status.ITERATION_LIMIT.message in told
 
 

@@ -6,7 +6,7 @@ from hand_made import plans_with
 from hypothesis import given
 from hypothesis import strategies as st
 
-from htcp_jax.picture import draw_plan, poses, side_view, stadium
+from htcp_jax.picture import draw_plan, poses, stadium
 from htcp_jax.robot import gp50
 from htcp_jax.scenario import make_scenario
 from htcp_jax.status import Status
@@ -23,15 +23,6 @@ def test_every_point_of_a_stadium_is_one_radius_from_its_segment(p, q, radius):
     share = np.clip((outline - p) @ along / max(along @ along, 1e-300), 0, 1)
     distance = np.linalg.norm(outline - p - share[:, None] * along, axis=1)
     np.testing.assert_allclose(distance, radius, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_the_near_half_is_the_one_without_the_path(side):
-    cloud = np.random.default_rng(0).uniform(-1, 1, (100, 3))
-    targets = np.array([[-2, 0, 0], [0.9, 0.5 * side, 0]])
-    view = side_view(cloud, targets)
-    assert view.near @ targets[-1] < view.near @ cloud.mean(axis=0)
-    np.testing.assert_allclose(np.cross(view.right, view.up), view.near, atol=1e-12)
 
 
 def test_the_last_tracked_posture_is_the_last_drawn():

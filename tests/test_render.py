@@ -164,7 +164,7 @@ def test_any_arm_is_drawn(made, screenless, tmp_path):
     replay = shelf_of("by hand", plan).replay(0, "baseline")
     arm = seven_joints(tmp_path)
     ends = np.tile(np.linspace([0, 0, 0.0], [1.2, 0, 1.0], 8), (len(replay.target), 1, 1))
-    other = replay._replace(robot=arm, p=ends, q=ends + 0.1, tcp=ends[:, -1] + 0.3)
+    other = replay._replace(robot=arm, p=ends, q=ends + 0.1, tcp=ends[:, -1] + 0.3, obstruction=None)
     with Studio(other, *SIZE, fine=False) as studio:
         assert studio.still(3).std() > 20
 

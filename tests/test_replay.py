@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from hand_made import plans_with
-from made_once import START, seven_joints
+from made_once import seven_joints
 
 from htcp_jax import api
 from htcp_jax.duct import duct_cloud
@@ -65,8 +65,15 @@ def test_the_witnesses_are_as_far_apart_as_the_clearance_says(replay):
     assert np.isclose(np.linalg.norm(p + s * (q - p) - at), replay.robot.capsule_radius[k])  # on the capsule's surface
 
 
-def test_where_nothing_is_tracked_the_arm_stays(replay):
-    assert np.isnan(replay.clearance[12]) and (replay.x[12] == replay.x[11]).all() and not (replay.x[11] == START).all()
+def test_at_the_failed_target_the_arm_is_brought_into_what_is_in_the_way(replay):
+    """Rough: the viewer knew what is near for tracked targets, not for the failed one."""
+    found = replay.obstruction
+    assert np.isnan(replay.clearance[12]) and replay.failed == 12
+    np.testing.assert_array_equal(replay.x[12], found.x)
+    assert replay.witness.body[12] == found.body
+    np.testing.assert_allclose(replay.witness.cloud[12], found.point, atol=1e-9)
+    np.testing.assert_allclose(replay.tcp[12], replay.target[12], atol=1e-3)
+    assert found.reached and found.depth_m > 0  # the last target lies in the wall
 
 
 def by_hand(status: list[list[Status]], folder) -> tuple[Shelf, Workpiece]:
@@ -96,8 +103,9 @@ def test_any_arm_is_shown_with_its_scenario_s_tool(tmp_path):
     shelf, _ = by_hand([[LIMIT, NOT, NOT]], tmp_path)
     replay = shelf.replay(0, "nspace-sqp")
     assert replay.p.shape == (3, 8, 3) and replay.tracked == 0
+    held = replay.tcp[1:]  # at the failed target the arm is brought there
     # The seven links of 0.3 m stand upright; the TCP is 0.05 m aside and 0.35 m above the last, its z axis upwards.
-    np.testing.assert_allclose(replay.tcp, [[0.05, 0, 7 * 0.3 + 0.35 + 0.1]] * 3, atol=1e-12)
+    np.testing.assert_allclose(held, [[0.05, 0, 7 * 0.3 + 0.35 + 0.1]] * 2, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["summary.json", "trajectory.npz"])

@@ -144,7 +144,8 @@ def test_a_configuration_5_mm_in_the_wall_is_refuted_and_named(run, capsys):
     x = into_the_wall(scene(LONGER, 0.5), plans.x[3, target], 5e-3)
     spoil(run, 3, target, **{f"joint{j + 1}_rad": float(value) for j, value in enumerate(x)})
     assert main(["validate", str(run), "--between", "0"]) == 1
-    assert f"baseline, scenario 3, target {target}: " in capsys.readouterr().out
+    label = f"tilt y 0.5 rad, tool {LONGER} m"
+    assert f"baseline, scenario 3 ({label}), target {target}: " in capsys.readouterr().out
     found = json.loads((run / VALIDATION).read_text())
     (refuted,) = found["refuted"]
     assert not found["validated"] and "the arm touches: clearance -5.0" in refuted["reason"]

@@ -20,8 +20,8 @@ from made_plan import STATUSES, made_plan, made_plans
 from PIL import Image
 
 from htcp_jax.cli import main
-from htcp_jax.picture import View
 from htcp_jax.replay import Shelf, shelf_of
+from htcp_jax.sides import View
 
 pytest.importorskip("viser", reason="the extra `view` is not installed")
 

@@ -1,0 +1,132 @@
+"""From which side to look at a plan: where the arm and the workpiece, cut open, hide least of the path and the tool.
+
+Level directions all round are tried. What is hidden is counted along parallel lines of sight, with the half of the
+cloud that faces the camera cut off; a side from where the path is foreshortened counts as hiding some of it, and so
+does one where the cut takes away the wall along the path. The same plan always gives the same side.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import cKDTree
+
+DIRECTIONS = 16
+ABOVE_RAD = np.radians(16.0)  # that a camera looks down by
+ASIDE_RAD = np.radians(-28.0), np.radians(28.0)  # that a camera stands beside the side that is cut open
+SQUARE = 0.05  # by so much more may be hidden from square to the path
+FORESHORTENED, CUT_OFF = 0.3, 0.3  # what the worst of these counts as
+MOST_POINTS, ALONG = 3000, 12  # of the cloud that are looked at, and of an axis
+
+
+class View(NamedTuple):
+    """A side view of the world: a point projects to (right @ p, up @ p), nearer ones have larger near @ p."""
+
+    right: Float[np.ndarray, "3"]
+    up: Float[np.ndarray, "3"]
+    near: Float[np.ndarray, "3"]
+
+    def flat(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
+        return np.stack([points @ self.right, points @ self.up], axis=-1)
+
+
+class Side(NamedTuple):
+    """The side that is cut open, and how far beside it a camera stands [rad]."""
+
+    view: View
+    aside_rad: float
+
+
+class Bodies(NamedTuple):
+    """Capsules at F postures: their ends, world [m], and which of them are the tool's."""
+
+    p: Float[np.ndarray, "F K 3"]
+    q: Float[np.ndarray, "F K 3"]
+    radius: Float[np.ndarray, "K"]
+    tool: Bool[np.ndarray, "K"]
+
+
+def flat_side(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], arm: Bodies) -> View:
+    """The side of an orthographic, level view."""
+    return _best(cloud, path, arm, (0.0,), 0.0).view
+
+
+def camera_side(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], arm: Bodies) -> Side:
+    """The side of a camera that looks down a little, from beside the cut."""
+    return _best(cloud, path, arm, ASIDE_RAD, ABOVE_RAD)
+
+
+def side_view(cloud: Float[np.ndarray, "P 3"], targets: Float[np.ndarray, "T 3"]) -> View:
+    """Level, square to the way the targets lead, from the side of the cloud where they are not."""
+    ahead = (targets[-1] - targets[0]) * [1, 1, 0]
+    ahead = ahead / np.linalg.norm(ahead) if np.linalg.norm(ahead) > 1e-6 else np.array([1.0, 0, 0])
+    near = np.cross(ahead, [0.0, 0, 1])
+    return _view(-near if near @ (targets[-1] - cloud.mean(axis=0)) > 0 else near)
+
+
+def _best(cloud, path, arm: Bodies, asides: Sequence[float], above_rad: float) -> Side:
+    cloud = cloud[:: -(-len(cloud) // MOST_POINTS)]
+    square = side_view(cloud, path)
+    apart = np.median(cKDTree(cloud).query(cloud, k=2)[0][:, 1]) if len(cloud) > 1 else 0.0
+    turns = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    best, least = Side(square, asides[0]), np.inf
+    for turn in turns:  # the square side first: of equals the first is taken
+        view = _view(np.cos(turn) * square.near + np.sin(turn) * square.right)
+        depth = cloud @ view.near
+        cut = (depth.max() + depth.min()) / 2
+        kept, lost = cloud[depth <= cut], CUT_OFF * (path @ view.near > cut).mean() - SQUARE * (turn == 0)
+        for aside in asides:
+            toward = towards_camera(view, aside, above_rad)
+            badness = hidden(kept, 1.5 * apart, path, arm, toward) + FORESHORTENED * _foreshortened(path, toward) + lost
+            if badness < least - 1e-9:
+                best, least = Side(view, aside), badness
+    return best
+
+
+def _view(near: Float[np.ndarray, "3"]) -> View:
+    up = np.array([0.0, 0, 1])
+    return View(np.cross(up, near), up, near)
+
+
+def towards_camera(view: View, aside_rad: float, above_rad: float) -> Float[np.ndarray, "3"]:
+    """The unit direction towards a camera that stands beside a side."""
+    level = np.cos(aside_rad) * view.near + np.sin(aside_rad) * view.right
+    return np.cos(above_rad) * level + np.sin(above_rad) * view.up
+
+
+def hidden(
+    cloud: Float[np.ndarray, "P 3"],
+    radius: float,
+    path: Float[np.ndarray, "T 3"],
+    arm: Bodies,
+    toward: Float[np.ndarray, "3"],
+) -> float:
+    """The share of the path and the tool that links of the arm, or discs of that radius about the cloud's points, hide
+    from a camera far away in a direction; the mean over the arm's postures."""
+    plane = np.linalg.svd(toward[None])[2][1:].T  # two directions across
+    shares = np.linspace(0, 1, ALONG)[:, None, None]
+    path = path[:: -(-len(path) // 40)]
+    wall = cKDTree(cloud @ plane) if len(cloud) else None
+    found = []
+    for p, q in zip(arm.p, arm.q, strict=True):
+        along = (1 - shares) * p + shares * q  # ALONG K 3
+        seen = np.concatenate([path, along[:, arm.tool].reshape(-1, 3)])
+        links = along[:, ~arm.tool].reshape(-1, 3)
+        radii = np.tile(arm.radius[~arm.tool], ALONG)
+        apart = np.linalg.norm((seen @ plane)[:, None] - (links @ plane)[None], axis=2)
+        nearer = (links @ toward)[None] > (seen @ toward)[:, None]
+        covered = (nearer & (apart < radii[None])).any(axis=1)
+        if wall is not None:
+            for k, near in enumerate(wall.query_ball_point(seen @ plane, radius)):
+                covered[k] |= bool((cloud[near] @ toward > seen[k] @ toward + 3 * radius).any())
+        found.append(covered.mean())
+    return float(np.mean(found))
+
+
+def _foreshortened(path: Float[np.ndarray, "T 3"], toward: Float[np.ndarray, "3"]) -> float:
+    """The share of the path's length that is lost to a look from there."""
+    legs = np.diff(path, axis=0)
+    whole = np.linalg.norm(legs, axis=1).sum()
+    across = np.linalg.norm(legs - (legs @ toward)[:, None] * toward, axis=1).sum()
+    return 1 - across / whole if whole > 0 else 0.0

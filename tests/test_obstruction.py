@@ -1,0 +1,107 @@
+"""What is in the way of a failed target: the body, the place and the depth, as brute force finds them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hand_made import plans_with
+from made_once import START, robot
+from made_plan import made_plan
+
+from htcp_jax.clearance import make_obstacle
+from htcp_jax.duct import duct_cloud, weld
+from htcp_jax.kernels import tasks
+from htcp_jax.kinematics import capsule_segments, tcp_position
+from htcp_jax.obstruction import last_posture, obstruction, obstructions
+from htcp_jax.scenario import make_scenario, stack
+from htcp_jax.settings import Settings
+from htcp_jax.status import Status
+from htcp_jax.workpiece import Workpiece
+
+TARGETS = 4, 40, 80, 104
+SETTINGS = Settings()
+
+
+@pytest.fixture(scope="module")
+def workpiece():
+    return Workpiece("duct", duct_cloud(3000), weld(), inlet=(0.0, 0.0, 0.19138), interior="none")
+
+
+@pytest.fixture(scope="module")
+def scenario(workpiece):
+    return make_scenario(robot(), workpiece, START)
+
+
+def nearest(x, scenario, workpiece):
+    """Per body, the smallest distance to the cloud by brute force, and the point of the cloud."""
+    p, q = map(np.asarray, capsule_segments(robot(), jnp.asarray(x)))
+    T = np.asarray(scenario.T_world_workpiece)
+    cloud = workpiece.cloud @ T[:3, :3].T + T[:3, 3]
+    along = (q - p)[:, None]
+    square = np.maximum((along**2).sum(axis=2), 1e-300)
+    s = np.clip(((cloud[None] - p[:, None]) * along).sum(axis=2) / square, 0, 1)
+    apart = np.linalg.norm(p[:, None] + s[..., None] * along - cloud[None], axis=2)
+    return apart.min(axis=1) - np.asarray(robot().capsule_radius), cloud[apart.argmin(axis=1)]
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_the_body_the_place_and_the_depth_are_those_of_brute_force(target, scenario, workpiece):
+    """Rough: `escape exhausted` gave no hint what is in the way; now the body, the place and the depth are told."""
+    found = obstruction(robot(), workpiece, scenario, np.array(START), target, SETTINGS)
+    distance, points = nearest(found.x, scenario, workpiece)
+    worst = int(distance.argmin())
+    assert found.body == robot().capsule_names[worst]
+    np.testing.assert_allclose(found.depth_m, -distance[worst], atol=1e-12)
+    np.testing.assert_allclose(found.point, points[worst], atol=1e-9)
+    off = np.linalg.norm(tcp_position(robot(), jnp.asarray(found.x)) - scenario.targets[target])
+    np.testing.assert_allclose(found.residual_m, off, atol=1e-12)
+    assert found.reached == (off <= SETTINGS.tolerance_m)
+
+
+def test_hundreds_at_once_are_each_as_alone(scenario, workpiece):
+    rows = np.array(TARGETS * 50)
+    task = tasks(stack([scenario]), np.zeros(len(rows), int), rows)
+    x = np.tile(START, (len(rows), 1))
+    together = obstructions(robot(), make_obstacle(workpiece), task, x, task.target, SETTINGS)
+    alone = [obstruction(robot(), workpiece, scenario, np.array(START), target, SETTINGS) for target in TARGETS]
+    for one, other in zip(together, alone * 50, strict=True):
+        jax.tree.map(np.testing.assert_array_equal, one._asdict(), other._asdict())
+
+
+def test_the_sentence_tells_how_deep_how_free_or_how_far_off(scenario, workpiece):
+    found = obstruction(robot(), workpiece, scenario, np.array(START), 80, SETTINGS)
+    known = found._replace(body="spindle", point=np.array([0.81, 0.1, 0.42]), reached=True)
+    inside = known._replace(depth_m=0.0032).sentence
+    assert inside == "spindle is 3.2 mm inside the workpiece at (0.81, 0.10, 0.42) m there"
+    assert "spindle is nearest to the workpiece, 3.2 mm clear of it at" in known._replace(depth_m=-0.0032).sentence
+    off = known._replace(reached=False, residual_m=0.054)
+    assert off.sentence == "the arm comes only to within 54 mm of it"
+
+
+def test_a_target_out_of_reach_says_by_how_much(scenario, workpiece):
+    far = scenario.targets.copy()
+    far[5] = [0.0, 0.0, 9.0]
+    found = obstruction(
+        robot(), workpiece, type(scenario)(**(vars(scenario) | {"targets": far})), np.array(START), 5, SETTINGS
+    )
+    assert not found.reached and 5 < found.residual_m < 9 and "comes only to within" in found.sentence
+
+
+def test_the_last_posture_is_the_tracked_one_before_the_failed_target():
+    A, LIMIT, NOT = Status.TRACKED, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
+    plans = plans_with([[A, A, LIMIT, NOT], [LIMIT, NOT, NOT, NOT], [A, A, A, A], [A, A, -1, -1]], joints=6)
+    target, x = last_posture(plans, 0, np.array(START))
+    assert target == 2 and (x == plans.x[0, 1]).all()
+    target, x = last_posture(plans, 1, np.array(START))
+    assert target == 0 and (x == START).all()
+    assert last_posture(plans, 2, np.array(START)) is None and last_posture(plans, 3, np.array(START)) is None
+
+
+def test_a_failed_plan_tells_it_in_its_table_its_files_and_its_picture(tmp_path):
+    """Rough: which body is in the way, and where, stood nowhere for the failed target."""
+    plan = made_plan(tmp_path)
+    sentence = plan.obstruction.sentence
+    assert plan.failure()["in the way"] == sentence
+    assert plan.record()["in_the_way"]["sentence"] == sentence
+    texts = [text.get_text() for axes in plan.figure().axes for text in axes.texts]
+    assert any(sentence in text for text in texts)

@@ -1,0 +1,45 @@
+"""What sets the scenarios of a run apart, in a few words."""
+
+import pyarrow as pa
+from small_run import LONGER
+
+from htcp_jax.replay import open_shelf
+from htcp_jax.run_folder import open_run
+from htcp_jax.scenario_label import labels_of, part
+
+
+def test_scenarios_are_named_by_what_varies_in_their_run(planned):
+    """Rough: that 24 is tilt -0.2, height -0.1, tool +0.05 stood only in the report's CSV and the Parquet files."""
+    labels = labels_of(open_run(planned / "run").scenarios())
+    assert labels == {
+        0: "tilt y 0.4 rad, tool 0 m",
+        1: "tilt y 0.5 rad, tool 0 m",
+        2: f"tilt y 0.4 rad, tool {LONGER} m",
+        3: f"tilt y 0.5 rad, tool {LONGER} m",
+    }
+
+
+def test_a_shelf_knows_the_labels_of_its_run(planned):
+    assert open_shelf(planned / "run").label(3) == f"3: tilt y 0.5 rad, tool {LONGER} m"
+
+
+def test_any_column_that_is_no_result_is_a_parameter():
+    table = {
+        "scenario": [0, 1],
+        "group": ["a", "b"],
+        "tracked": [3, 4],
+        "cloud": ["x.npy", "y.npy"],
+        "margin_m": [1, 1],
+    }
+    assert labels_of(pa.table(table)) == {0: "a: cloud x.npy", 1: "b: cloud y.npy"}
+
+
+def test_parameters_that_go_together_are_told_once():
+    table = {"scenario": [0, 1], "group": [None, None], "rotation_y_rad": [0.1, 0.2], "rotation_z_rad": [0.3, 0.4]}
+    assert labels_of(pa.table(table)) == {0: "tilt y 0.1 rad", 1: "tilt y 0.2 rad"}
+
+
+def test_numbers_are_short_and_carry_their_unit():
+    assert part("shift_z_m", -0.1) == "height -0.1 m"
+    assert part("start_joint3_rad", 0.1 + 0.2) == "joint3 0.3 rad"
+    assert part("path", "seam.csv") == "path seam.csv"
