@@ -108,7 +108,8 @@ def read_parts(run: Run, name: str) -> list[Part]:
     plans = {method: run.plans(method) for method in methods}
     longest = max(whole.status.shape[1] for whole in plans.values())
     plans = {method: _widened(whole, longest) for method, whole in plans.items()}
-    parameters = {name: _column(table[name]) for name in _parameter_names(table, run.manifest.joints)}
+    names = [*_parameter_names(table, run.manifest.joints), *run.varied]
+    parameters = {name: _column(table[name], name in run.varied) for name in names}
     numbers = table["scenario"].to_numpy()
     ceiling = read_ceiling(run)
     groups = np.array([group or "" for group in table["group"].to_pylist()])
@@ -171,13 +172,17 @@ def _step_s(plans: Plans) -> float:
 
 def _parameter_names(table: pa.Table, joints: Sequence[str]) -> list[str]:
     names = [f"start_{joint}" for joint in joints]
-    names += ["rotation_y_rad", "rotation_z_rad", *(f"shift_{axis}_m" for axis in XYZ)]
+    names += ["rotation_x_rad", "rotation_y_rad", "rotation_z_rad", *(f"shift_{axis}_m" for axis in XYZ)]
     return [*names, "tool_extension_m", "margin_m", "path"]
 
 
-def _column(column: pa.ChunkedArray) -> np.ndarray:
-    """Numbers rounded to what a person writes, so that 0.1 + 0.2 and 0.3 are one value of an axis."""
-    values = np.array(column.to_pylist())
+def _column(column: pa.ChunkedArray, is_json: bool) -> np.ndarray:
+    """Numbers rounded to what a person writes, so that 0.1 + 0.2 and 0.3 are one value of an axis; of JSON also words,
+    and anything else as it is written."""
+    told = column.to_pylist()
+    if is_json:
+        read = [json.loads(text) for text in told]
+        kinds = {type(value) for value in read}
+        told = read if kinds <= {int, float} or kinds == {str} else told
+    values = np.array(told)
     return np.round(values, 9) + 0.0 if values.dtype.kind == "f" else values
-
-

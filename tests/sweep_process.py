@@ -12,6 +12,11 @@ grid:
   - start_rad.joint4: {offsets: [0, 0.1]}
 """
 BOX = "\n".join(f"{1.3 * x} {y} {z}" for x in (0, 1) for y in (-1, 1) for z in (-1, 1))
+# Where the duct stands; any other cloud stands at its own origin.
+AS_THE_DUCT = (
+    "pivot_m: [1.73205679, -0.0037799, 0.57539635], neutral_translation_m: [1.24549547, -0.0037799, 0.87525497], "
+    "rotation_y_rad: 0.4, rotation_z_rad: 0.1"
+)
 SHARDS = 6  # a scenario each
 
 
@@ -20,7 +25,8 @@ def make_sweep(folder: Path) -> None:
     second."""
     (folder / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n")
     (folder / "box.xyz").write_text(BOX)
-    (folder / "job.yaml").write_text("workpiece: {path: path.csv, cloud: box.xyz, inlet_m: [0, 0, 0]}\n")
+    part = f"{{path: path.csv, cloud: box.xyz, inlet_m: [0, 0, 0], {AS_THE_DUCT}}}"
+    (folder / "job.yaml").write_text(f"workpiece: {part}\n")
     (folder / "grid.yaml").write_text(GRID)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sweep_process import AS_THE_DUCT
 
 from htcp_jax import planner
 from htcp_jax.cli import main
@@ -37,7 +38,8 @@ def here(tmp_path, monkeypatch):
 @pytest.fixture
 def planned(here, monkeypatch):
     """The same in a box, which is quicker to plan in. Returns what is planned: methods and scenarios."""
-    (here / "job.yaml").write_text("workpiece: {path: path.csv, cloud: box.xyz, inlet_m: [0, 0, 0]}\n")
+    part = f"{{path: path.csv, cloud: box.xyz, inlet_m: [0, 0, 0], {AS_THE_DUCT}}}"
+    (here / "job.yaml").write_text(f"workpiece: {part}\n")
     calls, plan = [], planner.plan
 
     def noted(robot, workpiece, scenarios, method, *arguments, **options):
