@@ -3,6 +3,7 @@
 Of the columns of a run's scenario table, those that tell no result are parameters; those that vary are the label.
 """
 
+import json
 from typing import Any
 
 import numpy as np
@@ -74,9 +75,21 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def column_of(column: pa.ChunkedArray) -> np.ndarray:
-    """Numbers rounded to what a person writes, so that 0.1 + 0.2 and 0.3 are one value of an axis."""
-    values = np.array(column.to_pylist())
+    """Numbers rounded to what a person writes, so that 0.1 + 0.2 and 0.3 are one value of an axis; of values that are
+    on record as JSON, numbers and words as such, and anything else as it is written."""
+    values = np.array(_read(column.to_pylist()))
     return np.round(values, 9) + 0.0 if values.dtype.kind == "f" else values
+
+
+def _read(told: list) -> list:
+    if not all(isinstance(one, str) for one in told):
+        return told
+    try:
+        read = [json.loads(one) for one in told]
+    except ValueError:
+        return told
+    kinds = {type(value) for value in read}
+    return read if kinds <= {int, float} or kinds == {str} else told
 
 
 def _determines(these: np.ndarray, those: np.ndarray) -> bool:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hand_made import plans_with
 from made_once import seven_joints
+from sweep_process import AS_THE_DUCT
 
 from htcp_jax import api
 from htcp_jax.duct import duct_cloud
@@ -27,7 +28,7 @@ def folder(tmp_path_factory):
     (folder / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.1857,-0.25,0.1708\n")
     np.save(folder / "cloud.npy", duct_cloud(3000))
     (folder / "job.yaml").write_text(
-        "workpiece: {cloud: cloud.npy, path: path.csv, inlet_m: [0, 0, 0.19138]}\nmethod: baseline\n"
+        f"workpiece: {{cloud: cloud.npy, path: path.csv, inlet_m: [0, 0, 0.19138], {AS_THE_DUCT}}}\nmethod: baseline\n"
     )
     (folder / "grid.yaml").write_text(GRID)
     sweep(folder / "grid.yaml", "baseline", folder / "run")
