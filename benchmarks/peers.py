@@ -144,10 +144,12 @@ def chosen_scenarios(count: int, real: list[str] | None) -> Batch:
     if real:
         cloud, path, *inlet = real
         changes = {"workpiece.cloud": cloud, "workpiece.path": path, "workpiece.inlet_m": [float(v) for v in inlet]}
-    batch = load_sweep(SWEEP, None, changes).batch()
+    where_the_duct_is = SWEEP.parents[1] / "configs" / "duct.yaml"
+    batch = load_sweep(SWEEP, where_the_duct_is, changes).batch()
     numbers = [(24 + 19 * k) % POSES for k in range(count)]
     scenarios = jax.tree.map(lambda leaf: leaf[numbers], batch.scenarios)
-    return batch._replace(scenarios=scenarios, points=tuple(batch.points[k] for k in numbers))
+    points = tuple(batch.points[k] for k in numbers)
+    return batch._replace(cell=batch.cell[numbers], scenarios=scenarios, points=points)
 
 
 def main() -> None:

@@ -28,6 +28,7 @@ from htcp_jax.results import (
     written_whole,
 )
 from htcp_jax.robot import Robot
+from htcp_jax.run_identity import anchor_files, file_hash
 from htcp_jax.run_tables import frame_of, joint_columns, target_table
 from htcp_jax.scenario import Scenario, with_own_tool
 from htcp_jax.validate import VALIDATION
@@ -109,10 +110,13 @@ class Plan:
         return draw_plan(self.robot, self.workpiece, self.scenario, self.plans, title=title, obstruction=blocked)
 
     def record(self) -> dict[str, Any]:
-        """What summary.json holds: the summary, the failed target in words, versions, the whole configuration."""
+        """What summary.json holds: the summary, the failed target in words, versions, the whole configuration, and the
+        SHA-256 of the files that it names, which are absolute."""
         known = {"method": self.job.method, "validated": None, **summary_record(self.summary)}
         known["in_the_way"] = self.obstruction and self.obstruction.record()
-        return {**known, **provenance(), "config": self.job.model_dump()}
+        config = self.job.model_dump()
+        files = {name: file_hash(name) for name in anchor_files(config)}
+        return {**known, **provenance(), "config": config, "files": files}
 
     def write(self, folder: Path) -> None:
         """Write trajectory.csv, trajectory.npz, summary.json and plan.png into an existing folder."""

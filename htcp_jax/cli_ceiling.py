@@ -1,8 +1,10 @@
 """`htcp ceiling`: how many targets of every scenario are reachable at all, beside what a run's planners tracked."""
 
+from operator import itemgetter
 from pathlib import Path
 from typing import Annotated
 
+import jax
 import numpy as np
 import typer
 from rich.console import Console
@@ -45,7 +47,7 @@ def ceiling_command(
     batch = (spec := load_sweep(file, config, overrides or ())).batch(limit)
     run = open_run(out) if (out / MANIFEST).exists() else None
     with written_whole(out) as folder:
-        found = _search(batch, draws, spec.config.settings)
+        found = _search(batch, draws)
         beaten = {} if run is None else _beaten(run, batch, found)
         targets = int(batch.scenarios.count.sum())
         record = {
@@ -64,19 +66,26 @@ def ceiling_command(
     return 0
 
 
-def _search(batch: Batch, draws: int, settings) -> Ceiling:
+def _search(batch: Batch, draws: int) -> Ceiling:
     console = Console(stderr=True)
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("targets", total=batch.scenarios.targets.shape[1])
-        return ceiling(
-            batch.robot,
-            batch.workpiece,
-            batch.scenarios,
-            settings,
-            draws=draws,
-            progress=lambda row, rows: bar.update(task, completed=row, total=rows),
-        )
+        parts = []
+        for number, cell in enumerate(batch.cells):
+            task = bar.add_task("targets", total=batch.scenarios.targets.shape[1])
+            rows = np.flatnonzero(batch.cell == number)
+            found = ceiling(
+                cell.robot,
+                cell.workpiece,
+                jax.tree.map(itemgetter(rows), batch.scenarios),
+                cell.settings,
+                draws=draws,
+                progress=lambda row, rows, task=task: bar.update(task, completed=row, total=rows),
+            )
+            parts.append((rows, found))
+    order = np.argsort(np.concatenate([rows for rows, _ in parts]))
+    columns = zip(*(found[:-1] for _, found in parts), strict=True)
+    return Ceiling(*(np.concatenate(column)[order] for column in columns), draws)
 
 
 def _beaten(run: Run, batch: Batch, found: Ceiling) -> dict[str, list[int]]:

@@ -6,137 +6,124 @@
       - workpiece.rotation_y_rad: [0.4, 0.5]      # parameters of one axis go together, value by value
         workpiece.rotation_z_rad: [0.1, 0.2]      # so this grid has 3 x 2 scenarios
 
-A parameter is a key of the configuration that scenarios may differ in: see `PARAMETERS`. Joints go by number, from 1,
-or by name. Later axes act on what earlier ones left, so an axis may set `start_rad` and the next ones move single
-joints. Instead of `grid`, `groups` maps names to grids; their scenarios follow each other. A scenario's number, which
-its random keys hang on, is its place in the full grid.
+A parameter is a key of the configuration, any but `method` and `ray`: see `grid_axes`. Joints go by number, from 1, or
+by name. Later axes act on what earlier ones left, so an axis may set `start_rad` and the next ones move single joints.
+Instead of `grid`, `groups` maps names to grids; their scenarios follow each other. A scenario's number, which its
+random keys hang on, is its place in the full grid.
 """
 
-import difflib
 import itertools
-import math
-from collections.abc import Iterator, Mapping, Sequence
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from htcp_jax.config import PlanConfig, Section, load_config, validate
+import numpy as np
+from jaxtyping import Int
+
+from htcp_jax.config import (
+    DEPENDENT,
+    PlanConfig,
+    RobotConfig,
+    Section,
+    WorkpieceConfig,
+    fill_in,
+    is_other,
+    keys_of,
+    read_config,
+    validate,
+)
+from htcp_jax.config_file import put
 from htcp_jax.errors import InputError
-from htcp_jax.job import robot_of, scenario_of, workpiece_of
+from htcp_jax.grid_axes import FILE_KEYS, KEYS, Group, read_grid
+from htcp_jax.grid_points import Point, points_of
+from htcp_jax.job import arm_of, part_of, robot_of, scenario_of, shape_of, workpiece_of
 from htcp_jax.robot import Robot
 from htcp_jax.scenario import Scenario, stack
+from htcp_jax.settings import Settings
 from htcp_jax.strict_yaml import read_yaml
 from htcp_jax.workpiece import Workpiece
 
-PARAMETERS = (
-    "start_rad",
-    "workpiece.rotation_y_rad",
-    "workpiece.rotation_z_rad",
-    "workpiece.shift_m",
-    "workpiece.path",
-    "robot.tool_extension_m",
-    "margin_m",
-)
 MOST = 1_000_000  # scenarios of a grid; more is a slip of the pen
 
 
 class SweepFile(Section):
-    """What a person writes; `_read_axis` checks the axes."""
+    """What a person writes; `grid_axes` checks the axes."""
 
     config: str | None = None
     grid: tuple[dict, ...] | None = None
     groups: dict[str, tuple[dict, ...]] | None = None
 
 
-class Parameter(NamedTuple):
-    """What an axis may vary: a key of the configuration, or one element of a key's value."""
+class Cell(NamedTuple):
+    """What scenarios share that one call of the planner plans."""
 
-    name: str  # start_rad.joint3
-    key: str  # start_rad
-    element: int | None  # 2
-
-
-class Column(NamedTuple):
-    """One parameter of an axis."""
-
-    parameter: Parameter
-    relative: bool  # whether the values are added
-    values: tuple[Any, ...]
-
-
-Axis = tuple[Column, ...]  # columns of equal length
-
-
-class Group(NamedTuple):
-    """A grid; `name` is None where a file has just one."""
-
-    name: str | None
-    axes: tuple[Axis, ...]
-
-    @property
-    def size(self) -> int:
-        """The number of its scenarios."""
-        return math.prod(len(axis[0].values) for axis in self.axes)
-
-
-class Point(NamedTuple):
-    """One scenario of a sweep: its configuration, as if it were planned alone."""
-
-    number: int
-    group: str | None
-    config: PlanConfig
+    robot: Robot
+    workpiece: Workpiece
+    settings: Settings
 
 
 class Batch(NamedTuple):
     """Scenarios ready to be planned."""
 
-    robot: Robot
-    workpiece: Workpiece
+    cells: tuple[Cell, ...]
+    cell: Int[np.ndarray, "S"]  # whose each scenario is
     scenarios: Scenario  # stacked
     points: tuple[Point, ...]
+
+    @property
+    def robot(self) -> Robot:
+        """The first scenario's; all have its joints."""
+        return self.cells[0].robot
+
+    @property
+    def workpiece(self) -> Workpiece:
+        """The first scenario's."""
+        return self.cells[0].workpiece
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """A sweep file, read and checked, with the robot of its configuration."""
+    """A sweep file, read and checked, with the robot of its configuration.
+
+    stated: see `grid_points.points_of`.
+    """
 
     name: str
     config: PlanConfig
     robot: Robot
     groups: tuple[Group, ...]
+    stated: frozenset[str]
 
     def __len__(self) -> int:
         return sum(group.size for group in self.groups)
 
     def points(self, limit: int | None = None) -> tuple[Point, ...]:
         """The scenarios in order, the first `limit` of them. Raises InputError for a value out of its range."""
-        return tuple(itertools.islice(self._points(), limit))
+        return tuple(itertools.islice(points_of(self.name, self.config, self.groups, self.stated), limit))
 
     def batch(self, limit: int | None = None) -> Batch:
         """The scenarios with what they need, the first `limit` of them.
 
-        Raises InputError, naming the scenario, for a start outside the joint limits and targets beyond reach.
+        Raises InputError, naming the scenario, for a start outside the joint limits and targets beyond reach, and for
+        robots with different joints.
         """
         points = self.points(limit)
-        workpieces = {
-            path: workpiece_of(self.config.workpiece.model_copy(update={"path": path}), self.robot)
-            for path in dict.fromkeys(point.config.workpiece.path for point in points)
-        }
-        scenarios = [_scenario(point, self.robot, workpieces[point.config.workpiece.path]) for point in points]
-        # The workpieces differ in their path alone, which the scenarios have turned into targets.
-        return Batch(self.robot, next(iter(workpieces.values())), stack(scenarios), points)
-
-    def _points(self) -> Iterator[Point]:
-        base = self.config.model_dump()
-        number = itertools.count()
-        for group in self.groups:
-            for rows in itertools.product(*(range(len(axis[0].values)) for axis in group.axes)):
-                raw = _copy(base)
-                for axis, row in zip(group.axes, rows, strict=True):
-                    for column in axis:
-                        _put(raw, column.parameter, column.values[row], column.relative)
-                k = next(number)
-                yield Point(k, group.name, validate(raw, PlanConfig, f"{self.name}: scenario {k}"))
+        arms = {arm_of(self.config): self.robot}
+        parts: dict[tuple[RobotConfig, WorkpieceConfig], Workpiece] = {}
+        cells: dict[tuple, tuple[int, Cell]] = {}
+        scenarios, whose = [], []
+        for point in points:
+            arm, part, settings = arm_of(point.config), part_of(point.config), point.config.settings
+            if arm not in arms:
+                arms[arm] = _like(self.robot, robot_of(arm), f"{self.name}: scenario {point.number}")
+            if (arm, part) not in parts:
+                parts[arm, part] = workpiece_of(part, arms[arm])
+            own = len(cells), Cell(arms[arm], parts[arm, part], settings)
+            whose.append(cells.setdefault((arm, shape_of(part), settings), own)[0])
+            scenarios.append(_scenario(point, arms[arm], parts[arm, part]))
+        return Batch(tuple(cell for _, cell in cells.values()), np.array(whose, int), stack(scenarios), points)
 
 
 def load_sweep(
@@ -154,114 +141,56 @@ def load_sweep(
     file: SweepFile = validate(raw, SweepFile, str(path))
     if config is None and file.config is not None:
         config = path.parent / file.config
-    base = load_config(config, overrides)
-    robot = robot_of(base.robot)
     if (file.grid is None) == (file.groups is None):
         raise InputError(f"{path}: a sweep has either a grid or groups, a list of axes or several under their names")
     grids = {None: file.grid} if file.groups is None else file.groups
     if not grids:
         raise InputError(f"{path}: groups is empty")
-    groups = tuple(_read_grid(path, name, axes, robot.joint_names) for name, axes in grids.items())
+    raw, source = read_config(config, overrides)
+    stated = keys_of(raw)
+    first = _first_values(raw, grids, path.parent)
+    for key, value in first.items():
+        put(raw, key, value)
+    fill_in(raw, keys_of(raw), source)
+    base: PlanConfig = validate(raw, PlanConfig, source)
+    robot = robot_of(base.robot)
+    groups = []
+    for name, axes in grids.items():
+        where = f"{path}: grid" if name is None else f"{path}: groups.{name}"
+        groups.append(read_grid(where, path.parent, name, axes, robot.joint_names))
+        for key in first.keys() - groups[-1].keys:
+            raise InputError(f"{where}: {key} varies in another group; it has to stand in every one")
     if (size := sum(group.size for group in groups)) > MOST:
         raise InputError(f"{path}: the grid has {size:,} scenarios; at most {MOST:,} make a sweep")
-    return Sweep(path.stem, base, robot, groups)
+    return Sweep(path.stem, base, robot, tuple(groups), frozenset(stated.intersection((*DEPENDENT, "start_rad"))))
 
 
-def _read_grid(path: Path, name: str | None, axes: Sequence[dict], joints: Sequence[str]) -> Group:
-    where = f"{path}: grid" if name is None else f"{path}: groups.{name}"
-    if not axes:
-        raise InputError(f"{where} is empty; it needs at least one axis")
-    known = _parameters(joints)
-    read = tuple(_read_axis(path, f"{where}, axis {k}", axis, known) for k, axis in enumerate(axes, 1))
-    seen = set()
-    for column in itertools.chain.from_iterable(read):
-        if column.parameter in seen:
-            raise InputError(f"{where}: {column.parameter.name} stands in it twice")
-        seen.add(column.parameter)
-    return Group(name, read)
+def _first_values(raw: dict, grids: Mapping[str | None, Sequence[dict]], folder: Path) -> dict[str, Any]:
+    """What the configuration takes from the axes, so that it has a robot and a start: where they vary the robot, the
+    first value of each of its keys, and the start's; the start's also where another robot's is theirs alone."""
+    first: dict[str, Any] = {}
+    for axis in itertools.chain.from_iterable(grids.values()):
+        for key, value in axis.items():
+            items = value.get("values") if isinstance(value, dict) else value
+            if isinstance(items, list | tuple) and items:
+                first.setdefault(str(key), items[0])
+    if "robot.model" not in first:
+        lacks_start = is_other(raw, "robot.model") and "start_rad" not in raw
+        return {key: value for key, value in first.items() if key == "start_rad" and lacks_start}
+    model = first.pop("robot.model")
+    if isinstance(model, str | os.PathLike):
+        first["robot.model"] = model if model == FILE_KEYS["robot.model"] else str(folder / model)
+    return {
+        key: value for key, value in first.items() if key == "start_rad" or (key.startswith("robot.") and key in KEYS)
+    }
 
 
-def _read_axis(path: Path, where: str, raw: dict, known: dict[str, Parameter]) -> Axis:
-    if not raw:
-        raise InputError(f"{where} is empty; it needs at least one parameter")
-    axis = tuple(_read_column(path, where, str(key), value, known) for key, value in raw.items())
-    lengths = {column.parameter.name: len(column.values) for column in axis}
-    if len(set(lengths.values())) > 1:
-        told = ", ".join(f"{name} has {length} values" for name, length in lengths.items())
-        raise InputError(f"{where}: what stands in one axis goes together, value by value, but {told}")
-    return axis
-
-
-def _read_column(path: Path, where: str, key: str, value: Any, known: dict[str, Parameter]) -> Column:
-    if key not in known:
-        close = difflib.get_close_matches(key, known, n=2, cutoff=0.6)
-        hint = f"did you mean {' or '.join(close)}? " if close else ""
-        raise InputError(
-            f"{where}: unknown parameter {key}; {hint}valid: {', '.join(PARAMETERS)}, one joint as start_rad.3"
-        )
-    relative = isinstance(value, dict) and list(value) == ["offsets"]
-    if isinstance(value, dict) and list(value) in (["offsets"], ["values"]):
-        (value,) = value.values()
-    if not isinstance(value, list):
-        raise InputError(f"{where}: {key} needs a list of values, {{values: [...]}} or {{offsets: [...]}}")
-    if not value:
-        raise InputError(f"{where}: {key} has no values")
-    for item in value:
-        _check_value(f"{where}: {key}", known[key], item, relative)
-    if key == "workpiece.path":  # relative to the sweep file, as in any configuration
-        value = [item if item == "weld" else str(path.parent / item) for item in value]
-    return Column(known[key], relative, tuple(tuple(item) if isinstance(item, list) else item for item in value))
-
-
-def _parameters(joints: Sequence[str]) -> dict[str, Parameter]:
-    """Every spelling that a sweep file may use."""
-    known = {name: Parameter(name, name, None) for name in PARAMETERS}
-    for k, joint in enumerate(joints):
-        known[f"start_rad.{k + 1}"] = known[f"start_rad.{joint}"] = Parameter(f"start_rad.{joint}", "start_rad", k)
-    for k, axis in enumerate("xyz"):
-        known[f"workpiece.shift_m.{axis}"] = Parameter(f"workpiece.shift_m.{axis}", "workpiece.shift_m", k)
-    return known
-
-
-def _check_value(where: str, parameter: Parameter, item: Any, relative: bool) -> None:
-    """Raise InputError unless `item` is of the parameter's kind; its range is checked with the configuration."""
-    if parameter.key == "workpiece.path":
-        if relative or not isinstance(item, str):
-            raise InputError(f"{where} takes names of files, not {item!r}")
-        return
-    whole = parameter.name in ("start_rad", "workpiece.shift_m")
-    if whole and not isinstance(item, list):
-        raise InputError(f"{where} takes lists of numbers, not {item!r}")
-    for number in item if whole else [item]:
-        if isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number):
-            raise InputError(f"{where} takes finite numbers, not {number!r}")
-
-
-def _put(raw: dict, parameter: Parameter, value: Any, relative: bool) -> None:
-    """Set one parameter in the plain form of a configuration."""
-    section, _, key = parameter.key.rpartition(".")
-    owner = raw[section] if section else raw
-    old = owner[key]
-    if parameter.element is None:
-        owner[key] = _added(parameter, old, value) if relative else value
-        return
-    if parameter.element >= len(old):
-        raise InputError(f"{parameter.name}: {parameter.key} has {len(old)} values only")
-    new = list(old)
-    new[parameter.element] = old[parameter.element] + value if relative else value
-    owner[key] = tuple(new)
-
-
-def _added(parameter: Parameter, old: Any, offset: Any) -> Any:
-    if not isinstance(old, tuple):
-        return old + offset
-    if len(old) != len(offset):
-        raise InputError(f"{parameter.name} has {len(old)} values, an offset of it {len(offset)}")
-    return tuple(a + b for a, b in zip(old, offset, strict=True))
-
-
-def _copy(raw: dict) -> dict:
-    return {key: dict(value) if isinstance(value, dict) else value for key, value in raw.items()}
+def _like(first: Robot, robot: Robot, where: str) -> Robot:
+    """The robot. Raises InputError where its joints are of other kinds than the first one's."""
+    if robot.slides != first.slides:
+        told = [f"{one.name} has {len(one.slides)} joints, {sum(one.slides)} of them slides" for one in (robot, first)]
+        raise InputError(f"{where}: {'; '.join(told)}; the robots of one sweep must have as many joints of each kind")
+    return robot
 
 
 def _scenario(point: Point, robot: Robot, workpiece: Workpiece) -> Scenario:

@@ -20,7 +20,14 @@ def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
 
 def robot_of(arm: RobotConfig) -> Robot:
     """The robot, without the tool's extension: that belongs to the scenario."""
-    return load_robot(GP50 if arm.model == "gp50" else arm.model, limits=arm.limits)
+    return load_robot(
+        GP50 if arm.model == "gp50" else arm.model,
+        tcp_site="tcp" if arm.tcp is None else arm.tcp,
+        limits=arm.limits,
+        base_m=arm.base_m,
+        base_rpy_rad=arm.base_rpy_rad,
+        tool=arm.tool,
+    )
 
 
 def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
@@ -67,6 +74,7 @@ def scenario_of(
         workpiece,
         job.start_rad,
         rotation=(part.rotation_y_rad, part.rotation_z_rad),
+        rotation_x_rad=part.rotation_x_rad,
         shift=part.shift_m,
         approach=(part.approach_to_inlet, part.approach_to_path),
         margin_m=job.margin_m,
@@ -74,3 +82,23 @@ def scenario_of(
         number=number,
         beyond_reach=beyond_reach,
     )
+
+
+_POSE = {"rotation_x_rad": 0.0, "rotation_y_rad": 0.0, "rotation_z_rad": 0.0, "shift_m": (0.0, 0.0, 0.0)}
+_APPROACH = {"approach_to_inlet": 0, "approach_to_path": 0}
+
+
+def arm_of(job: PlanConfig) -> RobotConfig:
+    """The part of a configuration that makes the robot; equal for scenarios that share theirs."""
+    return job.robot.model_copy(update={"tool_extension_m": 0.0})
+
+
+def part_of(job: PlanConfig) -> WorkpieceConfig:
+    """The part of a configuration that makes the workpiece."""
+    return job.workpiece.model_copy(update=_POSE | _APPROACH)
+
+
+def shape_of(part: WorkpieceConfig) -> WorkpieceConfig:
+    """What the planner sees of a workpiece: a scenario has its path and its pose."""
+    origin = (0.0, 0.0, 0.0)
+    return part.model_copy(update={"path": "", "pivot_m": origin, "neutral_translation_m": origin})

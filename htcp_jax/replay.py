@@ -22,7 +22,7 @@ from htcp_jax.clearance import Obstacle, contacts, make_obstacle
 from htcp_jax.config import PlanConfig, validate
 from htcp_jax.errors import InputError
 from htcp_jax.fates import is_tool
-from htcp_jax.job import robot_of, scene, workpiece_of
+from htcp_jax.job import arm_of, part_of, robot_of, scene, workpiece_of
 from htcp_jax.kinematics import capsule_segments, tcp_position
 from htcp_jax.metrics import is_tracked
 from htcp_jax.obstruction import Obstruction, last_posture, obstructions
@@ -30,7 +30,7 @@ from htcp_jax.plans import Plans
 from htcp_jax.results import SUMMARY, TRAJECTORY, read_plan
 from htcp_jax.robot import Robot, lengthen_tool
 from htcp_jax.run_folder import MANIFEST, Run, open_run
-from htcp_jax.run_identity import file_hash
+from htcp_jax.run_identity import refuse_changed
 from htcp_jax.scenario import gate_of, with_own_tool
 from htcp_jax.scenario_label import labels_of
 from htcp_jax.sides import Bodies, Side, camera_side
@@ -40,6 +40,7 @@ from htcp_jax.workpiece import Workpiece
 LOOKED_AT = 5  # postures by which the side to look from is chosen
 ARRAYS = tuple(name for name in Plans._fields if name not in ("compile_s", "run_s"))
 XYZ = "xyz"
+MOST_SHELVES = 8  # robots and workpieces of one run in memory
 
 
 class Placement(NamedTuple):
@@ -214,6 +215,47 @@ class Shelf:
         return surface_of(self.workpiece.cloud)
 
 
+class MixedShelf(Shelf):
+    """The plans of a sweep whose scenarios differ in the robot, the workpiece or the settings: a shelf for those that
+    agree in them, made when one is looked at."""
+
+    def __init__(self, run: Run, methods: tuple[str, ...], rows: dict[int, dict[str, Any]], labels: dict[int, str]):
+        points = run.points()
+        self._run, self._rows, self._jobs = run, rows, {number: points[number].config for number in rows}
+        self._shelf = lru_cache(maxsize=MOST_SHELVES)(self._make_shelf)
+        self.labels = labels
+        first = self._shelf(_alike(self._jobs[min(rows)]))
+        super().__init__(str(run.folder), first._config, first.robot, first.workpiece, methods, run.plans, {}, labels)
+
+    def replay(self, number: int, method: str) -> Replay:
+        """See `Shelf.replay`."""
+        if number not in self._rows:
+            raise InputError(f"{self.name} has no scenario {number} by {method}; it has {_spans(sorted(self._rows))}")
+        return self._shelf(_alike(self._jobs[number])).replay(number, method)
+
+    def obstructions(self, method: str, numbers: Sequence[int] | None = None) -> dict[int, Obstruction]:
+        """See `Shelf.obstructions`."""
+        found = {}
+        together: dict[tuple, list[int]] = {}
+        for number in sorted(self._rows) if numbers is None else numbers:
+            together.setdefault(_alike(self._jobs[number]), []).append(number)
+        for alike, own in together.items():
+            found |= self._shelf(alike).obstructions(method, own)
+        return {number: found[number] for number in sorted(found)}
+
+    def _make_shelf(self, alike: tuple) -> Shelf:
+        numbers = [number for number, job in self._jobs.items() if _alike(job) == alike]
+        rows = [self._rows[number] for number in numbers]
+        job, run = self._jobs[numbers[0]], self._run
+        return _shelf(run, job, run.methods, rows, run.plans, self.labels)
+
+
+def _alike(job: PlanConfig) -> tuple:
+    """What scenarios on one shelf agree in."""
+    part = job.workpiece
+    return arm_of(job), part_of(job), part.approach_to_inlet, part.approach_to_path, job.settings
+
+
 def open_shelf(folder: str | Path) -> Shelf:
     """The plans in the folder of a sweep or of one plan. Raises InputError for any other folder, for damaged files,
     and for a cloud, path or model that has changed since the run."""
@@ -238,28 +280,40 @@ def shelf_of(name: str, plan: Plan) -> Shelf:
 
 
 def _of_run(run: Run) -> Shelf:
-    for file, known in run.manifest.files.items():
-        if file_hash(file) != known:
-            raise InputError(f"{file} is not what it was when {run.folder} was planned")
+    refuse_changed(run.manifest.files, run.folder)
     methods = tuple(dict.fromkeys(shard.method for shard in run.manifest.shards))
     config, table = run.config, run.scenarios(*methods)
     rows = table.to_pylist()
     # The targets are on record, so that the paths of the scenarios are not needed.
+    if run.varied:
+        return MixedShelf(run, methods, {row["scenario"]: row for row in rows}, labels_of(table))
+    return _shelf(run, config, methods, rows, run.plans, labels_of(table))
+
+
+def _shelf(
+    run: Run,
+    config: PlanConfig,
+    methods: tuple[str, ...],
+    rows: list[dict],
+    plans: Callable[[str], Plans],
+    labels: dict[int, str],
+) -> Shelf:
     robot = robot_of(config.robot)
     workpiece = workpiece_of(config.workpiece, robot)
     placements = {row["scenario"]: _placement(row, robot, workpiece, run.manifest.joints) for row in rows}
-    return Shelf(str(run.folder), config, robot, workpiece, methods, run.plans, placements, labels_of(table))
+    return Shelf(str(run.folder), config, robot, workpiece, methods, plans, placements, labels)
 
 
 def _placement(row: dict[str, Any], robot: Robot, workpiece: Workpiece, joints: tuple[str, ...]) -> Placement:
     shift = tuple(row[f"shift_{axis}_m"] for axis in XYZ)
-    T = workpiece.T_world(row["rotation_y_rad"], row["rotation_z_rad"], shift)
+    T = workpiece.T_world(row["rotation_y_rad"], row["rotation_z_rad"], shift, row["rotation_x_rad"])
     start = np.array([row[f"start_{joint}"] for joint in joints])
     return Placement(T, gate_of(robot, workpiece, T), start, row["tool_extension_m"])
 
 
 def _of_plan(folder: Path) -> Shelf:
-    _, raw, arrays = read_plan(folder, ARRAYS)
+    _, raw, files, arrays = read_plan(folder, ARRAYS)
+    refuse_changed(files, folder)
     job: PlanConfig = validate(raw, PlanConfig, str(folder / SUMMARY), of_record=True)
     robot, workpiece, scenario = scene(job)
     if arrays["target"].shape != scenario.targets.shape or arrays["x"].shape[1:] != (len(robot.joint_names),):

@@ -59,8 +59,11 @@ def facts(part: Part) -> list[str]:
     over = f", a grid of {grid} over {varied}" if len(part.axes) > 1 else f" over {varied}" if part.axes else ""
     lines = [f"{len(part.numbers):,} scenarios{over}; up to {part.targets} targets each; seed {manifest.seed}."]
     scene = part.run.config
-    names = scene.robot.model, scene.workpiece.cloud, scene.workpiece.path
-    robot, cloud, path = (BUILT_IN.get(name, Path(name).name) for name in names)
+    named = {"robot.model": scene.robot.model, "workpiece.cloud": scene.workpiece.cloud, "path": scene.workpiece.path}
+    told = {key: BUILT_IN.get(name, Path(name).name) for key, name in named.items()}
+    for key in named.keys() & part.parameters.keys():
+        told[key] = ", ".join(BUILT_IN.get(name, name) for name in dict.fromkeys(part.parameters[key].tolist()))
+    robot, cloud, path = told.values()
     lines.append(f"Robot {robot}; workpiece {cloud}; path {path}.")
     lines.append(f"Configuration: {choice(part)}. {verdict(part.run)}")
     if manifest.count < manifest.full:
@@ -113,8 +116,7 @@ def label(name: str) -> str:
     stem, _, unit = name.rpartition("_")
     if unit not in UNITS:
         return name
-    own = {"rotation_y": "workpiece about y", "rotation_z": "workpiece about z"}
-    text = own.get(stem) or stem.replace("shift_", "workpiece along ").replace("_", " ")
+    text = stem.replace("rotation_", "workpiece about ").replace("shift_", "workpiece along ").replace("_", " ")
     return f"{re.sub(r'(?<=[a-z])(?=[0-9])', ' ', text)} [{unit}]"
 
 

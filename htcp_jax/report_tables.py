@@ -268,6 +268,8 @@ def _brief(value: Any) -> str:
         return Path(value).name
     if isinstance(value, list | tuple):
         return ", ".join(map(_brief, value))
+    if isinstance(value, dict):  # a body of a tool
+        return " ".join(map(_brief, value.values()))
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
@@ -285,4 +287,5 @@ def _without_empty(table: Table) -> Table:
 def differences(config: PlanConfig, other: PlanConfig) -> dict[str, str]:
     """Keys in which `config` is not as `other`, with its values in brief."""
     theirs = _flat(other.model_dump())
-    return {key: _brief(value) for key, value in _flat(config.model_dump()).items() if repr(value) != repr(theirs[key])}
+    ours = _flat(config.model_dump())
+    return {key: _brief(value) for key, value in ours.items() if key not in theirs or repr(value) != repr(theirs[key])}

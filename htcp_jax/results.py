@@ -13,7 +13,7 @@ import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -28,17 +28,27 @@ from htcp_jax.status import Status
 SUMMARY, TRAJECTORY = "summary.json", "trajectory.npz"
 
 
-def read_plan(folder: Path, names: Iterable[str]) -> tuple[str, dict, dict[str, np.ndarray]]:
-    """The method, the configuration as it was written, and the named arrays of the plan in `folder`.
+class PlanRecord(NamedTuple):
+    """A plan as it was written."""
+
+    method: str
+    config: dict
+    files: dict[str, str]  # SHA-256 of those that the configuration names; a plan of before knew none
+    arrays: dict[str, np.ndarray]
+
+
+def read_plan(folder: Path, names: Iterable[str]) -> PlanRecord:
+    """The plan in `folder` with the named arrays.
 
     Raises InputError for files that are not there or damaged.
     """
     try:
         summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
         method, config = str(summary["method"]), dict(summary["config"])
+        files = {str(name): str(known) for name, known in summary.get("files", {}).items()}
         # np.load leaves a file that it opened itself open when it is no archive.
         with (folder / TRAJECTORY).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            return method, config, {name: file[name] for name in names}
+            return PlanRecord(method, config, files, {name: file[name] for name in names})
     except OSError as error:
         raise InputError(f"{folder} holds no plan: cannot read {error.filename}: {error.strerror}") from None
     except Exception as error:  # foreign parsers on foreign bytes: whatever they raise, the files are bad

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from htcp_jax.notebook import html_facts
 from htcp_jax.pytree import register_pytree
 from htcp_jax.robot_file import read_robot_file
+from htcp_jax.robot_tool import ZERO, Tool, Triple, pose
 from htcp_jax.types import Array, Float, Joints, Pose, Scalar
 
 GP50 = Path(__file__).parent / "models" / "gp50.xml"
@@ -55,7 +56,15 @@ class Robot:
         return html_facts(f"{self.name}: {len(self.joint_names)} joints", facts)
 
 
-def load_robot(path: str | Path = GP50, *, tcp_site: str = "tcp", limits: str = "model") -> Robot:
+def load_robot(
+    path: str | Path = GP50,
+    *,
+    tcp_site: str = "tcp",
+    limits: str = "model",
+    base_m: Triple = ZERO,
+    base_rpy_rad: Triple = ZERO,
+    tool: Tool | None = None,
+) -> Robot:
     """Read the serial chain from the world to the TCP out of an MJCF or URDF file, through MuJoCo.
 
     path: the file. Its capsule and sphere geoms become capsules, wherever they are fixed; all others are
@@ -66,12 +75,15 @@ def load_robot(path: str | Path = GP50, *, tcp_site: str = "tcp", limits: str = 
         hinges, slides as in the file) or "datasheet" (the <numeric> entries "datasheet_lower" and
         "datasheet_upper" of the file, a value a joint). Joint speeds are its <numeric> "speed", of a URDF the
         velocities of its joints.
+    base_m, base_rpy_rad: pose of the model's own frame, and so of all that it holds, in the world: turned about world
+        x, then y, then z.
+    tool: mounted on the frame that `tcp_site` means, which is then the flange.
 
     Raises InputError for a file that cannot be read, fewer than three joints, ball or free joints, joints off
-    the chain, no TCP, no capsules, a radius that is not positive, a number that is not finite, and a profile
-    that the model does not have.
+    the chain, no TCP, no capsules, a radius that is not positive, a number that is not finite, a profile
+    that the model does not have, and a body of the tool that is called as one of the model.
     """
-    fields = read_robot_file(Path(path), tcp_site, limits)
+    fields = read_robot_file(Path(path), tcp_site, limits, pose(base_m, base_rpy_rad), tool)
     arrays = {key: jnp.array(value) for key, value in fields.arrays.items()}
     return Robot(**arrays, **fields.facts)
 

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from htcp_jax.errors import InputError
+from htcp_jax.robot_tool import Tool, pose
 from htcp_jax.robot_xml import read_spec, unreadable
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -38,24 +39,29 @@ class _Capsule(NamedTuple):
     radius: float
 
 
-def read_robot_file(path: Path, tcp_site: str, limits: str) -> RobotFields:
+def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.ndarray, tool: Tool | None) -> RobotFields:
     """The serial chain from the world to the TCP; see robot.load_robot. Raises InputError."""
     model, geom_types = _compile_model(path)
     tcp_body, T_body_tcp = _find_tcp(model, path, tcp_site)
     joint_names = _chain_joints(model, path, tcp_body)
     lower, upper = _limits(model, path, limits)
-    T_parent_joint, frames = _link_frames(model)
+    T_parent_joint, frames = _link_frames(model, T_world_base)
     capsules = [_capsule(model, geom, frames) for geom in range(model.ngeom) if _is_round(model, geom)]
+    link, T_link_body = frames[tcp_body]
+    T_link_flange = T_link_body @ T_body_tcp
+    mounted = [] if tool is None else _mounted(tool, path, tcp_body, link, T_link_flange, capsules)
+    on_tool = mounted or _on_tcp_body(model, tcp_body, capsules)
+    capsules += mounted
     if not capsules:
         raise InputError(f"{path}: no capsule or sphere geoms; geoms of the model: {geom_types or 'none'}")
     arrays = {
         "T_parent_joint": T_parent_joint,
         "axis": model.jnt_axis.copy(),
-        "T_link_tcp": frames[tcp_body][1] @ T_body_tcp,
+        "T_link_tcp": T_link_flange if tool is None else T_link_flange @ pose(tool.tip_m, tool.tip_rpy_rad),
         "capsule_p": np.array([capsule.p for capsule in capsules]),
         "capsule_q": np.array([capsule.q for capsule in capsules]),
         "capsule_radius": np.array([capsule.radius for capsule in capsules]),
-        "on_tool": _ends_on_tool(model, tcp_body, capsules),
+        "on_tool": _ends_on_tool(capsules, on_tool),
     }
     for name, numbers in arrays.items():
         if not np.isfinite(numbers).all():
@@ -200,7 +206,8 @@ def _find_tcp(model: mujoco.MjModel, path: Path, name: str) -> tuple[int, np.nda
     if body >= 0:
         return body, np.eye(4)
     sites = ", ".join(model.site(i).name or "(unnamed)" for i in range(model.nsite)) or "none"
-    raise InputError(f"{path}: no site or body {name!r} for the TCP; sites of the model: {sites}")
+    bodies = ", ".join(model.body(i).name or "(unnamed)" for i in range(1, model.nbody)) or "none"
+    raise InputError(f"{path}: no site or body {name!r} for the TCP; sites of the model: {sites}; bodies: {bodies}")
 
 
 def _chain_joints(model: mujoco.MjModel, path: Path, tcp_body: int) -> tuple[str, ...]:
@@ -210,25 +217,21 @@ def _chain_joints(model: mujoco.MjModel, path: Path, tcp_body: int) -> tuple[str
     odd = [names[j] for j in range(model.njnt) if model.jnt_type[j] not in (_HINGE, _SLIDE)]
     stray = [names[j] for j in range(model.njnt) if int(model.jnt_bodyid[j]) not in chain]
     if odd:
-        raise InputError(
-            f"{path}: ball or free joints ({', '.join(odd)}); only hinge and slide joints can be used"
-        )
+        raise InputError(f"{path}: ball or free joints ({', '.join(odd)}); only hinge and slide joints can be used")
     if stray:
         raise InputError(f"{path}: joints off the chain from the world to the TCP: {', '.join(stray)}")
     if model.njnt < 3:
-        raise InputError(
-            f"{path}: {model.njnt or 'no'} joints from the world to the TCP; at least 3 are needed"
-        )
+        raise InputError(f"{path}: {model.njnt or 'no'} joints from the world to the TCP; at least 3 are needed")
     return tuple(names)
 
 
-def _link_frames(model: mujoco.MjModel) -> tuple[np.ndarray, list[tuple[int, np.ndarray]]]:
+def _link_frames(model: mujoco.MjModel, T_world_base: np.ndarray) -> tuple[np.ndarray, list[tuple[int, np.ndarray]]]:
     """T_parent_joint (N, 4, 4), and for each body its link (-1: world) with T_link_body.
 
     A joint turns about its own anchor, and MuJoCo draws the model at x = qpos0, not 0: both are folded in.
     """
     T_parent_joint = np.zeros((model.njnt, 4, 4))
-    frames = [(-1, np.eye(4))]
+    frames = [(-1, T_world_base)]
     for body in range(1, model.nbody):  # parents come before children
         link, T_link_parent = frames[model.body_parentid[body]]
         T_link_body = T_link_parent @ _pose(model.body_pos[body], model.body_quat[body])
@@ -279,16 +282,30 @@ def _capsule(model: mujoco.MjModel, geom: int, frames: list[tuple[int, np.ndarra
     return _Capsule(_geom_name(model, geom), body, link, p, q, float(model.geom_size[geom, 0]))
 
 
-def _ends_on_tool(model: mujoco.MjModel, tcp_body: int, capsules: list[_Capsule]) -> np.ndarray:
-    """Which capsule ends move when the tool is lengthened, (K, 2) of 0 and 1.
+def _mounted(
+    tool: Tool, path: Path, tcp_body: int, link: int, T_link_flange: np.ndarray, others: list[_Capsule]
+) -> list[_Capsule]:
+    """The bodies of a tool on the flange. Raises InputError for a name that one of the model has."""
+    R, t = T_link_flange[:3, :3], T_link_flange[:3, 3]
+    for body in tool.bodies:
+        if body.name in {capsule.name for capsule in others}:
+            raise InputError(f"tool: a capsule of {path} is called {body.name!r} already")
+    return [
+        _Capsule(body.name, tcp_body, link, R @ body.p_m + t, R @ body.q_m + t, body.radius_m) for body in tool.bodies
+    ]
 
-    The tool is the body that carries the TCP and what is fixed to it; if that has no capsules, the last link.
-    """
-    tool = [k for k, capsule in enumerate(capsules) if tcp_body in _upwards(model, capsule.body)]
-    tool = tool or [k for k, capsule in enumerate(capsules) if capsule.link == model.njnt - 1]
-    moves = np.zeros((len(capsules), 2))
-    moves[tool] = 1.0
-    for k in tool[:1]:
-        nearer = int(np.linalg.norm(capsules[k].q) < np.linalg.norm(capsules[k].p))
-        moves[k, nearer] = 0.0  # the flange's end: the one nearer to the last joint
+
+def _on_tcp_body(model: mujoco.MjModel, tcp_body: int, capsules: list[_Capsule]) -> list[_Capsule]:
+    """The capsules of the body that carries the TCP and of what is fixed to it; without any, those of the last link."""
+    tool = [capsule for capsule in capsules if tcp_body in _upwards(model, capsule.body)]
+    return tool or [capsule for capsule in capsules if capsule.link == model.njnt - 1]
+
+
+def _ends_on_tool(capsules: list[_Capsule], tool: list[_Capsule]) -> np.ndarray:
+    """Which capsule ends move when the tool is lengthened, (K, 2) of 0 and 1."""
+    moves = np.array([[any(capsule is part for part in tool)] * 2 for capsule in capsules], float)
+    for k, capsule in enumerate(capsules):
+        if tool and capsule is tool[0]:
+            nearer = int(np.linalg.norm(capsule.q) < np.linalg.norm(capsule.p))
+            moves[k, nearer] = 0.0  # the flange's end: the one nearer to the last joint
     return moves

@@ -10,6 +10,7 @@ the files of a shard, so a shard is in the run wholly or not at all, whenever th
 
 import hashlib
 from collections.abc import Iterable
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
@@ -20,6 +21,8 @@ from pydantic import Field, ValidationError, model_validator
 from htcp_jax.config import PlanConfig, Section, validate
 from htcp_jax.errors import InputError
 from htcp_jax.grid import MOST
+from htcp_jax.grid_axes import from_record, varied_keys
+from htcp_jax.grid_points import Point, points_of
 from htcp_jax.metrics import summarise
 from htcp_jax.notebook import html_facts
 from htcp_jax.plans import Plans
@@ -167,6 +170,26 @@ class Run:
         """What all scenarios share; a scenario's own parameters are columns of `scenarios()`."""
         return validate(self.manifest.config, PlanConfig, str(self.folder / MANIFEST), of_record=True)
 
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """Keys of the configuration in which scenarios may differ, but for the parameters that any run has columns of:
+        robots, workpieces, settings."""
+        return varied_keys(name for group in self.manifest.grid for axis in group["axes"] for name in axis)
+
+    def points(self) -> tuple[Point, ...]:
+        """The scenarios with their configurations, as if each were planned alone. Raises InputError for a manifest
+        whose grid cannot be read."""
+        config, grid = self.config, self.manifest.grid
+        joints = [column.rpartition("_")[0] for column in self.manifest.joints]
+        try:
+            groups = tuple(from_record(group, joints) for group in grid)
+            stated = frozenset(key for group in grid for key in group.get("stated", ()))
+            return tuple(islice(points_of(str(self.folder / MANIFEST), config, groups, stated), self.manifest.count))
+        except InputError:
+            raise
+        except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+            raise InputError(f"{self.folder / MANIFEST}: its grid cannot be read: {error!r}") from None
+
     def targets(self, *methods: str) -> pa.Table:
         """One row per method, scenario and target, of all methods or of those named.
 
@@ -208,7 +231,7 @@ class Run:
         )
         if not order:
             raise InputError(f"{self.folder} has no finished shard of {', '.join(wanted)} yet")
-        schema = empty_tables(self.manifest.joints)[table].schema
+        schema = empty_tables(self.manifest.joints, self.varied)[table].schema
         return pa.concat_tables(_read_parquet(*self.shard_files(shard)[table], schema) for shard in order)
 
 

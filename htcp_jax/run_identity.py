@@ -5,9 +5,11 @@ import hashlib
 import json
 import os
 import subprocess
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from htcp_jax.config_file import FILES
 from htcp_jax.errors import InputError
 from htcp_jax.results import provenance
 
@@ -21,6 +23,23 @@ def file_hash(file: str | Path) -> str:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"cannot read {file}: {error.strerror}") from None
+
+
+def anchor_files(config: dict) -> list[str]:
+    """Make the names of files in a configuration absolute, which is in its plain form; returns them."""
+    named = []
+    for (section, key), word in FILES.items():
+        if config[section][key] != word:
+            config[section][key] = str(Path(config[section][key]).resolve())
+            named.append(config[section][key])
+    return named
+
+
+def refuse_changed(files: Mapping[str, str], folder: Path) -> None:
+    """Raise InputError for a file that is gone, or is not what it was when the results in `folder` were planned."""
+    for file, known in files.items():
+        if file_hash(file) != known:
+            raise InputError(f"{file} is not what it was when {folder} was planned")
 
 
 def identity(config: dict, grid: list | tuple, dtype: str, files: dict[str, str]) -> dict:

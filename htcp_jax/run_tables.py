@@ -30,8 +30,10 @@
     after_escape   int32    tracked targets that took an escape
     blocked_paths  int32    tracked targets whose joint path from the row before collides
     clearance_min_m, residual_max_m, joint_motion_rad    double, over the tracked targets
-    start_<joint>_rad ..., rotation_y_rad, rotation_z_rad, shift_x_m ..., tool_extension_m, margin_m    double
+    start_<joint>_rad ..., rotation_x_rad, rotation_y_rad, rotation_z_rad    double
+    shift_x_m ..., tool_extension_m, margin_m    double
     path           string   the tool path: "weld" or the name of its file
+    robot.model, settings.alpha_rad ...    string   any other key in which the sweep's scenarios may differ, as JSON
 
 Columns hold results alone, no times: the same seed writes the same bytes.
 """
@@ -44,7 +46,7 @@ import numpy as np
 import pyarrow as pa
 
 from htcp_jax.errors import InputError
-from htcp_jax.grid import Point
+from htcp_jax.grid_points import Point
 from htcp_jax.metrics import is_tracked
 from htcp_jax.plans import Plans
 from htcp_jax.robot import Robot
@@ -88,9 +90,14 @@ def target_table(method: str, numbers: np.ndarray, count: np.ndarray, plans: Pla
 
 
 def scenario_table(
-    method: str, points: Sequence[Point], count: np.ndarray, plans: Plans, joints: Sequence[str]
+    method: str,
+    points: Sequence[Point],
+    count: np.ndarray,
+    plans: Plans,
+    joints: Sequence[str],
+    varied: Sequence[str] = (),
 ) -> pa.Table:
-    """Rows of scenarios, in the order of `points`."""
+    """Rows of scenarios, in the order of `points`; varied: keys that vary and have no column of their own."""
     exists = np.arange(plans.status.shape[1])[None, :] < count[:, None]
     tracked = is_tracked(plans.status) & exists
     missed = exists & ~tracked
@@ -114,17 +121,18 @@ def scenario_table(
         "residual_max_m": _extreme(np.max, plans.residual, tracked, -np.inf),
         "joint_motion_rad": pa.array(np.where(tracked, plans.joint_step, 0.0).sum(axis=1)),
     }
-    return pa.table(columns | _parameters(points, joints))
+    columns |= _parameters(points, joints)
+    return pa.table(columns | {key: pa.array([point.varied[key] for point in points], pa.string()) for key in varied})
 
 
-def empty_tables(joints: Sequence[str]) -> dict[str, pa.Table]:
+def empty_tables(joints: Sequence[str], varied: Sequence[str] = ()) -> dict[str, pa.Table]:
     """Both tables without rows, for their schemas."""
     shape, none = (0, 1), np.zeros(0, int)
     names = {"x": (len(joints),), "tcp": (3,), "target": (3,)}
     plans = Plans(**{name: np.zeros((*shape, *names.get(name, ())), int) for name in Plans._fields})
     return {
         "targets": target_table("", none, none, plans, joints),
-        "scenarios": scenario_table("", (), none, plans, joints),
+        "scenarios": scenario_table("", (), none, plans, joints, varied),
     }
 
 
@@ -179,6 +187,7 @@ def _parameters(points: Sequence[Point], joints: Sequence[str]) -> dict[str, pa.
     parts = [job.workpiece for job in jobs]
     columns = {f"start_{name}": _doubles([job.start_rad[k] for job in jobs]) for k, name in enumerate(joints)}
     columns |= {
+        "rotation_x_rad": _doubles([part.rotation_x_rad for part in parts]),
         "rotation_y_rad": _doubles([part.rotation_y_rad for part in parts]),
         "rotation_z_rad": _doubles([part.rotation_z_rad for part in parts]),
     }

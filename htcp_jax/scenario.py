@@ -62,6 +62,7 @@ def make_scenario(
     start: Sequence[float] | Anywhere,
     *,
     rotation: tuple[float, float] = (0.4, 0.1),
+    rotation_x_rad: float = 0.0,
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
     approach: tuple[int, int] = (5, 5),
     margin_m: float = 5e-4,
@@ -71,16 +72,16 @@ def make_scenario(
 ) -> Scenario:
     """One scenario of the scene's rules.
 
-    start: N joint positions [rad or m]; rotation: workpiece about world y, then z [rad]; shift: of the workpiece,
-    world [m]; margin_m: least clearance with which a target counts; tool_extension_m: see `robot.lengthen_tool`;
-    number: identity for the random keys. beyond_reach: what to do about a target beyond the arm's reach; "record" makes
-    a scenario that is planned as a failure, with that reason.
+    start: N joint positions [rad or m]; rotation: workpiece about world y, then z [rad], after rotation_x_rad about
+    world x; shift: of the workpiece, world [m]; margin_m: least clearance with which a target counts; tool_extension_m:
+    see `robot.lengthen_tool`; number: identity for the random keys. beyond_reach: what to do about a target beyond the
+    arm's reach; "record" makes a scenario that is planned as a failure, with that reason.
     Raises InputError for a start of the wrong length or outside the joint limits, and OutOfReach, which is one.
     """
     x_start = np.asarray(start, float)
     _check_start(robot, x_start)
     longer = lengthen_tool(robot, tool_extension_m)
-    T_world_workpiece = workpiece.T_world(*rotation, shift=shift)
+    T_world_workpiece = workpiece.T_world(*rotation, shift=shift, wx=rotation_x_rad)
     rotate, translate = T_world_workpiece[:3, :3], T_world_workpiece[:3, 3]
     tcp = np.asarray(_TCP(longer, jnp.asarray(x_start)))
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate

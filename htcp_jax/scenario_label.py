@@ -3,6 +3,7 @@
 Of the columns of a run's scenario table, those that tell no result are parameters; those that vary are the label.
 """
 
+import json
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,8 @@ SHORT = {
     "shift_y": "y",
     "shift_z": "height",
     "tool_extension": "tool",
+    "robot.model": "robot",
+    "workpiece.cloud": "cloud",
 }
 UNITS = {"rad": "rad", "m": "m", "mm": "mm", "deg": "deg"}
 
@@ -74,9 +77,19 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def column_of(column: pa.ChunkedArray) -> np.ndarray:
-    """Numbers rounded to what a person writes, so that 0.1 + 0.2 and 0.3 are one value of an axis."""
-    values = np.array(column.to_pylist())
+    """Numbers rounded to what a person writes, so that 0.1 + 0.2 and 0.3 are one value of an axis; where a column has
+    JSON of numbers or words, these, and lists as they are written."""
+    values = np.array(_read_json(column.to_pylist()))
     return np.round(values, 9) + 0.0 if values.dtype.kind == "f" else values
+
+
+def _read_json(told: list) -> list:
+    try:
+        read = [json.loads(text) for text in told]
+    except (TypeError, ValueError):
+        return told
+    kinds = {type(value) for value in read}
+    return read if kinds <= {int, float} or kinds == {str} else told
 
 
 def _determines(these: np.ndarray, those: np.ndarray) -> bool:

@@ -23,22 +23,21 @@ import numpy as np
 import pyarrow as pa
 
 from htcp_jax import run_writer
-from htcp_jax.config import FILES
 from htcp_jax.errors import InputError, Interrupted, Lost
 from htcp_jax.escape import METHODS
-from htcp_jax.grid import Batch, Column, Group, Sweep, load_sweep
+from htcp_jax.grid import Batch, Sweep, load_sweep
+from htcp_jax.grid_axes import FILE_KEYS, record
 from htcp_jax.planner import Progress as ShardProgress
 from htcp_jax.plans import Plans
 from htcp_jax.results import made_folder
 from htcp_jax.run_folder import Manifest, Run, Span, spans
-from htcp_jax.run_identity import config_hash, file_hash, identity
+from htcp_jax.run_identity import anchor_files, config_hash, file_hash, identity
 from htcp_jax.run_lock import locked
 from htcp_jax.run_signals import SignalCame, signals
 from htcp_jax.run_tables import joint_columns, scenario_table, target_table
 from htcp_jax.sweep_here import Shard, plan_here
 from htcp_jax.sweep_ray import on_ray
 
-PATH, WELD = "workpiece.path", FILES["workpiece", "path"]
 SHARD_SCENARIOS = 512  # fixed, so that shards are the same on every machine; fewer leave a table half empty
 
 
@@ -142,22 +141,24 @@ def tables(batch: Batch, method: str, span: Span, plans: Plans) -> dict[str, pa.
     """The rows of a shard, see `run_tables`."""
     rows = slice(span.first, span.last + 1)
     joints, count, points = joint_columns(batch.robot), batch.scenarios.count[rows], batch.points[rows]
+    varied = tuple(points[0].varied)
     numbers = np.array([point.number for point in points])
     return {
         "targets": target_table(method, numbers, count, plans, joints),
-        "scenarios": scenario_table(method, points, count, plans, joints),
+        "scenarios": scenario_table(method, points, count, plans, joints, varied),
     }
 
 
 def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | None, shard_scenarios: int) -> Manifest:
     """What is asked for, in the words of the manifest."""
     config = spec.config.model_dump(mode="json")
-    for (section, key), word in FILES.items():
-        config[section][key] = _absolute(config[section][key], word)
-    grid = [_group_record(group) for group in spec.groups]
-    named = [config[section][key] for (section, key), word in FILES.items() if config[section][key] != word]
-    named += [path for group in grid for axis in group["axes"] for path in axis.get(PATH, {}).get("values", ())]
-    files = {name: file_hash(name) for name in dict.fromkeys(named) if name != WELD}
+    grid = [record(group, spec.stated) for group in spec.groups]
+    named = anchor_files(config)
+    for axis in (axis for group in grid for axis in group["axes"]):
+        named += [
+            name for key, word in FILE_KEYS.items() for name in axis.get(key, {}).get("values", ()) if name != word
+        ]
+    files = {name: file_hash(name) for name in dict.fromkeys(named)}
     dtype = str(batch.scenarios.targets.dtype)
     return Manifest(
         name=spec.name,
@@ -177,28 +178,11 @@ def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | 
     )
 
 
-def _group_record(group: Group) -> dict:
-    """A group of axes as it stands in the manifest."""
-
-    def values(column: Column) -> list:
-        return [_absolute(value, WELD) if column.parameter.key == PATH else value for value in column.values]
-
-    axes = [
-        {column.parameter.name: {"offsets" if column.relative else "values": values(column)} for column in axis}
-        for axis in group.axes
-    ]
-    return {"name": group.name, "axes": axes}
-
-
-def _absolute(name: str, word: str) -> str:
-    return name if name == word else str(Path(name).resolve())
-
-
 def _planner(on: str, batch: Batch, spec: Sweep, threads: int | None):
     """Hands out what plans shards, while it is there: plan(shards, tell) yields (shard, plans, what planned it)."""
     where, _, address = on.partition(":")
     if on == "here":
-        return contextlib.nullcontext(partial(plan_here, batch, spec.config.settings, threads))
+        return contextlib.nullcontext(partial(plan_here, batch, threads))
     if where == "ray":
         return on_ray(batch, spec.config, address)
     raise InputError(f"on is {on!r}; valid: here, ray, ray:<address of a cluster>")

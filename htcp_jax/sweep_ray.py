@@ -14,18 +14,16 @@ from collections.abc import Callable, Iterator, Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Int
 
-from htcp_jax import compile_cache, planner
+from htcp_jax import compile_cache
 from htcp_jax.config import PlanConfig, RayConfig
 from htcp_jax.errors import InputError, Lost
-from htcp_jax.grid import Batch
+from htcp_jax.grid import Batch, Cell
 from htcp_jax.plans import Plans
-from htcp_jax.robot import Robot
 from htcp_jax.run_identity import planned_by
 from htcp_jax.scenario import Scenario
-from htcp_jax.settings import Settings
-from htcp_jax.sweep_here import Planned, Shard, scenarios_of
-from htcp_jax.workpiece import Workpiece
+from htcp_jax.sweep_here import Planned, Shard, plan_cells, scenarios_of
 
 LOOK_S = 0.5  # how often a waiting sweep looks for a signal
 GPU_SHARE = 0.75  # of a GPU's memory that JAX takes for itself unless told
@@ -67,14 +65,16 @@ def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], tell: 
         max_retries=config.ray.retries,
         runtime_env={"env_vars": _environment(config.ray)},
     )
-    scene = ray.put(jax.tree.map(np.asarray, batch.robot)), ray.put(batch.workpiece)
+    cells = [ray.put(cell._replace(robot=jax.tree.map(np.asarray, cell.robot))) for cell in batch.cells]
     left, running = iter(shards), {}
     try:
         while True:
             room = 2 * int(ray.cluster_resources().get("CPU", 1)) + 8 - len(running)
             for _, shard in zip(range(room), left):  # noqa: B905 - as many as there is room for
-                scenarios = scenarios_of(batch, shard.span)
-                running[task.remote(*scene, scenarios, shard.method, config.settings, config.ray)] = shard
+                cell, scenarios = scenarios_of(batch, shard.span)
+                wanted, cell = np.unique(cell, return_inverse=True)
+                own = [cells[number] for number in wanted]
+                running[task.remote(shard.method, scenarios, config.ray, cell, *own)] = shard
             if not running:
                 return
             done, _ = ray.wait(list(running), timeout=LOOK_S)
@@ -94,12 +94,12 @@ def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], tell: 
 
 
 def _plan_shard(
-    robot: Robot, workpiece: Workpiece, scenarios: Scenario, method: str, settings: Settings, share: RayConfig
+    method: str, scenarios: Scenario, share: RayConfig, cell: Int[np.ndarray, "S"], *cells: Cell
 ) -> tuple[Plans, dict]:
     """What a worker does: the plans of one shard, and what planned it."""
     compile_cache.enable()
-    robot, threads = jax.tree.map(jnp.asarray, robot), max(1, int(share.num_cpus))
-    return planner.plan(robot, workpiece, scenarios, method, settings, threads=threads), planned_by()
+    cells = [each._replace(robot=jax.tree.map(jnp.asarray, each.robot)) for each in cells]
+    return plan_cells(cells, cell, scenarios, method, max(1, int(share.num_cpus))), planned_by()
 
 
 def _environment(share: RayConfig) -> dict[str, str]:

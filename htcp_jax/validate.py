@@ -22,13 +22,15 @@ import mujoco
 import numpy as np
 import scipy
 
+from htcp_jax.config import RobotConfig
 from htcp_jax.errors import InputError
+from htcp_jax.job import arm_of, part_of, shape_of
 from htcp_jax.results import SUMMARY, write_json
 from htcp_jax.robot import GP50
 from htcp_jax.validate_arm import Arm
 from htcp_jax.validate_input import Results, Track, read_results
 from htcp_jax.validate_track import Checked, Refuted, check
-from htcp_jax.validate_wall import wall_of
+from htcp_jax.validate_wall import Wall, wall_of
 
 VALIDATION = "validation.json"
 TOLD = 100  # refuted configurations that are told one by one
@@ -94,11 +96,12 @@ def validate(
         raise InputError(f"the feed rate is {feed_mm_s:g} mm/s; it must be positive")
     began = time.perf_counter()
     results = read_results(Path(folder))
-    wall = wall_of(results.config.workpiece, next(iter(results.workpieces.values())))
-    arms: dict[float, Arm] = {}
+    arms: dict[RobotConfig, Arm] = {}
+    walls: dict[tuple, Wall] = {}
     checked = []
     for track in results.tracks:
-        checked.append(check(results, _arm(arms, results, track), wall, track, between))
+        arm, wall = _arm(arms, results, track), _wall(walls, results, track)
+        checked.append(check(results, arm, wall, track, between))
         if progress is not None:
             progress(len(checked), results.count)
     joints = next(iter(arms.values())).joints
@@ -159,15 +162,31 @@ def _keys(told: dict[str, Any]) -> set[str]:
     return {*told, *(f"{method}.{key}" for method, check in told["methods"].items() for key in check)}
 
 
-def _arm(arms: dict[float, Arm], results: Results, track: Track) -> Arm:
+def _arm(arms: dict[RobotConfig, Arm], results: Results, track: Track) -> Arm:
     """The arm with the track's tool; each is compiled once."""
-    robot, extension = results.config.robot, track.pose.tool_extension_m
-    if extension not in arms:
-        arms[extension] = Arm(GP50 if robot.model == "gp50" else Path(robot.model), extension, robot.limits)
-    arm = arms[extension]
+    robot = track.config.robot.model_copy(update={"tool_extension_m": track.pose.tool_extension_m})
+    if robot not in arms:
+        arms[robot] = Arm(
+            GP50 if robot.model == "gp50" else Path(robot.model),
+            robot.tool_extension_m,
+            robot.limits,
+            tcp="tcp" if robot.tcp is None else robot.tcp,
+            base_m=robot.base_m,
+            base_rpy_rad=robot.base_rpy_rad,
+            tool=robot.tool,
+        )
+    arm = arms[robot]
     if len(arm.joints) != track.x.shape[1]:
         raise InputError(f"{results.folder}: {track.x.shape[1]} joints on record, {len(arm.joints)} in the model")
     return arm
+
+
+def _wall(walls: dict[tuple, Wall], results: Results, track: Track) -> Wall:
+    """The track's workpiece; each is taken in once, whatever the paths along it."""
+    key = shape_of(part_of(track.config)), arm_of(track.config)  # the points on a mesh are as close as the arm needs
+    if key not in walls:
+        walls[key] = wall_of(track.config.workpiece, results.workpiece(track.config))
+    return walls[key]
 
 
 def _sum_up(checked: Sequence[Checked], joints: Sequence[str], feed_mm_s: float) -> MethodCheck:

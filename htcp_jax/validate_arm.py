@@ -14,11 +14,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError
+from htcp_jax.robot_tool import ZERO, Tool, Triple
 from htcp_jax.robot_xml import read_spec
 
 PROBE_M = 1e-9  # radius of the sphere that stands for a point of the cloud; distances are corrected by it
 FAR_M = 1e3  # MuJoCo looks no further
-_PROBE = "probe of htcp validate"
+_PROBE, _TCP = "probe of htcp validate", "TCP of htcp validate"
 _SPHERE, _CAPSULE = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE
 _OWN_FRAME = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)  # else MuJoCo may take the body's, and forget a changed position
 _HINGE = mujoco.mjtJoint.mjJNT_HINGE
@@ -33,18 +34,31 @@ class Postures(NamedTuple):
 
 
 class Arm:
-    """A model file in MuJoCo, its tool longer by `tool_extension_m`, and a probe that can be put anywhere.
+    """A model file in MuJoCo, with the base and the tool that a job gives it and the tool longer by `tool_extension_m`,
+    and a probe that can be put anywhere.
 
-    names, radius, length: of the K capsule and sphere geoms, and their axes' [m]; lower, upper: joint limits of the
-    profile `limits` of `robot.load_robot`; speed: inf where the model gives none. Raises InputError for a file that
-    MuJoCo cannot read.
+    limits, tcp, base_m, base_rpy_rad, tool: see `robot.load_robot`. names, radius, length: of the K capsules and
+    spheres, and their axes' [m]; lower, upper: joint limits; speed: inf where the model gives none. Raises InputError
+    for a file that MuJoCo cannot read.
     """
 
-    def __init__(self, path: Path, tool_extension_m: float = 0.0, limits: str = "model"):
-        self._model, self._site = _compile(Path(path))
-        self._data = mujoco.MjData(self._model)
+    def __init__(
+        self,
+        path: Path,
+        tool_extension_m: float = 0.0,
+        limits: str = "model",
+        *,
+        tcp: str = "tcp",
+        base_m: Triple = ZERO,
+        base_rpy_rad: Triple = ZERO,
+        tool: Tool | None = None,
+    ):
+        self._model, self._site = _compile(Path(path), tcp, tool)
         self._probe = self._model.geom(_PROBE).id
         self._geoms = np.array([g for g in range(self._model.ngeom) if g != self._probe])
+        if any((*base_m, *base_rpy_rad)):
+            _stand(self._model, self._geoms, base_m, base_rpy_rad)
+        self._data = mujoco.MjData(self._model)
         if tool_extension_m:
             _lengthen(self._model, self._site, self._geoms, tool_extension_m)
         self.names = tuple(self._model.geom(g).name or f"geom {g}" for g in self._geoms)
@@ -96,8 +110,8 @@ class Arm:
         mujoco.mj_kinematics(self._model, self._data)
 
 
-def _compile(path: Path) -> tuple[mujoco.MjModel, int]:
-    """The model with its capsules, its spheres and the probe as its only geoms, and the site at the TCP."""
+def _compile(path: Path, tcp: str, tool: Tool | None) -> tuple[mujoco.MjModel, int]:
+    """The model with its capsules, its spheres, the tool's and the probe as its only geoms, and the site at the TCP."""
     spec = read_spec(path)
     try:
         for geom in list(spec.geoms):
@@ -110,18 +124,65 @@ def _compile(path: Path) -> tuple[mujoco.MjModel, int]:
         spec.compiler.boundmass = spec.compiler.boundinertia = 1e-9  # MuJoCo insists on masses
         spec.compiler.balanceinertia = True
         model = spec.compile()
-        site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "tcp")
-        body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "tcp")
-        if site < 0 and body < 0 and model.nsite == 1:
-            site = 0
-        if site < 0:
-            name = "tcp" if body >= 0 else _outermost_body(model)
-            site = spec.body(name).add_site(name="TCP of htcp validate").name
-            model = spec.compile()
-            site = model.site(site).id
-        return model, site
+        body, position, quaternion = _flange(model, tcp)
+        flange = next(one for one in spec.bodies if one.id == body)
+        if tool is not None:
+            if tool.bodies:  # a body of their own: what else is fixed to the flange is not the tool
+                flange = flange.add_body(pos=position, quat=quaternion)
+                position, quaternion = np.zeros(3), np.array([1.0, 0, 0, 0])
+            for part in tool.bodies:
+                _add_capsule(flange, part.name, part.p_m, part.q_m, part.radius_m)
+            position, quaternion = _composed(position, quaternion, np.array(tool.tip_m), _turn(tool.tip_rpy_rad))
+        flange.add_site(name=_TCP, pos=position, quat=quaternion)
+        model = spec.compile()
+        return model, model.site(_TCP).id
     except (ValueError, OSError, mujoco.FatalError) as error:
         raise InputError(f"{path}: not a robot model that MuJoCo can read: {' '.join(str(error).split())}") from None
+
+
+def _flange(model: mujoco.MjModel, name: str) -> tuple[int, np.ndarray, np.ndarray]:
+    """The body that carries the frame of that name, and where on it: position, quaternion."""
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
+    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+    if site < 0 and body < 0 and model.nsite == 1:
+        site = 0
+    if site >= 0:
+        return int(model.site_bodyid[site]), model.site_pos[site].copy(), model.site_quat[site].copy()
+    return body if body >= 0 else _outermost_body(model), np.zeros(3), np.array([1.0, 0, 0, 0])
+
+
+def _add_capsule(body: mujoco.MjsBody, name: str, p: tuple, q: tuple, radius: float) -> None:
+    if p == q:
+        body.add_geom(name=name, type=_SPHERE, pos=p, size=[radius, 0, 0])
+    else:
+        body.add_geom(name=name, type=_CAPSULE, fromto=[*p, *q], size=[radius, 0, 0])
+
+
+def _turn(rpy: tuple[float, float, float]) -> np.ndarray:
+    """The quaternion of turns about the fixed axes x, y and z, in this order."""
+    quaternion = np.empty(4)
+    mujoco.mju_euler2Quat(quaternion, np.array(rpy), "XYZ")
+    return quaternion
+
+
+def _composed(
+    position: np.ndarray, quaternion: np.ndarray, then_position: np.ndarray, then_quaternion: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The pose of a frame that is given in another frame."""
+    moved, turned = np.empty(3), np.empty(4)
+    mujoco.mju_rotVecQuat(moved, then_position, quaternion)
+    mujoco.mju_mulQuat(turned, quaternion, then_quaternion)
+    return position + moved, turned
+
+
+def _stand(model: mujoco.MjModel, geoms: np.ndarray, position: tuple, rpy: tuple) -> None:
+    """Put all that is fixed to the world, but for the probe, where the robot's base is."""
+    base = np.array(position), _turn(rpy)
+    for body in np.flatnonzero(model.body_parentid == 0)[1:]:  # the world is its own parent
+        model.body_pos[body], model.body_quat[body] = _composed(*base, model.body_pos[body], model.body_quat[body])
+    for geom in geoms[model.geom_bodyid[geoms] == 0]:
+        model.geom_sameframe[geom] = _OWN_FRAME
+        model.geom_pos[geom], model.geom_quat[geom] = _composed(*base, model.geom_pos[geom], model.geom_quat[geom])
 
 
 def _upwards(model: mujoco.MjModel, body: int) -> Iterator[int]:
@@ -136,10 +197,10 @@ def _joints_below(model: mujoco.MjModel, body: int) -> int:
     return int(model.body_jntnum[list(_upwards(model, body))].sum())
 
 
-def _outermost_body(model: mujoco.MjModel) -> str:
+def _outermost_body(model: mujoco.MjModel) -> int:
     """The last of the bodies with the most joints between them and the world."""
     depth = [_joints_below(model, body) for body in range(model.nbody)]
-    return model.body(max(range(model.nbody), key=lambda body: (depth[body], body))).name
+    return max(range(model.nbody), key=lambda body: (depth[body], body))
 
 
 def _lengthen(model: mujoco.MjModel, site: int, geoms: np.ndarray, extension_m: float) -> None:

@@ -4,35 +4,37 @@ The results come as recorded. Their targets are worked out anew, by the scene's 
 the pose rule of workpiece.py are among what is validated.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from htcp_jax.config import PlanConfig, WorkpieceConfig, validate
+from htcp_jax.config import PlanConfig, RobotConfig, WorkpieceConfig, validate
 from htcp_jax.errors import InputError
-from htcp_jax.job import robot_of, workpiece_of
+from htcp_jax.job import arm_of, part_of, robot_of, workpiece_of
 from htcp_jax.metrics import is_tracked
 from htcp_jax.results import SUMMARY, TRAJECTORY, read_plan
 from htcp_jax.run_folder import MANIFEST, Run, open_run
-from htcp_jax.run_identity import file_hash
+from htcp_jax.run_identity import file_hash, refuse_changed
 from htcp_jax.workpiece import Workpiece
 
 ARRAYS = "status", "path_clear", "x", "tcp", "target", "clearance"
 XYZ = "xyz"
+MOST_WORKPIECES = 8  # of one run in memory
 
 
 class Pose(NamedTuple):
     """How a scenario differs from its configuration."""
 
     start: Float[np.ndarray, "N"]
+    rotation_x_rad: float
     rotation_y_rad: float
     rotation_z_rad: float
     shift_m: Float[np.ndarray, "3"]
     tool_extension_m: float
-    path: str  # key of `Results.workpieces`
 
 
 class Track(NamedTuple):
@@ -40,6 +42,7 @@ class Track(NamedTuple):
 
     method: str
     scenario: int
+    config: PlanConfig  # the scenario's own, but for the pose
     pose: Pose
     tracked: Bool[np.ndarray, "T"]
     blocked: Bool[np.ndarray, "T"]  # joint path from the row before, as recorded
@@ -53,8 +56,7 @@ class Results(NamedTuple):
     """All that is to be validated."""
 
     folder: Path
-    config: PlanConfig
-    workpieces: dict[str, Workpiece]  # by their tool path; they share their cloud
+    workpiece: Callable[[PlanConfig], Workpiece]  # of a track's configuration
     count: int  # of the tracks
     tracks: Iterable[Track]
     files: dict[str, str]  # SHA-256 of the files that hold the results
@@ -79,11 +81,13 @@ def result_files(run: Run) -> dict[str, str]:
 
 def turned_and_moved(part: WorkpieceConfig, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
     """Rotation (3, 3) and translation (3,) from the workpiece frame to the world: about the pivot, first about world
-    y, then about world z, applied to the neutral pose; then the shift."""
-    (cy, sy), (cz, sz) = ((np.cos(angle), np.sin(angle)) for angle in (pose.rotation_y_rad, pose.rotation_z_rad))
+    x, then about y, then about z, applied to the neutral pose; then the shift."""
+    angles = pose.rotation_x_rad, pose.rotation_y_rad, pose.rotation_z_rad
+    (cx, sx), (cy, sy), (cz, sz) = ((np.cos(angle), np.sin(angle)) for angle in angles)
+    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
     about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-    rotate, pivot = about_z @ about_y, np.array(part.pivot_m)
+    rotate, pivot = about_z @ about_y @ about_x, np.array(part.pivot_m)
     return rotate, pivot + rotate @ (np.array(part.neutral_translation_m) - pivot) + pose.shift_m
 
 
@@ -101,47 +105,35 @@ def targets_of(
 
 
 def _read_run(run: Run) -> Results:
-    manifest, config = run.manifest, run.config
-    for name, known in manifest.files.items():
-        if file_hash(name) != known:
-            raise InputError(f"{name} is not what it was when {run.folder} was planned")
-    paths = _paths(run)
-    workpieces = {path: _workpiece(config, path) for path in paths.values()}
-    count = sum(shard.last - shard.first + 1 for shard in manifest.shards)
+    refuse_changed(run.manifest.files, run.folder)
+    count = sum(shard.last - shard.first + 1 for shard in run.manifest.shards)
     if not count:
         raise InputError(f"{run.folder} has no finished shard yet")
-    return Results(run.folder, config, workpieces, count, _tracks(run, paths), result_files(run))
+    return Results(run.folder, _workpieces(), count, _tracks(run), result_files(run))
 
 
-def _tracks(run: Run, paths: dict[str, str]) -> Iterator[Track]:
+def _tracks(run: Run) -> Iterator[Track]:
     """Method by method, so that only one method's results are in memory."""
+    points = run.points()
     for method in dict.fromkeys(shard.method for shard in run.manifest.shards):
         plans = run.plans(method)._asdict()
         for row in run.scenarios(method).to_pylist():
             pose = Pose(
                 start=np.array([row[f"start_{joint}"] for joint in run.manifest.joints]),
+                rotation_x_rad=row["rotation_x_rad"],
                 rotation_y_rad=row["rotation_y_rad"],
                 rotation_z_rad=row["rotation_z_rad"],
                 shift_m=np.array([row[f"shift_{axis}_m"] for axis in XYZ]),
                 tool_extension_m=row["tool_extension_m"],
-                path=paths[row["path"]],
             )
-            yield _track(method, row["scenario"], pose, {name: plans[name][row["scenario"]] for name in ARRAYS})
-
-
-def _paths(run: Run) -> dict[str, str]:
-    """The tool paths of a run by the names in its table of scenarios."""
-    axes = [axis for group in run.manifest.grid for axis in group["axes"]]
-    full = [name for axis in axes for name in axis.get("workpiece.path", {}).get("values", ())]
-    named = {}
-    for path in dict.fromkeys([run.config.workpiece.path, *full]):
-        if named.setdefault(Path(path).name, path) != path:
-            raise InputError(f"{run.folder}: two tool paths are called {Path(path).name}; they cannot be told apart")
-    return named
+            number = row["scenario"]
+            arrays = {name: plans[name][number] for name in ARRAYS}
+            yield _track(method, number, points[number].config, pose, arrays)
 
 
 def _read_plan(folder: Path) -> Results:
-    method, raw, arrays = read_plan(folder, ARRAYS)
+    method, raw, known, arrays = read_plan(folder, ARRAYS)
+    refuse_changed(known, folder)
     config: PlanConfig = validate(raw, PlanConfig, str(folder / SUMMARY), of_record=True)
     part, start = config.workpiece, np.array(config.start_rad)
     count, joints = arrays["status"].size, len(start)
@@ -149,19 +141,23 @@ def _read_plan(folder: Path) -> Results:
     for name, array in arrays.items():
         if array.shape != shapes.get(name, (count,)) or array.dtype.kind not in "fiu":
             raise InputError(f"{folder / TRAJECTORY}: {name} has the shape {array.shape}; damaged")
-    extension = config.robot.tool_extension_m
-    pose = Pose(start, part.rotation_y_rad, part.rotation_z_rad, np.array(part.shift_m), extension, part.path)
-    workpieces = {part.path: _workpiece(config, part.path)}
+    angles = part.rotation_x_rad, part.rotation_y_rad, part.rotation_z_rad
+    pose = Pose(start, *angles, np.array(part.shift_m), config.robot.tool_extension_m)
     files = {TRAJECTORY: file_hash(folder / TRAJECTORY)}
-    return Results(folder, config, workpieces, 1, [_track(method, 0, pose, arrays)], files)
+    return Results(folder, _workpieces(), 1, [_track(method, 0, config, pose, arrays)], files)
 
 
-def _track(method: str, scenario: int, pose: Pose, arrays: dict[str, np.ndarray]) -> Track:
+def _track(method: str, scenario: int, config: PlanConfig, pose: Pose, arrays: dict[str, np.ndarray]) -> Track:
     there = arrays["status"] >= 0
     status, path_clear, *values = (arrays[name][there] for name in ARRAYS)
-    return Track(method, scenario, pose, is_tracked(status), path_clear == 0, *values)
+    return Track(method, scenario, config, pose, is_tracked(status), path_clear == 0, *values)
 
 
-def _workpiece(config: PlanConfig, path: str) -> Workpiece:
-    """Only its points, path and inlet are used, and that it is a mesh."""
-    return workpiece_of(config.workpiece.model_copy(update={"path": path}), robot_of(config.robot))
+def _workpieces() -> Callable[[PlanConfig], Workpiece]:
+    """Loads workpieces, and keeps the last few. Only their points, path and inlet are used, and that it is a mesh."""
+
+    @lru_cache(maxsize=MOST_WORKPIECES)
+    def load(part: WorkpieceConfig, arm: RobotConfig) -> Workpiece:
+        return workpiece_of(part, robot_of(arm))
+
+    return lambda config: load(part_of(config), arm_of(config))

@@ -63,8 +63,7 @@ def check(results: Results, arm: Arm, wall: Wall, track: Track, between: int) ->
         "tcp_off": _off(np.linalg.norm(reached - track.tcp[t], axis=1)),
         "target_off": _off(np.linalg.norm(targets[t] - track.target[t], axis=1)),
     }
-    tolerance = results.config.settings.tolerance_m
-    contact = results.config.workpiece.tip_contact_m
+    tolerance, contact = track.config.settings.tolerance_m, track.config.workpiece.tip_contact_m
     through = np.zeros(len(t), bool)
     if bound and contact is not None and len(t):
         through = scene.tip_goes_through(Postures(*(values[1:] for values in at.postures)), contact)
@@ -88,7 +87,7 @@ def check(results: Results, arm: Arm, wall: Wall, track: Track, between: int) ->
 
 def _scene(results: Results, arm: Arm, wall: Wall, track: Track) -> tuple[Scene, Float[np.ndarray, "T 3"]]:
     """The arm beside the wall as the track has it, and its targets."""
-    part, pose, workpiece = results.config.workpiece, track.pose, results.workpieces[track.pose.path]
+    part, pose, workpiece = track.config.workpiece, track.pose, results.workpiece(track.config)
     rotate, translate = turned_and_moved(part, pose)
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
     start_tcp = arm.postures(pose.start[None]).tcp[0]

@@ -99,14 +99,19 @@ class Workpiece:
                 array.setflags(write=False)
             object.__setattr__(self, name, array)  # the one way into a frozen dataclass, taken only here
 
-    def T_world(self, wy: float, wz: float, shift: Triple = (0.0, 0.0, 0.0)) -> Float[np.ndarray, "4 4"]:
-        """T_world_workpiece: x_world = pivot + Rz(wz) Ry(wy) (x + neutral_translation - pivot) + shift.
+    def T_world(
+        self, wy: float, wz: float, shift: Triple = (0.0, 0.0, 0.0), wx: float = 0.0
+    ) -> Float[np.ndarray, "4 4"]:
+        """T_world_workpiece: x_world = pivot + Rz(wz) Ry(wy) Rx(wx) (x + neutral_translation - pivot) + shift.
 
-        wy, wz [rad] about world y, then world z; shift [m] in the world.
+        wx, wy, wz [rad] about world x, then world y, then world z; shift [m] in the world.
         """
         cy, sy, cz, sz = np.cos(wy), np.sin(wy), np.cos(wz), np.sin(wz)
         T = np.eye(4)
         T[:3, :3] = [[cz * cy, -sz, cz * sy], [sz * cy, cz, sz * sy], [-sy, 0.0, cy]]
+        if wx:  # else not a bit of the others changes
+            cx, sx = np.cos(wx), np.sin(wx)
+            T[:3, :3] = T[:3, :3] @ [[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]]
         T[:3, 3] = self.pivot + T[:3, :3] @ (self.neutral_translation - self.pivot) + shift
         return T
 

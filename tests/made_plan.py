@@ -7,7 +7,7 @@ from hand_made import plans_with
 from made_once import START, robot
 
 from htcp_jax import api
-from htcp_jax.config import load_config
+from htcp_jax.config import PlanConfig, load_config
 from htcp_jax.duct import duct_cloud, weld
 from htcp_jax.plans import Plans
 from htcp_jax.scenario import make_scenario
@@ -26,7 +26,9 @@ def made_plan(folder: Path) -> api.Plan:
     np.savetxt(folder / "path.csv", weld()[::14], delimiter=",")
     steps = {"workpiece.approach_to_inlet": 1, "workpiece.approach_to_path": 1}
     files = {"workpiece.cloud": str(folder / "cloud.npy"), "workpiece.path": str(folder / "path.csv")}
-    job = load_config(None, steps | files | {"workpiece.inlet_m": (0.0, 0.0, 0.19138), "method": "baseline"})
+    as_the_duct = {f"workpiece.{key}": value for key, value in PlanConfig().workpiece.model_dump().items()}
+    own = {"workpiece.inlet_m": (0.0, 0.0, 0.19138), "method": "baseline"}
+    job = load_config(None, as_the_duct | steps | files | own)
     workpiece = load_workpiece(folder / "cloud.npy", folder / "path.csv", inlet=(0.0, 0.0, 0.19138))
     scenario = make_scenario(robot(), workpiece, START, approach=(1, 1))
     return api.Plan(job, robot(), workpiece, scenario, made_plans(scenario.targets, STATUSES[:1]))

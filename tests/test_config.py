@@ -44,7 +44,7 @@ def test_overrides_come_last_and_are_yaml():
 
 
 def test_files_are_relative_to_the_yaml_file_and_to_the_working_folder_in_an_override(tmp_path):
-    (tmp_path / "plan.yaml").write_text("workpiece: {cloud: scan.xyz, path: weld}\nrobot:\n")
+    (tmp_path / "plan.yaml").write_text("workpiece: {cloud: scan.xyz, path: weld}\nstart_rad: [0]\nrobot:\n")
     config = load_config(tmp_path / "plan.yaml", ["robot.model=arm.urdf"])
     assert config.workpiece.cloud == str(tmp_path / "scan.xyz")
     assert (config.workpiece.path, config.robot.model) == ("weld", "arm.urdf")

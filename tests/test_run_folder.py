@@ -15,7 +15,7 @@ from hand_made import plans_with
 from htcp_jax import run_tables, run_writer
 from htcp_jax.config import load_config
 from htcp_jax.errors import InputError
-from htcp_jax.grid import Point
+from htcp_jax.grid_points import Point
 from htcp_jax.robot import gp50
 from htcp_jax.run_folder import Manifest, Run, Span, open_run
 from htcp_jax.run_identity import config_hash, identity, planned_by

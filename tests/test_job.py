@@ -1,0 +1,215 @@
+"""Jobs: what a job leaves out is its own robot's and part's, jobs build on each other, plans find their files."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hand_made import plans_with
+
+from htcp_jax import api
+from htcp_jax.cli import main
+from htcp_jax.config import PlanConfig, load_config
+from htcp_jax.errors import InputError
+from htcp_jax.job import robot_of, scene
+from htcp_jax.replay import open_shelf
+from htcp_jax.status import Status
+from htcp_jax.validate_input import read_results
+from htcp_jax.workpiece import load_workpiece
+
+CONFIGS = Path(__file__).parents[1] / "configs"
+ARM = CONFIGS / "pipe" / "arm.xml"
+START = [0.0, -0.7, 0.0, -2.0, 0.0, 0.3, 0.0]
+OWN = {"robot": {"model": str(ARM)}, "start_rad": START}
+
+
+@pytest.fixture
+def pipe(tmp_path):
+    """A copy of the pipe's job, with two points of its seam."""
+    folder = Path(shutil.copytree(CONFIGS / "pipe", tmp_path / "jobs"))
+    np.savetxt(folder / "seam.csv", np.loadtxt(folder / "seam.csv", delimiter=",", ndmin=2)[:2], delimiter=",")
+    text = (folder / "job.yaml").read_text().replace("workpiece:", "workpiece:\n  approach_to_path: 1", 1)
+    (folder / "job.yaml").write_text(text.replace("nspace-sqp", "baseline"))
+    return folder
+
+
+def plan_of(job: str | Path) -> api.Plan:
+    """Of a planner that gave up at once."""
+    config = load_config(job)
+    robot, workpiece, scenario = scene(config)
+    lost = [Status.ITERATION_LIMIT, *[Status.NOT_ATTEMPTED] * (len(scenario.targets) - 1)]
+    plans = plans_with([lost], joints=7)._replace(target=scenario.targets[None])
+    return api.Plan(config, robot, workpiece, scenario, plans)
+
+
+def refusal(config, overrides=()) -> str:
+    with pytest.raises(InputError) as error:
+        load_config(config, overrides)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def test_another_robot_has_its_model_s_limits_and_weights_of_one():
+    """W4: a job without limits was planned with +-pi, beyond what its model allows, and validated with the same."""
+    job = load_config(OWN)
+    assert job.robot.limits == "model" and job.settings.q_weights == (1.0,) * 7
+    limits = robot_of(load_config(OWN | {"robot.limits": "simulation"}).robot).upper
+    assert np.allclose(limits, np.pi) and (np.asarray(robot_of(job.robot).upper) < np.pi).all()
+
+
+def test_another_robot_without_a_start_is_refused_and_its_joints_are_named(tmp_path):
+    """W4: the GP50's start was taken silently, or refused for its length."""
+    (tmp_path / "job.yaml").write_text(f"robot: {{model: {ARM}}}\n")
+    told = refusal(tmp_path / "job.yaml")
+    assert told.startswith(f"{tmp_path / 'job.yaml'}: robot.model is arm.xml, so start_rad must be given: ")
+    assert told.endswith(": 7 joint positions (a1, a2, a3, a4, a5, a6, a7)")
+
+
+def test_another_cloud_stands_at_its_own_origin_and_is_not_turned():
+    """W4: a cloud of one's own was tilted by 0.4 and 0.1 rad about a point of the duct, and moved as the duct is."""
+    part = load_config({"workpiece": {"cloud": "box.stl"}}).workpiece
+    assert (part.rotation_x_rad, part.rotation_y_rad, part.rotation_z_rad) == (0, 0, 0)
+    assert part.neutral_translation_m == part.pivot_m == (0, 0, 0)
+    moved = load_config({"workpiece": {"cloud": "box.stl", "neutral_translation_m": [1, 2, 3]}}).workpiece
+    assert moved.neutral_translation_m == moved.pivot_m == (1, 2, 3), "it turns about its own origin"
+
+
+def test_what_a_job_states_always_stands():
+    stated = {
+        "robot": {"model": str(ARM), "limits": "simulation"},
+        "workpiece": {"cloud": "box.stl", "rotation_z_rad": 0.3, "pivot_m": [1, 0, 0]},
+        "settings": {"q_weights": [2.0] * 7},
+        "start_rad": START,
+    }
+    job = load_config(stated)
+    part = job.workpiece
+    assert (job.robot.limits, job.settings.q_weights) == ("simulation", (2.0,) * 7)
+    assert (part.rotation_y_rad, part.rotation_z_rad, part.pivot_m) == (0, 0.3, (1, 0, 0))
+    assert load_config({"config": str(CONFIGS / "duct.yaml"), "workpiece.cloud": "scan.xyz"}).workpiece == (
+        PlanConfig().workpiece.model_copy(update={"cloud": "scan.xyz"})
+    ), "duct.yaml states every key, so a scan of the duct stands where the duct does"
+
+
+def test_a_mapping_an_override_and_a_file_say_the_same(tmp_path):
+    (tmp_path / "job.yaml").write_text(f"robot: {{model: {ARM}}}\nstart_rad: {START}\nmargin_m: 0.25\n")
+    said = load_config(tmp_path / "job.yaml")
+    assert said == load_config(OWN | {"margin_m": 0.25}) == load_config(None, {"margin_m": 0.25, **OWN})
+    assert said == load_config({"robot": {"model": ARM}, "margin_m": 0.25}, {"start_rad": START})
+
+
+def test_jobs_build_on_each_other_with_files_of_their_own_folders(tmp_path):
+    """B3: a job could not build on another; ten jobs of one cell repeated all of it."""
+    (tmp_path / "cell").mkdir()
+    (tmp_path / "cell" / "base.yaml").write_text(
+        f"robot: {{model: {ARM}, base_m: [0, 0, 0.5]}}\nstart_rad: {START}\n"
+        "workpiece: {cloud: box.stl, path: a.csv}\n"
+    )
+    (tmp_path / "middle.yaml").write_text("config: cell/base.yaml\nmargin_m: 0.25\nworkpiece: {path: b.csv}\n")
+    (tmp_path / "job.yaml").write_text("config: middle.yaml\nrobot: {base_m: [1, 0, 0]}\nsettings:\nmargin_m: 0.5\n")
+    job = load_config(tmp_path / "job.yaml", ["workpiece.path=c.csv"])
+    assert (job.robot.base_m, job.margin_m) == ((1, 0, 0), 0.5), "lists are replaced as a whole"
+    assert job.robot.model == str(ARM) and job.workpiece.cloud == str(tmp_path / "cell" / "box.stl")
+    assert job.workpiece.path == "c.csv" and job.robot.limits == "model"
+    assert load_config(tmp_path / "job.yaml").workpiece.path == str(tmp_path / "b.csv")
+
+
+def test_paper_yaml_builds_on_duct_yaml():
+    assert load_config(CONFIGS / "paper.yaml").workpiece == PlanConfig().workpiece
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("config: job.yaml", "job.yaml: configurations in a circle: "),
+        ("config: other.yaml", "other.yaml: configurations in a circle: "),
+        ("config: none.yaml", "none.yaml: No such file"),
+        ("config: 3", "job.yaml: config is 3; it names the file that this one builds on"),
+        ("config:", "job.yaml: config is None; it names the file"),
+        ("config: typo.yaml", "typo.yaml: unknown key margin; did you mean margin_m?"),
+        ("config: .", "not a regular file"),
+    ],
+)
+def test_a_base_that_cannot_be_is_one_line(tmp_path, text, line):
+    """B3: bad input of `config:`."""
+    (tmp_path / "job.yaml").write_text(text)
+    (tmp_path / "other.yaml").write_text("config: job.yaml")
+    (tmp_path / "typo.yaml").write_text("margin: 1")
+    assert line in refusal(tmp_path / "job.yaml")
+
+
+@pytest.mark.parametrize(
+    ("robot", "line"),
+    [
+        ("tcp: tool0", "no site or body 'tool0' for the TCP; sites of the model: tcp; bodies: "),
+        ("base_m: [0, 0]", "robot.base_m.2 is "),
+        ("base_rpy_rad: [0, 0, .nan]", "robot.base_rpy_rad.2 is nan"),
+        ("tool: 3", "robot.tool is 3: "),
+        ("tool: {tip: [0, 0, 0]}", "unknown key robot.tool.tip; did you mean robot.tool.tip_m?"),
+        ("tool: {tip_m: [0, 0, .nan]}", "robot.tool.tip_m.2 is nan: input should be a finite number"),
+        ("tool: {tip_rpy_rad: [0, 0, .inf]}", "robot.tool.tip_rpy_rad.2 is inf: input should be a finite number"),
+        ("tool: {bodies: [{name: a, p_m: [0, 0, 0], q_m: [0, 0, 1]}]}", "robot.tool.bodies.0.radius_m is "),
+        (f"tool: {{bodies: [{'{name: a, p_m: [0, 0, 0], q_m: [0, 0, 1], radius_m: 0}'}]}}", "radius_m of 'a' is 0.0 m"),
+        (f"tool: {{bodies: [{'{name: a, p_m: [0, 0, .nan], q_m: [0, 0, 1], radius_m: 1}'}]}}", "bodies.0.p_m.2 is nan"),
+        (f"tool: {{bodies: [{'{name: a, p: [0, 0, 0], q_m: [0, 0, 1], radius_m: 1}'}]}}", "bodies.0.p; did you mean"),
+        (
+            f"tool: {{bodies: [{', '.join(['{name: a, p_m: [0, 0, 0], q_m: [0, 0, 1], radius_m: 1}'] * 2)}]}}",
+            "robot.tool: two bodies are called 'a'",
+        ),
+        (
+            f"tool: {{bodies: [{'{name: wrist, p_m: [0, 0, 0], q_m: [0, 0, 1], radius_m: 1}'}]}}",
+            "arm.xml is called 'wrist' already",
+        ),
+    ],
+)
+def test_a_cell_that_cannot_be_is_one_line(tmp_path, robot, line):
+    """B3: bad input of the robot's section."""
+    (tmp_path / "job.yaml").write_text(f"robot:\n  model: {ARM}\n  {robot}\nstart_rad: {START}\n")
+    with pytest.raises(InputError) as error:
+        robot_of(load_config(tmp_path / "job.yaml").robot)
+    assert line in str(error.value) and "\n" not in str(error.value)
+
+
+def test_a_part_turns_about_world_x_before_y_and_z():
+    """B3: with two angles a part on a tilting table could not be placed."""
+    part = load_workpiece(points=100)
+    cx, sx, cy, sy, cz, sz = (f(angle) for angle in (0.3, 0.4, 0.1) for f in (np.cos, np.sin))
+    about = [[[1, 0, 0], [0, cx, -sx], [0, sx, cx]], [[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]]]
+    about.append([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    x, y, z = map(np.array, about)
+    T = part.T_world(0.4, 0.1, (0.0, 0.0, 0.5), 0.3)
+    np.testing.assert_allclose(T[:3, :3], z @ y @ x, atol=1e-15)
+    pivot = part.pivot
+    moved = pivot + z @ y @ x @ (part.path[0] + part.neutral_translation - pivot) + (0, 0, 0.5)
+    np.testing.assert_allclose(T[:3, :3] @ part.path[0] + T[:3, 3], moved, atol=1e-14)
+    assert (part.T_world(0.4, 0.1) == part.T_world(0.4, 0.1, wx=0.0)).all()
+
+
+def test_a_turn_about_x_is_the_scenario_s(tmp_path):
+    job = {"workpiece": {"rotation_x_rad": 0.1, "rotation_y_rad": 0.0, "rotation_z_rad": 0.0}}
+    *_, scenario = scene(load_config(job))
+    np.testing.assert_allclose(scenario.T_world_workpiece[:3, 1], [0, np.cos(0.1), np.sin(0.1)], atol=1e-15)
+
+
+def test_a_plan_s_folder_is_opened_from_anywhere(pipe, monkeypatch):
+    """B5: summary.json held names relative to the folder where the command was typed."""
+    monkeypatch.chdir(pipe)
+    plan_of("job.yaml").save("../out")
+    monkeypatch.chdir("/")
+    assert open_shelf(pipe.parent / "out").replay(0, "baseline").failed == 0
+    (track,) = read_results(pipe.parent / "out").tracks
+    assert Path(track.config.workpiece.cloud) == pipe / "pipe.obj"
+
+
+@pytest.mark.parametrize("name", ["seam.csv", "pipe.obj", "arm.xml"])
+def test_a_plan_whose_file_has_changed_is_refused(pipe, monkeypatch, name, capsys):
+    """B5: with another file of the same name, validate took it, and refuted all for a reason that it did not name."""
+    plan_of(pipe / "job.yaml").save(pipe / "out")
+    assert open_shelf(pipe / "out").methods == ("baseline",)
+    (pipe / name).write_text((pipe / name).read_text() + "\n")
+    with pytest.raises(InputError, match=rf"{name} is not what it was when .*out was planned"):
+        open_shelf(pipe / "out")
+    assert main(["validate", str(pipe / "out")]) == 2
+    assert f"{name} is not what it was when " in capsys.readouterr().err
+    (pipe / name).unlink()
+    with pytest.raises(InputError, match=rf"cannot read .*{name}"):
+        open_shelf(pipe / "out")
