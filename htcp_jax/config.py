@@ -254,13 +254,14 @@ def _refuse_unknown(raw: dict, model: type, source: str, prefix: str = "") -> No
         if value is None and _is_section(kinds[key]):
             del raw[key]  # a section whose lines are all commented out
             continue
-        if kinds[key] is not bool and any(isinstance(item, bool) for item in _items(value)):
-            raise InputError(f"{source}: {prefix}{key} is {reprlib.repr(value)}: true and false are no numbers")
-        for section in filter(_is_section, (kinds[key], *get_args(kinds[key]))):
+        sections = [kind for kind in (kinds[key], *get_args(kinds[key])) if _is_section(kind)]
+        for section in sections:
             items = enumerate(value) if isinstance(value, list) else [(None, value)]
             for k, item in items:
                 if isinstance(item, dict):
                     _refuse_unknown(item, section, source, f"{prefix}{key}." + ("" if k is None else f"{k}."))
+        if not sections and kinds[key] is not bool and any(isinstance(item, bool) for item in _items(value)):
+            raise InputError(f"{source}: {prefix}{key} is {reprlib.repr(value)}: true and false are no numbers")
 
 
 def _is_section(kind: Any) -> bool:

@@ -222,8 +222,8 @@ class MixedShelf(Shelf):
     def __init__(self, run: Run, methods: tuple[str, ...], rows: dict[int, dict[str, Any]], labels: dict[int, str]):
         points = run.points()
         self._run, self._rows, self._jobs = run, rows, {number: points[number].config for number in rows}
-        self._told = labels
         self._shelf = lru_cache(maxsize=MOST_SHELVES)(self._make_shelf)
+        self.labels = labels
         first = self._shelf(_alike(self._jobs[min(rows)]))
         super().__init__(str(run.folder), first._config, first.robot, first.workpiece, methods, run.plans, {}, labels)
 
@@ -233,10 +233,21 @@ class MixedShelf(Shelf):
             raise InputError(f"{self.name} has no scenario {number} by {method}; it has {_spans(sorted(self._rows))}")
         return self._shelf(_alike(self._jobs[number])).replay(number, method)
 
+    def obstructions(self, method: str, numbers: Sequence[int] | None = None) -> dict[int, Obstruction]:
+        """See `Shelf.obstructions`."""
+        found = {}
+        together: dict[tuple, list[int]] = {}
+        for number in sorted(self._rows) if numbers is None else numbers:
+            together.setdefault(_alike(self._jobs[number]), []).append(number)
+        for alike, own in together.items():
+            found |= self._shelf(alike).obstructions(method, own)
+        return {number: found[number] for number in sorted(found)}
+
     def _make_shelf(self, alike: tuple) -> Shelf:
         numbers = [number for number, job in self._jobs.items() if _alike(job) == alike]
         rows = [self._rows[number] for number in numbers]
-        return _shelf(self._run, self._jobs[numbers[0]], self._run.methods, rows, self._told)
+        job, run = self._jobs[numbers[0]], self._run
+        return _shelf(run, job, run.methods, rows, run.plans, self.labels)
 
 
 def _alike(job: PlanConfig) -> tuple:
@@ -272,20 +283,25 @@ def _of_run(run: Run) -> Shelf:
     refuse_changed(run.manifest.files, run.folder)
     methods = tuple(dict.fromkeys(shard.method for shard in run.manifest.shards))
     config, table = run.config, run.scenarios(*methods)
-    rows, labels = table.to_pylist(), labels_of(table)
+    rows = table.to_pylist()
     # The targets are on record, so that the paths of the scenarios are not needed.
     if run.varied:
-        return MixedShelf(run, methods, {row["scenario"]: row for row in rows}, labels)
-    return _shelf(run, config, methods, rows, labels)
+        return MixedShelf(run, methods, {row["scenario"]: row for row in rows}, labels_of(table))
+    return _shelf(run, config, methods, rows, run.plans, labels_of(table))
 
 
 def _shelf(
-    run: Run, config: PlanConfig, methods: tuple[str, ...], rows: list[dict], labels: dict[int, str]
+    run: Run,
+    config: PlanConfig,
+    methods: tuple[str, ...],
+    rows: list[dict],
+    plans: Callable[[str], Plans],
+    labels: dict[int, str],
 ) -> Shelf:
     robot = robot_of(config.robot)
     workpiece = workpiece_of(config.workpiece, robot)
     placements = {row["scenario"]: _placement(row, robot, workpiece, run.manifest.joints) for row in rows}
-    return Shelf(str(run.folder), config, robot, workpiece, methods, run.plans, placements, labels)
+    return Shelf(str(run.folder), config, robot, workpiece, methods, plans, placements, labels)
 
 
 def _placement(row: dict[str, Any], robot: Robot, workpiece: Workpiece, joints: tuple[str, ...]) -> Placement:

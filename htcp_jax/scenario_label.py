@@ -23,6 +23,8 @@ SHORT = {
     "shift_y": "y",
     "shift_z": "height",
     "tool_extension": "tool",
+    "robot.model": "robot",
+    "workpiece.cloud": "cloud",
 }
 UNITS = {"rad": "rad", "m": "m", "mm": "mm", "deg": "deg"}
 
@@ -75,18 +77,16 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def column_of(column: pa.ChunkedArray) -> np.ndarray:
-    """Numbers rounded to what a person writes, so that 0.1 + 0.2 and 0.3 are one value of an axis; of values that are
-    on record as JSON, numbers and words as such, and anything else as it is written."""
-    values = np.array(_read(column.to_pylist()))
+    """Numbers rounded to what a person writes, so that 0.1 + 0.2 and 0.3 are one value of an axis; where a column has
+    JSON of numbers or words, these, and lists as they are written."""
+    values = np.array(_read_json(column.to_pylist()))
     return np.round(values, 9) + 0.0 if values.dtype.kind == "f" else values
 
 
-def _read(told: list) -> list:
-    if not all(isinstance(one, str) for one in told):
-        return told
+def _read_json(told: list) -> list:
     try:
-        read = [json.loads(one) for one in told]
-    except ValueError:
+        read = [json.loads(text) for text in told]
+    except (TypeError, ValueError):
         return told
     kinds = {type(value) for value in read}
     return read if kinds <= {int, float} or kinds == {str} else told

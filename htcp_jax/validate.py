@@ -30,7 +30,7 @@ from htcp_jax.robot import GP50
 from htcp_jax.validate_arm import Arm
 from htcp_jax.validate_input import Results, Track, read_results
 from htcp_jax.validate_track import Checked, Refuted, check
-from htcp_jax.validate_wall import wall_of
+from htcp_jax.validate_wall import Wall, wall_of
 
 VALIDATION = "validation.json"
 TOLD = 100  # refuted configurations that are told one by one

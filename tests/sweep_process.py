@@ -28,11 +28,6 @@ workpiece:
   rotation_y_rad: 0.4
   rotation_z_rad: 0.1
 """
-# Where the duct stands; any other cloud stands at its own origin.
-AS_THE_DUCT = (
-    "pivot_m: [1.73205679, -0.0037799, 0.57539635], neutral_translation_m: [1.24549547, -0.0037799, 0.87525497], "
-    "rotation_y_rad: 0.4, rotation_z_rad: 0.1"
-)
 SHARDS = 6  # a scenario each
 HALF = 3
 COLD = {"HTCP_CACHE": "off"}  # compiles everything first, which takes many seconds whatever the machine

@@ -1,12 +1,12 @@
 """Plans to look at: the same from a run, a plan's folder and memory; failed ones first; the smallest distance."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hand_made import plans_with
 from made_once import seven_joints
-from sweep_process import AS_THE_DUCT
 
 from htcp_jax import api
 from htcp_jax.duct import duct_cloud
@@ -18,6 +18,7 @@ from htcp_jax.sweep import sweep
 from htcp_jax.workpiece import Workpiece
 
 A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_ESCAPE, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
+DUCT = Path(__file__).parents[1] / "configs" / "duct.yaml"  # where the cloud stands
 GRID = "config: job.yaml\ngrid:\n  - start_rad.joint3: {offsets: [-0.1, 0, 0.1]}\n"
 
 
@@ -28,7 +29,7 @@ def folder(tmp_path_factory):
     (folder / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.1857,-0.25,0.1708\n")
     np.save(folder / "cloud.npy", duct_cloud(3000))
     (folder / "job.yaml").write_text(
-        f"workpiece: {{cloud: cloud.npy, path: path.csv, inlet_m: [0, 0, 0.19138], {AS_THE_DUCT}}}\nmethod: baseline\n"
+        f"config: {DUCT}\nworkpiece: {{cloud: cloud.npy, path: path.csv, inlet_m: [0, 0, 0.19138]}}\nmethod: baseline\n"
     )
     (folder / "grid.yaml").write_text(GRID)
     sweep(folder / "grid.yaml", "baseline", folder / "run")
