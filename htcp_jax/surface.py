@@ -18,7 +18,7 @@ class Surface(NamedTuple):
     normals: Float[np.ndarray, "P 3"]  # unit, to the inside
     radius: Float[np.ndarray, "P"]  # of the discs
 
-    def only(self, which: Bool[np.ndarray, "P"]) -> "Surface":
+    def only(self, which: Bool[np.ndarray, "P"] | Int[np.ndarray, "n"]) -> "Surface":
         """Those of the points."""
         return Surface(*(values[which] for values in self))
 
