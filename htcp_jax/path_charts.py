@@ -30,7 +30,7 @@ REASONS = {
     Status.ESCAPE_EXHAUSTED: ("#d55e00", "D"),
     Status.PATH_BLOCKED: ("#aa4499", "^"),
     Status.QP_FAILED: ("#000000", "X"),
-    Status.START_IN_COLLISION: ("#7f7f7f", "s"),
+    Status.START_IN_COLLISION: ("#7f7f7f", "*"),
     Status.OUT_OF_REACH: ("#009e73", "v"),
     Status.TIP_BLOCKED: ("#56b4e9", "P"),
 }

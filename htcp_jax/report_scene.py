@@ -4,6 +4,7 @@ They are read when they are first asked for. Where their files have changed or g
 so.
 """
 
+import warnings
 from functools import cached_property
 
 import numpy as np
@@ -26,7 +27,9 @@ class RunScene:
     @cached_property
     def _opened(self) -> tuple[Shelf | None, str]:
         try:
-            return open_shelf(self._run.folder), ""
+            with warnings.catch_warnings():  # of the cloud and its units: the sweep has told them
+                warnings.simplefilter("ignore")
+                return open_shelf(self._run.folder), ""
         except InputError as error:
             return None, str(error)
 

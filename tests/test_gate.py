@@ -101,8 +101,8 @@ def test_a_scenario_that_ends_earlier_fails_and_is_named_with_target_and_reason(
     end_early(run, 2, 12, Status.QP_INFEASIBLE)
     assert gate(run, baseline) == REGRESSION
     told = capsys.readouterr().out
-    which = f"baseline, scenario 2 (tilt y 0.4 rad, tool {LONGER} m)"
-    line = f"{which}: first at target 12, {TARGETS} tracked before, 12 now"
+    label = f"tilt y 0.4 rad, tool {LONGER} m"
+    line = f"baseline, scenario 2 ({label}): first at target 12, {TARGETS} tracked before, 12 now"
     assert f"{line}; {Status.QP_INFEASIBLE.message}" in told.splitlines() and told.endswith("FAILED\n")
     assert "failed  baseline: 7 targets fewer are tracked, 69 of 76; 0 may be lost" in told
     assert "failed  baseline: 1 scenarios end earlier; 0 may" in told
