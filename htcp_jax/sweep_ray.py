@@ -54,7 +54,8 @@ def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]
         yield lambda shards, tell: _plan(ray, batch, config, shards, tell)
     finally:
         if ours:
-            ray.shutdown()
+            with contextlib.suppress(Exception):  # of a cluster that is gone: what is to be told is told already
+                ray.shutdown()
 
 
 def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], tell: Callable) -> Iterator[Planned]:
@@ -65,9 +66,9 @@ def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], tell: 
         max_retries=config.ray.retries,
         runtime_env={"env_vars": _environment(config.ray)},
     )
-    cells = [ray.put(cell._replace(robot=jax.tree.map(np.asarray, cell.robot))) for cell in batch.cells]
     left, running = iter(shards), {}
     try:
+        cells = [ray.put(cell._replace(robot=jax.tree.map(np.asarray, cell.robot))) for cell in batch.cells]
         while True:
             room = 2 * int(ray.cluster_resources().get("CPU", 1)) + 8 - len(running)
             for _, shard in zip(range(room), left):  # noqa: B905 - as many as there is room for
@@ -80,15 +81,18 @@ def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], tell: 
             done, _ = ray.wait(list(running), timeout=LOOK_S)
             tell(next(iter(running.values())).method)
             if not any(node["Alive"] for node in ray.nodes()):  # Ray itself would wait for ever
+                running.clear()
                 raise Lost("Ray lost its workers (no node is left)")
             for ref in done:
                 yield Planned(running.pop(ref), *ray.get(ref))
     except ray.exceptions.RayTaskError as error:
         raise error.cause from None  # what the planner itself raised
-    except ray.exceptions.RayError as error:
+    except (ray.exceptions.RayError, OSError) as error:  # OSError: Ray writes to a node that is no more
+        if isinstance(error, ray.exceptions.LocalRayletDiedError | OSError):
+            running.clear()  # there is nobody to cancel it, and Ray may end this process over trying
         raise Lost(f"Ray lost its workers ({type(error).__name__})") from None
     finally:
-        with contextlib.suppress(Exception):  # a cluster that is gone has nothing to cancel
+        with contextlib.suppress(Exception):
             for ref in running:
                 ray.cancel(ref, force=True)
 

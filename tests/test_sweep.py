@@ -214,7 +214,7 @@ def test_progress_counts_what_was_kept(planned):
     sweep("grid.yaml", "baseline", "run", limit=2, shard_scenarios=2)
     told = []
     sweep("grid.yaml", "baseline", "run", progress=told.append)
-    assert told[0] == ("baseline", 2, 3, 26, 39) and told[-1] == ("baseline", 3, 3, 7, 39)
+    assert told[0] == ("baseline", 2, 3, 26, 39) and told[-1] == ("baseline", 3, 3, 39, 39)
 
 
 def test_without_a_folder_the_results_live_as_long_as_the_run(planned):
