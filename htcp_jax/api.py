@@ -30,7 +30,7 @@ from htcp_jax.results import (
 from htcp_jax.robot import Robot
 from htcp_jax.run_identity import anchor_files, file_hash
 from htcp_jax.run_tables import frame_of, joint_columns, target_table
-from htcp_jax.scenario import Scenario, with_own_tool
+from htcp_jax.scenario import Scenario, interior_rule, with_own_tool
 from htcp_jax.validate import VALIDATION
 from htcp_jax.workpiece import Workpiece
 
@@ -71,6 +71,8 @@ class Plan:
             f"{1e3 * self.job.margin_m:g} mm asked for",
             "escapes": str(s.after_escape),
             "joint paths": self._joint_paths(),
+            "walls": self.workpiece.walls,
+            "interior": interior_rule(self.workpiece, self.scenario),
         }
 
     def _joint_paths(self) -> str:
