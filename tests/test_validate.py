@@ -79,8 +79,10 @@ def test_a_run_validates_and_the_report_says_so(run, capsys):
     assert recorded[scenario, target] == np.nanmin(recorded)
     assert validated(open_run(run)) is True
     text = markdown(make_report([run]).blocks)
-    touching = sum(check["paths_touching"] for check in found["methods"].values())
-    told = f"Validated: MuJoCo refutes none of 152 tracked targets; {touching} of the 152 joint paths between"
+    checked, paths, touching = (
+        sum(check[name] for check in found["methods"].values()) for name in ("checked", "paths", "paths_touching")
+    )
+    told = f"Validated: MuJoCo refutes none of {checked} tracked targets; {touching} of the {paths} joint paths between"
     assert "## Validation" in text and told in text
 
 
