@@ -1,6 +1,5 @@
 """Walls are walls: a mesh is measured by its triangles, whatever points were put on it."""
 
-import json
 from functools import partial
 from pathlib import Path
 
@@ -181,19 +180,21 @@ def test_an_inlet_direction_turns_with_the_part(tmp_path):
     assert gate[3] == pytest.approx(along.min() + 0.2)
 
 
+JOBS = {"car": stranger_jobs.car_job, "tub": stranger_jobs.tub_job, "box": stranger_jobs.box_job}
+PLANNED = [("car", method) for method in METHODS] + [("tub", "nspace-sqp"), ("tub", "hybrid"), ("box", "nspace-sqp")]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("method", list(METHODS))
-def test_no_plan_through_a_wall_is_called_tracked(tmp_path, method):
-    """W2: at every tracked target, against the triangles by trimesh, and by validation."""
-    for make in (stranger_jobs.car_job, stranger_jobs.box_job):
-        job, out = make(tmp_path), tmp_path / "out"
-        main(["plan", str(job), "--method", method, "--out", str(out)])
-        robot, part, where = scene(load_config(job))
-        _, _, arrays = read_plan(out, ("status", "x", "clearance"))
-        tracked = np.flatnonzero(is_tracked(arrays["status"]))
-        assert len(tracked) > 5
-        for x, recorded in zip(arrays["x"][tracked], arrays["clearance"][tracked], strict=True):
-            assert 0 < recorded <= sampled_distances(robot, part, where, x).min() + 1e-9
-        main(["validate", str(out), "--between", "0"])
-        reasons = [one["reason"] for one in json.loads((out / "validation.json").read_text())["refuted"]]
-        assert all("tip" in reason for reason in reasons)
+@pytest.mark.parametrize(("name", "method"), PLANNED)
+def test_no_plan_through_a_wall_is_called_tracked(tmp_path, name, method):
+    """W1, W2: at every tracked target, against the triangles by trimesh, tip and all by validation. With 50,015 points
+    drawn at random nspace-sqp tracked all 32 targets of the car, 22 of them with its spindle through the rib."""
+    job, out = JOBS[name](tmp_path), tmp_path / "out"
+    main(["plan", str(job), "--method", method, "--out", str(out)])
+    robot, part, where = scene(load_config(job))
+    _, _, arrays = read_plan(out, ("status", "x", "clearance"))
+    tracked = np.flatnonzero(is_tracked(arrays["status"]))
+    assert len(tracked) > 5
+    for x, recorded in zip(arrays["x"][tracked], arrays["clearance"][tracked], strict=True):
+        assert 0 < recorded <= sampled_distances(robot, part, where, x).min() + 1e-9
+    assert main(["validate", str(out), "--between", "0"]) == 0
