@@ -174,7 +174,7 @@ def test_an_inlet_direction_turns_with_the_part(tmp_path):
     part = workpiece_of(job.workpiece, robot_of(job.robot))
     gate = part.gate(part.T_world(0.3, 0.0))
     np.testing.assert_allclose(gate[:3], [-np.sin(0.3), 0, -np.cos(0.3)], atol=1e-12)
-    pose = Pose(np.zeros(6), 0.3, 0.0, np.zeros(3), 0.0, "")
+    pose = Pose(np.zeros(6), 0.0, 0.3, 0.0, np.zeros(3), 0.0)
     rotate, translate = turned_and_moved(job.workpiece, pose)
     along = (part.triangles.reshape(-1, 3) @ rotate.T + translate) @ gate[:3]
     assert gate[3] == pytest.approx(along.min() + 0.2)
