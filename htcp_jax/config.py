@@ -16,7 +16,7 @@ import reprlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
@@ -257,6 +257,8 @@ def _refuse_unknown(raw: dict, model: type, source: str, prefix: str = "") -> No
         sections = [kind for kind in (kinds[key], *get_args(kinds[key])) if _is_section(kind)]
         for section in sections:
             items = enumerate(value) if isinstance(value, list) else [(None, value)]
+            if get_origin(kinds[key]) is dict and isinstance(value, dict):
+                items = value.items()
             for k, item in items:
                 if isinstance(item, dict):
                     _refuse_unknown(item, section, source, f"{prefix}{key}." + ("" if k is None else f"{k}."))
