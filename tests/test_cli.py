@@ -72,10 +72,10 @@ def test_bad_input_is_one_line_exit_2_and_no_file(here, capsys, arguments, line)
     assert output.out == "" and sorted(here.iterdir()) == before
 
 
-def test_a_cloud_in_millimetres_is_warned_of_in_one_line(here, capsys):
-    (here / "mm.xyz").write_text("0 0 0\n900 0 0\n0 900 0\n0 0 900\n")
-    main(["plan", *SHORT, "--set", "workpiece.cloud=mm.xyz", "--out", "out"])
-    assert capsys.readouterr().err.startswith("htcp: warning: mm.xyz: the points extend over 900 m")
+def test_a_cloud_of_an_odd_size_is_warned_of_in_one_line(here, capsys):
+    (here / "hall.xyz").write_text("0 0 0\n9 0 0\n0 9 0\n0 0 9\n")
+    main(["plan", *SHORT, "--set", "workpiece.cloud=hall.xyz", "--out", "out"])
+    assert capsys.readouterr().err.startswith("htcp: warning: hall extends over 9 m, gp50 reaches 3.07 m; ")
 
 
 def test_ctrl_c_leaves_nothing_behind(here, capsys, monkeypatch):
