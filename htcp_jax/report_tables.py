@@ -165,15 +165,17 @@ def stops(part: Part) -> Table:
                     "first_target": int(at.min()),
                     "median_target": float(np.median(at)),
                     "last_target": int(at.max()),
-                    "in_the_way": _bodies(part, method, part.numbers[lost].tolist()),
+                    "in_the_way": _bodies(part, method, reason, part.numbers[lost].tolist()),
                     "targets": _tally(at),
                 }
             )
     return _without_empty(_table("stops", STOPS, rows))
 
 
-def _bodies(part: Part, method: str, numbers: Sequence[int]) -> str | None:
+def _bodies(part: Part, method: str, reason: Status, numbers: Sequence[int]) -> str | None:
     """The bodies in the way in these scenarios, the commonest first; None where that is not known."""
+    if reason == Status.TIP_BLOCKED:
+        return f"bare tip ({len(numbers)})"
     found = [known for k in numbers if (known := part.scene.in_the_way(method).get(k)) is not None]
     counts = Counter(each.body if each.reached else "out of reach" for each in found)
     return ", ".join(f"{body} ({count})" for body, count in counts.most_common()) or None

@@ -169,6 +169,23 @@ def test_any_arm_is_drawn(made, screenless, tmp_path):
         assert studio.still(3).std() > 20
 
 
+def test_at_the_failed_target_the_body_in_the_way_stands_out(replay, screenless):
+    """Rough: the picture of a failed target did not tell which body is in the way."""
+    assert replay.obstruction is not None
+    with Studio(replay, *SIZE, close=True, fine=False) as studio:
+        failed, before = studio.still(replay.failed), studio.still(replay.failed - 1)
+    assert near(failed, FAILED) > near(before, FAILED) + 20
+
+
+def test_the_command_says_what_is_in_the_way_and_which_scenario_it_is(made, planned, screenless, tmp_path, capsys):
+    """Rough: scenarios were named by their number alone."""
+    words = ["--movie", "none", "--width", "160", "--out", str(tmp_path)]
+    assert main(["render", str(made[1]), *words]) == 0
+    assert f"in the way          {made[0].obstruction.sentence}" in capsys.readouterr().out
+    assert main(["render", str(planned / "run"), "--scenario", "1", *words]) == 0
+    assert "baseline, scenario 1: tilt y 0.5 rad, tool 0 m" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [

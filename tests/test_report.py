@@ -28,6 +28,7 @@ POSES = """
   - workpiece.rotation_z_rad: [-0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3]
 """
 STARTS = "".join(f"\n  - start_rad.{k}: {{offsets: [-0.2, -0.1, 0.0, 0.1, 0.2]}}" for k in (3, 4, 5)) + "\n"
+SHELF = "\n".join(f"{0.18 + 0.02 * k:.2f} -0.17 0.1" for k in range(20))  # under the path
 BOX = "\n".join(f"{1.3 * x} {y} {z}" for x in (0, 1) for y in (-1, 1) for z in (-1, 1))
 
 
@@ -50,7 +51,7 @@ def folder(tmp_path_factory):
         place = tmp_path_factory.mktemp("runs")
         patch.chdir(place)
         patch.setattr(planner, "plan", by_hand)
-        (place / "box.xyz").write_text(BOX)
+        (place / "box.xyz").write_text(f"{BOX}\n{SHELF}")
         for name, count in (("path", 94), ("short", 2)):
             rows = [f"{0.1857 + 0.004 * k},-0.17,0.17" for k in range(count)]
             (place / f"{name}.csv").write_text("\n".join(rows) + "\n")

@@ -15,7 +15,7 @@ from htcp_jax.document import markdown
 from htcp_jax.errors import InputError
 from htcp_jax.kinematics import capsule_segments, tcp_position
 from htcp_jax.report import make_report
-from htcp_jax.report_validation import validated, verdict
+from htcp_jax.report_validation import notes, validated, verdict
 from htcp_jax.robot import GP50, Robot, gp50, lengthen_tool, load_robot
 from htcp_jax.run_folder import open_run
 from htcp_jax.validate import VALIDATION, validate
@@ -317,3 +317,11 @@ def test_a_path_that_has_changed_since_is_bad_input(planned, run, monkeypatch, c
     finally:
         path.write_text(before)
     assert "is not what it was when" in capsys.readouterr().err
+
+
+def test_without_a_column_of_joint_speeds_the_notes_say_why():
+    """Rough: for models without speeds validate had no speed column and did not say why."""
+    method = {"paths": 3, "speed_ratio_max": None}
+    told = {"between": 0, "feed_mm_s": 10.0, "methods": {"baseline": method}}
+    assert notes(told) == ["There is no column of joint speeds, because the model states none to hold them against."]
+    assert "feed rate of 10 mm/s" in notes(told | {"methods": {"baseline": method | {"speed_ratio_max": 0.5}}})[0]

@@ -20,13 +20,14 @@ from made_plan import STATUSES, made_plan, made_plans
 from PIL import Image
 
 from htcp_jax.cli import main
+from htcp_jax.fates import FAILED
 from htcp_jax.replay import Shelf, shelf_of
 from htcp_jax.sides import View
 
 pytest.importorskip("viser", reason="the extra `view` is not installed")
 
 from htcp_jax.viewer import Viewer, grazing
-from htcp_jax.viewer_stage import turned_to
+from htcp_jax.viewer_stage import lit, turned_to
 
 BROWSERS = "chromium", "chromium-browser", "chromium-headless-shell", "google-chrome"
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
@@ -144,6 +145,30 @@ def test_the_pickers_show_failed_scenarios_first_and_other_methods(page, viewer)
     method.click()
     page.get_by_role("option", name="hybrid").click()
     until(lambda: viewer.shown == (0, "hybrid") and scenario.input_value() == "0: all 10 tracked")
+
+
+def test_the_picker_names_scenarios_by_what_sets_them_apart(shelf):
+    """Rough: that 24 is tilt -0.2, height -0.1, tool +0.05 was nowhere to be seen in the viewer."""
+    labels = {0: "tilt y 0.2 rad", 1: "tilt y 0.4 rad"}
+    named = Shelf(
+        "two", shelf._config, shelf.robot, shelf.workpiece, shelf.methods, shelf.plans, shelf._placements, labels
+    )
+    viewer = Viewer(named, port=0)
+    names = list(viewer._names("baseline"))
+    viewer.stop()
+    assert names == ["1: tilt y 0.4 rad: failed at 8 of 10", "0: tilt y 0.2 rad: all 10 tracked"]
+
+
+def test_at_the_failed_target_the_body_in_the_way_is_red_and_named(viewer, shelf):
+    """Rough: the viewer knew what is near for tracked targets, not for the failed one."""
+    replay = shelf.replay(*viewer.shown)
+    body = replay.robot.capsule_names.index(replay.obstruction.body)
+    viewer.go_to(replay.failed)
+    colours = [tuple(node.color) for node in viewer.stage._arm]
+    assert colours[body] == tuple(lit(FAILED).tolist()) and colours.count(colours[body]) == 1
+    assert viewer.stage._label.text == replay.obstruction.sentence in viewer._facts.content
+    viewer.go_to(replay.failed - 1)
+    assert tuple(lit(FAILED).tolist()) not in [tuple(node.color) for node in viewer.stage._arm]
 
 
 def test_play_walks_to_the_end_and_stops(page, viewer):
