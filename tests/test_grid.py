@@ -65,9 +65,9 @@ def test_axes_multiply_columns_go_together_and_later_axes_act_on_what_earlier_on
 def test_offsets_are_from_the_configuration_which_the_command_line_may_change(tmp_path):
     (tmp_path / "job.yaml").write_text("margin_m: 0.25\n")
     file = written(tmp_path, "config: job.yaml\ngrid: [{margin_m: {offsets: [0.5]}, start_rad.joint1: [1]}]")
-    assert [load_sweep(file, None, change).points()[0].config.margin_m for change in ((), ["margin_m=1"])] == [
+    assert [load_sweep(file, None, change).points()[0].config.margin_m for change in ((), ["margin_m=0.5"])] == [
         0.75,
-        1.5,
+        1.0,
     ]
     assert load_sweep(file, SWEEPS.parent / "configs" / "paper.yaml").points()[0].config.margin_m == 0.5
 

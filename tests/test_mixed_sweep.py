@@ -50,7 +50,7 @@ def place(tmp_path_factory):
         (place / name).mkdir()
         (place / name / "arm.xml").write_text(ARM.format(name=name, upper=upper, range=limit))
     for name, x in (("near", 1.0), ("far", 1.2)):
-        np.savetxt(place / f"{name}.xyz", [(x, y / 10, z / 10) for y in range(-5, 6) for z in range(11)])
+        np.savetxt(place / f"{name}.xyz", [(x, y / 80, z / 80) for y in range(-40, 41) for z in range(81)])
     (place / "path.csv").write_text("0.8,0,0.5\n0.8,0.05,0.5\n")
     part = "{path: path.csv, cloud: near.xyz, interior: none, approach_to_inlet: 1, approach_to_path: 0}"
     (place / "job.yaml").write_text(f"workpiece: {part}\nstart_rad: [0, 0.4, 1.2, 0.3]\nmethod: baseline\n")
@@ -132,7 +132,7 @@ def test_a_changed_file_of_an_axis_is_refused(place, run):
     """B5 for sweeps over files."""
     text = (place / "far.xyz").read_text()
     try:
-        (place / "far.xyz").write_text(text + "2 0 0\n")
+        (place / "far.xyz").write_text(text + "1.2 0 0\n")
         with pytest.raises(InputError, match=r"far\.xyz is not what it was when .*run was planned"):
             open_shelf(place / "run")
         with pytest.raises(InputError, match=r"run holds another sweep: its grid differs"):
