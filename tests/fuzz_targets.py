@@ -305,7 +305,7 @@ XML_WORDS = ["<body>", "</body>", '<geom size="0.1"/>', '<joint type="ball"/>', 
 def check_robot(folder: Path, case: tuple[str, bytes]) -> bool:
     """An arm that is accepted has MuJoCo's own kinematics, where MuJoCo takes the file as it is."""
     ending, data = case
-    fields = refusal(lambda: read_robot_file(written(folder, f"arm{ending}", data), "tcp", "model"))
+    fields = refusal(lambda: read_robot_file(written(folder, f"arm{ending}", data), "tcp", "model", np.eye(4), None))
     if fields is None:
         return False
     arrays = fields.arrays
