@@ -25,6 +25,8 @@ from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 from htcp_jax.workpiece import Workpiece
 
+NO_BODY = Status.NOT_ATTEMPTED, Status.OUT_OF_REACH, Status.TIP_BLOCKED  # ends that no body is to blame for
+
 
 class Obstruction(NamedTuple):
     """The arm brought onto a target that failed."""
@@ -90,10 +92,10 @@ def obstructions(
 
 
 def last_posture(plans: Plans, row: int, x_start: Float[np.ndarray, "N"]) -> tuple[int, Float[np.ndarray, "N"]] | None:
-    """The first target of a row that is not tracked, and the posture before it; None where all are tracked, or nothing
-    was tried."""
+    """The first target of a row that is not tracked, and the posture before it; None where all are tracked, where
+    nothing was tried, and where the tip of the tool is what is in the way."""
     missed = np.flatnonzero((plans.status[row] >= 0) & ~is_tracked(plans.status[row]))
-    if not missed.size or plans.status[row, missed[0]] in (Status.NOT_ATTEMPTED, Status.OUT_OF_REACH):
+    if not missed.size or plans.status[row, missed[0]] in NO_BODY:
         return None
     return int(missed[0]), plans.x[row, missed[0] - 1] if missed[0] else np.asarray(x_start)
 
