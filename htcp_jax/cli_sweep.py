@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -17,9 +18,11 @@ from htcp_jax.cli_output import Device, Json, print_json, print_table, stdout
 from htcp_jax.document import Column, Table
 from htcp_jax.escape import METHODS
 from htcp_jax.metrics import summarise
+from htcp_jax.path_charts import words
 from htcp_jax.results import summary_record
 from htcp_jax.run_folder import Run
 from htcp_jax.run_parts import drivable
+from htcp_jax.status import Status
 
 SweepFile = Annotated[Path, typer.Argument(metavar="SWEEP.yaml", help="The grid, sweeps/robot.yaml for example.")]
 Methods = Annotated[
@@ -166,7 +169,25 @@ def _print_table(run: Run) -> None:
         print_table(console, Table("sweep", columns, tuple(rows)))
         console.print()
     console.print(Text("Drivable: tracked before the first blocked joint path of the scenario.", style="dim"))
+    if plans:
+        told = f"Tracked: with at least the {_margins(run, *plans)} mm of clearance that were asked for."
+        console.print(Text(told, style="dim"))
+    for told in dict.fromkeys(_not_tried(whole.status) for whole in plans.values()):
+        if told:
+            console.print(Text.assemble(("not tried  ", "yellow"), told))
     for method, count in run.unfinished().items():
         told = f"{count:,} of {run.manifest.count:,} scenarios left; --methods {method} plans them"
         console.print(Text.assemble(("unfinished  ", "yellow"), f"{method}: {told}"))
     console.print(Text.assemble(("files  ", "cyan"), str(run.folder)))
+
+
+def _margins(run: Run, *methods: str) -> str:
+    """The clearances that the scenarios ask for [mm]."""
+    asked = np.unique(run.scenarios(*methods)["margin_m"].to_numpy()) * 1e3
+    return f"{asked[0]:g}" if len(asked) == 1 else f"{asked[0]:g} to {asked[-1]:g}"
+
+
+def _not_tried(status: np.ndarray) -> str:
+    """How many scenarios were refused for what reason, in words; nothing where none was."""
+    counts = {reason: int((status == reason).sum()) for reason in (Status.START_IN_COLLISION, Status.OUT_OF_REACH)}
+    return ", ".join(f"{words(reason)} {count:,}" for reason, count in counts.items() if count)

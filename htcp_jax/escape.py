@@ -5,10 +5,10 @@ step minimises J2 over the unit sphere of null-space directions, equation (11), 
 sampling escape proposes many configurations at once, and the step QP then tracks the target from each.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,7 @@ from htcp_jax.nullspace import inside, null_basis, reanchor
 from htcp_jax.numerics import fold_keys, of_shape, product, safe_norm
 from htcp_jax.robot import Robot, lengthen_tool
 from htcp_jax.seen import Seen, see, seen_clearance
-from htcp_jax.settings import Settings
+from htcp_jax.settings import Settings, settings_of
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar, Vector3
 from htcp_jax.verdict import counts
 
@@ -99,14 +99,13 @@ def sphere_problem(
     return problem, see(robot, x_ref, contacts(robot, obstacle, where, x_ref)), reach
 
 
-@partial(jax.jit, static_argnames="settings")
 def null_space_objective(
     robot: Robot,
     obstacle: Obstacle,
     where: Posed,
     x_ref: Joints,
     w: Float[Array, "D"],
-    settings: Settings | None = None,
+    settings: Settings | Mapping[str, Any] | None = None,
 ) -> Scalar:
     """J2 of equation (5) along the null space: -D(x, O) + J1(x, x_ref) [m] at (11)'s x = x_ref + alpha N(x_ref) w.
 
@@ -138,9 +137,14 @@ def null_space_objective(
     x_ref = configuration(robot, x_ref, "x_ref")
     joints = x_ref.shape[0]
     w = of_shape(w, (joints - 3,), "w")
-    settings = settings or Settings(q_weights=(1.0,) * joints)
+    settings = Settings(q_weights=(1.0,) * joints) if settings is None else settings_of(settings)
     if len(settings.q_weights) != joints:
         raise InputError(f"q_weights has {len(settings.q_weights)} values, the robot {robot.name} has {joints} joints")
+    return _objective(robot, obstacle, where, x_ref, w, settings)
+
+
+@partial(jax.jit, static_argnames="settings")
+def _objective(robot: Robot, obstacle: Obstacle, where: Posed, x_ref: Joints, w: Float[Array, "D"], settings: Settings):
     problem, _, _ = sphere_problem(Scene(robot, obstacle), settings, where, x_ref)
     return -problem.measure(w)
 

@@ -52,7 +52,7 @@ def capsule_point_distance(
     """Distance [m] from `point` to the capsule of that radius about the segment from p to q; negative inside.
 
     A sphere has p == q. The gradient is defined everywhere: 0 for a point on the capsule's own axis, and where
-    p == q that of the sphere about p.
+    p == q that of the sphere about p. Raises InputError for what is no point or points in its last axis.
 
     ```python
     >>> import jax
@@ -68,9 +68,19 @@ def capsule_point_distance(
 
     ```
     """
-    p, q, point = (jnp.asarray(value, float) for value in (p, q, point))
+    p, q, point = (_points(value, name) for value, name in ((p, "p"), (q, "q"), (point, "point")))
     s = segment_parameter(p, q, point)
     return safe_norm(p + s[..., None] * (q - p) - point) - jnp.asarray(radius, float)
+
+
+def _points(value: object, name: str) -> Float[Array, "*batch 3"]:
+    try:
+        array = jnp.asarray(value, float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} is {value!r}; numbers are needed") from None
+    if array.shape[-1:] != (3,):
+        raise InputError(f"{name} has the shape {array.shape}, (..., 3) is needed")
+    return array
 
 
 @jax.jit

@@ -1,5 +1,6 @@
 """One part of a run as a chapter of the report: sentences, tables and charts."""
 
+import math
 import re
 from pathlib import Path
 
@@ -56,7 +57,8 @@ def facts(part: Part) -> list[str]:
     manifest = part.run.manifest
     grid = " x ".join(f"{len(values)}" for values in part.axes.values())
     varied = ", ".join(f"{label(name).split(' [')[0]}{_range(name, values)}" for name, values in part.axes.items())
-    over = f", a grid of {grid} over {varied}" if len(part.axes) > 1 else f" over {varied}" if part.axes else ""
+    full = len(part.axes) > 1 and math.prod(map(len, part.axes.values())) == len(part.numbers)
+    over = f", a grid of {grid} over {varied}" if full else f" over {varied}" if part.axes else ""
     lines = [f"{len(part.numbers):,} scenarios{over}; up to {part.targets} targets each; seed {manifest.seed}."]
     scene = part.run.config
     named = {"robot.model": scene.robot.model, "workpiece.cloud": scene.workpiece.cloud, "path": scene.workpiece.path}
@@ -78,7 +80,7 @@ def facts(part: Part) -> list[str]:
 def _range(name: str, values: np.ndarray) -> str:
     """From where to where an axis goes, with its unit; angles in degrees too."""
     unit = name.rpartition("_")[2]
-    if unit not in UNITS:
+    if unit not in UNITS or values.dtype.kind not in "if":  # words, and lists as they are written
         return ""
     low, high = float(values[0]), float(values[-1])
     degrees = f", {np.degrees(low):.3g} to {np.degrees(high):.3g} degrees" if unit == "rad" else ""

@@ -194,3 +194,11 @@ def test_the_mathematics_is_there_by_name_and_clearance_is_its_module():
 def test_examples_in_docstrings_hold(module):
     found = doctest.testmod(importlib.import_module(f"htcp_jax.{module}"))
     assert found.attempted and not found.failed
+
+
+def test_the_objective_takes_settings_as_a_mapping():
+    arm, duct = made_once.robot(), made_once.duct()
+    where = htcp_jax.make_scenario(arm, duct, made_once.START)
+    scene = arm, htcp_jax.make_obstacle(duct), where, jnp.array(made_once.START), jnp.array([1.0, 0.0, 0.0])
+    plain, weighed = (float(htcp_jax.null_space_objective(*scene, s)) for s in (None, {"j1_weight": 1.0}))
+    assert weighed > plain

@@ -71,11 +71,13 @@ def test_the_command_prints_a_table_that_lines_up_and_nothing_else_when_piped(he
     assert main(["sweep", "grid.yaml", "--methods", "baseline,keep-clear", "--limit", "2", "--out", "run"]) == 0
     output = capsys.readouterr()
     assert output.err == ""
-    title, head, units, *rows, files = output.out.splitlines()
+    title, *lines, files = output.out.splitlines()
     assert title == "grid, the first 2 of 3 scenarios" and files.split() == ["files", "run"]
-    assert [row.split()[0] for row in rows] == ["baseline", "keep-clear"]
-    assert len({len(line) for line in (head, units, *rows)}) == 1
-    assert "26 of 26" in rows[0] and "100.00" in rows[0]
+    for table in (lines[:4], lines[5:9]):
+        assert [row.split()[0] for row in table[2:]] == ["baseline", "keep-clear"]
+        assert len({len(line) for line in table}) == 1 and len(table[0]) <= 80
+    assert lines[2].split()[1:5] == ["100.00", "26", "26", "26"]
+    assert lines[-1] == "Tracked: with at least the 0.5 mm of clearance that were asked for."
 
 
 def test_what_is_finished_is_not_planned_again(planned):

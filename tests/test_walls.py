@@ -16,7 +16,7 @@ from htcp_jax.config import load_config
 from htcp_jax.errors import InputError
 from htcp_jax.escape import METHODS
 from htcp_jax.job import robot_of, scenario_of, scene, workpiece_of
-from htcp_jax.kinematics import capsule_segments
+from htcp_jax.kinematics import capsule_segments, tip_segment
 from htcp_jax.metrics import is_tracked
 from htcp_jax.results import read_plan
 from htcp_jax.robot import Robot
@@ -24,7 +24,7 @@ from htcp_jax.scenario import Scenario, interior_rule
 from htcp_jax.seen import see, seen_clearance
 from htcp_jax.validate_arm import Arm
 from htcp_jax.validate_input import Pose, turned_and_moved
-from htcp_jax.validate_mesh import axis_distances
+from htcp_jax.validate_mesh import axis_distances, goes_through
 from htcp_jax.validate_wall import Scene, wall_of
 from htcp_jax.workpiece import Workpiece
 
@@ -45,6 +45,30 @@ def sampled_distances(robot: Robot, part: Workpiece, where: Scenario, x: np.ndar
         for t in part.triangles
     ]  # fmt: skip
     return np.min(each, axis=0).reshape(200, -1).min(axis=0) - np.asarray(robot.capsule_radius)
+
+
+def on_the_way(robot: Robot, part: Workpiece, where: Scenario, a: np.ndarray, b: np.ndarray) -> tuple[float, bool]:
+    """The smallest distance of any capsule to the triangles at 200 places of a joint path, and whether the bare tip,
+    but for its last 10 mm, goes through one anywhere there."""
+
+    def in_the_part(points):
+        return (np.asarray(points) - where.T_world_workpiece[:3, 3]) @ where.T_world_workpiece[:3, :3]
+
+    x = jnp.asarray(a + np.linspace(0, 1, 200)[:, None] * (b - a))
+    p, q = (in_the_part(end).reshape(-1, 3) for end in _SEGMENTS(robot, x))
+    pairs = np.repeat(np.arange(len(p)), len(part.triangles))
+    distance = axis_distances(p[pairs], q[pairs], np.tile(part.triangles, (len(p), 1, 1)))
+    radius = np.tile(np.asarray(robot.capsule_radius), len(x))[pairs]
+    tip = in_the_part(_TIPS(robot, x))
+    way = tip[:, 1] - tip[:, 0]
+    end = tip[:, 1] - 0.01 * way / np.linalg.norm(way, axis=1, keepdims=True)
+    pairs = np.repeat(np.arange(len(tip)), len(part.triangles))
+    through = goes_through(tip[pairs, 0], end[pairs], np.tile(part.triangles, (len(tip), 1, 1)))
+    return float((distance - radius).min()), bool(through.any())
+
+
+_SEGMENTS = jax.jit(jax.vmap(capsule_segments, (None, 0)))
+_TIPS = jax.jit(jax.vmap(tip_segment, (None, 0)))
 
 
 def near_the_rib(robot: Robot, where: Scenario, count: int) -> np.ndarray:
@@ -181,20 +205,23 @@ def test_an_inlet_direction_turns_with_the_part(tmp_path):
 
 
 JOBS = {"car": stranger_jobs.car_job, "tub": stranger_jobs.tub_job, "box": stranger_jobs.box_job}
-PLANNED = [("car", method) for method in METHODS] + [("tub", "nspace-sqp"), ("tub", "hybrid"), ("box", "nspace-sqp")]
+PLANNED = [(part, method) for part in ("car", "tub") for method in METHODS] + [("box", "hybrid")]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "method"), PLANNED)
 def test_no_plan_through_a_wall_is_called_tracked(tmp_path, name, method):
-    """W1, W2: at every tracked target, against the triangles by trimesh, tip and all by validation. With 50,015 points
+    """W1, W2: at every tracked target, and at 200 places of every step there. With 50,015 points
     drawn at random nspace-sqp tracked all 32 targets of the car, 22 of them with its spindle through the rib."""
     job, out = JOBS[name](tmp_path), tmp_path / "out"
     main(["plan", str(job), "--method", method, "--out", str(out)])
     robot, part, where = scene(load_config(job))
-    _, _, arrays = read_plan(out, ("status", "x", "clearance"))
+    _, _, _, arrays = read_plan(out, ("status", "x", "clearance"))
     tracked = np.flatnonzero(is_tracked(arrays["status"]))
-    assert len(tracked) > 5
-    for x, recorded in zip(arrays["x"][tracked], arrays["clearance"][tracked], strict=True):
-        assert 0 < recorded <= sampled_distances(robot, part, where, x).min() + 1e-9
+    assert len(tracked) > 5 if name != "box" else len(tracked) == 52  # along the seam, 10 to 15 mm off the walls
+    x = np.concatenate([[where.x_start], arrays["x"][tracked]])
+    for before, after, recorded in zip(x[:-1], x[1:], arrays["clearance"][tracked], strict=True):
+        assert 5e-4 <= recorded <= sampled_distances(robot, part, where, after).min() + 1e-9
+        nearest, through = on_the_way(robot, part, where, before, after)
+        assert nearest > 0 and not through
     assert main(["validate", str(out), "--between", "0"]) == 0
