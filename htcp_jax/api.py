@@ -66,13 +66,20 @@ class Plan:
             "success rate": f"{100 * s.success_rate:.2f} %",
             "time per step": f"{s.step_ms:.2f} ms",
             "run, compile time": f"{s.run_s:.2f} s, {s.compile_s:.2f} s",
-            "TCP distance": f"{s.tcp_distance_mean_mm:.3g} mm mean, {s.tcp_distance_max_mm:.3g} mm largest",
-            "clearance": f"{s.clearance_min_mm:.3g} mm smallest, {s.clearance_mean_mm:.3g} mm mean; "
-            f"{1e3 * self.job.margin_m:g} mm asked for",
+            **self._distances(),
             "escapes": str(s.after_escape),
             "joint paths": self._joint_paths(),
             "walls": self.workpiece.walls,
             "interior": interior_rule(self.workpiece, self.scenario),
+        }
+
+    def _distances(self) -> dict[str, str]:
+        s, asked = self.summary, f"{1e3 * self.job.margin_m:g} mm asked for"
+        if not s.tracked:
+            return {"clearance": asked}
+        return {
+            "TCP distance": f"{s.tcp_distance_mean_mm:.3g} mm mean, {s.tcp_distance_max_mm:.3g} mm largest",
+            "clearance": f"{s.clearance_min_mm:.3g} mm smallest, {s.clearance_mean_mm:.3g} mm mean; {asked}",
         }
 
     def _joint_paths(self) -> str:

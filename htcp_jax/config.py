@@ -32,6 +32,7 @@ TIP_CONTACT_M = 0.01  # of a part of one's own
 LARGEST = 1e6  # of lengths [m] and joint positions: beyond, the tolerance is lost to rounding
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Point = tuple[Number, Number, Number]
+Turn = Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi)]  # degrees are mostly beyond
 Steps = Annotated[int, Field(ge=0, le=10_000)]
 NAME = re.compile(r"[a-z0-9-]+")  # of a method; it stands in names of files
 RECORD = "of results"
@@ -50,7 +51,7 @@ class RobotConfig(Section):
     limits: Literal["simulation", "datasheet", "model"] = "simulation"
     tcp: str | None = None  # site or body at the TCP, or at the flange of a `tool`; without it see robot.load_robot
     base_m: Point = (0.0, 0.0, 0.0)  # of the model's own frame, in the world
-    base_rpy_rad: Point = (0.0, 0.0, 0.0)  # about world x, then y, then z
+    base_rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # about world x, then y, then z
     tool: Tool | None = None
     tool_extension_m: Number = 0.0
 
@@ -280,4 +281,7 @@ def _sentence(error: dict) -> str:
     cause = error.get("ctx", {}).get("error")
     if isinstance(cause, InputError):
         return f"{where}.{cause}" if where == "settings" else f"{where}: {cause}"
+    if error["type"] == "missing" and isinstance(error["loc"][-1], int):  # of a list, which is too short
+        key = ".".join(str(part) for part in error["loc"][:-1])
+        return f"{key} is {reprlib.repr(error['input'])}: {error['loc'][-1] + 1} values or more are needed"
     return f"{where} is {reprlib.repr(error['input'])}: {error['msg'][0].lower()}{error['msg'][1:]}"

@@ -8,6 +8,7 @@ import numpy as np
 from htcp_jax.config import PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.robot import GP50, Robot, load_robot
 from htcp_jax.scenario import Scenario, make_scenario
+from htcp_jax.units import check_tool
 from htcp_jax.workpiece import Workpiece, load_workpiece
 
 
@@ -19,8 +20,8 @@ def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
 
 
 def robot_of(arm: RobotConfig) -> Robot:
-    """The robot, without the tool's extension: that belongs to the scenario."""
-    return load_robot(
+    """The robot, without the tool's extension: that belongs to the scenario. A tool longer than the arm is refused."""
+    robot = load_robot(
         GP50 if arm.model == "gp50" else arm.model,
         tcp_site="tcp" if arm.tcp is None else arm.tcp,
         limits=arm.limits,
@@ -28,6 +29,8 @@ def robot_of(arm: RobotConfig) -> Robot:
         base_rpy_rad=arm.base_rpy_rad,
         tool=arm.tool,
     )
+    check_tool(robot, arm.tool_extension_m)
+    return robot
 
 
 def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:

@@ -112,8 +112,8 @@ def notes(found: dict[str, Any]) -> list[str]:
         told.append(
             "Paths are the straight joint paths between tracked targets and from the start to the first, in at least "
             f"{found['between']} steps, in none of which a joint turns by more than {STEP_RAD:g} rad. What touches "
-            "there refutes nothing, as no target is there; on record as blocked is what the planner found itself, at "
-            "the steps it looked at. Off the line: how far the TCP leaves that of its targets."
+            "there refutes nothing, as no target is there; on record as blocked is what the planner found itself. "
+            "Off the line: how far the TCP leaves that of its targets."
         )
     if any(check.get("speed_ratio_max") is not None for check in found["methods"].values()):
         told.append(

@@ -141,7 +141,7 @@ def test_a_base_that_cannot_be_is_one_line(tmp_path, text, line):
     ("robot", "line"),
     [
         ("tcp: tool0", "no site or body 'tool0' for the TCP; sites of the model: tcp; bodies: "),
-        ("base_m: [0, 0]", "robot.base_m.2 is "),
+        ("base_m: [0, 0]", "robot.base_m is [0, 0]: 3 values"),
         ("base_rpy_rad: [0, 0, .nan]", "robot.base_rpy_rad.2 is nan"),
         ("tool: 3", "robot.tool is 3: "),
         ("tool: {tip: [0, 0, 0]}", "unknown key robot.tool.tip; did you mean robot.tool.tip_m?"),

@@ -151,7 +151,7 @@ def test_a_changed_file_of_an_axis_is_refused(place, run):
         ("[robot.tcp: {offsets: [1]}]", "robot.tcp takes values, not offsets"),
         ("[robot.model: {offsets: [1]}]", "robot.model takes names of files, not 1"),
         ("[robot.model: [3]]", "robot.model takes names of files, not 3"),
-        ("[robot.base_m: [[0, 0]]]", "scenario 0: robot.base_m.2 is "),
+        ("[robot.base_m: [[0, 0]]]", "scenario 0: robot.base_m is "),
         ("[robot.base_m.w: [0]]", "unknown parameter robot.base_m.w; did you mean robot.base_m"),
         ("[robot.tool: [{tip: 1}]]", "scenario 0: unknown key robot.tool.tip"),
         ("[settings.rows: [all]]", "scenario 0: settings.rows is 'all'"),

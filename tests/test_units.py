@@ -1,6 +1,7 @@
 """A part or a path in another unit than metres is named before anything is planned with it."""
 
 import dataclasses
+import re
 import warnings
 
 import jax
@@ -11,8 +12,10 @@ import trimesh
 
 from htcp_jax import units
 from htcp_jax.cli import main
+from htcp_jax.config import load_config
 from htcp_jax.errors import InputError
 from htcp_jax.grid import load_sweep
+from htcp_jax.job import scene
 from htcp_jax.kinematics import reach, tcp_position
 from htcp_jax.robot import gp50
 from htcp_jax.scenario import make_scenario
@@ -155,3 +158,18 @@ def test_a_rail_adds_its_travel_to_the_reach_of_the_targets():
         make_scenario(arm, part, np.zeros(6))
     endless = dataclasses.replace(arm, upper=arm.upper.at[0].set(np.inf))
     assert make_scenario(endless, part, np.zeros(6)).count == 52
+
+
+@pytest.mark.parametrize(
+    "change, told",
+    [
+        ({"robot.tool_extension_m": 60}, "m, and the TCP lies 60.6 m beyond"),
+        ({"robot.tool": {"tip_m": [0, 30, 270], "bodies": []}}, "and the TCP lies 2"),
+        ({"robot.base_rpy_rad": [0, 0, 90]}, "robot.base_rpy_rad.2 is 90"),
+        ({"robot.base_m": [0.1, 0.2]}, "robot.base_m is [0.1, 0.2]: 3 values or more are needed"),
+    ],
+)
+def test_a_tool_in_millimetres_and_a_base_in_degrees_are_refused(change, told):
+    """W9, of the cell: a TCP 270 m from the flange was planned with, and found its tip in the wall."""
+    with pytest.raises(InputError, match=re.escape(told)):
+        scene(load_config(None, change))
