@@ -38,6 +38,9 @@ if TYPE_CHECKING:
     import pandas
 
 
+NOTABLE_RAD = 0.1  # by which a first posture differs from the start that was given
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
     """A job and what became of it."""
@@ -86,6 +89,8 @@ class Plan:
         """What is known of the straight joint paths to the tracked targets."""
         clear = self.plans.path_clear[is_tracked(self.plans.status)]
         told = f"{np.sum(clear == 0)} blocked of {clear.size}"
+        if clear.size and (turn := self.plans.joint_step[0, 0]) > NOTABLE_RAD:
+            told += f"; the first leaves the start by {turn:.2f} rad"
         if not (clear == 0).any():
             return told
         return f"{told}, the first to target {np.argmax(self.plans.path_clear[0] == 0)}"

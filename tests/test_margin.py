@@ -8,13 +8,16 @@ from functools import cache
 import made_once
 import numpy as np
 import pytest
+import stranger_jobs
 
+import htcp_jax
 from htcp_jax.ceiling import ceiling
 from htcp_jax.metrics import is_tracked, summarise
 from htcp_jax.planner import METHODS, plan
 from htcp_jax.scenario import OutOfReach, make_scenario, stack
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
+from htcp_jax.validate import validate
 from htcp_jax.verdict import counts
 
 SLOW = {"nspace-ip", "nspace-cmaes", "nspace-adam", "hybrid", "nspace-sample"}
@@ -85,3 +88,16 @@ def test_a_target_out_of_reach_is_a_scenario_without_targets():
     plans = plan(*scene(), [far, tight(5e-4)[1]], "baseline")
     assert plans.status[0, 0] == Status.OUT_OF_REACH and (plans.status[0, 1:] == Status.NOT_ATTEMPTED).all()
     assert is_tracked(plans.status[1]).all()
+
+
+@pytest.mark.slow
+def test_a_plan_that_leaves_its_start_says_so_and_its_way_there_is_clear(tmp_path):
+    """W5: hybrid went on from another posture than the given start without a line about it. The way there is measured
+    by MuJoCo and the mesh's own triangles, at 1,000 places."""
+    job = stranger_jobs.box_job(tmp_path)
+    plan = htcp_jax.plan(job, method="hybrid")
+    assert plan.plans.joint_step[0, 0] > 0.1 and plan.plans.path_clear[0, 0] == 1
+    assert "the first leaves the start by" in plan.facts()["joint paths"]
+    plan.save(tmp_path / "out")
+    found = validate(tmp_path / "out", between=1000).methods["hybrid"]
+    assert found.refuted == 0 and found.paths_touching == 0 and found.paths == found.checked == 52
