@@ -35,10 +35,9 @@ def main() -> None:
     batch = spec.batch()
     success = np.zeros((len(TOLERANCES), len(MARGINS_M)))
     for i, tolerance in enumerate(TOLERANCES):
-        settings = replace(spec.config.settings, qp_tolerance=tolerance)
         for j, margin in enumerate(MARGINS_M):
-            scenarios = replace(batch.scenarios, margin_m=np.full_like(batch.scenarios.margin_m, margin))
-            plans = plan(batch.robot, batch.workpiece, scenarios, "baseline", settings, check_paths=False)
+            settings = replace(spec.config.settings, qp_tolerance=tolerance, aim_above_m=margin)
+            plans = plan(batch.robot, batch.workpiece, batch.scenarios, "baseline", settings, check_paths=False)
             success[i, j] = 100 * summarise(plans).success_rate
             print(f"tolerance {tolerance:.0e}  margin {margin:.0e} m  success {success[i, j]:.2f} %", flush=True)
     with arguments.out.with_suffix(".csv").open("w", newline="") as file:
