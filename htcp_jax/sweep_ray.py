@@ -8,6 +8,7 @@ another one. Results do not depend on who planned a shard: they are those of `sw
 import contextlib
 import logging
 import os
+import socket
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 
@@ -52,9 +53,12 @@ def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]
         raise InputError(f"cannot reach Ray at {address or 'this machine'}: {' '.join(str(error).split())}") from None
     try:
         yield lambda shards, tell: _plan(ray, batch, config, shards, tell)
+    except Lost:
+        ours = False  # Ray may end this process over a node that is gone, and what is to be told is not told yet
+        raise
     finally:
         if ours:
-            with contextlib.suppress(Exception):  # of a cluster that is gone: what is to be told is told already
+            with contextlib.suppress(Exception):
                 ray.shutdown()
 
 
@@ -78,6 +82,9 @@ def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], tell: 
                 running[task.remote(shard.method, scenarios, config.ray, cell, *own)] = shard
             if not running:
                 return
+            if not _own_node_answers(ray):
+                running.clear()
+                raise Lost("Ray lost its workers (this process's own node is gone)")
             done, _ = ray.wait(list(running), timeout=LOOK_S)
             tell(next(iter(running.values())).method)
             if not any(node["Alive"] for node in ray.nodes()):  # Ray itself would wait for ever
@@ -95,6 +102,20 @@ def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], tell: 
         with contextlib.suppress(Exception):
             for ref in running:
                 ray.cancel(ref, force=True)
+
+
+def _own_node_answers(ray) -> bool:
+    """Whether the node that this process is connected to is still there. Some seconds after it died Ray notices, and
+    ends the process from within, without an exception, when it next needs the node's memory."""
+    node = getattr(ray._private.worker.global_worker, "node", None)
+    if node is None:  # connected by Ray's client, to a process elsewhere
+        return True
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as knock:
+        try:
+            knock.connect(node.raylet_socket_name)
+        except OSError:
+            return False
+    return True
 
 
 def _plan_shard(
