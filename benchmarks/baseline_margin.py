@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from htcp_jax import compile_cache
-from htcp_jax.chart_style import new_figure
-from htcp_jax.grid import load_sweep
-from htcp_jax.metrics import summarise
-from htcp_jax.planner import plan
+from htcp_jax.jobs.grid import load_sweep
+from htcp_jax.planner import compile_cache
+from htcp_jax.planner.batch import plan
+from htcp_jax.report.chart_style import new_figure
+from htcp_jax.runs.summary import summarise
 
 MARGINS_M = (0.0, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 5e-4, 1e-3, 2e-3, 5e-3)
 TOLERANCES = (1e-6, 1e-8, 1e-10)

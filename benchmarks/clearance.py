@@ -16,13 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks import hardware
-from htcp_jax import compile_cache
-from htcp_jax.clearance import Obstacle, all_clear, clearance, linearise, make_obstacle
-from htcp_jax.cloud_index import build_index
-from htcp_jax.config import load_config
-from htcp_jax.job import scene
-from htcp_jax.kinematics import capsule_segments
-from htcp_jax.planner import plan
+from htcp_jax.clearance.cloud_tree import build_index
+from htcp_jax.clearance.obstacles import Obstacle, all_clear, clearance, linearise, make_obstacle
+from htcp_jax.jobs.build import scene
+from htcp_jax.jobs.config import load_config
+from htcp_jax.planner import compile_cache
+from htcp_jax.planner.batch import plan
+from htcp_jax.scene.kinematics import capsule_segments
 
 ROOT = Path(__file__).resolve().parents[1]
 CLOUDS = (5_000, 50_000, 500_000)

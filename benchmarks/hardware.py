@@ -6,7 +6,7 @@ from pathlib import Path
 
 import jax
 
-from htcp_jax.devices import choose, default_threads
+from htcp_jax.planner.devices import choose, default_threads
 
 
 def line() -> str:

@@ -14,8 +14,8 @@ from scipy import sparse
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
-from htcp_jax.grid import Batch
-from htcp_jax.robot import GP50
+from htcp_jax.jobs.grid import Batch
+from htcp_jax.scene.robot import GP50
 
 SAMPLE_M = 0.02  # between samples of a capsule's axis
 

@@ -30,15 +30,15 @@ from scipy.spatial import cKDTree
 
 from benchmarks import hardware, peer_planners, peer_trajopt
 from benchmarks.peer_planners import Advance, Task
-from htcp_jax.grid import Batch, load_sweep
-from htcp_jax.metrics import is_tracked
-from htcp_jax.planner import plan
-from htcp_jax.robot import GP50
+from htcp_jax.jobs.grid import Batch, load_sweep
+from htcp_jax.planner.batch import plan
+from htcp_jax.planner.plans import is_tracked
+from htcp_jax.scene.robot import GP50
 from htcp_jax.status import Status
-from htcp_jax.validate_arm import Arm
-from htcp_jax.validate_input import Pose, targets_of, turned_and_moved
-from htcp_jax.validate_track import ROUNDING_M
-from htcp_jax.validate_wall import Scene, Wall
+from htcp_jax.validation.mujoco_arm import Arm
+from htcp_jax.validation.mujoco_clearance import Scene, Wall
+from htcp_jax.validation.records import Pose, targets_of, turned_and_moved
+from htcp_jax.validation.track import ROUNDING_M
 
 SWEEP = Path(__file__).resolve().parents[1] / "sweeps" / "workpiece.yaml"
 POSES = 49

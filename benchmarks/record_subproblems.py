@@ -14,14 +14,14 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from htcp_jax import compile_cache
-from htcp_jax.kinematics import jacobian
-from htcp_jax.nullspace import null_basis, reanchor
-from htcp_jax.planner import plan
-from htcp_jax.robot import gp50
-from htcp_jax.scenario import make_scenario, stack
+from htcp_jax.planner import compile_cache
+from htcp_jax.planner.batch import plan
+from htcp_jax.scene.inverse_kinematics import null_basis, reanchor
+from htcp_jax.scene.kinematics import jacobian
+from htcp_jax.scene.robot import gp50
+from htcp_jax.scene.scenario import make_scenario, stack
+from htcp_jax.scene.workpiece import load_workpiece
 from htcp_jax.settings import Settings
-from htcp_jax.workpiece import load_workpiece
 
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
 COUNT = 200

@@ -17,11 +17,11 @@ import numpy as np
 from scipy.optimize import linprog
 
 from benchmarks import hardware
-from htcp_jax import compile_cache, planner
-from htcp_jax.grid import load_sweep
-from htcp_jax.qp import StepQP
-from htcp_jax.qp_clarabel import ClarabelSolver
-from htcp_jax.qp_device import solve_step
+from htcp_jax.jobs.grid import load_sweep
+from htcp_jax.planner import compile_cache
+from htcp_jax.solvers.active_set import solve_step
+from htcp_jax.solvers.clarabel_ import ClarabelSolver
+from htcp_jax.solvers.step_qp import StepQP
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -56,7 +56,7 @@ def _recorded(config: str, overrides: list[str], count: int) -> StepQP:
     """The first `count` step QPs of the sweep; repeated with 1 % more or less clearance where it has fewer."""
     spec = load_sweep(ROOT / "sweeps/workpiece.yaml", ROOT / f"configs/{config}.yaml", overrides)
     batch, seen = spec.batch(), []
-    make = planner.make_solver
+    make = batch.make_solver
 
     class Recorder:
         def __init__(self, *arguments):
@@ -66,11 +66,11 @@ def _recorded(config: str, overrides: list[str], count: int) -> StepQP:
             seen.append(qps)
             return self._solver.solve(qps)
 
-    planner.make_solver = Recorder
+    batch.make_solver = Recorder
     try:
-        planner.plan(batch.robot, batch.workpiece, batch.scenarios, "nspace-sample", spec.config.settings)
+        batch.plan(batch.robot, batch.workpiece, batch.scenarios, "nspace-sample", spec.config.settings)
     finally:
-        planner.make_solver = make
+        batch.make_solver = make
     qps = jax.tree.map(lambda *parts: np.concatenate(parts), *seen)
     random = np.random.default_rng(0)
     rows = np.resize(np.arange(len(qps.b)), count)

@@ -15,12 +15,12 @@ import jax
 import numpy as np
 
 from benchmarks import hardware
-from htcp_jax import compile_cache, devices
-from htcp_jax.grid import load_sweep
-from htcp_jax.kernels import Kernels
-from htcp_jax.metrics import summarise
-from htcp_jax.planner import plan
-from htcp_jax.qp_clarabel import ClarabelSolver
+from htcp_jax.jobs.grid import load_sweep
+from htcp_jax.planner import compile_cache, devices
+from htcp_jax.planner.batch import plan
+from htcp_jax.planner.kernels import Kernels
+from htcp_jax.runs.summary import summarise
+from htcp_jax.solvers.clarabel_ import ClarabelSolver
 
 ROOT = Path(__file__).resolve().parents[1]
 SIX = "baseline,cspace-sample,nspace-sample,nspace-sqp,nspace-ip,nspace-cmaes"

@@ -38,29 +38,29 @@ jax.config.update("jax_enable_x64", True)
 _HOME = {
     "plan": "api",
     "Plan": "api",
-    "sweep": "sweep",
-    "open_run": "run_folder",
-    "make_report": "report",
+    "sweep": "runs.sweep",
+    "open_run": "runs.run_folder",
+    "make_report": "report.report",
     "methods": "api",
-    "charts": "charts",
-    "gp50": "robot",
-    "load_robot": "robot",
-    "load_workpiece": "workpiece",
-    "make_scenario": "scenario",
+    "charts": "report.charts",
+    "gp50": "scene.robot",
+    "load_robot": "scene.robot",
+    "load_workpiece": "scene.workpiece",
+    "make_scenario": "scene.scenario",
     "InputError": "errors",
     # The mathematics, for jax.grad, jax.vmap and jax.jit; the smallest distance is clearance.clearance.
-    "tcp_position": "kinematics",
-    "tcp_pose": "kinematics",
-    "jacobian": "kinematics",
-    "capsule_segments": "kinematics",
+    "tcp_position": "scene.kinematics",
+    "tcp_pose": "scene.kinematics",
+    "jacobian": "scene.kinematics",
+    "capsule_segments": "scene.kinematics",
     "capsule_point_distance": "numerics",
-    "make_obstacle": "clearance",
+    "make_obstacle": "clearance.obstacles",
     "clearance": "clearance",
-    "clearances": "clearance",
-    "linearise": "clearance",
-    "null_basis": "nullspace",
-    "reanchor": "nullspace",
-    "null_space_objective": "escape",
+    "clearances": "clearance.obstacles",
+    "linearise": "clearance.obstacles",
+    "null_basis": "scene.inverse_kinematics",
+    "reanchor": "scene.inverse_kinematics",
+    "null_space_objective": "planner.escape",
 }
 __all__ = [
     "InputError",
@@ -95,12 +95,11 @@ def __getattr__(name: str):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}; public are {', '.join(__all__)}")
     _begin()
     home = importlib.import_module(f"htcp_jax.{_HOME[name]}")
-    # A module of the name itself, charts, clearance or sweep, is public as a whole.
-    return home if name == _HOME[name] else getattr(home, name)
+    return home if name in ("charts", "clearance") else getattr(home, name)  # those two are public as a whole
 
 
 def _begin() -> None:
-    importlib.import_module("htcp_jax.compile_cache").enable()
+    importlib.import_module("htcp_jax.planner.compile_cache").enable()
     importlib.import_module("htcp_jax.notebook").show_figures()
 
 

@@ -10,16 +10,15 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from htcp_jax import planner
-from htcp_jax.config import PlanConfig, load_config, validate
-from htcp_jax.escape import METHODS
-from htcp_jax.job import scene
-from htcp_jax.metrics import Summary, is_tracked, summarise
+from htcp_jax.jobs.build import scene
+from htcp_jax.jobs.config import PlanConfig, load_config, validate
 from htcp_jax.notebook import html_facts
-from htcp_jax.obstruction import Obstruction, last_posture, obstruction
-from htcp_jax.picture import draw_plan
-from htcp_jax.plans import Plans
-from htcp_jax.results import (
+from htcp_jax.planner import batch
+from htcp_jax.planner.escape import METHODS
+from htcp_jax.planner.obstruction import Obstruction, last_posture, obstruction
+from htcp_jax.planner.plans import Plans, is_tracked
+from htcp_jax.runs.identity import anchor_files, file_hash
+from htcp_jax.runs.plan_folder import (
     provenance,
     summary_record,
     write_json,
@@ -27,12 +26,13 @@ from htcp_jax.results import (
     write_trajectory_npz,
     written_whole,
 )
-from htcp_jax.robot import Robot
-from htcp_jax.run_identity import anchor_files, file_hash
-from htcp_jax.run_tables import frame_of, joint_columns, target_table
-from htcp_jax.scenario import Scenario, interior_rule, with_own_tool
-from htcp_jax.validate import VALIDATION
-from htcp_jax.workpiece import Workpiece
+from htcp_jax.runs.summary import Summary, summarise
+from htcp_jax.runs.tables import frame_of, joint_columns, target_table
+from htcp_jax.scene.robot import Robot
+from htcp_jax.scene.scenario import Scenario, interior_rule, with_own_tool
+from htcp_jax.scene.workpiece import Workpiece
+from htcp_jax.validation.validate import VALIDATION
+from htcp_jax.viewer.picture import draw_plan
 
 if TYPE_CHECKING:
     import pandas
@@ -165,7 +165,7 @@ def plan(
     overrides: Sequence[str] | Mapping[str, Any] = (),
     *,
     method: str | None = None,
-    progress: Callable[[planner.Progress], None] | None = None,
+    progress: Callable[[batch.Progress], None] | None = None,
 ) -> Plan:
     """Plan one job.
 
@@ -183,7 +183,7 @@ def plan(
 def checked_scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
     """What a configuration speaks of. Raises InputError for bad input and for a start in collision."""
     robot, workpiece, scenario = scene(job)
-    planner.check_start(robot, workpiece, scenario)
+    batch.check_start(robot, workpiece, scenario)
     return robot, workpiece, scenario
 
 
@@ -192,10 +192,10 @@ def plan_job(
     robot: Robot,
     workpiece: Workpiece,
     scenario: Scenario,
-    progress: Callable[[planner.Progress], None] | None = None,
+    progress: Callable[[batch.Progress], None] | None = None,
 ) -> Plan:
     """Plan what `checked_scene` returned for the configuration."""
-    plans = planner.plan(robot, workpiece, scenario, job.method, job.settings, progress=progress)
+    plans = batch.plan(robot, workpiece, scenario, job.method, job.settings, progress=progress)
     robot, scenario = with_own_tool(robot, scenario)
     return Plan(job, robot, workpiece, scenario, plans)
 

@@ -78,6 +78,7 @@ tilted
 # %% [markdown]
 # The clearance of both along the path. Where a line ends, no clear configuration was found.
 
+
 # %%
 def clearance_along(**plans):
     figure = Figure(figsize=(9, 3.4), dpi=120, layout="constrained")

@@ -24,7 +24,7 @@
 import pandas
 
 import htcp_jax
-from htcp_jax import paper
+from htcp_jax.report import paper
 
 # %% [markdown]
 # ## Plan, or read what is planned

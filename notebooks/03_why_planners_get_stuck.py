@@ -26,10 +26,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import htcp_jax
-from htcp_jax.clearance import clearances, make_obstacle
-from htcp_jax.escape import METHODS, Scene, Stuck, anchor, sphere_problem
-from htcp_jax.kinematics import jacobian
-from htcp_jax.nullspace import null_basis, reanchor
+from htcp_jax.clearance.obstacles import clearances, make_obstacle
+from htcp_jax.planner.escape import METHODS, Scene, Stuck, anchor, sphere_problem
+from htcp_jax.scene.inverse_kinematics import null_basis, reanchor
+from htcp_jax.scene.kinematics import jacobian
 
 # %% [markdown]
 # ## A target where the baseline ends

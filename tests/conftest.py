@@ -4,7 +4,7 @@ import hypothesis
 import jax
 import pytest
 
-from htcp_jax import compile_cache
+from htcp_jax.planner import compile_cache
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 compile_cache.enable()

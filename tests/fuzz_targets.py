@@ -26,20 +26,20 @@ import yaml
 from hypothesis import strategies as st
 from sweep_process import make_sweep
 
-from htcp_jax.cloud import load_cloud, load_geometry
-from htcp_jax.config import PlanConfig, load_config
 from htcp_jax.errors import InputError
-from htcp_jax.grid import load_sweep
-from htcp_jax.job import scenario_of
-from htcp_jax.mesh_points import cover
-from htcp_jax.qp import QPStatus, StepQP
-from htcp_jax.qp_clarabel import ClarabelSolver
-from htcp_jax.robot import gp50
-from htcp_jax.robot_file import RobotFields, read_robot_file
-from htcp_jax.run_folder import open_run
-from htcp_jax.sweep import sweep
-from htcp_jax.validate_input import read_results
-from htcp_jax.workpiece import Workpiece, read_path
+from htcp_jax.jobs.build import scenario_of
+from htcp_jax.jobs.config import PlanConfig, load_config
+from htcp_jax.jobs.grid import load_sweep
+from htcp_jax.runs.run_folder import open_run
+from htcp_jax.runs.sweep import sweep
+from htcp_jax.scene.mesh_points import cover
+from htcp_jax.scene.point_cloud import load_cloud, load_geometry
+from htcp_jax.scene.robot import gp50
+from htcp_jax.scene.robot_model import RobotFields, read_robot_file
+from htcp_jax.scene.workpiece import Workpiece, read_path
+from htcp_jax.solvers.clarabel_ import ClarabelSolver
+from htcp_jax.solvers.step_qp import QPStatus, StepQP
+from htcp_jax.validation.records import read_results
 
 HERE = Path(__file__).parent
 CONFIGS, SWEEPS = HERE.parent / "configs", HERE.parent / "sweeps"
@@ -281,7 +281,7 @@ def check_mesh(folder: Path, case: tuple[str, bytes]) -> bool:
 
 # Robots
 
-ARM = (HERE.parent / "htcp_jax" / "models" / "gp50.xml").read_bytes()
+ARM = (HERE.parent / "htcp_jax" / "scene" / "models" / "gp50.xml").read_bytes()
 SMALL = b"""<mujoco model="arm"><compiler angle="radian"/><default><geom rgba="1 0 0 1"/><default class="c">
 <joint axis="0 1 0" range="-2 2"/></default></default><asset><mesh name="m" file="../m.stl"/></asset><worldbody>
 <body name="a" pos="0 0 .3"><joint name="j1"/><geom type="capsule" size=".05" fromto="0 0 0 0 0 .3"/>

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from htcp_jax.plans import Plans
+from htcp_jax.planner.plans import Plans
 from htcp_jax.status import Status
 
 

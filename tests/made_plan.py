@@ -7,12 +7,12 @@ from hand_made import plans_with
 from made_once import START, robot
 
 from htcp_jax import api
-from htcp_jax.config import PlanConfig, load_config
-from htcp_jax.duct import duct_cloud, weld
-from htcp_jax.plans import Plans
-from htcp_jax.scenario import make_scenario
+from htcp_jax.jobs.config import PlanConfig, load_config
+from htcp_jax.planner.plans import Plans
+from htcp_jax.scene.duct import duct_cloud, weld
+from htcp_jax.scene.scenario import make_scenario
+from htcp_jax.scene.workpiece import load_workpiece
 from htcp_jax.status import Status
-from htcp_jax.workpiece import load_workpiece
 
 A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_ESCAPE, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
 STATUSES = [A, A, A, A, A, A, E, A, LIMIT, NOT], [A] * 10  # of two scenarios: the first fails at target 8

@@ -9,10 +9,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from htcp_jax import duct
-from htcp_jax.run_folder import MANIFEST, open_run
+from htcp_jax.runs.run_folder import MANIFEST, open_run
+from htcp_jax.runs.sweep import sweep
+from htcp_jax.scene import duct
 from htcp_jax.status import Status
-from htcp_jax.sweep import sweep
 
 METHODS = ("baseline", "cspace-sample")
 LONGER = 0.01  # [m]

@@ -11,10 +11,10 @@ import made_once
 import numpy as np
 from scipy.optimize import BFGS, NonlinearConstraint, minimize
 
-from htcp_jax import sphere
-from htcp_jax.clearance import linearise
-from htcp_jax.escape import sphere_problem
+from htcp_jax.clearance.obstacles import linearise
+from htcp_jax.planner.escape import sphere_problem
 from htcp_jax.settings import Settings
+from htcp_jax.solvers import sphere
 
 
 class Where(NamedTuple):

@@ -6,8 +6,8 @@ import sys
 import time
 from pathlib import Path
 
-from htcp_jax.run_folder import MANIFEST
-from htcp_jax.sweep import sweep
+from htcp_jax.runs.run_folder import MANIFEST
+from htcp_jax.runs.sweep import sweep
 
 GRID = """
 config: job.yaml
@@ -43,7 +43,7 @@ def make_sweep(folder: Path) -> None:
 
 def command(out: str, *more: str) -> list[str]:
     """The command line of the sweep into `out`, a shard a scenario."""
-    code = "from htcp_jax.cli import main; raise SystemExit(main())"
+    code = "from htcp_jax.cli.main import main; raise SystemExit(main())"
     options = ["--methods", "baseline", "--shard", "1", "--out", out]
     return [sys.executable, "-c", code, "sweep", "grid.yaml", *options, *more]
 

@@ -12,13 +12,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import htcp_jax
-from htcp_jax import planner
-from htcp_jax.cli import main
-from htcp_jax.escape import METHODS
-from htcp_jax.picture import draw_plan
-from htcp_jax.replay import open_shelf, shelf_of
-from htcp_jax.robot import lengthen_tool
-from htcp_jax.run_tables import frame_of
+from htcp_jax.cli.main import main
+from htcp_jax.planner import batch
+from htcp_jax.planner.escape import METHODS
+from htcp_jax.runs.tables import frame_of
+from htcp_jax.scene.robot import lengthen_tool
+from htcp_jax.viewer.picture import draw_plan
+from htcp_jax.viewer.replay import open_shelf, shelf_of
 
 TURNS = {"grid": [{"workpiece.rotation_z_rad": [0.1, 0.2]}]}
 
@@ -41,12 +41,6 @@ def test_every_public_name_is_there_and_others_are_not():
 def test_importing_the_package_is_cheap():
     code = "import htcp_jax, sys; print([m for m in sys.modules if m.startswith(('htcp_jax.', 'mujoco', 'pyarrow'))])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
-
-
-def test_sweep_is_the_call_also_once_its_module_is_imported():
-    import htcp_jax.sweep
-
-    assert callable(htcp_jax.sweep) and htcp_jax.sweep.sweep.__doc__.startswith("Plan the grid")
 
 
 def test_a_plan_is_a_frame_a_figure_and_a_table(short, tmp_path):
@@ -179,5 +173,5 @@ def test_a_plan_s_robot_is_the_one_with_its_tool(short, tmp_path):
         np.testing.assert_allclose(htcp_jax.tcp_position(plan.robot, x), plan.plans.tcp[0, t], atol=1e-12)
         for shelf in shelves:
             np.testing.assert_allclose(shelf.replay(0, "baseline").tcp[t], plan.plans.tcp[0, t], atol=1e-12)
-    again = planner.plan(plan.robot, plan.workpiece, plan.scenario, "baseline", plan.job.settings)
+    again = batch.plan(plan.robot, plan.workpiece, plan.scenario, "baseline", plan.job.settings)
     np.testing.assert_allclose(again.x, plan.plans.x, atol=1e-9)  # the same arm, not one with the tool twice

@@ -4,13 +4,13 @@ import jax
 import numpy as np
 import pytest
 
-from htcp_jax.ceiling import ceiling
-from htcp_jax.clearance import clearance, make_obstacle
-from htcp_jax.cli import main
-from htcp_jax.kinematics import tcp_position
-from htcp_jax.robot import gp50
-from htcp_jax.scenario import make_scenario, stack
-from htcp_jax.workpiece import load_workpiece
+from htcp_jax.clearance.obstacles import clearance, make_obstacle
+from htcp_jax.cli.main import main
+from htcp_jax.planner.reachability import ceiling
+from htcp_jax.scene.kinematics import tcp_position
+from htcp_jax.scene.robot import gp50
+from htcp_jax.scene.scenario import make_scenario, stack
+from htcp_jax.scene.workpiece import load_workpiece
 
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
 

@@ -8,10 +8,10 @@ from hand_made import plans_with
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from htcp_jax import charts
-from htcp_jax.chart_style import LINES, OTHER_LINES, line_of, spread
-from htcp_jax.document import png
-from htcp_jax.path_charts import REASONS
+from htcp_jax.report import charts
+from htcp_jax.report.chart_style import LINES, OTHER_LINES, line_of, spread
+from htcp_jax.report.document import png
+from htcp_jax.report.path_charts import REASONS
 from htcp_jax.status import Status
 
 GOOD, LIMIT, LATER, NONE = Status.TRACKED, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED, -1

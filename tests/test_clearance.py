@@ -10,11 +10,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from htcp_jax.clearance import all_clear, clearance, clearances, contacts, is_clear, linearise, make_obstacle
-from htcp_jax.kinematics import capsule_segments
-from htcp_jax.robot import GP50, lengthen_tool
-from htcp_jax.scenario import make_scenario
-from htcp_jax.workpiece import Workpiece
+from htcp_jax.clearance.obstacles import all_clear, clearance, clearances, contacts, is_clear, linearise, make_obstacle
+from htcp_jax.scene.kinematics import capsule_segments
+from htcp_jax.scene.robot import GP50, lengthen_tool
+from htcp_jax.scene.scenario import make_scenario
+from htcp_jax.scene.workpiece import Workpiece
 
 
 class Where(NamedTuple):

@@ -6,8 +6,8 @@ import json
 import numpy as np
 import pytest
 
-from htcp_jax import planner
-from htcp_jax.cli import main
+from htcp_jax.cli.main import main
+from htcp_jax.planner import batch
 
 SHORT = ["--set", "workpiece.path=path.csv"]
 
@@ -82,7 +82,7 @@ def test_ctrl_c_leaves_nothing_behind(here, capsys, monkeypatch):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(planner, "plan", interrupt)
+    monkeypatch.setattr(batch, "plan", interrupt)
     assert main(["plan", *SHORT, "--out", "out"]) == 130
     assert capsys.readouterr().err == "htcp: interrupted; nothing was written\n"
     assert not (here / "out").exists()

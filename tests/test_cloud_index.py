@@ -8,8 +8,8 @@ import made_once
 import numpy as np
 import pytest
 
-from htcp_jax.cloud_index import build_index, nearest_body, nearest_rows
-from htcp_jax.cloud_index_gpu import HAS_KERNEL, nearest_leaves
+from htcp_jax.clearance.cloud_tree import build_index, nearest_body, nearest_rows
+from htcp_jax.clearance.cloud_tree_gpu import HAS_KERNEL, nearest_leaves
 
 LANES = 8  # segments that a search takes side by side, as a configuration's capsules do
 EPS = np.finfo(float).eps

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from cma.utilities.math import Mh
 
-from htcp_jax import cma_es
+from htcp_jax.solvers import cma_es
 
 TELL = jax.jit(cma_es.tell, static_argnames="r")
 

@@ -7,11 +7,12 @@ import jax
 import numpy as np
 import pytest
 
-from htcp_jax import doctor, offscreen
-from htcp_jax.cli import app, main
-from htcp_jax.cli_methods import complete_methods
+from htcp_jax.cli import self_test
+from htcp_jax.cli.main import app, main
+from htcp_jax.cli.methods import complete_methods
 from htcp_jax.errors import InputError
-from htcp_jax.escape import METHODS
+from htcp_jax.planner.escape import METHODS
+from htcp_jax.viewer import offscreen
 
 SHORT = ["--set", "workpiece.path=path.csv", "--set", "method=baseline"]
 COLOUR = re.compile(r"\x1b\[[0-9;]*(?:3[0-7]|9[0-7])[0-9;]*m")
@@ -93,7 +94,7 @@ def test_the_doctor_tells_what_is_there(capsys, monkeypatch, tmp_path):
     before = jax.config.jax_compilation_cache_dir
     (tmp_path / "program").write_bytes(b"12345")
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))
-    monkeypatch.setattr(doctor, "self_test", lambda: doctor.SelfTest(True, "planned before", 0.0, 0.0))
+    monkeypatch.setattr(self_test, "self_test", lambda: self_test.SelfTest(True, "planned before", 0.0, 0.0))
     monkeypatch.setattr(offscreen, "platform", lambda: "osmesa")
     try:
         found = json_of(capsys, ["doctor"])
@@ -113,7 +114,7 @@ def test_a_machine_that_cannot_draw_is_sound_and_told_what_it_lacks(capsys, monk
         raise InputError("no off-screen OpenGL: install libegl1")
 
     monkeypatch.setattr(offscreen, "platform", none)
-    monkeypatch.setattr(doctor, "self_test", lambda: doctor.SelfTest(True, "planned before", 0.0, 0.0))
+    monkeypatch.setattr(self_test, "self_test", lambda: self_test.SelfTest(True, "planned before", 0.0, 0.0))
     assert json_of(capsys, ["doctor"])["rendering"]["platform"] is None
     assert main(["doctor"]) == 0
     assert "install libegl1" in capsys.readouterr().out
@@ -121,7 +122,7 @@ def test_a_machine_that_cannot_draw_is_sound_and_told_what_it_lacks(capsys, monk
 
 def test_the_self_test_passes_here_and_fails_on_another_answer(capsys, monkeypatch):
     assert json_of(capsys, ["doctor"])["self_test"]["passed"]
-    monkeypatch.setattr(doctor, "KNOWN_RAD", np.add(doctor.KNOWN_RAD, 1e-5))
+    monkeypatch.setattr(self_test, "KNOWN_RAD", np.add(self_test.KNOWN_RAD, 1e-5))
     assert main(["doctor"]) == 1
     assert "the self-test failed" in capsys.readouterr().out
 

@@ -3,7 +3,7 @@
 import jax
 import pytest
 
-from htcp_jax import compile_cache
+from htcp_jax.planner import compile_cache
 
 
 @pytest.fixture(autouse=True)
@@ -23,9 +23,7 @@ def test_off_keeps_nothing(monkeypatch):
 def test_a_folder_is_made_where_the_variable_says(monkeypatch, tmp_path):
     monkeypatch.setenv("HTCP_CACHE", str(tmp_path / "a" / "b"))
     assert compile_cache.enable() == tmp_path / "a" / "b"
-    assert (
-        jax.config.jax_compilation_cache_dir == str(tmp_path / "a" / "b") and (tmp_path / "a" / "b").is_dir()
-    )
+    assert jax.config.jax_compilation_cache_dir == str(tmp_path / "a" / "b") and (tmp_path / "a" / "b").is_dir()
 
 
 def test_a_folder_chosen_through_jax_stays(tmp_path):

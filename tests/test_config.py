@@ -7,8 +7,8 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from htcp_jax.config import PlanConfig, load_config
 from htcp_jax.errors import InputError
+from htcp_jax.jobs.config import PlanConfig, load_config
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 

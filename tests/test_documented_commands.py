@@ -27,8 +27,8 @@ from documented import (
     runs,
 )
 
-from htcp_jax.cli import main
-from htcp_jax.escape import METHODS
+from htcp_jax.cli.main import main
+from htcp_jax.planner.escape import METHODS
 
 DEMO_S = 180  # from a clone to a picture
 
@@ -81,7 +81,7 @@ def run(words: list[str]) -> int:
 
 def serve(words: list[str]) -> int:
     """The exit code of a command that goes on until Ctrl-C, which comes once it serves."""
-    code = "import sys; from htcp_jax.cli import main; raise SystemExit(main(sys.argv[1:]))"
+    code = "import sys; from htcp_jax.cli.main import main; raise SystemExit(main(sys.argv[1:]))"
     command = [sys.executable, "-u", "-c", code, *words[1:], "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert "http://" in process.stdout.readline()

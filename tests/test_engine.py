@@ -7,17 +7,17 @@ import made_once
 import numpy as np
 import pytest
 
-from htcp_jax import kernels, planner
-from htcp_jax.engine import Engine
-from htcp_jax.lanes import take
-from htcp_jax.planner import plan
-from htcp_jax.qp import QPSolution, QPStatus
-from htcp_jax.qp_clarabel import ClarabelSolver
-from htcp_jax.robot import gp50
-from htcp_jax.scenario import make_scenario, stack
+from htcp_jax.planner import batch, kernels
+from htcp_jax.planner.batch import plan
+from htcp_jax.planner.engine import Engine
+from htcp_jax.planner.lanes import take
+from htcp_jax.scene.robot import gp50
+from htcp_jax.scene.scenario import make_scenario, stack
+from htcp_jax.scene.workpiece import load_workpiece
 from htcp_jax.settings import Settings
+from htcp_jax.solvers.clarabel_ import ClarabelSolver
+from htcp_jax.solvers.step_qp import QPSolution, QPStatus
 from htcp_jax.status import Status
-from htcp_jax.workpiece import load_workpiece
 
 START = np.array([0.0, -2.3, 0.5, 0.0, 0.5, -2.0])
 # With one row and margin 0 the last bit of rounding decides who gets stuck.
@@ -195,7 +195,7 @@ def test_a_qp_that_breaks_down_fails_its_scenario_and_no_other(scene, scenarios,
     whole = plan(*scene, scenarios[:3], "baseline", PAPER)
     # Target 1 of scenario 1 is where its first real step goes.
     Broken.victim = scenarios[1].targets[1] - whole.tcp[1, 0]
-    monkeypatch.setattr(planner, "make_solver", lambda s, joints, rows: Broken(2 * np.array(s.q_weights), rows))
+    monkeypatch.setattr(batch, "make_solver", lambda s, joints, rows: Broken(2 * np.array(s.q_weights), rows))
     broken = plan(*scene, scenarios[:3], "baseline", PAPER)
     same(broken, whole, [0, 2], [0, 2])
     assert broken.status[1, 1] == Status.QP_FAILED

@@ -8,9 +8,8 @@ import made_once
 import numpy as np
 from sphere_references import place
 
-from htcp_jax import sphere
-from htcp_jax.clearance import clearance, clearances, contacts, is_clear
-from htcp_jax.escape import (
+from htcp_jax.clearance.obstacles import clearance, clearances, contacts, is_clear
+from htcp_jax.planner.escape import (
     METHODS,
     Stuck,
     anchor,
@@ -22,8 +21,9 @@ from htcp_jax.escape import (
     sphere_problem,
     stuck_key,
 )
-from htcp_jax.kinematics import tcp_position
+from htcp_jax.scene.kinematics import tcp_position
 from htcp_jax.settings import Settings
+from htcp_jax.solvers import sphere
 
 RNG = np.random.default_rng(0)
 SETTINGS = Settings()

@@ -12,13 +12,12 @@ import numpy as np
 import pytest
 from sweep_process import COLD, HALF, SHARDS, make_sweep, plan_half, rows, start, wait_for_work
 
-from htcp_jax import planner
 from htcp_jax.errors import InputError
-from htcp_jax.grid import load_sweep
-from htcp_jax.metrics import summarise
-from htcp_jax.run_folder import MANIFEST, open_run
+from htcp_jax.jobs.grid import load_sweep
+from htcp_jax.runs.run_folder import MANIFEST, open_run
+from htcp_jax.runs.summary import summarise
+from htcp_jax.runs.sweep import sweep
 from htcp_jax.status import Status
-from htcp_jax.sweep import sweep
 
 KILLS = 20
 
@@ -165,7 +164,7 @@ def test_a_scenario_that_is_not_a_number_fails_and_the_others_are_as_without_it(
     """A margin of 1e300 m, which no configuration may ask for, overflows the step QP of its own scenario."""
     batch = load_sweep({"config": "job.yaml", "grid": [{"margin_m": [0, 0.0001, 0.0002]}]}).batch()
     odd = dataclasses.replace(batch.scenarios, margin_m=np.array([0.0, 1e300, 0.0002]))
-    good, bad = (planner.plan(batch.robot, batch.workpiece, each, "baseline") for each in (batch.scenarios, odd))
+    good, bad = (batch.plan(batch.robot, batch.workpiece, each, "baseline") for each in (batch.scenarios, odd))
     for name in ("status", "x", "clearance", "residual", "iterations", "path_clear"):
         before, after = getattr(good, name), getattr(bad, name)
         np.testing.assert_array_equal(after[[0, 2]], before[[0, 2]], err_msg=name)

@@ -13,11 +13,11 @@ import pytest
 from fuzz import fuzz
 from fuzz_targets import ARM, SMALL, TARGETS, URDF
 
-from htcp_jax.cloud import load_cloud
-from htcp_jax.config import PlanConfig, load_config
 from htcp_jax.errors import InputError
-from htcp_jax.robot import load_robot
-from htcp_jax.validate_input import read_results
+from htcp_jax.jobs.config import PlanConfig, load_config
+from htcp_jax.scene.point_cloud import load_cloud
+from htcp_jax.scene.robot import load_robot
+from htcp_jax.validation.records import read_results
 
 INPUTS = 40
 

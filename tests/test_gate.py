@@ -7,13 +7,13 @@ import pytest
 import yaml
 from small_run import LONGER, end_early, rewrite, spoil
 
-from htcp_jax.cli import main
-from htcp_jax.gate_baseline import Baseline, read_baseline
-from htcp_jax.results import provenance
-from htcp_jax.run_folder import MANIFEST
-from htcp_jax.run_identity import config_hash, identity
-from htcp_jax.run_parts import CEILING
+from htcp_jax.cli.main import main
+from htcp_jax.runs.ceiling_file import CEILING
+from htcp_jax.runs.identity import config_hash, identity
+from htcp_jax.runs.plan_folder import provenance
+from htcp_jax.runs.run_folder import MANIFEST
 from htcp_jax.status import Status
+from htcp_jax.validation.baseline import Baseline, read_baseline
 
 PASSED, REGRESSION, BAD_INPUT = 0, 1, 2
 TARGETS = 19  # of each of the four scenarios

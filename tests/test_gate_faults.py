@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import htcp_jax
-from htcp_jax import duct
-from htcp_jax.cli import main
+from htcp_jax.cli.main import main
+from htcp_jax.scene import duct
 
 JOB = """
 workpiece: {path: weld.csv}
@@ -28,28 +28,28 @@ grid:
 """
 FAULTS = {
     "kinematics": """
-from htcp_jax import kinematics
+from htcp_jax.scene import kinematics
 turned = kinematics._turned
 kinematics._turned = lambda axis, turn: turned(axis, 1.0005 * turn)
 """,
     "clearance sign": """
-from htcp_jax import clearance
-contacts = clearance.contacts
+from htcp_jax.clearance import obstacles
+contacts = obstacles.contacts
 def wrong(*arguments):
     found = contacts(*arguments)
     return found._replace(distance=-found.distance)
-clearance.contacts = wrong
+obstacles.contacts = wrong
 """,
     "QP row": """
-from htcp_jax import qp
-assemble = qp.assemble
+from htcp_jax.solvers import step_qp
+assemble = step_qp.assemble
 def wrong(*arguments):
     found = assemble(*arguments)
     return found._replace(G=-found.G)
-qp.assemble = wrong
+step_qp.assemble = wrong
 """,
     "escape": """
-from htcp_jax import sphere
+from htcp_jax.solvers import sphere
 sqp = sphere.sqp
 def wrong(*arguments):
     best = sqp(*arguments)
@@ -63,7 +63,7 @@ PLANNED_BY = {fault: "nspace-sqp" if fault == "escape" else "baseline" for fault
 def plan(place: Path, method: str, out: str, fault: str = "") -> Path:
     """The run of the sweep, planned in a process of its own."""
     command = ["sweep", "grid.yaml", "--methods", method, "--out", out]
-    program = f"{fault}\nfrom htcp_jax.cli import main\nraise SystemExit(main({command}))"
+    program = f"{fault}\nfrom htcp_jax.cli.main import main\nraise SystemExit(main({command}))"
     environment = os.environ | {"PYTHONPATH": str(Path(htcp_jax.__file__).parents[1])}
     done = subprocess.run([sys.executable, "-c", program], cwd=place, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

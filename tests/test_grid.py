@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from htcp_jax.errors import InputError
-from htcp_jax.grid import load_sweep
+from htcp_jax.jobs.grid import load_sweep
 
 SWEEPS = Path(__file__).parents[1] / "sweeps"
 HUGE = "grid:\n" + "".join(f"  - start_rad.{k}: {[0.1] * 11}\n" for k in range(1, 7))

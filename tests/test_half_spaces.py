@@ -3,8 +3,8 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 
-from htcp_jax.half_spaces import ROOM, crossed_facets, half_spaces
-from htcp_jax.hull import convex_hull
+from htcp_jax.clearance.half_spaces import ROOM, crossed_facets, half_spaces
+from htcp_jax.scene.convex_hull import convex_hull
 
 RNG = np.random.default_rng(0)
 

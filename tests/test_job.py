@@ -8,14 +8,14 @@ import pytest
 from hand_made import plans_with
 
 from htcp_jax import api
-from htcp_jax.cli import main
-from htcp_jax.config import PlanConfig, load_config
+from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
-from htcp_jax.job import robot_of, scene
-from htcp_jax.replay import open_shelf
+from htcp_jax.jobs.build import robot_of, scene
+from htcp_jax.jobs.config import PlanConfig, load_config
+from htcp_jax.scene.workpiece import load_workpiece
 from htcp_jax.status import Status
-from htcp_jax.validate_input import read_results
-from htcp_jax.workpiece import load_workpiece
+from htcp_jax.validation.records import read_results
+from htcp_jax.viewer.replay import open_shelf
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 ARM = CONFIGS / "pipe" / "arm.xml"

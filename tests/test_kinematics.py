@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from mujoco import mjx
 
-from htcp_jax import kinematics
-from htcp_jax.robot import GP50, Robot, gp50, load_robot
+from htcp_jax.scene import kinematics
+from htcp_jax.scene.robot import GP50, Robot, gp50, load_robot
 
 DUCT = Path(__file__).parents[2] / "shared" / "data" / "duct"
 
@@ -118,9 +118,7 @@ def assert_close(actual, wanted, atol: float = 1e-9) -> None:
 
 
 def round_geoms(model: mujoco.MjModel) -> np.ndarray:
-    return np.flatnonzero(
-        np.isin(model.geom_type, (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE))
-    )
+    return np.flatnonzero(np.isin(model.geom_type, (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE)))
 
 
 def test_links_are_mujocos_bodies(arm):

@@ -1,4 +1,4 @@
-"""Imports run downwards only, and never in a circle."""
+"""Imports run one way: a room imports from itself and from the rooms before it in the list, and never in a circle."""
 
 import ast
 from graphlib import CycleError, TopologicalSorter
@@ -10,73 +10,61 @@ import htcp_jax
 
 PACKAGE = Path(htcp_jax.__file__).parent
 
-# From the bottom up. A module may import from its own row and from those above it in this list.
-LAYERS = [
-    ["__init__", "errors", "notebook", "types", "pytree", "numerics", "status", "verdict", "settings", "plans"],
-    ["compile_cache", "devices"],
-    ["foreign", "columns", "parsers"],
-    ["table", "scan"],
-    ["robot", "robot_file", "robot_tool", "robot_xml", "kinematics", "duct", "mesh_points", "cloud", "hull", "surface"],
-    ["clusters", "discs", "cloud_index_gpu", "cloud_index", "half_spaces"],
-    ["units"],
-    ["workpiece"],
-    ["tip_guard"],
-    ["scenario"],
-    ["clearance", "task", "seen"],
-    ["nullspace", "qp_dense", "cma_es"],
-    ["sphere"],
-    ["qp"],
-    ["qp_clarabel", "qp_qpsolvers", "qp_device"],
-    ["qp_solvers"],
-    ["escape", "joint_path", "kernels", "tip_check", "lanes", "engine", "planner"],
-    ["strict_yaml", "config_file", "config", "job"],
-    ["paper", "grid_axes", "grid_points", "grid", "metrics", "results", "ceiling", "obstruction"],
-    ["charts", "chart_style", "path_charts", "success_charts", "document"],
-    ["run_folder", "run_identity", "run_lock", "run_signals", "run_tables", "run_writer", "scenario_label"],
-    ["sweep_here", "sweep_ray", "sweep"],
-    ["validate", "validate_arm", "validate_input", "validate_mesh", "validate_track", "validate_wall"],
-    ["fates", "picture", "sides"],
-    ["api"],
-    ["replay"],
-    ["report", "report_best", "report_chapter", "report_scene", "report_tables", "report_validation", "run_parts"],
-    ["gate_baseline", "gate"],
-    ["doctor", "framing", "movie", "offscreen", "render", "viewer", "viewer_stage"],
-    ["cli_output"],
-    ["cli_doctor", "cli_methods", "cli_plan", "cli_report", "cli_sweep", "cli_validate"],
-    ["cli_ceiling", "cli_gate", "cli_render", "cli_view"],
-    ["cli", "__main__"],
-]
-LAYER = {module: number for number, row in enumerate(LAYERS) for module in row}
+# From the bottom up: what is read makes a scene; small problems in it, and how clear the arm is, make a planner; jobs
+# ask it, runs keep the answers, validation doubts them, a viewer and a report show them, the command is the door.
+ROOMS = ["formats", "scene", "solvers", "clearance", "planner", "jobs", "runs", "validation", "viewer", "report", "cli"]
+EVERYWHERE = {"errors", "notebook", "numerics", "pytree", "settings", "status", "types"}  # modules for every room
+PUBLIC = {"api": "viewer"}  # at the root for its name's sake; stands behind this room
 
 
-def modules() -> list[str]:
-    return sorted(path.stem for path in PACKAGE.glob("*.py"))
+def modules() -> dict[str, Path]:
+    """Every module by its dotted name within the package, a room's own by the room's."""
+    files = sorted(PACKAGE.rglob("*.py"))
+    names = {".".join(file.relative_to(PACKAGE).with_suffix("").parts): file for file in files}
+    return {name.removesuffix(".__init__"): file for name, file in names.items()}
 
 
-def imports(module: str) -> set[str]:
-    """Modules of the package that `module` imports anywhere in its source."""
+def imports(file: Path, known: dict[str, Path]) -> set[str]:
+    """Modules of the package that a file imports anywhere in its source."""
     found = set()
-    for node in ast.walk(ast.parse((PACKAGE / f"{module}.py").read_text())):
+    for node in ast.walk(ast.parse(file.read_text())):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{module}.py: imports are absolute"
-            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+            assert node.level == 0, f"{file}: imports are absolute"
+            names = [f"{node.module}.{alias.name}" for alias in node.names] + [node.module]
         else:
             continue
-        found |= {name.split(".")[1] for name in names if name.startswith("htcp_jax.")}
-    return found & set(modules())
+        own = [name.removeprefix("htcp_jax.") for name in names if name.startswith("htcp_jax.")]
+        found |= {name for name in own if name in known}
+    return found
+
+
+def floor(module: str) -> float:
+    """Where a module stands: the number of its room, 0 for what every room may import."""
+    room = module.partition(".")[0]
+    if room in EVERYWHERE or room == "__init__":
+        return 0
+    return ROOMS.index(PUBLIC[room]) + 1.5 if room in PUBLIC else ROOMS.index(room) + 1
 
 
 @pytest.mark.parametrize("module", modules())
-def test_imports_run_downwards(module):
-    assert module in LAYER, f"{module}.py has no layer; give it one in {Path(__file__).name}"
-    upwards = sorted(other for other in imports(module) if LAYER.get(other, 0) > LAYER[module])
-    assert not upwards, f"{module}.py imports from the layers over it: {', '.join(upwards)}"
+def test_imports_run_one_way(module):
+    known = modules()
+    upwards = sorted(other for other in imports(known[module], known) if floor(other) > floor(module))
+    assert not upwards, f"{module} imports from the rooms over it: {', '.join(upwards)}"
+
+
+def test_every_folder_is_a_room_and_says_what_belongs_in_it():
+    folders = {file.parent for file in PACKAGE.rglob("*.py")} - {PACKAGE}
+    assert {str(folder.relative_to(PACKAGE)) for folder in folders} == set(ROOMS)
+    for folder in folders:
+        assert ast.get_docstring(ast.parse((folder / "__init__.py").read_text())), folder
 
 
 def test_imports_run_in_no_circle():
+    known = modules()
     try:
-        TopologicalSorter({module: imports(module) - {module} for module in modules()}).prepare()
+        TopologicalSorter({module: imports(file, known) - {module} for module, file in known.items()}).prepare()
     except CycleError as error:
         pytest.fail(f"imports run in a circle: {' -> '.join(error.args[1])}")

@@ -11,14 +11,15 @@ import pytest
 import stranger_jobs
 
 import htcp_jax
-from htcp_jax.ceiling import ceiling
-from htcp_jax.metrics import is_tracked, summarise
-from htcp_jax.planner import METHODS, plan
-from htcp_jax.scenario import OutOfReach, make_scenario, stack
+from htcp_jax.clearance.verdict import counts
+from htcp_jax.planner.batch import METHODS, plan
+from htcp_jax.planner.plans import is_tracked
+from htcp_jax.planner.reachability import ceiling
+from htcp_jax.runs.summary import summarise
+from htcp_jax.scene.scenario import OutOfReach, make_scenario, stack
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
-from htcp_jax.validate import validate
-from htcp_jax.verdict import counts
+from htcp_jax.validation.validate import validate
 
 SLOW = {"nspace-ip", "nspace-cmaes", "nspace-adam", "hybrid", "nspace-sample"}
 

@@ -15,7 +15,7 @@ from sphere_references import place
 
 import htcp_jax
 from htcp_jax.errors import InputError
-from htcp_jax.escape import sphere_problem
+from htcp_jax.planner.escape import sphere_problem
 from htcp_jax.settings import Settings
 
 capsule_point_distance = htcp_jax.capsule_point_distance
@@ -185,9 +185,9 @@ def test_lists_are_taken_and_a_batch_is_refused_in_one_line_that_names_vmap():
 def test_the_mathematics_is_there_by_name_and_clearance_is_its_module():
     for name in ("tcp_position", "tcp_pose", "jacobian", "capsule_segments", "clearances", "linearise", "null_basis"):
         assert callable(getattr(htcp_jax, name)) and name in htcp_jax.__all__
-    from htcp_jax import clearance
+    from htcp_jax.clearance import obstacles
 
-    assert htcp_jax.clearance is clearance and callable(clearance.clearance)
+    assert htcp_jax.clearance is clearance and callable(obstacles.clearance)
 
 
 @pytest.mark.parametrize("module", ["numerics", "escape"])

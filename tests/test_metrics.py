@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hand_made import plans_with
 
-from htcp_jax.metrics import Failure, summarise
+from htcp_jax.runs.summary import Failure, summarise
 from htcp_jax.status import Status
 
 DONE, ESCAPED, STUCK, LEFT = (Status(k) for k in (0, 1, 4, 7))

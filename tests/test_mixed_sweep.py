@@ -7,17 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from htcp_jax import planner
-from htcp_jax.cli import main
+from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
-from htcp_jax.grid import load_sweep
-from htcp_jax.job import robot_of, scene
-from htcp_jax.kinematics import capsule_segments
-from htcp_jax.metrics import is_tracked
-from htcp_jax.replay import open_shelf
-from htcp_jax.run_folder import open_run
-from htcp_jax.run_parts import read_parts
-from htcp_jax.sweep import sweep
+from htcp_jax.jobs.build import robot_of, scene
+from htcp_jax.jobs.grid import load_sweep
+from htcp_jax.planner import batch
+from htcp_jax.planner.plans import is_tracked
+from htcp_jax.report.groups import read_parts
+from htcp_jax.runs.run_folder import open_run
+from htcp_jax.runs.sweep import sweep
+from htcp_jax.scene.kinematics import capsule_segments
+from htcp_jax.viewer.replay import open_shelf
 
 ARM = """
 <mujoco model="{name}"><worldbody><geom name="foot" type="sphere" size="0.05"/>
@@ -69,7 +69,7 @@ def test_each_scenario_is_what_it_would_be_alone(place, run):
     for point in load_sweep(place / "grid.yaml").points():
         robot, workpiece, scenario = scene(point.config)
         own = replace(scenario, number=np.asarray(point.number, np.int32))
-        alone = planner.plan(robot, workpiece, own, "baseline", point.config.settings)
+        alone = batch.plan(robot, workpiece, own, "baseline", point.config.settings)
         for name in ("x", "status", "clearance", "target", "path_clear"):
             np.testing.assert_array_equal(getattr(plans, name)[point.number], getattr(alone, name)[0], name)
 

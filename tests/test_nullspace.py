@@ -4,8 +4,8 @@ import made_once
 import numpy as np
 import pytest
 
-from htcp_jax.kinematics import jacobian, tcp_position
-from htcp_jax.nullspace import inside, null_basis, reanchor
+from htcp_jax.scene.inverse_kinematics import inside, null_basis, reanchor
+from htcp_jax.scene.kinematics import jacobian, tcp_position
 
 RNG = np.random.default_rng(0)
 BASIS = jax.jit(null_basis)

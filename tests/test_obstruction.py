@@ -8,15 +8,15 @@ from hand_made import plans_with
 from made_once import START, robot
 from made_plan import made_plan
 
-from htcp_jax.clearance import make_obstacle
-from htcp_jax.duct import duct_cloud, weld
-from htcp_jax.kernels import tasks
-from htcp_jax.kinematics import capsule_segments, tcp_position
-from htcp_jax.obstruction import last_posture, obstruction, obstructions
-from htcp_jax.scenario import make_scenario, stack
+from htcp_jax.clearance.obstacles import make_obstacle
+from htcp_jax.planner.kernels import tasks
+from htcp_jax.planner.obstruction import last_posture, obstruction, obstructions
+from htcp_jax.scene.duct import duct_cloud, weld
+from htcp_jax.scene.kinematics import capsule_segments, tcp_position
+from htcp_jax.scene.scenario import make_scenario, stack
+from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
-from htcp_jax.workpiece import Workpiece
 
 TARGETS = 4, 40, 80, 104
 SETTINGS = Settings()

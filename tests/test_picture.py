@@ -6,11 +6,11 @@ from hand_made import plans_with
 from hypothesis import given
 from hypothesis import strategies as st
 
-from htcp_jax.picture import draw_plan, poses, stadium
-from htcp_jax.robot import gp50
-from htcp_jax.scenario import make_scenario
+from htcp_jax.scene.robot import gp50
+from htcp_jax.scene.scenario import make_scenario
+from htcp_jax.scene.workpiece import load_workpiece
 from htcp_jax.status import Status
-from htcp_jax.workpiece import load_workpiece
+from htcp_jax.viewer.picture import draw_plan, poses, stadium
 
 COORDINATE = st.floats(-3, 3)
 POINT = st.tuples(COORDINATE, COORDINATE).map(np.array)

@@ -8,12 +8,12 @@ import made_once
 import numpy as np
 import pytest
 
-from htcp_jax.clearance import is_clear
+from htcp_jax.clearance.obstacles import is_clear
 from htcp_jax.errors import InputError
-from htcp_jax.kinematics import capsule_segments, tcp_position
-from htcp_jax.planner import METHODS, check_start, plan, start_clearance
-from htcp_jax.robot import lengthen_tool
-from htcp_jax.scenario import make_scenario, stack
+from htcp_jax.planner.batch import METHODS, check_start, plan, start_clearance
+from htcp_jax.scene.kinematics import capsule_segments, tcp_position
+from htcp_jax.scene.robot import lengthen_tool
+from htcp_jax.scene.scenario import make_scenario, stack
 from htcp_jax.settings import Settings, settings_of
 from htcp_jax.status import Status
 

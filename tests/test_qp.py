@@ -9,12 +9,12 @@ import qpsolvers
 from scipy.optimize import nnls
 
 from htcp_jax.errors import InputError
-from htcp_jax.qp import QPStatus, StepQP, assemble, row_count
-from htcp_jax.qp_clarabel import ClarabelSolver
-from htcp_jax.qp_dense import solve_dense
-from htcp_jax.qp_qpsolvers import QPSolversSolver
-from htcp_jax.qp_solvers import make_solver
 from htcp_jax.settings import Settings
+from htcp_jax.solvers.by_name import make_solver
+from htcp_jax.solvers.clarabel_ import ClarabelSolver
+from htcp_jax.solvers.interior_point import solve_dense
+from htcp_jax.solvers.qpsolvers_ import QPSolversSolver
+from htcp_jax.solvers.step_qp import QPStatus, StepQP, assemble, row_count
 
 WEIGHTS = 2 * np.array(Settings().q_weights)
 N = len(WEIGHTS)

@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from test_qp import WEIGHTS, batch, infeasible, random_batch
 
-from htcp_jax import planner
-from htcp_jax.planner import plan
-from htcp_jax.qp import QPStatus, StepQP
-from htcp_jax.qp_clarabel import ClarabelSolver
-from htcp_jax.qp_device import solve_step
-from htcp_jax.qp_solvers import make_solver
-from htcp_jax.robot import gp50
-from htcp_jax.scenario import make_scenario, stack
+from htcp_jax.planner import batch as planning
+from htcp_jax.planner.batch import plan
+from htcp_jax.scene.robot import gp50
+from htcp_jax.scene.scenario import make_scenario, stack
+from htcp_jax.scene.workpiece import load_workpiece
 from htcp_jax.settings import Settings
+from htcp_jax.solvers.active_set import solve_step
+from htcp_jax.solvers.by_name import make_solver
+from htcp_jax.solvers.clarabel_ import ClarabelSolver
+from htcp_jax.solvers.step_qp import QPStatus, StepQP
 from htcp_jax.status import Status
-from htcp_jax.workpiece import load_workpiece
 
 solve = jax.jit(jax.vmap(solve_step))
 START = np.array([0.0, -2.3, 0.5, 0.0, 0.5, -2.0])
@@ -95,7 +95,7 @@ class Recorder:
 def recorded(monkeypatch, settings, margin_m) -> StepQP:
     """The step QPs of a few hard poses."""
     made = []
-    monkeypatch.setattr(planner, "make_solver", lambda *a: made.append(Recorder(*a)) or made[-1])
+    monkeypatch.setattr(planning, "make_solver", lambda *a: made.append(Recorder(*a)) or made[-1])
     scene = gp50(), load_workpiece()
     hard = [(0.8, -0.3), (0.7, 0.3), (0.6, 0.0), (0.2, -0.3)]
     plan(*scene, [make_scenario(*scene, START, rotation=r, margin_m=margin_m) for r in hard], "baseline", settings)
@@ -130,5 +130,3 @@ def test_planning_with_it_tracks_the_same_targets_and_does_not_depend_on_the_bat
     alone = plan(*scene, scenarios[1:2], "nspace-sqp", settings)
     for name in ("x", "status", "clearance", "iterations"):
         np.testing.assert_array_equal(getattr(alone, name)[0], getattr(device, name)[1], err_msg=name)
-
-

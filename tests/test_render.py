@@ -12,14 +12,14 @@ from made_once import seven_joints
 from made_plan import STATUSES, made_plan
 from PIL import Image
 
-from htcp_jax import offscreen
-from htcp_jax.cli import main
+from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
-from htcp_jax.fates import FAILED, Fate, fates, rgb
-from htcp_jax.framing import fitted, kept, open_side
-from htcp_jax.movie import HELD, RATE, write_movie
-from htcp_jax.render import STRIDE_M, Studio, way
-from htcp_jax.replay import shelf_of
+from htcp_jax.viewer import offscreen
+from htcp_jax.viewer.camera import fitted, kept, open_side
+from htcp_jax.viewer.colours import FAILED, Fate, fates, rgb
+from htcp_jax.viewer.movie import HELD, RATE, write_movie
+from htcp_jax.viewer.render import STRIDE_M, Studio, way
+from htcp_jax.viewer.replay import shelf_of
 
 SIZE = 320, 220
 

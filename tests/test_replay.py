@@ -9,13 +9,13 @@ from hand_made import plans_with
 from made_once import seven_joints
 
 from htcp_jax import api
-from htcp_jax.duct import duct_cloud
 from htcp_jax.errors import InputError
-from htcp_jax.replay import Shelf, open_shelf, shelf_of
-from htcp_jax.scenario import make_scenario
+from htcp_jax.runs.sweep import sweep
+from htcp_jax.scene.duct import duct_cloud
+from htcp_jax.scene.scenario import make_scenario
+from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.status import Status
-from htcp_jax.sweep import sweep
-from htcp_jax.workpiece import Workpiece
+from htcp_jax.viewer.replay import Shelf, open_shelf, shelf_of
 
 A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_ESCAPE, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
 DUCT = Path(__file__).parents[1] / "configs" / "duct.yaml"  # where the cloud stands

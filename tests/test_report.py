@@ -9,18 +9,20 @@ import pytest
 import yaml
 from hand_made import plans_with
 
-from htcp_jax import paper, planner, report_tables
-from htcp_jax.cli import main
-from htcp_jax.config import load_config
-from htcp_jax.document import Column, Heading, Table, html, markdown
+from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
-from htcp_jax.report import make_report, overview
-from htcp_jax.report_best import best
-from htcp_jax.report_chapter import choice, facts, label, presets
-from htcp_jax.run_folder import open_run
-from htcp_jax.run_parts import CEILING, read_parts
+from htcp_jax.jobs.config import load_config
+from htcp_jax.planner import batch
+from htcp_jax.report import paper, tables
+from htcp_jax.report.best import best
+from htcp_jax.report.chapter import choice, facts, label, presets
+from htcp_jax.report.document import Column, Heading, Table, html, markdown
+from htcp_jax.report.groups import read_parts
+from htcp_jax.report.report import make_report, overview
+from htcp_jax.runs.ceiling_file import CEILING
+from htcp_jax.runs.run_folder import open_run
+from htcp_jax.runs.sweep import sweep
 from htcp_jax.status import Status
-from htcp_jax.sweep import sweep
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*a gap of")  # a cloud of eight points is no wall
 POSES = """
@@ -50,7 +52,7 @@ def folder(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         place = tmp_path_factory.mktemp("runs")
         patch.chdir(place)
-        patch.setattr(planner, "plan", by_hand)
+        patch.setattr(batch, "plan", by_hand)
         (place / "box.xyz").write_text(f"{BOX}\n{SHELF}")
         for name, count in (("path", 94), ("short", 2)):
             rows = [f"{0.1857 + 0.004 * k},-0.17,0.17" for k in range(count)]
@@ -95,7 +97,7 @@ def test_the_papers_choices_are_those_of_the_shipped_configuration(request):
 
 
 def test_the_results_hold_the_counts_behind_each_percentage_and_the_papers_figures(folder):
-    rows = rows_of(report_tables.results(part_of(folder, "poses")))
+    rows = rows_of(tables.results(part_of(folder, "poses")))
     lost = sum(k % 4 for k in range(49))
     base = rows["baseline"]
     assert (base["tracked"], base["targets"], base["complete"], base["scenarios"]) == (5145 - lost, 5145, 13, 49)
@@ -113,14 +115,14 @@ def test_the_papers_tables_stand_beside_its_own_grids_alone(folder):
 
 
 def test_the_stops_count_reasons_and_name_the_targets(folder):
-    (row,) = report_tables.stops(part_of(folder, "poses")).records()
+    (row,) = tables.stops(part_of(folder, "poses")).records()
     assert (row["method"], row["reason"], row["scenarios"]) == ("baseline", "iteration limit", 36)
     assert (row["first_target"], row["median_target"], row["last_target"]) == (102, 103, 104)
     assert row["targets"] == "102 (12), 103 (12), 104 (12)"
 
 
 def test_blocked_joint_paths_are_counted_of_all_accepted_steps_and_cut_the_prefix(folder):
-    rows = rows_of(report_tables.steps(part_of(folder, "one")))
+    rows = rows_of(tables.steps(part_of(folder, "one")))
     base = rows["baseline"]  # two scenarios of 13 targets, the second without its last
     assert (base["accepted"], base["blocked"], base["not_checked"]) == (25, 12, 0)
     assert base["scenarios_blocked"] == 2 and base["tracked_before"] == 2
@@ -147,7 +149,7 @@ def test_cells_are_means_over_the_other_axes_and_leave_out_what_is_not_known(fol
 def test_the_headline_counts_what_can_be_driven_beside_what_is_tracked(folder):
     """W6: the headline said 97.28 % where 69.66 % come before the first blocked step."""
     part = part_of(folder, "one")
-    base, hybrid = report_tables.results(part).records()
+    base, hybrid = tables.results(part).records()
     assert (base["tracked"], base["drivable"], base["targets"]) == (25, 2, 26)
     assert base["drivable_percent"] == pytest.approx(100 * 2 / 26)
     assert hybrid["tracked"] == hybrid["drivable"] == 26
@@ -205,7 +207,7 @@ def test_a_run_whose_cloud_is_gone_is_reported_without_its_picture(folder):
 def test_the_stops_say_which_bodies_are_in_the_way(folder):
     """Rough: `escape exhausted` gave no hint what is in the way."""
     part = part_of(folder, "poses")
-    (row,) = report_tables.stops(part).records()
+    (row,) = tables.stops(part).records()
     counts = [int(count) for count in re.findall(r"\((\d+)\)", row["in_the_way"])]
     assert sum(counts) == row["scenarios"] and counts == sorted(counts, reverse=True)
 
@@ -258,12 +260,12 @@ def test_an_unfinished_run_is_told_as_far_as_it_is(folder, monkeypatch, tmp_path
             raise InputError("stopped")
         return by_hand(robot, workpiece, scenarios, method, settings, **how)
 
-    monkeypatch.setattr(planner, "plan", gives_up)
+    monkeypatch.setattr(batch, "plan", gives_up)
     with pytest.raises(InputError, match="stopped"):
         sweep(folder / "groups.yaml", "baseline,hybrid,keep-clear", tmp_path / "half", shard_scenarios=1)
     report = make_report([tmp_path / "half"])
     first, second = report.parts
-    assert rows_of(report_tables.results(first))["hybrid"]["scenarios"] == 1
+    assert rows_of(tables.results(first))["hybrid"]["scenarios"] == 1
     assert "Scenarios still to plan: hybrid 4, keep-clear 5." in " ".join(facts(second))
     assert list(second.plans) == ["baseline"]
 
@@ -273,7 +275,7 @@ def test_the_ceiling_is_compared_with_and_what_beats_it_is_named(folder, tmp_pat
     try:
         file.write_text(json.dumps({"prefix": [12, 13], "draws": 8, "seed": 0}))
         part = part_of(folder, "one")
-        rows = rows_of(report_tables.ceiling(part))
+        rows = rows_of(tables.ceiling(part))
         assert (rows["baseline"]["reachable"], rows["baseline"]["of_reachable_percent"]) == (25, 100)
         assert (rows["baseline"]["short"], rows["baseline"]["beyond"]) == (1, 1)
         assert "Got further than sampling: baseline in 1 (0); hybrid in 1 (0)." in markdown(

@@ -8,8 +8,7 @@ import pytest
 from hand_made import plans_with
 
 from htcp_jax.errors import InputError
-from htcp_jax.metrics import summarise
-from htcp_jax.results import (
+from htcp_jax.runs.plan_folder import (
     provenance,
     summary_record,
     write_json,
@@ -17,7 +16,8 @@ from htcp_jax.results import (
     write_trajectory_npz,
     written_whole,
 )
-from htcp_jax.robot import gp50
+from htcp_jax.runs.summary import summarise
+from htcp_jax.scene.robot import gp50
 from htcp_jax.status import Status
 
 PLANS = plans_with([[Status.TRACKED, Status.ESCAPE_EXHAUSTED, Status.NOT_ATTEMPTED]], joints=6)

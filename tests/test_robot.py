@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from htcp_jax import kinematics
 from htcp_jax.errors import InputError
-from htcp_jax.robot import Robot, gp50, lengthen_tool, load_robot
-from htcp_jax.validate_arm import Arm
+from htcp_jax.scene import kinematics
+from htcp_jax.scene.robot import Robot, gp50, lengthen_tool, load_robot
+from htcp_jax.validation.mujoco_arm import Arm
 
 # Standard DH of the GP50: d, a, alpha; and its capsules: frame, p, q, radius.
 DH = (
@@ -407,9 +407,7 @@ def test_gp50_refuses_an_unknown_profile():
 
 
 def test_missing_file(tmp_path):
-    with pytest.raises(
-        InputError, match=r"none\.xml: cannot read the robot model: No such file or directory"
-    ):
+    with pytest.raises(InputError, match=r"none\.xml: cannot read the robot model: No such file or directory"):
         load_robot(tmp_path / "none.xml")
 
 

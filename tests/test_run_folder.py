@@ -12,20 +12,20 @@ import pyarrow.parquet as pq
 import pytest
 from hand_made import plans_with
 
-from htcp_jax import run_tables, run_writer
-from htcp_jax.config import load_config
 from htcp_jax.errors import InputError
-from htcp_jax.grid_points import Point
-from htcp_jax.robot import gp50
-from htcp_jax.run_folder import Manifest, Run, Span, open_run
-from htcp_jax.run_identity import config_hash, identity, planned_by
-from htcp_jax.run_lock import locked
+from htcp_jax.jobs.config import load_config
+from htcp_jax.jobs.grid_points import Point
+from htcp_jax.runs import tables, writer
+from htcp_jax.runs.identity import config_hash, identity, planned_by
+from htcp_jax.runs.lock import locked
+from htcp_jax.runs.run_folder import Manifest, Run, Span, open_run
+from htcp_jax.scene.robot import gp50
 from htcp_jax.status import Status
 
 A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_ESCAPE, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
 STATUS = [[A, A, A], [A, E, LIMIT], [A, LIMIT, NOT], [A, A, NOT]]
 COUNT = np.array([3, 3, 3, 2], np.int32)  # the last scenario has a target less: its third row is padding
-JOINTS = run_tables.joint_columns(gp50())
+JOINTS = tables.joint_columns(gp50())
 PLANS = plans_with(STATUS, joints=6)
 POINTS = tuple(Point(k, "starts", load_config(None, [f"margin_m={k / 10}"])) for k in range(4))
 SPANS = Span(0, 1), Span(2, 3)
@@ -48,18 +48,18 @@ def rows(method: str, span: Span) -> tuple:
     part = slice(span.first, span.last + 1)
     plans = PLANS._replace(**{name: v[part] for name, v in PLANS._asdict().items() if isinstance(v, np.ndarray)})
     numbers = np.arange(span.first, span.last + 1)
-    tables = {
-        "targets": run_tables.target_table(method, numbers, COUNT[part], plans, JOINTS),
-        "scenarios": run_tables.scenario_table(method, POINTS[part], COUNT[part], plans, JOINTS),
+    written = {
+        "targets": tables.target_table(method, numbers, COUNT[part], plans, JOINTS),
+        "scenarios": tables.scenario_table(method, POINTS[part], COUNT[part], plans, JOINTS),
     }
-    return tables, plans
+    return written, plans
 
 
 def completed(folder: Path) -> Run:
     folder.mkdir(exist_ok=True)
-    run = run_writer.begin(folder, manifest())
+    run = writer.begin(folder, manifest())
     for span in run.missing("baseline"):
-        run = run_writer.add(run, "baseline", span, *rows("baseline", span), BY)
+        run = writer.add(run, "baseline", span, *rows("baseline", span), BY)
     return run
 
 
@@ -74,7 +74,7 @@ def test_what_is_written_reads_back_to_the_last_bit(tmp_path):
     for name, value in plans._asdict().items():
         if isinstance(value, np.ndarray):
             np.testing.assert_array_equal(value[exists], getattr(PLANS, name)[exists], err_msg=name)
-    assert (plans.status[~exists] == run_tables.NO_TARGET).all()
+    assert (plans.status[~exists] == tables.NO_TARGET).all()
     assert (plans.compile_s, plans.run_s) == (6.0, 2.0)  # the sums over two shards
 
 
@@ -99,7 +99,7 @@ def test_what_is_not_known_is_null_not_nan(tmp_path):
 
 
 def test_the_documented_columns_are_the_columns(tmp_path):
-    run, text = completed(tmp_path), run_tables.__doc__
+    run, text = completed(tmp_path), tables.__doc__
     for table in (run.targets(), run.scenarios()):
         for name in table.column_names:
             pattern = re.sub(r"joint\d", "<joint>", re.sub(r"_[yz]_m$", "_x_m", name))
@@ -143,23 +143,23 @@ def test_a_damaged_file_is_named_its_shard_planned_again_and_the_rest_kept(tmp_p
     with pytest.raises(InputError, match=rf"{table}.baseline-000000-000001\.parquet .*; the same sweep plans"):
         getattr(open_run(tmp_path), table)()
     with pytest.warns(UserWarning, match="baseline-000000-000001.* scenarios 0 to 1 are planned again by baseline"):
-        run = run_writer.begin(tmp_path, manifest())
+        run = writer.begin(tmp_path, manifest())
     assert run.missing("baseline") == [SPANS[0]] and not run.complete
-    run = run_writer.add(run, "baseline", SPANS[0], *rows("baseline", SPANS[0]), BY)
+    run = writer.add(run, "baseline", SPANS[0], *rows("baseline", SPANS[0]), BY)
     assert run.complete and contents(tmp_path) == before
 
 
 def test_lost_files_are_one_line_a_method_and_only_those_asked_for_are_planned_again(tmp_path):
     """W7: two lines a shard, and `planned again` of methods that nobody asked for."""
     both = manifest(methods=("baseline", "hybrid"))
-    run = run_writer.begin(tmp_path, both)
+    run = writer.begin(tmp_path, both)
     for method in both.methods:
         for span in SPANS:
-            run = run_writer.add(run, method, span, *rows(method, span), BY)
+            run = writer.add(run, method, span, *rows(method, span), BY)
     for file in tmp_path.glob("*/*.parquet"):
         file.unlink()
     with pytest.warns(UserWarning) as warned:
-        run = run_writer.begin(tmp_path, manifest())
+        run = writer.begin(tmp_path, manifest())
     first, second = (str(warning.message) for warning in warned)
     assert "baseline-000000-000001.parquet cannot be read" in first
     assert first.endswith("(and 1 more shards); scenarios 0 to 1, 2 to 3 are planned again by baseline")
@@ -178,10 +178,10 @@ def test_a_stranger_among_the_results_is_named_and_left_alone(tmp_path):
     completed(tmp_path)
     (tmp_path / "targets" / "mine.parquet").write_bytes(b"mine")
     with pytest.warns(UserWarning, match=r"mine\.parquet is not of this run; it is left alone"):
-        assert run_writer.begin(tmp_path, manifest()).complete
+        assert writer.begin(tmp_path, manifest()).complete
     (tmp_path / "manifest.json").unlink()
     with pytest.raises(InputError, match=r"results without a manifest\.json"):
-        run_writer.begin(tmp_path, manifest())
+        writer.begin(tmp_path, manifest())
 
 
 @pytest.mark.parametrize("data", [b"", b"{", b"[]", b"{}", b"\xff\xfe", b'{"format": 2}', b"null"])
@@ -218,23 +218,23 @@ def test_a_folder_without_a_run_and_a_method_that_a_run_lacks_are_named(tmp_path
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EROFS])
 def test_a_full_or_read_only_disk_is_one_line_and_leaves_the_run_as_it_was(tmp_path, monkeypatch, code):
-    run = run_writer.begin(tmp_path, manifest())
+    run = writer.begin(tmp_path, manifest())
 
     def refuse(*_):
         raise OSError(code, os.strerror(code))
 
     monkeypatch.setattr(os, "fsync", refuse)
     with pytest.raises(InputError, match=f"cannot write to .*: {os.strerror(code)}"):
-        run_writer.add(run, "baseline", SPANS[0], *rows("baseline", SPANS[0]), BY)
+        writer.add(run, "baseline", SPANS[0], *rows("baseline", SPANS[0]), BY)
     assert not contents(tmp_path) and not list(tmp_path.glob(".part-*"))
     assert open_run(tmp_path).missing("baseline") == list(SPANS)
 
 
 def test_other_software_is_warned_of(tmp_path, monkeypatch):
     completed(tmp_path)
-    monkeypatch.setattr(run_writer, "planned_by", lambda: BY | {"commit": "another"})
+    monkeypatch.setattr(writer, "planned_by", lambda: BY | {"commit": "another"})
     with pytest.warns(UserWarning, match="was planned by other software: commit is .* there, another here"):
-        run_writer.begin(tmp_path, manifest())
+        writer.begin(tmp_path, manifest())
 
 
 def test_two_sweeps_on_one_folder_are_refused(tmp_path):
@@ -247,7 +247,7 @@ def test_two_sweeps_on_one_folder_are_refused(tmp_path):
 
 
 def test_the_lock_of_a_dead_process_is_taken_over(tmp_path):
-    holder = "import sys, time; from htcp_jax.run_lock import locked; from pathlib import Path\n"
+    holder = "import sys, time; from htcp_jax.runs.lock import locked; from pathlib import Path\n"
     holder += "with locked(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"
     with subprocess.Popen([sys.executable, "-c", holder, str(tmp_path)], stdout=subprocess.PIPE) as process:
         assert process.stdout.readline() == b"held\n"

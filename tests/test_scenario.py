@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from htcp_jax.errors import InputError
-from htcp_jax.kinematics import tcp_position
-from htcp_jax.robot import lengthen_tool
-from htcp_jax.scenario import make_scenario, path_targets, stack
-from htcp_jax.workpiece import Workpiece
+from htcp_jax.scene.kinematics import tcp_position
+from htcp_jax.scene.robot import lengthen_tool
+from htcp_jax.scene.scenario import make_scenario, path_targets, stack
+from htcp_jax.scene.workpiece import Workpiece
 
 POSE = (0.4, 0.1)
 

@@ -3,9 +3,9 @@
 import pyarrow as pa
 from small_run import LONGER
 
-from htcp_jax.replay import open_shelf
-from htcp_jax.run_folder import open_run
-from htcp_jax.scenario_label import labels_of, part
+from htcp_jax.runs.labels import labels_of, part
+from htcp_jax.runs.run_folder import open_run
+from htcp_jax.viewer.replay import open_shelf
 
 
 def test_scenarios_are_named_by_what_varies_in_their_run(planned):

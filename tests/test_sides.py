@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from htcp_jax.sides import ASIDE_RAD, Bodies, camera_side, flat_side, hidden, side_view, towards_camera
+from htcp_jax.viewer.sides import ASIDE_RAD, Bodies, camera_side, flat_side, hidden, side_view, towards_camera
 
 WALL = np.random.default_rng(0).uniform([0.8, -0.3, 0], [1.4, 0.3, 0.5], (400, 3))
 PATH = np.linspace([1.3, -0.2, 0.1], [1.3, 0.2, 0.1], 30)  # across the far end, as a seam in a box's corner

@@ -16,9 +16,9 @@ import pytest
 import sphere_references as references
 from scipy.optimize import linprog
 
-from htcp_jax import sphere
-from htcp_jax.escape import sphere_problem
+from htcp_jax.planner.escape import sphere_problem
 from htcp_jax.settings import Settings
+from htcp_jax.solvers import sphere
 
 SETTINGS = Settings()
 PAPER = Settings(j1_weight=1.0)

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from sweep_process import JOB, PLATE
 
-from htcp_jax import planner
-from htcp_jax.cli import main
+from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError, Interrupted
-from htcp_jax.grid import load_sweep
-from htcp_jax.run_folder import Run, open_run
-from htcp_jax.sweep import sweep
+from htcp_jax.jobs.grid import load_sweep
+from htcp_jax.planner import batch
+from htcp_jax.runs.run_folder import Run, open_run
+from htcp_jax.runs.sweep import sweep
 
 GRID = """
 config: job.yaml
@@ -39,13 +39,13 @@ def here(tmp_path, monkeypatch):
 def planned(here, monkeypatch):
     """The same before a plate, which is quicker to plan. Returns what is planned: methods and scenarios."""
     (here / "job.yaml").write_text(JOB)
-    calls, plan = [], planner.plan
+    calls, plan = [], batch.plan
 
     def noted(robot, workpiece, scenarios, method, *arguments, **options):
         calls.append((method, scenarios.number.tolist()))
         return plan(robot, workpiece, scenarios, method, *arguments, **options)
 
-    monkeypatch.setattr(planner, "plan", noted)
+    monkeypatch.setattr(batch, "plan", noted)
     return calls
 
 
@@ -59,7 +59,7 @@ def test_each_scenario_is_planned_as_it_would_be_alone_however_the_grid_is_cut(h
     assert whole.complete and whole.methods == ("baseline", "keep-clear")
     assert cut.targets().equals(whole.targets("baseline")) and cut.scenarios().equals(whole.scenarios("baseline"))
     batch = load_sweep("grid.yaml").batch()
-    alone = planner.plan(
+    alone = batch.plan(
         batch.robot, batch.workpiece, batch.scenarios, "baseline", load_sweep("grid.yaml").config.settings
     )
     for name, value in whole.plans("baseline")._asdict().items():
@@ -179,7 +179,7 @@ def test_the_command_says_how_to_go_on_after_a_signal(here, capsys, monkeypatch)
     def interrupted(*_, **__):
         raise Interrupted("stopped; 1 of 2 shards", signal.SIGTERM)
 
-    monkeypatch.setattr("htcp_jax.sweep.sweep", interrupted)
+    monkeypatch.setattr("htcp_jax.runs.sweep.sweep", interrupted)
     assert main(["sweep", "grid.yaml"]) == 143
     assert capsys.readouterr().err == "htcp: stopped; 1 of 2 shards\n"
 

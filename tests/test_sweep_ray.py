@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 from sweep_process import COLD, HALF, SHARDS, finish, make_sweep, plan_half, rows, start
 
-from htcp_jax.cli import main
+from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
-from htcp_jax.run_folder import open_run
-from htcp_jax.run_identity import planned_by
-from htcp_jax.sweep import sweep
+from htcp_jax.runs.identity import planned_by
+from htcp_jax.runs.run_folder import open_run
+from htcp_jax.runs.sweep import sweep
 
 ray = pytest.importorskip("ray", reason="Ray is an extra: pip install 'htcp_jax[ray]'")
 WORKING = "ray::_plan_shard"

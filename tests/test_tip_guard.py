@@ -8,12 +8,12 @@ import pytest
 import stranger_jobs
 import trimesh
 
-from htcp_jax.config import load_config
-from htcp_jax.job import robot_of, workpiece_of
-from htcp_jax.kinematics import capsule_segments, tcp_position, tip_segment
-from htcp_jax.robot import lengthen_tool
-from htcp_jax.tip_guard import TipGuard, Triangles, make_tip_guard
-from htcp_jax.workpiece import Workpiece, load_workpiece
+from htcp_jax.clearance.tip_guard import TipGuard, Triangles, make_tip_guard
+from htcp_jax.jobs.build import robot_of, workpiece_of
+from htcp_jax.jobs.config import load_config
+from htcp_jax.scene.kinematics import capsule_segments, tcp_position, tip_segment
+from htcp_jax.scene.robot import lengthen_tool
+from htcp_jax.scene.workpiece import Workpiece, load_workpiece
 
 MESHES = {
     "box": trimesh.creation.box((0.4, 0.36, 0.02)),

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from htcp_jax.kinematics import capsule_segments, tcp_position
-from htcp_jax.robot import GP50, Robot, lengthen_tool, load_robot
-from htcp_jax.robot_tool import ZERO, Tool, ToolBody, pose
-from htcp_jax.validate_arm import Arm
+from htcp_jax.scene.kinematics import capsule_segments, tcp_position
+from htcp_jax.scene.robot import GP50, Robot, lengthen_tool, load_robot
+from htcp_jax.scene.tool import ZERO, Tool, ToolBody, pose
+from htcp_jax.validation.mujoco_arm import Arm
 
 PIPE = Path(__file__).parents[1] / "configs" / "pipe" / "arm.xml"
 SPINDLE = ToolBody("spindle", (0.0, 0.0, 0.05), (0.01, 0.0, 0.22), 0.008)

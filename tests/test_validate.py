@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 from small_run import LONGER, spoil
 
-from htcp_jax.cli import main
-from htcp_jax.document import markdown
+from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
-from htcp_jax.kinematics import capsule_segments, tcp_position
-from htcp_jax.report import make_report
-from htcp_jax.report_validation import notes, validated, verdict
-from htcp_jax.robot import GP50, Robot, gp50, lengthen_tool, load_robot
-from htcp_jax.run_folder import open_run
-from htcp_jax.validate import VALIDATION, validate
-from htcp_jax.validate_arm import Arm
-from htcp_jax.validate_track import STEP_RAD
-from htcp_jax.validate_wall import Scene, Wall
-from htcp_jax.workpiece import load_workpiece
+from htcp_jax.report.document import markdown
+from htcp_jax.report.report import make_report
+from htcp_jax.report.validation import notes, validated, verdict
+from htcp_jax.runs.run_folder import open_run
+from htcp_jax.scene.kinematics import capsule_segments, tcp_position
+from htcp_jax.scene.robot import GP50, Robot, gp50, lengthen_tool, load_robot
+from htcp_jax.scene.workpiece import load_workpiece
+from htcp_jax.validation.mujoco_arm import Arm
+from htcp_jax.validation.mujoco_clearance import Scene, Wall
+from htcp_jax.validation.track import STEP_RAD
+from htcp_jax.validation.validate import VALIDATION, validate
 
 PIPE = Path(__file__).parents[1] / "configs" / "pipe" / "job.yaml"
 

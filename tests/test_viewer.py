@@ -19,15 +19,15 @@ import pytest
 from made_plan import STATUSES, made_plan, made_plans
 from PIL import Image
 
-from htcp_jax.cli import main
-from htcp_jax.fates import FAILED
-from htcp_jax.replay import Shelf, shelf_of
-from htcp_jax.sides import View
+from htcp_jax.cli.main import main
+from htcp_jax.viewer.colours import FAILED
+from htcp_jax.viewer.replay import Shelf, shelf_of
+from htcp_jax.viewer.sides import View
 
 pytest.importorskip("viser", reason="the extra `view` is not installed")
 
-from htcp_jax.viewer import Viewer, grazing
-from htcp_jax.viewer_stage import lit, turned_to
+from htcp_jax.viewer.browser import Viewer, grazing
+from htcp_jax.viewer.browser_scene import lit, turned_to
 
 BROWSERS = "chromium", "chromium-browser", "chromium-headless-shell", "google-chrome"
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
@@ -228,7 +228,7 @@ def test_a_port_in_use_is_refused_and_not_replaced_by_another(folder, viewer, ca
 def test_the_command_serves_a_job_that_it_plans_until_it_is_told_to_stop(tmp_path):
     (tmp_path / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n")
     (tmp_path / "job.yaml").write_text("workpiece: {path: path.csv}\nmethod: baseline\n")
-    run = "from htcp_jax.cli import main; raise SystemExit(main())"
+    run = "from htcp_jax.cli.main import main; raise SystemExit(main())"
     command = [sys.executable, "-c", run, "view", "job.yaml", "--port", "0"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         line = process.stdout.readline()
@@ -244,7 +244,7 @@ def test_ctrl_c_before_the_page_is_up_ends_like_one_after_it(folder, capsys, mon
     def interrupt(_):
         raise KeyboardInterrupt
 
-    for place in ("htcp_jax.cli_view.open_shelf", "htcp_jax.viewer.Viewer.wait"):
+    for place in ("htcp_jax.cli.view.open_shelf", "htcp_jax.viewer.browser.Viewer.wait"):
         with monkeypatch.context() as patch:
             patch.setattr(place, interrupt)
             assert main(["view", str(folder), "--port", "0"]) == 0

@@ -10,23 +10,23 @@ import pytest
 import stranger_jobs
 import trimesh
 
-from htcp_jax.clearance import all_clear, clearance, clearances, contacts, is_clear, make_obstacle
-from htcp_jax.cli import main
-from htcp_jax.config import load_config
+from htcp_jax.clearance.contact_model import see, seen_clearance
+from htcp_jax.clearance.obstacles import all_clear, clearance, clearances, contacts, is_clear, make_obstacle
+from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
-from htcp_jax.escape import METHODS
-from htcp_jax.job import robot_of, scenario_of, scene, workpiece_of
-from htcp_jax.kinematics import capsule_segments, tip_segment
-from htcp_jax.metrics import is_tracked
-from htcp_jax.results import read_plan
-from htcp_jax.robot import Robot
-from htcp_jax.scenario import Scenario, interior_rule
-from htcp_jax.seen import see, seen_clearance
-from htcp_jax.validate_arm import Arm
-from htcp_jax.validate_input import Pose, turned_and_moved
-from htcp_jax.validate_mesh import axis_distances, goes_through
-from htcp_jax.validate_wall import Scene, wall_of
-from htcp_jax.workpiece import Workpiece
+from htcp_jax.jobs.build import robot_of, scenario_of, scene, workpiece_of
+from htcp_jax.jobs.config import load_config
+from htcp_jax.planner.escape import METHODS
+from htcp_jax.planner.plans import is_tracked
+from htcp_jax.runs.plan_folder import read_plan
+from htcp_jax.scene.kinematics import capsule_segments, tip_segment
+from htcp_jax.scene.robot import Robot
+from htcp_jax.scene.scenario import Scenario, interior_rule
+from htcp_jax.scene.workpiece import Workpiece
+from htcp_jax.validation.mesh_clearance import axis_distances, goes_through
+from htcp_jax.validation.mujoco_arm import Arm
+from htcp_jax.validation.mujoco_clearance import Scene, wall_of
+from htcp_jax.validation.records import Pose, turned_and_moved
 
 
 @pytest.fixture(scope="module")

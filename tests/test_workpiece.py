@@ -10,10 +10,10 @@ import pytest
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from htcp_jax import duct
-from htcp_jax.cloud import load_cloud
 from htcp_jax.errors import InputError
-from htcp_jax.workpiece import NEUTRAL_TRANSLATION, PIVOT, Workpiece, load_workpiece, read_path
+from htcp_jax.scene import duct
+from htcp_jax.scene.point_cloud import load_cloud
+from htcp_jax.scene.workpiece import NEUTRAL_TRANSLATION, PIVOT, Workpiece, load_workpiece, read_path
 
 REAL = Path(__file__).parents[2] / "shared" / "data" / "duct"
 needs_real_duct = pytest.mark.skipif(

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import pytest
 
-from htcp_jax import offscreen
-from htcp_jax.cli import main
-from htcp_jax.config import PlanConfig
+from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
+from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.viewer import offscreen
 
 LONG = "x" * 300
 BOX = "".join(f"{x} {y} {z}\n" for x in (0, 1) for y in (-1, 1) for z in (-1, 1))
@@ -530,7 +530,7 @@ def can_draw() -> None:
 
 
 def command(words: str, out: int, **environs: str) -> subprocess.CompletedProcess:
-    code = "from htcp_jax.cli import main; raise SystemExit(main())"
+    code = "from htcp_jax.cli.main import main; raise SystemExit(main())"
     known = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])} | environs
     line = [sys.executable, "-c", code, *shlex.split(words)]
     return subprocess.run(line, stdout=out, stderr=subprocess.PIPE, text=True, env=known)

@@ -1,0 +1,1 @@
+"""The command `htcp`: one module a command."""

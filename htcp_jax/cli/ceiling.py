@@ -1,0 +1,118 @@
+"""`htcp ceiling`: how many targets of every scenario are reachable at all, beside what a run's planners tracked."""
+
+from operator import itemgetter
+from pathlib import Path
+from typing import Annotated
+
+import jax
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.text import Text
+
+from htcp_jax.cli.output import Json, print_facts, print_json, stdout
+from htcp_jax.cli.sweep import Config, Limit, Overrides, SweepFile
+from htcp_jax.errors import InputError
+from htcp_jax.jobs.grid import Batch, load_sweep
+from htcp_jax.planner.reachability import Ceiling, ceiling
+from htcp_jax.runs.plan_folder import write_json, written_whole
+from htcp_jax.runs.run_folder import MANIFEST, Run, open_run
+from htcp_jax.status import Status
+
+Draws = Annotated[int, typer.Option(metavar="N", min=1, help="Configurations drawn where a target looks out of reach.")]
+Out = Annotated[Path | None, typer.Option(metavar="DIR", help="The run folder to compare with and to write into.")]
+
+
+def ceiling_command(
+    file: SweepFile,
+    draws: Draws = 2048,
+    out: Out = None,
+    limit: Limit = None,
+    config: Config = None,
+    overrides: Overrides = None,
+    as_json: Json = False,
+) -> int:
+    """Look for any clear configuration at every target, scenario by scenario, and count the targets in a row.
+
+    A lower bound on what is reachable, with the number of draws behind it. Writes ceiling.json into the run folder,
+    where `htcp report` finds it, and names every planner result of that folder that gets further.
+
+    \b
+    htcp ceiling sweeps/workpiece.yaml                     into out/workpiece, where the sweep writes
+    htcp ceiling sweeps/workpiece.yaml --draws 20000
+    """
+    if out is None:
+        out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
+    batch = (spec := load_sweep(file, config, overrides or ())).batch(limit)
+    run = open_run(out) if (out / MANIFEST).exists() else None
+    with written_whole(out) as folder:
+        found = _search(batch, draws)
+        beaten = {} if run is None else _beaten(run, batch, found)
+        targets = int(batch.scenarios.count.sum())
+        record = {
+            "prefix": found.prefix.tolist(),
+            "best_mm": [None if np.isnan(b) else 1e3 * b for b in found.best],
+            "draws": draws,
+            "seed": spec.config.settings.seed,
+            "targets": targets,
+            "beaten_by": beaten,
+        }
+        write_json(folder / "ceiling.json", record)
+    if as_json:
+        print_json(record)
+    else:
+        _print(spec.name, batch, found, targets, beaten, out)
+    return 0
+
+
+def _search(batch: Batch, draws: int) -> Ceiling:
+    console = Console(stderr=True)
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        parts = []
+        for number, cell in enumerate(batch.cells):
+            task = bar.add_task("targets", total=batch.scenarios.targets.shape[1])
+            rows = np.flatnonzero(batch.cell == number)
+            found = ceiling(
+                cell.robot,
+                cell.workpiece,
+                jax.tree.map(itemgetter(rows), batch.scenarios),
+                cell.settings,
+                draws=draws,
+                progress=lambda row, rows, task=task: bar.update(task, completed=row, total=rows),
+            )
+            parts.append((rows, found))
+    order = np.argsort(np.concatenate([rows for rows, _ in parts]))
+    columns = zip(*(found[:-1] for _, found in parts), strict=True)
+    return Ceiling(*(np.concatenate(column)[order] for column in columns), draws)
+
+
+def _beaten(run: Run, batch: Batch, found: Ceiling) -> dict[str, list[int]]:
+    """Scenarios that a planner of the run brought further, by method. Raises InputError for a run of other targets."""
+    beaten = {}
+    for method in run.methods:
+        plans = run.plans(method)
+        both = min(len(plans.target), len(found.prefix))
+        here, there = batch.scenarios.targets[:both], plans.target[:both]
+        if here.shape != there.shape or np.nanmax(np.abs(here - there), initial=0.0) > 1e-9:
+            raise InputError(f"{run.folder} holds a run with other targets; name another folder with --out")
+        tracked = np.isin(plans.status[:both], (Status.TRACKED, Status.TRACKED_AFTER_ESCAPE)).sum(axis=1)
+        further = np.flatnonzero(tracked > found.prefix[:both])
+        if len(further):
+            beaten[method] = further.tolist()
+    return beaten
+
+
+def _print(name: str, batch: Batch, found: Ceiling, targets: int, beaten: dict[str, list[int]], out: Path) -> None:
+    reachable, complete = int(found.prefix.sum()), int((found.prefix == batch.scenarios.count).sum())
+    rows = {
+        "reachable at least": f"{reachable:,} of {targets:,} targets, {100 * reachable / targets:.2f} %",
+        "complete": f"{complete:,} of {len(found.prefix):,} scenarios",
+        "draws": f"{found.draws:,} at the first target without a clear configuration",
+        "files": str(out / "ceiling.json"),
+    }
+    print_facts(name, rows)
+    for method, scenarios in beaten.items():
+        told = f"{method} gets further in scenarios "
+        stdout().print(Text.assemble((told, "yellow"), ", ".join(map(str, scenarios))))

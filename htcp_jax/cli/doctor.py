@@ -1,0 +1,48 @@
+"""`htcp doctor`: what is installed, what there is to compute with, and whether a known plan comes out right."""
+
+from rich.text import Text
+
+from htcp_jax.cli.output import Json, print_facts, print_json, stdout
+from htcp_jax.cli.self_test import examine
+
+SOUND, UNSOUND = 0, 1
+
+
+def doctor(as_json: Json = False) -> int:
+    """Look at this installation, and plan a short path whose answer is known.
+
+    Tells versions, devices, cores, what pictures are drawn with, and where compiled programs are kept. The self-test
+    takes about 2 s, and longer where its programs are not compiled yet. Exits with 0 when it passes, with 1 when it
+    does not; what is missing for pictures is told, but no plan needs it.
+
+    \b
+    htcp doctor                               before the first plan, and in a report of a fault
+    htcp doctor --json                        the same for another program
+    """
+    found = examine()
+    if as_json:
+        print_json(found)
+    else:
+        _print(found)
+    return SOUND if found["sound"] else UNSOUND
+
+
+def _print(found: dict) -> None:
+    cache, cores, test = found["cache"], found["cores"], found["self_test"]
+    versions = ", ".join(f"{name} {version or '(not installed)'}" for name, version in found["versions"].items())
+    kept = "none; every start compiles anew"
+    if cache is not None:
+        kept = f"{cache['folder']}, {cache['files']:,} files, {cache['bytes'] / 1e6:.1f} MB"
+    facts = {
+        "python": f"{found['python']} on {found['system']}",
+        "versions": versions,
+        "devices": ", ".join(found["devices"]),
+        "cores": f"{cores['usable']} usable of {cores['of_machine']}",
+        "numbers": found["dtype"],
+        "rendering": found["rendering"]["platform"] or found["rendering"]["lacks"],
+        "compiled programs": kept,
+        "self-test": f"{test['says']}; {test['seconds']:.1f} s, {test['compile_s']:.1f} s of them compiling",
+    }
+    print_facts("htcp doctor", facts)
+    verdict = ("sound", "bold green") if found["sound"] else ("the self-test failed", "bold red")
+    stdout().print(Text(*verdict))

@@ -1,0 +1,121 @@
+"""`htcp gate`: does a run still reach what a baseline says it reached?"""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.text import Text
+
+from htcp_jax.cli.output import Json, print_json, print_table, stdout
+from htcp_jax.cli.validate import bar
+from htcp_jax.errors import InputError
+from htcp_jax.report.document import Column, Table
+from htcp_jax.runs.labels import labels_in, named
+from htcp_jax.runs.run_folder import MANIFEST, Run, open_run
+from htcp_jax.validation.baseline import bless as write_baseline
+from htcp_jax.validation.baseline import read_baseline
+from htcp_jax.validation.gate import Flip, Verdict, judge
+
+PASSED, REGRESSION = 0, 1
+LISTED = 20  # scenarios on the terminal
+
+RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="The folder that htcp sweep wrote.")]
+File = Annotated[Path, typer.Option(metavar="FILE", help="The baseline, sweeps/baselines/workpiece.yaml for example.")]
+Bless = Annotated[bool, typer.Option("--bless", help="Write RUN into FILE as the new baseline.")]
+
+COUNTS = (
+    Column("method", "method"),
+    Column("verdict", "verdict"),
+    Column("was_tracked", "tracked", "before", ",d"),
+    Column("tracked", "tracked", "now", ",d"),
+    Column("targets", "of", "", ",d"),
+    Column("worse", "scenarios", "earlier", "d"),
+    Column("better", "scenarios", "further", "d"),
+)
+FIGURES = (
+    Column("method", "method"),
+    Column("was_share", "reachable", "before %", ".2f"),
+    Column("share", "reachable", "now %", ".2f"),
+    Column("was_tcp_error_max_mm", "TCP error", "before mm", ".3f"),
+    Column("tcp_error_max_mm", "TCP error", "now mm", ".3f"),
+    Column("was_clearance_min_mm", "clearance", "before mm", ".3g"),
+    Column("clearance_min_mm", "clearance", "now mm", ".3g"),
+)
+
+
+def gate(run: RunFolder, baseline: File, bless: Bless = False, as_json: Json = False) -> int:
+    """Hold a run against a baseline: targets tracked, scenarios that flipped, the share of what is reachable, and, by
+    MuJoCo alone, the TCP and the clearance of every tracked target.
+
+    A method, a scenario or a figure that is missing is a failure, and so is a run that cannot be read. Time never
+    counts. Exits with 0 when the run passes, with 1 when it does not, with 2 on bad input.
+
+    \b
+    htcp gate out/workpiece --baseline sweeps/baselines/workpiece.yaml
+    htcp gate out/workpiece --baseline sweeps/baselines/workpiece.yaml --bless    the run is the new baseline
+    """
+    if bless:
+        with bar() as tell:
+            write_baseline(open_run(run), baseline, tell)
+        print_json({"baseline": str(baseline)}) if as_json else print(f"{run} is the baseline now: {baseline}")
+        return PASSED
+    known = read_baseline(baseline)
+    try:
+        there = open_run(run)
+    except InputError as error:
+        if not (run / MANIFEST).exists():
+            raise
+        _print_unreadable(str(error), as_json)
+        return REGRESSION
+    with bar() as tell:
+        verdict = judge(there, known, tell)
+    if as_json:
+        print_json(_record(verdict))
+    else:
+        _print(there, verdict)
+    return PASSED if verdict.passed else REGRESSION
+
+
+def _print_unreadable(reason: str, as_json: bool) -> None:
+    if as_json:
+        print_json({"passed": False, "failures": [reason]})
+    else:
+        stdout().print(Text.assemble(("failed  ", "bold red"), reason))
+
+
+def _record(verdict: Verdict) -> dict:
+    flips = [flip._asdict() | {"target": flip.target, "reason": flip.reason} for flip in verdict.flips]
+    flips = [flip | {"was": flip["was"]._asdict(), "now": flip["now"]._asdict()} for flip in flips]
+    rows = [row._asdict() for row in verdict.rows]
+    return verdict._asdict() | {"allow": verdict.allow.model_dump(), "rows": rows, "flips": flips}
+
+
+def _print(run: Run, verdict: Verdict) -> None:
+    console = stdout()
+    labels = labels_in(run) if verdict.flips else {}
+    console.print(Text(run.manifest.name, style="bold"))
+    for columns in (COUNTS, FIGURES):
+        known = [c for c in columns if any(getattr(row, c.key) is not None for row in verdict.rows)]
+        if known[1:]:
+            rows = tuple(tuple(getattr(row, column.key) for column in known) for row in verdict.rows)
+            print_table(console, Table("gate", tuple(known), rows))
+            console.print()
+    for flip in verdict.flips[:LISTED]:
+        console.print(_told(flip, labels))
+    if len(verdict.flips) > LISTED:
+        console.print(f"and {len(verdict.flips) - LISTED:,} more scenarios that flipped")
+    if verdict.elsewhere:
+        console.print(Text("On another device or with other versions than the baseline: see allow.elsewhere.", "dim"))
+    for sentence in verdict.news:
+        console.print(Text.assemble(("better  ", "green"), sentence))
+    for sentence in verdict.failures[:LISTED]:
+        console.print(Text.assemble(("failed  ", "bold red"), sentence))
+    if len(verdict.failures) > LISTED:
+        console.print(f"and {len(verdict.failures) - LISTED:,} more failures")
+    console.print(Text("passed", "bold green") if verdict.passed else Text("FAILED", "bold red"))
+
+
+def _told(flip: Flip, labels: dict[int, str]) -> Text:
+    style = "red" if flip.worse else "green" if flip.better else "dim"
+    where = f"{flip.method}, scenario {named(flip.scenario, labels)}: first at target {flip.target}, "
+    return Text.assemble((where, style), f"{flip.was.tracked} tracked before, {flip.now.tracked} now; {flip.reason}")

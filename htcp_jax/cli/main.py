@@ -1,0 +1,163 @@
+"""The command `htcp`. A command is a function in a module of its own, `cli_<name>.py`, and one line here.
+
+Commands return their exit code. Bad input, whether of the command line or of a file, is one line and code 2.
+"""
+
+import contextlib
+import errno
+import importlib.metadata
+import logging
+import os
+import sys
+import warnings
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+# Without a home folder to write into, matplotlib says so when it is imported; its fonts go elsewhere then.
+logging.getLogger("matplotlib").setLevel(logging.ERROR)
+
+from htcp_jax.cli.ceiling import ceiling_command
+from htcp_jax.cli.doctor import doctor
+from htcp_jax.cli.gate import gate
+from htcp_jax.cli.methods import methods
+from htcp_jax.cli.plan import plan
+from htcp_jax.cli.render import render
+from htcp_jax.cli.report import report
+from htcp_jax.cli.sweep import sweep
+from htcp_jax.cli.validate import validate
+from htcp_jax.cli.view import view
+from htcp_jax.errors import InputError, Interrupted, Lost, Note
+from htcp_jax.planner import compile_cache
+
+LOST, UNREAD, BAD_INPUT, INTERRUPTED = 1, 1, 2, 130  # UNREAD: nobody reads the pipe any more
+FULL = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO  # what a disk says; no program's mistake
+LONGEST = 60  # letters of a file's name in a message
+
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
+app.command(short_help="Plan one job; a table, the trajectory, a picture.")(plan)
+app.command(short_help="Plan every scenario of a grid by several methods.")(sweep)
+app.command(short_help="Tables and charts of sweeps, beside the paper's figures.")(report)
+app.command(short_help="Check results by MuJoCo alone.")(validate)
+app.command(short_help="Look at plans in the browser, target by target.")(view)
+app.command(short_help="A picture and a movie of one plan.")(render)
+app.command("ceiling", short_help="How much is reachable at all, whatever the method.")(ceiling_command)
+app.command(short_help="Hold a sweep to a baseline: does it still reach what it did?")(gate)
+app.command(short_help="List the planners and what each does.")(methods)
+app.command(short_help="Look at this installation and test it in 2 s.")(doctor)
+
+
+def _show_version(asked: bool) -> bool:
+    if asked:
+        print(f"htcp {importlib.metadata.version('htcp_jax')}")
+        raise typer.Exit
+    return asked
+
+
+@app.callback()
+def htcp(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Plan the motion of a redundant arm that follows a path inside a narrow part.
+
+    \b
+    First steps:
+      htcp plan                                  plan the default job; look at out/plan/plan.png
+      htcp plan --method baseline                the same without a way out where it gets stuck
+      htcp plan job.yaml --set margin_m=0.001    a job of your own, one key changed
+    \b
+    Many plans at once:
+      htcp sweep sweeps/workpiece.yaml --methods baseline,hybrid    49 poses; results in out/workpiece
+      htcp report out/workpiece                  tables and charts: out/report/report.html
+      htcp validate out/workpiece                every tracked target again, by MuJoCo alone
+      htcp view out/workpiece                    look at them in the browser, failed ones first
+      htcp render out/workpiece --scenario 24    a picture and a movie of one of them
+    \b
+    Good to know:
+      htcp methods                               the planners
+      htcp doctor                                is this installation sound?
+      htcp COMMAND --help                        options and examples of one command
+      htcp --install-completion                  let the shell complete commands, options and methods
+
+    A job is a YAML file that says what differs from the default one. Tables go to stdout, progress to stderr and only
+    onto a terminal; --json prints the same for another program; NO_COLOR is respected.
+    """
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command, without any the help; returns the exit code."""
+    words = list(sys.argv[1:] if argv is None else argv) or ["--help"]
+    try:
+        code = _run(words)
+        if sys.stdout is not None:
+            sys.stdout.flush()  # here, where it can still be said that there is no room
+        return code
+    except InputError as error:
+        return _refuse(str(error))
+    except typer.TyperException as error:
+        return _refuse(error.format_message())
+    except Lost as lost:
+        _tell(str(lost))
+        return LOST
+    except Interrupted as stop:
+        _tell(str(stop))
+        return stop.code
+    except BrokenPipeError:
+        _forget_stdout()
+        return UNREAD
+    except OSError as error:
+        if error.filename is None and error.errno not in FULL:
+            raise
+        _forget_stdout()
+        return _refuse(_said_by_the_system(error))
+
+
+def _run(words: list[str]) -> int:
+    """The exit code of the command that `words` are."""
+    if any("\0" in word for word in words):
+        raise InputError("an argument holds a NUL byte; no name of a file does")
+    compile_cache.enable()
+    with warnings.catch_warnings():
+        warnings.simplefilter("default", UserWarning)
+        warnings.showwarning = _warn
+        code = app(args=words, prog_name="htcp", standalone_mode=False)
+    if code == INTERRUPTED:  # what typer makes of Ctrl-C
+        _tell("interrupted; nothing was written")
+    return int(code or 0)
+
+
+def _said_by_the_system(error: OSError) -> str:
+    """A name that cannot be one, or a disk without room, in one line."""
+    if error.filename is None:
+        return f"cannot write the output: {error.strerror}"
+    name = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else str(error.filename)
+    return f"{name if len(name) <= LONGEST else name[:LONGEST] + '...'}: {error.strerror}"
+
+
+def _forget_stdout() -> None:
+    """Let what could not be written go, so that Python does not try again at its end and say so in its own words."""
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except OSError:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
+
+
+def _warn(message: Warning, *_) -> None:
+    kind = "note" if isinstance(message, Note) else "warning"
+    _tell(f"{kind}: {message}")
+
+
+def _refuse(reason: str) -> int:
+    _tell(" ".join(reason.split()))
+    return BAD_INPUT
+
+
+def _tell(line: str) -> None:
+    with contextlib.suppress(OSError):  # stderr may be as full as stdout
+        print(f"htcp: {line}", file=sys.stderr)

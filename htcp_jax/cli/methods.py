@@ -1,0 +1,35 @@
+"""`htcp methods`: the planners, and what each does."""
+
+from htcp_jax.cli.output import Json, print_json, print_table, stdout
+from htcp_jax.planner.escape import METHODS
+from htcp_jax.report.document import Column, Table
+
+COLUMNS = Column("method", "method"), Column("title", "name"), Column("sentence", "what it does when stuck")
+
+
+def methods(as_json: Json = False) -> int:
+    """List the planners that --method and --methods take, and what each does.
+
+    \b
+    htcp methods                              the table
+    htcp methods --json                       the same for another program
+    """
+    rows = tuple((name, method.title, method.sentence) for name, method in METHODS.items())
+    table = Table("methods", COLUMNS, rows)
+    if as_json:
+        print_json(table.records())
+    else:
+        print_table(stdout(), table)
+    return 0
+
+
+def complete_method(start: str) -> list[str]:
+    """What a shell offers for the name of a method."""
+    return [name for name in METHODS if name.startswith(start)]
+
+
+def complete_methods(start: str) -> list[str]:
+    """The same for a list with commas: the names that may follow the last one."""
+    before, comma, last = start.rpartition(",")
+    given = before.split(",")
+    return [before + comma + name for name in complete_method(last) if name not in given]

@@ -1,0 +1,121 @@
+"""What commands print: a table for a person on stdout or, with --json, the same for a program, and nothing else.
+
+Progress and warnings go to stderr; the progress is on a terminal alone. NO_COLOR takes the colours away.
+"""
+
+import shutil
+import textwrap
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.text import Text
+
+from htcp_jax.report.document import Column, Table
+from htcp_jax.runs.plan_folder import json_text
+
+GAP, LEAST_TEXT = 2, 30  # between columns; what a last column of text is given at least
+TIED = "of", "at", "scenario:"  # heads of columns that belong to the one before them
+
+Device = Annotated[str | None, typer.Option(metavar="cpu|gpu[:N]", help="Where to compute; by default GPUs, if any.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON, and nothing else, in place of the table.")]
+
+
+def stdout() -> Console:
+    """Where tables go: as wide as they are, no colours but those asked for."""
+    return Console(highlight=False, soft_wrap=True)
+
+
+def print_json(record: Any) -> None:
+    """`record` on stdout; NaN and infinities become null."""
+    print(json_text(record))
+
+
+def print_facts(title: str, facts: Mapping[str, str]) -> None:
+    """A line a fact under a title, names and values aligned."""
+    console = stdout()
+    width = max(20, *(len(name) + 2 for name in facts))
+    console.print(Text(title, style="bold"))
+    for name, value in facts.items():
+        console.print(Text.assemble((f"{name:<{width}}", "cyan"), value))
+
+
+def width() -> int:
+    """Columns of the terminal, or COLUMNS; 80 where there is neither."""
+    return shutil.get_terminal_size((80, 24)).columns
+
+
+def print_table(console: Console, table: Table) -> None:
+    """Heads, units and rows in columns, numbers to the right; what is wider than the terminal goes on below, with the
+    first column once more."""
+    for number, part in enumerate(_folded(table, width())):
+        if number:
+            console.print()
+        _print_part(console, part)
+
+
+def _print_part(console: Console, table: Table) -> None:
+    heads = [column.head for column in table.columns]
+    units = [column.unit for column in table.columns]
+    rows = _wrapped(table, [[c.text(value) for c, value in zip(table.columns, row, strict=True)] for row in table.rows])
+    widths = [max(map(len, cells)) for cells in zip(heads, units, *rows, strict=True)]
+    top = [(heads, "cyan"), *([(units, "dim cyan")] if any(units) else [])]
+    for cells, style in (*top, *((row, "") for row in rows)):
+        console.print(_line(cells, table.columns, widths, style))
+
+
+def _folded(table: Table, most: int) -> Iterator[Table]:
+    """The table as tables of whole columns that fit, each with the first column. A last column of text needs no more
+    than LEAST_TEXT: it is wrapped. Columns that belong to the one before them stay with it."""
+    taken, used = [0], _needed(table, 0)
+    for group in _groups(table):
+        wide = sum(GAP + _needed(table, k) for k in group)
+        if taken[1:] and used + wide > most:
+            yield _part(table, taken)
+            taken, used = [0], _needed(table, 0)
+        taken, used = taken + group, used + wide
+    yield _part(table, taken)
+
+
+def _groups(table: Table) -> list[list[int]]:
+    groups: list[list[int]] = []
+    for k in range(1, len(table.columns)):
+        tied = table.columns[k].head in TIED or table.columns[k].quiet
+        groups[-1:] = [groups[-1] + [k]] if tied and groups else [*groups[-1:], [k]]
+    return groups
+
+
+def _part(table: Table, chosen: list[int]) -> Table:
+    rows = tuple(tuple(row[k] for k in chosen) for row in table.rows)
+    return table._replace(columns=tuple(table.columns[k] for k in chosen), rows=rows)
+
+
+def _needed(table: Table, k: int) -> int:
+    column = table.columns[k]
+    text = max((len(column.text(row[k])) for row in table.rows), default=0)
+    if k and k == len(table.columns) - 1 and not column.form:
+        text = min(text, LEAST_TEXT)
+    return max(text, len(column.head), len(column.unit))
+
+
+def _wrapped(table: Table, rows: list[list[str]]) -> list[list[str]]:
+    """The rows with a last column of text broken into lines that fit, each a row of its own."""
+    if len(table.columns) < 2 or table.columns[-1].form:
+        return rows
+    before = [max(map(len, (c.head, c.unit, *(row[k] for row in rows)))) for k, c in enumerate(table.columns[:-1])]
+    room = max(LEAST_TEXT, width() - sum(before) - GAP * len(before))
+    broken = []
+    for *cells, text in rows:
+        first, *others = textwrap.wrap(text, room) or [""]
+        broken += [[*cells, first], *([""] * len(cells) + [line] for line in others)]
+    return broken
+
+
+def _line(cells: list[str], columns: tuple[Column, ...], widths: list[int], style: str) -> Text:
+    line = Text(style=style)
+    for cell, column, width in zip(cells, columns, widths, strict=True):
+        padded = cell.rjust(width) if column.form else cell.ljust(width)
+        line.append(padded + " " * GAP, style="dim" if column.quiet else "")
+    line.rstrip()
+    return line

@@ -1,0 +1,46 @@
+"""`htcp report`: finished or unfinished runs as tables on the terminal, and as a report to read and to pass on."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.text import Text
+
+from htcp_jax.cli.output import Json, print_json, print_table, stdout
+from htcp_jax.report import tables
+from htcp_jax.report.chapter import facts
+from htcp_jax.report.report import make_report, record, write_report
+from htcp_jax.runs.plan_folder import written_whole
+
+Runs = Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders that htcp sweep wrote.")]
+Out = Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.")]
+
+
+def report(runs: Runs, out: Out = Path("out/report"), as_json: Json = False) -> int:
+    """Tell what runs came to: the paper's tables beside its own figures, what stopped each method, and charts.
+
+    Writes report.html, one file with everything in it, report.md with its pictures, and a CSV file a table:
+    results, stops, joint-steps, times, scenarios. Exits with 2 on a folder that is no run and on a damaged file.
+
+    \b
+    htcp report out/workpiece                       one run
+    htcp report out/robot out/robot-paper           several, beside each other
+    htcp report out/workpiece --json                its tables for another program
+    """
+    made = make_report(runs)
+    with written_whole(out) as folder:
+        write_report(made, folder)
+    if as_json:
+        print_json(record(made))
+        return 0
+    console = stdout()
+    for part in made.parts:
+        console.print(Text(part.name, style="bold"))
+        for line in facts(part):
+            console.print(Text(line, style="dim"))
+        print_table(console, tables.results(part))
+        if part.ceiling is not None:
+            print_table(console, tables.ceiling(part))
+        console.print()
+    console.print(Text.assemble(("report  ", "cyan"), str(out / "report.html")))
+    return 0

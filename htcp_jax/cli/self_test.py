@@ -1,0 +1,87 @@
+"""Is this installation sound? What is installed, what there is to compute and to draw with, what is kept, and a plan
+whose answer is known."""
+
+import dataclasses
+import os
+import platform
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from htcp_jax.errors import InputError
+from htcp_jax.planner import batch, compile_cache
+from htcp_jax.runs.plan_folder import provenance
+from htcp_jax.scene.robot import gp50
+from htcp_jax.scene.scenario import make_scenario
+from htcp_jax.scene.workpiece import load_workpiece
+from htcp_jax.viewer import offscreen
+
+START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
+POINTS = 3  # of the weld, so 14 targets
+# What the baseline answers at the last of them, recorded on a CPU. Other devices and versions round differently, by far
+# less than the tolerance.
+KNOWN_RAD = (-0.03942173, -1.66173581, 0.28730992, -0.10670144, 0.24431399, -2.01895122)
+KNOWN_CLEARANCE_M = 0.0496996492
+TOLERANCE = 1e-6  # rad, m
+
+
+class SelfTest(NamedTuple):
+    """What the short plan came to."""
+
+    passed: bool
+    says: str
+    seconds: float
+    compile_s: float  # of them
+
+
+def examine() -> dict[str, Any]:
+    """What there is, as plain values; `sound` says whether the self-test passed."""
+    folder = compile_cache.enable()
+    test = self_test()
+    return {
+        "sound": test.passed,
+        "python": platform.python_version(),
+        "system": platform.platform(),
+        **provenance(),
+        "devices": [f"{device.platform}: {device.device_kind}" for device in jax.devices()],
+        "cores": {"of_machine": os.cpu_count(), "usable": _usable_cores()},
+        "rendering": _rendering(),
+        "cache": None if folder is None else _contents(folder),
+        "self_test": test._asdict(),
+    }
+
+
+def self_test() -> SelfTest:
+    """Plan a short path by the baseline and compare the answer with what it is known to be."""
+    began = time.perf_counter()
+    robot, part = gp50(), load_workpiece()
+    count = 11 + POINTS  # the start, the approach, the path's first points
+    scenario = make_scenario(robot, part, START)
+    scenario = dataclasses.replace(scenario, targets=scenario.targets[:count], count=np.asarray(count, np.int32))
+    plans = batch.plan(robot, part, scenario, "baseline", threads=1, check_paths=False)
+    off_rad = float(np.abs(plans.x[0, -1] - KNOWN_RAD).max())
+    off_m = float(abs(plans.clearance[0].min() - KNOWN_CLEARANCE_M))
+    passed = off_rad <= TOLERANCE and off_m <= TOLERANCE  # NaN, where a target is not tracked, does not pass
+    says = f"{count} targets, {off_rad:.0e} rad and {1e3 * off_m:.0e} mm off the known answer"
+    return SelfTest(passed, says, time.perf_counter() - began, plans.compile_s)
+
+
+def _rendering() -> dict[str, str | None]:
+    """What `htcp render` draws with, or what it lacks."""
+    try:
+        return {"platform": offscreen.platform(), "lacks": None}
+    except InputError as error:
+        return {"platform": None, "lacks": str(error)}
+
+
+def _usable_cores() -> int | None:
+    """Fewer than the machine's where the process is bound to some."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+
+
+def _contents(folder: Path) -> dict[str, Any]:
+    sizes = [file.stat().st_size for file in folder.rglob("*") if file.is_file()]
+    return {"folder": str(folder), "files": len(sizes), "bytes": sum(sizes)}

@@ -1,0 +1,193 @@
+"""`htcp sweep`: a grid of scenarios by several methods, from a sweep file to a run folder and a table."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+from htcp_jax.cli.methods import complete_methods
+from htcp_jax.cli.output import Device, Json, print_json, print_table, stdout
+from htcp_jax.planner import devices
+from htcp_jax.planner.escape import METHODS
+from htcp_jax.report.document import Column, Table
+from htcp_jax.report.groups import drivable
+from htcp_jax.report.path_charts import words
+from htcp_jax.runs import sweep as sweeps
+from htcp_jax.runs.plan_folder import summary_record
+from htcp_jax.runs.run_folder import Run
+from htcp_jax.runs.summary import summarise
+from htcp_jax.status import Status
+
+SweepFile = Annotated[Path, typer.Argument(metavar="SWEEP.yaml", help="The grid, sweeps/robot.yaml for example.")]
+Methods = Annotated[
+    str, typer.Option(metavar="A,B|all", help=f"Of {', '.join(METHODS)}.", autocompletion=complete_methods)
+]
+Out = Annotated[Path | None, typer.Option(metavar="DIR", help="The run folder; by default out/<name of the sweep>.")]
+Limit = Annotated[int | None, typer.Option(metavar="N", help="Plan only the first N scenarios.")]
+Seed = Annotated[int | None, typer.Option(metavar="S", help="Of everything random: settings.seed.")]
+Config = Annotated[Path | None, typer.Option(metavar="CONFIG.yaml", help="In place of the sweep file's own.")]
+On = Annotated[str, typer.Option(metavar="here|ray[:ADDRESS]", help="This process, or the workers of a Ray cluster.")]
+Shard = Annotated[int | None, typer.Option(metavar="N", help="Scenarios planned together, and lost together.")]
+Overrides = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key; may be repeated.")
+]
+
+
+def sweep(
+    file: SweepFile,
+    methods: Methods = "all",
+    out: Out = None,
+    limit: Limit = None,
+    seed: Seed = None,
+    config: Config = None,
+    overrides: Overrides = None,
+    on: On = "here",
+    shard: Shard = None,
+    device: Device = None,
+    as_json: Json = False,
+) -> int:
+    """Plan every scenario of a grid by every method asked for.
+
+    The run folder gets manifest.json and Parquet files, one row per method, scenario and target in targets/ and one
+    per method and scenario in scenarios/. The same command again goes on where the last one stopped; --methods and
+    --limit may grow. Exits with 0 when all is planned, with 1 when a cluster's workers are lost, with 2 on bad input,
+    with 130 or 143 when a signal stopped it; what is finished by then is kept.
+
+    \b
+    htcp sweep sweeps/robot.yaml                           125 starts by all methods
+    htcp sweep sweeps/workpiece.yaml --methods baseline,nspace-sqp --config configs/paper.yaml
+    htcp sweep sweeps/robot.yaml --limit 3 --set settings.alpha_rad=0.05 --out out/try
+    htcp sweep sweeps/cross.yaml --on ray                  on all cores, or on the cluster that Ray knows of
+    """
+    devices.use(device)
+    if out is None:
+        out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
+    with _bars() as tell:
+        run = sweeps.sweep(
+            file,
+            methods,
+            out,
+            config=config,
+            overrides=overrides or (),
+            limit=limit,
+            seed=seed,
+            progress=tell,
+            shard_scenarios=shard,
+            on=on,
+        )
+    if as_json:
+        print_json(_record(run))
+    else:
+        _print_table(run)
+    return 0
+
+
+def _record(run: Run) -> dict:
+    """What --json prints: where the results are, and the summary of every method that is finished."""
+    found = {method: summary_record(summarise(run.plans(method))) for method in _finished(run)}
+    known = {"run": str(run.folder), "name": run.manifest.name, "complete": run.complete}
+    return {**known, "unfinished": run.unfinished(), "methods": found}
+
+
+def _finished(run: Run) -> list[str]:
+    """Methods of the run that have planned all of it: those asked for just now, and perhaps others."""
+    left = run.unfinished()
+    return [method for method in run.methods if method not in left]
+
+
+@contextmanager
+def _bars() -> Iterator[Callable[[sweeps.SweepProgress], None]]:
+    """A bar a method on a terminal and nothing elsewhere: scenarios done, targets tracked, time left."""
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description:<14}"),
+        BarColumn(),
+        TextColumn("{task.fields[scenarios]} scenarios, {task.fields[tracked]:,} targets tracked"),
+        TimeRemainingColumn(elapsed_when_finished=True),
+    )
+    shown = console.is_terminal
+    with Progress(*columns, console=console, transient=True, disable=not shown, speed_estimate_period=600) as bars:
+        tasks = {}
+
+        def tell(now: sweeps.SweepProgress) -> None:
+            # A scenario that is done has decided all of its targets, tracked or not.
+            decided = max(now.targets_tracked, now.targets * now.scenarios_done // now.scenarios)
+            fields = {"scenarios": f"{now.scenarios_done:,}/{now.scenarios:,}", "tracked": now.targets_tracked}
+            if now.method not in tasks:
+                tasks[now.method] = bars.add_task(now.method, total=now.targets, **fields)
+            bars.update(tasks[now.method], completed=decided, **fields)
+
+        yield tell
+
+
+COUNTS = (
+    Column("method", "method"),
+    Column("success", "success", "%", ".2f"),
+    Column("tracked", "tracked", "targets", ",d"),
+    Column("targets", "of", "", ",d"),
+    Column("drivable", "drivable", "targets", ",d"),
+    Column("complete", "complete", "scenarios", ",d"),
+    Column("scenarios", "of", "", ",d"),
+    Column("blocked", "blocked", "paths", ",d"),
+)
+FIGURES = (
+    Column("method", "method"),
+    Column("step_ms", "a step", "ms", ".2f"),
+    Column("tcp", "TCP distance", "mean mm", ".3g"),
+    Column("clearance_min", "clearance", "min mm", ".3g"),
+    Column("clearance_mean", "clearance", "mean mm", ".3g"),
+    Column("run_s", "run", "s", ".1f"),
+    Column("compile_s", "compile", "s", ".1f"),
+)
+
+
+def _print_table(run: Run) -> None:
+    """The columns of the paper's tables, and the counts behind them."""
+    console = stdout()
+    limit = (
+        "" if run.manifest.limit is None else f", the first {run.manifest.count:,} of {run.manifest.full:,} scenarios"
+    )
+    console.print(Text(f"{run.manifest.name}{limit}", style="bold"))
+    plans = {method: run.plans(method) for method in _finished(run)}
+    found = {method: summarise(whole) for method, whole in plans.items()}
+    counts = [
+        (m, 100 * s.success_rate, s.tracked, s.targets, int(drivable(plans[m]).sum()), s.complete, s.scenarios,
+         s.blocked_paths)
+        for m, s in found.items()
+    ]  # fmt: skip
+    figures = [
+        (m, s.step_ms, s.tcp_distance_mean_mm, s.clearance_min_mm, s.clearance_mean_mm, s.run_s, s.compile_s)
+        for m, s in found.items()
+    ]
+    for columns, rows in ((COUNTS, counts), (FIGURES, figures)):
+        print_table(console, Table("sweep", columns, tuple(rows)))
+        console.print()
+    console.print(Text("Drivable: tracked before the first blocked joint path of the scenario.", style="dim"))
+    if plans:
+        told = f"Tracked: with at least the {_margins(run, *plans)} mm of clearance that were asked for."
+        console.print(Text(told, style="dim"))
+    for told in dict.fromkeys(_not_tried(whole.status) for whole in plans.values()):
+        if told:
+            console.print(Text.assemble(("not tried  ", "yellow"), told))
+    for method, count in run.unfinished().items():
+        told = f"{count:,} of {run.manifest.count:,} scenarios left; --methods {method} plans them"
+        console.print(Text.assemble(("unfinished  ", "yellow"), f"{method}: {told}"))
+    console.print(Text.assemble(("files  ", "cyan"), str(run.folder)))
+
+
+def _margins(run: Run, *methods: str) -> str:
+    """The clearances that the scenarios ask for [mm]."""
+    asked = np.unique(run.scenarios(*methods)["margin_m"].to_numpy()) * 1e3
+    return f"{asked[0]:g}" if len(asked) == 1 else f"{asked[0]:g} to {asked[-1]:g}"
+
+
+def _not_tried(status: np.ndarray) -> str:
+    """How many scenarios were refused for what reason, in words; nothing where none was."""
+    counts = {reason: int((status == reason).sum()) for reason in (Status.START_IN_COLLISION, Status.OUT_OF_REACH)}
+    return ", ".join(f"{words(reason)} {count:,}" for reason, count in counts.items() if count)

@@ -1,0 +1,174 @@
+"""Points from a table of numbers: text, and numpy's .npy files."""
+
+import io
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+
+from htcp_jax.errors import InputError
+from htcp_jax.formats.columns import Columns, Points, columns_of, header_names, without_units
+from htcp_jax.formats.foreign import one_line, quiet, read_bytes
+
+NPY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+DECIMAL_COMMA = re.compile(r"[+-]?[\d.]*\d,\d+(?:[eE][+-]?\d+)?")
+
+
+def read_table(path: Path) -> Points:
+    """Rows of x, y, z, and of whatever follows, from a text file, separated by commas, semicolons or blanks.
+
+    What follows a # is a comment, and so is a line that begins with //. The first other line may be a header
+    without numbers. A header, or the last comment before the first row, may name the columns, see `columns_of`.
+    Raises InputError naming the line: too few columns, rows of different lengths, NaN, no number, and decimal
+    commas.
+    """
+    reader = _TableReader(path)
+    for number, line in enumerate(_text(path).replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1):
+        reader.take(number, line)
+    return reader.points()
+
+
+class _TableReader:
+    """Takes line by line; the columns are settled at the first row."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        self.names: list[str] | None = None
+        self.header: int | None = None  # the line of it
+        self.first = 0  # the line of the first row
+        self.columns: Columns | None = None
+        self.xyz: list[list[float]] = []
+        self.normals: list[list[float]] | None = None
+        self.whole = False  # whether all so far is as 1,5,2,5,3,5, where each comma may be a decimal one
+
+    def take(self, number: int, line: str) -> None:
+        content, _, comment = line.partition("#")
+        content = content.strip()
+        if content.startswith("//"):
+            content, comment = "", content[2:]
+        if not content:
+            if self.columns is None and self.header is None:
+                self._remark(comment)
+            return
+        cells = _cells(content)
+        if self.columns is None and self.header is None and not any(_is_number(cell) for cell in cells):
+            if decimal := _decimal_commas(content):
+                raise self._error(number, decimal)
+            self.header, self.names = number, header_names(_cells(without_units(content).strip()))
+        else:
+            self._row(number, content, cells)
+
+    def points(self) -> Points:
+        if self.columns is None:
+            return Points(np.empty((0, 3)))
+        if self.whole:
+            raise self._error(self.first, ": decimal commas? A whole number in every column; write decimal points")
+        xyz = np.array(self.xyz, dtype=np.float64).reshape(-1, 3)
+        normals = None if self.normals is None else np.array(self.normals, dtype=np.float64)
+        return self.columns.points(xyz, normals, str(self.path))
+
+    def _remark(self, comment: str) -> None:
+        """A comment counts as a header where it names x, y and z."""
+        names = header_names(_cells(without_units(comment).strip()))
+        if {"x", "y", "z"} <= set(names):
+            self.names = names
+
+    def _row(self, number: int, content: str, cells: list[str]) -> None:
+        if len(cells) < 3 or (self.columns is not None and len(cells) != self.columns.width):
+            need = "3 are needed (x y z)" if len(cells) < 3 else f"line {self.first} has {self.columns.width}"
+            raise self._error(number, _decimal_commas(content) or f" has {len(cells)} columns, {need}")
+        if self.columns is None:
+            self._begin(number, content, cells)
+        row = []
+        for k in self.columns.xyz:
+            if not _is_number(cells[k]):
+                wrong = f": {cells[k].strip()[:30]!r} is not a number"
+                raise self._error(number, _decimal_commas(content) or wrong)
+            row.append(float(cells[k]))
+        if not all(map(math.isfinite, row)):
+            raise self._error(number, " holds NaN or an infinite number")
+        self.xyz.append(row)
+        self.whole = self.whole and all(cell.strip().lstrip("+-").isdigit() for cell in cells)
+        if self.normals is not None:
+            self._normal(cells)
+
+    def _begin(self, number: int, content: str, cells: list[str]) -> None:
+        names = self.names
+        if self.header is None and names is not None and len(names) != len(cells):
+            names = None  # a comment has no duty
+        self.first, self.columns = number, columns_of(names, len(cells), str(self.path))
+        self.normals = None if self.columns.normals is None else []
+        self.whole = not self.columns.named and len(cells) > 3 and ";" not in content and "," in content
+
+    def _normal(self, cells: list[str]) -> None:
+        if all(_is_number(cells[k]) for k in self.columns.normals):
+            self.normals.append([float(cells[k]) for k in self.columns.normals])
+        elif self.columns.named:
+            self.normals.append([0.0, 0.0, 0.0])
+        else:
+            self.normals = None
+
+    def _error(self, number: int, words: str) -> InputError:
+        return InputError(f"{self.path}: line {number}{words}")
+
+
+def read_npy(path: Path) -> Points:
+    """Points of a .npy file, an array of numbers (P, 3 or more). Raises InputError for any other; runs no pickle."""
+    data = read_bytes(path)
+    # numpy's reader believes the shape in the header and asks for that much memory before it looks at the
+    # data. Read the header alone, then take the bytes that are there. Object arrays (pickles) are refused.
+    try:
+        with quiet():
+            stream = io.BytesIO(data)
+            read_header = NPY_HEADERS[np.lib.format.read_magic(stream)]
+            shape, by_column, dtype = read_header(stream)
+    except Exception as error:  # a foreign parser on foreign bytes: whatever it raises, the file is bad
+        raise InputError(f"{path}: not a .npy array ({one_line(error)})") from None
+    if dtype.kind not in "fiu":
+        raise InputError(f"{path}: an array of {dtype.name}, numbers are needed")
+    if len(shape) != 2 or shape[1] < 3:
+        raise InputError(f"{path}: an array of shape {shape}, (points, 3 or more) is needed")
+    if shape[0] < 0 or len(data) - stream.tell() != shape[0] * shape[1] * dtype.itemsize:
+        raise InputError(f"{path}: damaged, its length is not that of its header's shape {shape}")
+    array = np.frombuffer(data, dtype, offset=stream.tell()).reshape(shape, order="F" if by_column else "C")
+    columns = columns_of(None, shape[1], str(path))
+    xyz, *normals = (
+        np.ascontiguousarray(array[:, which], dtype=np.float64)
+        for which in (columns.xyz, columns.normals)
+        if which is not None
+    )
+    return columns.points(xyz, normals[0] if normals else None, str(path))
+
+
+def _text(path: Path) -> str:
+    try:
+        return read_bytes(path).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text file of points (it is not UTF-8)") from None
+
+
+def _cells(line: str) -> list[str]:
+    for separator in (";", ","):
+        if separator in line:
+            return line.split(separator)
+    return line.split()
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return "_" not in cell  # Python reads 1_0 as ten; no table means that
+
+
+def _decimal_commas(line: str) -> str:
+    """What to write instead where numbers of a line have decimal commas, or nothing."""
+    cells = re.split(r"[;\s]+", line.strip("; \t"))
+    decimal = [cell for cell in cells if DECIMAL_COMMA.fullmatch(cell)]
+    others = [cell for cell in cells if "," in cell and cell not in decimal]
+    if not decimal or others or len(cells) < 2:
+        return ""
+    first = decimal[0][:30]
+    return f": {first!r} has a decimal comma; write a decimal point, {first.replace('.', '').replace(',', '.')}"

@@ -1,0 +1,107 @@
+"""From a configuration to what it speaks of: the robot, the workpiece, the scenario. All raise InputError."""
+
+import warnings
+from typing import Literal
+
+import numpy as np
+
+from htcp_jax.jobs.config import PlanConfig, RobotConfig, WorkpieceConfig
+from htcp_jax.scene.robot import GP50, Robot, load_robot
+from htcp_jax.scene.scenario import Scenario, make_scenario
+from htcp_jax.scene.units import check_tool
+from htcp_jax.scene.workpiece import Workpiece, load_workpiece
+
+
+def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
+    """The robot, the workpiece and the one scenario of a configuration."""
+    robot = robot_of(job.robot)
+    workpiece = workpiece_of(job.workpiece, robot)
+    return robot, workpiece, scenario_of(job, robot, workpiece)
+
+
+def robot_of(arm: RobotConfig) -> Robot:
+    """The robot, without the tool's extension: that belongs to the scenario. A tool longer than the arm is refused."""
+    robot = load_robot(
+        GP50 if arm.model == "gp50" else arm.model,
+        tcp_site="tcp" if arm.tcp is None else arm.tcp,
+        limits=arm.limits,
+        base_m=arm.base_m,
+        base_rpy_rad=arm.base_rpy_rad,
+        tool=arm.tool,
+    )
+    check_tool(robot, arm.tool_extension_m)
+    return robot
+
+
+def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
+    """The workpiece, without its pose: that belongs to the scenario. Points on a mesh are as close as the robot's
+    thinnest body needs; where that body fits between the points of a cloud, a UserWarning says so."""
+    thinnest = int(np.argmin(robot.capsule_radius))
+    radius = float(robot.capsule_radius[thinnest])
+    workpiece = load_workpiece(
+        None if part.cloud == "duct" else part.cloud,
+        None if part.path == "weld" else part.path,
+        inlet="auto" if part.inlet_m is None else part.inlet_m,
+        interior=part.interior,
+        gate_depth_m=part.gate_depth_m,
+        inlet_direction=part.inlet_direction,
+        tip_contact_m=part.tip_contact_m,
+        pivot=part.pivot_m,
+        neutral_translation=part.neutral_translation_m,
+        spacing=part.mesh_spacing_m if part.cloud != "duct" else None,
+        thinnest_m=radius,
+        robot=robot,
+    )
+    if not len(workpiece.triangles) and workpiece.largest_gap_m > 2 * radius:
+        warnings.warn(
+            f"{part.cloud}: a gap of {1e3 * workpiece.largest_gap_m:.3g} mm between its points; "
+            f"{robot.capsule_names[thinnest]}, {2e3 * radius:.3g} mm thick, fits through",
+            UserWarning,
+            stacklevel=2,
+        )
+    return workpiece
+
+
+def scenario_of(
+    job: PlanConfig,
+    robot: Robot,
+    workpiece: Workpiece,
+    number: int = 0,
+    beyond_reach: Literal["raise", "record"] = "raise",
+) -> Scenario:
+    """Start, pose, targets, margin and tool of a configuration; `number` is its identity for the random keys;
+    beyond_reach: see `make_scenario`."""
+    part = job.workpiece
+    return make_scenario(
+        robot,
+        workpiece,
+        job.start_rad,
+        rotation=(part.rotation_y_rad, part.rotation_z_rad),
+        rotation_x_rad=part.rotation_x_rad,
+        shift=part.shift_m,
+        approach=(part.approach_to_inlet, part.approach_to_path),
+        margin_m=job.margin_m,
+        tool_extension_m=job.robot.tool_extension_m,
+        number=number,
+        beyond_reach=beyond_reach,
+    )
+
+
+_POSE = {"rotation_x_rad": 0.0, "rotation_y_rad": 0.0, "rotation_z_rad": 0.0, "shift_m": (0.0, 0.0, 0.0)}
+_APPROACH = {"approach_to_inlet": 0, "approach_to_path": 0}
+
+
+def arm_of(job: PlanConfig) -> RobotConfig:
+    """The part of a configuration that makes the robot; equal for scenarios that share theirs."""
+    return job.robot.model_copy(update={"tool_extension_m": 0.0})
+
+
+def part_of(job: PlanConfig) -> WorkpieceConfig:
+    """The part of a configuration that makes the workpiece."""
+    return job.workpiece.model_copy(update=_POSE | _APPROACH)
+
+
+def shape_of(part: WorkpieceConfig) -> WorkpieceConfig:
+    """What the planner sees of a workpiece: a scenario has its path and its pose."""
+    origin = (0.0, 0.0, 0.0)
+    return part.model_copy(update={"path": "", "pivot_m": origin, "neutral_translation_m": origin})

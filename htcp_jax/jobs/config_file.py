@@ -1,0 +1,104 @@
+"""A configuration as a person writes it, before it is checked: files that build on each other, and changes of keys.
+
+    config: base.yaml        # everything that base.yaml says, but for what follows
+
+Sections are merged key by key; whatever else stands in both is replaced, lists as a whole. File names are relative to
+the folder of the file that they stand in.
+"""
+
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from htcp_jax.errors import InputError
+from htcp_jax.formats.strict_yaml import parse_yaml, read_yaml
+
+BASE = "config"  # the key under which a file names the one that it builds on
+FILES = {("robot", "model"): "gp50", ("workpiece", "cloud"): "duct", ("workpiece", "path"): "weld"}
+
+
+def layers(path: Path) -> list[tuple[str, dict]]:
+    """The name and the contents of the YAML file and of those that it builds on, the innermost first.
+
+    Raises InputError for a file that cannot be read, and for files that build on each other in a circle.
+    """
+    return _below(read_yaml(path), str(path), path.parent, [path])
+
+
+def layers_of(mapping: Mapping[str, Any], name: str) -> list[tuple[str, dict]]:
+    """The same of a mapping that spells a file; a key may be dotted. Its files are relative to the working folder."""
+    raw: dict = {}
+    for dotted, value in mapping.items():
+        put(raw, str(dotted), value)
+    return _below(raw, name, Path(), [])
+
+
+def merged(raws: Iterable[dict]) -> dict:
+    """Each of them laid over the ones before."""
+    whole: dict = {}
+    for raw in raws:
+        _lay_over(whole, raw)
+    return whole
+
+
+def put(raw: dict, dotted: str, value: Any) -> None:
+    """Set one key, or lay a mapping over the section that is there."""
+    *sections, key = dotted.split(".")
+    for section in sections:
+        if not isinstance(raw.get(section), dict):
+            raw[section] = {}
+        raw = raw[section]
+    _lay_over(raw, {key: _plain(value)})
+
+
+def parse_override(override: str) -> tuple[str, Any]:
+    """Key and value of "key=value" on a command line. Raises InputError."""
+    dotted, equals, text = override.partition("=")
+    if not equals or not dotted:
+        raise InputError(f"--set expects key=value, not {override!r}")
+    return dotted, parse_yaml(text, f"--set {override}")
+
+
+def _below(raw: dict, name: str, folder: Path, on_the_way: list[Path]) -> list[tuple[str, dict]]:
+    _anchor_files(raw, folder)
+    if BASE not in raw:
+        return [(name, raw)]
+    base = raw.pop(BASE)
+    if not isinstance(base, str):
+        raise InputError(f"{name}: {BASE} is {base!r}; it names the file that this one builds on")
+    file = folder / base
+    if any(_same(file, other) for other in on_the_way):
+        raise InputError(f"{name}: configurations in a circle: {' -> '.join(map(str, [*on_the_way, file]))}")
+    return [*_below(read_yaml(file), str(file), file.parent, [*on_the_way, file]), (name, raw)]
+
+
+def _same(one: Path, other: Path) -> bool:
+    return os.path.realpath(one) == os.path.realpath(other)
+
+
+def _anchor_files(raw: dict, folder: Path) -> None:
+    """Make file names in `raw` relative to `folder`; the words of the built-in parts stay."""
+    for (section, key), word in FILES.items():
+        value = raw.get(section)
+        if isinstance(value, dict) and isinstance(value.get(key), str) and value[key] != word:
+            value[key] = str(folder / value[key])
+
+
+def _lay_over(whole: dict, raw: dict) -> None:
+    for key, value in raw.items():
+        if isinstance(value, dict) and isinstance(whole.get(key), dict):
+            _lay_over(whole[key], value)
+        else:
+            whole[key] = _copy(value)
+
+
+def _plain(value: Any) -> Any:
+    """A value from Python as YAML has it."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    return os.fspath(value) if isinstance(value, os.PathLike) else value
+
+
+def _copy(value: Any) -> Any:
+    return {key: _copy(item) for key, item in value.items()} if isinstance(value, dict) else value

@@ -1,0 +1,200 @@
+"""The sweep file: a grid of scenarios around one configuration.
+
+    config: ../configs/paper.yaml            # what all scenarios share; without it the default job
+    grid:                                    # axes multiply; the last one moves fastest
+      - start_rad.3: {offsets: [-0.1, 0, 0.1]}    # added to the configuration's value
+      - workpiece.rotation_y_rad: [0.4, 0.5]      # parameters of one axis go together, value by value
+        workpiece.rotation_z_rad: [0.1, 0.2]      # so this grid has 3 x 2 scenarios
+
+A parameter is a key of the configuration, any but `method` and `ray`: see `grid_axes`. Joints go by number, from 1, or
+by name. Later axes act on what earlier ones left, so an axis may set `start_rad` and the next ones move single joints.
+Instead of `grid`, `groups` maps names to grids; their scenarios follow each other. A scenario's number, which its
+random keys hang on, is its place in the full grid.
+"""
+
+import itertools
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Int
+
+from htcp_jax.errors import InputError
+from htcp_jax.formats.strict_yaml import read_yaml
+from htcp_jax.jobs.build import arm_of, part_of, robot_of, scenario_of, shape_of, workpiece_of
+from htcp_jax.jobs.config import (
+    DEPENDENT,
+    PlanConfig,
+    RobotConfig,
+    Section,
+    WorkpieceConfig,
+    fill_in,
+    is_other,
+    keys_of,
+    read_config,
+    validate,
+)
+from htcp_jax.jobs.config_file import put
+from htcp_jax.jobs.grid_axes import FILE_KEYS, KEYS, Group, read_grid
+from htcp_jax.jobs.grid_points import Point, points_of
+from htcp_jax.scene.robot import Robot
+from htcp_jax.scene.scenario import Scenario, stack
+from htcp_jax.scene.workpiece import Workpiece
+from htcp_jax.settings import Settings
+
+MOST = 1_000_000  # scenarios of a grid; more is a slip of the pen
+
+
+class SweepFile(Section):
+    """What a person writes; `grid_axes` checks the axes."""
+
+    config: str | None = None
+    grid: tuple[dict, ...] | None = None
+    groups: dict[str, tuple[dict, ...]] | None = None
+
+
+class Cell(NamedTuple):
+    """What scenarios share that one call of the planner plans."""
+
+    robot: Robot
+    workpiece: Workpiece
+    settings: Settings
+
+
+class Batch(NamedTuple):
+    """Scenarios ready to be planned."""
+
+    cells: tuple[Cell, ...]
+    cell: Int[np.ndarray, "S"]  # whose each scenario is
+    scenarios: Scenario  # stacked
+    points: tuple[Point, ...]
+
+    @property
+    def robot(self) -> Robot:
+        """The first scenario's; all have its joints."""
+        return self.cells[0].robot
+
+    @property
+    def workpiece(self) -> Workpiece:
+        """The first scenario's."""
+        return self.cells[0].workpiece
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A sweep file, read and checked, with the robot of its configuration.
+
+    stated: see `grid_points.points_of`.
+    """
+
+    name: str
+    config: PlanConfig
+    robot: Robot
+    groups: tuple[Group, ...]
+    stated: frozenset[str]
+
+    def __len__(self) -> int:
+        return sum(group.size for group in self.groups)
+
+    def points(self, limit: int | None = None) -> tuple[Point, ...]:
+        """The scenarios in order, the first `limit` of them. Raises InputError for a value out of its range."""
+        return tuple(itertools.islice(points_of(self.name, self.config, self.groups, self.stated), limit))
+
+    def batch(self, limit: int | None = None) -> Batch:
+        """The scenarios with what they need, the first `limit` of them.
+
+        Raises InputError, naming the scenario, for a start outside the joint limits and targets beyond reach, and for
+        robots with different joints.
+        """
+        points = self.points(limit)
+        arms = {arm_of(self.config): self.robot}
+        parts: dict[tuple[RobotConfig, WorkpieceConfig], Workpiece] = {}
+        cells: dict[tuple, tuple[int, Cell]] = {}
+        scenarios, whose = [], []
+        for point in points:
+            arm, part, settings = arm_of(point.config), part_of(point.config), point.config.settings
+            if arm not in arms:
+                arms[arm] = _like(self.robot, robot_of(arm), f"{self.name}: scenario {point.number}")
+            if (arm, part) not in parts:
+                parts[arm, part] = workpiece_of(part, arms[arm])
+            own = len(cells), Cell(arms[arm], parts[arm, part], settings)
+            whose.append(cells.setdefault((arm, shape_of(part), settings), own)[0])
+            scenarios.append(_scenario(point, arms[arm], parts[arm, part]))
+        return Batch(tuple(cell for _, cell in cells.values()), np.array(whose, int), stack(scenarios), points)
+
+
+def load_sweep(
+    spec: str | Path | Mapping[str, Any],
+    config: str | Path | Mapping[str, Any] | None = None,
+    overrides: Sequence[str] | Mapping[str, Any] = (),
+) -> Sweep:
+    """The sweep file at the path `spec`, or the sweep that `spec` spells as a file would, {"grid": [...]}, whose files
+    are then relative to the working folder. `config` takes the place of its own; `overrides`, see `load_config`,
+    change the configuration before the axes do.
+
+    Raises InputError for what is wrong with either file, for an unknown parameter and for an empty grid.
+    """
+    path, raw = (Path("sweep"), dict(spec)) if isinstance(spec, Mapping) else (Path(spec), read_yaml(spec))
+    file: SweepFile = validate(raw, SweepFile, str(path))
+    if config is None and file.config is not None:
+        config = path.parent / file.config
+    if (file.grid is None) == (file.groups is None):
+        raise InputError(f"{path}: a sweep has either a grid or groups, a list of axes or several under their names")
+    grids = {None: file.grid} if file.groups is None else file.groups
+    if not grids:
+        raise InputError(f"{path}: groups is empty")
+    raw, source = read_config(config, overrides)
+    stated = keys_of(raw)
+    first = _first_values(raw, grids, path.parent)
+    for key, value in first.items():
+        put(raw, key, value)
+    fill_in(raw, keys_of(raw), source)
+    base: PlanConfig = validate(raw, PlanConfig, source)
+    robot = robot_of(base.robot)
+    groups = []
+    for name, axes in grids.items():
+        where = f"{path}: grid" if name is None else f"{path}: groups.{name}"
+        groups.append(read_grid(where, path.parent, name, axes, robot.joint_names))
+        for key in first.keys() - groups[-1].keys:
+            raise InputError(f"{where}: {key} varies in another group; it has to stand in every one")
+    if (size := sum(group.size for group in groups)) > MOST:
+        raise InputError(f"{path}: the grid has {size:,} scenarios; at most {MOST:,} make a sweep")
+    return Sweep(path.stem, base, robot, tuple(groups), frozenset(stated.intersection((*DEPENDENT, "start_rad"))))
+
+
+def _first_values(raw: dict, grids: Mapping[str | None, Sequence[dict]], folder: Path) -> dict[str, Any]:
+    """What the configuration takes from the axes, so that it has a robot and a start: where they vary the robot, the
+    first value of each of its keys, and the start's; the start's also where another robot's is theirs alone."""
+    first: dict[str, Any] = {}
+    for axis in itertools.chain.from_iterable(grids.values()):
+        for key, value in axis.items():
+            items = value.get("values") if isinstance(value, dict) else value
+            if isinstance(items, list | tuple) and items:
+                first.setdefault(str(key), items[0])
+    if "robot.model" not in first:
+        lacks_start = is_other(raw, "robot.model") and "start_rad" not in raw
+        return {key: value for key, value in first.items() if key == "start_rad" and lacks_start}
+    model = first.pop("robot.model")
+    if isinstance(model, str | os.PathLike):
+        first["robot.model"] = model if model == FILE_KEYS["robot.model"] else str(folder / model)
+    return {
+        key: value for key, value in first.items() if key == "start_rad" or (key.startswith("robot.") and key in KEYS)
+    }
+
+
+def _like(first: Robot, robot: Robot, where: str) -> Robot:
+    """The robot. Raises InputError where its joints are of other kinds than the first one's."""
+    if robot.slides != first.slides:
+        told = [f"{one.name} has {len(one.slides)} joints, {sum(one.slides)} of them slides" for one in (robot, first)]
+        raise InputError(f"{where}: {'; '.join(told)}; the robots of one sweep must have as many joints of each kind")
+    return robot
+
+
+def _scenario(point: Point, robot: Robot, workpiece: Workpiece) -> Scenario:
+    try:
+        return scenario_of(point.config, robot, workpiece, point.number, beyond_reach="record")
+    except InputError as error:
+        raise InputError(f"scenario {point.number}: {error}") from None

@@ -1,0 +1,239 @@
+"""The axes of a grid: which keys they vary, read from a file, written to a manifest, put into a configuration."""
+
+import difflib
+import itertools
+import math
+import os
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from htcp_jax.errors import InputError
+from htcp_jax.jobs.config import DEPENDENT, SOURCES, PlanConfig
+from htcp_jax.jobs.config_file import FILES
+
+# Those that have columns of their own in the tables of a run.
+PARAMETERS = (
+    "start_rad",
+    "workpiece.rotation_x_rad",
+    "workpiece.rotation_y_rad",
+    "workpiece.rotation_z_rad",
+    "workpiece.shift_m",
+    "workpiece.path",
+    "robot.tool_extension_m",
+    "margin_m",
+)
+NO_AXIS = "method", "ray"  # a sweep asks for methods by itself, and a cluster has no influence on results
+FILE_KEYS = {".".join(key): word for key, word in FILES.items()}
+XYZ = "xyz"
+
+
+def _keys() -> dict[str, Any]:
+    """Every key that an axis may vary, with its default."""
+    found = {}
+    for name, value in PlanConfig().model_dump().items():
+        if name not in NO_AXIS:
+            found |= {f"{name}.{key}": v for key, v in value.items()} if isinstance(value, dict) else {name: value}
+    return found
+
+
+KEYS = _keys()
+
+
+class Parameter(NamedTuple):
+    """What an axis may vary: a key of the configuration, or one element of a key's value."""
+
+    name: str  # start_rad.joint3
+    key: str  # start_rad
+    element: int | None  # 2
+
+
+class Column(NamedTuple):
+    """One parameter of an axis."""
+
+    parameter: Parameter
+    relative: bool  # whether the values are added
+    values: tuple[Any, ...]
+
+
+Axis = tuple[Column, ...]  # columns of equal length
+
+
+class Group(NamedTuple):
+    """A grid; `name` is None where a file has just one."""
+
+    name: str | None
+    axes: tuple[Axis, ...]
+
+    @property
+    def size(self) -> int:
+        """The number of its scenarios."""
+        return math.prod(len(axis[0].values) for axis in self.axes)
+
+    @property
+    def keys(self) -> set[str]:
+        """The keys that it varies."""
+        return {column.parameter.key for axis in self.axes for column in axis}
+
+    def rows(self) -> Iterator[list[tuple[Column, Any]]]:
+        """Of every scenario the columns with their values; the last axis moves fastest."""
+        for rows in itertools.product(*(range(len(axis[0].values)) for axis in self.axes)):
+            yield [(column, column.values[row]) for axis, row in zip(self.axes, rows, strict=True) for column in axis]
+
+
+def read_grid(where: str, folder: Path, name: str | None, axes: Sequence[dict], joints: Sequence[str]) -> Group:
+    """A grid as a person writes it. Files are relative to `folder`; joints: their names. Raises InputError."""
+    if not axes:
+        raise InputError(f"{where} is empty; it needs at least one axis")
+    known = parameters(joints)
+    read = tuple(_read_axis(f"{where}, axis {k}", folder, axis, known) for k, axis in enumerate(axes, 1))
+    seen = set()
+    for column in itertools.chain.from_iterable(read):
+        if column.parameter in seen:
+            raise InputError(f"{where}: {column.parameter.name} stands in it twice")
+        seen.add(column.parameter)
+    return Group(name, read)
+
+
+def parameters(joints: Sequence[str]) -> dict[str, Parameter]:
+    """Every spelling that a sweep file may use."""
+    known = {name: Parameter(name, name, None) for name in (*PARAMETERS, *KEYS)}
+    for k, joint in enumerate(joints):
+        known[f"start_rad.{k + 1}"] = known[f"start_rad.{joint}"] = Parameter(f"start_rad.{joint}", "start_rad", k)
+    for key, default in KEYS.items():
+        if isinstance(default, tuple) and len(default) == 3:
+            known |= {f"{key}.{axis}": Parameter(f"{key}.{axis}", key, k) for k, axis in enumerate(XYZ)}
+    return known
+
+
+def put(raw: dict, column: Column, value: Any) -> None:
+    """Set one parameter in the plain form of a configuration."""
+    parameter = column.parameter
+    section, _, key = parameter.key.rpartition(".")
+    owner = raw[section] if section else raw
+    old = owner[key]
+    if parameter.element is None:
+        owner[key] = _added(parameter, old, value) if column.relative else value
+        return
+    if old is None or parameter.element >= len(old):
+        raise InputError(f"{parameter.name}: {parameter.key} has {len(old or ())} values only")
+    new = list(old)
+    new[parameter.element] = old[parameter.element] + value if column.relative else value
+    owner[key] = tuple(new)
+
+
+def record(group: Group, stated: Collection[str]) -> dict[str, Any]:
+    """A group as it stands in a manifest, with absolute names of files; and, where its axes decide which defaults hold,
+    which of these the configuration `stated`."""
+
+    def values(column: Column) -> list:
+        word = FILE_KEYS.get(column.parameter.key)
+        return [value if word is None else absolute(value, word) for value in column.values]
+
+    axes = [
+        {column.parameter.name: {"offsets" if column.relative else "values": values(column)} for column in axis}
+        for axis in group.axes
+    ]
+    known = {"stated": sorted(stated)} if hangs(group) else {}
+    return {"name": group.name, "axes": axes, **known}
+
+
+def from_record(record: Mapping[str, Any], joints: Sequence[str]) -> Group:
+    """The group of a `record`; what else it holds is not read."""
+    known = parameters(joints)
+
+    def column(name: str, values: Mapping[str, list]) -> Column:
+        ((kind, items),) = values.items()
+        return Column(known[name], kind == "offsets", tuple(map(_hashable, items)))
+
+    return Group(record["name"], tuple(tuple(column(*item) for item in axis.items()) for axis in record["axes"]))
+
+
+def absolute(name: str, word: str) -> str:
+    """The name of a file, whatever the working folder; the word of the built-in part stays."""
+    return name if name == word else str(Path(name).resolve())
+
+
+def hangs(group: Group) -> bool:
+    """Whether its scenarios may differ in their defaults, see `config.own_defaults`."""
+    return bool(group.keys & {*SOURCES, "workpiece.neutral_translation_m"})
+
+
+def varied_keys(names: Iterable[str]) -> tuple[str, ...]:
+    """The keys in which scenarios may differ and that have no column of their own, given the parameters of all axes."""
+    keys = dict.fromkeys(name if name in KEYS else name.rpartition(".")[0] for name in names)
+    if keys.keys() & SOURCES or "workpiece.neutral_translation_m" in keys:
+        keys |= dict.fromkeys(DEPENDENT)
+    return tuple(key for key in KEYS if key in keys and key not in PARAMETERS)
+
+
+def _read_axis(where: str, folder: Path, raw: dict, known: dict[str, Parameter]) -> Axis:
+    if not raw:
+        raise InputError(f"{where} is empty; it needs at least one parameter")
+    axis = tuple(_read_column(where, folder, str(key), value, known) for key, value in raw.items())
+    lengths = {column.parameter.name: len(column.values) for column in axis}
+    if len(set(lengths.values())) > 1:
+        told = ", ".join(f"{name} has {length} values" for name, length in lengths.items())
+        raise InputError(f"{where}: what stands in one axis goes together, value by value, but {told}")
+    return axis
+
+
+def _read_column(where: str, folder: Path, key: str, value: Any, known: dict[str, Parameter]) -> Column:
+    if key not in known:
+        raise InputError(f"{where}: {_unknown(key, known)}")
+    relative = isinstance(value, dict) and list(value) == ["offsets"]
+    if isinstance(value, dict) and list(value) in (["offsets"], ["values"]):
+        (value,) = value.values()
+    if not isinstance(value, list | tuple):
+        raise InputError(f"{where}: {key} needs a list of values, {{values: [...]}} or {{offsets: [...]}}")
+    if not value:
+        raise InputError(f"{where}: {key} has no values")
+    for item in value:
+        _check_value(f"{where}: {key}", known[key], item, relative)
+    word = FILE_KEYS.get(known[key].key)
+    if word is not None:  # relative to the sweep file, as in any configuration
+        value = [item if item == word else str(folder / item) for item in value]
+    return Column(known[key], relative, tuple(map(_hashable, value)))
+
+
+def _unknown(key: str, known: Collection[str]) -> str:
+    if key.partition(".")[0] in NO_AXIS:
+        return f"{key} cannot vary within a sweep; valid is any other key of the configuration, {', '.join(PARAMETERS)}"
+    close = difflib.get_close_matches(key, known, n=2, cutoff=0.6)
+    hint = f"did you mean {' or '.join(close)}? " if close else ""
+    return (
+        f"unknown parameter {key}; {hint}valid: any key of the configuration but {' and '.join(NO_AXIS)}, "
+        "one joint as start_rad.3"
+    )
+
+
+def _check_value(where: str, parameter: Parameter, item: Any, relative: bool) -> None:
+    """Raise InputError unless `item` is of the parameter's kind; its range is checked with the configuration."""
+    default = KEYS[parameter.key]
+    if parameter.key in FILE_KEYS:
+        if relative or not isinstance(item, str | os.PathLike):
+            raise InputError(f"{where} takes names of files, not {item!r}")
+        return
+    is_list = isinstance(default, tuple) and parameter.element is None
+    is_number = is_list or parameter.element is not None or type(default) in (int, float)
+    if not is_number:
+        if relative:
+            raise InputError(f"{where} takes values, not offsets")
+        return
+    if is_list and not isinstance(item, list | tuple):
+        raise InputError(f"{where} takes lists of numbers, not {item!r}")
+    for number in item if is_list else [item]:
+        if isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number):
+            raise InputError(f"{where} takes finite numbers, not {number!r}")
+
+
+def _added(parameter: Parameter, old: Any, offset: Any) -> Any:
+    if not isinstance(old, tuple):
+        return old + offset
+    if len(old) != len(offset):
+        raise InputError(f"{parameter.name} has {len(old)} values, an offset of it {len(offset)}")
+    return tuple(a + b for a, b in zip(old, offset, strict=True))
+
+
+def _hashable(item: Any) -> Any:
+    return tuple(item) if isinstance(item, list) else item

@@ -1,0 +1,61 @@
+"""The scenarios of a grid: for each the configuration that it would have if it were planned alone."""
+
+import itertools
+import json
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from htcp_jax.jobs.config import PlanConfig, fill_in, validate, value_at
+from htcp_jax.jobs.grid_axes import FILE_KEYS, Group, hangs, put, varied_keys
+
+
+class Point(NamedTuple):
+    """One scenario of a sweep: its configuration, as if it were planned alone."""
+
+    number: int
+    group: str | None
+    config: PlanConfig
+    varied: Mapping[str, str] = {}  # JSON by key, of what varies in the sweep and has no column of its own
+
+
+def points_of(name: str, config: PlanConfig, groups: Sequence[Group], stated: Collection[str]) -> Iterator[Point]:
+    """The scenarios in order. stated: those of `config.DEPENDENT` that the configuration states, and "start_rad" where
+    it does; the others are each scenario's own defaults. Raises InputError for a value out of its range."""
+    base = config.model_dump()
+    columns = [column for group in groups for axis in group.axes for column in axis]
+    varied = varied_keys(column.parameter.name for column in columns)
+    short = {}
+    for key, word in FILE_KEYS.items():
+        files = [value for column in columns if column.parameter.key == key for value in column.values]
+        short[key] = short_names([*files, value_at(base, key)], word)
+    number = itertools.count()
+    for group in groups:
+        hanging, known = hangs(group), {*stated, *group.keys}
+        for row in group.rows():
+            raw = {key: dict(value) if isinstance(value, dict) else value for key, value in base.items()}
+            for column, value in row:
+                put(raw, column, value)
+            k = next(number)
+            source = f"{name}: scenario {k}"
+            if hanging:
+                fill_in(raw, known, source)
+            own = validate(raw, PlanConfig, source, of_record=True)
+            yield Point(k, group.name, own, _told(own, varied, short))
+
+
+def short_names(files: Iterable[str], word: str) -> dict[str, str]:
+    """Each file by as many of the last parts of its path as tell it from the others; `word` as it is."""
+    whole = {file: Path(file).resolve() for file in files if file != word}
+    count = 1
+    while len({path.parts[-count:] for path in whole.values()}) < len(set(whole.values())):
+        count += 1
+    return {word: word} | {file: "/".join(path.parts[-count:]) for file, path in whole.items()}
+
+
+def _told(config: PlanConfig, varied: Sequence[str], short: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
+    if not varied:
+        return {}
+    raw = config.model_dump(mode="json")
+    values = {key: value_at(raw, key) for key in varied}
+    return {key: json.dumps(short[key][value] if key in FILE_KEYS else value) for key, value in values.items()}

@@ -1,0 +1,336 @@
+"""The engine's device side: pure functions of one lane, and how a batch of lanes runs through them.
+
+A kernel takes what all lanes share and one lane's arguments. `chunked` runs it over a table of fixed capacity, a few
+lanes at a time and only as far as the table is filled: one compiled program serves one lane and a thousand, and a
+lane's result does not depend on how many others there are.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from htcp_jax.clearance.obstacles import Linearisation, linearise
+from htcp_jax.clearance.verdict import counts
+from htcp_jax.numerics import product, safe_norm
+from htcp_jax.planner.escape import (
+    Anchored,
+    Candidates,
+    Method,
+    Sample,
+    Scene,
+    Stuck,
+    anchor,
+    draw_clear,
+    keep_clear_ascent,
+    null_space_step,
+    own_scene,
+    push_clear,
+    stuck_key,
+)
+from htcp_jax.planner.joint_path import path_clear
+from htcp_jax.scene.inverse_kinematics import reanchor
+from htcp_jax.scene.kinematics import tip_segment
+from htcp_jax.scene.scenario import Scenario
+from htcp_jax.settings import Settings
+from htcp_jax.solvers import step_qp
+from htcp_jax.solvers.active_set import solve_step
+
+# Kernels that few lanes need at a time, or that have loops of their own to vectorise.
+DEEP = ("enter", "walk", "ascend", "push", "check_path", "sample", "draw")
+SAMPLED = ("sample", "draw")  # those with hundreds of configurations a lane
+STEPS_A_BURST = 5  # step QPs that `track` takes before the engine looks at the lanes again
+SPREAD_EVERY = 3  # rounds of draws: in every third any of the better draws are pushed clear, not the clearest alone
+DRAW_STAGE = 99  # random keys of draws lie apart from those of the stages
+
+
+class Task(NamedTuple):
+    """What one lane is about: its scenario's surroundings, and which target. A lane brings all of it
+    along, so the compiled programs know nothing of how many scenarios there are."""
+
+    T_world_workpiece: jax.Array
+    gate: jax.Array
+    margin_m: jax.Array
+    tool_extension_m: jax.Array
+    number: jax.Array
+    target: jax.Array  # [m]
+    row: jax.Array  # of the target
+    round: jax.Array  # of draws
+
+
+def tasks(scenarios: Scenario, scenario: np.ndarray, row: np.ndarray, round_: int = 0) -> Task:
+    """The tasks of lanes that are at target `row` of their `scenario`; scenarios are stacked, numpy."""
+    row, scenario = np.asarray(row, np.int32), np.asarray(scenario)
+    own = [
+        getattr(scenarios, name)[scenario]
+        for name in ("T_world_workpiece", "gate", "margin_m", "tool_extension_m", "number")
+    ]
+    return Task(*own, scenarios.targets[scenario, row], row, np.full_like(row, round_))
+
+
+class Table(NamedTuple):
+    """Size of the table that a program is compiled for, and how many of its lanes it computes side by side."""
+
+    capacity: int
+    width: int
+
+
+def table_on(device: jax.Device, name: str) -> Table:
+    """The table of kernel `name`, one for any number of lanes: another one would round in its own way. A CPU gains from
+    a few lanes side by side, and nothing where a kernel has loops of its own; a GPU from thousands, fewer where each
+    lane has hundreds of samples."""
+    if device.platform == "cpu":
+        return Table(128, 1 if name.startswith(DEEP) else 4)
+    if name.startswith(SAMPLED):
+        return Table(256, 32)
+    return Table(2048, 512) if name.startswith(DEEP) else Table(4096, 4096)
+
+
+class Measured(NamedTuple):
+    """A configuration, its linearisation, and how it stands to the target."""
+
+    x: jax.Array
+    linear: Linearisation
+    clearance: jax.Array
+    residual: jax.Array
+
+
+def _scene(scene: Scene, task: Task) -> Scene:
+    return own_scene(scene, task.tool_extension_m)
+
+
+def _stuck(settings: Settings, task: Task, x_previous, stage: int) -> Stuck:
+    return Stuck(x_previous, task.target, stuck_key(settings, task.number, task.row, stage, task.round))
+
+
+def prepare(settings: Settings, scene: Scene, task: Task, x_ref, x_previous, linear: Linearisation) -> step_qp.StepQP:
+    """The step QP of one lane, equation (8)."""
+    scene = _scene(scene, task)
+    robot = scene.robot
+    return step_qp.assemble(
+        settings,
+        x_ref,
+        x_previous,
+        task.target - linear.tcp,
+        linear.jacobian,
+        linear.clearance,
+        linear.gradient,
+        task.margin_m + settings.aim_above_m,
+        robot.lower,
+        robot.upper,
+    )
+
+
+def advance(settings: Settings, scene: Scene, task: Task, x_ref, y) -> Measured:
+    """The lane after a step y: inside the limits to the last bit, linearised, and measured against its target."""
+    scene = _scene(scene, task)
+    x = jnp.clip(x_ref + y, scene.robot.lower, scene.robot.upper)
+    linear = linearise(scene.robot, scene.obstacle, task, x)
+    return Measured(x, linear, jnp.min(linear.clearance), safe_norm(linear.tcp - task.target))
+
+
+def _measured(settings: Settings, scene: Scene, task: Task, x) -> Measured:
+    return advance(settings, scene, task, x, jnp.zeros_like(x))
+
+
+class Tracked(NamedTuple):
+    """A lane after a burst of step QPs: where it is, how many this target has taken, and the last one's verdict."""
+
+    now: Measured
+    iteration: jax.Array
+    verdict: jax.Array
+
+
+def track(settings: Settings, scene: Scene, task: Task, x_ref, x_previous, linear, iteration) -> Tracked:
+    """Step QPs solved on the device, one after the other, until the target is reached, the lane is stuck, or the burst
+    is over."""
+
+    def going(state: tuple[Tracked, jax.Array]):
+        lane, count = state
+        here = counts(lane.now.clearance, lane.now.residual, task.margin_m, settings.tolerance_m)
+        reached = here & (lane.iteration > 0)
+        solved = lane.verdict == step_qp.QPStatus.SOLVED
+        return ~reached & solved & (lane.iteration < settings.inner_iterations) & (count < STEPS_A_BURST)
+
+    def step(state: tuple[Tracked, jax.Array]):
+        lane, count = state
+        step_qp = prepare(settings, scene, task, lane.now.x, x_previous, lane.now.linear)
+        found = solve_step(step_qp, settings.qp_tolerance)
+        return Tracked(advance(settings, scene, task, lane.now.x, found.y), lane.iteration + 1, found.status), count + 1
+
+    # At a new target, and in a candidate's first burst, nothing is reached before the first step QP.
+    known = Measured(x_ref, linear, jnp.full((), -jnp.inf), jnp.full((), jnp.inf))
+    start = Tracked(known, iteration, jnp.full((), int(step_qp.QPStatus.SOLVED), jnp.int32))
+    return jax.lax.while_loop(going, step, (start, jnp.zeros((), jnp.int32)))[0]
+
+
+def enter_null_space(settings: Settings, scene: Scene, task: Task, x_previous) -> Measured:
+    """Algorithm 1, line 9: inverse kinematics of the stuck target from x_{t-1}."""
+    own = _scene(scene, task)
+    x, _ = reanchor(own.robot, x_previous, task.target, 0.1 * settings.tolerance_m)
+    return _measured(settings, scene, task, anchor(own, settings, task, x, task.target).x)
+
+
+def walk_null_space(stage, index, settings: Settings, scene: Scene, task: Task, x_previous, x_ref, count) -> Measured:
+    """One step of a null-space stage."""
+    stuck = _stuck(settings, task, x_previous, index)
+    there = null_space_step(stage.minimise, _scene(scene, task), settings, task, stuck, x_ref, count)
+    return _measured(settings, scene, task, there.x)
+
+
+def propose(stage: Sample, index, settings: Settings, scene: Scene, task: Task, x_previous) -> Candidates:
+    """Candidates of a sampling stage."""
+    scene = _scene(scene, task)
+    return stage.propose(scene, settings, task, _stuck(settings, task, x_previous, index))
+
+
+def push(settings: Settings, scene: Scene, task: Task, x) -> Anchored:
+    """x carried over to the task's target and pushed clear."""
+    return push_clear(_scene(scene, task), settings, task, x, task.target)
+
+
+def draw(settings: Settings, scene: Scene, task: Task) -> Anchored:
+    """The best of a round of draws at the task's target; which round is the task's."""
+    scene = _scene(scene, task)
+    stuck = _stuck(settings, task, jnp.zeros_like(scene.robot.lower), DRAW_STAGE)
+    return draw_clear(scene, settings, task, stuck, task.round % SPREAD_EVERY == SPREAD_EVERY - 1)
+
+
+def ascend(settings: Settings, scene: Scene, task: Task, x):
+    """Keep-clear ascent at the target just reached."""
+    scene = _scene(scene, task)
+    return keep_clear_ascent(scene, settings, task, x, task.target)
+
+
+def check_path(settings: Settings, scene: Scene, task: Task, a, b):
+    """Whether the straight joint path from a to b is clear."""
+    scene = _scene(scene, task)
+    return path_clear(scene, settings, task, a, b)
+
+
+def tip(settings: Settings, scene: Scene, task: Task, x):
+    """The tool's bare tip at x in the workpiece's frame, from the last body to the TCP."""
+    rotate, translate = task.T_world_workpiece[:3, :3], task.T_world_workpiece[:3, 3]
+    return product(tip_segment(_scene(scene, task).robot, x) - translate[None, :], rotate)
+
+
+def chunked(kernel: Callable, width: int) -> Callable:
+    """`kernel(scene, *one lane)` over tables with a leading axis of capacity C: run(scene, chunks, *tables) computes
+    the first chunks x width lanes; the rest of the result is zeros."""
+
+    def run(scene, chunks, *tables):
+        def one_chunk(start):
+            part = jax.tree.map(lambda t: jax.lax.dynamic_slice_in_dim(t, start, width), tables)
+            return jax.vmap(partial(kernel, scene))(*part)
+
+        def body(i, results):
+            start = i * width
+            return jax.tree.map(
+                lambda all_, part: jax.lax.dynamic_update_slice_in_dim(all_, part, start, 0), results, one_chunk(start)
+            )
+
+        capacity = jax.tree.leaves(tables)[0].shape[0]
+        if width == capacity:
+            return one_chunk(0)
+        shapes = jax.eval_shape(one_chunk, 0)
+        empty = jax.tree.map(lambda s: jnp.zeros((capacity, *s.shape[1:]), s.dtype), shapes)
+        return jax.lax.fori_loop(0, chunks, body, empty)
+
+    return jax.jit(run)
+
+
+_PROGRAMS: dict = {}  # compiled for (kernel, settings, width, shapes); for the life of the process
+_COMPILING = threading.Lock()
+
+
+class Kernels:
+    """The kernels of one method on one scene and one device. Compiles on first use, once for any number of scenarios,
+    and knows the seconds that took."""
+
+    def __init__(self, scene: Scene, method: Method, settings: Settings, device: jax.Device | None = None):
+        self.device = device or jax.local_devices()[0]
+        self._scene, self._settings = jax.device_put(scene, self.device), settings
+        self._programs: dict[str, Callable] = {}
+        self.compile_s = 0.0
+        self._kernels = {
+            "prepare": prepare,
+            "advance": advance,
+            "track": track,
+            "enter": enter_null_space,
+            "ascend": ascend,
+            "push": push,
+            "draw": draw,
+            "check_path": check_path,
+            "tip": tip,
+        }
+        self._stages = method.stages
+
+    @property
+    def lanes(self) -> int:
+        """Lanes that an engine keeps in flight."""
+        return table_on(self.device, "advance").capacity
+
+    @property
+    def pays_by_lane(self) -> bool:
+        """Whether a call with half the lanes takes half the time, as on a CPU."""
+        return self.device.platform == "cpu"
+
+    @property
+    def bodies(self) -> int:
+        """Capsules of the robot."""
+        return len(self._scene.robot.capsule_link)
+
+    def __call__(self, name: str, *tables):
+        """Run kernel `name`, "walk k" or "sample k" for stage k of the method, over tables of n >= 1 lanes; numpy
+        tables of n lanes come back."""
+        lanes = len(jax.tree.leaves(tables)[0])
+        most = table_on(self.device, name).capacity
+        parts = [
+            self._run(name, jax.tree.map(lambda t, s=start: t[s : s + most], tables)) for start in range(0, lanes, most)
+        ]
+        return parts[0] if len(parts) == 1 else jax.tree.map(lambda *p: np.concatenate(p), *parts)
+
+    def _run(self, name: str, tables):
+        lanes = len(jax.tree.leaves(tables)[0])
+        capacity, width = table_on(self.device, name)
+        padded = jax.tree.map(lambda t: _pad(np.asarray(t), capacity), tables)
+        chunks = np.int32(-(-lanes // width))
+        result = self._program(name, width, chunks, padded)(self._scene, chunks, *padded)
+        # Waiting for an array holds the interpreter's lock, which other engines need; this does not.
+        jax.block_until_ready(result)
+        if self.device.platform != "cpu":
+            result = jax.device_get(result)  # all copies at once
+        return jax.tree.map(lambda r: np.asarray(r)[:lanes], result)
+
+    def _program(self, name: str, width: int, chunks, tables) -> Callable:
+        if name in self._programs:
+            return self._programs[name]
+        with _COMPILING:
+            arguments = (self._scene, chunks, *tables)
+            leaves, structure = jax.tree.flatten(arguments)
+            work = self._work(name)
+            shapes = tuple((x.shape, x.dtype) for x in leaves)
+            key = (work.func, work.args, width, self.device, structure, shapes)
+            if key not in _PROGRAMS:
+                began = time.perf_counter()
+                _PROGRAMS[key] = chunked(work, width).lower(*arguments).compile()
+                self.compile_s += time.perf_counter() - began
+            self._programs[name] = _PROGRAMS[key]
+        return self._programs[name]
+
+    def _work(self, name: str) -> partial:
+        if name in self._kernels:
+            return partial(self._kernels[name], self._settings)
+        kind, index = name.split()
+        kernel = propose if kind == "sample" else walk_null_space
+        return partial(kernel, self._stages[int(index)], int(index), self._settings)
+
+
+def _pad(table: np.ndarray, capacity: int) -> np.ndarray:
+    """The table with its first row repeated up to the capacity: real numbers, so that padding never goes astray."""
+    return np.concatenate([table, np.repeat(table[:1], capacity - len(table), axis=0)])

@@ -1,0 +1,71 @@
+"""The engine's table: a lane a row, every column a numpy array. What holds for lanes holds for any tree of tables."""
+
+from collections.abc import Sequence
+from typing import NamedTuple, TypeVar
+
+import jax
+import numpy as np
+
+from htcp_jax.clearance.obstacles import Linearisation
+
+MAIN = -1  # `candidate` of a lane that tracks for its scenario itself
+NEW, TRACK = -2, -1  # phases; of a lane that is in a stage of its escape, the phase is the number of that stage
+ENTERING = -1  # `walked` of a lane that is not in the null space yet
+
+Tables = TypeVar("Tables")
+
+
+class Lanes(NamedTuple):
+    """Lanes, one row each."""
+
+    scenario: np.ndarray
+    target: np.ndarray
+    candidate: np.ndarray  # MAIN, or the number of a candidate
+    phase: np.ndarray  # NEW: to be linearised; TRACK: by step QPs; or a stage of the escape
+    iteration: np.ndarray  # step QPs at this target so far
+    walked: np.ndarray  # ENTERING, or null-space steps so far
+    x_previous: np.ndarray
+    x_ref: np.ndarray
+    linear: Linearisation
+
+    @property
+    def size(self) -> int:
+        """How many lanes."""
+        return len(self.scenario)
+
+
+def new_lanes(bodies: int, scenario, target, x_previous, x_ref, candidate=MAIN) -> Lanes:
+    """Lanes that start at x_ref (L, N), of a robot with so many bodies."""
+    lanes, n = x_ref.shape
+
+    def column(value):
+        return np.broadcast_to(np.asarray(value, np.int32), lanes).copy()
+
+    linear = Linearisation(
+        np.zeros((lanes, 3)), np.zeros((lanes, 3, n)), np.zeros((lanes, bodies)), np.zeros((lanes, bodies, n))
+    )
+    return Lanes(
+        column(scenario), column(target), column(candidate), column(NEW), column(0), column(0),
+        np.array(x_previous), np.array(x_ref), linear,
+    )  # fmt: skip
+
+
+def take(tables: Tables, rows) -> Tables:
+    """Some of the rows."""
+    return jax.tree.map(lambda table: table[rows], tables)
+
+
+def join(parts: Sequence[Tables]) -> Tables:
+    """The rows of all parts, one or more."""
+    return parts[0] if len(parts) == 1 else jax.tree.map(lambda *tables: np.concatenate(tables), *parts)
+
+
+def put(tables: Tables, rows, new: Tables) -> Tables:
+    """Copies of the tables with new rows in place of some."""
+
+    def replaced(table, part):
+        table = table.copy()
+        table[rows] = part
+        return table
+
+    return jax.tree.map(replaced, tables, new)

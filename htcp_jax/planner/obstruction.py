@@ -1,0 +1,120 @@
+"""What is in the way at a target that a plan did not reach: which body, where, and how deep.
+
+From the last posture that was tracked, inverse kinematics brings the tool onto the failed target all the same, inside
+the joint limits but through whatever is there, equation (10b). The body with the smallest clearance there is the one
+in the way. That is one posture of many: an escape may have looked at others, and found none that is clear.
+"""
+
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.clearance.obstacles import Obstacle, contacts, make_obstacle
+from htcp_jax.planner.escape import Scene, own_scene
+from htcp_jax.planner.kernels import chunked, table_on, tasks
+from htcp_jax.planner.plans import Plans, is_tracked
+from htcp_jax.scene.inverse_kinematics import reanchor
+from htcp_jax.scene.robot import Robot
+from htcp_jax.scene.scenario import Scenario, stack
+from htcp_jax.scene.workpiece import Workpiece
+from htcp_jax.settings import Settings
+from htcp_jax.status import Status
+
+NO_BODY = Status.NOT_ATTEMPTED, Status.OUT_OF_REACH, Status.TIP_BLOCKED  # ends that no body is to blame for
+
+
+class Obstruction(NamedTuple):
+    """The arm brought onto a target that failed."""
+
+    body: str  # the capsule with the smallest clearance there
+    point: Float[np.ndarray, "3"]  # of the workpiece, nearest to it, world [m]
+    depth_m: float  # how far the body is inside the workpiece; below zero, how much is free
+    residual_m: float  # how far the TCP stays from the target
+    reached: bool  # whether that is within the tolerance
+    x: Float[np.ndarray, "N"]  # the posture
+
+    @property
+    def sentence(self) -> str:
+        """What a person is told."""
+        if not self.reached:
+            return f"the arm comes only to within {_mm(self.residual_m)} of it"
+        where = f"at ({', '.join(f'{value:.2f}' for value in self.point)}) m there"
+        if self.depth_m > 0:
+            return f"{self.body} is {_mm(self.depth_m)} inside the workpiece {where}"
+        return f"{self.body} is nearest to the workpiece, {_mm(-self.depth_m)} clear of it {where}"
+
+    def record(self) -> dict[str, Any]:
+        """What a file holds of it."""
+        told = {"body": self.body, "point_m": self.point.tolist(), "depth_mm": 1e3 * self.depth_m}
+        return {**told, "residual_mm": 1e3 * self.residual_m, "x": self.x.tolist(), "sentence": self.sentence}
+
+
+def obstruction(
+    robot: Robot, workpiece: Workpiece, scenario: Scenario, x_last: np.ndarray, target: int, settings: Settings
+) -> Obstruction:
+    """What is in the way at a target of a scenario. x_last: the last tracked posture, else the start [rad or m]."""
+    task = tasks(stack([scenario]), np.zeros(1, int), np.array([target]))
+    (found,) = obstructions(robot, make_obstacle(workpiece), task, np.asarray(x_last)[None], task.target, settings)
+    return found
+
+
+def obstructions(
+    robot: Robot,
+    obstacle: Obstacle,
+    where: Any,
+    x_last: Float[np.ndarray, "S N"],
+    targets: Float[np.ndarray, "S 3"],
+    settings: Settings,
+) -> list[Obstruction]:
+    """The same for S scenarios at once. where: stacked, what `clearance.Posed` asks for and `tool_extension_m`;
+    targets: one a scenario, world [m]."""
+    capacity, width = table_on(jax.local_devices()[0], "enter")
+    lanes = (where, np.asarray(x_last, float), np.asarray(targets, float))
+    look, scene = _program(0.1 * settings.tolerance_m, width), Scene(robot, obstacle)
+    told = []
+    for first in range(0, len(x_last), capacity):
+        count = min(capacity, len(x_last) - first)
+        rows = first + np.arange(capacity) % count
+        chunks = np.int32(-(-count // width))
+        found = look(scene, chunks, *jax.tree.map(lambda leaf, rows=rows: np.asarray(leaf)[rows], lanes))
+        told += zip(*(np.asarray(leaf)[:count] for leaf in found), strict=True)
+    return [
+        Obstruction(
+            robot.capsule_names[int(body)], point, float(depth), float(off), bool(off <= settings.tolerance_m), x
+        )
+        for body, point, depth, off, x in told
+    ]
+
+
+def last_posture(plans: Plans, row: int, x_start: Float[np.ndarray, "N"]) -> tuple[int, Float[np.ndarray, "N"]] | None:
+    """The first target of a row that is not tracked, and the posture before it; None where all are tracked, where
+    nothing was tried, and where the tip of the tool is what is in the way."""
+    missed = np.flatnonzero((plans.status[row] >= 0) & ~is_tracked(plans.status[row]))
+    if not missed.size or plans.status[row, missed[0]] in NO_BODY:
+        return None
+    return int(missed[0]), plans.x[row, missed[0] - 1] if missed[0] else np.asarray(x_start)
+
+
+@lru_cache(maxsize=8)
+def _program(tolerance_m: float, width: int):
+    return chunked(partial(_brought_there, tolerance_m), width)
+
+
+def _brought_there(tolerance_m: float, scene: Scene, where, x_last, target):
+    """Body, point of the workpiece, depth [m], TCP error [m] and posture of one scenario."""
+    robot, obstacle = own_scene(scene, where.tool_extension_m)
+    x, residual = reanchor(robot, x_last, target, tolerance_m)
+    touch = contacts(robot, obstacle, where, x)
+    body = jnp.argmin(touch.distance)
+    point, normal, distance = touch.point[body], touch.normal[body], touch.distance[body]
+    # From the axis to what it is near to: past the radius, unless the hull decides, which is measured from the axis.
+    reach = distance + jnp.where(touch.crossed[body], 0.0, touch.reach[body])
+    return body, point - reach * normal, -distance, residual, x
+
+
+def _mm(length_m: float) -> str:
+    return f"{1e3 * length_m:.3g} mm"

@@ -1,0 +1,43 @@
+"""Whether the tool's bare tip passes through a wall, at a posture and along a joint path, for many lanes at once.
+
+The tip is no body: it has to come near the wall, and what it may touch there is the job's to say (`tip_guard`).
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+
+from htcp_jax.clearance.tip_guard import TipGuard, make_tip_guard
+from htcp_jax.planner.kernels import Kernels, Task
+from htcp_jax.scene.workpiece import Workpiece
+
+PLACES = 100  # of a joint path at which its tip is looked at
+
+
+class TipCheck(NamedTuple):
+    """The kernels that say where the tip is, and the walls that it must not pass through."""
+
+    kernels: Kernels
+    guard: TipGuard
+
+    def at(self, task: Task, x: Float[np.ndarray, "n N"]) -> Bool[np.ndarray, "n"]:
+        """Whether the tip passes through a wall at each lane's configuration."""
+        tip = self.kernels("tip", task, x)
+        return self.guard.passes(tip[:, 0], tip[:, 1])
+
+    def along(self, task: Task, a: Float[np.ndarray, "n N"], b: Float[np.ndarray, "n N"]) -> Bool[np.ndarray, "n"]:
+        """Whether it does anywhere between each lane's a and b, as far as PLACES tell."""
+        fraction = (np.arange(1, PLACES) / PLACES)[None, :, None]
+        x = a[:, None] + fraction * (b - a)[:, None]
+        row = np.repeat(np.arange(len(a)), PLACES - 1)
+        through = self.at(jax.tree.map(lambda table: table[row], task), x.reshape(len(row), -1))
+        return through.reshape(len(a), -1).any(axis=1)
+
+
+def tip_checks(kernels: Sequence[Kernels], workpiece: Workpiece) -> list[TipCheck | None]:
+    """One for each; None where the workpiece's tip may touch anywhere."""
+    guard = make_tip_guard(workpiece)
+    return [None if guard is None else TipCheck(own, guard) for own in kernels]

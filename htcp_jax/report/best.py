@@ -1,0 +1,67 @@
+"""The best scenarios of every method: those that can be driven furthest, with room to spare."""
+
+import numpy as np
+
+from htcp_jax.report.document import Block, Column, Picture, Table
+from htcp_jax.report.groups import Part, drivable
+from htcp_jax.runs.labels import SHORT, split_unit, varying
+
+BEST = 3  # scenarios a method
+RANKED = (
+    "The best scenarios of each method: those with the most drivable targets first, then by the smallest clearance, "
+    "then by the joint motion."
+)
+
+
+def best(part: Part) -> Table:
+    """Up to BEST scenarios a method: most drivable targets first, then largest smallest clearance, then least joint
+    motion; with the parameters that vary."""
+    own = varying(part.parameters)
+    columns = (
+        Column("method", "method"),
+        Column("scenario", "scenario", "", "d"),
+        *(_column(name, values) for name, values in own.items()),
+        Column("drivable", "drivable", "targets", "d"),
+        Column("targets", "of", "", "d"),
+        Column("clearance_min_mm", "clearance", "min mm", ".3g"),
+        Column("joint_motion_rad", "joint motion", "rad", ".2f"),
+    )
+    rows = []
+    for method in part.plans:
+        for s, *figures in ranked(part, method)[:BEST]:
+            given = [values[s].item() for values in own.values()]
+            rows.append((method, int(part.numbers[s]), *given, *figures))
+    return Table("best", columns, tuple(rows))
+
+
+def ranked(part: Part, method: str) -> list[tuple[int, int, int, float, float]]:
+    """Row, drivable targets, targets, smallest clearance [mm] and joint motion [rad] of every scenario that was
+    planned and has a drivable target, the best first."""
+    plans = part.plans[method]
+    good, there = drivable(plans), plans.status >= 0
+    rows = []
+    for s in np.flatnonzero(good.any(axis=1)).tolist():
+        least = 1e3 * float(plans.clearance[s, good[s]].min())
+        rows.append((s, int(good[s].sum()), int(there[s].sum()), least, float(plans.joint_step[s, good[s]].sum())))
+    return sorted(rows, key=lambda row: (-row[1] / row[2], -row[3], row[4], row[0]))
+
+
+def best_of_all(part: Part, prefix: str) -> list[Block]:
+    """The table, and a picture of its best scenario."""
+    found = [(ranked(part, method)[0], method) for method in part.plans if ranked(part, method)]
+    if not found:
+        return []
+    (s, count, targets, least, _), method = min(found, key=lambda it: (-it[0][1] / it[0][2], -it[0][3], it[0][4]))
+    number = int(part.numbers[s])
+    what = f"Scenario {number} by {method}" + (f": {part.labels[number]}" if part.labels[number] else "")
+    figure = part.scene.picture(number, method, what)
+    if figure is None:
+        return [RANKED, best(part), f"There is no picture of the cell: {part.scene.trouble}."]
+    says = f"{what}; {count} of {targets} targets drivable, {least:.3g} mm clear at least; the workpiece cut open"
+    return [RANKED, best(part), f"{says}.", Picture(f"{prefix}cell", figure, says)]
+
+
+def _column(name: str, values: np.ndarray) -> Column:
+    stem, unit = split_unit(name)
+    head = SHORT.get(stem, stem.removeprefix("start_").replace("_", " "))
+    return Column(name, head, unit, ".6g" if values.dtype.kind == "f" else "")

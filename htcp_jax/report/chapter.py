@@ -1,0 +1,253 @@
+"""One part of a run as a chapter of the report: sentences, tables and charts."""
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from htcp_jax.jobs.config import PlanConfig, validate
+from htcp_jax.planner.plans import Plans
+from htcp_jax.report import charts, paper, tables
+from htcp_jax.report.best import best_of_all
+from htcp_jax.report.document import Block, Heading, Picture
+from htcp_jax.report.groups import Part, drivable, tracked
+from htcp_jax.report.path_charts import words
+from htcp_jax.report.validation import validation_section, verdict
+from htcp_jax.runs.tables import NO_TARGET
+
+MOST_SLICES = 9  # maps in a row
+UNITS = "rad", "m"
+BLOCKED = (
+    "A joint step is blocked when the straight joint path from the configuration before collides on the way; not every "
+    "planner checks that. Tracked before it: the targets of each scenario up to its first blocked step."
+)
+BUILT_IN = {"gp50": "GP50", "duct": "the generated duct", "weld": "its weld"}
+
+
+def chapter(part: Part, prefix: str, level: int) -> list[Block]:
+    """Everything about one part; `prefix` is of the pictures' names, `level` of its headings."""
+    return [
+        *facts(part),
+        Heading(level, "Results"),
+        tables.results(part),
+        *_notes_on_results(part),
+        *_ceiling(part),
+        Picture(f"{prefix}success", _success(part), f"Success of each method on {part.name}"),
+        *_maps(part, prefix),
+        Heading(level, "Best scenarios"),
+        *best_of_all(part, prefix),
+        Heading(level, "Failures"),
+        *_ends(part, prefix),
+        Heading(level, "Clearance and joint motion"),
+        _clearance(part, prefix),
+        tables.steps(part),
+        BLOCKED,
+        *_motion(part, prefix),
+        *validation_section(part.run, level),
+        Heading(level, "Time"),
+        f"Of the whole run, on {_device(part)}.",
+        tables.times(part),
+    ]
+
+
+def facts(part: Part) -> list[str]:
+    """What was run, in sentences."""
+    manifest = part.run.manifest
+    grid = " x ".join(f"{len(values)}" for values in part.axes.values())
+    varied = ", ".join(f"{label(name).split(' [')[0]}{_range(name, values)}" for name, values in part.axes.items())
+    full = len(part.axes) > 1 and math.prod(map(len, part.axes.values())) == len(part.numbers)
+    over = f", a grid of {grid} over {varied}" if full else f" over {varied}" if part.axes else ""
+    lines = [f"{len(part.numbers):,} scenarios{over}; up to {part.targets} targets each; seed {manifest.seed}."]
+    scene = part.run.config
+    named = {"robot.model": scene.robot.model, "workpiece.cloud": scene.workpiece.cloud, "path": scene.workpiece.path}
+    told = {key: BUILT_IN.get(name, Path(name).name) for key, name in named.items()}
+    for key in named.keys() & part.parameters.keys():
+        told[key] = ", ".join(BUILT_IN.get(name, name) for name in dict.fromkeys(part.parameters[key].tolist()))
+    robot, cloud, path = told.values()
+    lines.append(f"Robot {robot}; workpiece {cloud}; path {path}.")
+    lines.append(f"Configuration: {choice(part)}. {verdict(part.run)}")
+    if manifest.count < manifest.full:
+        lines.append(f"The run is limited to the first {manifest.count:,} of {manifest.full:,} scenarios.")
+    unfinished = {m: sum(span.last - span.first + 1 for span in part.run.missing(m)) for m in part.run.methods}
+    if any(unfinished.values()):
+        told = ", ".join(f"{method} {count:,}" for method, count in unfinished.items() if count)
+        lines.append(f"The run is not complete. Scenarios still to plan: {told}.")
+    return lines
+
+
+def _range(name: str, values: np.ndarray) -> str:
+    """From where to where an axis goes, with its unit; angles in degrees too."""
+    unit = name.rpartition("_")[2]
+    if unit not in UNITS or values.dtype.kind not in "if":  # words, and lists as they are written
+        return ""
+    low, high = float(values[0]), float(values[-1])
+    degrees = f", {np.degrees(low):.3g} to {np.degrees(high):.3g} degrees" if unit == "rad" else ""
+    return f" ({low:g} to {high:g} {unit}{degrees})"
+
+
+def choice(part: Part) -> str:
+    """Which of the shipped configurations was run, and every key that differs from it; of a job with a scene of its own
+    only the margin and the settings that are not the default."""
+    ran = part.run.config
+    if not fits_presets(part):
+        differ = tables.differences(ran, PlanConfig())
+        own = ", ".join(f"{key} {value}" for key, value in differ.items() if key.startswith("settings."))
+        return f"margin {1e3 * ran.margin_m:g} mm, {own or 'settings as they are by default'}"
+    differ = {name: tables.differences(ran, preset) for name, preset in presets().items()}
+    nearest = min(differ, key=lambda name: len(differ[name]))
+    told = ", ".join(f"{key} {value}" for key, value in differ[nearest].items())
+    return f"{nearest}, apart from {told}" if told else nearest
+
+
+def fits_presets(part: Part) -> bool:
+    """Whether the configurations that ship speak of the same scene: the built-in one, or the paper's own grid."""
+    scene = part.run.config
+    names = scene.robot.model, scene.workpiece.cloud, scene.workpiece.path
+    return all(name in BUILT_IN for name in names) or part.paper_table is not None
+
+
+def presets() -> dict[str, PlanConfig]:
+    """The configurations that ship, by name."""
+    return {"duct.yaml": PlanConfig(), "paper.yaml": validate(dict(paper.CHOICES), PlanConfig, "paper.yaml")}
+
+
+def label(name: str) -> str:
+    """A parameter as the label of an axis, with its unit."""
+    stem, _, unit = name.rpartition("_")
+    if unit not in UNITS:
+        return name
+    text = stem.replace("rotation_", "workpiece about ").replace("shift_", "workpiece along ").replace("_", " ")
+    return f"{re.sub(r'(?<=[a-z])(?=[0-9])', ' ', text)} [{unit}]"
+
+
+def _success(part: Part) -> Figure:
+    rows = tables.results(part).records()
+    theirs = {r["method"]: r["paper_success_percent"] for r in rows if r.get("paper_success_percent") is not None}
+    whole = all(row["scenarios"] == len(part.numbers) for row in rows)
+    return charts.success(
+        {row["method"]: row["tracked"] for row in rows},
+        {row["method"]: row["targets"] for row in rows},
+        drivable={row["method"]: row["drivable"] for row in rows},
+        paper=theirs or None,
+        ceiling=int(part.ceiling.sum()) if part.ceiling is not None and whole else None,
+    )
+
+
+def _maps(part: Part, prefix: str) -> list[Block]:
+    """The scenarios over their grid: a line for one axis, maps for two, slices for three, else maps of means."""
+    counts = {method: _or_nan(plans, tracked(plans.status)) for method, plans in part.plans.items()}
+    open_ = {method: _or_nan(plans, drivable(plans)) for method, plans in part.plans.items()}
+    names = list(part.axes)
+    axes = {name: charts.Axis(label(name), values.tolist()) for name, values in part.axes.items()}
+    says = "Tracked targets of every scenario over the grid, by method"
+
+    def over(*chosen):
+        return {method: part.cells(values, chosen) for method, values in counts.items()}
+
+    def ways(*chosen):
+        return {method: part.cells(values, chosen) for method, values in open_.items()}
+
+    def means(*chosen):
+        note = "Mean over the other axes."
+        given = over(*chosen), *(axes[name] for name in chosen), part.targets
+        figure = charts.success_map(*given, drivable=ways(*chosen), note=note)
+        return Picture(f"{prefix}map-{'-'.join(str(names.index(name) + 1) for name in chosen)}", figure, says)
+
+    if not names:
+        return ["The scenarios do not differ in any parameter."]
+    if len(names) == 1:
+        figure = charts.success_line(over(*names), axes[names[0]], part.targets, drivable=ways(*names))
+    elif len(names) == 2:
+        figure = charts.success_map(over(*names), *axes.values(), part.targets, drivable=ways(*names))
+    elif len(names) == 3 and len(part.axes[names[0]]) <= MOST_SLICES:
+        figure = charts.success_slices(over(*names), *axes.values(), part.targets, drivable=ways(*names))
+    else:
+        return [means(*names[:2]), *([means(*names[-2:])] if len(names) > 3 else [])]
+    return [Picture(f"{prefix}map", figure, says)]
+
+
+def _ends(part: Part, prefix: str) -> list[Block]:
+    statuses = {method: plans.status for method, plans in part.plans.items()}
+    figure = charts.survival(statuses, ceiling=part.ceiling)
+    survival = Picture(f"{prefix}survival", figure, "Number of scenarios that track each target, by method")
+    table = tables.stops(part)
+    if not table.rows:
+        return [survival, "No scenario failed."]
+    found = sorted({reason for status in statuses.values() for reason in tables.reasons(status)})
+    told = (f"{words(reason)}: {reason.message}." for reason in found)
+    meaning = " ".join(text[0].upper() + text[1:] for text in told)
+    return [
+        survival,
+        Picture(f"{prefix}stops", charts.stops(statuses), "Where and why scenarios end"),
+        table,
+        meaning,
+    ]
+
+
+def _clearance(part: Part, prefix: str) -> Picture:
+    figure = charts.clearance_along({method: plans.clearance for method, plans in part.plans.items()})
+    return Picture(f"{prefix}clearance", figure, "Clearance along the path: median, band and smallest, by method")
+
+
+def _motion(part: Part, prefix: str) -> list[Picture]:
+    names, units = zip(*(joint.rsplit("_", 1) for joint in part.joints), strict=True)
+    steps = charts.joint_motion({method: plans.joint_step for method, plans in part.plans.items()})
+    x = {method: plans.x for method, plans in part.plans.items()}
+    joints = charts.joint_motion_by_joint(x, names, unit=" or ".join(sorted(set(units), reverse=True)))
+    return [
+        Picture(f"{prefix}joint-motion", steps, "Length of the joint steps, by method and along the path"),
+        Picture(f"{prefix}joints", joints, "Length of the steps of every joint, by method"),
+    ]
+
+
+def _notes_on_results(part: Part) -> list[str]:
+    table = part.paper_table
+    notes = [
+        "Drivable are the targets that are tracked before the first step of their scenario whose straight joint path "
+        "is known to collide: what lies beyond cannot be driven as it is planned. " + _unchecked(part),
+        "Means and the smallest clearance are over the tracked targets: a method that gets further also meets "
+        "tighter places. Time is run time by attempted targets, over the whole run.",
+    ]
+    if table is not None:
+        notes.append(
+            f"Columns named paper: {table.source}; {paper.MACHINE}. The paper leaves the start posture and the "
+            "workpiece's pose open, and whether its safe distance is a mean or the smallest."
+        )
+    return notes
+
+
+def _unchecked(part: Part) -> str:
+    """How many of the joint paths nobody looked at."""
+    count = sum(int((tracked(plans.status) & (plans.path_clear < 0)).sum()) for plans in part.plans.values())
+    return f"Of {count:,} steps the joint path was not checked; they count as clear." if count else ""
+
+
+def _ceiling(part: Part) -> list[Block]:
+    if part.ceiling is None:
+        return []
+    what = "Reachable are the targets in a row for which sampling found any clear configuration: a lower bound."
+    return [tables.ceiling(part), " ".join([what, *_beaten(part)])]
+
+
+def _beaten(part: Part) -> list[str]:
+    """Scenarios in which a planner got further than sampling."""
+    told = []
+    for method, plans in part.plans.items():
+        further = part.numbers[tracked(plans.status).sum(axis=1) > part.ceiling]
+        if further.size:
+            told.append(
+                f"{method} in {further.size} ({', '.join(map(str, further[:8]))}{', ...' * (further.size > 8)})"
+            )
+    return [f"Got further than sampling: {'; '.join(told)}."] if told else []
+
+
+def _or_nan(plans: Plans, good: np.ndarray) -> np.ndarray:
+    """How many targets are good, a scenario; NaN where it is not planned."""
+    return np.where((plans.status != NO_TARGET).any(axis=1), good.sum(axis=1), np.nan)
+
+
+def _device(part: Part) -> str:
+    devices = dict.fromkeys(str(entry.get("device", "?")) for entry in part.run.manifest.planned_by)
+    return " and ".join(name.removeprefix("cpu: ") for name in devices) or "an unknown device"

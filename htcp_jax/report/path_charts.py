@@ -1,0 +1,220 @@
+"""Charts of what happens along the path: how far scenarios get, what ends them, clearance, motion. See `charts`."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float, Int, Int8
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from htcp_jax.planner.plans import is_tracked
+from htcp_jax.report.chart_style import (
+    INK,
+    PAPER,
+    QUIET,
+    blank_the_rest,
+    decimal,
+    heading,
+    line_of,
+    name_lines,
+    new_figure,
+    outer_labels,
+    plain_axes,
+)
+from htcp_jax.status import Status
+
+REASONS = {
+    Status.QP_INFEASIBLE: ("#e69f00", "s"),
+    Status.ITERATION_LIMIT: ("#0072b2", "o"),
+    Status.ESCAPE_EXHAUSTED: ("#d55e00", "D"),
+    Status.PATH_BLOCKED: ("#aa4499", "^"),
+    Status.QP_FAILED: ("#000000", "X"),
+    Status.START_IN_COLLISION: ("#7f7f7f", "*"),
+    Status.OUT_OF_REACH: ("#009e73", "v"),
+    Status.TIP_BLOCKED: ("#56b4e9", "P"),
+}
+
+
+def survival(
+    status: Mapping[str, Int8[np.ndarray, "S T"]],
+    *,
+    ceiling: Int[np.ndarray, "S"] | None = None,
+    title: str = "How far the scenarios get",
+) -> Figure:
+    """The number of scenarios that track each target, over the target's index; a scenario ends at its first failure.
+
+    ceiling: the longest prefix of targets known to be reachable, of each scenario.
+    """
+    note = "Scenarios that track the target; a scenario ends at its first failure."
+    figure = new_figure(4.6, title, note + (" Dashed: what is known to be reachable." if ceiling is not None else ""))
+    axes = figure.subplots()
+    scenarios, targets = next(iter(status.values())).shape
+    if ceiling is not None:
+        reachable = (ceiling[:, None] > np.arange(targets)[None, :]).sum(axis=0)
+        axes.step(range(targets), reachable, where="mid", color=INK, linewidth=1.1, linestyle=(0, (4, 2)))
+    ends = {}
+    for method, table in status.items():
+        alive = (is_tracked(table) & (table >= 0)).sum(axis=0)
+        colour, style = line_of(method)
+        axes.step(range(targets), alive, where="mid", color=colour, linestyle=style, linewidth=2)
+        ends[method] = float(alive[-1])
+    axes.set(xlim=(0, targets - 1), ylim=(0, 1.03 * scenarios))
+    axes.set_xlabel("target")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.set_ylabel(f"scenarios of {scenarios}")
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+    name_lines(axes, ends, targets - 1, "{:.0f}")
+    plain_axes(axes)
+    return figure
+
+
+def stops(status: Mapping[str, Int8[np.ndarray, "S T"]], *, title: str = "Where and why scenarios end") -> Figure:
+    """A marker for every target at which scenarios of a method fail: its shape and colour tell the reason, its area
+    their number."""
+    figure = new_figure(0.55 * len(status) + 1.9, title, "A marker's area is the number of scenarios that end there.")
+    axes = figure.subplots()
+    targets = next(iter(status.values())).shape[1]
+    found = {reason for table in status.values() for reason in REASONS if (table == reason).any()}
+    shown = [reason for reason in REASONS if reason in found]
+    most = max((int((table == reason).sum(axis=0).max()) for table in status.values() for reason in shown), default=1)
+    area = min(22.0, 420.0 / most)  # of one scenario [points^2]
+    for y, table in enumerate(status.values()):
+        lanes = [reason for reason in shown if (table == reason).any()]
+        for lane, reason in enumerate(lanes):
+            counts = (table == reason).sum(axis=0)
+            at = np.flatnonzero(counts)
+            colour, marker = REASONS[reason]
+            style = {"color": colour, "marker": marker, "alpha": 0.75, "edgecolors": PAPER, "linewidths": 0.6}
+            height = y + 0.6 * ((lane + 0.5) / len(lanes) - 0.5)
+            axes.scatter(at, np.full(len(at), height), s=area * counts[at] + 14, zorder=3, clip_on=False, **style)
+        where = {"xycoords": ("axes fraction", "data"), "va": "center"}
+        axes.annotate(_ended(table), (1.015, y), color=QUIET, fontsize=9, **where)
+    for reason in shown:
+        colour, marker = REASONS[reason]
+        axes.scatter([], [], color=colour, marker=marker, s=46, label=words(reason))
+    if shown:
+        axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=len(shown), frameon=False, labelcolor=INK)
+    axes.set_yticks(range(len(status)), list(status))
+    axes.set(xlim=(-1, targets), ylim=(len(status) - 0.5, -0.5))
+    axes.set_xlabel("target")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    plain_axes(axes, grid="x")
+    return figure
+
+
+def clearance_along(
+    clearance_m: Mapping[str, Float[np.ndarray, "S T"]],
+    *,
+    title: str = "Clearance along the path",
+) -> Figure:
+    """The clearance D of the scenarios that track each target, a panel a method: smallest, median, and the band that
+    holds the middle eight tenths."""
+    across = min(3, len(clearance_m))
+    down = -(-len(clearance_m) // across)
+    note = "Line: median over the scenarios that track the target. Band: 10 to 90 %. Dots: the smallest."
+    figure = new_figure(2.35 * down + 1.1, title, note)
+    panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+    for axes, (method, values) in zip(panels.flat, clearance_m.items(), strict=False):
+        colour = line_of(method)[0]
+        low, middle, high, least = _over_scenarios(1e3 * values)
+        index = np.arange(len(middle))
+        axes.fill_between(index, low, high, color=colour, alpha=0.22, linewidth=0)
+        axes.plot(index, middle, color=colour, linewidth=1.9)
+        axes.plot(index, least, color=INK, linestyle="none", marker=".", markersize=3)
+        axes.set_yscale("log")
+        heading(axes, method, f"mean {1e3 * np.nanmean(values):.3g} mm" if np.isfinite(values).any() else "")
+        plain_axes(axes)
+    decimal(panels[0, 0].yaxis)
+    panels[0, 0].xaxis.set_major_locator(MaxNLocator(integer=True))
+    blank_the_rest(panels, len(clearance_m))
+    outer_labels(panels, len(clearance_m), "target", "clearance [mm]")
+    return figure
+
+
+def joint_motion(
+    joint_step_rad: Mapping[str, Float[np.ndarray, "S T"]],
+    *,
+    title: str = "Joint motion",
+) -> Figure:
+    """How far the joints move from one target to the next, |x_t - x_{t-1}|: for every method the distribution over all
+    accepted steps, and the median over scenarios along the path."""
+    note = "Left: median, middle half, middle nine tenths and longest of all accepted steps. Right: median by target."
+    figure = new_figure(max(3.4, 0.42 * len(joint_step_rad) + 1.6), title, note)
+    spread, along = figure.subplots(1, 2, width_ratios=(1, 1.1))
+    for y, (method, values) in enumerate(joint_step_rad.items()):
+        _distribution(spread, y, values, method)
+        colour, style = line_of(method)
+        along.plot(_over_scenarios(values)[1], color=colour, linestyle=style, linewidth=1.4)
+    spread.set_yticks(range(len(joint_step_rad)), list(joint_step_rad))
+    spread.set(ylim=(len(joint_step_rad) - 0.5, -0.5), xscale="log", xlabel="joint step [rad]")
+    along.set(yscale="log", xlabel="target", ylabel="joint step [rad]")
+    along.set_ylim(bottom=spread.get_xlim()[0])
+    along.xaxis.set_major_locator(MaxNLocator(integer=True))
+    decimal(spread.xaxis)
+    decimal(along.yaxis)
+    plain_axes(spread, grid="x")
+    plain_axes(along)
+    return figure
+
+
+def joint_motion_by_joint(
+    x: Mapping[str, Float[np.ndarray, "S T N"]],
+    joints: Sequence[str],
+    *,
+    unit: str = "rad",
+    title: str = "Motion of each joint",
+) -> Figure:
+    """How far every joint moves from one target to the next, a panel a method; NaN where a target is not tracked."""
+    across = min(3, len(x))
+    down = -(-len(x) // across)
+    note = "Median, middle half, middle nine tenths and longest of all steps from one target to the next."
+    figure = new_figure(down * (0.3 * len(joints) + 0.75) + 1.0, title, note)
+    panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+    for axes, (method, values) in zip(panels.flat, x.items(), strict=False):
+        for y, steps in enumerate(np.abs(np.diff(values, axis=1)).transpose(2, 0, 1)):
+            _distribution(axes, y, steps, method)
+        axes.set_yticks(range(len(joints)), list(joints))
+        axes.set(ylim=(len(joints) - 0.5, -0.5), xscale="log")
+        heading(axes, method, "")
+        plain_axes(axes, grid="x")
+    low = min((axes.get_xlim()[0] for axes in panels.flat[: len(x)]), default=1e-4)
+    panels[0, 0].set_xlim(left=max(low, 1e-5))
+    decimal(panels[0, 0].xaxis)
+    blank_the_rest(panels, len(x))
+    outer_labels(panels, len(x), f"joint step [{unit}]", "joint")
+    return figure
+
+
+def _distribution(axes: Axes, y: int, values: Float[np.ndarray, "S T"], method: str) -> None:
+    """Median, middle half, middle nine tenths and largest of the values that are known and not zero, on one line."""
+    known = values[np.isfinite(values) & (values > 0)]
+    if not known.size:
+        return
+    colour, style = line_of(method)
+    low, first, middle, third, high = np.quantile(known, (0.05, 0.25, 0.5, 0.75, 0.95))
+    axes.plot([low, high], [y, y], color=colour, linewidth=1.5, linestyle=style)
+    axes.plot([first, third], [y, y], color=colour, linewidth=8, solid_capstyle="butt", alpha=0.75)
+    axes.plot(middle, y, marker="o", color=PAPER, markeredgecolor=INK, markersize=6)
+    axes.plot(known.max(), y, marker="|", color=INK, markersize=11, markeredgewidth=1.6)
+
+
+def _over_scenarios(values: Float[np.ndarray, "S T"]) -> Float[np.ndarray, "4 T"]:
+    """Tenth percentile, median, ninetieth and smallest of every column's finite values; NaN where there is none."""
+    summary = np.full((4, values.shape[1]), np.nan)
+    for column in range(values.shape[1]):
+        known = values[np.isfinite(values[:, column]), column]
+        if known.size:
+            summary[:, column] = *np.quantile(known, (0.1, 0.5, 0.9)), known.min()
+    return summary
+
+
+def words(status: Status) -> str:
+    """The name of a status as text."""
+    return status.name.replace("_", " ").lower().replace("qp", "QP")
+
+
+def _ended(table: Int8[np.ndarray, "S T"]) -> str:
+    complete = (is_tracked(table) | (table < 0)).all(axis=1) & (table >= 0).any(axis=1)
+    planned = (table >= 0).any(axis=1)
+    return f"{int(complete.sum())} of {int(planned.sum())} complete"

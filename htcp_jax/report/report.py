@@ -1,0 +1,193 @@
+"""The report of one run or several: chapters, what is common to them, and the files they go to.
+
+Every part of a run (see `run_parts`) is a chapter with the same sections. Pictures are named after what they show, and
+after the part where there are several; a CSV file holds one table of all parts.
+"""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import pyarrow as pa
+from matplotlib.figure import Figure
+
+from htcp_jax.errors import InputError
+from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.planner.escape import METHODS
+from htcp_jax.report import tables
+from htcp_jax.report.best import best
+from htcp_jax.report.chapter import chapter, choice, fits_presets, presets
+from htcp_jax.report.document import Block, Column, Heading, Picture, Table, html, markdown, png, write_csv
+from htcp_jax.report.groups import Part, read_parts
+from htcp_jax.report.validation import validated
+from htcp_jax.runs.run_folder import Run, open_run
+from htcp_jax.runs.tables import frame_of
+
+if TYPE_CHECKING:
+    import pandas
+
+TABLES = (
+    tables.results,
+    best,
+    tables.ceiling,
+    tables.stops,
+    tables.steps,
+    tables.times,
+    tables.scenarios,
+)
+
+
+class Report(NamedTuple):
+    """A report ready to be written."""
+
+    parts: tuple[Part, ...]
+    blocks: tuple[Block, ...]
+    tables: tuple[Table, ...]  # for CSV; the first column names the part
+
+    @property
+    def figures(self) -> dict[str, Figure]:
+        """The charts, by the names that their files have."""
+        return {block.name: block.figure for block in self.blocks if isinstance(block, Picture)}
+
+    def frame(self, table: str = "results") -> "pandas.DataFrame":
+        """One of the tables as a pandas frame, with the names of its columns in CSV. Raises InputError."""
+        names = [each.name for each in self.tables]
+        if table not in names:
+            raise InputError(f"the report has no table {table!r}; valid: {', '.join(names)}")
+        return frame_of(pa.Table.from_pylist(self.tables[names.index(table)].records()))
+
+    def __repr__(self) -> str:
+        parts, tables = (", ".join(each.name for each in group) for group in (self.parts, self.tables))
+        return f"Report({parts}; tables: {tables}; figures: {', '.join(self.figures)})"
+
+
+def make_report(runs: Run | str | Path | Sequence[Run | str | Path]) -> Report:
+    """The report of runs, or of the runs in these folders.
+
+    Raises InputError for a folder that holds no run, and naming a file that is missing or damaged.
+    """
+    listed = [runs] if isinstance(runs, Run | str | Path) else list(runs)
+    opened = [run if isinstance(run, Run) else open_run(run) for run in listed]
+    names = _numbered([_name(given) for given in listed])
+    parts = [part for run, name in zip(opened, names, strict=True) for part in read_parts(run, name)]
+    blocks: list[Block] = [Heading(1, f"Sweep report: {', '.join(names)}")]
+    if len(parts) > 1:
+        blocks += ["Success in percent of all targets, by method and run.", overview(parts)]
+        for part in parts:
+            blocks += [Heading(2, part.name), *chapter(part, f"{slug(part.name)}-", 3)]
+    else:
+        blocks += chapter(parts[0], "", 2)
+    blocks += _appendix(parts)
+    return Report(tuple(parts), tuple(blocks), tuple(_merged(parts)))
+
+
+def write_report(report: Report, folder: Path) -> None:
+    """report.md with its pictures, report.html with everything in one file, and a CSV file a table."""
+    pictures = {block.name: png(block.figure) for block in report.blocks if isinstance(block, Picture)}
+    for name, data in pictures.items():
+        (folder / f"{name}.png").write_bytes(data)
+    (folder / "report.md").write_text(markdown(report.blocks), encoding="utf-8")
+    (folder / "report.html").write_text(html(report.blocks, pictures), encoding="utf-8")
+    for table in report.tables:
+        write_csv(folder / f"{table.name}.csv", table)
+
+
+def record(report: Report) -> dict:
+    """The report as JSON has it: what was run and all tables but the long one of scenarios."""
+    return {
+        "runs": [
+            {
+                "run": part.name,
+                "configuration": choice(part),
+                "validated": validated(part.run),
+                **{
+                    table.name.replace("-", "_"): table.records()
+                    for table in (make(part) for make in TABLES)
+                    if table.name != "scenarios"
+                },
+            }
+            for part in report.parts
+        ]
+    }
+
+
+def overview(parts: Sequence[Part]) -> Table:
+    """Success of every method in every part."""
+    found = {part.name: {row["method"]: row for row in tables.results(part).records()} for part in parts}
+    methods = dict.fromkeys(method for rows in found.values() for method in rows)
+    columns = [Column("method", "method"), *(Column(name, name, "%", ".2f") for name in found)]
+    rows = [(m, *(rows[m]["success_percent"] if m in rows else None for rows in found.values())) for m in methods]
+    return Table("overview", tuple(columns), tuple(rows))
+
+
+def slug(name: str) -> str:
+    """A name as part of a file's name."""
+    return re.sub(r"[^A-Za-z0-9.]+", "-", name).strip("-.") or "run"
+
+
+def _appendix(parts: Sequence[Part]) -> list[Block]:
+    ran = {part.run_name: part.run.config for part in parts}
+    methods = dict.fromkeys(method for part in parts for method in part.plans)
+    known = [method for method in methods if method in METHODS]
+    about = Table(
+        "methods",
+        (Column("method", "method"), Column("title", "name"), Column("what", "what it does when stuck")),
+        tuple((method, METHODS[method].title, METHODS[method].sentence) for method in known),
+    )
+    beside = presets() if any(fits_presets(part) for part in parts) else {}
+    return [
+        Heading(2, "What was run"),
+        *_compared(ran, beside),
+        about,
+        *(f"{name}: {_provenance(run)}" for name, run in {part.run_name: part.run for part in parts}.items()),
+    ]
+
+
+def _compared(ran: dict[str, PlanConfig], beside: dict[str, PlanConfig]) -> list[Block]:
+    """The runs' configurations beside each other, and beside the ones that ship where these have the same scene."""
+    if not beside and len(ran) < 2:
+        return []
+    others = " and the two configurations that ship" if beside else ""
+    return [
+        f"Keys of the configuration in which the runs{others} are not all the same.",
+        tables.configuration(ran, beside),
+    ]
+
+
+def _merged(parts: Sequence[Part]) -> list[Table]:
+    """The tables of all parts under each other, with the part in the first column."""
+    merged = []
+    for make in TABLES:
+        tables = [make(part) for part in parts]
+        keys = dict.fromkeys(column for table in tables for column in table.columns)
+        columns = tuple({column.key: column for column in keys}.values())
+        rows = [
+            (part.name, *(row.get(column.key) for column in columns))
+            for part, table in zip(parts, tables, strict=True)
+            for row in table.records()
+        ]
+        if rows:
+            merged.append(Table(tables[0].name, (Column("run", "run"), *columns), tuple(rows)))
+    return merged
+
+
+def _provenance(run: Run) -> str:
+    manifest = run.manifest
+    told = [f"configuration {manifest.config_hash[:12]}", manifest.dtype]
+    for entry in manifest.planned_by:
+        versions = ", ".join(f"{name} {version}" for name, version in (entry.get("versions") or {}).items() if version)
+        told.append(
+            f"planned on {entry.get('device', '?')} from commit {str(entry.get('commit'))[:12]} with {versions}"
+        )
+    return "; ".join(told) + "."
+
+
+def _name(run: Run | str | Path) -> str:
+    """A run is called as its sweep, a folder by its own name."""
+    return run.manifest.name if isinstance(run, Run) else Path(run).resolve().name
+
+
+def _numbered(own: Sequence[str]) -> list[str]:
+    """The names, numbered where two are the same."""
+    return [name if own.count(name) == 1 else f"{name} ({own[: k + 1].count(name)})" for k, name in enumerate(own)]

@@ -1,0 +1,239 @@
+"""Charts of how much each method tracks: in all, and scenario by scenario over the grid. See `charts`."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap, PowerNorm
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from htcp_jax.report.chart_style import (
+    INK,
+    PAPER,
+    QUIET,
+    WIDTH,
+    blank_the_rest,
+    heading,
+    line_of,
+    name_lines,
+    new_figure,
+    outer_labels,
+    plain_axes,
+)
+
+TRACKED = LinearSegmentedColormap.from_list("tracked", ["#fbf3e4", "#d8dfd6", "#8fb8cf", "#3f82b5", "#0d3f6e"])
+CONTRAST = 2.5  # exponent of the colour scale: most scenarios get far, so the upper end needs the most colours
+MOST_NUMBERS, MOST_NAMES = 15, 12  # along a side of a map
+
+
+class Axis(NamedTuple):
+    """One axis of a grid of scenarios."""
+
+    label: str  # with its unit
+    values: Sequence[float] | Sequence[str]
+
+    @property
+    def names(self) -> list[str]:
+        """The values as texts."""
+        return [value if isinstance(value, str) else f"{value:.6g}" for value in self.values]
+
+
+def success(
+    tracked: Mapping[str, int],
+    of: Mapping[str, int],
+    *,
+    drivable: Mapping[str, int] | None = None,
+    paper: Mapping[str, float] | None = None,
+    ceiling: int | None = None,
+    title: str = "Success by method",
+) -> Figure:
+    """Tracked targets in percent, a bar a method with its counts, `tracked` of `of`; beside it the paper's percentage
+    where `paper` has one, and the ceiling, a count of targets known to be reachable, as a line. drivable: how many of
+    them come before the first blocked joint step; where these are fewer, the rest of the bar is pale."""
+    drivable = tracked if drivable is None else drivable
+    cut = any(drivable[method] < tracked[method] for method in tracked)
+    figure = new_figure(0.42 * len(tracked) + 1.5, title, _success_note(paper, ceiling, cut))
+    axes = figure.subplots()
+    for y, method in enumerate(tracked):
+        percent = 100 * tracked[method] / of[method]
+        open_ = 100 * drivable[method] / of[method]
+        axes.barh(y, percent, height=0.62, color=line_of(method)[0], alpha=0.3)
+        axes.barh(y, open_, height=0.62, color=line_of(method)[0])
+        text = f"{percent:.2f} %  ({tracked[method]:,} of {of[method]:,})"
+        text += f", drivable {open_:.2f} %" if cut else ""
+        axes.annotate(text, (101.5, y), va="center", color=INK, fontsize=9.5, annotation_clip=False)
+        if paper and method in paper:
+            axes.plot(paper[method], y, marker="D", color=PAPER, markeredgecolor=INK, markersize=7, clip_on=False)
+    if ceiling is not None:
+        axes.axvline(100 * ceiling / max(of.values()), color=INK, linewidth=1.2, linestyle=(0, (4, 2)))
+    axes.set_yticks(range(len(tracked)), list(tracked))
+    axes.set(xlim=(0, 100), ylim=(len(tracked) - 0.5, -0.5))
+    axes.set_xlabel("tracked targets [%]")
+    plain_axes(axes, grid="x")
+    return figure
+
+
+def success_map(
+    tracked: Mapping[str, Float[np.ndarray, "R C"]],
+    rows: Axis,
+    columns: Axis,
+    targets: int,
+    *,
+    drivable: Mapping[str, Float[np.ndarray, "R C"]] | None = None,
+    title: str = "Success by scenario",
+    note: str = "",
+) -> Figure:
+    """A small map a method: the tracked targets of `targets`, rows down and columns across; NaN where not planned.
+    drivable: those before the first blocked joint step; where these are fewer, they have the colour and the number, and
+    all that are tracked stand in brackets."""
+    shown = tracked if drivable is None else drivable
+    across = min(3, len(tracked))
+    down = -(-len(tracked) // across)
+    side = min(WIDTH / across - 0.5, 0.42 * len(columns.values) + 0.7) * len(rows.values) / len(columns.values)
+    figure = new_figure(down * (side + 0.4) + 1.3, title, f"{_counted(tracked, shown, targets)} {note}".strip())
+    panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+    for axes, method in zip(panels.flat, tracked, strict=False):
+        image = _map(axes, shown[method], tracked[method], rows, columns, targets)
+        share = _shares(shown[method], tracked[method], targets)
+        heading(axes, method if len(share) < 10 else f"{method}\n", share)  # two shares take a line of their own
+    blank_the_rest(panels, len(tracked))
+    outer_labels(panels, len(tracked), columns.label, rows.label)
+    _scale(figure, image, panels, targets)
+    return figure
+
+
+def success_slices(
+    tracked: Mapping[str, Float[np.ndarray, "L R C"]],
+    slices: Axis,
+    rows: Axis,
+    columns: Axis,
+    targets: int,
+    *,
+    drivable: Mapping[str, Float[np.ndarray, "L R C"]] | None = None,
+    title: str = "Success by scenario",
+    note: str = "",
+) -> Figure:
+    """A row of small maps a method, one for every value of the axis `slices`; otherwise as `success_map`."""
+    shown = tracked if drivable is None else drivable
+    across, down = len(slices.values), len(tracked)
+    side = (WIDTH - 1.8) / across * len(rows.values) / len(columns.values)
+    figure = new_figure(down * (side + 0.1) + 1.4, title, f"{_counted(tracked, shown, targets)} {note}".strip())
+    panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+    for axes, name in zip(panels[0], slices.names, strict=True):
+        stem, _, unit = slices.label.partition(" [")
+        axes.set_title(f"{stem} = {name} {unit.rstrip(']')}".strip(), color=QUIET, fontsize=10)
+    for line, (method, cube) in zip(panels, tracked.items(), strict=True):
+        for axes, layer, whole in zip(line, shown[method], cube, strict=True):
+            image = _map(axes, layer, whole, rows, columns, targets)
+        share = _shares(shown[method], cube, targets)
+        line[0].set_ylabel(f"{method}\n{share}", color=INK, fontweight="bold", fontsize=10)
+    figure.supxlabel(f"across: {columns.label};  down: {rows.label}", color=QUIET, fontsize=10)
+    _scale(figure, image, panels, targets)
+    return figure
+
+
+def success_line(
+    tracked: Mapping[str, Float[np.ndarray, "C"]],
+    axis: Axis,
+    targets: int,
+    *,
+    drivable: Mapping[str, Float[np.ndarray, "C"]] | None = None,
+    title: str = "Success by scenario",
+    note: str = "",
+) -> Figure:
+    """Tracked targets over the only axis of a grid, or over a list of scenarios, a line a method. drivable: those
+    before the first blocked joint step; where these are fewer, they are the line, and all tracked ones are faint."""
+    shown = tracked if drivable is None else drivable
+    lines = "" if not _cut(tracked, shown) else "Line: drivable, before the first blocked joint step; faint: tracked."
+    figure = new_figure(4.2, title, " ".join(filter(None, (f"Tracked targets of {targets}.", lines, note))))
+    axes = figure.subplots()
+    words = isinstance(axis.values[0], str)
+    at = range(len(axis.values)) if words else axis.values
+    if words:
+        axes.set_xticks(at, axis.names)
+    for method, values in shown.items():
+        colour, style = line_of(method)
+        if not np.array_equal(values, tracked[method], equal_nan=True):
+            axes.plot(at, tracked[method], color=colour, linestyle=":", linewidth=1.2, alpha=0.6)
+        axes.plot(at, values, color=colour, linestyle=style, marker="o", markersize=4, linewidth=1.8)
+    axes.set_xlabel(axis.label)
+    axes.set_ylim(0, 1.03 * targets)
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+    known = {method: values[np.isfinite(values)] for method, values in shown.items()}
+    name_lines(axes, {method: values[-1] for method, values in known.items() if values.size}, at[-1], "{:.0f}")
+    plain_axes(axes)
+    return figure
+
+
+def _map(
+    axes: Axes,
+    values: Float[np.ndarray, "R C"],
+    whole: Float[np.ndarray, "R C"],
+    rows: Axis,
+    columns: Axis,
+    targets: int,
+):
+    """One map; the number stands in every cell, where there is room, and that of the whole in brackets where it is
+    another."""
+    image = axes.imshow(values, cmap=TRACKED, norm=PowerNorm(CONTRAST, 0, targets), aspect="equal")
+    for (row, column), value in np.ndenumerate(values):
+        if np.isfinite(value) and max(values.shape) <= MOST_NUMBERS:
+            style = {"color": PAPER if value > 0.82 * targets else INK, "ha": "center", "va": "center", "fontsize": 8}
+            more = whole[row, column]
+            text = _brief(value) if more == value else f"{_brief(value)}\n({_brief(more)})"
+            style["fontsize"] = 8 if more == value else 7
+            axes.annotate(text, (column, row), fontweight="bold" if value == targets else "normal", **style)
+    for axis, given in ((axes.xaxis, columns), (axes.yaxis, rows)):
+        every = -(-len(given.values) // MOST_NAMES)
+        axis.set_ticks(range(0, len(given.values), every), given.names[::every])
+    axes.tick_params(colors=QUIET, labelsize=8.5, length=0)
+    axes.set_xticks(np.arange(len(columns.values) - 1) + 0.5, minor=True)
+    axes.set_yticks(np.arange(len(rows.values) - 1) + 0.5, minor=True)
+    axes.grid(which="minor", color=PAPER, linewidth=1.5)
+    axes.tick_params(which="minor", length=0)
+    axes.spines[:].set_visible(False)
+    return image
+
+
+def _scale(figure: Figure, image, panels, targets: int) -> None:
+    bar = figure.colorbar(image, ax=panels, fraction=0.02, pad=0.015, aspect=30)
+    bar.outline.set_visible(False)
+    bar.set_ticks([0, *(round(part * targets) for part in (0.5, 0.75, 0.9)), targets])
+    bar.ax.tick_params(colors=QUIET, labelsize=9, length=0)
+
+
+def _brief(value: float) -> str:
+    return f"{value:.0f}" if value == round(value) else f"{value:.1f}"
+
+
+def _cut(tracked: Mapping[str, np.ndarray], shown: Mapping[str, np.ndarray]) -> bool:
+    """Whether a blocked joint step cuts any scenario short."""
+    return any(not np.array_equal(tracked[method], shown[method], equal_nan=True) for method in tracked)
+
+
+def _counted(tracked: Mapping[str, np.ndarray], shown: Mapping[str, np.ndarray], targets: int) -> str:
+    if not _cut(tracked, shown):
+        return f"Tracked targets of {targets}."
+    return f"Targets of {targets} before the first blocked joint step; in brackets all that are tracked."
+
+
+def _shares(shown: np.ndarray, tracked: np.ndarray, targets: int) -> str:
+    if np.array_equal(shown, tracked, equal_nan=True):
+        return _share(tracked, targets)
+    return f"{_share(shown, targets)} ({_share(tracked, targets)})"
+
+
+def _share(values: Float[np.ndarray, "*n"], targets: int) -> str:
+    """The mean in percent, over what is planned."""
+    known = values[np.isfinite(values)]
+    return f"{100 * known.mean() / targets:.2f} %" if known.size else "not planned"
+
+
+def _success_note(paper: Mapping[str, float] | None, ceiling: int | None, cut: bool) -> str:
+    parts = ["Pale: behind a blocked joint step."] if cut else []
+    parts += ["Diamond: the paper's figure."] if paper else []
+    parts += ["Dashed: what is known to be reachable."] if ceiling is not None else []
+    return " ".join(parts)

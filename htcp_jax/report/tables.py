@@ -1,0 +1,293 @@
+"""The numbers of a part of a run, or of several parts, as tables."""
+
+import dataclasses
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Int, Int8
+
+from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.report.document import Column, Table
+from htcp_jax.report.groups import Part, drivable, tracked
+from htcp_jax.report.path_charts import words
+from htcp_jax.runs.tables import NO_TARGET
+from htcp_jax.status import Status
+
+RESULTS = (
+    Column("method", "method"),
+    Column("success_percent", "success", "%", ".2f"),
+    Column("paper_success_percent", "paper", "%", ".2f", quiet=True),
+    Column("tracked", "tracked", "targets", ",d"),
+    Column("targets", "of", "", ",d"),
+    Column("drivable", "drivable", "targets", ",d"),
+    Column("drivable_percent", "drivable", "%", ".2f"),
+    Column("complete", "complete", "scenarios", ",d"),
+    Column("scenarios", "of", "", ",d"),
+    Column("step_ms", "time/step", "ms", ".2f"),
+    Column("paper_step_ms", "paper", "ms", ".0f", quiet=True),
+    Column("tcp_distance_mean_mm", "TCP distance", "mm", ".4f"),
+    Column("paper_tcp_distance_mm", "paper", "mm", ".4f", quiet=True),
+    Column("clearance_min_mm", "clearance min", "mm", ".2g"),
+    Column("clearance_mean_mm", "mean", "mm", ".2f"),
+    Column("paper_safe_distance_mm", "paper", "mm", ".4f", quiet=True),
+)
+CEILING = (
+    Column("method", "method"),
+    Column("tracked", "tracked", "targets", ",d"),
+    Column("reachable", "reachable", "targets", ",d"),
+    Column("of_reachable_percent", "of reachable", "%", ".2f"),
+    Column("short", "fall short", "scenarios", ",d"),
+    Column("beyond", "get further", "scenarios", ",d"),
+)
+STEPS = (
+    Column("method", "method"),
+    Column("accepted", "accepted", "steps", ",d"),
+    Column("blocked", "blocked", "steps", ",d"),
+    Column("blocked_percent", "blocked", "%", ".2f"),
+    Column("not_checked", "not checked", "steps", ",d"),
+    Column("scenarios_blocked", "with a blocked step", "scenarios", ",d"),
+    Column("tracked_before", "tracked before it", "targets", ",d"),
+    Column("tracked_before_percent", "of all", "%", ".2f"),
+    Column("after_escape", "after escape", "targets", ",d"),
+    Column("step_median_rad", "median step", "rad", ".4f"),
+    Column("step_max_rad", "longest", "rad", ".3f"),
+)
+STOPS = (
+    Column("method", "method"),
+    Column("reason", "reason"),
+    Column("scenarios", "scenarios", "", ",d"),
+    Column("first_target", "first", "target", "d"),
+    Column("median_target", "median", "target", ".0f"),
+    Column("last_target", "last", "target", "d"),
+    Column("in_the_way", "in the way (how often)"),
+    Column("targets", "at targets (how many)"),
+)
+TIMES = (
+    Column("method", "method"),
+    Column("run_s", "planning", "s", ".2f"),
+    Column("compile_s", "compiling", "s", ".2f"),
+)
+
+
+def results(part: Part) -> Table:
+    """The paper's table with the counts behind each percentage; beside ours the paper's figures, where its grid is the
+    same."""
+    table = _table("results", RESULTS, [_result(part, method) for method in part.plans])
+    return _without_empty(table)
+
+
+def _result(part: Part, method: str) -> dict:
+    plans, paper = part.plans[method], part.paper_table
+    there, good = plans.status != NO_TARGET, tracked(plans.status)
+    row = {
+        "method": method,
+        "success_percent": percent(good.sum(), there.sum()),
+        "tracked": int(good.sum()),
+        "targets": int(there.sum()),
+        "drivable": int(drivable(plans).sum()),
+        "drivable_percent": percent(drivable(plans).sum(), there.sum()),
+        "complete": int(complete(plans.status).sum()),
+        "scenarios": int(there.any(axis=1).sum()),
+        "step_ms": 1e3 * part.step_s[method],
+        "tcp_distance_mean_mm": _over(np.mean, 1e3 * plans.residual[good]),
+        "clearance_min_mm": _over(np.min, 1e3 * plans.clearance[good]),
+        "clearance_mean_mm": _over(np.mean, 1e3 * plans.clearance[good]),
+    }
+    if paper is not None and method in paper.rows:
+        theirs = paper.rows[method]
+        row |= {
+            "paper_success_percent": theirs.success_percent,
+            "paper_step_ms": 1e3 * theirs.step_s,
+            "paper_tcp_distance_mm": theirs.tcp_distance_mm,
+            "paper_safe_distance_mm": theirs.safe_distance_mm,
+        }
+    return row
+
+
+def ceiling(part: Part) -> Table:
+    """Tracked targets against those that are known to be reachable; without rows where nothing is known."""
+    rows = []
+    for method, plans in part.plans.items() if part.ceiling is not None else ():
+        planned = (plans.status != NO_TARGET).any(axis=1)
+        count, reachable = tracked(plans.status).sum(axis=1)[planned], part.ceiling[planned]
+        rows.append(
+            {
+                "method": method,
+                "tracked": int(count.sum()),
+                "reachable": int(reachable.sum()),
+                "of_reachable_percent": percent(count.sum(), reachable.sum()),
+                "short": int((count < reachable).sum()),
+                "beyond": int((count > reachable).sum()),
+            }
+        )
+    return _table("ceiling", CEILING, rows)
+
+
+def steps(part: Part) -> Table:
+    """Of every accepted step whether its straight joint path is clear, and how long the steps are."""
+    return _table("joint-steps", STEPS, [_step(part, method) for method in part.plans])
+
+
+def _step(part: Part, method: str) -> dict:
+    plans = part.plans[method]
+    there, good = plans.status != NO_TARGET, tracked(plans.status)
+    blocked, before = good & (plans.path_clear == 0), drivable(plans)
+    return {
+        "method": method,
+        "accepted": int(good.sum()),
+        "blocked": int(blocked.sum()),
+        "blocked_percent": percent(blocked.sum(), good.sum()),
+        "not_checked": int((good & (plans.path_clear < 0)).sum()),
+        "scenarios_blocked": int(blocked.any(axis=1).sum()),
+        "tracked_before": int(before.sum()),
+        "tracked_before_percent": percent(before.sum(), there.sum()),
+        "after_escape": int((plans.status == Status.TRACKED_AFTER_ESCAPE).sum()),
+        "step_median_rad": _over(np.median, plans.joint_step[good]),
+        "step_max_rad": _over(np.max, plans.joint_step[good]),
+    }
+
+
+def stops(part: Part) -> Table:
+    """What ended the scenarios that are not complete, at which targets, and which bodies are in the way there."""
+    rows = []
+    for method, plans in part.plans.items():
+        for reason in reasons(plans.status):
+            lost, at = np.nonzero(plans.status == reason)
+            rows.append(
+                {
+                    "method": method,
+                    "reason": words(reason),
+                    "scenarios": at.size,
+                    "first_target": int(at.min()),
+                    "median_target": float(np.median(at)),
+                    "last_target": int(at.max()),
+                    "in_the_way": _bodies(part, method, reason, part.numbers[lost].tolist()),
+                    "targets": _tally(at),
+                }
+            )
+    return _without_empty(_table("stops", STOPS, rows))
+
+
+def _bodies(part: Part, method: str, reason: Status, numbers: Sequence[int]) -> str | None:
+    """The bodies in the way in these scenarios, the commonest first; None where that is not known."""
+    if reason == Status.TIP_BLOCKED:
+        return f"bare tip ({len(numbers)})"
+    found = [known for k in numbers if (known := part.scene.in_the_way(method).get(k)) is not None]
+    counts = Counter(each.body if each.reached else "out of reach" for each in found)
+    return ", ".join(f"{body} ({count})" for body, count in counts.most_common()) or None
+
+
+def scenarios(part: Part) -> Table:
+    """One row a scenario and method: its parameters, how far it got, what ended it, how far it could have got."""
+    columns = [Column("scenario", "scenario", "", "d"), *(Column(name, name) for name in part.parameters)]
+    columns += [Column("method", "method"), Column("tracked", "tracked", "", "d"), Column("targets", "of", "", "d")]
+    columns += [Column("drivable", "drivable", "", "d")]
+    columns += [Column("end", "end"), Column("in_the_way", "in the way"), Column("reachable", "reachable", "", "d")]
+    rows, reach = [], {method: drivable(plans).sum(axis=1) for method, plans in part.plans.items()}
+    for s, number in enumerate(part.numbers.tolist()):
+        given = {name: values[s].item() for name, values in part.parameters.items()}
+        for method, plans in part.plans.items():
+            status = plans.status[s]
+            if (status != NO_TARGET).any():
+                count = {"tracked": int(tracked(status).sum()), "targets": int((status != NO_TARGET).sum())}
+                count["drivable"] = int(reach[method][s])
+                blocked = part.scene.in_the_way(method).get(number)
+                reachable = None if part.ceiling is None else int(part.ceiling[s])
+                row = {"scenario": number, **given, "method": method, **count}
+                told = {"end": end(status), "in_the_way": blocked and blocked.sentence, "reachable": reachable}
+                rows.append({**row, **told})
+    return _table("scenarios", columns, rows)
+
+
+def times(part: Part) -> Table:
+    """Wall time of the whole run, compilation apart."""
+    seconds = {method: (plans.run_s, plans.compile_s) for method, plans in part.plans.items()}
+    return _table("times", TIMES, [{"method": m, "run_s": r, "compile_s": c} for m, (r, c) in seconds.items()])
+
+
+def configuration(ran: Mapping[str, PlanConfig], presets: Mapping[str, PlanConfig]) -> Table:
+    """Every key of the configuration in which the runs and the presets are not all the same."""
+    flat = {name: _flat(config.model_dump()) for name, config in {**ran, **presets}.items()}
+    keys = dict.fromkeys(key for config in flat.values() for key in config)
+    differ = [key for key in keys if len({repr(config.get(key)) for config in flat.values()}) > 1]
+    columns = [Column("key", "key"), *(Column(name, name, quiet=name in presets) for name in flat)]
+    rows = [{"key": key, **{name: _brief(config.get(key)) for name, config in flat.items()}} for key in differ]
+    return _table("configuration", columns, rows)
+
+
+def complete(status: Int8[np.ndarray, "S T"]) -> Bool[np.ndarray, "S"]:
+    """Scenarios that are planned with all targets tracked."""
+    there = status != NO_TARGET
+    return (tracked(status) | ~there).all(axis=1) & there.any(axis=1)
+
+
+def reasons(status: Int8[np.ndarray, "S T"]) -> list[Status]:
+    """What ended scenarios, in the order of the codes."""
+    found = {Status(code) for code in np.unique(status[status != NO_TARGET]).tolist()}
+    return sorted(reason for reason in found if not reason.tracked and reason != Status.NOT_ATTEMPTED)
+
+
+def end(status: Int8[np.ndarray, "T"]) -> str:
+    """What ended a scenario, in words."""
+    missed = ~tracked(status) & (status != NO_TARGET)
+    return words(Status(int(status[missed.argmax()]))) if missed.any() else "complete"
+
+
+def _tally(values: Int[np.ndarray, "n"]) -> str:
+    """The values with how often each occurs: '70, 71 (4), 72'."""
+    found, counts = np.unique(values, return_counts=True)
+    return ", ".join(f"{v} ({n})" if n > 1 else f"{v}" for v, n in zip(found, counts, strict=True))
+
+
+def percent(k: int | np.integer, n: int | np.integer) -> float:
+    """k of n in percent; NaN of none."""
+    return float(100 * k / n) if n else math.nan
+
+
+def _over(reduce, values: np.ndarray) -> float:
+    return float(reduce(values)) if values.size else math.nan
+
+
+def _flat(raw: dict, prefix: str = "") -> dict:
+    """Nested mappings with dotted keys; settings may be a dataclass. The method is no part of it: a run has many."""
+    flat = {}
+    for key, value in raw.items():
+        value = dataclasses.asdict(value) if dataclasses.is_dataclass(value) else value
+        if isinstance(value, dict):
+            flat |= _flat(value, f"{prefix}{key}.")
+        elif prefix + key != "method":
+            flat[prefix + key] = value
+    return flat
+
+
+def _brief(value: Any) -> str:
+    """A value in a cell; of a file its name alone."""
+    if isinstance(value, str):
+        return Path(value).name
+    if isinstance(value, list | tuple):
+        return ", ".join(map(_brief, value))
+    if isinstance(value, dict):  # a body of a tool
+        return " ".join(map(_brief, value.values()))
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _table(name: str, columns: Sequence[Column], rows: Sequence[dict]) -> Table:
+    return Table(name, tuple(columns), tuple(tuple(row.get(column.key) for column in columns) for row in rows))
+
+
+def _without_empty(table: Table) -> Table:
+    """The table without the columns that no row knows anything of."""
+    keep = [k for k in range(len(table.columns)) if any(row[k] is not None for row in table.rows)]
+    rows = tuple(tuple(row[k] for k in keep) for row in table.rows)
+    return table._replace(columns=tuple(table.columns[k] for k in keep), rows=rows)
+
+
+def differences(config: PlanConfig, other: PlanConfig) -> dict[str, str]:
+    """Keys in which `config` is not as `other`, with its values in brief."""
+    theirs = _flat(other.model_dump())
+    ours = _flat(config.model_dump())
+    return {key: _brief(value) for key, value in ours.items() if key not in theirs or repr(value) != repr(theirs[key])}

@@ -1,0 +1,126 @@
+"""What `htcp validate` found, as the report and the terminal tell it."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from htcp_jax.errors import InputError
+from htcp_jax.report.document import Block, Column, Heading, Table
+from htcp_jax.runs.labels import labels_in
+from htcp_jax.runs.run_folder import Run
+from htcp_jax.validation.records import result_files
+from htcp_jax.validation.track import STEP_RAD
+from htcp_jax.validation.validate import VALIDATION
+
+AT_TARGETS = (
+    Column("method", "method"),
+    Column("checked", "targets", "checked", ",d"),
+    Column("refuted", "refuted", "", ",d"),
+    Column("tcp_error_max_mm", "TCP error", "max mm", ".3f"),
+    Column("clearance_min_mm", "clearance", "min mm", ".3g"),
+    Column("clearance_min_at", "scenario:", "target"),
+    Column("clearance_off_max_mm", "off record", "max mm", ".1e"),
+)
+ON_THE_WAY = (
+    Column("method", "method"),
+    Column("paths", "paths", "joint", ",d"),
+    Column("paths_touching", "touch", "", ",d"),
+    Column("paths_blocked_on_record", "on record", "blocked", ",d"),
+    Column("clearance_between_min_mm", "clearance", "min mm", ".3g"),
+    Column("clearance_between_min_at", "scenario:", "target"),
+    Column("line_deviation_max_mm", "off the line", "max mm", ".2f"),
+    Column("speed_ratio_max", "joint speed", "of limit", ".3f"),
+    Column("speed_joint", "of"),
+    Column("in_place_max_rad", "in place", "max rad", ".2f"),
+)
+BETWEEN = ("clearance_between_min_at",)
+
+
+def read_validation(run: Run) -> dict[str, Any] | None:
+    """The validation in the run's folder; None where there is none, or none of these very results. Raises InputError
+    for a damaged file."""
+    file = Path(run.folder) / VALIDATION
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+        if found["files"] != result_files(run):
+            return None
+        sentence(found), validation_tables(found), notes(found)  # whatever else it lacks is of no use here
+        return found
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+        raise InputError(f"{file} is damaged or no result of htcp validate: {error}") from None
+
+
+def validated(run: Run) -> bool | None:
+    """Whether every tracked target stands; None where that is not known. Raises InputError as `read_validation`."""
+    found = read_validation(run)
+    return None if found is None else bool(found["validated"])
+
+
+def verdict(run: Run) -> str:
+    """The same in a sentence."""
+    found = read_validation(run)
+    return "Not validated independently." if found is None else sentence(found)
+
+
+def validation_section(run: Run, level: int) -> list[Block]:
+    """A section of the report, with a heading of that level; nothing where there is no validation."""
+    found = read_validation(run)
+    if found is None:
+        return []
+    about = f"By MuJoCo's kinematics and distances alone, of the whole run. {sentence(found)}"
+    where = told_apart(found, labels_in(run))
+    return [Heading(level, "Validation"), about, *validation_tables(found), *where, *notes(found)]
+
+
+def sentence(found: dict[str, Any]) -> str:
+    """What came of it; `found` is as validation.json has it, here as in the next two."""
+    checks = found["methods"].values()
+    checked, touching, paths = (sum(check[k] or 0 for check in checks) for k in ("checked", "paths_touching", "paths"))
+    refuted = int(found["refuted_count"])
+    told = "Validated: MuJoCo refutes none" if found["validated"] else f"Not valid: MuJoCo refutes {refuted:,}"
+    between = f"; {touching:,} of the {paths:,} joint paths between them touch" if found["between"] else ""
+    return f"{told} of {checked:,} tracked targets{between}."
+
+
+def validation_tables(found: dict[str, Any]) -> tuple[Table, Table]:
+    """Method by method, at the targets and on the way between them."""
+    rows = [{"method": method, **check} for method, check in found["methods"].items()]
+    return _table("validation", AT_TARGETS, rows), _table("validation-paths", ON_THE_WAY, rows)
+
+
+def _table(name: str, columns: tuple[Column, ...], rows: list[dict]) -> Table:
+    def cell(value: Any) -> Any:
+        return f"{value[0]}: {value[1]}" if isinstance(value, list | tuple) else value
+
+    filled = tuple(column for column in columns if any(row.get(column.key) is not None for row in rows))
+    return Table(name, filled, tuple(tuple(cell(row.get(column.key)) for column in filled) for row in rows))
+
+
+def told_apart(found: dict[str, Any], labels: dict[int, str]) -> list[str]:
+    """A sentence that says which scenarios the tables speak of."""
+    at = [check.get(key) for check in found["methods"].values() for key in ("clearance_min_at", *BETWEEN)]
+    numbers = sorted({place[0] for place in at if place is not None and labels.get(place[0])})
+    return [f"Scenarios: {'; '.join(f'{number} is {labels[number]}' for number in numbers)}."] if numbers else []
+
+
+def notes(found: dict[str, Any]) -> list[str]:
+    """What the tables' columns mean, as far as they are filled."""
+    told = []
+    if found["between"]:
+        told.append(
+            "Paths are the straight joint paths between tracked targets and from the start to the first, in at least "
+            f"{found['between']} steps, in none of which a joint turns by more than {STEP_RAD:g} rad. What touches "
+            "there refutes nothing, as no target is there; on record as blocked is what the planner found itself. "
+            "Off the line: how far the TCP leaves that of its targets."
+        )
+    if any(check.get("speed_ratio_max") is not None for check in found["methods"].values()):
+        told.append(
+            f"Joint speeds are for a feed rate of {found['feed_mm_s']:g} mm/s, and in proportion to it; the limits are "
+            "the model file's, for the GP50 its data-sheet's. In place: the joint change between targets closer to "
+            "each other than the tolerance, and from the start to the first, which the feed rate leaves no time for."
+        )
+    elif any(check["paths"] for check in found["methods"].values()):
+        told.append("There is no column of joint speeds, because the model states none to hold them against.")
+    return told

@@ -1,0 +1,100 @@
+"""What makes two runs the same, and what computed them."""
+
+import functools
+import hashlib
+import json
+import os
+import subprocess
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import htcp_jax
+from htcp_jax.errors import InputError
+from htcp_jax.jobs.config_file import FILES
+from htcp_jax.runs.plan_folder import provenance
+
+NO_IDENTITY = "method", "ray"  # of a configuration: a run has methods of its own, and may be planned anywhere
+
+
+def file_hash(file: str | Path) -> str:
+    """SHA-256 of a file's contents. Raises InputError."""
+    try:
+        with open(file, "rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"cannot read {file}: {error.strerror}") from None
+
+
+def anchor_files(config: dict) -> list[str]:
+    """Make the names of files in a configuration absolute, which is in its plain form; returns them."""
+    named = []
+    for (section, key), word in FILES.items():
+        if config[section][key] != word:
+            config[section][key] = str(Path(config[section][key]).resolve())
+            named.append(config[section][key])
+    return named
+
+
+def refuse_changed(files: Mapping[str, str], folder: Path) -> None:
+    """Raise InputError for a file that is gone, or is not what it was when the results in `folder` were planned."""
+    for file, known in files.items():
+        if file_hash(file) != known:
+            raise InputError(f"{file} is not what it was when {folder} was planned")
+
+
+def identity(config: dict, grid: list | tuple, dtype: str, files: dict[str, str]) -> dict:
+    """What makes two runs the same: files count by their contents, not by where they are."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: plain(item) for key, item in value.items()}
+        if isinstance(value, list | tuple):
+            return [plain(item) for item in value]
+        return f"{Path(value).name}, SHA-256 {files[value]}" if isinstance(value, str) and value in files else value
+
+    config = {key: value for key, value in config.items() if key not in NO_IDENTITY}
+    return plain({**config, "grid": json.dumps(plain(grid)), "dtype": dtype})
+
+
+def config_hash(same: dict) -> str:
+    """SHA-256 of an `identity`."""
+    return hashlib.sha256(json.dumps(same, sort_keys=True).encode()).hexdigest()
+
+
+def differences(there: dict, here: dict) -> list[str]:
+    """In words, where two identities differ."""
+    a, b = _leaves(there), _leaves(here)
+    names = [name for name in a | b if a.get(name) != b.get(name)]
+    return [
+        "its grid differs" if name == "grid" else f"{name} is {a.get(name)} there, {b.get(name)} here" for name in names
+    ]
+
+
+def planned_by() -> dict:
+    """What computes the results of this process: versions, device, float width, commit."""
+    return provenance() | {"commit": commit()}
+
+
+@functools.cache  # of the code that runs, whatever is checked out meanwhile
+def commit() -> str | None:
+    """The commit of this package's source, with "+changes" if it was edited since; None where git does not know."""
+    package = Path(htcp_jax.__file__).parent
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
+
+    def git(*words: str) -> str:
+        command = ["git", "-C", str(package), *words]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=20).stdout
+
+    try:
+        git("ls-files", "--error-unmatch", Path(htcp_jax.__file__).name)
+        return git("rev-parse", "HEAD").strip() + ("+changes" if git("status", "--porcelain", "--", ".") else "")
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+def _leaves(tree: dict, prefix: str = "") -> dict[str, Any]:
+    found = {}
+    for key, value in tree.items():
+        found |= _leaves(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+    return found

@@ -1,0 +1,96 @@
+"""Planning the shards of a sweep in this process, one after the other."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Int
+
+from htcp_jax.jobs.grid import Batch, Cell
+from htcp_jax.planner import batch
+from htcp_jax.planner.plans import Plans, is_tracked
+from htcp_jax.runs.identity import planned_by
+from htcp_jax.runs.run_folder import Span
+from htcp_jax.scene.scenario import Scenario
+
+
+class Shard(NamedTuple):
+    """One method on a block of scenarios."""
+
+    method: str
+    span: Span
+
+
+class Planned(NamedTuple):
+    """A shard's plans and what planned it, see `run_identity.planned_by`."""
+
+    shard: Shard
+    plans: Plans
+    by: dict
+
+
+def plan_here(batch: Batch, threads: int | None, shards: Iterable[Shard], tell: Callable) -> Iterator[Planned]:
+    """The plans of the shards. tell(method, batch.Progress of the shard at hand) is called as a shard advances;
+    what it raises ends the work. threads: see `batch.plan`."""
+    by = planned_by()
+    for shard in shards:
+        yield Planned(shard, plan_cells(batch.cells, *scenarios_of(batch, shard.span), shard.method, threads, tell), by)
+
+
+def scenarios_of(batch: Batch, span: Span) -> tuple[Int[np.ndarray, "S"], Scenario]:
+    """The cells and the stacked scenarios of a block."""
+    rows = slice(span.first, span.last + 1)
+    return batch.cell[rows], _rows(batch.scenarios, rows)
+
+
+def plan_cells(
+    cells: Sequence[Cell],
+    cell: Int[np.ndarray, "S"],
+    scenarios: Scenario,
+    method: str,
+    threads: int | None,
+    tell: Callable | None = None,
+) -> Plans:
+    """The plans of stacked scenarios, each by the robot, workpiece and settings of its cell; a call of the planner a
+    cell. tell: as of `plan_here`."""
+    parts: list[tuple[np.ndarray, Plans]] = []
+    everything = len(cell), int(scenarios.count.sum())
+    for number in dict.fromkeys(cell.tolist()):
+        rows = np.flatnonzero(cell == number)
+        whole = len(rows) == len(cell)
+        robot, workpiece, settings = cells[number]
+        plans = batch.plan(
+            robot,
+            workpiece,
+            scenarios if whole else _rows(scenarios, rows),
+            method,
+            settings,
+            progress=tell and partial(_tell, tell, method, [done for _, done in parts], *everything),
+            threads=threads,
+        )
+        if whole:
+            return plans
+        parts.append((rows, plans))
+    return _together(parts)
+
+
+def _rows(scenarios: Scenario, rows: slice | np.ndarray) -> Scenario:
+    return jax.tree.map(lambda leaf: leaf[rows], scenarios)
+
+
+def _tell(
+    tell: Callable, method: str, finished: Sequence[Plans], count: int, targets: int, now: batch.Progress
+) -> None:
+    """The progress of one cell, as that of all."""
+    done = sum(len(plans.status) for plans in finished) + now.scenarios_done
+    tracked = sum(int(is_tracked(plans.status).sum()) for plans in finished) + now.targets_tracked
+    tell(method, batch.Progress(done, count, tracked, targets))
+
+
+def _together(parts: Sequence[tuple[np.ndarray, Plans]]) -> Plans:
+    """Plans of different rows as one, their times added up."""
+    order = np.argsort(np.concatenate([rows for rows, _ in parts]))
+    columns = zip(*(plans for _, plans in parts), strict=True)
+    return Plans(*(np.concatenate(each)[order] if isinstance(each[0], np.ndarray) else sum(each) for each in columns))

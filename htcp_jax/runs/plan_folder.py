@@ -1,0 +1,208 @@
+"""The files of one plan. Everything is written aside and moved into place whole."""
+
+import contextlib
+import csv
+import dataclasses
+import functools
+import importlib.metadata
+import json
+import math
+import os
+import platform
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from htcp_jax.errors import InputError
+from htcp_jax.formats.foreign import one_line
+from htcp_jax.planner.plans import Plans
+from htcp_jax.runs.summary import Summary
+from htcp_jax.scene.robot import Robot
+from htcp_jax.status import Status
+
+SUMMARY, TRAJECTORY = "summary.json", "trajectory.npz"
+
+
+class PlanRecord(NamedTuple):
+    """A plan as it was written."""
+
+    method: str
+    config: dict
+    files: dict[str, str]  # SHA-256 of those that the configuration names; a plan of before knew none
+    arrays: dict[str, np.ndarray]
+
+
+def read_plan(folder: Path, names: Iterable[str]) -> PlanRecord:
+    """The plan in `folder` with the named arrays.
+
+    Raises InputError for files that are not there or damaged.
+    """
+    try:
+        summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+        method, config = str(summary["method"]), dict(summary["config"])
+        files = {str(name): str(known) for name, known in summary.get("files", {}).items()}
+        # np.load leaves a file that it opened itself open when it is no archive.
+        with (folder / TRAJECTORY).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            return PlanRecord(method, config, files, {name: file[name] for name in names})
+    except OSError as error:
+        raise InputError(f"{folder} holds no plan: cannot read {error.filename}: {error.strerror}") from None
+    except Exception as error:  # foreign parsers on foreign bytes: whatever they raise, the files are bad
+        raise InputError(f"{folder}: {SUMMARY} or {TRAJECTORY} is damaged: {one_line(error)}") from None
+
+
+@contextlib.contextmanager
+def made_folder(folder: Path) -> Iterator[bool]:
+    """`folder` is there, with all above it; what was made for this and is empty at the end vanishes again. Hands out
+    whether it was made.
+
+    Raises InputError if it cannot be made.
+    """
+    try:
+        missing = [each for each in (folder, *folder.parents) if not each.exists()]  # a name may be too long to ask for
+    except OSError as error:
+        raise _unwritable(folder, error) from None
+    try:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise _unwritable(folder, error) from None
+        yield bool(missing)
+    finally:
+        for each in missing:
+            with contextlib.suppress(OSError):  # what is in use stays
+                each.rmdir()
+
+
+@contextlib.contextmanager
+def written_whole(folder: Path) -> Iterator[Path]:
+    """A scratch folder whose files move into `folder` when the block ends well, and vanish when it does not.
+
+    Raises InputError at once if `folder` cannot be made or written, and later if the files cannot be moved.
+    """
+    with made_folder(folder):
+        try:
+            scratch = Path(tempfile.mkdtemp(prefix=".part-", dir=folder))
+        except OSError as error:
+            raise _unwritable(folder, error) from None
+        try:
+            yield scratch
+            for file in sorted(scratch.iterdir()):
+                os.replace(file, folder / file.name)
+        except OSError as error:
+            raise _unwritable(folder, error) from None
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _unwritable(folder: Path, error: OSError) -> InputError:
+    return InputError(f"cannot write to {folder}: {error.strerror}")
+
+
+def write_trajectory_csv(file: Path, robot: Robot, plans: Plans, row: int = 0) -> None:
+    """One line a target; cells of what is not known, NaN in `plans`, are empty. Numbers read back exactly."""
+    units = ["m" if slides else "rad" for slides in robot.slides]
+    statuses = [Status(status).name for status in plans.status[row].tolist()]
+    columns = {"target": range(len(statuses)), "status": statuses}
+    for j, (name, unit) in enumerate(zip(robot.joint_names, units, strict=True)):
+        columns[f"{name}_{unit}"] = plans.x[row, :, j]
+    for name, points in (("tcp", plans.tcp), ("target", plans.target)):
+        columns |= {f"{name}_{axis}_m": points[row, :, k] for k, axis in enumerate("xyz")}
+    columns |= {
+        "clearance_m": plans.clearance[row],
+        "residual_m": plans.residual[row],
+        "joint_step_rad": plans.joint_step[row],
+        "iterations": plans.iterations[row],
+        "escape": plans.escape[row],
+        "path_clear": plans.path_clear[row],
+    }
+    with file.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(columns)
+        for cells in zip(*columns.values(), strict=True):
+            writer.writerow(["" if cell != cell else cell for cell in cells])
+
+
+def write_trajectory_npz(file: Path, robot: Robot, plans: Plans, row: int = 0) -> None:
+    """The arrays of `plans` for one scenario under the names of its fields, and `joint_names`; no pickles."""
+    arrays = {name: value[row] for name, value in plans._asdict().items() if isinstance(value, np.ndarray)}
+    np.savez_compressed(file, joint_names=np.array(robot.joint_names), **arrays)
+
+
+def write_json(file: Path, record: dict) -> None:
+    """`record` as JSON, NaN and infinities as null. Raises InputError as `write_text` does."""
+    write_text(file, json_text(record) + "\n")
+
+
+def json_text(record: Any) -> str:
+    """`record` as JSON, NaN and infinities as null."""
+    return json.dumps(_plain(record), indent=2, allow_nan=False)
+
+
+def write_text(file: Path, text: str) -> None:
+    """A file in UTF-8, written aside and moved into place. Raises InputError when it cannot be written; what was there
+    is then as before."""
+    part = file.with_name(f".part-{file.name}")
+    try:
+        part.write_text(text, encoding="utf-8")
+        os.replace(part, file)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise _unwritable(file.parent, error) from None
+
+
+def summary_record(summary: Summary) -> dict:
+    """The summary with the failed targets in words."""
+    failed = [
+        {"scenario": f.scenario, "target": f.target, "status": f.status.name, "reason": f.status.message}
+        for f in summary.failures
+    ]
+    return {**summary._asdict(), "failures": failed}
+
+
+def provenance() -> dict:
+    """What computed the result: versions, device and float width."""
+    packages = ("htcp_jax", "jax", "jaxlib", "numpy", "mujoco", "clarabel", "qpsolvers")
+    device = jax.devices()[0]
+    kind = _processor() if device.platform == "cpu" else device.device_kind
+    return {
+        "versions": {name: _version(name) for name in packages},
+        "device": f"{device.platform}: {kind}",
+        "dtype": str(np.dtype(jax.numpy.zeros(0).dtype)),
+    }
+
+
+@functools.cache
+def _processor() -> str:
+    """The processor's kind, as far as the system tells: what a compiler optimises for."""
+    try:
+        lines = (line.partition(":") for line in Path("/proc/cpuinfo").read_text().splitlines())
+        told = {name.strip(): value.strip() for name, _, value in lines}
+        return f"{told['model name']}, family {told['cpu family']}, model {told['model']}"
+    except (OSError, UnicodeDecodeError, KeyError):  # another system or another architecture
+        return platform.processor() or platform.machine()
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None  # run from a source tree
+
+
+def _plain(value: Any) -> Any:
+    """`value` in JSON's own types."""
+    if dataclasses.is_dataclass(value):
+        value = dataclasses.asdict(value)
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value

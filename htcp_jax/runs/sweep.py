@@ -1,0 +1,227 @@
+"""The public call of a sweep: every scenario of a grid by several methods, shard by shard into a run folder.
+
+    run = htcp_jax.sweep("sweeps/robot.yaml", methods="baseline,nspace-sqp", out="out/robot")
+    run.frame()
+
+A shard is one method on a block of scenarios, which advance together. How the grid is cut and where a shard is planned
+have no influence on any result; a shard is what is lost when the process dies, and what a worker of a cluster is given.
+The same call again continues where the last one stopped.
+"""
+
+import contextlib
+import shutil
+import tempfile
+import weakref
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from htcp_jax.errors import InputError, Interrupted, Lost
+from htcp_jax.jobs.grid import Batch, Sweep, load_sweep
+from htcp_jax.jobs.grid_axes import FILE_KEYS, record
+from htcp_jax.planner.batch import Progress as ShardProgress
+from htcp_jax.planner.escape import METHODS
+from htcp_jax.planner.plans import Plans
+from htcp_jax.runs import writer
+from htcp_jax.runs.identity import anchor_files, config_hash, file_hash, identity
+from htcp_jax.runs.local import Shard, plan_here
+from htcp_jax.runs.lock import locked
+from htcp_jax.runs.plan_folder import made_folder
+from htcp_jax.runs.ray_ import on_ray
+from htcp_jax.runs.run_folder import Manifest, Run, Span, spans
+from htcp_jax.runs.signals import SignalCame, signals
+from htcp_jax.runs.tables import joint_columns, scenario_table, target_table
+
+SHARD_SCENARIOS = 512  # fixed, so that shards are the same on every machine; fewer leave a table half empty
+
+
+class SweepProgress(NamedTuple):
+    """How far one method has come: all counts are totals."""
+
+    method: str
+    scenarios_done: int
+    scenarios: int
+    targets_tracked: int
+    targets: int
+
+
+def sweep(
+    spec: str | Path | Mapping[str, Any] | Sweep,
+    methods: str | Sequence[str] = "all",
+    out: str | Path | None = None,
+    *,
+    config: str | Path | Mapping[str, Any] | None = None,
+    overrides: Sequence[str] | Mapping[str, Any] = (),
+    limit: int | None = None,
+    seed: int | None = None,
+    progress: Callable[[SweepProgress], None] | None = None,
+    threads: int | None = None,
+    shard_scenarios: int | None = None,
+    on: str = "here",
+) -> Run:
+    """Plan the grid of a sweep file, or of a mapping that spells one, and return the run.
+
+    methods: "all", names with commas in between, or a list of names. out: the run folder; without one, a temporary
+    folder that vanishes with the run. config, overrides, seed: see `load_sweep`; the seed is `settings.seed`.
+    limit: plan only the first scenarios of the grid. shard_scenarios: so many make a shard; a run folder keeps its
+    first choice. on: "here" plans in this process, with `threads` engines; "ray" or "ray:<address>" sends the shards
+    to Ray's workers, see `sweep_ray`.
+
+    Raises InputError for bad input, for a folder that holds another sweep, is in use or cannot be written;
+    Interrupted on SIGINT and SIGTERM, and Lost when Ray's workers are, after which the finished shards are in the
+    folder and the rest is not.
+    """
+    chosen = method_names(methods)
+    if isinstance(spec, Sweep):
+        if config is not None or overrides or seed is not None:
+            raise InputError("config, overrides and seed belong to load_sweep when the sweep is loaded already")
+    else:
+        spec = load_sweep(spec, config, _seeded(overrides, seed))
+    for name, value in (("limit", limit), ("shard_scenarios", shard_scenarios)):
+        if value is not None and value < 1:
+            raise InputError(f"{name} is {value}; it must be 1 or more")
+    batch = spec.batch(limit)
+    asked = _manifest(spec, batch, chosen, limit, shard_scenarios or SHARD_SCENARIOS)
+    planned = _planner(on, batch, spec, threads)
+    with _folder(out) as (folder, keep), locked(folder), planned as plan, signals() as came:
+        run = writer.begin(folder, asked, keep)
+
+        def tell(method: str, shard: ShardProgress | None = None) -> None:
+            if came:
+                raise SignalCame
+            if progress is not None:
+                progress(_progress(run.manifest, method, shard))
+
+        try:
+            shards = [Shard(method, span) for method in chosen for span in run.missing(method)]
+            for method in chosen:
+                tell(method)
+            for (method, span), plans, by in plan(shards, tell):
+                run = writer.add(run, method, span, tables(batch, method, span, plans), plans, by)
+                tell(method)
+        except SignalCame:
+            raise Interrupted(_how_to_go_on(run), came[0]) from None
+        except Lost as lost:
+            raise Lost(f"{lost}; {_how_to_go_on(run)}") from None
+        return run
+
+
+def _seeded(overrides: Sequence[str] | Mapping[str, Any], seed: int | None) -> Sequence[str] | Mapping[str, Any]:
+    if seed is None:
+        return overrides
+    if isinstance(overrides, Mapping):
+        return {**overrides, "settings.seed": seed}
+    return [*overrides, f"settings.seed={seed}"]
+
+
+def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
+    """The methods that "all", "a,b" or a list of names means. Raises InputError for none, an unknown one, and one
+    that stands there twice."""
+    if methods == "all":
+        return tuple(METHODS)
+    names = [name.strip() for name in methods.split(",")] if isinstance(methods, str) else list(methods)
+    if not any(names):
+        raise InputError(f"no methods; valid: all, {', '.join(METHODS)}")
+    for name in names:
+        if name not in METHODS:
+            raise InputError(f"unknown method {name!r}; valid: all, {', '.join(METHODS)}")
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"method {name} is given twice")
+    return tuple(names)
+
+
+def tables(batch: Batch, method: str, span: Span, plans: Plans) -> dict[str, pa.Table]:
+    """The rows of a shard, see `run_tables`."""
+    rows = slice(span.first, span.last + 1)
+    joints, count, points = joint_columns(batch.robot), batch.scenarios.count[rows], batch.points[rows]
+    varied = tuple(points[0].varied)
+    numbers = np.array([point.number for point in points])
+    return {
+        "targets": target_table(method, numbers, count, plans, joints),
+        "scenarios": scenario_table(method, points, count, plans, joints, varied),
+    }
+
+
+def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | None, shard_scenarios: int) -> Manifest:
+    """What is asked for, in the words of the manifest."""
+    config = spec.config.model_dump(mode="json")
+    grid = [record(group, spec.stated) for group in spec.groups]
+    named = anchor_files(config)
+    for axis in (axis for group in grid for axis in group["axes"]):
+        named += [
+            name for key, word in FILE_KEYS.items() for name in axis.get(key, {}).get("values", ()) if name != word
+        ]
+    files = {name: file_hash(name) for name in dict.fromkeys(named)}
+    dtype = str(batch.scenarios.targets.dtype)
+    return Manifest(
+        name=spec.name,
+        config=config,
+        grid=grid,
+        dtype=dtype,
+        files=files,
+        config_hash=config_hash(identity(config, grid, dtype, files)),
+        seed=spec.config.settings.seed,
+        joints=joint_columns(batch.robot),
+        targets=int(batch.scenarios.count.sum()),
+        full=len(spec),
+        limit=limit,
+        count=len(batch.points),
+        shard_scenarios=shard_scenarios,
+        methods=methods,
+    )
+
+
+def _planner(on: str, batch: Batch, spec: Sweep, threads: int | None):
+    """Hands out what plans shards, while it is there: plan(shards, tell) yields (shard, plans, what planned it)."""
+    where, _, address = on.partition(":")
+    if on == "here":
+        return contextlib.nullcontext(partial(plan_here, batch, threads))
+    if where == "ray":
+        return on_ray(batch, spec.config, address)
+    raise InputError(f"on is {on!r}; valid: here, ray, ray:<address of a cluster>")
+
+
+def _progress(manifest: Manifest, method: str, shard: ShardProgress | None) -> SweepProgress:
+    """The method's progress: its finished shards, and how far the one at hand has come."""
+    kept = [record for record in manifest.shards if record.method == method]
+    done, tracked = (shard.scenarios_done, shard.targets_tracked) if shard else (0, 0)
+    done += sum(record.last - record.first + 1 for record in kept)
+    tracked += sum(record.tracked for record in kept)
+    return SweepProgress(method, done, manifest.count, tracked, manifest.targets)
+
+
+def _how_to_go_on(run: Run) -> str:
+    manifest = run.manifest
+    there, all_ = len(manifest.shards), len(manifest.methods) * len(spans(manifest))
+    if not there:
+        return "stopped before anything was finished; nothing was written"
+    return f"stopped; {there} of {all_} shards are finished in {run.folder}; the same command goes on from there"
+
+
+class _Scratch:
+    """A temporary folder that vanishes with it."""
+
+    def __init__(self):
+        self.folder = Path(tempfile.mkdtemp(prefix="htcp-sweep-"))
+        weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _folder(out: str | Path | None) -> Iterator[tuple[Path, Any]]:
+    """The run folder, and what must live as long as it. A folder made here vanishes when it has come to nothing."""
+    if out is None:
+        scratch = _Scratch()
+        yield scratch.folder, scratch
+        return
+    folder = Path(out)
+    with made_folder(folder) as is_new:
+        try:
+            yield folder, None
+        finally:
+            if is_new and not any(folder.glob("*/*.parquet")):
+                shutil.rmtree(folder, ignore_errors=True)

@@ -1,0 +1,174 @@
+"""Writing a run folder: begin or continue it, then add shard by shard. Its caller holds the folder's lock."""
+
+import hashlib
+import os
+import warnings
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from htcp_jax.errors import InputError
+from htcp_jax.planner.plans import Plans, is_tracked
+from htcp_jax.runs.identity import differences, identity, planned_by
+from htcp_jax.runs.run_folder import (
+    MANIFEST,
+    TABLES,
+    FileRecord,
+    Manifest,
+    Run,
+    Seconds,
+    ShardRecord,
+    Span,
+    fault,
+    open_run,
+    shard_name,
+    spans,
+)
+
+PART = ".part-"
+
+
+def begin(folder: Path, asked: Manifest, keep: Any = None) -> Run:
+    """The run `asked` for in `folder`, with the finished shards that it holds already. Shards with a damaged file no
+    longer count as finished, and a warning a method says so.
+
+    Raises InputError when the folder holds another run, more scenarios of this one, or results without a manifest,
+    and when it cannot be written.
+    """
+    for part in folder.glob(f"{PART}*"):
+        if part.is_file():
+            part.unlink(missing_ok=True)  # its writer died
+    _lay_out(folder)
+    if not (folder / MANIFEST).exists():
+        if strangers := _unlisted(folder, set()):
+            raise InputError(f"{folder} holds results without a {MANIFEST}, {strangers[0]}; choose another --out")
+        return _saved(Run(folder, asked, keep))
+    old = open_run(folder)
+    _refuse_other(old, asked)
+    _warn_of_other_software(old)
+    kept = {name: getattr(old.manifest, name) for name in ("shards", "planned_by", "shard_scenarios")}
+    methods = tuple(dict.fromkeys((*old.methods, *asked.methods)))
+    run = Run(folder, asked.model_copy(update={**kept, "methods": methods}), keep)
+    expected = {shard_name(method, span) for method in methods for span in spans(run.manifest)}
+    shards = _whole(run, asked.methods)
+    for stranger in _unlisted(folder, expected):
+        warnings.warn(f"{stranger} is not of this run; it is left alone", stacklevel=3)
+    return _saved(_with_shards(run, shards))
+
+
+def add(run: Run, method: str, span: Span, tables: dict[str, pa.Table], plans: Plans, by: dict) -> Run:
+    """The run with one more shard; `by` is the `planned_by` of the process that planned it. Raises InputError when it
+    cannot be written; the run on disk is then as before."""
+    name, manifest = shard_name(method, span), run.manifest
+    files = {table: _write_parquet(run.folder, table, name, rows) for table, rows in tables.items()}
+    planned_by = manifest.planned_by if by in manifest.planned_by else (*manifest.planned_by, by)
+    tracked = int(is_tracked(plans.status).sum())
+    shard = ShardRecord(
+        method=method, first=span.first, last=span.last, tracked=tracked,
+        compile_s=plans.compile_s, run_s=plans.run_s, planned_by=planned_by.index(by), **files,
+    )  # fmt: skip
+    run = Run(run.folder, manifest.model_copy(update={"planned_by": planned_by}), run._keep)
+    return _saved(_with_shards(run, (*manifest.shards, shard)))
+
+
+def _refuse_other(old: Run, asked: Manifest) -> None:
+    told = differences(_identity(old.manifest), _identity(asked))
+    if told:
+        more = f" (and {len(told) - 1} more)" if told[1:] else ""
+        raise InputError(f"{old.folder} holds another sweep: {told[0]}{more}; choose another --out")
+    if asked.count < old.manifest.count:
+        raise InputError(
+            f"{old.folder} holds this sweep with {old.manifest.count} scenarios, more than {asked.count}; "
+            "choose another --out"
+        )
+
+
+def _warn_of_other_software(old: Run) -> None:
+    if old.manifest.planned_by:
+        if told := differences(old.manifest.planned_by[-1], planned_by()):
+            warnings.warn(f"{old.folder} was planned by other software: {told[0]}", stacklevel=4)
+
+
+def _identity(manifest: Manifest) -> dict:
+    return identity(manifest.config, manifest.grid, manifest.dtype, manifest.files)
+
+
+def _whole(run: Run, asked: tuple[str, ...]) -> tuple[ShardRecord, ...]:
+    """The shards on record that are as recorded. Those that a larger limit has outgrown are taken away."""
+    known, whole, damaged = set(spans(run.manifest)), [], defaultdict(list)
+    for shard in run.manifest.shards:
+        files = run.shard_files(shard).values()
+        if (shard.first, shard.last) not in known:
+            for file, _ in files:
+                file.unlink(missing_ok=True)
+        elif faults := [f"{file} {problem}" for file, record in files if (problem := fault(file, record))]:
+            damaged[shard.method].append((shard, faults[0]))
+        else:
+            whole.append(shard)
+    for method, lost in damaged.items():
+        scenarios = ", ".join(f"{shard.first} to {shard.last}" for shard, _ in lost)
+        then = f"are planned again by {method}" if method in asked else f"of {method} are unfinished now"
+        more = f" (and {len(lost) - 1} more shards)" if lost[1:] else ""
+        warnings.warn(f"{lost[0][1]}{more}; scenarios {scenarios} {then}", stacklevel=4)
+    return tuple(whole)
+
+
+def _with_shards(run: Run, shards: tuple[ShardRecord, ...]) -> Run:
+    """The run with these shards, and their seconds summed up."""
+    seconds = {}
+    for method in run.methods:
+        own = [shard for shard in shards if shard.method == method]
+        seconds[method] = Seconds(compile_s=sum(s.compile_s for s in own), run_s=sum(s.run_s for s in own))
+    order = tuple(sorted(shards, key=lambda shard: (run.methods.index(shard.method), shard.first)))
+    return Run(run.folder, run.manifest.model_copy(update={"shards": order, "seconds": seconds}), run._keep)
+
+
+def _saved(run: Run) -> Run:
+    _write(run.folder, run.folder / MANIFEST, (run.manifest.model_dump_json(indent=2) + "\n").encode())
+    return run
+
+
+def _write_parquet(folder: Path, table: str, name: str, rows: pa.Table) -> FileRecord:
+    doubles = [field.name for field in rows.schema if pa.types.is_floating(field.type)]
+    sink = pa.BufferOutputStream()
+    pq.write_table(
+        rows,
+        sink,
+        compression="zstd",
+        use_dictionary=[name for name in rows.column_names if name not in doubles],
+        use_byte_stream_split=doubles,
+    )
+    data = sink.getvalue().to_pybytes()
+    _write(folder, folder / table / name, data)
+    return FileRecord(rows=len(rows), bytes=len(data), sha256=hashlib.sha256(data).hexdigest())
+
+
+def _write(folder: Path, file: Path, data: bytes) -> None:
+    """Write aside, then move into place."""
+    part = folder / f"{PART}{file.name}"
+    try:
+        with part.open("wb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(part, file)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise InputError(f"cannot write to {folder}: {error.strerror}") from None
+
+
+def _lay_out(folder: Path) -> None:
+    try:
+        for table in TABLES:
+            (folder / table).mkdir(exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot write to {folder}: {error.strerror}") from None
+
+
+def _unlisted(folder: Path, expected: set[str]) -> list[Path]:
+    """Files among the results that have no business there."""
+    files = [file for table in TABLES for file in sorted((folder / table).glob("*.parquet"))]
+    return [file for file in files if file.name not in expected]

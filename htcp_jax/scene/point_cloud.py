@@ -1,0 +1,128 @@
+"""Point clouds and tables of points from files.
+
+A reader returns points or raises InputError with one line. It takes regular files of at most 2 GB, runs no
+code from a file (no pickles), and follows no reference from one file to another (textures, materials). Parsers
+that are not written in Python run in a process of their own, see `scan`.
+"""
+
+import io
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.errors import InputError
+from htcp_jax.formats.columns import Points
+from htcp_jax.formats.foreign import known_ending, one_line, quiet, read_bytes
+from htcp_jax.formats.scan import PARTS, SCANS, read_part, read_scan
+from htcp_jax.formats.table import read_npy, read_table
+from htcp_jax.scene.mesh_points import cover
+
+TEXT = (".xyz", ".csv", ".txt")
+TABLES = (*TEXT, ".npy")
+MESHES = (".ply", ".stl", ".obj", *PARTS)
+CLOUDS = (*TABLES, *SCANS, *MESHES)
+
+# An OBJ face that counts its vertices back from its own line. trimesh takes other vertices and says nothing.
+RELATIVE_FACE = re.compile(rb"^f\b[^\n]*[ \t](?:-\d|0+(?:[/ \t\r]|$))", re.MULTILINE)
+PLY_ELEMENT = re.compile(rb"^element[ \t]+(vertex|face)[ \t]+(\d{1,12})[ \t\r]*$", re.MULTILINE)
+LARGEST_COORDINATE = 1e9  # [m]
+
+
+class Geometry(NamedTuple):
+    """What a file holds: P points and no triangles, or F triangles with their P corners [m]."""
+
+    points: Float[np.ndarray, "P 3"]
+    triangles: Float[np.ndarray, "F 3 3"]
+
+
+def load_geometry(path: str | Path) -> Geometry:
+    """The points of a cloud file (.xyz .csv .txt .npy .pcd .e57 .las .laz, a .ply or .obj without faces), or the
+    triangles of a mesh (.stl .obj .ply .step .stp) [m]. Raises InputError for a file that cannot be read, for NaN and
+    infinite points, and for fewer than 4 points of a cloud."""
+    path = Path(path)
+    ending = known_ending(path, CLOUDS)
+    if ending in MESHES:
+        found = _read_mesh(path, ending)
+    else:
+        found = Geometry(read_points(path).xyz, np.empty((0, 3, 3)))
+    check_points(found.points, str(path), at_least=1 if len(found.triangles) else 4)
+    return found
+
+
+def load_cloud(
+    path: str | Path, *, spacing: float | None = None, thinnest_m: float = np.inf
+) -> Float[np.ndarray, "P 3"]:
+    """Points [m] of a cloud file, as they are, or points that cover a mesh, see `mesh_points.cover`. Raises InputError
+    as `load_geometry` does."""
+    found = load_geometry(path)
+    return cover(found.triangles, str(path), spacing, thinnest_m).points if len(found.triangles) else found.points
+
+
+def read_points(path: str | Path) -> Points:
+    """Points [m] of a table or a scan (.xyz .csv .txt .npy .pcd .e57 .las .laz), a tool path among them, and their
+    normals where the file has them. Raises InputError for a file that cannot be read; `load_cloud` checks more."""
+    path = Path(path)
+    ending = known_ending(path, (*TABLES, *SCANS))
+    if ending in SCANS:
+        return read_scan(path, ending)
+    return read_npy(path) if ending == ".npy" else read_table(path)
+
+
+def check_points(points: Float[np.ndarray, "P 3"], source: str, at_least: int) -> None:
+    """Raise InputError unless there are `at_least` points, all finite and none absurdly far."""
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if bad.size:
+        raise InputError(f"{source}: row {bad[0] + 1} holds NaN or an infinite number ({bad.size} such rows)")
+    if len(points) < at_least:
+        raise InputError(f"{source}: {len(points)} points, at least {at_least} are needed")
+    if np.abs(points).max() > LARGEST_COORDINATE:
+        raise InputError(f"{source}: a coordinate of {np.abs(points).max():.3g} m; coordinates are metres")
+
+
+def _read_mesh(path: Path, ending: str) -> Geometry:
+    vertices, triangles = _geometry(path, ending)
+    corners = triangles.reshape(-1, 3)
+    if not np.isfinite(corners).all() or np.abs(corners).max(initial=0.0) > LARGEST_COORDINATE:
+        raise InputError(f"{path}: a vertex of the mesh is NaN, infinite or absurdly far away")
+    return Geometry(corners if len(corners) else vertices, triangles)
+
+
+def _geometry(path: Path, ending: str) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "F 3 3"]]:
+    """All vertices and all triangles of a mesh file, read from memory so that no other file is opened."""
+    if ending in PARTS:
+        triangles = read_part(path, ending)
+        return triangles.reshape(-1, 3), triangles
+    import trimesh  # here, because only meshes need it, and it takes a while to load
+
+    data = read_bytes(path)
+    binary_stl = ending == ".stl" and len(data) == 84 + 50 * int.from_bytes(data[80:84], "little")
+    if ending == ".obj" or (ending == ".stl" and not binary_stl):
+        data = data.decode("utf-8", "replace").encode()  # trimesh would guess at the encoding, slowly
+    if ending == ".obj" and RELATIVE_FACE.search(data.replace(b"\\\n", b"")):
+        raise InputError(f"{path}: a face with a negative vertex number or 0; number the vertices from 1")
+    try:
+        with quiet():
+            stream = io.BytesIO(data)
+            scene = trimesh.load_scene(stream, file_type=ending[1:], process=False, skip_materials=True)
+            meshes = [part for part in scene.geometry.values() if isinstance(part, trimesh.Trimesh)]
+            clouds = [part for part in scene.geometry.values() if isinstance(part, trimesh.PointCloud)]
+            if any(len(mesh.faces) and mesh.faces.min() < 0 for mesh in meshes):
+                raise IndexError("a face with a negative vertex number")
+            vertices = [np.asarray(part.vertices, np.float64).reshape(-1, 3) for part in meshes + clouds]
+            triangles = [np.asarray(mesh.triangles, np.float64).reshape(-1, 3, 3) for mesh in meshes]
+    except Exception as error:  # a foreign parser on foreign bytes: whatever it raises, the file is bad
+        raise InputError(f"{path}: not a readable {ending} file ({one_line(error)})") from None
+    geometry = np.concatenate([np.empty((0, 3)), *vertices]), np.concatenate([np.empty((0, 3, 3)), *triangles])
+    if ending == ".ply":
+        _check_ply_is_whole(path, data, *map(len, geometry))
+    return geometry
+
+
+def _check_ply_is_whole(path: Path, data: bytes, vertices: int, triangles: int) -> None:
+    """trimesh takes what there is of a text that was cut off, and says nothing."""
+    promised = dict(PLY_ELEMENT.findall(data.partition(b"end_header")[0]))
+    if vertices != int(promised.get(b"vertex", vertices)) or triangles < int(promised.get(b"face", 0)):
+        raise InputError(f"{path}: damaged, it holds fewer vertices or faces than its header says")

@@ -1,0 +1,112 @@
+"""The robot: a serial arm with capsules around its links.
+
+A link is what moves with a joint: its frame sits on that joint's axis, and bodies fixed to it, tools too,
+belong to it. A Robot is plain arrays, made once from a model file; kinematics.py needs nothing else.
+"""
+
+import dataclasses
+from pathlib import Path
+
+import jax.numpy as jnp
+
+from htcp_jax.notebook import html_facts
+from htcp_jax.pytree import register_pytree
+from htcp_jax.scene.robot_model import read_robot_file
+from htcp_jax.scene.tool import ZERO, Tool, Triple, pose
+from htcp_jax.types import Array, Float, Joints, Pose, Scalar
+
+GP50 = Path(__file__).parent / "models" / "gp50.xml"
+
+_STATIC = {"static": True}
+
+
+@register_pytree
+@dataclasses.dataclass(frozen=True)
+class Robot:
+    """A serial arm of N hinge or slide joints with K capsules, in metres and radians.
+
+    The frame of link i is the frame of joint i after its motion: its origin lies on the joint's axis, and at
+    x = 0 it stands at T_parent_joint[i] in the frame of link i - 1 (of the world for i = 0).
+    """
+
+    T_parent_joint: Float[Array, "N 4 4"]  # joint i's frame at x = 0, in link i - 1
+    axis: Float[Array, "N 3"]  # unit, in the joint's own frame
+    T_link_tcp: Pose  # in the last link; z points out of the tool
+    lower: Joints  # [rad or m], -inf where the model sets no limit
+    upper: Joints
+    speed: Joints  # [rad/s or m/s], inf where the model says nothing
+    capsule_p: Float[Array, "K 3"]  # ends of the segment in the frame of the capsule's link
+    capsule_q: Float[Array, "K 3"]  # a sphere has p == q
+    capsule_radius: Float[Array, "K"]
+    on_tool: Float[Array, "K 2"]  # 1 where the end p, q moves with the tool's tip, see lengthen_tool
+    name: str = dataclasses.field(metadata=_STATIC)
+    joint_names: tuple[str, ...] = dataclasses.field(metadata=_STATIC)
+    slides: tuple[bool, ...] = dataclasses.field(metadata=_STATIC)
+    capsule_names: tuple[str, ...] = dataclasses.field(metadata=_STATIC)
+    capsule_link: tuple[int, ...] = dataclasses.field(metadata=_STATIC)  # -1 is the world
+    ignored_geoms: tuple[str, ...] = dataclasses.field(metadata=_STATIC)  # neither capsule nor sphere
+
+    def _repr_html_(self) -> str:
+        limits = zip(self.joint_names, self.lower.tolist(), self.upper.tolist(), self.slides, strict=True)
+        radii = zip(self.capsule_names, self.capsule_radius.tolist(), strict=True)
+        facts = {name: f"{low:.4g} to {high:.4g} {'m' if slides else 'rad'}" for name, low, high, slides in limits}
+        facts["capsules"] = ", ".join(f"{name} ({1e3 * radius:.0f} mm)" for name, radius in radii)
+        if self.ignored_geoms:
+            facts["ignored geoms"] = ", ".join(self.ignored_geoms)
+        return html_facts(f"{self.name}: {len(self.joint_names)} joints", facts)
+
+
+def load_robot(
+    path: str | Path = GP50,
+    *,
+    tcp_site: str = "tcp",
+    limits: str = "model",
+    base_m: Triple = ZERO,
+    base_rpy_rad: Triple = ZERO,
+    tool: Tool | None = None,
+) -> Robot:
+    """Read the serial chain from the world to the TCP out of an MJCF or URDF file, through MuJoCo.
+
+    path: the file. Its capsule and sphere geoms become capsules, wherever they are fixed; all others are
+        listed in `ignored_geoms`. Mesh files are never opened.
+    tcp_site: the site, or else the body, whose frame is the TCP. By default "tcp"; where there is none, the
+        only site of the model, or the outermost link of a URDF, which has no sites.
+    limits: "model" (the joint ranges of the file, infinite where there is none), "simulation" (+-pi on
+        hinges, slides as in the file) or "datasheet" (the <numeric> entries "datasheet_lower" and
+        "datasheet_upper" of the file, a value a joint). Joint speeds are its <numeric> "speed", of a URDF the
+        velocities of its joints.
+    base_m, base_rpy_rad: pose of the model's own frame, and so of all that it holds, in the world: turned about world
+        x, then y, then z.
+    tool: mounted on the frame that `tcp_site` means, which is then the flange.
+
+    Raises InputError for a file that cannot be read, fewer than three joints, ball or free joints, joints off
+    the chain, no TCP, no capsules, a radius that is not positive, a number that is not finite, a profile
+    that the model does not have, and a body of the tool that is called as one of the model.
+    """
+    fields = read_robot_file(Path(path), tcp_site, limits, pose(base_m, base_rpy_rad), tool)
+    arrays = {key: jnp.array(value) for key, value in fields.arrays.items()}
+    return Robot(**arrays, **fields.facts)
+
+
+def gp50(limits: str = "simulation") -> Robot:
+    """The Yaskawa Motoman GP50 with its grinding tool: N = 6, K = 8, from models/gp50.xml.
+
+    limits: "simulation" (+-pi on every joint, as in the paper) or "datasheet"; InputError for another.
+    """
+    return load_robot(GP50, limits=limits)
+
+
+def lengthen_tool(robot: Robot, extension_m: float | Scalar) -> Robot:
+    """The robot with its tool longer by `extension_m` [m] along the tool's z axis; negative shortens.
+
+    The TCP moves, and so does what hangs on the tool: the capsules of the body that carries the TCP. The
+    first of them starts at the flange: it keeps that end and is stretched. The extension may be traced.
+    """
+    shift = extension_m * robot.T_link_tcp[:3, 2]
+    ends = robot.on_tool[:, :, None] * shift[None, None, :]
+    return dataclasses.replace(
+        robot,
+        T_link_tcp=robot.T_link_tcp + jnp.pad(shift[:, None], ((0, 1), (3, 0))),
+        capsule_p=robot.capsule_p + ends[:, 0],
+        capsule_q=robot.capsule_q + ends[:, 1],
+    )

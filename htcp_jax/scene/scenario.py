@@ -1,0 +1,167 @@
+"""One scenario: where the arm starts, where the workpiece is, and the targets in between; checked, then stacked."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from htcp_jax.errors import InputError
+from htcp_jax.pytree import register_pytree
+from htcp_jax.scene.kinematics import reach, tcp_position
+from htcp_jax.scene.robot import Robot, lengthen_tool
+from htcp_jax.scene.workpiece import Workpiece
+from htcp_jax.status import Status
+from htcp_jax.types import Anywhere, Float, Int
+
+NOT_REFUSED = -1
+
+
+class OutOfReach(InputError):
+    """A target that no posture of the arm comes near."""
+
+
+@register_pytree
+@dataclass(frozen=True)
+class Scenario:
+    """What differs between the members of a batch. Stacked, every leaf has a leading axis S."""
+
+    x_start: Float[Anywhere, "*S N"]  # [rad or m]
+    T_world_workpiece: Float[Anywhere, "*S 4 4"]
+    gate: Float[Anywhere, "*S 4"]  # see `gate_of`
+    targets: Float[Anywhere, "*S T 3"]  # world [m]; rows from `count` on are padding
+    count: Int[Anywhere, "*S"]  # targets to track
+    margin_m: Float[Anywhere, "*S"]  # least clearance with which a target counts
+    tool_extension_m: Float[Anywhere, "*S"]
+    number: Int[Anywhere, "*S"]  # identity: the random keys are folded from it
+    refused: Int[Anywhere, "*S"]  # NOT_REFUSED, or the Status for which nothing is planned
+
+
+def path_targets(
+    tcp: Float[np.ndarray, "3"],
+    inlet: Float[np.ndarray, "3"] | None,
+    path: Float[np.ndarray, "W 3"],
+    approach: tuple[int, int] = (5, 5),
+) -> Float[np.ndarray, "T 3"]:
+    """Targets of one scenario [m], all in one frame: the start TCP itself, `approach[0]` equal steps to the inlet's
+    centre, `approach[1]` equal steps from there to the first path point, then the whole path (so that its first point
+    is met again). Without an inlet the steps go straight from the start to the path."""
+    stops = [tcp, path[0]] if inlet is None else [tcp, inlet, path[0]]
+    steps = [sum(approach)] if inlet is None else approach
+    legs = [
+        a + (b - a) * np.linspace(0, 1, n + 1)[1:, None] for a, b, n in zip(stops[:-1], stops[1:], steps, strict=True)
+    ]
+    return np.concatenate([np.asarray(tcp)[None], *legs, path])
+
+
+def make_scenario(
+    robot: Robot,
+    workpiece: Workpiece,
+    start: Sequence[float] | Anywhere,
+    *,
+    rotation: tuple[float, float] = (0.4, 0.1),
+    rotation_x_rad: float = 0.0,
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    approach: tuple[int, int] = (5, 5),
+    margin_m: float = 5e-4,
+    tool_extension_m: float = 0.0,
+    number: int = 0,
+    beyond_reach: Literal["raise", "record"] = "raise",
+) -> Scenario:
+    """One scenario of the scene's rules.
+
+    start: N joint positions [rad or m]; rotation: workpiece about world y, then z [rad], after rotation_x_rad about
+    world x; shift: of the workpiece, world [m]; margin_m: least clearance with which a target counts; tool_extension_m:
+    see `robot.lengthen_tool`; number: identity for the random keys. beyond_reach: what to do about a target beyond the
+    arm's reach; "record" makes a scenario that is planned as a failure, with that reason.
+    Raises InputError for a start of the wrong length or outside the joint limits, and OutOfReach, which is one.
+    """
+    x_start = np.asarray(start, float)
+    _check_start(robot, x_start)
+    longer = lengthen_tool(robot, tool_extension_m)
+    T_world_workpiece = workpiece.T_world(*rotation, shift=shift, wx=rotation_x_rad)
+    rotate, translate = T_world_workpiece[:3, :3], T_world_workpiece[:3, 3]
+    tcp = np.asarray(_TCP(longer, jnp.asarray(x_start)))
+    inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
+    targets = path_targets(tcp, inlet, workpiece.path @ rotate.T + translate, approach)
+    refused = NOT_REFUSED
+    try:
+        _check_reach(longer, targets)
+    except OutOfReach:
+        if beyond_reach == "raise":
+            raise
+        refused = Status.OUT_OF_REACH
+    return Scenario(
+        x_start=x_start,
+        T_world_workpiece=T_world_workpiece,
+        gate=gate_of(robot, workpiece, T_world_workpiece),
+        targets=targets,
+        count=np.asarray(len(targets), np.int32),
+        margin_m=np.asarray(margin_m, float),
+        tool_extension_m=np.asarray(tool_extension_m, float),
+        number=np.asarray(number, np.int32),
+        refused=np.asarray(refused, np.int32),
+    )
+
+
+def gate_of(robot: Robot, workpiece: Workpiece, T_world_workpiece: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4"]:
+    """Unit normal n, offset [m]: capsule ends with n @ x > offset in the world must lie inside the workpiece.
+
+    Where the robot itself stands beyond that plane, beside the workpiece, it divides nothing: the offset is infinite,
+    and the rule off. The paper's rule, along the world's x, holds anywhere.
+    """
+    gate = workpiece.gate(T_world_workpiece)
+    fixed = np.asarray(robot.capsule_link) < 0
+    ends = (np.asarray(end)[fixed] for end in (robot.capsule_p, robot.capsule_q))
+    base = np.concatenate([np.asarray(robot.T_parent_joint)[:1, :3, 3], *ends])
+    if workpiece.inlet_direction is not None and (base @ gate[:3] > gate[3]).any():
+        gate[3] = np.inf
+    return gate
+
+
+def interior_rule(workpiece: Workpiece, scenario: Scenario) -> str:
+    """Whether bodies deep in the workpiece must be in its hull, in words."""
+    beside = np.isinf(scenario.gate[3]) and len(workpiece.hull_offset)
+    return "off: the robot stands beyond the inlet" if beside else workpiece.interior_rule
+
+
+def with_own_tool(robot: Robot, scenario: Scenario) -> tuple[Robot, Scenario]:
+    """The robot with the tool of one scenario, and the scenario that adds nothing to it: together what they were."""
+    own = replace(scenario, tool_extension_m=np.zeros_like(scenario.tool_extension_m))
+    return lengthen_tool(robot, float(scenario.tool_extension_m)), own
+
+
+def stack(scenarios: Sequence[Scenario]) -> Scenario:
+    """Scenarios as one batch (numpy leaves with a leading axis S); shorter target lists are padded with their last."""
+    if not scenarios:
+        raise InputError("no scenarios to plan")
+    longest = max(len(s.targets) for s in scenarios)
+
+    def pad(targets):
+        return np.concatenate([targets, np.repeat(targets[-1:], longest - len(targets), axis=0)])
+
+    padded = [jax.tree.map(np.asarray, Scenario(**{**vars(s), "targets": pad(s.targets)})) for s in scenarios]
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *padded)
+
+
+_TCP = jax.jit(tcp_position)
+
+
+def _check_start(robot: Robot, x_start: np.ndarray) -> None:
+    lower, upper = np.asarray(robot.lower), np.asarray(robot.upper)
+    if x_start.shape != lower.shape:
+        raise InputError(f"start has {x_start.size} joint positions, the robot {robot.name} has {lower.size} joints")
+    for name, value, low, high in zip(robot.joint_names, x_start, lower, upper, strict=True):
+        if not low <= value <= high:
+            raise InputError(f"start: joint {name} at {value:.6g} is outside its limits {low:.6g} to {high:.6g}")
+
+
+def _check_reach(robot: Robot, targets: np.ndarray) -> None:
+    base, longest = np.asarray(robot.T_parent_joint)[0, :3, 3], reach(robot)
+    far = np.linalg.norm(targets - base, axis=1)
+    if (worst := int(np.argmax(far > longest))) or far[0] > longest:
+        raise OutOfReach(
+            f"target {worst} is {far[worst]:.3f} m from the robot's base; {robot.name} reaches {longest:.3f} m at most"
+        )

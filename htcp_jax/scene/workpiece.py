@@ -1,0 +1,322 @@
+"""The workpiece: its walls and tool path in its own frame, its pose in the world, and its convex hull.
+
+Host side, numpy. Walls are points. Those of a mesh cover it within a known distance, which every clearance is less.
+The hull serves the interior rule of the clearance: deep behind the inlet, a point of the robot that left the hull has
+pierced the wall.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from htcp_jax.errors import InputError
+from htcp_jax.formats.foreign import known_ending
+from htcp_jax.formats.table import read_table
+from htcp_jax.notebook import html_facts
+from htcp_jax.scene import duct
+from htcp_jax.scene.convex_hull import Hull, convex_hull
+from htcp_jax.scene.mesh_points import Cover, cover
+from htcp_jax.scene.point_cloud import TEXT, check_points, load_geometry
+from htcp_jax.scene.robot import Robot
+from htcp_jax.scene.units import check_extent, check_path
+from htcp_jax.types import Anywhere
+
+PIVOT = (1.73205679, -0.0037799, 0.57539635)  # [m] world
+NEUTRAL_TRANSLATION = (1.24549547, -0.0037799, 0.87525497)  # [m] workpiece origin at wy = wz = 0
+GATE_DEPTH_M = 0.2
+MOST_POINTS = 10_000_000  # of the generated duct
+# Where the duct's wall bulges outwards nearly every point is a vertex of the hull: 22,914 facets.
+# At this tolerance they are 944, and the corners that they leave lie at most 0.42 mm outside the exact hull.
+DUCT_HULL_TOLERANCE_M = 5e-4
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Workpiece:
+    """A cloud and a tool path, both [m] in the workpiece frame. Immutable: arrays are read-only copies.
+
+    inlet: centre of the inlet, via-point of the approach; None means none.
+    pivot, neutral_translation: see `T_world`.
+    gate_depth_m: how far behind its nearest point the interior begins, see `gate`.
+    interior: "hull" computes the half-spaces below; "none" leaves them empty (F = 0), for flat clouds.
+    hull_tolerance_m: 0 for the exact hull; above, fewer facets that reach out farther by about that much at
+        most and still hold all of the cloud.
+    inlet_direction: into the part, made unit; None is the world's x, however the part is turned; "facet" the inward
+        normal of the hull's facet nearest to the inlet, and without an inlet no interior.
+    triangles: of the mesh that the cloud was sampled on [m]; none for a cloud.
+    covering_radius_m: no point of the mesh is further from one of the cloud; 0 for a cloud.
+    tip_contact_m: how near to the TCP the stretch between the last body and the TCP may touch walls; None: anywhere.
+
+    Computed once: the cloud's convex hull is where hull_normal @ x <= hull_offset (unit outward normals);
+    hull_vertices are the vertices of the exact hull (the whole cloud with interior "none").
+
+    Raises InputError for wrong shapes, NaN, fewer than 4 points, an empty path, and a flat cloud with "hull".
+    """
+
+    name: str
+    cloud: Float[np.ndarray, "P 3"]
+    path: Float[np.ndarray, "T 3"]
+    inlet: Float[np.ndarray, "3"] | Triple | None = None  # these three are arrays once constructed
+    pivot: Float[np.ndarray, "3"] | Triple = PIVOT
+    neutral_translation: Float[np.ndarray, "3"] | Triple = NEUTRAL_TRANSLATION
+    gate_depth_m: float = GATE_DEPTH_M
+    interior: Literal["hull", "none"] = "hull"
+    hull_tolerance_m: float = 0.0
+    inlet_direction: Float[np.ndarray, "3"] | Triple | Literal["facet"] | None = None
+    triangles: Float[np.ndarray, "M 3 3"] = field(default_factory=lambda: np.empty((0, 3, 3)))
+    covering_radius_m: float = 0.0
+    tip_contact_m: float | None = None
+    hull_normal: Float[np.ndarray, "F 3"] = field(init=False)
+    hull_offset: Float[np.ndarray, "F"] = field(init=False)
+    hull_vertices: Float[np.ndarray, "V 3"] = field(init=False)
+
+    def __post_init__(self):
+        cloud = _points(self.cloud, f"cloud of {self.name}", 4)
+        path = _points(self.path, f"path of {self.name}", 1)
+        inlet = None if self.inlet is None else _triple(self.inlet, "inlet")
+        for name in ("gate_depth_m", "hull_tolerance_m", "covering_radius_m", "tip_contact_m"):
+            if getattr(self, name) is not None and not 0.0 <= getattr(self, name) < np.inf:
+                raise InputError(f"{name} is {getattr(self, name)}; it must be 0 or more")
+        triangles = np.array(self.triangles, dtype=np.float64)
+        corners = triangles.reshape(-1, 3) if len(triangles) else cloud  # what is sampled between adds no vertex
+        lost = inlet is None and self.inlet_direction == "facet"
+        hull = _hull(corners, "none" if lost else self.interior, self.hull_tolerance_m, self.name)
+        arrays = {
+            "cloud": cloud, "path": path, "inlet": inlet, "triangles": triangles,
+            "inlet_direction": _direction(self.inlet_direction, hull, inlet),
+            "pivot": _triple(self.pivot, "pivot"),
+            "neutral_translation": _triple(self.neutral_translation, "neutral_translation"),
+            "hull_normal": hull.normal, "hull_offset": hull.offset, "hull_vertices": hull.vertices,
+        }  # fmt: skip
+        for name, array in arrays.items():
+            if array is not None:
+                array.setflags(write=False)
+            object.__setattr__(self, name, array)  # the one way into a frozen dataclass, taken only here
+
+    def T_world(
+        self, wy: float, wz: float, shift: Triple = (0.0, 0.0, 0.0), wx: float = 0.0
+    ) -> Float[np.ndarray, "4 4"]:
+        """T_world_workpiece: x_world = pivot + Rz(wz) Ry(wy) Rx(wx) (x + neutral_translation - pivot) + shift.
+
+        wx, wy, wz [rad] about world x, then world y, then world z; shift [m] in the world.
+        """
+        cy, sy, cz, sz = np.cos(wy), np.sin(wy), np.cos(wz), np.sin(wz)
+        T = np.eye(4)
+        T[:3, :3] = [[cz * cy, -sz, cz * sy], [sz * cy, cz, sz * sy], [-sy, 0.0, cy]]
+        if wx:  # else not a bit of the others changes
+            cx, sx = np.cos(wx), np.sin(wx)
+            T[:3, :3] = T[:3, :3] @ [[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]]
+        T[:3, 3] = self.pivot + T[:3, :3] @ (self.neutral_translation - self.pivot) + shift
+        return T
+
+    @cached_property
+    def largest_gap_m(self) -> float:
+        """The largest distance from a point of the cloud to the next one: holes are at least as wide."""
+        return float(cKDTree(self.cloud).query(self.cloud, k=2)[0][:, 1].max())
+
+    @property
+    def walls(self) -> str:
+        """What clearance is measured to, in words."""
+        if len(self.triangles):
+            reach = f"{len(self.triangles):,} triangles within {1e3 * self.covering_radius_m:.3g} mm of"
+            return f"{reach} {len(self.cloud):,} points, subtracted"
+        return f"{len(self.cloud):,} points, gaps up to {1e3 * self.largest_gap_m:.3g} mm"
+
+    @property
+    def interior_rule(self) -> str:
+        """Whether bodies deep in the part must be in its hull, in words."""
+        if len(self.hull_offset):
+            along = "world x" if self.inlet_direction is None else f"({_told(self.inlet_direction)})"
+            return f"convex hull, {self.gate_depth_m:.3g} m deep along {along}"
+        return "off: no inlet" if self.inlet is None else "off"
+
+    def _repr_html_(self) -> str:
+        low, high = self.cloud.min(axis=0), self.cloud.max(axis=0)
+        length = np.linalg.norm(np.diff(self.path, axis=0), axis=1).sum()
+        facts = {
+            "walls": self.walls,
+            "extent": " x ".join(f"{side:.3f}" for side in high - low) + " m",
+            "tool path": f"{len(self.path)} points, {length:.3f} m",
+            "inlet": "none" if self.inlet is None else f"{_told(self.inlet)} m",
+            "interior": self.interior_rule,
+        }
+        return html_facts(self.name, facts)
+
+    def gate(self, T_world_workpiece: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4"]:
+        """Unit normal n, offset: a point of the robot with n @ x > offset [m] in the world must lie in the hull. n is
+        the inlet's direction; the plane lies gate_depth_m behind the point of the part that comes first along it."""
+        rotate, translate = T_world_workpiece[:3, :3], T_world_workpiece[:3, 3]
+        n = np.array([1.0, 0.0, 0.0]) if self.inlet_direction is None else rotate @ self.inlet_direction
+        along = self.hull_vertices @ (rotate.T @ n) + translate @ n
+        return np.append(n, along.min() + self.gate_depth_m)
+
+
+def load_workpiece(
+    cloud: str | Path | Anywhere | None = None,
+    path: str | Path | Anywhere | None = None,
+    *,
+    name: str | None = None,
+    inlet: Triple | Literal["auto"] | None = "auto",
+    pivot: Triple = PIVOT,
+    neutral_translation: Triple = NEUTRAL_TRANSLATION,
+    gate_depth_m: float = GATE_DEPTH_M,
+    interior: Literal["hull", "none"] = "hull",
+    hull_tolerance_m: float | None = None,
+    inlet_direction: Triple | Literal["world-x"] | None = None,
+    tip_contact_m: float | None = None,
+    points: int | None = None,
+    seed: int = 0,
+    spacing: float | None = None,
+    thinnest_m: float = np.inf,
+    robot: Robot | None = None,
+) -> Workpiece:
+    """A workpiece from files or arrays; without a cloud the generated duct, without both the duct and its weld.
+
+    cloud, path: files, see `load_cloud` and `read_path`, or points (P, 3), (T, 3) [m].
+    inlet: "auto" is the duct's inlet for the duct and None for another cloud.
+    hull_tolerance_m: None is 0 (the exact hull) for a cloud and 0.5 mm for the duct.
+    inlet_direction: "world-x" is the world's x, however the part is turned, as in the paper's scene; None is that for
+        the duct, and "facet" for another cloud, see `Workpiece`.
+    points, seed: of the generated duct.
+    spacing [m]: of the points on a mesh, see `mesh_points.cover`; thinnest_m: radius of the thinnest body [m], which
+        must be larger than the covering radius of a mesh.
+    robot: whose reach and bodies part and path have to make sense for by their size, see `units`; None: no such check.
+    Raises InputError for what is wrong with a file or a figure, and for a cloud without a path.
+    """
+    generated = cloud is None
+    name = name or ("duct" if generated else Path(_named(cloud)).stem)
+    if generated:
+        track = duct.weld() if path is None else read_path(path)
+        surface, triangles = _generated(points, seed, spacing), np.empty((0, 3, 3))
+    elif path is None:
+        raise InputError(f"{_named(cloud)}: a cloud needs a tool path of its own (x,y,z rows in a CSV file)")
+    elif points is not None:
+        raise InputError(f"{_named(cloud)}: the number of points is for the generated duct; a mesh takes a spacing")
+    else:
+        read, triangles = load_geometry(cloud) if _is_file(cloud) else (_points(cloud, "cloud", 4), np.empty((0, 3, 3)))
+        track, surface = read_path(path), Cover(read, 0.0)
+        if robot is not None:
+            check_extent(robot, read, track, name)
+        if len(triangles):
+            surface = cover(triangles, str(cloud), spacing, thinnest_m)
+            _check_thinnest(surface, str(cloud), thinnest_m)
+    if robot is not None:
+        check_path(surface.points, track, name)
+    if inlet == "auto":
+        inlet = duct.INLET if generated else None
+    if hull_tolerance_m is None:
+        hull_tolerance_m = DUCT_HULL_TOLERANCE_M if generated else 0.0
+    if inlet_direction is None and not generated:
+        inlet_direction = "facet"
+    elif inlet_direction == "world-x":
+        inlet_direction = None
+    return Workpiece(
+        name,
+        surface.points,
+        track,
+        inlet,
+        pivot,
+        neutral_translation,
+        gate_depth_m,
+        interior,
+        hull_tolerance_m,
+        inlet_direction,
+        triangles,
+        surface.radius_m,
+        tip_contact_m,
+    )
+
+
+def _is_file(given: object) -> bool:
+    return isinstance(given, str | Path)
+
+
+def _named(cloud: str | Path | Anywhere) -> str | Path:
+    return cloud if _is_file(cloud) else "cloud"
+
+
+def read_path(path: str | Path | Anywhere) -> Float[np.ndarray, "T 3"]:
+    """Tool path [m], workpiece frame: x,y,z rows of a text file (.csv .txt .xyz), or its columns of these
+    names, or an array, in tracking order; `cloud.read_points` has the normals too.
+
+    Raises InputError for an unreadable or empty file, what is wrong with a line (naming it) and NaN.
+    """
+    if not _is_file(path):
+        return _points(path, "path", 1)
+    path = Path(path)
+    known_ending(path, TEXT)
+    points = read_table(path).xyz
+    if not len(points):
+        raise InputError(f"{path}: the tool path is empty")
+    check_points(points, str(path), at_least=1)
+    return points
+
+
+def _generated(points: int | None, seed: int, spacing: float | None) -> Cover:
+    if spacing is not None:
+        raise InputError("spacing is for meshes; the generated duct takes points")
+    if seed < 0:
+        raise InputError(f"seed is {seed}; it must be 0 or more")
+    if points is not None and not 4 <= points <= MOST_POINTS:
+        raise InputError(f"points is {points}; valid are 4 to {MOST_POINTS}")
+    return Cover(duct.duct_cloud(duct.POINTS if points is None else points, seed), 0.0)
+
+
+def _check_thinnest(surface: Cover, source: str, thinnest_m: float) -> None:
+    if surface.radius_m >= thinnest_m:
+        raise InputError(
+            f"{source}: the mesh is up to {1e3 * surface.radius_m:.4g} mm from its points, and the thinnest body has a "
+            f"radius of {1e3 * thinnest_m:.4g} mm; workpiece.mesh_spacing_m must be smaller"
+        )
+
+
+def _direction(value: object, hull: Hull, inlet: np.ndarray | None) -> Float[np.ndarray, "3"] | None:
+    """The unit vector into the part."""
+    if value is None or (isinstance(value, str) and not len(hull.offset)):
+        return None
+    if isinstance(value, str):
+        return -hull.normal[np.argmax(hull.normal @ inlet - hull.offset)]
+    direction = _triple(value, "inlet_direction")
+    if not np.linalg.norm(direction) > 0:
+        raise InputError("inlet_direction is zero; it must point into the part")
+    return direction / np.linalg.norm(direction)
+
+
+def _told(values: Float[np.ndarray, "3"]) -> str:
+    return ", ".join(f"{value:.4g}" for value in values + 0.0)
+
+
+def _hull(cloud: Float[np.ndarray, "P 3"], interior: str, tolerance_m: float, name: str) -> Hull:
+    if interior == "hull":
+        return convex_hull(cloud, tolerance_m, f"cloud of {name}")
+    if interior == "none":
+        return Hull(np.empty((0, 3)), np.empty(0), cloud)
+    raise InputError(f"interior is {interior!r}; valid are hull, none")
+
+
+def _points(value: object, source: str, at_least: int) -> Float[np.ndarray, "P 3"]:
+    points = _numbers(value, source)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"{source}: shape {points.shape}, (points, 3) is needed")
+    check_points(points, source, at_least)
+    return points
+
+
+def _triple(value: object, source: str) -> Float[np.ndarray, "3"]:
+    triple = _numbers(value, source)
+    if triple.shape != (3,) or not np.isfinite(triple).all():
+        raise InputError(f"{source} is {value!r}; three finite numbers [m] are needed")
+    return triple
+
+
+def _numbers(value: object, source: str) -> Float[np.ndarray, "..."]:
+    try:
+        return np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{source}: not an array of numbers") from None

@@ -1,0 +1,81 @@
+"""Clarabel, an interior point solver with infeasibility certificates, fed through one fixed sparsity pattern.
+
+Building a solver costs more than solving, and so does building sparse matrices: one solver is built from a fixed first
+problem, later ones only write their numbers into it. Presolve and equilibration stay off, so a solver remembers nothing
+of the QPs before, and an answer is the same to the last bit in any order, in any batch, on any thread.
+"""
+
+import clarabel
+import numpy as np
+from scipy import sparse
+
+from htcp_jax.solvers.step_qp import QPSolution, QPStatus, StepQP
+
+_VERDICT = {
+    "Solved": QPStatus.SOLVED,
+    "AlmostSolved": QPStatus.SOLVED,
+    "PrimalInfeasible": QPStatus.INFEASIBLE,
+    "AlmostPrimalInfeasible": QPStatus.INFEASIBLE,
+}
+
+
+class ClarabelSolver:
+    """Step QPs with `rows` clearance rows and the cost diag(weights), one after the other, on the caller's thread.
+
+    The lock of the interpreter is released while a QP is solved: give every thread its own solver.
+    """
+
+    def __init__(self, weights: np.ndarray, rows: int, tolerance: float = 1e-8):
+        self._weights, self._rows = np.asarray(weights, float), rows
+        self._settings = clarabel.DefaultSettings()
+        self._settings.verbose = False
+        self._settings.presolve_enable = False
+        self._settings.equilibrate_enable = False
+        self._settings.max_threads = 1
+        for name in ("tol_gap_abs", "tol_gap_rel", "tol_feas"):
+            setattr(self._settings, name, tolerance)
+        self._solver = self._build()
+
+    def _build(self) -> clarabel.DefaultSolver:
+        n, rows = len(self._weights), self._rows
+        identity = np.eye(n)
+        pattern = sparse.csc_matrix(np.concatenate([np.ones((3 + rows, n)), identity, -identity]))
+        cones = [clarabel.ZeroConeT(3), clarabel.NonnegativeConeT(rows + 2 * n)]
+        cost = sparse.csc_matrix(np.diag(self._weights))
+        bound = np.ones(3 + rows + 2 * n)
+        return clarabel.DefaultSolver(cost, np.zeros(n), pattern, bound, cones, self._settings)
+
+    def solve(self, qps: StepQP) -> QPSolution:
+        """Steps (B, N) and verdicts (B,) of a batch."""
+        columns = np.concatenate([qps.A, qps.G], axis=1).transpose(0, 2, 1)
+        batch, n = qps.linear.shape
+        limits = np.stack([qps.upper, -qps.lower], axis=2)
+        # A joint without a limit: the row 0 y <= 1. Clarabel takes no infinite bounds.
+        free = np.isposinf(limits)
+        signs = np.where(free, 0.0, np.array([1.0, -1.0]))
+        limits = np.where(free, 1.0, limits).transpose(0, 2, 1).reshape(batch, -1)
+        values = np.ascontiguousarray(np.concatenate([columns, signs], axis=2).reshape(batch, -1))
+        bounds = np.concatenate([qps.b, qps.h, limits], axis=1)
+        y = np.zeros((batch, n))
+        status = np.full(batch, QPStatus.FAILED, np.int32)
+        for k in range(batch):
+            y[k], status[k] = self._solve_one(qps.linear[k], values[k], bounds[k])
+        return QPSolution(y, status)
+
+    def _solve_one(self, linear, values, bounds) -> tuple[np.ndarray | float, QPStatus]:
+        try:
+            self._solver.update(q=linear, A=values, b=bounds)
+            solution = self._solver.solve()
+        except Exception:
+            return 0.0, QPStatus.FAILED
+        except BaseException as panic:
+            # A panic of the Rust core arrives outside Exception and leaves the solver in an unknown state.
+            if type(panic).__name__ != "PanicException":
+                raise
+            self._solver = self._build()
+            return 0.0, QPStatus.FAILED
+        verdict = _VERDICT.get(str(solution.status), QPStatus.FAILED)
+        if verdict != QPStatus.SOLVED:
+            return 0.0, verdict
+        x = np.asarray(solution.x)
+        return (x, verdict) if np.isfinite(x).all() else (0.0, QPStatus.FAILED)

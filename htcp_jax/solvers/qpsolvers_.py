@@ -1,0 +1,41 @@
+"""Any solver that qpsolvers knows, one QP at a time: an oracle for the tests, and a way to try another solver."""
+
+import numpy as np
+import qpsolvers
+
+from htcp_jax.errors import InputError
+from htcp_jax.solvers.step_qp import QPSolution, QPStatus, StepQP
+
+
+class QPSolversSolver:
+    """Step QPs through `qpsolvers.solve_problem`. Raises InputError for a solver that is not installed.
+
+    qpsolvers does not tell an infeasible problem from a failure to converge: both count as INFEASIBLE unless the
+    solver raised or returned NaN.
+    """
+
+    def __init__(self, name: str):
+        if name not in qpsolvers.available_solvers:
+            raise InputError(f"qp solver {name!r} is not installed; valid: {', '.join(qpsolvers.available_solvers)}")
+        self._name = name
+
+    def solve(self, qps: StepQP) -> QPSolution:
+        """Steps (B, N) and verdicts (B,) of a batch."""
+        y = np.zeros(qps.linear.shape)
+        status = np.full(len(y), QPStatus.FAILED, np.int32)
+        for k in range(len(y)):
+            one = StepQP(*(np.asarray(field[k]) for field in qps))
+            if not all(np.isfinite(field).all() for field in one[:6]) or np.isnan(one[6:]).any():
+                continue  # some solvers answer such a problem with numbers
+            cost = np.diag(one.weights)
+            # clarabel, scs, highs and others want sparse matrices, quadprog wants dense ones; qpsolvers converts
+            problem = qpsolvers.Problem(cost, one.linear, one.G, one.h, one.A, one.b, one.lower, one.upper)
+            try:
+                solution = qpsolvers.solve_problem(problem, solver=self._name)
+            except (qpsolvers.SolverError, ValueError, ArithmeticError):
+                continue
+            if not solution.found:
+                status[k] = QPStatus.INFEASIBLE
+            elif np.isfinite(solution.x).all():
+                y[k], status[k] = solution.x, QPStatus.SOLVED
+        return QPSolution(y, status)

@@ -1,0 +1,304 @@
+"""Minimisers of J2 over the unit sphere, equation (11): one null-space step looks for the direction w that clears best.
+
+    maximise  min_k f_k(w)   over |w| = 1,  G w <= h,     f_k(w) = D_k(x_ref + alpha N w) - J1
+
+f_k belongs to body k, so the objective is a minimum of functions, each itself a minimum over points: kinked where it
+matters most. `observe` measures it exactly and is dear; every observation leaves K contacts behind, one a body.
+`predict` measures the distance to the contacts seen so far at another w: cheap, never below f_k, and equal to it where
+the right ones have been seen. The minimisers know nothing else of robots or clouds.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from htcp_jax.numerics import product, safe_norm, solve_spd
+from htcp_jax.scene.inverse_kinematics import null_basis
+from htcp_jax.solvers import cma_es
+from htcp_jax.solvers.interior_point import solve_dense
+from htcp_jax.types import Array, Bool, Float, Int, Scalar
+
+Direction = Float[Array, "D"]
+Seen = object  # contacts: a pytree whose leaves have a leading axis K, or R = a multiple of it
+
+
+class Sphere(NamedTuple):
+    """The problem above. J1(w) = 1/2 w' curvature w is already inside the values that observe and predict return."""
+
+    observe: Callable[[Direction], tuple[Float[Array, "K"], Seen]]
+    measure: Callable[[Direction], Scalar]  # min_k f_k(w) alone: cheaper than observe
+    predict: Callable[[Direction, Seen], tuple[Float[Array, "R"], Float[Array, "R D"]]]
+    curvature: Float[Array, "D D"]
+    G: Float[Array, "m D"]
+    h: Float[Array, "m"]
+
+
+class Best(NamedTuple):
+    """A direction and what it attains."""
+
+    w: Direction
+    value: Scalar  # min_k f_k(w), exact
+
+
+def spread_directions(count: int, dimension: int) -> Float[np.ndarray, "count dimension"]:
+    """Fixed unit vectors, the same on every machine: the positive and negative axes, then seeded random ones."""
+    axes = np.concatenate([np.eye(dimension), -np.eye(dimension)])
+    more = np.random.Generator(np.random.PCG64(0)).standard_normal((max(count, len(axes)), dimension))
+    return np.concatenate([axes, more / np.linalg.norm(more, axis=1, keepdims=True)])[:count]
+
+
+def _unit(v: Direction) -> Direction:
+    return v / jnp.maximum(safe_norm(v), 1e-300)
+
+
+def _merit(sphere: Sphere, w: Direction, value: Scalar) -> Scalar:
+    """Objective less an exact penalty on joint limits: 10 m/rad is steeper than any clearance."""
+    return value - 10.0 * jnp.max(jnp.maximum(product(sphere.G, w) - sphere.h, 0.0), initial=0.0)
+
+
+def first_guess(sphere: Sphere, seen: Seen, count: int = 64) -> Direction:
+    """Best of `count` spread directions by the contacts at hand: costs no observation."""
+    directions = jnp.asarray(spread_directions(count, sphere.curvature.shape[0]))
+    merit = jax.vmap(lambda w: _merit(sphere, w, jnp.min(sphere.predict(w, seen)[0])))(directions)
+    return directions[jnp.argmax(merit)]
+
+
+def _better_of_two(sphere: Sphere) -> Best:
+    """The whole sphere where it has one dimension (an arm with four joints): its two directions."""
+    directions = jnp.array([[1.0], [-1.0]])
+    merit = jnp.stack([_merit(sphere, w, sphere.measure(w)) for w in directions])
+    return Best(directions[jnp.argmax(merit)], jnp.max(merit))
+
+
+def sqp(sphere: Sphere, seen: Seen, observations: int = 12, memory: int = 8) -> Best:
+    """Sequential quadratic programming on the epigraph: maximise t with t <= the distance to every contact seen.
+
+    An outer approximation: climb on what the contacts seen predict, observe where that leads, and so on from the best
+    direction observed. The prediction is never below the truth, so when nothing near is predicted to be better, nothing
+    near is. Three observations are usual; the contacts of the last `memory` are kept.
+    """
+    if sphere.curvature.shape[0] == 1:
+        return _better_of_two(sphere)
+
+    def body(state):
+        best, proposed, store, _, count = state
+        values, new = sphere.observe(proposed)
+        bodies = values.shape[0]
+        slot = count % memory * bodies
+        store = jax.tree.map(lambda s, n: jax.lax.dynamic_update_slice_in_dim(s, n, slot, 0), store, new)
+        now = Best(proposed, _merit(sphere, proposed, jnp.min(values)))
+        best = jax.tree.map(lambda n, b: jnp.where(now.value > best.value, n, b), now, best)
+        climb = _climb(sphere, best.w, store)
+        more = ~climb.ended | (climb.merit > best.value + 1e-9)
+        return best, climb.w, store, more, count + 1
+
+    w = first_guess(sphere, seen)
+    store = jax.tree.map(lambda leaf: jnp.concatenate([leaf] * memory), seen)
+    start = (Best(w, jnp.full((), -jnp.inf)), w, store, jnp.full((), True), jnp.zeros((), jnp.int32))
+    best, *_ = jax.lax.while_loop(lambda s: s[3] & (s[4] < observations), body, start)
+    return best
+
+
+class _Climb(NamedTuple):
+    """A climb on the predicted merit."""
+
+    w: Direction
+    value: Float[Array, "R"]  # predicted at w, one a contact seen
+    gradient: Float[Array, "R D"]
+    merit: Scalar
+    multipliers: Float[Array, "R"]  # of the QP before
+    radius: Scalar  # of the trust region, 0 at the end
+    steps: Int[Array, ""]
+
+    @property
+    def ended(self) -> Bool[Array, ""]:
+        """Whether no step, however short, is predicted to gain anything."""
+        return self.radius < 1e-6
+
+
+def _climb(sphere: Sphere, w: Direction, seen: Seen, steps: int = 12) -> _Climb:
+    """Towards the local maximum of the predicted merit from w, by SQP steps within a trust region."""
+
+    def body(climb):
+        step, multipliers, gain = _tangent_step(sphere, climb.w, climb.value, climb.gradient, *climb[4:6])
+        w = _unit(climb.w + step)
+        value, gradient = sphere.predict(w, seen)
+        merit = _merit(sphere, w, jnp.min(value))
+        # A step that gains too little was too long: the next is a quarter of it. A QP that hopes for nothing ends it.
+        shorter = 0.25 * jnp.max(jnp.abs(step))
+        radius = jnp.where(merit - climb.merit > 0.1 * gain, jnp.minimum(2 * climb.radius, 0.5), shorter)
+        radius = jnp.where(gain > 1e-10, radius, 0.0)
+        there, here = (w, value, gradient, merit), climb[:4]
+        higher = jax.tree.map(lambda new, old: jnp.where(merit > climb.merit, new, old), there, here)
+        return _Climb(*higher, multipliers, radius, climb.steps + 1)
+
+    value, gradient = sphere.predict(w, seen)
+    lowest = jax.nn.one_hot(jnp.argmin(value), value.shape[0])
+    merit = _merit(sphere, w, jnp.min(value))
+    start = _Climb(w, value, gradient, merit, lowest, jnp.full((), 0.5), jnp.zeros((), jnp.int32))
+    return jax.lax.while_loop(lambda climb: ~climb.ended & (climb.steps < steps), body, start)
+
+
+def _tangent_step(sphere: Sphere, w, value, gradient, multipliers, radius):
+    """Step in R^D from the tangent QP at w, no longer than radius along any axis; its multipliers of the contacts,
+    and the gain it predicts.
+
+    Along the arc w -> unit(w + T d), a function with gradient g gains g'T d - 1/2 (g'w) |d|^2 to second order; with the
+    curvature of J1 that is all the curvature that the QP knows."""
+    dimension = w.shape[0]
+    tangent = null_basis(w[None, :])
+    bend = jnp.sum(multipliers * product(gradient, w)) * jnp.eye(dimension - 1) + product(
+        tangent.T, product(sphere.curvature, tangent)
+    )
+    # Where the objective bends upwards the QP is held convex (Gershgorin); its rows and the box bound the step.
+    disc = jnp.diag(bend) - (jnp.sum(jnp.abs(bend), axis=1) - jnp.abs(jnp.diag(bend)))
+    lift = jnp.maximum(1e-3 - jnp.min(disc), 0.0)
+    H = jnp.pad(bend + lift * jnp.eye(dimension - 1), (0, 1))
+    box = jnp.eye(dimension)[:-1]
+    rows = jnp.concatenate([-product(gradient, tangent), product(sphere.G, tangent)])
+    rise = jnp.concatenate([jnp.ones(value.shape), jnp.zeros(sphere.h.shape)])
+    G = jnp.concatenate([jnp.concatenate([rows, rise[:, None]], axis=1), box, -box])
+    room = jnp.maximum(sphere.h - product(sphere.G, w), 0.0)
+    h = jnp.concatenate([value - jnp.min(value), room, jnp.full(2 * (dimension - 1), 1.0) * radius])
+    solution = solve_dense(H, -jnp.eye(dimension)[-1], G, h)
+    return product(tangent, solution.y[:-1]), solution.multipliers[: value.shape[0]], solution.y[-1]
+
+
+def max_min_step(sphere: Sphere, seen: Seen, longest: Scalar) -> Direction:
+    """Step w, |w| <= longest, that raises the smallest contact seen from w = 0 the most: one QP, no observation.
+
+    The epigraph at first order with a trace of damping, so that a flat optimum gives the shortest step."""
+    dimension = sphere.curvature.shape[0]
+    value, gradient = sphere.predict(jnp.zeros(dimension), seen)
+    up = jnp.eye(dimension + 1)[-1]
+    box = jnp.eye(dimension + 1)[:-1]
+    lift = jnp.concatenate([-gradient, jnp.ones((*value.shape, 1))], axis=1)
+    limits = jnp.concatenate([sphere.G, jnp.zeros((*sphere.h.shape, 1))], axis=1)
+    G = jnp.concatenate([lift, limits, box, -box])
+    h = jnp.concatenate([value - jnp.min(value), jnp.maximum(sphere.h, 0.0), jnp.full(2 * dimension, 1.0) * longest])
+    w = solve_dense(1e-4 * jnp.diag(1 - up), -up, G, h).y[:-1]
+    return w * jnp.minimum(1.0, longest / jnp.maximum(safe_norm(w), 1e-12))
+
+
+def interior_point(sphere: Sphere, seen: Seen, iterations: int = 24) -> Best:
+    """Log barrier on the sphere: maximise t + mu (sum log(f_k(w) - t) + sum log(h - G w)), mu falling to 1e-7 m.
+
+    t is eliminated (its optimum solves sum mu / (f_k - t) = 1), which leaves a smooth minimum of the bodies, pushed
+    away from the joint limits. Newton steps in the tangent plane with the barrier's own curvature; a step that does
+    not raise the barrier is halved; two steps for every mu.
+    """
+    dimension = sphere.curvature.shape[0]
+    if dimension == 1:
+        return _better_of_two(sphere)
+
+    def barrier(w, values, mu):
+        t = _epigraph(values, mu)
+        room = jnp.maximum(sphere.h - product(sphere.G, w), 1e-12)
+        return t + mu * (jnp.sum(jnp.log(values - t)) + jnp.sum(jnp.log(room)))
+
+    def newton(w, values, gradient, mu):
+        tangent = null_basis(w[None, :])
+        t = _epigraph(values, mu)
+        weight = mu / (values - t)  # sums to 1
+        room = jnp.maximum(sphere.h - product(sphere.G, w), 1e-12)
+        pull = product(weight, gradient) - product(mu / room, sphere.G)
+        across = gradient - product(weight, gradient)[None, :]
+        # d2(-barrier): the bodies' trade-off (t moves with the weighted mean), the limits, the sphere, J1.
+        stiff = product(across.T, (weight / (values - t))[:, None] * across)
+        stiff = stiff + product(sphere.G.T, (mu / room**2)[:, None] * sphere.G) + sphere.curvature
+        bend = product(tangent.T, product(stiff, tangent)) + jnp.maximum(product(pull, w), 1e-3) * jnp.eye(
+            dimension - 1
+        )
+        step = solve_spd(bend, product(tangent.T, pull))
+        return product(tangent, step * jnp.minimum(1.0, 0.5 / jnp.maximum(safe_norm(step), 1e-12)))
+
+    def body(count, state):
+        w, values, seen, scale, best, best_merit = state
+        mu = 1e-2 * 0.35 ** (count // 2)
+        _, gradient = sphere.predict(w, seen)
+        w_new = _unit(w + scale * newton(w, values, gradient, mu))
+        new_values, new_seen = sphere.observe(w_new)
+        up = (barrier(w_new, new_values, mu) > barrier(w, values, mu)) & jnp.all(product(sphere.G, w_new) < sphere.h)
+        w = jnp.where(up, w_new, w)
+        values = jnp.where(up, new_values, values)
+        seen = jax.tree.map(lambda new, old: jnp.where(up, new, old), new_seen, seen)
+        merit = _merit(sphere, w, jnp.min(values))
+        better = merit > best_merit
+        scale = jnp.where(up, jnp.minimum(2 * scale, 1.0), 0.4 * scale)
+        return w, values, seen, scale, jnp.where(better, w, best), jnp.maximum(merit, best_merit)
+
+    w = first_guess(sphere, seen)
+    values, seen = sphere.observe(w)
+    merit = _merit(sphere, w, jnp.min(values))
+    start = (w, values, seen, jnp.ones(()), w, merit)
+    *_, w, merit = jax.lax.fori_loop(0, iterations, body, start)
+    return Best(w, merit)
+
+
+def _epigraph(values, mu):
+    """t below all values with sum mu / (values - t) = 1: between min - K mu and min - mu; Newton on the convex side."""
+    low = jnp.min(values) - values.shape[0] * mu
+
+    def newton(_, t):
+        gap = values - t
+        # 1 / sum(mu / gap) is concave and nearly linear in t: a few steps from below suffice and never overshoot.
+        total = jnp.sum(mu / gap)
+        slope = jnp.sum(mu / gap**2)
+        return t + (1 - total) * total / slope
+
+    return jax.lax.fori_loop(0, 8, newton, low)
+
+
+def adam(sphere: Sphere, seen: Seen, iterations: int = 40, rate: float = 0.15) -> Best:
+    """Adam (optax) on the subgradient of the smallest f_k, projected onto the sphere after every step."""
+    schedule = optax.cosine_decay_schedule(rate, iterations)
+    optimiser = optax.adam(schedule)
+
+    def body(_, state):
+        w, momentum, best, best_merit = state
+        values, seen = sphere.observe(w)
+        merit = _merit(sphere, w, jnp.min(values))
+        better = merit > best_merit
+        best, best_merit = jnp.where(better, w, best), jnp.maximum(merit, best_merit)
+        value, gradient = sphere.predict(w, seen)
+        over = product(sphere.G, w) - sphere.h
+        worst = jnp.argmax(over)
+        # Minus the merit's subgradient, in the tangent plane.
+        descent = -gradient[jnp.argmin(value)] + jnp.where(over[worst] > 0, 10.0, 0.0) * sphere.G[worst]
+        descent = descent - product(descent, w) * w
+        update, momentum = optimiser.update(descent, momentum, w)
+        return _unit(w + update), momentum, best, best_merit
+
+    w = first_guess(sphere, seen)
+    start = (w, optimiser.init(w), w, jnp.full((), -jnp.inf))
+    *_, w, merit = jax.lax.fori_loop(0, iterations, body, start)
+    return Best(w, merit)
+
+
+def cmaes(
+    sphere: Sphere, seen: Seen, key: jax.Array, population: int = 100, generations: int = 5, sigma: float = 0.5
+) -> Best:
+    """CMA-ES over directions: samples are normalised before they are measured; the best one ever measured is kept.
+
+    population and generations are the paper's; sigma, which the paper leaves open, covers a hemisphere at 0.5.
+    """
+    strategy = cma_es.rates(population, sphere.curvature.shape[0])
+
+    def body(generation, state):
+        distribution, best, best_merit = state
+        samples = cma_es.ask(distribution, jax.random.fold_in(key, generation), population)
+        directions = jax.vmap(_unit)(samples)
+        merit = jax.vmap(lambda w: _merit(sphere, w, sphere.measure(w)))(directions)
+        top = jnp.argmax(merit)
+        better = merit[top] > best_merit
+        best = jnp.where(better, directions[top], best)
+        return cma_es.tell(distribution, samples, -merit, strategy), best, jnp.maximum(merit[top], best_merit)
+
+    w = first_guess(sphere, seen)
+    state = (cma_es.start(w, sigma), w, jnp.full((), -jnp.inf))
+    _, w, merit = jax.lax.fori_loop(0, generations, body, state)
+    return Best(w, merit)

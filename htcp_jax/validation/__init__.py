@@ -1,0 +1,1 @@
+"""What is doubted: results measured again by MuJoCo alone, and held to baselines."""

@@ -1,0 +1,269 @@
+"""How a run stands, as a file to compare later runs with: one line a scenario, to be read and to be diffed.
+
+    methods:
+      nspace-sqp:
+        tracked: 4372
+        ...
+        scenarios:
+          0: 105 complete
+          1: 73 QP_INFEASIBLE     # targets in a row, and what became of the next one
+
+Tracked targets come from the planner's own record. The bounds on the TCP and on the clearance do not: they are
+measured by `validate`, with MuJoCo alone, so that a wrong formula in the planner cannot vouch for itself.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import yaml
+from pydantic import Field, model_validator
+
+from htcp_jax.errors import InputError
+from htcp_jax.formats.strict_yaml import read_yaml
+from htcp_jax.jobs.config import Section, validate
+from htcp_jax.planner.plans import is_tracked
+from htcp_jax.runs.ceiling_file import read_ceiling
+from htcp_jax.runs.identity import config_hash, identity
+from htcp_jax.runs.plan_folder import write_text
+from htcp_jax.runs.run_folder import Manifest, MethodName, Run
+from htcp_jax.runs.tables import NO_TARGET
+from htcp_jax.status import Status
+from htcp_jax.validation.validate import MethodCheck, Refuted
+from htcp_jax.validation.validate import validate as check_by_mujoco
+
+COMPLETE = "complete"
+DIGITS = 6  # of millimetres in the file
+HEAD = """# How a run stood, for `htcp gate` to hold later runs to. Written by --bless; only `allow` is to be edited.
+"""
+
+Count = Annotated[int, Field(ge=0)]
+Millimetres = Annotated[float, Field(ge=0)]
+
+
+class End(NamedTuple):
+    """How far a scenario came: targets in a row, and the name of the next one's status, or COMPLETE."""
+
+    tracked: int
+    status: str
+
+    def __str__(self) -> str:
+        return f"{self.tracked} {self.status}"
+
+
+def _read_end(text: Any) -> End:
+    count, _, status = str(text).partition(" ")
+    if not count.isdecimal() or status not in (COMPLETE, *Status.__members__):
+        raise ValueError(f"{text!r} is no end of a scenario, such as '105 {COMPLETE}' or '73 QP_INFEASIBLE'")
+    return End(int(count), status)
+
+
+class Scores(Section):
+    """What one method came to."""
+
+    tracked: Count
+    targets: Count
+    complete: Count  # scenarios
+    tcp_error_max_mm: float | None  # over the tracked targets, as is the next; None where there are none
+    clearance_min_mm: float | None
+    scenarios: dict[Count, str]  # an `End` each, by the scenario's number
+
+    @property
+    def ends(self) -> dict[int, End]:
+        return {number: _read_end(text) for number, text in self.scenarios.items()}
+
+    @model_validator(mode="after")
+    def _adds_up(self) -> "Scores":
+        ends = self.ends
+        if self.tracked != sum(end.tracked for end in ends.values()):
+            raise ValueError(f"tracked is {self.tracked}, which is not the sum over its scenarios")
+        if self.complete != sum(end.status == COMPLETE for end in ends.values()):
+            raise ValueError(f"complete is {self.complete}, which is not what its scenarios say")
+        return self
+
+
+class Ceiling(Section):
+    """What `htcp ceiling` found."""
+
+    reachable: Count  # targets
+    draws: Count
+    seed: int
+
+
+class Allowance(Section):
+    """How much worse each method may be than in the baseline."""
+
+    targets: Count = 0  # fewer tracked in all
+    scenarios: Count = 0  # that end earlier
+    tcp_error_mm: Millimetres = 0.05
+    clearance_mm: Millimetres = 0.05
+
+
+class Allowances(Section):
+    """`here`: on the device and with the versions of the baseline, where the same code plans the same bits.
+    `elsewhere`: on another one, whose rounding may flip a scenario that is close to the edge. With SSE 4.2 in place of
+    AVX-512, one scenario of the 49 poses by nine methods lost one target."""
+
+    here: Allowance = Allowance()
+    elsewhere: Allowance = Allowance(targets=25, scenarios=2)
+
+
+class Baseline(Section):
+    """The file."""
+
+    format: Literal[1] = 1
+    sweep: str
+    commit: str | None
+    device: str
+    dtype: str
+    seed: int
+    config_hash: str
+    allow: Allowances = Allowances()
+    versions: dict[str, str | None]
+    ceiling: Ceiling | None
+    planned: dict[str, Any]  # the `identity` of the run: its configuration and its grid
+    methods: dict[MethodName, Scores] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _hash_is_of_planned(self) -> "Baseline":
+        if config_hash(self.planned) != self.config_hash:
+            raise ValueError("config_hash is not that of `planned`")
+        return self
+
+    @model_validator(mode="after")
+    def _is_complete(self) -> "Baseline":
+        count = len(next(iter(self.methods.values())).scenarios)
+        for method, scores in self.methods.items():
+            if sorted(scores.scenarios) != list(range(count)):
+                raise ValueError(f"{method} does not have the scenarios 0 to {count - 1}, as the first method has")
+        return self
+
+
+class Standing(NamedTuple):
+    """How a run stands. What cannot be known is missing, and `troubles` says why."""
+
+    methods: dict[str, Scores]
+    checks: dict[str, MethodCheck]
+    refuted: tuple[Refuted, ...]
+    ceiling: Ceiling | None
+    troubles: tuple[str, ...]
+
+
+def standing(run: Run, progress: Callable[[int, int], None] | None = None) -> Standing:
+    """Read and validate a run. Nothing that is wrong with its files raises: it is told in `troubles`."""
+    troubles: list[str] = []
+
+    def attempt(what: str, function: Callable) -> Any:
+        try:
+            return function()
+        except (ValueError, LookupError, TypeError, OSError, pa.ArrowException) as error:  # InputError is a ValueError
+            troubles.append(f"{what}: {error}" if isinstance(error, InputError) else f"{what}: {error!r}")
+        return None
+
+    found = attempt("not validated", lambda: check_by_mujoco(run.folder, between=0, progress=progress))
+    checks = found.methods if found else {}
+    methods = {method: attempt(method, lambda m=method: _scores(run, m, checks.get(m))) for method in run.methods}
+    ceiling = attempt("no ceiling", lambda: _ceiling(run))
+    refuted = found.refuted if found else ()
+    return Standing({m: scores for m, scores in methods.items() if scores}, checks, refuted, ceiling, tuple(troubles))
+
+
+def read_baseline(file: Path) -> Baseline:
+    """Raises InputError for a file that cannot be read, is damaged, or is no baseline."""
+    return validate(read_yaml(file), Baseline, str(file))
+
+
+def bless(run: Run, file: Path, progress: Callable[[int, int], None] | None = None) -> Baseline:
+    """Write how the run stands into `file`; what an older baseline there allows stays.
+
+    Raises InputError, and leaves the file as it is, for a run that is limited, incomplete, damaged, refuted by
+    validation or planned by more than one commit or device; where the file is no baseline, or that of another sweep
+    or of methods that the run lacks; and when it cannot be written.
+    """
+    old = read_baseline(file) if file.exists() else None
+    if reason := _not_to_be_blessed(run, old):
+        raise InputError(f"{run.folder} is not blessed: {reason}")
+    found = standing(run, progress)
+    if found.troubles or found.refuted:
+        reason = found.troubles[0] if found.troubles else f"{len(found.refuted)} tracked targets are refuted"
+        raise InputError(f"{run.folder} is not blessed: {reason}")
+    manifest, (origin,) = run.manifest, run.manifest.planned_by
+    blessed = Baseline(
+        sweep=manifest.name,
+        commit=origin.get("commit"),
+        device=origin["device"],
+        dtype=manifest.dtype,
+        seed=manifest.seed,
+        config_hash=manifest.config_hash,
+        allow=old.allow if old else Allowances(),
+        versions=origin["versions"],
+        ceiling=found.ceiling,
+        planned=planned(manifest),
+        methods=found.methods,
+    )
+    write_text(file, HEAD + yaml.dump(blessed.model_dump(), Dumper=_Dumper, sort_keys=False, width=118))
+    return blessed
+
+
+def planned(manifest: Manifest) -> dict:
+    """What a run planned; the same for the same sweep, wherever its files are."""
+    return identity(manifest.config, manifest.grid, manifest.dtype, manifest.files)
+
+
+def _not_to_be_blessed(run: Run, old: Baseline | None) -> str | None:
+    manifest = run.manifest
+    if manifest.count < manifest.full:
+        return f"it is limited to {manifest.count} of {manifest.full} scenarios"
+    if not run.complete:
+        return f"it is not complete, {_unplanned(run)}"
+    if len(manifest.planned_by) != 1:
+        return "it was planned in parts, by several commits, versions or devices; plan it again in one go"
+    if old and old.sweep != manifest.name:
+        return f"the baseline there is of the sweep {old.sweep}, this one is {manifest.name}"
+    if old and (lost := [method for method in old.methods if method not in run.methods]):
+        return f"the baseline there also has {', '.join(lost)}; plan them too, or remove the file"
+    return None
+
+
+def _unplanned(run: Run) -> str:
+    left = {method: sum(span.last - span.first + 1 for span in run.missing(method)) for method in run.methods}
+    return "; ".join(f"{method} lacks {count} scenarios" for method, count in left.items() if count)
+
+
+def _scores(run: Run, method: str, check: MethodCheck | None) -> Scores:
+    status = run.plans(method).status
+    ends = {s: _end(row[row != NO_TARGET]) for s, row in enumerate(status) if (row != NO_TARGET).any()}
+    return Scores(
+        tracked=sum(end.tracked for end in ends.values()),
+        targets=int((status != NO_TARGET).sum()),
+        complete=sum(end.status == COMPLETE for end in ends.values()),
+        tcp_error_max_mm=_rounded(check and check.tcp_error_max_mm),
+        clearance_min_mm=_rounded(check and check.clearance_min_mm),
+        scenarios={number: str(end) for number, end in ends.items()},
+    )
+
+
+def _end(status: np.ndarray) -> End:
+    missed = np.flatnonzero(~is_tracked(status))
+    return End(int(missed[0]), Status(int(status[missed[0]])).name) if len(missed) else End(len(status), COMPLETE)
+
+
+def _ceiling(run: Run) -> Ceiling | None:
+    found = read_ceiling(run)
+    return found and Ceiling(reachable=int(found.prefix.sum()), draws=found.draws, seed=found.seed)
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else round(value, DIGITS)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Lists of numbers on one line."""
+
+    def represent_list(self, data):
+        return self.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=True)
+
+
+_Dumper.add_representer(list, _Dumper.represent_list)

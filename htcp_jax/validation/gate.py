@@ -1,0 +1,211 @@
+"""The regression gate: a run held against a baseline. Whatever is missing or unreadable fails; time never counts.
+
+A method fails when
+
+- it tracks fewer targets in all, or more of its scenarios end earlier, than the baseline's `allow` permits;
+- it tracks a smaller share of the targets that are known to be reachable;
+- MuJoCo refutes a tracked target: the TCP is off by more than the tolerance, the arm touches, the record is wrong;
+- its largest TCP error or its smallest clearance is worse than the baseline's by more than is allowed;
+- the run lacks it, one of its scenarios, or one of these figures.
+
+What is better passes and is told, so that somebody blesses it.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from htcp_jax.errors import InputError
+from htcp_jax.runs.identity import differences
+from htcp_jax.runs.run_folder import Run
+from htcp_jax.status import Status
+from htcp_jax.validation.baseline import COMPLETE, Allowance, Baseline, End, Scores, Standing, planned, standing
+
+ROUNDING = 1e-9  # of percentages and millimetres
+
+
+class Flip(NamedTuple):
+    """A scenario that does not end as it did."""
+
+    method: str
+    scenario: int
+    was: End
+    now: End
+
+    @property
+    def worse(self) -> bool:
+        return self.now.tracked < self.was.tracked
+
+    @property
+    def better(self) -> bool:
+        return self.now.tracked > self.was.tracked
+
+    @property
+    def target(self) -> int:
+        """The first that differs."""
+        return min(self.was.tracked, self.now.tracked)
+
+    @property
+    def reason(self) -> str:
+        """What became of that target, in the run or, where that got further, in the baseline."""
+        status = self.was.status if self.better else self.now.status
+        return Status[status].message if status != COMPLETE else COMPLETE
+
+
+class Row(NamedTuple):
+    """One method, or the ceiling: the baseline's figure and the run's. None where there is none."""
+
+    method: str
+    was_tracked: int | None
+    tracked: int | None
+    targets: int | None
+    worse: int | None
+    better: int | None
+    was_share: float | None  # of the reachable targets [%]
+    share: float | None
+    was_tcp_error_max_mm: float | None
+    tcp_error_max_mm: float | None
+    was_clearance_min_mm: float | None
+    clearance_min_mm: float | None
+    verdict: str
+
+
+class Verdict(NamedTuple):
+    """The outcome. `failures` and `news` are sentences."""
+
+    passed: bool
+    elsewhere: bool  # whether the run was planned on another device, or with other versions, than the baseline
+    allow: Allowance
+    rows: tuple[Row, ...]
+    flips: tuple[Flip, ...]  # the worse ones first
+    failures: tuple[str, ...]
+    news: tuple[str, ...]  # what is better or not in the baseline; it passes
+
+
+def judge(run: Run, baseline: Baseline, progress: Callable[[int, int], None] | None = None) -> Verdict:
+    """Hold the run against the baseline. progress: called with the plans validated and their number.
+
+    Raises InputError when the baseline is of another sweep or configuration: there is nothing to compare then.
+    """
+    if told := differences(baseline.planned, planned(run.manifest)):
+        more = f" (and {len(told) - 1} more)" if told[1:] else ""
+        raise InputError(
+            f"{run.folder} was not planned as the baseline was: {told[0]}{more}; where that is meant, --bless a new one"
+        )
+    elsewhere = _elsewhere(run, baseline)
+    allow = baseline.allow.elsewhere if elsewhere else baseline.allow.here
+    found = standing(run, progress)
+    failures, news = list(found.troubles), []
+    rows, flips = [], []
+    for method, was in baseline.methods.items():
+        own = [] if (now := found.methods.get(method)) is None else _flips(method, was, now)
+        wrong = ["missing"] if now is None else _shortfalls(baseline, found, method, own, allow)
+        failures += [f"{method}: {sentence}" for sentence in wrong]
+        flips += own
+        rows.append(_row(baseline, found, method, own, "FAILED" if wrong else "better" if _better(own) else "ok"))
+    if baseline.ceiling is not None:
+        wrong = _ceiling_shortfall(baseline, found, allow)
+        failures += wrong
+        rows.append(_ceiling_row(baseline, found, "FAILED" if wrong else "ok"))
+    news += [f"{method} is not in the baseline" for method in found.methods if method not in baseline.methods]
+    news += [f"{row.method} tracks {row.tracked - row.was_tracked} targets more" for row in rows if _more(row)]
+    flips.sort(key=lambda flip: (not flip.worse, flip.better))
+    return Verdict(not failures, elsewhere, allow, tuple(rows), tuple(flips), tuple(failures), tuple(news))
+
+
+def _elsewhere(run: Run, baseline: Baseline) -> bool:
+    def origin(device: str, versions: dict) -> tuple:
+        return device, {name: version for name, version in versions.items() if name != "htcp_jax"}
+
+    here = origin(baseline.device, baseline.versions)
+    return any(origin(one.get("device"), one.get("versions") or {}) != here for one in run.manifest.planned_by)
+
+
+def _flips(method: str, was: Scores, now: Scores) -> list[Flip]:
+    both = ((number, end, now.ends.get(number)) for number, end in was.ends.items())
+    return [Flip(method, number, a, b) for number, a, b in both if b is not None and a != b]
+
+
+def _better(flips: list[Flip]) -> bool:
+    return any(flip.better for flip in flips)
+
+
+def _more(row: Row) -> bool:
+    return None not in (row.tracked, row.was_tracked) and row.tracked > row.was_tracked
+
+
+def _shortfalls(baseline: Baseline, found: Standing, method: str, flips: list[Flip], allow: Allowance) -> list[str]:
+    """In words, what a method fails by."""
+    was, now = baseline.methods[method], found.methods[method]
+    wrong = []
+    if lost := [number for number in was.scenarios if number not in now.scenarios]:
+        wrong.append(f"{len(lost)} of {len(was.scenarios)} scenarios are missing, {lost[0]} the first")
+    if (fewer := was.tracked - now.tracked) > allow.targets:
+        wrong.append(f"{fewer} targets fewer are tracked, {now.tracked} of {was.targets}; {allow.targets} may be lost")
+    if (worse := sum(flip.worse for flip in flips)) > allow.scenarios:
+        wrong.append(f"{worse} scenarios end earlier; {allow.scenarios} may")
+    was_share, share = _share(was, baseline.ceiling), _share(now, found.ceiling)
+    if was_share is not None and share is not None:
+        if share < was_share - 100 * allow.targets / baseline.ceiling.reachable - ROUNDING:
+            wrong.append(f"{share:.2f} % of the reachable targets are tracked, {was_share:.2f} % before")
+    if refuted := [one for one in found.refuted if one.method == method]:
+        first = f"the first in scenario {refuted[0].scenario} at target {refuted[0].target}: {refuted[0].reason}"
+        wrong.append(f"{len(refuted)} tracked targets are refuted by MuJoCo, {first}")
+    return wrong + _bounds_broken(was, now, allow)
+
+
+def _bounds_broken(was: Scores, now: Scores, allow: Allowance) -> list[str]:
+    bounds = (
+        ("tcp_error_max_mm", "largest TCP error", 1, allow.tcp_error_mm),
+        ("clearance_min_mm", "smallest clearance", -1, allow.clearance_mm),
+    )
+    wrong = []
+    for name, words, sign, room in bounds:
+        before, after = getattr(was, name), getattr(now, name)
+        if before is not None and after is None:
+            wrong.append(f"the {words} is missing")
+        elif before is not None and sign * (after - before) > room + ROUNDING:
+            wrong.append(f"the {words} is {after:.4g} mm, {before:.4g} mm before; it may move by {room:g} mm")
+    return wrong
+
+
+def _ceiling_shortfall(baseline: Baseline, found: Standing, allow: Allowance) -> list[str]:
+    was, now = baseline.ceiling, found.ceiling
+    if now is None:
+        return ["ceiling: missing; htcp ceiling writes it into the run's folder"]
+    if (now.draws, now.seed) != (was.draws, was.seed):
+        here, there = f"{now.draws} draws and seed {now.seed}", f"{was.draws} and {was.seed}"
+        return [f"ceiling: searched with {here}, the baseline's with {there}; they cannot be compared"]
+    if was.reachable - now.reachable > allow.targets:
+        return [f"ceiling: {was.reachable - now.reachable} targets fewer are reachable; {allow.targets} may be lost"]
+    return []
+
+
+def _share(scores: Scores | None, ceiling) -> float | None:
+    return 100 * scores.tracked / ceiling.reachable if scores and ceiling and ceiling.reachable else None
+
+
+def _row(baseline: Baseline, found: Standing, method: str, flips: list[Flip], verdict: str) -> Row:
+    was, now = baseline.methods[method], found.methods.get(method)
+    return Row(
+        method=method,
+        was_tracked=was.tracked,
+        tracked=now and now.tracked,
+        targets=was.targets,
+        worse=now and sum(flip.worse for flip in flips),
+        better=now and sum(flip.better for flip in flips),
+        was_share=_share(was, baseline.ceiling),
+        share=_share(now, found.ceiling),
+        was_tcp_error_max_mm=was.tcp_error_max_mm,
+        tcp_error_max_mm=now and now.tcp_error_max_mm,
+        was_clearance_min_mm=was.clearance_min_mm,
+        clearance_min_mm=now and now.clearance_min_mm,
+        verdict=verdict,
+    )
+
+
+def _ceiling_row(baseline: Baseline, found: Standing, verdict: str) -> Row:
+    nothing = dict.fromkeys(Row._fields)
+    reachable = found.ceiling and found.ceiling.reachable
+    targets = next(iter(baseline.methods.values())).targets
+    counts = {"was_tracked": baseline.ceiling.reachable, "tracked": reachable, "targets": targets}
+    return Row(**(nothing | {"method": "ceiling", **counts, "verdict": verdict}))

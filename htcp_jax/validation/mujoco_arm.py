@@ -1,0 +1,252 @@
+"""The arm as MuJoCo sees it, for validation: poses, capsules and distances come from MuJoCo's C code alone.
+
+Nothing of robot.py, kinematics.py or clearance.py is used, nor anything they rest on: what a model file means (which
+site is the TCP, what a longer tool is, which limits hold) is read here a second time.
+"""
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int
+
+from htcp_jax.errors import InputError
+from htcp_jax.formats.safe_xml import read_spec
+from htcp_jax.scene.tool import ZERO, Tool, Triple
+
+PROBE_M = 1e-9  # radius of the sphere that stands for a point of the cloud; distances are corrected by it
+FAR_M = 1e3  # MuJoCo looks no further
+_PROBE, _TCP = "probe of htcp validate", "TCP of htcp validate"
+_SPHERE, _CAPSULE = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE
+_OWN_FRAME = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)  # else MuJoCo may take the body's, and forget a changed position
+_HINGE = mujoco.mjtJoint.mjJNT_HINGE
+
+
+class Postures(NamedTuple):
+    """n configurations: the TCP and the ends of the K capsules' axes, world [m]."""
+
+    tcp: Float[np.ndarray, "n 3"]
+    p: Float[np.ndarray, "n K 3"]
+    q: Float[np.ndarray, "n K 3"]
+
+
+class Arm:
+    """A model file in MuJoCo, with the base and the tool that a job gives it and the tool longer by `tool_extension_m`,
+    and a probe that can be put anywhere.
+
+    limits, tcp, base_m, base_rpy_rad, tool: see `robot.load_robot`. names, radius, length: of the K capsules and
+    spheres, and their axes' [m]; lower, upper: joint limits; speed: inf where the model gives none. Raises InputError
+    for a file that MuJoCo cannot read.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        tool_extension_m: float = 0.0,
+        limits: str = "model",
+        *,
+        tcp: str = "tcp",
+        base_m: Triple = ZERO,
+        base_rpy_rad: Triple = ZERO,
+        tool: Tool | None = None,
+    ):
+        self._model, self._site = _compile(Path(path), tcp, tool)
+        self._probe = self._model.geom(_PROBE).id
+        self._geoms = np.array([g for g in range(self._model.ngeom) if g != self._probe])
+        if any((*base_m, *base_rpy_rad)):
+            _stand(self._model, self._geoms, base_m, base_rpy_rad)
+        self._data = mujoco.MjData(self._model)
+        if tool_extension_m:
+            _lengthen(self._model, self._site, self._geoms, tool_extension_m)
+        self.names = tuple(self._model.geom(g).name or f"geom {g}" for g in self._geoms)
+        self.radius = self._model.geom_size[self._geoms, 0].copy()
+        self._half = np.where(self._model.geom_type[self._geoms] == _CAPSULE, self._model.geom_size[self._geoms, 1], 0)
+        self.length = 2 * self._half
+        self.joints = tuple(self._model.joint(j).name or f"joint{j + 1}" for j in range(self._model.njnt))
+        self.lower, self.upper = _limits(self._model, limits)
+        self.speed = _numeric(self._model, "speed", math.inf)
+        self._pose(np.zeros(self._model.njnt))
+        fixed = self._model.body_weldid[self._model.geom_bodyid[self._geoms]] == 0
+        ends = self._ends()
+        self.base = np.vstack([self._data.xanchor[:1], *ends[:, fixed]])  # what stands still, world
+        joints = np.array([_joints_below(self._model, int(b)) for b in self._model.geom_bodyid[self._geoms]])
+        away = np.where(joints == joints.max(), np.linalg.norm(ends - self._data.site_xpos[self._site], axis=2), np.inf)
+        self._tip = np.unravel_index(away.argmin(), away.shape)
+
+    def postures(self, x: Float[np.ndarray, "n N"]) -> Postures:
+        """Where MuJoCo's kinematics puts the arm."""
+        tcp, ends = np.empty((len(x), 3)), np.empty((2, len(x), len(self._geoms), 3))
+        for k, row in enumerate(x):
+            self._pose(row)
+            tcp[k] = self._data.site_xpos[self._site]
+            ends[:, k] = self._ends()
+        return Postures(tcp, *ends)
+
+    def tip_start(self, postures: Postures) -> Float[np.ndarray, "n 3"]:
+        """Where the bare tip begins: the end on the last link that is nearest to the TCP at the model's zero; world."""
+        end, body = self._tip
+        return (postures.p, postures.q)[end][:, body]
+
+    def distances(
+        self, x: Float[np.ndarray, "N"], capsules: Int[np.ndarray, "c"], points: Float[np.ndarray, "c 3"]
+    ) -> Float[np.ndarray, "c"]:
+        """Signed distance of each world point to the surface of the capsule beside it [m], by mj_geomDistance."""
+        self._pose(x)
+        found = np.empty(len(points))
+        for k, (geom, point) in enumerate(zip(self._geoms[capsules].tolist(), points, strict=True)):
+            self._data.geom_xpos[self._probe] = point
+            found[k] = mujoco.mj_geomDistance(self._model, self._data, geom, self._probe, FAR_M, None)
+        return found + PROBE_M
+
+    def _ends(self) -> Float[np.ndarray, "2 K 3"]:
+        reach = self._half[:, None] * self._data.geom_xmat[self._geoms, 2::3]  # a capsule lies along its own z
+        return self._data.geom_xpos[self._geoms] + np.stack([reach, -reach])
+
+    def _pose(self, x: Float[np.ndarray, "N"]) -> None:
+        self._data.qpos[:] = x
+        mujoco.mj_kinematics(self._model, self._data)
+
+
+def _compile(path: Path, tcp: str, tool: Tool | None) -> tuple[mujoco.MjModel, int]:
+    """The model with its capsules, its spheres, the tool's and the probe as its only geoms, and the site at the TCP."""
+    spec = read_spec(path)
+    try:
+        for geom in list(spec.geoms):
+            if geom.type not in (_SPHERE, _CAPSULE):
+                spec.delete(geom)
+        for mesh in list(spec.meshes):
+            spec.delete(mesh)
+        spec.worldbody.add_geom(name=_PROBE, type=_SPHERE, size=[PROBE_M, 0, 0])
+        spec.compiler.fusestatic = False  # the fixed links of a URDF name its TCP
+        spec.compiler.boundmass = spec.compiler.boundinertia = 1e-9  # MuJoCo insists on masses
+        spec.compiler.balanceinertia = True
+        model = spec.compile()
+        body, position, quaternion = _flange(model, tcp)
+        flange = next(one for one in spec.bodies if one.id == body)
+        if tool is not None:
+            if tool.bodies:  # a body of their own: what else is fixed to the flange is not the tool
+                flange = flange.add_body(pos=position, quat=quaternion)
+                position, quaternion = np.zeros(3), np.array([1.0, 0, 0, 0])
+            for part in tool.bodies:
+                _add_capsule(flange, part.name, part.p_m, part.q_m, part.radius_m)
+            position, quaternion = _composed(position, quaternion, np.array(tool.tip_m), _turn(tool.tip_rpy_rad))
+        flange.add_site(name=_TCP, pos=position, quat=quaternion)
+        model = spec.compile()
+        return model, model.site(_TCP).id
+    except (ValueError, OSError, mujoco.FatalError) as error:
+        raise InputError(f"{path}: not a robot model that MuJoCo can read: {' '.join(str(error).split())}") from None
+
+
+def _flange(model: mujoco.MjModel, name: str) -> tuple[int, np.ndarray, np.ndarray]:
+    """The body that carries the frame of that name, and where on it: position, quaternion."""
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
+    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+    if site < 0 and body < 0 and model.nsite == 1:
+        site = 0
+    if site >= 0:
+        return int(model.site_bodyid[site]), model.site_pos[site].copy(), model.site_quat[site].copy()
+    return body if body >= 0 else _outermost_body(model), np.zeros(3), np.array([1.0, 0, 0, 0])
+
+
+def _add_capsule(body: mujoco.MjsBody, name: str, p: tuple, q: tuple, radius: float) -> None:
+    if p == q:
+        body.add_geom(name=name, type=_SPHERE, pos=p, size=[radius, 0, 0])
+    else:
+        body.add_geom(name=name, type=_CAPSULE, fromto=[*p, *q], size=[radius, 0, 0])
+
+
+def _turn(rpy: tuple[float, float, float]) -> np.ndarray:
+    """The quaternion of turns about the fixed axes x, y and z, in this order."""
+    quaternion = np.empty(4)
+    mujoco.mju_euler2Quat(quaternion, np.array(rpy), "XYZ")
+    return quaternion
+
+
+def _composed(
+    position: np.ndarray, quaternion: np.ndarray, then_position: np.ndarray, then_quaternion: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The pose of a frame that is given in another frame."""
+    moved, turned = np.empty(3), np.empty(4)
+    mujoco.mju_rotVecQuat(moved, then_position, quaternion)
+    mujoco.mju_mulQuat(turned, quaternion, then_quaternion)
+    return position + moved, turned
+
+
+def _stand(model: mujoco.MjModel, geoms: np.ndarray, position: tuple, rpy: tuple) -> None:
+    """Put all that is fixed to the world, but for the probe, where the robot's base is."""
+    base = np.array(position), _turn(rpy)
+    for body in np.flatnonzero(model.body_parentid == 0)[1:]:  # the world is its own parent
+        model.body_pos[body], model.body_quat[body] = _composed(*base, model.body_pos[body], model.body_quat[body])
+    for geom in geoms[model.geom_bodyid[geoms] == 0]:
+        model.geom_sameframe[geom] = _OWN_FRAME
+        model.geom_pos[geom], model.geom_quat[geom] = _composed(*base, model.geom_pos[geom], model.geom_quat[geom])
+
+
+def _upwards(model: mujoco.MjModel, body: int) -> Iterator[int]:
+    """The body and its ancestors, without the world."""
+    while body > 0:
+        yield body
+        body = int(model.body_parentid[body])
+
+
+def _joints_below(model: mujoco.MjModel, body: int) -> int:
+    """How many joints there are between the world and the body, its own included."""
+    return int(model.body_jntnum[list(_upwards(model, body))].sum())
+
+
+def _outermost_body(model: mujoco.MjModel) -> int:
+    """The last of the bodies with the most joints between them and the world."""
+    depth = [_joints_below(model, body) for body in range(model.nbody)]
+    return max(range(model.nbody), key=lambda body: (depth[body], body))
+
+
+def _lengthen(model: mujoco.MjModel, site: int, geoms: np.ndarray, extension_m: float) -> None:
+    """Move the TCP and what hangs on its body outwards along the tool's z axis; the first capsule there keeps the end
+    that is nearer to the last joint, and is stretched. Worked out in the world, at the model's own zero."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    shift = extension_m * data.site_xmat[site, 2::3]
+    geoms = geoms.tolist()
+    tool = [g for g in geoms if model.site_bodyid[site] in _upwards(model, int(model.geom_bodyid[g]))]
+    tool = tool or [g for g in geoms if model.jnt_bodyid[-1] in _upwards(model, int(model.geom_bodyid[g]))]
+    for g in tool:
+        half = model.geom_size[g, 1] if model.geom_type[g] == _CAPSULE else 0.0
+        along = half * data.geom_xmat[g, 2::3]
+        near, far = sorted(
+            (data.geom_xpos[g] + along, data.geom_xpos[g] - along), key=lambda end: math.dist(end, data.xanchor[-1])
+        )
+        _put(model, data, g, near if g == tool[0] else near + shift, far + shift)
+    model.site_sameframe[site] = _OWN_FRAME
+    model.site_pos[site] += data.xmat[model.site_bodyid[site]].reshape(3, 3).T @ shift
+
+
+def _put(model: mujoco.MjModel, data: mujoco.MjData, geom: int, p: np.ndarray, q: np.ndarray) -> None:
+    """Lay the axis of a geom from p to q, which are in the world."""
+    body, length = model.geom_bodyid[geom], math.dist(p, q)
+    rotation = data.xmat[body].reshape(3, 3)
+    model.geom_sameframe[geom] = _OWN_FRAME
+    model.geom_pos[geom] = rotation.T @ ((p + q) / 2 - data.xpos[body])
+    if length > 0:
+        model.geom_type[geom], model.geom_size[geom, 1] = _CAPSULE, length / 2
+        mujoco.mju_quatZ2Vec(model.geom_quat[geom], rotation.T @ (q - p))
+
+
+def _limits(model: mujoco.MjModel, profile: str) -> tuple[np.ndarray, np.ndarray]:
+    lower, upper = np.where(model.jnt_limited[:, None], model.jnt_range, [-math.inf, math.inf]).T
+    if profile == "simulation":
+        hinge = model.jnt_type == _HINGE
+        return np.where(hinge, -math.pi, lower), np.where(hinge, math.pi, upper)
+    if profile == "datasheet":
+        return _numeric(model, "datasheet_lower", math.nan), _numeric(model, "datasheet_upper", math.nan)
+    return lower, upper
+
+
+def _numeric(model: mujoco.MjModel, name: str, default: float) -> np.ndarray:
+    """The <numeric> of that name, a value a joint."""
+    at = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
+    if at < 0:
+        return np.full(model.njnt, default)
+    return model.numeric_data[model.numeric_adr[at] :][: model.njnt].copy()

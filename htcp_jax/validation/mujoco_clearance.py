@@ -1,0 +1,268 @@
+"""Clearance between MuJoCo's capsules and the walls, for validation: which few can be nearest, proven by a tree.
+
+Of a cloud MuJoCo measures (`Arm.distances`); scipy's tree only says which points need not be measured. A capsule's axis
+is cut into pieces. Of a piece with the centre m and the half length h, let d be the distance from m to the nearest
+point of the cloud. Let the capsule's smallest distance, D = e - radius, be attained at the point s of its axis.
+
+- d - radius is an upper bound on the clearance, because m lies on the axis.
+- If s is an end of the axis, the sample m = s with h = 0, which is among the samples, is at the distance e exactly.
+- Otherwise the arm of length e from s to its point is at right angles to the axis. The piece that holds s has
+  |m - s| <= h, so that point lies within sqrt(e^2 + h^2) of m: e >= sqrt(d^2 - h^2).
+
+Of a mesh the triangles themselves are measured (`validate_mesh`), from MuJoCo's axes. The tree holds their middles. A
+middle is on the mesh, and no point of its triangle is further from it than the grain: above, d - grain takes the place
+of d where it bounds from below.
+
+So a piece whose sqrt(d^2 - h^2) - radius is above the least upper bound U of all pieces cannot hold s, and of a piece
+that may hold it only the points within sqrt((U + radius)^2 + h^2) of m can be the nearest. The pieces that are left
+are cut finer until that ball holds few points, and all of these are measured.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import ConvexHull, cKDTree
+
+from htcp_jax.jobs.config import WorkpieceConfig
+from htcp_jax.scene.workpiece import Workpiece
+from htcp_jax.validation.mesh_clearance import axis_distances, goes_through, in_grains, read_triangles
+from htcp_jax.validation.mujoco_arm import Arm, Postures
+
+COARSE = 0.5  # half length of the first pieces, in radii
+FINE_M = 0.01  # half length at which a ball holds few points
+ROOM_M = 1e-9  # for rounding, in every bound
+FACETS_AT_ONCE = 2_000_000  # heights in memory
+
+
+class Pieces(NamedTuple):
+    """Pieces of capsule axes: of which configuration and capsule, centre (0 at p, 1 at q), half length [m]."""
+
+    row: Int[np.ndarray, "m"]
+    capsule: Int[np.ndarray, "m"]
+    centre: Float[np.ndarray, "m"]
+    half: Float[np.ndarray, "m"]
+
+    def only(self, which: Bool[np.ndarray, "m"]) -> "Pieces":
+        """Those of them."""
+        return Pieces(*(values[which] for values in self))
+
+
+class Wall:
+    """A cloud's points, or a mesh's triangles, in a tree, and their exact convex hull where `interior` is "hull";
+    workpiece frame [m]. direction: into the part; None for the world's x."""
+
+    def __init__(
+        self,
+        cloud: Float[np.ndarray, "P 3"],
+        interior: str,
+        direction: Float[np.ndarray, "3"] | None = None,
+        triangles: Float[np.ndarray, "F 3 3"] | None = None,
+    ):
+        self.triangles = None if triangles is None else in_grains(triangles)
+        self.middle = cloud if triangles is None else self.triangles.mean(axis=1)
+        corners = cloud if triangles is None else self.triangles
+        self.grain = 0.0 if triangles is None else float(np.linalg.norm(corners - self.middle[:, None], axis=2).max())
+        self.tree = cKDTree(self.middle, leafsize=64)
+        self.corners = cloud if triangles is None else triangles.reshape(-1, 3)
+        planes = ConvexHull(self.corners).equations if interior == "hull" else np.empty((0, 4))
+        self.normal, self.offset, self.direction = planes[:, :3].copy(), -planes[:, 3], direction
+
+    def outside(self, points: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m"]:
+        """How far each point lies beyond the facet of the hull that it is furthest beyond; negative inside."""
+        step = max(1, FACETS_AT_ONCE // max(1, len(self.offset)))
+        parts = [points[k : k + step] @ self.normal.T - self.offset for k in range(0, len(points), step)]
+        return np.concatenate([part.max(axis=1, initial=-np.inf) for part in parts] or [np.empty(0)])
+
+
+def wall_of(part: WorkpieceConfig, workpiece: Workpiece) -> Wall:
+    """The wall that a configuration speaks of. A mesh is read again. Of a part of one's own the inlet's direction,
+    where none is given, is that of the hull's facet nearest to the inlet; without an inlet there is no interior."""
+    triangles = read_triangles(part.cloud) if len(workpiece.triangles) else None
+    if part.cloud == "duct" or part.interior != "hull" or part.inlet_direction is not None:
+        given = part.inlet_direction
+        direction = None if given in (None, "world-x") else np.array(given) / np.linalg.norm(given)
+        return Wall(workpiece.cloud, part.interior, direction, triangles)
+    if workpiece.inlet is None:
+        return Wall(workpiece.cloud, "none", None, triangles)
+    wall = Wall(workpiece.cloud, "hull", None, triangles)
+    wall.direction = -wall.normal[(wall.normal @ workpiece.inlet - wall.offset).argmax()]
+    return wall
+
+
+class AtTargets(NamedTuple):
+    """What was found at n configurations, and what `Scene.between` reuses of it."""
+
+    postures: Postures
+    clearance: Float[np.ndarray, "n"]  # [m]
+    samples: Float[np.ndarray, "n M 3"]  # world
+    distance: Float[np.ndarray, "n M"]  # of the samples to their nearest points
+    ends: Float[np.ndarray, "n E 3"]  # of all capsules, world
+    outside: Float[np.ndarray, "n E"]  # NaN where the hull does not matter
+
+
+class Scene:
+    """An arm beside a wall that stands at x_world = rotate @ x + translate. Beyond the gate, which is `gate_depth_m`
+    behind where the wall begins along its direction, the ends of all axes must lie in the hull; unless the arm itself
+    stands beyond it. Along the world's x the rule holds wherever the arm stands."""
+
+    def __init__(self, arm: Arm, wall: Wall, rotate: np.ndarray, translate: np.ndarray, gate_depth_m: float):
+        self.arm, self.wall, self.rotate, self.translate = arm, wall, rotate, translate
+        self.along = np.array([1.0, 0.0, 0.0]) if wall.direction is None else rotate @ wall.direction
+        self.gate = ((wall.corners @ rotate.T + translate) @ self.along).min() + gate_depth_m
+        if wall.direction is not None and (arm.base @ self.along > self.gate).any():
+            self.gate = np.inf
+
+    def at(self, x: Float[np.ndarray, "n N"]) -> AtTargets:
+        """The clearance of every configuration."""
+        postures = self.arm.postures(x)
+        pieces = _whole_axes(self.arm, len(x))
+        samples = _centres(postures, pieces)
+        distance = self.wall.tree.query(self._local(samples), workers=-1)[0]
+        upper = _least(np.full(len(x), np.inf), pieces, distance - self.arm.radius[pieces.capsule])
+        kept = pieces.only(self._may_hold(pieces, distance, upper))
+        clearance = self._measured(x, postures, kept, upper)
+        ends = np.concatenate([postures.p, postures.q], axis=1)
+        outside = self._outside(ends, ends @ self.along > self.gate)
+        each = len(x), len(pieces.row) // len(x)
+        return AtTargets(
+            postures, _worse(clearance, outside), samples.reshape(*each, 3), distance.reshape(each), ends, outside
+        )
+
+    def between(self, x: Float[np.ndarray, "n N"], a: Int[np.ndarray, "n"], known: AtTargets, below: float):
+        """The TCP (n, 3) of configurations x between the configurations a and a + 1 of `known`, and the clearance (n,)
+        of those where it is `below` (at least 0) or less; inf elsewhere.
+
+        No sample comes nearer to the cloud, and no end of an axis further out of the hull, than it moves: most are
+        decided by what is known at a or at a + 1.
+        """
+        postures = self.arm.postures(x)
+        pieces = _whole_axes(self.arm, len(x))
+        samples = _centres(postures, pieces).reshape(len(x), -1, 3)
+        near = [known.distance[b] - np.linalg.norm(samples - known.samples[b], axis=2) for b in (a, a + 1)]
+        distance = np.maximum(0.0, np.maximum(*near)).reshape(-1)
+        upper = np.full(len(x), below)
+        kept = pieces.only(self._may_hold(pieces, distance, upper))
+        clearance = self._measured(x, postures, kept, upper)
+        ends = np.concatenate([postures.p, postures.q], axis=1)
+        proven = [known.outside[b] + np.linalg.norm(ends - known.ends[b], axis=2) < 0 for b in (a, a + 1)]
+        outside = self._outside(ends, (ends @ self.along > self.gate) & ~proven[0] & ~proven[1])
+        clearance = _worse(clearance, outside)
+        return postures.tcp, np.where(clearance <= below, clearance, np.inf)
+
+    def tip_goes_through(self, postures: Postures, contact_m: float) -> Bool[np.ndarray, "n"]:
+        """Whether the stretch from the last body to the TCP, but for its last `contact_m`, goes through a triangle."""
+        first, tcp = self._local(self.arm.tip_start(postures)), self._local(postures.tcp)
+        length = np.linalg.norm(tcp - first, axis=1)
+        last = tcp + (first - tcp) * np.minimum(1.0, contact_m / np.maximum(length, contact_m + 1e-12))[:, None]
+        reach = np.linalg.norm(last - first, axis=1) / 2 + self.wall.grain + ROOM_M
+        found = self.wall.tree.query_ball_point((first + last) / 2, reach, return_sorted=False)
+        row = np.repeat(np.arange(len(first)), [len(near) for near in found])
+        near = np.concatenate([np.empty(0, int), *(np.array(near, int) for near in found)])
+        through = goes_through(first[row], last[row], self.wall.triangles[near])
+        return np.bincount(row[through], minlength=len(first)) > 0
+
+    def _measured(self, x: np.ndarray, postures: Postures, pieces: Pieces, upper: np.ndarray) -> np.ndarray:
+        """The clearance to the points, by MuJoCo, or to the triangles; inf where no piece can hold any at `upper` or
+        less."""
+        row, capsule, point = self._candidates(postures, pieces, upper)
+        clearance = np.full(len(x), np.inf)
+        if self.wall.triangles is not None:
+            axis = (self._local(ends[row, capsule]) for ends in (postures.p, postures.q))
+            found = axis_distances(*axis, self.wall.triangles[point]) - self.arm.radius[capsule]
+            np.minimum.at(clearance, row, found)
+            return clearance
+        world = self.wall.middle[point] @ self.rotate.T + self.translate
+        for first, last in _runs(row):
+            found = self.arm.distances(x[row[first]], capsule[first:last], world[first:last])
+            clearance[row[first]] = found.min()
+        return clearance
+
+    def _candidates(self, postures: Postures, pieces: Pieces, upper: np.ndarray) -> np.ndarray:
+        """Columns (row, capsule, point), sorted: all that can be a row's nearest, if its clearance is `upper` or less;
+        see the module."""
+        radius = self.arm.radius
+        while len(pieces.row):
+            reach = self._reach(pieces, upper)
+            centres = self._local(_centres(postures, pieces))
+            distance = self.wall.tree.query(centres, distance_upper_bound=reach.max() + ROOM_M)[0]
+            upper = _least(upper, pieces, distance - radius[pieces.capsule])
+            kept = self._may_hold(pieces, distance, upper)
+            pieces, centres = pieces.only(kept), centres[kept]
+            if pieces.half.max(initial=0.0) <= FINE_M:
+                break
+            pieces = _cut(pieces, postures)
+        if not len(pieces.row):
+            return np.empty((3, 0), int)
+        points = self.wall.tree.query_ball_point(centres, self._reach(pieces, upper), return_sorted=False)
+        count = [len(found) for found in points]
+        shape = len(upper), len(radius), len(self.wall.middle)
+        triples = np.repeat(pieces.row, count), np.repeat(pieces.capsule, count), np.concatenate(points).astype(int)
+        return np.stack(np.unravel_index(np.unique(np.ravel_multi_index(triples, shape)), shape))
+
+    def _reach(self, pieces: Pieces, upper: np.ndarray) -> np.ndarray:
+        """How far from a piece's centre the nearest point can be, if the clearance is `upper` or less."""
+        reach = np.maximum(0.0, upper[pieces.row] + self.arm.radius[pieces.capsule])
+        return np.hypot(reach, pieces.half) + self.wall.grain + ROOM_M
+
+    def _may_hold(self, pieces: Pieces, distance: np.ndarray, upper: np.ndarray) -> np.ndarray:
+        nearest = np.maximum(0.0, distance - self.wall.grain)
+        least = np.sqrt(np.maximum(0.0, nearest**2 - pieces.half**2)) - self.arm.radius[pieces.capsule]
+        return least <= upper[pieces.row] + ROOM_M
+
+    def _outside(self, ends: np.ndarray, asked: np.ndarray) -> np.ndarray:
+        found = np.full(asked.shape, np.nan)
+        found[asked] = self.wall.outside(self._local(ends[asked]))
+        return found
+
+    def _local(self, points: np.ndarray) -> np.ndarray:
+        return (points - self.translate) @ self.rotate
+
+
+def _whole_axes(arm: Arm, n: int) -> Pieces:
+    """Every capsule's axis in pieces of COARSE radii, and its ends, the same for each of n configurations. Their number
+    comes from the model's lengths: those of a posture are rounded in its own way."""
+    capsule, centre, half = [], [], []
+    for k, (length, radius) in enumerate(zip(arm.length.tolist(), arm.radius.tolist(), strict=True)):
+        count = int(np.ceil(length / (2 * COARSE * radius)))
+        parts = (np.arange(count) + 0.5) / max(1, count)
+        centre += [0.0, 1.0, *parts] if count else [0.0]
+        half += [0.0, 0.0, *(length / 2 / count,) * count] if count else [0.0]
+        capsule += [k] * (count + 2 if count else 1)
+    each = len(capsule)
+    return Pieces(np.repeat(np.arange(n), each), *(np.tile(column, n) for column in (capsule, centre, half)))
+
+
+def _cut(pieces: Pieces, postures: Postures) -> Pieces:
+    """Each piece in four; an end stays as it is."""
+    whole, split = pieces.only(pieces.half == 0), pieces.only(pieces.half > 0)
+    length = np.linalg.norm((postures.p - postures.q)[split.row, split.capsule], axis=1)
+    quarters = np.array([-0.75, -0.25, 0.25, 0.75])
+    centre = split.centre[:, None] + quarters * (split.half / length)[:, None]
+    cut = Pieces(*(np.repeat(v, 4) for v in split))._replace(centre=centre.ravel(), half=np.repeat(split.half / 4, 4))
+    return Pieces(*(np.concatenate(both) for both in zip(whole, cut, strict=True)))
+
+
+def _centres(postures: Postures, pieces: Pieces) -> np.ndarray:
+    p, q = postures.p[pieces.row, pieces.capsule], postures.q[pieces.row, pieces.capsule]
+    return p + pieces.centre[:, None] * (q - p)
+
+
+def _runs(row: np.ndarray) -> Iterator[tuple[int, int]]:
+    """Slices of equal numbers in a sorted array."""
+    changes = np.flatnonzero(np.diff(row, prepend=-1, append=-1))
+    return zip(changes[:-1].tolist(), changes[1:].tolist(), strict=True)
+
+
+def _least(upper: np.ndarray, pieces: Pieces, values: np.ndarray) -> np.ndarray:
+    """`upper`, lowered to the least of each row's values."""
+    upper = upper.copy()
+    np.minimum.at(upper, pieces.row, values)
+    return upper
+
+
+def _worse(clearance: np.ndarray, outside: np.ndarray) -> np.ndarray:
+    """An end outside the hull makes the clearance minus how far it is outside, at most."""
+    furthest = np.where(outside > 0, outside, -np.inf).max(axis=1, initial=-np.inf)
+    return np.where(furthest > 0, np.minimum(clearance, -furthest), clearance)

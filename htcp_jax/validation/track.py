@@ -1,0 +1,183 @@
+"""One method's results for one scenario, checked: at the targets, and along the joint paths between them."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from htcp_jax.errors import InputError
+from htcp_jax.validation.mujoco_arm import Arm, Postures
+from htcp_jax.validation.mujoco_clearance import AtTargets, Scene, Wall
+from htcp_jax.validation.records import Results, Track, targets_of, turned_and_moved
+
+ROUNDING_M = 1e-9  # two ways to compute a clearance differ by 1e-15; 0 and the tolerance are meant to this width
+RECORD_M = 1e-5  # a record further off is refuted; 32-bit planners are within it
+STEP_RAD = 0.002  # a joint turns no further between two looks; a point 2 m away moves by 4 mm
+
+
+class Refuted(NamedTuple):
+    """A tracked configuration that does not stand."""
+
+    method: str
+    scenario: int
+    target: int
+    reason: str
+
+
+class Checked(NamedTuple):
+    """What was found at the n tracked targets with a configuration, and along the m joint paths that lead to them."""
+
+    method: str
+    scenario: int
+    tracked: int  # targets on record as such
+    blocked: int  # joint paths to them on record as blocked
+    target: Int[np.ndarray, "n"]
+    tcp_error: Float[np.ndarray, "n"]
+    clearance: Float[np.ndarray, "n"]
+    clearance_off: Float[np.ndarray, "n"]
+    tcp_off: Float[np.ndarray, "n"]
+    target_off: Float[np.ndarray, "n"]
+    refuted: list[Refuted]
+    leads_to: Int[np.ndarray, "m"]  # target
+    touches: Bool[np.ndarray, "m"] | None
+    clearance_between: Float[np.ndarray, "m"] | None  # least on the way; inf where more than at all the targets
+    deviation: Float[np.ndarray, "m"] | None
+    speed: Float[np.ndarray, "m N"]  # ratio to the limit at a feed rate of 1 m/s; 0 where the targets coincide
+    in_place: Float[np.ndarray, "m"]  # largest joint change where the targets coincide [rad or m]
+
+
+def check(results: Results, arm: Arm, wall: Wall, track: Track, between: int) -> Checked:
+    """Check one track with the arm that has its tool; between: least steps of a joint path, 0 to look at none.
+    Raises InputError where the configuration leads to another number of targets than are on record."""
+    scene, targets = _scene(results, arm, wall, track)
+    t = np.flatnonzero(track.tracked & np.isfinite(track.x).all(axis=1))
+    x = np.concatenate([track.pose.start[None], track.x[t]])  # the start is row 0
+    at = scene.at(x)
+    reached = at.postures.tcp[1:]
+    more = at.clearance[1:] - track.clearance[t]
+    bound = wall.triangles is not None  # what is on record may be less, by how closely points cover the mesh
+    found = {
+        "tcp_error": np.linalg.norm(reached - targets[t], axis=1),
+        "clearance": at.clearance[1:],
+        "clearance_off": _off(np.minimum(more, 0.0) if bound else more),
+        "tcp_off": _off(np.linalg.norm(reached - track.tcp[t], axis=1)),
+        "target_off": _off(np.linalg.norm(targets[t] - track.target[t], axis=1)),
+    }
+    tolerance, contact = track.config.settings.tolerance_m, track.config.workpiece.tip_contact_m
+    through = np.zeros(len(t), bool)
+    if bound and contact is not None and len(t):
+        through = scene.tip_goes_through(Postures(*(values[1:] for values in at.postures)), contact)
+    first = np.flatnonzero(t == np.concatenate([[-1], t[:-1]])[: len(t)] + 1)  # rows of x that a path leaves
+    moved, line = np.abs(np.diff(x, axis=0)[first]), targets[t[first]] - targets[np.maximum(t[first] - 1, 0)]
+    speed, in_place = _speed(arm, moved, np.linalg.norm(line, axis=1), tolerance)
+    return Checked(
+        method=track.method,
+        scenario=track.scenario,
+        tracked=int(track.tracked.sum()),
+        blocked=int((track.tracked & track.blocked).sum()),
+        target=t,
+        **found,
+        refuted=_refuted(arm, track, t, tolerance, ROUNDING_M if bound else RECORD_M, {**found, "through": through}),
+        leads_to=t[first],
+        **_walk(scene, at, x, first, targets, t, between),
+        speed=speed,
+        in_place=in_place,
+    )
+
+
+def _scene(results: Results, arm: Arm, wall: Wall, track: Track) -> tuple[Scene, Float[np.ndarray, "T 3"]]:
+    """The arm beside the wall as the track has it, and its targets."""
+    part, pose, workpiece = track.config.workpiece, track.pose, results.workpiece(track.config)
+    rotate, translate = turned_and_moved(part, pose)
+    inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
+    start_tcp = arm.postures(pose.start[None]).tcp[0]
+    targets = targets_of(part, start_tcp, inlet, workpiece.path @ rotate.T + translate)
+    if len(targets) != len(track.target):
+        raise InputError(
+            f"{results.folder}: scenario {track.scenario} has {len(track.target)} targets on record, "
+            f"{len(targets)} by its configuration"
+        )
+    return Scene(arm, wall, rotate, translate, part.gate_depth_m), targets
+
+
+def _refuted(
+    arm: Arm, track: Track, t: np.ndarray, tolerance_m: float, record_m: float, found: dict[str, np.ndarray]
+) -> list[Refuted]:
+    told = {int(k): ["no configuration on record"] for k in np.setdiff1d(np.flatnonzero(track.tracked), t)}
+    for k, target in enumerate(t.tolist()):
+        own = {name: float(values[k]) for name, values in found.items()}
+        told[target] = _reasons(arm, tolerance_m, record_m, track.x[target], float(track.clearance[target]), own)
+    return [Refuted(track.method, track.scenario, k, "; ".join(told[k])) for k in sorted(told) if told[k]]
+
+
+def _off(difference: np.ndarray) -> np.ndarray:
+    """Its size; a record that is missing is off by infinity."""
+    return np.where(np.isnan(difference), np.inf, np.abs(difference))
+
+
+def _reasons(
+    arm: Arm, tolerance_m: float, record_m: float, x: np.ndarray, recorded: float, found: dict[str, float]
+) -> list[str]:
+    """In words, why a configuration does not stand."""
+    reasons = []
+    if found["tcp_error"] > tolerance_m + ROUNDING_M:
+        reasons.append(f"the TCP is {1e3 * found['tcp_error']:.3f} mm from its target")
+    if found["clearance"] <= -ROUNDING_M:
+        reasons.append(f"the arm touches: clearance {1e3 * found['clearance']:.3f} mm")
+    beyond = (x < arm.lower - ROUNDING_M) | (x > arm.upper + ROUNDING_M)
+    reasons += [f"{arm.joints[j]} is outside its limits at {x[j]:.6g}" for j in np.flatnonzero(beyond)]
+    if found["through"]:
+        reasons.append("the tool's tip goes through the wall")
+    if found["clearance_off"] > record_m:
+        reasons.append(f"its clearance is {1e3 * found['clearance']:.3f} mm, {1e3 * recorded:.3f} mm on record")
+    for name in ("tcp", "target"):
+        if found[f"{name}_off"] > RECORD_M:
+            reasons.append(f"the {name} on record is {1e3 * found[f'{name}_off']:.3f} mm off")
+    return reasons
+
+
+def _walk(
+    scene: Scene, at: AtTargets, x: np.ndarray, first: np.ndarray, targets: np.ndarray, t: np.ndarray, between: int
+) -> dict[str, Any]:
+    """Along the joint paths from the rows `first` of x to the next ones: which of them touch, the least clearance where
+    it is less than at all of these rows, and how far the TCP leaves the line of its targets."""
+    if not between:
+        return dict.fromkeys(("touches", "clearance_between", "deviation"))
+    least, deviation = np.full(len(first), np.inf), np.zeros(len(first))
+    move = x[first + 1] - x[first]
+    furthest = abs(move).max(axis=1, initial=0.0)
+    steps = np.where(furthest > 0, np.maximum(between, np.ceil(furthest / STEP_RAD)), 1).astype(int)
+    path, fraction = _looks(steps)
+    if len(path):
+        way = x[first[path]] + fraction[:, None] * move[path]
+        tcp, clearance = scene.between(way, first[path], at, max(0.0, float(at.clearance.min())))
+        np.minimum.at(least, path, clearance)
+        to = t[first[path]]
+        off = np.where(to > 0, _from_line(tcp, targets[np.maximum(to - 1, 0)], targets[to]), 0.0)
+        np.maximum.at(deviation, path, off)  # the way to the first target is not on the path
+    return {"touches": least <= 0, "clearance_between": least, "deviation": deviation}
+
+
+def _looks(steps: Int[np.ndarray, "m"]) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Of paths in so many steps each: the path and the fraction of every point between two steps."""
+    path = np.repeat(np.arange(len(steps)), steps - 1)
+    before = np.cumsum(steps - 1) - (steps - 1)
+    return path, (np.arange(len(path)) - before[path] + 1) / steps[path]
+
+
+def _from_line(
+    points: Float[np.ndarray, "n 3"], a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n"]:
+    """Distance of each point to its straight line from a to b."""
+    along = b - a
+    square = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
+    fraction = np.clip(((points - a) * along).sum(axis=1) / square, 0.0, 1.0)
+    return np.linalg.norm(points - a - fraction[:, None] * along, axis=1)
+
+
+def _speed(arm: Arm, moved: np.ndarray, length: np.ndarray, tolerance_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """`speed` and `in_place` of Checked, for joint changes (m, N) along lines of these lengths. Targets closer to each
+    other than the tolerance coincide: the feed rate gives a change of posture there no time."""
+    apart = length > tolerance_m
+    speed = np.divide(moved / arm.speed, length[:, None], out=np.zeros(moved.shape), where=apart[:, None])
+    return speed, np.where(apart, 0.0, moved.max(axis=1, initial=0.0))

@@ -1,0 +1,238 @@
+"""The independent check of results: MuJoCo's kinematics and distances, and nothing of the planner's.
+
+    found = validate("out/workpiece")
+    found.validated                       # whether every tracked configuration stands as recorded
+    found.methods["hybrid"].clearance_min_mm
+
+At the targets every tracked configuration must reach its target, be clear, keep the joint limits, and have the
+clearance, TCP and target on record; one that does not is refuted. The clearance
+to a mesh is to its triangles, and what is on record must be a bound on it from below; where the job asks for it, the
+tool's bare tip must not go through them. Between the targets the straight joint path is walked
+in small steps. What is found there refutes nothing, because no target is there: it is counted and told.
+"""
+
+import json
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+import scipy
+
+from htcp_jax.errors import InputError
+from htcp_jax.jobs.build import arm_of, part_of, shape_of
+from htcp_jax.jobs.config import RobotConfig
+from htcp_jax.runs.plan_folder import SUMMARY, write_json
+from htcp_jax.scene.robot import GP50
+from htcp_jax.validation.mujoco_arm import Arm
+from htcp_jax.validation.mujoco_clearance import Wall, wall_of
+from htcp_jax.validation.records import Results, Track, read_results
+from htcp_jax.validation.track import Checked, Refuted, check
+
+VALIDATION = "validation.json"
+TOLD = 100  # refuted configurations that are told one by one
+
+
+Place = tuple[int, int]  # scenario and target, of a path the one that it leads to
+
+
+class MethodCheck(NamedTuple):
+    """What was found for one method; None where there was nothing to measure."""
+
+    checked: int  # tracked targets
+    refuted: int
+    tcp_error_max_mm: float | None  # |site - target|
+    clearance_min_mm: float | None
+    clearance_min_at: Place | None
+    clearance_off_max_mm: float | None  # |MuJoCo's - recorded|, so are the next two
+    tcp_off_max_mm: float | None
+    target_off_max_mm: float | None
+    paths: int  # straight joint paths between consecutive tracked targets, and from the start to the first
+    paths_touching: int | None  # of them; None where nothing was looked at between the targets
+    paths_blocked_on_record: int
+    clearance_between_min_mm: float | None  # along the paths, targets included
+    clearance_between_min_at: Place | None
+    line_deviation_max_mm: float | None  # of the TCP from the straight line between two targets
+    line_deviation_max_at: Place | None
+    speed_ratio_max: float | None  # joint speed by its limit at the feed rate; None where the model has no limits
+    speed_joint: str | None  # whose it is
+    speed_at: Place | None
+    in_place_max_rad: float | None  # largest joint change between targets closer than the tolerance, for which the
+    # feed rate leaves no time; among them the one from the start to the first target
+
+
+class Validation(NamedTuple):
+    """The result of `validate`."""
+
+    validated: bool
+    methods: dict[str, MethodCheck]
+    refuted: tuple[Refuted, ...]
+    between: int
+    feed_mm_s: float
+    seconds: float
+    files: dict[str, str]  # SHA-256 of what was validated
+
+
+def validate(
+    folder: str | Path,
+    *,
+    between: int = 20,
+    feed_mm_s: float = 10.0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Validation:
+    """Check the run or the plan in `folder`.
+
+    between: least steps of each joint path, more where a joint would turn by more than `STEP_RAD` in one; 0 to look at
+    the targets alone. feed_mm_s: speed of the TCP along the straight lines between the targets. progress: called
+    with the tracks checked and their number.
+    Raises InputError for a folder that holds no results, for damaged ones, and for numbers out of range.
+    """
+    if between < 0:
+        raise InputError(f"between is {between}; it must be 0 or more")
+    if not 0 < feed_mm_s < np.inf:
+        raise InputError(f"the feed rate is {feed_mm_s:g} mm/s; it must be positive")
+    began = time.perf_counter()
+    results = read_results(Path(folder))
+    arms: dict[RobotConfig, Arm] = {}
+    walls: dict[tuple, Wall] = {}
+    checked = []
+    for track in results.tracks:
+        arm, wall = _arm(arms, results, track), _wall(walls, results, track)
+        checked.append(check(results, arm, wall, track, between))
+        if progress is not None:
+            progress(len(checked), results.count)
+    joints = next(iter(arms.values())).joints
+    methods = {
+        name: _sum_up([one for one in checked if one.method == name], joints, feed_mm_s)
+        for name in dict.fromkeys(one.method for one in checked)
+    }
+    refuted = tuple(one for each in checked for one in each.refuted)
+    seconds = time.perf_counter() - began
+    return Validation(not refuted, methods, refuted, between, feed_mm_s, seconds, results.files)
+
+
+def record(found: Validation) -> dict[str, Any]:
+    """A validation as JSON has it."""
+    refuted = [one._asdict() for one in found.refuted[:TOLD]]
+    versions = {"mujoco": mujoco.__version__, "scipy": scipy.__version__, "numpy": np.__version__}
+    return {
+        **found._asdict(),
+        "refuted_count": len(found.refuted),
+        "refuted": refuted,
+        "methods": {name: check._asdict() for name, check in found.methods.items()},
+        "versions": versions,
+    }
+
+
+def write_validation(folder: Path, found: Validation) -> None:
+    """validation.json, and in the folder of a plan "validated" in summary.json; aside, then moved into place.
+
+    A stronger validation of the very same results stays, and a warning says so: one that looked at more places between
+    the targets, whatever the feed rate. Raises InputError when the folder cannot be written."""
+    told = record(found)
+    if _is_stronger(folder / VALIDATION, told):
+        warnings.warn(
+            f"{folder / VALIDATION} is kept: of the same results, it looks closer between the targets than "
+            f"--between {found.between} does",
+            stacklevel=2,
+        )
+    else:
+        write_json(folder / VALIDATION, told)
+    summary = folder / SUMMARY
+    if summary.exists():
+        write_json(summary, json.loads(summary.read_text(encoding="utf-8")) | {"validated": found.validated})
+
+
+def _is_stronger(file: Path, told: dict[str, Any]) -> bool:
+    """Whether the validation in `file` is of the same results, says the same of their targets, tells no less than
+    `told`, and looked at more places between the targets."""
+    try:
+        known = json.loads(file.read_text(encoding="utf-8"))
+        same = all(known[key] == told[key] for key in ("files", "validated"))
+        return same and known["between"] > told["between"] and _keys(known) >= _keys(told)
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return False  # there is none, or it is damaged
+
+
+def _keys(told: dict[str, Any]) -> set[str]:
+    """What a validation tells, of all and of the methods; later programs may tell more."""
+    return {*told, *(f"{method}.{key}" for method, check in told["methods"].items() for key in check)}
+
+
+def _arm(arms: dict[RobotConfig, Arm], results: Results, track: Track) -> Arm:
+    """The arm with the track's tool; each is compiled once."""
+    robot = track.config.robot.model_copy(update={"tool_extension_m": track.pose.tool_extension_m})
+    if robot not in arms:
+        arms[robot] = Arm(
+            GP50 if robot.model == "gp50" else Path(robot.model),
+            robot.tool_extension_m,
+            robot.limits,
+            tcp="tcp" if robot.tcp is None else robot.tcp,
+            base_m=robot.base_m,
+            base_rpy_rad=robot.base_rpy_rad,
+            tool=robot.tool,
+        )
+    arm = arms[robot]
+    if len(arm.joints) != track.x.shape[1]:
+        raise InputError(f"{results.folder}: {track.x.shape[1]} joints on record, {len(arm.joints)} in the model")
+    return arm
+
+
+def _wall(walls: dict[tuple, Wall], results: Results, track: Track) -> Wall:
+    """The track's workpiece; each is taken in once, whatever the paths along it."""
+    key = shape_of(part_of(track.config)), arm_of(track.config)  # the points on a mesh are as close as the arm needs
+    if key not in walls:
+        walls[key] = wall_of(track.config.workpiece, results.workpiece(track.config))
+    return walls[key]
+
+
+def _sum_up(checked: Sequence[Checked], joints: Sequence[str], feed_mm_s: float) -> MethodCheck:
+    """One method's tracks together."""
+    targets = [(one.scenario, target) for one in checked for target in one.target.tolist()]
+    paths = [(one.scenario, target) for one in checked for target in one.leads_to.tolist()]
+    walked = checked[0].touches is not None
+
+    def all_of(name: str) -> np.ndarray:
+        return np.concatenate([getattr(one, name) for one in checked])
+
+    clearance = all_of("clearance")
+    clearance_min, clearance_at = _worst(np.argmin, clearance, targets)
+    between_min = between_at = deviation_max = deviation_at = None
+    if walked:
+        along = np.concatenate([clearance, all_of("clearance_between")])
+        between_min, between_at = _worst(np.argmin, along, [*targets, *paths])
+        deviation_max, deviation_at = _worst(np.argmax, all_of("deviation"), paths)
+    ratio = all_of("speed") * feed_mm_s / 1e3
+    path, joint = np.unravel_index(ratio.argmax(), ratio.shape) if ratio.any() else (None, None)
+    return MethodCheck(
+        checked=sum(one.tracked for one in checked),
+        refuted=sum(len(one.refuted) for one in checked),
+        tcp_error_max_mm=_worst(np.argmax, all_of("tcp_error"), targets)[0],
+        clearance_min_mm=clearance_min,
+        clearance_min_at=clearance_at,
+        clearance_off_max_mm=_worst(np.argmax, all_of("clearance_off"), targets)[0],
+        tcp_off_max_mm=_worst(np.argmax, all_of("tcp_off"), targets)[0],
+        target_off_max_mm=_worst(np.argmax, all_of("target_off"), targets)[0],
+        paths=len(paths),
+        paths_touching=int(all_of("touches").sum()) if walked else None,
+        paths_blocked_on_record=sum(one.blocked for one in checked),
+        clearance_between_min_mm=between_min,
+        clearance_between_min_at=between_at,
+        line_deviation_max_mm=deviation_max,
+        line_deviation_max_at=deviation_at,
+        speed_ratio_max=None if path is None else float(ratio[path, joint]),
+        speed_joint=None if path is None else joints[joint],
+        speed_at=None if path is None else paths[path],
+        in_place_max_rad=float(all_of("in_place").max()) if paths else None,
+    )
+
+
+def _worst(which: Callable, values: np.ndarray, places: Sequence[Place]) -> tuple[float | None, Place | None]:
+    """The worst of values [m] in mm, and where it is; `which` is argmin or argmax."""
+    if not values.size:
+        return None, None
+    at = int(which(values))
+    return 1e3 * float(values[at]), places[at]

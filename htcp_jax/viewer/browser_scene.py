@@ -1,0 +1,166 @@
+"""What the viewer shows in three dimensions: the arm, the workpiece cut open, the targets, the smallest distance.
+
+One `Stage` belongs to a viser server. `show` puts a plan on it, `pose` moves the arm to a target.
+"""
+
+import numpy as np
+import trimesh
+import viser
+from jaxtyping import Float
+
+from htcp_jax.planner.obstruction import Obstruction
+from htcp_jax.viewer.camera import kept, open_side
+from htcp_jax.viewer.colours import FAILED, INK, LINKS, OUTSIDE, TOOL, WALL, fates, is_tool, rgb
+from htcp_jax.viewer.replay import Replay, with_tip
+
+BEAD_M, FAILED_M, HERE_M, WITNESS_M, TIP_M = 0.007, 0.017, 0.012, 0.003, 0.007  # radii
+NEAREST, HERE = "#b5179e", "#f6c945"
+LIT = 0.72  # share of a colour that viser's lights bring back to the whole of it
+LIGHT_UP = 0.8  # of the light's direction, which is else towards the open side
+AROUND_M, AROUND_SIZE_M = 0.05, 0.0015  # the cloud about the smallest distance is shown even where it is cut off
+ROUND = 72, 72  # facets of a capsule about its axis and along its ends
+
+Vector = Float[np.ndarray, "3"]
+
+
+class Stage:
+    """The scene of a viser server."""
+
+    def __init__(self, server: viser.ViserServer):
+        self._server, self._scene = server, server.scene
+        self._scene.set_up_direction("+z")
+        self._replay: Replay | None = None
+
+    def show(self, replay: Replay, opacity: float) -> None:
+        """Put a plan on the stage; the arm is at its first target, the workpiece whole. Thread-safe as viser is."""
+        with self._server.atomic():
+            self._scene.reset()
+            self._replay = replay
+            self._arm = [self._capsule(k, opacity) for k in range(replay.p.shape[1] + 1)]
+            self._add_targets()
+            self._add_floor()
+            points = np.zeros((2, 3), np.float32)
+            self._pair = self._add_balls("/smallest distance/points", points, WITNESS_M, NEAREST)
+            self._line = self._scene.add_line_segments(
+                "/smallest distance/line", points[None], rgb(NEAREST), thickness=4, thickness_units="screen"
+            )
+            look = {"point_size": AROUND_SIZE_M, "point_shape": "circle", "precision": "float32"}
+            self._around = self._scene.add_point_cloud("/smallest distance/around", points, rgb(OUTSIDE), **look)
+            self._label = self._scene.add_label("/smallest distance/label", "", anchor="bottom-left")
+            here = trimesh.creation.icosphere(subdivisions=3, radius=HERE_M)
+            self._here = self._scene.add_mesh_simple(
+                "/targets/here", here.vertices, here.faces, color=lit(HERE), opacity=0.55, cast_shadow=False
+            )
+            self.pose(0)
+
+    def pose(self, target: int) -> None:
+        """Move the arm, the mark of the target and the smallest distance."""
+        replay = self._replay
+        p, q = with_tip(replay.p[target], replay.q[target], replay.tcp[target])
+        with self._server.atomic():
+            blocked = replay.obstruction if target == replay.failed else None
+            colours = [lit(self._colour(k, blocked)) for k in range(len(self._arm))]
+            for node, wxyz, middle, colour in zip(self._arm, turned_to(q - p), (p + q) / 2, colours, strict=True):
+                node.wxyz, node.position = wxyz, middle
+                if tuple(node.color) != tuple(colour.tolist()):
+                    node.color = tuple(colour.tolist())
+            self._here.position = replay.target[target]
+            pair = np.stack([replay.witness.arm[target], replay.witness.cloud[target]]).astype(np.float32)
+            self._pair.batched_positions = pair
+            self._line.points = pair[None]
+            self._label.position = pair[1]
+            there = np.linalg.norm(replay.cloud - pair[1], axis=1) < AROUND_M
+            self._around.points = replay.cloud[there].astype(np.float32)
+            distance = 1e3 * replay.clearance[target]
+            near = "" if np.isnan(distance) else f"{distance:.3g} mm"
+            self._label.text = near if blocked is None else blocked.sentence
+
+    @property
+    def arm_positions(self) -> Float[np.ndarray, "K1 3"]:
+        """Where the capsules' middles are, and the tip's."""
+        return np.array([node.position for node in self._arm])
+
+    def cut(self, share: float, direction: Vector | None, size_m: float) -> None:
+        """Show the cloud without a share of its extent, cut off along `direction` (None: from the open side)."""
+        surface = self._replay.surface.only(kept(self._replay, share, direction))
+        near = open_side(self._replay).near if direction is None else direction
+        light = near + np.array([0, 0, LIGHT_UP])
+        slope = np.abs(surface.normals @ (light / np.linalg.norm(light)))[:, None]
+        inside = (surface.normals @ light > 0)[:, None]  # is what is seen of it from there
+        colours = np.where(inside, rgb(WALL[1]), rgb(OUTSIDE)) * (0.55 + 0.45 * slope)
+        self._scene.add_point_cloud(
+            "/cloud", surface.points, colours.astype(np.uint8), point_size=size_m, point_shape="circle",
+            point_shading="flat", precision="float32",
+        )  # fmt: skip
+
+    def fade(self, opacity: float) -> None:
+        """Let the arm be seen through."""
+        for node in self._arm:
+            node.opacity = opacity
+
+    def show_smallest_distance(self, visible: bool) -> None:
+        """Show or hide the witness pair."""
+        for node in (self._pair, self._line, self._around, self._label):
+            node.visible = visible
+
+    def _capsule(self, k: int, opacity: float) -> viser.MeshHandle:
+        """Capsule k, or the tool's bare tip after the last, along its own z axis."""
+        robot = self._replay.robot
+        p, q = (ends[k] for ends in with_tip(self._replay.p[0], self._replay.q[0], self._replay.tcp[0]))
+        last = k == len(robot.capsule_link)
+        radius = TIP_M if last else float(robot.capsule_radius[k])
+        mesh = trimesh.creation.capsule(height=float(np.linalg.norm(q - p)), radius=radius, count=ROUND)
+        name, colour = f"/arm/{'tip' if last else f'{k + 1} {robot.capsule_names[k]}'}", lit(self._colour(k))
+        return self._scene.add_mesh_simple(name, mesh.vertices, mesh.faces, color=colour, opacity=opacity)
+
+    def _colour(self, k: int, blocked: Obstruction | None = None) -> str:
+        """Of capsule k, or of the tip after the last; the body in the way stands out."""
+        robot = self._replay.robot
+        if k == len(robot.capsule_names):
+            return TOOL
+        if blocked is not None and robot.capsule_names[k] == blocked.body:
+            return FAILED
+        return TOOL if is_tool(robot)[k] else LINKS
+
+    def _add_balls(
+        self, name: str, places: Float[np.ndarray, "n 3"], radius: float, colour: str
+    ) -> viser.BatchedMeshHandle:
+        ball = trimesh.creation.icosphere(subdivisions=2, radius=radius)
+        upright = np.tile([1.0, 0, 0, 0], (len(places), 1))
+        look = {"batched_colors": lit(colour), "lod": "off", "cast_shadow": False}
+        return self._scene.add_batched_meshes_simple(name, ball.vertices, ball.faces, upright, places, **look)
+
+    def _add_targets(self) -> None:
+        replay = self._replay
+        for fate in fates(replay.status):
+            if fate.where.any():
+                radius = FAILED_M if fate.colour == FAILED else BEAD_M
+                self._add_balls(f"/targets/{fate.name}", replay.target[fate.where], radius, fate.colour)
+        legs = np.stack([replay.target[:-1], replay.target[1:]], axis=1)
+        if len(legs):
+            self._scene.add_line_segments("/targets/way", legs, rgb(INK), thickness=1, thickness_units="screen")
+
+    def _add_floor(self) -> None:
+        """A grid under everything, and at world z = 0 unless something is lower."""
+        replay = self._replay
+        low = (np.minimum(replay.p, replay.q)[..., 2] - np.asarray(replay.robot.capsule_radius)).min()
+        height = min(0.0, low, replay.cloud[:, 2].min())
+        self._scene.add_grid(
+            "/floor", infinite_grid=True, fade_distance=12, position=(0, 0, height), cell_color=rgb("#dfe3e6"),
+            section_color=rgb("#c3cad0"), shadow_opacity=0.12,
+        )  # fmt: skip
+
+
+def turned_to(axes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:
+    """Quaternions wxyz of the shortest turns from z to the axes; none for an axis of no length."""
+    length = np.linalg.norm(axes, axis=1, keepdims=True)
+    x, y, z = np.where(length > 0, axes / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0]).T
+    # The half-way quaternion (1 + z, z-axis x axis), which vanishes for an axis straight down.
+    down = 1 + z < 1e-12
+    halfway = np.stack([np.where(down, 0.0, 1 + z), np.where(down, 1.0, -y), x * ~down, np.zeros_like(z)], axis=1)
+    return halfway / np.linalg.norm(halfway, axis=1, keepdims=True)
+
+
+def lit(colour: str) -> np.ndarray:
+    """A colour for what stands in the light, which brightens it."""
+    return (LIT * np.array(rgb(colour))).astype(np.uint8)

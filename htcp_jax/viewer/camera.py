@@ -1,0 +1,63 @@
+"""From where to look at a plan: towards the side that is cut open, from as near as everything is seen."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from htcp_jax.viewer.colours import is_tool
+from htcp_jax.viewer.replay import Replay
+from htcp_jax.viewer.sides import ABOVE_RAD, View, towards_camera
+
+FILLED = 0.94  # share of the picture that what is looked at may fill
+
+
+class Sight(NamedTuple):
+    """A camera that stands upright; world [m]."""
+
+    eye: Float[np.ndarray, "3"]
+    look_at: Float[np.ndarray, "3"]  # in the middle of what is seen, as far away as its centre
+
+
+def open_side(replay: Replay) -> View:
+    """The side from which the cloud is cut open."""
+    return replay.side.view
+
+
+def kept(replay: Replay, share: float = 0.5, direction: Float[np.ndarray, "3"] | None = None) -> Bool[np.ndarray, "P"]:
+    """The points of the cloud that are left when a share of its extent is cut off, from the open side or from
+    `direction`."""
+    depth = replay.cloud @ (open_side(replay).near if direction is None else direction)
+    return depth <= depth.max() - share * np.ptp(depth)
+
+
+def sight(replay: Replay, shown: slice, fovy_rad: float, aspect: float, close: bool = False) -> Sight:
+    """From where the cloud, the targets and the arm at the targets shown are seen whole; close: of the targets only the
+    path, of the arm only the tool."""
+    toward = towards_camera(*replay.side, 0.0)
+    azimuth = np.arctan2(-toward[1], -toward[0])
+    on_tool = is_tool(replay.robot)
+    bodies = on_tool if close else np.ones_like(on_tool)
+    ends = np.concatenate([replay.p[shown][:, bodies], replay.q[shown][:, bodies]])
+    radii = np.broadcast_to(np.asarray(replay.robot.capsule_radius)[bodies], ends.shape[:2])
+    points = np.concatenate([replay.cloud, replay.target[replay.path if close else 0 :]])
+    centres = np.concatenate([points, ends.reshape(-1, 3)])
+    return fitted(centres, np.append(np.zeros(len(points)), radii.ravel()), azimuth, fovy_rad, aspect)
+
+
+def fitted(
+    centres: Float[np.ndarray, "n 3"], radii: Float[np.ndarray, "n"], azimuth: float, fovy_rad: float, aspect: float
+) -> Sight:
+    """The nearest sight of all these spheres, along the azimuth [rad] and down by ABOVE_RAD."""
+    level = np.cos(ABOVE_RAD)
+    ahead = np.array([level * np.cos(azimuth), level * np.sin(azimuth), -np.sin(ABOVE_RAD)])
+    right = np.array([np.sin(azimuth), -np.cos(azimuth), 0])
+    up = np.cross(right, ahead)
+    across, depth = centres @ np.stack([right, up], axis=1), centres @ ahead
+    slope = FILLED * np.tan(fovy_rad / 2) * np.array([aspect, 1.0])
+    # |across - middle| + radius / cos <= (depth - own) slope, to all four sides and with the largest own depth
+    reach = radii[:, None] * np.hypot(1, slope) - depth[:, None] * slope
+    more, less = (reach + across).max(axis=0), (reach - across).max(axis=0)
+    own, middle = -((more + less) / (2 * slope)).max(), (more - less) / 2
+    line = middle[0] * right + middle[1] * up
+    return Sight(line + own * ahead, line + depth.mean() * ahead)

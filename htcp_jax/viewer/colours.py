@@ -1,0 +1,45 @@
+"""What pictures of a plan share: how the fates of targets are told apart, and the colours of the arm and the wall."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Int8
+
+from htcp_jax.planner.plans import is_tracked
+from htcp_jax.scene.robot import Robot
+from htcp_jax.status import Status
+
+LINKS, TOOL, INK, PAPER, FAILED = "#8d99a6", "#3c6e71", "#22303c", "#ffffff", "#c8102e"
+WALL = "#8a7a5f", "#d9cfba", "#efe9dc"  # at the cut, and lighter the deeper
+OUTSIDE = "#a3917a"  # of the wall
+
+
+class Fate(NamedTuple):
+    """Targets of one fate, told apart by colour (for colour-blind eyes too) and by marker."""
+
+    name: str
+    where: Bool[np.ndarray, "T"]
+    colour: str
+    size: float  # [points^2]
+    marker: str
+
+
+def fates(status: Int8[np.ndarray, "T"]) -> list[Fate]:
+    """The fates that pictures tell apart; the failed one last, on top."""
+    failed = ~is_tracked(status) & (status != Status.NOT_ATTEMPTED)
+    return [
+        Fate("not attempted", status == Status.NOT_ATTEMPTED, "#9aa3ab", 10, "o"),
+        Fate("tracked", status == Status.TRACKED, "#1f6fb4", 16, "o"),
+        Fate("tracked after an escape", status == Status.TRACKED_AFTER_ESCAPE, "#e8890c", 34, "D"),
+        Fate("failed", failed, FAILED, 130, "X"),
+    ]
+
+
+def is_tool(robot: Robot) -> Bool[np.ndarray, "K"]:
+    """Which capsules are the tool's."""
+    return np.asarray(robot.on_tool).any(axis=1)
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """#rrggbb as three numbers up to 255."""
+    return tuple(int(colour[k : k + 2], 16) for k in (1, 3, 5))

@@ -1,0 +1,243 @@
+"""One plan in one picture: the arm and its capsules in the workpiece cut open, and the clearance on the way.
+
+The scene is drawn in orthographic projection from the side, where a capsule's outline is exactly two half
+circles and two lines. Drawing needs no screen.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import LinearSegmentedColormap, to_rgba
+from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
+from matplotlib.ticker import FuncFormatter
+
+from htcp_jax.planner.obstruction import Obstruction
+from htcp_jax.planner.plans import Plans, is_tracked
+from htcp_jax.runs.summary import Failure, failures
+from htcp_jax.scene.kinematics import capsule_segments, tcp_position
+from htcp_jax.scene.robot import Robot
+from htcp_jax.scene.scenario import Scenario
+from htcp_jax.scene.workpiece import Workpiece
+from htcp_jax.viewer.colours import FAILED, INK, LINKS, PAPER, TOOL, WALL, fates, is_tool
+from htcp_jax.viewer.sides import Bodies, View, flat_side
+
+DEPTH = LinearSegmentedColormap.from_list("wall", WALL)
+
+
+def draw_plan(
+    robot: Robot,
+    workpiece: Workpiece,
+    scenario: Scenario,
+    plans: Plans,
+    row: int = 0,
+    title: str = "",
+    obstruction: Obstruction | None = None,
+) -> Figure:
+    """The plan of `scenario`, which is row `row` of `plans`; `robot` has the scenario's tool. obstruction: what is in
+    the way at the target that failed, drawn in red. Save it with `figure.savefig(path)`."""
+    figure = Figure(figsize=(14, 9.6), dpi=120, facecolor=PAPER, layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.get_layout_engine().set(w_pad=0.12, h_pad=0.1, rect=(0, 0, 0.985, 1))
+    figure.suptitle(title, color=INK, fontsize=16, fontweight="bold", x=0.015, ha="left")
+    grid = figure.add_gridspec(2, 2, height_ratios=(1.4, 1), width_ratios=(1.12, 1))
+    T = np.asarray(scenario.T_world_workpiece)
+    cloud = workpiece.cloud @ T[:3, :3].T + T[:3, 3]
+    _draw_scene(figure, grid, robot, cloud, plans, row, np.asarray(scenario.x_start)[None], obstruction)
+    told = obstruction.sentence if obstruction is not None else ""
+    _draw_clearance(figure.add_subplot(grid[1, :]), plans, row, float(scenario.margin_m), told)
+    return figure
+
+
+def _draw_scene(
+    figure: Figure,
+    grid: GridSpec,
+    robot: Robot,
+    cloud: Float[np.ndarray, "P 3"],
+    plans: Plans,
+    row: int,
+    x_start: Float[np.ndarray, "1 N"],
+    obstruction: Obstruction | None = None,
+) -> None:
+    """Two views of the same: of everything, and of the workpiece."""
+    shown = poses(plans, row)
+    x = plans.x[row, shown] if shown else x_start
+    arm = _segments(robot, x)
+    view = flat_side(cloud, plans.target[row], Bodies(*arm[:2], np.asarray(robot.capsule_radius), is_tool(robot)))
+    for column, heading in enumerate((_pose_heading(shown), "Inside")):
+        axes = figure.add_subplot(grid[0, column])
+        _draw_wall(axes, view, cloud)
+        _draw_arm(axes, view, robot, *arm)
+        _draw_targets(axes, view, plans, row)
+        if obstruction is not None:
+            _draw_obstruction(axes, view, robot, obstruction)
+        _frame(axes, view.flat(cloud) if column else None)
+        _heading(axes, heading)
+
+
+def draw_cell(
+    robot: Robot, cloud: Float[np.ndarray, "P 3"], x_start: Float[np.ndarray, "1 N"], plans: Plans, title: str
+) -> Figure:
+    """The arm in the workpiece cut open, and nothing else, of plans of one scenario; cloud: in the world [m]."""
+    figure = Figure(figsize=(14, 5.6), dpi=120, facecolor=PAPER, layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, color=INK, fontsize=16, fontweight="bold", x=0.015, ha="left")
+    _draw_scene(figure, figure.add_gridspec(1, 2, width_ratios=(1.12, 1)), robot, cloud, plans, 0, x_start)
+    return figure
+
+
+def poses(plans: Plans, row: int) -> list[int]:
+    """Targets whose configuration is drawn: the first, one half way, and the last that is tracked."""
+    tracked = np.flatnonzero(is_tracked(plans.status[row]))
+    return sorted({int(tracked[i]) for i in (0, tracked.size // 2, -1)}) if tracked.size else []
+
+
+def _draw_wall(axes: Axes, view: View, cloud: Float[np.ndarray, "P 3"]) -> None:
+    """The far half of the cloud, lighter the deeper; the cut itself is darkest."""
+    depth = cloud @ view.near
+    cut = (depth.max() + depth.min()) / 2
+    behind = np.flatnonzero(depth <= cut)
+    behind = behind[np.argsort(depth[behind])]
+    flat = view.flat(cloud[behind])
+    axes.scatter(*flat.T, c=cut - depth[behind], cmap=DEPTH, s=1.2, linewidths=0, rasterized=True, zorder=1)
+
+
+def _segments(robot: Robot, x: Float[np.ndarray, "W N"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ends of the capsules' axes, and the TCP, of several configurations."""
+    parts = jax.jit(jax.vmap(lambda x: (*capsule_segments(robot, x), tcp_position(robot, x))))(jnp.asarray(x))
+    p, q, tcp = map(np.asarray, parts)
+    return p, q, tcp
+
+
+def _draw_arm(
+    axes: Axes,
+    view: View,
+    robot: Robot,
+    p: Float[np.ndarray, "W K 3"],
+    q: Float[np.ndarray, "W K 3"],
+    tcp: Float[np.ndarray, "W 3"],
+) -> None:
+    """The capsules at several configurations: the last one solid, with its bare tip; the others shadows."""
+    radius = np.asarray(robot.capsule_radius)
+    colours = np.where(is_tool(robot), TOOL, LINKS)
+    for pose in range(len(p)):
+        solid = pose == len(p) - 1
+        order = np.argsort((p + q)[pose] @ view.near)
+        bodies = PolyCollection(
+            [stadium(view.flat(p[pose, k]), view.flat(q[pose, k]), radius[k]) for k in order],
+            facecolors=[to_rgba(colour, 0.78 if solid else 0.05) for colour in colours[order]],
+            edgecolors=PAPER if solid else [to_rgba(colour, 0.35) for colour in colours[order]],
+            linewidths=0.8,
+            zorder=3 if solid else 2,
+        )
+        axes.add_collection(bodies)
+    ends = np.concatenate([p[-1], q[-1]])
+    nearest = ends[np.argmin(np.linalg.norm(ends - tcp[-1], axis=1))]
+    axes.plot(*view.flat(np.stack([nearest, tcp[-1]])).T, color=TOOL, linewidth=2.5, zorder=3)
+
+
+def _draw_obstruction(axes: Axes, view: View, robot: Robot, found: Obstruction) -> None:
+    """The body in the way, where it would be at the failed target, and the point where it meets the wall."""
+    p, q, _ = _segments(robot, found.x[None])
+    k = robot.capsule_names.index(found.body)
+    outline = stadium(view.flat(p[0, k]), view.flat(q[0, k]), float(robot.capsule_radius[k]))
+    body = PolyCollection([outline], facecolors=[to_rgba(FAILED, 0.12)], edgecolors=FAILED, linewidths=1.2, zorder=4)
+    body.set_linestyle("--")
+    axes.add_collection(body)
+    axes.scatter(*view.flat(found.point[None]).T, s=90, marker="+", color=FAILED, linewidths=1.6, zorder=6)
+
+
+def stadium(p: Float[np.ndarray, "2"], q: Float[np.ndarray, "2"], radius: float) -> Float[np.ndarray, "64 2"]:
+    """The outline of a capsule with flat ends p, q: the half circles about them, joined."""
+    along = np.arctan2(*(q - p)[::-1])
+    half = np.linspace(-np.pi / 2, np.pi / 2, 32)
+    angles = along + np.concatenate([half, half + np.pi])
+    centres = np.repeat([q, p], 32, axis=0)
+    return centres + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+
+def _draw_targets(axes: Axes, view: View, plans: Plans, row: int) -> None:
+    status = plans.status[row]
+    flat = view.flat(plans.target[row])
+    axes.plot(*flat.T, color=INK, linewidth=0.6, alpha=0.5, zorder=4)
+    for fate in fates(status):
+        style = {"color": fate.colour, "s": fate.size, "marker": fate.marker, "linewidths": 0.6}
+        axes.scatter(*flat[fate.where].T, edgecolors=PAPER, zorder=5, **style)
+
+
+def _frame(axes: Axes, around: Float[np.ndarray, "P 2"] | None) -> None:
+    """Equal scales; all that is drawn, or the neighbourhood of the points `around`; a bar for the scale."""
+    axes.set_aspect("equal", anchor="NW")
+    axes.axis("off")
+    if around is None:
+        axes.autoscale_view()
+        axes.axhline(0, color=INK, linewidth=1, alpha=0.5, zorder=0)
+    else:
+        low, high = around.min(axis=0), around.max(axis=0)
+        room = 0.05 * (high - low).max()
+        axes.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room))
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    length = 10.0 ** np.floor(np.log10((right - left) / 2))
+    y = top - 0.03 * (top - bottom)
+    axes.plot([left, left + length], [y, y], color=INK, linewidth=3, solid_capstyle="butt", zorder=6)
+    style = {"textcoords": "offset points", "va": "center", "color": INK}
+    axes.annotate(f"{length:g} m", (left + length, y), (5, 0), **style)
+
+
+def _pose_heading(shown: list[int]) -> str:
+    *shadows, last = shown or ["start"]
+    where = "at its start" if last == "start" else f"at target {last}"
+    others = f" (shadows: at {' and '.join(map(str, shadows))})" if shadows else ""
+    return f"The arm {where}{others}, the workpiece cut open"
+
+
+def _heading(axes: Axes, text: str) -> None:
+    axes.set_title(text, color=INK, fontsize=12, loc="left")
+
+
+def _draw_failure(axes: Axes, failure: Failure, targets: int, told: str) -> None:
+    """A line at the failed target, its reason where there is more room, grey where nothing was attempted."""
+    axes.axvspan(failure.target + 0.5, targets, color="#eef0f2", linewidth=0, zorder=0)
+    axes.axvline(failure.target, color=FAILED, linewidth=1.2, zorder=1)
+    side, align = (-7, "right") if failure.target > targets / 2 else (7, "left")
+    axes.annotate(
+        "\n".join(filter(None, (f"target {failure.target}: {failure.status.message}", told))),
+        (failure.target, 1.0),
+        (side, -7),
+        xycoords=("data", "axes fraction"),
+        textcoords="offset points",
+        color=FAILED,
+        ha=align,
+        va="top",
+        zorder=4,
+    )
+
+
+def _draw_clearance(axes: Axes, plans: Plans, row: int, margin_m: float, told: str) -> None:
+    """Clearance over target index, on a logarithmic scale: what matters happens where it is smallest."""
+    status, clearance_mm = plans.status[row], 1e3 * plans.clearance[row]
+    index = np.arange(len(status))
+    axes.plot(index, clearance_mm, color=INK, linewidth=0.8, alpha=0.5, zorder=2)
+    axes.set_yscale("log")
+    for fate in fates(status):
+        if fate.where.any():
+            style = {"color": fate.colour, "s": 1.6 * fate.size, "marker": fate.marker, "linewidths": 0.6}
+            points = index[fate.where], clearance_mm[fate.where]
+            axes.scatter(*points, label=fate.name, edgecolors=PAPER, zorder=3, **style)
+    if margin_m > 0:
+        style = {"color": INK, "linewidth": 0.9, "linestyle": "--", "zorder": 1}
+        axes.axhline(1e3 * margin_m, label="margin asked for", **style)
+    for failure in failures(plans.status[row : row + 1]):
+        _draw_failure(axes, failure, len(status), told)
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.set_xlim(-1, len(status))
+    axes.set_xlabel("target", color=INK)
+    axes.grid(axis="y", color="#dfe3e6", linewidth=0.8)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(loc="lower left", frameon=False, ncols=5, bbox_to_anchor=(0.24, 1.0), borderaxespad=0.2)
+    _heading(axes, "Clearance along the path [mm]")

@@ -1,0 +1,202 @@
+"""Pictures and movies of a plan, drawn by MuJoCo without a screen.
+
+The arm's capsules are bodies that are put where the plan has them; the cloud, cut open on the side away from the path,
+is one mesh of small discs; the targets are beads in the colours of their fates.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from htcp_jax.scene.kinematics import capsule_segments, tcp_position
+from htcp_jax.scene.surface import discs
+from htcp_jax.viewer.camera import kept, open_side, sight
+from htcp_jax.viewer.colours import FAILED, LINKS, OUTSIDE, TOOL, WALL, fates, is_tool, rgb
+from htcp_jax.viewer.offscreen import Camera
+from htcp_jax.viewer.replay import Replay, with_tip
+
+BEAD_M, FAILED_M, TIP_M = 0.008, 0.018, 0.007  # radii of the targets, the failed one, the tool's bare tip
+MARK_M, NEAREST, NOWHERE = 0.012, "#b5179e", [0.0] * 4  # of where the body in the way meets the workpiece
+STRIDE_M = 0.04  # nothing moves further from one frame of a movie to the next
+FLOOR, EDGE, SKY = (0.95, 0.955, 0.96), (0.85, 0.87, 0.89), (0.92, 0.935, 0.95)
+FOVY_DEG = 32.0
+UNTOUCHED = {"contype": 0, "conaffinity": 0}  # nothing collides: the plan is what it is
+
+_Geom = mujoco.mjtGeom
+
+
+class Posture(NamedTuple):
+    """The arm in one frame: ends of the K capsules' axes and the TCP, world [m]; the last target it has come to."""
+
+    p: Float[np.ndarray, "K 3"]
+    q: Float[np.ndarray, "K 3"]
+    tcp: Float[np.ndarray, "3"]
+    target: int
+
+
+class Studio:
+    """A scene built once, to take frames of.
+
+    close: look at the cloud and the tool, not at the whole arm. fine: smooth edges and shadows, at three times the time
+    of a frame. Use it as a context manager. Raises InputError where OpenGL is
+    missing.
+    """
+
+    def __init__(self, replay: Replay, width: int = 1280, height: int = 880, close: bool = False, fine: bool = True):
+        self._replay, self._close = replay, close
+        self._model = _model(replay, width, height, fine)
+        self._data = mujoco.MjData(self._model)
+        self._camera = Camera(self._model)
+        self._beads = np.array([self._model.geom(f"target {t}").id for t in range(len(replay.target))])
+        self._fate_rgba = self._model.geom_rgba[self._beads].copy()
+        self._not_yet = _rgba(fates(replay.status)[0].colour)
+        self._in_the_way = _in_the_way(replay, self._model)
+
+    def __enter__(self) -> "Studio":
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._camera.__exit__()
+
+    def still(self, target: int) -> UInt8[np.ndarray, "H W 3"]:
+        """The arm at a target, all targets in their colours."""
+        return self._frame(at(self._replay, target), self._view(slice(target, target + 1)), len(self._beads))
+
+    def movie(self) -> Iterator[UInt8[np.ndarray, "H W 3"]]:
+        """The way along the targets up to the last that is tracked; they take their colours as they are met."""
+        postures, view = way(self._replay), self._view(slice(None))
+        for posture in postures:
+            yield self._frame(posture, view, posture.target + 1)
+        yield self._frame(postures[-1], view, len(self._beads))
+
+    def _frame(self, posture: Posture, view: mujoco.MjvCamera, met: int) -> UInt8[np.ndarray, "H W 3"]:
+        ends = with_tip(*posture[:3])
+        self._data.mocap_pos[:] = (ends[0] + ends[1]) / 2
+        for body, axis in enumerate(ends[1] - ends[0]):
+            mujoco.mju_quatZ2Vec(self._data.mocap_quat[body], axis)
+        self._model.geom_rgba[self._beads] = np.where(
+            np.arange(len(self._beads))[:, None] < met, self._fate_rgba, self._not_yet
+        )
+        for geom, shown, else_shown in self._in_the_way:
+            self._model.geom_rgba[geom] = shown if posture.target == self._replay.failed else else_shown
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_camlight(self._model, self._data)
+        return self._camera.shoot(self._data, view)
+
+    def _view(self, targets: slice) -> mujoco.MjvCamera:
+        size = self._model.vis.global_
+        aspect = size.offwidth / size.offheight
+        eye, look_at = sight(self._replay, targets, np.radians(FOVY_DEG), aspect, self._close)
+        ahead = look_at - eye
+        camera = mujoco.MjvCamera()
+        camera.lookat[:], camera.distance = look_at, np.linalg.norm(ahead)
+        camera.azimuth = np.degrees(np.arctan2(ahead[1], ahead[0]))
+        camera.elevation = np.degrees(np.arcsin(ahead[2] / camera.distance))
+        return camera
+
+
+def at(replay: Replay, target: int) -> Posture:
+    """The posture at a target."""
+    return Posture(replay.p[target], replay.q[target], replay.tcp[target], target)
+
+
+def way(replay: Replay) -> list[Posture]:
+    """The postures at the targets up to the last that is tracked and, along the straight joint paths between them, so
+    many that nothing moves further than STRIDE_M at once."""
+    last = max(replay.tracked - 1, 0)
+    points = np.concatenate([replay.p, replay.q, replay.tcp[:, None]], axis=1)
+    moved = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1, initial=0.0)[:last]
+    counts = np.maximum(1, np.ceil(moved / STRIDE_M)).astype(int)
+    x = [replay.x[:1], *(np.linspace(a, b, n + 1)[1:] for a, b, n in zip(replay.x, replay.x[1:], counts, strict=False))]
+    reached = np.concatenate([[0], np.repeat(np.arange(last), counts)])
+    reached[np.cumsum(counts)] = np.arange(1, last + 1)
+    p, q, tcp = map(np.asarray, _postures(replay.robot, jnp.asarray(np.concatenate(x))))
+    return [Posture(*row) for row in zip(p, q, tcp, reached.tolist(), strict=True)]
+
+
+@jax.jit
+def _postures(robot, x: Float[jax.Array, "F N"]):
+    return jax.vmap(lambda x: (*capsule_segments(robot, x), tcp_position(robot, x)))(x)
+
+
+def _model(replay: Replay, width: int, height: int, fine: bool) -> mujoco.MjModel:
+    spec = mujoco.MjSpec()
+    ends = with_tip(*at(replay, 0)[:3])
+    radius = np.append(np.asarray(replay.robot.capsule_radius), TIP_M)
+    colours = [*np.where(is_tool(replay.robot), TOOL, LINKS), TOOL]
+    for k, (p, q, r, colour) in enumerate(zip(*ends, radius, colours, strict=True)):
+        half = np.linalg.norm(q - p) / 2
+        kind = {"type": _Geom.mjGEOM_CAPSULE} if half > 0 else {"type": _Geom.mjGEOM_SPHERE}
+        body = spec.worldbody.add_body(mocap=True)
+        body.add_geom(name=f"body {k}", **kind, size=[r, half, 0], rgba=_rgba(colour), **UNTOUCHED)
+    spec.add_material(name="bead", emission=0.35)
+    for fate in fates(replay.status):
+        bead = {"type": _Geom.mjGEOM_SPHERE, "size": [FAILED_M if fate.colour == FAILED else BEAD_M, 0, 0]}
+        for t in np.flatnonzero(fate.where).tolist():
+            place = {"name": f"target {t}", "pos": replay.target[t]}
+            spec.worldbody.add_geom(**place, **bead, material="bead", rgba=_rgba(fate.colour), **UNTOUCHED)
+    if replay.obstruction is not None:
+        ball = {"type": _Geom.mjGEOM_SPHERE, "size": [MARK_M, 0, 0], "pos": replay.obstruction.point}
+        spec.worldbody.add_geom(name="in the way", **ball, material="bead", rgba=NOWHERE, **UNTOUCHED)
+    _add_cloud(spec, replay)
+    low = min(0.0, replay.cloud[:, 2].min(), (np.minimum(replay.p, replay.q)[..., 2] - radius[:-1]).min())
+    _add_room(spec, replay, low, fine)
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
+    spec.visual.global_.fovy = FOVY_DEG
+    return spec.compile()
+
+
+def _in_the_way(replay: Replay, model: mujoco.MjModel) -> list[tuple[int, list[float], np.ndarray]]:
+    """The geoms that stand out at the failed target, the body in the way and the place, with their colours there and
+    elsewhere."""
+    if replay.obstruction is None:
+        return []
+    names = f"body {replay.robot.capsule_names.index(replay.obstruction.body)}", "in the way"
+    colours = _rgba(FAILED), _rgba(NEAREST)
+    geoms = [model.geom(name).id for name in names]
+    return [(geom, colour, model.geom_rgba[geom].copy()) for geom, colour in zip(geoms, colours, strict=True)]
+
+
+def _add_cloud(spec: mujoco.MjSpec, replay: Replay) -> None:
+    """The half of the cloud that the side view shows, as discs: lighter inside than outside."""
+    surface = replay.surface.only(kept(replay))
+    for name, side, colour in (("inside", 1, WALL[1]), ("outside", -1, OUTSIDE)):
+        mesh = discs(surface, side)
+        arrays = {"uservert": mesh.vertices, "usernormal": mesh.normals, "userface": mesh.faces}
+        shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # a solid's volume would be nothing
+        spec.add_mesh(name=name, inertia=shell, **{key: array.ravel() for key, array in arrays.items()})
+        spec.worldbody.add_geom(type=_Geom.mjGEOM_MESH, meshname=name, rgba=_rgba(colour), **UNTOUCHED)
+
+
+def _add_room(spec: mujoco.MjSpec, replay: Replay, low: float, fine: bool) -> None:
+    """Floor, sky and light."""
+    kind, drawn, mark = mujoco.mjtTexture, mujoco.mjtBuiltin, mujoco.mjtMark
+    tiles = {"builtin": drawn.mjBUILTIN_FLAT, "mark": mark.mjMARK_EDGE, "rgb1": FLOOR, "rgb2": FLOOR, "markrgb": EDGE}
+    spec.add_texture(name="tiles", type=kind.mjTEXTURE_2D, **tiles, width=512, height=512)
+    sky = {"builtin": drawn.mjBUILTIN_FLAT, "rgb1": SKY, "rgb2": SKY}
+    spec.add_texture(name="sky", type=kind.mjTEXTURE_SKYBOX, **sky, width=64, height=64)
+    floor = spec.add_material(name="floor", texrepeat=[2, 2], texuniform=True, emission=0.12)
+    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
+    plane = {"type": _Geom.mjGEOM_PLANE, "size": [0, 0, 0.1], "pos": [0, 0, low]}
+    spec.worldbody.add_geom(**plane, material="floor", **UNTOUCHED)
+    near = open_side(replay).near
+    lamp = spec.worldbody.add_light(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, castshadow=True)
+    lamp.dir = [*-near[:2], -0.9]  # into the open side
+    lamp.pos = replay.cloud.mean(axis=0) - 3 * lamp.dir
+    lamp.diffuse, lamp.specular = [0.42] * 3, [0.15] * 3
+    visual = spec.visual
+    visual.headlight.ambient, visual.headlight.diffuse, visual.headlight.specular = [0.5] * 3, [0.3] * 3, [0.08] * 3
+    visual.quality.shadowsize, visual.quality.offsamples = (8192, 8) if fine else (2048, 4)
+    visual.quality.numslices, visual.quality.numstacks = (64, 32) if fine else (32, 16)
+    visual.map.znear, visual.rgba.haze = 0.01, [*SKY, 1]
+    reach = np.ptp(np.concatenate([replay.cloud, replay.p.reshape(-1, 3)]), axis=0)
+    spec.stat.extent, spec.stat.center = np.linalg.norm(reach), replay.cloud.mean(axis=0)
+
+
+def _rgba(colour: str) -> list[float]:
+    return [*(part / 255 for part in rgb(colour)), 1.0]
