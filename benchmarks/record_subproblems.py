@@ -14,9 +14,10 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from htcp_jax.numerics import null_basis
 from htcp_jax.planner import compile_cache
 from htcp_jax.planner.batch import plan
-from htcp_jax.scene.inverse_kinematics import null_basis, reanchor
+from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.kinematics import jacobian
 from htcp_jax.scene.robot import gp50
 from htcp_jax.scene.scenario import make_scenario, stack

@@ -18,7 +18,7 @@ from benchmarks import hardware
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.planner import compile_cache, devices
 from htcp_jax.planner.batch import plan
-from htcp_jax.planner.kernels import Kernels
+from htcp_jax.planner.programs import Kernels
 from htcp_jax.runs.summary import summarise
 from htcp_jax.solvers.clarabel_ import ClarabelSolver
 

@@ -58,9 +58,9 @@ _HOME = {
     "clearance": "clearance",
     "clearances": "clearance.obstacles",
     "linearise": "clearance.obstacles",
-    "null_basis": "scene.inverse_kinematics",
+    "null_basis": "numerics",
     "reanchor": "scene.inverse_kinematics",
-    "null_space_objective": "planner.escape",
+    "null_space_objective": "planner.null_space",
 }
 __all__ = [
     "InputError",

@@ -14,7 +14,7 @@ from htcp_jax.jobs.build import scene
 from htcp_jax.jobs.config import PlanConfig, load_config, validate
 from htcp_jax.notebook import html_facts
 from htcp_jax.planner import batch
-from htcp_jax.planner.escape import METHODS
+from htcp_jax.planner.methods import METHODS
 from htcp_jax.planner.obstruction import Obstruction, last_posture, obstruction
 from htcp_jax.planner.plans import Plans, is_tracked
 from htcp_jax.runs.identity import anchor_files, file_hash

@@ -27,8 +27,11 @@ from matplotlib.figure import Figure
 
 import htcp_jax
 from htcp_jax.clearance.obstacles import clearances, make_obstacle
-from htcp_jax.planner.escape import METHODS, Scene, Stuck, anchor, sphere_problem
-from htcp_jax.scene.inverse_kinematics import null_basis, reanchor
+from htcp_jax.clearance.scene import Scene
+from htcp_jax.numerics import null_basis
+from htcp_jax.planner.methods import METHODS
+from htcp_jax.planner.null_space import Stuck, anchor, sphere_problem
+from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.kinematics import jacobian
 
 # %% [markdown]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from htcp_jax.clearance.obstacles import make_obstacle
-from htcp_jax.planner.escape import Scene
+from htcp_jax.clearance.scene import Scene
 from htcp_jax.scene.robot import Robot, gp50, load_robot
 from htcp_jax.scene.scenario import Scenario, make_scenario
 from htcp_jax.scene.workpiece import Workpiece, load_workpiece

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import BFGS, NonlinearConstraint, minimize
 
 from htcp_jax.clearance.obstacles import linearise
-from htcp_jax.planner.escape import sphere_problem
+from htcp_jax.planner.null_space import sphere_problem
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import sphere
 

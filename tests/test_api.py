@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 import htcp_jax
 from htcp_jax.cli.main import main
 from htcp_jax.planner import batch
-from htcp_jax.planner.escape import METHODS
+from htcp_jax.planner.methods import METHODS
 from htcp_jax.runs.tables import frame_of
 from htcp_jax.scene.robot import lengthen_tool
 from htcp_jax.viewer.picture import draw_plan

@@ -28,7 +28,7 @@ from documented import (
 )
 
 from htcp_jax.cli.main import main
-from htcp_jax.planner.escape import METHODS
+from htcp_jax.planner.methods import METHODS
 
 DEMO_S = 180  # from a clone to a picture
 

@@ -9,18 +9,17 @@ import numpy as np
 from sphere_references import place
 
 from htcp_jax.clearance.obstacles import clearance, clearances, contacts, is_clear
-from htcp_jax.planner.escape import (
-    METHODS,
+from htcp_jax.planner.methods import METHODS
+from htcp_jax.planner.null_space import (
     Stuck,
     anchor,
-    cspace_samples,
     keep_clear_ascent,
-    nspace_samples,
     null_space_step,
     seen_bodies,
     sphere_problem,
     stuck_key,
 )
+from htcp_jax.planner.sampling import cspace_samples, nspace_samples
 from htcp_jax.scene.kinematics import tcp_position
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import sphere

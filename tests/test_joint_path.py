@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from sphere_references import place
 
+from htcp_jax.clearance.joint_path import RESOLUTION_M, motion_bound, path_clear, proven_clear
 from htcp_jax.clearance.obstacles import clearance
-from htcp_jax.planner.escape import Scene
-from htcp_jax.planner.joint_path import RESOLUTION_M, motion_bound, path_clear, proven_clear
+from htcp_jax.clearance.scene import Scene
 from htcp_jax.scene.kinematics import capsule_segments
 from htcp_jax.scene.robot import load_robot
 from htcp_jax.settings import Settings

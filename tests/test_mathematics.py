@@ -15,7 +15,7 @@ from sphere_references import place
 
 import htcp_jax
 from htcp_jax.errors import InputError
-from htcp_jax.planner.escape import sphere_problem
+from htcp_jax.planner.null_space import sphere_problem
 from htcp_jax.settings import Settings
 
 capsule_point_distance = htcp_jax.capsule_point_distance

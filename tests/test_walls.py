@@ -16,7 +16,7 @@ from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import robot_of, scenario_of, scene, workpiece_of
 from htcp_jax.jobs.config import load_config
-from htcp_jax.planner.escape import METHODS
+from htcp_jax.planner.methods import METHODS
 from htcp_jax.planner.plans import is_tracked
 from htcp_jax.runs.plan_folder import read_plan
 from htcp_jax.scene.kinematics import capsule_segments, tip_segment

@@ -1,7 +1,7 @@
 """`htcp methods`: the planners, and what each does."""
 
 from htcp_jax.cli.output import Json, print_json, print_table, stdout
-from htcp_jax.planner.escape import METHODS
+from htcp_jax.planner.methods import METHODS
 from htcp_jax.report.document import Column, Table
 
 COLUMNS = Column("method", "method"), Column("title", "name"), Column("sentence", "what it does when stuck")

@@ -13,7 +13,7 @@ from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Device, Json, print_facts, print_json, stdout
 from htcp_jax.jobs.config import PlanConfig, load_config
 from htcp_jax.planner import batch, devices
-from htcp_jax.planner.escape import METHODS
+from htcp_jax.planner.methods import METHODS
 from htcp_jax.runs.plan_folder import written_whole
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import Scenario

@@ -14,7 +14,7 @@ from rich.text import Text
 from htcp_jax.cli.methods import complete_methods
 from htcp_jax.cli.output import Device, Json, print_json, print_table, stdout
 from htcp_jax.planner import devices
-from htcp_jax.planner.escape import METHODS
+from htcp_jax.planner.methods import METHODS
 from htcp_jax.report.document import Column, Table
 from htcp_jax.report.groups import drivable
 from htcp_jax.report.path_charts import words

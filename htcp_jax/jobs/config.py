@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.config_file import FILES, layers, layers_of, merged, parse_override, put
-from htcp_jax.planner.escape import METHODS
+from htcp_jax.planner.methods import METHODS
 from htcp_jax.scene.robot import load_robot
 from htcp_jax.scene.tool import Tool
 from htcp_jax.scene.workpiece import GATE_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT

@@ -11,12 +11,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.clearance.obstacles import clearances, make_obstacle
+from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.errors import InputError
 from htcp_jax.planner.devices import choose, default_threads
 from htcp_jax.planner.engine import EMPTY, Engine
-from htcp_jax.planner.escape import METHODS, Scene, own_scene
-from htcp_jax.planner.kernels import Kernels, tasks
+from htcp_jax.planner.kernels import tasks
+from htcp_jax.planner.methods import METHODS
 from htcp_jax.planner.plans import Plans
+from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.tip_check import TipCheck, tip_checks
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import NOT_REFUSED, Scenario, stack

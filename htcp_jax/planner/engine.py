@@ -23,10 +23,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from htcp_jax.clearance.verdict import counts
-from htcp_jax.planner.escape import METHODS, Anchored, Candidates, NullSpace
-from htcp_jax.planner.kernels import Kernels, Measured, Task, tasks
+from htcp_jax.planner.kernels import Measured, Task, tasks
 from htcp_jax.planner.lanes import ENTERING, MAIN, NEW, TRACK, Lanes, join, new_lanes, put, take
+from htcp_jax.planner.methods import METHODS, NullSpace
+from htcp_jax.planner.null_space import Anchored
 from htcp_jax.planner.plans import Plans
+from htcp_jax.planner.programs import Kernels
+from htcp_jax.planner.sampling import Candidates
 from htcp_jax.planner.tip_check import TipCheck
 from htcp_jax.scene.scenario import Scenario
 from htcp_jax.settings import Settings

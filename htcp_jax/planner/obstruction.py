@@ -14,9 +14,10 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.clearance.obstacles import Obstacle, contacts, make_obstacle
-from htcp_jax.planner.escape import Scene, own_scene
-from htcp_jax.planner.kernels import chunked, table_on, tasks
+from htcp_jax.clearance.scene import Scene, own_scene
+from htcp_jax.planner.kernels import tasks
 from htcp_jax.planner.plans import Plans, is_tracked
+from htcp_jax.planner.programs import chunked, table_on
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import Scenario, stack

@@ -15,9 +15,12 @@ import jax
 import numpy as np
 
 from htcp_jax.clearance.obstacles import make_obstacle
+from htcp_jax.clearance.scene import Scene
 from htcp_jax.clearance.verdict import counts
-from htcp_jax.planner.escape import DRAWS, METHODS, Anchored, Scene
-from htcp_jax.planner.kernels import Kernels, tasks
+from htcp_jax.planner.kernels import tasks
+from htcp_jax.planner.methods import METHODS
+from htcp_jax.planner.null_space import DRAWS, Anchored
+from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.tip_check import tip_checks
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import Scenario

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from htcp_jax.clearance.tip_guard import TipGuard, make_tip_guard
-from htcp_jax.planner.kernels import Kernels, Task
+from htcp_jax.planner.kernels import Task
+from htcp_jax.planner.programs import Kernels
 from htcp_jax.scene.workpiece import Workpiece
 
 PLACES = 100  # of a joint path at which its tip is looked at

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.planner.escape import METHODS
+from htcp_jax.planner.methods import METHODS
 from htcp_jax.report import tables
 from htcp_jax.report.best import best
 from htcp_jax.report.chapter import chapter, choice, fits_presets, presets

@@ -24,7 +24,7 @@ from htcp_jax.errors import InputError, Interrupted, Lost
 from htcp_jax.jobs.grid import Batch, Sweep, load_sweep
 from htcp_jax.jobs.grid_axes import FILE_KEYS, record
 from htcp_jax.planner.batch import Progress as ShardProgress
-from htcp_jax.planner.escape import METHODS
+from htcp_jax.planner.methods import METHODS
 from htcp_jax.planner.plans import Plans
 from htcp_jax.runs import writer
 from htcp_jax.runs.identity import anchor_files, config_hash, file_hash, identity

@@ -12,8 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.numerics import product, safe_norm
-from htcp_jax.scene.inverse_kinematics import null_basis
+from htcp_jax.numerics import null_basis, product, safe_norm
 from htcp_jax.solvers.step_qp import QPSolution, QPStatus, StepQP
 from htcp_jax.types import Array, Bool, Float, Int, Scalar
 

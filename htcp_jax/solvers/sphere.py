@@ -16,8 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from htcp_jax.numerics import product, safe_norm, solve_spd
-from htcp_jax.scene.inverse_kinematics import null_basis
+from htcp_jax.numerics import null_basis, product, safe_norm, solve_spd
 from htcp_jax.solvers import cma_es
 from htcp_jax.solvers.interior_point import solve_dense
 from htcp_jax.types import Array, Bool, Float, Int, Scalar

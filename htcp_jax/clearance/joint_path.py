@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance.obstacles import Posed, all_clear, room
-from htcp_jax.planner.escape import Scene
+from htcp_jax.clearance.scene import Scene
 from htcp_jax.scene.kinematics import capsule_segments, joint_levers
 from htcp_jax.scene.robot import Robot
 from htcp_jax.settings import Settings

@@ -1,0 +1,209 @@
+"""Steps in the null space of the task, Algorithm 1: minimise J2 on the sphere, equation (11), move by alpha,
+re-anchor. Each is a pure function of one scenario.
+"""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+
+from htcp_jax.clearance.contact_model import Seen, see, seen_clearance
+from htcp_jax.clearance.obstacles import Obstacle, Posed, clearance, contacts
+from htcp_jax.clearance.scene import Scene
+from htcp_jax.errors import InputError
+from htcp_jax.numerics import fold_keys, null_basis, of_shape, product, safe_norm
+from htcp_jax.scene.inverse_kinematics import reanchor
+from htcp_jax.scene.kinematics import configuration, jacobian, tcp_position
+from htcp_jax.scene.robot import Robot
+from htcp_jax.settings import Settings, settings_of
+from htcp_jax.solvers import sphere
+from htcp_jax.types import Array, Float, Joints, Scalar, Vector3
+
+DRAWS, PUSHED, PUSHES = 256, 6, 60  # of `draw_clear`: draws, how many are pushed clear, null-space steps of a push
+
+
+@runtime_checkable
+class Asked(Posed, Protocol):
+    """Where the workpiece is, and the clearance that a configuration has to keep: a scenario, or a lane's task."""
+
+    margin_m: Scalar
+
+
+class Stuck(NamedTuple):
+    """Where one scenario is stuck."""
+
+    x_previous: Joints  # x_{t-1}
+    target: Vector3  # C_next [m]
+    key: jax.Array  # folded from seed, scenario and target: depends on nothing else
+
+
+def seen_bodies(robot: Robot, far_links: bool) -> tuple[bool, ...]:
+    """Which bodies J2 sees: all, or those of the outer half of the chain (capsules 4 to 8 of the GP50)."""
+    half = len(robot.slides) // 2
+    return tuple(far_links or link >= half for link in robot.capsule_link)
+
+
+def sphere_problem(
+    scene: Scene, settings: Settings, where: Posed, x_ref: Joints
+) -> tuple[sphere.Sphere, Seen, Float[Array, "N D"]]:
+    """Equation (11) at x_ref: the problem, the contacts seen at x_ref, and alpha N(x_ref)."""
+    robot, obstacle = scene
+    reach = settings.alpha_rad * null_basis(jacobian(robot, x_ref))
+    weights = jnp.asarray(settings.q_weights)
+    # J1 = |x - x_ref|_Q^2 = w' (alpha N)' Q (alpha N) w
+    half = settings.j1_weight * product(reach.T, weights[:, None] * reach)
+    unseen = ~jnp.asarray(seen_bodies(robot, settings.far_links))
+    # A body that J2 does not see is as far away as it ever gets.
+    far = jnp.where(unseen, 10.0, 0.0)
+
+    def observe(w):
+        x = x_ref + product(reach, w)
+        touch = contacts(robot, obstacle, where, x)
+        return touch.distance + far - product(w, product(half, w)), see(robot, x, touch)
+
+    def measure(w):
+        if not settings.far_links:
+            return jnp.min(observe(w)[0])
+        return clearance(robot, obstacle, where, x_ref + product(reach, w)) - product(w, product(half, w))
+
+    def predict(w, seen):
+        value, gradient = seen_clearance(robot, x_ref + product(reach, w), seen)
+        rounds = value.shape[0] // far.shape[0]
+        value = value + jnp.concatenate([far] * rounds) - product(w, product(half, w))
+        return value, product(gradient, reach) - 2 * product(half, w)[None, :]
+
+    G = jnp.concatenate([reach, -reach])
+    h = jnp.concatenate([robot.upper - x_ref, x_ref - robot.lower])
+    problem = sphere.Sphere(observe, measure, predict, 2 * half, G, jnp.minimum(h, 1e3))
+    return problem, see(robot, x_ref, contacts(robot, obstacle, where, x_ref)), reach
+
+
+def null_space_objective(
+    robot: Robot,
+    obstacle: Obstacle,
+    where: Posed,
+    x_ref: Joints,
+    w: Float[Array, "D"],
+    settings: Settings | Mapping[str, Any] | None = None,
+) -> Scalar:
+    """J2 of equation (5) along the null space: -D(x, O) + J1(x, x_ref) [m] at (11)'s x = x_ref + alpha N(x_ref) w.
+
+    The smaller, the clearer: the planners minimise it over |w| = 1, within the joint limits, which it does not look at.
+    robot: with its tool, as a plan's is. where: a scenario, or whatever else is `Posed`. w: D = N - 3 numbers.
+    settings: `alpha_rad`; `j1_weight` and `q_weights` of J1 = j1_weight (x - x_ref)' Q (x - x_ref), where the paper's
+    weight is 1; and `far_links`. None is the defaults, whose `j1_weight` is 0: then J2 = -D.
+
+    Raises InputError for an x_ref or w of another shape, many at once among them, and for `q_weights` of another arm.
+
+    ```python
+    >>> import jax
+    >>> import jax.numpy as jnp
+    >>> import htcp_jax
+    >>> arm, duct = htcp_jax.gp50(), htcp_jax.load_workpiece()
+    >>> where = htcp_jax.make_scenario(arm, duct, (0.0, -2.3, 0.5, 0.0, 0.5, -2.0))
+    >>> J2 = htcp_jax.null_space_objective
+    >>> scene = arm, htcp_jax.make_obstacle(duct), where, jnp.array(where.x_start)
+    >>> w = jnp.array([1.0, 0.0, 0.0])
+    >>> round(float(J2(*scene, w)), 3)
+    -0.497
+    >>> jax.grad(J2, argnums=4)(*scene, w).shape
+    (3,)
+    >>> jax.vmap(J2, in_axes=(None, None, None, None, 0))(*scene, jnp.eye(3)).round(3).tolist()
+    [-0.497, -0.499, -0.498]
+
+    ```
+    """
+    x_ref = configuration(robot, x_ref, "x_ref")
+    joints = x_ref.shape[0]
+    w = of_shape(w, (joints - 3,), "w")
+    settings = Settings(q_weights=(1.0,) * joints) if settings is None else settings_of(settings)
+    if len(settings.q_weights) != joints:
+        raise InputError(f"q_weights has {len(settings.q_weights)} values, the robot {robot.name} has {joints} joints")
+    return _objective(robot, obstacle, where, x_ref, w, settings)
+
+
+@partial(jax.jit, static_argnames="settings")
+def _objective(robot: Robot, obstacle: Obstacle, where: Posed, x_ref: Joints, w: Float[Array, "D"], settings: Settings):
+    problem, _, _ = sphere_problem(Scene(robot, obstacle), settings, where, x_ref)
+    return -problem.measure(w)
+
+
+class Anchored(NamedTuple):
+    """A configuration on (or near) the target, and how good it is."""
+
+    x: Joints
+    clearance: Scalar  # D [m]
+    residual: Scalar  # TCP error [m]
+
+
+def anchor(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Vector3) -> Anchored:
+    """Re-anchor x where its TCP error exceeds the tolerance xi, equation (10b) and Algorithm 1; then measure it."""
+    off = safe_norm(target - tcp_position(scene.robot, x))
+    anchored, _ = reanchor(scene.robot, x, target, 0.1 * settings.tolerance_m)
+    x = jnp.where(off > settings.tolerance_m, anchored, x)
+    return Anchored(
+        x, clearance(scene.robot, scene.obstacle, where, x), safe_norm(target - tcp_position(scene.robot, x))
+    )
+
+
+Minimise = Callable[[sphere.Sphere, Seen, jax.Array, Settings], sphere.Best]
+
+
+def null_space_step(
+    minimise: Minimise, scene: Scene, settings: Settings, where: Posed, stuck: Stuck, x_ref: Joints, count
+) -> Anchored:
+    """One round of Algorithm 1's null-space loop: minimise J2 on the sphere, x = x_ref + alpha N w, re-anchor."""
+    problem, seen, reach = sphere_problem(scene, settings, where, x_ref)
+    best = minimise(problem, seen, jax.random.fold_in(stuck.key, count), settings)
+    x = jnp.clip(x_ref + product(reach, best.w), scene.robot.lower, scene.robot.upper)
+    return anchor(scene, settings, where, x, stuck.target)
+
+
+def keep_clear_ascent(
+    scene: Scene,
+    settings: Settings,
+    where: Posed,
+    x: Joints,
+    target: Vector3,
+    enough_m: Scalar | float | None = None,
+    steps: int | None = None,
+) -> Anchored:
+    """Max-min null-space steps away from the workpiece while D is below `enough_m`, at most `steps` of them (by default
+    `keep_clear_m` and `keep_clear_steps`); never ends worse than it began.
+
+    One observation a step: the best direction for the contacts seen at x, at most alpha long, halved on failure.
+    """
+    enough_m = settings.keep_clear_m if enough_m is None else enough_m
+    steps = settings.keep_clear_steps if steps is None else steps
+
+    def going(state):
+        best, scale, count = state
+        return (best.clearance < enough_m) & (count < steps) & (scale > 1e-4)
+
+    def step(state):
+        best, scale, count = state
+        problem, seen, reach = sphere_problem(scene, settings, where, best.x)
+        w = sphere.max_min_step(problem, seen, scale)
+        x = jnp.clip(best.x + product(reach, w), scene.robot.lower, scene.robot.upper)
+        new = anchor(scene, settings, where, x, target)
+        better = (new.clearance > best.clearance) & (new.residual <= settings.tolerance_m)
+        best = jax.tree.map(lambda n, b: jnp.where(better, n, b), new, best)
+        return best, jnp.where(better, scale, 0.5 * scale), count + 1
+
+    start = anchor(scene, settings, where, x, target)
+    best, _, _ = jax.lax.while_loop(going, step, (start, jnp.full((), 0.5), jnp.zeros((), jnp.int32)))
+    return best
+
+
+def push_clear(scene: Scene, settings: Settings, where: Asked, x: Joints, target: Vector3) -> Anchored:
+    """x brought onto the target and pushed in the null space until it keeps the margin, or as clear as it gets."""
+    enough_m = jnp.maximum(1e-9, where.margin_m)
+    x = anchor(scene, settings, where, x, target).x
+    return keep_clear_ascent(scene, settings, where, x, target, enough_m, PUSHES)
+
+
+def stuck_key(settings: Settings, number, row, stage: int, round_) -> jax.Array:
+    """Random key of one escape: of scenario `number`, at target `row`."""
+    return fold_keys(jax.random.key(settings.seed), number, row, stage, round_)
