@@ -100,7 +100,7 @@ def advance(settings: Settings, scene: Scene, task: Task, x_ref, y) -> Measured:
     """The lane after a step y: inside the limits to the last bit, linearised, and measured against its target."""
     scene = _scene(scene, task)
     x = jnp.clip(x_ref + y, scene.robot.lower, scene.robot.upper)
-    linear = linearise(scene.robot, scene.obstacle, task, x)
+    linear = linearise(scene.robot, scene.obstacles, task, x, scene.task)
     return Measured(x, linear, jnp.min(linear.clearance), safe_norm(linear.tcp - task.target))
 
 
