@@ -15,7 +15,7 @@ from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.errors import InputError
 from htcp_jax.planner.devices import choose, default_threads
 from htcp_jax.planner.engine import EMPTY, Engine
-from htcp_jax.planner.kernels import tasks
+from htcp_jax.planner.kernels import lane_inputs
 from htcp_jax.planner.methods import METHODS
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.programs import Kernels
@@ -150,11 +150,11 @@ def _check_remaining_paths(
     if not len(s):
         return
     before = np.where((t == 0)[:, None], scenarios.x_start[s], plans.x[s, np.maximum(t - 1, 0)])
-    task = tasks(scenarios, s, t)
+    inputs = lane_inputs(scenarios, s, t)
 
     def check(number: int) -> None:
         part = np.arange(len(s))[number::threads]
-        pick = jax.tree.map(lambda table: table[part], (task, before, plans.x[s, t]))
+        pick = jax.tree.map(lambda table: table[part], (inputs, before, plans.x[s, t]))
         if len(part):
             own = number % len(kernels)
             clear = kernels[own]("check_path", *pick)

@@ -50,17 +50,17 @@ def new_lanes(bodies: int, scenario, target, x_previous, x_ref, candidate=MAIN) 
     )  # fmt: skip
 
 
-def take(tables: Tables, rows) -> Tables:
+def gather(tables: Tables, rows) -> Tables:
     """Some of the rows."""
     return jax.tree.map(lambda table: table[rows], tables)
 
 
-def join(parts: Sequence[Tables]) -> Tables:
+def concatenate(parts: Sequence[Tables]) -> Tables:
     """The rows of all parts, one or more."""
     return parts[0] if len(parts) == 1 else jax.tree.map(lambda *tables: np.concatenate(tables), *parts)
 
 
-def put(tables: Tables, rows, new: Tables) -> Tables:
+def scatter(tables: Tables, rows, new: Tables) -> Tables:
     """Copies of the tables with new rows in place of some."""
 
     def replaced(table, part):

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from htcp_jax.clearance.obstacles import Obstacle, contacts, make_obstacle
 from htcp_jax.clearance.scene import Scene, own_scene
-from htcp_jax.planner.kernels import tasks
+from htcp_jax.planner.kernels import lane_inputs
 from htcp_jax.planner.plans import Plans, is_tracked
 from htcp_jax.planner.programs import chunked, table_on
 from htcp_jax.scene.inverse_kinematics import reanchor
@@ -58,7 +58,7 @@ def obstruction(
     robot: Robot, workpiece: Workpiece, scenario: Scenario, x_last: np.ndarray, target: int, settings: Settings
 ) -> Obstruction:
     """What is in the way at a target of a scenario. x_last: the last tracked posture, else the start [rad or m]."""
-    task = tasks(stack([scenario]), np.zeros(1, int), np.array([target]))
+    task = lane_inputs(stack([scenario]), np.zeros(1, int), np.array([target]))
     (found,) = obstructions(robot, make_obstacle(workpiece), task, np.asarray(x_last)[None], task.target, settings)
     return found
 

@@ -17,7 +17,7 @@ import numpy as np
 from htcp_jax.clearance.obstacles import make_obstacle
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.clearance.verdict import counts
-from htcp_jax.planner.kernels import tasks
+from htcp_jax.planner.kernels import lane_inputs
 from htcp_jax.planner.methods import METHODS
 from htcp_jax.planner.null_space import DRAWS, Anchored
 from htcp_jax.planner.programs import Kernels
@@ -56,7 +56,7 @@ def ceiling(
     def good_at(row: int, rows: np.ndarray, here: Anchored) -> np.ndarray:
         good = counts(here.clearance, here.residual, scenarios.margin_m[rows], settings.tolerance_m)
         if tip is not None and good.any():
-            good[good] = ~tip.at(tasks(scenarios, rows[good], np.full(good.sum(), row)), here.x[good])
+            good[good] = ~tip.at(lane_inputs(scenarios, rows[good], np.full(good.sum(), row)), here.x[good])
         return good
 
     scenarios = jax.tree.map(np.asarray, scenarios)
@@ -69,13 +69,13 @@ def ceiling(
         alive = alive[scenarios.count[alive] > row]
         if not len(alive):
             break
-        here = kernels("push", tasks(scenarios, alive, np.full(len(alive), row)), x[alive])
+        here = kernels("push", lane_inputs(scenarios, alive, np.full(len(alive), row)), x[alive])
         x[alive], good = here.x, good_at(row, alive, here)
         for round_ in range(-(-draws // DRAWS)):
             lost = alive[~good]
             if not len(lost):
                 break
-            here = kernels("draw", tasks(scenarios, lost, np.full(len(lost), row), round_))
+            here = kernels("draw", lane_inputs(scenarios, lost, np.full(len(lost), row), round_))
             here = jax.tree.map(lambda leaf: leaf[:, 0], here)
             x[lost] = here.x
             best[lost] = np.fmax(best[lost], np.where(here.residual <= settings.tolerance_m, here.clearance, -np.inf))
