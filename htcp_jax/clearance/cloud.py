@@ -17,7 +17,7 @@ from htcp_jax.clearance.obstacle import Bodies, Contacts, Posed, Rows
 from htcp_jax.numerics import product, safe_divide, safe_norm, segment_parameter
 from htcp_jax.pytree import register_pytree
 from htcp_jax.scene.robot import Robot
-from htcp_jax.types import Bool, Float, Scalar
+from htcp_jax.types import Bool, Float, Int, Scalar
 
 
 @register_pytree
@@ -73,7 +73,7 @@ class Cloud:
         return self.contacts(robot, where, bodies).distance
 
     def touches_along(
-        self, robot: Robot, where: Posed, bodies: Bodies, body: Scalar, asked: Bool[jax.Array, "S"]
+        self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
     ) -> Bool[jax.Array, ""]:
         """Whether a point is within the body's radius at any of the postures."""
         within = jnp.where(asked, robot.capsule_radius[body] + self.cover, -1.0)

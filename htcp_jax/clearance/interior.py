@@ -15,7 +15,7 @@ from htcp_jax.clearance.obstacle import Bodies, Contacts, Posed, Rows
 from htcp_jax.numerics import product
 from htcp_jax.pytree import register_pytree
 from htcp_jax.scene.robot import Robot
-from htcp_jax.types import Bool, Float, Scalar
+from htcp_jax.types import Bool, Float, Int, Scalar
 
 
 @register_pytree
@@ -59,7 +59,7 @@ class Interior:
         return jnp.min(jnp.where(beyond > 0, depth, -beyond).reshape(2, -1), axis=0)
 
     def touches_along(
-        self, robot: Robot, where: Posed, bodies: Bodies, body: Scalar, asked: Bool[jax.Array, "S"]
+        self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
     ) -> Bool[jax.Array, ""]:
         """Whether a deep end of the body lies outside at any of the postures."""
         deep = _beyond(where, bodies.p[:, body], bodies.q[:, body]) > 0
@@ -82,6 +82,6 @@ class Interior:
         )
 
 
-def _beyond(where: Posed, p: Float[jax.Array, "n 3"], q: Float[jax.Array, "n 3"]) -> Float[jax.Array, "2n"]:
+def _beyond(where: Posed, p: Float[jax.Array, "n 3"], q: Float[jax.Array, "n 3"]) -> Float[jax.Array, "ends"]:
     """How far the ends, all p then all q, are beyond the gate [m]."""
     return product(jnp.concatenate([p, q]), where.gate[:3]) - where.gate[3]

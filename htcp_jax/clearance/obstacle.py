@@ -1,8 +1,8 @@
 """What an obstacle is to the planner: rows of distances, and the cheap questions about them.
 
 A kind of obstacle is a small pytree with the methods of `Obstacle`, in a file of its own. Its rows are distances [m]
-between a body of the arm and something: the surroundings, or another body. Kinds with `per_body` have one row a body,
-which they share with the others of that sort: the nearest decides. Any other kind brings rows of its own.
+between a body of the arm and something: the surroundings, or another body. Kinds with `per_body`, `Surroundings`, have
+one row a body, which they share: the nearest decides. Any other kind brings rows of its own.
 """
 
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -12,7 +12,7 @@ import jax
 from htcp_jax.numerics import product
 from htcp_jax.scene.kinematics import capsule_segments
 from htcp_jax.scene.robot import Robot
-from htcp_jax.types import Bool, Float, Joints, Pose, Scalar
+from htcp_jax.types import Bool, Float, Int, Joints, Pose, Scalar
 
 
 @runtime_checkable
@@ -84,8 +84,13 @@ class Obstacle(Protocol):
         0 in collision."""
         ...
 
+
+@runtime_checkable
+class Surroundings(Obstacle, Protocol):
+    """A kind with `per_body`: what surrounds the arm."""
+
     def touches_along(
-        self, robot: Robot, where: Posed, bodies: Bodies, body: Scalar, asked: Bool[jax.Array, "S"]
+        self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
     ) -> Bool[jax.Array, ""]:
-        """Whether one body touches at any of S postures that are asked about. Kinds with `per_body` alone."""
+        """Whether one body touches at any of S postures that are asked about; `bodies` are those at all of them."""
         ...

@@ -49,7 +49,7 @@ def rows_of(robot: Robot, obstacles: Obstacles) -> Rows:
 
 @jax.jit
 def contacts(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Contacts:
-    """What is nearest in every row at configuration x [rad]; the robot's tool is the scenario's (see `lengthen_tool`)."""
+    """What is nearest in every row at configuration x [rad]; the robot's tool is the scenario's."""
     bodies = bodies_at(robot, where, x)
     groups = [[each.contacts(robot, where, bodies) for each in own] for own in _grouped(obstacles)]
     parts = [_nearest(own) for own in groups]

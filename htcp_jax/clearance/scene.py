@@ -2,10 +2,10 @@
 
 from typing import NamedTuple
 
-from htcp_jax.clearance.obstacles import ClearanceRows, Obstacles, clearance_rows, rows_of
 from htcp_jax.clearance.obstacle import Posed, Rows
+from htcp_jax.clearance.obstacles import ClearanceRows, Obstacles, clearance_rows, rows_of
 from htcp_jax.scene.robot import Robot, lengthen_tool
-from htcp_jax.scene.task import Task
+from htcp_jax.scene.task import TCP_POSITION, Task
 from htcp_jax.types import Array, Float, Joints, Scalar
 
 
@@ -14,7 +14,7 @@ class Scene(NamedTuple):
 
     robot: Robot
     obstacles: Obstacles
-    task: Task = Task()
+    task: Task = TCP_POSITION
 
     @property
     def rows(self) -> Rows:
@@ -41,7 +41,7 @@ def own_scene(scene: Scene, tool_extension_m: Scalar) -> Scene:
     return scene._replace(robot=lengthen_tool(scene.robot, tool_extension_m))
 
 
-def linearise(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, task: Task = Task()) -> Linearisation:
+def linearise(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, task: Task = TCP_POSITION) -> Linearisation:
     """Task and clearance at x [rad or m], with their Jacobian and gradients; `where` is a scenario, or another `Posed`.
 
     Equation (7) and the clearance rows of CFS (section on workspace inequality constraints). The default task is the

@@ -7,13 +7,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.obstacles import Posed, is_clear
+from htcp_jax.clearance.obstacle import Posed
+from htcp_jax.clearance.obstacles import is_clear
 from htcp_jax.clearance.scene import Scene
-from htcp_jax.clearance.verdict import counts
 from htcp_jax.numerics import null_basis, product, safe_norm
 from htcp_jax.planner.null_space import DRAWS, PUSHED, Anchored, Asked, Stuck, anchor, push_clear
 from htcp_jax.scene.inverse_kinematics import inside, reanchor
-from htcp_jax.scene.kinematics import jacobian, tcp_position
+from htcp_jax.scene.task import Task
 from htcp_jax.settings import Settings
 from htcp_jax.types import Array, Bool, Float
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from htcp_jax.numerics import of_shape, product, safe_norm, solve_spd
 from htcp_jax.scene.kinematics import configuration
 from htcp_jax.scene.robot import Robot
-from htcp_jax.scene.task import Task
+from htcp_jax.scene.task import TCP_POSITION, Task
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar
 
 
@@ -19,7 +19,7 @@ def reanchor(
     target: Float[Array, "M"],
     tolerance_m: float,
     iterations: int = 20,
-    task: Task = Task(),
+    task: Task = TCP_POSITION,
 ) -> tuple[Joints, Scalar]:
     """Damped Newton inverse kinematics inside the joint limits: (x, residual [m]), equation (10b).
 

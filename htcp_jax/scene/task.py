@@ -110,5 +110,8 @@ class Task:
         return (clearance > 0) & (clearance >= margin_m) & self.reached(residual)
 
 
+TCP_POSITION = Task()  # the paper's
+
+
 def _joined(parts: list[Array]) -> Array:
     return parts[0] if len(parts) == 1 else jnp.concatenate(parts)
