@@ -12,9 +12,10 @@ import stranger_jobs
 
 import htcp_jax
 from htcp_jax.clearance.verdict import counts
-from htcp_jax.planner.batch import METHODS, plan
+from htcp_jax.planner.batch import plan
 from htcp_jax.planner.plans import is_tracked
 from htcp_jax.planner.reachability import ceiling
+from htcp_jax.planner.registry import names
 from htcp_jax.runs.summary import summarise
 from htcp_jax.scene.scenario import OutOfReach, make_scenario, stack
 from htcp_jax.settings import Settings
@@ -37,7 +38,7 @@ def tight(margin_m):
     ]
 
 
-@pytest.mark.parametrize("method", [pytest.param(m, marks=pytest.mark.slow if m in SLOW else ()) for m in METHODS])
+@pytest.mark.parametrize("method", [pytest.param(m, marks=pytest.mark.slow if m in SLOW else ()) for m in names()])
 def test_no_tracked_target_has_less_than_the_margin(method):
     """W3: the default job's 0.5 mm came out as 0.0461 mm, and nothing said so."""
     margin_m = 2e-3

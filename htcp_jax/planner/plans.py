@@ -20,9 +20,9 @@ class Plans(NamedTuple):
     clearance: Float[np.ndarray, "S T"]  # D(x, O), smallest over capsules and points [m]
     residual: Float[np.ndarray, "S T"]  # |tcp - target| [m]
     status: Int8[np.ndarray, "S T"]  # htcp_jax.status.Status
-    iterations: Int[np.ndarray, "S T"]  # step QPs solved for the target
+    iterations: Int[np.ndarray, "S T"]  # step QPs solved for the target; 0 where one was pushed there
     joint_step: Float[np.ndarray, "S T"]  # |x_t - x_{t-1}|, the start being x_{-1} [rad]
-    escape: Int[np.ndarray, "S T"]  # 0 none, k = stage k of the method's escapes
+    escape: Int[np.ndarray, "S T"]  # 0 none, k = stage k of the method's escapes, one more: planned backwards
     path_clear: Int8[np.ndarray, "S T"]  # joint path from the row before: 1 clear, 0 blocked, -1 unknown
     compile_s: float  # wall time spent compiling [s]
     run_s: float  # wall time spent planning, compilation apart [s]

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from htcp_jax.clearance.tip_guard import TipGuard, make_tip_guard
-from htcp_jax.planner.kernels import LaneInputs
+from htcp_jax.planner.kernels import TIP, LaneInputs
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.scene.workpiece import Workpiece
 
@@ -26,7 +26,7 @@ class TipCheck(NamedTuple):
 
     def at(self, inputs: LaneInputs, x: Float[np.ndarray, "n N"]) -> Bool[np.ndarray, "n"]:
         """Whether the tip passes through a wall at each lane's configuration."""
-        tip = self.kernels("tip", inputs, x)
+        tip = self.kernels(TIP, inputs, x)
         return self.guard.passes(tip[:, 0], tip[:, 1])
 
     def along(
