@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 
 import htcp_jax
 from htcp_jax.cli.main import main
-from htcp_jax.planner import batch
-from htcp_jax.planner import registry
+from htcp_jax.planner import batch, registry
 from htcp_jax.planner.step_qps import StepQPs
 from htcp_jax.runs.tables import frame_of
 from htcp_jax.scene.robot import lengthen_tool
