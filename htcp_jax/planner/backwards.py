@@ -13,13 +13,13 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from htcp_jax.planner.kernels import DRAW, PUSH, Measured
 from htcp_jax.planner.lane_checks import LaneChecks
 from htcp_jax.planner.lanes import CHECKING, DRAWING, PUSHING, Lanes, gather
 from htcp_jax.planner.record import Record
 from htcp_jax.planner.stages import Escapes
-from htcp_jax.scene.scenario import Scenario
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 
@@ -46,8 +46,15 @@ class Replanned(NamedTuple):
 class BackwardPlans:
     """The scenarios of one engine that are planned backwards."""
 
-    def __init__(self, checks: LaneChecks, record: Record, escapes: Escapes, settings: Settings, scenarios: Scenario):
-        self._checks, self._record, self._starts = checks, record, scenarios.x_start
+    def __init__(
+        self,
+        checks: LaneChecks,
+        record: Record,
+        escapes: Escapes,
+        settings: Settings,
+        starts: Float[np.ndarray, "S N"],
+    ):
+        self._checks, self._record, self._starts = checks, record, starts
         self._rounds = settings.postures if escapes.replan_backwards else 0
         self._escape = escapes.backwards
         self._chains: dict[int, Chains] = {}

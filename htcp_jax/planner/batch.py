@@ -116,7 +116,7 @@ def _counter(scenarios: Scenario, progress: Callable[[Progress], None] | None) -
     return add
 
 
-def _of_these(plans: Plans, problem: Problem, method: str) -> Plans:
+def _of_these(plans: Any, problem: Problem, method: str) -> Plans:
     """The plans as they are. Raises InputError where a method returns others than those of the problem."""
     expected = problem.scenarios.targets.shape[:2]
     if not isinstance(plans, Plans) or plans.status.shape != expected or plans.x.shape[:2] != expected:

@@ -60,7 +60,7 @@ class Engine:
         self._checks = LaneChecks(kernels, scenarios, settings, escapes, tip)
         self._record = Record(plans)
         self._candidates = CandidateSearch(self._checks, escapes)
-        self._backwards = BackwardPlans(self._checks, self._record, escapes, settings, scenarios)
+        self._backwards = BackwardPlans(self._checks, self._record, escapes, settings, scenarios.x_start)
         self._walks = [stage.kernel(k) for k, stage in enumerate(escapes.stages)]
 
     def run(self, scenarios: Iterator[int], progress: Callable[[int, int], None]) -> None:

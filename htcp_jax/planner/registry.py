@@ -55,8 +55,8 @@ _own: dict[str, Method] = {}  # of this process
 _loaded: dict[str, Method] = {}  # of entry points
 
 
-def register(method: Method) -> Method:
-    """Make a method known to this process: to `htcp_jax.plan`, `sweep`, `methods` and all else but Ray's workers.
+def register(method: Any) -> Any:
+    """Make a `Method` known to this process: to `htcp_jax.plan`, `sweep`, `methods` and all else but Ray's workers.
 
     Returns the method. Raises InputError for one that lacks a name, a title, a sentence or `plan`, for a name that no
     file could have, and for a name that is taken.
