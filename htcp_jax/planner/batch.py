@@ -3,7 +3,6 @@
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
@@ -14,9 +13,7 @@ from htcp_jax.clearance.obstacles import clearances, make_obstacle
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.errors import InputError
 from htcp_jax.planner.devices import choose, default_threads
-from htcp_jax.planner.kernels import CHECK_PATH, lane_inputs
-from htcp_jax.planner.lanes import gather
-from htcp_jax.planner.plans import Plans, is_tracked
+from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem, ignore
 from htcp_jax.planner.registry import find
 from htcp_jax.scene.robot import Robot
@@ -77,7 +74,10 @@ def plan(
     )
     plans = _of_these(chosen.plan(problem), problem, method)
     if check_paths:
-        _check_remaining_paths(problem, plans)
+        # Here, as methods are found: whoever asks for plans imports no kernels before one is looked up.
+        from htcp_jax.planner.path_checks import check_remaining_paths
+
+        check_remaining_paths(problem, plans)
     spent = time.perf_counter() - began
     compile_s = plans.compile_s + sum(each.compile_s for each in problem.kernels)
     return plans._replace(compile_s=compile_s, run_s=spent - compile_s)
@@ -122,28 +122,6 @@ def _of_these(plans: Any, problem: Problem, method: str) -> Plans:
     if not isinstance(plans, Plans) or plans.status.shape != expected or plans.x.shape[:2] != expected:
         raise InputError(f"method {method!r} returned no Plans of {expected[0]} scenarios with {expected[1]} targets")
     return plans
-
-
-def _check_remaining_paths(problem: Problem, plans: Plans) -> None:
-    """Fill in path_clear where a tracked target's path was not checked while planning."""
-    scenarios = problem.scenarios
-    s, t = np.nonzero(is_tracked(plans.status) & (plans.path_clear < 0))
-    if not len(s):
-        return
-    before = np.where((t == 0)[:, None], scenarios.x_start[s], plans.x[s, np.maximum(t - 1, 0)])
-    inputs = lane_inputs(scenarios, s, t)
-    kernels, tips = problem.kernels, problem.tips  # made here, before there are threads
-
-    def check(number: int) -> None:
-        part = np.arange(len(s))[number :: problem.threads]
-        pick = gather((inputs, before, plans.x[s, t]), part)
-        if len(part):
-            own = number % len(kernels)
-            clear = kernels[own](CHECK_PATH, *pick)
-            plans.path_clear[s[part], t[part]] = clear if tips[own] is None else clear & ~tips[own].along(*pick)
-
-    with ThreadPoolExecutor(problem.threads) as pool:
-        list(pool.map(check, range(problem.threads)))
 
 
 __all__ = ["Progress", "check_start", "plan", "start_clearance"]

@@ -57,7 +57,7 @@ class Engine:
         self._kernels, self._solver, self._escapes = kernels, solver, escapes
         self._settings, self._counts = settings, scenarios.count
         self._table = LaneTable(kernels, scenarios, share)
-        self._checks = LaneChecks(kernels, scenarios, settings, escapes, tip)
+        self._checks = LaneChecks(kernels, scenarios, settings, escapes.check_paths, tip)
         self._record = Record(plans)
         self._candidates = CandidateSearch(self._checks, escapes)
         self._backwards = BackwardPlans(self._checks, self._record, escapes, settings, scenarios.x_start)

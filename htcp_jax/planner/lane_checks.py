@@ -7,7 +7,6 @@ from htcp_jax.planner.kernels import ADVANCE, CHECK_PATH, LaneInputs, Measured, 
 from htcp_jax.planner.lanes import Lanes, gather
 from htcp_jax.planner.null_space import Anchored
 from htcp_jax.planner.programs import Kernels
-from htcp_jax.planner.stages import Escapes
 from htcp_jax.planner.tip_check import TipCheck
 from htcp_jax.scene.scenario import Scenario
 from htcp_jax.settings import Settings
@@ -17,11 +16,11 @@ class LaneChecks:
     """Asks the kernels. With `tip`, no target counts at which the tool's bare tip passes through a wall."""
 
     def __init__(
-        self, kernels: Kernels, scenarios: Scenario, settings: Settings, escapes: Escapes, tip: TipCheck | None
+        self, kernels: Kernels, scenarios: Scenario, settings: Settings, check_paths: bool, tip: TipCheck | None
     ):
         self.kernels = kernels
         self._scenarios, self._settings, self._tip = scenarios, settings, tip
-        self.of_steps = escapes.check_paths or settings.path_check == "all"  # whether joint paths are checked
+        self.of_steps = check_paths or settings.path_check == "all"  # whether joint paths are checked
         self.of_escapes = self.of_steps or settings.path_check == "escapes"
 
     def inputs(self, lanes: Lanes, round_: int | np.ndarray = 0) -> LaneInputs:

@@ -10,9 +10,9 @@ from jaxtyping import Int
 
 from htcp_jax.clearance.obstacles import make_obstacle
 from htcp_jax.clearance.scene import Scene
+from htcp_jax.clearance.tip_guard import TipGuard, make_tip_guard
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.programs import Kernels
-from htcp_jax.planner.tip_check import TipCheck, tip_checks
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import NOT_REFUSED, Scenario
 from htcp_jax.scene.workpiece import Workpiece
@@ -48,9 +48,9 @@ class Problem:
         return [Kernels(scene, self.settings, device) for device in self.devices]
 
     @cached_property
-    def tips(self) -> list[TipCheck | None]:
-        """Whether the tool's bare tip passes through a wall, one for each device; None where it may touch anywhere."""
-        return tip_checks(self.kernels, self.workpiece)
+    def tip_guard(self) -> TipGuard | None:
+        """The walls that the tool's bare tip must not pass through; None where it may touch anywhere."""
+        return make_tip_guard(self.workpiece)
 
     @property
     def open(self) -> Int[np.ndarray, "_"]:

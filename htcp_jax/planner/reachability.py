@@ -16,6 +16,7 @@ import numpy as np
 
 from htcp_jax.clearance.obstacles import make_obstacle
 from htcp_jax.clearance.scene import Scene
+from htcp_jax.clearance.tip_guard import make_tip_guard
 from htcp_jax.clearance.verdict import counts
 from htcp_jax.planner.kernels import DRAW, PUSH, lane_inputs
 from htcp_jax.planner.null_space import DRAWS, Anchored
@@ -50,7 +51,7 @@ def ceiling(
     settings = settings or Settings()
     scene = Scene(robot, make_obstacle(workpiece))
     kernels = Kernels(scene, settings)
-    [tip] = tip_checks([kernels], workpiece)
+    [tip] = tip_checks([kernels], make_tip_guard(workpiece))
 
     def good_at(row: int, rows: np.ndarray, here: Anchored) -> np.ndarray:
         good = counts(here.clearance, here.residual, scenarios.margin_m[rows], settings.tolerance_m)

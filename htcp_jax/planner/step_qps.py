@@ -9,6 +9,7 @@ from htcp_jax.planner.engine import Engine
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.stages import Escapes
+from htcp_jax.planner.tip_check import tip_checks
 from htcp_jax.solvers.by_name import make_solver
 from htcp_jax.solvers.step_qp import row_count
 
@@ -34,7 +35,8 @@ class StepQPs(Escapes):
         refused = set(range(count)).difference(problem.open.tolist())
         order = [k for first in range(threads) for k in range(first, count, threads) if k not in refused]
         handed_out = _Shared(order)
-        kernels, tips = problem.kernels, problem.tips  # made here, before there are threads
+        kernels = problem.kernels  # made here, before there are threads
+        tips = tip_checks(kernels, problem.tip_guard)
 
         def work(number: int) -> None:
             robot, settings = problem.robot, problem.settings
