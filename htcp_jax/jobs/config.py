@@ -22,7 +22,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.config_file import FILES, layers, layers_of, merged, parse_override, put
-from htcp_jax.planner.methods import METHODS
 from htcp_jax.scene.robot import load_robot
 from htcp_jax.scene.tool import Tool
 from htcp_jax.scene.workpiece import GATE_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
@@ -34,8 +33,7 @@ Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Point = tuple[Number, Number, Number]
 Turn = Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi)]  # degrees are mostly beyond
 Steps = Annotated[int, Field(ge=0, le=10_000)]
-NAME = re.compile(r"[a-z0-9-]+")  # of a method; it stands in names of files
-RECORD = "of results"
+METHOD_NAME = re.compile(r"[a-z0-9-]+")  # it stands in names of files; which methods there are, the planner says
 
 
 class Section(BaseModel):
@@ -98,10 +96,9 @@ class PlanConfig(Section):
 
     @field_validator("method")
     @classmethod
-    def _known_method(cls, name: str, info) -> str:
-        of_record = info.context is RECORD and NAME.fullmatch(name)  # by a planner of one's own, which is not here now
-        if name not in METHODS and not of_record:
-            raise InputError(f"{name!r} is no method; valid: {', '.join(METHODS)}")
+    def _could_be_a_method(cls, name: str) -> str:
+        if not METHOD_NAME.fullmatch(name):
+            raise InputError(f"{name!r} is no method; their names are small letters, digits and hyphens")
         return name
 
 
@@ -227,13 +224,11 @@ def _no_start(robot: dict, source: str) -> str:
 _DEFAULTS = PlanConfig().model_dump()
 
 
-def validate(raw: dict, model: type[BaseModel], source: str, *, of_record: bool = False) -> Any:
-    """`raw` as a `model`; `of_record`: of results that are there, by a method that need not be known.
-
-    Raises InputError that names the first offender and how many more there are."""
+def validate(raw: dict, model: type[BaseModel], source: str) -> Any:
+    """`raw` as a `model`. Raises InputError that names the first offender and how many more there are."""
     _refuse_unknown(raw, model, source)
     try:
-        return model.model_validate(raw, context=RECORD if of_record else None)
+        return model.model_validate(raw)
     except ValidationError as error:
         first, *more = error.errors()
         others = f" (and {len(more)} more)" if more else ""
