@@ -27,7 +27,7 @@ notebooks: $(VENV)/.installed-notebooks  ## execute the notebooks; build/noteboo
 	$(VENV)/bin/jupyter-nbconvert --log-level ERROR --to html build/notebooks/*.ipynb
 
 docs: $(VENV)/.installed-docs  ## build the documentation into build/site, warnings are errors
-	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --quiet --strict
+	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict
 
 # The sweeps that `htcp gate` holds to sweeps/baselines/, planned by every method, and the folder of their runs.
 GATED = workpiece robot-third

@@ -216,7 +216,7 @@ def test_a_qp_that_breaks_down_fails_its_scenario_and_no_other(scene, scenarios,
     whole = plan(*scene, scenarios[:3], "baseline", PAPER)
     # Target 1 of scenario 1 is where its first real step goes.
     Broken.victim = scenarios[1].targets[1] - whole.tcp[1, 0]
-    monkeypatch.setattr(step_qps, "make_solver", lambda s, joints, rows: Broken(2 * np.array(s.q_weights), rows))
+    monkeypatch.setattr(step_qps, "make_solver", lambda s, joints, rows, _: Broken(2 * np.array(s.q_weights), rows))
     broken = plan(*scene, scenarios[:3], "baseline", PAPER)
     same(broken, whole, [0, 2], [0, 2])
     assert broken.status[1, 1] == Status.QP_FAILED

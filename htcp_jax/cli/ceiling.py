@@ -1,4 +1,4 @@
-"""`htcp ceiling`: how many targets of every scenario are reachable at all, beside what a run's planners tracked."""
+"""`htcp ceiling`: how many targets of every scenario are reachable at all, beside what a run's methods tracked."""
 
 from operator import itemgetter
 from pathlib import Path
@@ -36,7 +36,7 @@ def ceiling_command(
     """Look for any clear configuration at every target, scenario by scenario, and count the targets in a row.
 
     A lower bound on what is reachable, with the number of draws behind it. Writes ceiling.json into the run folder,
-    where `htcp report` finds it, and names every planner result of that folder that gets further.
+    where `htcp report` finds it, and names every method of that folder that gets further.
 
     \b
     htcp ceiling sweeps/workpiece.yaml                     into out/workpiece, where the sweep writes
@@ -89,7 +89,7 @@ def _search(batch: Batch, draws: int) -> Ceiling:
 
 
 def _beaten(run: Run, batch: Batch, found: Ceiling) -> dict[str, list[int]]:
-    """Scenarios that a planner of the run brought further, by method. Raises InputError for a run of other targets."""
+    """Scenarios that a method of the run brought further, by method. Raises InputError for a run of other targets."""
     beaten = {}
     for method in run.methods:
         plans = run.plans(method)

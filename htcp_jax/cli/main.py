@@ -44,7 +44,7 @@ app.command(short_help="Look at plans in the browser, target by target.")(view)
 app.command(short_help="A picture and a movie of one plan.")(render)
 app.command("ceiling", short_help="How much is reachable at all, whatever the method.")(ceiling_command)
 app.command(short_help="Hold a sweep to a baseline: does it still reach what it did?")(gate)
-app.command(short_help="List the planners and what each does.")(methods)
+app.command(short_help="List the methods and what each does.")(methods)
 app.command(short_help="Look at this installation and test it in 2 s.")(doctor)
 
 
@@ -77,7 +77,7 @@ def htcp(
       htcp render out/workpiece --scenario 24    a picture and a movie of one of them
     \b
     Good to know:
-      htcp methods                               the planners
+      htcp methods                               what --method may name
       htcp doctor                                is this installation sound?
       htcp COMMAND --help                        options and examples of one command
       htcp --install-completion                  let the shell complete commands, options and methods

@@ -1,4 +1,4 @@
-"""`htcp methods`: the planners, and what each does."""
+"""`htcp methods`: the methods, and what each does."""
 
 from htcp_jax.cli.output import Json, print_json, print_table, stdout
 from htcp_jax.planner import registry
@@ -8,7 +8,7 @@ COLUMNS = Column("method", "method"), Column("title", "name"), Column("sentence"
 
 
 def methods(as_json: Json = False) -> int:
-    """List the planners that --method and --methods take, and what each does; those of other packages too.
+    """List the methods that --method and --methods take, and what each does; those of other packages too.
 
     \b
     htcp methods                              the table
