@@ -14,7 +14,7 @@ from htcp_jax.clearance.obstacles import clearances, make_obstacle
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.errors import InputError
 from htcp_jax.planner.devices import choose, default_threads
-from htcp_jax.planner.engine import EMPTY, Engine
+from htcp_jax.planner.engine import Engine
 from htcp_jax.planner.kernels import tasks
 from htcp_jax.planner.methods import METHODS
 from htcp_jax.planner.plans import Plans
@@ -73,7 +73,7 @@ def plan(
     scene = Scene(robot, make_obstacle(workpiece))
     kernels = [Kernels(scene, METHODS[method], settings, device) for device in devices]
     tips = tip_checks(kernels, workpiece)
-    plans = _empty_plans(scenarios.targets, joints)
+    plans = Plans.empty(scenarios.x_start, scenarios.targets, scenarios.count)
     threads = threads or default_threads(devices, settings.qp)
     _run_engines(kernels, tips, robot, method, settings, scenarios, plans, threads, progress)
     if check_paths:
@@ -145,12 +145,10 @@ def _check_remaining_paths(
     kernels: list[Kernels], tips: list[TipCheck | None], scenarios: Scenario, plans: Plans, threads: int
 ) -> None:
     """Fill in path_clear where a tracked target's path was not checked while planning."""
-    tracked = ~np.isnan(plans.clearance)
-    s, t = np.nonzero(tracked & (plans.path_clear < 0))
+    s, t = np.nonzero(plans.tracked & (plans.path_clear < 0))
     if not len(s):
         return
-    before = np.where((t == 0)[:, None], scenarios.x_start[s], plans.x[s, np.maximum(t - 1, 0)])
-    task = tasks(scenarios, s, t)
+    before, task = plans.before(s, t), tasks(scenarios, s, t)
 
     def check(number: int) -> None:
         part = np.arange(len(s))[number::threads]
@@ -162,28 +160,6 @@ def _check_remaining_paths(
 
     with ThreadPoolExecutor(threads) as pool:
         list(pool.map(check, range(threads)))
-
-
-def _empty_plans(targets: np.ndarray, joints: int) -> Plans:
-    shape = targets.shape[:2]
-
-    def full(name, *more, dtype=float):
-        return np.full((*shape, *more), EMPTY[name], dtype)
-
-    return Plans(
-        x=full("x", joints),
-        tcp=full("tcp", 3),
-        target=targets,
-        clearance=full("clearance"),
-        residual=full("residual"),
-        status=full("status", dtype=np.int8),
-        iterations=full("iterations", dtype=np.int32),
-        joint_step=full("joint_step"),
-        escape=full("escape", dtype=np.int8),
-        path_clear=full("path_clear", dtype=np.int8),
-        compile_s=0.0,
-        run_s=0.0,
-    )
 
 
 __all__ = ["METHODS", "Progress", "check_start", "plan", "start_clearance"]

@@ -423,9 +423,3 @@ class Engine:
         self._record(many, now, Status.TRACKED_AFTER_ESCAPE, len(self._method.stages) + 1, np.ones(rows, np.int8))
         self._go_on(take(many, [-1]), take(now, [-1]))
         return True
-
-
-EMPTY = {
-    "x": np.nan, "tcp": np.nan, "clearance": np.nan, "residual": np.nan, "status": Status.NOT_ATTEMPTED,
-    "iterations": 0, "joint_step": np.nan, "escape": 0, "path_clear": -1,
-}  # fmt: skip

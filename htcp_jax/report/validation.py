@@ -7,10 +7,10 @@ from typing import Any
 from htcp_jax.errors import InputError
 from htcp_jax.report.document import Block, Column, Heading, Table
 from htcp_jax.runs.labels import labels_in
+from htcp_jax.runs.open import result_files
+from htcp_jax.runs.plan_folder import VALIDATION
 from htcp_jax.runs.run_folder import Run
-from htcp_jax.validation.records import result_files
 from htcp_jax.validation.track import STEP_RAD
-from htcp_jax.validation.validate import VALIDATION
 
 AT_TARGETS = (
     Column("method", "method"),

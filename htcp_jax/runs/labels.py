@@ -10,11 +10,8 @@ import numpy as np
 import pyarrow as pa
 
 from htcp_jax.runs.run_folder import Run
+from htcp_jax.runs.tables import RESULTS
 
-RESULTS = (
-    "method", "scenario", "group", "targets", "tracked", "complete", "failed_target", "failure", "reason",
-    "after_escape", "blocked_paths", "clearance_min_m", "residual_max_m", "joint_motion_rad",
-)  # fmt: skip
 SHORT = {
     "rotation_x": "tilt x",
     "rotation_y": "tilt y",

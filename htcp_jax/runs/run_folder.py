@@ -129,10 +129,10 @@ class Run:
 
     def _repr_html_(self) -> str:
         state = "complete" if self.complete else "not complete"
-        facts = {method: self._told(method) for method in self.methods}
+        facts = {method: self._describe(method) for method in self.methods}
         return html_facts(f"{self.manifest.name}: {self.manifest.count:,} scenarios, {state}", facts)
 
-    def _told(self, method: str) -> str:
+    def _describe(self, method: str) -> str:
         if all(shard.method != method for shard in self.manifest.shards):
             return "not planned yet"
         found = summarise(self.plans(method))
@@ -203,10 +203,10 @@ class Run:
 
     def plans(self, method: str) -> Plans:
         """The plans of one method as arrays; S = `manifest.count`, row s is scenario s. Where scenarios are not
-        planned yet, or have fewer targets than others, the status is -1. Raises InputError as `targets` does."""
-        rows, seconds = self.targets(method), self.manifest.seconds.get(method, Seconds())
+        planned yet, or have fewer targets than others, the status is NO_TARGET. Raises InputError as `targets` does."""
+        rows, seconds = (self.targets(method), self.scenarios(method)), self.manifest.seconds.get(method, Seconds())
         try:
-            return plans_of(rows, self.manifest.count, self.manifest.joints, seconds.compile_s, seconds.run_s)
+            return plans_of(*rows, self.manifest.count, self.manifest.joints, seconds.compile_s, seconds.run_s)
         except (IndexError, KeyError, ValueError) as error:
             raise InputError(f"{self.folder}: the rows of {method} are not of this run: {error}") from None
 

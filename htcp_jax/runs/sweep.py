@@ -138,12 +138,12 @@ def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
 def tables(batch: Batch, method: str, span: Span, plans: Plans) -> dict[str, pa.Table]:
     """The rows of a shard, see `run_tables`."""
     rows = slice(span.first, span.last + 1)
-    joints, count, points = joint_columns(batch.robot), batch.scenarios.count[rows], batch.points[rows]
+    joints, points = joint_columns(batch.robot), batch.points[rows]
     varied = tuple(points[0].varied)
     numbers = np.array([point.number for point in points])
     return {
-        "targets": target_table(method, numbers, count, plans, joints),
-        "scenarios": scenario_table(method, points, count, plans, joints, varied),
+        "targets": target_table(method, numbers, plans, joints),
+        "scenarios": scenario_table(method, points, plans, joints, varied),
     }
 
 
