@@ -11,7 +11,7 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from htcp_jax.jobs.build import scene
-from htcp_jax.jobs.config import PlanConfig, load_config, validate
+from htcp_jax.jobs.config import PlanConfig, load_config
 from htcp_jax.notebook import html_facts
 from htcp_jax.planner import batch
 from htcp_jax.planner.methods import METHODS
@@ -177,9 +177,10 @@ def plan(
     "workpiece.rotation_y_rad": 0.5}. method: see `methods`. progress: called as targets are tracked.
     Raises InputError for bad input and for a start in collision.
     """
-    job = load_config(config, overrides)
     if method is not None:
-        job = validate({**job.model_dump(), "method": method}, PlanConfig, "plan")
+        given = isinstance(overrides, Mapping)
+        overrides = {**overrides, "method": method} if given else [*overrides, f"method={method}"]
+    job = load_config(config, overrides)
     robot, workpiece, scenario = scene(job)
     batch.check_start(robot, workpiece, scenario)
     plans = batch.plan(robot, workpiece, scenario, job.method, job.settings, progress=progress)

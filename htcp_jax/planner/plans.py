@@ -177,6 +177,11 @@ class Plans(NamedTuple):
         longest = int(np.flatnonzero(self.exists.any(axis=0)).max(initial=-1)) + 1
         return self._replace(**{name: getattr(self, name)[:, :longest] for name in (*_KINDS, "target", "tcp")})
 
+    def without_postures(self) -> "Plans":
+        """What a summary needs, for less memory: `start`, `x`, `tcp` and `target` lose their last axis' columns."""
+        bare = {name: getattr(self, name)[..., :0].copy() for name in ("start", "x", "tcp", "target")}
+        return self._replace(**bare)
+
     def arrays(self) -> dict[str, np.ndarray]:
         """The fields but for the seconds, by name."""
         return {name: getattr(self, name) for name in ARRAYS}

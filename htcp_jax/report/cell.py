@@ -5,22 +5,25 @@ so.
 """
 
 import warnings
+from collections.abc import Mapping
 from functools import cached_property
 
 from matplotlib.figure import Figure
 
 from htcp_jax.errors import InputError
 from htcp_jax.planner.obstruction import Obstruction
+from htcp_jax.planner.plans import Plans
+from htcp_jax.runs.open import plans_of_run
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.viewer.picture import draw_cell
-from htcp_jax.viewer.replay import Replays, open_replays
+from htcp_jax.viewer.replay import Replays, recorded_replays
 
 
 class RunScene:
-    """The scene of one run."""
+    """The scene of one run. plans: those of every method that has begun, which are read already."""
 
-    def __init__(self, run: Run):
-        self._run = run
+    def __init__(self, run: Run, plans: Mapping[str, Plans]):
+        self._run, self._plans = run, plans
         self._in_the_way: dict[str, dict[int, Obstruction]] = {}
 
     @cached_property
@@ -28,7 +31,7 @@ class RunScene:
         try:
             with warnings.catch_warnings():  # of the cloud and its units: the sweep has told them
                 warnings.simplefilter("ignore")
-                return open_replays(self._run.folder), ""
+                return recorded_replays(plans_of_run(self._run), self._plans.__getitem__), ""
         except InputError as error:
             return None, str(error)
 
@@ -50,5 +53,5 @@ class RunScene:
         if replays is None:
             return None
         replay = replays.replay(number, method)
-        plans = replays.plans(method)
-        return draw_cell(replay.robot, replay.cloud, replay.x[:1], plans.rows([number]).narrowed(), title)
+        plans = self._plans[method].rows([number]).narrowed()
+        return draw_cell(replay.robot, replay.cloud, replay.x[:1], plans, title)

@@ -111,16 +111,20 @@ def open_plans(folder: str | Path) -> PlanSet:
     """
     folder = Path(folder)
     if (folder / MANIFEST).exists():
-        run = open_run(folder)
-        refuse_changed(run.manifest.files, folder)
-        if not run.manifest.shards:
-            raise InputError(f"{folder} has no finished shard yet")
-        return RunPlans(run)
+        return plans_of_run(open_run(folder))
     if (folder / SUMMARY).exists():
         record = read_plan(folder)
         refuse_changed(record.files, folder)
         return FolderPlan(folder, record)
     raise InputError(f"{folder} holds neither a run of htcp sweep ({MANIFEST}) nor a plan of htcp plan ({SUMMARY})")
+
+
+def plans_of_run(run: Run) -> RunPlans:
+    """The plans of an open run. Raises InputError as `open_plans` does."""
+    refuse_changed(run.manifest.files, run.folder)
+    if not run.manifest.shards:
+        raise InputError(f"{run.folder} has no finished shard yet")
+    return RunPlans(run)
 
 
 def result_files(run: Run) -> dict[str, str]:

@@ -44,12 +44,13 @@ def of_row(row: Mapping[str, Any], joints: Sequence[str]) -> Parameters:
 
 def columns(
     parameters: Sequence[Parameters], start: Float[np.ndarray, "S N"], joints: Sequence[str]
-) -> dict[str, Sequence[float]]:
+) -> dict[str, np.ndarray]:
     """The columns of S scenarios, in their order. start: the postures that the plans start from [rad or m]."""
     found = {name: start[:, k] for k, name in enumerate(start_columns(joints))}
     found |= {name: [getattr(one, name) for one in parameters] for name in ROTATIONS}
     found |= {name: [one.shift_m[k] for one in parameters] for k, name in enumerate(SHIFTS)}
-    return found | {TOOL: [one.tool_extension_m for one in parameters]}
+    found |= {TOOL: [one.tool_extension_m for one in parameters]}
+    return {name: np.array(values, float) for name, values in found.items()}
 
 
 def start_columns(joints: Sequence[str]) -> tuple[str, ...]:

@@ -122,6 +122,7 @@ class Run:
     def __init__(self, folder: Path, manifest: Manifest, keep: Any = None):
         self.folder, self.manifest = folder, manifest
         self._keep = keep  # a temporary folder lives as long as its run
+        self._small: dict[str, pa.Table] = {}  # tables of scenarios that are read, by the names of their files
 
     def __repr__(self) -> str:
         state = "complete" if self.complete else "not complete"
@@ -232,7 +233,16 @@ class Run:
         if not order:
             raise InputError(f"{self.folder} has no finished shard of {', '.join(wanted)} yet")
         schema = empty_tables(self.manifest.joints, self.varied)[table].schema
-        return pa.concat_tables(_read_parquet(*self.shard_files(shard)[table], schema) for shard in order)
+        return pa.concat_tables(self._read_shard(shard, table, schema) for shard in order)
+
+    def _read_shard(self, shard: ShardRecord, table: str, schema: pa.Schema) -> pa.Table:
+        """One file, checked; those of scenarios are small, and read once."""
+        file, record = self.shard_files(shard)[table]
+        if table != "scenarios":
+            return _read_parquet(file, record, schema)
+        if file.name not in self._small:
+            self._small[file.name] = _read_parquet(file, record, schema)
+        return self._small[file.name]
 
 
 def open_run(folder: str | Path) -> Run:

@@ -33,6 +33,7 @@ from htcp_jax.runs.lock import locked
 from htcp_jax.runs.plan_folder import made_folder
 from htcp_jax.runs.ray_ import on_ray
 from htcp_jax.runs.run_folder import Manifest, Run, Span, spans
+from htcp_jax.runs.running import FinishedShard
 from htcp_jax.runs.signals import SignalCame, signals
 from htcp_jax.runs.tables import joint_columns, scenario_table, target_table
 
@@ -59,6 +60,7 @@ def sweep(
     limit: int | None = None,
     seed: int | None = None,
     progress: Callable[[SweepProgress], None] | None = None,
+    finished: Callable[[FinishedShard], None] | None = None,
     threads: int | None = None,
     shard_scenarios: int | None = None,
     on: str = "here",
@@ -68,8 +70,8 @@ def sweep(
     methods: "all", names with commas in between, or a list of names. out: the run folder; without one, a temporary
     folder that vanishes with the run. config, overrides, seed: see `load_sweep`; the seed is `settings.seed`.
     limit: plan only the first scenarios of the grid. shard_scenarios: so many make a shard; a run folder keeps its
-    first choice. on: "here" plans in this process, with `threads` engines; "ray" or "ray:<address>" sends the shards
-    to Ray's workers, see `sweep_ray`.
+    first choice. finished: called with every shard that is written. on: "here" plans in this process, with `threads`
+    engines; "ray" or "ray:<address>" sends the shards to Ray's workers, see `ray_`.
 
     Raises InputError for bad input, for a folder that holds another sweep, is in use or cannot be written;
     Interrupted on SIGINT and SIGTERM, and Lost when Ray's workers are, after which the finished shards are in the
@@ -101,7 +103,10 @@ def sweep(
             for method in chosen:
                 tell(method)
             for (method, span), plans, by in plan(shards, tell):
-                run = writer.add(run, method, span, tables(batch, method, span, plans), plans, by)
+                rows = tables(batch, method, span, plans)
+                run = writer.add(run, method, span, rows, plans, by)
+                if finished is not None:
+                    finished(FinishedShard(method, span, plans, rows["scenarios"]["margin_m"].to_numpy()))
                 tell(method)
         except SignalCame:
             raise Interrupted(_how_to_go_on(run), came[0]) from None

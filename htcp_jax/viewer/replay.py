@@ -22,7 +22,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.planner.obstruction import Obstruction, blocked_target, obstructions
 from htcp_jax.planner.plans import Outcome, Plans, is_tracked, outcomes
-from htcp_jax.runs.open import open_plans
+from htcp_jax.runs.open import PlanSet, open_plans
 from htcp_jax.scene.kinematics import ArmShape, capsules_and_tcp
 from htcp_jax.scene.robot import Robot, lengthen_tool
 from htcp_jax.scene.scenario import Scenario
@@ -191,8 +191,13 @@ class Replays:
 def open_replays(folder: str | Path) -> Replays:
     """The plans in the folder of a sweep or of one plan. Raises InputError as `open_plans` does, and for a plan that
     is not of the configuration beside it."""
-    found = open_plans(folder)
-    return Replays(str(found.folder), found.methods, found.plans, cells_of(found), found.labels)
+    return recorded_replays(open_plans(folder))
+
+
+def recorded_replays(found: PlanSet, plans: Callable[[str], Plans] | None = None) -> Replays:
+    """The replays of plans on record. plans: by method, where they are read already. Raises InputError as
+    `open_replays` does."""
+    return Replays(str(found.folder), found.methods, plans or found.plans, cells_of(found), found.labels)
 
 
 @runtime_checkable
