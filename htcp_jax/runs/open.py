@@ -7,12 +7,11 @@
 Who looks at plans and who checks them read the same record; what they make of it is their own.
 """
 
-from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
+import pyarrow as pa
 
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.config import PlanConfig, validate
@@ -25,72 +24,53 @@ from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY, PlanRecord, read_plan
 from htcp_jax.runs.run_folder import MANIFEST, Run, open_run
 
 
-class PlanSet(Protocol):
-    """Scenarios by methods, each method with results for some or all of them."""
-
-    folder: Path
-    methods: tuple[str, ...]  # that have results
-    count: int  # of the plans: scenarios, summed over the methods
-    config: PlanConfig  # what the scenarios share
-    mixed: bool  # whether they differ in the robot, the workpiece or the settings, too
-    files: dict[str, str]  # SHA-256 of the files that hold the results, by their names in the folder
-
-    def plans(self, method: str) -> Plans:
-        """One method's, read anew; row s is scenario s. Raises InputError for damaged files."""
-
-    @property
-    def jobs(self) -> Sequence[PlanConfig]:
-        """The scenarios' own configurations, by number. Raises InputError for a grid that cannot be read."""
-
-    @property
-    def parameters(self) -> dict[int, Parameters]:
-        """How the scenarios with results differ, by number. Raises InputError for damaged files."""
-
-    @property
-    def labels(self) -> dict[int, str]:
-        """The same in words; an empty text where there is but one scenario."""
-
-
 class RunPlans:
-    """The plans of a run, which may be unfinished."""
+    """The plans of a run, which may be unfinished: scenarios by methods, each method with results for some or all."""
 
     def __init__(self, run: Run):
         shards = run.manifest.shards
-        self.run, self.folder, self.config, self.mixed = run, run.folder, run.config, bool(run.varied)
-        self.methods = tuple(dict.fromkeys(shard.method for shard in shards))
-        self.count = sum(shard.last - shard.first + 1 for shard in shards)
-        self.files, self.plans = result_files(run), run.plans
+        self.run, self.folder = run, run.folder
+        self.methods = tuple(dict.fromkeys(shard.method for shard in shards))  # that have results
+        self.count = sum(shard.last - shard.first + 1 for shard in shards)  # of the plans
+        self.config = run.config  # what the scenarios share
+        self.mixed = bool(run.varied)  # whether they differ in the robot, the workpiece or the settings, too
+        self.files = result_files(run)  # SHA-256 of the files with results, by their names in the folder
+
+    def plans(self, method: str) -> Plans:
+        """One method's, read anew; row s is scenario s. Raises InputError for damaged files."""
+        return self.run.plans(method)
 
     @cached_property
-    def jobs(self) -> Sequence[PlanConfig]:
-        """See `PlanSet`."""
+    def jobs(self) -> list[PlanConfig]:
+        """The scenarios' own configurations, by number. Raises InputError for a grid that cannot be read."""
         return [point.config for point in self.run.points()]
 
     @cached_property
     def parameters(self) -> dict[int, Parameters]:
-        """See `PlanSet`."""
+        """How the scenarios with results differ, by number. Raises InputError for damaged files."""
         joints = self.run.manifest.joints
         return {row["scenario"]: parameters.of_row(row, joints) for row in self._table.to_pylist()}
 
     @cached_property
     def labels(self) -> dict[int, str]:
-        """See `PlanSet`."""
+        """The same in words. Raises InputError for damaged files."""
         return labels_of(self._table)
 
     @cached_property
-    def _table(self):
+    def _table(self) -> pa.Table:
         return self.run.scenarios(*self.methods)
 
 
 class FolderPlan:
-    """The plan of one folder, which is scenario 0."""
+    """The plan of one folder, which is scenario 0; it is asked as `RunPlans` is.
 
-    mixed, count, labels = False, 1, {}
+    Raises InputError for a configuration that cannot be read and for arrays that are not those of one plan.
+    """
 
     def __init__(self, folder: Path, record: PlanRecord):
-        self.folder, self.methods = folder, (record.method,)
+        self.folder, self.methods, self.count, self.mixed = folder, (record.method,), 1, False
         self.config: PlanConfig = validate(record.config, PlanConfig, str(folder / SUMMARY), of_record=True)
-        self.jobs, self.parameters = [self.config], {0: parameters.of_job(self.config)}
+        self.jobs, self.parameters, self.labels = [self.config], {0: parameters.of_job(self.config)}, {0: ""}
         self.files = {TRAJECTORY: file_hash(folder / TRAJECTORY)}
         # A plan of before `Plans.start` was written starts where its configuration says.
         arrays = {"start": np.array(self.config.start_rad, float)} | record.arrays
@@ -98,9 +78,12 @@ class FolderPlan:
         self._plans = Plans(**{name: array[None] for name, array in arrays.items()}, compile_s=0.0, run_s=0.0)
 
     def plans(self, method: str) -> Plans:
-        """See `PlanSet`; the folder knows no times."""
+        """Its arrays, with a leading axis of length 1; the folder knows no times."""
         del method  # it has but one
         return self._plans
+
+
+PlanSet = RunPlans | FolderPlan
 
 
 def open_plans(folder: str | Path) -> PlanSet:

@@ -2,7 +2,7 @@
 
 from collections.abc import Hashable
 from functools import cached_property, lru_cache
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -52,32 +52,23 @@ class Workcell:
         return surface_of(self.workpiece.cloud)
 
 
-class Workcells(Protocol):
-    """The workcells of several scenarios."""
-
-    def key(self, number: int) -> Hashable:
-        """Equal for scenarios that share a workcell."""
-
-    def cell(self, key: Hashable) -> Workcell:
-        """The workcell of these scenarios. Raises InputError for files that cannot be read."""
-
-    def placement(self, number: int) -> Placement:
-        """Where a scenario has things in its workcell."""
-
-
 class RecordedCells:
-    """Those of plans on record: made from the configurations when they are first asked for; the last few are kept."""
+    """Those of plans on record: made from the configurations when they are first asked for; the last few are kept.
+
+    cell(key): the workcell of the scenarios with that key. Raises InputError for files that cannot be read.
+    """
 
     def __init__(self, found: PlanSet):
         self._found = found
         self.cell = lru_cache(maxsize=MOST_CELLS)(self._make)
 
     def key(self, number: int) -> Hashable:
-        """See `Workcells`. The targets are on record, so that the paths of a run's scenarios are not needed."""
+        """Equal for scenarios that share a workcell. The targets are on record, so that the paths of a run's scenarios
+        are not needed."""
         return self._keys[number] if self._found.mixed else None
 
     def placement(self, number: int) -> Placement:
-        """See `Workcells`."""
+        """Where a scenario has things in its workcell."""
         cell = self.cell(self.key(number))
         return _placement(cell.robot, cell.workpiece, self._found.parameters[number])
 
@@ -94,25 +85,28 @@ class RecordedCells:
 
 
 class GivenCell:
-    """One workcell in memory, at one placement for all scenarios."""
+    """One workcell in memory, at one placement for all scenarios; it is asked as `RecordedCells` are."""
 
     def __init__(self, cell: Workcell, scenario: Scenario):
         T, gate = np.asarray(scenario.T_world_workpiece), np.asarray(scenario.gate)
         self._cell, self._placement = cell, Placement(T, gate, float(scenario.tool_extension_m))
 
     def key(self, number: int) -> Hashable:
-        """See `Workcells`."""
+        """The same for all."""
         del number
 
     def cell(self, key: Hashable) -> Workcell:
-        """See `Workcells`."""
+        """The only one."""
         del key
         return self._cell
 
     def placement(self, number: int) -> Placement:
-        """See `Workcells`."""
+        """The same for all."""
         del number
         return self._placement
+
+
+Workcells = RecordedCells | GivenCell
 
 
 def cells_of(found: PlanSet) -> RecordedCells:
