@@ -20,9 +20,9 @@ from htcp_jax.runs.run_folder import open_run
 from htcp_jax.scene.kinematics import capsule_segments, tcp_position
 from htcp_jax.scene.robot import GP50, Robot, gp50, lengthen_tool, load_robot
 from htcp_jax.scene.workpiece import load_workpiece
+from htcp_jax.validation.limits import STEP_RAD
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_clearance import Scene, Wall
-from htcp_jax.validation.track import STEP_RAD
 from htcp_jax.validation.validate import validate
 
 PIPE = Path(__file__).parents[1] / "configs" / "pipe" / "job.yaml"

@@ -15,7 +15,6 @@ from htcp_jax.cli.output import Device, Json, print_json, print_table, progress_
 from htcp_jax.planner import devices
 from htcp_jax.planner.methods import METHODS
 from htcp_jax.report.document import Column, Table
-from htcp_jax.report.path_charts import words
 from htcp_jax.runs import sweep as sweeps
 from htcp_jax.runs.plan_folder import summary_record
 from htcp_jax.runs.run_folder import Run
@@ -190,4 +189,4 @@ def _margins(asked_m: np.ndarray) -> str:
 def _not_tried(status: np.ndarray) -> str:
     """How many scenarios were refused for what reason, in words; nothing where none was."""
     counts = {reason: int((status == reason).sum()) for reason in (Status.START_IN_COLLISION, Status.OUT_OF_REACH)}
-    return ", ".join(f"{words(reason)} {count:,}" for reason, count in counts.items() if count)
+    return ", ".join(f"{reason.words} {count:,}" for reason, count in counts.items() if count)

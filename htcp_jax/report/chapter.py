@@ -13,7 +13,6 @@ from htcp_jax.report import charts, paper, tables
 from htcp_jax.report.best import best, best_of_all
 from htcp_jax.report.document import Block, Heading, Picture, Table
 from htcp_jax.report.groups import Part
-from htcp_jax.report.path_charts import words
 from htcp_jax.report.validation import validation_section, verdict
 
 MOST_SLICES = 9  # maps in a row
@@ -190,7 +189,7 @@ def _ends(part: Part, table: Table, prefix: str) -> list[Block]:
     if not table.rows:
         return [survival, "No scenario failed."]
     found = sorted({reason for plans in part.plans.values() for reason in tables.reasons(plans)})
-    told = (f"{words(reason)}: {reason.message}." for reason in found)
+    told = (f"{reason.words}: {reason.message}." for reason in found)
     meaning = " ".join(text[0].upper() + text[1:] for text in told)
     return [
         survival,

@@ -92,7 +92,7 @@ def stops(status: Mapping[str, Int8[np.ndarray, "S T"]], *, title: str = "Where 
         axes.annotate(_ended(table), (1.015, y), color=QUIET, fontsize=9, **where)
     for reason in shown:
         colour, marker = REASONS[reason]
-        axes.scatter([], [], color=colour, marker=marker, s=46, label=words(reason))
+        axes.scatter([], [], color=colour, marker=marker, s=46, label=reason.words)
     if shown:
         axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=len(shown), frameon=False, labelcolor=INK)
     axes.set_yticks(range(len(status)), list(status))
@@ -207,11 +207,6 @@ def _over_scenarios(values: Float[np.ndarray, "S T"]) -> Float[np.ndarray, "4 T"
         if known.size:
             summary[:, column] = *np.quantile(known, (0.1, 0.5, 0.9)), known.min()
     return summary
-
-
-def words(status: Status) -> str:
-    """The name of a status as text."""
-    return status.name.replace("_", " ").lower().replace("qp", "QP")
 
 
 def _ended(table: Int8[np.ndarray, "S T"]) -> str:

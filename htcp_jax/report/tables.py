@@ -14,7 +14,6 @@ from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.planner.plans import NO_TARGET, Plans
 from htcp_jax.report.document import Column, Table
 from htcp_jax.report.groups import Part
-from htcp_jax.report.path_charts import words
 from htcp_jax.status import Status
 
 RESULTS = (
@@ -163,7 +162,7 @@ def stops(part: Part) -> Table:
             rows.append(
                 {
                     "method": method,
-                    "reason": words(reason),
+                    "reason": reason.words,
                     "scenarios": at.size,
                     "first_target": int(at.min()),
                     "median_target": float(np.median(at)),
@@ -200,7 +199,7 @@ def scenarios(part: Part) -> Table:
                 reachable = None if part.ceiling is None else int(part.ceiling[s])
                 row = {"scenario": number, **given, "method": method, **count}
                 told = {
-                    "end": "complete" if end.status is None else words(end.status),
+                    "end": "complete" if end.status is None else end.status.words,
                     "in_the_way": blocked and blocked.sentence,
                     "reachable": reachable,
                 }

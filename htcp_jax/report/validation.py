@@ -6,10 +6,9 @@ from typing import Any
 
 from htcp_jax.errors import InputError
 from htcp_jax.report.document import Block, Column, Heading, Table
-from htcp_jax.runs.open import result_files
 from htcp_jax.runs.plan_folder import VALIDATION
 from htcp_jax.runs.run_folder import Run
-from htcp_jax.validation.track import STEP_RAD
+from htcp_jax.validation.limits import STEP_RAD
 
 AT_TARGETS = (
     Column("method", "method"),
@@ -41,7 +40,7 @@ def read_validation(run: Run) -> dict[str, Any] | None:
     file = Path(run.folder) / VALIDATION
     try:
         found = json.loads(file.read_text(encoding="utf-8"))
-        if found["files"] != result_files(run):
+        if found["files"] != run.result_files():
             return None
         sentence(found), validation_tables(found), notes(found)  # whatever else it lacks is of no use here
         return found

@@ -11,14 +11,12 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.config import PlanConfig, validate
 from htcp_jax.planner.plans import Plans
 from htcp_jax.runs import parameters
 from htcp_jax.runs.identity import file_hash, refuse_changed
-from htcp_jax.runs.labels import labels_of
 from htcp_jax.runs.parameters import Parameters
 from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY, PlanRecord, read_plan
 from htcp_jax.runs.run_folder import MANIFEST, Run, open_run
@@ -34,7 +32,7 @@ class RunPlans:
         self.count = sum(shard.last - shard.first + 1 for shard in shards)  # of the plans
         self.config = run.config  # what the scenarios share
         self.mixed = bool(run.varied)  # whether they differ in the robot, the workpiece or the settings, too
-        self.files = result_files(run)  # SHA-256 of the files with results, by their names in the folder
+        self.files = run.result_files()  # SHA-256 of the files with results, by their names in the folder
 
     def plans(self, method: str) -> Plans:
         """One method's, read anew; row s is scenario s. Raises InputError for damaged files."""
@@ -49,16 +47,14 @@ class RunPlans:
     def parameters(self) -> dict[int, Parameters]:
         """How the scenarios with results differ, by number. Raises InputError for damaged files."""
         joints = self.run.manifest.joints
-        return {row["scenario"]: parameters.of_row(row, joints) for row in self._table.to_pylist()}
+        return {
+            row["scenario"]: parameters.of_row(row, joints) for row in self.run.scenarios(*self.methods).to_pylist()
+        }
 
     @cached_property
     def labels(self) -> dict[int, str]:
         """The same in words. Raises InputError for damaged files."""
-        return labels_of(self._table)
-
-    @cached_property
-    def _table(self) -> pa.Table:
-        return self.run.scenarios(*self.methods)
+        return self.run.labels()
 
 
 class FolderPlan:
@@ -108,12 +104,6 @@ def plans_of_run(run: Run) -> RunPlans:
     if not run.manifest.shards:
         raise InputError(f"{run.folder} has no finished shard yet")
     return RunPlans(run)
-
-
-def result_files(run: Run) -> dict[str, str]:
-    """SHA-256 of the files with a run's finished results, by their names in its folder."""
-    files = (run.shard_files(shard)["targets"] for shard in run.manifest.shards)
-    return {str(file.relative_to(run.folder)): record.sha256 for file, record in files}
 
 
 def _check_shapes(file: Path, arrays: dict[str, np.ndarray], joints: int) -> None:

@@ -26,6 +26,7 @@ from htcp_jax.jobs.grid_points import Point, points_of
 from htcp_jax.notebook import html_facts
 from htcp_jax.planner.plans import Plans
 from htcp_jax.runs.identity import config_hash, identity
+from htcp_jax.runs.labels import labels_of
 from htcp_jax.runs.plan_folder import SUMMARY
 from htcp_jax.runs.summary import summarise
 from htcp_jax.runs.tables import empty_tables, frame_of, plans_of
@@ -210,6 +211,16 @@ class Run:
             return plans_of(*rows, self.manifest.count, self.manifest.joints, seconds.compile_s, seconds.run_s)
         except (IndexError, KeyError, ValueError) as error:
             raise InputError(f"{self.folder}: the rows of {method} are not of this run: {error}") from None
+
+    def labels(self) -> dict[int, str]:
+        """What sets the scenarios apart that at least one method has planned, by number. Raises InputError as `targets`
+        does."""
+        return labels_of(self.scenarios(*dict.fromkeys(shard.method for shard in self.manifest.shards)))
+
+    def result_files(self) -> dict[str, str]:
+        """SHA-256 of the files with finished results, by their names in the folder."""
+        files = (self.shard_files(shard)["targets"] for shard in self.manifest.shards)
+        return {str(file.relative_to(self.folder)): record.sha256 for file, record in files}
 
     def missing(self, method: str) -> list[Span]:
         """The shards that are still to be planned."""

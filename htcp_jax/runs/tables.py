@@ -58,10 +58,6 @@ if TYPE_CHECKING:
 
 STATUSES = {status.name: int(status) for status in Status}
 XYZ = "xyz"
-RESULTS = (
-    "method", "scenario", "group", "targets", "tracked", "complete", "failed_target", "failure", "reason",
-    "after_escape", "blocked_paths", "clearance_min_m", "residual_max_m", "joint_motion_rad",
-)  # fmt: skip
 
 
 def joint_columns(robot: Robot) -> tuple[str, ...]:

@@ -7,13 +7,10 @@ from jaxtyping import Bool, Float, Int
 
 from htcp_jax.errors import InputError
 from htcp_jax.runs.parameters import of_job
+from htcp_jax.validation.limits import RECORD_M, ROUNDING_M, STEP_RAD
 from htcp_jax.validation.mujoco_arm import Arm, Postures
 from htcp_jax.validation.mujoco_clearance import AtTargets, Scene, Wall
 from htcp_jax.validation.records import Results, Track, targets_of, turned_and_moved
-
-ROUNDING_M = 1e-9  # two ways to compute a clearance differ by 1e-15; 0 and the tolerance are meant to this width
-RECORD_M = 1e-5  # a record further off is refuted; 32-bit planners are within it
-STEP_RAD = 0.002  # a joint turns no further between two looks; a point 2 m away moves by 4 mm
 
 
 class Refuted(NamedTuple):
