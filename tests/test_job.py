@@ -38,7 +38,7 @@ def plan_of(job: str | Path) -> api.Plan:
     config = load_config(job)
     robot, workpiece, scenario = scene(config)
     lost = [Status.ITERATION_LIMIT, *[Status.NOT_ATTEMPTED] * (len(scenario.targets) - 1)]
-    plans = plans_with([lost], joints=7)._replace(target=scenario.targets[None])
+    plans = plans_with([lost], joints=7)._replace(start=scenario.x_start[None], target=scenario.targets[None])
     return api.Plan(config, robot, workpiece, scenario, plans)
 
 

@@ -44,7 +44,7 @@ def by_hand(robot, workpiece, scenarios, method, settings, *, progress=None, thr
     plans = plans_with([[Status.TRACKED] * (targets - len(end)) + end for end in ends], joints=6)
     open_path = np.where(plans.status <= 1, 1, -1).astype(np.int8)
     open_path[:, 1::2] -= (method == "baseline") * (open_path[:, 1::2] == 1).astype(np.int8)
-    return plans._replace(target=scenarios.targets, path_clear=open_path)
+    return plans._replace(start=scenarios.x_start, target=scenarios.targets, path_clear=open_path)
 
 
 @pytest.fixture(scope="module")

@@ -36,7 +36,7 @@ class RunScene:
             return None, str(error)
 
     @property
-    def trouble(self) -> str:
+    def problem(self) -> str:
         """Why there is no scene; empty where there is one."""
         return self._opened[1]
 

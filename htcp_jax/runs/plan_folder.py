@@ -127,7 +127,8 @@ def write_trajectory_csv(file: Path, robot: Robot, plans: Plans, row: int = 0) -
 
 
 def write_trajectory_npz(file: Path, robot: Robot, plans: Plans, row: int = 0) -> None:
-    """The arrays of `plans` for one scenario under the names of its fields, and `joint_names`; no pickles."""
+    """The arrays of `plans` for one scenario under the names of its fields, `start` (N,) among them, and `joint_names`;
+    no pickles."""
     arrays = {name: array[row] for name, array in plans.arrays().items()}
     np.savez_compressed(file, joint_names=np.array(robot.joint_names), **arrays)
 

@@ -30,7 +30,7 @@
     after_escape   int32    tracked targets that took an escape
     blocked_paths  int32    tracked targets whose joint path from the row before collides
     clearance_min_m, residual_max_m, joint_motion_rad    double, over the tracked targets
-    start_<joint>_rad ...   double   the posture that the plan starts from
+    start_<joint>_rad ...   double   the posture that the plan starts from: the job's, unless a planner starts elsewhere
     rotation_x_rad, rotation_y_rad, rotation_z_rad    double
     shift_x_m ..., tool_extension_m, margin_m    double
     path           string   the tool path: "weld" or the name of its file
