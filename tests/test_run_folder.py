@@ -19,7 +19,8 @@ from htcp_jax.planner.plans import ARRAYS, NO_TARGET
 from htcp_jax.runs import tables, writer
 from htcp_jax.runs.identity import config_hash, identity, planned_by
 from htcp_jax.runs.lock import locked
-from htcp_jax.runs.run_folder import Manifest, Run, Span, open_run
+from htcp_jax.runs.manifest import Manifest, Span
+from htcp_jax.runs.run_folder import Run, open_run
 from htcp_jax.scene.robot import gp50
 from htcp_jax.status import Status
 

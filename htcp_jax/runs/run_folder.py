@@ -2,7 +2,7 @@
 
     manifest.json                                     what was asked for, what computed it, what is there
     targets/<method>-<first>-<last>.parquet           rows of the scenarios <first> to <last>: a shard
-    scenarios/<method>-<first>-<last>.parquet         see run_tables for the columns
+    scenarios/<method>-<first>-<last>.parquet         see `tables` for the columns
 
 A file counts only if the manifest lists it and its size and SHA-256 are as listed. The manifest is written after
 the files of a shard, so a shard is in the run wholly or not at all, whenever the process dies.
@@ -12,21 +12,20 @@ import hashlib
 from collections.abc import Iterable
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
-from pydantic import Field, ValidationError, model_validator
+from pydantic import ValidationError
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import PlanConfig, Section, validate
-from htcp_jax.jobs.grid import MOST
+from htcp_jax.jobs.config import PlanConfig, validate
 from htcp_jax.jobs.grid_axes import from_record, varied_keys
 from htcp_jax.jobs.grid_points import Point, points_of
 from htcp_jax.notebook import html_facts
 from htcp_jax.planner.plans import Plans
-from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.runs.labels import labels_of
+from htcp_jax.runs.manifest import MANIFEST, TABLES, FileRecord, Manifest, Seconds, ShardRecord, Span, shard_name, spans
 from htcp_jax.runs.plan_folder import SUMMARY
 from htcp_jax.runs.summary import summarise
 from htcp_jax.runs.tables import empty_tables, frame_of, plans_of
@@ -34,91 +33,9 @@ from htcp_jax.runs.tables import empty_tables, frame_of, plans_of
 if TYPE_CHECKING:
     import pandas
 
-MANIFEST = "manifest.json"
-TABLES = ("targets", "scenarios")
-
-MethodName = Annotated[str, Field(pattern=r"^[a-z0-9-]+$")]  # it stands in names of files
-Count = Annotated[int, Field(ge=0, lt=2**53)]
-Scenarios = Annotated[int, Field(ge=0, le=MOST)]
-
-
-class FileRecord(Section):
-    """What a file must be to count."""
-
-    rows: Count
-    bytes: Count
-    sha256: str
-
-
-class ShardRecord(Section):
-    """A finished shard: scenarios `first` to `last` by one method."""
-
-    method: MethodName
-    first: Scenarios
-    last: Scenarios
-    tracked: Count  # targets
-    compile_s: float
-    run_s: float
-    planned_by: Count  # place in the manifest's list of that name
-    targets: FileRecord
-    scenarios: FileRecord
-
-
-class Seconds(Section):
-    """Wall time of one method."""
-
-    compile_s: float = 0.0
-    run_s: float = 0.0
-
-
-class Manifest(Section):
-    """manifest.json. Config, grid, dtype and files say which run it is; `run_writer` never mixes two."""
-
-    format: Literal[1] = 1
-    name: str  # of the sweep
-    config: dict[str, Any]  # a PlanConfig; names of files are absolute
-    grid: tuple[dict[str, Any], ...]
-    dtype: str
-    files: dict[str, str]  # SHA-256 of the files that config and grid name
-    config_hash: str
-    seed: int
-    joints: tuple[str, ...]  # columns of x in the tables
-    targets: Count  # of all scenarios together
-    full: Scenarios  # scenarios of the whole grid
-    limit: int | None  # of scenarios, as asked for
-    count: Scenarios  # scenarios to plan: the first of the grid
-    shard_scenarios: Annotated[int, Field(gt=0)]
-    methods: tuple[MethodName, ...]
-    seconds: dict[str, Seconds] = Field(default_factory=dict)  # per method
-    planned_by: tuple[dict[str, Any], ...] = ()  # commit, versions, device
-    shards: tuple[ShardRecord, ...] = ()
-
-    @model_validator(mode="after")
-    def _agrees_with_itself(self) -> "Manifest":
-        if self.config_hash != config_hash(identity(self.config, self.grid, self.dtype, self.files)):
-            raise ValueError("config_hash is not that of what it holds")
-        seen = set()
-        for shard in self.shards:
-            place = shard.method, shard.first
-            last = min(shard.first + self.shard_scenarios, self.count) - 1
-            known = shard.method in self.methods and shard.planned_by < len(self.planned_by)
-            if not known or shard.first % self.shard_scenarios or shard.last != last or place in seen:
-                raise ValueError(f"a shard of {shard.method} has no place in it")
-            if shard.scenarios.rows != last - shard.first + 1 or shard.tracked > shard.targets.rows:
-                raise ValueError(f"a shard of {shard.method} has other rows than scenarios")
-            seen.add(place)
-        return self
-
-
-class Span(NamedTuple):
-    """Scenarios `first` to `last`."""
-
-    first: int
-    last: int
-
 
 class Run:
-    """Results of a sweep, read from its folder; see run_tables for the columns of the tables."""
+    """Results of a sweep, read from its folder; see `tables` for the columns of the tables."""
 
     def __init__(self, folder: Path, manifest: Manifest, keep: Any = None):
         self.folder, self.manifest = folder, manifest
@@ -274,17 +191,6 @@ def open_run(folder: str | Path) -> Run:
         raise InputError(
             f"{folder / MANIFEST} is damaged or no manifest of a run: {what}{error.errors()[0]['msg']}"
         ) from None
-
-
-def spans(manifest: Manifest) -> list[Span]:
-    """How the scenarios of a run are cut into shards."""
-    step, count = manifest.shard_scenarios, manifest.count
-    return [Span(first, min(first + step, count) - 1) for first in range(0, count, step)]
-
-
-def shard_name(method: str, span: Span) -> str:
-    """Name of a shard's files."""
-    return f"{method}-{span.first:06d}-{span.last:06d}.parquet"
 
 
 def fault(file: Path, record: FileRecord) -> str | None:

@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from htcp_jax.planner.plans import Plans
-from htcp_jax.runs.run_folder import Run, Seconds, Span, spans
+from htcp_jax.runs.manifest import Seconds, Span, spans
+from htcp_jax.runs.run_folder import Run
 
 
 class FinishedShard(NamedTuple):
