@@ -32,13 +32,13 @@ from benchmarks import hardware, peer_planners, peer_trajopt
 from benchmarks.peer_planners import Advance, Task
 from htcp_jax.jobs.grid import Batch, load_sweep
 from htcp_jax.planner.batch import plan
-from htcp_jax.planner.plans import is_tracked
+from htcp_jax.runs.parameters import of_job
 from htcp_jax.scene.robot import GP50
 from htcp_jax.status import Status
+from htcp_jax.validation.limits import ROUNDING_M
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_clearance import Scene, Wall
-from htcp_jax.validation.records import Pose, targets_of, turned_and_moved
-from htcp_jax.validation.track import ROUNDING_M
+from htcp_jax.validation.records import targets_of, turned_and_moved
 
 SWEEP = Path(__file__).resolve().parents[1] / "sweeps" / "workpiece.yaml"
 POSES = 49
@@ -80,7 +80,7 @@ def ours(method: str) -> Callable[[Batch, list[Task]], Outcome]:
         first = plan(batch.robot, batch.workpiece, batch.scenarios, method, **how)
         with Clock() as clock:
             plans = plan(batch.robot, batch.workpiece, batch.scenarios, method, **how)
-        found = [x[tracked] for x, tracked in zip(plans.x, is_tracked(plans.status), strict=True)]
+        found = [x[tracked] for x, tracked in zip(plans.x, plans.tracked, strict=True)]
         attempted = int(np.sum((plans.status >= 0) & (plans.status != Status.NOT_ATTEMPTED)))
         return Outcome(found, attempted, plans.run_s, clock.cpu, first.compile_s, "all scenarios advance together")
 
@@ -123,8 +123,7 @@ def passed(batch: Batch, arm: Arm, wall: Wall, found: list[np.ndarray]) -> int:
     total = 0
     for point, x in zip(batch.points, found, strict=True):
         config, part = point.config, point.config.workpiece
-        turn = part.rotation_y_rad, part.rotation_z_rad
-        pose = Pose(np.array(config.start_rad), *turn, np.array(part.shift_m), 0.0, part.path)
+        pose = of_job(config)
         rotate, translate = turned_and_moved(part, pose)
         inlet = None if batch.workpiece.inlet is None else rotate @ batch.workpiece.inlet + translate
         start_tcp = arm.postures(pose.start[None]).tcp[0]

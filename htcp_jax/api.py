@@ -11,13 +11,14 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from htcp_jax.jobs.build import scene
-from htcp_jax.jobs.config import PlanConfig, load_config, validate
+from htcp_jax.jobs.config import PlanConfig, load_config
 from htcp_jax.notebook import html_facts
 from htcp_jax.planner import batch, registry
-from htcp_jax.planner.obstruction import Obstruction, last_posture, obstruction
-from htcp_jax.planner.plans import Plans, is_tracked
+from htcp_jax.planner.obstruction import Obstruction, blocked_target, obstruction
+from htcp_jax.planner.plans import Outcome, Plans
 from htcp_jax.runs.identity import anchor_files, file_hash
 from htcp_jax.runs.plan_folder import (
+    VALIDATION,
     provenance,
     summary_record,
     write_json,
@@ -30,7 +31,6 @@ from htcp_jax.runs.tables import frame_of, joint_columns, target_table
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import Scenario, interior_rule, with_own_tool
 from htcp_jax.scene.workpiece import Workpiece
-from htcp_jax.validation.validate import VALIDATION
 from htcp_jax.viewer.picture import draw_plan
 
 if TYPE_CHECKING:
@@ -58,7 +58,12 @@ class Plan:
     @property
     def complete(self) -> bool:
         """Whether every target is tracked, by joint paths none of which is known to collide."""
-        return not self.summary.failures and not self.summary.blocked_paths
+        return self.outcome.can_be_driven
+
+    @property
+    def outcome(self) -> Outcome:
+        """How the scenario ended."""
+        return self.plans.outcome(0)
 
     def facts(self) -> dict[str, str]:
         """The summary as a person reads it."""
@@ -86,35 +91,33 @@ class Plan:
 
     def _joint_paths(self) -> str:
         """What is known of the straight joint paths to the tracked targets."""
-        clear = self.plans.path_clear[is_tracked(self.plans.status)]
-        told = f"{np.sum(clear == 0)} blocked of {clear.size}"
-        if clear.size and (turn := self.plans.joint_step[0, 0]) > NOTABLE_RAD:
+        end = self.outcome
+        told = f"{end.blocked_paths} blocked of {end.tracked}"
+        if end.tracked and (turn := self.plans.joint_step[0, 0]) > NOTABLE_RAD:
             told += f"; the first leaves the start by {turn:.2f} rad"
-        if not (clear == 0).any():
-            return told
-        return f"{told}, the first to target {np.argmax(self.plans.path_clear[0] == 0)}"
+        return f"{told}, the first to target {end.drivable}" if end.blocked_paths else told
 
     @cached_property
     def obstruction(self) -> Obstruction | None:
         """What is in the way at the target that failed; None of a complete plan."""
-        failed = last_posture(self.plans, 0, self.scenario.x_start)
-        if failed is None:
+        if (failed := blocked_target(self.plans, 0)) is None:
             return None
-        return obstruction(self.robot, self.workpiece, self.scenario, failed[1], failed[0], self.job.settings)
+        x_last = self.plans.before(0, failed)
+        return obstruction(self.robot, self.workpiece, self.scenario, x_last, failed, self.job.settings)
 
     def failure(self) -> dict[str, str]:
         """Where the plan ended, why, and what is in the way, in words; nothing of a complete one."""
-        told = {f"failed at target {f.target}": f.status.message for f in self.summary.failures}
+        end = self.outcome
+        told = {} if end.failed is None else {f"failed at target {end.failed}": end.status.message}
         if self.obstruction is not None:
             told["in the way"] = self.obstruction.sentence
-        if blocked := self.summary.blocked_paths:
-            told["not to be driven"] = f"{blocked} joint paths between tracked targets collide"
+        if end.blocked_paths:
+            told["not to be driven"] = f"{end.blocked_paths} joint paths between tracked targets collide"
         return told
 
     def frame(self) -> "pandas.DataFrame":
         """One row a target; the columns are those of a sweep's `targets` table, see `run_tables`."""
-        number, count = np.zeros(1, int), np.array([len(self.scenario.targets)])
-        return frame_of(target_table(self.job.method, number, count, self.plans, joint_columns(self.robot)))
+        return frame_of(target_table(self.job.method, np.zeros(1, int), self.plans, joint_columns(self.robot)))
 
     def figure(self) -> Figure:
         """The arm in the workpiece cut open, and the clearance along the path."""
@@ -170,32 +173,16 @@ def plan(
 
     config: a YAML file, or a mapping that spells one, {"workpiece": {"rotation_y_rad": 0.5}}; None is the default job.
     overrides: what differs from it, as on the command line, ["margin_m=0.001"], or as values, {"margin_m": 0.001,
-    "workpiece.rotation_y_rad": 0.5}. method: see `methods`.
+    "workpiece.rotation_y_rad": 0.5}. method: see `methods`. progress: called as targets are tracked.
     Raises InputError for bad input and for a start in collision.
     """
-    job = load_config(config, overrides)
     if method is not None:
-        job = validate({**job.model_dump(), "method": method}, PlanConfig, "plan")
-    return plan_job(job, *checked_scene(job), progress)
-
-
-def checked_scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
-    """What a configuration speaks of. Raises InputError for bad input, a method that there is not among it, and for a
-    start in collision."""
+        given = isinstance(overrides, Mapping)
+        overrides = {**overrides, "method": method} if given else [*overrides, f"method={method}"]
+    job = load_config(config, overrides)
     registry.find(job.method)
     robot, workpiece, scenario = scene(job)
     batch.check_start(robot, workpiece, scenario)
-    return robot, workpiece, scenario
-
-
-def plan_job(
-    job: PlanConfig,
-    robot: Robot,
-    workpiece: Workpiece,
-    scenario: Scenario,
-    progress: Callable[[batch.Progress], None] | None = None,
-) -> Plan:
-    """Plan what `checked_scene` returned for the configuration."""
     plans = batch.plan(robot, workpiece, scenario, job.method, job.settings, progress=progress)
     robot, scenario = with_own_tool(robot, scenario)
     return Plan(job, robot, workpiece, scenario, plans)

@@ -26,6 +26,11 @@ class Status(enum.IntEnum):
         return self <= Status.TRACKED_AFTER_ESCAPE
 
     @property
+    def words(self) -> str:
+        """The name as text: "QP infeasible"."""
+        return self.name.replace("_", " ").lower().replace("qp", "QP")
+
+    @property
     def message(self) -> str:
         """One sentence for a person."""
         return _MESSAGES[self]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from htcp_jax.planner.plans import Plans
+from htcp_jax.planner.plans import Plans, is_tracked
 from htcp_jax.status import Status
 
 
@@ -10,9 +10,10 @@ def plans_with(status: list[list[Status]], joints: int = 2, run_s: float = 1.0) 
     """Plans of an arm at rest with these statuses: clearances 1, 2, 3, ... mm and residuals half of that."""
     status = np.array(status, np.int8)
     shape = status.shape
-    tracked = status <= Status.TRACKED_AFTER_ESCAPE
+    tracked = is_tracked(status)
     clearance = np.where(tracked, 1e-3 * np.arange(1, 1 + status.size).reshape(shape), np.nan)
     return Plans(
+        start=np.zeros((shape[0], joints)),
         x=np.where(tracked[..., None], np.zeros((*shape, joints)), np.nan),
         tcp=np.where(tracked[..., None], np.zeros((*shape, 3)), np.nan),
         target=np.zeros((*shape, 3)),

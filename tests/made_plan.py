@@ -39,4 +39,8 @@ def made_plans(targets: np.ndarray, statuses: list[list[Status]]) -> Plans:
     plans = plans_with([list(row) for row in statuses], joints=6)
     ends = [np.linspace(START, END, len(targets)) * (1 - 0.02 * k) for k in range(len(statuses))]
     x = np.where(np.isnan(plans.x), np.nan, np.stack(ends))
-    return plans._replace(x=x, target=np.repeat(np.asarray(targets)[None], len(statuses), axis=0))
+    return plans._replace(
+        start=np.tile(START, (len(statuses), 1)),
+        x=x,
+        target=np.repeat(np.asarray(targets)[None], len(statuses), axis=0),
+    )

@@ -18,7 +18,7 @@ from htcp_jax.planner.step_qps import StepQPs
 from htcp_jax.runs.tables import frame_of
 from htcp_jax.scene.robot import lengthen_tool
 from htcp_jax.viewer.picture import draw_plan
-from htcp_jax.viewer.replay import open_shelf, shelf_of
+from htcp_jax.viewer.replay import open_replays, replays_of
 
 TURNS = {"grid": [{"workpiece.rotation_z_rad": [0.1, 0.2]}]}
 
@@ -65,8 +65,8 @@ def test_a_saved_plan_is_read_where_its_planner_is_not(short, tmp_path, capsys):
     registry.unregister("of-ones-own")
     assert main(["validate", str(tmp_path / "out"), "--between", "0"]) == 0
     assert "of-ones-own" in capsys.readouterr().out
-    shelf = open_shelf(tmp_path / "out")
-    np.testing.assert_array_equal(shelf.replay(0, "of-ones-own").x, plan.plans.x[0])
+    replays = open_replays(tmp_path / "out")
+    np.testing.assert_array_equal(replays.replay(0, "of-ones-own").x, plan.plans.x[0])
     with pytest.raises(htcp_jax.InputError, match="'of-ones-own' is no method"):
         htcp_jax.plan(overrides=short, method="of-ones-own")
 
@@ -165,13 +165,13 @@ def test_a_plan_s_robot_is_the_one_with_its_tool(short, tmp_path):
     once = draw_plan(longer, plan.workpiece, plan.scenario, plan.plans, title=title)
     assert (pixels(plan.figure()) == pixels(once)).all()
     plan.save(tmp_path)
-    shelves = shelf_of("memory", plan), open_shelf(tmp_path)
+    shelves = replays_of("memory", plan), open_replays(tmp_path)
     for t in np.flatnonzero(plan.frame().tracked)[::4]:
         x = jax.numpy.asarray(plan.plans.x[0, t])
         D = htcp_jax.clearance.clearance(plan.robot, obstacle, plan.scenario, x)
         np.testing.assert_allclose(D, plan.plans.clearance[0, t], atol=1e-12)
         np.testing.assert_allclose(htcp_jax.tcp_position(plan.robot, x), plan.plans.tcp[0, t], atol=1e-12)
-        for shelf in shelves:
-            np.testing.assert_allclose(shelf.replay(0, "baseline").tcp[t], plan.plans.tcp[0, t], atol=1e-12)
+        for replays in shelves:
+            np.testing.assert_allclose(replays.replay(0, "baseline").tcp[t], plan.plans.tcp[0, t], atol=1e-12)
     again = batch.plan(plan.robot, plan.workpiece, plan.scenario, "baseline", plan.job.settings)
     np.testing.assert_allclose(again.x, plan.plans.x, atol=1e-9)  # the same arm, not one with the tool twice

@@ -112,7 +112,7 @@ def test_a_scenario_that_ends_earlier_fails_and_is_named_with_target_and_reason(
 def test_as_much_as_the_baseline_allows_may_be_lost(run, baseline, capsys):
     end_early(run, 2, 17, Status.ITERATION_LIMIT)
     edit(baseline, lambda raw: raw["allow"]["here"].update(targets=2, scenarios=1))
-    assert outcome(run, baseline, capsys)["flips"][0]["target"] == 17
+    assert outcome(run, baseline, capsys)["changed"][0]["target"] == 17
     edit(baseline, lambda raw: raw["allow"]["here"].update(targets=1))
     assert outcome(run, baseline, capsys)["passed"] is False
 
@@ -138,7 +138,7 @@ def test_gains_elsewhere_do_not_hide_a_scenario_that_ends_earlier(run, planned, 
     verdict = outcome(run, tmp_path / "was.yaml", capsys)
     (row, *_) = verdict["rows"]
     assert (row["was_tracked"], row["tracked"], row["worse"], row["better"]) == (67, 72, 1, 1)
-    assert not verdict["passed"] and [flip["scenario"] for flip in verdict["flips"]] == [1, 0]
+    assert not verdict["passed"] and [one["scenario"] for one in verdict["changed"]] == [1, 0]
 
 
 def test_an_improvement_passes_and_is_listed(run, tmp_path, capsys):
@@ -159,7 +159,7 @@ def test_another_reason_at_the_same_target_is_told_and_passes(run, tmp_path, cap
     end_early(run, 0, 10, Status.QP_INFEASIBLE)
     capsys.readouterr()
     verdict = outcome(run, tmp_path / "was.yaml", capsys)
-    assert verdict["passed"] and verdict["flips"][0]["reason"] == Status.QP_INFEASIBLE.message
+    assert verdict["passed"] and verdict["changed"][0]["reason"] == Status.QP_INFEASIBLE.message
 
 
 def test_a_missing_method_fails(run, baseline, capsys):
@@ -175,7 +175,7 @@ def test_a_missing_method_fails(run, baseline, capsys):
 def test_a_method_that_the_baseline_lacks_is_told_and_passes(run, baseline, capsys):
     edit(baseline, lambda raw: raw["methods"].pop("cspace-sample"))
     verdict = outcome(run, baseline, capsys)
-    assert verdict["passed"] and verdict["news"] == ["cspace-sample is not in the baseline"]
+    assert verdict["passed"] and verdict["improvements"] == ["cspace-sample is not in the baseline"]
 
 
 def test_missing_scenarios_fail(run, baseline, capsys):
@@ -221,7 +221,7 @@ def test_a_lower_ceiling_fails(run, baseline, capsys):
 def test_what_mujoco_refutes_fails_though_every_count_is_as_it_was(run, baseline, capsys):
     spoil(run, 1, 7, joint2_rad=-1.5)
     verdict = outcome(run, baseline, capsys)
-    assert not verdict["passed"] and verdict["flips"] == []
+    assert not verdict["passed"] and verdict["changed"] == []
     line = "baseline: 1 tracked targets are refuted by MuJoCo, the first in scenario 1 at target 7: the TCP is"
     assert any(failure.startswith(line) for failure in verdict["failures"])
 

@@ -15,7 +15,7 @@ from htcp_jax.jobs.config import PlanConfig, load_config
 from htcp_jax.scene.workpiece import load_workpiece
 from htcp_jax.status import Status
 from htcp_jax.validation.records import read_results
-from htcp_jax.viewer.replay import open_shelf
+from htcp_jax.viewer.replay import open_replays
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 ARM = CONFIGS / "pipe" / "arm.xml"
@@ -38,7 +38,7 @@ def plan_of(job: str | Path) -> api.Plan:
     config = load_config(job)
     robot, workpiece, scenario = scene(config)
     lost = [Status.ITERATION_LIMIT, *[Status.NOT_ATTEMPTED] * (len(scenario.targets) - 1)]
-    plans = plans_with([lost], joints=7)._replace(target=scenario.targets[None])
+    plans = plans_with([lost], joints=7)._replace(start=scenario.x_start[None], target=scenario.targets[None])
     return api.Plan(config, robot, workpiece, scenario, plans)
 
 
@@ -195,7 +195,7 @@ def test_a_plan_s_folder_is_opened_from_anywhere(pipe, monkeypatch):
     monkeypatch.chdir(pipe)
     plan_of("job.yaml").save("../out")
     monkeypatch.chdir("/")
-    assert open_shelf(pipe.parent / "out").replay(0, "baseline").failed == 0
+    assert open_replays(pipe.parent / "out").replay(0, "baseline").failed == 0
     (track,) = read_results(pipe.parent / "out").tracks
     assert Path(track.config.workpiece.cloud) == pipe / "pipe.obj"
 
@@ -204,12 +204,12 @@ def test_a_plan_s_folder_is_opened_from_anywhere(pipe, monkeypatch):
 def test_a_plan_whose_file_has_changed_is_refused(pipe, monkeypatch, name, capsys):
     """B5: with another file of the same name, validate took it, and refuted all for a reason that it did not name."""
     plan_of(pipe / "job.yaml").save(pipe / "out")
-    assert open_shelf(pipe / "out").methods == ("baseline",)
+    assert open_replays(pipe / "out").methods == ("baseline",)
     (pipe / name).write_text((pipe / name).read_text() + "\n")
     with pytest.raises(InputError, match=rf"{name} is not what it was when .*out was planned"):
-        open_shelf(pipe / "out")
+        open_replays(pipe / "out")
     assert main(["validate", str(pipe / "out")]) == 2
     assert f"{name} is not what it was when " in capsys.readouterr().err
     (pipe / name).unlink()
     with pytest.raises(InputError, match=rf"cannot read .*{name}"):
-        open_shelf(pipe / "out")
+        open_replays(pipe / "out")

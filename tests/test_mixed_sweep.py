@@ -17,7 +17,7 @@ from htcp_jax.report.groups import read_parts
 from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.sweep import sweep
 from htcp_jax.scene.kinematics import capsule_segments
-from htcp_jax.viewer.replay import open_shelf
+from htcp_jax.viewer.replay import open_replays
 
 ARM = """
 <mujoco model="{name}"><worldbody><geom name="foot" type="sphere" size="0.05"/>
@@ -99,9 +99,9 @@ def test_the_manifest_leads_to_the_same_configurations(place, run):
 
 
 def test_a_scenario_is_opened_with_its_own_robot_and_workpiece(place, run):
-    shelf = open_shelf(place / "run")
+    replays = open_replays(place / "run")
     for point in run.points():
-        replay = shelf.replay(point.number, "baseline")
+        replay = replays.replay(point.number, "baseline")
         robot = robot_of(point.config.robot)
         assert replay.robot.name == robot.name
         ends = capsule_segments(robot, jnp.asarray(replay.x[0]))[0]
@@ -110,7 +110,7 @@ def test_a_scenario_is_opened_with_its_own_robot_and_workpiece(place, run):
             near = np.linalg.norm(replay.witness.arm[0] - replay.witness.cloud[0])
             np.testing.assert_allclose(near, replay.clearance[0], atol=1e-12)
     with pytest.raises(InputError, match="has no scenario 8 by baseline; it has 0 to 7"):
-        shelf.replay(8, "baseline")
+        replays.replay(8, "baseline")
 
 
 def test_it_is_validated_with_each_scenario_s_own_robot_and_workpiece(place, run, capsys):
@@ -134,7 +134,7 @@ def test_a_changed_file_of_an_axis_is_refused(place, run):
     try:
         (place / "far.xyz").write_text(text + "1.2 0 0\n")
         with pytest.raises(InputError, match=r"far\.xyz is not what it was when .*run was planned"):
-            open_shelf(place / "run")
+            open_replays(place / "run")
         with pytest.raises(InputError, match=r"run holds another sweep: its grid differs"):
             sweep(place / "grid.yaml", "baseline", place / "run")
     finally:

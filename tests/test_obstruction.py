@@ -10,7 +10,7 @@ from made_plan import made_plan
 
 from htcp_jax.clearance.obstacles import make_obstacle
 from htcp_jax.planner.kernels import lane_inputs
-from htcp_jax.planner.obstruction import last_posture, obstruction, obstructions
+from htcp_jax.planner.obstruction import blocked_target, obstruction, obstructions
 from htcp_jax.scene.duct import duct_cloud, weld
 from htcp_jax.scene.kinematics import capsule_segments, tcp_position
 from htcp_jax.scene.scenario import make_scenario, stack
@@ -87,14 +87,11 @@ def test_a_target_out_of_reach_says_by_how_much(scenario, workpiece):
     assert not found.reached and 5 < found.residual_m < 9 and "comes only to within" in found.sentence
 
 
-def test_the_last_posture_is_the_tracked_one_before_the_failed_target():
-    A, LIMIT, NOT = Status.TRACKED, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
-    plans = plans_with([[A, A, LIMIT, NOT], [LIMIT, NOT, NOT, NOT], [A, A, A, A], [A, A, -1, -1]], joints=6)
-    target, x = last_posture(plans, 0, np.array(START))
-    assert target == 2 and (x == plans.x[0, 1]).all()
-    target, x = last_posture(plans, 1, np.array(START))
-    assert target == 0 and (x == START).all()
-    assert last_posture(plans, 2, np.array(START)) is None and last_posture(plans, 3, np.array(START)) is None
+def test_a_body_is_in_the_way_at_the_first_failed_target_unless_the_status_says_that_none_is():
+    A, LIMIT, NOT, TIP = (Status.TRACKED, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED, Status.TIP_BLOCKED)
+    rows = [[A, A, LIMIT, NOT], [LIMIT, NOT, NOT, NOT], [A, A, A, A], [A, A, -1, -1], [A, TIP, NOT, NOT]]
+    plans = plans_with(rows, joints=6)
+    assert [blocked_target(plans, row) for row in range(len(rows))] == [2, 0, None, None, None]
 
 
 def test_a_failed_plan_tells_it_in_its_table_its_files_and_its_picture(tmp_path):

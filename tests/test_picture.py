@@ -1,11 +1,13 @@
 """The picture: exact outlines, the side that shows the inside, and no plan that cannot be drawn."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hand_made import plans_with
 from hypothesis import given
 from hypothesis import strategies as st
 
+from htcp_jax.scene.kinematics import ArmShape, capsule_segments, capsules_and_tcp, tip_segment
 from htcp_jax.scene.robot import gp50
 from htcp_jax.scene.scenario import make_scenario
 from htcp_jax.scene.workpiece import load_workpiece
@@ -31,11 +33,34 @@ def test_the_last_tracked_posture_is_the_last_drawn():
     assert poses(plans_with([[Status.ITERATION_LIMIT]]), 0) == []
 
 
+def test_the_shape_of_the_arm_is_that_of_its_kinematics_with_one_rule_for_the_bare_tip():
+    x = jnp.asarray(np.random.default_rng(0).uniform(-1, 1, (3, 6)))
+    shape = capsules_and_tcp(gp50(), x)
+    for w in range(len(x)):
+        alone = (*capsule_segments(gp50(), x[w]), *tip_segment(gp50(), x[w]))
+        for mine, theirs in zip(shape, alone, strict=True):
+            np.testing.assert_allclose(mine[w], theirs, atol=1e-12)
+        p, q = ArmShape(*(part[w] for part in shape)).axes()
+        assert p.shape == q.shape == (len(gp50().capsule_names) + 1, 3)
+        np.testing.assert_allclose(np.stack([p[-1], q[-1]]), tip_segment(gp50(), x[w]), atol=1e-12)
+
+
+def test_the_shapes_of_as_many_postures_are_compiled_once():
+    """A fresh lambda was jitted, and so compiled, for every picture."""
+    x = jnp.zeros((4, 6))
+    capsules_and_tcp(gp50(), x)
+    before = capsules_and_tcp._cache_size()
+    capsules_and_tcp(gp50(), x + 0.1)
+    assert capsules_and_tcp._cache_size() == before
+
+
 @pytest.mark.parametrize("tracked", [0, 1, 60, 105])
 def test_complete_partial_and_empty_plans_are_drawn(tracked, tmp_path):
     robot, workpiece = gp50(), load_workpiece()
     scenario = make_scenario(robot, workpiece, (0.0, -2.3, 0.5, 0.0, 0.5, -2.0))
     status = [Status.TRACKED] * tracked + [Status.PATH_BLOCKED] + [Status.NOT_ATTEMPTED] * 105
     plans = plans_with([status[:105]], joints=6)._replace(target=np.asarray(scenario.targets)[None])
-    draw_plan(robot, workpiece, scenario, plans, title="a plan").savefig(tmp_path / "plan.png", dpi=30)
-    assert (tmp_path / "plan.png").read_bytes().startswith(b"\x89PNG")
+    figure = draw_plan(robot, workpiece, scenario, plans, title="a plan")
+    figure.savefig(tmp_path / "plan.png", dpi=30)
+    texts = [text.get_text() for text in figure.axes[-1].texts]
+    assert any(text.startswith(f"target {tracked}: ") for text in texts) == (tracked < 105)

@@ -16,10 +16,10 @@ from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.viewer import offscreen
 from htcp_jax.viewer.camera import fitted, kept, open_side
-from htcp_jax.viewer.colours import FAILED, Fate, fates, rgb
+from htcp_jax.viewer.colours import FAILED, TargetStyle, rgb, target_styles
 from htcp_jax.viewer.movie import HELD, RATE, write_movie
 from htcp_jax.viewer.render import STRIDE_M, Studio, way
-from htcp_jax.viewer.replay import shelf_of
+from htcp_jax.viewer.replay import replays_of
 
 SIZE = 320, 220
 
@@ -35,7 +35,7 @@ def made(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def replay(made):
-    return shelf_of("by hand", made[0]).replay(0, "baseline")
+    return replays_of("by hand", made[0]).replay(0, "baseline")
 
 
 @pytest.fixture(scope="module")
@@ -63,8 +63,8 @@ def near(frame: np.ndarray, colour: str) -> int:
 
 
 def colour_of(name: str) -> str:
-    (fate,) = [fate for fate in fates(np.zeros(1, np.int8)) if fate.name == name]
-    return fate.colour
+    (style,) = [style for style in target_styles(np.zeros(1, np.int8)) if style.name == name]
+    return style.colour
 
 
 def test_a_picture_is_not_blank_and_shows_the_failed_target(replay, screenless):
@@ -161,7 +161,7 @@ def test_the_command_leaves_a_picture_and_a_movie(made, screenless, tmp_path, ca
 
 def test_any_arm_is_drawn(made, screenless, tmp_path):
     plan = made[0]
-    replay = shelf_of("by hand", plan).replay(0, "baseline")
+    replay = replays_of("by hand", plan).replay(0, "baseline")
     arm = seven_joints(tmp_path)
     ends = np.tile(np.linspace([0, 0, 0.0], [1.2, 0, 1.0], 8), (len(replay.target), 1, 1))
     other = replay._replace(robot=arm, p=ends, q=ends + 0.1, tcp=ends[:, -1] + 0.3, obstruction=None)
@@ -228,6 +228,6 @@ def test_osmesa_stands_in_where_egl_fails(monkeypatch):
 
 
 def test_the_statuses_are_all_told_apart():
-    found = fates(np.array(STATUSES[0], np.int8))
-    assert sum(fate.where for fate in found).tolist() == [1] * 10 and all(isinstance(fate, Fate) for fate in found)
-    assert len({fate.colour for fate in found}) == 4
+    found = target_styles(np.array(STATUSES[0], np.int8))
+    assert sum(style.where for style in found).tolist() == [1] * 10
+    assert all(isinstance(style, TargetStyle) for style in found) and len({style.colour for style in found}) == 4

@@ -15,7 +15,7 @@ from htcp_jax.scene.duct import duct_cloud
 from htcp_jax.scene.scenario import make_scenario
 from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.status import Status
-from htcp_jax.viewer.replay import Shelf, open_shelf, shelf_of
+from htcp_jax.viewer.replay import Replays, open_replays, replays_of
 
 A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_ESCAPE, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
 DUCT = Path(__file__).parents[1] / "configs" / "duct.yaml"  # where the cloud stands
@@ -40,14 +40,14 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def replay(folder):
     """The run's second scenario."""
-    return open_shelf(folder / "run").replay(1, "baseline")
+    return open_replays(folder / "run").replay(1, "baseline")
 
 
 def test_a_run_a_plan_s_folder_and_a_plan_in_memory_show_the_same(folder, replay):
     replays = [
         replay,
-        open_shelf(folder / "plan").replay(0, "baseline"),
-        shelf_of("memory", api.plan(folder / "job.yaml")).replay(0, "baseline"),
+        open_replays(folder / "plan").replay(0, "baseline"),
+        replays_of("memory", api.plan(folder / "job.yaml")).replay(0, "baseline"),
     ]
     for name in ("target", "status", "clearance", "x", "p", "q", "tcp", "cloud"):
         first, *others = (getattr(replay, name) for replay in replays)
@@ -78,32 +78,30 @@ def test_at_the_failed_target_the_arm_is_brought_into_what_is_in_the_way(replay)
     assert found.reached and found.depth_m > 0  # the last target lies in the wall
 
 
-def by_hand(status: list[list[Status]], folder) -> tuple[Shelf, Workpiece]:
-    """A shelf of an arm that is not the GP50, whose joints rest at zero, its tool 0.1 m longer."""
+def by_hand(status: list[list[Status]], folder) -> Replays:
+    """Plans of an arm that is not the GP50, whose joints rest at zero, its tool 0.1 m longer."""
     robot = seven_joints(folder)
     rng = np.random.default_rng(0)
     workpiece = Workpiece("ball", rng.normal(size=(200, 3)) * 0.2, np.zeros((3, 3)))
     scenario = make_scenario(robot, workpiece, np.zeros(7), rotation=(0.0, 0.0), approach=(0, 0), tool_extension_m=0.1)
     plan = api.Plan(api.load_config(), robot, workpiece, scenario, plans_with(status, joints=7))
-    shelf = shelf_of("ball", plan)
-    shelf._placements |= {k: shelf._placements[0] for k in range(len(status))}
-    return shelf, workpiece
+    return replays_of("ball", plan)
 
 
 def test_failed_scenarios_come_first_and_what_is_not_planned_does_not(tmp_path):
-    shelf, _ = by_hand([[A, A, A], [A, LIMIT, NOT], [-1, -1, -1], [E, A, LIMIT], [A, A, -1]], tmp_path)
-    outcomes = shelf.outcomes("nspace-sqp")
-    assert [outcome.number for outcome in outcomes] == [1, 3, 0, 4]
+    replays = by_hand([[A, A, A], [A, LIMIT, NOT], [-1, -1, -1], [E, A, LIMIT], [A, A, -1]], tmp_path)
+    outcomes = replays.outcomes("nspace-sqp")
+    assert [outcome.scenario for outcome in outcomes] == [1, 3, 0, 4]
     assert [(outcome.tracked, outcome.targets) for outcome in outcomes] == [(1, 3), (2, 3), (3, 3), (2, 2)]
     with pytest.raises(InputError, match="ball has no scenario 2 by nspace-sqp; it has 0 to 1, 3 to 4"):
-        shelf.replay(2, "nspace-sqp")
+        replays.replay(2, "nspace-sqp")
     with pytest.raises(InputError, match="ball has no results of 'hybrid'; it has nspace-sqp"):
-        shelf.replay(0, "hybrid")
+        replays.replay(0, "hybrid")
 
 
 def test_any_arm_is_shown_with_its_scenario_s_tool(tmp_path):
-    shelf, _ = by_hand([[LIMIT, NOT, NOT]], tmp_path)
-    replay = shelf.replay(0, "nspace-sqp")
+    replays = by_hand([[LIMIT, NOT, NOT]], tmp_path)
+    replay = replays.replay(0, "nspace-sqp")
     assert replay.p.shape == (3, 8, 3) and replay.tracked == 0
     held = replay.tcp[1:]  # at the failed target the arm is brought there
     # The seven links of 0.3 m stand upright; the TCP is 0.05 m aside and 0.35 m above the last, its z axis upwards.
@@ -117,7 +115,7 @@ def test_damage_is_one_line(folder, tmp_path, name, data):
         (tmp_path / file.name).write_bytes(file.read_bytes())
     (tmp_path / name).write_bytes(data)
     with pytest.raises(InputError, match=r"damaged|cannot read") as error:
-        open_shelf(tmp_path)
+        open_replays(tmp_path)
     assert "\n" not in str(error.value)
 
 
@@ -128,14 +126,14 @@ def test_a_plan_beside_another_configuration_is_refused(folder, tmp_path):
     summary["config"]["workpiece"]["approach_to_path"] += 1
     (tmp_path / "summary.json").write_text(json.dumps(summary))
     with pytest.raises(InputError, match=r"trajectory\.npz is no plan of the configuration beside it"):
-        open_shelf(tmp_path)
+        open_replays(tmp_path)
 
 
 def test_a_folder_of_neither_and_a_changed_file_are_named(folder, tmp_path):
     with pytest.raises(InputError, match="holds neither a run of htcp sweep"):
-        open_shelf(tmp_path)
+        open_replays(tmp_path)
     text = (folder / "path.csv").read_text()
     (folder / "path.csv").write_text(text + "0.2,-0.17,0.17\n")
     with pytest.raises(InputError, match=r"path\.csv is not what it was when .*run was planned"):
-        open_shelf(folder / "run")
+        open_replays(folder / "run")
     (folder / "path.csv").write_text(text)

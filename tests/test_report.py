@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -43,7 +44,7 @@ def by_hand(robot, workpiece, scenarios, method, settings, *, progress=None, thr
     plans = plans_with([[Status.TRACKED] * (targets - len(end)) + end for end in ends], joints=6)
     open_path = np.where(plans.status <= 1, 1, -1).astype(np.int8)
     open_path[:, 1::2] -= (method == "baseline") * (open_path[:, 1::2] == 1).astype(np.int8)
-    return plans._replace(target=scenarios.targets, path_clear=open_path)
+    return plans._replace(start=scenarios.x_start, target=scenarios.targets, path_clear=open_path)
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +134,7 @@ def test_the_axes_are_what_varies_without_what_follows_from_another(folder):
     part = part_of(folder, "starts")
     assert list(part.axes) == ["start_joint3_rad", "start_joint4_rad", "start_joint5_rad"]
     np.testing.assert_allclose(part.axes["start_joint3_rad"], [0.3, 0.4, 0.5, 0.6, 0.7])
-    doubled = part._replace(parameters={**part.parameters, "margin_m": 2 * part.parameters["start_joint3_rad"]})
+    doubled = replace(part, parameters={**part.parameters, "margin_m": 2 * part.parameters["start_joint3_rad"]})
     assert list(doubled.axes) == list(part.axes)
 
 
@@ -185,11 +186,11 @@ def test_the_best_scenario_is_the_one_that_gets_furthest_then_the_clearest(folde
     part = part_of(folder, "one")
     plans = part.plans["hybrid"]
     clearance = plans.clearance + np.array([[0.0], [0.001]])
-    clearer = part._replace(plans={"hybrid": plans._replace(clearance=clearance)})
+    clearer = replace(part, plans={"hybrid": plans._replace(clearance=clearance)})
     assert [row["scenario"] for row in best(clearer).records()] == [1, 0]
     status = plans.status.copy()
     status[1, -1] = Status.ITERATION_LIMIT
-    shorter = part._replace(plans={"hybrid": plans._replace(clearance=clearance, status=status)})
+    shorter = replace(part, plans={"hybrid": plans._replace(clearance=clearance, status=status)})
     assert [row["scenario"] for row in best(shorter).records()] == [0, 1]
 
 
@@ -244,7 +245,12 @@ def test_groups_are_parts_with_tables_of_their_own(folder):
     report = make_report([folder / "groups", folder / "one"])
     assert [part.name for part in report.parts] == ["groups: first", "groups: second", "one"]
     assert [len(part.numbers) for part in report.parts] == [2, 3, 2]
-    assert [column.head for column in overview(report.parts).columns] == [
+    assert [
+        column.head
+        for column in overview(
+            {p.name: t["results"] for p, t in zip(report.parts, report.part_tables, strict=True)}
+        ).columns
+    ] == [
         "method",
         "groups: first",
         "groups: second",

@@ -15,18 +15,19 @@ from hand_made import plans_with
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.config import load_config
 from htcp_jax.jobs.grid_points import Point
+from htcp_jax.planner.plans import ARRAYS, NO_TARGET
 from htcp_jax.runs import tables, writer
 from htcp_jax.runs.identity import config_hash, identity, planned_by
 from htcp_jax.runs.lock import locked
-from htcp_jax.runs.run_folder import Manifest, Run, Span, open_run
+from htcp_jax.runs.manifest import Manifest, Span
+from htcp_jax.runs.run_folder import Run, open_run
 from htcp_jax.scene.robot import gp50
 from htcp_jax.status import Status
 
 A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_ESCAPE, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
-STATUS = [[A, A, A], [A, E, LIMIT], [A, LIMIT, NOT], [A, A, NOT]]
-COUNT = np.array([3, 3, 3, 2], np.int32)  # the last scenario has a target less: its third row is padding
+STATUS = [[A, A, A], [A, E, LIMIT], [A, LIMIT, NOT], [A, A, NO_TARGET]]  # the last scenario has a target less
 JOINTS = tables.joint_columns(gp50())
-PLANS = plans_with(STATUS, joints=6)
+PLANS = plans_with(STATUS, joints=6)._replace(start=np.arange(24.0).reshape(4, 6) / 7)
 POINTS = tuple(Point(k, "starts", load_config(None, [f"margin_m={k / 10}"])) for k in range(4))
 SPANS = Span(0, 1), Span(2, 3)
 BY = planned_by()
@@ -46,11 +47,11 @@ def manifest(**changes) -> Manifest:
 def rows(method: str, span: Span) -> tuple:
     """The tables of a shard and its plans."""
     part = slice(span.first, span.last + 1)
-    plans = PLANS._replace(**{name: v[part] for name, v in PLANS._asdict().items() if isinstance(v, np.ndarray)})
+    plans = PLANS.rows(part)
     numbers = np.arange(span.first, span.last + 1)
     written = {
-        "targets": tables.target_table(method, numbers, COUNT[part], plans, JOINTS),
-        "scenarios": tables.scenario_table(method, POINTS[part], COUNT[part], plans, JOINTS),
+        "targets": tables.target_table(method, numbers, plans, JOINTS),
+        "scenarios": tables.scenario_table(method, POINTS[part], plans, JOINTS),
     }
     return written, plans
 
@@ -70,11 +71,11 @@ def contents(folder: Path) -> dict[str, bytes]:
 def test_what_is_written_reads_back_to_the_last_bit(tmp_path):
     completed(tmp_path)
     plans = open_run(tmp_path).plans("baseline")
-    exists = np.arange(3)[None, :] < COUNT[:, None]
-    for name, value in plans._asdict().items():
-        if isinstance(value, np.ndarray):
-            np.testing.assert_array_equal(value[exists], getattr(PLANS, name)[exists], err_msg=name)
-    assert (plans.status[~exists] == tables.NO_TARGET).all()
+    np.testing.assert_array_equal(plans.start, PLANS.start)
+    for name in set(ARRAYS) - {"start"}:
+        value, written = getattr(plans, name), getattr(PLANS, name)
+        np.testing.assert_array_equal(value[plans.exists], written[plans.exists], err_msg=name)
+    np.testing.assert_array_equal(plans.exists, PLANS.exists)
     assert (plans.compile_s, plans.run_s) == (6.0, 2.0)  # the sums over two shards
 
 
@@ -87,7 +88,7 @@ def test_a_scenario_s_row_tells_what_became_of_it_and_its_parameters(tmp_path):
     assert table["reason"][1] == LIMIT.message
     assert table["after_escape"] == [0, 1, 0, 0] and table["blocked_paths"] == table["tracked"]
     assert (table["margin_m"], table["group"], table["path"]) == ([0, 0.1, 0.2, 0.3], ["starts"] * 4, ["weld"] * 4)
-    assert table["start_joint2_rad"] == [-2.3] * 4
+    assert table["start_joint2_rad"] == PLANS.start[:, 1].tolist()  # that the plans start from, not the job's
 
 
 def test_what_is_not_known_is_null_not_nan(tmp_path):
@@ -110,7 +111,7 @@ def test_the_parquet_files_are_plain_and_the_same_each_time(tmp_path):
     first, second = completed(tmp_path / "a"), completed(tmp_path / "b")
     assert contents(first.folder) == contents(second.folder) and len(contents(first.folder)) == 4
     read = [pq.read_table(first.folder / "targets" / f"baseline-{s.first:06d}-{s.last:06d}.parquet") for s in SPANS]
-    assert sum(table.num_rows for table in read) == COUNT.sum()
+    assert sum(table.num_rows for table in read) == PLANS.exists.sum()
 
 
 def truncate(file: Path):

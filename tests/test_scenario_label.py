@@ -5,7 +5,7 @@ from small_run import LONGER
 
 from htcp_jax.runs.labels import labels_of, part
 from htcp_jax.runs.run_folder import open_run
-from htcp_jax.viewer.replay import open_shelf
+from htcp_jax.viewer.replay import open_replays
 
 
 def test_scenarios_are_named_by_what_varies_in_their_run(planned):
@@ -20,7 +20,7 @@ def test_scenarios_are_named_by_what_varies_in_their_run(planned):
 
 
 def test_a_shelf_knows_the_labels_of_its_run(planned):
-    assert open_shelf(planned / "run").label(3) == f"3: tilt y 0.5 rad, tool {LONGER} m"
+    assert open_replays(planned / "run").label(3) == f"3: tilt y 0.5 rad, tool {LONGER} m"
 
 
 def test_any_column_that_is_no_result_is_a_parameter():

@@ -14,7 +14,10 @@ from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.planner import batch
+from htcp_jax.runs import run_folder
 from htcp_jax.runs.run_folder import Run, open_run
+from htcp_jax.runs.running import RunningSummary
+from htcp_jax.runs.summary import Summary, summarise
 from htcp_jax.runs.sweep import sweep
 
 GRID = """
@@ -267,3 +270,33 @@ def test_bad_input_is_one_line_exit_2_and_no_file(here, capsys, arguments, line)
     assert line in output.err and output.err.count("\n") == 1 and output.err.startswith("htcp: ")
     assert output.out == "" and sorted(path for path in here.iterdir() if path.name != "out") == before
     assert not list(here.glob("out/*"))
+
+
+def same(a: Summary, b: Summary) -> bool:
+    """Bit for bit, NaN being NaN."""
+    return all(one == other or (one != one and other != other) for one, other in zip(a, b, strict=True))
+
+
+def test_what_was_just_planned_is_summed_up_without_reading_it_again(planned, monkeypatch):
+    running = RunningSummary()
+    run = sweep("grid.yaml", "baseline,keep-clear", "out", shard_scenarios=2, finished=running.add)
+    read = {method: summarise(run.plans(method)) for method in run.methods}
+    margins = np.unique(run.scenarios()["margin_m"].to_numpy())
+    monkeypatch.setattr(run_folder, "_read_parquet", lambda *_: pytest.fail("a file was read"))
+    fresh = open_run("out")
+    assert all(same(summarise(running.plans(fresh, method)), read[method]) for method in run.methods)
+    np.testing.assert_array_equal(running.margins_m(fresh, *run.methods), margins)
+
+
+def test_what_was_planned_before_is_read_from_the_folder(planned):
+    sweep("grid.yaml", "baseline", "out", limit=2, shard_scenarios=1)
+    running = RunningSummary()
+    run = sweep("grid.yaml", "baseline", "out", shard_scenarios=1, finished=running.add)
+    assert same(summarise(running.plans(run, "baseline")), summarise(run.plans("baseline")))
+    np.testing.assert_array_equal(running.margins_m(run, "baseline"), [load_sweep("grid.yaml").config.margin_m])
+
+
+def test_the_command_s_table_needs_none_of_the_files_that_it_wrote(planned, monkeypatch, capsys):
+    monkeypatch.setattr(run_folder, "_read_parquet", lambda *_: pytest.fail("a file was read"))
+    assert main(["sweep", "grid.yaml", "--methods", "baseline", "--out", "out"]) == 0
+    assert "39" in capsys.readouterr().out  # targets: three scenarios of 13

@@ -14,15 +14,16 @@ from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.report.document import markdown
 from htcp_jax.report.report import make_report
-from htcp_jax.report.validation import notes, validated, verdict
+from htcp_jax.report.validation import notes, read_validation, validated, verdict
+from htcp_jax.runs.plan_folder import VALIDATION
 from htcp_jax.runs.run_folder import open_run
 from htcp_jax.scene.kinematics import capsule_segments, tcp_position
 from htcp_jax.scene.robot import GP50, Robot, gp50, lengthen_tool, load_robot
 from htcp_jax.scene.workpiece import load_workpiece
+from htcp_jax.validation.limits import STEP_RAD
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_clearance import Scene, Wall
-from htcp_jax.validation.track import STEP_RAD
-from htcp_jax.validation.validate import VALIDATION, validate
+from htcp_jax.validation.validate import validate
 
 PIPE = Path(__file__).parents[1] / "configs" / "pipe" / "job.yaml"
 
@@ -77,7 +78,7 @@ def test_a_run_validates_and_the_report_says_so(run, capsys):
     scenario, target = one["clearance_min_at"]
     recorded = open_run(run).plans("baseline").clearance
     assert recorded[scenario, target] == np.nanmin(recorded)
-    assert validated(open_run(run)) is True
+    assert validated(read_validation(open_run(run))) is True
     text = markdown(make_report([run]).blocks)
     checked, paths, touching = (
         sum(check[name] for check in found["methods"].values()) for name in ("checked", "paths", "paths_touching")
@@ -89,7 +90,10 @@ def test_a_run_validates_and_the_report_says_so(run, capsys):
 def test_a_report_does_not_call_other_results_validated_than_those_that_were(run):
     main(["validate", str(run), "--between", "0"])
     spoil(run, 0, 5, iterations=1)
-    assert validated(open_run(run)) is None and verdict(open_run(run)) == "Not validated independently."
+    assert (
+        validated(read_validation(open_run(run))) is None
+        and verdict(read_validation(open_run(run))) == "Not validated independently."
+    )
 
 
 def test_a_weaker_validation_never_replaces_a_stronger_one_of_the_same_results(run, capsys):
@@ -124,7 +128,7 @@ def test_a_damaged_validation_is_named(run):
     for damaged in ({}, whole | {"methods": 3}, whole | {"refuted_count": None}, {k: whole[k] for k in ("files",)}):
         (run / VALIDATION).write_text(json.dumps(damaged))
         with pytest.raises(InputError, match=VALIDATION):
-            validated(open_run(run))
+            validated(read_validation(open_run(run)))
 
 
 def test_between_two_targets_no_joint_turns_far_from_one_look_to_the_next(planned, monkeypatch):

@@ -21,8 +21,9 @@ from PIL import Image
 
 from htcp_jax.cli.main import main
 from htcp_jax.viewer.colours import FAILED
-from htcp_jax.viewer.replay import Shelf, shelf_of
+from htcp_jax.viewer.replay import Replays
 from htcp_jax.viewer.sides import View
+from htcp_jax.viewer.workcell import GivenCell, Workcell
 
 pytest.importorskip("viser", reason="the extra `view` is not installed")
 
@@ -42,21 +43,20 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def shelf(tmp_path_factory) -> Shelf:
+def replays(tmp_path_factory) -> Replays:
     """Two scenarios by two methods: one fails in scenario 0, the other in none."""
     plan = made_plan(tmp_path_factory.mktemp("shelf"))
     plans = {
         "baseline": made_plans(plan.scenario.targets, STATUSES[::-1]),  # scenario 1 is the one that fails
         "hybrid": made_plans(plan.scenario.targets, [STATUSES[1], STATUSES[1]]),
     }
-    shelf = shelf_of("two", plan)
-    placements = dict.fromkeys((0, 1), shelf._placements[0])
-    return Shelf("two", plan.job, plan.robot, plan.workpiece, tuple(plans), plans.__getitem__, placements)
+    cell = GivenCell(Workcell(plan.job, plan.robot, plan.workpiece), plan.scenario)
+    return Replays("two", tuple(plans), plans.__getitem__, cell)
 
 
 @pytest.fixture
-def viewer(shelf):
-    viewer = Viewer(shelf, port=0)
+def viewer(replays):
+    viewer = Viewer(replays, port=0)
     yield viewer
     viewer.stop()
 
@@ -118,7 +118,7 @@ def spread(picture: np.ndarray) -> float:
     return float(picture.std())
 
 
-def test_the_slider_moves_the_arm_in_the_browser(page, viewer, shelf):
+def test_the_slider_moves_the_arm_in_the_browser(page, viewer, replays):
     assert viewer.target == 0 and page.get_by_text("Target 0").is_visible()
     before, start = seen(page), viewer.stage.arm_positions
     slider = page.get_by_role("slider").first
@@ -126,7 +126,7 @@ def test_the_slider_moves_the_arm_in_the_browser(page, viewer, shelf):
     for _ in range(6):
         page.keyboard.press("ArrowRight")
     until(lambda: viewer.target == 6 and slider.get_attribute("aria-valuenow") == "6")
-    replay = shelf.replay(1, "baseline")
+    replay = replays.replay(1, "baseline")
     np.testing.assert_allclose(viewer.stage.arm_positions[:8], (replay.p[6] + replay.q[6]) / 2, atol=1e-6)
     assert np.abs(viewer.stage.arm_positions - start).max() > 0.1
     page.get_by_text("tracked after an escape.").wait_for()
@@ -147,21 +147,19 @@ def test_the_pickers_show_failed_scenarios_first_and_other_methods(page, viewer)
     until(lambda: viewer.shown == (0, "hybrid") and scenario.input_value() == "0: all 10 tracked")
 
 
-def test_the_picker_names_scenarios_by_what_sets_them_apart(shelf):
+def test_the_picker_names_scenarios_by_what_sets_them_apart(replays):
     """Rough: that 24 is tilt -0.2, height -0.1, tool +0.05 was nowhere to be seen in the viewer."""
     labels = {0: "tilt y 0.2 rad", 1: "tilt y 0.4 rad"}
-    named = Shelf(
-        "two", shelf._config, shelf.robot, shelf.workpiece, shelf.methods, shelf.plans, shelf._placements, labels
-    )
+    named = Replays("two", replays.methods, replays.plans, replays._cells, labels)
     viewer = Viewer(named, port=0)
     names = list(viewer._names("baseline"))
     viewer.stop()
     assert names == ["1: tilt y 0.4 rad: failed at 8 of 10", "0: tilt y 0.2 rad: all 10 tracked"]
 
 
-def test_at_the_failed_target_the_body_in_the_way_is_red_and_named(viewer, shelf):
+def test_at_the_failed_target_the_body_in_the_way_is_red_and_named(viewer, replays):
     """Rough: the viewer knew what is near for tracked targets, not for the failed one."""
-    replay = shelf.replay(*viewer.shown)
+    replay = replays.replay(*viewer.shown)
     body = replay.robot.capsule_names.index(replay.obstruction.body)
     viewer.go_to(replay.failed)
     colours = [tuple(node.color) for node in viewer.stage._arm]
@@ -244,7 +242,7 @@ def test_ctrl_c_before_the_page_is_up_ends_like_one_after_it(folder, capsys, mon
     def interrupt(_):
         raise KeyboardInterrupt
 
-    for place in ("htcp_jax.cli.view.open_shelf", "htcp_jax.viewer.browser.Viewer.wait"):
+    for place in ("htcp_jax.cli.view.open_replays", "htcp_jax.viewer.browser.Viewer.wait"):
         with monkeypatch.context() as patch:
             patch.setattr(place, interrupt)
             assert main(["view", str(folder), "--port", "0"]) == 0
@@ -267,7 +265,7 @@ def test_the_smallest_distance_is_looked_at_from_beside(gap):
     assert max(direction @ side.near, direction @ side.up) > 0.5
 
 
-def test_nothing_is_left_running(shelf):
+def test_nothing_is_left_running(replays):
     before = {thread.name for thread in threading.enumerate() if thread.name.startswith("htcp")}
-    Viewer(shelf, port=0).stop()
+    Viewer(replays, port=0).stop()
     until(lambda: {t.name for t in threading.enumerate() if t.name.startswith("htcp")} == before, 10)

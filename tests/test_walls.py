@@ -18,6 +18,7 @@ from htcp_jax.jobs.build import robot_of, scenario_of, scene, workpiece_of
 from htcp_jax.jobs.config import load_config
 from htcp_jax.planner.plans import is_tracked
 from htcp_jax.planner.registry import names
+from htcp_jax.runs.parameters import Parameters
 from htcp_jax.runs.plan_folder import read_plan
 from htcp_jax.scene.kinematics import capsule_segments, tip_segment
 from htcp_jax.scene.robot import Robot
@@ -26,7 +27,7 @@ from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.validation.mesh_clearance import axis_distances, goes_through
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_clearance import Scene, wall_of
-from htcp_jax.validation.records import Pose, turned_and_moved
+from htcp_jax.validation.records import turned_and_moved
 
 
 @pytest.fixture(scope="module")
@@ -200,7 +201,7 @@ def test_an_inlet_direction_turns_with_the_part(tmp_path):
     part = workpiece_of(job.workpiece, robot_of(job.robot))
     gate = part.gate(part.T_world(0.3, 0.0))
     np.testing.assert_allclose(gate[:3], [-np.sin(0.3), 0, -np.cos(0.3)], atol=1e-12)
-    pose = Pose(np.zeros(6), 0.0, 0.3, 0.0, np.zeros(3), 0.0)
+    pose = Parameters(np.zeros(6), 0.0, 0.3, 0.0, np.zeros(3), 0.0)
     rotate, translate = turned_and_moved(job.workpiece, pose)
     along = (part.triangles.reshape(-1, 3) @ rotate.T + translate) @ gate[:3]
     assert gate[3] == pytest.approx(along.min() + 0.2)

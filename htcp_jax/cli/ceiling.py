@@ -7,18 +7,15 @@ from typing import Annotated
 import jax
 import numpy as np
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from htcp_jax.cli.output import Json, print_facts, print_json, stdout
+from htcp_jax.cli.output import Json, print_facts, print_json, progress_bars, stdout
 from htcp_jax.cli.sweep import Config, Limit, Overrides, SweepFile
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.grid import Batch, load_sweep
 from htcp_jax.planner.reachability import Ceiling, ceiling
 from htcp_jax.runs.plan_folder import write_json, written_whole
 from htcp_jax.runs.run_folder import MANIFEST, Run, open_run
-from htcp_jax.status import Status
 
 Draws = Annotated[int, typer.Option(metavar="N", min=1, help="Configurations drawn where a target looks out of reach.")]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="The run folder to compare with and to write into.")]
@@ -67,12 +64,10 @@ def ceiling_command(
 
 
 def _search(batch: Batch, draws: int) -> Ceiling:
-    console = Console(stderr=True)
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    with progress_bars() as bars:
         parts = []
         for number, cell in enumerate(batch.cells):
-            task = bar.add_task("targets", total=batch.scenarios.targets.shape[1])
+            task = bars.add_task("targets", total=batch.scenarios.targets.shape[1])
             rows = np.flatnonzero(batch.cell == number)
             found = ceiling(
                 cell.robot,
@@ -80,7 +75,7 @@ def _search(batch: Batch, draws: int) -> Ceiling:
                 jax.tree.map(itemgetter(rows), batch.scenarios),
                 cell.settings,
                 draws=draws,
-                progress=lambda row, rows, task=task: bar.update(task, completed=row, total=rows),
+                progress=lambda row, rows, task=task: bars.update(task, completed=row, total=rows),
             )
             parts.append((rows, found))
     order = np.argsort(np.concatenate([rows for rows, _ in parts]))
@@ -97,8 +92,7 @@ def _beaten(run: Run, batch: Batch, found: Ceiling) -> dict[str, list[int]]:
         here, there = batch.scenarios.targets[:both], plans.target[:both]
         if here.shape != there.shape or np.nanmax(np.abs(here - there), initial=0.0) > 1e-9:
             raise InputError(f"{run.folder} holds a run with other targets; name another folder with --out")
-        tracked = np.isin(plans.status[:both], (Status.TRACKED, Status.TRACKED_AFTER_ESCAPE)).sum(axis=1)
-        further = np.flatnonzero(tracked > found.prefix[:both])
+        further = np.flatnonzero(plans.outcomes.tracked[:both] > found.prefix[:both])
         if len(further):
             beaten[method] = further.tolist()
     return beaten

@@ -6,15 +6,14 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from htcp_jax.cli.output import Json, print_json, print_table, stdout
-from htcp_jax.cli.validate import bar
+from htcp_jax.cli.output import Json, print_json, print_table, progress_bar, stdout
 from htcp_jax.errors import InputError
 from htcp_jax.report.document import Column, Table
-from htcp_jax.runs.labels import labels_in, named
+from htcp_jax.runs.labels import named
 from htcp_jax.runs.run_folder import MANIFEST, Run, open_run
 from htcp_jax.validation.baseline import bless as write_baseline
 from htcp_jax.validation.baseline import read_baseline
-from htcp_jax.validation.gate import Flip, Verdict, judge
+from htcp_jax.validation.gate import ChangedOutcome, Verdict, judge
 
 PASSED, REGRESSION = 0, 1
 LISTED = 20  # scenarios on the terminal
@@ -55,7 +54,7 @@ def gate(run: RunFolder, baseline: File, bless: Bless = False, as_json: Json = F
     htcp gate out/workpiece --baseline sweeps/baselines/workpiece.yaml --bless    the run is the new baseline
     """
     if bless:
-        with bar() as tell:
+        with progress_bar("plans", time_left=True) as tell:
             write_baseline(open_run(run), baseline, tell)
         print_json({"baseline": str(baseline)}) if as_json else print(f"{run} is the baseline now: {baseline}")
         return PASSED
@@ -67,7 +66,7 @@ def gate(run: RunFolder, baseline: File, bless: Bless = False, as_json: Json = F
             raise
         _print_unreadable(str(error), as_json)
         return REGRESSION
-    with bar() as tell:
+    with progress_bar("plans", time_left=True) as tell:
         verdict = judge(there, known, tell)
     if as_json:
         print_json(_record(verdict))
@@ -84,15 +83,16 @@ def _print_unreadable(reason: str, as_json: bool) -> None:
 
 
 def _record(verdict: Verdict) -> dict:
-    flips = [flip._asdict() | {"target": flip.target, "reason": flip.reason} for flip in verdict.flips]
-    flips = [flip | {"was": flip["was"]._asdict(), "now": flip["now"]._asdict()} for flip in flips]
+    changed = [one._asdict() | {"target": one.target, "reason": one.reason} for one in verdict.changed]
+    changed = [one | {"was": one["was"]._asdict(), "now": one["now"]._asdict()} for one in changed]
     rows = [row._asdict() for row in verdict.rows]
-    return verdict._asdict() | {"allow": verdict.allow.model_dump(), "rows": rows, "flips": flips}
+    before = {"flips": changed, "news": verdict.improvements}  # what two keys were called; for one version more
+    return verdict._asdict() | {"allow": verdict.allow.model_dump(), "rows": rows, "changed": changed} | before
 
 
 def _print(run: Run, verdict: Verdict) -> None:
     console = stdout()
-    labels = labels_in(run) if verdict.flips else {}
+    labels = run.labels() if verdict.changed else {}
     console.print(Text(run.manifest.name, style="bold"))
     for columns in (COUNTS, FIGURES):
         known = [c for c in columns if any(getattr(row, c.key) is not None for row in verdict.rows)]
@@ -100,13 +100,13 @@ def _print(run: Run, verdict: Verdict) -> None:
             rows = tuple(tuple(getattr(row, column.key) for column in known) for row in verdict.rows)
             print_table(console, Table("gate", tuple(known), rows))
             console.print()
-    for flip in verdict.flips[:LISTED]:
-        console.print(_told(flip, labels))
-    if len(verdict.flips) > LISTED:
-        console.print(f"and {len(verdict.flips) - LISTED:,} more scenarios that flipped")
+    for changed in verdict.changed[:LISTED]:
+        console.print(_describe(changed, labels))
+    if len(verdict.changed) > LISTED:
+        console.print(f"and {len(verdict.changed) - LISTED:,} more scenarios that flipped")
     if verdict.elsewhere:
         console.print(Text("On another device or with other versions than the baseline: see allow.elsewhere.", "dim"))
-    for sentence in verdict.news:
+    for sentence in verdict.improvements:
         console.print(Text.assemble(("better  ", "green"), sentence))
     for sentence in verdict.failures[:LISTED]:
         console.print(Text.assemble(("failed  ", "bold red"), sentence))
@@ -115,7 +115,9 @@ def _print(run: Run, verdict: Verdict) -> None:
     console.print(Text("passed", "bold green") if verdict.passed else Text("FAILED", "bold red"))
 
 
-def _told(flip: Flip, labels: dict[int, str]) -> Text:
-    style = "red" if flip.worse else "green" if flip.better else "dim"
-    where = f"{flip.method}, scenario {named(flip.scenario, labels)}: first at target {flip.target}, "
-    return Text.assemble((where, style), f"{flip.was.tracked} tracked before, {flip.now.tracked} now; {flip.reason}")
+def _describe(changed: ChangedOutcome, labels: dict[int, str]) -> Text:
+    style = "red" if changed.worse else "green" if changed.better else "dim"
+    where = f"{changed.method}, scenario {named(changed.scenario, labels)}: first at target {changed.target}, "
+    return Text.assemble(
+        (where, style), f"{changed.was.tracked} tracked before, {changed.now.tracked} now; {changed.reason}"
+    )

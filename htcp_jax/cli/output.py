@@ -5,11 +5,21 @@ Progress and warnings go to stderr; the progress is on a terminal alone. NO_COLO
 
 import shutil
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.text import Text
 
 from htcp_jax.report.document import Column, Table
@@ -39,6 +49,25 @@ def print_facts(title: str, facts: Mapping[str, str]) -> None:
     console.print(Text(title, style="bold"))
     for name, value in facts.items():
         console.print(Text.assemble((f"{name:<{width}}", "cyan"), value))
+
+
+@contextmanager
+def progress_bars(*columns: ProgressColumn, **how: Any) -> Iterator[Progress]:
+    """Bars on a terminal and nothing elsewhere; they vanish at the end. columns: by default what, how much of how much,
+    and the time that it took so far."""
+    columns = columns or (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal, **how) as bars:
+        yield bars
+
+
+@contextmanager
+def progress_bar(what: str, *, time_left: bool = False) -> Iterator[Callable[[int, int], None]]:
+    """One bar; hands out tell(done, of how many). time_left: to go, in place of the time so far."""
+    time = TimeRemainingColumn() if time_left else TimeElapsedColumn()
+    with progress_bars(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), time) as bars:
+        task = bars.add_task(what, total=None)
+        yield lambda done, count: bars.update(task, completed=done, total=count)
 
 
 def width() -> int:

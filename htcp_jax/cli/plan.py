@@ -4,19 +4,14 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from htcp_jax.api import Plan, checked_scene, forget_validation, plan_job
+from htcp_jax import api
+from htcp_jax.api import Plan, forget_validation
 from htcp_jax.cli.methods import complete_method
-from htcp_jax.cli.output import Device, Json, print_facts, print_json, stdout
-from htcp_jax.jobs.config import PlanConfig, load_config
-from htcp_jax.planner import batch, devices
+from htcp_jax.cli.output import Device, Json, print_facts, print_json, progress_bar, stdout
+from htcp_jax.planner import devices
 from htcp_jax.runs.plan_folder import written_whole
-from htcp_jax.scene.robot import Robot
-from htcp_jax.scene.scenario import Scenario
-from htcp_jax.scene.workpiece import Workpiece
 
 COMPLETE, INCOMPLETE = 0, 3
 
@@ -24,7 +19,7 @@ COMPLETE, INCOMPLETE = 0, 3
 Config = Annotated[Path | None, typer.Argument(metavar="CONFIG.yaml", help="The job; else the default.")]
 Method = Annotated[
     str | None,
-    typer.Option(metavar="NAME", help="A planner; htcp methods lists them.", autocompletion=complete_method),
+    typer.Option(metavar="NAME", help="A method; htcp methods lists them.", autocompletion=complete_method),
 ]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key; may be repeated.")
@@ -51,11 +46,8 @@ def plan(
     htcp plan --set settings.alpha_rad=0.05 --set "start_rad=[0, -2.3, 0.5, 0, 0.5, 0]"
     """
     devices.use(device)
-    chosen = [*(overrides or []), *([f"method={method}"] if method is not None else [])]
-    job = load_config(config, chosen)
-    parts = checked_scene(job)  # before a folder is made
     with written_whole(out) as folder:
-        made = plan_with_progress(job, parts)
+        made = plan_with_progress(config, overrides, method)
         made.write(folder)
     forget_validation(out)
     if as_json:
@@ -67,14 +59,9 @@ def plan(
     return COMPLETE if made.complete else INCOMPLETE
 
 
-def plan_with_progress(job: PlanConfig, parts: tuple[Robot, Workpiece, Scenario]) -> Plan:
-    """The plan, with a bar of tracked targets on a terminal and nothing elsewhere."""
-    console = Console(stderr=True)
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(job.method, total=None)
-
-        def tell(now: batch.Progress) -> None:
-            bar.update(task, completed=now.targets_tracked, total=now.targets)
-
-        return plan_job(job, *parts, tell)
+def plan_with_progress(config: Path | None, overrides: list[str] | None, method: str | None) -> Plan:
+    """The plan, with a bar of tracked targets on a terminal. Raises InputError as `api.plan` does."""
+    with progress_bar("targets") as tell:
+        return api.plan(
+            config, overrides or (), method=method, progress=lambda now: tell(now.targets_tracked, now.targets)
+        )

@@ -6,17 +6,15 @@ from typing import Annotated
 
 import typer
 from PIL import Image
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from htcp_jax.cli.methods import complete_method
-from htcp_jax.cli.output import Json, print_facts, print_json
+from htcp_jax.cli.output import Json, print_facts, print_json, progress_bars
 from htcp_jax.errors import InputError
 from htcp_jax.runs.plan_folder import written_whole
 from htcp_jax.viewer import offscreen
 from htcp_jax.viewer.movie import KINDS, check_kind, write_movie
 from htcp_jax.viewer.render import Studio, way
-from htcp_jax.viewer.replay import Replay, open_shelf
+from htcp_jax.viewer.replay import Replay, open_replays
 
 LEAST, MOST = 160, 3840  # pixels across
 ASPECT = 11 / 16
@@ -61,8 +59,8 @@ def render(
     if not LEAST <= width <= MOST:
         raise InputError(f"--width is {width}; from {LEAST} to {MOST} pixels are possible")
     offscreen.platform()  # before anything is read
-    shelf = open_shelf(run)
-    replay = shelf.replay(scenario, method or shelf.methods[0])
+    replays = open_replays(run)
+    replay = replays.replay(scenario, method or replays.methods[0])
     last = len(replay.target) - 1
     if target is not None and not 0 <= target <= last:
         raise InputError(f"scenario {scenario} has no target {target}; it has 0 to {last}")
@@ -75,7 +73,7 @@ def render(
         for file in files[1:]:
             half = 2 * (width // 4)
             with Studio(replay, half, _height(half), close, fine=False) as studio:
-                write_movie(folder / file, _told(studio, replay))
+                write_movie(folder / file, _frames(studio, replay))
     _print(replay, shown, [str(out / file) for file in files], as_json)
     return 0
 
@@ -84,12 +82,10 @@ def _height(width: int) -> int:
     return 2 * round(width * ASPECT / 2)
 
 
-def _told(studio: Studio, replay: Replay) -> Iterator:
-    """The frames, with a bar on a terminal and nothing elsewhere."""
-    console = Console(stderr=True)
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        yield from bar.track(studio.movie(), total=len(way(replay)) + 1, description="frames")
+def _frames(studio: Studio, replay: Replay) -> Iterator:
+    """The frames, with a bar on a terminal."""
+    with progress_bars() as bars:
+        yield from bars.track(studio.movie(), total=len(way(replay)) + 1, description="frames")
 
 
 def _print(replay: Replay, shown: int, files: list[str], as_json: bool) -> None:

@@ -7,7 +7,6 @@ import typer
 from rich.text import Text
 
 from htcp_jax.cli.output import Json, print_json, print_table, stdout
-from htcp_jax.report import tables
 from htcp_jax.report.chapter import facts
 from htcp_jax.report.report import make_report, record, write_report
 from htcp_jax.runs.plan_folder import written_whole
@@ -34,13 +33,13 @@ def report(runs: Runs, out: Out = Path("out/report"), as_json: Json = False) -> 
         print_json(record(made))
         return 0
     console = stdout()
-    for part in made.parts:
+    for part, tables in zip(made.parts, made.part_tables, strict=True):
         console.print(Text(part.name, style="bold"))
         for line in facts(part):
             console.print(Text(line, style="dim"))
-        print_table(console, tables.results(part))
+        print_table(console, tables["results"])
         if part.ceiling is not None:
-            print_table(console, tables.ceiling(part))
+            print_table(console, tables["ceiling"])
         console.print()
     console.print(Text.assemble(("report  ", "cyan"), str(out / "report.html")))
     return 0

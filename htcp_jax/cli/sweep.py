@@ -7,19 +7,17 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
 from htcp_jax.cli.methods import complete_methods
-from htcp_jax.cli.output import Device, Json, print_json, print_table, stdout
+from htcp_jax.cli.output import Device, Json, print_json, print_table, progress_bars, stdout
 from htcp_jax.planner import devices
 from htcp_jax.report.document import Column, Table
-from htcp_jax.report.groups import drivable
-from htcp_jax.report.path_charts import words
 from htcp_jax.runs import sweep as sweeps
 from htcp_jax.runs.plan_folder import summary_record
 from htcp_jax.runs.run_folder import Run
+from htcp_jax.runs.running import RunningSummary
 from htcp_jax.runs.summary import summarise
 from htcp_jax.status import Status
 
@@ -67,6 +65,7 @@ def sweep(
     devices.use(device)
     if out is None:
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
+    running = RunningSummary()
     with _bars() as tell:
         run = sweeps.sweep(
             file,
@@ -77,19 +76,20 @@ def sweep(
             limit=limit,
             seed=seed,
             progress=tell,
+            finished=running.add,
             shard_scenarios=shard,
             on=on,
         )
     if as_json:
-        print_json(_record(run))
+        print_json(_record(run, running))
     else:
-        _print_table(run)
+        _print_table(run, running)
     return 0
 
 
-def _record(run: Run) -> dict:
+def _record(run: Run, running: RunningSummary) -> dict:
     """What --json prints: where the results are, and the summary of every method that is finished."""
-    found = {method: summary_record(summarise(run.plans(method))) for method in _finished(run)}
+    found = {method: summary_record(summarise(running.plans(run, method))) for method in _finished(run)}
     known = {"run": str(run.folder), "name": run.manifest.name, "complete": run.complete}
     return {**known, "unfinished": run.unfinished(), "methods": found}
 
@@ -103,15 +103,13 @@ def _finished(run: Run) -> list[str]:
 @contextmanager
 def _bars() -> Iterator[Callable[[sweeps.SweepProgress], None]]:
     """A bar a method on a terminal and nothing elsewhere: scenarios done, targets tracked, time left."""
-    console = Console(stderr=True)
     columns = (
         TextColumn("{task.description:<14}"),
         BarColumn(),
         TextColumn("{task.fields[scenarios]} scenarios, {task.fields[tracked]:,} targets tracked"),
         TimeRemainingColumn(elapsed_when_finished=True),
     )
-    shown = console.is_terminal
-    with Progress(*columns, console=console, transient=True, disable=not shown, speed_estimate_period=600) as bars:
+    with progress_bars(*columns, speed_estimate_period=600) as bars:
         tasks = {}
 
         def tell(now: sweeps.SweepProgress) -> None:
@@ -146,17 +144,17 @@ FIGURES = (
 )
 
 
-def _print_table(run: Run) -> None:
+def _print_table(run: Run, running: RunningSummary) -> None:
     """The columns of the paper's tables, and the counts behind them."""
     console = stdout()
     limit = (
         "" if run.manifest.limit is None else f", the first {run.manifest.count:,} of {run.manifest.full:,} scenarios"
     )
     console.print(Text(f"{run.manifest.name}{limit}", style="bold"))
-    plans = {method: run.plans(method) for method in _finished(run)}
+    plans = {method: running.plans(run, method) for method in _finished(run)}
     found = {method: summarise(whole) for method, whole in plans.items()}
     counts = [
-        (m, 100 * s.success_rate, s.tracked, s.targets, int(drivable(plans[m]).sum()), s.complete, s.scenarios,
+        (m, 100 * s.success_rate, s.tracked, s.targets, int(plans[m].drivable.sum()), s.complete, s.scenarios,
          s.blocked_paths)
         for m, s in found.items()
     ]  # fmt: skip
@@ -169,7 +167,8 @@ def _print_table(run: Run) -> None:
         console.print()
     console.print(Text("Drivable: tracked before the first blocked joint path of the scenario.", style="dim"))
     if plans:
-        told = f"Tracked: with at least the {_margins(run, *plans)} mm of clearance that were asked for."
+        asked = _margins(running.margins_m(run, *plans))
+        told = f"Tracked: with at least the {asked} mm of clearance that were asked for."
         console.print(Text(told, style="dim"))
     for told in dict.fromkeys(_not_tried(whole.status) for whole in plans.values()):
         if told:
@@ -180,13 +179,13 @@ def _print_table(run: Run) -> None:
     console.print(Text.assemble(("files  ", "cyan"), str(run.folder)))
 
 
-def _margins(run: Run, *methods: str) -> str:
-    """The clearances that the scenarios ask for [mm]."""
-    asked = np.unique(run.scenarios(*methods)["margin_m"].to_numpy()) * 1e3
+def _margins(asked_m: np.ndarray) -> str:
+    """The clearances that scenarios ask for [mm]."""
+    asked = 1e3 * asked_m
     return f"{asked[0]:g}" if len(asked) == 1 else f"{asked[0]:g} to {asked[-1]:g}"
 
 
 def _not_tried(status: np.ndarray) -> str:
     """How many scenarios were refused for what reason, in words; nothing where none was."""
     counts = {reason: int((status == reason).sum()) for reason in (Status.START_IN_COLLISION, Status.OUT_OF_REACH)}
-    return ", ".join(f"{words(reason)} {count:,}" for reason, count in counts.items() if count)
+    return ", ".join(f"{reason.words} {count:,}" for reason, count in counts.items() if count)

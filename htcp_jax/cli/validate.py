@@ -1,20 +1,17 @@
 """`htcp validate`: the results of a sweep or of one plan, checked by MuJoCo alone."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from htcp_jax.cli.output import Json, print_json, print_table, stdout
+from htcp_jax.cli.output import Json, print_json, print_table, progress_bar, stdout
 from htcp_jax.report.validation import notes, told_apart, validation_tables
-from htcp_jax.runs.labels import labels_in, named
+from htcp_jax.runs.labels import named
+from htcp_jax.runs.plan_folder import VALIDATION
 from htcp_jax.runs.run_folder import MANIFEST, open_run
-from htcp_jax.validation.validate import VALIDATION, Validation, record, write_validation
+from htcp_jax.validation.validate import Validation, record, write_validation
 from htcp_jax.validation.validate import validate as check
 
 VALIDATED, REFUTED = 0, 1
@@ -38,7 +35,7 @@ def validate(run: Run, between: Between = 20, feed_mm_s: Feed = 10.0, as_json: J
     htcp validate out/plan --feed-mm-s 50       one plan, ground at 50 mm/s
     htcp validate out/robot --between 0 --json  the targets alone, for another program
     """
-    with bar() as tell:
+    with progress_bar("plans", time_left=True) as tell:
         found = check(run, between=between, feed_mm_s=feed_mm_s, progress=tell)
     write_validation(run, found)
     if as_json:
@@ -48,23 +45,13 @@ def validate(run: Run, between: Between = 20, feed_mm_s: Feed = 10.0, as_json: J
     return VALIDATED if found.validated else REFUTED
 
 
-@contextmanager
-def bar() -> Iterator[Callable[[int, int], None]]:
-    """A bar of plans on a terminal and nothing elsewhere."""
-    console = Console(stderr=True)
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("plans", total=None)
-        yield lambda done, count: bar.update(task, completed=done, total=count)
-
-
 def _print(run: Path, found: Validation) -> None:
     console = stdout()
     told = record(found)
     for table in validation_tables(told):
         print_table(console, table)
         console.print()
-    labels = labels_in(open_run(run)) if (run / MANIFEST).exists() else {}
+    labels = open_run(run).labels() if (run / MANIFEST).exists() else {}
     for line in (*told_apart(told, labels), *notes(told)):
         console.print(Text(line, style="dim"))
     for one in found.refuted[:LISTED]:

@@ -8,13 +8,11 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from htcp_jax.api import checked_scene
 from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import stdout
 from htcp_jax.cli.plan import Overrides, plan_with_progress
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import load_config
-from htcp_jax.viewer.replay import Shelf, open_shelf, shelf_of
+from htcp_jax.viewer.replay import Replays, open_replays, replays_of
 
 What = Annotated[
     Path | None,
@@ -50,10 +48,10 @@ def view(
     if importlib.util.find_spec("viser") is None:
         raise InputError("htcp view needs viser: pip install 'htcp_jax[view]'")
     with contextlib.suppress(KeyboardInterrupt):  # before the page is up as well as after
-        shelf = _shelf(what, method, overrides or [])
+        replays = _replays(what, method, overrides or [])
         from htcp_jax.viewer.browser import Viewer  # viser is an extra
 
-        viewer = Viewer(shelf, host, port, scenario, method)
+        viewer = Viewer(replays, host, port, scenario, method)
         try:
             stdout().print(Text.assemble(("viewer  ", "cyan"), viewer.address, ("  (Ctrl-C ends it)", "dim")))
             viewer.wait()
@@ -62,13 +60,12 @@ def view(
     return 0
 
 
-def _shelf(what: Path | None, method: str | None, overrides: list[str]) -> Shelf:
+def _replays(what: Path | None, method: str | None, overrides: list[str]) -> Replays:
     """What there is to look at; a job is planned."""
     if what is not None and not what.exists():
         raise InputError(f"{what}: no such run folder, and no such job")
     if what is not None and what.is_dir():
         if overrides:
             raise InputError("--set changes a job; a run folder is shown as it is")
-        return open_shelf(what)
-    job = load_config(what, [*overrides, *([f"method={method}"] if method is not None else [])])
-    return shelf_of(str(what or "the default job"), plan_with_progress(job, checked_scene(job)))
+        return open_replays(what)
+    return replays_of(str(what or "the default job"), plan_with_progress(what, overrides, method))

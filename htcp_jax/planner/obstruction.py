@@ -17,7 +17,7 @@ from htcp_jax.clearance.obstacles import Obstacles, contacts, make_obstacle
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.planner.kernel import DEEP
 from htcp_jax.planner.kernels import lane_inputs
-from htcp_jax.planner.plans import Plans, is_tracked
+from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.programs import chunked
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.robot import Robot
@@ -92,13 +92,11 @@ def obstructions(
     ]
 
 
-def last_posture(plans: Plans, row: int, x_start: Float[np.ndarray, "N"]) -> tuple[int, Float[np.ndarray, "N"]] | None:
-    """The first target of a row that is not tracked, and the posture before it; None where all are tracked, where
-    nothing was tried, and where the tip of the tool is what is in the way."""
-    missed = np.flatnonzero((plans.status[row] >= 0) & ~is_tracked(plans.status[row]))
-    if not missed.size or plans.status[row, missed[0]] in NO_BODY:
-        return None
-    return int(missed[0]), plans.x[row, missed[0] - 1] if missed[0] else np.asarray(x_start)
+def blocked_target(plans: Plans, scenario: int) -> int | None:
+    """The target of a row at which a body of the arm is in the way: the first that is not tracked. None where all are,
+    where nothing was tried, and where the tip of the tool is what is in the way."""
+    end = plans.outcome(scenario)
+    return None if end.status in (None, *NO_BODY) else end.failed
 
 
 @lru_cache(maxsize=8)

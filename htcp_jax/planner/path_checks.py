@@ -6,19 +6,17 @@ import numpy as np
 
 from htcp_jax.planner.kernels import CHECK_PATH, lane_inputs
 from htcp_jax.planner.lanes import gather
-from htcp_jax.planner.plans import Plans, is_tracked
+from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.tip_check import tip_checks
 
 
 def check_remaining_paths(problem: Problem, plans: Plans) -> None:
     """Fill in path_clear where a tracked target's path was not checked while planning."""
-    scenarios = problem.scenarios
-    s, t = np.nonzero(is_tracked(plans.status) & (plans.path_clear < 0))
+    s, t = np.nonzero(plans.tracked & (plans.path_clear < 0))
     if not len(s):
         return
-    before = np.where((t == 0)[:, None], scenarios.x_start[s], plans.x[s, np.maximum(t - 1, 0)])
-    inputs = lane_inputs(scenarios, s, t)
+    before, inputs = plans.before(s, t), lane_inputs(problem.scenarios, s, t)
     kernels = problem.kernels  # made here, before there are threads
     tips = tip_checks(kernels, problem.tip_guard)
 

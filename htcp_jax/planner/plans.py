@@ -1,25 +1,88 @@
-"""What planning returns."""
+"""What planning returns, and what it says of itself: which targets there are, which are tracked, how scenarios ended.
 
+    plans.tracked                     # (S, T) True where a target is tracked
+    plans.outcomes.complete           # (S,)   True where all targets of a scenario are
+    plans.outcome(12).failed          # the first target of scenario 12 that is not; None where all are
+
+Nobody else reads an end out of the statuses: charts and viewers that have statuses alone ask `outcomes`.
+"""
+
+import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, Int8
+from jaxtyping import Bool, Float, Int, Int8
 
 from htcp_jax.status import Status
 
+NO_TARGET = -1  # a status: the scenario has no such target, or it is not planned yet
+UNKNOWN = -1  # of path_clear
+
+
+class Outcome(NamedTuple):
+    """How one scenario ended."""
+
+    scenario: int  # its row
+    targets: int  # that it has; 0 where it is not planned
+    tracked: int  # of them
+    drivable: int  # tracked before the first joint path that is known to collide
+    failed: int | None  # the first target that is not tracked
+    status: Status | None  # what became of that one
+    blocked_paths: int  # tracked targets whose joint path from the row before is known to collide
+
+    @property
+    def complete(self) -> bool:
+        """Whether it is planned and every target is tracked."""
+        return self.targets > 0 and self.failed is None
+
+    @property
+    def can_be_driven(self) -> bool:
+        """Whether it is complete, by joint paths none of which is known to collide."""
+        return self.complete and not self.blocked_paths
+
+
+class Outcomes(NamedTuple):
+    """How S scenarios ended, a column each; see `Outcome`."""
+
+    targets: Int[np.ndarray, "S"]
+    tracked: Int[np.ndarray, "S"]
+    drivable: Int[np.ndarray, "S"]
+    failed: Int[np.ndarray, "S"]  # -1 for none
+    status: Int8[np.ndarray, "S"]  # NO_TARGET where none failed
+    blocked_paths: Int[np.ndarray, "S"]
+
+    @property
+    def planned(self) -> Bool[np.ndarray, "S"]:
+        """Which scenarios are planned."""
+        return self.targets > 0
+
+    @property
+    def complete(self) -> Bool[np.ndarray, "S"]:
+        """Which scenarios are planned with every target tracked."""
+        return self.planned & (self.failed < 0)
+
+    def of(self, scenario: int) -> Outcome:
+        """That of one row."""
+        targets, tracked, drivable, failed, status, blocked = (int(column[scenario]) for column in self)
+        ended = (None, None) if failed < 0 else (failed, Status(status))
+        return Outcome(int(scenario), targets, tracked, drivable, *ended, blocked)
+
 
 class Plans(NamedTuple):
-    """The plans of S scenarios with T targets each, for a robot of N joints; numpy arrays on the host.
+    """The plans of S scenarios with up to T targets each, for a robot of N joints; numpy arrays on the host.
 
-    Rows of targets that are not tracked hold NaN in `x`, `tcp`, `clearance`, `residual` and `joint_step`.
+    Rows of targets that are not tracked hold NaN in `x`, `tcp`, `clearance`, `residual` and `joint_step`; those of
+    targets that a scenario does not have, the status NO_TARGET.
     """
 
+    start: Float[np.ndarray, "S N"]  # the posture that the plan starts from [rad or m]
     x: Float[np.ndarray, "S T N"]  # configurations [rad or m]
     tcp: Float[np.ndarray, "S T 3"]  # tool centre point, world [m]
-    target: Float[np.ndarray, "S T M"]  # where the task's rows, the TCP's x, y, z, should be, world [m]; never NaN
-    clearance: Float[np.ndarray, "S T"]  # D(x, O), smallest over capsules and points [m]
+    target: Float[np.ndarray, "S T M"]  # where the task's rows, the TCP's xyz, should be [m]; NaN where there is none
+    clearance: Float[np.ndarray, "S T"]  # D(x, O), smallest over all rows [m]
     residual: Float[np.ndarray, "S T"]  # of the task: |tcp - target| [m]
-    status: Int8[np.ndarray, "S T"]  # htcp_jax.status.Status
+    status: Int8[np.ndarray, "S T"]  # htcp_jax.status.Status, or NO_TARGET
     iterations: Int[np.ndarray, "S T"]  # step QPs solved for the target; 0 where one was pushed there
     joint_step: Float[np.ndarray, "S T"]  # |x_t - x_{t-1}|, the start being x_{-1} [rad]
     escape: Int[np.ndarray, "S T"]  # 0 none, k = stage k of the method's escapes, one more: planned backwards
@@ -27,7 +90,138 @@ class Plans(NamedTuple):
     compile_s: float  # wall time spent compiling [s]
     run_s: float  # wall time spent planning, compilation apart [s]
 
+    @classmethod
+    def empty(
+        cls,
+        start: Float[np.ndarray, "S N"],
+        target: Float[np.ndarray, "S T M"],
+        count: Int[np.ndarray, "S"] | int | None = None,
+    ) -> "Plans":
+        """Plans in which nothing is attempted yet, with arrays to write into: `start` is copied, `target` is not.
+
+        count: how many targets each scenario has, the first of its row; None: all of them.
+        """
+        shape, joints = target.shape[:2], start.shape[1]
+        count = np.broadcast_to(shape[1] if count is None else count, shape[:1])
+        exists = np.arange(shape[1])[None, :] < count[:, None]
+        arrays = {name: np.full((*shape, *([joints] if name == "x" else [])), EMPTY[name], kind)
+                  for name, kind in _KINDS.items()}  # fmt: skip
+        arrays["tcp"] = np.full((*shape, 3), EMPTY["tcp"])
+        arrays["status"][exists] = Status.NOT_ATTEMPTED
+        return cls(start=np.array(start, float), target=target, **arrays, compile_s=0.0, run_s=0.0)
+
+    @classmethod
+    def concatenate(cls, parts: "Sequence[Plans]") -> "Plans":
+        """The rows of all parts, one after the other, and their seconds added up; T may differ."""
+        longest = max(part.status.shape[1] for part in parts)
+        columns = zip(*(part.widened(longest) for part in parts), strict=True)
+        return cls(*(np.concatenate(each) if isinstance(each[0], np.ndarray) else sum(each) for each in columns))
+
+    @property
+    def exists(self) -> Bool[np.ndarray, "S T"]:
+        """Which targets there are, planned ones in a run that is not finished."""
+        return self.status != NO_TARGET
+
+    @property
+    def tracked(self) -> Bool[np.ndarray, "S T"]:
+        """Which targets are tracked."""
+        return is_tracked(self.status)
+
+    @property
+    def attempted(self) -> Bool[np.ndarray, "S T"]:
+        """Which targets somebody worked on: the tracked ones, and those at which a scenario ended."""
+        return self.exists & (self.status != Status.NOT_ATTEMPTED)
+
+    @property
+    def blocked(self) -> Bool[np.ndarray, "S T"]:
+        """Which tracked targets lie behind a joint path that is known to collide."""
+        return self.tracked & (self.path_clear == 0)
+
+    @property
+    def drivable(self) -> Bool[np.ndarray, "S T"]:
+        """Which targets are tracked without a joint path up to them, from the start, that is known to collide."""
+        return self.tracked & ~np.logical_or.accumulate(self.blocked, axis=1)
+
+    @property
+    def step_s(self) -> float:
+        """Run time by attempted target [s]; NaN where none was."""
+        attempted = int(self.attempted.sum())
+        return self.run_s / attempted if attempted else math.nan
+
+    @property
+    def outcomes(self) -> Outcomes:
+        """How every scenario ended."""
+        return outcomes(self.status, self.path_clear)
+
+    def outcome(self, scenario: int) -> Outcome:
+        """How the scenario in one row ended."""
+        row = slice(scenario, scenario + 1)
+        return outcomes(self.status[row], self.path_clear[row]).of(0)._replace(scenario=scenario)
+
+    def before(self, scenario: int | np.ndarray, target: int | np.ndarray) -> Float[np.ndarray, "*n N"]:
+        """The postures that the joint paths to targets leave: those of the rows before, or the start."""
+        first = np.asarray(target) == 0
+        return np.where(first[..., None], self.start[scenario], self.x[scenario, np.maximum(target, 1) - 1])
+
+    def rows(self, which: slice | np.ndarray | Sequence[int]) -> "Plans":
+        """The plans of some scenarios; the seconds stay those of all."""
+        return self._replace(**{name: array[which] for name, array in self.arrays().items()})
+
+    def widened(self, targets: int) -> "Plans":
+        """The same with columns for this many targets, T or more; the new ones do not exist."""
+        more = targets - self.status.shape[1]
+        return self._replace(**{name: self._padded(name, more) for name in (*_KINDS, "target", "tcp")})
+
+    def narrowed(self) -> "Plans":
+        """The same without the columns of which no scenario has a target, the last ones."""
+        longest = int(np.flatnonzero(self.exists.any(axis=0)).max(initial=-1)) + 1
+        return self._replace(**{name: getattr(self, name)[:, :longest] for name in (*_KINDS, "target", "tcp")})
+
+    def without_postures(self) -> "Plans":
+        """What a summary needs, for less memory: `start`, `x`, `tcp` and `target` lose their last axis' columns."""
+        bare = {name: getattr(self, name)[..., :0].copy() for name in ("start", "x", "tcp", "target")}
+        return self._replace(**bare)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The fields but for the seconds, by name."""
+        return {name: getattr(self, name) for name in ARRAYS}
+
+    def _padded(self, name: str, more: int) -> np.ndarray:
+        array = getattr(self, name)
+        return np.pad(array, [(0, 0), (0, more)] + [(0, 0)] * (array.ndim - 2), constant_values=EMPTY[name])
+
+
+ARRAYS = tuple(name for name in Plans._fields if name not in ("compile_s", "run_s"))
+
+# What a row holds of a target that a scenario does not have; one that is not attempted has another status.
+EMPTY = {
+    "x": np.nan, "tcp": np.nan, "target": np.nan, "clearance": np.nan, "residual": np.nan, "status": NO_TARGET,
+    "iterations": 0, "joint_step": np.nan, "escape": 0, "path_clear": UNKNOWN,
+}  # fmt: skip
+_KINDS = {
+    "x": float, "clearance": float, "residual": float, "status": np.int8, "iterations": np.int32, "joint_step": float,
+    "escape": np.int8, "path_clear": np.int8,
+}  # fmt: skip
+
 
 def is_tracked(status: np.ndarray) -> np.ndarray:
     """Where `status` says tracked; any shape."""
     return (status >= 0) & (status <= Status.TRACKED_AFTER_ESCAPE)
+
+
+def outcomes(status: Int8[np.ndarray, "S T"], path_clear: Int8[np.ndarray, "S T"] | None = None) -> Outcomes:
+    """How scenarios with these statuses ended. path_clear: as in `Plans`; None where nothing is known of the paths."""
+    exists, tracked = status != NO_TARGET, is_tracked(status)
+    blocked = tracked & (path_clear == 0) if path_clear is not None else np.zeros_like(tracked)
+    missed = exists & ~tracked
+    first = np.logical_not(np.logical_or.accumulate(missed, axis=1)).sum(axis=1)  # T where none is missed
+    failed = np.where(missed.any(axis=1), first, -1)
+    ended = np.append(status, np.full((len(status), 1), NO_TARGET, status.dtype), axis=1)
+    return Outcomes(
+        targets=exists.sum(axis=1),
+        tracked=tracked.sum(axis=1),
+        drivable=(tracked & ~np.logical_or.accumulate(blocked, axis=1)).sum(axis=1),
+        failed=failed,
+        status=ended[np.arange(len(status)), failed],
+        blocked_paths=blocked.sum(axis=1),
+    )

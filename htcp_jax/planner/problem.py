@@ -18,7 +18,6 @@ from htcp_jax.scene.scenario import NOT_REFUSED, Scenario
 from htcp_jax.scene.task import Task
 from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.settings import Settings
-from htcp_jax.status import Status
 
 
 def ignore(tracked: int, finished: int) -> None:
@@ -62,22 +61,7 @@ class Problem:
 
     def empty_plans(self) -> Plans:
         """Plans in which nothing is attempted yet, to be filled in; those of refused scenarios say why already."""
-        targets = self.scenarios.targets
-        shape, joints = targets.shape[:2], self.scenarios.x_start.shape[1]
-        plans = Plans(
-            x=np.full((*shape, joints), np.nan),
-            tcp=np.full((*shape, 3), np.nan),
-            target=targets,
-            clearance=np.full(shape, np.nan),
-            residual=np.full(shape, np.nan),
-            status=np.full(shape, Status.NOT_ATTEMPTED, np.int8),
-            iterations=np.zeros(shape, np.int32),
-            joint_step=np.full(shape, np.nan),
-            escape=np.zeros(shape, np.int8),
-            path_clear=np.full(shape, -1, np.int8),
-            compile_s=0.0,
-            run_s=0.0,
-        )
+        plans = Plans.empty(self.scenarios.x_start, self.scenarios.targets, self.scenarios.count)
         refused = self.scenarios.refused != NOT_REFUSED
         plans.status[refused, 0] = self.scenarios.refused[refused]
         return plans

@@ -3,7 +3,7 @@
 import numpy as np
 
 from htcp_jax.report.document import Block, Column, Picture, Table
-from htcp_jax.report.groups import Part, drivable
+from htcp_jax.report.groups import Part
 from htcp_jax.runs.labels import SHORT, split_unit, varying
 
 BEST = 3  # scenarios a method
@@ -38,17 +38,17 @@ def ranked(part: Part, method: str) -> list[tuple[int, int, int, float, float]]:
     """Row, drivable targets, targets, smallest clearance [mm] and joint motion [rad] of every scenario that was
     planned and has a drivable target, the best first."""
     plans = part.plans[method]
-    good, there = drivable(plans), plans.status >= 0
+    good, targets = plans.drivable, plans.outcomes.targets
     rows = []
     for s in np.flatnonzero(good.any(axis=1)).tolist():
         least = 1e3 * float(plans.clearance[s, good[s]].min())
-        rows.append((s, int(good[s].sum()), int(there[s].sum()), least, float(plans.joint_step[s, good[s]].sum())))
+        rows.append((s, int(good[s].sum()), int(targets[s]), least, float(plans.joint_step[s, good[s]].sum())))
     return sorted(rows, key=lambda row: (-row[1] / row[2], -row[3], row[4], row[0]))
 
 
-def best_of_all(part: Part, prefix: str) -> list[Block]:
-    """The table, and a picture of its best scenario."""
-    found = [(ranked(part, method)[0], method) for method in part.plans if ranked(part, method)]
+def best_of_all(part: Part, table: Table, prefix: str) -> list[Block]:
+    """The table, see `best`, and a picture of its best scenario."""
+    found = [(rows[0], method) for method in part.plans if (rows := ranked(part, method))]
     if not found:
         return []
     (s, count, targets, least, _), method = min(found, key=lambda it: (-it[0][1] / it[0][2], -it[0][3], it[0][4]))
@@ -56,9 +56,9 @@ def best_of_all(part: Part, prefix: str) -> list[Block]:
     what = f"Scenario {number} by {method}" + (f": {part.labels[number]}" if part.labels[number] else "")
     figure = part.scene.picture(number, method, what)
     if figure is None:
-        return [RANKED, best(part), f"There is no picture of the cell: {part.scene.trouble}."]
+        return [RANKED, table, f"There is no picture of the cell: {part.scene.problem}."]
     says = f"{what}; {count} of {targets} targets drivable, {least:.3g} mm clear at least; the workpiece cut open"
-    return [RANKED, best(part), f"{says}.", Picture(f"{prefix}cell", figure, says)]
+    return [RANKED, table, f"{says}.", Picture(f"{prefix}cell", figure, says)]
 
 
 def _column(name: str, values: np.ndarray) -> Column:

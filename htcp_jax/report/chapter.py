@@ -10,12 +10,10 @@ from matplotlib.figure import Figure
 from htcp_jax.jobs.config import PlanConfig, validate
 from htcp_jax.planner.plans import Plans
 from htcp_jax.report import charts, paper, tables
-from htcp_jax.report.best import best_of_all
-from htcp_jax.report.document import Block, Heading, Picture
-from htcp_jax.report.groups import Part, drivable, tracked
-from htcp_jax.report.path_charts import words
+from htcp_jax.report.best import best, best_of_all
+from htcp_jax.report.document import Block, Heading, Picture, Table
+from htcp_jax.report.groups import Part
 from htcp_jax.report.validation import validation_section, verdict
-from htcp_jax.runs.tables import NO_TARGET
 
 MOST_SLICES = 9  # maps in a row
 UNITS = "rad", "m"
@@ -26,29 +24,45 @@ BLOCKED = (
 BUILT_IN = {"gp50": "GP50", "duct": "the generated duct", "weld": "its weld"}
 
 
-def chapter(part: Part, prefix: str, level: int) -> list[Block]:
-    """Everything about one part; `prefix` is of the pictures' names, `level` of its headings."""
+TABLES = (
+    tables.results,
+    best,
+    tables.ceiling,
+    tables.stops,
+    tables.steps,
+    tables.times,
+    tables.scenarios,
+)
+
+
+def tables_of(part: Part) -> dict[str, Table]:
+    """All tables of a part, by their names, each made once."""
+    return {table.name: table for table in (make(part) for make in TABLES)}
+
+
+def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list[Block]:
+    """Everything about one part; `made` are its tables, `prefix` is of the pictures' names, `level` of its headings."""
     return [
         *facts(part),
         Heading(level, "Results"),
-        tables.results(part),
+        made["results"],
         *_notes_on_results(part),
-        *_ceiling(part),
-        Picture(f"{prefix}success", _success(part), f"Success of each method on {part.name}"),
+        *_ceiling(part, made["ceiling"]),
+        Picture(f"{prefix}success", _success(part, made["results"]), f"Success of each method on {part.name}"),
         *_maps(part, prefix),
         Heading(level, "Best scenarios"),
-        *best_of_all(part, prefix),
+        *best_of_all(part, made["best"], prefix),
         Heading(level, "Failures"),
-        *_ends(part, prefix),
+        *_ends(part, made["stops"], prefix),
         Heading(level, "Clearance and joint motion"),
         _clearance(part, prefix),
-        tables.steps(part),
+        made["joint-steps"],
         BLOCKED,
         *_motion(part, prefix),
-        *validation_section(part.run, level),
+        *validation_section(part.validation, part.run_labels, level),
         Heading(level, "Time"),
         f"Of the whole run, on {_device(part)}.",
-        tables.times(part),
+        made["times"],
     ]
 
 
@@ -67,7 +81,7 @@ def facts(part: Part) -> list[str]:
         told[key] = ", ".join(BUILT_IN.get(name, name) for name in dict.fromkeys(part.parameters[key].tolist()))
     robot, cloud, path = told.values()
     lines.append(f"Robot {robot}; workpiece {cloud}; path {path}.")
-    lines.append(f"Configuration: {choice(part)}. {verdict(part.run)}")
+    lines.append(f"Configuration: {choice(part)}. {verdict(part.validation)}")
     if manifest.count < manifest.full:
         lines.append(f"The run is limited to the first {manifest.count:,} of {manifest.full:,} scenarios.")
     unfinished = {m: sum(span.last - span.first + 1 for span in part.run.missing(m)) for m in part.run.methods}
@@ -122,8 +136,8 @@ def label(name: str) -> str:
     return f"{re.sub(r'(?<=[a-z])(?=[0-9])', ' ', text)} [{unit}]"
 
 
-def _success(part: Part) -> Figure:
-    rows = tables.results(part).records()
+def _success(part: Part, results: Table) -> Figure:
+    rows = results.records()
     theirs = {r["method"]: r["paper_success_percent"] for r in rows if r.get("paper_success_percent") is not None}
     whole = all(row["scenarios"] == len(part.numbers) for row in rows)
     return charts.success(
@@ -137,8 +151,8 @@ def _success(part: Part) -> Figure:
 
 def _maps(part: Part, prefix: str) -> list[Block]:
     """The scenarios over their grid: a line for one axis, maps for two, slices for three, else maps of means."""
-    counts = {method: _or_nan(plans, tracked(plans.status)) for method, plans in part.plans.items()}
-    open_ = {method: _or_nan(plans, drivable(plans)) for method, plans in part.plans.items()}
+    counts = {method: _or_nan(plans, plans.outcomes.tracked) for method, plans in part.plans.items()}
+    open_ = {method: _or_nan(plans, plans.outcomes.drivable) for method, plans in part.plans.items()}
     names = list(part.axes)
     axes = {name: charts.Axis(label(name), values.tolist()) for name, values in part.axes.items()}
     says = "Tracked targets of every scenario over the grid, by method"
@@ -168,15 +182,14 @@ def _maps(part: Part, prefix: str) -> list[Block]:
     return [Picture(f"{prefix}map", figure, says)]
 
 
-def _ends(part: Part, prefix: str) -> list[Block]:
+def _ends(part: Part, table: Table, prefix: str) -> list[Block]:
     statuses = {method: plans.status for method, plans in part.plans.items()}
     figure = charts.survival(statuses, ceiling=part.ceiling)
     survival = Picture(f"{prefix}survival", figure, "Number of scenarios that track each target, by method")
-    table = tables.stops(part)
     if not table.rows:
         return [survival, "No scenario failed."]
-    found = sorted({reason for status in statuses.values() for reason in tables.reasons(status)})
-    told = (f"{words(reason)}: {reason.message}." for reason in found)
+    found = sorted({reason for plans in part.plans.values() for reason in tables.reasons(plans)})
+    told = (f"{reason.words}: {reason.message}." for reason in found)
     meaning = " ".join(text[0].upper() + text[1:] for text in told)
     return [
         survival,
@@ -220,22 +233,22 @@ def _notes_on_results(part: Part) -> list[str]:
 
 def _unchecked(part: Part) -> str:
     """How many of the joint paths nobody looked at."""
-    count = sum(int((tracked(plans.status) & (plans.path_clear < 0)).sum()) for plans in part.plans.values())
+    count = sum(int((plans.tracked & (plans.path_clear < 0)).sum()) for plans in part.plans.values())
     return f"Of {count:,} steps the joint path was not checked; they count as clear." if count else ""
 
 
-def _ceiling(part: Part) -> list[Block]:
+def _ceiling(part: Part, table: Table) -> list[Block]:
     if part.ceiling is None:
         return []
     what = "Reachable are the targets in a row for which sampling found any clear configuration: a lower bound."
-    return [tables.ceiling(part), " ".join([what, *_beaten(part)])]
+    return [table, " ".join([what, *_beaten(part)])]
 
 
 def _beaten(part: Part) -> list[str]:
     """Scenarios in which a planner got further than sampling."""
     told = []
     for method, plans in part.plans.items():
-        further = part.numbers[tracked(plans.status).sum(axis=1) > part.ceiling]
+        further = part.numbers[plans.outcomes.tracked > part.ceiling]
         if further.size:
             told.append(
                 f"{method} in {further.size} ({', '.join(map(str, further[:8]))}{', ...' * (further.size > 8)})"
@@ -243,9 +256,9 @@ def _beaten(part: Part) -> list[str]:
     return [f"Got further than sampling: {'; '.join(told)}."] if told else []
 
 
-def _or_nan(plans: Plans, good: np.ndarray) -> np.ndarray:
-    """How many targets are good, a scenario; NaN where it is not planned."""
-    return np.where((plans.status != NO_TARGET).any(axis=1), good.sum(axis=1), np.nan)
+def _or_nan(plans: Plans, count: np.ndarray) -> np.ndarray:
+    """The count of each scenario; NaN where it is not planned."""
+    return np.where(plans.outcomes.planned, count, np.nan)
 
 
 def _device(part: Part) -> str:

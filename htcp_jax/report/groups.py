@@ -2,22 +2,24 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from htcp_jax.planner.plans import Plans, is_tracked
+from htcp_jax.planner.plans import Plans
 from htcp_jax.report import paper
 from htcp_jax.report.cell import RunScene
+from htcp_jax.report.validation import read_validation
 from htcp_jax.runs.ceiling_file import read_ceiling
-from htcp_jax.runs.labels import column_of, parameter_names, part, varying
+from htcp_jax.runs.labels import column_of, labels_of, parameter_names, part, varying
 from htcp_jax.runs.run_folder import Run
-from htcp_jax.runs.tables import NO_TARGET
-from htcp_jax.status import Status
 
 
-class Part(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Part:
     """The scenarios of one group that at least one method has planned: S of them, with up to T targets each."""
 
     run_name: str
@@ -29,6 +31,8 @@ class Part(NamedTuple):
     step_s: dict[str, float]  # run time by attempted targets, over the whole run
     joints: tuple[str, ...]
     run: Run
+    run_labels: dict[int, str]  # what sets each scenario of the run apart, by its number
+    validation: dict[str, Any] | None  # of the whole run, as validation.json has it
     scene: RunScene
 
     @property
@@ -36,19 +40,19 @@ class Part(NamedTuple):
         """T."""
         return max(plans.status.shape[1] for plans in self.plans.values())
 
-    @property
+    @cached_property
     def axes(self) -> dict[str, np.ndarray]:
         """The parameters that vary, each with its values in order, without those that another one determines."""
         return {name: np.unique(values) for name, values in varying(self.parameters).items()}
 
-    @property
+    @cached_property
     def labels(self) -> dict[int, str]:
         """What sets each scenario apart from the others of the part, by its number."""
         own = varying(self.parameters)
         told = [", ".join(part(name, values[s]) for name, values in own.items()) for s in range(len(self.numbers))]
         return dict(zip(self.numbers.tolist(), told, strict=True))
 
-    @property
+    @cached_property
     def paper_table(self) -> paper.Table | None:
         """The paper's table of the same grid about the same start, if there is one."""
         middle = [np.median(self.parameters[f"start_{joint}"]) for joint in self.joints]
@@ -72,74 +76,41 @@ class Part(NamedTuple):
 
 
 def read_parts(run: Run, name: str) -> list[Part]:
-    """The parts of a run that is called `name`, in the order of its scenarios.
+    """The parts of a run that is called `name`, in the order of its scenarios; every file is read once.
 
     Raises InputError for a run without a finished shard, and naming a file that is missing or damaged.
     """
     methods = [method for method in run.methods if any(shard.method == method for shard in run.manifest.shards)]
-    table = run.scenarios(*methods)
-    _, first = np.unique(table["scenario"].to_numpy(), return_index=True)
-    table = table.take(pa.array(first))
+    whole = run.scenarios(*methods)
+    _, first = np.unique(whole["scenario"].to_numpy(), return_index=True)
+    table = whole.take(pa.array(first))
     plans = {method: run.plans(method) for method in methods}
-    longest = max(whole.status.shape[1] for whole in plans.values())
-    plans = {method: _widened(whole, longest) for method, whole in plans.items()}
+    longest = max(each.status.shape[1] for each in plans.values())
+    plans = {method: each.widened(longest) for method, each in plans.items()}
     parameters = {name: column_of(table[name]) for name in parameter_names(table)}
-    numbers = table["scenario"].to_numpy()
-    ceiling = read_ceiling(run)
+    numbers, ceiling = table["scenario"].to_numpy(), read_ceiling(run)
     groups = np.array([group or "" for group in table["group"].to_pylist()])
-    parts, scene = [], RunScene(run)
+    shared = {
+        "run_name": name,
+        "step_s": {method: each.step_s for method, each in plans.items()},
+        "joints": run.manifest.joints,
+        "run": run,
+        "run_labels": labels_of(whole),
+        "validation": read_validation(run),
+        "scene": RunScene(run, plans),
+    }
+    parts = []
     for group in dict.fromkeys(groups.tolist()):
         here = groups == group
+        own = {method: each.rows(numbers[here]) for method, each in plans.items()}
         parts.append(
             Part(
-                run_name=name,
                 name=f"{name}: {group}" if group else name,
                 numbers=numbers[here],
                 parameters={key: values[here] for key, values in parameters.items()},
-                plans={m: rows for m, whole in plans.items() if _any_planned(rows := _rows(whole, numbers[here]))},
+                plans={method: each for method, each in own.items() if each.exists.any()},
                 ceiling=None if ceiling is None else ceiling.prefix[numbers[here]],
-                step_s={method: _step_s(whole) for method, whole in plans.items()},
-                joints=run.manifest.joints,
-                run=run,
-                scene=scene,
+                **shared,
             )
         )
     return parts
-
-
-def tracked(status: np.ndarray) -> np.ndarray:
-    """Where `status`, of any shape, says tracked; a target that is not there is not."""
-    return (status != NO_TARGET) & is_tracked(status)
-
-
-def drivable(plans: Plans) -> np.ndarray:
-    """Where a target is tracked and no straight joint path up to it, from the start, is known to collide."""
-    good = tracked(plans.status)
-    return good & ~np.logical_or.accumulate(good & (plans.path_clear == 0), axis=1)
-
-
-def _rows(plans: Plans, numbers: np.ndarray) -> Plans:
-    """The plans of the scenarios with these numbers."""
-    arrays = {key: value[numbers] for key, value in plans._asdict().items() if isinstance(value, np.ndarray)}
-    return plans._replace(**arrays)
-
-
-def _any_planned(plans: Plans) -> bool:
-    return bool((plans.status != NO_TARGET).any())
-
-
-def _widened(plans: Plans, targets: int) -> Plans:
-    """The plans with columns for this many targets."""
-    more = targets - plans.status.shape[1]
-    empty = {"status": NO_TARGET, "path_clear": -1, "iterations": 0, "escape": 0}
-    arrays = {
-        key: np.pad(value, [(0, 0), (0, more)] + [(0, 0)] * (value.ndim - 2), constant_values=empty.get(key, np.nan))
-        for key, value in plans._asdict().items()
-        if isinstance(value, np.ndarray)
-    }
-    return plans._replace(**arrays)
-
-
-def _step_s(plans: Plans) -> float:
-    attempted = int(((plans.status != NO_TARGET) & (plans.status != Status.NOT_ATTEMPTED)).sum())
-    return plans.run_s / attempted if attempted else math.nan

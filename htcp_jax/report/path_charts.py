@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from htcp_jax.planner.plans import is_tracked
+from htcp_jax.planner.plans import is_tracked, outcomes
 from htcp_jax.report.chart_style import (
     INK,
     PAPER,
@@ -55,7 +55,7 @@ def survival(
         axes.step(range(targets), reachable, where="mid", color=INK, linewidth=1.1, linestyle=(0, (4, 2)))
     ends = {}
     for method, table in status.items():
-        alive = (is_tracked(table) & (table >= 0)).sum(axis=0)
+        alive = is_tracked(table).sum(axis=0)
         colour, style = line_of(method)
         axes.step(range(targets), alive, where="mid", color=colour, linestyle=style, linewidth=2)
         ends[method] = float(alive[-1])
@@ -92,7 +92,7 @@ def stops(status: Mapping[str, Int8[np.ndarray, "S T"]], *, title: str = "Where 
         axes.annotate(_ended(table), (1.015, y), color=QUIET, fontsize=9, **where)
     for reason in shown:
         colour, marker = REASONS[reason]
-        axes.scatter([], [], color=colour, marker=marker, s=46, label=words(reason))
+        axes.scatter([], [], color=colour, marker=marker, s=46, label=reason.words)
     if shown:
         axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=len(shown), frameon=False, labelcolor=INK)
     axes.set_yticks(range(len(status)), list(status))
@@ -209,12 +209,6 @@ def _over_scenarios(values: Float[np.ndarray, "S T"]) -> Float[np.ndarray, "4 T"
     return summary
 
 
-def words(status: Status) -> str:
-    """The name of a status as text."""
-    return status.name.replace("_", " ").lower().replace("qp", "QP")
-
-
 def _ended(table: Int8[np.ndarray, "S T"]) -> str:
-    complete = (is_tracked(table) | (table < 0)).all(axis=1) & (table >= 0).any(axis=1)
-    planned = (table >= 0).any(axis=1)
-    return f"{int(complete.sum())} of {int(planned.sum())} complete"
+    ends = outcomes(table)
+    return f"{int(ends.complete.sum())} of {int(ends.planned.sum())} complete"

@@ -5,7 +5,7 @@ after the part where there are several; a CSV file holds one table of all parts.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -15,11 +15,10 @@ from matplotlib.figure import Figure
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.planner.registry import all_methods
-from htcp_jax.report import tables
-from htcp_jax.report.best import best
-from htcp_jax.report.chapter import chapter, choice, fits_presets, presets
+from htcp_jax.report.chapter import chapter, choice, fits_presets, presets, tables_of
 from htcp_jax.report.document import Block, Column, Heading, Picture, Table, html, markdown, png, write_csv
 from htcp_jax.report.groups import Part, read_parts
+from htcp_jax.report.tables import configuration
 from htcp_jax.report.validation import validated
 from htcp_jax.runs.run_folder import Run, open_run
 from htcp_jax.runs.tables import frame_of
@@ -27,21 +26,12 @@ from htcp_jax.runs.tables import frame_of
 if TYPE_CHECKING:
     import pandas
 
-TABLES = (
-    tables.results,
-    best,
-    tables.ceiling,
-    tables.stops,
-    tables.steps,
-    tables.times,
-    tables.scenarios,
-)
-
 
 class Report(NamedTuple):
     """A report ready to be written."""
 
     parts: tuple[Part, ...]
+    part_tables: tuple[dict[str, Table], ...]  # of each part, by name
     blocks: tuple[Block, ...]
     tables: tuple[Table, ...]  # for CSV; the first column names the part
 
@@ -71,15 +61,17 @@ def make_report(runs: Run | str | Path | Sequence[Run | str | Path]) -> Report:
     opened = [run if isinstance(run, Run) else open_run(run) for run in listed]
     names = _numbered([_name(given) for given in listed])
     parts = [part for run, name in zip(opened, names, strict=True) for part in read_parts(run, name)]
+    made = tuple(tables_of(part) for part in parts)
     blocks: list[Block] = [Heading(1, f"Sweep report: {', '.join(names)}")]
     if len(parts) > 1:
-        blocks += ["Success in percent of all targets, by method and run.", overview(parts)]
-        for part in parts:
-            blocks += [Heading(2, part.name), *chapter(part, f"{slug(part.name)}-", 3)]
+        results = {part.name: tables["results"] for part, tables in zip(parts, made, strict=True)}
+        blocks += ["Success in percent of all targets, by method and run.", overview(results)]
+        for part, tables in zip(parts, made, strict=True):
+            blocks += [Heading(2, part.name), *chapter(part, tables, f"{slug(part.name)}-", 3)]
     else:
-        blocks += chapter(parts[0], "", 2)
+        blocks += chapter(parts[0], made[0], "", 2)
     blocks += _appendix(parts)
-    return Report(tuple(parts), tuple(blocks), tuple(_merged(parts)))
+    return Report(tuple(parts), made, tuple(blocks), tuple(_merged(parts, made)))
 
 
 def write_report(report: Report, folder: Path) -> None:
@@ -100,21 +92,17 @@ def record(report: Report) -> dict:
             {
                 "run": part.name,
                 "configuration": choice(part),
-                "validated": validated(part.run),
-                **{
-                    table.name.replace("-", "_"): table.records()
-                    for table in (make(part) for make in TABLES)
-                    if table.name != "scenarios"
-                },
+                "validated": validated(part.validation),
+                **{name.replace("-", "_"): table.records() for name, table in made.items() if name != "scenarios"},
             }
-            for part in report.parts
+            for part, made in zip(report.parts, report.part_tables, strict=True)
         ]
     }
 
 
-def overview(parts: Sequence[Part]) -> Table:
-    """Success of every method in every part."""
-    found = {part.name: {row["method"]: row for row in tables.results(part).records()} for part in parts}
+def overview(results: Mapping[str, Table]) -> Table:
+    """Success of every method in every part; `results` are the parts' tables of that name."""
+    found = {name: {row["method"]: row for row in table.records()} for name, table in results.items()}
     methods = dict.fromkeys(method for rows in found.values() for method in rows)
     columns = [Column("method", "method"), *(Column(name, name, "%", ".2f") for name in found)]
     rows = [(m, *(rows[m]["success_percent"] if m in rows else None for rows in found.values())) for m in methods]
@@ -151,15 +139,15 @@ def _compared(ran: dict[str, PlanConfig], beside: dict[str, PlanConfig]) -> list
     others = " and the two configurations that ship" if beside else ""
     return [
         f"Keys of the configuration in which the runs{others} are not all the same.",
-        tables.configuration(ran, beside),
+        configuration(ran, beside),
     ]
 
 
-def _merged(parts: Sequence[Part]) -> list[Table]:
+def _merged(parts: Sequence[Part], made: Sequence[dict[str, Table]]) -> list[Table]:
     """The tables of all parts under each other, with the part in the first column."""
     merged = []
-    for make in TABLES:
-        tables = [make(part) for part in parts]
+    for name in made[0]:
+        tables = [each[name] for each in made]
         keys = dict.fromkeys(column for table in tables for column in table.columns)
         columns = tuple({column.key: column for column in keys}.values())
         rows = [
@@ -168,7 +156,7 @@ def _merged(parts: Sequence[Part]) -> list[Table]:
             for row in table.records()
         ]
         if rows:
-            merged.append(Table(tables[0].name, (Column("run", "run"), *columns), tuple(rows)))
+            merged.append(Table(name, (Column("run", "run"), *columns), tuple(rows)))
     return merged
 
 

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Int, Int8
+from jaxtyping import Int
 
 from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.planner.plans import NO_TARGET, Plans
 from htcp_jax.report.document import Column, Table
-from htcp_jax.report.groups import Part, drivable, tracked
-from htcp_jax.report.path_charts import words
-from htcp_jax.runs.tables import NO_TARGET
+from htcp_jax.report.groups import Part
 from htcp_jax.status import Status
 
 RESULTS = (
@@ -82,16 +81,17 @@ def results(part: Part) -> Table:
 
 def _result(part: Part, method: str) -> dict:
     plans, paper = part.plans[method], part.paper_table
-    there, good = plans.status != NO_TARGET, tracked(plans.status)
+    good, ends = plans.tracked, plans.outcomes
+    tracked, targets, drivable = (int(column.sum()) for column in (ends.tracked, ends.targets, ends.drivable))
     row = {
         "method": method,
-        "success_percent": percent(good.sum(), there.sum()),
-        "tracked": int(good.sum()),
-        "targets": int(there.sum()),
-        "drivable": int(drivable(plans).sum()),
-        "drivable_percent": percent(drivable(plans).sum(), there.sum()),
-        "complete": int(complete(plans.status).sum()),
-        "scenarios": int(there.any(axis=1).sum()),
+        "success_percent": percent(tracked, targets),
+        "tracked": tracked,
+        "targets": targets,
+        "drivable": drivable,
+        "drivable_percent": percent(drivable, targets),
+        "complete": int(ends.complete.sum()),
+        "scenarios": int(ends.planned.sum()),
         "step_ms": 1e3 * part.step_s[method],
         "tcp_distance_mean_mm": _over(np.mean, 1e3 * plans.residual[good]),
         "clearance_min_mm": _over(np.min, 1e3 * plans.clearance[good]),
@@ -112,8 +112,8 @@ def ceiling(part: Part) -> Table:
     """Tracked targets against those that are known to be reachable; without rows where nothing is known."""
     rows = []
     for method, plans in part.plans.items() if part.ceiling is not None else ():
-        planned = (plans.status != NO_TARGET).any(axis=1)
-        count, reachable = tracked(plans.status).sum(axis=1)[planned], part.ceiling[planned]
+        ends = plans.outcomes
+        count, reachable = ends.tracked[ends.planned], part.ceiling[ends.planned]
         rows.append(
             {
                 "method": method,
@@ -134,8 +134,8 @@ def steps(part: Part) -> Table:
 
 def _step(part: Part, method: str) -> dict:
     plans = part.plans[method]
-    there, good = plans.status != NO_TARGET, tracked(plans.status)
-    blocked, before = good & (plans.path_clear == 0), drivable(plans)
+    good, blocked, ends = plans.tracked, plans.blocked, plans.outcomes
+    before = int(ends.drivable.sum())
     return {
         "method": method,
         "accepted": int(good.sum()),
@@ -143,8 +143,8 @@ def _step(part: Part, method: str) -> dict:
         "blocked_percent": percent(blocked.sum(), good.sum()),
         "not_checked": int((good & (plans.path_clear < 0)).sum()),
         "scenarios_blocked": int(blocked.any(axis=1).sum()),
-        "tracked_before": int(before.sum()),
-        "tracked_before_percent": percent(before.sum(), there.sum()),
+        "tracked_before": before,
+        "tracked_before_percent": percent(before, ends.targets.sum()),
         "after_escape": int((plans.status == Status.TRACKED_AFTER_ESCAPE).sum()),
         "step_median_rad": _over(np.median, plans.joint_step[good]),
         "step_max_rad": _over(np.max, plans.joint_step[good]),
@@ -155,12 +155,14 @@ def stops(part: Part) -> Table:
     """What ended the scenarios that are not complete, at which targets, and which bodies are in the way there."""
     rows = []
     for method, plans in part.plans.items():
-        for reason in reasons(plans.status):
-            lost, at = np.nonzero(plans.status == reason)
+        ends = plans.outcomes
+        for reason in reasons(plans):
+            lost = np.flatnonzero(ends.status == reason)
+            at = ends.failed[lost]
             rows.append(
                 {
                     "method": method,
-                    "reason": words(reason),
+                    "reason": reason.words,
                     "scenarios": at.size,
                     "first_target": int(at.min()),
                     "median_target": float(np.median(at)),
@@ -187,18 +189,20 @@ def scenarios(part: Part) -> Table:
     columns += [Column("method", "method"), Column("tracked", "tracked", "", "d"), Column("targets", "of", "", "d")]
     columns += [Column("drivable", "drivable", "", "d")]
     columns += [Column("end", "end"), Column("in_the_way", "in the way"), Column("reachable", "reachable", "", "d")]
-    rows, reach = [], {method: drivable(plans).sum(axis=1) for method, plans in part.plans.items()}
+    rows = []
     for s, number in enumerate(part.numbers.tolist()):
         given = {name: values[s].item() for name, values in part.parameters.items()}
         for method, plans in part.plans.items():
-            status = plans.status[s]
-            if (status != NO_TARGET).any():
-                count = {"tracked": int(tracked(status).sum()), "targets": int((status != NO_TARGET).sum())}
-                count["drivable"] = int(reach[method][s])
+            if (end := plans.outcome(s)).targets:
+                count = {"tracked": end.tracked, "targets": end.targets, "drivable": end.drivable}
                 blocked = part.scene.in_the_way(method).get(number)
                 reachable = None if part.ceiling is None else int(part.ceiling[s])
                 row = {"scenario": number, **given, "method": method, **count}
-                told = {"end": end(status), "in_the_way": blocked and blocked.sentence, "reachable": reachable}
+                told = {
+                    "end": "complete" if end.status is None else end.status.words,
+                    "in_the_way": blocked and blocked.sentence,
+                    "reachable": reachable,
+                }
                 rows.append({**row, **told})
     return _table("scenarios", columns, rows)
 
@@ -219,22 +223,12 @@ def configuration(ran: Mapping[str, PlanConfig], presets: Mapping[str, PlanConfi
     return _table("configuration", columns, rows)
 
 
-def complete(status: Int8[np.ndarray, "S T"]) -> Bool[np.ndarray, "S"]:
-    """Scenarios that are planned with all targets tracked."""
-    there = status != NO_TARGET
-    return (tracked(status) | ~there).all(axis=1) & there.any(axis=1)
+NO_REASON = NO_TARGET, Status.NOT_ATTEMPTED
 
 
-def reasons(status: Int8[np.ndarray, "S T"]) -> list[Status]:
+def reasons(plans: Plans) -> list[Status]:
     """What ended scenarios, in the order of the codes."""
-    found = {Status(code) for code in np.unique(status[status != NO_TARGET]).tolist()}
-    return sorted(reason for reason in found if not reason.tracked and reason != Status.NOT_ATTEMPTED)
-
-
-def end(status: Int8[np.ndarray, "T"]) -> str:
-    """What ended a scenario, in words."""
-    missed = ~tracked(status) & (status != NO_TARGET)
-    return words(Status(int(status[missed.argmax()]))) if missed.any() else "complete"
+    return [Status(code) for code in np.unique(plans.outcomes.status).tolist() if code not in NO_REASON]
 
 
 def _tally(values: Int[np.ndarray, "n"]) -> str:

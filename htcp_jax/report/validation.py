@@ -6,11 +6,9 @@ from typing import Any
 
 from htcp_jax.errors import InputError
 from htcp_jax.report.document import Block, Column, Heading, Table
-from htcp_jax.runs.labels import labels_in
+from htcp_jax.runs.plan_folder import VALIDATION
 from htcp_jax.runs.run_folder import Run
-from htcp_jax.validation.records import result_files
-from htcp_jax.validation.track import STEP_RAD
-from htcp_jax.validation.validate import VALIDATION
+from htcp_jax.validation.limits import STEP_RAD
 
 AT_TARGETS = (
     Column("method", "method"),
@@ -42,7 +40,7 @@ def read_validation(run: Run) -> dict[str, Any] | None:
     file = Path(run.folder) / VALIDATION
     try:
         found = json.loads(file.read_text(encoding="utf-8"))
-        if found["files"] != result_files(run):
+        if found["files"] != run.result_files():
             return None
         sentence(found), validation_tables(found), notes(found)  # whatever else it lacks is of no use here
         return found
@@ -52,25 +50,23 @@ def read_validation(run: Run) -> dict[str, Any] | None:
         raise InputError(f"{file} is damaged or no result of htcp validate: {error}") from None
 
 
-def validated(run: Run) -> bool | None:
-    """Whether every tracked target stands; None where that is not known. Raises InputError as `read_validation`."""
-    found = read_validation(run)
+def validated(found: dict[str, Any] | None) -> bool | None:
+    """Whether every tracked target stands; None where that is not known. found: see `read_validation`."""
     return None if found is None else bool(found["validated"])
 
 
-def verdict(run: Run) -> str:
+def verdict(found: dict[str, Any] | None) -> str:
     """The same in a sentence."""
-    found = read_validation(run)
     return "Not validated independently." if found is None else sentence(found)
 
 
-def validation_section(run: Run, level: int) -> list[Block]:
-    """A section of the report, with a heading of that level; nothing where there is no validation."""
-    found = read_validation(run)
+def validation_section(found: dict[str, Any] | None, labels: dict[int, str], level: int) -> list[Block]:
+    """A section of the report, with a heading of that level; nothing where there is no validation. labels: what sets
+    the run's scenarios apart."""
     if found is None:
         return []
     about = f"By MuJoCo's kinematics and distances alone, of the whole run. {sentence(found)}"
-    where = told_apart(found, labels_in(run))
+    where = told_apart(found, labels)
     return [Heading(level, "Validation"), about, *validation_tables(found), *where, *notes(found)]
 
 

@@ -10,9 +10,9 @@ from jaxtyping import Int
 
 from htcp_jax.jobs.grid import Batch, Cell
 from htcp_jax.planner import batch
-from htcp_jax.planner.plans import Plans, is_tracked
+from htcp_jax.planner.plans import Plans
 from htcp_jax.runs.identity import planned_by
-from htcp_jax.runs.run_folder import Span
+from htcp_jax.runs.manifest import Span
 from htcp_jax.scene.scenario import Scenario
 
 
@@ -73,7 +73,8 @@ def plan_cells(
         if whole:
             return plans
         parts.append((rows, plans))
-    return _together(parts)
+    order = np.argsort(np.concatenate([rows for rows, _ in parts]))
+    return Plans.concatenate([plans for _, plans in parts]).rows(order)
 
 
 def _rows(scenarios: Scenario, rows: slice | np.ndarray) -> Scenario:
@@ -85,12 +86,5 @@ def _tell(
 ) -> None:
     """The progress of one cell, as that of all."""
     done = sum(len(plans.status) for plans in finished) + now.scenarios_done
-    tracked = sum(int(is_tracked(plans.status).sum()) for plans in finished) + now.targets_tracked
+    tracked = sum(int(plans.tracked.sum()) for plans in finished) + now.targets_tracked
     tell(method, batch.Progress(done, count, tracked, targets))
-
-
-def _together(parts: Sequence[tuple[np.ndarray, Plans]]) -> Plans:
-    """Plans of different rows as one, their times added up."""
-    order = np.argsort(np.concatenate([rows for rows, _ in parts]))
-    columns = zip(*(plans for _, plans in parts), strict=True)
-    return Plans(*(np.concatenate(each)[order] if isinstance(each[0], np.ndarray) else sum(each) for each in columns))

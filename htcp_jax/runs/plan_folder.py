@@ -11,7 +11,7 @@ import os
 import platform
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,12 +20,13 @@ import numpy as np
 
 from htcp_jax.errors import InputError
 from htcp_jax.formats.foreign import one_line
-from htcp_jax.planner.plans import Plans
+from htcp_jax.planner.plans import ARRAYS, Plans
 from htcp_jax.runs.summary import Summary
 from htcp_jax.scene.robot import Robot
 from htcp_jax.status import Status
 
 SUMMARY, TRAJECTORY = "summary.json", "trajectory.npz"
+VALIDATION = "validation.json"  # of a plan and of a run, what `htcp validate` found
 
 
 class PlanRecord(NamedTuple):
@@ -34,21 +35,19 @@ class PlanRecord(NamedTuple):
     method: str
     config: dict
     files: dict[str, str]  # SHA-256 of those that the configuration names; a plan of before knew none
-    arrays: dict[str, np.ndarray]
+    arrays: dict[str, np.ndarray]  # of `Plans`, for the one scenario; a plan of before had no `start`
 
 
-def read_plan(folder: Path, names: Iterable[str]) -> PlanRecord:
-    """The plan in `folder` with the named arrays.
-
-    Raises InputError for files that are not there or damaged.
-    """
+def read_plan(folder: Path) -> PlanRecord:
+    """The plan in `folder`. Raises InputError for files that are not there or damaged."""
     try:
         summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
         method, config = str(summary["method"]), dict(summary["config"])
         files = {str(name): str(known) for name, known in summary.get("files", {}).items()}
         # np.load leaves a file that it opened itself open when it is no archive.
         with (folder / TRAJECTORY).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            return PlanRecord(method, config, files, {name: file[name] for name in names})
+            known = [name for name in ARRAYS if name in file or name != "start"]
+            return PlanRecord(method, config, files, {name: file[name] for name in known})
     except OSError as error:
         raise InputError(f"{folder} holds no plan: cannot read {error.filename}: {error.strerror}") from None
     except Exception as error:  # foreign parsers on foreign bytes: whatever they raise, the files are bad
@@ -128,8 +127,9 @@ def write_trajectory_csv(file: Path, robot: Robot, plans: Plans, row: int = 0) -
 
 
 def write_trajectory_npz(file: Path, robot: Robot, plans: Plans, row: int = 0) -> None:
-    """The arrays of `plans` for one scenario under the names of its fields, and `joint_names`; no pickles."""
-    arrays = {name: value[row] for name, value in plans._asdict().items() if isinstance(value, np.ndarray)}
+    """The arrays of `plans` for one scenario under the names of its fields, `start` (N,) among them, and `joint_names`;
+    no pickles."""
+    arrays = {name: array[row] for name, array in plans.arrays().items()}
     np.savez_compressed(file, joint_names=np.array(robot.joint_names), **arrays)
 
 

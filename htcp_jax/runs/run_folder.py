@@ -2,7 +2,7 @@
 
     manifest.json                                     what was asked for, what computed it, what is there
     targets/<method>-<first>-<last>.parquet           rows of the scenarios <first> to <last>: a shard
-    scenarios/<method>-<first>-<last>.parquet         see run_tables for the columns
+    scenarios/<method>-<first>-<last>.parquet         see `tables` for the columns
 
 A file counts only if the manifest lists it and its size and SHA-256 are as listed. The manifest is written after
 the files of a shard, so a shard is in the run wholly or not at all, whenever the process dies.
@@ -12,20 +12,20 @@ import hashlib
 from collections.abc import Iterable
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
-from pydantic import Field, ValidationError, model_validator
+from pydantic import ValidationError
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import PlanConfig, Section, validate
-from htcp_jax.jobs.grid import MOST
+from htcp_jax.jobs.config import PlanConfig, validate
 from htcp_jax.jobs.grid_axes import from_record, varied_keys
 from htcp_jax.jobs.grid_points import Point, points_of
 from htcp_jax.notebook import html_facts
 from htcp_jax.planner.plans import Plans
-from htcp_jax.runs.identity import config_hash, identity
+from htcp_jax.runs.labels import labels_of
+from htcp_jax.runs.manifest import MANIFEST, TABLES, FileRecord, Manifest, Seconds, ShardRecord, Span, shard_name, spans
 from htcp_jax.runs.plan_folder import SUMMARY
 from htcp_jax.runs.summary import summarise
 from htcp_jax.runs.tables import empty_tables, frame_of, plans_of
@@ -33,95 +33,14 @@ from htcp_jax.runs.tables import empty_tables, frame_of, plans_of
 if TYPE_CHECKING:
     import pandas
 
-MANIFEST = "manifest.json"
-TABLES = ("targets", "scenarios")
-
-MethodName = Annotated[str, Field(pattern=r"^[a-z0-9-]+$")]  # it stands in names of files
-Count = Annotated[int, Field(ge=0, lt=2**53)]
-Scenarios = Annotated[int, Field(ge=0, le=MOST)]
-
-
-class FileRecord(Section):
-    """What a file must be to count."""
-
-    rows: Count
-    bytes: Count
-    sha256: str
-
-
-class ShardRecord(Section):
-    """A finished shard: scenarios `first` to `last` by one method."""
-
-    method: MethodName
-    first: Scenarios
-    last: Scenarios
-    tracked: Count  # targets
-    compile_s: float
-    run_s: float
-    planned_by: Count  # place in the manifest's list of that name
-    targets: FileRecord
-    scenarios: FileRecord
-
-
-class Seconds(Section):
-    """Wall time of one method."""
-
-    compile_s: float = 0.0
-    run_s: float = 0.0
-
-
-class Manifest(Section):
-    """manifest.json. Config, grid, dtype and files say which run it is; `run_writer` never mixes two."""
-
-    format: Literal[1] = 1
-    name: str  # of the sweep
-    config: dict[str, Any]  # a PlanConfig; names of files are absolute
-    grid: tuple[dict[str, Any], ...]
-    dtype: str
-    files: dict[str, str]  # SHA-256 of the files that config and grid name
-    config_hash: str
-    seed: int
-    joints: tuple[str, ...]  # columns of x in the tables
-    targets: Count  # of all scenarios together
-    full: Scenarios  # scenarios of the whole grid
-    limit: int | None  # of scenarios, as asked for
-    count: Scenarios  # scenarios to plan: the first of the grid
-    shard_scenarios: Annotated[int, Field(gt=0)]
-    methods: tuple[MethodName, ...]
-    seconds: dict[str, Seconds] = Field(default_factory=dict)  # per method
-    planned_by: tuple[dict[str, Any], ...] = ()  # commit, versions, device
-    shards: tuple[ShardRecord, ...] = ()
-
-    @model_validator(mode="after")
-    def _agrees_with_itself(self) -> "Manifest":
-        if self.config_hash != config_hash(identity(self.config, self.grid, self.dtype, self.files)):
-            raise ValueError("config_hash is not that of what it holds")
-        seen = set()
-        for shard in self.shards:
-            place = shard.method, shard.first
-            last = min(shard.first + self.shard_scenarios, self.count) - 1
-            known = shard.method in self.methods and shard.planned_by < len(self.planned_by)
-            if not known or shard.first % self.shard_scenarios or shard.last != last or place in seen:
-                raise ValueError(f"a shard of {shard.method} has no place in it")
-            if shard.scenarios.rows != last - shard.first + 1 or shard.tracked > shard.targets.rows:
-                raise ValueError(f"a shard of {shard.method} has other rows than scenarios")
-            seen.add(place)
-        return self
-
-
-class Span(NamedTuple):
-    """Scenarios `first` to `last`."""
-
-    first: int
-    last: int
-
 
 class Run:
-    """Results of a sweep, read from its folder; see run_tables for the columns of the tables."""
+    """Results of a sweep, read from its folder; see `tables` for the columns of the tables."""
 
     def __init__(self, folder: Path, manifest: Manifest, keep: Any = None):
         self.folder, self.manifest = folder, manifest
         self._keep = keep  # a temporary folder lives as long as its run
+        self._small: dict[str, pa.Table] = {}  # tables of scenarios that are read, by the names of their files
 
     def __repr__(self) -> str:
         state = "complete" if self.complete else "not complete"
@@ -129,10 +48,10 @@ class Run:
 
     def _repr_html_(self) -> str:
         state = "complete" if self.complete else "not complete"
-        facts = {method: self._told(method) for method in self.methods}
+        facts = {method: self._describe(method) for method in self.methods}
         return html_facts(f"{self.manifest.name}: {self.manifest.count:,} scenarios, {state}", facts)
 
-    def _told(self, method: str) -> str:
+    def _describe(self, method: str) -> str:
         if all(shard.method != method for shard in self.manifest.shards):
             return "not planned yet"
         found = summarise(self.plans(method))
@@ -203,12 +122,22 @@ class Run:
 
     def plans(self, method: str) -> Plans:
         """The plans of one method as arrays; S = `manifest.count`, row s is scenario s. Where scenarios are not
-        planned yet, or have fewer targets than others, the status is -1. Raises InputError as `targets` does."""
-        rows, seconds = self.targets(method), self.manifest.seconds.get(method, Seconds())
+        planned yet, or have fewer targets than others, the status is NO_TARGET. Raises InputError as `targets` does."""
+        rows, seconds = (self.targets(method), self.scenarios(method)), self.manifest.seconds.get(method, Seconds())
         try:
-            return plans_of(rows, self.manifest.count, self.manifest.joints, seconds.compile_s, seconds.run_s)
+            return plans_of(*rows, self.manifest.count, self.manifest.joints, seconds.compile_s, seconds.run_s)
         except (IndexError, KeyError, ValueError) as error:
             raise InputError(f"{self.folder}: the rows of {method} are not of this run: {error}") from None
+
+    def labels(self) -> dict[int, str]:
+        """What sets the scenarios apart that at least one method has planned, by number. Raises InputError as `targets`
+        does."""
+        return labels_of(self.scenarios(*dict.fromkeys(shard.method for shard in self.manifest.shards)))
+
+    def result_files(self) -> dict[str, str]:
+        """SHA-256 of the files with finished results, by their names in the folder."""
+        files = (self.shard_files(shard)["targets"] for shard in self.manifest.shards)
+        return {str(file.relative_to(self.folder)): record.sha256 for file, record in files}
 
     def missing(self, method: str) -> list[Span]:
         """The shards that are still to be planned."""
@@ -232,7 +161,16 @@ class Run:
         if not order:
             raise InputError(f"{self.folder} has no finished shard of {', '.join(wanted)} yet")
         schema = empty_tables(self.manifest.joints, self.varied)[table].schema
-        return pa.concat_tables(_read_parquet(*self.shard_files(shard)[table], schema) for shard in order)
+        return pa.concat_tables(self._read_shard(shard, table, schema) for shard in order)
+
+    def _read_shard(self, shard: ShardRecord, table: str, schema: pa.Schema) -> pa.Table:
+        """One file, checked; those of scenarios are small, and read once."""
+        file, record = self.shard_files(shard)[table]
+        if table != "scenarios":
+            return _read_parquet(file, record, schema)
+        if file.name not in self._small:
+            self._small[file.name] = _read_parquet(file, record, schema)
+        return self._small[file.name]
 
 
 def open_run(folder: str | Path) -> Run:
@@ -253,17 +191,6 @@ def open_run(folder: str | Path) -> Run:
         raise InputError(
             f"{folder / MANIFEST} is damaged or no manifest of a run: {what}{error.errors()[0]['msg']}"
         ) from None
-
-
-def spans(manifest: Manifest) -> list[Span]:
-    """How the scenarios of a run are cut into shards."""
-    step, count = manifest.shard_scenarios, manifest.count
-    return [Span(first, min(first + step, count) - 1) for first in range(0, count, step)]
-
-
-def shard_name(method: str, span: Span) -> str:
-    """Name of a shard's files."""
-    return f"{method}-{span.first:06d}-{span.last:06d}.parquet"
 
 
 def fault(file: Path, record: FileRecord) -> str | None:

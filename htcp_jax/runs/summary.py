@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from htcp_jax.planner.plans import Plans, is_tracked
+from htcp_jax.planner.plans import Outcomes, Plans
 from htcp_jax.status import Status
 
 
@@ -41,19 +41,18 @@ class Summary(NamedTuple):
 
 
 def summarise(plans: Plans) -> Summary:
-    """The summary of `plans`. Targets with a status below zero do not exist, or are not planned yet."""
-    exists, tracked = plans.status >= 0, is_tracked(plans.status)
-    attempted = int((exists & (plans.status != Status.NOT_ATTEMPTED)).sum())
+    """The summary of `plans`; only targets that exist count."""
+    tracked, ends = plans.tracked, plans.outcomes
     residual_mm, clearance_mm = 1e3 * plans.residual[tracked], 1e3 * plans.clearance[tracked]
     return Summary(
-        scenarios=int(exists.any(axis=1).sum()),
-        complete=int(((tracked == exists).all(axis=1) & exists.any(axis=1)).sum()),
-        targets=int(exists.sum()),
-        tracked=int(tracked.sum()),
+        scenarios=int(ends.planned.sum()),
+        complete=int(ends.complete.sum()),
+        targets=int(ends.targets.sum()),
+        tracked=int(ends.tracked.sum()),
         after_escape=int((plans.status == Status.TRACKED_AFTER_ESCAPE).sum()),
-        blocked_paths=int((plans.path_clear[tracked] == 0).sum()),
-        success_rate=_or_nan(np.mean, tracked[exists]),
-        step_ms=1e3 * plans.run_s / attempted if attempted else np.nan,
+        blocked_paths=int(ends.blocked_paths.sum()),
+        success_rate=_or_nan(np.mean, tracked[plans.exists]),
+        step_ms=1e3 * plans.step_s,
         compile_s=float(plans.compile_s),
         run_s=float(plans.run_s),
         tcp_distance_mean_mm=_or_nan(np.mean, residual_mm),
@@ -61,16 +60,14 @@ def summarise(plans: Plans) -> Summary:
         clearance_min_mm=_or_nan(np.min, clearance_mm),
         clearance_mean_mm=_or_nan(np.mean, clearance_mm),
         joint_motion_rad=float(plans.joint_step[tracked].sum()),
-        failures=failures(plans.status),
+        failures=_failures(ends),
     )
 
 
-def failures(status: np.ndarray) -> tuple[Failure, ...]:
-    """The first target that is not tracked, of every scenario that has one; `status` is (S, T)."""
-    missed = (status >= 0) & ~is_tracked(status)
-    return tuple(
-        Failure(int(s), int(t), Status(int(status[s, t]))) for s, t in enumerate(missed.argmax(axis=1)) if missed[s, t]
-    )
+def _failures(ends: Outcomes) -> tuple[Failure, ...]:
+    """The first target that is not tracked, of every scenario that has one."""
+    found = (ends.of(s) for s in np.flatnonzero(ends.failed >= 0).tolist())
+    return tuple(Failure(end.scenario, end.failed, end.status) for end in found)
 
 
 def _or_nan(reduce, values: np.ndarray) -> float:

@@ -30,9 +30,11 @@ from htcp_jax.runs import writer
 from htcp_jax.runs.identity import anchor_files, config_hash, file_hash, identity
 from htcp_jax.runs.local import Shard, plan_here
 from htcp_jax.runs.lock import locked
+from htcp_jax.runs.manifest import Manifest, Span, spans
 from htcp_jax.runs.plan_folder import made_folder
 from htcp_jax.runs.ray_ import on_ray
-from htcp_jax.runs.run_folder import Manifest, Run, Span, spans
+from htcp_jax.runs.run_folder import Run
+from htcp_jax.runs.running import FinishedShard
 from htcp_jax.runs.signals import SignalCame, signals
 from htcp_jax.runs.tables import joint_columns, scenario_table, target_table
 
@@ -59,6 +61,7 @@ def sweep(
     limit: int | None = None,
     seed: int | None = None,
     progress: Callable[[SweepProgress], None] | None = None,
+    finished: Callable[[FinishedShard], None] | None = None,
     threads: int | None = None,
     shard_scenarios: int | None = None,
     on: str = "here",
@@ -68,8 +71,8 @@ def sweep(
     methods: "all", names with commas in between, or a list of names. out: the run folder; without one, a temporary
     folder that vanishes with the run. config, overrides, seed: see `load_sweep`; the seed is `settings.seed`.
     limit: plan only the first scenarios of the grid. shard_scenarios: so many make a shard; a run folder keeps its
-    first choice. on: "here" plans in this process, with `threads` engines; "ray" or "ray:<address>" sends the shards
-    to Ray's workers, see `sweep_ray`.
+    first choice. finished: called with every shard that is written. on: "here" plans in this process, with `threads`
+    engines; "ray" or "ray:<address>" sends the shards to Ray's workers, see `ray_`.
 
     Raises InputError for bad input, for a folder that holds another sweep, is in use or cannot be written;
     Interrupted on SIGINT and SIGTERM, and Lost when Ray's workers are, after which the finished shards are in the
@@ -101,7 +104,10 @@ def sweep(
             for method in chosen:
                 tell(method)
             for (method, span), plans, by in plan(shards, tell):
-                run = writer.add(run, method, span, tables(batch, method, span, plans), plans, by)
+                rows = tables(batch, method, span, plans)
+                run = writer.add(run, method, span, rows, plans, by)
+                if finished is not None:
+                    finished(FinishedShard(method, span, plans, rows["scenarios"]["margin_m"].to_numpy()))
                 tell(method)
         except SignalCame:
             raise Interrupted(_how_to_go_on(run), came[0]) from None
@@ -139,12 +145,12 @@ def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
 def tables(batch: Batch, method: str, span: Span, plans: Plans) -> dict[str, pa.Table]:
     """The rows of a shard, see `run_tables`."""
     rows = slice(span.first, span.last + 1)
-    joints, count, points = joint_columns(batch.robot), batch.scenarios.count[rows], batch.points[rows]
+    joints, points = joint_columns(batch.robot), batch.points[rows]
     varied = tuple(points[0].varied)
     numbers = np.array([point.number for point in points])
     return {
-        "targets": target_table(method, numbers, count, plans, joints),
-        "scenarios": scenario_table(method, points, count, plans, joints, varied),
+        "targets": target_table(method, numbers, plans, joints),
+        "scenarios": scenario_table(method, points, plans, joints, varied),
     }
 
 

@@ -31,7 +31,8 @@
     after_escape   int32    tracked targets that took an escape
     blocked_paths  int32    tracked targets whose joint path from the row before collides
     clearance_min_m, residual_max_m, joint_motion_rad    double, over the tracked targets
-    start_<joint>_rad ..., rotation_x_rad, rotation_y_rad, rotation_z_rad    double
+    start_<joint>_rad ...   double   the posture that the plan starts from: the job's, unless a planner starts elsewhere
+    rotation_x_rad, rotation_y_rad, rotation_z_rad    double
     shift_x_m ..., tool_extension_m, margin_m    double
     path           string   the tool path: "weld" or the name of its file
     robot.model, settings.alpha_rad ...    string   any other key in which the sweep's scenarios may differ, as JSON
@@ -48,14 +49,14 @@ import pyarrow as pa
 
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.grid_points import Point
-from htcp_jax.planner.plans import Plans, is_tracked
+from htcp_jax.planner.plans import EMPTY, NO_TARGET, Outcomes, Plans
+from htcp_jax.runs import parameters
 from htcp_jax.scene.robot import Robot
 from htcp_jax.status import Status
 
 if TYPE_CHECKING:
     import pandas
 
-NO_TARGET = -1  # status in plans read back: a row beyond a scenario's last target, or not planned yet
 STATUSES = {status.name: int(status) for status in Status}
 XYZ = "xyz"
 
@@ -66,15 +67,15 @@ def joint_columns(robot: Robot) -> tuple[str, ...]:
     return tuple(f"{name}_{unit}" for name, unit in zip(robot.joint_names, units, strict=True))
 
 
-def target_table(method: str, numbers: np.ndarray, count: np.ndarray, plans: Plans, joints: Sequence[str]) -> pa.Table:
-    """Rows of targets; `numbers` and `count` (S,) are the scenarios' numbers and how many targets each has."""
-    s, t = np.nonzero(np.arange(plans.status.shape[1])[None, :] < count[:, None])
+def target_table(method: str, numbers: np.ndarray, plans: Plans, joints: Sequence[str]) -> pa.Table:
+    """Rows of the targets that exist; `numbers` (S,) are those of the scenarios."""
+    s, t = np.nonzero(plans.exists)
     status, path_clear = plans.status[s, t], plans.path_clear[s, t]
     columns = {
         "method": pa.array([method] * len(s), pa.string()),
         "scenario": pa.array(numbers[s], pa.int32()),
         "target": pa.array(t, pa.int32()),
-        "tracked": pa.array(is_tracked(status)),
+        "tracked": pa.array(plans.tracked[s, t]),
         "status": pa.array([Status(code).name for code in status.tolist()], pa.string()),
         "clearance_m": _doubles(plans.clearance[s, t]),
         "residual_m": _doubles(plans.residual[s, t]),
@@ -84,88 +85,85 @@ def target_table(method: str, numbers: np.ndarray, count: np.ndarray, plans: Pla
         "escape": pa.array(plans.escape[s, t], pa.int8()),
     }
     columns |= {name: _doubles(plans.x[s, t, k]) for k, name in enumerate(joints)}
-    columns |= {f"tcp_{axis}_m": _doubles(plans.tcp[s, t, k]) for k, axis in enumerate(XYZ)}
-    columns |= {f"target_{axis}_m": _doubles(plans.target[s, t, k]) for k, axis in enumerate(XYZ)}
+    columns |= {name: _doubles(plans.tcp[s, t, k]) for k, name in enumerate(_axes("tcp"))}
+    columns |= {name: _doubles(plans.target[s, t, k]) for k, name in enumerate(_axes("target"))}
     return pa.table(columns)
 
 
 def scenario_table(
-    method: str,
-    points: Sequence[Point],
-    count: np.ndarray,
-    plans: Plans,
-    joints: Sequence[str],
-    varied: Sequence[str] = (),
+    method: str, points: Sequence[Point], plans: Plans, joints: Sequence[str], varied: Sequence[str] = ()
 ) -> pa.Table:
     """Rows of scenarios, in the order of `points`; varied: keys that vary and have no column of their own."""
-    exists = np.arange(plans.status.shape[1])[None, :] < count[:, None]
-    tracked = is_tracked(plans.status) & exists
-    missed = exists & ~tracked
-    failed, complete = missed.argmax(axis=1), ~missed.any(axis=1)
-    failures = [
-        None if done else Status(int(row[k])) for done, row, k in zip(complete, plans.status, failed, strict=True)
-    ]
+    tracked, ends = plans.tracked, plans.outcomes
     columns = {
         "method": pa.array([method] * len(points), pa.string()),
         "scenario": pa.array([point.number for point in points], pa.int32()),
         "group": pa.array([point.group for point in points], pa.string()),
-        "targets": pa.array(count, pa.int32()),
-        "tracked": pa.array(tracked.sum(axis=1), pa.int32()),
-        "complete": pa.array(complete),
-        "failed_target": pa.array(failed, pa.int32(), mask=complete),
-        "failure": pa.array([status and status.name for status in failures], pa.string()),
-        "reason": pa.array([status and status.message for status in failures], pa.string()),
-        "after_escape": pa.array(((plans.status == Status.TRACKED_AFTER_ESCAPE) & exists).sum(axis=1), pa.int32()),
-        "blocked_paths": pa.array((tracked & (plans.path_clear == 0)).sum(axis=1), pa.int32()),
+        "targets": pa.array(ends.targets, pa.int32()),
+        "tracked": pa.array(ends.tracked, pa.int32()),
+        **_ends(ends),
+        "after_escape": pa.array((plans.status == Status.TRACKED_AFTER_ESCAPE).sum(axis=1), pa.int32()),
+        "blocked_paths": pa.array(ends.blocked_paths, pa.int32()),
         "clearance_min_m": _extreme(np.min, plans.clearance, tracked, np.inf),
         "residual_max_m": _extreme(np.max, plans.residual, tracked, -np.inf),
         "joint_motion_rad": pa.array(np.where(tracked, plans.joint_step, 0.0).sum(axis=1)),
     }
-    columns |= _parameters(points, joints)
+    columns |= _parameters(points, plans.start, joints)
     return pa.table(columns | {key: pa.array([point.varied[key] for point in points], pa.string()) for key in varied})
+
+
+def _ends(ends: Outcomes) -> dict[str, pa.Array]:
+    """Whether each scenario is complete, and where and why it is not."""
+    status = [Status(code) if code != NO_TARGET else None for code in ends.status.tolist()]
+    return {
+        "complete": pa.array(ends.failed < 0),
+        "failed_target": pa.array(ends.failed, pa.int32(), mask=ends.failed < 0),
+        "failure": pa.array([each and each.name for each in status], pa.string()),
+        "reason": pa.array([each and each.message for each in status], pa.string()),
+    }
 
 
 def empty_tables(joints: Sequence[str], varied: Sequence[str] = ()) -> dict[str, pa.Table]:
     """Both tables without rows, for their schemas."""
-    shape, none = (0, 1), np.zeros(0, int)
-    names = {"x": (len(joints),), "tcp": (3,), "target": (3,)}
-    plans = Plans(**{name: np.zeros((*shape, *names.get(name, ())), int) for name in Plans._fields})
+    plans = Plans.empty(np.zeros((0, len(joints))), np.zeros((0, 1, 3)))
     return {
-        "targets": target_table("", none, none, plans, joints),
-        "scenarios": scenario_table("", (), none, plans, joints, varied),
+        "targets": target_table("", np.zeros(0, int), plans, joints),
+        "scenarios": scenario_table("", (), plans, joints, varied),
     }
 
 
-def plans_of(targets: pa.Table, scenarios: int, joints: Sequence[str], compile_s: float, run_s: float) -> Plans:
-    """Plans of scenarios 0 to `scenarios` - 1 from one method's rows. Rows that the table lacks have the status
-    NO_TARGET. Raises IndexError, KeyError or ValueError for rows of other scenarios and for unknown statuses."""
+def plans_of(
+    targets: pa.Table, scenarios: pa.Table, count: int, joints: Sequence[str], compile_s: float, run_s: float
+) -> Plans:
+    """Plans of scenarios 0 to `count` - 1 from one method's rows in both tables. What the tables lack is as in
+    `Plans.empty`, without targets. Raises IndexError, KeyError or ValueError for rows of other scenarios and for
+    unknown statuses."""
     s, t = targets["scenario"].to_numpy(), targets["target"].to_numpy()
     if min(s.min(initial=0), t.min(initial=0)) < 0 or t.max(initial=0) >= len(targets):
         raise IndexError("a row of no scenario or no target")
-    shape = scenarios, int(t.max(initial=-1)) + 1
+    blank = np.full((count, int(t.max(initial=-1)) + 1, 3), EMPTY["target"])
+    plans = Plans.empty(_starts(scenarios, count, joints), blank, 0)._replace(compile_s=compile_s, run_s=run_s)
+    for name in ("clearance", "residual", "status", "iterations", "joint_step", "escape", "path_clear"):
+        getattr(plans, name)[s, t] = _numpy(targets[_COLUMN.get(name, name)], EMPTY[name])
+    for array, names in ((plans.x, joints), (plans.tcp, _axes("tcp")), (plans.target, _axes("target"))):
+        array[s, t] = np.stack([_numpy(targets[name], np.nan) for name in names], axis=1)
+    return plans
 
-    def filled(names: str | Sequence[str], empty, dtype) -> np.ndarray:
-        """One column as (S, T), several as (S, T, columns)."""
-        single = isinstance(names, str)
-        values = [_numpy(targets[name], empty) for name in ([names] if single else names)]
-        table = np.full((*shape, len(values)), empty, dtype)
-        table[s, t] = np.stack(values, axis=1)
-        return table[..., 0] if single else table
 
-    return Plans(
-        x=filled(joints, np.nan, float),
-        tcp=filled([f"tcp_{axis}_m" for axis in XYZ], np.nan, float),
-        target=filled([f"target_{axis}_m" for axis in XYZ], np.nan, float),
-        clearance=filled("clearance_m", np.nan, float),
-        residual=filled("residual_m", np.nan, float),
-        status=filled("status", NO_TARGET, np.int8),
-        iterations=filled("iterations", 0, np.int32),
-        joint_step=filled("joint_step_rad", np.nan, float),
-        escape=filled("escape", 0, np.int8),
-        path_clear=filled("path_clear", -1, np.int8),
-        compile_s=compile_s,
-        run_s=run_s,
-    )
+_COLUMN = {"clearance": "clearance_m", "residual": "residual_m", "joint_step": "joint_step_rad"}
+
+
+def _starts(scenarios: pa.Table, count: int, joints: Sequence[str]) -> np.ndarray:
+    """Where the plans start (count, N); NaN where there is none."""
+    start, rows = np.full((count, len(joints)), np.nan), scenarios["scenario"].to_numpy()
+    if rows.min(initial=0) < 0:
+        raise IndexError("a row of no scenario")
+    start[rows] = np.stack([scenarios[name].to_numpy() for name in parameters.start_columns(joints)], axis=1)
+    return start
+
+
+def _axes(name: str) -> tuple[str, ...]:
+    return tuple(f"{name}_{axis}_m" for axis in XYZ)
 
 
 def frame_of(table: pa.Table) -> "pandas.DataFrame":
@@ -181,21 +179,13 @@ def frame_of(table: pa.Table) -> "pandas.DataFrame":
     return table.to_pandas(types_mapper=kinds.get)
 
 
-def _parameters(points: Sequence[Point], joints: Sequence[str]) -> dict[str, pa.Array]:
-    """What a grid may vary, a column each."""
+def _parameters(points: Sequence[Point], start: np.ndarray, joints: Sequence[str]) -> dict[str, pa.Array]:
+    """What a grid may vary, a column each; start: the postures that the plans start from (S, N)."""
     jobs = [point.config for point in points]
-    parts = [job.workpiece for job in jobs]
-    columns = {f"start_{name}": _doubles([job.start_rad[k] for job in jobs]) for k, name in enumerate(joints)}
-    columns |= {
-        "rotation_x_rad": _doubles([part.rotation_x_rad for part in parts]),
-        "rotation_y_rad": _doubles([part.rotation_y_rad for part in parts]),
-        "rotation_z_rad": _doubles([part.rotation_z_rad for part in parts]),
-    }
-    columns |= {f"shift_{axis}_m": _doubles([part.shift_m[k] for part in parts]) for k, axis in enumerate(XYZ)}
-    return columns | {
-        "tool_extension_m": _doubles([job.robot.tool_extension_m for job in jobs]),
+    given = parameters.columns([parameters.of_job(job) for job in jobs], start, joints)
+    return {name: _doubles(values) for name, values in given.items()} | {
         "margin_m": _doubles([job.margin_m for job in jobs]),
-        "path": pa.array([Path(part.path).name for part in parts], pa.string()),
+        "path": pa.array([Path(job.workpiece.path).name for job in jobs], pa.string()),
     }
 
 

@@ -11,22 +11,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from htcp_jax.errors import InputError
-from htcp_jax.planner.plans import Plans, is_tracked
+from htcp_jax.planner.plans import Plans
 from htcp_jax.runs.identity import differences, identity, planned_by
-from htcp_jax.runs.run_folder import (
-    MANIFEST,
-    TABLES,
-    FileRecord,
-    Manifest,
-    Run,
-    Seconds,
-    ShardRecord,
-    Span,
-    fault,
-    open_run,
-    shard_name,
-    spans,
-)
+from htcp_jax.runs.manifest import MANIFEST, TABLES, FileRecord, Manifest, Seconds, ShardRecord, Span, shard_name, spans
+from htcp_jax.runs.run_folder import Run, fault, open_run
 
 PART = ".part-"
 
@@ -65,7 +53,7 @@ def add(run: Run, method: str, span: Span, tables: dict[str, pa.Table], plans: P
     name, manifest = shard_name(method, span), run.manifest
     files = {table: _write_parquet(run.folder, table, name, rows) for table, rows in tables.items()}
     planned_by = manifest.planned_by if by in manifest.planned_by else (*manifest.planned_by, by)
-    tracked = int(is_tracked(plans.status).sum())
+    tracked = int(plans.tracked.sum())
     shard = ShardRecord(
         method=method, first=span.first, last=span.last, tracked=tracked,
         compile_s=plans.compile_s, run_s=plans.run_s, planned_by=planned_by.index(by), **files,

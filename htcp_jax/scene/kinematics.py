@@ -51,6 +51,29 @@ def tip_segment(robot: Robot, x: Joints) -> Float[Array, "2 3"]:
     return jnp.stack([here[jnp.argmin(jnp.sum(away * away, axis=1))], tcp_position(robot, x)])
 
 
+class ArmShape(NamedTuple):
+    """What there is to draw of an arm, at W configurations or at one, world [m]."""
+
+    p: Float[Array, "*W K 3"]  # ends of the capsules' axes
+    q: Float[Array, "*W K 3"]
+    tip: Float[Array, "*W 3"]  # where the tool's bare tip begins, see `tip_segment`
+    tcp: Float[Array, "*W 3"]  # and where it ends
+
+    def axes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Ends of the capsules' axes and, last, of the bare tip, of one configuration (K + 1, 3)."""
+        return np.vstack([self.p, self.tip]), np.vstack([self.q, self.tcp])
+
+
+@jax.jit
+def capsules_and_tcp(robot: Robot, x: Float[Array, "W N"]) -> ArmShape:
+    """The arm at several configurations [rad or m]; compiled once a robot's kind and number of configurations."""
+
+    def one(x: Joints) -> ArmShape:
+        return ArmShape(*capsule_segments(robot, x), *tip_segment(robot, x))
+
+    return jax.vmap(one)(x)
+
+
 def jacobian(robot: Robot, x: Joints) -> Float[Array, "3 N"]:
     """Geometric Jacobian of the TCP's position, d tcp_position / dx [m/rad or m/m]; the paper's Jac(x)."""
     links = _link_frames(robot, x)

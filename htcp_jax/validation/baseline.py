@@ -24,12 +24,12 @@ from pydantic import Field, model_validator
 from htcp_jax.errors import InputError
 from htcp_jax.formats.strict_yaml import read_yaml
 from htcp_jax.jobs.config import Section, validate
-from htcp_jax.planner.plans import is_tracked
+from htcp_jax.planner.plans import Outcome
 from htcp_jax.runs.ceiling_file import read_ceiling
 from htcp_jax.runs.identity import config_hash, identity
+from htcp_jax.runs.manifest import Manifest, MethodName
 from htcp_jax.runs.plan_folder import write_text
-from htcp_jax.runs.run_folder import Manifest, MethodName, Run
-from htcp_jax.runs.tables import NO_TARGET
+from htcp_jax.runs.run_folder import Run
 from htcp_jax.status import Status
 from htcp_jax.validation.validate import MethodCheck, Refuted
 from htcp_jax.validation.validate import validate as check_by_mujoco
@@ -141,25 +141,25 @@ class Baseline(Section):
         return self
 
 
-class Standing(NamedTuple):
-    """How a run stands. What cannot be known is missing, and `troubles` says why."""
+class RunSummary(NamedTuple):
+    """How a run stands. What cannot be known is missing, and `problems` says why."""
 
     methods: dict[str, Scores]
     checks: dict[str, MethodCheck]
     refuted: tuple[Refuted, ...]
     ceiling: Ceiling | None
-    troubles: tuple[str, ...]
+    problems: tuple[str, ...]
 
 
-def standing(run: Run, progress: Callable[[int, int], None] | None = None) -> Standing:
-    """Read and validate a run. Nothing that is wrong with its files raises: it is told in `troubles`."""
-    troubles: list[str] = []
+def summarise_run(run: Run, progress: Callable[[int, int], None] | None = None) -> RunSummary:
+    """Read and validate a run. Nothing that is wrong with its files raises: it is told in `problems`."""
+    problems: list[str] = []
 
     def attempt(what: str, function: Callable) -> Any:
         try:
             return function()
         except (ValueError, LookupError, TypeError, OSError, pa.ArrowException) as error:  # InputError is a ValueError
-            troubles.append(f"{what}: {error}" if isinstance(error, InputError) else f"{what}: {error!r}")
+            problems.append(f"{what}: {error}" if isinstance(error, InputError) else f"{what}: {error!r}")
         return None
 
     found = attempt("not validated", lambda: check_by_mujoco(run.folder, between=0, progress=progress))
@@ -167,7 +167,7 @@ def standing(run: Run, progress: Callable[[int, int], None] | None = None) -> St
     methods = {method: attempt(method, lambda m=method: _scores(run, m, checks.get(m))) for method in run.methods}
     ceiling = attempt("no ceiling", lambda: _ceiling(run))
     refuted = found.refuted if found else ()
-    return Standing({m: scores for m, scores in methods.items() if scores}, checks, refuted, ceiling, tuple(troubles))
+    return RunSummary({m: scores for m, scores in methods.items() if scores}, checks, refuted, ceiling, tuple(problems))
 
 
 def read_baseline(file: Path) -> Baseline:
@@ -185,9 +185,9 @@ def bless(run: Run, file: Path, progress: Callable[[int, int], None] | None = No
     old = read_baseline(file) if file.exists() else None
     if reason := _not_to_be_blessed(run, old):
         raise InputError(f"{run.folder} is not blessed: {reason}")
-    found = standing(run, progress)
-    if found.troubles or found.refuted:
-        reason = found.troubles[0] if found.troubles else f"{len(found.refuted)} tracked targets are refuted"
+    found = summarise_run(run, progress)
+    if found.problems or found.refuted:
+        reason = found.problems[0] if found.problems else f"{len(found.refuted)} tracked targets are refuted"
         raise InputError(f"{run.folder} is not blessed: {reason}")
     manifest, (origin,) = run.manifest, run.manifest.planned_by
     blessed = Baseline(
@@ -233,21 +233,20 @@ def _unplanned(run: Run) -> str:
 
 
 def _scores(run: Run, method: str, check: MethodCheck | None) -> Scores:
-    status = run.plans(method).status
-    ends = {s: _end(row[row != NO_TARGET]) for s, row in enumerate(status) if (row != NO_TARGET).any()}
+    found = run.plans(method).outcomes
+    ends = {s: found.of(s) for s in np.flatnonzero(found.planned).tolist()}
     return Scores(
-        tracked=sum(end.tracked for end in ends.values()),
-        targets=int((status != NO_TARGET).sum()),
-        complete=sum(end.status == COMPLETE for end in ends.values()),
+        tracked=int(found.tracked.sum()),
+        targets=int(found.targets.sum()),
+        complete=int(found.complete.sum()),
         tcp_error_max_mm=_rounded(check and check.tcp_error_max_mm),
         clearance_min_mm=_rounded(check and check.clearance_min_mm),
-        scenarios={number: str(end) for number, end in ends.items()},
+        scenarios={number: str(_end(end)) for number, end in ends.items()},
     )
 
 
-def _end(status: np.ndarray) -> End:
-    missed = np.flatnonzero(~is_tracked(status))
-    return End(int(missed[0]), Status(int(status[missed[0]])).name) if len(missed) else End(len(status), COMPLETE)
+def _end(found: Outcome) -> End:
+    return End(found.targets, COMPLETE) if found.complete else End(found.failed, found.status.name)
 
 
 def _ceiling(run: Run) -> Ceiling | None:

@@ -18,12 +18,12 @@ from htcp_jax.errors import InputError
 from htcp_jax.runs.identity import differences
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.status import Status
-from htcp_jax.validation.baseline import COMPLETE, Allowance, Baseline, End, Scores, Standing, planned, standing
+from htcp_jax.validation.baseline import COMPLETE, Allowance, Baseline, End, RunSummary, Scores, planned, summarise_run
 
 ROUNDING = 1e-9  # of percentages and millimetres
 
 
-class Flip(NamedTuple):
+class ChangedOutcome(NamedTuple):
     """A scenario that does not end as it did."""
 
     method: str
@@ -70,15 +70,15 @@ class Row(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """The outcome. `failures` and `news` are sentences."""
+    """The outcome. `failures` and `improvements` are sentences."""
 
     passed: bool
     elsewhere: bool  # whether the run was planned on another device, or with other versions, than the baseline
     allow: Allowance
     rows: tuple[Row, ...]
-    flips: tuple[Flip, ...]  # the worse ones first
+    changed: tuple[ChangedOutcome, ...]  # the worse ones first
     failures: tuple[str, ...]
-    news: tuple[str, ...]  # what is better or not in the baseline; it passes
+    improvements: tuple[str, ...]  # what is better or not in the baseline; it passes
 
 
 def judge(run: Run, baseline: Baseline, progress: Callable[[int, int], None] | None = None) -> Verdict:
@@ -93,23 +93,23 @@ def judge(run: Run, baseline: Baseline, progress: Callable[[int, int], None] | N
         )
     elsewhere = _elsewhere(run, baseline)
     allow = baseline.allow.elsewhere if elsewhere else baseline.allow.here
-    found = standing(run, progress)
-    failures, news = list(found.troubles), []
-    rows, flips = [], []
+    found = summarise_run(run, progress)
+    failures, improvements = list(found.problems), []
+    rows, changed = [], []
     for method, was in baseline.methods.items():
-        own = [] if (now := found.methods.get(method)) is None else _flips(method, was, now)
+        own = [] if (now := found.methods.get(method)) is None else _changed(method, was, now)
         wrong = ["missing"] if now is None else _shortfalls(baseline, found, method, own, allow)
         failures += [f"{method}: {sentence}" for sentence in wrong]
-        flips += own
+        changed += own
         rows.append(_row(baseline, found, method, own, "FAILED" if wrong else "better" if _better(own) else "ok"))
     if baseline.ceiling is not None:
         wrong = _ceiling_shortfall(baseline, found, allow)
         failures += wrong
         rows.append(_ceiling_row(baseline, found, "FAILED" if wrong else "ok"))
-    news += [f"{method} is not in the baseline" for method in found.methods if method not in baseline.methods]
-    news += [f"{row.method} tracks {row.tracked - row.was_tracked} targets more" for row in rows if _more(row)]
-    flips.sort(key=lambda flip: (not flip.worse, flip.better))
-    return Verdict(not failures, elsewhere, allow, tuple(rows), tuple(flips), tuple(failures), tuple(news))
+    improvements += [f"{method} is not in the baseline" for method in found.methods if method not in baseline.methods]
+    improvements += [f"{row.method} tracks {row.tracked - row.was_tracked} targets more" for row in rows if _more(row)]
+    changed.sort(key=lambda one: (not one.worse, one.better))
+    return Verdict(not failures, elsewhere, allow, tuple(rows), tuple(changed), tuple(failures), tuple(improvements))
 
 
 def _elsewhere(run: Run, baseline: Baseline) -> bool:
@@ -120,20 +120,22 @@ def _elsewhere(run: Run, baseline: Baseline) -> bool:
     return any(origin(one.get("device"), one.get("versions") or {}) != here for one in run.manifest.planned_by)
 
 
-def _flips(method: str, was: Scores, now: Scores) -> list[Flip]:
+def _changed(method: str, was: Scores, now: Scores) -> list[ChangedOutcome]:
     both = ((number, end, now.ends.get(number)) for number, end in was.ends.items())
-    return [Flip(method, number, a, b) for number, a, b in both if b is not None and a != b]
+    return [ChangedOutcome(method, number, a, b) for number, a, b in both if b is not None and a != b]
 
 
-def _better(flips: list[Flip]) -> bool:
-    return any(flip.better for flip in flips)
+def _better(changed: list[ChangedOutcome]) -> bool:
+    return any(one.better for one in changed)
 
 
 def _more(row: Row) -> bool:
     return None not in (row.tracked, row.was_tracked) and row.tracked > row.was_tracked
 
 
-def _shortfalls(baseline: Baseline, found: Standing, method: str, flips: list[Flip], allow: Allowance) -> list[str]:
+def _shortfalls(
+    baseline: Baseline, found: RunSummary, method: str, changed: list[ChangedOutcome], allow: Allowance
+) -> list[str]:
     """In words, what a method fails by."""
     was, now = baseline.methods[method], found.methods[method]
     wrong = []
@@ -141,7 +143,7 @@ def _shortfalls(baseline: Baseline, found: Standing, method: str, flips: list[Fl
         wrong.append(f"{len(lost)} of {len(was.scenarios)} scenarios are missing, {lost[0]} the first")
     if (fewer := was.tracked - now.tracked) > allow.targets:
         wrong.append(f"{fewer} targets fewer are tracked, {now.tracked} of {was.targets}; {allow.targets} may be lost")
-    if (worse := sum(flip.worse for flip in flips)) > allow.scenarios:
+    if (worse := sum(one.worse for one in changed)) > allow.scenarios:
         wrong.append(f"{worse} scenarios end earlier; {allow.scenarios} may")
     was_share, share = _share(was, baseline.ceiling), _share(now, found.ceiling)
     if was_share is not None and share is not None:
@@ -168,7 +170,7 @@ def _bounds_broken(was: Scores, now: Scores, allow: Allowance) -> list[str]:
     return wrong
 
 
-def _ceiling_shortfall(baseline: Baseline, found: Standing, allow: Allowance) -> list[str]:
+def _ceiling_shortfall(baseline: Baseline, found: RunSummary, allow: Allowance) -> list[str]:
     was, now = baseline.ceiling, found.ceiling
     if now is None:
         return ["ceiling: missing; htcp ceiling writes it into the run's folder"]
@@ -184,15 +186,15 @@ def _share(scores: Scores | None, ceiling) -> float | None:
     return 100 * scores.tracked / ceiling.reachable if scores and ceiling and ceiling.reachable else None
 
 
-def _row(baseline: Baseline, found: Standing, method: str, flips: list[Flip], verdict: str) -> Row:
+def _row(baseline: Baseline, found: RunSummary, method: str, changed: list[ChangedOutcome], verdict: str) -> Row:
     was, now = baseline.methods[method], found.methods.get(method)
     return Row(
         method=method,
         was_tracked=was.tracked,
         tracked=now and now.tracked,
         targets=was.targets,
-        worse=now and sum(flip.worse for flip in flips),
-        better=now and sum(flip.better for flip in flips),
+        worse=now and sum(one.worse for one in changed),
+        better=now and sum(one.better for one in changed),
         was_share=_share(was, baseline.ceiling),
         share=_share(now, found.ceiling),
         was_tcp_error_max_mm=was.tcp_error_max_mm,
@@ -203,7 +205,7 @@ def _row(baseline: Baseline, found: Standing, method: str, flips: list[Flip], ve
     )
 
 
-def _ceiling_row(baseline: Baseline, found: Standing, verdict: str) -> Row:
+def _ceiling_row(baseline: Baseline, found: RunSummary, verdict: str) -> Row:
     nothing = dict.fromkeys(Row._fields)
     reachable = found.ceiling and found.ceiling.reachable
     targets = next(iter(baseline.methods.values())).targets

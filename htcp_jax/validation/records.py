@@ -12,29 +12,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import arm_of, part_of, robot_of, workpiece_of
-from htcp_jax.jobs.config import PlanConfig, RobotConfig, WorkpieceConfig, validate
-from htcp_jax.planner.plans import is_tracked
-from htcp_jax.runs.identity import file_hash, refuse_changed
-from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY, read_plan
-from htcp_jax.runs.run_folder import MANIFEST, Run, open_run
+from htcp_jax.jobs.config import PlanConfig, RobotConfig, WorkpieceConfig
+from htcp_jax.planner.plans import Plans
+from htcp_jax.runs.open import PlanSet, open_plans
+from htcp_jax.runs.parameters import Parameters
 from htcp_jax.scene.workpiece import Workpiece
 
-ARRAYS = "status", "path_clear", "x", "tcp", "target", "clearance"
-XYZ = "xyz"
 MOST_WORKPIECES = 8  # of one run in memory
-
-
-class Pose(NamedTuple):
-    """How a scenario differs from its configuration."""
-
-    start: Float[np.ndarray, "N"]
-    rotation_x_rad: float
-    rotation_y_rad: float
-    rotation_z_rad: float
-    shift_m: Float[np.ndarray, "3"]
-    tool_extension_m: float
 
 
 class Track(NamedTuple):
@@ -42,8 +27,8 @@ class Track(NamedTuple):
 
     method: str
     scenario: int
-    config: PlanConfig  # the scenario's own, but for the pose
-    pose: Pose
+    config: PlanConfig  # the scenario's own
+    start: Float[np.ndarray, "N"]  # that the plan starts from
     tracked: Bool[np.ndarray, "T"]
     blocked: Bool[np.ndarray, "T"]  # joint path from the row before, as recorded
     x: Float[np.ndarray, "T N"]
@@ -63,23 +48,12 @@ class Results(NamedTuple):
 
 
 def read_results(folder: Path) -> Results:
-    """The results in `folder`. Raises InputError for a folder that holds neither a run nor a plan, for damaged files,
-    and for a cloud, path or model that has changed since the run."""
-    folder = Path(folder)
-    if (folder / MANIFEST).exists():
-        return _read_run(open_run(folder))
-    if (folder / SUMMARY).exists():
-        return _read_plan(folder)
-    raise InputError(f"{folder} holds neither a run of htcp sweep ({MANIFEST}) nor a plan of htcp plan ({SUMMARY})")
+    """The results in `folder`. Raises InputError as `open_plans` does."""
+    found = open_plans(folder)
+    return Results(found.folder, _workpieces(), found.count, _tracks(found), found.files)
 
 
-def result_files(run: Run) -> dict[str, str]:
-    """SHA-256 of the files with a run's finished results, by their names in its folder."""
-    files = (run.shard_files(shard)["targets"] for shard in run.manifest.shards)
-    return {str(file.relative_to(run.folder)): record.sha256 for file, record in files}
-
-
-def turned_and_moved(part: WorkpieceConfig, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
+def turned_and_moved(part: WorkpieceConfig, pose: Parameters) -> tuple[np.ndarray, np.ndarray]:
     """Rotation (3, 3) and translation (3,) from the workpiece frame to the world: about the pivot, first about world
     x, then about y, then about z, applied to the neutral pose; then the shift."""
     angles = pose.rotation_x_rad, pose.rotation_y_rad, pose.rotation_z_rad
@@ -104,53 +78,18 @@ def targets_of(
     return np.array([tcp, *steps, *path])
 
 
-def _read_run(run: Run) -> Results:
-    refuse_changed(run.manifest.files, run.folder)
-    count = sum(shard.last - shard.first + 1 for shard in run.manifest.shards)
-    if not count:
-        raise InputError(f"{run.folder} has no finished shard yet")
-    return Results(run.folder, _workpieces(), count, _tracks(run), result_files(run))
-
-
-def _tracks(run: Run) -> Iterator[Track]:
+def _tracks(found: PlanSet) -> Iterator[Track]:
     """Method by method, so that only one method's results are in memory."""
-    points = run.points()
-    for method in dict.fromkeys(shard.method for shard in run.manifest.shards):
-        plans = run.plans(method)._asdict()
-        for row in run.scenarios(method).to_pylist():
-            pose = Pose(
-                start=np.array([row[f"start_{joint}"] for joint in run.manifest.joints]),
-                rotation_x_rad=row["rotation_x_rad"],
-                rotation_y_rad=row["rotation_y_rad"],
-                rotation_z_rad=row["rotation_z_rad"],
-                shift_m=np.array([row[f"shift_{axis}_m"] for axis in XYZ]),
-                tool_extension_m=row["tool_extension_m"],
-            )
-            number = row["scenario"]
-            arrays = {name: plans[name][number] for name in ARRAYS}
-            yield _track(method, number, points[number].config, pose, arrays)
+    for method in found.methods:
+        plans = found.plans(method)
+        for number in np.flatnonzero(plans.outcomes.planned).tolist():
+            yield _track(method, number, found.jobs[number], plans)
 
 
-def _read_plan(folder: Path) -> Results:
-    method, raw, known, arrays = read_plan(folder, ARRAYS)
-    refuse_changed(known, folder)
-    config: PlanConfig = validate(raw, PlanConfig, str(folder / SUMMARY))
-    part, start = config.workpiece, np.array(config.start_rad)
-    count, joints = arrays["status"].size, len(start)
-    shapes = {"x": (count, joints), "tcp": (count, 3), "target": (count, 3)}
-    for name, array in arrays.items():
-        if array.shape != shapes.get(name, (count,)) or array.dtype.kind not in "fiu":
-            raise InputError(f"{folder / TRAJECTORY}: {name} has the shape {array.shape}; damaged")
-    angles = part.rotation_x_rad, part.rotation_y_rad, part.rotation_z_rad
-    pose = Pose(start, *angles, np.array(part.shift_m), config.robot.tool_extension_m)
-    files = {TRAJECTORY: file_hash(folder / TRAJECTORY)}
-    return Results(folder, _workpieces(), 1, [_track(method, 0, config, pose, arrays)], files)
-
-
-def _track(method: str, scenario: int, config: PlanConfig, pose: Pose, arrays: dict[str, np.ndarray]) -> Track:
-    there = arrays["status"] >= 0
-    status, path_clear, *values = (arrays[name][there] for name in ARRAYS)
-    return Track(method, scenario, config, pose, is_tracked(status), path_clear == 0, *values)
+def _track(method: str, number: int, config: PlanConfig, plans: Plans) -> Track:
+    there = plans.exists[number]
+    columns = plans.tracked, plans.path_clear == 0, plans.x, plans.tcp, plans.target, plans.clearance
+    return Track(method, number, config, plans.start[number], *(column[number][there] for column in columns))
 
 
 def _workpieces() -> Callable[[PlanConfig], Workpiece]:

@@ -6,13 +6,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.errors import InputError
+from htcp_jax.runs.parameters import of_job
+from htcp_jax.validation.limits import RECORD_M, ROUNDING_M, STEP_RAD
 from htcp_jax.validation.mujoco_arm import Arm, Postures
 from htcp_jax.validation.mujoco_clearance import AtTargets, Scene, Wall
 from htcp_jax.validation.records import Results, Track, targets_of, turned_and_moved
-
-ROUNDING_M = 1e-9  # two ways to compute a clearance differ by 1e-15; 0 and the tolerance are meant to this width
-RECORD_M = 1e-5  # a record further off is refuted; 32-bit planners are within it
-STEP_RAD = 0.002  # a joint turns no further between two looks; a point 2 m away moves by 4 mm
 
 
 class Refuted(NamedTuple):
@@ -51,7 +49,7 @@ def check(results: Results, arm: Arm, wall: Wall, track: Track, between: int) ->
     Raises InputError where the configuration leads to another number of targets than are on record."""
     scene, targets = _scene(results, arm, wall, track)
     t = np.flatnonzero(track.tracked & np.isfinite(track.x).all(axis=1))
-    x = np.concatenate([track.pose.start[None], track.x[t]])  # the start is row 0
+    x = np.concatenate([track.start[None], track.x[t]])  # the start is row 0
     at = scene.at(x)
     reached = at.postures.tcp[1:]
     more = at.clearance[1:] - track.clearance[t]
@@ -87,7 +85,7 @@ def check(results: Results, arm: Arm, wall: Wall, track: Track, between: int) ->
 
 def _scene(results: Results, arm: Arm, wall: Wall, track: Track) -> tuple[Scene, Float[np.ndarray, "T 3"]]:
     """The arm beside the wall as the track has it, and its targets."""
-    part, pose, workpiece = track.config.workpiece, track.pose, results.workpiece(track.config)
+    part, pose, workpiece = track.config.workpiece, of_job(track.config), results.workpiece(track.config)
     rotate, translate = turned_and_moved(part, pose)
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
     start_tcp = arm.postures(pose.start[None]).tcp[0]

@@ -25,14 +25,13 @@ import scipy
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import arm_of, part_of, shape_of
 from htcp_jax.jobs.config import RobotConfig
-from htcp_jax.runs.plan_folder import SUMMARY, write_json
+from htcp_jax.runs.plan_folder import SUMMARY, VALIDATION, write_json
 from htcp_jax.scene.robot import GP50
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_clearance import Wall, wall_of
 from htcp_jax.validation.records import Results, Track, read_results
 from htcp_jax.validation.track import Checked, Refuted, check
 
-VALIDATION = "validation.json"
 TOLD = 100  # refuted configurations that are told one by one
 
 
@@ -164,7 +163,7 @@ def _keys(told: dict[str, Any]) -> set[str]:
 
 def _arm(arms: dict[RobotConfig, Arm], results: Results, track: Track) -> Arm:
     """The arm with the track's tool; each is compiled once."""
-    robot = track.config.robot.model_copy(update={"tool_extension_m": track.pose.tool_extension_m})
+    robot = track.config.robot
     if robot not in arms:
         arms[robot] = Arm(
             GP50 if robot.model == "gp50" else Path(robot.model),

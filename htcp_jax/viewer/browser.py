@@ -14,11 +14,12 @@ from jaxtyping import Float
 from viser import uplot
 
 from htcp_jax.errors import InputError
+from htcp_jax.planner.plans import Outcome
 from htcp_jax.status import Status
 from htcp_jax.viewer.browser_scene import HERE, Stage
 from htcp_jax.viewer.camera import open_side, sight
-from htcp_jax.viewer.colours import INK, Fate, fates
-from htcp_jax.viewer.replay import Outcome, Replay, Shelf
+from htcp_jax.viewer.colours import INK, TargetStyle, target_styles
+from htcp_jax.viewer.replay import Replay, Replays
 from htcp_jax.viewer.sides import View
 
 FOVY_RAD, ASPECT = np.radians(40.0), 1.05  # of the first sight
@@ -28,7 +29,7 @@ SIDES = "open side", "above", "front", "nothing"  # that the workpiece is cut fr
 
 
 class Viewer:
-    """A running viewer of a shelf; `stop` ends it.
+    """A running viewer of plans; `stop` ends it.
 
     host, port: to listen on; port 0 takes any that is free. scenario, method: what is shown first; by default the first
     method's first scenario that failed. Raises InputError for a scenario or method that is not there, and for an
@@ -37,16 +38,16 @@ class Viewer:
 
     def __init__(
         self,
-        shelf: Shelf,
+        replays: Replays,
         host: str = "127.0.0.1",
         port: int = 8080,
         scenario: int | None = None,
         method: str | None = None,
     ):
-        method = method or shelf.methods[0]
-        self._shelf, self._lock = shelf, threading.RLock()
-        outcomes = shelf.outcomes(method)
-        replay = shelf.replay(outcomes[0].number if scenario is None else scenario, method)
+        method = method or replays.methods[0]
+        self._replays, self._lock = replays, threading.RLock()
+        outcomes = replays.outcomes(method)
+        replay = replays.replay(outcomes[0].scenario if scenario is None else scenario, method)
         self._server = _serve(host, port)
         self.address = f"http://{host}:{self._server.get_port()}"
         self._ended = threading.Event()
@@ -85,9 +86,9 @@ class Viewer:
     def _build(self, replay: Replay) -> None:
         gui = self._server.gui
         gui.configure_theme(control_width="large", show_logo=False, show_share_button=False, brand_color=(31, 111, 180))
-        gui.set_panel_label(f"htcp view {self._shelf.name}")
+        gui.set_panel_label(f"htcp view {self._replays.name}")
         gui.main_panel.dock_right()
-        self._method = gui.add_dropdown("Method", self._shelf.methods, initial_value=replay.method)
+        self._method = gui.add_dropdown("Method", self._replays.methods, initial_value=replay.method)
         names = self._names(replay.method)
         self._scenario = gui.add_dropdown("Scenario", tuple(names), initial_value=_name_of(names, replay.number))
         self._slider = gui.add_slider("Target", 0, max(len(replay.target) - 1, 1), 1, 0)
@@ -123,7 +124,7 @@ class Viewer:
 
     def _names(self, method: str) -> dict[str, int]:
         """The scenarios as the picker lists them, failed first, with their numbers."""
-        return {_told(outcome, self._shelf): outcome.number for outcome in self._shelf.outcomes(method)}
+        return {_describe(outcome, self._replays): outcome.scenario for outcome in self._replays.outcomes(method)}
 
     def _pick_method(self) -> None:
         """The same scenario by another method, or that method's first."""
@@ -138,7 +139,7 @@ class Viewer:
         with self._lock:
             number = self._names(self._method.value).get(self._scenario.value)
             if number is not None and (number, self._method.value) != self.shown:
-                self._show(self._shelf.replay(number, self._method.value))
+                self._show(self._replays.replay(number, self._method.value))
 
     # What is shown
 
@@ -259,8 +260,8 @@ def _silent():
     return contextlib.redirect_stdout(io.StringIO())
 
 
-def _told(outcome: Outcome, shelf: Shelf) -> str:
-    label = shelf.label(outcome.number)
+def _describe(outcome: Outcome, replays: Replays) -> str:
+    label = replays.label(outcome.scenario)
     if outcome.complete:
         return f"{label}: all {outcome.targets} tracked"
     return f"{label}: failed at {outcome.tracked} of {outcome.targets}"
@@ -283,12 +284,12 @@ def _facts(replay: Replay, target: int) -> str:
 
 
 def _curves(replay: Replay, target: int) -> tuple[np.ndarray, ...]:
-    """Clearance over the targets: in all, of each fate, and at the target that is shown; a failed one at the least."""
+    """Clearance over the targets: in all, of each style, and at the target that is shown; a failed one at the least."""
     index = np.arange(len(replay.target), dtype=float)
     clearance = 1e3 * replay.clearance
     least = np.nanmin(clearance, initial=np.inf)
     known = np.where(np.isnan(clearance), least if np.isfinite(least) else 1.0, clearance)
-    parts = [np.where(fate.where, known, np.nan) for fate in _plotted(replay)]
+    parts = [np.where(style.where, known, np.nan) for style in _plotted(replay)]
     return index, clearance, *parts, np.where(index == target, known, np.nan)
 
 
@@ -297,22 +298,22 @@ def _series(replay: Replay) -> tuple[uplot.Series, ...]:
         return {"stroke": colour, "width": 0, "points": {"show": True, "size": size, "fill": colour, "space": 0}}
 
     sizes = {"tracked": 3, "tracked after an escape": 6, "failed": 11}
-    parts = [{"label": fate.name, **points(fate.colour, sizes[fate.name])} for fate in _plotted(replay)]
+    parts = [{"label": style.name, **points(style.colour, sizes[style.name])} for style in _plotted(replay)]
     here = {"label": "shown", "stroke": INK, "width": 0}
     here["points"] = {"show": True, "size": 12, "fill": HERE, "stroke": INK, "width": 1.5, "space": 0}
     return {"label": "target"}, {"label": "clearance", "stroke": "#9fb3c2", "width": 1}, *parts, here
 
 
 def _legend(replay: Replay) -> str:
-    """The fates that occur, each behind a dot of its colour."""
+    """What became of the targets, each behind a dot of its colour."""
     dots = (
-        f'<span style="white-space:nowrap;margin-right:1em"><span style="color:{fate.colour}">&#9679;</span> '
-        f"{fate.name}</span>"
-        for fate in fates(replay.status)
-        if fate.where.any()
+        f'<span style="white-space:nowrap;margin-right:1em"><span style="color:{style.colour}">&#9679;</span> '
+        f"{style.name}</span>"
+        for style in target_styles(replay.status)
+        if style.where.any()
     )
     return f'<div style="font-size:0.8em;padding:0 0.9em 0.5em">{" ".join(dots)}</div>'
 
 
-def _plotted(replay: Replay) -> list[Fate]:
-    return [fate for fate in fates(replay.status) if fate.name != "not attempted"]
+def _plotted(replay: Replay) -> list[TargetStyle]:
+    return [style for style in target_styles(replay.status) if style.name != "not attempted"]

@@ -10,8 +10,8 @@ from jaxtyping import Float
 
 from htcp_jax.planner.obstruction import Obstruction
 from htcp_jax.viewer.camera import kept, open_side
-from htcp_jax.viewer.colours import FAILED, INK, LINKS, OUTSIDE, TOOL, WALL, fates, is_tool, rgb
-from htcp_jax.viewer.replay import Replay, with_tip
+from htcp_jax.viewer.colours import FAILED, INK, LINKS, OUTSIDE, TOOL, WALL, is_tool, rgb, target_styles
+from htcp_jax.viewer.replay import Replay
 
 BEAD_M, FAILED_M, HERE_M, WITNESS_M, TIP_M = 0.007, 0.017, 0.012, 0.003, 0.007  # radii
 NEAREST, HERE = "#b5179e", "#f6c945"
@@ -56,7 +56,7 @@ class Stage:
     def pose(self, target: int) -> None:
         """Move the arm, the mark of the target and the smallest distance."""
         replay = self._replay
-        p, q = with_tip(replay.p[target], replay.q[target], replay.tcp[target])
+        p, q = replay.arm_at(target).axes()
         with self._server.atomic():
             blocked = replay.obstruction if target == replay.failed else None
             colours = [lit(self._colour(k, blocked)) for k in range(len(self._arm))]
@@ -106,7 +106,7 @@ class Stage:
     def _capsule(self, k: int, opacity: float) -> viser.MeshHandle:
         """Capsule k, or the tool's bare tip after the last, along its own z axis."""
         robot = self._replay.robot
-        p, q = (ends[k] for ends in with_tip(self._replay.p[0], self._replay.q[0], self._replay.tcp[0]))
+        p, q = (ends[k] for ends in self._replay.arm_at(0).axes())
         last = k == len(robot.capsule_link)
         radius = TIP_M if last else float(robot.capsule_radius[k])
         mesh = trimesh.creation.capsule(height=float(np.linalg.norm(q - p)), radius=radius, count=ROUND)
@@ -132,10 +132,10 @@ class Stage:
 
     def _add_targets(self) -> None:
         replay = self._replay
-        for fate in fates(replay.status):
-            if fate.where.any():
-                radius = FAILED_M if fate.colour == FAILED else BEAD_M
-                self._add_balls(f"/targets/{fate.name}", replay.target[fate.where], radius, fate.colour)
+        for style in target_styles(replay.status):
+            if style.where.any():
+                radius = FAILED_M if style.colour == FAILED else BEAD_M
+                self._add_balls(f"/targets/{style.name}", replay.target[style.where], radius, style.colour)
         legs = np.stack([replay.target[:-1], replay.target[1:]], axis=1)
         if len(legs):
             self._scene.add_line_segments("/targets/way", legs, rgb(INK), thickness=1, thickness_units="screen")

@@ -1,4 +1,4 @@
-"""What pictures of a plan share: how the fates of targets are told apart, and the colours of the arm and the wall."""
+"""What pictures of a plan share: how targets are told apart, and the colours of the arm and the wall."""
 
 from typing import NamedTuple
 
@@ -14,8 +14,8 @@ WALL = "#8a7a5f", "#d9cfba", "#efe9dc"  # at the cut, and lighter the deeper
 OUTSIDE = "#a3917a"  # of the wall
 
 
-class Fate(NamedTuple):
-    """Targets of one fate, told apart by colour (for colour-blind eyes too) and by marker."""
+class TargetStyle(NamedTuple):
+    """Targets of which the same became, told apart by colour (for colour-blind eyes too) and by marker."""
 
     name: str
     where: Bool[np.ndarray, "T"]
@@ -24,14 +24,14 @@ class Fate(NamedTuple):
     marker: str
 
 
-def fates(status: Int8[np.ndarray, "T"]) -> list[Fate]:
-    """The fates that pictures tell apart; the failed one last, on top."""
+def target_styles(status: Int8[np.ndarray, "T"]) -> list[TargetStyle]:
+    """What pictures tell apart; the failed one last, on top."""
     failed = ~is_tracked(status) & (status != Status.NOT_ATTEMPTED)
     return [
-        Fate("not attempted", status == Status.NOT_ATTEMPTED, "#9aa3ab", 10, "o"),
-        Fate("tracked", status == Status.TRACKED, "#1f6fb4", 16, "o"),
-        Fate("tracked after an escape", status == Status.TRACKED_AFTER_ESCAPE, "#e8890c", 34, "D"),
-        Fate("failed", failed, FAILED, 130, "X"),
+        TargetStyle("not attempted", status == Status.NOT_ATTEMPTED, "#9aa3ab", 10, "o"),
+        TargetStyle("tracked", status == Status.TRACKED, "#1f6fb4", 16, "o"),
+        TargetStyle("tracked after an escape", status == Status.TRACKED_AFTER_ESCAPE, "#e8890c", 34, "D"),
+        TargetStyle("failed", failed, FAILED, 130, "X"),
     ]
 
 

@@ -4,7 +4,6 @@ The scene is drawn in orthographic projection from the side, where a capsule's o
 circles and two lines. Drawing needs no screen.
 """
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -17,13 +16,12 @@ from matplotlib.gridspec import GridSpec
 from matplotlib.ticker import FuncFormatter
 
 from htcp_jax.planner.obstruction import Obstruction
-from htcp_jax.planner.plans import Plans, is_tracked
-from htcp_jax.runs.summary import Failure, failures
-from htcp_jax.scene.kinematics import capsule_segments, tcp_position
+from htcp_jax.planner.plans import Outcome, Plans
+from htcp_jax.scene.kinematics import ArmShape, capsules_and_tcp
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import Scenario
 from htcp_jax.scene.workpiece import Workpiece
-from htcp_jax.viewer.colours import FAILED, INK, LINKS, PAPER, TOOL, WALL, fates, is_tool
+from htcp_jax.viewer.colours import FAILED, INK, LINKS, PAPER, TOOL, WALL, is_tool, target_styles
 from htcp_jax.viewer.sides import Bodies, View, flat_side
 
 DEPTH = LinearSegmentedColormap.from_list("wall", WALL)
@@ -66,12 +64,12 @@ def _draw_scene(
     """Two views of the same: of everything, and of the workpiece."""
     shown = poses(plans, row)
     x = plans.x[row, shown] if shown else x_start
-    arm = _segments(robot, x)
-    view = flat_side(cloud, plans.target[row], Bodies(*arm[:2], np.asarray(robot.capsule_radius), is_tool(robot)))
+    arm = _shape(robot, x)
+    view = flat_side(cloud, plans.target[row], Bodies(arm.p, arm.q, np.asarray(robot.capsule_radius), is_tool(robot)))
     for column, heading in enumerate((_pose_heading(shown), "Inside")):
         axes = figure.add_subplot(grid[0, column])
         _draw_wall(axes, view, cloud)
-        _draw_arm(axes, view, robot, *arm)
+        _draw_arm(axes, view, robot, arm)
         _draw_targets(axes, view, plans, row)
         if obstruction is not None:
             _draw_obstruction(axes, view, robot, obstruction)
@@ -92,7 +90,7 @@ def draw_cell(
 
 def poses(plans: Plans, row: int) -> list[int]:
     """Targets whose configuration is drawn: the first, one half way, and the last that is tracked."""
-    tracked = np.flatnonzero(is_tracked(plans.status[row]))
+    tracked = np.flatnonzero(plans.tracked[row])
     return sorted({int(tracked[i]) for i in (0, tracked.size // 2, -1)}) if tracked.size else []
 
 
@@ -106,23 +104,14 @@ def _draw_wall(axes: Axes, view: View, cloud: Float[np.ndarray, "P 3"]) -> None:
     axes.scatter(*flat.T, c=cut - depth[behind], cmap=DEPTH, s=1.2, linewidths=0, rasterized=True, zorder=1)
 
 
-def _segments(robot: Robot, x: Float[np.ndarray, "W N"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Ends of the capsules' axes, and the TCP, of several configurations."""
-    parts = jax.jit(jax.vmap(lambda x: (*capsule_segments(robot, x), tcp_position(robot, x))))(jnp.asarray(x))
-    p, q, tcp = map(np.asarray, parts)
-    return p, q, tcp
+def _shape(robot: Robot, x: Float[np.ndarray, "W N"]) -> ArmShape:
+    """The arm at several configurations, as numpy arrays."""
+    return ArmShape(*map(np.asarray, capsules_and_tcp(robot, jnp.asarray(x))))
 
 
-def _draw_arm(
-    axes: Axes,
-    view: View,
-    robot: Robot,
-    p: Float[np.ndarray, "W K 3"],
-    q: Float[np.ndarray, "W K 3"],
-    tcp: Float[np.ndarray, "W 3"],
-) -> None:
+def _draw_arm(axes: Axes, view: View, robot: Robot, arm: ArmShape) -> None:
     """The capsules at several configurations: the last one solid, with its bare tip; the others shadows."""
-    radius = np.asarray(robot.capsule_radius)
+    p, q, radius = arm.p, arm.q, np.asarray(robot.capsule_radius)
     colours = np.where(is_tool(robot), TOOL, LINKS)
     for pose in range(len(p)):
         solid = pose == len(p) - 1
@@ -135,16 +124,13 @@ def _draw_arm(
             zorder=3 if solid else 2,
         )
         axes.add_collection(bodies)
-    ends = np.concatenate([p[-1], q[-1]])
-    nearest = ends[np.argmin(np.linalg.norm(ends - tcp[-1], axis=1))]
-    axes.plot(*view.flat(np.stack([nearest, tcp[-1]])).T, color=TOOL, linewidth=2.5, zorder=3)
+    axes.plot(*view.flat(np.stack([arm.tip[-1], arm.tcp[-1]])).T, color=TOOL, linewidth=2.5, zorder=3)
 
 
 def _draw_obstruction(axes: Axes, view: View, robot: Robot, found: Obstruction) -> None:
     """The body in the way, where it would be at the failed target, and the point where it meets the wall."""
-    p, q, _ = _segments(robot, found.x[None])
-    k = robot.capsule_names.index(found.body)
-    outline = stadium(view.flat(p[0, k]), view.flat(q[0, k]), float(robot.capsule_radius[k]))
+    arm, k = _shape(robot, found.x[None]), robot.capsule_names.index(found.body)
+    outline = stadium(view.flat(arm.p[0, k]), view.flat(arm.q[0, k]), float(robot.capsule_radius[k]))
     body = PolyCollection([outline], facecolors=[to_rgba(FAILED, 0.12)], edgecolors=FAILED, linewidths=1.2, zorder=4)
     body.set_linestyle("--")
     axes.add_collection(body)
@@ -164,9 +150,9 @@ def _draw_targets(axes: Axes, view: View, plans: Plans, row: int) -> None:
     status = plans.status[row]
     flat = view.flat(plans.target[row])
     axes.plot(*flat.T, color=INK, linewidth=0.6, alpha=0.5, zorder=4)
-    for fate in fates(status):
-        style = {"color": fate.colour, "s": fate.size, "marker": fate.marker, "linewidths": 0.6}
-        axes.scatter(*flat[fate.where].T, edgecolors=PAPER, zorder=5, **style)
+    for style in target_styles(status):
+        look = {"color": style.colour, "s": style.size, "marker": style.marker, "linewidths": 0.6}
+        axes.scatter(*flat[style.where].T, edgecolors=PAPER, zorder=5, **look)
 
 
 def _frame(axes: Axes, around: Float[np.ndarray, "P 2"] | None) -> None:
@@ -199,14 +185,14 @@ def _heading(axes: Axes, text: str) -> None:
     axes.set_title(text, color=INK, fontsize=12, loc="left")
 
 
-def _draw_failure(axes: Axes, failure: Failure, targets: int, told: str) -> None:
+def _draw_failure(axes: Axes, end: Outcome, targets: int, told: str) -> None:
     """A line at the failed target, its reason where there is more room, grey where nothing was attempted."""
-    axes.axvspan(failure.target + 0.5, targets, color="#eef0f2", linewidth=0, zorder=0)
-    axes.axvline(failure.target, color=FAILED, linewidth=1.2, zorder=1)
-    side, align = (-7, "right") if failure.target > targets / 2 else (7, "left")
+    axes.axvspan(end.failed + 0.5, targets, color="#eef0f2", linewidth=0, zorder=0)
+    axes.axvline(end.failed, color=FAILED, linewidth=1.2, zorder=1)
+    side, align = (-7, "right") if end.failed > targets / 2 else (7, "left")
     axes.annotate(
-        "\n".join(filter(None, (f"target {failure.target}: {failure.status.message}", told))),
-        (failure.target, 1.0),
+        "\n".join(filter(None, (f"target {end.failed}: {end.status.message}", told))),
+        (end.failed, 1.0),
         (side, -7),
         xycoords=("data", "axes fraction"),
         textcoords="offset points",
@@ -223,16 +209,16 @@ def _draw_clearance(axes: Axes, plans: Plans, row: int, margin_m: float, told: s
     index = np.arange(len(status))
     axes.plot(index, clearance_mm, color=INK, linewidth=0.8, alpha=0.5, zorder=2)
     axes.set_yscale("log")
-    for fate in fates(status):
-        if fate.where.any():
-            style = {"color": fate.colour, "s": 1.6 * fate.size, "marker": fate.marker, "linewidths": 0.6}
-            points = index[fate.where], clearance_mm[fate.where]
-            axes.scatter(*points, label=fate.name, edgecolors=PAPER, zorder=3, **style)
+    for style in target_styles(status):
+        if style.where.any():
+            look = {"color": style.colour, "s": 1.6 * style.size, "marker": style.marker, "linewidths": 0.6}
+            points = index[style.where], clearance_mm[style.where]
+            axes.scatter(*points, label=style.name, edgecolors=PAPER, zorder=3, **look)
     if margin_m > 0:
         style = {"color": INK, "linewidth": 0.9, "linestyle": "--", "zorder": 1}
         axes.axhline(1e3 * margin_m, label="margin asked for", **style)
-    for failure in failures(plans.status[row : row + 1]):
-        _draw_failure(axes, failure, len(status), told)
+    if (end := plans.outcome(row)).failed is not None:
+        _draw_failure(axes, end, len(status), told)
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.set_xlim(-1, len(status))
     axes.set_xlabel("target", color=INK)

@@ -1,24 +1,23 @@
 """Pictures and movies of a plan, drawn by MuJoCo without a screen.
 
 The arm's capsules are bodies that are put where the plan has them; the cloud, cut open on the side away from the path,
-is one mesh of small discs; the targets are beads in the colours of their fates.
+is one mesh of small discs; the targets are beads in the colours of what became of them.
 """
 
 from collections.abc import Iterator
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 
-from htcp_jax.scene.kinematics import capsule_segments, tcp_position
+from htcp_jax.scene.kinematics import ArmShape, capsules_and_tcp
 from htcp_jax.scene.surface import discs
 from htcp_jax.viewer.camera import kept, open_side, sight
-from htcp_jax.viewer.colours import FAILED, LINKS, OUTSIDE, TOOL, WALL, fates, is_tool, rgb
+from htcp_jax.viewer.colours import FAILED, LINKS, OUTSIDE, TOOL, WALL, is_tool, rgb, target_styles
 from htcp_jax.viewer.offscreen import Camera
-from htcp_jax.viewer.replay import Replay, with_tip
+from htcp_jax.viewer.replay import Replay
 
 BEAD_M, FAILED_M, TIP_M = 0.008, 0.018, 0.007  # radii of the targets, the failed one, the tool's bare tip
 MARK_M, NEAREST, NOWHERE = 0.012, "#b5179e", [0.0] * 4  # of where the body in the way meets the workpiece
@@ -31,11 +30,9 @@ _Geom = mujoco.mjtGeom
 
 
 class Posture(NamedTuple):
-    """The arm in one frame: ends of the K capsules' axes and the TCP, world [m]; the last target it has come to."""
+    """The arm in one frame, and the last target it has come to."""
 
-    p: Float[np.ndarray, "K 3"]
-    q: Float[np.ndarray, "K 3"]
-    tcp: Float[np.ndarray, "3"]
+    arm: ArmShape
     target: int
 
 
@@ -53,8 +50,8 @@ class Studio:
         self._data = mujoco.MjData(self._model)
         self._camera = Camera(self._model)
         self._beads = np.array([self._model.geom(f"target {t}").id for t in range(len(replay.target))])
-        self._fate_rgba = self._model.geom_rgba[self._beads].copy()
-        self._not_yet = _rgba(fates(replay.status)[0].colour)
+        self._met_rgba = self._model.geom_rgba[self._beads].copy()
+        self._not_yet = _rgba(target_styles(replay.status)[0].colour)
         self._in_the_way = _in_the_way(replay, self._model)
 
     def __enter__(self) -> "Studio":
@@ -75,12 +72,12 @@ class Studio:
         yield self._frame(postures[-1], view, len(self._beads))
 
     def _frame(self, posture: Posture, view: mujoco.MjvCamera, met: int) -> UInt8[np.ndarray, "H W 3"]:
-        ends = with_tip(*posture[:3])
+        ends = posture.arm.axes()
         self._data.mocap_pos[:] = (ends[0] + ends[1]) / 2
         for body, axis in enumerate(ends[1] - ends[0]):
             mujoco.mju_quatZ2Vec(self._data.mocap_quat[body], axis)
         self._model.geom_rgba[self._beads] = np.where(
-            np.arange(len(self._beads))[:, None] < met, self._fate_rgba, self._not_yet
+            np.arange(len(self._beads))[:, None] < met, self._met_rgba, self._not_yet
         )
         for geom, shown, else_shown in self._in_the_way:
             self._model.geom_rgba[geom] = shown if posture.target == self._replay.failed else else_shown
@@ -102,7 +99,7 @@ class Studio:
 
 def at(replay: Replay, target: int) -> Posture:
     """The posture at a target."""
-    return Posture(replay.p[target], replay.q[target], replay.tcp[target], target)
+    return Posture(replay.arm_at(target), target)
 
 
 def way(replay: Replay) -> list[Posture]:
@@ -115,18 +112,13 @@ def way(replay: Replay) -> list[Posture]:
     x = [replay.x[:1], *(np.linspace(a, b, n + 1)[1:] for a, b, n in zip(replay.x, replay.x[1:], counts, strict=False))]
     reached = np.concatenate([[0], np.repeat(np.arange(last), counts)])
     reached[np.cumsum(counts)] = np.arange(1, last + 1)
-    p, q, tcp = map(np.asarray, _postures(replay.robot, jnp.asarray(np.concatenate(x))))
-    return [Posture(*row) for row in zip(p, q, tcp, reached.tolist(), strict=True)]
-
-
-@jax.jit
-def _postures(robot, x: Float[jax.Array, "F N"]):
-    return jax.vmap(lambda x: (*capsule_segments(robot, x), tcp_position(robot, x)))(x)
+    arms = zip(*map(np.asarray, capsules_and_tcp(replay.robot, jnp.asarray(np.concatenate(x)))), strict=True)
+    return [Posture(ArmShape(*arm), target) for arm, target in zip(arms, reached.tolist(), strict=True)]
 
 
 def _model(replay: Replay, width: int, height: int, fine: bool) -> mujoco.MjModel:
     spec = mujoco.MjSpec()
-    ends = with_tip(*at(replay, 0)[:3])
+    ends = replay.arm_at(0).axes()
     radius = np.append(np.asarray(replay.robot.capsule_radius), TIP_M)
     colours = [*np.where(is_tool(replay.robot), TOOL, LINKS), TOOL]
     for k, (p, q, r, colour) in enumerate(zip(*ends, radius, colours, strict=True)):
@@ -135,11 +127,11 @@ def _model(replay: Replay, width: int, height: int, fine: bool) -> mujoco.MjMode
         body = spec.worldbody.add_body(mocap=True)
         body.add_geom(name=f"body {k}", **kind, size=[r, half, 0], rgba=_rgba(colour), **UNTOUCHED)
     spec.add_material(name="bead", emission=0.35)
-    for fate in fates(replay.status):
-        bead = {"type": _Geom.mjGEOM_SPHERE, "size": [FAILED_M if fate.colour == FAILED else BEAD_M, 0, 0]}
-        for t in np.flatnonzero(fate.where).tolist():
+    for style in target_styles(replay.status):
+        bead = {"type": _Geom.mjGEOM_SPHERE, "size": [FAILED_M if style.colour == FAILED else BEAD_M, 0, 0]}
+        for t in np.flatnonzero(style.where).tolist():
             place = {"name": f"target {t}", "pos": replay.target[t]}
-            spec.worldbody.add_geom(**place, **bead, material="bead", rgba=_rgba(fate.colour), **UNTOUCHED)
+            spec.worldbody.add_geom(**place, **bead, material="bead", rgba=_rgba(style.colour), **UNTOUCHED)
     if replay.obstruction is not None:
         ball = {"type": _Geom.mjGEOM_SPHERE, "size": [MARK_M, 0, 0], "pos": replay.obstruction.point}
         spec.worldbody.add_geom(name="in the way", **ball, material="bead", rgba=NOWHERE, **UNTOUCHED)

@@ -1,53 +1,38 @@
 """Plans to look at: where the arm, the cloud and the targets are, target by target.
 
-    shelf = open_shelf("out/workpiece")         # a run of htcp sweep, a plan of htcp plan, or a job to plan now
-    replay = shelf.replay(12, "nspace-sqp")
+    replays = open_replays("out/workpiece")     # a run of htcp sweep, a plan of htcp plan; or `replays_of` a Plan
+    replay = replays.replay(12, "nspace-sqp")
     replay.x[40]                                # the posture at target 40
 
 A picture or a viewer needs nothing else of the package than a `Replay`.
 """
 
-from collections.abc import Callable, Sequence
-from functools import cached_property, lru_cache
+from collections.abc import Callable, Hashable, Sequence
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int8
 
-from htcp_jax.clearance.obstacles import Obstacles, contacts, make_obstacle
+from htcp_jax.clearance.obstacles import Obstacles, contacts
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.build import arm_of, part_of, robot_of, scene, workpiece_of
-from htcp_jax.jobs.config import PlanConfig, validate
-from htcp_jax.planner.obstruction import Obstruction, last_posture, obstructions
-from htcp_jax.planner.plans import Plans, is_tracked
-from htcp_jax.runs.identity import refuse_changed
-from htcp_jax.runs.labels import labels_of
-from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY, read_plan
-from htcp_jax.runs.run_folder import MANIFEST, Run, open_run
-from htcp_jax.scene.kinematics import capsule_segments, tcp_position
+from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.planner.obstruction import Obstruction, blocked_target, obstructions
+from htcp_jax.planner.plans import Outcome, Plans, is_tracked, outcomes
+from htcp_jax.runs.open import PlanSet, open_plans
+from htcp_jax.scene.kinematics import ArmShape, capsules_and_tcp
 from htcp_jax.scene.robot import Robot, lengthen_tool
-from htcp_jax.scene.scenario import Scenario, gate_of, with_own_tool
-from htcp_jax.scene.surface import Surface, surface_of
+from htcp_jax.scene.scenario import Scenario
+from htcp_jax.scene.surface import Surface
 from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.viewer.colours import is_tool
 from htcp_jax.viewer.sides import Bodies, Side, camera_side
+from htcp_jax.viewer.workcell import GivenCell, Placement, Workcell, Workcells, cells_of
 
 LOOKED_AT = 5  # postures by which the side to look from is chosen
-ARRAYS = tuple(name for name in Plans._fields if name not in ("compile_s", "run_s"))
-XYZ = "xyz"
-MOST_SHELVES = 8  # robots and workpieces of one run in memory
-
-
-class Placement(NamedTuple):
-    """How one scenario differs from the others of its shelf; what `clearance.Posed` asks for, and the arm's."""
-
-    T_world_workpiece: Float[np.ndarray, "4 4"]
-    gate: Float[np.ndarray, "4"]
-    x_start: Float[np.ndarray, "N"]
-    tool_extension_m: float
 
 
 class Witness(NamedTuple):
@@ -73,9 +58,7 @@ class Replay(NamedTuple):
     clearance: Float[np.ndarray, "T"]  # NaN where not tracked
     residual: Float[np.ndarray, "T"]
     x: Float[np.ndarray, "T N"]
-    p: Float[np.ndarray, "T K 3"]  # ends of the capsules' axes
-    q: Float[np.ndarray, "T K 3"]
-    tcp: Float[np.ndarray, "T 3"]
+    shape: ArmShape  # the arm at these
     witness: Witness
     obstruction: Obstruction | None  # at the target that failed
     side: Side  # to look from
@@ -86,86 +69,84 @@ class Replay(NamedTuple):
         return self.surface.points
 
     @property
+    def p(self) -> Float[np.ndarray, "T K 3"]:
+        """Ends of the capsules' axes, the first ones."""
+        return self.shape.p
+
+    @property
+    def q(self) -> Float[np.ndarray, "T K 3"]:
+        """The other ends."""
+        return self.shape.q
+
+    @property
+    def tcp(self) -> Float[np.ndarray, "T 3"]:
+        """The tool centre points."""
+        return self.shape.tcp
+
+    @property
+    def outcome(self) -> Outcome:
+        """How the scenario ended; nothing is said of its joint paths."""
+        return outcomes(self.status[None]).of(0)._replace(scenario=self.number)
+
+    @property
     def tracked(self) -> int:
         """The number of tracked targets."""
-        return int(is_tracked(self.status).sum())
+        return self.outcome.tracked
 
     @property
     def failed(self) -> int | None:
         """The first target that is not tracked."""
-        missed = np.flatnonzero(~is_tracked(self.status))
-        return int(missed[0]) if missed.size else None
+        return self.outcome.failed
+
+    def arm_at(self, target: int) -> ArmShape:
+        """The arm at one target."""
+        return ArmShape(*(part[target] for part in self.shape))
 
 
-class Outcome(NamedTuple):
-    """What became of one scenario."""
+class Replays:
+    """Plans to look at: several scenarios by several methods.
 
-    number: int
-    tracked: int
-    targets: int
-
-    @property
-    def complete(self) -> bool:
-        """Whether every target is tracked."""
-        return self.tracked == self.targets
-
-
-class Shelf:
-    """The plans of one robot and one workpiece: several scenarios by several methods.
-
-    plans: by the name of a method, rows in the order of the scenarios' numbers from 0; -1 in its status where there
-    is nothing. labels: what sets scenarios apart, by number, see `scenario_label`.
+    plans: by the name of a method; row s is scenario s. labels: what sets scenarios apart, by number.
     """
 
     def __init__(
         self,
         name: str,
-        config: PlanConfig,
-        robot: Robot,
-        workpiece: Workpiece,
         methods: tuple[str, ...],
         plans: Callable[[str], Plans],
-        placements: dict[int, Placement],
+        cells: Workcells,
         labels: dict[int, str] | None = None,
     ):
-        self.labels = labels or {}
-        self.name, self.robot, self.workpiece, self.methods = name, robot, workpiece, methods
-        self._config, self._placements = config, placements
-        self.plans = lru_cache(maxsize=None)(plans)
+        self.name, self.methods, self.labels = name, methods, labels or {}
+        self.plans, self._cells = lru_cache(maxsize=None)(plans), cells
 
     def outcomes(self, method: str) -> list[Outcome]:
-        """What became of every scenario that the method has planned; the failed ones first, each kind in order.
+        """How every scenario ended that the method has planned; the failed ones first, each kind in order.
 
         Raises InputError for a method without results.
         """
         if method not in self.methods:
             raise InputError(f"{self.name} has no results of {method!r}; it has {', '.join(self.methods)}")
-        status = self.plans(method).status
-        there = np.flatnonzero((status >= 0).any(axis=1)).tolist()
-        found = [Outcome(k, int(is_tracked(status[k]).sum()), int((status[k] >= 0).sum())) for k in there]
+        ends = self.plans(method).outcomes
+        found = [ends.of(number) for number in np.flatnonzero(ends.planned).tolist()]
         return sorted(found, key=lambda outcome: outcome.complete)
 
     def replay(self, number: int, method: str) -> Replay:
         """The plan of a scenario by a method. Raises InputError for one that is not there, naming those that are."""
-        numbers = sorted(outcome.number for outcome in self.outcomes(method))
+        numbers = sorted(outcome.scenario for outcome in self.outcomes(method))
         if number not in numbers:
             raise InputError(f"{self.name} has no scenario {number} by {method}; it has {_spans(numbers)}")
-        placement = self._placements[number]
-        row = {name: getattr(self.plans(method), name)[number] for name in ARRAYS}
-        there = row["status"] >= 0
-        x = _held(row["x"][there], placement.x_start)
+        plans, placement = self.plans(method), self._cells.placement(number)
+        cell, there = self._cells.cell(self._cells.key(number)), plans.exists[number]
+        x = _held(plans.x[number, there], plans.start[number])
         blocked = self.obstructions(method, [number]).get(number)
         if blocked is not None:
-            x[last_posture(self.plans(method), number, placement.x_start)[0]] = blocked.x
-        robot = lengthen_tool(self.robot, placement.tool_extension_m)
-        p, q, tcp, body, near, far = map(np.asarray, _looked_at(robot, self._obstacle, placement, jnp.asarray(x)))
-        names = [self.robot.capsule_names[k] for k in body.tolist()]
-        surface = self._surface.placed(placement.T_world_workpiece)
-        path = min(1 + self._config.workpiece.approach_to_inlet + self._config.workpiece.approach_to_path, len(x))
-        target, good = row["target"][there], np.flatnonzero(is_tracked(row["status"][there]))
-        shown = good[good >= path] if (good >= path).any() else good if good.size else np.zeros(1, int)
-        shown = shown[np.linspace(0, len(shown) - 1, LOOKED_AT).round().astype(int)]
-        arm = Bodies(p[shown], q[shown], np.asarray(robot.capsule_radius), is_tool(robot))
+            x[blocked_target(plans, number)] = blocked.x
+        robot = lengthen_tool(cell.robot, placement.tool_extension_m)
+        shape = ArmShape(*map(np.asarray, capsules_and_tcp(robot, jnp.asarray(x))))
+        surface = cell.surface.placed(placement.T_world_workpiece)
+        target, status, path = plans.target[number, there], plans.status[number, there], min(cell.approach, len(x))
+        arm = _looked_at(shape, robot, np.flatnonzero(is_tracked(status)), path)
         return Replay(
             method=method,
             number=number,
@@ -174,14 +155,12 @@ class Shelf:
             surface=surface,
             path=path,
             target=target,
-            status=row["status"][there],
-            clearance=row["clearance"][there],
-            residual=row["residual"][there],
+            status=status,
+            clearance=plans.clearance[number, there],
+            residual=plans.residual[number, there],
             x=x,
-            p=p,
-            q=q,
-            tcp=tcp,
-            witness=Witness(names, near, far),
+            shape=shape,
+            witness=_witness(robot, cell.obstacle, placement, x),
             obstruction=blocked,
             side=camera_side(surface.points, target[path:] if len(target) > path + 1 else target, arm),
         )
@@ -192,77 +171,33 @@ class Shelf:
 
     def obstructions(self, method: str, numbers: Sequence[int] | None = None) -> dict[int, Obstruction]:
         """What is in the way in the scenarios that failed, of those numbers or of all; one call for hundreds."""
-        plans = self.plans(method)
-        there = sorted(self._placements) if numbers is None else numbers
-        ends = {k: last_posture(plans, k, self._placements[k].x_start) for k in there if k < len(plans.status)}
-        failed = {k: end for k, end in ends.items() if end is not None}
-        if not failed:
-            return {}
-        where = jax.tree.map(lambda *leaves: np.stack(leaves), *(self._placements[k] for k in failed))
-        x = np.stack([posture for _, posture in failed.values()])
-        targets = np.stack([plans.target[k, target] for k, (target, _) in failed.items()])
-        found = obstructions(self.robot, self._obstacle, where, x, targets, self._config.settings)
-        return dict(zip(failed, found, strict=True))
-
-    @cached_property
-    def _obstacle(self) -> Obstacles:
-        return make_obstacle(self.workpiece)
-
-    @cached_property
-    def _surface(self) -> Surface:
-        return surface_of(self.workpiece.cloud)
-
-
-class MixedShelf(Shelf):
-    """The plans of a sweep whose scenarios differ in the robot, the workpiece or the settings: a shelf for those that
-    agree in them, made when one is looked at."""
-
-    def __init__(self, run: Run, methods: tuple[str, ...], rows: dict[int, dict[str, Any]], labels: dict[int, str]):
-        points = run.points()
-        self._run, self._rows, self._jobs = run, rows, {number: points[number].config for number in rows}
-        self._shelf = lru_cache(maxsize=MOST_SHELVES)(self._make_shelf)
-        self.labels = labels
-        first = self._shelf(_alike(self._jobs[min(rows)]))
-        super().__init__(str(run.folder), first._config, first.robot, first.workpiece, methods, run.plans, {}, labels)
-
-    def replay(self, number: int, method: str) -> Replay:
-        """See `Shelf.replay`."""
-        if number not in self._rows:
-            raise InputError(f"{self.name} has no scenario {number} by {method}; it has {_spans(sorted(self._rows))}")
-        return self._shelf(_alike(self._jobs[number])).replay(number, method)
-
-    def obstructions(self, method: str, numbers: Sequence[int] | None = None) -> dict[int, Obstruction]:
-        """See `Shelf.obstructions`."""
+        plans, together = self.plans(method), dict[Hashable, dict[int, int]]()
+        for number in range(len(plans.status)) if numbers is None else numbers:
+            if (target := blocked_target(plans, number)) is not None:
+                together.setdefault(self._cells.key(number), {})[number] = target
         found = {}
-        together: dict[tuple, list[int]] = {}
-        for number in sorted(self._rows) if numbers is None else numbers:
-            together.setdefault(_alike(self._jobs[number]), []).append(number)
-        for alike, own in together.items():
-            found |= self._shelf(alike).obstructions(method, own)
+        for key, targets in together.items():
+            found |= self._in_the_way(self._cells.cell(key), plans, targets)
         return {number: found[number] for number in sorted(found)}
 
-    def _make_shelf(self, alike: tuple) -> Shelf:
-        numbers = [number for number, job in self._jobs.items() if _alike(job) == alike]
-        rows = [self._rows[number] for number in numbers]
-        job, run = self._jobs[numbers[0]], self._run
-        return _shelf(run, job, run.methods, rows, run.plans, self.labels)
+    def _in_the_way(self, cell: Workcell, plans: Plans, targets: dict[int, int]) -> dict[int, Obstruction]:
+        """The same for scenarios of one workcell, by number the target that failed."""
+        where = jax.tree.map(lambda *leaves: np.stack(leaves), *map(self._cells.placement, targets))
+        s, t = np.array(list(targets)), np.array(list(targets.values()))
+        how = plans.before(s, t), plans.target[s, t], cell.config.settings
+        return dict(zip(targets, obstructions(cell.robot, cell.obstacle, where, *how), strict=True))
 
 
-def _alike(job: PlanConfig) -> tuple:
-    """What scenarios on one shelf agree in."""
-    part = job.workpiece
-    return arm_of(job), part_of(job), part.approach_to_inlet, part.approach_to_path, job.settings
+def open_replays(folder: str | Path) -> Replays:
+    """The plans in the folder of a sweep or of one plan. Raises InputError as `open_plans` does, and for a plan that
+    is not of the configuration beside it."""
+    return recorded_replays(open_plans(folder))
 
 
-def open_shelf(folder: str | Path) -> Shelf:
-    """The plans in the folder of a sweep or of one plan. Raises InputError for any other folder, for damaged files,
-    and for a cloud, path or model that has changed since the run."""
-    folder = Path(folder)
-    if (folder / MANIFEST).exists():
-        return _of_run(open_run(folder))
-    if (folder / SUMMARY).exists():
-        return _of_plan(folder)
-    raise InputError(f"{folder} holds neither a run of htcp sweep ({MANIFEST}) nor a plan of htcp plan ({SUMMARY})")
+def recorded_replays(found: PlanSet, plans: Callable[[str], Plans] | None = None) -> Replays:
+    """The replays of plans on record. plans: by method, where they are read already. Raises InputError as
+    `open_replays` does."""
+    return Replays(str(found.folder), found.methods, plans or found.plans, cells_of(found), found.labels)
 
 
 @runtime_checkable
@@ -276,86 +211,34 @@ class Planned(Protocol):
     plans: Plans
 
 
-def shelf_of(name: str, plan: Planned) -> Shelf:
-    """The shelf of one plan."""
-    return _single(name, plan.job, plan.robot, plan.workpiece, plan.scenario, plan.plans)
+def replays_of(name: str, plan: Planned) -> Replays:
+    """The one replay of a plan in memory."""
+    cells = GivenCell(Workcell(plan.job, plan.robot, plan.workpiece), plan.scenario)
+    return Replays(name, (plan.job.method,), lambda _: plan.plans, cells)
 
 
-def _single(name: str, job: PlanConfig, robot: Robot, workpiece: Workpiece, scenario: Scenario, plans: Plans) -> Shelf:
-    placement = Placement(
-        T_world_workpiece=np.asarray(scenario.T_world_workpiece),
-        gate=np.asarray(scenario.gate),
-        x_start=np.asarray(scenario.x_start),
-        tool_extension_m=float(scenario.tool_extension_m),
-    )
-    return Shelf(name, job, robot, workpiece, (job.method,), lambda _: plans, {0: placement})
+def _looked_at(shape: ArmShape, robot: Robot, tracked: np.ndarray, path: int) -> Bodies:
+    """The arm at a few tracked targets, of the tool path where there are any; else at the first."""
+    shown = tracked[tracked >= path] if (tracked >= path).any() else tracked if tracked.size else np.zeros(1, int)
+    shown = shown[np.linspace(0, len(shown) - 1, LOOKED_AT).round().astype(int)]
+    return Bodies(shape.p[shown], shape.q[shown], np.asarray(robot.capsule_radius), is_tool(robot))
 
 
-def _of_run(run: Run) -> Shelf:
-    refuse_changed(run.manifest.files, run.folder)
-    methods = tuple(dict.fromkeys(shard.method for shard in run.manifest.shards))
-    config, table = run.config, run.scenarios(*methods)
-    rows = table.to_pylist()
-    # The targets are on record, so that the paths of the scenarios are not needed.
-    if run.varied:
-        return MixedShelf(run, methods, {row["scenario"]: row for row in rows}, labels_of(table))
-    return _shelf(run, config, methods, rows, run.plans, labels_of(table))
-
-
-def _shelf(
-    run: Run,
-    config: PlanConfig,
-    methods: tuple[str, ...],
-    rows: list[dict],
-    plans: Callable[[str], Plans],
-    labels: dict[int, str],
-) -> Shelf:
-    robot = robot_of(config.robot)
-    workpiece = workpiece_of(config.workpiece, robot)
-    placements = {row["scenario"]: _placement(row, robot, workpiece, run.manifest.joints) for row in rows}
-    return Shelf(str(run.folder), config, robot, workpiece, methods, plans, placements, labels)
-
-
-def _placement(row: dict[str, Any], robot: Robot, workpiece: Workpiece, joints: tuple[str, ...]) -> Placement:
-    shift = tuple(row[f"shift_{axis}_m"] for axis in XYZ)
-    T = workpiece.T_world(row["rotation_y_rad"], row["rotation_z_rad"], shift, row["rotation_x_rad"])
-    start = np.array([row[f"start_{joint}"] for joint in joints])
-    return Placement(T, gate_of(robot, workpiece, T), start, row["tool_extension_m"])
-
-
-def _of_plan(folder: Path) -> Shelf:
-    _, raw, files, arrays = read_plan(folder, ARRAYS)
-    refuse_changed(files, folder)
-    job: PlanConfig = validate(raw, PlanConfig, str(folder / SUMMARY))
-    robot, workpiece, scenario = scene(job)
-    if arrays["target"].shape != scenario.targets.shape or arrays["x"].shape[1:] != (len(robot.joint_names),):
-        raise InputError(f"{folder / TRAJECTORY} is no plan of the configuration beside it; damaged")
-    plans = Plans(**{name: array[None] for name, array in arrays.items()}, compile_s=0.0, run_s=0.0)
-    robot, scenario = with_own_tool(robot, scenario)
-    return _single(str(folder), job, robot, workpiece, scenario, plans)
-
-
-def with_tip(
-    p: Float[np.ndarray, "K 3"], q: Float[np.ndarray, "K 3"], tcp: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "2 K1 3"]:
-    """Ends of the capsules and, last, of the tool's bare tip: from the nearest of these ends to the TCP."""
-    ends = np.concatenate([p, q])
-    nearest = ends[np.linalg.norm(ends - tcp, axis=1).argmin()]
-    return np.stack([np.vstack([p, nearest]), np.vstack([q, tcp])])
+def _witness(robot: Robot, obstacle: Obstacles, where: Placement, x: Float[np.ndarray, "T N"]) -> Witness:
+    body, arm, cloud = map(np.asarray, _nearest(robot, obstacle, where, jnp.asarray(x)))
+    return Witness([robot.capsule_names[k] for k in body.tolist()], arm, cloud)
 
 
 @jax.jit
-def _looked_at(robot: Robot, obstacle: Obstacles, where: Placement, x: Float[jax.Array, "T N"]):
-    """Capsules' ends, TCP, and the witness of the smallest distance (body, point on it, point of the cloud), of every
-    configuration."""
+def _nearest(robot: Robot, obstacle: Obstacles, where: Placement, x: Float[jax.Array, "T N"]):
+    """The witness of the smallest distance (body, point on it, point of the cloud), of every configuration."""
 
     def one(x):
-        p, q = capsule_segments(robot, x)
         touch = contacts(robot, obstacle, where, x)
         body = jnp.argmin(touch.distance)
         point, normal, crossed = touch.point[body], touch.normal[body], touch.plane[body]
         arm = point - jnp.where(crossed, 0.0, robot.capsule_radius[body]) * normal
-        return p, q, tcp_position(robot, x), body, arm, arm - touch.distance[body] * normal
+        return body, arm, arm - touch.distance[body] * normal
 
     return jax.vmap(one)(x)
 

@@ -1,0 +1,102 @@
+"""manifest.json of a run folder: which run it is, and which files of it are finished."""
+
+from typing import Annotated, Any, Literal, NamedTuple
+
+from pydantic import Field, model_validator
+
+from htcp_jax.jobs.config import Section
+from htcp_jax.jobs.grid import MOST
+from htcp_jax.runs.identity import config_hash, identity
+
+MANIFEST = "manifest.json"
+TABLES = ("targets", "scenarios")
+
+MethodName = Annotated[str, Field(pattern=r"^[a-z0-9-]+$")]  # it stands in names of files
+Count = Annotated[int, Field(ge=0, lt=2**53)]
+Scenarios = Annotated[int, Field(ge=0, le=MOST)]
+
+
+class FileRecord(Section):
+    """What a file must be to count."""
+
+    rows: Count
+    bytes: Count
+    sha256: str
+
+
+class ShardRecord(Section):
+    """A finished shard: scenarios `first` to `last` by one method."""
+
+    method: MethodName
+    first: Scenarios
+    last: Scenarios
+    tracked: Count  # targets
+    compile_s: float
+    run_s: float
+    planned_by: Count  # place in the manifest's list of that name
+    targets: FileRecord
+    scenarios: FileRecord
+
+
+class Seconds(Section):
+    """Wall time of one method."""
+
+    compile_s: float = 0.0
+    run_s: float = 0.0
+
+
+class Manifest(Section):
+    """manifest.json. Config, grid, dtype and files say which run it is; `writer` never mixes two."""
+
+    format: Literal[1] = 1
+    name: str  # of the sweep
+    config: dict[str, Any]  # a PlanConfig; names of files are absolute
+    grid: tuple[dict[str, Any], ...]
+    dtype: str
+    files: dict[str, str]  # SHA-256 of the files that config and grid name
+    config_hash: str
+    seed: int
+    joints: tuple[str, ...]  # columns of x in the tables
+    targets: Count  # of all scenarios together
+    full: Scenarios  # scenarios of the whole grid
+    limit: int | None  # of scenarios, as asked for
+    count: Scenarios  # scenarios to plan: the first of the grid
+    shard_scenarios: Annotated[int, Field(gt=0)]
+    methods: tuple[MethodName, ...]
+    seconds: dict[str, Seconds] = Field(default_factory=dict)  # per method
+    planned_by: tuple[dict[str, Any], ...] = ()  # commit, versions, device
+    shards: tuple[ShardRecord, ...] = ()
+
+    @model_validator(mode="after")
+    def _agrees_with_itself(self) -> "Manifest":
+        if self.config_hash != config_hash(identity(self.config, self.grid, self.dtype, self.files)):
+            raise ValueError("config_hash is not that of what it holds")
+        seen = set()
+        for shard in self.shards:
+            place = shard.method, shard.first
+            last = min(shard.first + self.shard_scenarios, self.count) - 1
+            known = shard.method in self.methods and shard.planned_by < len(self.planned_by)
+            if not known or shard.first % self.shard_scenarios or shard.last != last or place in seen:
+                raise ValueError(f"a shard of {shard.method} has no place in it")
+            if shard.scenarios.rows != last - shard.first + 1 or shard.tracked > shard.targets.rows:
+                raise ValueError(f"a shard of {shard.method} has other rows than scenarios")
+            seen.add(place)
+        return self
+
+
+class Span(NamedTuple):
+    """Scenarios `first` to `last`."""
+
+    first: int
+    last: int
+
+
+def spans(manifest: Manifest) -> list[Span]:
+    """How the scenarios of a run are cut into shards."""
+    step, count = manifest.shard_scenarios, manifest.count
+    return [Span(first, min(first + step, count) - 1) for first in range(0, count, step)]
+
+
+def shard_name(method: str, span: Span) -> str:
+    """Name of a shard's files."""
+    return f"{method}-{span.first:06d}-{span.last:06d}.parquet"

@@ -1,0 +1,115 @@
+"""Plans on record, opened: those of a sweep's run, or the one of a plan's folder, by the same words.
+
+    found = open_plans("out/workpiece")
+    found.plans("hybrid").outcomes.complete     # row s is scenario s
+    found.jobs[12]                              # what scenario 12 would be if it were planned alone
+
+Who looks at plans and who checks them read the same record; what they make of it is their own.
+"""
+
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from htcp_jax.errors import InputError
+from htcp_jax.jobs.config import PlanConfig, validate
+from htcp_jax.planner.plans import Plans
+from htcp_jax.runs import parameters
+from htcp_jax.runs.identity import file_hash, refuse_changed
+from htcp_jax.runs.parameters import Parameters
+from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY, PlanRecord, read_plan
+from htcp_jax.runs.run_folder import MANIFEST, Run, open_run
+
+
+class RunPlans:
+    """The plans of a run, which may be unfinished: scenarios by methods, each method with results for some or all."""
+
+    def __init__(self, run: Run):
+        shards = run.manifest.shards
+        self.run, self.folder = run, run.folder
+        self.methods = tuple(dict.fromkeys(shard.method for shard in shards))  # that have results
+        self.count = sum(shard.last - shard.first + 1 for shard in shards)  # of the plans
+        self.config = run.config  # what the scenarios share
+        self.mixed = bool(run.varied)  # whether they differ in the robot, the workpiece or the settings, too
+        self.files = run.result_files()  # SHA-256 of the files with results, by their names in the folder
+
+    def plans(self, method: str) -> Plans:
+        """One method's, read anew; row s is scenario s. Raises InputError for damaged files."""
+        return self.run.plans(method)
+
+    @cached_property
+    def jobs(self) -> list[PlanConfig]:
+        """The scenarios' own configurations, by number. Raises InputError for a grid that cannot be read."""
+        return [point.config for point in self.run.points()]
+
+    @cached_property
+    def parameters(self) -> dict[int, Parameters]:
+        """How the scenarios with results differ, by number. Raises InputError for damaged files."""
+        joints = self.run.manifest.joints
+        return {
+            row["scenario"]: parameters.of_row(row, joints) for row in self.run.scenarios(*self.methods).to_pylist()
+        }
+
+    @cached_property
+    def labels(self) -> dict[int, str]:
+        """The same in words. Raises InputError for damaged files."""
+        return self.run.labels()
+
+
+class FolderPlan:
+    """The plan of one folder, which is scenario 0; it is asked as `RunPlans` is.
+
+    Raises InputError for a configuration that cannot be read and for arrays that are not those of one plan.
+    """
+
+    def __init__(self, folder: Path, record: PlanRecord):
+        self.folder, self.methods, self.count, self.mixed = folder, (record.method,), 1, False
+        self.config: PlanConfig = validate(record.config, PlanConfig, str(folder / SUMMARY))
+        self.jobs, self.parameters, self.labels = [self.config], {0: parameters.of_job(self.config)}, {0: ""}
+        self.files = {TRAJECTORY: file_hash(folder / TRAJECTORY)}
+        # A plan of before `Plans.start` was written starts where its configuration says.
+        arrays = {"start": np.array(self.config.start_rad, float)} | record.arrays
+        _check_shapes(folder / TRAJECTORY, arrays, len(self.config.start_rad))
+        self._plans = Plans(**{name: array[None] for name, array in arrays.items()}, compile_s=0.0, run_s=0.0)
+
+    def plans(self, method: str) -> Plans:
+        """Its arrays, with a leading axis of length 1; the folder knows no times."""
+        del method  # it has but one
+        return self._plans
+
+
+PlanSet = RunPlans | FolderPlan
+
+
+def open_plans(folder: str | Path) -> PlanSet:
+    """The plans in a folder of `htcp sweep` or `htcp plan`.
+
+    Raises InputError for any other folder, for a run without results, for damaged files, and for a cloud, path or
+    model that has changed since they were planned.
+    """
+    folder = Path(folder)
+    if (folder / MANIFEST).exists():
+        return plans_of_run(open_run(folder))
+    if (folder / SUMMARY).exists():
+        record = read_plan(folder)
+        refuse_changed(record.files, folder)
+        return FolderPlan(folder, record)
+    raise InputError(f"{folder} holds neither a run of htcp sweep ({MANIFEST}) nor a plan of htcp plan ({SUMMARY})")
+
+
+def plans_of_run(run: Run) -> RunPlans:
+    """The plans of an open run. Raises InputError as `open_plans` does."""
+    refuse_changed(run.manifest.files, run.folder)
+    if not run.manifest.shards:
+        raise InputError(f"{run.folder} has no finished shard yet")
+    return RunPlans(run)
+
+
+def _check_shapes(file: Path, arrays: dict[str, np.ndarray], joints: int) -> None:
+    """Raise InputError for arrays that are not those of one plan."""
+    count = arrays["status"].size
+    shapes = {"start": (joints,), "x": (count, joints), "tcp": (count, 3), "target": (count, 3)}
+    for name, array in arrays.items():
+        if array.shape != shapes.get(name, (count,)) or array.dtype.kind not in "fiu":
+            raise InputError(f"{file}: {name} has the shape {array.shape}; damaged")

@@ -1,0 +1,58 @@
+"""How a scenario differs from the others of its run, and the columns of a scenario table that say so.
+
+    start_<joint>_rad ..., rotation_x_rad, rotation_y_rad, rotation_z_rad, shift_x_m ..., tool_extension_m
+
+The list of names stands here alone. A table's start is the posture that the plan starts from, see `Plans.start`.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.jobs.config import PlanConfig
+
+ROTATIONS = "rotation_x_rad", "rotation_y_rad", "rotation_z_rad"
+SHIFTS = "shift_x_m", "shift_y_m", "shift_z_m"
+TOOL = "tool_extension_m"
+
+
+class Parameters(NamedTuple):
+    """Start, pose of the workpiece and length of the tool of one scenario."""
+
+    start: Float[np.ndarray, "N"]  # [rad or m]
+    rotation_x_rad: float  # of the workpiece about its pivot, first about world x, then y, then z
+    rotation_y_rad: float
+    rotation_z_rad: float
+    shift_m: Float[np.ndarray, "3"]  # of the workpiece, world
+    tool_extension_m: float
+
+
+def of_job(job: PlanConfig) -> Parameters:
+    """Those that a configuration gives its one scenario."""
+    part = job.workpiece
+    start, shift = np.array(job.start_rad, float), np.array(part.shift_m, float)
+    return Parameters(start, *(getattr(part, name) for name in ROTATIONS), shift, job.robot.tool_extension_m)
+
+
+def of_row(row: Mapping[str, Any], joints: Sequence[str]) -> Parameters:
+    """Those in a row of a scenario table. joints: the names of the columns of x, see `tables.joint_columns`."""
+    start, shift = ([row[name] for name in names] for names in (start_columns(joints), SHIFTS))
+    return Parameters(np.array(start, float), *(row[name] for name in ROTATIONS), np.array(shift, float), row[TOOL])
+
+
+def columns(
+    parameters: Sequence[Parameters], start: Float[np.ndarray, "S N"], joints: Sequence[str]
+) -> dict[str, np.ndarray]:
+    """The columns of S scenarios, in their order. start: the postures that the plans start from [rad or m]."""
+    found = {name: start[:, k] for k, name in enumerate(start_columns(joints))}
+    found |= {name: [getattr(one, name) for one in parameters] for name in ROTATIONS}
+    found |= {name: [one.shift_m[k] for one in parameters] for k, name in enumerate(SHIFTS)}
+    found |= {TOOL: [one.tool_extension_m for one in parameters]}
+    return {name: np.array(values, float) for name, values in found.items()}
+
+
+def start_columns(joints: Sequence[str]) -> tuple[str, ...]:
+    """The columns of the start, one a joint."""
+    return tuple(f"start_{name}" for name in joints)

@@ -1,0 +1,133 @@
+"""Where the plans of a plan set take place: robot, workpiece and settings, and where each scenario has them."""
+
+from collections.abc import Hashable
+from functools import cached_property, lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.clearance.obstacles import Obstacle, make_obstacle
+from htcp_jax.errors import InputError
+from htcp_jax.jobs.build import arm_of, part_of, robot_of, workpiece_of
+from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.runs.open import FolderPlan, PlanSet
+from htcp_jax.runs.parameters import Parameters
+from htcp_jax.runs.plan_folder import TRAJECTORY
+from htcp_jax.scene.robot import Robot
+from htcp_jax.scene.scenario import Scenario, gate_of
+from htcp_jax.scene.surface import Surface, surface_of
+from htcp_jax.scene.workpiece import Workpiece
+
+MOST_CELLS = 8  # robots and workpieces of one run in memory
+
+
+class Placement(NamedTuple):
+    """Where one scenario has the workpiece and the TCP: what `clearance.Posed` asks for, and the tool's length."""
+
+    T_world_workpiece: Float[np.ndarray, "4 4"]
+    gate: Float[np.ndarray, "4"]
+    tool_extension_m: float
+
+
+class Workcell:
+    """A robot beside a workpiece, and the configuration that their scenarios share."""
+
+    def __init__(self, config: PlanConfig, robot: Robot, workpiece: Workpiece):
+        self.config, self.robot, self.workpiece = config, robot, workpiece
+
+    @property
+    def approach(self) -> int:
+        """Targets that lead to the tool path."""
+        return 1 + self.config.workpiece.approach_to_inlet + self.config.workpiece.approach_to_path
+
+    @cached_property
+    def obstacle(self) -> Obstacle:
+        """The workpiece as the clearance has it."""
+        return make_obstacle(self.workpiece)
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The workpiece as it is drawn."""
+        return surface_of(self.workpiece.cloud)
+
+
+class RecordedCells:
+    """Those of plans on record: made from the configurations when they are first asked for; the last few are kept.
+
+    cell(key): the workcell of the scenarios with that key. Raises InputError for files that cannot be read.
+    """
+
+    def __init__(self, found: PlanSet):
+        self._found = found
+        self.cell = lru_cache(maxsize=MOST_CELLS)(self._make)
+
+    def key(self, number: int) -> Hashable:
+        """Equal for scenarios that share a workcell. The targets are on record, so that the paths of a run's scenarios
+        are not needed."""
+        return self._keys[number] if self._found.mixed else None
+
+    def placement(self, number: int) -> Placement:
+        """Where a scenario has things in its workcell."""
+        cell = self.cell(self.key(number))
+        return _placement(cell.robot, cell.workpiece, self._found.parameters[number])
+
+    @cached_property
+    def _keys(self) -> dict[int, Hashable]:
+        return {number: _shared(self._found.jobs[number]) for number in self._found.parameters}
+
+    def _make(self, key: Hashable) -> Workcell:
+        found = self._found
+        first = next(number for number in found.parameters if self.key(number) == key)
+        config = found.jobs[first] if found.mixed else found.config
+        robot = robot_of(config.robot)
+        return Workcell(config, robot, workpiece_of(config.workpiece, robot))
+
+
+class GivenCell:
+    """One workcell in memory, at one placement for all scenarios; it is asked as `RecordedCells` are."""
+
+    def __init__(self, cell: Workcell, scenario: Scenario):
+        T, gate = np.asarray(scenario.T_world_workpiece), np.asarray(scenario.gate)
+        self._cell, self._placement = cell, Placement(T, gate, float(scenario.tool_extension_m))
+
+    def key(self, number: int) -> Hashable:
+        """The same for all."""
+        del number
+
+    def cell(self, key: Hashable) -> Workcell:
+        """The only one."""
+        del key
+        return self._cell
+
+    def placement(self, number: int) -> Placement:
+        """The same for all."""
+        del number
+        return self._placement
+
+
+Workcells = RecordedCells | GivenCell
+
+
+def cells_of(found: PlanSet) -> RecordedCells:
+    """The workcells of plans on record, the first of them made. Raises InputError where it cannot be, and for a plan
+    of another number of targets or joints than its configuration leads to."""
+    cells = RecordedCells(found)
+    cell = cells.cell(cells.key(min(found.parameters)))
+    if isinstance(found, FolderPlan):
+        shape = cell.approach + len(cell.workpiece.path), len(cell.robot.joint_names)
+        if found.plans(found.methods[0]).x.shape[1:] != shape:
+            raise InputError(f"{found.folder / TRAJECTORY} is no plan of the configuration beside it; damaged")
+    return cells
+
+
+def _shared(job: PlanConfig) -> tuple:
+    """What scenarios in one workcell agree in."""
+    part = job.workpiece
+    return arm_of(job), part_of(job), part.approach_to_inlet, part.approach_to_path, job.settings
+
+
+def _placement(robot: Robot, workpiece: Workpiece, given: Parameters) -> Placement:
+    turn = given.rotation_y_rad, given.rotation_z_rad
+    T = workpiece.T_world(*turn, tuple(given.shift_m.tolist()), given.rotation_x_rad)
+    return Placement(T, gate_of(robot, workpiece, T), given.tool_extension_m)
