@@ -43,9 +43,9 @@ _HOME = {
     "make_report": "report.report",
     "methods": "api",
     "charts": "report.charts",
-    "gp50": "scene.robot",
-    "load_robot": "scene.robot",
-    "load_workpiece": "scene.workpiece",
+    "gp50": "scene.robot_file",
+    "load_robot": "scene.robot_file",
+    "load_workpiece": "scene.workpiece_file",
     "make_scenario": "scene.scenario",
     "InputError": "errors",
     # The mathematics, for jax.grad, jax.vmap and jax.jit; the smallest distance is clearance.clearance.

@@ -11,9 +11,9 @@ from htcp_jax.planner import batch, kernels
 from htcp_jax.planner.batch import plan
 from htcp_jax.planner.engine import Engine
 from htcp_jax.planner.lanes import take
-from htcp_jax.scene.robot import gp50
+from htcp_jax.scene.robot_file import gp50
 from htcp_jax.scene.scenario import make_scenario, stack
-from htcp_jax.scene.workpiece import load_workpiece
+from htcp_jax.scene.workpiece_file import load_workpiece
 from htcp_jax.settings import Settings
 from htcp_jax.solvers.clarabel_ import ClarabelSolver
 from htcp_jax.solvers.step_qp import QPSolution, QPStatus

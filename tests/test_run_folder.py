@@ -19,7 +19,7 @@ from htcp_jax.runs import tables, writer
 from htcp_jax.runs.identity import config_hash, identity, planned_by
 from htcp_jax.runs.lock import locked
 from htcp_jax.runs.run_folder import Manifest, Run, Span, open_run
-from htcp_jax.scene.robot import gp50
+from htcp_jax.scene.robot_file import gp50
 from htcp_jax.status import Status
 
 A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_ESCAPE, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED

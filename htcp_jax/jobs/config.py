@@ -23,7 +23,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.config_file import FILES, layers, layers_of, merged, parse_override, put
 from htcp_jax.planner.methods import METHODS
-from htcp_jax.scene.robot import load_robot
+from htcp_jax.scene.robot_file import load_robot
 from htcp_jax.scene.tool import Tool
 from htcp_jax.scene.workpiece import GATE_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
 from htcp_jax.settings import Settings
@@ -49,7 +49,7 @@ class RobotConfig(Section):
 
     model: str = "gp50"  # or an MJCF or URDF file
     limits: Literal["simulation", "datasheet", "model"] = "simulation"
-    tcp: str | None = None  # site or body at the TCP, or at the flange of a `tool`; without it see robot.load_robot
+    tcp: str | None = None  # site or body at the TCP, or at the flange of a `tool`; without it see robot_file.load_robot
     base_m: Point = (0.0, 0.0, 0.0)  # of the model's own frame, in the world
     base_rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # about world x, then y, then z
     tool: Tool | None = None
