@@ -19,7 +19,7 @@ from benchmarks import hardware
 from htcp_jax.clearance.cloud_tree import build_index
 from htcp_jax.clearance.obstacles import Obstacle, all_clear, clearance, linearise, make_obstacle
 from htcp_jax.jobs.build import scene
-from htcp_jax.jobs.config import load_config
+from htcp_jax.jobs.load_config import load_config
 from htcp_jax.planner import compile_cache
 from htcp_jax.planner.batch import plan
 from htcp_jax.scene.kinematics import capsule_segments

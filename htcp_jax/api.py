@@ -10,8 +10,10 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
+from htcp_jax.formats.strict_model import validate
 from htcp_jax.jobs.build import scene
-from htcp_jax.jobs.config import PlanConfig, load_config, validate
+from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.jobs.load_config import load_config
 from htcp_jax.notebook import html_facts
 from htcp_jax.planner import batch
 from htcp_jax.planner.methods import METHODS

@@ -28,8 +28,9 @@ from sweep_process import make_sweep
 
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import scenario_of
-from htcp_jax.jobs.config import PlanConfig, load_config
+from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.grid import load_sweep
+from htcp_jax.jobs.load_config import load_config
 from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.sweep import sweep
 from htcp_jax.scene.mesh_points import cover

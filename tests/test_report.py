@@ -11,7 +11,7 @@ from hand_made import plans_with
 
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import load_config
+from htcp_jax.jobs.load_config import load_config
 from htcp_jax.planner import batch
 from htcp_jax.report import paper, tables
 from htcp_jax.report.best import best

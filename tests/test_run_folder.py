@@ -13,8 +13,8 @@ import pytest
 from hand_made import plans_with
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import load_config
-from htcp_jax.jobs.grid_points import Point
+from htcp_jax.jobs.grid_axes import Point
+from htcp_jax.jobs.load_config import load_config
 from htcp_jax.runs import tables, writer
 from htcp_jax.runs.identity import config_hash, identity, planned_by
 from htcp_jax.runs.lock import locked

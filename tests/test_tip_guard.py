@@ -10,7 +10,7 @@ import trimesh
 
 from htcp_jax.clearance.tip_guard import TipGuard, Triangles, make_tip_guard
 from htcp_jax.jobs.build import robot_of, workpiece_of
-from htcp_jax.jobs.config import load_config
+from htcp_jax.jobs.load_config import load_config
 from htcp_jax.scene.kinematics import capsule_segments, tcp_position, tip_segment
 from htcp_jax.scene.robot import lengthen_tool
 from htcp_jax.scene.workpiece import Workpiece

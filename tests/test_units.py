@@ -13,8 +13,8 @@ import trimesh
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import scene
-from htcp_jax.jobs.config import load_config
 from htcp_jax.jobs.grid import load_sweep
+from htcp_jax.jobs.load_config import load_config
 from htcp_jax.scene import units
 from htcp_jax.scene.kinematics import reach, tcp_position
 from htcp_jax.scene.robot_file import gp50

@@ -15,7 +15,7 @@ from htcp_jax.clearance.obstacles import all_clear, clearance, clearances, conta
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import robot_of, scenario_of, scene, workpiece_of
-from htcp_jax.jobs.config import load_config
+from htcp_jax.jobs.load_config import load_config
 from htcp_jax.planner.methods import METHODS
 from htcp_jax.planner.plans import is_tracked
 from htcp_jax.runs.plan_folder import read_plan

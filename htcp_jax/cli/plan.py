@@ -11,7 +11,8 @@ from rich.text import Text
 from htcp_jax.api import Plan, checked_scene, forget_validation, plan_job
 from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Device, Json, print_facts, print_json, stdout
-from htcp_jax.jobs.config import PlanConfig, load_config
+from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.jobs.load_config import load_config
 from htcp_jax.planner import batch, devices
 from htcp_jax.planner.methods import METHODS
 from htcp_jax.runs.plan_folder import written_whole

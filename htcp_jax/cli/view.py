@@ -13,7 +13,7 @@ from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import stdout
 from htcp_jax.cli.plan import Overrides, plan_with_progress
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import load_config
+from htcp_jax.jobs.load_config import load_config
 from htcp_jax.viewer.replay import Shelf, open_shelf, shelf_of
 
 What = Annotated[

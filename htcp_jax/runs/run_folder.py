@@ -19,10 +19,10 @@ import pyarrow.parquet as pq
 from pydantic import Field, ValidationError, model_validator
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import PlanConfig, Section, validate
-from htcp_jax.jobs.grid import MOST
-from htcp_jax.jobs.grid_axes import from_record, varied_keys
-from htcp_jax.jobs.grid_points import Point, points_of
+from htcp_jax.formats.strict_model import Section, validate
+from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.jobs.grid_axes import MOST, Point, from_record, varied_keys
+from htcp_jax.jobs.grid_points import points_of
 from htcp_jax.notebook import html_facts
 from htcp_jax.planner.plans import Plans
 from htcp_jax.runs.identity import config_hash, identity

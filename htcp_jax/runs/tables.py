@@ -46,7 +46,7 @@ import numpy as np
 import pyarrow as pa
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.grid_points import Point
+from htcp_jax.jobs.grid_axes import Point
 from htcp_jax.planner.plans import Plans, is_tracked
 from htcp_jax.scene.robot import Robot
 from htcp_jax.status import Status

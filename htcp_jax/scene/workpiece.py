@@ -17,10 +17,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.formats.arrays import points, triple
 from htcp_jax.notebook import html_facts
 from htcp_jax.scene.convex_hull import Hull, convex_hull
-
-PIVOT = (1.73205679, -0.0037799, 0.57539635)  # [m] world
-NEUTRAL_TRANSLATION = (1.24549547, -0.0037799, 0.87525497)  # [m] workpiece origin at wy = wz = 0
-GATE_DEPTH_M = 0.2
+from htcp_jax.scene.duct import GATE_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
 
 Triple = tuple[float, float, float]
 

@@ -22,8 +22,8 @@ import yaml
 from pydantic import Field, model_validator
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.strict_model import Section, validate
 from htcp_jax.formats.strict_yaml import read_yaml
-from htcp_jax.jobs.config import Section, validate
 from htcp_jax.planner.plans import is_tracked
 from htcp_jax.runs.ceiling_file import read_ceiling
 from htcp_jax.runs.identity import config_hash, identity

@@ -13,8 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.strict_model import validate
 from htcp_jax.jobs.build import arm_of, part_of, robot_of, workpiece_of
-from htcp_jax.jobs.config import PlanConfig, RobotConfig, WorkpieceConfig, validate
+from htcp_jax.jobs.config import PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.planner.plans import is_tracked
 from htcp_jax.runs.identity import file_hash, refuse_changed
 from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY, read_plan

@@ -19,8 +19,9 @@ from jaxtyping import Float, Int8
 
 from htcp_jax.clearance.obstacles import Obstacle, contacts, make_obstacle
 from htcp_jax.errors import InputError
+from htcp_jax.formats.strict_model import validate
 from htcp_jax.jobs.build import arm_of, part_of, robot_of, scene, workpiece_of
-from htcp_jax.jobs.config import PlanConfig, validate
+from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.planner.obstruction import Obstruction, last_posture, obstructions
 from htcp_jax.planner.plans import Plans, is_tracked
 from htcp_jax.runs.identity import refuse_changed
