@@ -33,7 +33,7 @@ from htcp_jax.runs.tables import frame_of, joint_columns, target_table
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import Scenario, interior_rule, with_own_tool
 from htcp_jax.scene.workpiece import Workpiece
-from htcp_jax.validation.validate import VALIDATION
+from htcp_jax.validation.result import VALIDATION
 from htcp_jax.viewer.picture import draw_plan
 
 if TYPE_CHECKING:

@@ -43,3 +43,8 @@ _MESSAGES = {
     Status.OUT_OF_REACH: "a target is farther away than the arm is long, so nothing was tried",
     Status.TIP_BLOCKED: "the arm is clear there, but the bare end of the tool passes through the wall",
 }
+
+
+def words(status: Status) -> str:
+    """The name of a status as text."""
+    return status.name.replace("_", " ").lower().replace("qp", "QP")

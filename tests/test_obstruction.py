@@ -9,7 +9,7 @@ from made_once import START, robot
 from made_plan import made_plan
 
 from htcp_jax.clearance.obstacles import make_obstacle
-from htcp_jax.planner.kernels import tasks
+from htcp_jax.planner.lane_inputs import tasks
 from htcp_jax.planner.obstruction import last_posture, obstruction, obstructions
 from htcp_jax.scene.duct import duct_cloud, weld
 from htcp_jax.scene.kinematics import capsule_segments, tcp_position

@@ -22,8 +22,8 @@ from htcp_jax.scene.robot_file import gp50, load_robot
 from htcp_jax.scene.workpiece_file import load_workpiece
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_clearance import Scene, Wall
-from htcp_jax.validation.track import STEP_RAD
-from htcp_jax.validation.validate import VALIDATION, validate
+from htcp_jax.validation.result import STEP_RAD, VALIDATION
+from htcp_jax.validation.validate import validate
 
 PIPE = Path(__file__).parents[1] / "configs" / "pipe" / "job.yaml"
 

@@ -10,7 +10,7 @@ from htcp_jax.cli.output import Json, print_json, print_table, stdout
 from htcp_jax.cli.validate import bar
 from htcp_jax.errors import InputError
 from htcp_jax.report.document import Column, Table
-from htcp_jax.runs.labels import labels_in, named
+from htcp_jax.runs.labels import named
 from htcp_jax.runs.run_folder import MANIFEST, Run, open_run
 from htcp_jax.validation.baseline import bless as write_baseline
 from htcp_jax.validation.baseline import read_baseline
@@ -92,7 +92,7 @@ def _record(verdict: Verdict) -> dict:
 
 def _print(run: Run, verdict: Verdict) -> None:
     console = stdout()
-    labels = labels_in(run) if verdict.flips else {}
+    labels = run.labels() if verdict.flips else {}
     console.print(Text(run.manifest.name, style="bold"))
     for columns in (COUNTS, FIGURES):
         known = [c for c in columns if any(getattr(row, c.key) is not None for row in verdict.rows)]

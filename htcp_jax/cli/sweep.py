@@ -17,12 +17,11 @@ from htcp_jax.planner import devices
 from htcp_jax.planner.methods import METHODS
 from htcp_jax.report.document import Column, Table
 from htcp_jax.report.groups import drivable
-from htcp_jax.report.path_charts import words
 from htcp_jax.runs import sweep as sweeps
 from htcp_jax.runs.plan_folder import summary_record
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.summary import summarise
-from htcp_jax.status import Status
+from htcp_jax.status import Status, words
 
 SweepFile = Annotated[Path, typer.Argument(metavar="SWEEP.yaml", help="The grid, sweeps/robot.yaml for example.")]
 Methods = Annotated[

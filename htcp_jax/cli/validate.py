@@ -12,9 +12,10 @@ from rich.text import Text
 
 from htcp_jax.cli.output import Json, print_json, print_table, stdout
 from htcp_jax.report.validation import notes, told_apart, validation_tables
-from htcp_jax.runs.labels import labels_in, named
+from htcp_jax.runs.labels import named
 from htcp_jax.runs.run_folder import MANIFEST, open_run
-from htcp_jax.validation.validate import VALIDATION, Validation, record, write_validation
+from htcp_jax.validation.result import VALIDATION, Validation
+from htcp_jax.validation.validate import record, write_validation
 from htcp_jax.validation.validate import validate as check
 
 VALIDATED, REFUTED = 0, 1
@@ -64,7 +65,7 @@ def _print(run: Path, found: Validation) -> None:
     for table in validation_tables(told):
         print_table(console, table)
         console.print()
-    labels = labels_in(open_run(run)) if (run / MANIFEST).exists() else {}
+    labels = open_run(run).labels() if (run / MANIFEST).exists() else {}
     for line in (*told_apart(told, labels), *notes(told)):
         console.print(Text(line, style="dim"))
     for one in found.refuted[:LISTED]:

@@ -15,7 +15,7 @@ from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.errors import InputError
 from htcp_jax.planner.devices import choose, default_threads
 from htcp_jax.planner.engine import EMPTY, Engine
-from htcp_jax.planner.kernels import tasks
+from htcp_jax.planner.lane_inputs import tasks
 from htcp_jax.planner.methods import METHODS
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.programs import Kernels

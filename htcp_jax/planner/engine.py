@@ -23,7 +23,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from htcp_jax.clearance.verdict import counts
-from htcp_jax.planner.kernels import Measured, Task, tasks
+from htcp_jax.planner.kernels import Measured
+from htcp_jax.planner.lane_inputs import Task, tasks
 from htcp_jax.planner.lanes import ENTERING, MAIN, NEW, TRACK, Lanes, join, new_lanes, put, take
 from htcp_jax.planner.methods import METHODS, NullSpace
 from htcp_jax.planner.null_space import Anchored

@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from htcp_jax.clearance.joint_path import path_clear
 from htcp_jax.clearance.obstacles import Linearisation, linearise
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.clearance.verdict import counts
 from htcp_jax.numerics import product, safe_norm
+from htcp_jax.planner.lane_inputs import Task
 from htcp_jax.planner.methods import Sample
 from htcp_jax.planner.null_space import (
     Anchored,
@@ -27,7 +27,6 @@ from htcp_jax.planner.null_space import (
 from htcp_jax.planner.sampling import Candidates, draw_clear
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.kinematics import tip_segment
-from htcp_jax.scene.scenario import Scenario
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import step_qp
 from htcp_jax.solvers.active_set import solve_step
@@ -35,30 +34,6 @@ from htcp_jax.solvers.active_set import solve_step
 STEPS_A_BURST = 5  # step QPs that `track` takes before the engine looks at the lanes again
 SPREAD_EVERY = 3  # rounds of draws: in every third any of the better draws are pushed clear, not the clearest alone
 DRAW_STAGE = 99  # random keys of draws lie apart from those of the stages
-
-
-class Task(NamedTuple):
-    """What one lane is about: its scenario's surroundings, and which target. A lane brings all of it
-    along, so the compiled programs know nothing of how many scenarios there are."""
-
-    T_world_workpiece: jax.Array
-    gate: jax.Array
-    margin_m: jax.Array
-    tool_extension_m: jax.Array
-    number: jax.Array
-    target: jax.Array  # [m]
-    row: jax.Array  # of the target
-    round: jax.Array  # of draws
-
-
-def tasks(scenarios: Scenario, scenario: np.ndarray, row: np.ndarray, round_: int = 0) -> Task:
-    """The tasks of lanes that are at target `row` of their `scenario`; scenarios are stacked, numpy."""
-    row, scenario = np.asarray(row, np.int32), np.asarray(scenario)
-    own = [
-        getattr(scenarios, name)[scenario]
-        for name in ("T_world_workpiece", "gate", "margin_m", "tool_extension_m", "number")
-    ]
-    return Task(*own, scenarios.targets[scenario, row], row, np.full_like(row, round_))
 
 
 class Measured(NamedTuple):

@@ -15,9 +15,9 @@ from jaxtyping import Float
 
 from htcp_jax.clearance.obstacles import Obstacle, contacts, make_obstacle
 from htcp_jax.clearance.scene import Scene, own_scene
-from htcp_jax.planner.kernels import tasks
+from htcp_jax.planner.chunks import chunked, table_on
+from htcp_jax.planner.lane_inputs import tasks
 from htcp_jax.planner.plans import Plans, is_tracked
-from htcp_jax.planner.programs import chunked, table_on
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import Scenario, stack

@@ -17,7 +17,7 @@ import numpy as np
 from htcp_jax.clearance.obstacles import make_obstacle
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.clearance.verdict import counts
-from htcp_jax.planner.kernels import tasks
+from htcp_jax.planner.lane_inputs import tasks
 from htcp_jax.planner.methods import METHODS
 from htcp_jax.planner.null_space import DRAWS, Anchored
 from htcp_jax.planner.programs import Kernels

@@ -3,7 +3,7 @@
 The tip is no body: it has to come near the wall, and what it may touch there is the job's to say (`tip_guard`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from htcp_jax.clearance.tip_guard import TipGuard, make_tip_guard
-from htcp_jax.planner.kernels import Task
-from htcp_jax.planner.programs import Kernels
+from htcp_jax.planner.lane_inputs import Task
 from htcp_jax.scene.workpiece import Workpiece
 
 PLACES = 100  # of a joint path at which its tip is looked at
@@ -21,7 +20,7 @@ PLACES = 100  # of a joint path at which its tip is looked at
 class TipCheck(NamedTuple):
     """The kernels that say where the tip is, and the walls that it must not pass through."""
 
-    kernels: Kernels
+    kernels: Callable[..., np.ndarray]  # by name, see `programs.Kernels`
     guard: TipGuard
 
     def at(self, task: Task, x: Float[np.ndarray, "n N"]) -> Bool[np.ndarray, "n"]:
@@ -38,7 +37,7 @@ class TipCheck(NamedTuple):
         return through.reshape(len(a), -1).any(axis=1)
 
 
-def tip_checks(kernels: Sequence[Kernels], workpiece: Workpiece) -> list[TipCheck | None]:
+def tip_checks(kernels: Sequence[Callable[..., np.ndarray]], workpiece: Workpiece) -> list[TipCheck | None]:
     """One for each; None where the workpiece's tip may touch anywhere."""
     guard = make_tip_guard(workpiece)
     return [None if guard is None else TipCheck(own, guard) for own in kernels]

@@ -56,7 +56,7 @@ def best_of_all(part: Part, prefix: str) -> list[Block]:
     what = f"Scenario {number} by {method}" + (f": {part.labels[number]}" if part.labels[number] else "")
     figure = part.scene.picture(number, method, what)
     if figure is None:
-        return [RANKED, best(part), f"There is no picture of the cell: {part.scene.trouble}."]
+        return [RANKED, best(part), f"There is no picture of the cell: {part.scene.trouble()}."]
     says = f"{what}; {count} of {targets} targets drivable, {least:.3g} mm clear at least; the workpiece cut open"
     return [RANKED, best(part), f"{says}.", Picture(f"{prefix}cell", figure, says)]
 

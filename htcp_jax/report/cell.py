@@ -33,7 +33,6 @@ class RunScene:
         except InputError as error:
             return None, str(error)
 
-    @property
     def trouble(self) -> str:
         """Why there is no scene; empty where there is one."""
         return self._opened[1]

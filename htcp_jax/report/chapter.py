@@ -14,9 +14,9 @@ from htcp_jax.report import charts, paper, tables
 from htcp_jax.report.best import best_of_all
 from htcp_jax.report.document import Block, Heading, Picture
 from htcp_jax.report.groups import Part, drivable, tracked
-from htcp_jax.report.path_charts import words
 from htcp_jax.report.validation import validation_section, verdict
 from htcp_jax.runs.tables import NO_TARGET
+from htcp_jax.status import words
 
 MOST_SLICES = 9  # maps in a row
 UNITS = "rad", "m"

@@ -2,19 +2,33 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import pyarrow as pa
+from matplotlib.figure import Figure
 
 from htcp_jax.planner.plans import Plans, is_tracked
 from htcp_jax.report import paper
-from htcp_jax.report.cell import RunScene
 from htcp_jax.runs.ceiling_file import read_ceiling
 from htcp_jax.runs.labels import column_of, parameter_names, part, varying
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.tables import NO_TARGET
 from htcp_jax.status import Status
+
+
+@runtime_checkable
+class SceneOfRun(Protocol):
+    """What can be said of a run's robot and workpiece, see `cell.RunScene`."""
+
+    def trouble(self) -> str:
+        """Why nothing can; empty where something can."""
+
+    def in_the_way(self, method: str) -> dict[int, Any]:
+        """What is in the way in the scenarios that a method lost, by their numbers."""
+
+    def picture(self, number: int, method: str, title: str) -> Figure | None:
+        """The arm in the workpiece of a scenario."""
 
 
 class Part(NamedTuple):
@@ -29,7 +43,7 @@ class Part(NamedTuple):
     step_s: dict[str, float]  # run time by attempted targets, over the whole run
     joints: tuple[str, ...]
     run: Run
-    scene: RunScene
+    scene: SceneOfRun
 
     @property
     def targets(self) -> int:
@@ -71,7 +85,7 @@ class Part(NamedTuple):
         return np.where(count > 0, total / np.maximum(count, 1), np.nan).reshape(shape)
 
 
-def read_parts(run: Run, name: str) -> list[Part]:
+def read_parts(run: Run, name: str, scene: SceneOfRun) -> list[Part]:
     """The parts of a run that is called `name`, in the order of its scenarios.
 
     Raises InputError for a run without a finished shard, and naming a file that is missing or damaged.
@@ -87,7 +101,7 @@ def read_parts(run: Run, name: str) -> list[Part]:
     numbers = table["scenario"].to_numpy()
     ceiling = read_ceiling(run)
     groups = np.array([group or "" for group in table["group"].to_pylist()])
-    parts, scene = [], RunScene(run)
+    parts = []
     for group in dict.fromkeys(groups.tolist()):
         here = groups == group
         parts.append(

@@ -22,7 +22,7 @@ from htcp_jax.report.chart_style import (
     outer_labels,
     plain_axes,
 )
-from htcp_jax.status import Status
+from htcp_jax.status import Status, words
 
 REASONS = {
     Status.QP_INFEASIBLE: ("#e69f00", "s"),
@@ -207,11 +207,6 @@ def _over_scenarios(values: Float[np.ndarray, "S T"]) -> Float[np.ndarray, "4 T"
         if known.size:
             summary[:, column] = *np.quantile(known, (0.1, 0.5, 0.9)), known.min()
     return summary
-
-
-def words(status: Status) -> str:
-    """The name of a status as text."""
-    return status.name.replace("_", " ").lower().replace("qp", "QP")
 
 
 def _ended(table: Int8[np.ndarray, "S T"]) -> str:

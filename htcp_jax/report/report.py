@@ -17,6 +17,7 @@ from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.planner.methods import METHODS
 from htcp_jax.report import tables
 from htcp_jax.report.best import best
+from htcp_jax.report.cell import RunScene
 from htcp_jax.report.chapter import chapter, choice, fits_presets, presets
 from htcp_jax.report.document import Block, Column, Heading, Picture, Table, html, markdown, png, write_csv
 from htcp_jax.report.groups import Part, read_parts
@@ -70,7 +71,7 @@ def make_report(runs: Run | str | Path | Sequence[Run | str | Path]) -> Report:
     listed = [runs] if isinstance(runs, Run | str | Path) else list(runs)
     opened = [run if isinstance(run, Run) else open_run(run) for run in listed]
     names = _numbered([_name(given) for given in listed])
-    parts = [part for run, name in zip(opened, names, strict=True) for part in read_parts(run, name)]
+    parts = [part for run, name in zip(opened, names, strict=True) for part in read_parts(run, name, RunScene(run))]
     blocks: list[Block] = [Heading(1, f"Sweep report: {', '.join(names)}")]
     if len(parts) > 1:
         blocks += ["Success in percent of all targets, by method and run.", overview(parts)]

@@ -13,9 +13,8 @@ from jaxtyping import Bool, Int, Int8
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.report.document import Column, Table
 from htcp_jax.report.groups import Part, drivable, tracked
-from htcp_jax.report.path_charts import words
 from htcp_jax.runs.tables import NO_TARGET
-from htcp_jax.status import Status
+from htcp_jax.status import Status, words
 
 RESULTS = (
     Column("method", "method"),

@@ -6,11 +6,8 @@ from typing import Any
 
 from htcp_jax.errors import InputError
 from htcp_jax.report.document import Block, Column, Heading, Table
-from htcp_jax.runs.labels import labels_in
-from htcp_jax.runs.run_folder import Run
-from htcp_jax.validation.records import result_files
-from htcp_jax.validation.track import STEP_RAD
-from htcp_jax.validation.validate import VALIDATION
+from htcp_jax.runs.run_folder import Run, result_files
+from htcp_jax.validation.result import STEP_RAD, VALIDATION
 
 AT_TARGETS = (
     Column("method", "method"),
@@ -70,7 +67,7 @@ def validation_section(run: Run, level: int) -> list[Block]:
     if found is None:
         return []
     about = f"By MuJoCo's kinematics and distances alone, of the whole run. {sentence(found)}"
-    where = told_apart(found, labels_in(run))
+    where = told_apart(found, run.labels())
     return [Heading(level, "Validation"), about, *validation_tables(found), *where, *notes(found)]
 
 

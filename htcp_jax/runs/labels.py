@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from htcp_jax.runs.run_folder import Run
-
 RESULTS = (
     "method", "scenario", "group", "targets", "tracked", "complete", "failed_target", "failure", "reason",
     "after_escape", "blocked_paths", "clearance_min_m", "residual_max_m", "joint_motion_rad",
@@ -37,11 +35,6 @@ def labels_of(table: pa.Table) -> dict[int, str]:
     groups = [f"{group}: " if group else "" for group in table["group"].to_pylist()]
     told = [", ".join(part(name, values[k]) for name, values in columns.items()) for k in range(len(numbers))]
     return {int(number): group + text for number, group, text in zip(numbers, groups, told, strict=True)}
-
-
-def labels_in(run: Run) -> dict[int, str]:
-    """The labels of the scenarios that at least one method of a run has planned."""
-    return labels_of(run.scenarios(*dict.fromkeys(shard.method for shard in run.manifest.shards)))
 
 
 def named(number: int, labels: dict[int, str]) -> str:

@@ -26,6 +26,7 @@ from htcp_jax.jobs.grid_points import points_of
 from htcp_jax.notebook import html_facts
 from htcp_jax.planner.plans import Plans
 from htcp_jax.runs.identity import config_hash, identity
+from htcp_jax.runs.labels import labels_of
 from htcp_jax.runs.plan_folder import SUMMARY
 from htcp_jax.runs.summary import summarise
 from htcp_jax.runs.tables import empty_tables, frame_of, plans_of
@@ -201,6 +202,10 @@ class Run:
         """One row per method and scenario. Raises InputError as `targets` does."""
         return self._read("scenarios", methods)
 
+    def labels(self) -> dict[int, str]:
+        """What sets each scenario apart that at least one method has planned, by its number; see `labels_of`."""
+        return labels_of(self.scenarios(*dict.fromkeys(shard.method for shard in self.manifest.shards)))
+
     def plans(self, method: str) -> Plans:
         """The plans of one method as arrays; S = `manifest.count`, row s is scenario s. Where scenarios are not
         planned yet, or have fewer targets than others, the status is -1. Raises InputError as `targets` does."""
@@ -253,6 +258,12 @@ def open_run(folder: str | Path) -> Run:
         raise InputError(
             f"{folder / MANIFEST} is damaged or no manifest of a run: {what}{error.errors()[0]['msg']}"
         ) from None
+
+
+def result_files(run: Run) -> dict[str, str]:
+    """SHA-256 of the files with a run's finished results, by their names in its folder."""
+    files = (run.shard_files(shard)["targets"] for shard in run.manifest.shards)
+    return {str(file.relative_to(run.folder)): record.sha256 for file, record in files}
 
 
 def spans(manifest: Manifest) -> list[Span]:

@@ -31,7 +31,7 @@ from htcp_jax.runs.plan_folder import write_text
 from htcp_jax.runs.run_folder import Manifest, MethodName, Run
 from htcp_jax.runs.tables import NO_TARGET
 from htcp_jax.status import Status
-from htcp_jax.validation.validate import MethodCheck, Refuted
+from htcp_jax.validation.result import MethodCheck, Refuted
 from htcp_jax.validation.validate import validate as check_by_mujoco
 
 COMPLETE = "complete"

@@ -19,7 +19,7 @@ from htcp_jax.jobs.config import PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.planner.plans import is_tracked
 from htcp_jax.runs.identity import file_hash, refuse_changed
 from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY, read_plan
-from htcp_jax.runs.run_folder import MANIFEST, Run, open_run
+from htcp_jax.runs.run_folder import MANIFEST, Run, open_run, result_files
 from htcp_jax.scene.workpiece import Workpiece
 
 ARRAYS = "status", "path_clear", "x", "tcp", "target", "clearance"
@@ -72,12 +72,6 @@ def read_results(folder: Path) -> Results:
     if (folder / SUMMARY).exists():
         return _read_plan(folder)
     raise InputError(f"{folder} holds neither a run of htcp sweep ({MANIFEST}) nor a plan of htcp plan ({SUMMARY})")
-
-
-def result_files(run: Run) -> dict[str, str]:
-    """SHA-256 of the files with a run's finished results, by their names in its folder."""
-    files = (run.shard_files(shard)["targets"] for shard in run.manifest.shards)
-    return {str(file.relative_to(run.folder)): record.sha256 for file, record in files}
 
 
 def turned_and_moved(part: WorkpieceConfig, pose: Pose) -> tuple[np.ndarray, np.ndarray]:

@@ -9,19 +9,10 @@ from htcp_jax.errors import InputError
 from htcp_jax.validation.mujoco_arm import Arm, Postures
 from htcp_jax.validation.mujoco_clearance import AtTargets, Scene, Wall
 from htcp_jax.validation.records import Results, Track, targets_of, turned_and_moved
+from htcp_jax.validation.result import STEP_RAD, Refuted
 
 ROUNDING_M = 1e-9  # two ways to compute a clearance differ by 1e-15; 0 and the tolerance are meant to this width
 RECORD_M = 1e-5  # a record further off is refuted; 32-bit planners are within it
-STEP_RAD = 0.002  # a joint turns no further between two looks; a point 2 m away moves by 4 mm
-
-
-class Refuted(NamedTuple):
-    """A tracked configuration that does not stand."""
-
-    method: str
-    scenario: int
-    target: int
-    reason: str
 
 
 class Checked(NamedTuple):
