@@ -8,8 +8,8 @@
     python -m benchmarks baseline-margin OUT.png
     python -m benchmarks shape             of the source: sizes, depth of imports, docstrings; other checkouts beside it
 
-Options follow the case: --help shows them. Nothing else should run on the machine while a case takes times. RESULTS.md beside this file has the
-numbers measured so far.
+Options follow the case: --help shows them. Nothing else should run on the machine while times are taken. RESULTS.md
+beside this file has the numbers measured so far.
 """
 
 import importlib

@@ -1,17 +1,17 @@
 """Which public names have a docstring that is not complete, by the syntax tree alone.
 
-Public is every name in `htcp_jax.__all__`, and every function and class without an underscore that a page under
-docs/reference shows: `::: htcp_jax.x.y` shows y, or all of the module y but for what `members` leaves out. Modules that
-are public themselves count with what they define.
+Public is every function and class in `htcp_jax.__all__`, and every one without an underscore that a page under docs
+shows: `::: htcp_jax.x.y` shows y or, where y is a module, all of it but for what `members` leaves out.
 
 A function is complete when
 
 - it has a docstring;
 - the shape of every array stands in its annotation, or behind the argument's name in the docstring, "x (N,)";
 - its numbers have a unit: a name that ends in one (margin_m), a type that is always in one (`types`, a Pose), or one in
-  brackets in the docstring, [m]; names of counts, shares and keys need none (COUNTED);
+  brackets in the docstring, [m], or there it says in words what unit there is; counts and shares need none (COUNTED);
 - it says "InputError" if it raises one, by itself or by a function with an underscore in the same module;
-- where docs/reference/mathematics.md shows it, it or its module names the source: an equation, a section, the paper.
+- where it is mathematics, which docs/equations.md and docs/reference/mathematics.md show, it or its module names the
+  source: an equation, an algorithm, a section, a book.
 
 A class is complete when it has a docstring, and the same holds for its fields: shape by annotation, unit by name, type,
 or in brackets behind the field or in the docstring.
@@ -25,13 +25,15 @@ from typing import NamedTuple
 
 PACKAGE = "htcp_jax"
 FUNCTIONS = ast.FunctionDef, ast.AsyncFunctionDef
+MATHEMATICS = "equations", "mathematics"  # pages
 SHOWN = re.compile(r"^::: htcp_jax\.(\S+)\n((?: +.*\n?)*)", re.MULTILINE)
 MEMBERS = re.compile(r"members: \[([^\]]*)\]")
 UNIT_IN_NAME = re.compile(r"_(m|mm|rad|s|ms|m2|mm_s|share|rate)$")
-UNIT_TOLD = re.compile(r"\[[^\]]*\b(m|mm|rad|s|ms|m2|1|%)\b[^\]]*\]|\b(unit|unitless|radians|metres|seconds)\b")
+UNIT_TOLD = re.compile(r"\[[^\]]*\b(m|mm|rad|s|ms|m2|1|%)\b[^\]]*\]|\b(unit|percent|radians|metres|seconds)\b")
 WITH_UNIT = {"Joints", "Pose", "Vector3"}  # of types: [rad or m]; a frame in [m]; a point in [m]
-COUNTED = {"key", "weights", "fraction", "level", "share", "values", "self"}
+COUNTED = re.compile(r"^(num_.*|.*weights?|tracked|drivable|population)$")
 SOURCE = re.compile(r"equation|Eq\.|section|Algorithm|paper|constraints\)|Rodrigues|Ericson", re.IGNORECASE)
+RANDOM_KEY = "key"  # of JAX: an array without a shape
 ARRAYS = re.compile(r"\b(np\.ndarray|jax\.Array|Array)\b")
 NUMBERS = re.compile(r"\b(Float|float)\b")
 
@@ -41,6 +43,7 @@ class Public(NamedTuple):
 
     node: ast.AST
     module: ast.Module
+    lines: list[str]  # of the module
     is_mathematics: bool
 
 
@@ -52,17 +55,18 @@ def incomplete(root: Path) -> dict[str, list[str]]:
 def public(root: Path) -> dict[str, Public]:
     """The public functions and classes of a checkout by their dotted names within the package."""
     named = {f"{home}.{name}": False for name, home in _homes(root).items()}
-    for page in sorted((root / "docs/reference").glob("*.md")):
+    for page in sorted((root / "docs").rglob("*.md")):
         for name in _shown(page.read_text(encoding="utf-8"), root):
-            named[name] = named.get(name, False) or page.stem == "mathematics"
+            named[name] = named.get(name, False) or page.stem in MATHEMATICS
     found = {}
     for name, is_mathematics in sorted(named.items()):
         module, _, own = name.rpartition(".")
         if (file := _file(root, module)) is not None:
-            tree = ast.parse(file.read_text(encoding="utf-8"))
+            text = file.read_text(encoding="utf-8")
+            tree = ast.parse(text)
             node = next((n for n in tree.body if getattr(n, "name", None) == own), None)
             if node is not None:
-                found[name] = Public(node, tree, is_mathematics)
+                found[name] = Public(node, tree, text.splitlines(), is_mathematics)
     return found
 
 
@@ -100,7 +104,7 @@ def _lacks(public: Public) -> Iterator[str]:
         yield "no docstring"
         return
     if isinstance(node, ast.ClassDef):
-        yield from _class_lacks(node, text)
+        yield from _class_lacks(node, text, public.lines)
         return
     arguments = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
     for one in arguments:
@@ -113,20 +117,19 @@ def _lacks(public: Public) -> Iterator[str]:
         yield "names no source"
 
 
-def _class_lacks(node: ast.ClassDef, text: str) -> Iterator[str]:
-    lines = ast.unparse(node)  # without comments, so they are looked up in `_comments`
-    del lines
+def _class_lacks(node: ast.ClassDef, text: str, lines: list[str]) -> Iterator[str]:
     for field in node.body:
         if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):
-            yield from _value_lacks(field.target.id, field.annotation, text)
+            behind = " ".join(lines[field.lineno - 1 : field.end_lineno]).partition("#")[2]
+            yield from _value_lacks(field.target.id, field.annotation, f"{text} {behind}")
 
 
 def _value_lacks(name: str, annotation: ast.expr | None, text: str) -> Iterator[str]:
     kind = "" if annotation is None else ast.unparse(annotation)
     bare = re.sub(r"\b(Float|Int|Int8|Bool)\[[^\[\]]*\]", "", kind)
-    if ARRAYS.search(bare) and not re.search(rf"\b{name}\b[^.;]*\(\w[^)]*,", text):
+    if ARRAYS.search(bare) and name != RANDOM_KEY and not re.search(rf"\b{name}\b[^.;]*\(\w[^)]*,", text):
         yield f"{name} has no shape"
-    has_unit = UNIT_IN_NAME.search(name) or name in COUNTED or any(alias in kind for alias in WITH_UNIT)
+    has_unit = UNIT_IN_NAME.search(name) or COUNTED.match(name) or any(alias in kind for alias in WITH_UNIT)
     if NUMBERS.search(kind) and not has_unit and not UNIT_TOLD.search(text):
         yield f"{name} has no unit"
 

@@ -4,15 +4,16 @@
 
 Every number comes from the syntax tree and the tokens of the package's *.py files; nothing is imported or run.
 
-- Lines: all of them. Median, 90th percentile and maximum over the files.
+- Lines: all of them. Median, 90th percentile and maximum over the files, but for each `__init__` that holds at most a
+  docstring.
 - A function is every `def`, methods and nested ones too, from that line to its last one, decorators left out. Its body
   is the function less the lines of its docstring. A class is counted as a function is, docstring and methods included.
-- Comments and docstrings: lines with a comment on them, and lines of the docstrings of modules, classes and functions
-  that are not blank, per 100 lines that are not blank.
+- Comments and docstrings: lines with a comment on them, and lines of the docstrings of modules, classes and functions,
+  per 100 lines that are not blank.
 - Return types: the share of functions that say what they return.
 - An import is one of a module of this package that stands at the level of a module, also under `if` or `try`. One
-  inside a function does not count, for it runs when it is needed; nor does a package whose `__init__` holds nothing but
-  a docstring. Depth: the number of modules in the longest chain of imports.
+  inside a function does not count, for it runs when it is needed; nor does that of an `__init__` left out above. Depth:
+  the number of modules in the longest chain of imports.
 - A folder's arrow leads to each other folder that any of its modules imports from, modules beside `__init__` left out.
   An arrow runs back where it is part of a circle of folders. A circle of modules: all that import one another.
 - Docstrings that are not complete: see `benchmarks.docstrings`.
@@ -85,10 +86,8 @@ class Source:
 
     @property
     def docstrings(self) -> int:
-        """Lines of docstrings that are not blank."""
-        lines = self.text.splitlines()
-        told = [text for node in self.all(DEFINITIONS) if (text := docstring(node)) is not None]
-        return sum(bool(line.strip()) for node in told for line in lines[node.lineno - 1 : node.end_lineno])
+        """Lines of docstrings."""
+        return sum(length(text) for node in self.all(DEFINITIONS) if (text := docstring(node)) is not None)
 
     @property
     def is_bare(self) -> bool:
@@ -147,6 +146,11 @@ class Tree:
     def arrows_back(self) -> int:
         """Arrows that are part of a circle of folders."""
         return sum(a in reached(b, self.arrows) for a, b in self.arrows)
+
+    @property
+    def files(self) -> list[int]:
+        """Lines of the files."""
+        return [source.lines for source in self.sources.values() if not source.is_bare]
 
     @cached_property
     def functions(self) -> list:
@@ -236,7 +240,7 @@ def rows(tree: Tree) -> dict[str, str]:
     return {
         "files": f"{len(sources)}",
         "lines": f"{sum(source.lines for source in sources):,}",
-        "a file: median/p90/max": str(spread([source.lines for source in sources])),
+        "a file: median/p90/max": str(spread(tree.files)),
         "a function: median/p90/max": str(spread([length(node) for node in functions])),
         "a body: median/p90/max": str(spread(tree.bodies)),
         "the largest class": f"{size} {largest.rpartition('.')[2]}",

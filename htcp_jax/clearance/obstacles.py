@@ -73,7 +73,7 @@ class Linearisation(NamedTuple):
     """Task and clearance at one configuration, to first order."""
 
     tcp: Vector3  # [m]
-    jacobian: Float[jax.Array, "3 N"]
+    jacobian: Float[jax.Array, "3 N"]  # of the tcp [m/rad]
     clearance: Float[jax.Array, "K"]  # [m]
     gradient: Float[jax.Array, "K N"]  # [m/rad]
 

@@ -72,7 +72,8 @@ def prepare(settings: Settings, scene: Scene, task: Task, x_ref, x_previous, lin
 
 
 def advance(settings: Settings, scene: Scene, task: Task, x_ref, y) -> Measured:
-    """The lane after a step y: inside the limits to the last bit, linearised, and measured against its target."""
+    """The lane after a step y: inside the limits to the last bit, linearised as equation (7) has it, and measured
+    against its target."""
     scene = _scene(scene, task)
     x = jnp.clip(x_ref + y, scene.robot.lower, scene.robot.upper)
     linear = linearise(scene.robot, scene.obstacle, task, x)

@@ -48,7 +48,7 @@ def seen_bodies(robot: Robot, far_links: bool) -> tuple[bool, ...]:
 def sphere_problem(
     scene: Scene, settings: Settings, where: Posed, x_ref: Joints
 ) -> tuple[sphere.Sphere, Seen, Float[Array, "N D"]]:
-    """Equation (11) at x_ref: the problem, the contacts seen at x_ref, and alpha N(x_ref)."""
+    """Equation (11) at x_ref: the problem, the contacts seen at x_ref, and alpha N(x_ref) [rad]."""
     robot, obstacle = scene
     reach = settings.alpha_rad * null_basis(jacobian(robot, x_ref))
     weights = jnp.asarray(settings.q_weights)

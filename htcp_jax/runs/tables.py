@@ -96,7 +96,8 @@ def scenario_table(
     joints: Sequence[str],
     varied: Sequence[str] = (),
 ) -> pa.Table:
-    """Rows of scenarios, in the order of `points`; varied: keys that vary and have no column of their own."""
+    """Rows of scenarios, in the order of `points`. count (S,): how many targets each has; varied: keys that vary and
+    have no column of their own."""
     exists = np.arange(plans.status.shape[1])[None, :] < count[:, None]
     tracked = is_tracked(plans.status) & exists
     missed = exists & ~tracked
