@@ -115,7 +115,7 @@ class Plan:
         return told
 
     def frame(self) -> "pandas.DataFrame":
-        """One row a target; the columns are those of a sweep's `targets` table, see `run_tables`."""
+        """One row a target; the columns are those of a sweep's `targets` table, see `runs.tables`."""
         number, count = np.zeros(1, int), np.array([len(self.scenario.targets)])
         return frame_of(target_table(self.job.method, number, count, self.plans, joint_columns(self.robot)))
 

@@ -40,7 +40,7 @@ def made(tmp_path):
     files = {
         "__init__.py": "",
         "low/__init__.py": '"""Nothing else."""\n',
-        "low/a.py": '"""A.\n\nMore of it."""\n\nimport math  # for pi\n\n\ndef late():\n    from htcp_jax.high import b\n',
+        "low/a.py": '"""A.\n\nMore."""\n\nimport math  # pi\n\n\ndef late():\n    from htcp_jax.high import b\n',
         "high/__init__.py": "",
         "high/b.py": "from htcp_jax.low.a import late\nfrom htcp_jax import low\n",
         "high/c.py": "from htcp_jax.high.b import late\n\n\nclass C:\n" + "    x = 1\n" * 9,

@@ -1,6 +1,6 @@
 """The report of one run or several: chapters, what is common to them, and the files they go to.
 
-Every part of a run (see `run_parts`) is a chapter with the same sections. Pictures are named after what they show, and
+Every part of a run (see `groups`) is a chapter with the same sections. Pictures are named after what they show, and
 after the part where there are several; a CSV file holds one table of all parts.
 """
 

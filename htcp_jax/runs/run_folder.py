@@ -2,7 +2,7 @@
 
     manifest.json                                     what was asked for, what computed it, what is there
     targets/<method>-<first>-<last>.parquet           rows of the scenarios <first> to <last>: a shard
-    scenarios/<method>-<first>-<last>.parquet         see run_tables for the columns
+    scenarios/<method>-<first>-<last>.parquet         see `tables` for the columns
 
 A file counts only if the manifest lists it and its size and SHA-256 are as listed. The manifest is written after
 the files of a shard, so a shard is in the run wholly or not at all, whenever the process dies.
@@ -72,7 +72,7 @@ class Seconds(Section):
 
 
 class Manifest(Section):
-    """manifest.json. Config, grid, dtype and files say which run it is; `run_writer` never mixes two."""
+    """manifest.json. Config, grid, dtype and files say which run it is; `writer` never mixes two."""
 
     format: Literal[1] = 1
     name: str  # of the sweep
@@ -118,7 +118,7 @@ class Span(NamedTuple):
 
 
 class Run:
-    """Results of a sweep, read from its folder; see run_tables for the columns of the tables."""
+    """Results of a sweep, read from its folder; see `tables` for the columns of the tables."""
 
     def __init__(self, folder: Path, manifest: Manifest, keep: Any = None):
         self.folder, self.manifest = folder, manifest

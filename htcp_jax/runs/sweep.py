@@ -69,7 +69,7 @@ def sweep(
     folder that vanishes with the run. config, overrides, seed: see `load_sweep`; the seed is `settings.seed`.
     limit: plan only the first scenarios of the grid. shard_scenarios: so many make a shard; a run folder keeps its
     first choice. on: "here" plans in this process, with `threads` engines; "ray" or "ray:<address>" sends the shards
-    to Ray's workers, see `sweep_ray`.
+    to Ray's workers, see `ray_`.
 
     Raises InputError for bad input, for a folder that holds another sweep, is in use or cannot be written;
     Interrupted on SIGINT and SIGTERM, and Lost when Ray's workers are, after which the finished shards are in the
@@ -136,7 +136,7 @@ def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def tables(batch: Batch, method: str, span: Span, plans: Plans) -> dict[str, pa.Table]:
-    """The rows of a shard, see `run_tables`."""
+    """The rows of a shard, see `tables`."""
     rows = slice(span.first, span.last + 1)
     joints, count, points = joint_columns(batch.robot), batch.scenarios.count[rows], batch.points[rows]
     varied = tuple(points[0].varied)
