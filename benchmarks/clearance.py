@@ -17,7 +17,8 @@ import numpy as np
 
 from benchmarks import hardware
 from htcp_jax.clearance.cloud_tree import build_index
-from htcp_jax.clearance.obstacles import Obstacle, all_clear, clearance, linearise, make_obstacle
+from htcp_jax.clearance.obstacles import Obstacles, all_clear, clearance, make_obstacle
+from htcp_jax.clearance.scene import linearise
 from htcp_jax.jobs.build import scene
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.planner import compile_cache
@@ -41,13 +42,13 @@ def main() -> None:
     tracked = tracked[np.isfinite(tracked).all(axis=1)]
     x = tracked[random.integers(len(tracked), size=QUERIES)] + random.normal(0, 0.03, (QUERIES, tracked.shape[1]))
     where = jax.tree.map(jnp.asarray, where)
-    whole = make_obstacle(workpiece)
+    cloud, *others = make_obstacle(workpiece)
 
     print(hardware.line())
     print("  points  D of all bodies, gradient  D alone  path of 20  brute force, D  ratio")
     for size in CLOUDS:
         points = _cloud(np.asarray(workpiece.cloud), size, random)
-        obstacle = replace(whole, points=jnp.asarray(points), index=build_index(points))
+        obstacle = (replace(cloud, points=jnp.asarray(points), index=build_index(points)), *others)
         ours = _time(lambda q, o=obstacle: linearise(robot, o, where, q), x)
         alone = _time(lambda q, o=obstacle: clearance(robot, o, where, q), x)
         path = _time(lambda q, o=obstacle: _path(robot, o, where, q), x)
@@ -63,12 +64,12 @@ def _cloud(points: np.ndarray, size: int, random) -> np.ndarray:
     return more + random.normal(0, 1e-3, more.shape)
 
 
-def _brute_force(robot, obstacle: Obstacle, where, x):
+def _brute_force(robot, obstacle: Obstacles, where, x):
     """The smallest distance of every body to all points, without its gradient."""
     p, q = capsule_segments(robot, x)
     T = where.T_world_workpiece
     p, q = (p - T[:3, 3][None]) @ T[:3, :3], (q - T[:3, 3][None]) @ T[:3, :3]
-    x, y, z = obstacle.points.T
+    x, y, z = obstacle[0].points.T
 
     def body(p, q):
         d = q - p
@@ -79,7 +80,7 @@ def _brute_force(robot, obstacle: Obstacle, where, x):
     return jax.vmap(body)(p, q) - robot.capsule_radius
 
 
-def _path(robot, obstacle: Obstacle, where, x):
+def _path(robot, obstacle: Obstacles, where, x):
     steps = x[None, :] + jnp.linspace(0.0, 0.01, 19)[:, None]
     return all_clear(robot, obstacle, where, steps)
 

@@ -80,7 +80,7 @@ def _recorded(config: str, overrides: list[str], count: int) -> StepQP:
 
 
 def _clarabel(qps: StepQP, tolerance: float):
-    solver = ClarabelSolver(qps.weights[0], qps.h.shape[1], tolerance)
+    solver = ClarabelSolver(qps.P[0], qps.h.shape[1], tolerance)
     began = time.perf_counter()
     y, status = solver.solve(qps)
     return y, status, 1e6 * (time.perf_counter() - began) / len(y)
@@ -96,7 +96,7 @@ def _device(qps: StepQP):
 
 
 def _slack(qps: StepQP, k: int) -> float:
-    n = qps.linear.shape[1]
+    n = qps.q.shape[1]
     rows = np.concatenate([qps.G[k], np.eye(n), -np.eye(n)])
     bound = np.concatenate([qps.h[k], qps.upper[k], -qps.lower[k]])
     rows = np.concatenate([rows, np.ones((len(rows), 1))], axis=1)

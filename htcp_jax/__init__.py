@@ -57,7 +57,7 @@ _HOME = {
     "make_obstacle": "clearance.obstacles",
     "clearance": "clearance",
     "clearances": "clearance.obstacles",
-    "linearise": "clearance.obstacles",
+    "linearise": "clearance.scene",
     "null_basis": "numerics",
     "reanchor": "scene.inverse_kinematics",
     "null_space_objective": "planner.null_space",

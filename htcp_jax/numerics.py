@@ -158,7 +158,7 @@ def one_by_one(function: Callable) -> Callable:
 
 @jax.jit
 def null_basis(task_jacobian: Float[Array, "M N"]) -> Float[Array, "N D"]:
-    """Orthonormal basis of the null space of a task Jacobian of full rank M; D = N - M columns.
+    """Orthonormal basis of the null space of a task Jacobian of full rank M; D = N - M columns, none where D = 0.
 
     (The paper prints its shape as M x (N - M); N x (N - M) is meant.) Gram-Schmidt on the rows, then on the unit
     vectors, each time the one that sticks out furthest (the first of equals), positive along it: unlike a singular
@@ -177,7 +177,7 @@ def null_basis(task_jacobian: Float[Array, "M N"]) -> Float[Array, "N D"]:
         furthest = jnp.argmax(1.0 - sum(u * u for u in found))
         v = _without(found, jnp.where(jnp.arange(n) == furthest, 1.0, 0.0))
         found.append(v / safe_norm(v))
-    return jnp.stack(found[m:], axis=1)
+    return jnp.stack(found[m:], axis=1) if n > m else jnp.zeros((n, 0), task_jacobian.dtype)
 
 
 def _without(found: list[Joints], v: Joints) -> Joints:

@@ -78,7 +78,7 @@ def enter(scene, scenario, stuck):
 @jax.jit
 def all_clearances(scene, scenario, xs):
     """D of every capsule [m] at each of the postures xs."""
-    return jax.lax.map(lambda x: clearances(scene.robot, scene.obstacle, scenario, x), xs)
+    return jax.lax.map(lambda x: clearances(scene.robot, scene.obstacles, scenario, x), xs)
 
 
 stuck, scenario = lost_target(plan)
@@ -237,7 +237,7 @@ def walk(scene, scenario, stuck, x, direction):
         v = v / jnp.linalg.norm(v)
         x = jnp.clip(x + LENGTH_RAD * v, robot.lower, robot.upper)
         x, _ = reanchor(robot, x, stuck.target, 0.1 * settings.tolerance_m, iterations=3)
-        return (x, v), jnp.min(clearances(robot, scene.obstacle, scenario, x))
+        return (x, v), jnp.min(clearances(robot, scene.obstacles, scenario, x))
 
     start = x, null_basis(jacobian(robot, x)) @ direction
     return jax.lax.scan(step, start, length=WALK_STEPS)[1]

@@ -11,7 +11,7 @@ import made_once
 import numpy as np
 from scipy.optimize import BFGS, NonlinearConstraint, minimize
 
-from htcp_jax.clearance.obstacles import linearise
+from htcp_jax.clearance.scene import linearise
 from htcp_jax.planner.null_space import sphere_problem
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import sphere
@@ -59,7 +59,7 @@ def _compiled(settings: Settings):
         step = reach @ w
         j1 = settings.j1_weight * step @ weights @ step
         j1_gradient = 2 * settings.j1_weight * reach.T @ weights @ step
-        return linear.clearance - j1, linear.gradient @ reach - j1_gradient[None, :]
+        return linear.clearance.distance - j1, linear.clearance.gradient @ reach - j1_gradient[None, :]
 
     def begin(scene, where, x_ref):
         problem, seen, reach = sphere_problem(scene, settings, where, x_ref)
@@ -76,7 +76,7 @@ def problem(k: int, settings: Settings, scene=None) -> Problem:
     G, h, start, reach = begin(scene, where, x_ref)
 
     def f(w):
-        return tuple(map(np.asarray, exact(*scene, where, x_ref, reach, jnp.asarray(w))))
+        return tuple(map(np.asarray, exact(*scene[:2], where, x_ref, reach, jnp.asarray(w))))
 
     near = np.asarray(h) < 10.0  # scipy needs no rows for limits that are out of reach
     return Problem(f, np.asarray(G)[near], np.asarray(h)[near], np.asarray(start))

@@ -10,7 +10,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from htcp_jax.clearance.obstacles import all_clear, clearance, clearances, contacts, is_clear, linearise, make_obstacle
+from htcp_jax.clearance.obstacles import all_clear, clearance, clearances, contacts, is_clear, make_obstacle
+from htcp_jax.clearance.scene import linearise
 from htcp_jax.scene.kinematics import capsule_segments
 from htcp_jax.scene.robot import GP50, lengthen_tool
 from htcp_jax.scene.scenario import make_scenario
@@ -70,7 +71,7 @@ def numpy_clearances(robot, workpiece: Workpiece, where: Where, x):
 
 
 def test_D_is_the_smallest_distance_to_all_points_and_minus_the_depth_outside_the_hull():
-    robot, obstacle = made_once.scene()
+    robot, obstacle = made_once.scene()[:2]
     duct = made_once.duct()
     decided = 0
     for wy, wz in ((0.4, 0.1), (0.2, -0.3)):
@@ -79,14 +80,14 @@ def test_D_is_the_smallest_distance_to_all_points_and_minus_the_depth_outside_th
             exact, hull = numpy_clearances(robot, duct, where, x)
             touch = jitted(contacts)(robot, obstacle, where, x)
             np.testing.assert_allclose(touch.distance, exact, rtol=0, atol=2e-15)
-            np.testing.assert_array_equal(touch.crossed, hull)
+            np.testing.assert_array_equal(touch.plane, hull)
             decided += hull.sum()
     assert decided > 20
 
 
 def test_all_forms_of_D_agree():
     """The scalar, the verdict, and the linearisation take shorter ways to the same number."""
-    robot, obstacle = made_once.scene()
+    robot, obstacle = made_once.scene()[:2]
     signs = []
     for wy, wz in ((0.4, 0.1), (0.8, 0.3)):
         where = posed(made_once.duct(), wy, wz)
@@ -94,7 +95,7 @@ def test_all_forms_of_D_agree():
             every = jitted(clearances)(robot, obstacle, where, x)
             np.testing.assert_allclose(jitted(clearance)(robot, obstacle, where, x), every.min(), rtol=0, atol=1e-15)
             linear = jitted(linearise)(robot, obstacle, where, x)
-            np.testing.assert_allclose(linear.clearance, every, rtol=0, atol=1e-15)
+            np.testing.assert_allclose(linear.clearance.distance, every, rtol=0, atol=1e-15)
             assert jitted(is_clear)(robot, obstacle, where, x) == (every.min() > 0)
             signs.append(every.min() > 0)
     assert 50 < np.sum(signs) < len(signs) - 50
@@ -102,7 +103,7 @@ def test_all_forms_of_D_agree():
 
 def test_contacts_lie_where_they_say():
     """The point is on the body's axis; from it against the normal by distance plus radius is the cloud's point."""
-    robot, obstacle = made_once.scene()
+    robot, obstacle = made_once.scene()[:2]
     duct, where = made_once.duct(), posed(made_once.duct())
     T = np.asarray(where.T_world_workpiece)
     for x in postures()[::4]:
@@ -112,8 +113,9 @@ def test_contacts_lie_where_they_say():
         np.testing.assert_allclose(along, np.linalg.norm(q - p, axis=1), atol=1e-14)
         np.testing.assert_allclose(np.linalg.norm(touch.normal, axis=1), 1.0, atol=1e-14)
         witness = touch.point - touch.normal * (touch.distance + robot.capsule_radius)[:, None]
-        points = duct.cloud[touch.row] @ T[:3, :3].T + T[:3, 3]
-        np.testing.assert_allclose(witness[~touch.crossed], points[~touch.crossed], atol=1e-14)
+        points = duct.cloud @ T[:3, :3].T + T[:3, 3]
+        nearest = np.linalg.norm(points[None] - witness[~touch.plane][:, None], axis=2).min(axis=1)
+        np.testing.assert_allclose(nearest, 0.0, atol=1e-14)
 
 
 def gradients(robot, obstacle, where, x):
@@ -122,7 +124,7 @@ def gradients(robot, obstacle, where, x):
     step = 1e-7 * np.eye(len(x))
     differences = [(np.asarray(function(x + h)) - np.asarray(function(x - h))) / 2e-7 for h in step]
     return (
-        np.asarray(jitted(linearise)(robot, obstacle, where, x).gradient),
+        np.asarray(jitted(linearise)(robot, obstacle, where, x).clearance.gradient),
         np.asarray(jitted(_FORWARD)(robot, obstacle, where, x)),
         np.asarray(jitted(_REVERSE)(robot, obstacle, where, x)),
         np.stack(differences, axis=1),
@@ -134,7 +136,7 @@ _FORWARD, _REVERSE = jax.jacfwd(clearances, argnums=3), jax.jacrev(clearances, a
 
 def test_the_gradient_in_closed_form_is_that_of_autodiff_and_of_finite_differences():
     """Except at kinks, where the two sides of a central difference see different points."""
-    robot, obstacle = made_once.scene()
+    robot, obstacle = made_once.scene()[:2]
     where = posed(made_once.duct())
     kinks, hull, total = 0, 0, 0
     for x in postures()[::2]:
@@ -143,7 +145,7 @@ def test_the_gradient_in_closed_form_is_that_of_autodiff_and_of_finite_differenc
         np.testing.assert_allclose(reverse, closed, rtol=0, atol=1e-12)
         smooth = np.abs(differences - closed).max(1) < 1e-6
         kinks, total = kinks + (~smooth).sum(), total + len(smooth)
-        hull += np.asarray(jitted(contacts)(robot, obstacle, where, x).crossed).sum()
+        hull += np.asarray(jitted(contacts)(robot, obstacle, where, x).plane).sum()
     assert kinks <= 0.002 * total
     assert hull > 20
 
@@ -193,14 +195,14 @@ def _without_hull(workpiece):
 @pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.6, -0.8, 0.0)])
 def test_the_gate_is_a_plane_and_only_ends_beyond_it_must_be_inside(direction):
     """W1: in any direction, not along the world's x alone."""
-    robot, obstacle = made_once.scene()
+    robot, obstacle = made_once.scene()[:2]
     x = jnp.asarray(postures()[0])
     p, q = (np.asarray(end) for end in _ENDS(robot, x))
     T = jnp.asarray(made_once.duct().T_world(0.4, 0.1)).at[:3, 3].add(100.0)  # the hull is far from everything
     furthest = np.maximum(p @ np.array(direction), q @ np.array(direction))
     order = np.sort(furthest)
     for gate in np.concatenate([[order[0] - 1], (order[1:] + order[:-1]) / 2, [order[-1] + 1]]):
-        crossed = jitted(contacts)(robot, obstacle, Where(T, jnp.array([*direction, gate])), x).crossed
+        crossed = jitted(contacts)(robot, obstacle, Where(T, jnp.array([*direction, gate])), x).plane
         np.testing.assert_array_equal(crossed, furthest > gate)
 
 
@@ -245,7 +247,7 @@ def test_the_recorded_run_comes_within_a_quarter_of_a_millimetre():
 def test_a_longer_tool_is_measured_longer(extension):
     """A scenario's own tool moves its capsules, so that D changes by what numpy says it does."""
     robot = lengthen_tool(made_once.robot(), extension)
-    obstacle, where = made_once.scene().obstacle, posed(made_once.duct())
+    obstacle, where = made_once.scene().obstacles, posed(made_once.duct())
     for x in postures()[100:110]:
         exact, _ = numpy_clearances(robot, made_once.duct(), where, x)
         np.testing.assert_allclose(jitted(clearances)(robot, obstacle, where, x), exact, rtol=0, atol=2e-15)
@@ -253,14 +255,14 @@ def test_a_longer_tool_is_measured_longer(extension):
 
 def test_the_nominal_start_is_clear():
     scenario = make_scenario(made_once.robot(), made_once.duct(), made_once.START)
-    robot, obstacle = made_once.scene()
+    robot, obstacle = made_once.scene()[:2]
     D = jitted(clearances)(robot, obstacle, posed(made_once.duct()), jnp.asarray(scenario.x_start))
     assert D.min() > 0.05
 
 
 def test_what_other_devices_compute_is_the_same(monkeypatch):
     """Off a CPU, bodies are searched side by side, all facets are measured, and a path is measured whole."""
-    robot, obstacle = made_once.scene()
+    robot, obstacle = made_once.scene()[:2]
     where = posed(made_once.duct())
     x = postures()[::3]
     paths = x[:, None] + np.linspace(0, 0.05, 5)[:, None] * np.ones(x.shape[1])

@@ -10,7 +10,7 @@ import pytest
 from htcp_jax.planner import batch, kernels
 from htcp_jax.planner.batch import plan
 from htcp_jax.planner.engine import Engine
-from htcp_jax.planner.lanes import take
+from htcp_jax.planner.lanes import gather
 from htcp_jax.scene.robot_file import gp50
 from htcp_jax.scene.scenario import make_scenario, stack
 from htcp_jax.scene.workpiece_file import load_workpiece
@@ -88,7 +88,7 @@ def test_the_best_candidate_is_the_nearest_whose_path_is_clear(check, path_check
 
     def watched(self, lanes, owner, number, x):
         rows, clear = best(self, lanes, owner, number, x)
-        all_clear = self._path_clear(take(lanes, owner), x, self._check_escapes)
+        all_clear = self._path_clear(gather(lanes, owner), x, self._check_escapes)
         for k, (row, is_clear) in enumerate(zip(rows, clear, strict=True)):
             own = [r for r in np.flatnonzero(owner == k) if all_clear[r]] or list(np.flatnonzero(owner == k))
             assert row in own and is_clear == all_clear[row]

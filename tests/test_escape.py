@@ -15,7 +15,7 @@ from htcp_jax.planner.null_space import (
     anchor,
     keep_clear_ascent,
     null_space_step,
-    seen_bodies,
+    seen_rows,
     sphere_problem,
     stuck_key,
 )
@@ -43,7 +43,7 @@ _TCP = jax.jit(tcp_position)
 
 
 def D(where, x):
-    return float(_D(*made_once.scene(), where, jnp.asarray(x)))
+    return float(_D(*made_once.scene()[:2], where, jnp.asarray(x)))
 
 
 def tcp(x):
@@ -68,7 +68,7 @@ def directions(count):
 def _look(scene, settings, where, x_ref, w):
     problem, _, reach = sphere_problem(scene, settings, where, x_ref)
     x = x_ref + reach @ w
-    return problem.observe(w)[0], problem.measure(w), problem.h - problem.G @ w, x, clearances(*scene, where, x)
+    return problem.observe(w)[0], problem.measure(w), problem.h - problem.G @ w, x, clearances(*scene[:2], where, x)
 
 
 PAPER = Settings(j1_weight=1.0, alpha_rad=0.05, far_links=False)
@@ -82,7 +82,7 @@ def test_j2_is_minus_D_plus_j1_on_a_step_of_length_alpha_in_the_null_space(setti
         np.testing.assert_allclose(np.linalg.norm(step), settings.alpha_rad, rtol=1e-12)
         assert np.linalg.norm(tcp(x) - tcp(x_ref)) < 2 * settings.alpha_rad**2
         j1 = settings.j1_weight * np.sum(settings.q_weights * step**2)
-        seen = np.array(seen_bodies(made_once.robot(), settings.far_links))
+        seen = np.array(seen_rows(made_once.scene(), settings.far_links))
         assert seen.sum() == 5
         np.testing.assert_allclose(values[seen], every[seen] - j1, atol=1e-14)
         np.testing.assert_allclose(smallest, every[seen].min() - j1, atol=1e-14)
@@ -97,7 +97,7 @@ def _predict(scene, settings, where, x_ref, seen_at, w):
     looks = [problem.observe(v)[1] for v in seen_at]
     seen = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *looks)
     forward = jax.jacfwd(lambda v: problem.predict(v, seen)[0])(w)
-    crossed = jnp.concatenate([contacts(*scene, where, x_ref + reach @ v).crossed for v in seen_at])
+    crossed = jnp.concatenate([contacts(*scene[:2], where, x_ref + reach @ v).plane for v in seen_at])
     return problem.predict(w, seen), forward, problem.observe(w)[0], crossed
 
 
@@ -175,7 +175,7 @@ def test_keep_clear_never_ends_worse_and_stays_on_the_target():
 
 def test_cspace_samples_are_feasible_and_move_joints_3_to_6_alone():
     """+-1 rad on joint 3 and +-2 rad on the others, at most `samples` of them, the first feasible draws."""
-    robot, obstacle = made_once.scene()
+    robot, obstacle = made_once.scene()[:2]
     for where, x, target in stuck_places(3):
         found = run(cspace_samples, where, Stuck(x, target, jax.random.key(1)))
         off = found.x - np.asarray(x)

@@ -31,7 +31,7 @@ def _tested(settings):
 def smallest_D(where, a, b, places):
     """The smallest D at so many places of the path, its ends apart."""
     x = a[None] + jnp.linspace(0, 1, places + 2)[1:-1, None] * (b - a)[None]
-    return float(jnp.min(_D_everywhere(*made_once.scene(), where, x)))
+    return float(jnp.min(_D_everywhere(*made_once.scene()[:2], where, x)))
 
 
 def clear(where, a, b, settings=Settings()):  # noqa: B008 - frozen
@@ -39,7 +39,7 @@ def clear(where, a, b, settings=Settings()):  # noqa: B008 - frozen
 
 
 def D(where, x):
-    return float(_D(*made_once.scene(), where, x))
+    return float(_D(*made_once.scene()[:2], where, x))
 
 
 @cache

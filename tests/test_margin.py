@@ -11,12 +11,12 @@ import pytest
 import stranger_jobs
 
 import htcp_jax
-from htcp_jax.clearance.verdict import counts
 from htcp_jax.planner.batch import METHODS, plan
 from htcp_jax.planner.plans import is_tracked
 from htcp_jax.planner.reachability import ceiling
 from htcp_jax.runs.summary import summarise
 from htcp_jax.scene.scenario import OutOfReach, make_scenario, stack
+from htcp_jax.scene.task import TCP_POSITION
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 from htcp_jax.validation.validate import validate
@@ -56,8 +56,8 @@ def test_on_the_device_too():
 
 def test_a_margin_of_nothing_asks_for_a_clearance_above_zero():
     clearance = np.array([-1e-9, 0.0, 1e-12, 5e-4, 4.999e-4])
-    np.testing.assert_array_equal(counts(clearance, 0.0, 0.0, 1e-3), [False, False, True, True, True])
-    np.testing.assert_array_equal(counts(clearance, 0.0, 5e-4, 1e-3), [False, False, False, True, False])
+    np.testing.assert_array_equal(TCP_POSITION.counts(clearance, 0.0, 0.0), [False, False, True, True, True])
+    np.testing.assert_array_equal(TCP_POSITION.counts(clearance, 0.0, 5e-4), [False, False, False, True, False])
 
 
 def test_what_is_reachable_keeps_the_margin_too():

@@ -9,7 +9,7 @@ from made_once import START, robot
 from made_plan import made_plan
 
 from htcp_jax.clearance.obstacles import make_obstacle
-from htcp_jax.planner.lane_inputs import tasks
+from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.obstruction import last_posture, obstruction, obstructions
 from htcp_jax.scene.duct import duct_cloud, weld
 from htcp_jax.scene.kinematics import capsule_segments, tcp_position
@@ -60,9 +60,9 @@ def test_the_body_the_place_and_the_depth_are_those_of_brute_force(target, scena
 
 def test_hundreds_at_once_are_each_as_alone(scenario, workpiece):
     rows = np.array(TARGETS * 50)
-    task = tasks(stack([scenario]), np.zeros(len(rows), int), rows)
+    inputs = lane_inputs(stack([scenario]), np.zeros(len(rows), int), rows)
     x = np.tile(START, (len(rows), 1))
-    together = obstructions(robot(), make_obstacle(workpiece), task, x, task.target, SETTINGS)
+    together = obstructions(robot(), make_obstacle(workpiece), inputs, x, inputs.target, SETTINGS)
     alone = [obstruction(robot(), workpiece, scenario, np.array(START), target, SETTINGS) for target in TARGETS]
     for one, other in zip(together, alone * 50, strict=True):
         jax.tree.map(np.testing.assert_array_equal, one._asdict(), other._asdict())

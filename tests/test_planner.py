@@ -112,7 +112,7 @@ def test_plans_are_consistent(method):
 
 def test_paths_are_called_clear_where_their_interpolated_configurations_are():
     """Densely, by the clearance itself, for the jumps of an escape and for small steps."""
-    plans, (robot, obstacle) = planned("cspace-sample"), made_once.scene()
+    plans, (robot, obstacle) = planned("cspace-sample"), made_once.scene()[:2]
     verdict = jax.jit(jax.vmap(is_clear, in_axes=(None, None, None, 0)))
     blocked = 0
     for s, one in enumerate(poses()):

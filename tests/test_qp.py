@@ -61,11 +61,11 @@ def infeasible(rng, rows, kind):
         G = qp.G.copy()
         G[0] = np.abs(G[0])
         h = qp.h.copy()
-        h[0] = G[0] @ qp.lower - 0.05
+        h[0] = G[0] @ qp.lb - 0.05
         return qp._replace(G=G, h=h)
     if kind == "task":
         A = np.abs(qp.A)
-        return qp._replace(A=A, b=A @ qp.upper + 0.05)
+        return qp._replace(A=A, b=A @ qp.ub + 0.05)
     G, h = qp.G.copy(), qp.h.copy()
     A, b = qp.A.copy(), qp.b.copy()
     A[0], b[0] = G[0], h[0] + 0.01  # the task asks for what the row forbids
@@ -91,10 +91,10 @@ def test_an_answer_fulfils_the_kkt_conditions(rows):
         qp = StepQP(*(field[k] for field in qps))
         np.testing.assert_allclose(qp.A @ y[k], qp.b, atol=1e-8)
         assert (qp.G @ y[k] <= qp.h + 1e-8).all()
-        assert (y[k] <= qp.upper + 1e-8).all() and (y[k] >= qp.lower - 1e-8).all()
-        near = qp.G @ y[k] > qp.h - 1e-6, y[k] > qp.upper - 1e-6, y[k] < qp.lower + 1e-6
+        assert (y[k] <= qp.ub + 1e-8).all() and (y[k] >= qp.lb - 1e-8).all()
+        near = qp.G @ y[k] > qp.h - 1e-6, y[k] > qp.ub - 1e-6, y[k] < qp.lb + 1e-6
         cone = np.concatenate([qp.A, -qp.A, qp.G[near[0]], np.eye(N)[near[1]], -np.eye(N)[near[2]]]).T
-        _, residual = nnls(cone, -(qp.weights * y[k] + qp.linear))
+        _, residual = nnls(cone, -(qp.P * y[k] + qp.q))
         assert residual < 1e-5
 
 
@@ -114,9 +114,9 @@ def test_a_joint_without_limits_has_infinite_bounds(name):
     """Those of the model are, where it sets none: all of them, or those that the answer does not touch."""
     solver = ClarabelSolver(WEIGHTS, 8) if name == "clarabel" else QPSolversSolver(name)
     qps, answers = random_batch(40, 8, seed=2)
-    above, below = qps.upper > answers + 1e-9, qps.lower < answers - 1e-9
+    above, below = qps.ub > answers + 1e-9, qps.lb < answers - 1e-9
     y, status = solver.solve(
-        qps._replace(upper=np.where(above, np.inf, qps.upper), lower=np.where(below, -np.inf, qps.lower))
+        qps._replace(upper=np.where(above, np.inf, qps.ub), lower=np.where(below, -np.inf, qps.lb))
     )
     assert (status == QPStatus.SOLVED).all()
     np.testing.assert_allclose(y, answers, rtol=0, atol=1e-6)
@@ -232,7 +232,7 @@ def test_the_step_qp_is_equation_8_row_by_row(rows, cost_about):
             return np.sum(settings.q_weights * (x - about) ** 2)
 
         def cost_of_step(y):
-            return 0.5 * np.sum(qp.weights * y * y) + qp.linear @ y
+            return 0.5 * np.sum(qp.P * y * y) + qp.q @ y
 
         ours = cost_of_step(x - x_ref) - cost_of_step(other - x_ref)
         np.testing.assert_allclose(ours, cost(x) - cost(other), atol=1e-12)
@@ -241,8 +241,8 @@ def test_the_step_qp_is_equation_8_row_by_row(rows, cost_about):
             linearised = D[body] + gradient[body] @ (x - x_ref)
             room = qp.h[row] - qp.G[row] @ (x - x_ref)
             np.testing.assert_allclose(room, linearised - margin, atol=1e-13)
-        np.testing.assert_allclose(qp.upper - (x - x_ref), upper - x, atol=1e-13)
-        np.testing.assert_allclose((x - x_ref) - qp.lower, x - lower, atol=1e-13)
+        np.testing.assert_allclose(qp.ub - (x - x_ref), upper - x, atol=1e-13)
+        np.testing.assert_allclose((x - x_ref) - qp.lb, x - lower, atol=1e-13)
 
 
 def test_the_seam_makes_the_solver_that_the_settings_name():

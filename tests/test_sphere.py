@@ -95,7 +95,7 @@ def test_sqp_is_no_worse_than_slsqp_with_the_cost_of_the_paper():
 
 def test_sqp_is_no_worse_than_slsqp_at_joint_limits():
     """Limits 0.07 rad around each configuration: most answers lie on one."""
-    robot, obstacle = made_once.scene()
+    robot, obstacle = made_once.scene()[:2]
     gaps, active = [], 0
     for k in range(0, 200, 10):
         where, x = references.place(k)

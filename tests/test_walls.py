@@ -10,8 +10,8 @@ import pytest
 import stranger_jobs
 import trimesh
 
-from htcp_jax.clearance.contact_model import see, seen_clearance
-from htcp_jax.clearance.obstacles import all_clear, clearance, clearances, contacts, is_clear, make_obstacle
+from htcp_jax.clearance.contact_model import hold_contacts, predict_distances
+from htcp_jax.clearance.obstacles import all_clear, clearance, clearances, contacts, is_clear, make_obstacle, rows_of
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import robot_of, scenario_of, scene, workpiece_of
@@ -103,14 +103,16 @@ def test_the_clearance_is_a_bound_on_that_to_the_triangles(car):
     x0, rng = np.asarray(where.x_start), np.random.default_rng(0)
     for x in [x0, *(x0 + rng.uniform(-0.4, 0.4, (12, 6)))]:
         truth, (touch, D) = sampled_distances(robot, part, where, x), measure(jnp.asarray(x))
-        inside = ~np.asarray(touch.crossed) & (truth > 0)
+        inside = ~np.asarray(touch.plane) & (truth > 0)
         assert (touch.distance <= truth + 1e-9)[inside].all()
         assert (touch.distance >= truth - 2.1 * part.covering_radius_m - 1e-4)[inside].all()
         assert D == np.min(touch.distance)
-        values, _ = seen_clearance(robot, jnp.asarray(x), see(robot, jnp.asarray(x), touch))
+        rows = rows_of(robot, obstacle)
+        held = hold_contacts(robot, jnp.asarray(x), rows, touch)
+        values, _ = predict_distances(robot, jnp.asarray(x), rows, held)
         np.testing.assert_allclose(values, touch.distance, atol=1e-12)
         near = jnp.asarray(x + 0.01)
-        assert (seen_clearance(robot, near, see(robot, jnp.asarray(x), touch))[0]
+        assert (predict_distances(robot, near, rows, held)[0]
                 >= clearances(robot, obstacle, where, near) - 1e-12)[inside].all()  # fmt: skip
 
 

@@ -17,7 +17,8 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.obstacles import Posed, all_clear, room
+from htcp_jax.clearance.obstacle import Posed
+from htcp_jax.clearance.obstacles import all_clear, room
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.scene.kinematics import capsule_segments, joint_levers
 from htcp_jax.scene.robot import Robot
@@ -35,7 +36,7 @@ def path_clear(scene: Scene, settings: Settings, where: Posed, a: Joints, b: Joi
     if settings.path_steps == 1:
         return jnp.full((), True)
     fractions = jnp.arange(1, settings.path_steps) / settings.path_steps
-    return all_clear(scene.robot, scene.obstacle, where, a[None, :] + fractions[:, None] * (b - a)[None, :])
+    return all_clear(scene.robot, scene.obstacles, where, a[None, :] + fractions[:, None] * (b - a)[None, :])
 
 
 def proven_clear(scene: Scene, where: Posed, a: Joints, b: Joints) -> Bool[jax.Array, ""]:
@@ -49,7 +50,7 @@ def proven_clear(scene: Scene, where: Posed, a: Joints, b: Joints) -> Bool[jax.A
         index, depth, _ = state
         length = jnp.ldexp(1.0, -depth)
         x = a + (index + 0.5) * length * (b - a)
-        left = room(scene.robot, scene.obstacle, where, x)
+        left = room(scene.robot, scene.obstacles, where, x)
         moves = motion_bound(scene.robot, x, 0.5 * length * jnp.abs(b - a))
         proven = jnp.all(moves <= left + RESOLUTION_M) | (depth == DEEPEST)
         index, depth = jax.tree.map(partial(jnp.where, proven), _next_interval(index, depth), (2 * index, depth + 1))

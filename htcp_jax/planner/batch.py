@@ -15,13 +15,14 @@ from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.errors import InputError
 from htcp_jax.planner.devices import choose, default_threads
 from htcp_jax.planner.engine import EMPTY, Engine
-from htcp_jax.planner.lane_inputs import tasks
+from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.methods import METHODS
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.tip_check import TipCheck, tip_checks
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import NOT_REFUSED, Scenario, stack
+from htcp_jax.scene.task import Task
 from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.settings import Settings, settings_of
 from htcp_jax.solvers.by_name import make_solver
@@ -70,7 +71,7 @@ def plan(
     scenarios = jax.tree.map(np.asarray, scenarios)
     began = time.perf_counter()
     devices = choose(device)
-    scene = Scene(robot, make_obstacle(workpiece))
+    scene = Scene(robot, make_obstacle(workpiece), Task(tolerance_m=settings.tolerance_m))
     kernels = [Kernels(scene, METHODS[method], settings, device) for device in devices]
     tips = tip_checks(kernels, workpiece)
     plans = _empty_plans(scenarios.targets, joints)
@@ -87,7 +88,7 @@ def start_clearance(robot: Robot, workpiece: Workpiece, scenario: Scenario) -> t
     """D at the scenario's start [m] and the name of the body it belongs to."""
     scenario = jax.tree.map(jnp.asarray, scenario)
     scene = own_scene(Scene(robot, make_obstacle(workpiece)), scenario.tool_extension_m)
-    D = np.asarray(jax.jit(clearances)(scene.robot, scene.obstacle, scenario, scenario.x_start))
+    D = np.asarray(jax.jit(clearances)(scene.robot, scene.obstacles, scenario, scenario.x_start))
     return float(D.min()), robot.capsule_names[int(D.argmin())]
 
 
@@ -128,8 +129,8 @@ def _run_engines(kernels: list[Kernels], tips, robot, method, settings, scenario
                 progress(Progress(totals[1], count, totals[0], targets))
 
     def work(number: int) -> None:
-        rows = row_count(settings, len(robot.capsule_link))
-        solver = make_solver(settings, len(robot.joint_names), rows)
+        task_rows, rows = kernels[0].sizes
+        solver = make_solver(settings, len(robot.joint_names), row_count(settings, rows), task_rows)
         own = number % len(kernels)
         engine = Engine(kernels[own], solver, method, settings, scenarios, plans, share, tips[own])
         engine.run(hand_out(), tell)
@@ -150,11 +151,11 @@ def _check_remaining_paths(
     if not len(s):
         return
     before = np.where((t == 0)[:, None], scenarios.x_start[s], plans.x[s, np.maximum(t - 1, 0)])
-    task = tasks(scenarios, s, t)
+    inputs = lane_inputs(scenarios, s, t)
 
     def check(number: int) -> None:
         part = np.arange(len(s))[number::threads]
-        pick = jax.tree.map(lambda table: table[part], (task, before, plans.x[s, t]))
+        pick = jax.tree.map(lambda table: table[part], (inputs, before, plans.x[s, t]))
         if len(part):
             own = number % len(kernels)
             clear = kernels[own]("check_path", *pick)

@@ -9,11 +9,9 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance.joint_path import path_clear
-from htcp_jax.clearance.obstacles import Linearisation, linearise
-from htcp_jax.clearance.scene import Scene, own_scene
-from htcp_jax.clearance.verdict import counts
-from htcp_jax.numerics import product, safe_norm
-from htcp_jax.planner.lane_inputs import Task
+from htcp_jax.clearance.scene import Linearisation, Scene, linearise, own_scene
+from htcp_jax.numerics import product
+from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.planner.methods import Sample
 from htcp_jax.planner.null_space import (
     Anchored,
@@ -26,7 +24,7 @@ from htcp_jax.planner.null_space import (
 )
 from htcp_jax.planner.sampling import Candidates, draw_clear
 from htcp_jax.scene.inverse_kinematics import reanchor
-from htcp_jax.scene.kinematics import tip_segment
+from htcp_jax.scene.kinematics import tcp_position, tip_segment
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import step_qp
 from htcp_jax.solvers.active_set import solve_step
@@ -41,47 +39,51 @@ class Measured(NamedTuple):
 
     x: jax.Array
     linear: Linearisation
-    clearance: jax.Array
-    residual: jax.Array
+    clearance: jax.Array  # the smallest [m]
+    residual: jax.Array  # [m]
+    tcp: jax.Array  # world [m]
 
 
-def _scene(scene: Scene, task: Task) -> Scene:
-    return own_scene(scene, task.tool_extension_m)
+def _scene(scene: Scene, lane: LaneInputs) -> Scene:
+    return own_scene(scene, lane.tool_extension_m)
 
 
-def _stuck(settings: Settings, task: Task, x_previous, stage: int) -> Stuck:
-    return Stuck(x_previous, task.target, stuck_key(settings, task.number, task.row, stage, task.round))
+def _stuck(settings: Settings, lane: LaneInputs, x_previous, stage: int) -> Stuck:
+    return Stuck(x_previous, lane.target, stuck_key(settings, lane.number, lane.row, stage, lane.round))
 
 
-def prepare(settings: Settings, scene: Scene, task: Task, x_ref, x_previous, linear: Linearisation) -> step_qp.StepQP:
+def prepare(
+    settings: Settings, scene: Scene, lane: LaneInputs, x_ref, x_previous, linear: Linearisation
+) -> step_qp.StepQP:
     """The step QP of one lane, equation (8)."""
-    scene = _scene(scene, task)
+    scene = _scene(scene, lane)
     robot = scene.robot
     return step_qp.assemble(
         settings,
         x_ref,
         x_previous,
-        task.target - linear.tcp,
-        linear.jacobian,
-        linear.clearance,
-        linear.gradient,
-        task.margin_m + settings.aim_above_m,
+        scene.task.error(linear.task.value, lane.target),
+        linear.task.jacobian,
+        linear.clearance.distance,
+        linear.clearance.gradient,
+        lane.margin_m + settings.aim_above_m,
         robot.lower,
         robot.upper,
     )
 
 
-def advance(settings: Settings, scene: Scene, task: Task, x_ref, y) -> Measured:
+def advance(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, y) -> Measured:
     """The lane after a step y: inside the limits to the last bit, linearised as equation (7) has it, and measured
     against its target."""
-    scene = _scene(scene, task)
+    scene = _scene(scene, lane)
     x = jnp.clip(x_ref + y, scene.robot.lower, scene.robot.upper)
-    linear = linearise(scene.robot, scene.obstacle, task, x)
-    return Measured(x, linear, jnp.min(linear.clearance), safe_norm(linear.tcp - task.target))
+    linear = linearise(scene.robot, scene.obstacles, lane, x, scene.task)
+    residual = scene.task.residual(linear.task.value, lane.target)
+    return Measured(x, linear, jnp.min(linear.clearance.distance), residual, tcp_position(scene.robot, x))
 
 
-def _measured(settings: Settings, scene: Scene, task: Task, x) -> Measured:
-    return advance(settings, scene, task, x, jnp.zeros_like(x))
+def _measured(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Measured:
+    return advance(settings, scene, lane, x, jnp.zeros_like(x))
 
 
 class Tracked(NamedTuple):
@@ -92,74 +94,79 @@ class Tracked(NamedTuple):
     verdict: jax.Array
 
 
-def track(settings: Settings, scene: Scene, task: Task, x_ref, x_previous, linear, iteration) -> Tracked:
+def track(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, x_previous, linear, iteration) -> Tracked:
     """Step QPs solved on the device, one after the other, until the target is reached, the lane is stuck, or the burst
     is over."""
 
     def going(state: tuple[Tracked, jax.Array]):
-        lane, count = state
-        here = counts(lane.now.clearance, lane.now.residual, task.margin_m, settings.tolerance_m)
-        reached = here & (lane.iteration > 0)
-        solved = lane.verdict == step_qp.QPStatus.SOLVED
-        return ~reached & solved & (lane.iteration < settings.inner_iterations) & (count < STEPS_A_BURST)
+        tracked, count = state
+        here = scene.task.counts(tracked.now.clearance, tracked.now.residual, lane.margin_m)
+        reached = here & (tracked.iteration > 0)
+        solved = tracked.verdict == step_qp.QPStatus.SOLVED
+        return ~reached & solved & (tracked.iteration < settings.inner_iterations) & (count < STEPS_A_BURST)
 
     def step(state: tuple[Tracked, jax.Array]):
-        lane, count = state
-        step_qp = prepare(settings, scene, task, lane.now.x, x_previous, lane.now.linear)
+        tracked, count = state
+        step_qp = prepare(settings, scene, lane, tracked.now.x, x_previous, tracked.now.linear)
         found = solve_step(step_qp, settings.qp_tolerance)
-        return Tracked(advance(settings, scene, task, lane.now.x, found.y), lane.iteration + 1, found.status), count + 1
+        return Tracked(
+            advance(settings, scene, lane, tracked.now.x, found.y), tracked.iteration + 1, found.status
+        ), count + 1
 
     # At a new target, and in a candidate's first burst, nothing is reached before the first step QP.
-    known = Measured(x_ref, linear, jnp.full((), -jnp.inf), jnp.full((), jnp.inf))
+    nowhere = jnp.zeros(3)  # as is the TCP, which is known after the first
+    known = Measured(x_ref, linear, jnp.full((), -jnp.inf), jnp.full((), jnp.inf), nowhere)
     start = Tracked(known, iteration, jnp.full((), int(step_qp.QPStatus.SOLVED), jnp.int32))
     return jax.lax.while_loop(going, step, (start, jnp.zeros((), jnp.int32)))[0]
 
 
-def enter_null_space(settings: Settings, scene: Scene, task: Task, x_previous) -> Measured:
+def enter_null_space(settings: Settings, scene: Scene, lane: LaneInputs, x_previous) -> Measured:
     """Algorithm 1, line 9: inverse kinematics of the stuck target from x_{t-1}."""
-    own = _scene(scene, task)
-    x, _ = reanchor(own.robot, x_previous, task.target, 0.1 * settings.tolerance_m)
-    return _measured(settings, scene, task, anchor(own, settings, task, x, task.target).x)
+    own = _scene(scene, lane)
+    x, _ = reanchor(own.robot, x_previous, lane.target, own.task.fine_m, task=own.task)
+    return _measured(settings, scene, lane, anchor(own, settings, lane, x, lane.target).x)
 
 
-def walk_null_space(stage, index, settings: Settings, scene: Scene, task: Task, x_previous, x_ref, count) -> Measured:
+def walk_null_space(
+    stage, index, settings: Settings, scene: Scene, lane: LaneInputs, x_previous, x_ref, count
+) -> Measured:
     """One step of a null-space stage."""
-    stuck = _stuck(settings, task, x_previous, index)
-    there = null_space_step(stage.minimise, _scene(scene, task), settings, task, stuck, x_ref, count)
-    return _measured(settings, scene, task, there.x)
+    stuck = _stuck(settings, lane, x_previous, index)
+    there = null_space_step(stage.minimise, _scene(scene, lane), settings, lane, stuck, x_ref, count)
+    return _measured(settings, scene, lane, there.x)
 
 
-def propose(stage: Sample, index, settings: Settings, scene: Scene, task: Task, x_previous) -> Candidates:
+def propose(stage: Sample, index, settings: Settings, scene: Scene, lane: LaneInputs, x_previous) -> Candidates:
     """Candidates of a sampling stage."""
-    scene = _scene(scene, task)
-    return stage.propose(scene, settings, task, _stuck(settings, task, x_previous, index))
+    scene = _scene(scene, lane)
+    return stage.propose(scene, settings, lane, _stuck(settings, lane, x_previous, index))
 
 
-def push(settings: Settings, scene: Scene, task: Task, x) -> Anchored:
-    """x carried over to the task's target and pushed clear."""
-    return push_clear(_scene(scene, task), settings, task, x, task.target)
+def push(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Anchored:
+    """x carried over to the lane's target and pushed clear."""
+    return push_clear(_scene(scene, lane), settings, lane, x, lane.target)
 
 
-def draw(settings: Settings, scene: Scene, task: Task) -> Anchored:
-    """The best of a round of draws at the task's target; which round is the task's."""
-    scene = _scene(scene, task)
-    stuck = _stuck(settings, task, jnp.zeros_like(scene.robot.lower), DRAW_STAGE)
-    return draw_clear(scene, settings, task, stuck, task.round % SPREAD_EVERY == SPREAD_EVERY - 1)
+def draw(settings: Settings, scene: Scene, lane: LaneInputs) -> Anchored:
+    """The best of a round of draws at the lane's target; which round is the lane's."""
+    scene = _scene(scene, lane)
+    stuck = _stuck(settings, lane, jnp.zeros_like(scene.robot.lower), DRAW_STAGE)
+    return draw_clear(scene, settings, lane, stuck, lane.round % SPREAD_EVERY == SPREAD_EVERY - 1)
 
 
-def ascend(settings: Settings, scene: Scene, task: Task, x):
+def ascend(settings: Settings, scene: Scene, lane: LaneInputs, x):
     """Keep-clear ascent at the target just reached."""
-    scene = _scene(scene, task)
-    return keep_clear_ascent(scene, settings, task, x, task.target)
+    scene = _scene(scene, lane)
+    return keep_clear_ascent(scene, settings, lane, x, lane.target)
 
 
-def check_path(settings: Settings, scene: Scene, task: Task, a, b):
+def check_path(settings: Settings, scene: Scene, lane: LaneInputs, a, b):
     """Whether the straight joint path from a to b is clear."""
-    scene = _scene(scene, task)
-    return path_clear(scene, settings, task, a, b)
+    scene = _scene(scene, lane)
+    return path_clear(scene, settings, lane, a, b)
 
 
-def tip(settings: Settings, scene: Scene, task: Task, x):
+def tip(settings: Settings, scene: Scene, lane: LaneInputs, x):
     """The tool's bare tip at x in the workpiece's frame, from the last body to the TCP."""
-    rotate, translate = task.T_world_workpiece[:3, :3], task.T_world_workpiece[:3, 3]
-    return product(tip_segment(_scene(scene, task).robot, x) - translate[None, :], rotate)
+    rotate, translate = lane.T_world_workpiece[:3, :3], lane.T_world_workpiece[:3, 3]
+    return product(tip_segment(_scene(scene, lane).robot, x) - translate[None, :], rotate)

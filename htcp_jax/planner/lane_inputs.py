@@ -8,7 +8,7 @@ import numpy as np
 from htcp_jax.scene.scenario import Scenario
 
 
-class Task(NamedTuple):
+class LaneInputs(NamedTuple):
     """What one lane is about: its scenario's surroundings, and which target. A lane brings all of it
     along, so the compiled programs know nothing of how many scenarios there are."""
 
@@ -22,11 +22,11 @@ class Task(NamedTuple):
     round: jax.Array  # of draws
 
 
-def tasks(scenarios: Scenario, scenario: np.ndarray, row: np.ndarray, round_: int = 0) -> Task:
-    """The tasks of lanes that are at target `row` of their `scenario`; scenarios are stacked, numpy."""
+def lane_inputs(scenarios: Scenario, scenario: np.ndarray, row: np.ndarray, round_: int = 0) -> LaneInputs:
+    """What lanes are about that are at target `row` of their `scenario`; scenarios are stacked, numpy."""
     row, scenario = np.asarray(row, np.int32), np.asarray(scenario)
     own = [
         getattr(scenarios, name)[scenario]
         for name in ("T_world_workpiece", "gate", "margin_m", "tool_extension_m", "number")
     ]
-    return Task(*own, scenarios.targets[scenario, row], row, np.full_like(row, round_))
+    return LaneInputs(*own, scenarios.targets[scenario, row], row, np.full_like(row, round_))

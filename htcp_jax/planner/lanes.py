@@ -6,12 +6,14 @@ from typing import NamedTuple, TypeVar
 import jax
 import numpy as np
 
-from htcp_jax.clearance.obstacles import Linearisation
+from htcp_jax.clearance.obstacles import ClearanceRows
+from htcp_jax.clearance.scene import Linearisation, TaskRows
 
 MAIN = -1  # `candidate` of a lane that tracks for its scenario itself
 NEW, TRACK = -2, -1  # phases; of a lane that is in a stage of its escape, the phase is the number of that stage
 ENTERING = -1  # `walked` of a lane that is not in the null space yet
 
+KINDS = TaskRows, ClearanceRows
 Tables = TypeVar("Tables")
 
 
@@ -34,15 +36,15 @@ class Lanes(NamedTuple):
         return len(self.scenario)
 
 
-def new_lanes(bodies: int, scenario, target, x_previous, x_ref, candidate=MAIN) -> Lanes:
-    """Lanes that start at x_ref (L, N), of a robot with so many bodies."""
+def new_lanes(sizes: tuple[int, int], scenario, target, x_previous, x_ref, candidate=MAIN) -> Lanes:
+    """Lanes that start at x_ref (L, N); sizes: rows of the task, and of the clearance."""
     lanes, n = x_ref.shape
 
     def column(value):
         return np.broadcast_to(np.asarray(value, np.int32), lanes).copy()
 
     linear = Linearisation(
-        np.zeros((lanes, 3)), np.zeros((lanes, 3, n)), np.zeros((lanes, bodies)), np.zeros((lanes, bodies, n))
+        *(kind(np.zeros((lanes, rows)), np.zeros((lanes, rows, n))) for kind, rows in zip(KINDS, sizes, strict=True))
     )
     return Lanes(
         column(scenario), column(target), column(candidate), column(NEW), column(0), column(0),
@@ -50,17 +52,17 @@ def new_lanes(bodies: int, scenario, target, x_previous, x_ref, candidate=MAIN) 
     )  # fmt: skip
 
 
-def take(tables: Tables, rows) -> Tables:
+def gather(tables: Tables, rows) -> Tables:
     """Some of the rows."""
     return jax.tree.map(lambda table: table[rows], tables)
 
 
-def join(parts: Sequence[Tables]) -> Tables:
+def concatenate(parts: Sequence[Tables]) -> Tables:
     """The rows of all parts, one or more."""
     return parts[0] if len(parts) == 1 else jax.tree.map(lambda *tables: np.concatenate(tables), *parts)
 
 
-def put(tables: Tables, rows, new: Tables) -> Tables:
+def scatter(tables: Tables, rows, new: Tables) -> Tables:
     """Copies of the tables with new rows in place of some."""
 
     def replaced(table, part):

@@ -9,17 +9,18 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.contact_model import Seen, see, seen_clearance
-from htcp_jax.clearance.obstacles import Obstacle, Posed, clearance, contacts
+from htcp_jax.clearance.contact_model import HeldContacts, hold_contacts, predict_distances
+from htcp_jax.clearance.obstacle import Posed
+from htcp_jax.clearance.obstacles import Obstacles, clearance, contacts
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.errors import InputError
-from htcp_jax.numerics import fold_keys, null_basis, of_shape, product, safe_norm
+from htcp_jax.numerics import fold_keys, null_basis, of_shape, product
 from htcp_jax.scene.inverse_kinematics import reanchor
-from htcp_jax.scene.kinematics import configuration, jacobian, tcp_position
+from htcp_jax.scene.kinematics import configuration
 from htcp_jax.scene.robot import Robot
 from htcp_jax.settings import Settings, settings_of
 from htcp_jax.solvers import sphere
-from htcp_jax.types import Array, Float, Joints, Scalar, Vector3
+from htcp_jax.types import Array, Float, Joints, Scalar
 
 DRAWS, PUSHED, PUSHES = 256, 6, 60  # of `draw_clear`: draws, how many are pushed clear, null-space steps of a push
 
@@ -35,41 +36,42 @@ class Stuck(NamedTuple):
     """Where one scenario is stuck."""
 
     x_previous: Joints  # x_{t-1}
-    target: Vector3  # C_next [m]
+    target: Float[Array, "M"]  # C_next [m]
     key: jax.Array  # folded from seed, scenario and target: depends on nothing else
 
 
-def seen_bodies(robot: Robot, far_links: bool) -> tuple[bool, ...]:
-    """Which bodies J2 sees: all, or those of the outer half of the chain (capsules 4 to 8 of the GP50)."""
-    half = len(robot.slides) // 2
-    return tuple(far_links or link >= half for link in robot.capsule_link)
+def seen_rows(scene: Scene, far_links: bool) -> tuple[bool, ...]:
+    """Which rows J2 sees: all, or those of bodies on the outer half of the chain (capsules 4 to 8 of the GP50)."""
+    half = len(scene.robot.slides) // 2
+    return tuple(far_links or scene.robot.capsule_link[body] >= half for body in scene.rows.body)
 
 
 def sphere_problem(
     scene: Scene, settings: Settings, where: Posed, x_ref: Joints
-) -> tuple[sphere.Sphere, Seen, Float[Array, "N D"]]:
-    """Equation (11) at x_ref: the problem, the contacts seen at x_ref, and alpha N(x_ref) [rad]."""
-    robot, obstacle = scene
-    reach = settings.alpha_rad * null_basis(jacobian(robot, x_ref))
+) -> tuple[sphere.Sphere, HeldContacts, Float[Array, "N D"]]:
+    """Equation (11) at x_ref: the problem, the contacts at x_ref, and alpha N(x_ref). Nothing where D = 0."""
+    robot, obstacles, task = scene
+    rows = scene.rows
+    reach = settings.alpha_rad * null_basis(task.jacobian(robot, x_ref))
     weights = jnp.asarray(settings.q_weights)
     # J1 = |x - x_ref|_Q^2 = w' (alpha N)' Q (alpha N) w
     half = settings.j1_weight * product(reach.T, weights[:, None] * reach)
-    unseen = ~jnp.asarray(seen_bodies(robot, settings.far_links))
-    # A body that J2 does not see is as far away as it ever gets.
+    unseen = ~jnp.asarray(seen_rows(scene, settings.far_links))
+    # What J2 does not see is as far away as it ever gets.
     far = jnp.where(unseen, 10.0, 0.0)
 
     def observe(w):
         x = x_ref + product(reach, w)
-        touch = contacts(robot, obstacle, where, x)
-        return touch.distance + far - product(w, product(half, w)), see(robot, x, touch)
+        touch = contacts(robot, obstacles, where, x)
+        return touch.distance + far - product(w, product(half, w)), hold_contacts(robot, x, rows, touch)
 
     def measure(w):
         if not settings.far_links:
             return jnp.min(observe(w)[0])
-        return clearance(robot, obstacle, where, x_ref + product(reach, w)) - product(w, product(half, w))
+        return clearance(robot, obstacles, where, x_ref + product(reach, w)) - product(w, product(half, w))
 
-    def predict(w, seen):
-        value, gradient = seen_clearance(robot, x_ref + product(reach, w), seen)
+    def predict(w, held):
+        value, gradient = predict_distances(robot, x_ref + product(reach, w), rows, held)
         rounds = value.shape[0] // far.shape[0]
         value = value + jnp.concatenate([far] * rounds) - product(w, product(half, w))
         return value, product(gradient, reach) - 2 * product(half, w)[None, :]
@@ -77,12 +79,12 @@ def sphere_problem(
     G = jnp.concatenate([reach, -reach])
     h = jnp.concatenate([robot.upper - x_ref, x_ref - robot.lower])
     problem = sphere.Sphere(observe, measure, predict, 2 * half, G, jnp.minimum(h, 1e3))
-    return problem, see(robot, x_ref, contacts(robot, obstacle, where, x_ref)), reach
+    return problem, hold_contacts(robot, x_ref, rows, contacts(robot, obstacles, where, x_ref)), reach
 
 
 def null_space_objective(
     robot: Robot,
-    obstacle: Obstacle,
+    obstacles: Obstacles,
     where: Posed,
     x_ref: Joints,
     w: Float[Array, "D"],
@@ -121,12 +123,14 @@ def null_space_objective(
     settings = Settings(q_weights=(1.0,) * joints) if settings is None else settings_of(settings)
     if len(settings.q_weights) != joints:
         raise InputError(f"q_weights has {len(settings.q_weights)} values, the robot {robot.name} has {joints} joints")
-    return _objective(robot, obstacle, where, x_ref, w, settings)
+    return _objective(robot, obstacles, where, x_ref, w, settings)
 
 
 @partial(jax.jit, static_argnames="settings")
-def _objective(robot: Robot, obstacle: Obstacle, where: Posed, x_ref: Joints, w: Float[Array, "D"], settings: Settings):
-    problem, _, _ = sphere_problem(Scene(robot, obstacle), settings, where, x_ref)
+def _objective(
+    robot: Robot, obstacles: Obstacles, where: Posed, x_ref: Joints, w: Float[Array, "D"], settings: Settings
+) -> Scalar:
+    problem, _, _ = sphere_problem(Scene(robot, obstacles), settings, where, x_ref)
     return -problem.measure(w)
 
 
@@ -135,28 +139,27 @@ class Anchored(NamedTuple):
 
     x: Joints
     clearance: Scalar  # D [m]
-    residual: Scalar  # TCP error [m]
+    residual: Scalar  # the task's [m]
 
 
-def anchor(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Vector3) -> Anchored:
+def anchor(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Float[Array, "M"]) -> Anchored:
     """Re-anchor x where its TCP error exceeds the tolerance xi, equation (10b) and Algorithm 1; then measure it."""
-    off = safe_norm(target - tcp_position(scene.robot, x))
-    anchored, _ = reanchor(scene.robot, x, target, 0.1 * settings.tolerance_m)
-    x = jnp.where(off > settings.tolerance_m, anchored, x)
-    return Anchored(
-        x, clearance(scene.robot, scene.obstacle, where, x), safe_norm(target - tcp_position(scene.robot, x))
-    )
+    robot, obstacles, task = scene
+    off = task.off(robot, x, target)
+    anchored, _ = reanchor(robot, x, target, task.fine_m, task=task)
+    x = jnp.where(task.reached(off), x, anchored)
+    return Anchored(x, clearance(robot, obstacles, where, x), task.off(robot, x, target))
 
 
-Minimise = Callable[[sphere.Sphere, Seen, jax.Array, Settings], sphere.Best]
+Minimise = Callable[[sphere.Sphere, HeldContacts, jax.Array, Settings], sphere.Best]
 
 
 def null_space_step(
     minimise: Minimise, scene: Scene, settings: Settings, where: Posed, stuck: Stuck, x_ref: Joints, count
 ) -> Anchored:
     """One round of Algorithm 1's null-space loop: minimise J2 on the sphere, x = x_ref + alpha N w, re-anchor."""
-    problem, seen, reach = sphere_problem(scene, settings, where, x_ref)
-    best = minimise(problem, seen, jax.random.fold_in(stuck.key, count), settings)
+    problem, held, reach = sphere_problem(scene, settings, where, x_ref)
+    best = minimise(problem, held, jax.random.fold_in(stuck.key, count), settings)
     x = jnp.clip(x_ref + product(reach, best.w), scene.robot.lower, scene.robot.upper)
     return anchor(scene, settings, where, x, stuck.target)
 
@@ -166,7 +169,7 @@ def keep_clear_ascent(
     settings: Settings,
     where: Posed,
     x: Joints,
-    target: Vector3,
+    target: Float[Array, "M"],
     enough_m: Scalar | float | None = None,
     steps: int | None = None,
 ) -> Anchored:
@@ -184,11 +187,11 @@ def keep_clear_ascent(
 
     def step(state):
         best, scale, count = state
-        problem, seen, reach = sphere_problem(scene, settings, where, best.x)
-        w = sphere.max_min_step(problem, seen, scale)
+        problem, held, reach = sphere_problem(scene, settings, where, best.x)
+        w = sphere.max_min_step(problem, held, scale)
         x = jnp.clip(best.x + product(reach, w), scene.robot.lower, scene.robot.upper)
         new = anchor(scene, settings, where, x, target)
-        better = (new.clearance > best.clearance) & (new.residual <= settings.tolerance_m)
+        better = (new.clearance > best.clearance) & scene.task.reached(new.residual)
         best = jax.tree.map(lambda n, b: jnp.where(better, n, b), new, best)
         return best, jnp.where(better, scale, 0.5 * scale), count + 1
 
@@ -197,7 +200,7 @@ def keep_clear_ascent(
     return best
 
 
-def push_clear(scene: Scene, settings: Settings, where: Asked, x: Joints, target: Vector3) -> Anchored:
+def push_clear(scene: Scene, settings: Settings, where: Asked, x: Joints, target: Float[Array, "M"]) -> Anchored:
     """x brought onto the target and pushed in the null space until it keeps the margin, or as clear as it gets."""
     enough_m = jnp.maximum(1e-9, where.margin_m)
     x = anchor(scene, settings, where, x, target).x

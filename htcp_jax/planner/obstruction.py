@@ -5,7 +5,7 @@ the joint limits but through whatever is there, equation (10b). The body with th
 in the way. That is one posture of many: an escape may have looked at others, and found none that is clear.
 """
 
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
@@ -13,14 +13,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.clearance.obstacles import Obstacle, contacts, make_obstacle
+from htcp_jax.clearance.obstacles import Obstacles, contacts, make_obstacle
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.planner.chunks import chunked, table_on
-from htcp_jax.planner.lane_inputs import tasks
+from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.plans import Plans, is_tracked
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import Scenario, stack
+from htcp_jax.scene.task import Task
 from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
@@ -58,24 +59,25 @@ def obstruction(
     robot: Robot, workpiece: Workpiece, scenario: Scenario, x_last: np.ndarray, target: int, settings: Settings
 ) -> Obstruction:
     """What is in the way at a target of a scenario. x_last: the last tracked posture, else the start [rad or m]."""
-    task = tasks(stack([scenario]), np.zeros(1, int), np.array([target]))
+    task = lane_inputs(stack([scenario]), np.zeros(1, int), np.array([target]))
     (found,) = obstructions(robot, make_obstacle(workpiece), task, np.asarray(x_last)[None], task.target, settings)
     return found
 
 
 def obstructions(
     robot: Robot,
-    obstacle: Obstacle,
+    obstacles: Obstacles,
     where: Any,
     x_last: Float[np.ndarray, "S N"],
     targets: Float[np.ndarray, "S 3"],
     settings: Settings,
 ) -> list[Obstruction]:
-    """The same for S scenarios at once. where: stacked, what `clearance.Posed` asks for and `tool_extension_m`;
+    """The same for S scenarios at once. where: stacked, what `Posed` asks for and `tool_extension_m`;
     targets: one a scenario, world [m]."""
     capacity, width = table_on(jax.local_devices()[0], "enter")
     lanes = (where, np.asarray(x_last, float), np.asarray(targets, float))
-    look, scene = _program(0.1 * settings.tolerance_m, width), Scene(robot, obstacle)
+    task = Task(tolerance_m=settings.tolerance_m)
+    look, scene = _program(width), Scene(robot, obstacles, task)
     told = []
     for first in range(0, len(x_last), capacity):
         count = min(capacity, len(x_last) - first)
@@ -84,9 +86,7 @@ def obstructions(
         found = look(scene, chunks, *jax.tree.map(lambda leaf, rows=rows: np.asarray(leaf)[rows], lanes))
         told += zip(*(np.asarray(leaf)[:count] for leaf in found), strict=True)
     return [
-        Obstruction(
-            robot.capsule_names[int(body)], point, float(depth), float(off), bool(off <= settings.tolerance_m), x
-        )
+        Obstruction(robot.capsule_names[int(body)], point, float(depth), float(off), bool(task.reached(off)), x)
         for body, point, depth, off, x in told
     ]
 
@@ -101,20 +101,19 @@ def last_posture(plans: Plans, row: int, x_start: Float[np.ndarray, "N"]) -> tup
 
 
 @lru_cache(maxsize=8)
-def _program(tolerance_m: float, width: int):
-    return chunked(partial(_brought_there, tolerance_m), width)
+def _program(width: int):
+    return chunked(_brought_there, width)
 
 
-def _brought_there(tolerance_m: float, scene: Scene, where, x_last, target):
+def _brought_there(scene: Scene, where, x_last, target):
     """Body, point of the workpiece, depth [m], TCP error [m] and posture of one scenario."""
-    robot, obstacle = own_scene(scene, where.tool_extension_m)
-    x, residual = reanchor(robot, x_last, target, tolerance_m)
-    touch = contacts(robot, obstacle, where, x)
-    body = jnp.argmin(touch.distance)
-    point, normal, distance = touch.point[body], touch.normal[body], touch.distance[body]
-    # From the axis to what it is near to: past the radius, unless the hull decides, which is measured from the axis.
-    reach = distance + jnp.where(touch.crossed[body], 0.0, touch.reach[body])
-    return body, point - reach * normal, -distance, residual, x
+    robot, obstacles, task = own_scene(scene, where.tool_extension_m)
+    x, residual = reanchor(robot, x_last, target, task.fine_m, task=task)
+    touch = contacts(robot, obstacles, where, x)
+    row = jnp.argmin(touch.distance)
+    point, normal, distance = touch.point[row], touch.normal[row], touch.distance[row]
+    body = jnp.asarray(scene.rows.body)[row]
+    return body, point - (distance + touch.reach[row]) * normal, -distance, residual, x
 
 
 def _mm(length_m: float) -> str:

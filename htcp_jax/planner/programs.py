@@ -24,6 +24,7 @@ from htcp_jax.planner.kernels import (
     walk_null_space,
 )
 from htcp_jax.planner.methods import Method
+from htcp_jax.scene.task import Task
 from htcp_jax.settings import Settings
 
 _PROGRAMS: dict = {}  # compiled for (kernel, settings, width, shapes); for the life of the process
@@ -63,9 +64,14 @@ class Kernels:
         return self.device.platform == "cpu"
 
     @property
-    def bodies(self) -> int:
-        """Capsules of the robot."""
-        return len(self._scene.robot.capsule_link)
+    def task(self) -> Task:
+        """What the arm has to hold."""
+        return self._scene.task
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Rows of the task, and of the clearance."""
+        return self.task.rows, len(self._scene.rows.body)
 
     def __call__(self, name: str, *tables):
         """Run kernel `name`, "walk k" or "sample k" for stage k of the method, over tables of n >= 1 lanes; numpy

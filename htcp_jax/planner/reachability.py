@@ -16,14 +16,14 @@ import numpy as np
 
 from htcp_jax.clearance.obstacles import make_obstacle
 from htcp_jax.clearance.scene import Scene
-from htcp_jax.clearance.verdict import counts
-from htcp_jax.planner.lane_inputs import tasks
+from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.methods import METHODS
 from htcp_jax.planner.null_space import DRAWS, Anchored
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.tip_check import tip_checks
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import Scenario
+from htcp_jax.scene.task import Task
 from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.settings import Settings
 
@@ -49,14 +49,14 @@ def ceiling(
     """Prefixes of the stacked scenarios. draws: at a target where carrying over fails, in rounds of `DRAWS`; from the
     settings count alpha_rad, tolerance_m and the seed. progress(target, targets) is called after each target."""
     settings = settings or Settings()
-    scene = Scene(robot, make_obstacle(workpiece))
+    scene = Scene(robot, make_obstacle(workpiece), Task(tolerance_m=settings.tolerance_m))
     kernels = Kernels(scene, METHODS["baseline"], settings)
     [tip] = tip_checks([kernels], workpiece)
 
     def good_at(row: int, rows: np.ndarray, here: Anchored) -> np.ndarray:
-        good = counts(here.clearance, here.residual, scenarios.margin_m[rows], settings.tolerance_m)
+        good = scene.task.counts(here.clearance, here.residual, scenarios.margin_m[rows])
         if tip is not None and good.any():
-            good[good] = ~tip.at(tasks(scenarios, rows[good], np.full(good.sum(), row)), here.x[good])
+            good[good] = ~tip.at(lane_inputs(scenarios, rows[good], np.full(good.sum(), row)), here.x[good])
         return good
 
     scenarios = jax.tree.map(np.asarray, scenarios)
@@ -69,16 +69,16 @@ def ceiling(
         alive = alive[scenarios.count[alive] > row]
         if not len(alive):
             break
-        here = kernels("push", tasks(scenarios, alive, np.full(len(alive), row)), x[alive])
+        here = kernels("push", lane_inputs(scenarios, alive, np.full(len(alive), row)), x[alive])
         x[alive], good = here.x, good_at(row, alive, here)
         for round_ in range(-(-draws // DRAWS)):
             lost = alive[~good]
             if not len(lost):
                 break
-            here = kernels("draw", tasks(scenarios, lost, np.full(len(lost), row), round_))
+            here = kernels("draw", lane_inputs(scenarios, lost, np.full(len(lost), row), round_))
             here = jax.tree.map(lambda leaf: leaf[:, 0], here)
             x[lost] = here.x
-            best[lost] = np.fmax(best[lost], np.where(here.residual <= settings.tolerance_m, here.clearance, -np.inf))
+            best[lost] = np.fmax(best[lost], np.where(scene.task.reached(here.residual), here.clearance, -np.inf))
             good[~good] = good_at(row, lost, here)
         best[alive[good]] = np.nan
         alive = alive[good]

@@ -7,13 +7,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.obstacles import Posed, is_clear
+from htcp_jax.clearance.obstacle import Posed
+from htcp_jax.clearance.obstacles import is_clear
 from htcp_jax.clearance.scene import Scene
-from htcp_jax.clearance.verdict import counts
 from htcp_jax.numerics import null_basis, product, safe_norm
 from htcp_jax.planner.null_space import DRAWS, PUSHED, Anchored, Asked, Stuck, anchor, push_clear
 from htcp_jax.scene.inverse_kinematics import inside, reanchor
-from htcp_jax.scene.kinematics import jacobian, tcp_position
+from htcp_jax.scene.task import Task
 from htcp_jax.settings import Settings
 from htcp_jax.types import Array, Bool, Float
 
@@ -34,7 +34,7 @@ def cspace_samples(scene: Scene, settings: Settings, where: Posed, stuck: Stuck)
     width = jnp.asarray([0.0, 0.0, 1.0] + [2.0] * (n - 3))
     draw = jax.random.uniform(stuck.key, (8 * settings.samples, n), minval=-1.0, maxval=1.0)
     x = stuck.x_previous[None, :] + width[None, :] * draw
-    feasible = jax.vmap(lambda x: inside(robot, x))(x) & jax.vmap(lambda x: is_clear(robot, scene.obstacle, where, x))(
+    feasible = jax.vmap(lambda x: inside(robot, x))(x) & jax.vmap(lambda x: is_clear(robot, scene.obstacles, where, x))(
         x
     )
     feasible &= jax.vmap(safe_norm)(x - stuck.x_previous[None, :]) <= settings.sample_reach_rad
@@ -44,24 +44,23 @@ def cspace_samples(scene: Scene, settings: Settings, where: Posed, stuck: Stuck)
 def nspace_samples(
     scene: Scene, settings: Settings, where: Posed, stuck: Stuck, step_rad: tuple[float, ...]
 ) -> Candidates:
-    """The paper's N-Space sample: random null-space directions, each followed for `sample_steps` steps of each given
-    length, re-anchored whenever the TCP error exceeds the tolerance. The direction is carried along by projection."""
-    robot = scene.robot
-    origin, _ = reanchor(robot, stuck.x_previous, stuck.target, 0.1 * settings.tolerance_m)
-    first = null_basis(jacobian(robot, origin))
+    """N-Space sample: random null-space directions, each followed for `sample_steps` steps of each given length,
+    re-anchored whenever the TCP error exceeds the tolerance. The direction is carried along by projection."""
+    robot, task = scene.robot, scene.task
+    origin, _ = reanchor(robot, stuck.x_previous, stuck.target, task.fine_m, task=task)
+    first = null_basis(task.jacobian(robot, origin))
     draw = jax.random.normal(stuck.key, (settings.samples, first.shape[1]))
     directions = jax.vmap(lambda w: product(first, w / safe_norm(w)))(draw)
 
     def walk(direction, length):
         def step(_, state):
             x, v = state
-            basis = null_basis(jacobian(robot, x))
+            basis = null_basis(task.jacobian(robot, x))
             v = product(basis, product(v, basis))
             v = v / jnp.maximum(safe_norm(v), 1e-12)
             x = jnp.clip(x + length * v, robot.lower, robot.upper)
-            off = safe_norm(stuck.target - tcp_position(robot, x))
-            anchored, _ = reanchor(robot, x, stuck.target, 0.1 * settings.tolerance_m, iterations=3)
-            return jnp.where(off > settings.tolerance_m, anchored, x), v
+            anchored, _ = reanchor(robot, x, stuck.target, task.fine_m, iterations=3, task=task)
+            return jnp.where(task.reached(task.off(robot, x, stuck.target)), x, anchored), v
 
         x, _ = jax.lax.fori_loop(0, settings.sample_steps, step, (origin, direction))
         return x
@@ -78,7 +77,7 @@ def best_nspace_samples(
     `keep` clearest are worth tracking from."""
     x, near, _ = nspace_samples(scene, settings, where, stuck, step_rad)
     here = jax.vmap(lambda x: anchor(scene, settings, where, x, stuck.target))(x)
-    done = near & counts(here.clearance, here.residual, where.margin_m, settings.tolerance_m)
+    done = near & scene.task.counts(here.clearance, here.residual, where.margin_m)
     rank = jnp.where(near & ~done, here.clearance, -jnp.inf)
     worth = rank >= jax.lax.top_k(rank, keep)[0][-1]
     return Candidates(here.x, done | (near & worth & ~jnp.any(done)), done)
@@ -95,13 +94,13 @@ def draw_clear(scene: Scene, settings: Settings, where: Asked, stuck: Stuck, spr
     draw = jax.random.uniform(stuck.key, (DRAWS, lower.shape[0]))
     x = lower[None, :] + (upper - lower)[None, :] * draw
     reached = jax.vmap(lambda x: anchor(scene, settings, where, x, stuck.target))(x)
-    order = jnp.argsort(-_rank(settings, reached))
+    order = jnp.argsort(-_rank(scene.task, reached))
     quarter = jnp.sort(order[: DRAWS // 4])  # in the order of the draws: any PUSHED of them are as good as random
     first = jnp.where(spread, quarter[:PUSHED], order[:PUSHED])
     pushed = jax.lax.map(lambda x: push_clear(scene, settings, where, x, stuck.target), reached.x[first])
-    order = jnp.argsort(-_rank(settings, pushed))
+    order = jnp.argsort(-_rank(scene.task, pushed))
     return jax.tree.map(lambda leaf: leaf[order], pushed)
 
 
-def _rank(settings: Settings, here: Anchored) -> Float[Array, "*n"]:
-    return jnp.where(here.residual <= settings.tolerance_m, here.clearance, -jnp.inf)
+def _rank(task: Task, here: Anchored) -> Float[Array, "*n"]:
+    return jnp.where(task.reached(here.residual), here.clearance, -jnp.inf)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from htcp_jax.clearance.tip_guard import TipGuard, make_tip_guard
-from htcp_jax.planner.lane_inputs import Task
+from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.scene.workpiece import Workpiece
 
 PLACES = 100  # of a joint path at which its tip is looked at
@@ -23,17 +23,19 @@ class TipCheck(NamedTuple):
     kernels: Callable[..., np.ndarray]  # by name, see `programs.Kernels`
     guard: TipGuard
 
-    def at(self, task: Task, x: Float[np.ndarray, "n N"]) -> Bool[np.ndarray, "n"]:
+    def at(self, inputs: LaneInputs, x: Float[np.ndarray, "n N"]) -> Bool[np.ndarray, "n"]:
         """Whether the tip passes through a wall at each lane's configuration."""
-        tip = self.kernels("tip", task, x)
+        tip = self.kernels("tip", inputs, x)
         return self.guard.passes(tip[:, 0], tip[:, 1])
 
-    def along(self, task: Task, a: Float[np.ndarray, "n N"], b: Float[np.ndarray, "n N"]) -> Bool[np.ndarray, "n"]:
+    def along(
+        self, inputs: LaneInputs, a: Float[np.ndarray, "n N"], b: Float[np.ndarray, "n N"]
+    ) -> Bool[np.ndarray, "n"]:
         """Whether it does anywhere between each lane's a and b, as far as PLACES tell."""
         fraction = (np.arange(1, PLACES) / PLACES)[None, :, None]
         x = a[:, None] + fraction * (b - a)[:, None]
         row = np.repeat(np.arange(len(a)), PLACES - 1)
-        through = self.at(jax.tree.map(lambda table: table[row], task), x.reshape(len(row), -1))
+        through = self.at(jax.tree.map(lambda table: table[row], inputs), x.reshape(len(row), -1))
         return through.reshape(len(a), -1).any(axis=1)
 
 

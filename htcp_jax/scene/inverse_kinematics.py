@@ -6,29 +6,35 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.numerics import of_shape, product, safe_norm, solve_spd
-from htcp_jax.scene.kinematics import configuration, jacobian, tcp_position
+from htcp_jax.scene.kinematics import configuration
 from htcp_jax.scene.robot import Robot
-from htcp_jax.types import Array, Bool, Float, Joints, Scalar, Vector3
+from htcp_jax.scene.task import TCP_POSITION, Task
+from htcp_jax.types import Array, Bool, Float, Joints, Scalar
 
 
-@partial(jax.jit, static_argnames=("tolerance_m", "iterations"))
+@partial(jax.jit, static_argnames=("tolerance_m", "iterations", "task"))
 def reanchor(
-    robot: Robot, x: Joints, target: Vector3, tolerance_m: float, iterations: int = 20
+    robot: Robot,
+    x: Joints,
+    target: Float[Array, "M"],
+    tolerance_m: float,
+    iterations: int = 20,
+    task: Task = TCP_POSITION,
 ) -> tuple[Joints, Scalar]:
-    """Damped Newton inverse kinematics inside the joint limits: (x, TCP error [m]), equation (10b).
+    """Damped Newton inverse kinematics inside the joint limits: (x, residual [m]), equation (10b).
 
     Stops at tolerance_m or after `iterations`. The damping (1e-3 m/rad)^2 keeps singular postures bounded and costs
     1e-6 of a Newton step elsewhere; a joint at its limit is held there while the others make up for it. Raises
     InputError for more than one configuration or target.
     """
-    x, target = configuration(robot, x), of_shape(target, (3,), "target")
+    x, target = configuration(robot, x), of_shape(target, (task.rows,), "target")
 
     def off(x):
-        return target - tcp_position(robot, x)
+        return task.error(task.value(robot, x), target)
 
     def step(state):
         x, error, count = state
-        jac = jacobian(robot, x)
+        jac = task.jacobian(robot, x)
         # A joint at its limit that the step would push further out takes no part.
         push = product(jac.T, _weighted(jac, error))
         blocked = ((x <= robot.lower) & (push < 0)) | ((x >= robot.upper) & (push > 0))
@@ -44,8 +50,8 @@ def reanchor(
     return x, safe_norm(error)
 
 
-def _weighted(jac: Float[Array, "3 N"], error: Vector3) -> Vector3:
-    return solve_spd(product(jac, jac.T) + 1e-6 * jnp.eye(3), error)
+def _weighted(jac: Float[Array, "M N"], error: Float[Array, "M"]) -> Float[Array, "M"]:
+    return solve_spd(product(jac, jac.T) + 1e-6 * jnp.eye(len(error)), error)
 
 
 def inside(robot: Robot, x: Joints) -> Bool[Array, ""]:

@@ -37,12 +37,7 @@ def tcp_position(robot: Robot, x: Joints) -> Vector3:
 
 def capsule_segments(robot: Robot, x: Joints) -> tuple[Float[Array, "K 3"], Float[Array, "K 3"]]:
     """Ends p, q of the capsules' segments in the world [m]."""
-    links = _link_frames(robot, x)
-    world = jnp.eye(3, 4, dtype=links.origin.dtype)[None]
-    with_world = _Frames(  # last, so that link -1 finds it
-        jnp.concatenate([links.rotation, world[:, :, :3]]), jnp.concatenate([links.origin, world[:, :, 3]])
-    )
-    own = _row(with_world, np.array(robot.capsule_link))
+    own = _frames_of(robot, x, robot.capsule_link)
     return _to_world(own, robot.capsule_p), _to_world(own, robot.capsule_q)
 
 
@@ -78,6 +73,16 @@ def point_jacobians(
     moves = jnp.arange(len(robot.slides))[None, :] <= jnp.asarray(links)[:, None]
     velocities = _velocities(robot, _link_frames(robot, x), points)
     return jnp.where(moves[:, :, None], velocities, 0.0).swapaxes(1, 2)
+
+
+def point_positions(
+    robot: Robot, x: Joints, points: Float[Array, "P 3"], links: tuple[int, ...]
+) -> Float[Array, "P 3"]:
+    """Where points that are fixed to links are at x, in the world [m].
+
+    points: in the frames of their links [m]; links: each point's, -1 for the world.
+    """
+    return _to_world(_frames_of(robot, x, links), points)
 
 
 def joint_levers(robot: Robot, x: Joints, points: Float[Array, "P 3"]) -> Float[Array, "P N"]:
@@ -118,6 +123,16 @@ def _link_frames(robot: Robot, x: Joints) -> _Frames:
         rotation, origin = _row(steps, i)
         links.append(_Frames(product(links[-1].rotation, rotation), _to_world(links[-1], origin)))
     return _Frames(*(jnp.stack(parts) for parts in zip(*links, strict=True)))
+
+
+def _frames_of(robot: Robot, x: Joints, links: tuple[int, ...]) -> _Frames:
+    """The frame of each of some links, -1 for the world."""
+    moving = _link_frames(robot, x)
+    world = jnp.eye(3, 4, dtype=moving.origin.dtype)[None]
+    with_world = _Frames(  # last, so that link -1 finds it
+        jnp.concatenate([moving.rotation, world[:, :, :3]]), jnp.concatenate([moving.origin, world[:, :, 3]])
+    )
+    return _row(with_world, np.array(links))
 
 
 @jax.jit

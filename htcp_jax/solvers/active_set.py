@@ -38,15 +38,17 @@ def solve_step(qp: StepQP, tolerance: float = 1e-8) -> QPSolution:
 
     Infinite limits are no rows. FAILED where numbers are not finite or the method does not end.
     """
-    n = qp.linear.shape[0]
+    n = qp.q.shape[0]
+    if qp.A.shape[0] == n:
+        return _only_step(qp, tolerance)
     basis = null_basis(qp.A)
     y_task = _on_task(qp)
-    inverse = _inverse_factor(product(basis.T, qp.weights[:, None] * basis))  # z = inverse.T u
+    inverse = _inverse_factor(product(basis.T, qp.P[:, None] * basis))  # z = inverse.T u
     to_y = product(basis, inverse.T)
-    u0 = -product(inverse, product(basis.T, qp.weights * y_task + qp.linear))
+    u0 = -product(inverse, product(basis.T, qp.P * y_task + qp.q))
 
     rows = jnp.concatenate([qp.G, jnp.eye(n), -jnp.eye(n)])
-    bound = jnp.concatenate([qp.h, qp.upper, -qp.lower])
+    bound = jnp.concatenate([qp.h, qp.ub, -qp.lb])
     has_bound = ~jnp.isposinf(bound)
     bound = jnp.where(has_bound, bound, 0.0) - product(rows, y_task)
     rows = product(rows, to_y)
@@ -61,6 +63,15 @@ def solve_step(qp: StepQP, tolerance: float = 1e-8) -> QPSolution:
     usable = jnp.all(jnp.isfinite(y)) & ~jnp.any(jnp.isnan(bound)) & end.done
     infeasible = hopeless | end.infeasible
     status = jnp.where(usable, jnp.where(infeasible, QPStatus.INFEASIBLE, QPStatus.SOLVED), QPStatus.FAILED)
+    return QPSolution(jnp.where(status == QPStatus.SOLVED, y, 0.0), status.astype(jnp.int32))
+
+
+def _only_step(qp: StepQP, tolerance: float) -> QPSolution:
+    """The step that the task leaves no choice of, where there are as many of its rows as joints."""
+    y = _on_task(qp)
+    over = jnp.concatenate([product(qp.G, y) - qp.h, y - qp.ub, qp.lb - y])
+    status = jnp.where(jnp.any(over > tolerance), QPStatus.INFEASIBLE, QPStatus.SOLVED)
+    status = jnp.where(jnp.any(jnp.isnan(over)) | ~jnp.all(jnp.isfinite(y)), QPStatus.FAILED, status)
     return QPSolution(jnp.where(status == QPStatus.SOLVED, y, 0.0), status.astype(jnp.int32))
 
 
@@ -142,7 +153,7 @@ def _split(normal, rows, new):
 
 def _on_task(qp: StepQP) -> Float[Array, "N"]:
     """A solution of A y = b in the span of A's rows."""
-    y = jnp.zeros_like(qp.linear)
+    y = jnp.zeros_like(qp.q)
     unit: list[Array] = []
     for row, bound in zip(qp.A, qp.b, strict=True):
         v = row

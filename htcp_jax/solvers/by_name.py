@@ -11,14 +11,14 @@ from htcp_jax.solvers.qpsolvers_ import QPSolversSolver
 from htcp_jax.solvers.step_qp import QPSolver
 
 
-def make_solver(settings: Settings, joints: int, rows: int) -> QPSolver | None:
+def make_solver(settings: Settings, joints: int, rows: int, task_rows: int = 3) -> QPSolver | None:
     """The solver that `settings.qp` names; None for the one on the device, which the kernels call themselves. Raises
     InputError for a name that is not installed."""
     if settings.qp == "device":
         return None
     name, _, backend = settings.qp.partition(":")
     makers: dict[str, Callable[[], QPSolver]] = {
-        "clarabel": lambda: ClarabelSolver(2 * np.asarray(settings.q_weights), rows, settings.qp_tolerance),
+        "clarabel": lambda: ClarabelSolver(2 * np.asarray(settings.q_weights), rows, settings.qp_tolerance, task_rows),
         "qpsolvers": lambda: QPSolversSolver(backend),
     }
     if name not in makers:

@@ -20,13 +20,14 @@ _VERDICT = {
 
 
 class ClarabelSolver:
-    """Step QPs with `rows` clearance rows and the cost diag(weights), one after the other, on the caller's thread.
+    """Step QPs with `rows` clearance rows, `task_rows` of the task and the cost diag(P), one after the other, on the
+    caller's thread.
 
     The lock of the interpreter is released while a QP is solved: give every thread its own solver.
     """
 
-    def __init__(self, weights: np.ndarray, rows: int, tolerance: float = 1e-8):
-        self._weights, self._rows = np.asarray(weights, float), rows
+    def __init__(self, P: np.ndarray, rows: int, tolerance: float = 1e-8, task_rows: int = 3):
+        self._P, self._rows, self._task_rows = np.asarray(P, float), rows, task_rows
         self._settings = clarabel.DefaultSettings()
         self._settings.verbose = False
         self._settings.presolve_enable = False
@@ -37,34 +38,36 @@ class ClarabelSolver:
         self._solver = self._build()
 
     def _build(self) -> clarabel.DefaultSolver:
-        n, rows = len(self._weights), self._rows
+        n, m, rows = len(self._P), self._task_rows, self._rows
         identity = np.eye(n)
-        pattern = sparse.csc_matrix(np.concatenate([np.ones((3 + rows, n)), identity, -identity]))
-        cones = [clarabel.ZeroConeT(3), clarabel.NonnegativeConeT(rows + 2 * n)]
-        cost = sparse.csc_matrix(np.diag(self._weights))
-        bound = np.ones(3 + rows + 2 * n)
+        pattern = sparse.csc_matrix(np.concatenate([np.ones((m + rows, n)), identity, -identity]))
+        cones = [clarabel.ZeroConeT(m), clarabel.NonnegativeConeT(rows + 2 * n)]
+        cost = sparse.csc_matrix(np.diag(self._P))
+        bound = np.ones(m + rows + 2 * n)
         return clarabel.DefaultSolver(cost, np.zeros(n), pattern, bound, cones, self._settings)
 
     def solve(self, qps: StepQP) -> QPSolution:
         """Steps (B, N) and verdicts (B,) of a batch."""
-        columns = np.concatenate([qps.A, qps.G], axis=1).transpose(0, 2, 1)
-        batch, n = qps.linear.shape
-        limits = np.stack([qps.upper, -qps.lower], axis=2)
-        # A joint without a limit: the row 0 y <= 1. Clarabel takes no infinite bounds.
+        # What is infinitely far away, and a joint without a limit: the row 0 y <= 1. Clarabel takes no infinite bounds.
+        far = np.isposinf(qps.h)
+        G, h = np.where(far[:, :, None], 0.0, qps.G), np.where(far, 1.0, qps.h)
+        columns = np.concatenate([qps.A, G], axis=1).transpose(0, 2, 1)
+        batch, n = qps.q.shape
+        limits = np.stack([qps.ub, -qps.lb], axis=2)
         free = np.isposinf(limits)
         signs = np.where(free, 0.0, np.array([1.0, -1.0]))
         limits = np.where(free, 1.0, limits).transpose(0, 2, 1).reshape(batch, -1)
         values = np.ascontiguousarray(np.concatenate([columns, signs], axis=2).reshape(batch, -1))
-        bounds = np.concatenate([qps.b, qps.h, limits], axis=1)
+        bounds = np.concatenate([qps.b, h, limits], axis=1)
         y = np.zeros((batch, n))
         status = np.full(batch, QPStatus.FAILED, np.int32)
         for k in range(batch):
-            y[k], status[k] = self._solve_one(qps.linear[k], values[k], bounds[k])
+            y[k], status[k] = self._solve_one(qps.q[k], values[k], bounds[k])
         return QPSolution(y, status)
 
-    def _solve_one(self, linear, values, bounds) -> tuple[np.ndarray | float, QPStatus]:
+    def _solve_one(self, q, values, bounds) -> tuple[np.ndarray | float, QPStatus]:
         try:
-            self._solver.update(q=linear, A=values, b=bounds)
+            self._solver.update(q=q, A=values, b=bounds)
             solution = self._solver.solve()
         except Exception:
             return 0.0, QPStatus.FAILED

@@ -21,15 +21,15 @@ class QPSolversSolver:
 
     def solve(self, qps: StepQP) -> QPSolution:
         """Steps (B, N) and verdicts (B,) of a batch."""
-        y = np.zeros(qps.linear.shape)
+        y = np.zeros(qps.q.shape)
         status = np.full(len(y), QPStatus.FAILED, np.int32)
         for k in range(len(y)):
             one = StepQP(*(np.asarray(field[k]) for field in qps))
             if not all(np.isfinite(field).all() for field in one[:6]) or np.isnan(one[6:]).any():
                 continue  # some solvers answer such a problem with numbers
-            cost = np.diag(one.weights)
+            cost = np.diag(one.P)
             # clarabel, scs, highs and others want sparse matrices, quadprog wants dense ones; qpsolvers converts
-            problem = qpsolvers.Problem(cost, one.linear, one.G, one.h, one.A, one.b, one.lower, one.upper)
+            problem = qpsolvers.Problem(cost, one.q, one.G, one.h, one.A, one.b, one.lb, one.ub)
             try:
                 solution = qpsolvers.solve_problem(problem, solver=self._name)
             except (qpsolvers.SolverError, ValueError, ArithmeticError):

@@ -1,9 +1,9 @@
 """The step QP, equation (8), in the step y = x - x_ref, and the seam behind which its solvers stand.
 
-    minimise    1/2 y' diag(weights) y + linear' y
+    minimise    1/2 y' diag(P) y + q' y
     subject to  A y = b          the task, linearised (7) with sigma = 0
                 G y <= h         the clearance rows (CFS)
-                lower <= y <= upper
+                lb <= y <= ub
 
 A solver takes a batch of them on the host and gives back steps and verdicts. Infeasible is a normal answer: it means
 that the arm is stuck. FAILED is a solver's own breakdown (no convergence, NaN), and never passes for an answer.
@@ -29,14 +29,14 @@ class QPStatus(enum.IntEnum):
 class StepQP(NamedTuple):
     """One step QP; in a batch every field has a leading axis."""
 
-    weights: Joints
-    linear: Joints
-    A: Float[Array, "3 N"]
-    b: Float[Array, "3"]
-    G: Float[Array, "M N"]
-    h: Float[Array, "M"]
-    lower: Joints
-    upper: Joints
+    P: Joints  # the diagonal
+    q: Joints
+    A: Float[Array, "M N"]
+    b: Float[Array, "M"]
+    G: Float[Array, "R N"]
+    h: Float[Array, "R"]
+    lb: Joints
+    ub: Joints
 
 
 class QPSolution(NamedTuple):
@@ -57,17 +57,17 @@ def assemble(
     settings: Settings,
     x_ref: Joints,
     x_previous: Joints,
-    to_target: Float[Array, "3"],
-    task_jacobian: Float[Array, "3 N"],
-    clearance: Float[Array, "K"],
-    gradient: Float[Array, "K N"],
+    to_target: Float[Array, "M"],
+    task_jacobian: Float[Array, "M N"],
+    clearance: Float[Array, "R"],
+    gradient: Float[Array, "R N"],
     margin_m: Scalar,
     lower: Joints,
     upper: Joints,
 ) -> StepQP:
     """Equation (8) about x_ref: `to_target` is Delta C = C_next - C_ref [m]; see `Settings` for the two options.
 
-    cost_about: J1 about x_ref (8), or about x_{t-1} (4). rows: one a body, or the one of the smallest clearance.
+    cost_about: J1 about x_ref (8), or about x_{t-1} (4). rows: all, or the one of the smallest clearance.
     """
     weights = jnp.asarray(settings.q_weights)
     about = x_ref if settings.cost_about == "reference" else x_previous
@@ -75,17 +75,17 @@ def assemble(
         body = jnp.argmin(clearance)
         clearance, gradient = clearance[body][None], gradient[body][None]
     return StepQP(
-        weights=2 * weights,
-        linear=2 * weights * (x_ref - about),
+        P=2 * weights,
+        q=2 * weights * (x_ref - about),
         A=task_jacobian,
         b=to_target,
         G=-gradient,
         h=clearance - margin_m,
-        lower=lower - x_ref,
-        upper=upper - x_ref,
+        lb=lower - x_ref,
+        ub=upper - x_ref,
     )
 
 
-def row_count(settings: Settings, bodies: int) -> int:
-    """Clearance rows of one step QP."""
-    return 1 if settings.rows == "smallest" else bodies
+def row_count(settings: Settings, rows: int) -> int:
+    """Clearance rows of one step QP, of so many that there are."""
+    return 1 if settings.rows == "smallest" else rows

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int8
 
-from htcp_jax.clearance.obstacles import Obstacle, contacts, make_obstacle
+from htcp_jax.clearance.obstacles import Obstacles, contacts, make_obstacle
 from htcp_jax.errors import InputError
 from htcp_jax.formats.strict_model import validate
 from htcp_jax.jobs.build import arm_of, part_of, robot_of, scene, workpiece_of
@@ -206,7 +206,7 @@ class Shelf:
         return dict(zip(failed, found, strict=True))
 
     @cached_property
-    def _obstacle(self) -> Obstacle:
+    def _obstacle(self) -> Obstacles:
         return make_obstacle(self.workpiece)
 
     @cached_property
@@ -346,7 +346,7 @@ def with_tip(
 
 
 @jax.jit
-def _looked_at(robot: Robot, obstacle: Obstacle, where: Placement, x: Float[jax.Array, "T N"]):
+def _looked_at(robot: Robot, obstacle: Obstacles, where: Placement, x: Float[jax.Array, "T N"]):
     """Capsules' ends, TCP, and the witness of the smallest distance (body, point on it, point of the cloud), of every
     configuration."""
 
@@ -354,7 +354,7 @@ def _looked_at(robot: Robot, obstacle: Obstacle, where: Placement, x: Float[jax.
         p, q = capsule_segments(robot, x)
         touch = contacts(robot, obstacle, where, x)
         body = jnp.argmin(touch.distance)
-        point, normal, crossed = touch.point[body], touch.normal[body], touch.crossed[body]
+        point, normal, crossed = touch.point[body], touch.normal[body], touch.plane[body]
         arm = point - jnp.where(crossed, 0.0, robot.capsule_radius[body]) * normal
         return p, q, tcp_position(robot, x), body, arm, arm - touch.distance[body] * normal
 

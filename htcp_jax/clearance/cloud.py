@@ -1,0 +1,85 @@
+"""The workpiece's points: the paper's D, per body the distance between the capsule's segment and the nearest of all
+points, less the radius.
+
+Where the points were sampled on a mesh, D is less by the distance within which they cover it: a bound on the clearance
+to the mesh itself. The nearest point is found once and then held, so the gradient is that of a distance to a fixed
+point: exact wherever D is differentiable, and one of its one-sided gradients elsewhere.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from htcp_jax.clearance.cloud_tree import CloudIndex, build_index, nearest_body, nearest_rows
+from htcp_jax.clearance.obstacle import Bodies, Contacts, Posed, Rows
+from htcp_jax.numerics import product, safe_divide, safe_norm, segment_parameter
+from htcp_jax.pytree import register_pytree
+from htcp_jax.scene.robot import Robot
+from htcp_jax.types import Bool, Float, Int, Scalar
+
+
+@register_pytree
+@dataclass(frozen=True)
+class Cloud:
+    """P points in the workpiece frame, their index, and how far from a point there may be wall [m], which makes every
+    body that much thicker."""
+
+    points: Float[jax.Array, "P 3"]
+    index: CloudIndex
+    cover: Float[jax.Array, ""]
+
+    per_body = True
+
+    def rows(self, robot: Robot) -> Rows:
+        """One a body."""
+        return Rows(tuple(range(len(robot.capsule_link))), (-1,) * len(robot.capsule_link))
+
+    def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
+        """The nearest point of every body."""
+        rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
+        p, q = bodies.p_workpiece, bodies.q_workpiece
+        witness = self.points[nearest_rows(self.index, p, q)]
+        s = segment_parameter(p, q, witness)[:, None]
+        point = p + s * (q - p)
+        arm = point - witness
+        length = safe_norm(arm)
+        reach = robot.capsule_radius + self.cover
+        normal = safe_divide(arm, jnp.broadcast_to(length[:, None], arm.shape))
+        return Contacts(
+            distance=length - reach,
+            point=product(point, rotate.T) + translate[None, :],
+            normal=product(normal, rotate.T),
+            reach=reach,
+            plane=jnp.zeros(length.shape, bool),
+        )
+
+    def smallest(self, robot: Robot, where: Posed, bodies: Bodies) -> Scalar:
+        """One search for all bodies, cheaper than every body's own."""
+        reach = robot.capsule_radius + self.cover
+        body, row = nearest_body(self.index, bodies.p_workpiece, bodies.q_workpiece, reach)
+        p, q, witness = bodies.p_workpiece[body], bodies.q_workpiece[body], self.points[row]
+        arm = p + segment_parameter(p, q, witness) * (q - p) - witness
+        return safe_norm(arm) - reach[body]
+
+    def touches(self, robot: Robot, where: Posed, bodies: Bodies) -> Bool[jax.Array, ""]:
+        """Cheaper still, because the search passes over all points beyond the capsules' radii."""
+        reach = robot.capsule_radius + self.cover
+        return nearest_body(self.index, bodies.p_workpiece, bodies.q_workpiece, reach, below=0.0).row >= 0
+
+    def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "K"]:
+        """The distance itself."""
+        return self.contacts(robot, where, bodies).distance
+
+    def touches_along(
+        self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
+    ) -> Bool[jax.Array, ""]:
+        """Whether a point is within the body's radius at any of the postures."""
+        within = jnp.where(asked, robot.capsule_radius[body] + self.cover, -1.0)
+        return jnp.any(nearest_rows(self.index, bodies.p_workpiece[:, body], bodies.q_workpiece[:, body], within) >= 0)
+
+
+def cloud_of(points: Float[np.ndarray, "P 3"], covering_radius_m: float) -> Cloud:
+    """The obstacle. The order of its points does not change any distance."""
+    return Cloud(jnp.asarray(points), build_index(np.asarray(points)), jnp.asarray(covering_radius_m, float))

@@ -1,0 +1,96 @@
+"""What an obstacle is to the planner: rows of distances, and the cheap questions about them.
+
+A kind of obstacle is a small pytree with the methods of `Obstacle`, in a file of its own. Its rows are distances [m]
+between a body of the arm and something: the surroundings, or another body. Kinds with `per_body`, `Surroundings`, have
+one row a body, which they share: the nearest decides. Any other kind brings rows of its own.
+"""
+
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import jax
+
+from htcp_jax.numerics import product
+from htcp_jax.scene.kinematics import capsule_segments
+from htcp_jax.scene.robot import Robot
+from htcp_jax.types import Bool, Float, Int, Joints, Pose, Scalar
+
+
+@runtime_checkable
+class Posed(Protocol):
+    """Where the workpiece is: a scenario, or whatever else knows."""
+
+    T_world_workpiece: Pose
+    gate: Float[jax.Array, "4"]  # unit normal n, offset [m]: capsule ends with n @ x > offset must lie in the tunnel
+
+
+class Rows(NamedTuple):
+    """What R rows of distances are between; static."""
+
+    body: tuple[int, ...]  # the number of the capsule
+    other: tuple[int, ...]  # the link that the nearest point of the obstacle is fixed to; -1: the world
+
+
+class Contacts(NamedTuple):
+    """Per row, what is nearest: the point on the body's axis, and the direction away from the obstacle."""
+
+    distance: Float[jax.Array, "R"]  # D [m]
+    point: Float[jax.Array, "R 3"]  # on the body's axis, world [m]
+    normal: Float[jax.Array, "R 3"]  # unit, from the obstacle to the body, world
+    reach: Float[jax.Array, "R"]  # from the axis to where D is 0 [m]: obstacle = point - (distance + reach) normal
+    plane: Bool[jax.Array, "R"]  # whether it is a plane fixed in the world that an end of the body has crossed
+
+
+class Bodies(NamedTuple):
+    """Ends of the bodies' axes [m], in the world and in the workpiece frame."""
+
+    p: Float[jax.Array, "*S K 3"]
+    q: Float[jax.Array, "*S K 3"]
+    p_workpiece: Float[jax.Array, "*S K 3"]
+    q_workpiece: Float[jax.Array, "*S K 3"]
+
+
+def bodies_at(robot: Robot, where: Posed, x: Joints) -> Bodies:
+    """Where the bodies are at configuration x [rad or m]."""
+    rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
+    p, q = capsule_segments(robot, x)
+    return Bodies(p, q, product(p - translate[None, :], rotate), product(q - translate[None, :], rotate))
+
+
+@runtime_checkable
+class Obstacle(Protocol):
+    """A kind of obstacle. Distances are exact or bounds from below, in metres; `bodies` are those at one posture."""
+
+    per_body: bool  # whether its rows are the K bodies', shared with other such kinds
+
+    def rows(self, robot: Robot) -> Rows:
+        """What its rows are between."""
+        ...
+
+    def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
+        """Every row's nearest. Held where it is, a contact must never predict less than the truth, see
+        `contact_model`. A body that a kind with `per_body` has nothing to say of is infinitely far from it."""
+        ...
+
+    def smallest(self, robot: Robot, where: Posed, bodies: Bodies) -> Scalar:
+        """The smallest distance of all rows."""
+        ...
+
+    def touches(self, robot: Robot, where: Posed, bodies: Bodies) -> Bool[jax.Array, ""]:
+        """Whether any distance is 0 or less."""
+        ...
+
+    def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "K"]:
+        """How far all points of a body may move, any way, and it surely stays clear, if the others heed theirs; at most
+        0 in collision."""
+        ...
+
+
+@runtime_checkable
+class Surroundings(Obstacle, Protocol):
+    """A kind with `per_body`: what surrounds the arm."""
+
+    def touches_along(
+        self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
+    ) -> Bool[jax.Array, ""]:
+        """Whether one body touches at any of S postures that are asked about; `bodies` are those at all of them."""
+        ...
