@@ -49,17 +49,14 @@ class Public(NamedTuple):
 
 def incomplete(root: Path) -> dict[str, list[str]]:
     """Of every public name of a checkout what its docstring lacks; an empty list where it is complete."""
-    return {name: list(_lacks(one)) for name, one in public(root).items()}
+    lost = {name: ["is not where a page or `__all__` says"] for name in _named(root).keys() - public(root).keys()}
+    return lost | {name: list(_lacks(one)) for name, one in public(root).items()}
 
 
 def public(root: Path) -> dict[str, Public]:
     """The public functions and classes of a checkout by their dotted names within the package."""
-    named = {f"{home}.{name}": False for name, home in _homes(root).items()}
-    for page in sorted((root / "docs").rglob("*.md")):
-        for name in _shown(page.read_text(encoding="utf-8"), root):
-            named[name] = named.get(name, False) or page.stem in MATHEMATICS
     found = {}
-    for name, is_mathematics in sorted(named.items()):
+    for name, is_mathematics in sorted(_named(root).items()):
         module, _, own = name.rpartition(".")
         if (file := _file(root, module)) is not None:
             text = file.read_text(encoding="utf-8")
@@ -68,6 +65,15 @@ def public(root: Path) -> dict[str, Public]:
             if node is not None:
                 found[name] = Public(node, tree, text.splitlines(), is_mathematics)
     return found
+
+
+def _named(root: Path) -> dict[str, bool]:
+    """What is said to be public, and whether as mathematics. A module of that very name is public as a whole."""
+    named = {f"{home}.{name}": False for name, home in _homes(root).items() if name != home.rpartition(".")[2]}
+    for page in sorted((root / "docs").rglob("*.md")):
+        for name in _shown(page.read_text(encoding="utf-8"), root):
+            named[name] = named.get(name, False) or page.stem in MATHEMATICS
+    return named
 
 
 def _homes(root: Path) -> dict[str, str]:

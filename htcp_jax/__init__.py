@@ -54,7 +54,7 @@ _HOME = {
     "jacobian": "scene.kinematics",
     "capsule_segments": "scene.kinematics",
     "capsule_point_distance": "numerics",
-    "make_obstacle": "clearance.obstacles",
+    "make_obstacle": "clearance.of_workpiece",
     "clearance": "clearance",
     "clearances": "clearance.obstacles",
     "linearise": "clearance.scene",

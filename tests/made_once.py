@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from htcp_jax.clearance.obstacles import make_obstacle
+from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.robot_file import gp50, load_robot

@@ -4,7 +4,8 @@ import jax
 import numpy as np
 import pytest
 
-from htcp_jax.clearance.obstacles import clearance, make_obstacle
+from htcp_jax.clearance.obstacles import clearance
+from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.cli.main import main
 from htcp_jax.planner.reachability import ceiling
 from htcp_jax.scene.kinematics import tcp_position

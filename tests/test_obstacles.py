@@ -20,10 +20,10 @@ from htcp_jax.clearance.obstacles import (
     clearances,
     contacts,
     is_clear,
-    make_obstacle,
     room,
     rows_of,
 )
+from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.scene.kinematics import capsule_segments
 

@@ -1,4 +1,4 @@
-"""D(x, O): the smallest distance between the arm and its obstacles, and where it is attained.
+"""The paper's D(x, O): the smallest distance between the arm and its obstacles, and where it is attained.
 
 O is a tuple of obstacles, see `obstacle`; a workpiece's are its points and, where it has one, the interior rule. Their
 rows are put together here: those of the bodies first, each the nearest of all kinds that have one a body, then every
@@ -6,20 +6,16 @@ other kind's own.
 """
 
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.cloud import cloud_of
-from htcp_jax.clearance.half_spaces import half_spaces
-from htcp_jax.clearance.interior import Interior
 from htcp_jax.clearance.obstacle import Bodies, Contacts, Obstacle, Posed, Rows, bodies_at
 from htcp_jax.numerics import safe_norm
 from htcp_jax.scene.kinematics import point_jacobians
 from htcp_jax.scene.robot import Robot
-from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.types import Bool, Float, Joints, Scalar
 
 Obstacles = tuple[Obstacle, ...]
@@ -30,15 +26,6 @@ class ClearanceRows(NamedTuple):
 
     distance: Float[jax.Array, "R"]  # [m]
     gradient: Float[jax.Array, "R N"]  # [m/rad]
-
-
-@lru_cache(maxsize=2)
-def make_obstacle(workpiece: Workpiece) -> Obstacles:
-    """The obstacles that a workpiece is, on the device, kept for the next plan: its points, and its interior rule."""
-    cloud = cloud_of(workpiece.cloud, workpiece.covering_radius_m)
-    if not len(workpiece.hull_offset):
-        return (cloud,)
-    return cloud, Interior(half_spaces(workpiece.hull_normal, workpiece.hull_offset, workpiece.hull_vertices))
 
 
 def rows_of(robot: Robot, obstacles: Obstacles) -> Rows:
@@ -167,7 +154,6 @@ __all__ = [
     "clearances",
     "contacts",
     "is_clear",
-    "make_obstacle",
     "room",
     "rows_of",
     "slopes",

@@ -49,7 +49,7 @@ def seen_rows(scene: Scene, far_links: bool) -> tuple[bool, ...]:
 def sphere_problem(
     scene: Scene, settings: Settings, where: Posed, x_ref: Joints
 ) -> tuple[sphere.Sphere, HeldContacts, Float[Array, "N D"]]:
-    """Equation (11) at x_ref: the problem, the contacts at x_ref, and alpha N(x_ref). Nothing where D = 0."""
+    """Equation (11) at x_ref: the problem, the contacts at x_ref, and alpha N(x_ref) [rad]. Nothing where D = 0."""
     robot, obstacles, task = scene
     rows = scene.rows
     reach = settings.alpha_rad * null_basis(task.jacobian(robot, x_ref))
@@ -174,7 +174,7 @@ def keep_clear_ascent(
     steps: int | None = None,
 ) -> Anchored:
     """Max-min null-space steps away from the workpiece while D is below `enough_m`, at most `steps` of them (by default
-    `keep_clear_m` and `keep_clear_steps`); never ends worse than it began.
+    `keep_clear_m` and `keep_clear_steps`); never ends worse than it began. target: where the task stays [m].
 
     One observation a step: the best direction for the contacts seen at x, at most alpha long, halved on failure.
     """

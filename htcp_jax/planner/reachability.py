@@ -14,7 +14,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from htcp_jax.clearance.obstacles import make_obstacle
+from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.methods import METHODS

@@ -44,8 +44,8 @@ def cspace_samples(scene: Scene, settings: Settings, where: Posed, stuck: Stuck)
 def nspace_samples(
     scene: Scene, settings: Settings, where: Posed, stuck: Stuck, step_rad: tuple[float, ...]
 ) -> Candidates:
-    """N-Space sample: random null-space directions, each followed for `sample_steps` steps of each given length,
-    re-anchored whenever the TCP error exceeds the tolerance. The direction is carried along by projection."""
+    """The paper's N-Space sample: random null-space directions, each followed for `sample_steps` steps of each given
+    length, re-anchored whenever the TCP error exceeds the tolerance. The direction is carried along by projection."""
     robot, task = scene.robot, scene.task
     origin, _ = reanchor(robot, stuck.x_previous, stuck.target, task.fine_m, task=task)
     first = null_basis(task.jacobian(robot, origin))
