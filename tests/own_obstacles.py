@@ -44,8 +44,10 @@ class Floor:
         return jnp.any(asked & (self._above(robot, bodies.p, bodies.q)[:, body] <= 0))
 
     def _above(self, robot: Robot, p, q):
-        above = jnp.minimum(p[..., 2], q[..., 2]) - robot.capsule_radius - self.height_m
-        return jnp.where(jnp.array(robot.capsule_link) < 0, 10.0, above)
+        lowest = jnp.minimum(p[..., 2], q[..., 2])
+        reach, fixed = robot.capsule_radius + self.height_m, jnp.array(robot.capsule_link) < 0
+        reach, fixed = (jnp.broadcast_to(each, lowest.shape) for each in (reach, fixed))
+        return jnp.where(fixed, 10.0, lowest - reach)
 
 
 @register_pytree

@@ -32,7 +32,7 @@ PAIRS = ((7, 1), (7, 2), (6, 1), (5, 0))  # the tool and what carries it against
 
 @cache
 def obstacles() -> tuple[Obstacle, ...]:
-    return (*make_obstacle(made_once.duct()), Floor(jnp.asarray(0.9)), SelfPairs(PAIRS))
+    return (*make_obstacle(made_once.duct()), Floor(jnp.asarray(0.0)), SelfPairs(PAIRS))
 
 
 @cache
@@ -54,7 +54,7 @@ def by_hand(x) -> np.ndarray:
     robot = made_once.robot()
     p, q = (np.asarray(end) for end in jitted(capsule_segments)(robot, jnp.asarray(x)))
     radius = np.asarray(robot.capsule_radius)
-    floor = np.where(np.array(robot.capsule_link) < 0, 10.0, np.minimum(p[:, 2], q[:, 2]) - radius - 0.9)
+    floor = np.where(np.array(robot.capsule_link) < 0, 10.0, np.minimum(p[:, 2], q[:, 2]) - radius)
     along = np.linspace(0, 1, 401)[:, None]
     axes = p[:, None] + along[None] * (q - p)[:, None]
     apart = [np.linalg.norm(axes[a][:, None] - axes[b][None], axis=2).min() - radius[a] - radius[b] for a, b in PAIRS]
@@ -115,7 +115,7 @@ def test_paths_are_clear_where_no_place_of_them_touches_any_kind():
     robot, where, scene = made_once.robot(), made_once.nominal(), Scene(made_once.robot(), obstacles())
     proven = jax.jit(lambda a, b: proven_clear(scene, where, a, b))
     verdicts, rng = [], np.random.default_rng(1)
-    for x in postures()[60:]:
+    for x in postures()[20:80]:  # the first forty of them anywhere, often through something
         end = x + rng.uniform(-0.2, 0.2, 6)
         places = x + np.linspace(0, 1, 41)[:, None] * (end - x)
         truth = all(bool(jitted(is_clear)(robot, obstacles(), where, place)) for place in places)

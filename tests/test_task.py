@@ -1,0 +1,111 @@
+"""The task: M rows at points of the arm, its error, Jacobian and verdict; with M = N there is no null space."""
+
+import jax
+import jax.numpy as jnp
+import made_once
+import numpy as np
+import pytest
+
+from htcp_jax.errors import InputError
+from htcp_jax.numerics import null_basis
+from htcp_jax.scene.inverse_kinematics import reanchor
+from htcp_jax.scene.kinematics import link_poses, tcp_position
+from htcp_jax.scene.task import TCP_POSITION, Task, TaskPoint
+from htcp_jax.settings import Settings
+from htcp_jax.solvers import step_qp
+from htcp_jax.solvers.active_set import solve_step
+from htcp_jax.solvers.clarabel_ import ClarabelSolver
+
+ELBOW = TaskPoint(link=2, offset_m=(0.1, -0.2, 0.3))
+TASKS = {
+    "the TCP": TCP_POSITION,
+    "its height": Task((TaskPoint(axes=(2,)),)),
+    "the TCP, and x and z of the elbow": Task((TaskPoint(), TaskPoint(ELBOW.link, ELBOW.offset_m, (0, 2)))),
+    "two points of the last link": Task((TaskPoint(), TaskPoint(link=5, offset_m=(0.3, 0.0, 0.1)))),
+}
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_the_value_is_where_the_points_are_and_the_jacobian_its_derivative(name):
+    robot, task = made_once.robot(), TASKS[name]
+    value, jac = jax.jit(lambda x: task.value(robot, x)), jax.jit(lambda x: task.jacobian(robot, x))
+    for x in made_once.configurations(robot, 5):
+        T = np.asarray(link_poses(robot, jnp.asarray(x)))
+        by_hand = []
+        for point in task.points:
+            own = T[-1 if point.link is None else point.link]
+            offset = np.asarray(robot.T_link_tcp)[:3, 3] if point.link is None else np.array(point.offset_m)
+            by_hand += (own[:3, :3] @ offset + own[:3, 3])[list(point.axes)].tolist()
+        assert len(by_hand) == task.rows
+        np.testing.assert_allclose(value(x), by_hand, atol=1e-13)
+        slope = [(np.asarray(value(x + d)) - np.asarray(value(x - d))) / 2e-6 for d in 1e-6 * np.eye(6)]
+        np.testing.assert_allclose(jac(x), np.transpose(slope), atol=1e-8)
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_inverse_kinematics_reaches_any_task_and_its_null_space_leaves_it_alone(name):
+    robot, task, rng = made_once.robot(), TASKS[name], np.random.default_rng(0)
+    reached = 0
+    for x in made_once.configurations_near(made_once.START, 10, 0.5):
+        target = task.value(robot, jnp.asarray(x))
+        near, residual = reanchor(robot, jnp.asarray(x + rng.uniform(-0.1, 0.1, 6)), target, task.fine_m, task=task)
+        np.testing.assert_allclose(residual, task.off(robot, near, target), atol=1e-15)
+        reached += bool(task.reached(residual))
+        basis = null_basis(task.jacobian(robot, near))
+        assert basis.shape == (6, task.freedom(robot))
+        np.testing.assert_allclose(task.jacobian(robot, near) @ basis, 0.0, atol=1e-9)
+    assert reached >= 8
+
+
+def step_for(task: Task, x: np.ndarray, ahead: np.ndarray) -> step_qp.StepQP:
+    """The step QP at x with the target where the task is at `ahead`, without obstacles near."""
+    robot = made_once.robot()
+    error = task.error(task.value(robot, jnp.asarray(x)), task.value(robot, jnp.asarray(ahead)))
+    far = jnp.full(1, 10.0), jnp.zeros((1, 6))
+    limits = jnp.full(6, -4.0), jnp.full(6, 4.0)
+    x = jnp.asarray(x)
+    return step_qp.assemble(Settings(), x, x, error, task.jacobian(robot, x), *far, jnp.zeros(()), *limits)
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_both_solvers_take_the_same_step_for_any_task_also_without_a_choice(name):
+    task, rng = TASKS[name], np.random.default_rng(1)
+    for x in made_once.configurations_near(made_once.START, 5, 0.5):
+        qp = step_for(task, x, x + rng.uniform(-0.05, 0.05, 6))
+        host = ClarabelSolver(np.asarray(qp.P), 1, task_rows=task.rows).solve(
+            jax.tree.map(lambda a: np.asarray(a)[None], qp)
+        )
+        device = jax.jit(solve_step)(qp)
+        assert host.status[0] == device.status == step_qp.QPStatus.SOLVED
+        np.testing.assert_allclose(device.y, host.y[0], atol=1e-6)
+        np.testing.assert_allclose(qp.A @ device.y, qp.b, atol=1e-9)
+
+
+def test_a_step_without_a_choice_that_breaks_a_limit_is_infeasible():
+    task = TASKS["two points of the last link"]
+    x = np.array(made_once.START)
+    qp = step_for(task, x, x + 0.05)._replace(ub=jnp.full(6, 0.01))
+    assert jax.jit(solve_step)(qp).status == step_qp.QPStatus.INFEASIBLE
+
+
+def test_what_counts_is_clear_by_the_margin_and_on_the_target():
+    task = Task(tolerance_m=1e-3)
+    clearance, residual = np.array([-1e-9, 0.0, 1e-9, 4e-4, 5e-4]), np.array([0.0, 1e-3, 1.001e-3, 0.0, 1e-3])
+    np.testing.assert_array_equal(task.counts(clearance, 0.0, 0.0), [False, False, True, True, True])
+    np.testing.assert_array_equal(task.counts(1.0, residual, 0.0), [True, True, False, True, True])
+    np.testing.assert_array_equal(task.counts(clearance, residual, 5e-4), [False, False, False, False, True])
+
+
+def test_a_task_that_is_none_is_refused():
+    with pytest.raises(InputError, match="axes of a task point are"):
+        TaskPoint(axes=(2, 1))
+    with pytest.raises(InputError, match="the TCP has no offset"):
+        TaskPoint(offset_m=(0.1, 0.0, 0.0))
+    with pytest.raises(InputError, match="the task has 9 rows, the robot gp50 has 6 joints"):
+        Task((TaskPoint(), ELBOW, TaskPoint(link=4))).freedom(made_once.robot())
+
+
+def test_the_default_task_is_the_papers():
+    robot, x = made_once.robot(), jnp.asarray(made_once.START)
+    np.testing.assert_array_equal(TCP_POSITION.value(robot, x), tcp_position(robot, x))
+    assert TCP_POSITION.rows == 3 and TCP_POSITION.freedom(robot) == 3
