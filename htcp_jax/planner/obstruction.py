@@ -87,7 +87,9 @@ def obstructions(
         found = look(scene, chunks, *jax.tree.map(lambda leaf, rows=rows: np.asarray(leaf)[rows], lanes))
         told += zip(*(np.asarray(leaf)[:count] for leaf in found), strict=True)
     return [
-        Obstruction(robot.capsule_names[int(body)], point, float(depth), float(off), bool(task.reached(np.asarray(off))), x)
+        Obstruction(
+            robot.capsule_names[int(body)], point, float(depth), float(off), bool(task.reached(np.asarray(off))), x
+        )
         for body, point, depth, off, x in told
     ]
 
