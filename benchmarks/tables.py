@@ -92,7 +92,7 @@ def _watch() -> dict[str, tuple[float, int, int]]:
 
         return call
 
-    Kernels.__call__ = watched(Kernels.__call__, lambda arguments: arguments[0])
+    Kernels.__call__ = watched(Kernels.__call__, lambda arguments: arguments[0].name)
     ClarabelSolver.solve = watched(ClarabelSolver.solve, lambda arguments: "clarabel")
     return spent
 

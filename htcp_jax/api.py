@@ -15,8 +15,7 @@ from htcp_jax.jobs.build import scene
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.notebook import html_facts
-from htcp_jax.planner import batch
-from htcp_jax.planner.methods import METHODS
+from htcp_jax.planner import batch, registry
 from htcp_jax.planner.obstruction import Obstruction, last_posture, obstruction
 from htcp_jax.planner.plans import Plans, is_tracked
 from htcp_jax.runs.identity import anchor_files, file_hash
@@ -183,7 +182,9 @@ def plan(
 
 
 def checked_scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
-    """What a configuration speaks of. Raises InputError for bad input and for a start in collision."""
+    """What a configuration speaks of. Raises InputError for bad input, a method that there is not among it, and for a
+    start in collision."""
+    registry.find(job.method)
     robot, workpiece, scenario = scene(job)
     batch.check_start(robot, workpiece, scenario)
     return robot, workpiece, scenario
@@ -203,6 +204,7 @@ def plan_job(
 
 
 def methods() -> "pandas.DataFrame":
-    """The planners: their titles, and what each does when the step QPs are stuck."""
-    rows = [{"method": name, "title": it.title, "sentence": it.sentence} for name, it in METHODS.items()]
+    """The planners: their titles, and what each does. One of another package that cannot be imported is a UserWarning
+    that says why."""
+    rows = [{"method": name, "title": it.title, "sentence": it.sentence} for name, it in registry.all_methods().items()]
     return frame_of(pa.Table.from_pylist(rows)).set_index("method")

@@ -18,6 +18,7 @@ class Status(enum.IntEnum):
     START_IN_COLLISION = 8
     OUT_OF_REACH = 9
     TIP_BLOCKED = 10
+    NO_NULL_SPACE = 11
 
     @property
     def tracked(self) -> bool:
@@ -41,6 +42,7 @@ _MESSAGES = {
     Status.NOT_ATTEMPTED: "not attempted, because an earlier target of the scenario failed",
     Status.START_IN_COLLISION: "the start is in collision, so nothing was tried",
     Status.OUT_OF_REACH: "a target is farther away than the arm is long, so nothing was tried",
+    Status.NO_NULL_SPACE: "the step QPs are stuck, and the task leaves no null space to escape in",
     Status.TIP_BLOCKED: "the arm is clear there, but the bare end of the tool passes through the wall",
 }
 

@@ -30,8 +30,8 @@ from htcp_jax.clearance.obstacles import clearances
 from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.numerics import null_basis
-from htcp_jax.planner.methods import METHODS
 from htcp_jax.planner.null_space import Stuck, anchor, sphere_problem
+from htcp_jax.planner.registry import find
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.kinematics import jacobian
 
@@ -125,7 +125,7 @@ OPTIMISERS = {
 def best_direction(method, scene, scenario, key, x):
     """The direction w that an optimiser finds at x, and the clearance one step along it [m]."""
     problem, seen, _ = sphere_problem(scene, settings, scenario, x)
-    return METHODS[method].stages[0].minimise(problem, seen, key, settings)
+    return find(method).stages[0].minimise(problem, seen, key, settings)
 
 
 best = {method: best_direction(method, scene, scenario, stuck.key, here.x) for method in OPTIMISERS}

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 
 import htcp_jax
 from htcp_jax.cli.main import main
-from htcp_jax.planner import batch
-from htcp_jax.planner.methods import METHODS
+from htcp_jax.planner import batch, registry
+from htcp_jax.planner.step_qps import StepQPs
 from htcp_jax.runs.tables import frame_of
 from htcp_jax.scene.robot import lengthen_tool
 from htcp_jax.viewer.picture import draw_plan
@@ -57,12 +57,12 @@ def test_a_plan_is_a_frame_a_figure_and_a_table(short, tmp_path):
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["tracked"] == 13
 
 
-def test_a_saved_plan_is_read_where_its_planner_is_not(short, tmp_path, monkeypatch, capsys):
+def test_a_saved_plan_is_read_where_its_planner_is_not(short, tmp_path, capsys):
     """Rough: the plan of a planner of one's own was saved, and then no command took it: `is no method`."""
-    monkeypatch.setitem(METHODS, "of-ones-own", METHODS["baseline"])
+    htcp_jax.register(StepQPs("of-ones-own", "Own", "the baseline by another name"))
     plan = htcp_jax.plan(overrides=short, method="of-ones-own")
     plan.save(tmp_path / "out")
-    monkeypatch.delitem(METHODS, "of-ones-own")
+    registry.unregister("of-ones-own")
     assert main(["validate", str(tmp_path / "out"), "--between", "0"]) == 0
     assert "of-ones-own" in capsys.readouterr().out
     shelf = open_shelf(tmp_path / "out")
@@ -91,7 +91,7 @@ def test_overrides_are_words_or_values(short):
 @pytest.mark.parametrize(
     ("how", "line"),
     [
-        ({"method": "rrt"}, "method: 'rrt' is no method; valid: baseline"),
+        ({"method": "rrt"}, "'rrt' is no method; valid: baseline"),
         ({"overrides": {"margin": 1}}, "unknown key margin; did you mean margin_m?"),
         ({"overrides": {"settings.alpha_rad": -1.0}}, "alpha_rad must be more than zero"),
         ({"overrides": {"start_rad": [0, -1.2, -0.5, 0, 0.5, -2]}}, "start is in collision"),

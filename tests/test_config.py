@@ -57,7 +57,7 @@ def test_files_are_relative_to_the_yaml_file_and_to_the_working_folder_in_an_ove
         ("margin=0.1", "unknown key margin; did you mean margin_m?"),
         ("settings.alpha=0.1", "unknown key settings.alpha; did you mean settings.alpha_rad?"),
         ("zzz=1", "unknown key zzz; valid: robot, workpiece"),
-        ("method=rrt", "method: 'rrt' is no method; valid: baseline"),
+        ("method=a_b", "method: 'a_b' is no method; their names are small letters, digits and hyphens"),
         ("settings.tolerance_m=0", "settings.tolerance_m must be more than zero and finite, not 0"),
         ("settings.tolerance_m=-1", "settings.tolerance_m must be more than zero and finite, not -1"),
         ("settings.q_weights=[1, 0]", "settings.q_weights must be more than zero"),

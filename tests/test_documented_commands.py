@@ -28,7 +28,7 @@ from documented import (
 )
 
 from htcp_jax.cli.main import main
-from htcp_jax.planner.methods import METHODS
+from htcp_jax.planner import registry
 
 DEMO_S = 180  # from a clone to a picture
 
@@ -43,10 +43,10 @@ def reader(tmp_path, monkeypatch):
     for name in ("configs", "sweeps", "tests", "htcp_jax", "pyproject.toml"):
         (tmp_path / name).symlink_to(ROOT / name)
     monkeypatch.chdir(tmp_path)
-    methods = dict(METHODS)
+    known = registry.names()
     yield tmp_path
-    METHODS.clear()
-    METHODS.update(methods)
+    for name in set(registry.names()).difference(known):
+        registry.unregister(name)
 
 
 def follow(page: str, how: str) -> None:

@@ -3,14 +3,20 @@
 import itertools
 from dataclasses import replace
 
+import jax
 import made_once
 import numpy as np
 import pytest
 
-from htcp_jax.planner import batch, kernels
+from htcp_jax.clearance.of_workpiece import make_obstacle
+from htcp_jax.clearance.scene import Scene
+from htcp_jax.planner import step_qps
 from htcp_jax.planner.batch import plan
-from htcp_jax.planner.engine import Engine
-from htcp_jax.planner.lanes import gather
+from htcp_jax.planner.candidates import nearest
+from htcp_jax.planner.kernel import STEP, Kernel
+from htcp_jax.planner.kernels import ADVANCE, CHECK_PATH, ENTER, PREPARE
+from htcp_jax.planner.lane_inputs import lane_inputs
+from htcp_jax.planner.programs import PROGRAMS, Kernels, Programs
 from htcp_jax.scene.robot_file import gp50
 from htcp_jax.scene.scenario import make_scenario, stack
 from htcp_jax.scene.workpiece_file import load_workpiece
@@ -46,81 +52,62 @@ def planned(request, scene, scenarios):
     return request.param, plan(*scene, scenarios, request.param, PAPER, threads=2)
 
 
+@pytest.fixture
+def calls(monkeypatch):
+    """Every call of a kernel from now on: its name, its tables, and what came back."""
+    run, made = Kernels.__call__, []
+
+    def followed(self, kernel, *tables):
+        result = run(self, kernel, *tables)
+        made.append((kernel.name, tables, result))
+        return result
+
+    monkeypatch.setattr(Kernels, "__call__", followed)
+    return made
+
+
 @pytest.mark.parametrize("method", ["nspace-sqp", "cspace-sample"])
 @pytest.mark.parametrize("after_escape", ["accept", "track"])
-def test_which_phase_goes_first_has_no_influence(method, after_escape, scene, scenarios, monkeypatch):
+def test_which_phase_goes_first_has_no_influence(method, after_escape, scene, scenarios, calls, monkeypatch):
     """On a GPU the one that most lanes are in, so that an escape's calls are fewer and fuller; on a CPU all of them."""
-    settings, calls = replace(PAPER, after_escape=after_escape), []
-    run, turn = kernels.Kernels._run, Engine._turn
-
-    def counted(self, name, tables):
-        calls.append((name, len(tables[0].row)))
-        return run(self, name, tables)
-
-    def one_turn(self):
-        _, counts = np.unique(self._lanes.phase, return_counts=True)
-        ((phase, lanes),) = turn(self)
-        assert lanes.size == counts.max() and (lanes.phase == phase).all()
-        return [(phase, lanes)]
-
-    monkeypatch.setattr(kernels.Kernels, "_run", counted)
-    both, all_phases = plan(*scene, scenarios, method, settings, threads=1), list(calls)
+    settings = replace(PAPER, after_escape=after_escape)
+    together, all_phases = plan(*scene, scenarios, method, settings, threads=1), list(calls)
     calls.clear()
-    monkeypatch.setattr(kernels.Kernels, "pays_by_lane", False)
-    monkeypatch.setattr(Engine, "_turn", one_turn)
-    same(both, plan(*scene, scenarios, method, settings, threads=1), slice(None), slice(None))
+    monkeypatch.setattr(Kernels, "pays_by_lane", False)
+    same(together, plan(*scene, scenarios, method, settings, threads=1), slice(None), slice(None))
     escape = "walk 0" if method == "nspace-sqp" else "sample 0"
-    every, fuller = ([lanes for name, lanes in log if name == escape] for log in (all_phases, calls))
+    every, fuller = ([len(tables[0].row) for name, tables, _ in log if name == escape] for log in (all_phases, calls))
     assert sum(fuller) == sum(every) and len(fuller) < len(every)
 
 
-def every_other(self, lanes, x, asked):
-    """A path check that blocks half of the paths asked about, whichever."""
-    if not asked:
-        return np.full(len(x), -1, np.int8)
-    return (np.floor(1e3 * x[:, -1]) % 2).astype(np.int8)
+def test_the_best_candidate_is_the_nearest_whose_path_is_clear():
+    """Of equals the first; one that is not clear only where none is; one not checked (-1) as if it were clear."""
+    random = np.random.default_rng(0)
+    for _ in range(200):
+        owner = np.sort(random.integers(0, 4, 12))
+        number = np.concatenate([random.permutation(count) for count in np.unique(owner, return_counts=True)[1]])
+        change = random.choice([0.1, 0.2, 0.3], 12)
+        clear = random.choice([-1, 0, 0, 1], 12)
+        for who, best in zip(np.unique(owner), nearest(owner, number, change, clear), strict=True):
+            own = np.flatnonzero(owner == who)
+            good = [k for k in own if clear[k]]
+            assert best in own
+            if good:
+                assert best == min(good, key=lambda k: (change[k], number[k]))
 
 
-@pytest.mark.parametrize(("check", "path_check"), [(Engine._path_clear, "none"), (every_other, "escapes")])
-def test_the_best_candidate_is_the_nearest_whose_path_is_clear(check, path_check, scene, scenarios, monkeypatch):
-    """Of equals the first; and one that is not clear only where none is."""
-    best, chosen = Engine._best, []
-
-    def watched(self, lanes, owner, number, x):
-        rows, clear = best(self, lanes, owner, number, x)
-        all_clear = self._path_clear(gather(lanes, owner), x, self._check_escapes)
-        for k, (row, is_clear) in enumerate(zip(rows, clear, strict=True)):
-            own = [r for r in np.flatnonzero(owner == k) if all_clear[r]] or list(np.flatnonzero(owner == k))
-            assert row in own and is_clear == all_clear[row]
-            if is_clear:
-                far = [(np.linalg.norm(x[r] - lanes.x_previous[k]), number[r]) for r in own]
-                assert (np.linalg.norm(x[row] - lanes.x_previous[k]), number[row]) == min(far)
-            chosen.append(len(own))
-        return rows, clear
-
-    monkeypatch.setattr(Engine, "_path_clear", check)
-    monkeypatch.setattr(Engine, "_best", watched)
-    plan(*scene, scenarios, "cspace-sample", replace(PAPER, path_check=path_check), threads=1)
-    assert max(chosen) > 1
-
-
-def test_a_walk_goes_on_from_where_it_came_to(scene, scenarios, monkeypatch):
+def test_a_walk_goes_on_from_where_it_came_to(scene, scenarios, calls):
     """Every null-space step but the first begins where the one before it ended."""
-    run, ends = kernels.Kernels._run, {}
-
-    def followed(self, name, tables):
-        result = run(self, name, tables)
-        if name in ("enter", "walk 0"):
-            task = tables[0]
-            for k, at in enumerate(zip(task.number.tolist(), task.row.tolist(), strict=True)):
-                if name == "walk 0":
-                    np.testing.assert_array_equal(tables[2][k], ends[at][-1])
-                    assert tables[3][k] == len(ends[at]) - 1
-                ends.setdefault(at, []).append(result.x[k])
-        return result
-
-    monkeypatch.setattr(kernels.Kernels, "_run", followed)
     plan(*scene, scenarios, "nspace-sqp", PAPER, threads=1)
+    ends = {}
+    for name, (inputs, *tables), result in calls:
+        if name not in ("enter", "walk 0"):
+            continue
+        for k, at in enumerate(zip(inputs.number.tolist(), inputs.row.tolist(), strict=True)):
+            if name == "walk 0":
+                np.testing.assert_array_equal(tables[1][k], ends[at][-1])
+                assert tables[2][k] == len(ends[at]) - 1
+            ends.setdefault(at, []).append(result.x[k])
     assert max(map(len, ends.values())) > 2
 
 
@@ -163,21 +150,56 @@ def test_an_escape_gets_further_than_the_baseline(scene, scenarios):
 
 def test_a_second_plan_compiles_nothing_whatever_the_number_of_scenarios(scene, scenarios):
     plan(*scene, scenarios[:1], "baseline", PAPER)
-    before = len(kernels._PROGRAMS)
+    before = len(PROGRAMS)
     again = plan(*scene, scenarios[:3], "baseline", PAPER)
-    assert len(kernels._PROGRAMS) == before and again.compile_s == 0
+    assert len(PROGRAMS) == before and again.compile_s == 0
 
 
-@pytest.mark.skipif(kernels.jax.default_backend() != "cpu", reason="a GPU launches a loop's kernels one by one")
+@pytest.mark.parametrize("method", ["cspace-sample", "nspace-cmaes"])
+def test_another_seed_compiles_nothing_and_draws_others(method, scene, scenarios):
+    few = replace(PAPER, samples=8, population=8)
+    first, before = plan(*scene, scenarios[:2], method, few), len(PROGRAMS)
+    other = plan(*scene, scenarios[:2], method, replace(few, seed=1))
+    assert len(PROGRAMS) == before and other.compile_s == 0
+    assert not np.array_equal(first.x, other.x, equal_nan=True)
+
+
+def test_a_setting_compiles_the_kernels_that_read_it_and_no_others(scene, scenarios):
+    plan(*scene, scenarios[:2], "nspace-cmaes", replace(PAPER, population=8))
+    before = len(PROGRAMS)
+    plan(*scene, scenarios[:2], "nspace-cmaes", replace(PAPER, population=9))
+    assert len(PROGRAMS) == before + 1  # the step of the walk
+    plan(*scene, scenarios[:2], "nspace-cmaes", replace(PAPER, population=9, outer_steps=7, samples=9))
+    assert len(PROGRAMS) == before + 1
+
+
+def test_a_kernel_sees_no_setting_that_it_does_not_name():
+    """Else its programs, made for the settings that it names, would answer for others."""
+    kernel = Kernel("mine", lambda settings, x: x + settings.alpha_rad + settings.samples, STEP, ("alpha_rad",))
+    with pytest.raises(AttributeError, match="kernel 'mine' reads the setting samples, which it does not name"):
+        kernel.of(PAPER)(1.0)
+
+
+def test_programs_can_be_given_back(scene, scenarios):
+    programs = Programs()
+    kernels = Kernels(Scene(scene[0], make_obstacle(scene[1])), PAPER, programs=programs)
+    inputs = lane_inputs(stack(scenarios), np.arange(2), np.zeros(2, int))
+    x = np.stack([START, START])
+    there = kernels(ADVANCE, inputs, x, np.zeros_like(x))
+    assert len(programs) == 1 and kernels.compile_s > 0
+    programs.clear()
+    assert len(programs) == 0
+    np.testing.assert_array_equal(kernels(ADVANCE, inputs, x, np.zeros_like(x)).x, there.x)
+
+
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="a GPU launches a loop's kernels one by one")
 def test_on_a_cpu_a_kernel_is_one_native_function(planned):
     """A library call in a loop, to LAPACK say, would have XLA dispatch its parts one by one: nothing else would
     fail, and everything take twice the time. Those that every method needs, and the walks' way in."""
-    tracking = {kernels.prepare, kernels.advance, kernels.check_path}
-    kinds = {*tracking, kernels.enter_null_space}
-    programs = [(work, program) for (work, *_), program in kernels._PROGRAMS.items() if work in kinds]
-    assert tracking <= {work for work, _ in programs}
-    for work, program in programs:
-        assert " while(" not in program.as_text().partition("\nENTRY ")[2], work.__name__
+    programs = PROGRAMS.of(PREPARE, ADVANCE, CHECK_PATH, ENTER)
+    assert {kernel.name for kernel, _ in programs} >= {"prepare", "advance", "check_path"}
+    for kernel, program in programs:
+        assert " while(" not in program.as_text().partition("\nENTRY ")[2], kernel.name
 
 
 class Broken(ClarabelSolver):
@@ -195,7 +217,7 @@ def test_a_qp_that_breaks_down_fails_its_scenario_and_no_other(scene, scenarios,
     whole = plan(*scene, scenarios[:3], "baseline", PAPER)
     # Target 1 of scenario 1 is where its first real step goes.
     Broken.victim = scenarios[1].targets[1] - whole.tcp[1, 0]
-    monkeypatch.setattr(batch, "make_solver", lambda s, joints, rows: Broken(2 * np.array(s.q_weights), rows))
+    monkeypatch.setattr(step_qps, "make_solver", lambda s, joints, rows: Broken(2 * np.array(s.q_weights), rows))
     broken = plan(*scene, scenarios[:3], "baseline", PAPER)
     same(broken, whole, [0, 2], [0, 2])
     assert broken.status[1, 1] == Status.QP_FAILED

@@ -11,9 +11,10 @@ import pytest
 import stranger_jobs
 
 import htcp_jax
-from htcp_jax.planner.batch import METHODS, plan
+from htcp_jax.planner.batch import plan
 from htcp_jax.planner.plans import is_tracked
 from htcp_jax.planner.reachability import ceiling
+from htcp_jax.planner.registry import names
 from htcp_jax.runs.summary import summarise
 from htcp_jax.scene.scenario import OutOfReach, make_scenario, stack
 from htcp_jax.scene.task import TCP_POSITION
@@ -37,7 +38,7 @@ def tight(margin_m):
     ]
 
 
-@pytest.mark.parametrize("method", [pytest.param(m, marks=pytest.mark.slow if m in SLOW else ()) for m in METHODS])
+@pytest.mark.parametrize("method", [pytest.param(m, marks=pytest.mark.slow if m in SLOW else ()) for m in names()])
 def test_no_tracked_target_has_less_than_the_margin(method):
     """W3: the default job's 0.5 mm came out as 0.0461 mm, and nothing said so."""
     margin_m = 2e-3
@@ -56,8 +57,12 @@ def test_on_the_device_too():
 
 def test_a_margin_of_nothing_asks_for_a_clearance_above_zero():
     clearance = np.array([-1e-9, 0.0, 1e-12, 5e-4, 4.999e-4])
-    np.testing.assert_array_equal(TCP_POSITION.counts(clearance, 0.0, 0.0), [False, False, True, True, True])
-    np.testing.assert_array_equal(TCP_POSITION.counts(clearance, 0.0, 5e-4), [False, False, False, True, False])
+    np.testing.assert_array_equal(
+        TCP_POSITION.counts(clearance, np.zeros(()), np.zeros(())), [False, False, True, True, True]
+    )
+    np.testing.assert_array_equal(
+        TCP_POSITION.counts(clearance, np.zeros(()), np.array(5e-4)), [False, False, False, True, False]
+    )
 
 
 def test_what_is_reachable_keeps_the_margin_too():

@@ -10,7 +10,8 @@ import pytest
 
 from htcp_jax.clearance.obstacles import is_clear
 from htcp_jax.errors import InputError
-from htcp_jax.planner.batch import METHODS, check_start, plan, start_clearance
+from htcp_jax.planner.batch import check_start, plan, start_clearance
+from htcp_jax.planner.registry import find, names
 from htcp_jax.scene.kinematics import capsule_segments, tcp_position
 from htcp_jax.scene.robot import lengthen_tool
 from htcp_jax.scene.scenario import make_scenario, stack
@@ -20,7 +21,10 @@ from htcp_jax.status import Status
 # As in test_engine.py, whose compiled programs serve here too.
 PAPER = Settings(**made_once.PAPER_CHOICES)
 PATH_STEPS = PAPER.path_steps
-TAKES_LONG = pytest.mark.slow
+QUICK = {"baseline", "nspace-sqp", "keep-clear", "cspace-sample"}
+every_method = pytest.mark.parametrize(
+    "method", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in names()]
+)
 
 
 def scene():
@@ -61,14 +65,7 @@ def numpy_D(robot, workpiece, scenario, x):
     return smallest
 
 
-@pytest.mark.parametrize(
-    "method",
-    ["baseline", "nspace-sqp", "keep-clear", "cspace-sample"]
-    + [
-        pytest.param(m, marks=TAKES_LONG)
-        for m in ("nspace-sample", "nspace-ip", "nspace-cmaes", "nspace-adam", "hybrid")
-    ],
-)
+@every_method
 def test_a_tracked_target_is_reached_clear_and_within_the_limits(method):
     """By independent means: TCP error at most 1 mm, D > 0 over all points; and what was recorded says the same."""
     plans, (robot, duct) = planned(method), scene()
@@ -88,10 +85,10 @@ def test_a_tracked_target_is_reached_clear_and_within_the_limits(method):
     assert (plans.residual[tuple(tracked.T)] <= PAPER.tolerance_m).all()
 
 
-@pytest.mark.parametrize("method", ["baseline", "nspace-sqp", "cspace-sample", "keep-clear"])
+@every_method
 def test_plans_are_consistent(method):
     """Nothing after the first failure; escapes only where the status says so; steps and paths as they were walked."""
-    plans = planned(method)
+    plans, own = planned(method), find(method)
     assert plans.compile_s >= 0 and plans.run_s > 0
     np.testing.assert_array_equal(plans.target, stack(poses()).targets)
     for s, one in enumerate(poses()):
@@ -100,9 +97,11 @@ def test_plans_are_consistent(method):
         assert (status[count + 1 :] == Status.NOT_ATTEMPTED).all()
         assert count == len(status) or status[count] not in (Status.NOT_ATTEMPTED, Status.TRACKED)
         np.testing.assert_array_equal(plans.escape[s] > 0, status == Status.TRACKED_AFTER_ESCAPE)
-        assert (plans.escape[s] <= len(METHODS[method].stages)).all()
-        assert (plans.iterations[s, : count + 1] >= 1).all() and (plans.iterations[s, count + 1 :] == 0).all()
-        assert (plans.iterations[s, :count] <= PAPER.inner_iterations).all() or METHODS[method].stages
+        back = plans.escape[s] == own.backwards
+        assert (plans.escape[s][~back] <= len(own.stages)).all() and (own.replan_backwards or not back.any())
+        assert (plans.iterations[s, : count + 1][~back[: count + 1]] >= 1).all()
+        assert (plans.iterations[s, count + 1 :] == 0).all()
+        assert (plans.iterations[s, :count] <= PAPER.inner_iterations).all() or own.stages
         for rows in (plans.x, plans.tcp, plans.clearance, plans.residual, plans.joint_step):
             assert np.isfinite(rows[s, :count]).all() and np.isnan(rows[s, count:]).all()
         walked = np.concatenate([[one.x_start], plans.x[s, :count]])
@@ -224,7 +223,7 @@ def test_the_seed_decides_what_is_drawn_and_nothing_else_does():
 
 
 def test_what_cannot_be_planned_is_refused_by_name():
-    with pytest.raises(InputError, match=r"'nspace-sqq'; valid: baseline, .*hybrid"):
+    with pytest.raises(InputError, match=r"'nspace-sqq' is no method; valid: baseline, .*hybrid"):
         plan(*scene(), poses(), "nspace-sqq")
     with pytest.raises(InputError, match=r"q_weights has 2 values.*6 joints"):
         plan(*scene(), poses(), "baseline", Settings(q_weights=(1.0, 1.0)))

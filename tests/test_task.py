@@ -21,7 +21,9 @@ TASKS = {
     "the TCP": TCP_POSITION,
     "its height": Task((TaskPoint(axes=(2,)),)),
     "the TCP, and x and z of the elbow": Task((TaskPoint(), TaskPoint(ELBOW.link, ELBOW.offset_m, (0, 2)))),
-    "two points of the last link": Task((TaskPoint(), TaskPoint(link=5, offset_m=(0.3, 0.0, 0.1)))),
+    "as many rows as joints": Task(
+        (TaskPoint(), TaskPoint(5, (0.3, 0.0, 0.1), (0, 1)), TaskPoint(ELBOW.link, ELBOW.offset_m, (2,)))
+    ),
 }
 
 
@@ -82,7 +84,7 @@ def test_both_solvers_take_the_same_step_for_any_task_also_without_a_choice(name
 
 
 def test_a_step_without_a_choice_that_breaks_a_limit_is_infeasible():
-    task = TASKS["two points of the last link"]
+    task = TASKS["as many rows as joints"]
     x = np.array(made_once.START)
     qp = step_for(task, x, x + 0.05)._replace(ub=jnp.full(6, 0.01))
     assert jax.jit(solve_step)(qp).status == step_qp.QPStatus.INFEASIBLE

@@ -17,8 +17,8 @@ from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import robot_of, scenario_of, scene, workpiece_of
 from htcp_jax.jobs.load_config import load_config
-from htcp_jax.planner.methods import METHODS
 from htcp_jax.planner.plans import is_tracked
+from htcp_jax.planner.registry import names
 from htcp_jax.runs.plan_folder import read_plan
 from htcp_jax.scene.kinematics import capsule_segments, tip_segment
 from htcp_jax.scene.robot import Robot
@@ -208,7 +208,7 @@ def test_an_inlet_direction_turns_with_the_part(tmp_path):
 
 
 JOBS = {"car": stranger_jobs.car_job, "tub": stranger_jobs.tub_job, "box": stranger_jobs.box_job}
-PLANNED = [(part, method) for part in ("car", "tub") for method in METHODS] + [("box", "hybrid")]
+PLANNED = [(part, method) for part in ("car", "tub") for method in names()] + [("box", "hybrid")]
 
 
 @pytest.mark.slow

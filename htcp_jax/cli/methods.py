@@ -1,20 +1,20 @@
 """`htcp methods`: the planners, and what each does."""
 
 from htcp_jax.cli.output import Json, print_json, print_table, stdout
-from htcp_jax.planner.methods import METHODS
+from htcp_jax.planner import registry
 from htcp_jax.report.document import Column, Table
 
-COLUMNS = Column("method", "method"), Column("title", "name"), Column("sentence", "what it does when stuck")
+COLUMNS = Column("method", "method"), Column("title", "name"), Column("sentence", "what it does")
 
 
 def methods(as_json: Json = False) -> int:
-    """List the planners that --method and --methods take, and what each does.
+    """List the planners that --method and --methods take, and what each does; those of other packages too.
 
     \b
     htcp methods                              the table
     htcp methods --json                       the same for another program
     """
-    rows = tuple((name, method.title, method.sentence) for name, method in METHODS.items())
+    rows = tuple((name, method.title, method.sentence) for name, method in registry.all_methods().items())
     table = Table("methods", COLUMNS, rows)
     if as_json:
         print_json(table.records())
@@ -25,7 +25,7 @@ def methods(as_json: Json = False) -> int:
 
 def complete_method(start: str) -> list[str]:
     """What a shell offers for the name of a method."""
-    return [name for name in METHODS if name.startswith(start)]
+    return [name for name in registry.names() if name.startswith(start)]
 
 
 def complete_methods(start: str) -> list[str]:

@@ -14,7 +14,6 @@ from htcp_jax.cli.output import Device, Json, print_facts, print_json, stdout
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.planner import batch, devices
-from htcp_jax.planner.methods import METHODS
 from htcp_jax.runs.plan_folder import written_whole
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import Scenario
@@ -26,7 +25,7 @@ COMPLETE, INCOMPLETE = 0, 3
 Config = Annotated[Path | None, typer.Argument(metavar="CONFIG.yaml", help="The job; else the default.")]
 Method = Annotated[
     str | None,
-    typer.Option(metavar="NAME", help=f"One of {', '.join(METHODS)}.", autocompletion=complete_method),
+    typer.Option(metavar="NAME", help="A planner; htcp methods lists them.", autocompletion=complete_method),
 ]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key; may be repeated.")

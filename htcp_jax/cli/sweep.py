@@ -14,7 +14,6 @@ from rich.text import Text
 from htcp_jax.cli.methods import complete_methods
 from htcp_jax.cli.output import Device, Json, print_json, print_table, stdout
 from htcp_jax.planner import devices
-from htcp_jax.planner.methods import METHODS
 from htcp_jax.report.document import Column, Table
 from htcp_jax.report.groups import drivable
 from htcp_jax.runs import sweep as sweeps
@@ -25,7 +24,7 @@ from htcp_jax.status import Status, words
 
 SweepFile = Annotated[Path, typer.Argument(metavar="SWEEP.yaml", help="The grid, sweeps/robot.yaml for example.")]
 Methods = Annotated[
-    str, typer.Option(metavar="A,B|all", help=f"Of {', '.join(METHODS)}.", autocompletion=complete_methods)
+    str, typer.Option(metavar="A,B|all", help="Planners; htcp methods lists them.", autocompletion=complete_methods)
 ]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="The run folder; by default out/<name of the sweep>.")]
 Limit = Annotated[int | None, typer.Option(metavar="N", help="Plan only the first N scenarios.")]

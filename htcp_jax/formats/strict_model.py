@@ -10,8 +10,6 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from htcp_jax.errors import InputError
 
-RECORD = "of results"  # the context of a model that is validated `of_record`
-
 
 class Section(BaseModel):
     """A mapping in the file. Values are immutable; numbers are finite."""
@@ -19,13 +17,11 @@ class Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-def validate(raw: dict, model: type[BaseModel], source: str, *, of_record: bool = False) -> Any:
-    """`raw` as a `model`; `of_record`: of results that are there, by a method that need not be known.
-
-    Raises InputError that names the first offender and how many more there are."""
+def validate(raw: dict, model: type[BaseModel], source: str) -> Any:
+    """`raw` as a `model`. Raises InputError that names the first offender and how many more there are."""
     refuse_unknown(raw, model, source)
     try:
-        return model.model_validate(raw, context=RECORD if of_record else None)
+        return model.model_validate(raw)
     except ValidationError as error:
         first, *more = error.errors()
         others = f" (and {len(more)} more)" if more else ""

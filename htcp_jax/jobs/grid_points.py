@@ -32,7 +32,7 @@ def points_of(name: str, config: PlanConfig, groups: Sequence[Group], stated: Co
             source = f"{name}: scenario {k}"
             if hanging:
                 fill_in(raw, known, source)
-            own = validate(raw, PlanConfig, source, of_record=True)
+            own = validate(raw, PlanConfig, source)
             yield Point(k, group.name, own, _told(own, varied, short))
 
 

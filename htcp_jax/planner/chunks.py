@@ -6,32 +6,9 @@ one compiled program serves one lane and a thousand, and a lane's result does no
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-
-# Kernels that few lanes need at a time, or that have loops of their own to vectorise.
-DEEP = ("enter", "walk", "ascend", "push", "check_path", "sample", "draw")
-SAMPLED = ("sample", "draw")  # those with hundreds of configurations a lane
-
-
-class Table(NamedTuple):
-    """Size of the table that a program is compiled for, and how many of its lanes it computes side by side."""
-
-    capacity: int
-    width: int
-
-
-def table_on(device: jax.Device, name: str) -> Table:
-    """The table of kernel `name`, one for any number of lanes: another one would round in its own way. A CPU gains from
-    a few lanes side by side, and nothing where a kernel has loops of its own; a GPU from thousands, fewer where each
-    lane has hundreds of samples."""
-    if device.platform == "cpu":
-        return Table(128, 1 if name.startswith(DEEP) else 4)
-    if name.startswith(SAMPLED):
-        return Table(256, 32)
-    return Table(2048, 512) if name.startswith(DEEP) else Table(4096, 4096)
 
 
 def chunked(kernel: Callable, width: int) -> Callable:

@@ -11,10 +11,11 @@ import jax.numpy as jnp
 from htcp_jax.clearance.joint_path import path_clear
 from htcp_jax.clearance.scene import Linearisation, Scene, linearise, own_scene
 from htcp_jax.numerics import product
+from htcp_jax.planner.kernel import DEEP, SAMPLED, STEP, Kernel
 from htcp_jax.planner.lane_inputs import LaneInputs
-from htcp_jax.planner.methods import Sample
 from htcp_jax.planner.null_space import (
     Anchored,
+    Minimise,
     Stuck,
     anchor,
     keep_clear_ascent,
@@ -22,7 +23,7 @@ from htcp_jax.planner.null_space import (
     push_clear,
     stuck_key,
 )
-from htcp_jax.planner.sampling import Candidates, draw_clear
+from htcp_jax.planner.sampling import Candidates, Propose, draw_clear
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.kinematics import tcp_position, tip_segment
 from htcp_jax.settings import Settings
@@ -48,8 +49,8 @@ def _scene(scene: Scene, lane: LaneInputs) -> Scene:
     return own_scene(scene, lane.tool_extension_m)
 
 
-def _stuck(settings: Settings, lane: LaneInputs, x_previous, stage: int) -> Stuck:
-    return Stuck(x_previous, lane.target, stuck_key(settings, lane.number, lane.row, stage, lane.round))
+def _stuck(lane: LaneInputs, x_previous, stage: int) -> Stuck:
+    return Stuck(x_previous, lane.target, stuck_key(lane.seed, lane.number, lane.row, stage, lane.round))
 
 
 def prepare(
@@ -109,12 +110,11 @@ def track(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, x_previous,
         tracked, count = state
         step_qp = prepare(settings, scene, lane, tracked.now.x, x_previous, tracked.now.linear)
         found = solve_step(step_qp, settings.qp_tolerance)
-        return Tracked(
-            advance(settings, scene, lane, tracked.now.x, found.y), tracked.iteration + 1, found.status
-        ), count + 1
+        now = advance(settings, scene, lane, tracked.now.x, found.y)
+        return Tracked(now, tracked.iteration + 1, found.status), count + 1
 
     # At a new target, and in a candidate's first burst, nothing is reached before the first step QP.
-    nowhere = jnp.zeros(3)  # as is the TCP, which is known after the first
+    nowhere = jnp.zeros(3)  # the TCP is not recorded before
     known = Measured(x_ref, linear, jnp.full((), -jnp.inf), jnp.full((), jnp.inf), nowhere)
     start = Tracked(known, iteration, jnp.full((), int(step_qp.QPStatus.SOLVED), jnp.int32))
     return jax.lax.while_loop(going, step, (start, jnp.zeros((), jnp.int32)))[0]
@@ -128,18 +128,20 @@ def enter_null_space(settings: Settings, scene: Scene, lane: LaneInputs, x_previ
 
 
 def walk_null_space(
-    stage, index, settings: Settings, scene: Scene, lane: LaneInputs, x_previous, x_ref, count
+    minimise: Minimise, index: int, settings: Settings, scene: Scene, lane: LaneInputs, x_previous, x_ref, count
 ) -> Measured:
-    """One step of a null-space stage."""
-    stuck = _stuck(settings, lane, x_previous, index)
-    there = null_space_step(stage.minimise, _scene(scene, lane), settings, lane, stuck, x_ref, count)
+    """One step of a null-space stage, the method's stage `index`."""
+    stuck = _stuck(lane, x_previous, index)
+    there = null_space_step(minimise, _scene(scene, lane), settings, lane, stuck, x_ref, count)
     return _measured(settings, scene, lane, there.x)
 
 
-def propose(stage: Sample, index, settings: Settings, scene: Scene, lane: LaneInputs, x_previous) -> Candidates:
-    """Candidates of a sampling stage."""
+def propose(
+    proposed: Propose, index: int, settings: Settings, scene: Scene, lane: LaneInputs, x_previous
+) -> Candidates:
+    """Candidates of a sampling stage, the method's stage `index`."""
     scene = _scene(scene, lane)
-    return stage.propose(scene, settings, lane, _stuck(settings, lane, x_previous, index))
+    return proposed(scene, settings, lane, _stuck(lane, x_previous, index))
 
 
 def push(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Anchored:
@@ -150,7 +152,7 @@ def push(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Anchored:
 def draw(settings: Settings, scene: Scene, lane: LaneInputs) -> Anchored:
     """The best of a round of draws at the lane's target; which round is the lane's."""
     scene = _scene(scene, lane)
-    stuck = _stuck(settings, lane, jnp.zeros_like(scene.robot.lower), DRAW_STAGE)
+    stuck = _stuck(lane, jnp.zeros_like(scene.robot.lower), DRAW_STAGE)
     return draw_clear(scene, settings, lane, stuck, lane.round % SPREAD_EVERY == SPREAD_EVERY - 1)
 
 
@@ -170,3 +172,29 @@ def tip(settings: Settings, scene: Scene, lane: LaneInputs, x):
     """The tool's bare tip at x in the workpiece's frame, from the last body to the TCP."""
     rotate, translate = lane.T_world_workpiece[:3, :3], lane.T_world_workpiece[:3, 3]
     return product(tip_segment(_scene(scene, lane).robot, x) - translate[None, :], rotate)
+
+
+# The kernels by name, each with the settings that it reads
+
+_STEP_QP = ("q_weights", "cost_about", "rows", "aim_above_m")
+_NULL_SPACE = ("alpha_rad", "far_links", "j1_weight", "q_weights")
+
+PREPARE = Kernel("prepare", prepare, STEP, _STEP_QP)
+ADVANCE = Kernel("advance", advance, STEP)
+TRACK_BURST = Kernel("track", track, STEP, (*_STEP_QP, "inner_iterations", "qp_tolerance"))
+ENTER = Kernel("enter", enter_null_space, DEEP)
+ASCEND = Kernel("ascend", ascend, DEEP, (*_NULL_SPACE, "keep_clear_m", "keep_clear_steps"))
+PUSH = Kernel("push", push, DEEP, _NULL_SPACE)
+DRAW = Kernel("draw", draw, SAMPLED, _NULL_SPACE)
+CHECK_PATH = Kernel("check_path", check_path, DEEP, ("path_test", "path_steps"))
+TIP = Kernel("tip", tip, STEP)
+
+
+def walk_kernel(minimise: Minimise, index: int, settings: tuple[str, ...]) -> Kernel:
+    """A step of stage `index` of a method, a walk by `minimise`, which reads `settings`."""
+    return Kernel(f"walk {index}", walk_null_space, DEEP, (*_NULL_SPACE, *settings), (minimise, index))
+
+
+def sample_kernel(proposed: Propose, index: int, settings: tuple[str, ...]) -> Kernel:
+    """Candidates of stage `index` of a method, proposed by a function that reads `settings`."""
+    return Kernel(f"sample {index}", propose, SAMPLED, settings, (proposed, index))

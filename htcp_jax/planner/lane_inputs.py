@@ -20,13 +20,23 @@ class LaneInputs(NamedTuple):
     target: jax.Array  # [m]
     row: jax.Array  # of the target
     round: jax.Array  # of draws
+    seed: jax.Array
 
 
-def lane_inputs(scenarios: Scenario, scenario: np.ndarray, row: np.ndarray, round_: int = 0) -> LaneInputs:
-    """What lanes are about that are at target `row` of their `scenario`; scenarios are stacked, numpy."""
+def lane_inputs(
+    scenarios: Scenario, scenario: np.ndarray, row: np.ndarray, *, seed: int = 0, round_: int | np.ndarray = 0
+) -> LaneInputs:
+    """What lanes are about that are at target `row` of their `scenario`; scenarios are stacked, numpy. seed: for
+    kernels that draw; round_: of draws, one for all lanes or one each."""
     row, scenario = np.asarray(row, np.int32), np.asarray(scenario)
-    own = [
-        getattr(scenarios, name)[scenario]
-        for name in ("T_world_workpiece", "gate", "margin_m", "tool_extension_m", "number")
-    ]
-    return LaneInputs(*own, scenarios.targets[scenario, row], row, np.full_like(row, round_))
+    return LaneInputs(
+        T_world_workpiece=scenarios.T_world_workpiece[scenario],
+        gate=scenarios.gate[scenario],
+        margin_m=scenarios.margin_m[scenario],
+        tool_extension_m=scenarios.tool_extension_m[scenario],
+        number=scenarios.number[scenario],
+        target=scenarios.targets[scenario, row],
+        row=row,
+        round=np.broadcast_to(np.asarray(round_, np.int32), row.shape),
+        seed=np.full(row.shape, seed, np.int64),
+    )

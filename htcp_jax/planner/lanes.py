@@ -10,7 +10,10 @@ from htcp_jax.clearance.obstacles import ClearanceRows
 from htcp_jax.clearance.scene import Linearisation, TaskRows
 
 MAIN = -1  # `candidate` of a lane that tracks for its scenario itself
-NEW, TRACK = -2, -1  # phases; of a lane that is in a stage of its escape, the phase is the number of that stage
+# Phases; of a lane that is in a stage of its escape, the phase is the number of that stage. The last three are those of
+# a lane that is planned backwards: postures are drawn at its lost target, carried back row by row, and checked.
+NEW, TRACK, DRAWING, PUSHING, CHECKING = -2, -1, -3, -4, -5
+BACKWARDS = DRAWING, PUSHING, CHECKING
 ENTERING = -1  # `walked` of a lane that is not in the null space yet
 
 KINDS = TaskRows, ClearanceRows
@@ -23,7 +26,7 @@ class Lanes(NamedTuple):
     scenario: np.ndarray
     target: np.ndarray
     candidate: np.ndarray  # MAIN, or the number of a candidate
-    phase: np.ndarray  # NEW: to be linearised; TRACK: by step QPs; or a stage of the escape
+    phase: np.ndarray  # NEW: to be linearised; TRACK: by step QPs; a stage of the escape; or of the way back
     iteration: np.ndarray  # step QPs at this target so far
     walked: np.ndarray  # ENTERING, or null-space steps so far
     x_previous: np.ndarray

@@ -196,6 +196,8 @@ def keep_clear_ascent(
         return best, jnp.where(better, scale, 0.5 * scale), count + 1
 
     start = anchor(scene, settings, where, x, target)
+    if not scene.task.freedom(scene.robot):
+        return start
     best, _, _ = jax.lax.while_loop(going, step, (start, jnp.full((), 0.5), jnp.zeros((), jnp.int32)))
     return best
 
@@ -207,6 +209,6 @@ def push_clear(scene: Scene, settings: Settings, where: Asked, x: Joints, target
     return keep_clear_ascent(scene, settings, where, x, target, enough_m, PUSHES)
 
 
-def stuck_key(settings: Settings, number, row, stage: int, round_) -> jax.Array:
-    """Random key of one escape: of scenario `number`, at target `row`."""
-    return fold_keys(jax.random.key(settings.seed), number, row, stage, round_)
+def stuck_key(seed, number, row, stage: int, round_) -> jax.Array:
+    """Random key of one escape: of scenario `number`, at target `row`. The seed is data, so none is compiled for."""
+    return fold_keys(jax.random.key(seed), number, row, stage, round_)

@@ -16,7 +16,8 @@ from jaxtyping import Float
 from htcp_jax.clearance.obstacles import Obstacles, contacts
 from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.clearance.scene import Scene, own_scene
-from htcp_jax.planner.chunks import chunked, table_on
+from htcp_jax.planner.chunks import chunked
+from htcp_jax.planner.kernel import DEEP
 from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.plans import Plans, is_tracked
 from htcp_jax.scene.inverse_kinematics import reanchor
@@ -75,7 +76,7 @@ def obstructions(
 ) -> list[Obstruction]:
     """The same for S scenarios at once. where: stacked, what `Posed` asks for and `tool_extension_m`;
     targets: one a scenario, world [m]."""
-    capacity, width = table_on(jax.local_devices()[0], "enter")
+    capacity, width = DEEP.on(jax.local_devices()[0])
     lanes = (where, np.asarray(x_last, float), np.asarray(targets, float))
     task = Task(tolerance_m=settings.tolerance_m)
     look, scene = _program(width), Scene(robot, obstacles, task)

@@ -16,13 +16,13 @@ class Plans(NamedTuple):
 
     x: Float[np.ndarray, "S T N"]  # configurations [rad or m]
     tcp: Float[np.ndarray, "S T 3"]  # tool centre point, world [m]
-    target: Float[np.ndarray, "S T 3"]  # where it should be, world [m]; never NaN
+    target: Float[np.ndarray, "S T M"]  # where the task's rows, the TCP's x, y, z, should be, world [m]; never NaN
     clearance: Float[np.ndarray, "S T"]  # D(x, O), smallest over capsules and points [m]
-    residual: Float[np.ndarray, "S T"]  # |tcp - target| [m]
+    residual: Float[np.ndarray, "S T"]  # of the task: |tcp - target| [m]
     status: Int8[np.ndarray, "S T"]  # htcp_jax.status.Status
-    iterations: Int[np.ndarray, "S T"]  # step QPs solved for the target
+    iterations: Int[np.ndarray, "S T"]  # step QPs solved for the target; 0 where one was pushed there
     joint_step: Float[np.ndarray, "S T"]  # |x_t - x_{t-1}|, the start being x_{-1} [rad]
-    escape: Int[np.ndarray, "S T"]  # 0 none, k = stage k of the method's escapes
+    escape: Int[np.ndarray, "S T"]  # 0 none, k = stage k of the method's escapes, one more: planned backwards
     path_clear: Int8[np.ndarray, "S T"]  # joint path from the row before: 1 clear, 0 blocked, -1 unknown
     compile_s: float  # wall time spent compiling [s]
     run_s: float  # wall time spent planning, compilation apart [s]

@@ -2,61 +2,71 @@
 
 import threading
 import time
-from collections.abc import Callable
-from functools import partial
+from typing import Any
 
 import jax
 import numpy as np
 
 from htcp_jax.clearance.scene import Scene
-from htcp_jax.planner.chunks import chunked, table_on
-from htcp_jax.planner.kernels import (
-    advance,
-    ascend,
-    check_path,
-    draw,
-    enter_null_space,
-    prepare,
-    propose,
-    push,
-    tip,
-    track,
-    walk_null_space,
-)
-from htcp_jax.planner.methods import Method
+from htcp_jax.planner.chunks import chunked
+from htcp_jax.planner.kernel import STEP, Kernel
 from htcp_jax.scene.task import Task
 from htcp_jax.settings import Settings
 
-_PROGRAMS: dict = {}  # compiled for (kernel, settings, width, shapes); for the life of the process
-_COMPILING = threading.Lock()
+
+class Programs:
+    """Compiled programs: one for each kernel, values of the settings that it reads, device, and shapes."""
+
+    def __init__(self):
+        self._compiled: dict[tuple, jax.stages.Compiled] = {}
+        self._compiling = threading.Lock()
+
+    def __len__(self) -> int:
+        return len(self._compiled)
+
+    def clear(self) -> None:
+        """Forget them all, and give their memory back."""
+        with self._compiling:
+            self._compiled.clear()
+
+    def get(
+        self, kernel: Kernel, settings: Settings, device: jax.Device, arguments: tuple
+    ) -> tuple[jax.stages.Compiled, float]:
+        """The program for arguments of these shapes, and the seconds that it took to compile it just now."""
+        leaves, structure = jax.tree.flatten(arguments)
+        shapes = tuple((x.shape, x.dtype) for x in leaves)
+        key = (kernel, kernel.values(settings), device, structure, shapes)
+        with self._compiling:
+            if key in self._compiled:
+                return self._compiled[key], 0.0
+            began = time.perf_counter()
+            self._compiled[key] = chunked(kernel.of(settings), kernel.load.on(device).width).lower(*arguments).compile()
+            return self._compiled[key], time.perf_counter() - began
+
+    def of(self, *kernels: Kernel) -> list[tuple[Kernel, jax.stages.Compiled]]:
+        """The programs of some kernels."""
+        return [(kernel, self._compiled[key]) for kernel in kernels for key in self._compiled if key[0] == kernel]
+
+
+PROGRAMS = Programs()  # of this process
 
 
 class Kernels:
-    """The kernels of one method on one scene and one device. Compiles on first use, once for any number of scenarios,
-    and knows the seconds that took."""
+    """Runs kernels on one scene and one device. Compiles on first use, once for any number of scenarios, and knows the
+    seconds that took."""
 
-    def __init__(self, scene: Scene, method: Method, settings: Settings, device: jax.Device | None = None):
+    def __init__(
+        self, scene: Scene, settings: Settings, device: jax.Device | None = None, programs: Programs = PROGRAMS
+    ):
         self.device = device or jax.local_devices()[0]
         self._scene, self._settings = jax.device_put(scene, self.device), settings
-        self._programs: dict[str, Callable] = {}
+        self._programs, self._own = programs, {}
         self.compile_s = 0.0
-        self._kernels = {
-            "prepare": prepare,
-            "advance": advance,
-            "track": track,
-            "enter": enter_null_space,
-            "ascend": ascend,
-            "push": push,
-            "draw": draw,
-            "check_path": check_path,
-            "tip": tip,
-        }
-        self._stages = method.stages
 
     @property
     def lanes(self) -> int:
         """Lanes that an engine keeps in flight."""
-        return table_on(self.device, "advance").capacity
+        return STEP.on(self.device).capacity
 
     @property
     def pays_by_lane(self) -> bool:
@@ -69,54 +79,43 @@ class Kernels:
         return self._scene.task
 
     @property
+    def freedom(self) -> int:
+        """Dimension of the task's null space."""
+        return self.task.freedom(self._scene.robot)
+
+    @property
     def sizes(self) -> tuple[int, int]:
         """Rows of the task, and of the clearance."""
         return self.task.rows, len(self._scene.rows.body)
 
-    def __call__(self, name: str, *tables):
-        """Run kernel `name`, "walk k" or "sample k" for stage k of the method, over tables of n >= 1 lanes; numpy
-        tables of n lanes come back."""
+    def __call__(self, kernel: Kernel, *tables) -> Any:
+        """Run a kernel over tables of n >= 1 lanes; numpy tables of n lanes come back."""
         lanes = len(jax.tree.leaves(tables)[0])
-        most = table_on(self.device, name).capacity
+        most = kernel.load.on(self.device).capacity
         parts = [
-            self._run(name, jax.tree.map(lambda t, s=start: t[s : s + most], tables)) for start in range(0, lanes, most)
+            self._run(kernel, jax.tree.map(lambda t, s=start: t[s : s + most], tables))
+            for start in range(0, lanes, most)
         ]
         return parts[0] if len(parts) == 1 else jax.tree.map(lambda *p: np.concatenate(p), *parts)
 
-    def _run(self, name: str, tables):
+    def _run(self, kernel: Kernel, tables):
         lanes = len(jax.tree.leaves(tables)[0])
-        capacity, width = table_on(self.device, name)
+        capacity, width = kernel.load.on(self.device)
         padded = jax.tree.map(lambda t: _pad(np.asarray(t), capacity), tables)
         chunks = np.int32(-(-lanes // width))
-        result = self._program(name, width, chunks, padded)(self._scene, chunks, *padded)
+        result = self._program(kernel, chunks, padded)(self._scene, chunks, *padded)
         # Waiting for an array holds the interpreter's lock, which other engines need; this does not.
         jax.block_until_ready(result)
         if self.device.platform != "cpu":
             result = jax.device_get(result)  # all copies at once
         return jax.tree.map(lambda r: np.asarray(r)[:lanes], result)
 
-    def _program(self, name: str, width: int, chunks, tables) -> Callable:
-        if name in self._programs:
-            return self._programs[name]
-        with _COMPILING:
+    def _program(self, kernel: Kernel, chunks, tables) -> jax.stages.Compiled:
+        if kernel not in self._own:
             arguments = (self._scene, chunks, *tables)
-            leaves, structure = jax.tree.flatten(arguments)
-            work = self._work(name)
-            shapes = tuple((x.shape, x.dtype) for x in leaves)
-            key = (work.func, work.args, width, self.device, structure, shapes)
-            if key not in _PROGRAMS:
-                began = time.perf_counter()
-                _PROGRAMS[key] = chunked(work, width).lower(*arguments).compile()
-                self.compile_s += time.perf_counter() - began
-            self._programs[name] = _PROGRAMS[key]
-        return self._programs[name]
-
-    def _work(self, name: str) -> partial:
-        if name in self._kernels:
-            return partial(self._kernels[name], self._settings)
-        kind, index = name.split()
-        kernel = propose if kind == "sample" else walk_null_space
-        return partial(kernel, self._stages[int(index)], int(index), self._settings)
+            self._own[kernel], seconds = self._programs.get(kernel, self._settings, self.device, arguments)
+            self.compile_s += seconds
+        return self._own[kernel]
 
 
 def _pad(table: np.ndarray, capacity: int) -> np.ndarray:

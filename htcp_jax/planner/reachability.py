@@ -16,8 +16,9 @@ import numpy as np
 
 from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.clearance.scene import Scene
+from htcp_jax.clearance.tip_guard import make_tip_guard
+from htcp_jax.planner.kernels import DRAW, PUSH
 from htcp_jax.planner.lane_inputs import lane_inputs
-from htcp_jax.planner.methods import METHODS
 from htcp_jax.planner.null_space import DRAWS, Anchored
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.tip_check import tip_checks
@@ -50,11 +51,11 @@ def ceiling(
     settings count alpha_rad, tolerance_m and the seed. progress(target, targets) is called after each target."""
     settings = settings or Settings()
     scene = Scene(robot, make_obstacle(workpiece), Task(tolerance_m=settings.tolerance_m))
-    kernels = Kernels(scene, METHODS["baseline"], settings)
-    [tip] = tip_checks([kernels], workpiece)
+    kernels = Kernels(scene, settings)
+    [tip] = tip_checks([kernels], make_tip_guard(workpiece))
 
     def good_at(row: int, rows: np.ndarray, here: Anchored) -> np.ndarray:
-        good = scene.task.counts(here.clearance, here.residual, scenarios.margin_m[rows])
+        good = kernels.task.counts(here.clearance, here.residual, scenarios.margin_m[rows])
         if tip is not None and good.any():
             good[good] = ~tip.at(lane_inputs(scenarios, rows[good], np.full(good.sum(), row)), here.x[good])
         return good
@@ -69,16 +70,18 @@ def ceiling(
         alive = alive[scenarios.count[alive] > row]
         if not len(alive):
             break
-        here = kernels("push", lane_inputs(scenarios, alive, np.full(len(alive), row)), x[alive])
+        here = kernels(PUSH, lane_inputs(scenarios, alive, np.full(len(alive), row)), x[alive])
         x[alive], good = here.x, good_at(row, alive, here)
         for round_ in range(-(-draws // DRAWS)):
             lost = alive[~good]
             if not len(lost):
                 break
-            here = kernels("draw", lane_inputs(scenarios, lost, np.full(len(lost), row), round_))
+            here = kernels(
+                DRAW, lane_inputs(scenarios, lost, np.full(len(lost), row), seed=settings.seed, round_=round_)
+            )
             here = jax.tree.map(lambda leaf: leaf[:, 0], here)
             x[lost] = here.x
-            best[lost] = np.fmax(best[lost], np.where(scene.task.reached(here.residual), here.clearance, -np.inf))
+            best[lost] = np.fmax(best[lost], np.where(kernels.task.reached(here.residual), here.clearance, -np.inf))
             good[~good] = good_at(row, lost, here)
         best[alive[good]] = np.nan
         alive = alive[good]

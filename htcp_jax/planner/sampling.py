@@ -2,6 +2,7 @@
 function of one scenario.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -24,6 +25,9 @@ class Candidates(NamedTuple):
     x: Float[Array, "C N"]  # [rad or m]
     valid: Bool[Array, "C"]
     done: Bool[Array, "C"]  # on the target and clear as they are: where a stage takes them so, no QP is needed
+
+
+Propose = Callable[[Scene, Settings, Posed, Stuck], Candidates]
 
 
 def cspace_samples(scene: Scene, settings: Settings, where: Posed, stuck: Stuck) -> Candidates:

@@ -10,9 +10,10 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from htcp_jax.clearance.tip_guard import TipGuard, make_tip_guard
+from htcp_jax.clearance.tip_guard import TipGuard
+from htcp_jax.planner.kernels import TIP
 from htcp_jax.planner.lane_inputs import LaneInputs
-from htcp_jax.scene.workpiece import Workpiece
+from htcp_jax.planner.programs import Kernels
 
 PLACES = 100  # of a joint path at which its tip is looked at
 
@@ -25,7 +26,7 @@ class TipCheck(NamedTuple):
 
     def at(self, inputs: LaneInputs, x: Float[np.ndarray, "n N"]) -> Bool[np.ndarray, "n"]:
         """Whether the tip passes through a wall at each lane's configuration."""
-        tip = self.kernels("tip", inputs, x)
+        tip = self.kernels(TIP, inputs, x)
         return self.guard.passes(tip[:, 0], tip[:, 1])
 
     def along(
@@ -39,7 +40,6 @@ class TipCheck(NamedTuple):
         return through.reshape(len(a), -1).any(axis=1)
 
 
-def tip_checks(kernels: Sequence[Callable[..., np.ndarray]], workpiece: Workpiece) -> list[TipCheck | None]:
-    """One for each; None where the workpiece's tip may touch anywhere."""
-    guard = make_tip_guard(workpiece)
+def tip_checks(kernels: Sequence[Kernels], guard: TipGuard | None) -> list[TipCheck | None]:
+    """One for each; None where the tip may touch anywhere."""
     return [None if guard is None else TipCheck(own, guard) for own in kernels]

@@ -1,10 +1,13 @@
 """The style that all charts share: the colours of the methods, the frame of a figure, plain axes, named lines."""
 
+import colorsys
 import math
+import zlib
 from collections.abc import Mapping
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
@@ -22,12 +25,27 @@ LINES = {
     "keep-clear": ("#cc79a7", "-."),
     "hybrid": ("#332288", "-."),
 }
-OTHER_LINES = (("#882255", ":"), ("#117733", ":"), ("#aa4499", ":"), ("#44aa99", ":"))
+_OTHERS: dict[str, int] = {}  # the places of the methods that are not in the table, once they were drawn
+_PLACES = 64
 
 
 def line_of(method: str) -> tuple[str, str]:
-    """Colour and line style of a method; of one that is not in the table, always the same by its name."""
-    return LINES.get(method) or OTHER_LINES[sum(map(ord, method)) % len(OTHER_LINES)]
+    """Colour and line style of a method. One that is not in the table has a dotted line in a colour of its own, which
+    follows from its name unless another method has it already."""
+    if method in LINES:
+        return LINES[method]
+    if method not in _OTHERS:
+        place = zlib.crc32(method.encode()) % _PLACES
+        while place in _OTHERS.values():
+            place += 1
+        _OTHERS[method] = place
+    return _other_colour(_OTHERS[method]), ":"
+
+
+def _other_colour(place: int) -> str:
+    """Hues a golden section apart, so that none comes twice, light and dark in turn."""
+    hue = (0.9 + place * 0.6180339887) % 1
+    return to_hex(colorsys.hls_to_rgb(hue, 0.42 if place % 2 else 0.3, 0.65))
 
 
 def new_figure(height: float, title: str, note: str) -> Figure:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.planner.methods import METHODS
+from htcp_jax.planner.registry import all_methods
 from htcp_jax.report import tables
 from htcp_jax.report.best import best
 from htcp_jax.report.cell import RunScene
@@ -130,11 +130,11 @@ def slug(name: str) -> str:
 def _appendix(parts: Sequence[Part]) -> list[Block]:
     ran = {part.run_name: part.run.config for part in parts}
     methods = dict.fromkeys(method for part in parts for method in part.plans)
-    known = [method for method in methods if method in METHODS]
+    known = {name: method for name, method in all_methods().items() if name in methods}
     about = Table(
         "methods",
-        (Column("method", "method"), Column("title", "name"), Column("what", "what it does when stuck")),
-        tuple((method, METHODS[method].title, METHODS[method].sentence) for method in known),
+        (Column("method", "method"), Column("title", "name"), Column("what", "what it does")),
+        tuple((name, known[name].title, known[name].sentence) for name in methods if name in known),
     )
     beside = presets() if any(fits_presets(part) for part in parts) else {}
     return [

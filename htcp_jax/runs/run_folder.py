@@ -169,7 +169,7 @@ class Run:
     @property
     def config(self) -> PlanConfig:
         """What all scenarios share; a scenario's own parameters are columns of `scenarios()`."""
-        return validate(self.manifest.config, PlanConfig, str(self.folder / MANIFEST), of_record=True)
+        return validate(self.manifest.config, PlanConfig, str(self.folder / MANIFEST))
 
     @property
     def varied(self) -> tuple[str, ...]:

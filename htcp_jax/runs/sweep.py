@@ -23,8 +23,8 @@ import pyarrow as pa
 from htcp_jax.errors import InputError, Interrupted, Lost
 from htcp_jax.jobs.grid import Batch, Sweep, load_sweep
 from htcp_jax.jobs.grid_axes import FILE_KEYS, record
+from htcp_jax.planner import registry
 from htcp_jax.planner.batch import Progress as ShardProgress
-from htcp_jax.planner.methods import METHODS
 from htcp_jax.planner.plans import Plans
 from htcp_jax.runs import writer
 from htcp_jax.runs.identity import anchor_files, config_hash, file_hash, identity
@@ -86,7 +86,7 @@ def sweep(
             raise InputError(f"{name} is {value}; it must be 1 or more")
     batch = spec.batch(limit)
     asked = _manifest(spec, batch, chosen, limit, shard_scenarios or SHARD_SCENARIOS)
-    planned = _planner(on, batch, spec, threads)
+    planned = _planner(on, chosen, batch, spec, threads)
     with _folder(out) as (folder, keep), locked(folder), planned as plan, signals() as came:
         run = writer.begin(folder, asked, keep)
 
@@ -119,16 +119,17 @@ def _seeded(overrides: Sequence[str] | Mapping[str, Any], seed: int | None) -> S
 
 
 def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
-    """The methods that "all", "a,b" or a list of names means. Raises InputError for none, an unknown one, and one
-    that stands there twice."""
+    """The methods that "all", "a,b" or a list of names means. Raises InputError for none, an unknown one, one that
+    cannot be imported, and one that stands there twice."""
     if methods == "all":
-        return tuple(METHODS)
+        return tuple(registry.all_methods())
     names = [name.strip() for name in methods.split(",")] if isinstance(methods, str) else list(methods)
     if not any(names):
-        raise InputError(f"no methods; valid: all, {', '.join(METHODS)}")
+        raise InputError(f"no methods; valid: all, {', '.join(registry.names())}")
     for name in names:
-        if name not in METHODS:
-            raise InputError(f"unknown method {name!r}; valid: all, {', '.join(METHODS)}")
+        if name not in registry.names():
+            raise InputError(f"unknown method {name!r}; valid: all, {', '.join(registry.names())}")
+        registry.find(name)
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"method {name} is given twice")
@@ -176,12 +177,13 @@ def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | 
     )
 
 
-def _planner(on: str, batch: Batch, spec: Sweep, threads: int | None):
+def _planner(on: str, methods: tuple[str, ...], batch: Batch, spec: Sweep, threads: int | None):
     """Hands out what plans shards, while it is there: plan(shards, tell) yields (shard, plans, what planned it)."""
     where, _, address = on.partition(":")
     if on == "here":
         return contextlib.nullcontext(partial(plan_here, batch, threads))
     if where == "ray":
+        registry.refuse_own(methods)
         return on_ray(batch, spec.config, address)
     raise InputError(f"on is {on!r}; valid: here, ray, ray:<address of a cluster>")
 

@@ -9,10 +9,11 @@
     status         string   name of a htcp_jax.status.Status
     clearance_m    double   D, smallest over capsules and points; null where not tracked, as is all that follows of x
     residual_m     double   |TCP - target|
-    iterations     int32    step QPs solved for the target
+    iterations     int32    step QPs solved for the target; 0 where a plan made backwards pushed it there
     joint_step_rad double   |x_t - x_{t-1}|
     path_clear     bool     straight joint path from the row before; null where unknown
-    escape         int8     0 none, k: stage k of the method's escapes
+    escape         int8     0 none, k: stage k of the method's escapes; one beyond its last: planned backwards from a
+                            posture drawn at a later target, see `planner.backwards`
     <joint>_rad    double   configuration x, a column a joint (<joint>_m where it slides)
     tcp_x_m ...    double   tool centre point, world; three columns
     target_x_m ... double   where it should be, world; never null

@@ -31,7 +31,7 @@ class Scenario:
     x_start: Float[Anywhere, "*S N"]  # [rad or m]
     T_world_workpiece: Float[Anywhere, "*S 4 4"]  # [m]
     gate: Float[Anywhere, "*S 4"]  # normal, and offset [m], see `gate_of`
-    targets: Float[Anywhere, "*S T 3"]  # world [m]; rows from `count` on are padding
+    targets: Float[Anywhere, "*S T M"]  # of the task, world [m]; rows from `count` on are padding
     count: Int[Anywhere, "*S"]  # targets to track
     margin_m: Float[Anywhere, "*S"]  # least clearance with which a target counts
     tool_extension_m: Float[Anywhere, "*S"]

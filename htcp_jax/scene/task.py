@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from htcp_jax.errors import InputError
 from htcp_jax.numerics import safe_norm
@@ -19,6 +20,7 @@ from htcp_jax.scene.robot import Robot
 from htcp_jax.types import Anywhere, Array, Float, Joints, Scalar
 
 XYZ = (0, 1, 2)
+Numbers = Anywhere | np.generic | float | bool
 
 
 @dataclass(frozen=True)
@@ -97,11 +99,11 @@ class Task:
         """The residual that inverse kinematics stops at [m]: a tenth of the tolerance."""
         return 0.1 * self.tolerance_m
 
-    def reached(self, residual: Anywhere) -> Anywhere:
+    def reached(self, residual: Numbers) -> Numbers:
         """Whether the residual [m] is within the tolerance; elementwise, numpy or JAX."""
         return residual <= self.tolerance_m
 
-    def counts(self, clearance: Anywhere, residual: Anywhere, margin_m: Anywhere) -> Anywhere:
+    def counts(self, clearance: Numbers, residual: Numbers, margin_m: Numbers) -> Numbers:
         """Whether a configuration counts: D > 0 and D >= margin_m [m], and the target reached; elementwise.
 
         Everything that accepts or refuses a configuration asks here, on the host and on the device alike. A margin of 0

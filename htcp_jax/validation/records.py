@@ -129,7 +129,7 @@ def _tracks(run: Run) -> Iterator[Track]:
 def _read_plan(folder: Path) -> Results:
     method, raw, known, arrays = read_plan(folder, ARRAYS)
     refuse_changed(known, folder)
-    config: PlanConfig = validate(raw, PlanConfig, str(folder / SUMMARY), of_record=True)
+    config: PlanConfig = validate(raw, PlanConfig, str(folder / SUMMARY))
     part, start = config.workpiece, np.array(config.start_rad)
     count, joints = arrays["status"].size, len(start)
     shapes = {"x": (count, joints), "tcp": (count, 3), "target": (count, 3)}

@@ -328,7 +328,7 @@ def _placement(row: dict[str, Any], robot: Robot, workpiece: Workpiece, joints: 
 def _of_plan(folder: Path) -> Shelf:
     _, raw, files, arrays = read_plan(folder, ARRAYS)
     refuse_changed(files, folder)
-    job: PlanConfig = validate(raw, PlanConfig, str(folder / SUMMARY), of_record=True)
+    job: PlanConfig = validate(raw, PlanConfig, str(folder / SUMMARY))
     robot, workpiece, scenario = scene(job)
     if arrays["target"].shape != scenario.targets.shape or arrays["x"].shape[1:] != (len(robot.joint_names),):
         raise InputError(f"{folder / TRAJECTORY} is no plan of the configuration beside it; damaged")

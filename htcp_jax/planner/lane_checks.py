@@ -1,0 +1,59 @@
+"""What an engine asks about its lanes: where they are, whether they count there, whether the way there is clear."""
+
+import numpy as np
+
+from htcp_jax.planner.kernels import ADVANCE, CHECK_PATH, Measured
+from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
+from htcp_jax.planner.lanes import Lanes, gather
+from htcp_jax.planner.null_space import Anchored
+from htcp_jax.planner.programs import Kernels
+from htcp_jax.planner.tip_check import TipCheck
+from htcp_jax.scene.scenario import Scenario
+from htcp_jax.settings import Settings
+
+
+class LaneChecks:
+    """Asks the kernels. With `tip`, no target counts at which the tool's bare tip passes through a wall."""
+
+    def __init__(
+        self, kernels: Kernels, scenarios: Scenario, settings: Settings, check_paths: bool, tip: TipCheck | None
+    ):
+        self.kernels = kernels
+        self._scenarios, self._settings, self._tip = scenarios, settings, tip
+        self.of_steps = check_paths or settings.path_check == "all"  # whether joint paths are checked
+        self.of_escapes = self.of_steps or settings.path_check == "escapes"
+
+    def inputs(self, lanes: Lanes, round_: int | np.ndarray = 0) -> LaneInputs:
+        """What the kernels are told about the lanes. round_: of draws."""
+        return lane_inputs(self._scenarios, lanes.scenario, lanes.target, seed=self._settings.seed, round_=round_)
+
+    def measured(self, lanes: Lanes, x: np.ndarray) -> Measured:
+        """The lanes at configurations x (lanes, N)."""
+        return self.kernels(ADVANCE, self.inputs(lanes), x, np.zeros_like(x))
+
+    def keeps_margin(self, lanes: Lanes, here: Measured | Anchored) -> np.ndarray:
+        """Which lanes are on their target with the margin asked for."""
+        margin_m = self._scenarios.margin_m[lanes.scenario]
+        return self.kernels.task.counts(here.clearance, here.residual, margin_m)
+
+    def tip_passes(self, lanes: Lanes, x: np.ndarray, among: np.ndarray) -> np.ndarray:
+        """In which of some lanes, `among`, the tip of the tool passes through a wall at x."""
+        through = np.zeros(len(x), bool)
+        if self._tip is not None and among.any():
+            through[among] = self._tip.at(self.inputs(gather(lanes, among)), x[among])
+        return through
+
+    def at_target(self, lanes: Lanes, here: Measured | Anchored) -> np.ndarray:
+        """Which lanes count: they keep their margin on their target, and the tool's tip is out of the walls."""
+        good = self.keeps_margin(lanes, here)
+        return good & ~self.tip_passes(lanes, here.x, good)
+
+    def path_clear(self, lanes: Lanes, x: np.ndarray, asked: bool) -> np.ndarray:
+        """Whether the joint path from each lane's last target to x is clear; -1 where nobody asked."""
+        if not (asked and len(x)):
+            return np.full(len(x), -1, np.int8)
+        inputs = self.inputs(lanes)
+        clear = self.kernels(CHECK_PATH, inputs, lanes.x_previous, x)
+        if self._tip is not None:
+            clear = clear & ~self._tip.along(inputs, lanes.x_previous, x)
+        return clear.astype(np.int8)

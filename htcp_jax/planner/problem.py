@@ -1,0 +1,83 @@
+"""What a method is given to plan."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import jax
+import numpy as np
+from jaxtyping import Int
+
+from htcp_jax.clearance.obstacles import Obstacles
+from htcp_jax.clearance.scene import Scene
+from htcp_jax.clearance.tip_guard import TipGuard, make_tip_guard
+from htcp_jax.planner.plans import Plans
+from htcp_jax.planner.programs import Kernels
+from htcp_jax.scene.robot import Robot
+from htcp_jax.scene.scenario import NOT_REFUSED, Scenario
+from htcp_jax.scene.task import Task
+from htcp_jax.scene.workpiece import Workpiece
+from htcp_jax.settings import Settings
+from htcp_jax.status import Status
+
+
+def ignore(tracked: int, finished: int) -> None:
+    """Progress that nobody wants to hear of."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """S scenarios of up to T targets for one arm at one workpiece, and with what means to plan them.
+
+    progress(targets newly tracked, scenarios newly finished) may be called at any time, on any thread; what it raises
+    ends the work. After a method's `plan`, joint paths that it left unchecked are checked where `check_paths` is set.
+    """
+
+    robot: Robot  # without the scenarios' own tool extensions, see `scene.robot.lengthen_tool`
+    workpiece: Workpiece
+    scenarios: Scenario  # stacked: a leading axis of S on every leaf, numpy
+    settings: Settings
+    task: Task  # what the arm has to hold at every target
+    obstacles: Obstacles  # the workpiece's, and whatever else there is
+    devices: Sequence[jax.Device]  # of one kind
+    threads: int  # 1 or more
+    check_paths: bool = True
+    progress: Callable[[int, int], None] = ignore
+
+    @cached_property
+    def kernels(self) -> list[Kernels]:
+        """What runs kernels in this scene, one for each device."""
+        scene = Scene(self.robot, self.obstacles, self.task)
+        return [Kernels(scene, self.settings, device) for device in self.devices]
+
+    @cached_property
+    def tip_guard(self) -> TipGuard | None:
+        """The walls that the tool's bare tip must not pass through; None where it may touch anywhere."""
+        return make_tip_guard(self.workpiece)
+
+    @property
+    def open(self) -> Int[np.ndarray, "_"]:
+        """The scenarios to plan, by their place: those that were not refused beforehand."""
+        return np.flatnonzero(self.scenarios.refused == NOT_REFUSED)
+
+    def empty_plans(self) -> Plans:
+        """Plans in which nothing is attempted yet, to be filled in; those of refused scenarios say why already."""
+        targets = self.scenarios.targets
+        shape, joints = targets.shape[:2], self.scenarios.x_start.shape[1]
+        plans = Plans(
+            x=np.full((*shape, joints), np.nan),
+            tcp=np.full((*shape, 3), np.nan),
+            target=targets,
+            clearance=np.full(shape, np.nan),
+            residual=np.full(shape, np.nan),
+            status=np.full(shape, Status.NOT_ATTEMPTED, np.int8),
+            iterations=np.zeros(shape, np.int32),
+            joint_step=np.full(shape, np.nan),
+            escape=np.zeros(shape, np.int8),
+            path_clear=np.full(shape, -1, np.int8),
+            compile_s=0.0,
+            run_s=0.0,
+        )
+        refused = self.scenarios.refused != NOT_REFUSED
+        plans.status[refused, 0] = self.scenarios.refused[refused]
+        return plans

@@ -1,0 +1,37 @@
+"""What an engine writes down: targets that are tracked, and those that are lost."""
+
+import numpy as np
+
+from htcp_jax.planner.kernels import Measured
+from htcp_jax.planner.lanes import Lanes
+from htcp_jax.planner.plans import Plans
+from htcp_jax.status import Status
+
+
+class Record:
+    """Writes into the plans, and counts targets newly tracked and scenarios newly finished."""
+
+    def __init__(self, plans: Plans):
+        self._plans = plans
+        self.tracked = self.finished = 0
+
+    def track(self, lanes: Lanes, now: Measured, status: Status, escape: int, clear: np.ndarray) -> None:
+        """Every lane is at its target now; clear: see `Plans.path_clear`."""
+        s, t, plans = lanes.scenario, lanes.target, self._plans
+        plans.x[s, t], plans.tcp[s, t] = now.x, now.tcp
+        plans.clearance[s, t], plans.residual[s, t] = now.clearance, now.residual
+        plans.status[s, t], plans.escape[s, t] = status, escape
+        plans.iterations[s, t] = lanes.iteration
+        plans.joint_step[s, t] = np.linalg.norm(now.x - lanes.x_previous, axis=1)
+        plans.path_clear[s, t] = clear
+        self.tracked += len(s)
+
+    def lose(self, lanes: Lanes, reason: np.ndarray | Status) -> None:
+        """No lane came to its target, each for its reason."""
+        self._plans.status[lanes.scenario, lanes.target] = reason
+        self._plans.iterations[lanes.scenario, lanes.target] = lanes.iteration
+
+    def collide(self, lanes: Lanes) -> None:
+        """The lanes' scenarios are over before they began."""
+        self._plans.status[lanes.scenario, lanes.target] = Status.START_IN_COLLISION
+        self.finished += lanes.size

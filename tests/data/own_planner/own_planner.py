@@ -1,0 +1,78 @@
+"""A planner in a package of its own: inverse kinematics from many restarts at every target.
+
+No step QPs here. At each target the last configuration and random neighbours of it are brought onto the target; of
+those that count there, the nearest is taken. Whether the joint path there is clear is looked at afterwards, by whoever
+called (`Plans.path_clear`).
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from htcp_jax.clearance.verdict import counts
+
+import htcp_jax
+from htcp_jax.planner.plans import Plans
+from htcp_jax.planner.problem import Problem
+from htcp_jax.scene.robot import lengthen_tool
+from htcp_jax.status import Status
+
+RESTARTS, SPREAD_RAD = 64, 0.3
+
+
+@jax.jit
+def restarts(robot, obstacle, scenario, x, target, key):
+    """Configurations (RESTARTS, N) on the target, the first from x itself, with their clearance and TCP error [m]."""
+    robot = lengthen_tool(robot, scenario.tool_extension_m)
+    noise = SPREAD_RAD * jax.random.normal(key, (RESTARTS, x.shape[0])).at[0].set(0.0)
+
+    def one(x):
+        x, _ = htcp_jax.reanchor(robot, x, target, 1e-4)
+        x = jnp.clip(x, robot.lower, robot.upper)
+        error = jnp.linalg.norm(htcp_jax.tcp_position(robot, x) - target)
+        return x, htcp_jax.clearance.clearance(robot, obstacle, scenario, x), error
+
+    return jax.vmap(one)(x[None, :] + noise)
+
+
+@dataclass(frozen=True)
+class RandomRestarts:
+    """See above."""
+
+    name: str = "random-restarts"
+    title: str = "Random restarts"
+    sentence: str = "inverse kinematics from 64 random neighbours at every target, no step QPs"
+
+    def plan(self, problem: Problem) -> Plans:
+        """One scenario after the other, on one device, by one thread."""
+        plans = problem.empty_plans()
+        obstacle = htcp_jax.make_obstacle(problem.workpiece)
+        for s in problem.open:
+            scenario = jax.tree.map(lambda leaf, s=s: leaf[s], problem.scenarios)
+            self._plan_one(problem, obstacle, scenario, plans, int(s))
+            problem.progress(0, 1)
+        return plans
+
+    def _plan_one(self, problem: Problem, obstacle, scenario, plans: Plans, s: int) -> None:
+        key = jax.random.fold_in(jax.random.key(problem.settings.seed), int(scenario.number))
+        x = scenario.x_start
+        for t in range(int(scenario.count)):
+            target = scenario.targets[t]
+            found = restarts(problem.robot, obstacle, scenario, x, target, jax.random.fold_in(key, t))
+            around, clearance, error = map(np.asarray, found)
+            good = counts(clearance, error, scenario.margin_m, problem.settings.tolerance_m)
+            if not good.any():
+                plans.status[s, t] = Status.ESCAPE_EXHAUSTED
+                return
+            step = np.where(good, np.linalg.norm(around - x, axis=1), np.inf)
+            best = int(np.argmin(step))
+            x = around[best]
+            plans.status[s, t] = Status.TRACKED
+            plans.x[s, t], plans.joint_step[s, t] = x, step[best]
+            plans.tcp[s, t] = htcp_jax.tcp_position(lengthen_tool(problem.robot, scenario.tool_extension_m), x)
+            plans.clearance[s, t], plans.residual[s, t] = clearance[best], error[best]
+            problem.progress(1, 0)
+
+
+RANDOM_RESTARTS = RandomRestarts()

@@ -1,0 +1,173 @@
+"""Plans made backwards: which chain is taken, what its rows say, and that nobody waits for it."""
+
+from typing import NamedTuple
+
+import made_once
+import numpy as np
+import pytest
+
+from htcp_jax.planner.backwards import BackwardPlans
+from htcp_jax.planner.batch import plan
+from htcp_jax.planner.kernels import Measured
+from htcp_jax.planner.lane_checks import LaneChecks
+from htcp_jax.planner.lanes import Lanes, concatenate, gather, new_lanes
+from htcp_jax.planner.methods import BUILT_IN
+from htcp_jax.planner.null_space import Anchored
+from htcp_jax.planner.plans import Plans, is_tracked
+from htcp_jax.planner.programs import Kernels
+from htcp_jax.planner.record import Record
+from htcp_jax.planner.stages import Escapes
+from htcp_jax.scene.scenario import make_scenario
+from htcp_jax.settings import Settings
+from htcp_jax.status import Status
+
+DRAWN = 3  # postures of a round, in the toy below
+HYBRID = BUILT_IN[-1]
+
+
+class Inputs(NamedTuple):
+    lanes: Lanes
+    round: np.ndarray
+
+
+class Toy(LaneChecks):
+    """An arm of one joint whose posture has a name: x = 100 scenario + 10 round + number of the draw. A push adds 0.1.
+
+    good(x, row): whether posture x counts at a row; clear(x): whether the chain of it is clear.
+    """
+
+    def __init__(self, good, clear):
+        self._good, self._clear, self.calls = good, clear, []
+
+    def inputs(self, lanes: Lanes, round_=0) -> Inputs:
+        return Inputs(lanes, np.broadcast_to(round_, lanes.scenario.shape))
+
+    def kernels(self, kernel, inputs: Inputs, *tables) -> Anchored:
+        self.calls.append((kernel.name, inputs.lanes.scenario.tolist(), inputs.lanes.target.tolist()))
+        if kernel.name == "draw":
+            name = 100.0 * inputs.lanes.scenario + 10.0 * inputs.round
+            x = (name[:, None] + np.arange(DRAWN))[:, :, None]
+        else:
+            x = tables[0] + 0.1
+        return Anchored(x, np.ones(x.shape[:-1]), np.zeros(x.shape[:-1]))
+
+    def at_target(self, lanes: Lanes, here: Anchored) -> np.ndarray:
+        return np.array([self._good(int(x), row) for x, row in zip(here.x[:, 0], lanes.target, strict=True)], bool)
+
+    def path_clear(self, lanes: Lanes, x: np.ndarray, asked: bool) -> np.ndarray:
+        return np.array([self._clear(int(one)) for one in x[:, 0]], np.int8)
+
+    def measured(self, lanes: Lanes, x: np.ndarray) -> Measured:
+        linear = new_lanes(1, np.zeros(len(x)), 0, x, x).linear
+        return Measured(x, linear, np.ones(len(x)), np.zeros(len(x)))
+
+
+def lost(*targets: int) -> Lanes:
+    """Scenarios 0, 1, ... that have lost these targets after seven step QPs each."""
+    x = np.zeros((len(targets), 1))
+    lanes = new_lanes(1, np.arange(len(targets)), np.array(targets), x, x)
+    return lanes._replace(iteration=np.full_like(lanes.iteration, 7))
+
+
+def empty(scenarios: int, rows: int) -> Plans:
+    """Plans in which nothing is tracked, of an arm with one joint."""
+    shape = scenarios, rows
+    reals = {name: np.full(shape, np.nan) for name in ("clearance", "residual", "joint_step")}
+    whole = {name: np.zeros(shape, np.int32) for name in ("iterations", "escape", "path_clear")}
+    places = {"x": np.full((*shape, 1), np.nan), "tcp": np.zeros((*shape, 3)), "target": np.zeros((*shape, 3))}
+    known = {"status": np.full(shape, Status.NOT_ATTEMPTED), "compile_s": 0.0, "run_s": 0.0}
+    return Plans(**{name: value for name, value in {**reals, **whole, **places, **known}.items()})
+
+
+def planned_backwards(toy: Toy, lanes: Lanes, postures: int = 2) -> tuple[Plans, Record, dict[int, Lanes], int]:
+    """What becomes of lost lanes: the plans, what was counted, where scenarios go on, and rounds of the engine."""
+    count = int(lanes.scenario.max()) + 1
+    plans = empty(count, 6)
+    record, found, rounds = Record(plans), {}, 0
+    backwards = BackwardPlans(
+        toy, record, Escapes(replan_backwards=True), Settings(postures=postures), np.full((count, 1), -1.0)
+    )
+    replanned = backwards.begin(lanes)
+    while replanned.going.size:
+        rounds += 1
+        table, going = replanned.going, []
+        for phase in np.unique(table.phase):
+            replanned = backwards.advance(gather(table, table.phase == phase), int(phase))
+            going.append(replanned.going)
+            found |= {int(s): gather(replanned.found, [k]) for k, s in enumerate(replanned.found.scenario)}
+        replanned = replanned._replace(going=concatenate(going))
+    return plans, record, found, rounds
+
+
+def test_the_clearest_chain_whose_paths_are_clear_replaces_the_rows_so_far():
+    """Draw 0 ends at row 1, draw 1 is blocked, draw 2 goes all the way."""
+    toy = Toy(good=lambda x, row: not (x == 0 and row == 1), clear=lambda x: x == 2)
+    plans, record, found, _ = planned_backwards(toy, lost(3))
+    np.testing.assert_allclose(plans.x[0, :4, 0], [2.3, 2.2, 2.1, 2.0])
+    np.testing.assert_allclose(plans.joint_step[0, :4], [3.3, 0.1, 0.1, 0.1])  # the first from the given start, -1
+    np.testing.assert_array_equal(plans.status[0], [Status.TRACKED_AFTER_ESCAPE] * 4 + [Status.NOT_ATTEMPTED] * 2)
+    np.testing.assert_array_equal(plans.iterations[0, :4], [0, 0, 0, 7])
+    np.testing.assert_array_equal(plans.escape[0, :4], 1)  # without a stage, one beyond the last is the first
+    np.testing.assert_array_equal(plans.path_clear[0, :4], 1)
+    assert found[0].target == 3 and record.tracked == 1  # the three before it were tracked already
+
+
+def test_when_a_round_leads_nowhere_there_is_another_and_after_the_last_the_target_is_lost():
+    toy = Toy(good=lambda x, row: x >= 10, clear=lambda x: True)
+    plans, _, found, _ = planned_backwards(toy, lost(2))
+    np.testing.assert_allclose(plans.x[0, :3, 0], [10.2, 10.1, 10.0])
+    for rounds in (0, 1):
+        plans, record, found, _ = planned_backwards(toy, lost(2), postures=rounds)
+        assert not found and np.isnan(plans.x).all() and record.tracked == 0
+
+
+def test_the_first_target_itself_can_be_lost():
+    _, record, found, _ = planned_backwards(Toy(lambda x, row: True, lambda x: True), lost(0))
+    assert found[0].target == 0 and record.tracked == 1
+
+
+def test_scenarios_advance_together_and_each_comes_to_what_it_does_alone():
+    """Calls are shared, and the longest way back takes all the rounds that there are."""
+
+    def toy():
+        return Toy(good=lambda x, row: x % 10 != 1 or row > 1, clear=lambda x: x % 100 >= 10 or x >= 200)
+
+    together, _, _, rounds = planned_backwards(both := toy(), lost(4, 2, 3))
+    alone = [planned_backwards(toy(), gather(lost(4, 2, 3), [k]))[3] for k in range(3)]
+    assert rounds == max(alone)
+    assert any(name == "push" and len(set(scenarios)) == 3 for name, scenarios, _ in both.calls)
+    assert any(name == "draw" and scenarios == [0, 1, 2] for name, scenarios, _ in both.calls)
+    tracked = is_tracked(together.status).sum(axis=1)
+    np.testing.assert_array_equal(tracked, [5, 3, 4])
+
+
+@pytest.fixture(scope="module")
+def crossed():
+    """Two poses of the workpiece sweep: at the first, hybrid plans backwards; at the second it need not."""
+    arm, duct = made_once.robot(), made_once.duct()
+    poses = {1: (0.2, -0.2), 2: (0.2, -0.1)}  # by their number in the sweep
+    return arm, duct, [make_scenario(arm, duct, made_once.START, rotation=at, number=k) for k, at in poses.items()]
+
+
+@pytest.mark.slow
+def test_a_plan_made_backwards_says_so_and_holds_up_nobody(crossed, monkeypatch):
+    """In real plans: the rows of the chain by their name and counts; and step QPs of others between its pushes."""
+    run, calls = Kernels.__call__, []
+
+    def followed(self, kernel, inputs, *tables):
+        calls.append((kernel.name, set(np.asarray(inputs.number).tolist())))
+        return run(self, kernel, inputs, *tables)
+
+    monkeypatch.setattr(Kernels, "__call__", followed)
+    *scene, scenarios = crossed
+    plans = plan(*scene, scenarios, "hybrid", threads=1)
+    back = plans.escape == HYBRID.backwards
+    assert back[0].sum() > 50 and not back[1].any() and HYBRID.backwards == 3
+    last = np.flatnonzero(back[0])[-1]
+    assert (plans.iterations[0, :last] == 0).all() and plans.iterations[0, last] > 0
+    assert (plans.status[back] == Status.TRACKED_AFTER_ESCAPE).all() and (plans.path_clear[back] == 1).all()
+    x = np.concatenate([[scenarios[0].x_start], plans.x[0]])
+    np.testing.assert_allclose(plans.joint_step[0], np.linalg.norm(np.diff(x, axis=0), axis=1))
+    pushes = [k for k, (name, _) in enumerate(calls) if name == "push"]
+    between = [numbers for name, numbers in calls[pushes[0] : pushes[-1]] if name == "prepare"]
+    assert any(2 in numbers for numbers in between)

@@ -1,0 +1,198 @@
+"""A planner in a package of its own is known wherever a built-in one is: to commands, to Ray's workers, in files."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import htcp_jax
+from htcp_jax.errors import InputError
+from htcp_jax.planner import registry
+from htcp_jax.planner.plans import Plans
+from htcp_jax.planner.problem import Problem
+from htcp_jax.planner.step_qps import StepQPs
+
+ROOT = Path(__file__).parents[1]
+SOURCE = ROOT / "tests" / "data" / "own_planner"
+NAME = "random-restarts"
+HTCP = "from htcp_jax.cli.main import main; raise SystemExit(main())"
+TWO_WORKERS = "import ray; ray.init('local', num_cpus=2, include_dashboard=False, log_to_driver=False); "
+JOB = "workpiece: {path: path.csv}\n"
+GRID = "config: job.yaml\ngrid:\n  - workpiece.rotation_z_rad: [0.1, 0.2]\n  - robot.tool_extension_m: [0.0, 0.01]\n"
+
+
+def install(target: Path, points: dict[str, str], package: str, *modules: Path) -> Path:
+    """What an installer leaves of a package with entry points in the folder `target`."""
+    target.mkdir(exist_ok=True)
+    for module in modules:
+        shutil.copy(module, target)
+    info = target / f"{package.replace('-', '_')}-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+    lines = "\n".join(f"{name} = {value}" for name, value in points.items())
+    (info / "entry_points.txt").write_text(f"[{registry.GROUP}]\n{lines}\n")
+    return target
+
+
+def installed(target: Path) -> Path:
+    """The example package, as its pyproject.toml says."""
+    project = tomllib.loads((SOURCE / "pyproject.toml").read_text())
+    modules = [SOURCE / f"{name}.py" for name in project["tool"]["setuptools"]["py-modules"]]
+    return install(target, project["project"]["entry-points"][registry.GROUP], project["project"]["name"], *modules)
+
+
+class Place:
+    """A working folder, and commands run in it by a Python that has some more packages."""
+
+    def __init__(self, folder: Path, *packages: Path):
+        self.folder = folder
+        (folder / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n")
+        (folder / "job.yaml").write_text(JOB)
+        (folder / "grid.yaml").write_text(GRID)
+        self._environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, (*packages, ROOT)))}
+
+    def start(self, *words: str, before: str = "") -> subprocess.Popen:
+        command = [sys.executable, "-c", before + HTCP, *words]
+        pipe = subprocess.PIPE
+        return subprocess.Popen(command, cwd=self.folder, env=self._environment, stdout=pipe, stderr=pipe, text=True)
+
+    def run(self, *words: str, before: str = "") -> tuple[int, str, str]:
+        """The exit code, and what stdout and stderr got."""
+        process = self.start(*words, before=before)
+        out, err = process.communicate()
+        return process.returncode, out, err
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory) -> Place:
+    folder = tmp_path_factory.mktemp("own")
+    return Place(folder, installed(folder / "packages"))
+
+
+@pytest.mark.slow
+def test_it_is_listed_planned_checked_drawn_and_shown(place):
+    code, out, err = place.run("methods", "--json")
+    assert code == 0, err
+    assert NAME in [row["method"] for row in json.loads(out)]
+    assert place.run("plan", "job.yaml", "--method", NAME, "--out", "plan", "--json")[0] in (0, 3)
+    code, out, err = place.run("validate", "plan", "--json")
+    assert code == 0, err
+    assert json.loads((place.folder / "plan" / "summary.json").read_text())["tracked"] > 5
+    code, _, err = place.run("render", "plan", "--movie", "none", "--width", "320", "--out", "pictures")
+    assert code == 0, err
+    assert list((place.folder / "pictures").glob(f"*{NAME}*"))
+
+
+@pytest.mark.slow
+def test_it_is_shown_in_the_browser(place):
+    pytest.importorskip("viser", reason="the extra `view` is not installed")
+    process = place.start("view", "job.yaml", "--method", NAME, "--port", "0")
+    try:
+        assert "viewer  http" in process.stdout.readline()
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.slow
+def test_it_sweeps_on_ray_as_it_does_here(place):
+    pytest.importorskip("ray", reason="Ray is an extra: pip install 'htcp_jax[ray]'")
+    words = "sweep", "grid.yaml", "--methods", f"baseline,{NAME}", "--shard", "1"
+    assert place.run(*words, "--out", "here")[0] == 0
+    code, _, err = place.run(*words, "--out", "ray", "--on", "ray", before=TWO_WORKERS)
+    assert code == 0, err
+    here, ray = (
+        {file.name: file.read_bytes() for file in (place.folder / out / "targets").glob("*.parquet")}
+        for out in ("here", "ray")
+    )
+    assert here == ray and len(here) == 2 * 4
+    code, _, err = place.run("validate", "ray")
+    assert code == 0, err
+    assert place.run("report", "ray", "--out", "report")[0] == 0
+    assert "Random restarts" in (place.folder / "report" / "report.html").read_text()
+    # Where the package is not, what it planned can still be looked at.
+    assert htcp_jax.open_run(place.folder / "ray").plans(NAME).status.shape[0] == 4
+
+
+@pytest.mark.slow
+def test_what_cannot_be_imported_is_one_line_and_breaks_nothing_else(tmp_path):
+    (tmp_path / "broken_planner.py").write_text("import no_such_module\n")
+    points = {"broken": "broken_planner:PLANNER", "baseline": "broken_planner:OTHER"}
+    place = Place(tmp_path, install(tmp_path / "packages", points, "broken-package", tmp_path / "broken_planner.py"))
+    code, out, err = place.run("methods")
+    assert code == 0 and "hybrid" in out
+    line = "the method 'broken' (entry point broken_planner:PLANNER of package broken-package) cannot be imported"
+    assert line in " ".join(err.split())
+    assert "'baseline' (entry point broken_planner:OTHER of package broken-package) is left out" in " ".join(
+        err.split()
+    )
+    code, _, err = place.run("plan", "job.yaml", "--method", "broken")
+    assert code == 2 and line in err and "No module named 'no_such_module'" in err and "Traceback" not in err
+    assert place.run("plan", "job.yaml", "--method", "baseline", "--out", "out")[0] == 0
+
+
+# Registered in this process
+
+
+class Standstill:
+    """A planner that does not plan."""
+
+    name, title, sentence = "standstill", "Standstill", "nothing at all"
+
+    def plan(self, problem: Problem) -> Plans:
+        return problem.empty_plans()
+
+
+@pytest.fixture
+def standstill():
+    yield htcp_jax.register(Standstill())
+    registry.unregister("standstill")
+
+
+def test_a_method_of_this_process_plans_and_is_listed(standstill, tmp_path):
+    (tmp_path / "path.csv").write_text("0.1857,-0.1737,0.1708\n")
+    job = {"workpiece": {"path": str(tmp_path / "path.csv")}}
+    plan = htcp_jax.plan(job, method="standstill")
+    assert plan.summary.tracked == 0 and np.isnan(plan.plans.x).all()
+    assert "standstill" in htcp_jax.methods().index
+    htcp_jax.register(standstill)  # the same one again, as a notebook does
+    with pytest.raises(InputError, match="method 'standstill' is registered in this process alone"):
+        htcp_jax.sweep({"grid": [{"margin_m": [0.0]}]}, "standstill", config=job, on="ray")
+
+
+@pytest.mark.parametrize(
+    ("method", "line"),
+    [
+        (StepQPs("baseline", "Mine", "the same name"), "cannot register 'baseline': there is a method of that name"),
+        (StepQPs("My_planner", "Mine", "a name that no file has"), "small letters, digits and hyphens"),
+        (StepQPs("mine", "", "no title"), "it has no title"),
+        (Standstill, "it is a class"),
+        (object(), "it has no name"),
+    ],
+)
+def test_what_is_no_method_is_not_registered(method, line):
+    with pytest.raises(InputError, match=line):
+        htcp_jax.register(method)
+
+
+def test_plans_of_other_scenarios_are_refused(monkeypatch, standstill, tmp_path):
+    monkeypatch.setattr(Standstill, "plan", lambda self, problem: None)
+    (tmp_path / "path.csv").write_text("0.1857,-0.1737,0.1708\n")
+    with pytest.raises(InputError, match="method 'standstill' returned no Plans of 1 scenarios with 12 targets"):
+        htcp_jax.plan({"workpiece": {"path": str(tmp_path / "path.csv")}}, method="standstill")
+
+
+def test_nothing_is_imported_before_a_name_is_looked_up():
+    """Reading a configuration needs no planner."""
+    code = (
+        "import sys, htcp_jax.jobs.config, htcp_jax.planner.registry; "
+        "loaded = [name for name in sys.modules if name.startswith('htcp_jax.planner.')]; "
+        "assert loaded == ['htcp_jax.planner.registry'], loaded"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, env=os.environ | {"PYTHONPATH": str(ROOT)})
