@@ -58,7 +58,7 @@ _HOME = {
     "make_obstacle": "clearance.of_workpiece",
     "clearance": "clearance",
     "clearances": "clearance.obstacles",
-    "linearise": "clearance.scene",
+    "linearise": "clearance.linearisation",
     "null_basis": "numerics",
     "reanchor": "scene.inverse_kinematics",
     "null_space_objective": "planner.null_space",

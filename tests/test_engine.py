@@ -14,8 +14,9 @@ from htcp_jax.planner import step_qps
 from htcp_jax.planner.batch import plan
 from htcp_jax.planner.candidates import nearest
 from htcp_jax.planner.kernel import STEP, Kernel
-from htcp_jax.planner.kernels import ADVANCE, CHECK_PATH, ENTER, PREPARE
+from htcp_jax.planner.kernels import ADVANCE, CHECK_PATH, PREPARE
 from htcp_jax.planner.lane_inputs import lane_inputs
+from htcp_jax.planner.posture_kernels import ENTER
 from htcp_jax.planner.programs import PROGRAMS, Kernels, Programs
 from htcp_jax.scene.robot_file import gp50
 from htcp_jax.scene.scenario import make_scenario, stack
@@ -217,7 +218,7 @@ def test_a_qp_that_breaks_down_fails_its_scenario_and_no_other(scene, scenarios,
     whole = plan(*scene, scenarios[:3], "baseline", PAPER)
     # Target 1 of scenario 1 is where its first real step goes.
     Broken.victim = scenarios[1].targets[1] - whole.tcp[1, 0]
-    monkeypatch.setattr(step_qps, "make_solver", lambda s, joints, rows: Broken(2 * np.array(s.q_weights), rows))
+    monkeypatch.setattr(step_qps, "make_solver", lambda s, joints, rows, *_: Broken(2 * np.array(s.q_weights), rows))
     broken = plan(*scene, scenarios[:3], "baseline", PAPER)
     same(broken, whole, [0, 2], [0, 2])
     assert broken.status[1, 1] == Status.QP_FAILED

@@ -11,7 +11,8 @@ import stranger_jobs
 import trimesh
 
 from htcp_jax.clearance.contact_model import hold_contacts, predict_distances
-from htcp_jax.clearance.obstacles import all_clear, clearance, clearances, contacts, is_clear, rows_of
+from htcp_jax.clearance.obstacle import rows_of
+from htcp_jax.clearance.obstacles import all_clear, clearance, clearances, contacts, is_clear
 from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError

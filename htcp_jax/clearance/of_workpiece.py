@@ -5,7 +5,7 @@ from functools import lru_cache
 from htcp_jax.clearance.cloud import cloud_of
 from htcp_jax.clearance.half_spaces import half_spaces
 from htcp_jax.clearance.interior import Interior
-from htcp_jax.clearance.obstacles import Obstacles
+from htcp_jax.clearance.obstacle import Obstacles
 from htcp_jax.scene.workpiece import Workpiece
 
 

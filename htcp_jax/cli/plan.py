@@ -10,6 +10,7 @@ from rich.text import Text
 
 from htcp_jax.api import Plan, checked_scene, forget_validation, plan_job
 from htcp_jax.cli.methods import complete_method
+from htcp_jax.cli.options import Overrides
 from htcp_jax.cli.output import Device, Json, print_facts, print_json, stdout
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.load_config import load_config
@@ -26,9 +27,6 @@ Config = Annotated[Path | None, typer.Argument(metavar="CONFIG.yaml", help="The 
 Method = Annotated[
     str | None,
     typer.Option(metavar="NAME", help="A planner; htcp methods lists them.", autocompletion=complete_method),
-]
-Overrides = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key; may be repeated.")
 ]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.")]
 

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.clearance.obstacles import Obstacles, contacts
+from htcp_jax.clearance.obstacle import Obstacles
+from htcp_jax.clearance.obstacles import contacts
 from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.planner.chunks import chunked

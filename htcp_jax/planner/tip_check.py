@@ -3,25 +3,38 @@
 The tip is no body: it has to come near the wall, and what it may touch there is the job's to say (`tip_guard`).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
+from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.clearance.tip_guard import TipGuard
-from htcp_jax.planner.kernels import TIP
+from htcp_jax.numerics import product
+from htcp_jax.planner.kernel import STEP, Kernel
 from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.planner.programs import Kernels
+from htcp_jax.scene.kinematics import tip_segment
+from htcp_jax.settings import Settings
 
 PLACES = 100  # of a joint path at which its tip is looked at
+
+
+def tip(settings: Settings, scene: Scene, lane: LaneInputs, x):
+    """The tool's bare tip at x in the workpiece's frame, from the last body to the TCP."""
+    rotate, translate = lane.T_world_workpiece[:3, :3], lane.T_world_workpiece[:3, 3]
+    return product(tip_segment(own_scene(scene, lane.tool_extension_m).robot, x) - translate[None, :], rotate)
+
+
+TIP = Kernel("tip", tip, STEP)
 
 
 class TipCheck(NamedTuple):
     """The kernels that say where the tip is, and the walls that it must not pass through."""
 
-    kernels: Callable[..., np.ndarray]  # by name, see `programs.Kernels`
+    kernels: Kernels
     guard: TipGuard
 
     def at(self, inputs: LaneInputs, x: Float[np.ndarray, "n N"]) -> Bool[np.ndarray, "n"]:
