@@ -6,15 +6,16 @@
     python -m benchmarks cross             125 starts x 49 poses by the baseline and N-space SQP
     python -m benchmarks peers             other planners on the same task (pip install -e '.[peers]')
     python -m benchmarks baseline-margin OUT.png
+    python -m benchmarks shape             of the source: sizes, depth of imports, docstrings; other checkouts beside it
 
-Options follow the case: --help shows them. Nothing else should run on the machine. RESULTS.md beside this file has the
-numbers measured so far.
+Options follow the case: --help shows them. Nothing else should run on the machine while times are taken. RESULTS.md
+beside this file has the numbers measured so far.
 """
 
 import importlib
 import sys
 
-CASES = ("clearance", "step-qps", "tables", "cross", "peers", "baseline-margin")
+CASES = ("clearance", "step-qps", "tables", "cross", "peers", "baseline-margin", "shape")
 
 
 def main() -> int:

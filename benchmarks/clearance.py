@@ -17,10 +17,12 @@ import numpy as np
 
 from benchmarks import hardware
 from htcp_jax.clearance.cloud_tree import build_index
-from htcp_jax.clearance.obstacles import Obstacles, all_clear, clearance, make_obstacle
-from htcp_jax.clearance.scene import linearise
+from htcp_jax.clearance.linearisation import linearise
+from htcp_jax.clearance.obstacle import Obstacles
+from htcp_jax.clearance.obstacles import all_clear, clearance
+from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.jobs.build import scene
-from htcp_jax.jobs.config import load_config
+from htcp_jax.jobs.load_config import load_config
 from htcp_jax.planner import compile_cache
 from htcp_jax.planner.batch import plan
 from htcp_jax.scene.kinematics import capsule_segments

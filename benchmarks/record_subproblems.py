@@ -19,9 +19,9 @@ from htcp_jax.planner import compile_cache
 from htcp_jax.planner.batch import plan
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.kinematics import jacobian
-from htcp_jax.scene.robot import gp50
+from htcp_jax.scene.robot_file import gp50
 from htcp_jax.scene.scenario import make_scenario, stack
-from htcp_jax.scene.workpiece import load_workpiece
+from htcp_jax.scene.workpiece_file import load_workpiece
 from htcp_jax.settings import Settings
 
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)

@@ -11,7 +11,8 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from htcp_jax.jobs.build import scene
-from htcp_jax.jobs.config import PlanConfig, load_config
+from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.jobs.load_config import load_config
 from htcp_jax.notebook import html_facts
 from htcp_jax.planner import batch, registry
 from htcp_jax.planner.obstruction import Obstruction, blocked_target, obstruction

@@ -51,6 +51,7 @@ def capsule_point_distance(
 ) -> Float[Array, "*batch"]:
     """Distance [m] from `point` to the capsule of that radius about the segment from p to q; negative inside.
 
+    To the closest point of the segment: Ericson, Real-Time Collision Detection, section 5.1.2.
     A sphere has p == q. The gradient is defined everywhere: 0 for a point on the capsule's own axis, and where
     p == q that of the sphere about p. Raises InputError for what is no point or points in its last axis.
 

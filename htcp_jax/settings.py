@@ -31,7 +31,7 @@ class Settings:
     inner_iterations: int = 20  # step QPs at one target before it counts as stuck
     tolerance_m: float = 1e-3  # a target is reached at this TCP error or less; also xi of the re-anchoring
     qp: str = "clarabel"  # solver: clarabel, device, or qpsolvers:<name>
-    qp_tolerance: float = 1e-8  # of Clarabel's residuals and gap; at margin 0 it decides what gets stuck
+    qp_tolerance: float = 1e-8  # of Clarabel's residuals and gap, no unit; at margin 0 it decides what gets stuck
 
     # Null space, equations (10) and (11)
     alpha_rad: float = 0.1  # length of a null-space step

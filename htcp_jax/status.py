@@ -50,3 +50,8 @@ _MESSAGES = {
     Status.NO_NULL_SPACE: "the step QPs are stuck, and the task leaves no null space to escape in",
     Status.TIP_BLOCKED: "the arm is clear there, but the bare end of the tool passes through the wall",
 }
+
+
+def words(status: Status) -> str:
+    """The name of a status as text."""
+    return status.name.replace("_", " ").lower().replace("qp", "QP")

@@ -26,7 +26,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import htcp_jax
-from htcp_jax.clearance.obstacles import clearances, make_obstacle
+from htcp_jax.clearance.obstacles import clearances
+from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.numerics import null_basis
 from htcp_jax.planner.null_space import Stuck, anchor, sphere_problem

@@ -11,7 +11,7 @@ import made_once
 import numpy as np
 from scipy.optimize import BFGS, NonlinearConstraint, minimize
 
-from htcp_jax.clearance.scene import linearise
+from htcp_jax.clearance.linearisation import linearise
 from htcp_jax.planner.null_space import sphere_problem
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import sphere

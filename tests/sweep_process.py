@@ -6,7 +6,7 @@ import sys
 import time
 from pathlib import Path
 
-from htcp_jax.runs.run_folder import MANIFEST
+from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.sweep import sweep
 
 GRID = """

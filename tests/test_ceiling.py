@@ -4,13 +4,14 @@ import jax
 import numpy as np
 import pytest
 
-from htcp_jax.clearance.obstacles import clearance, make_obstacle
+from htcp_jax.clearance.obstacles import clearance
+from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.cli.main import main
 from htcp_jax.planner.reachability import ceiling
 from htcp_jax.scene.kinematics import tcp_position
-from htcp_jax.scene.robot import gp50
+from htcp_jax.scene.robot_file import gp50
 from htcp_jax.scene.scenario import make_scenario, stack
-from htcp_jax.scene.workpiece import load_workpiece
+from htcp_jax.scene.workpiece_file import load_workpiece
 
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
 

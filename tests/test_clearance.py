@@ -10,8 +10,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from htcp_jax.clearance.obstacles import all_clear, clearance, clearances, contacts, is_clear, make_obstacle
-from htcp_jax.clearance.scene import linearise
+from htcp_jax.clearance.linearisation import linearise
+from htcp_jax.clearance.obstacles import all_clear, clearance, clearances, contacts, is_clear
+from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.scene.kinematics import capsule_segments
 from htcp_jax.scene.robot import GP50, lengthen_tool
 from htcp_jax.scene.scenario import make_scenario

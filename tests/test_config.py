@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import PlanConfig, load_config
+from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.jobs.load_config import load_config
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 

@@ -8,17 +8,19 @@ import made_once
 import numpy as np
 import pytest
 
-from htcp_jax.clearance.obstacles import make_obstacle
+from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.planner import step_qps
 from htcp_jax.planner.batch import plan
 from htcp_jax.planner.candidates import nearest
 from htcp_jax.planner.kernel import STEP, Kernel
-from htcp_jax.planner.kernels import ADVANCE, CHECK_PATH, ENTER, PREPARE, lane_inputs
+from htcp_jax.planner.kernels import ADVANCE, CHECK_PATH, PREPARE
+from htcp_jax.planner.lane_inputs import lane_inputs
+from htcp_jax.planner.posture_kernels import ENTER
 from htcp_jax.planner.programs import PROGRAMS, Kernels, Programs
-from htcp_jax.scene.robot import gp50
+from htcp_jax.scene.robot_file import gp50
 from htcp_jax.scene.scenario import make_scenario, stack
-from htcp_jax.scene.workpiece import load_workpiece
+from htcp_jax.scene.workpiece_file import load_workpiece
 from htcp_jax.settings import Settings
 from htcp_jax.solvers.clarabel_ import ClarabelSolver
 from htcp_jax.solvers.step_qp import QPSolution, QPStatus
@@ -216,7 +218,7 @@ def test_a_qp_that_breaks_down_fails_its_scenario_and_no_other(scene, scenarios,
     whole = plan(*scene, scenarios[:3], "baseline", PAPER)
     # Target 1 of scenario 1 is where its first real step goes.
     Broken.victim = scenarios[1].targets[1] - whole.tcp[1, 0]
-    monkeypatch.setattr(step_qps, "make_solver", lambda s, joints, rows, _: Broken(2 * np.array(s.q_weights), rows))
+    monkeypatch.setattr(step_qps, "make_solver", lambda s, joints, rows, *_: Broken(2 * np.array(s.q_weights), rows))
     broken = plan(*scene, scenarios[:3], "baseline", PAPER)
     same(broken, whole, [0, 2], [0, 2])
     assert broken.status[1, 1] == Status.QP_FAILED

@@ -11,7 +11,7 @@ import pytest
 from sphere_references import place
 
 from htcp_jax.clearance.obstacles import clearance, clearances, contacts, is_clear
-from htcp_jax.planner.kernels import LaneInputs
+from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.planner.methods import BUILT_IN
 from htcp_jax.planner.null_space import (
     Stuck,

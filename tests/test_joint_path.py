@@ -13,7 +13,7 @@ from htcp_jax.clearance.joint_path import RESOLUTION_M, motion_bound, path_clear
 from htcp_jax.clearance.obstacles import clearance
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.scene.kinematics import capsule_segments
-from htcp_jax.scene.robot import load_robot
+from htcp_jax.scene.robot_file import load_robot
 from htcp_jax.settings import Settings
 
 SAMPLES = Settings(path_test="samples")

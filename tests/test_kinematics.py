@@ -11,7 +11,8 @@ import pytest
 from mujoco import mjx
 
 from htcp_jax.scene import kinematics
-from htcp_jax.scene.robot import GP50, Robot, gp50, load_robot
+from htcp_jax.scene.robot import GP50, Robot
+from htcp_jax.scene.robot_file import gp50, load_robot
 
 DUCT = Path(__file__).parents[2] / "shared" / "data" / "duct"
 

@@ -13,6 +13,7 @@ from htcp_jax.jobs.build import robot_of, scene
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.planner import batch
 from htcp_jax.planner.plans import is_tracked
+from htcp_jax.report.cell import RunScene
 from htcp_jax.report.groups import read_parts
 from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.sweep import sweep
@@ -122,7 +123,7 @@ def test_it_is_validated_with_each_scenario_s_own_robot_and_workpiece(place, run
 
 
 def test_the_report_has_the_axes(place, run):
-    (part,) = read_parts(run, "mixed")
+    (part,) = read_parts(run, "mixed", RunScene(run))
     assert list(part.axes) == ["start_j2_rad", "robot.model", "workpiece.cloud"]
     assert part.parameters["settings.inner_iterations"].tolist() == [20, 20, 30, 30] * 2
     assert main(["report", str(place / "run"), "--out", str(place / "report")]) == 0

@@ -8,8 +8,8 @@ from hand_made import plans_with
 from made_once import START, robot
 from made_plan import made_plan
 
-from htcp_jax.clearance.obstacles import make_obstacle
-from htcp_jax.planner.kernels import lane_inputs
+from htcp_jax.clearance.of_workpiece import make_obstacle
+from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.obstruction import blocked_target, obstruction, obstructions
 from htcp_jax.scene.duct import duct_cloud, weld
 from htcp_jax.scene.kinematics import capsule_segments, tcp_position

@@ -9,9 +9,9 @@ from test_qp import WEIGHTS, batch, infeasible, random_batch
 
 from htcp_jax.planner import step_qps
 from htcp_jax.planner.batch import plan
-from htcp_jax.scene.robot import gp50
+from htcp_jax.scene.robot_file import gp50
 from htcp_jax.scene.scenario import make_scenario, stack
-from htcp_jax.scene.workpiece import load_workpiece
+from htcp_jax.scene.workpiece_file import load_workpiece
 from htcp_jax.settings import Settings
 from htcp_jax.solvers.active_set import solve_step
 from htcp_jax.solvers.by_name import make_solver

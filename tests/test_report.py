@@ -12,10 +12,11 @@ from hand_made import plans_with
 
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import load_config
+from htcp_jax.jobs.load_config import load_config
 from htcp_jax.planner import batch
 from htcp_jax.report import paper, tables
 from htcp_jax.report.best import best
+from htcp_jax.report.cell import RunScene
 from htcp_jax.report.chapter import choice, facts, label, presets
 from htcp_jax.report.document import Column, Heading, Table, html, markdown
 from htcp_jax.report.groups import read_parts
@@ -77,7 +78,8 @@ def folder(tmp_path_factory):
 
 
 def part_of(folder, name: str):
-    (part,) = read_parts(open_run(folder / name), name)
+    run = open_run(folder / name)
+    (part,) = read_parts(run, name, RunScene(run))
     return part
 
 

@@ -17,7 +17,7 @@ from htcp_jax.runs.plan_folder import (
     written_whole,
 )
 from htcp_jax.runs.summary import summarise
-from htcp_jax.scene.robot import gp50
+from htcp_jax.scene.robot_file import gp50
 from htcp_jax.status import Status
 
 PLANS = plans_with([[Status.TRACKED, Status.ESCAPE_EXHAUSTED, Status.NOT_ATTEMPTED]], joints=6)

@@ -10,7 +10,8 @@ import pytest
 
 from htcp_jax.errors import InputError
 from htcp_jax.scene import kinematics
-from htcp_jax.scene.robot import Robot, gp50, lengthen_tool, load_robot
+from htcp_jax.scene.robot import Robot, lengthen_tool
+from htcp_jax.scene.robot_file import gp50, load_robot
 from htcp_jax.validation.mujoco_arm import Arm
 
 # Standard DH of the GP50: d, a, alpha; and its capsules: frame, p, q, radius.

@@ -10,10 +10,11 @@ import trimesh
 
 from htcp_jax.clearance.tip_guard import TipGuard, Triangles, make_tip_guard
 from htcp_jax.jobs.build import robot_of, workpiece_of
-from htcp_jax.jobs.config import load_config
+from htcp_jax.jobs.load_config import load_config
 from htcp_jax.scene.kinematics import capsule_segments, tcp_position, tip_segment
 from htcp_jax.scene.robot import lengthen_tool
-from htcp_jax.scene.workpiece import Workpiece, load_workpiece
+from htcp_jax.scene.workpiece import Workpiece
+from htcp_jax.scene.workpiece_file import load_workpiece
 
 MESHES = {
     "box": trimesh.creation.box((0.4, 0.36, 0.02)),

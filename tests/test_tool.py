@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from htcp_jax.scene.kinematics import capsule_segments, tcp_position
-from htcp_jax.scene.robot import GP50, Robot, lengthen_tool, load_robot
+from htcp_jax.scene.robot import GP50, Robot, lengthen_tool
+from htcp_jax.scene.robot_file import load_robot
 from htcp_jax.scene.tool import ZERO, Tool, ToolBody, pose
 from htcp_jax.validation.mujoco_arm import Arm
 

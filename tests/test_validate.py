@@ -18,8 +18,9 @@ from htcp_jax.report.validation import notes, read_validation, validated, verdic
 from htcp_jax.runs.plan_folder import VALIDATION
 from htcp_jax.runs.run_folder import open_run
 from htcp_jax.scene.kinematics import capsule_segments, tcp_position
-from htcp_jax.scene.robot import GP50, Robot, gp50, lengthen_tool, load_robot
-from htcp_jax.scene.workpiece import load_workpiece
+from htcp_jax.scene.robot import GP50, Robot, lengthen_tool
+from htcp_jax.scene.robot_file import gp50, load_robot
+from htcp_jax.scene.workpiece_file import load_workpiece
 from htcp_jax.validation.limits import STEP_RAD
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_clearance import Scene, Wall

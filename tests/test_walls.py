@@ -11,11 +11,13 @@ import stranger_jobs
 import trimesh
 
 from htcp_jax.clearance.contact_model import hold_contacts, predict_distances
-from htcp_jax.clearance.obstacles import all_clear, clearance, clearances, contacts, is_clear, make_obstacle, rows_of
+from htcp_jax.clearance.obstacle import rows_of
+from htcp_jax.clearance.obstacles import all_clear, clearance, clearances, contacts, is_clear
+from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import robot_of, scenario_of, scene, workpiece_of
-from htcp_jax.jobs.config import load_config
+from htcp_jax.jobs.load_config import load_config
 from htcp_jax.planner.plans import is_tracked
 from htcp_jax.planner.registry import names
 from htcp_jax.runs.parameters import Parameters

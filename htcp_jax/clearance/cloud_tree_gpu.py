@@ -1,4 +1,4 @@
-"""The search of `cloud_index` as one GPU kernel: a program for each body, or for each configuration, walks the tree.
+"""The search of `cloud_tree` as one GPU kernel: a program for each body, or for each configuration, walks the tree.
 
 As a series of XLA loops every turn would be a launch, and a turn would read and write the keys of all bodies. The
 kernel is written in Pallas for its Triton backend; with `interpret=True` it runs on any machine.

@@ -12,8 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.obstacle import Contacts, Rows
-from htcp_jax.clearance.obstacles import slopes
+from htcp_jax.clearance.obstacle import Contacts, Rows, slopes
 from htcp_jax.numerics import safe_divide, safe_norm, segment_parameter
 from htcp_jax.scene.kinematics import link_poses
 from htcp_jax.scene.robot import Robot

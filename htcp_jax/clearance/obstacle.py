@@ -8,9 +8,10 @@ one row a body, which they share: the nearest decides. Any other kind brings row
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
+import jax.numpy as jnp
 
 from htcp_jax.numerics import product
-from htcp_jax.scene.kinematics import capsule_segments
+from htcp_jax.scene.kinematics import capsule_segments, point_jacobians
 from htcp_jax.scene.robot import Robot
 from htcp_jax.types import Bool, Float, Int, Joints, Pose, Scalar
 
@@ -94,3 +95,33 @@ class Surroundings(Obstacle, Protocol):
     ) -> Bool[jax.Array, ""]:
         """Whether one body touches at any of S postures that are asked about; `bodies` are those at all of them."""
         ...
+
+
+Obstacles = tuple[Obstacle, ...]
+
+
+def rows_of(robot: Robot, obstacles: Obstacles) -> Rows:
+    """What the rows of all obstacles together are between."""
+    parts = [own[0].rows(robot) for own in grouped(obstacles)]
+    return Rows(*(sum(columns, start=()) for columns in zip(*parts, strict=True)))
+
+
+def grouped(obstacles: Obstacles) -> list[Obstacles]:
+    """Those that share the rows of the bodies, then every other one by itself."""
+    shared = tuple(each for each in obstacles if each.per_body)
+    return [own for own in (shared, *((each,) for each in obstacles if not each.per_body)) if own]
+
+
+def slopes(
+    robot: Robot,
+    x: Joints,
+    rows: Rows,
+    normal: Float[jax.Array, "R 3"],
+    point: Float[jax.Array, "R 3"],
+    witness: Float[jax.Array, "R 3"],
+) -> Float[jax.Array, "R N"]:
+    """How fast a point of each row's body leaves the obstacle's along the normal [m/rad]; both where they are at x."""
+    motion = point_jacobians(robot, x, point, tuple(robot.capsule_link[body] for body in rows.body))
+    if any(link >= 0 for link in rows.other):
+        motion = motion - point_jacobians(robot, x, witness, rows.other)
+    return jnp.sum(normal[:, :, None] * motion, axis=1)

@@ -1,4 +1,4 @@
-"""D(x, O): the smallest distance between the arm and its obstacles, and where it is attained.
+"""The paper's D(x, O): the smallest distance between the arm and its obstacles, and where it is attained.
 
 O is a tuple of obstacles, see `obstacle`; a workpiece's are its points and, where it has one, the interior rule. Their
 rows are put together here: those of the bodies first, each the nearest of all kinds that have one a body, then every
@@ -6,23 +6,24 @@ other kind's own.
 """
 
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.cloud import cloud_of
-from htcp_jax.clearance.half_spaces import half_spaces
-from htcp_jax.clearance.interior import Interior
-from htcp_jax.clearance.obstacle import Bodies, Contacts, Obstacle, Posed, Rows, bodies_at
+from htcp_jax.clearance.obstacle import (
+    Contacts,
+    Obstacles,
+    Posed,
+    bodies_at,
+    grouped,
+    rows_of,
+    slopes,
+)
 from htcp_jax.numerics import safe_norm
-from htcp_jax.scene.kinematics import point_jacobians
 from htcp_jax.scene.robot import Robot
-from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.types import Bool, Float, Joints, Scalar
-
-Obstacles = tuple[Obstacle, ...]
 
 
 class ClearanceRows(NamedTuple):
@@ -32,26 +33,11 @@ class ClearanceRows(NamedTuple):
     gradient: Float[jax.Array, "R N"]  # [m/rad]
 
 
-@lru_cache(maxsize=2)
-def make_obstacle(workpiece: Workpiece) -> Obstacles:
-    """The obstacles that a workpiece is, on the device, kept for the next plan: its points, and its interior rule."""
-    cloud = cloud_of(workpiece.cloud, workpiece.covering_radius_m)
-    if not len(workpiece.hull_offset):
-        return (cloud,)
-    return cloud, Interior(half_spaces(workpiece.hull_normal, workpiece.hull_offset, workpiece.hull_vertices))
-
-
-def rows_of(robot: Robot, obstacles: Obstacles) -> Rows:
-    """What the rows of all obstacles together are between."""
-    parts = [own[0].rows(robot) for own in _grouped(obstacles)]
-    return Rows(*(sum(columns, start=()) for columns in zip(*parts, strict=True)))
-
-
 @jax.jit
 def contacts(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Contacts:
     """What is nearest in every row at configuration x [rad]; the robot's tool is the scenario's."""
     bodies = bodies_at(robot, where, x)
-    groups = [[each.contacts(robot, where, bodies) for each in own] for own in _grouped(obstacles)]
+    groups = [[each.contacts(robot, where, bodies) for each in own] for own in grouped(obstacles)]
     parts = [_nearest(own) for own in groups]
     return parts[0] if len(parts) == 1 else jax.tree.map(lambda *columns: jnp.concatenate(columns), *parts)
 
@@ -116,27 +102,6 @@ def clearance_rows(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) 
     return ClearanceRows(touch.distance, slopes(robot, x, rows, touch.normal, touch.point, witness))
 
 
-def slopes(
-    robot: Robot,
-    x: Joints,
-    rows: Rows,
-    normal: Float[jax.Array, "R 3"],
-    point: Float[jax.Array, "R 3"],
-    witness: Float[jax.Array, "R 3"],
-) -> Float[jax.Array, "R N"]:
-    """How fast a point of each row's body leaves the obstacle's along the normal [m/rad]; both where they are at x."""
-    motion = point_jacobians(robot, x, point, tuple(robot.capsule_link[body] for body in rows.body))
-    if any(link >= 0 for link in rows.other):
-        motion = motion - point_jacobians(robot, x, witness, rows.other)
-    return jnp.sum(normal[:, :, None] * motion, axis=1)
-
-
-def _grouped(obstacles: Obstacles) -> list[Obstacles]:
-    """Those that share the rows of the bodies, then every other one by itself."""
-    shared = tuple(each for each in obstacles if each.per_body)
-    return [own for own in (shared, *((each,) for each in obstacles if not each.per_body)) if own]
-
-
 def _nearest(parts: list[Contacts]) -> Contacts:
     """Row by row the contact with the smallest distance; the first of equals."""
     nearest = parts[0]
@@ -152,23 +117,3 @@ def _together(combine: Callable, values: list[jax.Array]) -> jax.Array:
     for value in values[1:]:
         whole = combine(whole, value)
     return whole
-
-
-__all__ = [
-    "Bodies",
-    "ClearanceRows",
-    "Contacts",
-    "Obstacle",
-    "Obstacles",
-    "Posed",
-    "all_clear",
-    "clearance",
-    "clearance_rows",
-    "clearances",
-    "contacts",
-    "is_clear",
-    "make_obstacle",
-    "room",
-    "rows_of",
-    "slopes",
-]

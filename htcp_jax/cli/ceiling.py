@@ -9,19 +9,21 @@ import numpy as np
 import typer
 from rich.text import Text
 
+from htcp_jax.cli.options import Config, Limit, Overrides, SweepFile
 from htcp_jax.cli.output import Json, print_facts, print_json, progress_bars, stdout
-from htcp_jax.cli.sweep import Config, Limit, Overrides, SweepFile
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.grid import Batch, load_sweep
-from htcp_jax.planner.reachability import Ceiling, ceiling
+from htcp_jax.planner import reachability
+from htcp_jax.planner.reachability import Ceiling
+from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.plan_folder import write_json, written_whole
-from htcp_jax.runs.run_folder import MANIFEST, Run, open_run
+from htcp_jax.runs.run_folder import Run, open_run
 
 Draws = Annotated[int, typer.Option(metavar="N", min=1, help="Configurations drawn where a target looks out of reach.")]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="The run folder to compare with and to write into.")]
 
 
-def ceiling_command(
+def ceiling(
     file: SweepFile,
     draws: Draws = 2048,
     out: Out = None,
@@ -69,7 +71,7 @@ def _search(batch: Batch, draws: int) -> Ceiling:
         for number, cell in enumerate(batch.cells):
             task = bars.add_task("targets", total=batch.scenarios.targets.shape[1])
             rows = np.flatnonzero(batch.cell == number)
-            found = ceiling(
+            found = reachability.ceiling(
                 cell.robot,
                 cell.workpiece,
                 jax.tree.map(itemgetter(rows), batch.scenarios),

@@ -10,7 +10,8 @@ from htcp_jax.cli.output import Json, print_json, print_table, progress_bar, std
 from htcp_jax.errors import InputError
 from htcp_jax.report.document import Column, Table
 from htcp_jax.runs.labels import named
-from htcp_jax.runs.run_folder import MANIFEST, Run, open_run
+from htcp_jax.runs.manifest import MANIFEST
+from htcp_jax.runs.run_folder import Run, open_run
 from htcp_jax.validation.baseline import bless as write_baseline
 from htcp_jax.validation.baseline import read_baseline
 from htcp_jax.validation.gate import ChangedOutcome, Verdict, judge

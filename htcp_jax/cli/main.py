@@ -1,10 +1,12 @@
-"""The command `htcp`. A command is a function in a module of its own, `cli_<name>.py`, and one line here.
+"""The command `htcp`. A command is a function in the module of its name, and one line in COMMANDS.
 
-Commands return their exit code. Bad input, whether of the command line or of a file, is one line and code 2.
+A command's module is imported when it runs. Commands return their exit code. Bad input, whether of the command line or
+of a file, is one line and code 2.
 """
 
 import contextlib
 import errno
+import importlib
 import importlib.metadata
 import logging
 import os
@@ -14,38 +16,55 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import typer
+from typer.core import TyperGroup
+
+from htcp_jax.errors import InputError, Interrupted, Lost, Note
+from htcp_jax.planner import compile_cache
 
 # Without a home folder to write into, matplotlib says so when it is imported; its fonts go elsewhere then.
 logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
-from htcp_jax.cli.ceiling import ceiling_command
-from htcp_jax.cli.doctor import doctor
-from htcp_jax.cli.gate import gate
-from htcp_jax.cli.methods import methods
-from htcp_jax.cli.plan import plan
-from htcp_jax.cli.render import render
-from htcp_jax.cli.report import report
-from htcp_jax.cli.sweep import sweep
-from htcp_jax.cli.validate import validate
-from htcp_jax.cli.view import view
-from htcp_jax.errors import InputError, Interrupted, Lost, Note
-from htcp_jax.planner import compile_cache
+COMMANDS = {
+    "plan": "Plan one job; a table, the trajectory, a picture.",
+    "sweep": "Plan every scenario of a grid by several methods.",
+    "report": "Tables and charts of sweeps, beside the paper's figures.",
+    "validate": "Check results by MuJoCo alone.",
+    "view": "Look at plans in the browser, target by target.",
+    "render": "A picture and a movie of one plan.",
+    "ceiling": "How much is reachable at all, whatever the method.",
+    "gate": "Hold a sweep to a baseline: does it still reach what it did?",
+    "methods": "List the planners and what each does.",
+    "doctor": "Look at this installation and test it in 2 s.",
+}
 
 LOST, UNREAD, BAD_INPUT, INTERRUPTED = 1, 1, 2, 130  # UNREAD: nobody reads the pipe any more
 FULL = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO  # what a disk says; no program's mistake
 LONGEST = 60  # letters of a file's name in a message
 
-app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
-app.command(short_help="Plan one job; a table, the trajectory, a picture.")(plan)
-app.command(short_help="Plan every scenario of a grid by several methods.")(sweep)
-app.command(short_help="Tables and charts of sweeps, beside the paper's figures.")(report)
-app.command(short_help="Check results by MuJoCo alone.")(validate)
-app.command(short_help="Look at plans in the browser, target by target.")(view)
-app.command(short_help="A picture and a movie of one plan.")(render)
-app.command("ceiling", short_help="How much is reachable at all, whatever the method.")(ceiling_command)
-app.command(short_help="Hold a sweep to a baseline: does it still reach what it did?")(gate)
-app.command(short_help="List the methods and what each does.")(methods)
-app.command(short_help="Look at this installation and test it in 2 s.")(doctor)
+
+class Commands(TyperGroup):
+    """Commands that are imported when they are asked for; in lists their names and lines of help stand for them."""
+
+    def resolve_command(self, ctx, args):
+        """The command that the first argument names, imported, and the arguments that are left for it."""
+        name, command, rest = super().resolve_command(ctx, args)
+        return name, command and _imported(name), rest
+
+
+def _imported(name: str):
+    function = getattr(importlib.import_module(f"htcp_jax.cli.{name}"), name)
+    alone = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False, add_completion=False)
+    alone.command(name, short_help=COMMANDS[name])(function)
+    return typer.main.get_command(alone)
+
+
+def _listed() -> None:
+    """What stands for a command that is not imported yet."""
+
+
+app = typer.Typer(cls=Commands, rich_markup_mode=None, pretty_exceptions_enable=False)
+for _name, _line in COMMANDS.items():
+    app.command(_name, short_help=_line)(_listed)
 
 
 def _show_version(asked: bool) -> bool:

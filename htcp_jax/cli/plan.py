@@ -9,6 +9,7 @@ from rich.text import Text
 from htcp_jax import api
 from htcp_jax.api import Plan, forget_validation
 from htcp_jax.cli.methods import complete_method
+from htcp_jax.cli.options import Overrides
 from htcp_jax.cli.output import Device, Json, print_facts, print_json, progress_bar, stdout
 from htcp_jax.planner import devices
 from htcp_jax.runs.plan_folder import written_whole
@@ -20,9 +21,6 @@ Config = Annotated[Path | None, typer.Argument(metavar="CONFIG.yaml", help="The 
 Method = Annotated[
     str | None,
     typer.Option(metavar="NAME", help="A method; htcp methods lists them.", autocompletion=complete_method),
-]
-Overrides = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key; may be repeated.")
 ]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.")]
 

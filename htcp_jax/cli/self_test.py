@@ -14,9 +14,9 @@ import numpy as np
 from htcp_jax.errors import InputError
 from htcp_jax.planner import batch, compile_cache
 from htcp_jax.runs.plan_folder import provenance
-from htcp_jax.scene.robot import gp50
+from htcp_jax.scene.robot_file import gp50
 from htcp_jax.scene.scenario import make_scenario
-from htcp_jax.scene.workpiece import load_workpiece
+from htcp_jax.scene.workpiece_file import load_workpiece
 from htcp_jax.viewer import offscreen
 
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)

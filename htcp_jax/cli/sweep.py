@@ -11,6 +11,7 @@ from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
 from htcp_jax.cli.methods import complete_methods
+from htcp_jax.cli.options import Config, Limit, Overrides, SweepFile
 from htcp_jax.cli.output import Device, Json, print_json, print_table, progress_bars, stdout
 from htcp_jax.planner import devices
 from htcp_jax.report.document import Column, Table
@@ -21,19 +22,13 @@ from htcp_jax.runs.running import RunningSummary
 from htcp_jax.runs.summary import summarise
 from htcp_jax.status import Status
 
-SweepFile = Annotated[Path, typer.Argument(metavar="SWEEP.yaml", help="The grid, sweeps/robot.yaml for example.")]
 Methods = Annotated[
     str, typer.Option(metavar="A,B|all", help="Planners; htcp methods lists them.", autocompletion=complete_methods)
 ]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="The run folder; by default out/<name of the sweep>.")]
-Limit = Annotated[int | None, typer.Option(metavar="N", help="Plan only the first N scenarios.")]
 Seed = Annotated[int | None, typer.Option(metavar="S", help="Of everything random: settings.seed.")]
-Config = Annotated[Path | None, typer.Option(metavar="CONFIG.yaml", help="In place of the sweep file's own.")]
 On = Annotated[str, typer.Option(metavar="here|ray[:ADDRESS]", help="This process, or the workers of a Ray cluster.")]
 Shard = Annotated[int | None, typer.Option(metavar="N", help="Scenarios planned together, and lost together.")]
-Overrides = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key; may be repeated.")
-]
 
 
 def sweep(

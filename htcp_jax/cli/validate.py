@@ -9,9 +9,11 @@ from rich.text import Text
 from htcp_jax.cli.output import Json, print_json, print_table, progress_bar, stdout
 from htcp_jax.report.validation import notes, told_apart, validation_tables
 from htcp_jax.runs.labels import named
+from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.plan_folder import VALIDATION
-from htcp_jax.runs.run_folder import MANIFEST, open_run
-from htcp_jax.validation.validate import Validation, record, write_validation
+from htcp_jax.runs.run_folder import open_run
+from htcp_jax.validation.result import Validation
+from htcp_jax.validation.validate import record, write_validation
 from htcp_jax.validation.validate import validate as check
 
 VALIDATED, REFUTED = 0, 1

@@ -3,7 +3,7 @@
 MuJoCo follows what a file names: included models, meshes, textures, height fields, plugins. Here a file is read as
 plain XML without a document type, so without entities; its includes are put in place from its own folder; and what
 has no part in where the links and their capsules are is left out. In the text that results nothing names a file, but
-for the meshes of a URDF, which robot_file.py takes out before MuJoCo would open them.
+for the meshes of a URDF, which robot_model.py takes out before MuJoCo would open them.
 """
 
 import math

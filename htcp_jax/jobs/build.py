@@ -6,10 +6,12 @@ from typing import Literal
 import numpy as np
 
 from htcp_jax.jobs.config import PlanConfig, RobotConfig, WorkpieceConfig
-from htcp_jax.scene.robot import GP50, Robot, load_robot
+from htcp_jax.scene.robot import GP50, Robot
+from htcp_jax.scene.robot_file import load_robot
 from htcp_jax.scene.scenario import Scenario, make_scenario
 from htcp_jax.scene.units import check_tool
-from htcp_jax.scene.workpiece import Workpiece, load_workpiece
+from htcp_jax.scene.workpiece import Workpiece
+from htcp_jax.scene.workpiece_file import load_workpiece
 
 
 def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:

@@ -15,6 +15,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.formats.strict_yaml import parse_yaml, read_yaml
 
 BASE = "config"  # the key under which a file names the one that it builds on
+# Keys that name files, each with the word of the built-in part.
 FILES = {("robot", "model"): "gp50", ("workpiece", "cloud"): "duct", ("workpiece", "path"): "weld"}
 
 

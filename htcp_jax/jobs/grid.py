@@ -23,29 +23,19 @@ import numpy as np
 from jaxtyping import Int
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.strict_model import Section, validate
 from htcp_jax.formats.strict_yaml import read_yaml
 from htcp_jax.jobs.build import arm_of, part_of, robot_of, scenario_of, shape_of, workpiece_of
-from htcp_jax.jobs.config import (
-    DEPENDENT,
-    PlanConfig,
-    RobotConfig,
-    Section,
-    WorkpieceConfig,
-    fill_in,
-    is_other,
-    keys_of,
-    read_config,
-    validate,
-)
+from htcp_jax.jobs.config import DEPENDENT, PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.jobs.config_file import put
-from htcp_jax.jobs.grid_axes import FILE_KEYS, KEYS, Group, read_grid
-from htcp_jax.jobs.grid_points import Point, points_of
+from htcp_jax.jobs.defaults import fill_in, is_other, keys_of
+from htcp_jax.jobs.grid_axes import FILE_KEYS, KEYS, MOST, Group, Point, read_grid
+from htcp_jax.jobs.grid_points import points_of
+from htcp_jax.jobs.load_config import read_config
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import Scenario, stack
 from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.settings import Settings
-
-MOST = 1_000_000  # scenarios of a grid; more is a slip of the pen
 
 
 class SweepFile(Section):

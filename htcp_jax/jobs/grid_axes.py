@@ -12,6 +12,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.jobs.config import DEPENDENT, SOURCES, PlanConfig
 from htcp_jax.jobs.config_file import FILES
 
+MOST = 1_000_000  # scenarios of a grid; more is a slip of the pen
 # Those that have columns of their own in the tables of a run.
 PARAMETERS = (
     "start_rad",
@@ -79,6 +80,15 @@ class Group(NamedTuple):
         """Of every scenario the columns with their values; the last axis moves fastest."""
         for rows in itertools.product(*(range(len(axis[0].values)) for axis in self.axes)):
             yield [(column, column.values[row]) for axis, row in zip(self.axes, rows, strict=True) for column in axis]
+
+
+class Point(NamedTuple):
+    """One scenario of a sweep: its configuration, as if it were planned alone."""
+
+    number: int
+    group: str | None
+    config: PlanConfig
+    varied: Mapping[str, str] = {}  # JSON by key, of what varies in the sweep and has no column of its own
 
 
 def read_grid(where: str, folder: Path, name: str | None, axes: Sequence[dict], joints: Sequence[str]) -> Group:
@@ -155,7 +165,7 @@ def absolute(name: str, word: str) -> str:
 
 
 def hangs(group: Group) -> bool:
-    """Whether its scenarios may differ in their defaults, see `config.own_defaults`."""
+    """Whether its scenarios may differ in their defaults, see `defaults.own_defaults`."""
     return bool(group.keys & {*SOURCES, "workpiece.neutral_translation_m"})
 
 

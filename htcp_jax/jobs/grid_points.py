@@ -4,19 +4,11 @@ import itertools
 import json
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
-from htcp_jax.jobs.config import PlanConfig, fill_in, validate, value_at
-from htcp_jax.jobs.grid_axes import FILE_KEYS, Group, hangs, put, varied_keys
-
-
-class Point(NamedTuple):
-    """One scenario of a sweep: its configuration, as if it were planned alone."""
-
-    number: int
-    group: str | None
-    config: PlanConfig
-    varied: Mapping[str, str] = {}  # JSON by key, of what varies in the sweep and has no column of its own
+from htcp_jax.formats.strict_model import validate
+from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.jobs.defaults import fill_in, value_at
+from htcp_jax.jobs.grid_axes import FILE_KEYS, Group, Point, hangs, put, varied_keys
 
 
 def points_of(name: str, config: PlanConfig, groups: Sequence[Group], stated: Collection[str]) -> Iterator[Point]:

@@ -9,7 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from htcp_jax.clearance.obstacles import Obstacles, clearances, make_obstacle
+from htcp_jax.clearance.obstacle import Obstacles
+from htcp_jax.clearance.obstacles import clearances
+from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.errors import InputError
 from htcp_jax.planner.devices import choose, default_threads

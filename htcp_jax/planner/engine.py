@@ -23,11 +23,12 @@ import numpy as np
 
 from htcp_jax.planner.backwards import BackwardPlans, Replanned
 from htcp_jax.planner.candidates import CandidateSearch, Outcome
-from htcp_jax.planner.kernels import ADVANCE, ASCEND, ENTER, PREPARE, TRACK_BURST, Measured
+from htcp_jax.planner.kernels import ADVANCE, PREPARE, TRACK_BURST, Measured
 from htcp_jax.planner.lane_checks import LaneChecks
 from htcp_jax.planner.lane_table import LaneTable
 from htcp_jax.planner.lanes import BACKWARDS, ENTERING, MAIN, NEW, TRACK, Lanes, concatenate, gather, scatter
 from htcp_jax.planner.plans import Plans
+from htcp_jax.planner.posture_kernels import ASCEND, ENTER
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.record import Record
 from htcp_jax.planner.stages import Escapes, NullSpace

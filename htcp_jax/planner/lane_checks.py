@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from htcp_jax.planner.kernels import ADVANCE, CHECK_PATH, LaneInputs, Measured, lane_inputs
+from htcp_jax.planner.kernels import ADVANCE, CHECK_PATH, Measured
+from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.planner.lanes import Lanes, gather
 from htcp_jax.planner.null_space import Anchored
 from htcp_jax.planner.programs import Kernels

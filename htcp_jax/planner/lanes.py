@@ -6,8 +6,8 @@ from typing import NamedTuple, TypeVar
 import jax
 import numpy as np
 
+from htcp_jax.clearance.linearisation import Linearisation, TaskRows
 from htcp_jax.clearance.obstacles import ClearanceRows
-from htcp_jax.clearance.scene import Linearisation, TaskRows
 
 MAIN = -1  # `candidate` of a lane that tracks for its scenario itself
 # Phases; of a lane that is in a stage of its escape, the phase is the number of that stage. The last three are those of

@@ -10,11 +10,12 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance.contact_model import HeldContacts, hold_contacts, predict_distances
-from htcp_jax.clearance.obstacle import Posed
-from htcp_jax.clearance.obstacles import Obstacles, clearance, contacts
+from htcp_jax.clearance.obstacle import Obstacles, Posed
+from htcp_jax.clearance.obstacles import clearance, contacts
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.errors import InputError
 from htcp_jax.numerics import fold_keys, null_basis, of_shape, product
+from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.kinematics import configuration
 from htcp_jax.scene.robot import Robot
@@ -22,6 +23,7 @@ from htcp_jax.settings import Settings, settings_of
 from htcp_jax.solvers import sphere
 from htcp_jax.types import Array, Float, Joints, Scalar
 
+READS = ("alpha_rad", "far_links", "j1_weight", "q_weights")  # settings, by any step in the null space
 DRAWS, PUSHED, PUSHES = 256, 6, 60  # of `draw_clear`: draws, how many are pushed clear, null-space steps of a push
 
 
@@ -49,7 +51,7 @@ def seen_rows(scene: Scene, far_links: bool) -> tuple[bool, ...]:
 def sphere_problem(
     scene: Scene, settings: Settings, where: Posed, x_ref: Joints
 ) -> tuple[sphere.Sphere, HeldContacts, Float[Array, "N D"]]:
-    """Equation (11) at x_ref: the problem, the contacts at x_ref, and alpha N(x_ref). Nothing where D = 0."""
+    """Equation (11) at x_ref: the problem, the contacts at x_ref, and alpha N(x_ref) [rad]. Nothing where D = 0."""
     robot, obstacles, task = scene
     rows = scene.rows
     reach = settings.alpha_rad * null_basis(task.jacobian(robot, x_ref))
@@ -174,7 +176,7 @@ def keep_clear_ascent(
     steps: int | None = None,
 ) -> Anchored:
     """Max-min null-space steps away from the workpiece while D is below `enough_m`, at most `steps` of them (by default
-    `keep_clear_m` and `keep_clear_steps`); never ends worse than it began.
+    `keep_clear_m` and `keep_clear_steps`); never ends worse than it began. target: where the task stays [m].
 
     One observation a step: the best direction for the contacts seen at x, at most alpha long, halved on failure.
     """
@@ -212,3 +214,8 @@ def push_clear(scene: Scene, settings: Settings, where: Asked, x: Joints, target
 def stuck_key(seed, number, row, stage: int, round_) -> jax.Array:
     """Random key of one escape: of scenario `number`, at target `row`. The seed is data, so none is compiled for."""
     return fold_keys(jax.random.key(seed), number, row, stage, round_)
+
+
+def stuck_at(lane: LaneInputs, x_previous: Joints, stage: int) -> Stuck:
+    """A lane that is stuck, with the random key of one stage."""
+    return Stuck(x_previous, lane.target, stuck_key(lane.seed, lane.number, lane.row, stage, lane.round))

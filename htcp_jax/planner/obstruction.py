@@ -13,12 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.clearance.obstacles import Obstacles, contacts, make_obstacle
+from htcp_jax.clearance.obstacle import Obstacles
+from htcp_jax.clearance.obstacles import contacts
+from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.clearance.scene import Scene, own_scene
+from htcp_jax.planner.chunks import chunked
 from htcp_jax.planner.kernel import DEEP
-from htcp_jax.planner.kernels import lane_inputs
+from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.plans import Plans
-from htcp_jax.planner.programs import chunked
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import Scenario, stack
@@ -87,7 +89,9 @@ def obstructions(
         found = look(scene, chunks, *jax.tree.map(lambda leaf, rows=rows: np.asarray(leaf)[rows], lanes))
         told += zip(*(np.asarray(leaf)[:count] for leaf in found), strict=True)
     return [
-        Obstruction(robot.capsule_names[int(body)], point, float(depth), float(off), bool(task.reached(off)), x)
+        Obstruction(
+            robot.capsule_names[int(body)], point, float(depth), float(off), bool(task.reached(np.asarray(off))), x
+        )
         for body, point, depth, off, x in told
     ]
 

@@ -4,7 +4,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from htcp_jax.planner.kernels import CHECK_PATH, lane_inputs
+from htcp_jax.planner.kernels import CHECK_PATH
+from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.lanes import gather
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Int
 
-from htcp_jax.clearance.obstacles import Obstacles
+from htcp_jax.clearance.obstacle import Obstacles
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.clearance.tip_guard import TipGuard, make_tip_guard
 from htcp_jax.planner.plans import Plans

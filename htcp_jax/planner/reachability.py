@@ -14,11 +14,12 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from htcp_jax.clearance.obstacles import make_obstacle
+from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.clearance.tip_guard import make_tip_guard
-from htcp_jax.planner.kernels import DRAW, PUSH, lane_inputs
+from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.null_space import DRAWS, Anchored
+from htcp_jax.planner.posture_kernels import DRAW, PUSH
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.tip_check import tip_checks
 from htcp_jax.scene.robot import Robot

@@ -22,7 +22,7 @@ from htcp_jax.types import Array, Bool, Float
 class Candidates(NamedTuple):
     """Configurations from which the step QP tracks the stuck target; those not valid are never tried."""
 
-    x: Float[Array, "C N"]
+    x: Float[Array, "C N"]  # [rad or m]
     valid: Bool[Array, "C"]
     done: Bool[Array, "C"]  # on the target and clear as they are: where a stage takes them so, no QP is needed
 
@@ -31,8 +31,8 @@ Propose = Callable[[Scene, Settings, Posed, Stuck], Candidates]
 
 
 def cspace_samples(scene: Scene, settings: Settings, where: Posed, stuck: Stuck) -> Candidates:
-    """C-Space sample: joints 3 and outwards uniform about x_{t-1}, +-1 rad (joint 3) and +-2 rad (the others); the
-    first `samples` feasible ones (inside the limits and clear) out of eight times as many draws."""
+    """The paper's C-Space sample: joints 3 and outwards uniform about x_{t-1}, +-1 rad (joint 3) and +-2 rad (the
+    others); the first `samples` feasible ones (inside the limits and clear) out of eight times as many draws."""
     robot, n = scene.robot, len(scene.robot.slides)
     # The paper's arm moves joints 3 to 6; on another arm, too, the first two, which carry all others, stay.
     width = jnp.asarray([0.0, 0.0, 1.0] + [2.0] * (n - 3))
@@ -48,8 +48,8 @@ def cspace_samples(scene: Scene, settings: Settings, where: Posed, stuck: Stuck)
 def nspace_samples(
     scene: Scene, settings: Settings, where: Posed, stuck: Stuck, step_rad: tuple[float, ...]
 ) -> Candidates:
-    """N-Space sample: random null-space directions, each followed for `sample_steps` steps of each given length,
-    re-anchored whenever the TCP error exceeds the tolerance. The direction is carried along by projection."""
+    """The paper's N-Space sample: random null-space directions, each followed for `sample_steps` steps of each given
+    length, re-anchored whenever the TCP error exceeds the tolerance. The direction is carried along by projection."""
     robot, task = scene.robot, scene.task
     origin, _ = reanchor(robot, stuck.x_previous, stuck.target, task.fine_m, task=task)
     first = null_basis(task.jacobian(robot, origin))

@@ -2,10 +2,13 @@
 
 from dataclasses import dataclass
 
-from htcp_jax.planner.kernel import Kernel
-from htcp_jax.planner.kernels import sample_kernel, walk_kernel
-from htcp_jax.planner.null_space import Minimise
-from htcp_jax.planner.sampling import Propose
+from htcp_jax.clearance.scene import Scene, own_scene
+from htcp_jax.planner.kernel import DEEP, SAMPLED, Kernel
+from htcp_jax.planner.kernels import Measured, measured
+from htcp_jax.planner.lane_inputs import LaneInputs
+from htcp_jax.planner.null_space import READS, Minimise, null_space_step, stuck_at
+from htcp_jax.planner.sampling import Candidates, Propose
+from htcp_jax.settings import Settings
 
 
 @dataclass(frozen=True)
@@ -19,7 +22,7 @@ class NullSpace:
 
     def kernel(self, index: int) -> Kernel:
         """One step of the walk, as stage `index` of a method."""
-        return walk_kernel(self.minimise, index, self.settings)
+        return Kernel(f"walk {index}", walk_null_space, DEEP, (*READS, *self.settings), (self.minimise, index))
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,7 @@ class Sample:
 
     def kernel(self, index: int) -> Kernel:
         """The candidates of a lane, as stage `index` of a method."""
-        return sample_kernel(self.propose, index, self.settings)
+        return Kernel(f"sample {index}", propose, SAMPLED, self.settings, (self.propose, index))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,3 +51,20 @@ class Escapes:
     def backwards(self) -> int:
         """`Plans.escape` of targets that were planned backwards: one beyond the last stage."""
         return len(self.stages) + 1
+
+
+def walk_null_space(
+    minimise: Minimise, index: int, settings: Settings, scene: Scene, lane: LaneInputs, x_previous, x_ref, count
+) -> Measured:
+    """One step of a null-space stage, the method's stage `index`."""
+    stuck = stuck_at(lane, x_previous, index)
+    there = null_space_step(minimise, own_scene(scene, lane.tool_extension_m), settings, lane, stuck, x_ref, count)
+    return measured(settings, scene, lane, there.x)
+
+
+def propose(
+    proposed: Propose, index: int, settings: Settings, scene: Scene, lane: LaneInputs, x_previous
+) -> Candidates:
+    """Candidates of a sampling stage, the method's stage `index`."""
+    scene = own_scene(scene, lane.tool_extension_m)
+    return proposed(scene, settings, lane, stuck_at(lane, x_previous, index))

@@ -10,11 +10,25 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
+from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.clearance.tip_guard import TipGuard
-from htcp_jax.planner.kernels import TIP, LaneInputs
+from htcp_jax.numerics import product
+from htcp_jax.planner.kernel import STEP, Kernel
+from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.planner.programs import Kernels
+from htcp_jax.scene.kinematics import tip_segment
+from htcp_jax.settings import Settings
 
 PLACES = 100  # of a joint path at which its tip is looked at
+
+
+def tip(settings: Settings, scene: Scene, lane: LaneInputs, x):
+    """The tool's bare tip at x in the workpiece's frame, from the last body to the TCP."""
+    rotate, translate = lane.T_world_workpiece[:3, :3], lane.T_world_workpiece[:3, 3]
+    return product(tip_segment(own_scene(scene, lane.tool_extension_m).robot, x) - translate[None, :], rotate)
+
+
+TIP = Kernel("tip", tip, STEP)
 
 
 class TipCheck(NamedTuple):

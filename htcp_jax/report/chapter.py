@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from htcp_jax.jobs.config import PlanConfig, validate
+from htcp_jax.formats.strict_model import validate
+from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.planner.plans import Plans
 from htcp_jax.report import charts, paper, tables
 from htcp_jax.report.best import best, best_of_all

@@ -1,21 +1,36 @@
 """A run as the report tells it: a part for every group of its sweep, with the plans of each method as arrays."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import pyarrow as pa
+from matplotlib.figure import Figure
 
 from htcp_jax.planner.plans import Plans
 from htcp_jax.report import paper
-from htcp_jax.report.cell import RunScene
 from htcp_jax.report.validation import read_validation
 from htcp_jax.runs.ceiling_file import read_ceiling
 from htcp_jax.runs.labels import column_of, labels_of, parameter_names, part, varying
 from htcp_jax.runs.run_folder import Run
+
+
+@runtime_checkable
+class SceneOfRun(Protocol):
+    """What can be said of a run's robot and workpiece, see `cell.RunScene`."""
+
+    @property
+    def problem(self) -> str:
+        """Why nothing can; empty where something can."""
+
+    def in_the_way(self, method: str) -> dict[int, Any]:
+        """What is in the way in the scenarios that a method lost, by their numbers."""
+
+    def picture(self, number: int, method: str, title: str) -> Figure | None:
+        """The arm in the workpiece of a scenario."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +48,7 @@ class Part:
     run: Run
     run_labels: dict[int, str]  # what sets each scenario of the run apart, by its number
     validation: dict[str, Any] | None  # of the whole run, as validation.json has it
-    scene: RunScene
+    scene: SceneOfRun
 
     @property
     def targets(self) -> int:
@@ -75,7 +90,7 @@ class Part:
         return np.where(count > 0, total / np.maximum(count, 1), np.nan).reshape(shape)
 
 
-def read_parts(run: Run, name: str) -> list[Part]:
+def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], SceneOfRun]) -> list[Part]:
     """The parts of a run that is called `name`, in the order of its scenarios; every file is read once.
 
     Raises InputError for a run without a finished shard, and naming a file that is missing or damaged.
@@ -97,7 +112,7 @@ def read_parts(run: Run, name: str) -> list[Part]:
         "run": run,
         "run_labels": labels_of(whole),
         "validation": read_validation(run),
-        "scene": RunScene(run, plans),
+        "scene": scene_of(run, plans),
     }
     parts = []
     for group in dict.fromkeys(groups.tolist()):

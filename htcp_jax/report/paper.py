@@ -43,7 +43,7 @@ class Table(NamedTuple):
     number: int
     sweep: str
     scenarios: int
-    grid: tuple[str, ...]  # what varies, as in `run_parts.Part.axes` for a robot with these joints
+    grid: tuple[str, ...]  # what varies, as in `groups.Part.axes` for a robot with these joints
     offsets: tuple[float, ...]  # the same on every axis, about its middle value
     rows: dict[str, Figures]
 

@@ -165,7 +165,8 @@ def joint_motion_by_joint(
     unit: str = "rad",
     title: str = "Motion of each joint",
 ) -> Figure:
-    """How far every joint moves from one target to the next, a panel a method; NaN where a target is not tracked."""
+    """How far every joint moves from one target to the next in `unit`, a panel a method; x is NaN where a target is not
+    tracked."""
     across = min(3, len(x))
     down = -(-len(x) // across)
     note = "Median, middle half, middle nine tenths and longest of all steps from one target to the next."

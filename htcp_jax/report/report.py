@@ -1,6 +1,6 @@
 """The report of one run or several: chapters, what is common to them, and the files they go to.
 
-Every part of a run (see `run_parts`) is a chapter with the same sections. Pictures are named after what they show, and
+Every part of a run (see `groups`) is a chapter with the same sections. Pictures are named after what they show, and
 after the part where there are several; a CSV file holds one table of all parts.
 """
 
@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.planner.registry import all_methods
+from htcp_jax.report.cell import RunScene
 from htcp_jax.report.chapter import chapter, choice, fits_presets, presets, tables_of
 from htcp_jax.report.document import Block, Column, Heading, Picture, Table, html, markdown, png, write_csv
 from htcp_jax.report.groups import Part, read_parts
@@ -60,7 +61,7 @@ def make_report(runs: Run | str | Path | Sequence[Run | str | Path]) -> Report:
     listed = [runs] if isinstance(runs, Run | str | Path) else list(runs)
     opened = [run if isinstance(run, Run) else open_run(run) for run in listed]
     names = _numbered([_name(given) for given in listed])
-    parts = [part for run, name in zip(opened, names, strict=True) for part in read_parts(run, name)]
+    parts = [part for run, name in zip(opened, names, strict=True) for part in read_parts(run, name, RunScene)]
     made = tuple(tables_of(part) for part in parts)
     blocks: list[Block] = [Heading(1, f"Sweep report: {', '.join(names)}")]
     if len(parts) > 1:

@@ -33,7 +33,7 @@ class Axis(NamedTuple):
     """One axis of a grid of scenarios."""
 
     label: str  # with its unit
-    values: Sequence[float] | Sequence[str]
+    values: Sequence[float] | Sequence[str]  # in the unit that the label names
 
     @property
     def names(self) -> list[str]:

@@ -24,7 +24,7 @@ class Shard(NamedTuple):
 
 
 class Planned(NamedTuple):
-    """A shard's plans and what planned it, see `run_identity.planned_by`."""
+    """A shard's plans and what planned it, see `identity.planned_by`."""
 
     shard: Shard
     plans: Plans

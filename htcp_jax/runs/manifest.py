@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
-from htcp_jax.jobs.config import Section
+from htcp_jax.formats.strict_model import Section
 from htcp_jax.jobs.grid import MOST
 from htcp_jax.runs.identity import config_hash, identity
 

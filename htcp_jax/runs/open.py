@@ -13,13 +13,15 @@ from pathlib import Path
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import PlanConfig, validate
+from htcp_jax.formats.strict_model import validate
+from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.planner.plans import Plans
 from htcp_jax.runs import parameters
 from htcp_jax.runs.identity import file_hash, refuse_changed
+from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.parameters import Parameters
 from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY, PlanRecord, read_plan
-from htcp_jax.runs.run_folder import MANIFEST, Run, open_run
+from htcp_jax.runs.run_folder import Run, open_run
 
 
 class RunPlans:

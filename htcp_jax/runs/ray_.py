@@ -2,7 +2,7 @@
 
 Every shard is a task. A worker needs this package and nothing else: the arm, the workpiece and the scenarios travel to
 it, plans travel back, and the process that was called writes them. A task whose worker or node dies is given to
-another one. Results do not depend on who planned a shard: they are those of `sweep_here` on equal hardware.
+another one. Results do not depend on who planned a shard: they are those of `local` on equal hardware.
 """
 
 import contextlib
@@ -33,7 +33,7 @@ GPU_SHARE = 0.75  # of a GPU's memory that JAX takes for itself unless told
 @contextlib.contextmanager
 def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]:
     """Connects to the cluster at `address`, without one to the cluster that Ray knows of or to a new one of this
-    machine, and hands out plan(shards, tell), see `sweep_here.plan_here`.
+    machine, and hands out plan(shards, tell), see `local.plan_here`.
 
     Raises InputError where Ray is not installed or not there; plan raises Lost when a shard's workers died more
     often than `config.ray.retries` allows, or the cluster did.

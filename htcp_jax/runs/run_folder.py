@@ -19,9 +19,10 @@ import pyarrow.parquet as pq
 from pydantic import ValidationError
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import PlanConfig, validate
-from htcp_jax.jobs.grid_axes import from_record, varied_keys
-from htcp_jax.jobs.grid_points import Point, points_of
+from htcp_jax.formats.strict_model import validate
+from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.jobs.grid_axes import Point, from_record, varied_keys
+from htcp_jax.jobs.grid_points import points_of
 from htcp_jax.notebook import html_facts
 from htcp_jax.planner.plans import Plans
 from htcp_jax.runs.labels import labels_of

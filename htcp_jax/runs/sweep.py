@@ -143,7 +143,7 @@ def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def tables(batch: Batch, method: str, span: Span, plans: Plans) -> dict[str, pa.Table]:
-    """The rows of a shard, see `run_tables`."""
+    """The rows of a shard, see `tables`."""
     rows = slice(span.first, span.last + 1)
     joints, points = joint_columns(batch.robot), batch.points[rows]
     varied = tuple(points[0].varied)

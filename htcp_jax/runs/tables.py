@@ -48,7 +48,7 @@ import numpy as np
 import pyarrow as pa
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.grid_points import Point
+from htcp_jax.jobs.grid_axes import Point
 from htcp_jax.planner.plans import EMPTY, NO_TARGET, Outcomes, Plans
 from htcp_jax.runs import parameters
 from htcp_jax.scene.robot import Robot

@@ -1,5 +1,7 @@
 """Kinematics of one configuration x (N,) [rad or m], in closed form: link poses, TCP, capsules, Jacobians.
 
+The paper's Gamma and Jac; the geometric Jacobian is that of Siciliano et al., Robotics, section 3.1.
+
 The loop over the joints is unrolled and nothing is inverted or decomposed: it compiles fast and batches well.
 Several of these in one jitted function cost one pass over the joints, as the compiler merges what they share. A list
 serves as x, too; InputError for an x that is not one configuration of the robot.

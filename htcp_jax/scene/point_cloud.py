@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.arrays import LARGEST_COORDINATE, check_points
 from htcp_jax.formats.columns import Points
 from htcp_jax.formats.foreign import known_ending, one_line, quiet, read_bytes
 from htcp_jax.formats.scan import PARTS, SCANS, read_part, read_scan
@@ -28,7 +29,6 @@ CLOUDS = (*TABLES, *SCANS, *MESHES)
 # An OBJ face that counts its vertices back from its own line. trimesh takes other vertices and says nothing.
 RELATIVE_FACE = re.compile(rb"^f\b[^\n]*[ \t](?:-\d|0+(?:[/ \t\r]|$))", re.MULTILINE)
 PLY_ELEMENT = re.compile(rb"^element[ \t]+(vertex|face)[ \t]+(\d{1,12})[ \t\r]*$", re.MULTILINE)
-LARGEST_COORDINATE = 1e9  # [m]
 
 
 class Geometry(NamedTuple):
@@ -69,17 +69,6 @@ def read_points(path: str | Path) -> Points:
     if ending in SCANS:
         return read_scan(path, ending)
     return read_npy(path) if ending == ".npy" else read_table(path)
-
-
-def check_points(points: Float[np.ndarray, "P 3"], source: str, at_least: int) -> None:
-    """Raise InputError unless there are `at_least` points, all finite and none absurdly far."""
-    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
-    if bad.size:
-        raise InputError(f"{source}: row {bad[0] + 1} holds NaN or an infinite number ({bad.size} such rows)")
-    if len(points) < at_least:
-        raise InputError(f"{source}: {len(points)} points, at least {at_least} are needed")
-    if np.abs(points).max() > LARGEST_COORDINATE:
-        raise InputError(f"{source}: a coordinate of {np.abs(points).max():.3g} m; coordinates are metres")
 
 
 def _read_mesh(path: Path, ending: str) -> Geometry:

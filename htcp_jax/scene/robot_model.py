@@ -1,6 +1,6 @@
 """Reading a robot's model file, on the host: MuJoCo compiles it, the chain to the TCP is picked out.
 
-What a file can get wrong is an InputError here, one line that starts with its path. robot.py makes the Robot.
+What a file can get wrong is an InputError here, one line that starts with its path. robot_file.py makes the Robot.
 """
 
 import math
@@ -40,7 +40,7 @@ class _Capsule(NamedTuple):
 
 
 def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.ndarray, tool: Tool | None) -> RobotFields:
-    """The serial chain from the world to the TCP; see robot.load_robot. Raises InputError."""
+    """The serial chain from the world to the TCP; see robot_file.load_robot. Raises InputError."""
     model, geom_types = _compile_model(path)
     tcp_body, T_body_tcp = _find_tcp(model, path, tcp_site)
     joint_names = _chain_joints(model, path, tcp_body)
@@ -246,7 +246,7 @@ def _link_frames(model: mujoco.MjModel, T_world_base: np.ndarray) -> tuple[np.nd
 
 
 def _limits(model: mujoco.MjModel, path: Path, profile: str) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper joint limits of a profile, see robot.load_robot."""
+    """Lower and upper joint limits of a profile, see robot_file.load_robot."""
     ranges = np.where(model.jnt_limited[:, None], model.jnt_range, [-math.inf, math.inf])
     hinges = model.jnt_type[:, None] == _HINGE
     profiles = {"model": ranges, "simulation": np.where(hinges, [-math.pi, math.pi], ranges)}

@@ -29,8 +29,8 @@ class Scenario:
     """What differs between the members of a batch. Stacked, every leaf has a leading axis S."""
 
     x_start: Float[Anywhere, "*S N"]  # [rad or m]
-    T_world_workpiece: Float[Anywhere, "*S 4 4"]
-    gate: Float[Anywhere, "*S 4"]  # see `gate_of`
+    T_world_workpiece: Float[Anywhere, "*S 4 4"]  # [m]
+    gate: Float[Anywhere, "*S 4"]  # normal, and offset [m], see `gate_of`
     targets: Float[Anywhere, "*S T M"]  # of the task, world [m]; rows from `count` on are padding
     count: Int[Anywhere, "*S"]  # targets to track
     margin_m: Float[Anywhere, "*S"]  # least clearance with which a target counts
@@ -134,7 +134,8 @@ def with_own_tool(robot: Robot, scenario: Scenario) -> tuple[Robot, Scenario]:
 
 
 def stack(scenarios: Sequence[Scenario]) -> Scenario:
-    """Scenarios as one batch (numpy leaves with a leading axis S); shorter target lists are padded with their last."""
+    """Scenarios as one batch (numpy leaves with a leading axis S); shorter target lists are padded with their last.
+    Raises InputError for none."""
     if not scenarios:
         raise InputError("no scenarios to plan")
     longest = max(len(s.targets) for s in scenarios)

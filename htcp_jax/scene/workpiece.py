@@ -7,7 +7,6 @@ pierced the wall.
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -15,24 +14,10 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.foreign import known_ending
-from htcp_jax.formats.table import read_table
+from htcp_jax.formats.arrays import points, triple
 from htcp_jax.notebook import html_facts
-from htcp_jax.scene import duct
 from htcp_jax.scene.convex_hull import Hull, convex_hull
-from htcp_jax.scene.mesh_points import Cover, cover
-from htcp_jax.scene.point_cloud import TEXT, check_points, load_geometry
-from htcp_jax.scene.robot import Robot
-from htcp_jax.scene.units import check_extent, check_path
-from htcp_jax.types import Anywhere
-
-PIVOT = (1.73205679, -0.0037799, 0.57539635)  # [m] world
-NEUTRAL_TRANSLATION = (1.24549547, -0.0037799, 0.87525497)  # [m] workpiece origin at wy = wz = 0
-GATE_DEPTH_M = 0.2
-MOST_POINTS = 10_000_000  # of the generated duct
-# Where the duct's wall bulges outwards nearly every point is a vertex of the hull: 22,914 facets.
-# At this tolerance they are 944, and the corners that they leave lie at most 0.42 mm outside the exact hull.
-DUCT_HULL_TOLERANCE_M = 5e-4
+from htcp_jax.scene.duct import GATE_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
 
 Triple = tuple[float, float, float]
 
@@ -77,9 +62,9 @@ class Workpiece:
     hull_vertices: Float[np.ndarray, "V 3"] = field(init=False)
 
     def __post_init__(self):
-        cloud = _points(self.cloud, f"cloud of {self.name}", 4)
-        path = _points(self.path, f"path of {self.name}", 1)
-        inlet = None if self.inlet is None else _triple(self.inlet, "inlet")
+        cloud = points(self.cloud, f"cloud of {self.name}", 4)
+        path = points(self.path, f"path of {self.name}", 1)
+        inlet = None if self.inlet is None else triple(self.inlet, "inlet")
         for name in ("gate_depth_m", "hull_tolerance_m", "covering_radius_m", "tip_contact_m"):
             if getattr(self, name) is not None and not 0.0 <= getattr(self, name) < np.inf:
                 raise InputError(f"{name} is {getattr(self, name)}; it must be 0 or more")
@@ -90,8 +75,8 @@ class Workpiece:
         arrays = {
             "cloud": cloud, "path": path, "inlet": inlet, "triangles": triangles,
             "inlet_direction": _direction(self.inlet_direction, hull, inlet),
-            "pivot": _triple(self.pivot, "pivot"),
-            "neutral_translation": _triple(self.neutral_translation, "neutral_translation"),
+            "pivot": triple(self.pivot, "pivot"),
+            "neutral_translation": triple(self.neutral_translation, "neutral_translation"),
             "hull_normal": hull.normal, "hull_offset": hull.offset, "hull_vertices": hull.vertices,
         }  # fmt: skip
         for name, array in arrays.items():
@@ -157,132 +142,13 @@ class Workpiece:
         return np.append(n, along.min() + self.gate_depth_m)
 
 
-def load_workpiece(
-    cloud: str | Path | Anywhere | None = None,
-    path: str | Path | Anywhere | None = None,
-    *,
-    name: str | None = None,
-    inlet: Triple | Literal["auto"] | None = "auto",
-    pivot: Triple = PIVOT,
-    neutral_translation: Triple = NEUTRAL_TRANSLATION,
-    gate_depth_m: float = GATE_DEPTH_M,
-    interior: Literal["hull", "none"] = "hull",
-    hull_tolerance_m: float | None = None,
-    inlet_direction: Triple | Literal["world-x"] | None = None,
-    tip_contact_m: float | None = None,
-    points: int | None = None,
-    seed: int = 0,
-    spacing: float | None = None,
-    thinnest_m: float = np.inf,
-    robot: Robot | None = None,
-) -> Workpiece:
-    """A workpiece from files or arrays; without a cloud the generated duct, without both the duct and its weld.
-
-    cloud, path: files, see `load_cloud` and `read_path`, or points (P, 3), (T, 3) [m].
-    inlet: "auto" is the duct's inlet for the duct and None for another cloud.
-    hull_tolerance_m: None is 0 (the exact hull) for a cloud and 0.5 mm for the duct.
-    inlet_direction: "world-x" is the world's x, however the part is turned, as in the paper's scene; None is that for
-        the duct, and "facet" for another cloud, see `Workpiece`.
-    points, seed: of the generated duct.
-    spacing [m]: of the points on a mesh, see `mesh_points.cover`; thinnest_m: radius of the thinnest body [m], which
-        must be larger than the covering radius of a mesh.
-    robot: whose reach and bodies part and path have to make sense for by their size, see `units`; None: no such check.
-    Raises InputError for what is wrong with a file or a figure, and for a cloud without a path.
-    """
-    generated = cloud is None
-    name = name or ("duct" if generated else Path(_named(cloud)).stem)
-    if generated:
-        track = duct.weld() if path is None else read_path(path)
-        surface, triangles = _generated(points, seed, spacing), np.empty((0, 3, 3))
-    elif path is None:
-        raise InputError(f"{_named(cloud)}: a cloud needs a tool path of its own (x,y,z rows in a CSV file)")
-    elif points is not None:
-        raise InputError(f"{_named(cloud)}: the number of points is for the generated duct; a mesh takes a spacing")
-    else:
-        read, triangles = load_geometry(cloud) if _is_file(cloud) else (_points(cloud, "cloud", 4), np.empty((0, 3, 3)))
-        track, surface = read_path(path), Cover(read, 0.0)
-        if robot is not None:
-            check_extent(robot, read, track, name)
-        if len(triangles):
-            surface = cover(triangles, str(cloud), spacing, thinnest_m)
-            _check_thinnest(surface, str(cloud), thinnest_m)
-    if robot is not None:
-        check_path(surface.points, track, name)
-    if inlet == "auto":
-        inlet = duct.INLET if generated else None
-    if hull_tolerance_m is None:
-        hull_tolerance_m = DUCT_HULL_TOLERANCE_M if generated else 0.0
-    if inlet_direction is None and not generated:
-        inlet_direction = "facet"
-    elif inlet_direction == "world-x":
-        inlet_direction = None
-    return Workpiece(
-        name,
-        surface.points,
-        track,
-        inlet,
-        pivot,
-        neutral_translation,
-        gate_depth_m,
-        interior,
-        hull_tolerance_m,
-        inlet_direction,
-        triangles,
-        surface.radius_m,
-        tip_contact_m,
-    )
-
-
-def _is_file(given: object) -> bool:
-    return isinstance(given, str | Path)
-
-
-def _named(cloud: str | Path | Anywhere) -> str | Path:
-    return cloud if _is_file(cloud) else "cloud"
-
-
-def read_path(path: str | Path | Anywhere) -> Float[np.ndarray, "T 3"]:
-    """Tool path [m], workpiece frame: x,y,z rows of a text file (.csv .txt .xyz), or its columns of these
-    names, or an array, in tracking order; `cloud.read_points` has the normals too.
-
-    Raises InputError for an unreadable or empty file, what is wrong with a line (naming it) and NaN.
-    """
-    if not _is_file(path):
-        return _points(path, "path", 1)
-    path = Path(path)
-    known_ending(path, TEXT)
-    points = read_table(path).xyz
-    if not len(points):
-        raise InputError(f"{path}: the tool path is empty")
-    check_points(points, str(path), at_least=1)
-    return points
-
-
-def _generated(points: int | None, seed: int, spacing: float | None) -> Cover:
-    if spacing is not None:
-        raise InputError("spacing is for meshes; the generated duct takes points")
-    if seed < 0:
-        raise InputError(f"seed is {seed}; it must be 0 or more")
-    if points is not None and not 4 <= points <= MOST_POINTS:
-        raise InputError(f"points is {points}; valid are 4 to {MOST_POINTS}")
-    return Cover(duct.duct_cloud(duct.POINTS if points is None else points, seed), 0.0)
-
-
-def _check_thinnest(surface: Cover, source: str, thinnest_m: float) -> None:
-    if surface.radius_m >= thinnest_m:
-        raise InputError(
-            f"{source}: the mesh is up to {1e3 * surface.radius_m:.4g} mm from its points, and the thinnest body has a "
-            f"radius of {1e3 * thinnest_m:.4g} mm; workpiece.mesh_spacing_m must be smaller"
-        )
-
-
 def _direction(value: object, hull: Hull, inlet: np.ndarray | None) -> Float[np.ndarray, "3"] | None:
     """The unit vector into the part."""
     if value is None or (isinstance(value, str) and not len(hull.offset)):
         return None
     if isinstance(value, str):
         return -hull.normal[np.argmax(hull.normal @ inlet - hull.offset)]
-    direction = _triple(value, "inlet_direction")
+    direction = triple(value, "inlet_direction")
     if not np.linalg.norm(direction) > 0:
         raise InputError("inlet_direction is zero; it must point into the part")
     return direction / np.linalg.norm(direction)
@@ -298,25 +164,3 @@ def _hull(cloud: Float[np.ndarray, "P 3"], interior: str, tolerance_m: float, na
     if interior == "none":
         return Hull(np.empty((0, 3)), np.empty(0), cloud)
     raise InputError(f"interior is {interior!r}; valid are hull, none")
-
-
-def _points(value: object, source: str, at_least: int) -> Float[np.ndarray, "P 3"]:
-    points = _numbers(value, source)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise InputError(f"{source}: shape {points.shape}, (points, 3) is needed")
-    check_points(points, source, at_least)
-    return points
-
-
-def _triple(value: object, source: str) -> Float[np.ndarray, "3"]:
-    triple = _numbers(value, source)
-    if triple.shape != (3,) or not np.isfinite(triple).all():
-        raise InputError(f"{source} is {value!r}; three finite numbers [m] are needed")
-    return triple
-
-
-def _numbers(value: object, source: str) -> Float[np.ndarray, "..."]:
-    try:
-        return np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"{source}: not an array of numbers") from None

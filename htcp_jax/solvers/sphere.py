@@ -26,7 +26,8 @@ Seen = object  # contacts: a pytree whose leaves have a leading axis K, or R = a
 
 
 class Sphere(NamedTuple):
-    """The problem above. J1(w) = 1/2 w' curvature w is already inside the values that observe and predict return."""
+    """The problem above. J1(w) = 1/2 w' curvature w is already inside the values that observe and predict return.
+    Those are the f_k [m] and their gradients; w and with it G and h have no unit."""
 
     observe: Callable[[Direction], tuple[Float[Array, "K"], Seen]]
     measure: Callable[[Direction], Scalar]  # min_k f_k(w) alone: cheaper than observe
@@ -253,7 +254,8 @@ def _epigraph(values, mu):
 
 
 def adam(sphere: Sphere, seen: Seen, iterations: int = 40, rate: float = 0.15) -> Best:
-    """Adam (optax) on the subgradient of the smallest f_k, projected onto the sphere after every step."""
+    """Adam (optax) on the subgradient of the smallest f_k, projected onto the sphere after every step.
+    rate: of the first step, no unit; it falls to 0 by a cosine."""
     schedule = optax.cosine_decay_schedule(rate, iterations)
     optimiser = optax.adam(schedule)
 
@@ -283,7 +285,8 @@ def cmaes(
 ) -> Best:
     """CMA-ES over directions: samples are normalised before they are measured; the best one ever measured is kept.
 
-    population and generations are the paper's; sigma, which the paper leaves open, covers a hemisphere at 0.5.
+    population and generations are the paper's; sigma (no unit), which the paper leaves open, covers a hemisphere at
+    0.5.
     """
     strategy = cma_es.rates(population, sphere.curvature.shape[0])
 

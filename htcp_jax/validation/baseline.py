@@ -22,8 +22,8 @@ import yaml
 from pydantic import Field, model_validator
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.strict_model import Section, validate
 from htcp_jax.formats.strict_yaml import read_yaml
-from htcp_jax.jobs.config import Section, validate
 from htcp_jax.planner.plans import Outcome
 from htcp_jax.runs.ceiling_file import read_ceiling
 from htcp_jax.runs.identity import config_hash, identity
@@ -31,7 +31,7 @@ from htcp_jax.runs.manifest import Manifest, MethodName
 from htcp_jax.runs.plan_folder import write_text
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.status import Status
-from htcp_jax.validation.validate import MethodCheck, Refuted
+from htcp_jax.validation.result import MethodCheck, Refuted
 from htcp_jax.validation.validate import validate as check_by_mujoco
 
 COMPLETE = "complete"

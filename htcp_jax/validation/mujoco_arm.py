@@ -37,7 +37,7 @@ class Arm:
     """A model file in MuJoCo, with the base and the tool that a job gives it and the tool longer by `tool_extension_m`,
     and a probe that can be put anywhere.
 
-    limits, tcp, base_m, base_rpy_rad, tool: see `robot.load_robot`. names, radius, length: of the K capsules and
+    limits, tcp, base_m, base_rpy_rad, tool: see `robot_file.load_robot`. names, radius, length: of the K capsules and
     spheres, and their axes' [m]; lower, upper: joint limits; speed: inf where the model gives none. Raises InputError
     for a file that MuJoCo cannot read.
     """

@@ -11,15 +11,7 @@ from htcp_jax.validation.limits import RECORD_M, ROUNDING_M, STEP_RAD
 from htcp_jax.validation.mujoco_arm import Arm, Postures
 from htcp_jax.validation.mujoco_clearance import AtTargets, Scene, Wall
 from htcp_jax.validation.records import Results, Track, targets_of, turned_and_moved
-
-
-class Refuted(NamedTuple):
-    """A tracked configuration that does not stand."""
-
-    method: str
-    scenario: int
-    target: int
-    reason: str
+from htcp_jax.validation.result import Refuted
 
 
 class Checked(NamedTuple):

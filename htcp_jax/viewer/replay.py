@@ -17,7 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int8
 
-from htcp_jax.clearance.obstacles import Obstacles, contacts
+from htcp_jax.clearance.obstacle import Obstacles
+from htcp_jax.clearance.obstacles import contacts
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.planner.obstruction import Obstruction, blocked_target, obstructions

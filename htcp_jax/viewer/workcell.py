@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.clearance.obstacles import Obstacle, make_obstacle
+from htcp_jax.clearance.obstacle import Obstacle
+from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import arm_of, part_of, robot_of, workpiece_of
 from htcp_jax.jobs.config import PlanConfig

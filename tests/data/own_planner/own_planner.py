@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
-from htcp_jax.clearance.verdict import counts
 
 import htcp_jax
 from htcp_jax.planner.plans import Plans
@@ -22,16 +21,15 @@ RESTARTS, SPREAD_RAD = 64, 0.3
 
 
 @jax.jit
-def restarts(robot, obstacle, scenario, x, target, key):
-    """Configurations (RESTARTS, N) on the target, the first from x itself, with their clearance and TCP error [m]."""
+def restarts(robot, obstacles, task, scenario, x, target, key):
+    """Configurations (RESTARTS, N) on the target, the first from x itself, with their clearance and residual [m]."""
     robot = lengthen_tool(robot, scenario.tool_extension_m)
     noise = SPREAD_RAD * jax.random.normal(key, (RESTARTS, x.shape[0])).at[0].set(0.0)
 
     def one(x):
-        x, _ = htcp_jax.reanchor(robot, x, target, 1e-4)
+        x, _ = htcp_jax.reanchor(robot, x, target, task.fine_m, task=task)
         x = jnp.clip(x, robot.lower, robot.upper)
-        error = jnp.linalg.norm(htcp_jax.tcp_position(robot, x) - target)
-        return x, htcp_jax.clearance.clearance(robot, obstacle, scenario, x), error
+        return x, htcp_jax.clearance.clearance(robot, obstacles, scenario, x), task.off(robot, x, target)
 
     return jax.vmap(one)(x[None, :] + noise)
 
@@ -47,21 +45,21 @@ class RandomRestarts:
     def plan(self, problem: Problem) -> Plans:
         """One scenario after the other, on one device, by one thread."""
         plans = problem.empty_plans()
-        obstacle = htcp_jax.make_obstacle(problem.workpiece)
         for s in problem.open:
             scenario = jax.tree.map(lambda leaf, s=s: leaf[s], problem.scenarios)
-            self._plan_one(problem, obstacle, scenario, plans, int(s))
+            self._plan_one(problem, scenario, plans, int(s))
             problem.progress(0, 1)
         return plans
 
-    def _plan_one(self, problem: Problem, obstacle, scenario, plans: Plans, s: int) -> None:
+    def _plan_one(self, problem: Problem, scenario, plans: Plans, s: int) -> None:
         key = jax.random.fold_in(jax.random.key(problem.settings.seed), int(scenario.number))
         x = scenario.x_start
         for t in range(int(scenario.count)):
             target = scenario.targets[t]
-            found = restarts(problem.robot, obstacle, scenario, x, target, jax.random.fold_in(key, t))
-            around, clearance, error = map(np.asarray, found)
-            good = counts(clearance, error, scenario.margin_m, problem.settings.tolerance_m)
+            scene = problem.robot, problem.obstacles, problem.task
+            found = restarts(*scene, scenario, x, target, jax.random.fold_in(key, t))
+            around, clearance, residual = map(np.asarray, found)
+            good = problem.task.counts(clearance, residual, scenario.margin_m)
             if not good.any():
                 plans.status[s, t] = Status.ESCAPE_EXHAUSTED
                 return
@@ -71,7 +69,7 @@ class RandomRestarts:
             plans.status[s, t] = Status.TRACKED
             plans.x[s, t], plans.joint_step[s, t] = x, step[best]
             plans.tcp[s, t] = htcp_jax.tcp_position(lengthen_tool(problem.robot, scenario.tool_extension_m), x)
-            plans.clearance[s, t], plans.residual[s, t] = clearance[best], error[best]
+            plans.clearance[s, t], plans.residual[s, t] = clearance[best], residual[best]
             problem.progress(1, 0)
 
 

@@ -1,0 +1,153 @@
+"""Which public names have a docstring that is not complete, by the syntax tree alone.
+
+Public is every function and class in `htcp_jax.__all__`, and every one without an underscore that a page under docs
+shows: `::: htcp_jax.x.y` shows y or, where y is a module, all of it but for what `members` leaves out.
+
+A function is complete when
+
+- it has a docstring;
+- the shape of every array stands in its annotation, or behind the argument's name in the docstring, "x (N,)";
+- its numbers have a unit: a name that ends in one (margin_m), a type that is always in one (`types`, a Pose), or one in
+  brackets in the docstring, [m], or there it says in words what unit there is; counts and shares need none (COUNTED);
+- it says "InputError" if it raises one, by itself or by a function with an underscore in the same module;
+- where it is mathematics, which docs/equations.md and docs/reference/mathematics.md show, it or its module names the
+  source: an equation, an algorithm, a section, a book.
+
+A class is complete when it has a docstring, and the same holds for its fields: shape by annotation, unit by name, type,
+or in brackets behind the field or in the docstring.
+"""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+PACKAGE = "htcp_jax"
+FUNCTIONS = ast.FunctionDef, ast.AsyncFunctionDef
+MATHEMATICS = "equations", "mathematics"  # pages
+SHOWN = re.compile(r"^::: htcp_jax\.(\S+)\n((?: +.*\n?)*)", re.MULTILINE)
+MEMBERS = re.compile(r"members: \[([^\]]*)\]")
+UNIT_IN_NAME = re.compile(r"_(m|mm|rad|s|ms|m2|mm_s|share|rate)$")
+UNIT_TOLD = re.compile(r"\[[^\]]*\b(m|mm|rad|s|ms|m2|1|%)\b[^\]]*\]|\b(unit|percent|radians|metres|seconds)\b")
+WITH_UNIT = {"Joints", "Pose", "Vector3"}  # of types: [rad or m]; a frame in [m]; a point in [m]
+COUNTED = re.compile(r"^(num_.*|.*weights?|tracked|drivable|population)$")
+SOURCE = re.compile(r"equation|Eq\.|section|Algorithm|paper|constraints\)|Rodrigues|Ericson", re.IGNORECASE)
+RANDOM_KEY = "key"  # of JAX: an array without a shape
+ARRAYS = re.compile(r"\b(np\.ndarray|jax\.Array|Array)\b")
+NUMBERS = re.compile(r"\b(Float|float)\b")
+
+
+class Public(NamedTuple):
+    """A public function or class, and the module that it stands in."""
+
+    node: ast.AST
+    module: ast.Module
+    lines: list[str]  # of the module
+    is_mathematics: bool
+
+
+def incomplete(root: Path) -> dict[str, list[str]]:
+    """Of every public name of a checkout what its docstring lacks; an empty list where it is complete."""
+    lost = {name: ["is not where a page or `__all__` says"] for name in _named(root).keys() - public(root).keys()}
+    return lost | {name: list(_lacks(one)) for name, one in public(root).items()}
+
+
+def public(root: Path) -> dict[str, Public]:
+    """The public functions and classes of a checkout by their dotted names within the package."""
+    found = {}
+    for name, is_mathematics in sorted(_named(root).items()):
+        module, _, own = name.rpartition(".")
+        if (file := _file(root, module)) is not None:
+            text = file.read_text(encoding="utf-8")
+            tree = ast.parse(text)
+            node = next((n for n in tree.body if getattr(n, "name", None) == own), None)
+            if node is not None:
+                found[name] = Public(node, tree, text.splitlines(), is_mathematics)
+    return found
+
+
+def _named(root: Path) -> dict[str, bool]:
+    """What is said to be public, and whether as mathematics. A module of that very name is public as a whole."""
+    named = {f"{home}.{name}": False for name, home in _homes(root).items() if name != home.rpartition(".")[2]}
+    for page in sorted((root / "docs").rglob("*.md")):
+        for name in _shown(page.read_text(encoding="utf-8"), root):
+            named[name] = named.get(name, False) or page.stem in MATHEMATICS
+    return named
+
+
+def _homes(root: Path) -> dict[str, str]:
+    """The names of `__all__` with the modules that they come from."""
+    tree = ast.parse((root / PACKAGE / "__init__.py").read_text(encoding="utf-8"))
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "_HOME":
+            return ast.literal_eval(node.value)
+    return {}
+
+
+def _shown(page: str, root: Path) -> Iterator[str]:
+    for name, options in SHOWN.findall(page):
+        file, members = _file(root, name), MEMBERS.search(options)
+        if file is None:
+            yield name
+        elif members:
+            yield from (f"{name}.{member.strip()}" for member in members.group(1).split(",") if member.strip())
+        else:
+            tree = ast.parse(file.read_text(encoding="utf-8"))
+            own = [node.name for node in tree.body if isinstance(node, (*FUNCTIONS, ast.ClassDef))]
+            yield from (f"{name}.{each}" for each in own if not each.startswith("_"))
+
+
+def _file(root: Path, module: str) -> Path | None:
+    """The file of a module; None where there is no such module."""
+    stem = root / PACKAGE / module.replace(".", "/")
+    return next((file for file in (stem.with_suffix(".py"), stem / "__init__.py") if file.is_file()), None)
+
+
+def _lacks(public: Public) -> Iterator[str]:
+    node, text = public.node, ast.get_docstring(public.node) or ""
+    if not text:
+        yield "no docstring"
+        return
+    if isinstance(node, ast.ClassDef):
+        yield from _class_lacks(node, text, public.lines)
+        return
+    arguments = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+    for one in arguments:
+        yield from _value_lacks(one.arg, one.annotation, text)
+    if node.returns is not None:
+        yield from _value_lacks("return", node.returns, text)
+    if _raises(node, public.module, set()) and "InputError" not in text:
+        yield "raises InputError and does not say so"
+    if public.is_mathematics and not SOURCE.search(text + (ast.get_docstring(public.module) or "")):
+        yield "names no source"
+
+
+def _class_lacks(node: ast.ClassDef, text: str, lines: list[str]) -> Iterator[str]:
+    for field in node.body:
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):
+            behind = " ".join(lines[field.lineno - 1 : field.end_lineno]).partition("#")[2]
+            yield from _value_lacks(field.target.id, field.annotation, f"{text} {behind}")
+
+
+def _value_lacks(name: str, annotation: ast.expr | None, text: str) -> Iterator[str]:
+    kind = "" if annotation is None else ast.unparse(annotation)
+    bare = re.sub(r"\b(Float|Int|Int8|Bool)\[[^\[\]]*\]", "", kind)
+    if ARRAYS.search(bare) and name != RANDOM_KEY and not re.search(rf"\b{name}\b[^.;]*\(\w[^)]*,", text):
+        yield f"{name} has no shape"
+    has_unit = UNIT_IN_NAME.search(name) or COUNTED.match(name) or any(alias in kind for alias in WITH_UNIT)
+    if NUMBERS.search(kind) and not has_unit and not UNIT_TOLD.search(text):
+        yield f"{name} has no unit"
+
+
+def _raises(node: ast.AST, module: ast.Module, seen: set[str]) -> bool:
+    """Whether a function raises an InputError, by itself or through the module's own functions with an underscore."""
+    for inner in ast.walk(node):
+        if isinstance(inner, ast.Raise) and inner.exc is not None and "InputError" in ast.unparse(inner.exc):
+            return True
+        if isinstance(inner, ast.Call) and isinstance(inner.func, ast.Name) and inner.func.id.startswith("_"):
+            name = inner.func.id
+            callee = next((n for n in module.body if isinstance(n, FUNCTIONS) and n.name == name), None)
+            if callee is not None and name not in seen and _raises(callee, module, seen | {name}):
+                return True
+    return False

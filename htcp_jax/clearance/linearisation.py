@@ -1,0 +1,33 @@
+"""Task and clearance at one configuration, to first order: what a step QP is made of."""
+
+from typing import NamedTuple
+
+from htcp_jax.clearance.obstacle import Obstacles, Posed
+from htcp_jax.clearance.obstacles import ClearanceRows, clearance_rows
+from htcp_jax.scene.robot import Robot
+from htcp_jax.scene.task import TCP_POSITION, Task
+from htcp_jax.types import Array, Float, Joints
+
+
+class TaskRows(NamedTuple):
+    """The task at one configuration, to first order."""
+
+    value: Float[Array, "M"]  # what the target is compared with [m]
+    jacobian: Float[Array, "M N"]
+
+
+class Linearisation(NamedTuple):
+    """Task and clearance at one configuration, to first order."""
+
+    task: TaskRows
+    clearance: ClearanceRows
+
+
+def linearise(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, task: Task = TCP_POSITION) -> Linearisation:
+    """Task and clearance at x [rad or m], with their Jacobian and gradients; `where` is a scenario, or another `Posed`.
+
+    Equation (7) and the clearance rows of CFS (section on workspace inequality constraints). The default task is the
+    TCP's position. Raises InputError for an x of another shape.
+    """
+    rows = TaskRows(task.value(robot, x), task.jacobian(robot, x))
+    return Linearisation(rows, clearance_rows(robot, obstacles, where, x))

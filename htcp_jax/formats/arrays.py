@@ -1,0 +1,43 @@
+"""Numbers that were given or read, as arrays that are checked."""
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.errors import InputError
+
+LARGEST_COORDINATE = 1e9  # [m]
+
+
+def points(value: object, source: str, at_least: int) -> Float[np.ndarray, "P 3"]:
+    """The value as points [m]. Raises InputError, naming `source`, for another shape and as `check_points` does."""
+    found = _numbers(value, source)
+    if found.ndim != 2 or found.shape[1] != 3:
+        raise InputError(f"{source}: shape {found.shape}, (points, 3) is needed")
+    check_points(found, source, at_least)
+    return found
+
+
+def triple(value: object, source: str) -> Float[np.ndarray, "3"]:
+    """The value as three numbers [m]. Raises InputError, naming `source`, for another shape and for NaN."""
+    found = _numbers(value, source)
+    if found.shape != (3,) or not np.isfinite(found).all():
+        raise InputError(f"{source} is {value!r}; three finite numbers [m] are needed")
+    return found
+
+
+def check_points(points: Float[np.ndarray, "P 3"], source: str, at_least: int) -> None:
+    """Raise InputError unless there are `at_least` points, all finite and none absurdly far."""
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if bad.size:
+        raise InputError(f"{source}: row {bad[0] + 1} holds NaN or an infinite number ({bad.size} such rows)")
+    if len(points) < at_least:
+        raise InputError(f"{source}: {len(points)} points, at least {at_least} are needed")
+    if np.abs(points).max() > LARGEST_COORDINATE:
+        raise InputError(f"{source}: a coordinate of {np.abs(points).max():.3g} m; coordinates are metres")
+
+
+def _numbers(value: object, source: str) -> Float[np.ndarray, "..."]:
+    try:
+        return np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{source}: not an array of numbers") from None

@@ -1,0 +1,52 @@
+"""A configuration from a file, a mapping and overrides, checked and with its defaults.
+
+    load_config("plan.yaml", ["margin_m=0.001", "settings.alpha_rad=0.05"]) -> PlanConfig
+
+A file may build on another one, see `config_file`. Files named in a YAML file are relative to its folder; files named
+in an override are relative to the working folder, as on any command line.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from htcp_jax.formats.strict_model import refuse_unknown, validate
+from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.jobs.config_file import layers, layers_of, merged, parse_override, put
+from htcp_jax.jobs.defaults import fill_in, keys_of
+
+
+def load_config(
+    config: str | Path | Mapping[str, Any] | None = None, overrides: Sequence[str] | Mapping[str, Any] = ()
+) -> PlanConfig:
+    """The default job, changed by `config`, a YAML file or a mapping that spells one, then by `overrides`:
+    "dotted.key=value" each, or a mapping. Files in a mapping are relative to the working folder.
+
+    Raises InputError for a file that cannot be read, is no YAML mapping or repeats a key, for files that build on each
+    other in a circle, for an unknown key, for a value of the wrong type or outside its range, and for a robot other
+    than the GP50 without a start.
+    """
+    raw, source = read_config(config, overrides)
+    fill_in(raw, stated=keys_of(raw), source=source)
+    return validate(raw, PlanConfig, source)
+
+
+def read_config(
+    config: str | Path | Mapping[str, Any] | None, overrides: Sequence[str] | Mapping[str, Any]
+) -> tuple[dict, str]:
+    """What `load_config` is given as one mapping, without any default, and what to call it. Raises InputError."""
+    source, found = "the default configuration", []
+    if isinstance(config, Mapping):
+        source = "the configuration"
+        found = layers_of(config, source)
+    elif config is not None:
+        source = str(config)
+        found = layers(Path(config))
+    for name, raw in found:
+        refuse_unknown(raw, PlanConfig, name)
+    raw = merged(raw for _, raw in found)
+    pairs = overrides.items() if isinstance(overrides, Mapping) else map(parse_override, overrides)
+    for dotted, value in pairs:
+        put(raw, dotted, value)
+    refuse_unknown(raw, PlanConfig, source)
+    return raw, source

@@ -1,0 +1,51 @@
+"""What a validation comes to, as its file holds it: for those who read it and do not check anything themselves."""
+
+from typing import NamedTuple
+
+Place = tuple[int, int]  # scenario and target, of a path the one that it leads to
+
+
+class Refuted(NamedTuple):
+    """A tracked configuration that does not stand."""
+
+    method: str
+    scenario: int
+    target: int
+    reason: str
+
+
+class MethodCheck(NamedTuple):
+    """What was found for one method; None where there was nothing to measure."""
+
+    checked: int  # tracked targets
+    refuted: int
+    tcp_error_max_mm: float | None  # |site - target|
+    clearance_min_mm: float | None
+    clearance_min_at: Place | None
+    clearance_off_max_mm: float | None  # |MuJoCo's - recorded|, so are the next two
+    tcp_off_max_mm: float | None
+    target_off_max_mm: float | None
+    paths: int  # straight joint paths between consecutive tracked targets, and from the start to the first
+    paths_touching: int | None  # of them; None where nothing was looked at between the targets
+    paths_blocked_on_record: int
+    clearance_between_min_mm: float | None  # along the paths, targets included
+    clearance_between_min_at: Place | None
+    line_deviation_max_mm: float | None  # of the TCP from the straight line between two targets
+    line_deviation_max_at: Place | None
+    speed_ratio_max: float | None  # joint speed by its limit at the feed rate; None where the model has no limits
+    speed_joint: str | None  # whose it is
+    speed_at: Place | None
+    in_place_max_rad: float | None  # largest joint change between targets closer than the tolerance, for which the
+    # feed rate leaves no time; among them the one from the start to the first target
+
+
+class Validation(NamedTuple):
+    """The result of `validate`."""
+
+    validated: bool
+    methods: dict[str, MethodCheck]
+    refuted: tuple[Refuted, ...]
+    between: int
+    feed_mm_s: float
+    seconds: float
+    files: dict[str, str]  # SHA-256 of what was validated
