@@ -61,10 +61,8 @@ def test_each_scenario_is_planned_as_it_would_be_alone_however_the_grid_is_cut(h
     cut = sweep("grid.yaml", ["baseline"], "cut", shard_scenarios=2)
     assert whole.complete and whole.methods == ("baseline", "keep-clear")
     assert cut.targets().equals(whole.targets("baseline")) and cut.scenarios().equals(whole.scenarios("baseline"))
-    batch = load_sweep("grid.yaml").batch()
-    alone = batch.plan(
-        batch.robot, batch.workpiece, batch.scenarios, "baseline", load_sweep("grid.yaml").config.settings
-    )
+    grid = load_sweep("grid.yaml").batch()
+    alone = batch.plan(grid.robot, grid.workpiece, grid.scenarios, "baseline", load_sweep("grid.yaml").config.settings)
     for name, value in whole.plans("baseline")._asdict().items():
         if isinstance(value, np.ndarray):
             np.testing.assert_array_equal(value, getattr(alone, name), err_msg=name)
