@@ -18,7 +18,8 @@ from scipy.optimize import linprog
 
 from benchmarks import hardware
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.planner import compile_cache
+from htcp_jax.planner import compile_cache, step_qps
+from htcp_jax.planner.batch import plan
 from htcp_jax.solvers.active_set import solve_step
 from htcp_jax.solvers.clarabel_ import ClarabelSolver
 from htcp_jax.solvers.step_qp import StepQP
@@ -56,7 +57,7 @@ def _recorded(config: str, overrides: list[str], count: int) -> StepQP:
     """The first `count` step QPs of the sweep; repeated with 1 % more or less clearance where it has fewer."""
     spec = load_sweep(ROOT / "sweeps/workpiece.yaml", ROOT / f"configs/{config}.yaml", overrides)
     batch, seen = spec.batch(), []
-    make = batch.make_solver
+    make = step_qps.make_solver
 
     class Recorder:
         def __init__(self, *arguments):
@@ -66,11 +67,11 @@ def _recorded(config: str, overrides: list[str], count: int) -> StepQP:
             seen.append(qps)
             return self._solver.solve(qps)
 
-    batch.make_solver = Recorder
+    step_qps.make_solver = Recorder
     try:
-        batch.plan(batch.robot, batch.workpiece, batch.scenarios, "nspace-sample", spec.config.settings)
+        plan(batch.robot, batch.workpiece, batch.scenarios, "nspace-sample", spec.config.settings)
     finally:
-        batch.make_solver = make
+        step_qps.make_solver = make
     qps = jax.tree.map(lambda *parts: np.concatenate(parts), *seen)
     random = np.random.default_rng(0)
     rows = np.resize(np.arange(len(qps.b)), count)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from test_qp import WEIGHTS, batch, infeasible, random_batch
 
-from htcp_jax.planner import batch as planning
+from htcp_jax.planner import step_qps
 from htcp_jax.planner.batch import plan
 from htcp_jax.scene.robot import gp50
 from htcp_jax.scene.scenario import make_scenario, stack
@@ -95,7 +95,7 @@ class Recorder:
 def recorded(monkeypatch, settings, margin_m) -> StepQP:
     """The step QPs of a few hard poses."""
     made = []
-    monkeypatch.setattr(planning, "make_solver", lambda *a: made.append(Recorder(*a)) or made[-1])
+    monkeypatch.setattr(step_qps, "make_solver", lambda *a: made.append(Recorder(*a)) or made[-1])
     scene = gp50(), load_workpiece()
     hard = [(0.8, -0.3), (0.7, 0.3), (0.6, 0.0), (0.2, -0.3)]
     plan(*scene, [make_scenario(*scene, START, rotation=r, margin_m=margin_m) for r in hard], "baseline", settings)
