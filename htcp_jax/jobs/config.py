@@ -11,7 +11,6 @@ Some defaults are the GP50's and the duct's. With another robot or another cloud
 
 import difflib
 import math
-import re
 import reprlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import fields, is_dataclass
@@ -22,6 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.config_file import FILES, layers, layers_of, merged, parse_override, put
+from htcp_jax.planner.registry import NAME
 from htcp_jax.scene.robot import load_robot
 from htcp_jax.scene.tool import Tool
 from htcp_jax.scene.workpiece import GATE_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
@@ -33,7 +33,6 @@ Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Point = tuple[Number, Number, Number]
 Turn = Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi)]  # degrees are mostly beyond
 Steps = Annotated[int, Field(ge=0, le=10_000)]
-METHOD_NAME = re.compile(r"[a-z0-9-]+")  # it stands in names of files; which methods there are, the planner says
 
 
 class Section(BaseModel):
@@ -97,7 +96,7 @@ class PlanConfig(Section):
     @field_validator("method")
     @classmethod
     def _could_be_a_method(cls, name: str) -> str:
-        if not METHOD_NAME.fullmatch(name):
+        if not NAME.fullmatch(name):  # which there are, the planner says
             raise InputError(f"{name!r} is no method; their names are small letters, digits and hyphens")
         return name
 

@@ -25,6 +25,7 @@ from htcp_jax.jobs.grid_axes import from_record, varied_keys
 from htcp_jax.jobs.grid_points import Point, points_of
 from htcp_jax.notebook import html_facts
 from htcp_jax.planner.plans import Plans
+from htcp_jax.planner.registry import NAME
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.runs.plan_folder import SUMMARY
 from htcp_jax.runs.summary import summarise
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 MANIFEST = "manifest.json"
 TABLES = ("targets", "scenarios")
 
-MethodName = Annotated[str, Field(pattern=r"^[a-z0-9-]+$")]  # it stands in names of files
+MethodName = Annotated[str, Field(pattern=f"^{NAME.pattern}$")]  # it stands in names of files
 Count = Annotated[int, Field(ge=0, lt=2**53)]
 Scenarios = Annotated[int, Field(ge=0, le=MOST)]
 

@@ -48,7 +48,7 @@ class RandomRestarts:
         """One scenario after the other, on one device, by one thread."""
         plans = problem.empty_plans()
         obstacle = htcp_jax.make_obstacle(problem.workpiece)
-        for s in problem.open:
+        for s in problem.to_plan:
             scenario = jax.tree.map(lambda leaf, s=s: leaf[s], problem.scenarios)
             self._plan_one(problem, obstacle, scenario, plans, int(s))
             problem.progress(0, 1)
