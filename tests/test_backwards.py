@@ -143,9 +143,9 @@ def test_scenarios_advance_together_and_each_comes_to_what_it_does_alone():
 
 @pytest.fixture(scope="module")
 def crossed():
-    """Two poses of the workpiece sweep: at the first, hybrid plans backwards; at the second it need not."""
+    """Three poses of the workpiece sweep: at the first and the last, hybrid plans backwards; between, it need not."""
     arm, duct = made_once.robot(), made_once.duct()
-    poses = {1: (0.2, -0.2), 2: (0.2, -0.1)}  # by their number in the sweep
+    poses = {1: (0.2, -0.2), 2: (0.2, -0.1), 3: (0.2, 0.0)}  # by their number in the sweep
     return arm, duct, [make_scenario(arm, duct, made_once.START, rotation=at, number=k) for k, at in poses.items()]
 
 
@@ -168,6 +168,5 @@ def test_a_plan_made_backwards_says_so_and_holds_up_nobody(crossed, monkeypatch)
     assert (plans.status[back] == Status.TRACKED_AFTER_ESCAPE).all() and (plans.path_clear[back] == 1).all()
     x = np.concatenate([[scenarios[0].x_start], plans.x[0]])
     np.testing.assert_allclose(plans.joint_step[0], np.linalg.norm(np.diff(x, axis=0), axis=1))
-    pushes = [k for k, (name, _) in enumerate(calls) if name == "push"]
-    between = [numbers for name, numbers in calls[pushes[0] : pushes[-1]] if name == "prepare"]
-    assert any(2 in numbers for numbers in between)
+    pushes = {one: [k for k, (name, at) in enumerate(calls) if name == "push" and one in at] for one in (1, 3)}
+    assert any(one not in numbers for one, own in pushes.items() for _, numbers in calls[own[0] : own[-1]])

@@ -5,13 +5,13 @@ they are what `defaults` says.
 """
 
 import math
-import re
 from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
 from htcp_jax.errors import InputError
 from htcp_jax.formats.strict_model import Section
+from htcp_jax.planner.registry import NAME
 from htcp_jax.scene.duct import GATE_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
 from htcp_jax.scene.tool import Tool
 from htcp_jax.settings import Settings
@@ -21,7 +21,6 @@ Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Point = tuple[Number, Number, Number]
 Turn = Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi)]  # degrees are mostly beyond
 Steps = Annotated[int, Field(ge=0, le=10_000)]
-METHOD_NAME = re.compile(r"[a-z0-9-]+")  # it stands in names of files; which methods there are, the planner says
 
 SOURCES = ("robot.model", "workpiece.cloud")  # what the next ones hang on, where they are not stated
 DEPENDENT = (
@@ -91,6 +90,6 @@ class PlanConfig(Section):
     @field_validator("method")
     @classmethod
     def _could_be_a_method(cls, name: str) -> str:
-        if not METHOD_NAME.fullmatch(name):
+        if not NAME.fullmatch(name):  # which there are, the planner says
             raise InputError(f"{name!r} is no method; their names are small letters, digits and hyphens")
         return name

@@ -55,8 +55,8 @@ class Problem:
         return make_tip_guard(self.workpiece)
 
     @property
-    def open(self) -> Int[np.ndarray, "_"]:
-        """The scenarios to plan, by their place: those that were not refused beforehand."""
+    def to_plan(self) -> Int[np.ndarray, "_"]:
+        """The scenarios to plan by their place in the stack: those that were not refused beforehand."""
         return np.flatnonzero(self.scenarios.refused == NOT_REFUSED)
 
     def empty_plans(self) -> Plans:

@@ -32,7 +32,7 @@ class StepQPs(Escapes):
         threads = min(problem.threads, count)
         share = -(-count // threads)
         # Neighbours in a grid are alike: dealt out in turn, every engine gets its part of the hard ones.
-        refused = set(range(count)).difference(problem.open.tolist())
+        refused = set(range(count)).difference(problem.to_plan.tolist())
         order = [k for first in range(threads) for k in range(first, count, threads) if k not in refused]
         handed_out = _Shared(order)
         kernels = problem.kernels  # made here, before there are threads

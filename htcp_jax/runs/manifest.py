@@ -5,13 +5,14 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import Field, model_validator
 
 from htcp_jax.formats.strict_model import Section
-from htcp_jax.jobs.grid import MOST
+from htcp_jax.jobs.grid_axes import MOST
+from htcp_jax.planner.registry import NAME
 from htcp_jax.runs.identity import config_hash, identity
 
 MANIFEST = "manifest.json"
 TABLES = ("targets", "scenarios")
 
-MethodName = Annotated[str, Field(pattern=r"^[a-z0-9-]+$")]  # it stands in names of files
+MethodName = Annotated[str, Field(pattern=f"^{NAME.pattern}$")]  # it stands in names of files
 Count = Annotated[int, Field(ge=0, lt=2**53)]
 Scenarios = Annotated[int, Field(ge=0, le=MOST)]
 
