@@ -10,8 +10,7 @@ from rich.text import Text
 
 from htcp_jax.api import Plan, checked_scene, forget_validation, plan_job
 from htcp_jax.cli.methods import complete_method
-from htcp_jax.cli.options import Overrides
-from htcp_jax.cli.output import Device, Json, print_facts, print_json, stdout
+from htcp_jax.cli.output import Device, Json, Overrides, print_facts, print_json, stdout
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.planner import batch, devices

@@ -10,8 +10,7 @@ from rich.text import Text
 
 from htcp_jax.api import checked_scene
 from htcp_jax.cli.methods import complete_method
-from htcp_jax.cli.options import Overrides
-from htcp_jax.cli.output import stdout
+from htcp_jax.cli.output import Overrides, stdout
 from htcp_jax.cli.plan import plan_with_progress
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.load_config import load_config
