@@ -16,8 +16,8 @@ from htcp_jax.planner.candidates import nearest
 from htcp_jax.planner.kernel import STEP, Kernel
 from htcp_jax.planner.kernels import ADVANCE, CHECK_PATH, PREPARE
 from htcp_jax.planner.lane_inputs import lane_inputs
-from htcp_jax.planner.posture_kernels import ENTER
 from htcp_jax.planner.programs import PROGRAMS, Kernels, Programs
+from htcp_jax.planner.stages import ENTER
 from htcp_jax.scene.robot_file import gp50
 from htcp_jax.scene.scenario import make_scenario, stack
 from htcp_jax.scene.workpiece_file import load_workpiece

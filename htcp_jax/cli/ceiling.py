@@ -9,8 +9,17 @@ import numpy as np
 import typer
 from rich.text import Text
 
-from htcp_jax.cli.options import Config, Limit, Overrides, SweepFile
-from htcp_jax.cli.output import Json, print_facts, print_json, progress_bars, stdout
+from htcp_jax.cli.output import (
+    Config,
+    Json,
+    Limit,
+    Overrides,
+    SweepFile,
+    print_facts,
+    print_json,
+    progress_bars,
+    stdout,
+)
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.grid import Batch, load_sweep
 from htcp_jax.planner import reachability

@@ -1,4 +1,5 @@
-"""What commands print: a table for a person on stdout or, with --json, the same for a program, and nothing else.
+"""What several commands take, and what they print: a table for a person on stdout or, with --json, the same for a
+program, and nothing else.
 
 Progress and warnings go to stderr; the progress is on a terminal alone. NO_COLOR takes the colours away.
 """
@@ -7,6 +8,7 @@ import shutil
 import textwrap
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -30,6 +32,14 @@ TIED = "of", "at", "scenario:"  # heads of columns that belong to the one before
 
 Device = Annotated[str | None, typer.Option(metavar="cpu|gpu[:N]", help="Where to compute; by default GPUs, if any.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON, and nothing else, in place of the table.")]
+
+# And those of the commands that plan.
+SweepFile = Annotated[Path, typer.Argument(metavar="SWEEP.yaml", help="The grid, sweeps/robot.yaml for example.")]
+Limit = Annotated[int | None, typer.Option(metavar="N", help="Plan only the first N scenarios.")]
+Config = Annotated[Path | None, typer.Option(metavar="CONFIG.yaml", help="In place of the sweep file's own.")]
+Overrides = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key; may be repeated.")
+]
 
 
 def stdout() -> Console:

@@ -9,8 +9,7 @@ from rich.text import Text
 from htcp_jax import api
 from htcp_jax.api import Plan, forget_validation
 from htcp_jax.cli.methods import complete_method
-from htcp_jax.cli.options import Overrides
-from htcp_jax.cli.output import Device, Json, print_facts, print_json, progress_bar, stdout
+from htcp_jax.cli.output import Device, Json, Overrides, print_facts, print_json, progress_bar, stdout
 from htcp_jax.planner import devices
 from htcp_jax.runs.plan_folder import written_whole
 

@@ -11,8 +11,18 @@ from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
 from htcp_jax.cli.methods import complete_methods
-from htcp_jax.cli.options import Config, Limit, Overrides, SweepFile
-from htcp_jax.cli.output import Device, Json, print_json, print_table, progress_bars, stdout
+from htcp_jax.cli.output import (
+    Config,
+    Device,
+    Json,
+    Limit,
+    Overrides,
+    SweepFile,
+    print_json,
+    print_table,
+    progress_bars,
+    stdout,
+)
 from htcp_jax.planner import devices
 from htcp_jax.report.document import Column, Table
 from htcp_jax.runs import sweep as sweeps

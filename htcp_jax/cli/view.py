@@ -9,8 +9,7 @@ import typer
 from rich.text import Text
 
 from htcp_jax.cli.methods import complete_method
-from htcp_jax.cli.options import Overrides
-from htcp_jax.cli.output import stdout
+from htcp_jax.cli.output import Overrides, stdout
 from htcp_jax.cli.plan import plan_with_progress
 from htcp_jax.errors import InputError
 from htcp_jax.viewer.replay import Replays, open_replays, replays_of

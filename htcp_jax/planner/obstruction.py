@@ -17,8 +17,7 @@ from htcp_jax.clearance.obstacle import Obstacles
 from htcp_jax.clearance.obstacles import contacts
 from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.clearance.scene import Scene, own_scene
-from htcp_jax.planner.chunks import chunked
-from htcp_jax.planner.kernel import DEEP
+from htcp_jax.planner.kernel import DEEP, chunked
 from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.plans import Plans
 from htcp_jax.scene.inverse_kinematics import reanchor

@@ -8,8 +8,7 @@ import jax
 import numpy as np
 
 from htcp_jax.clearance.scene import Scene
-from htcp_jax.planner.chunks import chunked
-from htcp_jax.planner.kernel import STEP, Kernel
+from htcp_jax.planner.kernel import STEP, Kernel, chunked
 from htcp_jax.scene.task import Task
 from htcp_jax.settings import Settings
 

@@ -19,8 +19,8 @@ from htcp_jax.clearance.scene import Scene
 from htcp_jax.clearance.tip_guard import make_tip_guard
 from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.null_space import DRAWS, Anchored
-from htcp_jax.planner.posture_kernels import DRAW, PUSH
 from htcp_jax.planner.programs import Kernels
+from htcp_jax.planner.stages import DRAW, PUSH
 from htcp_jax.planner.tip_check import tip_checks
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import Scenario
