@@ -38,7 +38,7 @@ from htcp_jax.status import Status
 from htcp_jax.validation.limits import ROUNDING_M
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_clearance import Scene, Wall
-from htcp_jax.validation.records import targets_of, turned_and_moved
+from htcp_jax.validation.scene_rules import targets_of, turned_and_moved
 
 SWEEP = Path(__file__).resolve().parents[1] / "sweeps" / "workpiece.yaml"
 POSES = 49

@@ -20,13 +20,13 @@ from htcp_jax.planner.plans import Outcome, Plans
 from htcp_jax.runs.identity import anchor_files, file_hash
 from htcp_jax.runs.plan_folder import (
     VALIDATION,
-    provenance,
     summary_record,
     write_json,
     write_trajectory_csv,
     write_trajectory_npz,
     written_whole,
 )
+from htcp_jax.runs.provenance import provenance
 from htcp_jax.runs.summary import Summary, summarise
 from htcp_jax.runs.tables import frame_of, joint_columns, target_table
 from htcp_jax.scene.robot import Robot

@@ -11,7 +11,7 @@ from htcp_jax.cli.main import main
 from htcp_jax.runs.ceiling_file import CEILING
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.runs.manifest import MANIFEST
-from htcp_jax.runs.plan_folder import provenance
+from htcp_jax.runs.provenance import provenance
 from htcp_jax.status import Status
 from htcp_jax.validation.baseline import Baseline, read_baseline
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import htcp_jax
-from htcp_jax.runs import identity
+from htcp_jax.runs import provenance
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = Path(htcp_jax.__file__).parent
@@ -37,7 +37,7 @@ def test_a_run_records_whether_anything_of_the_package_was_edited(edited, tmp_pa
     _git(tmp_path, "add", "htcp_jax")
     _git(tmp_path, "-c", "user.name=n", "-c", "user.email=e", "commit", "--quiet", "--message", "all of it")
     monkeypatch.setattr(htcp_jax, "__file__", str(copy / "__init__.py"))
-    commit = identity.commit.__wrapped__  # without its memory
+    commit = provenance.commit.__wrapped__  # without its memory
     clean = commit()
     assert clean == _git(tmp_path, "rev-parse", "HEAD").strip()
     (copy / edited).write_text((copy / edited).read_text() + "\n")

@@ -9,13 +9,13 @@ from hand_made import plans_with
 
 from htcp_jax.errors import InputError
 from htcp_jax.runs.plan_folder import (
-    provenance,
     summary_record,
     write_json,
     write_trajectory_csv,
     write_trajectory_npz,
     written_whole,
 )
+from htcp_jax.runs.provenance import provenance
 from htcp_jax.runs.summary import summarise
 from htcp_jax.scene.robot_file import gp50
 from htcp_jax.status import Status

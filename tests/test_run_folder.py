@@ -17,9 +17,10 @@ from htcp_jax.jobs.grid_axes import Point
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.planner.plans import ARRAYS, NO_TARGET
 from htcp_jax.runs import tables, writer
-from htcp_jax.runs.identity import config_hash, identity, planned_by
+from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.runs.lock import locked
 from htcp_jax.runs.manifest import Manifest, Span
+from htcp_jax.runs.provenance import planned_by
 from htcp_jax.runs.run_folder import Run, open_run
 from htcp_jax.scene.robot_file import gp50
 from htcp_jax.status import Status

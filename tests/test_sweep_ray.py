@@ -13,7 +13,7 @@ from sweep_process import COLD, HALF, SHARDS, finish, make_sweep, plan_half, row
 
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
-from htcp_jax.runs.identity import planned_by
+from htcp_jax.runs.provenance import planned_by
 from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.sweep import sweep
 

@@ -29,7 +29,7 @@ from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.validation.mesh_clearance import axis_distances, goes_through
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_clearance import Scene, wall_of
-from htcp_jax.validation.records import turned_and_moved
+from htcp_jax.validation.scene_rules import turned_and_moved
 
 
 @pytest.fixture(scope="module")

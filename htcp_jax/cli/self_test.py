@@ -13,7 +13,7 @@ import numpy as np
 
 from htcp_jax.errors import InputError
 from htcp_jax.planner import batch, compile_cache
-from htcp_jax.runs.plan_folder import provenance
+from htcp_jax.runs.provenance import provenance
 from htcp_jax.scene.robot_file import gp50
 from htcp_jax.scene.scenario import make_scenario
 from htcp_jax.scene.workpiece_file import load_workpiece

@@ -1,18 +1,13 @@
 """What makes two runs the same, and what computed them."""
 
-import functools
 import hashlib
 import json
-import os
-import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import htcp_jax
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.config_file import FILES
-from htcp_jax.runs.plan_folder import provenance
 
 NO_IDENTITY = "method", "ray"  # of a configuration: a run has methods of its own, and may be planned anywhere
 
@@ -69,28 +64,6 @@ def differences(there: dict, here: dict) -> list[str]:
     return [
         "its grid differs" if name == "grid" else f"{name} is {a.get(name)} there, {b.get(name)} here" for name in names
     ]
-
-
-def planned_by() -> dict:
-    """What computes the results of this process: versions, device, float width, commit."""
-    return provenance() | {"commit": commit()}
-
-
-@functools.cache  # of the code that runs, whatever is checked out meanwhile
-def commit() -> str | None:
-    """The commit of this package's source, with "+changes" if it was edited since; None where git does not know."""
-    package = Path(htcp_jax.__file__).parent
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
-
-    def git(*words: str) -> str:
-        command = ["git", "-C", str(package), *words]
-        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=20).stdout
-
-    try:
-        git("ls-files", "--error-unmatch", Path(htcp_jax.__file__).name)
-        return git("rev-parse", "HEAD").strip() + ("+changes" if git("status", "--porcelain", "--", ".") else "")
-    except (OSError, subprocess.SubprocessError):
-        return None
 
 
 def _leaves(tree: dict, prefix: str = "") -> dict[str, Any]:

@@ -11,8 +11,8 @@ from jaxtyping import Int
 from htcp_jax.jobs.grid import Batch, Cell
 from htcp_jax.planner import batch
 from htcp_jax.planner.plans import Plans
-from htcp_jax.runs.identity import planned_by
 from htcp_jax.runs.manifest import Span
+from htcp_jax.runs.provenance import planned_by
 from htcp_jax.scene.scenario import Scenario
 
 

@@ -3,19 +3,15 @@
 import contextlib
 import csv
 import dataclasses
-import functools
-import importlib.metadata
 import json
 import math
 import os
-import platform
 import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from htcp_jax.errors import InputError
@@ -163,36 +159,6 @@ def summary_record(summary: Summary) -> dict:
         for f in summary.failures
     ]
     return {**summary._asdict(), "failures": failed}
-
-
-def provenance() -> dict:
-    """What computed the result: versions, device and float width."""
-    packages = ("htcp_jax", "jax", "jaxlib", "numpy", "mujoco", "clarabel", "qpsolvers")
-    device = jax.devices()[0]
-    kind = _processor() if device.platform == "cpu" else device.device_kind
-    return {
-        "versions": {name: _version(name) for name in packages},
-        "device": f"{device.platform}: {kind}",
-        "dtype": str(np.dtype(jax.numpy.zeros(0).dtype)),
-    }
-
-
-@functools.cache
-def _processor() -> str:
-    """The processor's kind, as far as the system tells: what a compiler optimises for."""
-    try:
-        lines = (line.partition(":") for line in Path("/proc/cpuinfo").read_text().splitlines())
-        told = {name.strip(): value.strip() for name, _, value in lines}
-        return f"{told['model name']}, family {told['cpu family']}, model {told['model']}"
-    except (OSError, UnicodeDecodeError, KeyError):  # another system or another architecture
-        return platform.processor() or platform.machine()
-
-
-def _version(package: str) -> str | None:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return None  # run from a source tree
 
 
 def _plain(value: Any) -> Any:

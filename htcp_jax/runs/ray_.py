@@ -22,8 +22,8 @@ from htcp_jax.jobs.config import PlanConfig, RayConfig
 from htcp_jax.jobs.grid import Batch, Cell
 from htcp_jax.planner import compile_cache
 from htcp_jax.planner.plans import Plans
-from htcp_jax.runs.identity import planned_by
 from htcp_jax.runs.local import Planned, Shard, plan_cells, scenarios_of
+from htcp_jax.runs.provenance import planned_by
 from htcp_jax.scene.scenario import Scenario
 
 LOOK_S = 0.5  # how often a waiting sweep looks for a signal

@@ -12,8 +12,9 @@ import pyarrow.parquet as pq
 
 from htcp_jax.errors import InputError
 from htcp_jax.planner.plans import Plans
-from htcp_jax.runs.identity import differences, identity, planned_by
+from htcp_jax.runs.identity import differences, identity
 from htcp_jax.runs.manifest import MANIFEST, TABLES, FileRecord, Manifest, Seconds, ShardRecord, Span, shard_name, spans
+from htcp_jax.runs.provenance import planned_by
 from htcp_jax.runs.run_folder import Run, fault, open_run
 
 PART = ".part-"

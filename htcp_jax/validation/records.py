@@ -1,81 +1,25 @@
-"""What is to be validated, read from a sweep's run folder or from the folder of one plan.
+"""What is to be validated, as recorded: read from a sweep's run folder or from the folder of one plan."""
 
-The results come as recorded. Their targets are worked out anew, by the scene's rules in plain numpy: scenario.py and
-the pose rule of workpiece.py are among what is validated.
-"""
-
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from htcp_jax.jobs.build import arm_of, part_of, robot_of, workpiece_of
 from htcp_jax.jobs.config import PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.planner.plans import Plans
 from htcp_jax.runs.open import PlanSet, open_plans
-from htcp_jax.runs.parameters import Parameters
 from htcp_jax.scene.workpiece import Workpiece
+from htcp_jax.validation.scene_rules import Results, Track
 
 MOST_WORKPIECES = 8  # of one run in memory
-
-
-class Track(NamedTuple):
-    """What one method recorded for one scenario with T targets; NaN where a target is not tracked."""
-
-    method: str
-    scenario: int
-    config: PlanConfig  # the scenario's own
-    start: Float[np.ndarray, "N"]  # that the plan starts from
-    tracked: Bool[np.ndarray, "T"]
-    blocked: Bool[np.ndarray, "T"]  # joint path from the row before, as recorded
-    x: Float[np.ndarray, "T N"]
-    tcp: Float[np.ndarray, "T 3"]
-    target: Float[np.ndarray, "T 3"]
-    clearance: Float[np.ndarray, "T"]
-
-
-class Results(NamedTuple):
-    """All that is to be validated."""
-
-    folder: Path
-    workpiece: Callable[[PlanConfig], Workpiece]  # of a track's configuration
-    count: int  # of the tracks
-    tracks: Iterable[Track]
-    files: dict[str, str]  # SHA-256 of the files that hold the results
 
 
 def read_results(folder: Path) -> Results:
     """The results in `folder`. Raises InputError as `open_plans` does."""
     found = open_plans(folder)
     return Results(found.folder, _workpieces(), found.count, _tracks(found), found.files)
-
-
-def turned_and_moved(part: WorkpieceConfig, pose: Parameters) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (3, 3) and translation (3,) from the workpiece frame to the world: about the pivot, first about world
-    x, then about y, then about z, applied to the neutral pose; then the shift."""
-    angles = pose.rotation_x_rad, pose.rotation_y_rad, pose.rotation_z_rad
-    (cx, sx), (cy, sy), (cz, sz) = ((np.cos(angle), np.sin(angle)) for angle in angles)
-    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-    rotate, pivot = about_z @ about_y @ about_x, np.array(part.pivot_m)
-    return rotate, pivot + rotate @ (np.array(part.neutral_translation_m) - pivot) + pose.shift_m
-
-
-def targets_of(
-    part: WorkpieceConfig, tcp: np.ndarray, inlet: np.ndarray | None, path: np.ndarray
-) -> Float[np.ndarray, "T 3"]:
-    """The targets, world: the start's TCP, steps to the inlet, steps from there to the path, the path."""
-    to_inlet, to_path = part.approach_to_inlet, part.approach_to_path
-    if inlet is None:
-        legs = [(tcp, path[0], to_inlet + to_path)]
-    else:
-        legs = [(tcp, inlet, to_inlet), (inlet, path[0], to_path)]
-    steps = [a + (b - a) * (k / count) for a, b, count in legs for k in range(1, count + 1)]
-    return np.array([tcp, *steps, *path])
 
 
 def _tracks(found: PlanSet) -> Iterator[Track]:

@@ -29,8 +29,9 @@ from htcp_jax.runs.plan_folder import SUMMARY, VALIDATION, write_json
 from htcp_jax.scene.robot import GP50
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_clearance import Wall, wall_of
-from htcp_jax.validation.records import Results, Track, read_results
+from htcp_jax.validation.records import read_results
 from htcp_jax.validation.result import MethodCheck, Place, Validation
+from htcp_jax.validation.scene_rules import Results, Track
 from htcp_jax.validation.track import Checked, check
 
 TOLD = 100  # refuted configurations that are told one by one

@@ -1,0 +1,65 @@
+"""What computed a result: versions, device, float width, commit."""
+
+import functools
+import importlib.metadata
+import os
+import platform
+import subprocess
+from pathlib import Path
+
+import jax
+import numpy as np
+
+import htcp_jax
+
+
+def provenance() -> dict:
+    """What computed the result: versions, device and float width."""
+    packages = ("htcp_jax", "jax", "jaxlib", "numpy", "mujoco", "clarabel", "qpsolvers")
+    device = jax.devices()[0]
+    kind = _processor() if device.platform == "cpu" else device.device_kind
+    return {
+        "versions": {name: _version(name) for name in packages},
+        "device": f"{device.platform}: {kind}",
+        "dtype": str(np.dtype(jax.numpy.zeros(0).dtype)),
+    }
+
+
+@functools.cache
+def _processor() -> str:
+    """The processor's kind, as far as the system tells: what a compiler optimises for."""
+    try:
+        lines = (line.partition(":") for line in Path("/proc/cpuinfo").read_text().splitlines())
+        told = {name.strip(): value.strip() for name, _, value in lines}
+        return f"{told['model name']}, family {told['cpu family']}, model {told['model']}"
+    except (OSError, UnicodeDecodeError, KeyError):  # another system or another architecture
+        return platform.processor() or platform.machine()
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None  # run from a source tree
+
+
+def planned_by() -> dict:
+    """What computes the results of this process: versions, device, float width, commit."""
+    return provenance() | {"commit": commit()}
+
+
+@functools.cache  # of the code that runs, whatever is checked out meanwhile
+def commit() -> str | None:
+    """The commit of this package's source, with "+changes" if it was edited since; None where git does not know."""
+    package = Path(htcp_jax.__file__).parent
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
+
+    def git(*words: str) -> str:
+        command = ["git", "-C", str(package), *words]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=20).stdout
+
+    try:
+        git("ls-files", "--error-unmatch", Path(htcp_jax.__file__).name)
+        return git("rev-parse", "HEAD").strip() + ("+changes" if git("status", "--porcelain", "--", ".") else "")
+    except (OSError, subprocess.SubprocessError):
+        return None
