@@ -113,7 +113,7 @@ def step_qps(task: Task) -> Advance:
     quiet.verbose = False
 
     def advance(x: np.ndarray, target: np.ndarray) -> np.ndarray:
-        for _ in range(task.settings.inner_iterations):
+        for _ in range(task.settings.max_step_qps):
             near = task.near(x)
             rows = sparse.csc_matrix(np.vstack([near.jacobian, -near.gradient, np.eye(n), -np.eye(n)]))
             bounds = np.concatenate([target - near.tcp, near.clearance - task.margin, task.upper - x, x - task.lower])
@@ -173,7 +173,7 @@ def mink(task: Task) -> Advance:
 
     def advance(x: np.ndarray, target: np.ndarray) -> np.ndarray:
         tool.set_target(mink.SE3.from_translation(target))
-        for _ in range(task.settings.inner_iterations):
+        for _ in range(task.settings.max_step_qps):
             configuration.data.mocap_pos[:] = task.near(x).witness
             configuration.update(x)
             try:

@@ -37,7 +37,7 @@ def main() -> None:
     scenarios = stack(
         [make_scenario(robot, workpiece, START, rotation=pose, margin_m=0.0, number=n) for n, pose in enumerate(poses)]
     )
-    settings = Settings(rows="smallest", cost_about="previous")
+    settings = Settings(clearance_rows="smallest", cost_about="previous")
     plans = plan(robot, workpiece, scenarios, "baseline", settings, check_paths=False)
     tracked = np.sum(plans.status == 0, axis=1)
     stuck = np.flatnonzero(tracked < plans.status.shape[1])

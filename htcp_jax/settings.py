@@ -6,13 +6,14 @@ The defaults are what works best; `configs/paper.yaml` holds the paper's choices
 import difflib
 import math
 import reprlib
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args, get_origin
 
 from pydantic import TypeAdapter, ValidationError
 
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, Note
 
 
 @dataclass(frozen=True)
@@ -26,9 +27,9 @@ class Settings:
     # Step QP, equation (8)
     q_weights: tuple[float, ...] = (5.0, 5.0, 2.0, 1.0, 5.0, 10.0)  # diagonal of Q, one weight a joint
     cost_about: Literal["reference", "previous"] = "reference"  # J1 about x_ref (8) or about x_{t-1} (4)
-    rows: Literal["per-body", "smallest"] = "per-body"  # a clearance row a capsule, or one of the smallest
+    clearance_rows: Literal["per-body", "smallest"] = "per-body"  # a row a body, or that of the smallest
     aim_above_m: float = 5e-4  # how far above the margin that must be kept the step QP's clearance rows aim
-    inner_iterations: int = 20  # step QPs at one target before it counts as stuck
+    max_step_qps: int = 20  # step QPs at one target before it counts as stuck
     tolerance_m: float = 1e-3  # a target is reached at this TCP error or less; also xi of the re-anchoring
     qp: str = "clarabel"  # solver: clarabel, device, or qpsolvers:<name>
     qp_tolerance: float = 1e-8  # of Clarabel's residuals and gap, no unit; at margin 0 it decides what gets stuck
@@ -36,8 +37,8 @@ class Settings:
     # Null space, equations (10) and (11)
     alpha_rad: float = 0.1  # length of a null-space step
     j1_weight: float = 0.0  # weight of J1 in J2 = -D + J1
-    outer_steps: int = 20  # null-space steps of one escape
-    far_links: bool = True  # whether J2 sees the capsules far from the workpiece
+    max_null_space_steps: int = 20  # null-space steps of one escape
+    include_proximal_bodies: bool = True  # whether J2 sees the capsules far from the workpiece
     after_escape: Literal["accept", "track"] = "accept"  # Algorithm 1 accepts; the prose tracks again
 
     # Straight joint paths between consecutive configurations
@@ -49,7 +50,7 @@ class Settings:
     samples: int = 50  # configurations or directions tried at one stuck target
     sample_steps: int = 100  # steps along one null-space direction
     sample_step_rad: float = 0.02  # length of each of them
-    sample_reach_rad: float = 3.0  # longest joint jump that a sample may ask for
+    max_sample_distance_rad: float = 3.0  # longest joint jump that a sample may ask for
 
     # N-space CMA-ES
     population: int = 100
@@ -60,13 +61,34 @@ class Settings:
     keep_clear_steps: int = 5
 
     # Hybrid
-    postures: int = 9  # rounds of draws for a posture at a lost target that leads back to the first
+    restart_rounds: int = 9  # rounds of draws for a posture at a lost target that leads back to the first
 
     seed: int = 0  # every scenario's random key is folded from it
 
     def __post_init__(self):
         for field in fields(self):
             _check(field.name, getattr(self, field.name), field.type)
+
+
+# What settings were called in version 0.1; known for one version more.
+RENAMED = {
+    "rows": "clearance_rows", "inner_iterations": "max_step_qps", "outer_steps": "max_null_space_steps",
+    "far_links": "include_proximal_bodies", "sample_reach_rad": "max_sample_distance_rad", "postures": "restart_rounds",
+}  # fmt: skip
+
+
+def with_new_names(values: dict[str, Any], source: str) -> dict[str, Any]:
+    """The settings under the names that they have now; a Note says so of each that was renamed. Raises InputError where
+    one is given by both its names."""
+    found = {}
+    for name, value in values.items():
+        new = RENAMED.get(name, name)
+        if new != name:
+            if new in values:
+                raise InputError(f"{source}: settings.{name} and settings.{new} are the same; leave out the first")
+            warnings.warn(f"{source}: settings.{name} is called settings.{new} now", Note, stacklevel=2)
+        found[new] = value
+    return found
 
 
 def settings_of(values: Settings | Mapping[str, Any] | None) -> Settings:
@@ -76,7 +98,7 @@ def settings_of(values: Settings | Mapping[str, Any] | None) -> Settings:
     """
     if isinstance(values, Settings):
         return values
-    values = dict(values or {})
+    values = with_new_names(dict(values or {}), "settings")
     known = [field.name for field in fields(Settings)]
     for name in values:
         if name not in known:
@@ -93,12 +115,12 @@ def settings_of(values: Settings | Mapping[str, Any] | None) -> Settings:
 
 
 MOST, LARGEST_SEED = 100_000, 2**63 - 1  # of whatever is counted; of the seed
-_MAY_BE_ZERO = {"aim_above_m", "j1_weight", "keep_clear_m", "seed", "postures"}
+_MAY_BE_ZERO = {"aim_above_m", "j1_weight", "keep_clear_m", "seed", "restart_rounds"}
 # Beyond these a value is a slip of the pen or of the unit: a target "reached" within a kilometre, a step of many turns.
 _AT_MOST = {
     "q_weights": 1e6, "j1_weight": 1e6, "tolerance_m": 0.1, "aim_above_m": 1.0, "keep_clear_m": 1.0,
-    "qp_tolerance": 0.01, "alpha_rad": 3.0, "sample_step_rad": 3.0, "sample_reach_rad": 1e3,
-    "inner_iterations": 10_000, "outer_steps": 10_000, "path_steps": 10_000, "seed": LARGEST_SEED,
+    "qp_tolerance": 0.01, "alpha_rad": 3.0, "sample_step_rad": 3.0, "max_sample_distance_rad": 1e3,
+    "max_step_qps": 10_000, "max_null_space_steps": 10_000, "path_steps": 10_000, "seed": LARGEST_SEED,
 }  # fmt: skip
 
 

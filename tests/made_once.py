@@ -19,7 +19,7 @@ from htcp_jax.scene.workpiece_file import load_workpiece
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
 MEASURED = Path(__file__).parents[2] / "shared" / "data" / "duct"
 PAPER_CHOICES = {  # of `configs/paper.yaml` that decide what gets stuck, and how paths are looked at
-    "rows": "smallest",
+    "clearance_rows": "smallest",
     "cost_about": "previous",
     "aim_above_m": 0.0,
     "path_check": "none",

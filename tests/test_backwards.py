@@ -85,7 +85,7 @@ def planned_backwards(toy: Toy, lanes: Lanes, postures: int = 2) -> tuple[Plans,
     plans = empty(count, 6)
     record, found, rounds = Record(plans), {}, 0
     backwards = BackwardPlans(
-        toy, record, Escapes(replan_backwards=True), Settings(postures=postures), np.full((count, 1), -1.0)
+        toy, record, Escapes(replan_backwards=True), Settings(restart_rounds=postures), np.full((count, 1), -1.0)
     )
     replanned = backwards.begin(lanes)
     while replanned.going.size:

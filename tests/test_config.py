@@ -41,7 +41,7 @@ def test_overrides_come_last_and_are_yaml():
     overrides = ["margin_m=1e-3", "workpiece.shift_m=[0, 0.01, 0]", "settings.seed=7"]
     config = load_config(CONFIGS / "paper.yaml", overrides)
     assert (config.margin_m, config.workpiece.shift_m, config.settings.seed) == (1e-3, (0, 0.01, 0), 7)
-    assert config.settings.rows == "smallest"
+    assert config.settings.clearance_rows == "smallest"
 
 
 def test_files_are_relative_to_the_yaml_file_and_to_the_working_folder_in_an_override(tmp_path):
@@ -61,7 +61,7 @@ def test_files_are_relative_to_the_yaml_file_and_to_the_working_folder_in_an_ove
         ("settings.tolerance_m=0", "settings.tolerance_m must be more than zero and finite, not 0"),
         ("settings.tolerance_m=-1", "settings.tolerance_m must be more than zero and finite, not -1"),
         ("settings.q_weights=[1, 0]", "settings.q_weights must be more than zero"),
-        ("settings.rows=all", "settings.rows is 'all': input should be 'per-body' or 'smallest'"),
+        ("settings.clearance_rows=all", "settings.clearance_rows is 'all': input should be 'per-body' or 'smallest'"),
         ("settings.qp=magic", "settings.qp is 'magic'; valid: clarabel"),
         ("margin_m=-0.1", "margin_m is -0.1: input should be greater than or equal to 0"),
         ("margin_m=.nan", "margin_m is nan: input should be a finite number"),

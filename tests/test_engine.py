@@ -170,7 +170,7 @@ def test_a_setting_compiles_the_kernels_that_read_it_and_no_others(scene, scenar
     before = len(PROGRAMS)
     plan(*scene, scenarios[:2], "nspace-cmaes", replace(PAPER, population=9))
     assert len(PROGRAMS) == before + 1  # the step of the walk
-    plan(*scene, scenarios[:2], "nspace-cmaes", replace(PAPER, population=9, outer_steps=7, samples=9))
+    plan(*scene, scenarios[:2], "nspace-cmaes", replace(PAPER, population=9, max_null_space_steps=7, samples=9))
     assert len(PROGRAMS) == before + 1
 
 

@@ -75,7 +75,7 @@ def _look(scene, settings, where, x_ref, w):
     return problem.observe(w)[0], problem.measure(w), problem.h - problem.G @ w, x, clearances(*scene[:2], where, x)
 
 
-PAPER = Settings(j1_weight=1.0, alpha_rad=0.05, far_links=False)
+PAPER = Settings(j1_weight=1.0, alpha_rad=0.05, include_proximal_bodies=False)
 
 
 def test_j2_is_minus_D_plus_j1_on_a_step_of_length_alpha_in_the_null_space(settings=PAPER):
@@ -86,7 +86,7 @@ def test_j2_is_minus_D_plus_j1_on_a_step_of_length_alpha_in_the_null_space(setti
         np.testing.assert_allclose(np.linalg.norm(step), settings.alpha_rad, rtol=1e-12)
         assert np.linalg.norm(tcp(x) - tcp(x_ref)) < 2 * settings.alpha_rad**2
         j1 = settings.j1_weight * np.sum(settings.q_weights * step**2)
-        seen = np.array(seen_rows(made_once.scene(), settings.far_links))
+        seen = np.array(seen_rows(made_once.scene(), settings.include_proximal_bodies))
         assert seen.sum() == 5
         np.testing.assert_allclose(values[seen], every[seen] - j1, atol=1e-14)
         np.testing.assert_allclose(smallest, every[seen].min() - j1, atol=1e-14)
@@ -188,7 +188,7 @@ def test_cspace_samples_are_feasible_and_move_joints_3_to_6_alone():
         assert (np.abs(off) <= [0, 0, 1, 2, 2, 2]).all() and (np.abs(off).max(0)[2:] > [0.95, 1.9, 1.9, 1.9]).all()
         clear = np.asarray(jax.jit(jax.vmap(lambda x, w=where: is_clear(robot, obstacle, w, x)))(found.x))
         inside = ((found.x <= np.asarray(robot.upper)) & (found.x >= np.asarray(robot.lower))).all(1)
-        feasible = clear & inside & (np.linalg.norm(off, axis=1) <= SETTINGS.sample_reach_rad)
+        feasible = clear & inside & (np.linalg.norm(off, axis=1) <= SETTINGS.max_sample_distance_rad)
         np.testing.assert_array_equal(found.valid, feasible & (np.cumsum(feasible) <= SETTINGS.samples))
         assert found.valid.any() and not found.done.any()
 
@@ -212,7 +212,7 @@ def test_nspace_samples_walk_their_length_and_stay_on_the_target():
         short, long = far[:12], far[12:]
         assert (short < 25 * 0.01 * 1.3).all() and np.median(short) > 25 * 0.01 * 0.7
         assert np.median(long) > 2 * np.median(short)
-        np.testing.assert_array_equal(found.valid, far <= SHORT.sample_reach_rad)
+        np.testing.assert_array_equal(found.valid, far <= SHORT.max_sample_distance_rad)
         other = run(_nspace, where, stuck._replace(key=jax.random.key(2)), settings=SHORT)
         assert not np.allclose(found.x, other.x, atol=1e-3)
 

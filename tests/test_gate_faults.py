@@ -19,7 +19,7 @@ from htcp_jax.scene import duct
 JOB = """
 workpiece: {path: weld.csv}
 margin_m: 0.0
-settings: {cost_about: previous, rows: smallest}
+settings: {cost_about: previous, clearance_rows: smallest}
 """
 GRID = """
 config: job.yaml

@@ -66,7 +66,7 @@ def test_on_the_axis_and_at_a_sphere_s_centre_the_gradient_is_zero_and_not_NaN(q
 # The null-space objective
 
 WEIGHED = Settings(j1_weight=1.0, alpha_rad=0.05)
-FAR_UNSEEN = Settings(j1_weight=1.0, alpha_rad=0.05, far_links=False)
+FAR_UNSEEN = Settings(j1_weight=1.0, alpha_rad=0.05, include_proximal_bodies=False)
 
 
 def objective(settings):

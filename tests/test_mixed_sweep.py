@@ -37,7 +37,7 @@ config: job.yaml
 grid:
   - robot.model: [short/arm.xml, long/arm.xml]
   - workpiece.cloud: [near.xyz, far.xyz]
-    settings.inner_iterations: [20, 30]
+    settings.max_step_qps: [20, 30]
   - start_rad.2: {offsets: [0.0, 0.1]}
     workpiece.rotation_x_rad: [0.0, 0.1]
 """
@@ -85,7 +85,7 @@ def test_the_scenarios_tell_what_varies_and_what_follows_from_it(run):
     rows = run.scenarios().to_pylist()
     assert [json.loads(row["robot.model"]) for row in rows] == ["short/arm.xml"] * 4 + ["long/arm.xml"] * 4
     assert [json.loads(row["workpiece.cloud"]) for row in rows] == ["near.xyz", "near.xyz", "far.xyz", "far.xyz"] * 2
-    assert [json.loads(row["settings.inner_iterations"]) for row in rows] == [20, 20, 30, 30] * 2
+    assert [json.loads(row["settings.max_step_qps"]) for row in rows] == [20, 20, 30, 30] * 2
     assert [row["rotation_x_rad"] for row in rows] == [0.0, 0.1] * 4
     assert {json.loads(row["robot.limits"]) for row in rows} == {"model"}
     assert {tuple(json.loads(row["settings.q_weights"])) for row in rows} == {(1.0,) * 4}
@@ -125,7 +125,7 @@ def test_it_is_validated_with_each_scenario_s_own_robot_and_workpiece(place, run
 def test_the_report_has_the_axes(place, run):
     (part,) = read_parts(run, "mixed", RunScene(run))
     assert list(part.axes) == ["start_j2_rad", "robot.model", "workpiece.cloud"]
-    assert part.parameters["settings.inner_iterations"].tolist() == [20, 20, 30, 30] * 2
+    assert part.parameters["settings.max_step_qps"].tolist() == [20, 20, 30, 30] * 2
     assert main(["report", str(place / "run"), "--out", str(place / "report")]) == 0
 
 
@@ -155,7 +155,7 @@ def test_a_changed_file_of_an_axis_is_refused(place, run):
         ("[robot.base_m: [[0, 0]]]", "scenario 0: robot.base_m is "),
         ("[robot.base_m.w: [0]]", "unknown parameter robot.base_m.w; did you mean robot.base_m"),
         ("[robot.tool: [{tip: 1}]]", "scenario 0: unknown key robot.tool.tip"),
-        ("[settings.rows: [all]]", "scenario 0: settings.rows is 'all'"),
+        ("[settings.clearance_rows: [all]]", "scenario 0: settings.clearance_rows is 'all'"),
         ("[settings.seed: [1.5]]", "scenario 0: settings.seed is 1.5"),
         ("[{workpiece.cloud: [none.xyz], workpiece.path: [path.csv]}]", "none.xyz: no such file"),
         ("[robot.model: [none.xml]]", "none.xml: cannot read the robot model"),

@@ -101,7 +101,7 @@ def test_plans_are_consistent(method):
         assert (plans.escape[s][~back] <= len(own.stages)).all() and (own.replan_backwards or not back.any())
         assert (plans.iterations[s, : count + 1][~back[: count + 1]] >= 1).all()
         assert (plans.iterations[s, count + 1 :] == 0).all()
-        assert (plans.iterations[s, :count] <= PAPER.inner_iterations).all() or own.stages
+        assert (plans.iterations[s, :count] <= PAPER.max_step_qps).all() or own.stages
         for rows in (plans.x, plans.tcp, plans.clearance, plans.residual, plans.joint_step):
             assert np.isfinite(rows[s, :count]).all() and np.isnan(rows[s, count:]).all()
         walked = np.concatenate([[one.x_start], plans.x[s, :count]])
@@ -263,7 +263,10 @@ def test_settings_are_a_mapping_too():
         ({"zzz": 0.1}, "settings: unknown key zzz; valid: q_weights, cost_about"),
         ({"alpha_rad": -1.0}, "settings: alpha_rad must be more than zero and finite, not -1.0"),
         ({"samples": "many"}, "settings: samples is 'many': input should be a valid integer"),
-        ({"far_links": [1] * 100}, r"settings: far_links is \[1, 1, 1, 1, 1, 1, ...\]: input should be a valid bool"),
+        (
+            {"include_proximal_bodies": [1] * 100},
+            r"settings: include_proximal_bodies is \[1, 1, 1, 1, 1, 1, ...\]: input should be a valid bool",
+        ),
         ({"q_weights": [1.0]}, "q_weights has 1 values, the robot gp50 has 6 joints"),
     ],
 )

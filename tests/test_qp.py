@@ -218,7 +218,7 @@ def test_the_step_qp_is_equation_8_row_by_row(rows, cost_about):
     to_target, jac = rng.normal(size=3), rng.normal(size=(3, N))
     D, gradient = rng.normal(size=bodies), rng.normal(size=(bodies, N))
     lower, upper = -4 - rng.random(N), 4 + rng.random(N)
-    settings = Settings(rows=rows, cost_about=cost_about)
+    settings = Settings(clearance_rows=rows, cost_about=cost_about)
     given = map(jnp.asarray, (x_ref, x_previous, to_target, jac, D, gradient, margin, lower, upper))
     qp = StepQP(*map(np.asarray, assemble(settings, *given)))
 

@@ -3,6 +3,7 @@ behind. Whoever finds another one adds it here."""
 
 import os
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -112,7 +113,7 @@ RANGES = [
     setting("settings.alpha_rad=10", "settings.alpha_rad is 10.0; at most 3.0"),
     setting("settings.alpha_rad=0", "settings.alpha_rad must be more than zero"),
     setting("settings.sample_step_rad=30", "settings.sample_step_rad is 30.0; at most 3.0"),
-    setting("settings.sample_reach_rad=1e9", "settings.sample_reach_rad is 1000000000.0; at most 1000.0"),
+    setting("settings.max_sample_distance_rad=1e9", "settings.max_sample_distance_rad is 1000000000.0; at most 1000.0"),
     setting("settings.keep_clear_m=20", "settings.keep_clear_m is 20.0; at most 1.0"),
     setting("settings.keep_clear_m=-1", "settings.keep_clear_m must be zero or more"),
     setting("settings.j1_weight=1e9", "settings.j1_weight is 1000000000.0; at most"),
@@ -123,22 +124,22 @@ RANGES = [
     setting("settings.path_steps=1000000", "settings.path_steps is 1000000; at most 10000"),
     setting("settings.path_steps=0", "settings.path_steps must be more than zero"),
     setting("settings.path_steps=2.5", "settings.path_steps is 2.5"),
-    setting("settings.inner_iterations=1000000", "settings.inner_iterations is 1000000; at most 10000"),
-    setting("settings.outer_steps=1000000", "settings.outer_steps is 1000000; at most 10000"),
+    setting("settings.max_step_qps=1000000", "settings.max_step_qps is 1000000; at most 10000"),
+    setting("settings.max_null_space_steps=1000000", "settings.max_null_space_steps is 1000000; at most 10000"),
     setting("settings.samples=1000000", "settings.samples is 1000000; at most 100000"),
     setting("settings.samples=-1", "settings.samples must be more than zero"),
     setting("settings.population=0", "settings.population must be more than zero"),
     setting("settings.generations=1e9", "settings.generations"),
-    setting("settings.postures=-2", "settings.postures must be zero or more"),
+    setting("settings.restart_rounds=-2", "settings.restart_rounds must be zero or more"),
     setting("settings.seed=-1", "settings.seed must be zero or more"),
     setting("settings.seed=99999999999999999999", "settings.seed"),
     setting("settings.qp=gurobi", "settings.qp is 'gurobi'; valid: clarabel, device, qpsolvers:"),
     setting("settings.qp=qpsolvers:nothing", "nothing"),
-    setting("settings.rows=all", "settings.rows is 'all'"),
+    setting("settings.clearance_rows=all", "settings.clearance_rows is 'all'"),
     setting("settings.cost_about=now", "settings.cost_about is 'now'"),
     setting("settings.after_escape=maybe", "settings.after_escape is 'maybe'"),
     setting("settings.path_check=some", "settings.path_check is 'some'"),
-    setting("settings.far_links=perhaps", "settings.far_links is 'perhaps'"),
+    setting("settings.include_proximal_bodies=perhaps", "settings.include_proximal_bodies is 'perhaps'"),
     setting("margin_m=-0.001", "margin_m is -0.001"),
     setting("margin_m=10", "margin_m is 10"),
     setting("margin_m=1mm", "margin_m is '1mm'"),

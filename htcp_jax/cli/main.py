@@ -39,6 +39,7 @@ COMMANDS = {
 
 LOST, UNREAD, BAD_INPUT, INTERRUPTED = 1, 1, 2, 130  # UNREAD: nobody reads the pipe any more
 FULL = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO  # what a disk says; no program's mistake
+COMPLETION = "--install-completion", "--show-completion"
 LONGEST = 60  # letters of a file's name in a message
 
 
@@ -138,6 +139,8 @@ def _run(words: list[str]) -> int:
     """The exit code of the command that `words` are."""
     if any("\0" in word for word in words):
         raise InputError("an argument holds a NUL byte; no name of a file does")
+    if words[0] in COMPLETION and len(words) > 1:
+        os.environ["_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION"] = "1"  # the shell that is named, not one looked for
     compile_cache.enable()
     with warnings.catch_warnings():
         warnings.simplefilter("default", UserWarning)

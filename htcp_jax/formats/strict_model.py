@@ -1,5 +1,6 @@
 """Mappings as values of pydantic models. Unknown keys are errors that name the nearest valid key."""
 
+import copy
 import difflib
 import reprlib
 from collections.abc import Sequence
@@ -9,6 +10,7 @@ from typing import Any, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from htcp_jax.errors import InputError
+from htcp_jax.settings import Settings, with_new_names
 
 
 class Section(BaseModel):
@@ -19,6 +21,7 @@ class Section(BaseModel):
 
 def validate(raw: dict, model: type[BaseModel], source: str) -> Any:
     """`raw` as a `model`. Raises InputError that names the first offender and how many more there are."""
+    raw = copy.deepcopy(raw)  # which stays as it is
     refuse_unknown(raw, model, source)
     try:
         return model.model_validate(raw)
@@ -35,6 +38,10 @@ def refuse_unknown(raw: dict, model: type, source: str, prefix: str = "") -> Non
         if is_dataclass(model)
         else {name: field.annotation for name, field in model.model_fields.items()}
     )
+    if model is Settings:
+        new = with_new_names(raw, source)
+        raw.clear()
+        raw.update(new)
     for key, value in list(raw.items()):
         if key not in kinds:
             close = difflib.get_close_matches(str(key), kinds, n=1, cutoff=0.5)

@@ -55,7 +55,7 @@ class BackwardPlans:
         starts: Float[np.ndarray, "S N"],
     ):
         self._checks, self._record, self._starts = checks, record, starts
-        self._rounds = settings.postures if escapes.replan_backwards else 0
+        self._rounds = settings.restart_rounds if escapes.replan_backwards else 0
         self._escape = escapes.backwards
         self._chains: dict[int, Chains] = {}
 

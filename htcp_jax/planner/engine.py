@@ -103,7 +103,7 @@ class Engine:
         reached = solved & self._checks.keeps_margin(lanes, now)
         tip_blocked = self._checks.tip_passes(lanes, now.x, reached)
         reached &= ~tip_blocked
-        stuck = tip_blocked | ~reached & (~solved | (iteration >= self._settings.inner_iterations))
+        stuck = tip_blocked | ~reached & (~solved | (iteration >= self._settings.max_step_qps))
         self._table.keep(gather(lanes, ~reached & ~stuck))
 
         reason = np.where(
@@ -205,7 +205,7 @@ class Engine:
         come back."""
         lanes = lanes._replace(x_ref=now.x, walked=lanes.walked + 1)
         out = self._checks.at_target(lanes, now)
-        spent = ~out & (lanes.walked >= self._settings.outer_steps)
+        spent = ~out & (lanes.walked >= self._settings.max_null_space_steps)
         reason = np.where(self._checks.keeps_margin(lanes, now), Status.TIP_BLOCKED, Status.ESCAPE_EXHAUSTED)
         self._enter(gather(lanes, spent), stage + 1, reason[spent])
         free = gather(lanes, out)

@@ -83,7 +83,7 @@ def track(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, x_previous,
         here = scene.task.counts(tracked.now.clearance, tracked.now.residual, lane.margin_m)
         reached = here & (tracked.iteration > 0)
         solved = tracked.verdict == step_qp.QPStatus.SOLVED
-        return ~reached & solved & (tracked.iteration < settings.inner_iterations) & (count < STEPS_A_BURST)
+        return ~reached & solved & (tracked.iteration < settings.max_step_qps) & (count < STEPS_A_BURST)
 
     def step(state: tuple[Tracked, jax.Array]):
         tracked, count = state
@@ -107,9 +107,9 @@ def check_path(settings: Settings, scene: Scene, lane: LaneInputs, a, b):
 
 # The kernels by name, each with the settings that it reads
 
-_STEP_QP = ("q_weights", "cost_about", "rows", "aim_above_m")
+_STEP_QP = ("q_weights", "cost_about", "clearance_rows", "aim_above_m")
 
 PREPARE = Kernel("prepare", prepare, STEP, _STEP_QP)
 ADVANCE = Kernel("advance", advance, STEP)
-TRACK_BURST = Kernel("track", track, STEP, (*_STEP_QP, "inner_iterations", "qp_tolerance"))
+TRACK_BURST = Kernel("track", track, STEP, (*_STEP_QP, "max_step_qps", "qp_tolerance"))
 CHECK_PATH = Kernel("check_path", check_path, DEEP, ("path_test", "path_steps"))

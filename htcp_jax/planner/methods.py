@@ -7,7 +7,7 @@ from htcp_jax.solvers import sphere
 
 _SQP = NullSpace(lambda problem, seen, key, settings: sphere.sqp(problem, seen))
 _SPREAD = (0.005, 0.01, 0.02, 0.04)
-_WALKED = ("samples", "sample_steps", "sample_reach_rad")
+_WALKED = ("samples", "sample_steps", "max_sample_distance_rad")
 
 BUILT_IN = (
     StepQPs("baseline", "Baseline planner", "iterative convex optimisation alone, equation (8)"),
@@ -15,7 +15,7 @@ BUILT_IN = (
         "cspace-sample",
         "C-Space sample",
         "restarts from configurations sampled about the last one",
-        stages=(Sample(cspace_samples, ("samples", "sample_reach_rad"), in_null_space=False),),
+        stages=(Sample(cspace_samples, ("samples", "max_sample_distance_rad"), in_null_space=False),),
     ),
     StepQPs(
         "nspace-sample",

@@ -23,7 +23,7 @@ from htcp_jax.settings import Settings, settings_of
 from htcp_jax.solvers import sphere
 from htcp_jax.types import Array, Float, Joints, Scalar
 
-READS = ("alpha_rad", "far_links", "j1_weight", "q_weights")  # settings, by any step in the null space
+READS = ("alpha_rad", "include_proximal_bodies", "j1_weight", "q_weights")  # settings, by any step in the null space
 DRAWS, PUSHED, PUSHES = 256, 6, 60  # of `draw_clear`: draws, how many are pushed clear, null-space steps of a push
 
 
@@ -42,10 +42,10 @@ class Stuck(NamedTuple):
     key: jax.Array  # folded from seed, scenario and target: depends on nothing else
 
 
-def seen_rows(scene: Scene, far_links: bool) -> tuple[bool, ...]:
+def seen_rows(scene: Scene, include_proximal_bodies: bool) -> tuple[bool, ...]:
     """Which rows J2 sees: all, or those of bodies on the outer half of the chain (capsules 4 to 8 of the GP50)."""
     half = len(scene.robot.slides) // 2
-    return tuple(far_links or scene.robot.capsule_link[body] >= half for body in scene.rows.body)
+    return tuple(include_proximal_bodies or scene.robot.capsule_link[body] >= half for body in scene.rows.body)
 
 
 def sphere_problem(
@@ -58,7 +58,7 @@ def sphere_problem(
     weights = jnp.asarray(settings.q_weights)
     # J1 = |x - x_ref|_Q^2 = w' (alpha N)' Q (alpha N) w
     half = settings.j1_weight * product(reach.T, weights[:, None] * reach)
-    unseen = ~jnp.asarray(seen_rows(scene, settings.far_links))
+    unseen = ~jnp.asarray(seen_rows(scene, settings.include_proximal_bodies))
     # What J2 does not see is as far away as it ever gets.
     far = jnp.where(unseen, 10.0, 0.0)
 
@@ -68,7 +68,7 @@ def sphere_problem(
         return touch.distance + far - product(w, product(half, w)), hold_contacts(robot, x, rows, touch)
 
     def measure(w):
-        if not settings.far_links:
+        if not settings.include_proximal_bodies:
             return jnp.min(observe(w)[0])
         return clearance(robot, obstacles, where, x_ref + product(reach, w)) - product(w, product(half, w))
 
@@ -97,7 +97,7 @@ def null_space_objective(
     The smaller, the clearer: the planners minimise it over |w| = 1, within the joint limits, which it does not look at.
     robot: with its tool, as a plan's is. where: a scenario, or whatever else is `Posed`. w: D = N - 3 numbers.
     settings: `alpha_rad`; `j1_weight` and `q_weights` of J1 = j1_weight (x - x_ref)' Q (x - x_ref), where the paper's
-    weight is 1; and `far_links`. None is the defaults, whose `j1_weight` is 0: then J2 = -D.
+    weight is 1; and `include_proximal_bodies`. None is the defaults, whose `j1_weight` is 0: then J2 = -D.
 
     Raises InputError for an x_ref or w of another shape, many at once among them, and for `q_weights` of another arm.
 

@@ -41,7 +41,7 @@ def cspace_samples(scene: Scene, settings: Settings, where: Posed, stuck: Stuck)
     feasible = jax.vmap(lambda x: inside(robot, x))(x) & jax.vmap(lambda x: is_clear(robot, scene.obstacles, where, x))(
         x
     )
-    feasible &= jax.vmap(safe_norm)(x - stuck.x_previous[None, :]) <= settings.sample_reach_rad
+    feasible &= jax.vmap(safe_norm)(x - stuck.x_previous[None, :]) <= settings.max_sample_distance_rad
     return Candidates(x, feasible & (jnp.cumsum(feasible) <= settings.samples), jnp.zeros_like(feasible))
 
 
@@ -70,7 +70,7 @@ def nspace_samples(
         return x
 
     x = jnp.concatenate([jax.vmap(lambda v, r=r: walk(v, r))(directions) for r in step_rad])
-    near = jax.vmap(safe_norm)(x - stuck.x_previous[None, :]) <= settings.sample_reach_rad
+    near = jax.vmap(safe_norm)(x - stuck.x_previous[None, :]) <= settings.max_sample_distance_rad
     return Candidates(x, near, jnp.zeros_like(near))
 
 

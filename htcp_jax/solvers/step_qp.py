@@ -67,11 +67,11 @@ def assemble(
 ) -> StepQP:
     """Equation (8) about x_ref: `to_target` is Delta C = C_next - C_ref [m]; see `Settings` for the two options.
 
-    cost_about: J1 about x_ref (8), or about x_{t-1} (4). rows: all, or the one of the smallest clearance.
+    cost_about: J1 about x_ref (8), or about x_{t-1} (4). clearance_rows: all, or the one of the smallest clearance.
     """
     weights = jnp.asarray(settings.q_weights)
     about = x_ref if settings.cost_about == "reference" else x_previous
-    if settings.rows == "smallest":
+    if settings.clearance_rows == "smallest":
         body = jnp.argmin(clearance)
         clearance, gradient = clearance[body][None], gradient[body][None]
     return StepQP(
@@ -88,4 +88,4 @@ def assemble(
 
 def row_count(settings: Settings, rows: int) -> int:
     """Clearance rows of one step QP, of so many that there are."""
-    return 1 if settings.rows == "smallest" else rows
+    return 1 if settings.clearance_rows == "smallest" else rows
