@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.clearance.obstacle import Obstacle
+from htcp_jax.clearance.obstacle import Obstacles
 from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import arm_of, part_of, robot_of, workpiece_of
@@ -43,7 +43,7 @@ class Workcell:
         return 1 + self.config.workpiece.approach_to_inlet + self.config.workpiece.approach_to_path
 
     @cached_property
-    def obstacle(self) -> Obstacle:
+    def obstacle(self) -> Obstacles:
         """The workpiece as the clearance has it."""
         return make_obstacle(self.workpiece)
 
