@@ -35,9 +35,9 @@ from htcp_jax.planner.batch import plan
 from htcp_jax.runs.parameters import of_job
 from htcp_jax.scene.robot import GP50
 from htcp_jax.status import Status
-from htcp_jax.validation.limits import ROUNDING_M
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_clearance import Scene, Wall
+from htcp_jax.validation.result import ROUNDING_M
 from htcp_jax.validation.scene_rules import targets_of, turned_and_moved
 
 SWEEP = Path(__file__).resolve().parents[1] / "sweeps" / "workpiece.yaml"

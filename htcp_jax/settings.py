@@ -15,6 +15,12 @@ from pydantic import TypeAdapter, ValidationError
 
 from htcp_jax.errors import InputError, Note
 
+# What settings were called in version 0.1; known for one version more.
+RENAMED = {
+    "rows": "clearance_rows", "inner_iterations": "max_step_qps", "outer_steps": "max_null_space_steps",
+    "far_links": "include_proximal_bodies", "sample_reach_rad": "max_sample_distance_rad", "postures": "restart_rounds",
+}  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -65,30 +71,23 @@ class Settings:
 
     seed: int = 0  # every scenario's random key is folded from it
 
+    @staticmethod
+    def with_new_names(values: dict[str, Any], source: str) -> dict[str, Any]:
+        """The settings under the names that they have now; a Note says so of each that was renamed. Raises InputError
+        where one is given by both its names."""
+        found = {}
+        for name, value in values.items():
+            new = RENAMED.get(name, name)
+            if new != name:
+                if new in values:
+                    raise InputError(f"{source}: settings.{name} and settings.{new} are the same; leave out the first")
+                warnings.warn(f"{source}: settings.{name} is called settings.{new} now", Note, stacklevel=2)
+            found[new] = value
+        return found
+
     def __post_init__(self):
         for field in fields(self):
             _check(field.name, getattr(self, field.name), field.type)
-
-
-# What settings were called in version 0.1; known for one version more.
-RENAMED = {
-    "rows": "clearance_rows", "inner_iterations": "max_step_qps", "outer_steps": "max_null_space_steps",
-    "far_links": "include_proximal_bodies", "sample_reach_rad": "max_sample_distance_rad", "postures": "restart_rounds",
-}  # fmt: skip
-
-
-def with_new_names(values: dict[str, Any], source: str) -> dict[str, Any]:
-    """The settings under the names that they have now; a Note says so of each that was renamed. Raises InputError where
-    one is given by both its names."""
-    found = {}
-    for name, value in values.items():
-        new = RENAMED.get(name, name)
-        if new != name:
-            if new in values:
-                raise InputError(f"{source}: settings.{name} and settings.{new} are the same; leave out the first")
-            warnings.warn(f"{source}: settings.{name} is called settings.{new} now", Note, stacklevel=2)
-        found[new] = value
-    return found
 
 
 def settings_of(values: Settings | Mapping[str, Any] | None) -> Settings:
@@ -98,7 +97,7 @@ def settings_of(values: Settings | Mapping[str, Any] | None) -> Settings:
     """
     if isinstance(values, Settings):
         return values
-    values = with_new_names(dict(values or {}), "settings")
+    values = Settings.with_new_names(dict(values or {}), "settings")
     known = [field.name for field in fields(Settings)]
     for name in values:
         if name not in known:

@@ -21,9 +21,9 @@ from htcp_jax.scene.kinematics import capsule_segments, tcp_position
 from htcp_jax.scene.robot import GP50, Robot, lengthen_tool
 from htcp_jax.scene.robot_file import gp50, load_robot
 from htcp_jax.scene.workpiece_file import load_workpiece
-from htcp_jax.validation.limits import STEP_RAD
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_clearance import Scene, Wall
+from htcp_jax.validation.result import STEP_RAD
 from htcp_jax.validation.validate import validate
 
 PIPE = Path(__file__).parents[1] / "configs" / "pipe" / "job.yaml"

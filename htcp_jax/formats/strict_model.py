@@ -10,7 +10,6 @@ from typing import Any, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from htcp_jax.errors import InputError
-from htcp_jax.settings import Settings, with_new_names
 
 
 class Section(BaseModel):
@@ -32,13 +31,15 @@ def validate(raw: dict, model: type[BaseModel], source: str) -> Any:
 
 
 def refuse_unknown(raw: dict, model: type, source: str, prefix: str = "") -> None:
-    """Raise InputError for the first key of `raw` that `model`, a pydantic model or a dataclass, lacks."""
+    """Raise InputError for the first key of `raw` that `model`, a pydantic model or a dataclass, lacks.
+
+    A model may have a static method `with_new_names(mapping, source)`, for keys that have been renamed."""
     kinds = (
         {field.name: field.type for field in fields(model)}
         if is_dataclass(model)
         else {name: field.annotation for name, field in model.model_fields.items()}
     )
-    if model is Settings:
+    if (with_new_names := getattr(model, "with_new_names", None)) is not None:
         new = with_new_names(raw, source)
         raw.clear()
         raw.update(new)

@@ -86,7 +86,7 @@ def plan(
     plans = _of_these(chosen.plan(problem), problem, method)
     if check_paths:
         # Here, as methods are found: whoever asks for plans imports no kernels before one is looked up.
-        from htcp_jax.planner.path_checks import check_remaining_paths
+        from htcp_jax.planner.lane_checks import check_remaining_paths
 
         check_remaining_paths(problem, plans)
     spent = time.perf_counter() - began

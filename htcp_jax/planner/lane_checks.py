@@ -1,13 +1,17 @@
 """What an engine asks about its lanes: where they are, whether they count there, whether the way there is clear."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 
 from htcp_jax.planner.kernels import ADVANCE, CHECK_PATH, Measured
 from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.planner.lanes import Lanes, gather
 from htcp_jax.planner.null_space import Anchored
+from htcp_jax.planner.plans import Plans
+from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
-from htcp_jax.planner.tip_check import TipCheck
+from htcp_jax.planner.tip_check import TipCheck, tip_checks
 from htcp_jax.scene.scenario import Scenario
 from htcp_jax.settings import Settings
 
@@ -57,3 +61,24 @@ class LaneChecks:
         if self._tip is not None:
             clear = clear & ~self._tip.along(inputs, lanes.x_previous, x)
         return clear.astype(np.int8)
+
+
+def check_remaining_paths(problem: Problem, plans: Plans) -> None:
+    """Fill in path_clear where a tracked target's path was not checked while planning."""
+    s, t = np.nonzero(plans.tracked & (plans.path_clear < 0))
+    if not len(s):
+        return
+    before, inputs = plans.before(s, t), lane_inputs(problem.scenarios, s, t)
+    kernels = problem.kernels  # made here, before there are threads
+    tips = tip_checks(kernels, problem.tip_guard)
+
+    def check(number: int) -> None:
+        part = np.arange(len(s))[number :: problem.threads]
+        pick = gather((inputs, before, plans.x[s, t]), part)
+        if len(part):
+            own = number % len(kernels)
+            clear = kernels[own](CHECK_PATH, *pick)
+            plans.path_clear[s[part], t[part]] = clear if tips[own] is None else clear & ~tips[own].along(*pick)
+
+    with ThreadPoolExecutor(problem.threads) as pool:
+        list(pool.map(check, range(problem.threads)))

@@ -15,7 +15,6 @@ MAIN = -1  # `candidate` of a lane that tracks for its scenario itself
 NEW, TRACK, DRAWING, PUSHING, CHECKING = -2, -1, -3, -4, -5
 BACKWARDS = DRAWING, PUSHING, CHECKING
 ENTERING = -1  # `walked` of a lane that is not in the null space yet
-
 KINDS = TaskRows, ClearanceRows
 Tables = TypeVar("Tables")
 

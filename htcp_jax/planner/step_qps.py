@@ -1,17 +1,22 @@
 """The method that the built-in ones are kinds of: targets are tracked by step QPs, and what is stuck escapes."""
 
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
+import numpy as np
+
+from htcp_jax.errors import InputError
 from htcp_jax.planner.engine import Engine
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.stages import Escapes
 from htcp_jax.planner.tip_check import tip_checks
-from htcp_jax.solvers.by_name import make_solver
-from htcp_jax.solvers.step_qp import row_count
+from htcp_jax.settings import Settings
+from htcp_jax.solvers.clarabel_ import ClarabelSolver
+from htcp_jax.solvers.qpsolvers_ import QPSolversSolver
+from htcp_jax.solvers.step_qp import QPSolver, row_count
 
 
 @dataclass(frozen=True)
@@ -63,3 +68,18 @@ class _Shared(Iterator[int]):
     def __next__(self) -> int:
         with self._lock:
             return next(self._values)
+
+
+def make_solver(settings: Settings, joints: int, rows: int, task_rows: int = 3) -> QPSolver | None:
+    """The solver that `settings.qp` names; None for the one on the device, which the kernels call themselves. Raises
+    InputError for a name that is not installed."""
+    if settings.qp == "device":
+        return None
+    name, _, backend = settings.qp.partition(":")
+    makers: dict[str, Callable[[], QPSolver]] = {
+        "clarabel": lambda: ClarabelSolver(2 * np.asarray(settings.q_weights), rows, settings.qp_tolerance, task_rows),
+        "qpsolvers": lambda: QPSolversSolver(backend),
+    }
+    if name not in makers:
+        raise InputError(f"qp is {settings.qp!r}; valid: clarabel, device, qpsolvers:<name of a solver>")
+    return makers[name]()

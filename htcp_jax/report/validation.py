@@ -8,7 +8,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.report.document import Block, Column, Heading, Table
 from htcp_jax.runs.plan_folder import VALIDATION
 from htcp_jax.runs.run_folder import Run
-from htcp_jax.validation.limits import STEP_RAD
+from htcp_jax.validation.result import STEP_RAD
 
 AT_TARGETS = (
     Column("method", "method"),

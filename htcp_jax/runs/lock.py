@@ -1,8 +1,14 @@
-"""One sweep at a time in one folder. The system frees the lock when its process ends, however it ends."""
+"""What keeps a run whole while it is written.
+
+One sweep at a time in one folder: the system frees the lock when its process ends, however it ends. SIGINT and SIGTERM
+are remembered, and heeded where the work can be dropped cleanly.
+"""
 
 import contextlib
 import os
+import signal
 import socket
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -43,3 +49,28 @@ def _take(handle: int, folder: Path) -> None:
     with contextlib.suppress(OSError):  # who holds it is a courtesy; the disk may be full
         os.ftruncate(handle, 0)
         os.write(handle, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
+
+
+class SignalCame(Exception):
+    """Raised where the work can stop."""
+
+
+@contextlib.contextmanager
+def signals() -> Iterator[list[int]]:
+    """Hands out the list to which SIGINT and SIGTERM are added when they come. A second one ends the process."""
+    came, handlers = [], {}
+
+    def remember(number: int, _) -> None:
+        came.append(number)
+        # print may be interrupted itself
+        os.write(2, b"\nstopping after the step at hand; once more to stop at once\n")
+        for each in handlers:
+            signal.signal(each, signal.SIG_DFL)
+
+    if threading.current_thread() is threading.main_thread():  # no other may set handlers
+        handlers |= {each: signal.signal(each, remember) for each in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield came
+    finally:
+        for each, handler in handlers.items():
+            signal.signal(each, handler)

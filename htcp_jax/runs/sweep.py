@@ -29,13 +29,12 @@ from htcp_jax.planner.plans import Plans
 from htcp_jax.runs import writer
 from htcp_jax.runs.identity import anchor_files, config_hash, file_hash, identity
 from htcp_jax.runs.local import Shard, plan_here
-from htcp_jax.runs.lock import locked
+from htcp_jax.runs.lock import SignalCame, locked, signals
 from htcp_jax.runs.manifest import Manifest, Span, spans
 from htcp_jax.runs.plan_folder import made_folder
 from htcp_jax.runs.ray_ import on_ray
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.running import FinishedShard
-from htcp_jax.runs.signals import SignalCame, signals
 from htcp_jax.runs.tables import joint_columns, scenario_table, target_table
 
 SHARD_SCENARIOS = 512  # fixed, so that shards are the same on every machine; fewer leave a table half empty

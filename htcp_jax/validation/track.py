@@ -7,10 +7,9 @@ from jaxtyping import Bool, Float, Int
 
 from htcp_jax.errors import InputError
 from htcp_jax.runs.parameters import of_job
-from htcp_jax.validation.limits import RECORD_M, ROUNDING_M, STEP_RAD
 from htcp_jax.validation.mujoco_arm import Arm, Postures
 from htcp_jax.validation.mujoco_clearance import AtTargets, Scene, Wall
-from htcp_jax.validation.result import Refuted
+from htcp_jax.validation.result import RECORD_M, ROUNDING_M, STEP_RAD, Refuted
 from htcp_jax.validation.scene_rules import Results, Track, targets_of, turned_and_moved
 
 
