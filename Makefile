@@ -43,7 +43,7 @@ bless: gate-runs  ## plan the gated sweeps and make them the new baselines
 gate-runs: $(VENV)/.installed
 	rm -rf $(RUNS)
 	@set -e; for sweep in $(GATED); do $(VENV)/bin/htcp sweep sweeps/$$sweep.yaml --out $(RUNS)/$$sweep; done
-	$(VENV)/bin/htcp ceiling sweeps/workpiece.yaml --out $(RUNS)/workpiece
+	$(VENV)/bin/htcp reachability sweeps/workpiece.yaml --out $(RUNS)/workpiece
 
 faults: $(VENV)/.installed-test  ## kill drivers, workers and nodes, fill disks, and compare bytes: a quarter of an hour
 	$(VENV)/bin/python -m pytest -m "slow or not slow" -v tests/test_faults.py tests/test_sweep_ray.py

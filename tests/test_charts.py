@@ -35,12 +35,12 @@ def drawings() -> dict[str, Figure]:
     maps = dict.fromkeys(STATUS, cells) | {"keep-clear": np.full((2, 3), np.nan)}
     return {
         "success": charts.success(
-            dict.fromkeys(STATUS, 3), dict.fromkeys(STATUS, 8), paper={"baseline": 50.0}, ceiling=7
+            dict.fromkeys(STATUS, 3), dict.fromkeys(STATUS, 8), paper={"baseline": 50.0}, reachability=7
         ),
         "success_map": charts.success_map(maps, TOOL, TURN, 4),
         "success_slices": charts.success_slices({m: np.stack([v, v, v]) for m, v in maps.items()}, TURN, TOOL, TURN, 4),
         "success_line": charts.success_line({m: v[:, 0] for m, v in maps.items()}, TOOL, 4),
-        "survival": charts.survival(STATUS, ceiling=np.array([4, 2])),
+        "survival": charts.survival(STATUS, reachability=np.array([4, 2])),
         "stops": charts.stops(STATUS),
         "clearance_along": charts.clearance_along({method: plans.clearance for method, plans in PLANS.items()}),
         "joint_motion": charts.joint_motion({method: plans.joint_step for method, plans in PLANS.items()}),

@@ -83,11 +83,11 @@ def test_plan_prints_its_summary_as_json(here, capsys):
     assert told["tracked"] == 13 and told["config"]["method"] == "baseline"
 
 
-def test_sweep_and_ceiling_print_what_they_found_as_json(here, capsys):
+def test_sweep_and_reachability_print_what_they_found_as_json(here, capsys):
     told = json_of(capsys, ["sweep", "two.yaml", "--methods", "baseline", *SHORT[:2]])
     assert told["complete"] and told["methods"]["baseline"]["targets"] == 2 * 13
-    found = json_of(capsys, ["ceiling", "two.yaml", "--limit", "1", "--draws", "16", *SHORT[:2], "--out", "c"])
-    assert found == json.loads((here / "c" / "ceiling.json").read_text())
+    found = json_of(capsys, ["reachability", "two.yaml", "--limit", "1", "--draws", "16", *SHORT[:2], "--out", "c"])
+    assert found == json.loads((here / "c" / "reachability.json").read_text())
 
 
 def test_the_doctor_tells_what_is_there(capsys, monkeypatch, tmp_path):

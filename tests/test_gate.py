@@ -8,10 +8,10 @@ import yaml
 from small_run import LONGER, end_early, rewrite, spoil
 
 from htcp_jax.cli.main import main
-from htcp_jax.runs.ceiling_file import CEILING
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.provenance import provenance
+from htcp_jax.runs.reachability_file import REACHABILITY
 from htcp_jax.status import Status
 from htcp_jax.validation.baseline import Baseline, read_baseline
 
@@ -21,9 +21,9 @@ TARGETS = 19  # of each of the four scenarios
 
 @pytest.fixture(scope="session")
 def blessed(planned):
-    """The small run with a ceiling, and its baseline."""
-    run = shutil.copytree(planned / "run", planned / "with-ceiling")
-    (run / CEILING).write_text(json.dumps({"prefix": [TARGETS] * 4, "draws": 8, "seed": 0}))
+    """The small run that knows what is reachable, and its baseline."""
+    run = shutil.copytree(planned / "run", planned / "with-reachability")
+    (run / REACHABILITY).write_text(json.dumps({"prefix": [TARGETS] * 4, "draws": 8, "seed": 0}))
     assert main(["gate", str(run), "--baseline", str(planned / "baseline.yaml"), "--bless"]) == PASSED
     return planned
 
@@ -31,7 +31,7 @@ def blessed(planned):
 @pytest.fixture
 def run(blessed, tmp_path):
     """A copy of the run that a test may spoil."""
-    return shutil.copytree(blessed / "with-ceiling", tmp_path / "run")
+    return shutil.copytree(blessed / "with-reachability", tmp_path / "run")
 
 
 @pytest.fixture
@@ -70,9 +70,9 @@ def test_a_run_passes_its_own_baseline_and_the_table_lines_up(run, baseline, cap
     counts, figures, passed = output.out.split("\n\n")
     title, head, units, *rows = counts.splitlines()
     assert (title, passed, output.err) == ("grid", "passed\n", "")
-    assert [row.split()[0] for row in rows] == ["baseline", "cspace-sample", "ceiling"]
+    assert [row.split()[0] for row in rows] == ["baseline", "cspace-sample", "reachability"]
     assert all(row.index("ok") == head.index("verdict") for row in rows) and len(units) <= len(head)
-    assert [row.split()[0] for row in figures.splitlines()[2:]] == ["baseline", "cspace-sample", "ceiling"]
+    assert [row.split()[0] for row in figures.splitlines()[2:]] == ["baseline", "cspace-sample", "reachability"]
 
 
 def test_the_baseline_says_what_was_planned_and_one_line_a_scenario(baseline):
@@ -204,18 +204,18 @@ def test_a_missing_figure_of_a_tracked_target_fails(run, baseline, capsys):
     assert not outcome(run, baseline, capsys)["passed"]
 
 
-def test_a_missing_ceiling_and_one_of_other_draws_fail(run, baseline, capsys):
-    file = run / CEILING
+def test_a_missing_reachability_and_one_of_other_draws_fail(run, baseline, capsys):
+    file = run / REACHABILITY
     file.write_text(file.read_text().replace('"draws": 8', '"draws": 9'))
     assert any("searched with 9 draws" in failure for failure in outcome(run, baseline, capsys)["failures"])
     file.unlink()
-    assert any("ceiling: missing" in failure for failure in outcome(run, baseline, capsys)["failures"])
+    assert any("reachability: missing" in failure for failure in outcome(run, baseline, capsys)["failures"])
 
 
-def test_a_lower_ceiling_fails(run, baseline, capsys):
-    (run / CEILING).write_text(json.dumps({"prefix": [TARGETS, TARGETS, TARGETS, 4], "draws": 8, "seed": 0}))
+def test_a_lower_reachability_fails(run, baseline, capsys):
+    (run / REACHABILITY).write_text(json.dumps({"prefix": [TARGETS, TARGETS, TARGETS, 4], "draws": 8, "seed": 0}))
     verdict = outcome(run, baseline, capsys)
-    assert verdict["failures"] == ["ceiling: 15 targets fewer are reachable; 0 may be lost"]
+    assert verdict["failures"] == ["reachability: 15 targets fewer are reachable; 0 may be lost"]
 
 
 def test_what_mujoco_refutes_fails_though_every_count_is_as_it_was(run, baseline, capsys):

@@ -13,7 +13,7 @@ import stranger_jobs
 import htcp_jax
 from htcp_jax.planner.batch import plan
 from htcp_jax.planner.plans import is_tracked
-from htcp_jax.planner.reachability import ceiling
+from htcp_jax.planner.reachability import reachable_prefixes
 from htcp_jax.planner.registry import names
 from htcp_jax.runs.summary import summarise
 from htcp_jax.scene.scenario import OutOfReach, make_scenario, stack
@@ -66,8 +66,8 @@ def test_a_margin_of_nothing_asks_for_a_clearance_above_zero():
 
 
 def test_what_is_reachable_keeps_the_margin_too():
-    near = ceiling(*scene(), stack(tight(0.0)[:1]), draws=256).prefix
-    far = ceiling(*scene(), stack(tight(0.03)[:1]), draws=256).prefix
+    near = reachable_prefixes(*scene(), stack(tight(0.0)[:1]), draws=256).prefix
+    far = reachable_prefixes(*scene(), stack(tight(0.03)[:1]), draws=256).prefix
     assert 0 < far[0] < near[0]
 
 

@@ -21,7 +21,7 @@ from htcp_jax.report.chapter import choice, facts, label, presets
 from htcp_jax.report.document import Column, Heading, Table, html, markdown
 from htcp_jax.report.groups import read_parts
 from htcp_jax.report.report import make_report, overview
-from htcp_jax.runs.ceiling_file import CEILING
+from htcp_jax.runs.reachability_file import REACHABILITY
 from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.sweep import sweep
 from htcp_jax.status import Status
@@ -278,12 +278,12 @@ def test_an_unfinished_run_is_told_as_far_as_it_is(folder, monkeypatch, tmp_path
     assert list(second.plans) == ["baseline"]
 
 
-def test_the_ceiling_is_compared_with_and_what_beats_it_is_named(folder, tmp_path):
-    file = folder / "one" / CEILING
+def test_the_reachability_is_compared_with_and_what_beats_it_is_named(folder, tmp_path):
+    file = folder / "one" / REACHABILITY
     try:
         file.write_text(json.dumps({"prefix": [12, 13], "draws": 8, "seed": 0}))
         part = part_of(folder, "one")
-        rows = rows_of(tables.ceiling(part))
+        rows = rows_of(tables.reachability(part))
         assert (rows["baseline"]["reachable"], rows["baseline"]["of_reachable_percent"]) == (25, 100)
         assert (rows["baseline"]["short"], rows["baseline"]["beyond"]) == (1, 1)
         assert "Got further than sampling: baseline in 1 (0); hybrid in 1 (0)." in markdown(
@@ -293,7 +293,7 @@ def test_the_ceiling_is_compared_with_and_what_beats_it_is_named(folder, tmp_pat
         wrong = (f'{{"prefix": {prefix}, {other}' for prefix in ("[1]", '["x", 2]'))
         for damaged in ("{", "[]", '{"prefix": [12, 13]}', *wrong):
             file.write_text(damaged)
-            with pytest.raises(InputError, match=CEILING):
+            with pytest.raises(InputError, match=REACHABILITY):
                 part_of(folder, "one")
     finally:
         file.unlink()

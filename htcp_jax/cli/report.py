@@ -38,8 +38,8 @@ def report(runs: Runs, out: Out = Path("out/report"), as_json: Json = False) -> 
         for line in facts(part):
             console.print(Text(line, style="dim"))
         print_table(console, tables["results"])
-        if part.ceiling is not None:
-            print_table(console, tables["ceiling"])
+        if part.reachability is not None:
+            print_table(console, tables["reachability"])
         console.print()
     console.print(Text.assemble(("report  ", "cyan"), str(out / "report.html")))
     return 0

@@ -29,7 +29,7 @@ from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.settings import Settings
 
 
-class Ceiling(NamedTuple):
+class Reachability(NamedTuple):
     """Result for S scenarios of T targets."""
 
     prefix: np.ndarray  # (S,) targets in a row, from the first, with a clear configuration
@@ -38,7 +38,7 @@ class Ceiling(NamedTuple):
     draws: int  # at the first target without one
 
 
-def ceiling(
+def reachable_prefixes(
     robot: Robot,
     workpiece: Workpiece,
     scenarios: Scenario,
@@ -46,7 +46,7 @@ def ceiling(
     *,
     draws: int = 2048,
     progress: Callable[[int, int], None] | None = None,
-) -> Ceiling:
+) -> Reachability:
     """Prefixes of the stacked scenarios. draws: at a target where carrying over fails, in rounds of `DRAWS`; from the
     settings count alpha_rad, tolerance_m and the seed. progress(target, targets) is called after each target."""
     settings = settings or Settings()
@@ -89,4 +89,4 @@ def ceiling(
         prefix[alive] += 1
         if progress is not None:
             progress(row + 1, rows)
-    return Ceiling(prefix, best, found, draws)
+    return Reachability(prefix, best, found, draws)

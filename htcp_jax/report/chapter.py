@@ -28,7 +28,7 @@ BUILT_IN = {"gp50": "GP50", "duct": "the generated duct", "weld": "its weld"}
 TABLES = (
     tables.results,
     best,
-    tables.ceiling,
+    tables.reachability,
     tables.stops,
     tables.steps,
     tables.times,
@@ -48,7 +48,7 @@ def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list
         Heading(level, "Results"),
         made["results"],
         *_notes_on_results(part),
-        *_ceiling(part, made["ceiling"]),
+        *_reachability(part, made["reachability"]),
         Picture(f"{prefix}success", _success(part, made["results"]), f"Success of each method on {part.name}"),
         *_maps(part, prefix),
         Heading(level, "Best scenarios"),
@@ -146,7 +146,7 @@ def _success(part: Part, results: Table) -> Figure:
         {row["method"]: row["targets"] for row in rows},
         drivable={row["method"]: row["drivable"] for row in rows},
         paper=theirs or None,
-        ceiling=int(part.ceiling.sum()) if part.ceiling is not None and whole else None,
+        reachability=int(part.reachability.sum()) if part.reachability is not None and whole else None,
     )
 
 
@@ -185,7 +185,7 @@ def _maps(part: Part, prefix: str) -> list[Block]:
 
 def _ends(part: Part, table: Table, prefix: str) -> list[Block]:
     statuses = {method: plans.status for method, plans in part.plans.items()}
-    figure = charts.survival(statuses, ceiling=part.ceiling)
+    figure = charts.survival(statuses, reachability=part.reachability)
     survival = Picture(f"{prefix}survival", figure, "Number of scenarios that track each target, by method")
     if not table.rows:
         return [survival, "No scenario failed."]
@@ -238,8 +238,8 @@ def _unchecked(part: Part) -> str:
     return f"Of {count:,} steps the joint path was not checked; they count as clear." if count else ""
 
 
-def _ceiling(part: Part, table: Table) -> list[Block]:
-    if part.ceiling is None:
+def _reachability(part: Part, table: Table) -> list[Block]:
+    if part.reachability is None:
         return []
     what = "Reachable are the targets in a row for which sampling found any clear configuration: a lower bound."
     return [table, " ".join([what, *_beaten(part)])]
@@ -249,7 +249,7 @@ def _beaten(part: Part) -> list[str]:
     """Scenarios in which a planner got further than sampling."""
     told = []
     for method, plans in part.plans.items():
-        further = part.numbers[plans.outcomes.tracked > part.ceiling]
+        further = part.numbers[plans.outcomes.tracked > part.reachability]
         if further.size:
             told.append(
                 f"{method} in {further.size} ({', '.join(map(str, further[:8]))}{', ...' * (further.size > 8)})"

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from htcp_jax.planner.plans import Plans
 from htcp_jax.report import paper
 from htcp_jax.report.validation import read_validation
-from htcp_jax.runs.ceiling_file import read_ceiling
 from htcp_jax.runs.labels import column_of, labels_of, parameter_names, part, varying
+from htcp_jax.runs.reachability_file import read_reachability
 from htcp_jax.runs.run_folder import Run
 
 
@@ -42,7 +42,7 @@ class Part:
     numbers: np.ndarray  # (S,) of the scenarios in the run
     parameters: dict[str, np.ndarray]  # columns of the scenario table that a grid may vary, (S,) each
     plans: dict[str, Plans]  # by method that has begun; the status is -1 where it has not planned a scenario yet
-    ceiling: np.ndarray | None  # (S,) targets in a row that are known to be reachable
+    reachability: np.ndarray | None  # (S,) targets in a row that are known to be reachable
     step_s: dict[str, float]  # run time by attempted targets, over the whole run
     joints: tuple[str, ...]
     run: Run
@@ -103,7 +103,7 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
     longest = max(each.status.shape[1] for each in plans.values())
     plans = {method: each.widened(longest) for method, each in plans.items()}
     parameters = {name: column_of(table[name]) for name in parameter_names(table)}
-    numbers, ceiling = table["scenario"].to_numpy(), read_ceiling(run)
+    numbers, reachability = table["scenario"].to_numpy(), read_reachability(run)
     groups = np.array([group or "" for group in table["group"].to_pylist()])
     shared = {
         "run_name": name,
@@ -124,7 +124,7 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
                 numbers=numbers[here],
                 parameters={key: values[here] for key, values in parameters.items()},
                 plans={method: each for method, each in own.items() if each.exists.any()},
-                ceiling=None if ceiling is None else ceiling.prefix[numbers[here]],
+                reachability=None if reachability is None else reachability.prefix[numbers[here]],
                 **shared,
             )
         )

@@ -39,19 +39,21 @@ REASONS = {
 def survival(
     status: Mapping[str, Int8[np.ndarray, "S T"]],
     *,
-    ceiling: Int[np.ndarray, "S"] | None = None,
+    reachability: Int[np.ndarray, "S"] | None = None,
     title: str = "How far the scenarios get",
 ) -> Figure:
     """The number of scenarios that track each target, over the target's index; a scenario ends at its first failure.
 
-    ceiling: the longest prefix of targets known to be reachable, of each scenario.
+    reachability: the longest prefix of targets known to be reachable, of each scenario.
     """
     note = "Scenarios that track the target; a scenario ends at its first failure."
-    figure = new_figure(4.6, title, note + (" Dashed: what is known to be reachable." if ceiling is not None else ""))
+    figure = new_figure(
+        4.6, title, note + (" Dashed: what is known to be reachable." if reachability is not None else "")
+    )
     axes = figure.subplots()
     scenarios, targets = next(iter(status.values())).shape
-    if ceiling is not None:
-        reachable = (ceiling[:, None] > np.arange(targets)[None, :]).sum(axis=0)
+    if reachability is not None:
+        reachable = (reachability[:, None] > np.arange(targets)[None, :]).sum(axis=0)
         axes.step(range(targets), reachable, where="mid", color=INK, linewidth=1.1, linestyle=(0, (4, 2)))
     ends = {}
     for method, table in status.items():

@@ -47,15 +47,15 @@ def success(
     *,
     drivable: Mapping[str, int] | None = None,
     paper: Mapping[str, float] | None = None,
-    ceiling: int | None = None,
+    reachability: int | None = None,
     title: str = "Success by method",
 ) -> Figure:
     """Tracked targets in percent, a bar a method with its counts, `tracked` of `of`; beside it the paper's percentage
-    where `paper` has one, and the ceiling, a count of targets known to be reachable, as a line. drivable: how many of
-    them come before the first blocked joint step; where these are fewer, the rest of the bar is pale."""
+    where `paper` has one, and `reachability`, a count of targets known to be reachable, as a line. drivable: how many
+    of them come before the first blocked joint step; where these are fewer, the rest of the bar is pale."""
     drivable = tracked if drivable is None else drivable
     cut = any(drivable[method] < tracked[method] for method in tracked)
-    figure = new_figure(0.42 * len(tracked) + 1.5, title, _success_note(paper, ceiling, cut))
+    figure = new_figure(0.42 * len(tracked) + 1.5, title, _success_note(paper, reachability, cut))
     axes = figure.subplots()
     for y, method in enumerate(tracked):
         percent = 100 * tracked[method] / of[method]
@@ -67,8 +67,8 @@ def success(
         axes.annotate(text, (101.5, y), va="center", color=INK, fontsize=9.5, annotation_clip=False)
         if paper and method in paper:
             axes.plot(paper[method], y, marker="D", color=PAPER, markeredgecolor=INK, markersize=7, clip_on=False)
-    if ceiling is not None:
-        axes.axvline(100 * ceiling / max(of.values()), color=INK, linewidth=1.2, linestyle=(0, (4, 2)))
+    if reachability is not None:
+        axes.axvline(100 * reachability / max(of.values()), color=INK, linewidth=1.2, linestyle=(0, (4, 2)))
     axes.set_yticks(range(len(tracked)), list(tracked))
     axes.set(xlim=(0, 100), ylim=(len(tracked) - 0.5, -0.5))
     axes.set_xlabel("tracked targets [%]")
@@ -232,8 +232,8 @@ def _share(values: Float[np.ndarray, "*n"], targets: int) -> str:
     return f"{100 * known.mean() / targets:.2f} %" if known.size else "not planned"
 
 
-def _success_note(paper: Mapping[str, float] | None, ceiling: int | None, cut: bool) -> str:
+def _success_note(paper: Mapping[str, float] | None, reachability: int | None, cut: bool) -> str:
     parts = ["Pale: behind a blocked joint step."] if cut else []
     parts += ["Diamond: the paper's figure."] if paper else []
-    parts += ["Dashed: what is known to be reachable."] if ceiling is not None else []
+    parts += ["Dashed: what is known to be reachable."] if reachability is not None else []
     return " ".join(parts)

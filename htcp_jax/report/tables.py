@@ -34,7 +34,7 @@ RESULTS = (
     Column("clearance_mean_mm", "mean", "mm", ".2f"),
     Column("paper_safe_distance_mm", "paper", "mm", ".4f", quiet=True),
 )
-CEILING = (
+REACHABILITY = (
     Column("method", "method"),
     Column("tracked", "tracked", "targets", ",d"),
     Column("reachable", "reachable", "targets", ",d"),
@@ -108,12 +108,12 @@ def _result(part: Part, method: str) -> dict:
     return row
 
 
-def ceiling(part: Part) -> Table:
+def reachability(part: Part) -> Table:
     """Tracked targets against those that are known to be reachable; without rows where nothing is known."""
     rows = []
-    for method, plans in part.plans.items() if part.ceiling is not None else ():
+    for method, plans in part.plans.items() if part.reachability is not None else ():
         ends = plans.outcomes
-        count, reachable = ends.tracked[ends.planned], part.ceiling[ends.planned]
+        count, reachable = ends.tracked[ends.planned], part.reachability[ends.planned]
         rows.append(
             {
                 "method": method,
@@ -124,7 +124,7 @@ def ceiling(part: Part) -> Table:
                 "beyond": int((count > reachable).sum()),
             }
         )
-    return _table("ceiling", CEILING, rows)
+    return _table("reachability", REACHABILITY, rows)
 
 
 def steps(part: Part) -> Table:
@@ -196,7 +196,7 @@ def scenarios(part: Part) -> Table:
             if (end := plans.outcome(s)).targets:
                 count = {"tracked": end.tracked, "targets": end.targets, "drivable": end.drivable}
                 blocked = part.scene.in_the_way(method).get(number)
-                reachable = None if part.ceiling is None else int(part.ceiling[s])
+                reachable = None if part.reachability is None else int(part.reachability[s])
                 row = {"scenario": number, **given, "method": method, **count}
                 told = {
                     "end": "complete" if end.status is None else end.status.words,

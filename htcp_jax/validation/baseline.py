@@ -25,10 +25,10 @@ from htcp_jax.errors import InputError
 from htcp_jax.formats.strict_model import Section, validate
 from htcp_jax.formats.strict_yaml import read_yaml
 from htcp_jax.planner.plans import Outcome
-from htcp_jax.runs.ceiling_file import read_ceiling
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.runs.manifest import Manifest, MethodName
 from htcp_jax.runs.plan_folder import write_text
+from htcp_jax.runs.reachability_file import read_reachability
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.status import Status
 from htcp_jax.validation.result import MethodCheck, Refuted
@@ -84,8 +84,8 @@ class Scores(Section):
         return self
 
 
-class Ceiling(Section):
-    """What `htcp ceiling` found."""
+class Reachability(Section):
+    """What `htcp reachability` found."""
 
     reachable: Count  # targets
     draws: Count
@@ -122,9 +122,14 @@ class Baseline(Section):
     config_hash: str
     allow: Allowances = Allowances()
     versions: dict[str, str | None]
-    ceiling: Ceiling | None
+    reachability: Reachability | None
     planned: dict[str, Any]  # the `identity` of the run: its configuration and its grid
     methods: dict[MethodName, Scores] = Field(min_length=1)
+
+    @staticmethod
+    def with_new_names(values: dict[str, Any], source: str) -> dict[str, Any]:
+        """What it was called in version 0.1 is understood for one version more."""
+        return {"reachability" if name == "ceiling" else name: value for name, value in values.items()}
 
     @model_validator(mode="after")
     def _hash_is_of_planned(self) -> "Baseline":
@@ -147,7 +152,7 @@ class RunSummary(NamedTuple):
     methods: dict[str, Scores]
     checks: dict[str, MethodCheck]
     refuted: tuple[Refuted, ...]
-    ceiling: Ceiling | None
+    reachability: Reachability | None
     problems: tuple[str, ...]
 
 
@@ -165,9 +170,11 @@ def summarise_run(run: Run, progress: Callable[[int, int], None] | None = None) 
     found = attempt("not validated", lambda: check_by_mujoco(run.folder, between=0, progress=progress))
     checks = found.methods if found else {}
     methods = {method: attempt(method, lambda m=method: _scores(run, m, checks.get(m))) for method in run.methods}
-    ceiling = attempt("no ceiling", lambda: _ceiling(run))
+    reachability = attempt("what is reachable is not known", lambda: _reachability(run))
     refuted = found.refuted if found else ()
-    return RunSummary({m: scores for m, scores in methods.items() if scores}, checks, refuted, ceiling, tuple(problems))
+    return RunSummary(
+        {m: scores for m, scores in methods.items() if scores}, checks, refuted, reachability, tuple(problems)
+    )
 
 
 def read_baseline(file: Path) -> Baseline:
@@ -199,7 +206,7 @@ def bless(run: Run, file: Path, progress: Callable[[int, int], None] | None = No
         config_hash=manifest.config_hash,
         allow=old.allow if old else Allowances(),
         versions=origin["versions"],
-        ceiling=found.ceiling,
+        reachability=found.reachability,
         planned=planned(manifest),
         methods=found.methods,
     )
@@ -249,9 +256,9 @@ def _end(found: Outcome) -> End:
     return End(found.targets, COMPLETE) if found.complete else End(found.failed, found.status.name)
 
 
-def _ceiling(run: Run) -> Ceiling | None:
-    found = read_ceiling(run)
-    return found and Ceiling(reachable=int(found.prefix.sum()), draws=found.draws, seed=found.seed)
+def _reachability(run: Run) -> Reachability | None:
+    found = read_reachability(run)
+    return found and Reachability(reachable=int(found.prefix.sum()), draws=found.draws, seed=found.seed)
 
 
 def _rounded(value: float | None) -> float | None:

@@ -52,7 +52,7 @@ class ChangedOutcome(NamedTuple):
 
 
 class Row(NamedTuple):
-    """One method, or the ceiling: the baseline's figure and the run's. None where there is none."""
+    """One method, or what is reachable: the baseline's figure and the run's. None where there is none."""
 
     method: str
     was_tracked: int | None
@@ -102,10 +102,10 @@ def judge(run: Run, baseline: Baseline, progress: Callable[[int, int], None] | N
         failures += [f"{method}: {sentence}" for sentence in wrong]
         changed += own
         rows.append(_row(baseline, found, method, own, "FAILED" if wrong else "better" if _better(own) else "ok"))
-    if baseline.ceiling is not None:
-        wrong = _ceiling_shortfall(baseline, found, allow)
+    if baseline.reachability is not None:
+        wrong = _reachability_shortfall(baseline, found, allow)
         failures += wrong
-        rows.append(_ceiling_row(baseline, found, "FAILED" if wrong else "ok"))
+        rows.append(_reachability_row(baseline, found, "FAILED" if wrong else "ok"))
     improvements += [f"{method} is not in the baseline" for method in found.methods if method not in baseline.methods]
     improvements += [f"{row.method} tracks {row.tracked - row.was_tracked} targets more" for row in rows if _more(row)]
     changed.sort(key=lambda one: (not one.worse, one.better))
@@ -145,9 +145,9 @@ def _shortfalls(
         wrong.append(f"{fewer} targets fewer are tracked, {now.tracked} of {was.targets}; {allow.targets} may be lost")
     if (worse := sum(one.worse for one in changed)) > allow.scenarios:
         wrong.append(f"{worse} scenarios end earlier; {allow.scenarios} may")
-    was_share, share = _share(was, baseline.ceiling), _share(now, found.ceiling)
+    was_share, share = _share(was, baseline.reachability), _share(now, found.reachability)
     if was_share is not None and share is not None:
-        if share < was_share - 100 * allow.targets / baseline.ceiling.reachable - ROUNDING:
+        if share < was_share - 100 * allow.targets / baseline.reachability.reachable - ROUNDING:
             wrong.append(f"{share:.2f} % of the reachable targets are tracked, {was_share:.2f} % before")
     if refuted := [one for one in found.refuted if one.method == method]:
         first = f"the first in scenario {refuted[0].scenario} at target {refuted[0].target}: {refuted[0].reason}"
@@ -170,20 +170,22 @@ def _bounds_broken(was: Scores, now: Scores, allow: Allowance) -> list[str]:
     return wrong
 
 
-def _ceiling_shortfall(baseline: Baseline, found: RunSummary, allow: Allowance) -> list[str]:
-    was, now = baseline.ceiling, found.ceiling
+def _reachability_shortfall(baseline: Baseline, found: RunSummary, allow: Allowance) -> list[str]:
+    was, now = baseline.reachability, found.reachability
     if now is None:
-        return ["ceiling: missing; htcp ceiling writes it into the run's folder"]
+        return ["reachability: missing; htcp reachability writes it into the run's folder"]
     if (now.draws, now.seed) != (was.draws, was.seed):
         here, there = f"{now.draws} draws and seed {now.seed}", f"{was.draws} and {was.seed}"
-        return [f"ceiling: searched with {here}, the baseline's with {there}; they cannot be compared"]
+        return [f"reachability: searched with {here}, the baseline's with {there}; they cannot be compared"]
     if was.reachable - now.reachable > allow.targets:
-        return [f"ceiling: {was.reachable - now.reachable} targets fewer are reachable; {allow.targets} may be lost"]
+        return [
+            f"reachability: {was.reachable - now.reachable} targets fewer are reachable; {allow.targets} may be lost"
+        ]
     return []
 
 
-def _share(scores: Scores | None, ceiling) -> float | None:
-    return 100 * scores.tracked / ceiling.reachable if scores and ceiling and ceiling.reachable else None
+def _share(scores: Scores | None, reachability) -> float | None:
+    return 100 * scores.tracked / reachability.reachable if scores and reachability and reachability.reachable else None
 
 
 def _row(baseline: Baseline, found: RunSummary, method: str, changed: list[ChangedOutcome], verdict: str) -> Row:
@@ -195,8 +197,8 @@ def _row(baseline: Baseline, found: RunSummary, method: str, changed: list[Chang
         targets=was.targets,
         worse=now and sum(one.worse for one in changed),
         better=now and sum(one.better for one in changed),
-        was_share=_share(was, baseline.ceiling),
-        share=_share(now, found.ceiling),
+        was_share=_share(was, baseline.reachability),
+        share=_share(now, found.reachability),
         was_tcp_error_max_mm=was.tcp_error_max_mm,
         tcp_error_max_mm=now and now.tcp_error_max_mm,
         was_clearance_min_mm=was.clearance_min_mm,
@@ -205,9 +207,9 @@ def _row(baseline: Baseline, found: RunSummary, method: str, changed: list[Chang
     )
 
 
-def _ceiling_row(baseline: Baseline, found: RunSummary, verdict: str) -> Row:
+def _reachability_row(baseline: Baseline, found: RunSummary, verdict: str) -> Row:
     nothing = dict.fromkeys(Row._fields)
-    reachable = found.ceiling and found.ceiling.reachable
+    reachable = found.reachability and found.reachability.reachable
     targets = next(iter(baseline.methods.values())).targets
-    counts = {"was_tracked": baseline.ceiling.reachable, "tracked": reachable, "targets": targets}
-    return Row(**(nothing | {"method": "ceiling", **counts, "verdict": verdict}))
+    counts = {"was_tracked": baseline.reachability.reachable, "tracked": reachable, "targets": targets}
+    return Row(**(nothing | {"method": "reachability", **counts, "verdict": verdict}))

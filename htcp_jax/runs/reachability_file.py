@@ -1,4 +1,4 @@
-"""What `htcp ceiling` leaves in a run's folder."""
+"""What `htcp reachability` leaves in a run's folder."""
 
 import json
 from pathlib import Path
@@ -9,7 +9,7 @@ import numpy as np
 from htcp_jax.errors import InputError
 from htcp_jax.runs.run_folder import Run
 
-CEILING = "ceiling.json"
+REACHABILITY, OLD_NAME = "reachability.json", "ceiling.json"  # the second in version 0.1; read for one version more
 
 
 class Reachable(NamedTuple):
@@ -20,17 +20,18 @@ class Reachable(NamedTuple):
     seed: int
 
 
-def read_ceiling(run: Run) -> Reachable | None:
-    """The run's ceiling; None where none was searched. Raises InputError for a damaged file, and for one that is of
-    another number of scenarios."""
-    file = Path(run.folder) / CEILING
+def read_reachability(run: Run) -> Reachable | None:
+    """What is reachable in the run; None where nobody looked. Raises InputError for a damaged file, and for one that is
+    of another number of scenarios."""
+    files = [Path(run.folder) / name for name in (REACHABILITY, OLD_NAME)]
+    file = files[0] if files[0].exists() else files[1]
     try:
         record = json.loads(file.read_text(encoding="utf-8"))
         found = Reachable(np.asarray(record["prefix"], int), int(record["draws"]), int(record["seed"]))
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{file} is damaged or no result of htcp ceiling: {error}") from None
+        raise InputError(f"{file} is damaged or no result of htcp reachability: {error}") from None
     if found.prefix.shape != (run.manifest.count,):
         raise InputError(f"{file} holds {found.prefix.size} scenarios, the run has {run.manifest.count}")
     return found

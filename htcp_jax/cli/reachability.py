@@ -1,4 +1,4 @@
-"""`htcp ceiling`: how many targets of every scenario are reachable at all, beside what a run's methods tracked."""
+"""`htcp reachability`: how many targets of every scenario are reachable at all, beside what a run's methods tracked."""
 
 from operator import itemgetter
 from pathlib import Path
@@ -22,8 +22,7 @@ from htcp_jax.cli.output import (
 )
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.grid import Batch, load_sweep
-from htcp_jax.planner import reachability
-from htcp_jax.planner.reachability import Ceiling
+from htcp_jax.planner.reachability import Reachability, reachable_prefixes
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.plan_folder import write_json, written_whole
 from htcp_jax.runs.run_folder import Run, open_run
@@ -32,7 +31,7 @@ Draws = Annotated[int, typer.Option(metavar="N", min=1, help="Configurations dra
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="The run folder to compare with and to write into.")]
 
 
-def ceiling(
+def reachability(
     file: SweepFile,
     draws: Draws = 2048,
     out: Out = None,
@@ -43,12 +42,12 @@ def ceiling(
 ) -> int:
     """Look for any clear configuration at every target, scenario by scenario, and count the targets in a row.
 
-    A lower bound on what is reachable, with the number of draws behind it. Writes ceiling.json into the run folder,
-    where `htcp report` finds it, and names every method of that folder that gets further.
+    A lower bound on what is reachable, with the number of draws behind it. Writes reachability.json into the run
+    folder, where `htcp report` finds it, and names every method of that folder that gets further.
 
     \b
-    htcp ceiling sweeps/workpiece.yaml                     into out/workpiece, where the sweep writes
-    htcp ceiling sweeps/workpiece.yaml --draws 20000
+    htcp reachability sweeps/workpiece.yaml                     into out/workpiece, where the sweep writes
+    htcp reachability sweeps/workpiece.yaml --draws 20000
     """
     if out is None:
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
@@ -66,7 +65,7 @@ def ceiling(
             "targets": targets,
             "beaten_by": beaten,
         }
-        write_json(folder / "ceiling.json", record)
+        write_json(folder / "reachability.json", record)
     if as_json:
         print_json(record)
     else:
@@ -74,13 +73,13 @@ def ceiling(
     return 0
 
 
-def _search(batch: Batch, draws: int) -> Ceiling:
+def _search(batch: Batch, draws: int) -> Reachability:
     with progress_bars() as bars:
         parts = []
         for number, cell in enumerate(batch.cells):
             task = bars.add_task("targets", total=batch.scenarios.targets.shape[1])
             rows = np.flatnonzero(batch.cell == number)
-            found = reachability.ceiling(
+            found = reachable_prefixes(
                 cell.robot,
                 cell.workpiece,
                 jax.tree.map(itemgetter(rows), batch.scenarios),
@@ -91,10 +90,10 @@ def _search(batch: Batch, draws: int) -> Ceiling:
             parts.append((rows, found))
     order = np.argsort(np.concatenate([rows for rows, _ in parts]))
     columns = zip(*(found[:-1] for _, found in parts), strict=True)
-    return Ceiling(*(np.concatenate(column)[order] for column in columns), draws)
+    return Reachability(*(np.concatenate(column)[order] for column in columns), draws)
 
 
-def _beaten(run: Run, batch: Batch, found: Ceiling) -> dict[str, list[int]]:
+def _beaten(run: Run, batch: Batch, found: Reachability) -> dict[str, list[int]]:
     """Scenarios that a method of the run brought further, by method. Raises InputError for a run of other targets."""
     beaten = {}
     for method in run.methods:
@@ -109,13 +108,13 @@ def _beaten(run: Run, batch: Batch, found: Ceiling) -> dict[str, list[int]]:
     return beaten
 
 
-def _print(name: str, batch: Batch, found: Ceiling, targets: int, beaten: dict[str, list[int]], out: Path) -> None:
+def _print(name: str, batch: Batch, found: Reachability, targets: int, beaten: dict[str, list[int]], out: Path) -> None:
     reachable, complete = int(found.prefix.sum()), int((found.prefix == batch.scenarios.count).sum())
     rows = {
         "reachable at least": f"{reachable:,} of {targets:,} targets, {100 * reachable / targets:.2f} %",
         "complete": f"{complete:,} of {len(found.prefix):,} scenarios",
         "draws": f"{found.draws:,} at the first target without a clear configuration",
-        "files": str(out / "ceiling.json"),
+        "files": str(out / "reachability.json"),
     }
     print_facts(name, rows)
     for method, scenarios in beaten.items():
