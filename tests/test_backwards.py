@@ -58,25 +58,20 @@ class Toy(LaneChecks):
         return np.array([self._clear(int(one)) for one in x[:, 0]], np.int8)
 
     def measured(self, lanes: Lanes, x: np.ndarray) -> Measured:
-        linear = new_lanes(1, np.zeros(len(x)), 0, x, x).linear
-        return Measured(x, linear, np.ones(len(x)), np.zeros(len(x)))
+        linear = new_lanes((3, 1), np.zeros(len(x)), 0, x, x).linear
+        return Measured(x, linear, np.ones(len(x)), np.zeros(len(x)), np.zeros((len(x), 3)))
 
 
 def lost(*targets: int) -> Lanes:
     """Scenarios 0, 1, ... that have lost these targets after seven step QPs each."""
     x = np.zeros((len(targets), 1))
-    lanes = new_lanes(1, np.arange(len(targets)), np.array(targets), x, x)
+    lanes = new_lanes((3, 1), np.arange(len(targets)), np.array(targets), x, x)
     return lanes._replace(iteration=np.full_like(lanes.iteration, 7))
 
 
 def empty(scenarios: int, rows: int) -> Plans:
     """Plans in which nothing is tracked, of an arm with one joint."""
-    shape = scenarios, rows
-    reals = {name: np.full(shape, np.nan) for name in ("clearance", "residual", "joint_step")}
-    whole = {name: np.zeros(shape, np.int32) for name in ("iterations", "escape", "path_clear")}
-    places = {"x": np.full((*shape, 1), np.nan), "tcp": np.zeros((*shape, 3)), "target": np.zeros((*shape, 3))}
-    known = {"status": np.full(shape, Status.NOT_ATTEMPTED), "compile_s": 0.0, "run_s": 0.0}
-    return Plans(**{name: value for name, value in {**reals, **whole, **places, **known}.items()})
+    return Plans.empty(np.zeros((scenarios, 1)), np.zeros((scenarios, rows, 3)))
 
 
 def planned_backwards(toy: Toy, lanes: Lanes, postures: int = 2) -> tuple[Plans, Record, dict[int, Lanes], int]:
