@@ -1,20 +1,27 @@
 """The task: M rows at points of the arm, its error, Jacobian and verdict; with M = N there is no null space."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
+from own_obstacles import Floor
 
+from htcp_jax.clearance.obstacle import bodies_at
 from htcp_jax.errors import InputError
 from htcp_jax.numerics import null_basis
+from htcp_jax.planner.batch import plan
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.kinematics import link_poses, tcp_position
+from htcp_jax.scene.scenario import Scenario, make_scenario
 from htcp_jax.scene.task import TCP_POSITION, Task, TaskPoint
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import step_qp
 from htcp_jax.solvers.active_set import solve_step
 from htcp_jax.solvers.clarabel_ import ClarabelSolver
+from htcp_jax.status import Status
 
 ELBOW = TaskPoint(link=2, offset_m=(0.1, -0.2, 0.3))
 TASKS = {
@@ -111,3 +118,53 @@ def test_the_default_task_is_the_papers():
     robot, x = made_once.robot(), jnp.asarray(made_once.START)
     np.testing.assert_array_equal(TCP_POSITION.value(robot, x), tcp_position(robot, x))
     assert TCP_POSITION.rows == 3 and TCP_POSITION.freedom(robot) == 3
+
+
+# Planned with
+
+
+def along(task: Task, xs: np.ndarray, number: int = 0) -> Scenario:
+    """A scenario in the duct whose targets are where the task is at these postures, from the first of them."""
+    robot = made_once.robot()
+    given = make_scenario(robot, made_once.duct(), xs[0], margin_m=0.0, number=number)
+    targets = np.stack([np.asarray(task.value(robot, jnp.asarray(x))) for x in xs])
+    return dataclasses.replace(given, targets=targets, count=np.asarray(len(targets), np.int32))
+
+
+def test_a_task_with_as_many_rows_as_joints_is_planned_and_says_where_there_is_no_null_space_to_escape_in():
+    task = dataclasses.replace(TASKS["as many rows as joints"], tolerance_m=1e-6)
+    start = np.array(made_once.START)
+    xs = start + np.linspace(0, 1, 4)[:, None] * np.array([0.02, 0.03, -0.02, 0.04, 0.03, 0.05])
+    free, lost = along(task, xs), along(task, xs, number=1)
+    lost.targets[2:] += 5.0  # where the arm never comes
+    plans = plan(made_once.robot(), made_once.duct(), [free, lost], "nspace-sqp", task=task)
+    assert plans.tracked[0].all() and plans.outcome(0).complete
+    for x, target in zip(plans.x[0], plans.target[0], strict=True):
+        assert task.reached(task.off(made_once.robot(), jnp.asarray(x), jnp.asarray(target)))
+    np.testing.assert_allclose(plans.x[0], xs, atol=5e-3)  # it has no choice but these postures
+    assert plans.tracked[1].tolist() == [True, True, False, False]
+    assert plans.outcome(1).status == Status.NO_NULL_SPACE and "no null space" in Status.NO_NULL_SPACE.message
+
+
+def test_targets_must_have_as_many_numbers_as_the_task_has_rows():
+    scenario = make_scenario(made_once.robot(), made_once.duct(), made_once.START)
+    with pytest.raises(InputError, match="the task has 1 rows, the targets have 3"):
+        plan(made_once.robot(), made_once.duct(), scenario, "baseline", task=TASKS["its height"])
+
+
+def test_a_further_obstacle_is_kept_clear_of_as_the_workpiece_is():
+    """A floor in the way of the way down: with it no tracked posture is nearer to it than the margin."""
+    robot, duct, margin_m = made_once.robot(), made_once.duct(), 5e-3
+    xs = np.array(made_once.START) + np.linspace(0, 1, 6)[:, None] * np.array([0.0, 0.25, -0.1, 0.0, 0.1, 0.0])
+    scenario = dataclasses.replace(along(TCP_POSITION, xs), margin_m=np.asarray(margin_m))
+
+    def above(height_m: float, x) -> float:
+        return float(Floor(jnp.asarray(height_m)).smallest(robot, scenario, bodies_at(robot, scenario, jnp.asarray(x))))
+
+    height_m = sorted(above(0.0, x) for x in xs)[1]  # some of the postures come nearer than the margin
+    free = plan(robot, duct, scenario, "baseline")
+    kept = plan(robot, duct, scenario, "baseline", obstacles=(Floor(jnp.asarray(height_m)),))
+    assert free.tracked.all() and min(above(height_m, x) for x in free.x[0]) < margin_m
+    for x in kept.x[kept.tracked]:
+        assert above(height_m, x) >= margin_m - 1e-12
+    assert not kept.tracked.all() or np.abs(kept.x - free.x).max() > 1e-3

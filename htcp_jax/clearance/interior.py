@@ -33,11 +33,13 @@ class Interior:
 
     def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
         """The facet that the further deep end of every body has crossed, if any."""
-        rotate = where.T_world_workpiece[:3, :3]
+        rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
         outside, second, inwards = self._outside(where, bodies)
+        # By way of the workpiece frame, as the cloud's: the same end is the same point to the last bit.
+        end = jnp.where(second[:, None], bodies.q_workpiece, bodies.p_workpiece)
         return Contacts(
             distance=jnp.where(outside > 0, -outside, jnp.inf),
-            point=jnp.where(second[:, None], bodies.q, bodies.p),
+            point=product(end, rotate.T) + translate[None, :],
             normal=product(inwards, rotate.T),
             reach=jnp.zeros_like(outside),
             plane=jnp.ones(outside.shape, bool),

@@ -17,7 +17,7 @@ CHOICES = {
     "margin_m": 0.0,
     "settings": {
         "cost_about": "previous",
-        "rows": "smallest",
+        "clearance_rows": "smallest",
         "aim_above_m": 0.0,
         "qp_tolerance": 1e-8,
         "j1_weight": 1.0,
