@@ -14,6 +14,7 @@ from PIL import Image
 
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
+from htcp_jax.scene.kinematics import ArmShape
 from htcp_jax.viewer import offscreen
 from htcp_jax.viewer.camera import fitted, kept, open_side
 from htcp_jax.viewer.colours import FAILED, TargetStyle, rgb, target_styles
@@ -90,10 +91,10 @@ def test_the_way_passes_every_tracked_target_in_small_strides(replay):
     met = [posture.target for posture in postures]
     assert met == sorted(met) and set(met) == set(range(8))
     for t in range(8):
-        first = postures[met.index(t)]
+        first = postures[met.index(t)].arm
         np.testing.assert_allclose(first.p, replay.p[t], atol=1e-12)
         np.testing.assert_allclose(first.tcp, replay.tcp[t], atol=1e-12)
-    points = np.array([np.vstack([posture.p, posture.q, posture.tcp]) for posture in postures])
+    points = np.array([np.vstack([arm.p, arm.q, arm.tcp]) for arm, _ in postures])
     # Along an arc a point moves a little further than its share of the chord.
     assert np.linalg.norm(np.diff(points, axis=0), axis=2).max() < 1.3 * STRIDE_M
 
@@ -164,7 +165,8 @@ def test_any_arm_is_drawn(made, screenless, tmp_path):
     replay = replays_of("by hand", plan).replay(0, "baseline")
     arm = seven_joints(tmp_path)
     ends = np.tile(np.linspace([0, 0, 0.0], [1.2, 0, 1.0], 8), (len(replay.target), 1, 1))
-    other = replay._replace(robot=arm, p=ends, q=ends + 0.1, tcp=ends[:, -1] + 0.3, obstruction=None)
+    shape = ArmShape(ends, ends + 0.1, tip=ends[:, -1] + 0.1, tcp=ends[:, -1] + 0.3)
+    other = replay._replace(robot=arm, shape=shape, obstruction=None)
     with Studio(other, *SIZE, fine=False) as studio:
         assert studio.still(3).std() > 20
 
