@@ -453,9 +453,9 @@ def check_qp(_folder: Path, case: tuple) -> bool:
     seed, odd = case
     draw = np.random.default_rng(seed)
     qp = {
-        "weights": solver()[1], "linear": draw.normal(size=6), "A": draw.normal(size=(3, 6)),
+        "P": solver()[1], "q": draw.normal(size=6), "A": draw.normal(size=(3, 6)),
         "b": draw.normal(size=3) * draw.choice([1e-3, 0.1, 1.0]), "G": draw.normal(size=(8, 6)),
-        "h": draw.uniform(-0.05, 0.5, 8), "lower": -draw.uniform(0, 1, 6), "upper": draw.uniform(0, 1, 6),
+        "h": draw.uniform(-0.05, 0.5, 8), "lb": -draw.uniform(0, 1, 6), "ub": draw.uniform(0, 1, 6),
     }  # fmt: skip
     for name, spot, value in odd:
         qp[name].flat[spot % qp[name].size] = value
@@ -466,15 +466,15 @@ def check_qp(_folder: Path, case: tuple) -> bool:
     if status != QPStatus.SOLVED:
         assert not y.any(), "a step without an answer"
         return False
-    rows = [qp["A"] @ y - qp["b"], qp["b"] - qp["A"] @ y, qp["G"] @ y - qp["h"], qp["lower"] - y, y - qp["upper"]]
+    rows = [qp["A"] @ y - qp["b"], qp["b"] - qp["A"] @ y, qp["G"] @ y - qp["h"], qp["lb"] - y, y - qp["ub"]]
     worst = max(row.max() for row in rows)
     scale = 1 + max(np.abs(value[np.isfinite(value)]).max(initial=0) for value in qp.values())
     assert worst <= 1e-5 * scale, f"not feasible by {worst}"
     if not odd:
-        cost = lambda y: 0.5 * y @ (qp["weights"] * y) + qp["linear"] @ y  # noqa: E731
+        cost = lambda y: 0.5 * y @ (qp["P"] * y) + qp["q"] @ y  # noqa: E731
         null = np.linalg.svd(qp["A"])[2][3:]
         near = y + (draw.normal(size=(20, 3)) * 0.05) @ null
-        G, h = np.vstack([qp["G"], np.eye(6), -np.eye(6)]), np.concatenate([qp["h"], qp["upper"], -qp["lower"]])
+        G, h = np.vstack([qp["G"], np.eye(6), -np.eye(6)]), np.concatenate([qp["h"], qp["ub"], -qp["lb"]])
         inside = (near @ G.T <= h).all(axis=1)
         assert all(cost(other) >= cost(y) - 1e-6 for other in near[inside]), "a better answer lies near"
     return True
@@ -486,7 +486,7 @@ def solver() -> tuple[ClarabelSolver, np.ndarray]:
     return ClarabelSolver(weights, 8), weights
 
 
-FIELDS = st.sampled_from(["linear", "A", "b", "G", "h", "lower", "upper"])
+FIELDS = st.sampled_from(["q", "A", "b", "G", "h", "lb", "ub"])
 CHANGE = st.tuples(st.integers(0, 5), SPOT, SPOT, st.binary(max_size=6))
 ALTERATION = st.tuples(SPOT, st.integers(0, 3), ODD)
 MANIFESTS = st.one_of(

@@ -78,7 +78,7 @@ def objective(settings):
 def both(settings):
     """J2 and its gradient by the public function; what the planners maximise, and the gradient that they predict."""
 
-    scene = made_once.scene()[:2]
+    scene = made_once.scene()
 
     def planners(where, x_ref, w):
         problem, _, _ = sphere_problem(scene, settings, where, x_ref)

@@ -123,7 +123,7 @@ def test_it_is_validated_with_each_scenario_s_own_robot_and_workpiece(place, run
 
 
 def test_the_report_has_the_axes(place, run):
-    (part,) = read_parts(run, "mixed", RunScene(run))
+    (part,) = read_parts(run, "mixed", RunScene)
     assert list(part.axes) == ["start_j2_rad", "robot.model", "workpiece.cloud"]
     assert part.parameters["settings.max_step_qps"].tolist() == [20, 20, 30, 30] * 2
     assert main(["report", str(place / "run"), "--out", str(place / "report")]) == 0

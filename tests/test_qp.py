@@ -115,9 +115,7 @@ def test_a_joint_without_limits_has_infinite_bounds(name):
     solver = ClarabelSolver(WEIGHTS, 8) if name == "clarabel" else QPSolversSolver(name)
     qps, answers = random_batch(40, 8, seed=2)
     above, below = qps.ub > answers + 1e-9, qps.lb < answers - 1e-9
-    y, status = solver.solve(
-        qps._replace(upper=np.where(above, np.inf, qps.ub), lower=np.where(below, -np.inf, qps.lb))
-    )
+    y, status = solver.solve(qps._replace(ub=np.where(above, np.inf, qps.ub), lb=np.where(below, -np.inf, qps.lb)))
     assert (status == QPStatus.SOLVED).all()
     np.testing.assert_allclose(y, answers, rtol=0, atol=1e-6)
 
@@ -128,8 +126,8 @@ def mixed_batch(rows=8):
     qps = [infeasible(rng, rows, "limits") if k % 5 == 3 else random_answer(rng, rows)[0] for k in range(60)]
     broken = {}
     for k, (field, value) in {
-        7: ("linear", np.nan), 14: ("A", np.nan), 21: ("G", np.nan), 22: ("h", np.nan), 29: ("b", np.nan),
-        36: ("A", np.inf), 37: ("linear", np.inf), 44: ("upper", np.nan),
+        7: ("q", np.nan), 14: ("A", np.nan), 21: ("G", np.nan), 22: ("h", np.nan), 29: ("b", np.nan),
+        36: ("A", np.inf), 37: ("q", np.inf), 44: ("ub", np.nan),
     }.items():  # fmt: skip
         spoiled = getattr(qps[k], field).copy()
         spoiled.flat[0] = value

@@ -57,8 +57,8 @@ def test_rows_that_say_the_same_or_nothing_change_nothing():
 
 def test_a_joint_without_limits_is_free():
     qps, _ = random_batch(100, 8, seed=4)
-    wide = qps._replace(upper=np.full_like(qps.ub, 1e3), lower=np.full_like(qps.lb, -1e3))
-    free = qps._replace(upper=np.full_like(qps.ub, np.inf), lower=np.full_like(qps.lb, -np.inf))
+    wide = qps._replace(ub=np.full_like(qps.ub, 1e3), lb=np.full_like(qps.lb, -1e3))
+    free = qps._replace(ub=np.full_like(qps.ub, np.inf), lb=np.full_like(qps.lb, -np.inf))
     np.testing.assert_array_equal(solved(free).status, solved(wide).status)
     np.testing.assert_allclose(solved(free).y, solved(wide).y, rtol=0, atol=1e-10)
 

@@ -79,7 +79,7 @@ def folder(tmp_path_factory):
 
 def part_of(folder, name: str):
     run = open_run(folder / name)
-    (part,) = read_parts(run, name, RunScene(run))
+    (part,) = read_parts(run, name, RunScene)
     return part
 
 

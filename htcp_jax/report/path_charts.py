@@ -33,7 +33,7 @@ REASONS = {
     Status.START_IN_COLLISION: ("#7f7f7f", "*"),
     Status.OUT_OF_REACH: ("#009e73", "v"),
     Status.TIP_BLOCKED: ("#56b4e9", "P"),
-    Status.NO_NULL_SPACE: ("#999999", "*"),
+    Status.NO_NULL_SPACE: ("#999999", "h"),
 }
 
 

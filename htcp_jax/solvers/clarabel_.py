@@ -49,7 +49,7 @@ class ClarabelSolver:
     def solve(self, qps: StepQP) -> QPSolution:
         """Steps (B, N) and verdicts (B,) of a batch."""
         # What is infinitely far away, and a joint without a limit: the row 0 y <= 1. Clarabel takes no infinite bounds.
-        far = np.isposinf(qps.h)
+        far = np.isposinf(qps.h) & np.isfinite(qps.G).all(axis=2)
         G, h = np.where(far[:, :, None], 0.0, qps.G), np.where(far, 1.0, qps.h)
         columns = np.concatenate([qps.A, G], axis=1).transpose(0, 2, 1)
         batch, n = qps.q.shape
