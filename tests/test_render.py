@@ -137,6 +137,17 @@ def test_a_gif_holds_all_frames_and_runs_for_ever(frames, tmp_path):
     assert np.abs(shown - frames[-1]).mean() < 6
 
 
+def test_a_gif_keeps_a_colour_that_its_last_frame_has_lost(tmp_path):
+    """A tracked path is blue until, in the last frame, the tool hides it among a thousand other colours."""
+    noise = np.random.default_rng(0).integers(60, 200, (24, 32, 3), dtype=np.uint8)
+    blue = noise.copy()
+    blue[8:16] = 30, 60, 250
+    write_movie(tmp_path / "a.gif", iter([blue, blue, blue, noise]))
+    with Image.open(tmp_path / "a.gif") as gif:
+        shown = np.asarray(gif.convert("RGB"), int)
+    assert np.abs(shown[8:16] - (30, 60, 250)).max() < 30
+
+
 def test_an_mp4_can_be_read_again(frames, tmp_path):
     ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the extra `movie` is not installed")
     write_movie(tmp_path / "a.mp4", iter(frames))
