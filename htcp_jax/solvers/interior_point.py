@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.numerics import product, solve_spd
-from htcp_jax.types import Array, Float, Scalar
+from htcp_jax.types import Array, Float, Int, Scalar
 
 
 class DenseSolution(NamedTuple):
@@ -20,6 +20,16 @@ class DenseSolution(NamedTuple):
     y: Float[Array, "n"]
     multipliers: Float[Array, "m"]
     error: Scalar
+
+
+class _Iterate(NamedTuple):
+    """Where the method is."""
+
+    y: Float[Array, "n"]
+    slack: Float[Array, "m"]
+    multipliers: Float[Array, "m"]
+    best: DenseSolution
+    count: Int[Array, ""]  # iterations; all of them once it goes astray
 
 
 def solve_dense(
@@ -42,7 +52,7 @@ def solve_dense(
         worst = jnp.maximum(jnp.max(jnp.abs(dual)), jnp.max(jnp.abs(primal)))
         return jnp.maximum(worst, jnp.sum(slack * multipliers) / m)
 
-    def body(state):
+    def body(state: _Iterate) -> _Iterate:
         y, slack, multipliers, best, count = state
         dual = product(H, y) + c + product(G.T, multipliers)
         primal = product(G, y) + slack - h
@@ -65,11 +75,11 @@ def solve_dense(
         new = DenseSolution(y, multipliers, error(y, slack, multipliers))
         better = new.error < best.error
         best = jax.tree.map(lambda n, b: jnp.where(better, n, b), new, best)
-        return y, slack, multipliers, best, jnp.where(new.error < 1e2 * best.error, count + 1, iterations)
+        count = jnp.where(new.error < 1e2 * best.error, count + 1, iterations)
+        return _Iterate(y, slack, multipliers, best, count)
 
     y = jnp.zeros_like(c)
     nothing = DenseSolution(y, jnp.zeros(m), jnp.full((), jnp.inf))
-    start = (y, jnp.maximum(h, 0.1), jnp.full(m, 0.1), nothing, jnp.zeros((), jnp.int32))
+    start = _Iterate(y, jnp.maximum(h, 0.1), jnp.full(m, 0.1), nothing, jnp.zeros((), jnp.int32))
     # Beyond what rounding allows the error grows again (or turns NaN, which compares false): the best one counts.
-    *_, best, _ = jax.lax.while_loop(lambda s: (s[3].error > tolerance) & (s[4] < iterations), body, start)
-    return best
+    return jax.lax.while_loop(lambda s: (s.best.error > tolerance) & (s.count < iterations), body, start).best

@@ -25,7 +25,9 @@ class QPSolversSolver:
         status = np.full(len(y), QPStatus.FAILED, np.int32)
         for k in range(len(y)):
             one = StepQP(*(np.asarray(field[k]) for field in qps))
-            if not all(np.isfinite(field).all() for field in one[:6]) or np.isnan(one[6:]).any():
+            limits = np.stack([one.lb, one.ub])
+            rest = one.P, one.q, one.A, one.b, one.G, one.h
+            if not all(np.isfinite(field).all() for field in rest) or np.isnan(limits).any():
                 continue  # some solvers answer such a problem with numbers
             cost = np.diag(one.P)
             # clarabel, scs, highs and others want sparse matrices, quadprog wants dense ones; qpsolvers converts

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from jaxtyping import PyTree
 
 from htcp_jax.numerics import null_basis, product, safe_norm, solve_spd
 from htcp_jax.solvers import cma_es
@@ -22,16 +23,16 @@ from htcp_jax.solvers.interior_point import solve_dense
 from htcp_jax.types import Array, Bool, Float, Int, Scalar
 
 Direction = Float[Array, "D"]
-Seen = object  # contacts: a pytree whose leaves have a leading axis K, or R = a multiple of it
+Held = PyTree[Array]  # contacts: leaves have a leading axis R, of all rows, or a multiple of it
 
 
 class Sphere(NamedTuple):
     """The problem above. J1(w) = 1/2 w' curvature w is already inside the values that observe and predict return.
     Those are the f_k [m] and their gradients; w and with it G and h have no unit."""
 
-    observe: Callable[[Direction], tuple[Float[Array, "K"], Seen]]
+    observe: Callable[[Direction], tuple[Float[Array, "K"], Held]]
     measure: Callable[[Direction], Scalar]  # min_k f_k(w) alone: cheaper than observe
-    predict: Callable[[Direction, Seen], tuple[Float[Array, "R"], Float[Array, "R D"]]]
+    predict: Callable[[Direction, Held], tuple[Float[Array, "R"], Float[Array, "R D"]]]
     curvature: Float[Array, "D D"]
     G: Float[Array, "m D"]
     h: Float[Array, "m"]
@@ -60,7 +61,7 @@ def _merit(sphere: Sphere, w: Direction, value: Scalar) -> Scalar:
     return value - 10.0 * jnp.max(jnp.maximum(product(sphere.G, w) - sphere.h, 0.0), initial=0.0)
 
 
-def first_guess(sphere: Sphere, seen: Seen, count: int = 64) -> Direction:
+def first_guess(sphere: Sphere, seen: Held, count: int = 64) -> Direction:
     """Best of `count` spread directions by the contacts at hand: costs no observation."""
     directions = jnp.asarray(spread_directions(count, sphere.curvature.shape[0]))
     merit = jax.vmap(lambda w: _merit(sphere, w, jnp.min(sphere.predict(w, seen)[0])))(directions)
@@ -74,7 +75,7 @@ def _better_of_two(sphere: Sphere) -> Best:
     return Best(directions[jnp.argmax(merit)], jnp.max(merit))
 
 
-def sqp(sphere: Sphere, seen: Seen, observations: int = 12, memory: int = 8) -> Best:
+def sqp(sphere: Sphere, seen: Held, observations: int = 12, memory: int = 8) -> Best:
     """Sequential quadratic programming on the epigraph: maximise t with t <= the distance to every contact seen.
 
     An outer approximation: climb on what the contacts seen predict, observe where that leads, and so on from the best
@@ -84,23 +85,30 @@ def sqp(sphere: Sphere, seen: Seen, observations: int = 12, memory: int = 8) -> 
     if sphere.curvature.shape[0] == 1:
         return _better_of_two(sphere)
 
-    def body(state):
-        best, proposed, store, _, count = state
-        values, new = sphere.observe(proposed)
-        bodies = values.shape[0]
-        slot = count % memory * bodies
-        store = jax.tree.map(lambda s, n: jax.lax.dynamic_update_slice_in_dim(s, n, slot, 0), store, new)
-        now = Best(proposed, _merit(sphere, proposed, jnp.min(values)))
-        best = jax.tree.map(lambda n, b: jnp.where(now.value > best.value, n, b), now, best)
+    def body(search: _Search) -> _Search:
+        values, new = sphere.observe(search.proposed)
+        slot = search.count % memory * values.shape[0]
+        store = jax.tree.map(lambda s, n: jax.lax.dynamic_update_slice_in_dim(s, n, slot, 0), search.store, new)
+        now = Best(search.proposed, _merit(sphere, search.proposed, jnp.min(values)))
+        best = jax.tree.map(lambda n, b: jnp.where(now.value > search.best.value, n, b), now, search.best)
         climb = _climb(sphere, best.w, store)
         more = ~climb.ended | (climb.merit > best.value + 1e-9)
-        return best, climb.w, store, more, count + 1
+        return _Search(best, climb.w, store, more, search.count + 1)
 
     w = first_guess(sphere, seen)
     store = jax.tree.map(lambda leaf: jnp.concatenate([leaf] * memory), seen)
-    start = (Best(w, jnp.full((), -jnp.inf)), w, store, jnp.full((), True), jnp.zeros((), jnp.int32))
-    best, *_ = jax.lax.while_loop(lambda s: s[3] & (s[4] < observations), body, start)
-    return best
+    start = _Search(Best(w, jnp.full((), -jnp.inf)), w, store, jnp.full((), True), jnp.zeros((), jnp.int32))
+    return jax.lax.while_loop(lambda search: search.more & (search.count < observations), body, start).best
+
+
+class _Search(NamedTuple):
+    """How far SQP has come."""
+
+    best: Best  # of what was observed
+    proposed: Direction  # to be observed next
+    store: Held  # contacts of the last observations
+    more: Bool[Array, ""]  # whether the proposal is predicted to be better
+    count: Int[Array, ""]  # observations
 
 
 class _Climb(NamedTuple):
@@ -120,11 +128,11 @@ class _Climb(NamedTuple):
         return self.radius < 1e-6
 
 
-def _climb(sphere: Sphere, w: Direction, seen: Seen, steps: int = 12) -> _Climb:
+def _climb(sphere: Sphere, w: Direction, seen: Held, steps: int = 12) -> _Climb:
     """Towards the local maximum of the predicted merit from w, by SQP steps within a trust region."""
 
     def body(climb):
-        step, multipliers, gain = _tangent_step(sphere, climb.w, climb.value, climb.gradient, *climb[4:6])
+        step, multipliers, gain = _tangent_step(sphere, climb)
         w = _unit(climb.w + step)
         value, gradient = sphere.predict(w, seen)
         merit = _merit(sphere, w, jnp.min(value))
@@ -132,7 +140,7 @@ def _climb(sphere: Sphere, w: Direction, seen: Seen, steps: int = 12) -> _Climb:
         shorter = 0.25 * jnp.max(jnp.abs(step))
         radius = jnp.where(merit - climb.merit > 0.1 * gain, jnp.minimum(2 * climb.radius, 0.5), shorter)
         radius = jnp.where(gain > 1e-10, radius, 0.0)
-        there, here = (w, value, gradient, merit), climb[:4]
+        there, here = (w, value, gradient, merit), (climb.w, climb.value, climb.gradient, climb.merit)
         higher = jax.tree.map(lambda new, old: jnp.where(merit > climb.merit, new, old), there, here)
         return _Climb(*higher, multipliers, radius, climb.steps + 1)
 
@@ -143,12 +151,13 @@ def _climb(sphere: Sphere, w: Direction, seen: Seen, steps: int = 12) -> _Climb:
     return jax.lax.while_loop(lambda climb: ~climb.ended & (climb.steps < steps), body, start)
 
 
-def _tangent_step(sphere: Sphere, w, value, gradient, multipliers, radius):
-    """Step in R^D from the tangent QP at w, no longer than radius along any axis; its multipliers of the contacts,
+def _tangent_step(sphere: Sphere, climb: _Climb) -> tuple[Direction, Float[Array, "R"], Scalar]:
+    """Step in R^D from the tangent QP at w, no longer than the radius along any axis; its multipliers of the contacts,
     and the gain it predicts.
 
     Along the arc w -> unit(w + T d), a function with gradient g gains g'T d - 1/2 (g'w) |d|^2 to second order; with the
     curvature of J1 that is all the curvature that the QP knows."""
+    w, value, gradient, multipliers, radius = climb.w, climb.value, climb.gradient, climb.multipliers, climb.radius
     dimension = w.shape[0]
     tangent = null_basis(w[None, :])
     bend = jnp.sum(multipliers * product(gradient, w)) * jnp.eye(dimension - 1) + product(
@@ -168,7 +177,7 @@ def _tangent_step(sphere: Sphere, w, value, gradient, multipliers, radius):
     return product(tangent, solution.y[:-1]), solution.multipliers[: value.shape[0]], solution.y[-1]
 
 
-def max_min_step(sphere: Sphere, seen: Seen, longest: Scalar) -> Direction:
+def max_min_step(sphere: Sphere, seen: Held, longest: Scalar) -> Direction:
     """Step w, |w| <= longest, that raises the smallest contact seen from w = 0 the most: one QP, no observation.
 
     The epigraph at first order with a trace of damping, so that a flat optimum gives the shortest step."""
@@ -184,7 +193,7 @@ def max_min_step(sphere: Sphere, seen: Seen, longest: Scalar) -> Direction:
     return w * jnp.minimum(1.0, longest / jnp.maximum(safe_norm(w), 1e-12))
 
 
-def interior_point(sphere: Sphere, seen: Seen, iterations: int = 24) -> Best:
+def interior_point(sphere: Sphere, seen: Held, iterations: int = 24) -> Best:
     """Log barrier on the sphere: maximise t + mu (sum log(f_k(w) - t) + sum log(h - G w)), mu falling to 1e-7 m.
 
     t is eliminated (its optimum solves sum mu / (f_k - t) = 1), which leaves a smooth minimum of the bodies, pushed
@@ -253,7 +262,7 @@ def _epigraph(values, mu):
     return jax.lax.fori_loop(0, 8, newton, low)
 
 
-def adam(sphere: Sphere, seen: Seen, iterations: int = 40, rate: float = 0.15) -> Best:
+def adam(sphere: Sphere, seen: Held, iterations: int = 40, rate: float = 0.15) -> Best:
     """Adam (optax) on the subgradient of the smallest f_k, projected onto the sphere after every step.
     rate: of the first step, no unit; it falls to 0 by a cosine."""
     schedule = optax.cosine_decay_schedule(rate, iterations)
@@ -281,7 +290,7 @@ def adam(sphere: Sphere, seen: Seen, iterations: int = 40, rate: float = 0.15) -
 
 
 def cmaes(
-    sphere: Sphere, seen: Seen, key: jax.Array, population: int = 100, generations: int = 5, sigma: float = 0.5
+    sphere: Sphere, seen: Held, key: jax.Array, population: int = 100, generations: int = 5, sigma: float = 0.5
 ) -> Best:
     """CMA-ES over directions: samples are normalised before they are measured; the best one ever measured is kept.
 
