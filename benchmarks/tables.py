@@ -16,8 +16,9 @@ import numpy as np
 
 from benchmarks import hardware
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.planner import compile_cache, devices
+from htcp_jax.planner import compile_cache
 from htcp_jax.planner.batch import plan
+from htcp_jax.planner.devices import choose
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.runs.summary import summarise
 from htcp_jax.solvers.clarabel_ import ClarabelSolver
@@ -41,7 +42,7 @@ def main() -> None:
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
     chosen = parser.parse_args()
     compile_cache.enable()
-    devices.use(chosen.device)
+    choose(chosen.device)  # before anything is computed
     spent = _watch() if chosen.profile else {}
     print(hardware.line())
     head = f"{'sweep':10} {'method':14} {'tracked':>20} {'%':>6} {'compile s':>9} {'run s':>8} {'us a step':>9}"
@@ -55,7 +56,9 @@ def main() -> None:
 
             def run(method=method, batch=batch, scenarios=scenarios, settings=spec.config.settings):
                 paths = not chosen.no_paths
-                return plan(batch.robot, batch.workpiece, scenarios, method, settings, check_paths=paths)
+                return plan(
+                    batch.robot, batch.workpiece, scenarios, method, settings, check_paths=paths, device=chosen.device
+                )
 
             plans = first = run()
             if not chosen.once:

@@ -15,6 +15,7 @@ from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.notebook import html_facts
 from htcp_jax.planner import batch, registry
+from htcp_jax.planner.devices import choose
 from htcp_jax.planner.obstruction import Obstruction, blocked_target, obstruction
 from htcp_jax.planner.plans import Outcome, Plans
 from htcp_jax.runs.identity import anchor_files, file_hash
@@ -169,22 +170,25 @@ def plan(
     *,
     method: str | None = None,
     progress: Callable[[batch.Progress], None] | None = None,
+    device: str | None = None,
 ) -> Plan:
     """Plan one job.
 
     config: a YAML file, or a mapping that spells one, {"workpiece": {"rotation_y_rad": 0.5}}; None is the default job.
     overrides: what differs from it, as on the command line, ["margin_m=0.001"], or as values, {"margin_m": 0.001,
-    "workpiece.rotation_y_rad": 0.5}. method: see `methods`. progress: called as targets are tracked.
+    "workpiece.rotation_y_rad": 0.5}. method: see `methods`. progress: called as targets are tracked. device:
+    see `planner.devices`.
     Raises InputError for bad input and for a start in collision.
     """
     if method is not None:
         given = isinstance(overrides, Mapping)
         overrides = {**overrides, "method": method} if given else [*overrides, f"method={method}"]
+    choose(device)  # before anything is computed
     job = load_config(config, overrides)
     registry.find(job.method)
     robot, workpiece, scenario = scene(job)
     batch.check_start(robot, workpiece, scenario)
-    plans = batch.plan(robot, workpiece, scenario, job.method, job.settings, progress=progress)
+    plans = batch.plan(robot, workpiece, scenario, job.method, job.settings, progress=progress, device=device)
     robot, scenario = with_own_tool(robot, scenario)
     return Plan(job, robot, workpiece, scenario, plans)
 

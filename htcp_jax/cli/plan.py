@@ -10,7 +10,6 @@ from htcp_jax import api
 from htcp_jax.api import Plan, forget_validation
 from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Device, Json, Overrides, print_facts, print_json, progress_bar, stdout
-from htcp_jax.planner import devices
 from htcp_jax.runs.plan_folder import written_whole
 
 COMPLETE, INCOMPLETE = 0, 3
@@ -42,9 +41,8 @@ def plan(
     htcp plan job.yaml --method baseline      a job of your own by another method
     htcp plan --set settings.alpha_rad=0.05 --set "start_rad=[0, -2.3, 0.5, 0, 0.5, 0]"
     """
-    devices.use(device)
     with written_whole(out) as folder:
-        made = plan_with_progress(config, overrides, method)
+        made = plan_with_progress(config, overrides, method, device)
         made.write(folder)
     forget_validation(out)
     if as_json:
@@ -56,9 +54,15 @@ def plan(
     return COMPLETE if made.complete else INCOMPLETE
 
 
-def plan_with_progress(config: Path | None, overrides: list[str] | None, method: str | None) -> Plan:
+def plan_with_progress(
+    config: Path | None, overrides: list[str] | None, method: str | None, device: str | None = None
+) -> Plan:
     """The plan, with a bar of tracked targets on a terminal. Raises InputError as `api.plan` does."""
     with progress_bar("targets") as tell:
         return api.plan(
-            config, overrides or (), method=method, progress=lambda now: tell(now.targets_tracked, now.targets)
+            config,
+            overrides or (),
+            method=method,
+            device=device,
+            progress=lambda now: tell(now.targets_tracked, now.targets),
         )

@@ -23,7 +23,6 @@ from htcp_jax.cli.output import (
     progress_bars,
     stdout,
 )
-from htcp_jax.planner import devices
 from htcp_jax.report.document import Column, Table
 from htcp_jax.runs import sweep as sweeps
 from htcp_jax.runs.plan_folder import summary_record
@@ -67,7 +66,6 @@ def sweep(
     htcp sweep sweeps/robot.yaml --limit 3 --set settings.alpha_rad=0.05 --out out/try
     htcp sweep sweeps/cross.yaml --on ray                  on all cores, or on the cluster that Ray knows of
     """
-    devices.use(device)
     if out is None:
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
     running = RunningSummary()
@@ -84,6 +82,7 @@ def sweep(
             finished=running.add,
             shard_scenarios=shard,
             on=on,
+            device=device,
         )
     if as_json:
         print_json(_record(run, running))

@@ -10,24 +10,12 @@ import jax
 
 from htcp_jax.errors import InputError
 
-_DEFAULT: str | None = None
-
-
-def use(name: str | None) -> None:
-    """What `choose` returns by default from now on. `cpu` can be chosen beside a GPU before anything is computed.
-
-    Raises InputError for a name that is no device here.
-    """
-    global _DEFAULT
-    if name == "cpu":
-        jax.config.update("jax_platforms", "cpu")
-    choose(name)
-    _DEFAULT = name
-
 
 def choose(name: str | None = None) -> list[jax.Device]:
-    """The devices of that name. Raises InputError for a name that is no device here."""
-    name = name or _DEFAULT
+    """The devices of that name; `cpu` can be chosen beside a GPU before anything is computed. Raises InputError for a
+    name that is no device here."""
+    if name == "cpu":
+        jax.config.update("jax_platforms", "cpu")
     here = jax.local_devices()
     kind = "cpu" if here[0].platform == "cpu" else "gpu"
     if name is None or name == kind:

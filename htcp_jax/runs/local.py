@@ -31,12 +31,15 @@ class Planned(NamedTuple):
     by: dict
 
 
-def plan_here(batch: Batch, threads: int | None, shards: Iterable[Shard], tell: Callable) -> Iterator[Planned]:
+def plan_here(
+    batch: Batch, threads: int | None, device: str | None, shards: Iterable[Shard], tell: Callable
+) -> Iterator[Planned]:
     """The plans of the shards. tell(method, batch.Progress of the shard at hand) is called as a shard advances;
-    what it raises ends the work. threads: see `batch.plan`."""
+    what it raises ends the work. threads, device: see `batch.plan`."""
     by = planned_by()
     for shard in shards:
-        yield Planned(shard, plan_cells(batch.cells, *scenarios_of(batch, shard.span), shard.method, threads, tell), by)
+        block = scenarios_of(batch, shard.span)
+        yield Planned(shard, plan_cells(batch.cells, *block, shard.method, threads, tell, device), by)
 
 
 def scenarios_of(batch: Batch, span: Span) -> tuple[Int[np.ndarray, "S"], Scenario]:
@@ -52,6 +55,7 @@ def plan_cells(
     method: str,
     threads: int | None,
     tell: Callable | None = None,
+    device: str | None = None,
 ) -> Plans:
     """The plans of stacked scenarios, each by the robot, workpiece and settings of its cell; a call of the planner a
     cell. tell: as of `plan_here`."""
@@ -69,6 +73,7 @@ def plan_cells(
             settings,
             progress=tell and partial(_tell, tell, method, [done for _, done in parts], *everything),
             threads=threads,
+            device=device,
         )
         if whole:
             return plans

@@ -25,6 +25,7 @@ from htcp_jax.jobs.grid import Batch, Sweep, load_sweep
 from htcp_jax.jobs.grid_axes import FILE_KEYS, record
 from htcp_jax.planner import registry
 from htcp_jax.planner.batch import Progress as ShardProgress
+from htcp_jax.planner.devices import choose
 from htcp_jax.planner.plans import Plans
 from htcp_jax.runs import writer
 from htcp_jax.runs.identity import anchor_files, config_hash, file_hash, identity
@@ -64,6 +65,7 @@ def sweep(
     threads: int | None = None,
     shard_scenarios: int | None = None,
     on: str = "here",
+    device: str | None = None,
 ) -> Run:
     """Plan the grid of a sweep file, or of a mapping that spells one, and return the run.
 
@@ -71,12 +73,14 @@ def sweep(
     folder that vanishes with the run. config, overrides, seed: see `load_sweep`; the seed is `settings.seed`.
     limit: plan only the first scenarios of the grid. shard_scenarios: so many make a shard; a run folder keeps its
     first choice. finished: called with every shard that is written. on: "here" plans in this process, with `threads`
-    engines; "ray" or "ray:<address>" sends the shards to Ray's workers, see `ray_`.
+    engines; "ray" or "ray:<address>" sends the shards to Ray's workers, see `ray_`. device: of this
+    process, see `planner.devices`.
 
     Raises InputError for bad input, for a folder that holds another sweep, is in use or cannot be written;
     Interrupted on SIGINT and SIGTERM, and Lost when Ray's workers are, after which the finished shards are in the
     folder and the rest is not.
     """
+    choose(device)  # before anything is computed
     chosen = method_names(methods)
     if isinstance(spec, Sweep):
         if config is not None or overrides or seed is not None:
@@ -88,7 +92,7 @@ def sweep(
             raise InputError(f"{name} is {value}; it must be 1 or more")
     batch = spec.batch(limit)
     asked = _manifest(spec, batch, chosen, limit, shard_scenarios or SHARD_SCENARIOS)
-    planned = _planner(on, chosen, batch, spec, threads)
+    planned = _planner(on, chosen, batch, spec, threads, device)
     with _folder(out) as (folder, keep), locked(folder), planned as plan, signals() as came:
         run = writer.begin(folder, asked, keep)
 
@@ -182,11 +186,11 @@ def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | 
     )
 
 
-def _planner(on: str, methods: tuple[str, ...], batch: Batch, spec: Sweep, threads: int | None):
+def _planner(on: str, methods: tuple[str, ...], batch: Batch, spec: Sweep, threads: int | None, device: str | None):
     """Hands out what plans shards, while it is there: plan(shards, tell) yields (shard, plans, what planned it)."""
     where, _, address = on.partition(":")
     if on == "here":
-        return contextlib.nullcontext(partial(plan_here, batch, threads))
+        return contextlib.nullcontext(partial(plan_here, batch, threads, device))
     if where == "ray":
         registry.refuse_own(methods)
         return on_ray(batch, spec.config, address)
