@@ -221,7 +221,7 @@ def test_no_plan_through_a_wall_is_called_tracked(tmp_path, name, method):
     job, out = JOBS[name](tmp_path), tmp_path / "out"
     main(["plan", str(job), "--method", method, "--out", str(out)])
     robot, part, where = scene(load_config(job))
-    _, _, _, arrays = read_plan(out, ("status", "x", "clearance"))
+    arrays = read_plan(out).arrays
     tracked = np.flatnonzero(is_tracked(arrays["status"]))
     assert len(tracked) > 5 if name != "box" else len(tracked) == 52  # along the seam, 10 to 15 mm off the walls
     x = np.concatenate([[where.x_start], arrays["x"][tracked]])

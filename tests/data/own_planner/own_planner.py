@@ -45,7 +45,7 @@ class RandomRestarts:
     def plan(self, problem: Problem) -> Plans:
         """One scenario after the other, on one device, by one thread."""
         plans = problem.empty_plans()
-        for s in problem.open:
+        for s in problem.to_plan:
             scenario = jax.tree.map(lambda leaf, s=s: leaf[s], problem.scenarios)
             self._plan_one(problem, scenario, plans, int(s))
             problem.progress(0, 1)
