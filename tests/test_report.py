@@ -36,7 +36,7 @@ SHELF = "\n".join(f"{0.18 + 0.02 * k:.2f} -0.17 0.1" for k in range(20))  # unde
 BOX = "\n".join(f"{1.3 * x} {y} {z}" for x in (0, 1) for y in (-1, 1) for z in (-1, 1))
 
 
-def by_hand(robot, workpiece, scenarios, method, settings, *, progress=None, threads=None):
+def by_hand(robot, workpiece, scenarios, method, settings, *, progress=None, **how):
     """Instead of the planner: the baseline loses scenario k's last k % 4 targets, the others none; each second target
     of the baseline lies behind a blocked joint path."""
     targets = scenarios.targets.shape[1]
