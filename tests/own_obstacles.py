@@ -23,7 +23,7 @@ class Floor:
     per_body = True
 
     def rows(self, robot: Robot) -> Rows:
-        return Rows(tuple(range(len(robot.capsule_link))), (-1,) * len(robot.capsule_link))
+        return Rows.of_bodies(robot)
 
     def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
         lower = jnp.where((bodies.p[:, 2] < bodies.q[:, 2])[:, None], bodies.p, bodies.q)

@@ -34,7 +34,7 @@ class Cloud:
 
     def rows(self, robot: Robot) -> Rows:
         """One a body."""
-        return Rows(tuple(range(len(robot.capsule_link))), (-1,) * len(robot.capsule_link))
+        return Rows.of_bodies(robot)
 
     def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
         """The nearest point of every body."""

@@ -33,7 +33,7 @@ class HeldContacts(NamedTuple):
 def hold_contacts(robot: Robot, x: Joints, rows: Rows, touch: Contacts) -> HeldContacts:
     """The contacts at x, to be held."""
     T = _poses(robot, x, _links(robot, rows))
-    witness = touch.point - touch.normal * (touch.distance + touch.reach)[:, None]
+    witness = touch.witness
     if _moves(rows):
         witness = _brought_back(_poses(robot, x, rows.other), witness)
     return HeldContacts(

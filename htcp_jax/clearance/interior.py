@@ -29,7 +29,7 @@ class Interior:
 
     def rows(self, robot: Robot) -> Rows:
         """One a body."""
-        return Rows(tuple(range(len(robot.capsule_link))), (-1,) * len(robot.capsule_link))
+        return Rows.of_bodies(robot)
 
     def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
         """The facet that the further deep end of every body has crossed, if any."""

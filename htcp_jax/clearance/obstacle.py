@@ -30,6 +30,12 @@ class Rows(NamedTuple):
     body: tuple[int, ...]  # the number of the capsule
     other: tuple[int, ...]  # the link that the nearest point of the obstacle is fixed to; -1: the world
 
+    @classmethod
+    def of_bodies(cls, robot: Robot) -> "Rows":
+        """One a body, against something that stands still: those of every kind with `per_body`."""
+        bodies = len(robot.capsule_link)
+        return cls(tuple(range(bodies)), (-1,) * bodies)
+
 
 class Contacts(NamedTuple):
     """Per row, what is nearest: the point on the body's axis, and the direction away from the obstacle."""
@@ -37,8 +43,13 @@ class Contacts(NamedTuple):
     distance: Float[jax.Array, "R"]  # D [m]
     point: Float[jax.Array, "R 3"]  # on the body's axis, world [m]
     normal: Float[jax.Array, "R 3"]  # unit, from the obstacle to the body, world
-    reach: Float[jax.Array, "R"]  # from the axis to where D is 0 [m]: obstacle = point - (distance + reach) normal
+    reach: Float[jax.Array, "R"]  # from the axis to where D is 0 [m]: see `witness`
     plane: Bool[jax.Array, "R"]  # whether it is a plane fixed in the world that an end of the body has crossed
+
+    @property
+    def witness(self) -> Float[jax.Array, "R 3"]:
+        """The obstacle's points, world [m]."""
+        return self.point - self.normal * (self.distance + self.reach)[:, None]
 
 
 class Bodies(NamedTuple):

@@ -98,8 +98,7 @@ def room(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Float[j
 def clearance_rows(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> ClearanceRows:
     """Distances and their gradients at x [rad]: n' (J_body - J_other), at the points that are nearest."""
     touch, rows = contacts(robot, obstacles, where, x), rows_of(robot, obstacles)
-    witness = touch.point - touch.normal * (touch.distance + touch.reach)[:, None]
-    return ClearanceRows(touch.distance, slopes(robot, x, rows, touch.normal, touch.point, witness))
+    return ClearanceRows(touch.distance, slopes(robot, x, rows, touch.normal, touch.point, touch.witness))
 
 
 def _nearest(parts: list[Contacts]) -> Contacts:

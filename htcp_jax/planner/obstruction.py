@@ -113,9 +113,8 @@ def _brought_there(scene: Scene, where, x_last, target):
     x, residual = reanchor(robot, x_last, target, task.fine_m, task=task)
     touch = contacts(robot, obstacles, where, x)
     row = jnp.argmin(touch.distance)
-    point, normal, distance = touch.point[row], touch.normal[row], touch.distance[row]
     body = jnp.asarray(scene.rows.body)[row]
-    return body, point - (distance + touch.reach[row]) * normal, -distance, residual, x
+    return body, touch.witness[row], -touch.distance[row], residual, x
 
 
 def _mm(length_m: float) -> str:
