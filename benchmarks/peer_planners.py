@@ -38,7 +38,8 @@ class Task:
         self.start, self.targets = scenario.x_start, scenario.targets[: scenario.count]
         self.margin, self.settings = float(scenario.margin_m), batch.points[number].config.settings
         self.rotate, self.translate = scenario.T_world_workpiece[:3, :3], scenario.T_world_workpiece[:3, 3]
-        self.gate, self.hull_normal, self.hull_offset = scenario.gate, part.hull_normal, part.hull_offset
+        self.interior_plane = scenario.interior_plane
+        self.hull_normal, self.hull_offset = part.hull_normal, part.hull_offset
         self.lower, self.upper = np.asarray(batch.robot.lower), np.asarray(batch.robot.upper)
         self.tree, self.cloud = tree, part.cloud
         self.model = mujoco.MjModel.from_xml_path(str(GP50))
@@ -89,7 +90,8 @@ class Task:
         normal = (at - points[best]) / apart[best]
         witness = self.rotate @ points[best] + self.translate
         for end in (middle - axis, middle + axis):  # deep inside they must be in the hull
-            if self.gate[:3] @ (self.rotate @ end + self.translate) > self.gate[3] and len(self.hull_offset):
+            beyond = self.interior_plane[:3] @ (self.rotate @ end + self.translate) > self.interior_plane[3]
+            if beyond and len(self.hull_offset):
                 height = self.hull_normal @ end - self.hull_offset
                 facet = height.argmax()
                 if height[facet] > max(0.0, -clearance):

@@ -36,7 +36,7 @@ from htcp_jax.runs.parameters import of_job
 from htcp_jax.scene.robot import GP50
 from htcp_jax.status import Status
 from htcp_jax.validation.mujoco_arm import Arm
-from htcp_jax.validation.mujoco_clearance import Scene, Wall
+from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
 from htcp_jax.validation.result import ROUNDING_M
 from htcp_jax.validation.scene_rules import targets_of, turned_and_moved
 
@@ -129,7 +129,7 @@ def passed(batch: Batch, arm: Arm, wall: Wall, found: list[np.ndarray]) -> int:
         start_tcp = arm.postures(pose.start[None]).tcp[0]
         targets = targets_of(part, start_tcp, inlet, batch.workpiece.path @ rotate.T + translate)
         if len(x):
-            at = Scene(arm, wall, rotate, translate, part.gate_depth_m).at(x)
+            at = CheckedScene(arm, wall, rotate, translate, part.interior_depth_m).at(x)
             error = np.linalg.norm(at.postures.tcp - targets[: len(x)], axis=1)
             inside = ((x >= arm.lower - ROUNDING_M) & (x <= arm.upper + ROUNDING_M)).all(axis=1)
             good = (error <= config.settings.tolerance_m + ROUNDING_M) & (at.clearance > 0) & inside

@@ -59,11 +59,11 @@ def main() -> None:
             w *= 0.0 if turn == 0 else OFFSET_RAD * random.random() / np.linalg.norm(w)
             x, error = offset(x_previous, scenarios.targets[s, t], w)
             if error < 1e-3:
-                rows.append((np.asarray(x), scenarios.T_world_workpiece[s], scenarios.gate[s]))
+                rows.append((np.asarray(x), scenarios.T_world_workpiece[s], scenarios.interior_plane[s]))
             if len(rows) == COUNT:
-                x, T_world_workpiece, gate = (np.stack(column) for column in zip(*rows, strict=True))
+                x, T_world_workpiece, interior_plane = (np.stack(column) for column in zip(*rows, strict=True))
                 OUT.parent.mkdir(exist_ok=True)
-                np.savez_compressed(OUT, x=x, T_world_workpiece=T_world_workpiece, gate=gate)
+                np.savez_compressed(OUT, x=x, T_world_workpiece=T_world_workpiece, gate=interior_plane)
                 print(f"{OUT.name}: {COUNT} subproblems")
                 return
 

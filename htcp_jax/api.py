@@ -94,10 +94,10 @@ class Plan:
     def _joint_paths(self) -> str:
         """What is known of the straight joint paths to the tracked targets."""
         end = self.outcome
-        told = f"{end.blocked_paths} blocked of {end.tracked}"
+        text = f"{end.blocked_paths} blocked of {end.tracked}"
         if end.tracked and (turn := self.plans.joint_step[0, 0]) > NOTABLE_RAD:
-            told += f"; the first leaves the start by {turn:.2f} rad"
-        return f"{told}, the first to target {end.drivable}" if end.blocked_paths else told
+            text += f"; the first leaves the start by {turn:.2f} rad"
+        return f"{text}, the first to target {end.drivable}" if end.blocked_paths else text
 
     @cached_property
     def obstruction(self) -> Obstruction | None:
@@ -110,12 +110,12 @@ class Plan:
     def failure(self) -> dict[str, str]:
         """Where the plan ended, why, and what is in the way, in words; nothing of a complete one."""
         end = self.outcome
-        told = {} if end.failed is None else {f"failed at target {end.failed}": end.status.message}
+        facts = {} if end.failed is None else {f"failed at target {end.failed}": end.status.message}
         if self.obstruction is not None:
-            told["in the way"] = self.obstruction.sentence
+            facts["in the way"] = self.obstruction.description
         if end.blocked_paths:
-            told["not to be driven"] = f"{end.blocked_paths} joint paths between tracked targets collide"
-        return told
+            facts["not to be driven"] = f"{end.blocked_paths} joint paths between tracked targets collide"
+        return facts
 
     def frame(self) -> "pandas.DataFrame":
         """One row a target; the columns are those of a sweep's `targets` table, see `run_tables`."""
@@ -196,5 +196,6 @@ def plan(
 def methods() -> "pandas.DataFrame":
     """The planners: their titles, and what each does. One of another package that cannot be imported is a UserWarning
     that says why."""
-    rows = [{"method": name, "title": it.title, "sentence": it.sentence} for name, it in registry.all_methods().items()]
+    known = registry.all_methods().items()
+    rows = [{"method": name, "title": method.title, "description": method.description} for name, method in known]
     return frame_of(pa.Table.from_pylist(rows)).set_index("method")

@@ -73,21 +73,29 @@ class Settings:
 
     @staticmethod
     def with_new_names(values: dict[str, Any], source: str) -> dict[str, Any]:
-        """The settings under the names that they have now; a Note says so of each that was renamed. Raises InputError
-        where one is given by both its names."""
-        found = {}
-        for name, value in values.items():
-            new = RENAMED.get(name, name)
-            if new != name:
-                if new in values:
-                    raise InputError(f"{source}: settings.{name} and settings.{new} are the same; leave out the first")
-                warnings.warn(f"{source}: settings.{name} is called settings.{new} now", Note, stacklevel=2)
-            found[new] = value
-        return found
+        """The settings under the names that they have now, see `renamed`."""
+        return renamed(values, RENAMED, "settings", source)
 
     def __post_init__(self):
         for field in fields(self):
             _check(field.name, getattr(self, field.name), field.type)
+
+
+def renamed(values: Mapping[str, Any], names: Mapping[str, str], section: str, source: str) -> dict[str, Any]:
+    """The values of a section under the names that they have now; a Note says so of each that was renamed.
+
+    names: the new one of each old one. source: what the values stand in, for messages. Raises InputError where a value
+    is given by both its names.
+    """
+    found = {}
+    for name, value in values.items():
+        new = names.get(name, name)
+        if new != name:
+            if new in values:
+                raise InputError(f"{source}: {section}.{name} and {section}.{new} are the same; leave out the first")
+            warnings.warn(f"{source}: {section}.{name} is called {section}.{new} now", Note, stacklevel=3)
+        found[new] = value
+    return found
 
 
 def settings_of(values: Settings | Mapping[str, Any] | None) -> Settings:
@@ -109,8 +117,8 @@ def settings_of(values: Settings | Mapping[str, Any] | None) -> Settings:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        told = f"{where} is {reprlib.repr(first['input'])}: {first['msg'][0].lower()}{first['msg'][1:]}"
-        raise InputError(f"settings: {first.get('ctx', {}).get('error') or told}") from None
+        text = f"{where} is {reprlib.repr(first['input'])}: {first['msg'][0].lower()}{first['msg'][1:]}"
+        raise InputError(f"settings: {first.get('ctx', {}).get('error') or text}") from None
 
 
 MOST, LARGEST_SEED = 100_000, 2**63 - 1  # of whatever is counted; of the seed

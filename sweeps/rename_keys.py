@@ -1,4 +1,4 @@
-"""Give the settings that were renamed their new names in baselines, and in folders of runs and of plans.
+"""Give the keys that were renamed their new names in baselines, and in folders of runs and of plans.
 
     .venv/bin/python sweeps/rename_keys.py sweeps/baselines/workpiece.yaml out/workpiece out/plan
 
@@ -13,10 +13,13 @@ from pathlib import Path
 
 import yaml
 
+from htcp_jax.jobs.config import RENAMED_WORKPIECE
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.plan_folder import SUMMARY, write_text
 from htcp_jax.settings import RENAMED
+
+SECTIONS = {"settings": RENAMED, "workpiece": RENAMED_WORKPIECE}
 
 
 def rename(place: Path) -> bool:
@@ -32,7 +35,7 @@ def rename(place: Path) -> bool:
 
 def _renamed_yaml(text: str) -> str:
     """A baseline, line by line, so that its layout stays."""
-    for old, new in RENAMED.items():
+    for old, new in {**RENAMED, **RENAMED_WORKPIECE}.items():
         text = re.sub(rf"^( +){old}:", rf"\1{new}:", text, flags=re.MULTILINE)
     text = re.sub("^ceiling:", "reachability:", text, flags=re.MULTILINE)
     found = yaml.safe_load(text)
@@ -42,10 +45,11 @@ def _renamed_yaml(text: str) -> str:
 def _renamed_json(text: str) -> str:
     known = json.loads(text)
     before = json.dumps(known)
-    settings = known["config"]["settings"]
-    known["config"]["settings"] = {RENAMED.get(name, name): value for name, value in settings.items()}
     varied = {key for group in known.get("grid", ()) for axis in group["axes"] for key in axis}
-    if lost := sorted(varied & {f"settings.{name}" for name in RENAMED}):
+    for section, names in SECTIONS.items():
+        values = known["config"][section]
+        known["config"][section] = {names.get(name, name): value for name, value in values.items()}
+    if lost := sorted(varied & {f"{section}.{name}" for section, names in SECTIONS.items() for name in names}):
         raise SystemExit(f"a run over {lost[0]} has a column of that name; plan it again")
     if json.dumps(known) == before:
         return text

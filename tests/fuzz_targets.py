@@ -175,7 +175,7 @@ def check_config(folder: Path, raw: dict) -> bool:
     assert _leaves(config.model_dump()) >= _leaves(raw), "a value was changed or dropped in silence"
     made = refusal(lambda: scenario_of(config, gp50(), box()))
     if made is not None:
-        assert np.isfinite(made.targets).all() and np.isfinite(made.gate[:3]).all()
+        assert np.isfinite(made.targets).all() and np.isfinite(made.interior_plane[:3]).all()
     return made is not None
 
 

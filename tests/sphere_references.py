@@ -19,7 +19,7 @@ from htcp_jax.solvers import sphere
 
 class Where(NamedTuple):
     T_world_workpiece: jax.Array
-    gate: jax.Array
+    interior_plane: jax.Array
 
 
 @cache

@@ -21,12 +21,12 @@ from htcp_jax.scene.workpiece import Workpiece
 
 class Where(NamedTuple):
     T_world_workpiece: jax.Array
-    gate: jax.Array
+    interior_plane: jax.Array
 
 
 def posed(workpiece, wy=0.4, wz=0.1) -> Where:
     T = workpiece.T_world(wy, wz)
-    return Where(jnp.asarray(T), jnp.asarray(workpiece.gate(T)))
+    return Where(jnp.asarray(T), jnp.asarray(workpiece.interior_plane(T)))
 
 
 @cache
@@ -66,7 +66,7 @@ def numpy_clearances(robot, workpiece: Workpiece, where: Where, x):
         for end in (p[k], q[k]):
             local = T[:3, :3].T @ (end - T[:3, 3])
             outside = np.max(workpiece.hull_normal @ local - workpiece.hull_offset)
-            if end @ where.gate[:3] > where.gate[3] and outside > 0 and -outside < D[k]:
+            if end @ where.interior_plane[:3] > where.interior_plane[3] and outside > 0 and -outside < D[k]:
                 D[k], hull[k] = -outside, True
     return D, hull
 
@@ -202,9 +202,9 @@ def test_the_gate_is_a_plane_and_only_ends_beyond_it_must_be_inside(direction):
     T = jnp.asarray(made_once.duct().T_world(0.4, 0.1)).at[:3, 3].add(100.0)  # the hull is far from everything
     furthest = np.maximum(p @ np.array(direction), q @ np.array(direction))
     order = np.sort(furthest)
-    for gate in np.concatenate([[order[0] - 1], (order[1:] + order[:-1]) / 2, [order[-1] + 1]]):
-        crossed = jitted(contacts)(robot, obstacle, Where(T, jnp.array([*direction, gate])), x).plane
-        np.testing.assert_array_equal(crossed, furthest > gate)
+    for offset in np.concatenate([[order[0] - 1], (order[1:] + order[:-1]) / 2, [order[-1] + 1]]):
+        crossed = jitted(contacts)(robot, obstacle, Where(T, jnp.array([*direction, offset])), x).plane
+        np.testing.assert_array_equal(crossed, furthest > offset)
 
 
 def test_mujocos_own_geometry_measures_the_same():

@@ -73,7 +73,7 @@ def test_completion_scripts_are_printed(capsys):
 def test_methods_are_listed_with_their_sentences(capsys):
     assert main(["methods"]) == 0
     shown = " ".join(capsys.readouterr().out.split())  # sentences are folded at the terminal's width
-    assert all(name in shown and method.sentence in shown for name, method in all_methods().items())
+    assert all(name in shown and method.description in shown for name, method in all_methods().items())
     assert [row["method"] for row in json_of(capsys, ["methods"])] == list(all_methods())
 
 

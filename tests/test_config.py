@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.jobs.config import RENAMED_WORKPIECE, PlanConfig
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.settings import RENAMED, settings_of
@@ -135,6 +135,15 @@ def test_a_setting_s_old_name_is_understood_and_the_new_one_told(old):
         assert load_config(None, [f"settings.{old}={yaml.safe_dump(value).splitlines()[0]}"]) == load_config()
 
 
+def test_a_workpiece_s_old_key_is_understood_and_the_new_one_told(tmp_path):
+    now = load_config({"workpiece": {"interior_depth_m": 0.1}})
+    with pytest.warns(Note, match=r"workpiece\.gate_depth_m is called workpiece\.interior_depth_m now"):
+        assert load_config({"workpiece": {"gate_depth_m": 0.1}}) == now
+    with pytest.warns(Note, match="interior_depth_m"):
+        points = load_sweep({"grid": [{"workpiece.gate_depth_m": [0.1, 0.2]}]}).points()
+    assert points[0].config == now
+
+
 def test_both_names_of_a_setting_are_one_too_many():
     with pytest.raises(InputError, match=r"settings\.postures and settings\.restart_rounds are the same"):
         load_config({"settings": {"postures": 3, "restart_rounds": 4}})
@@ -147,10 +156,10 @@ def test_a_grid_may_vary_a_setting_by_its_old_name():
 
 
 def test_what_is_on_record_is_renamed_and_nothing_else(tmp_path):
-    """Of a baseline and of a run: the names of settings, and the hash over them."""
+    """Of a baseline: the names of settings and of the workpiece's keys, and the hash over them."""
     blessed = (SWEEPS / "baselines" / "workpiece.yaml").read_text()
     before = blessed.replace("reachability:", "ceiling:")
-    for old, new in RENAMED.items():
+    for old, new in {**RENAMED, **RENAMED_WORKPIECE}.items():
         before = before.replace(f"    {new}:", f"    {old}:")
     assert before != blessed
     (tmp_path / "old.yaml").write_text(before)

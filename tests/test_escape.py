@@ -107,7 +107,7 @@ def _predict(scene, settings, where, x_ref, seen_at, w):
 
 def test_contacts_seen_predict_the_truth_where_they_were_seen_and_never_less_elsewhere(settings=PAPER):
     """What is missing in the prediction are points not seen yet. (An end that leaves the hull through another facet, or
-    comes out of the gate, is the one exception: those contacts are left out here.)"""
+    comes out of the interior, is the one exception: those contacts are left out here.)"""
     loose = 0
     for where, x_ref, _ in stuck_places(8):
         first, second, other = jnp.asarray(directions(3))

@@ -71,11 +71,11 @@ def test_hundreds_at_once_are_each_as_alone(scenario, workpiece):
 def test_the_sentence_tells_how_deep_how_free_or_how_far_off(scenario, workpiece):
     found = obstruction(robot(), workpiece, scenario, np.array(START), 80, SETTINGS)
     known = found._replace(body="spindle", point=np.array([0.81, 0.1, 0.42]), reached=True)
-    inside = known._replace(depth_m=0.0032).sentence
+    inside = known._replace(depth_m=0.0032).description
     assert inside == "spindle is 3.2 mm inside the workpiece at (0.81, 0.10, 0.42) m there"
-    assert "spindle is nearest to the workpiece, 3.2 mm clear of it at" in known._replace(depth_m=-0.0032).sentence
+    assert "spindle is nearest to the workpiece, 3.2 mm clear of it at" in known._replace(depth_m=-0.0032).description
     off = known._replace(reached=False, residual_m=0.054)
-    assert off.sentence == "the arm comes only to within 54 mm of it"
+    assert off.description == "the arm comes only to within 54 mm of it"
 
 
 def test_a_target_out_of_reach_says_by_how_much(scenario, workpiece):
@@ -84,7 +84,7 @@ def test_a_target_out_of_reach_says_by_how_much(scenario, workpiece):
     found = obstruction(
         robot(), workpiece, type(scenario)(**(vars(scenario) | {"targets": far})), np.array(START), 5, SETTINGS
     )
-    assert not found.reached and 5 < found.residual_m < 9 and "comes only to within" in found.sentence
+    assert not found.reached and 5 < found.residual_m < 9 and "comes only to within" in found.description
 
 
 def test_a_body_is_in_the_way_at_the_first_failed_target_unless_the_status_says_that_none_is():
@@ -97,8 +97,8 @@ def test_a_body_is_in_the_way_at_the_first_failed_target_unless_the_status_says_
 def test_a_failed_plan_tells_it_in_its_table_its_files_and_its_picture(tmp_path):
     """Rough: which body is in the way, and where, stood nowhere for the failed target."""
     plan = made_plan(tmp_path)
-    sentence = plan.obstruction.sentence
+    sentence = plan.obstruction.description
     assert plan.failure()["in the way"] == sentence
-    assert plan.record()["in_the_way"]["sentence"] == sentence
+    assert plan.record()["in_the_way"]["description"] == sentence
     texts = [text.get_text() for axes in plan.figure().axes for text in axes.texts]
     assert any(sentence in text for text in texts)

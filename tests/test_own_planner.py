@@ -143,7 +143,7 @@ def test_what_cannot_be_imported_is_one_line_and_breaks_nothing_else(tmp_path):
 class Standstill:
     """A planner that does not plan."""
 
-    name, title, sentence = "standstill", "Standstill", "nothing at all"
+    name, title, description = "standstill", "Standstill", "nothing at all"
 
     def plan(self, problem: Problem) -> Plans:
         return problem.empty_plans()

@@ -60,7 +60,7 @@ def numpy_D(robot, workpiece, scenario, x):
         s = np.clip((workpiece.cloud - ends[0]) @ d / (d @ d or 1.0), 0, 1)
         distance = np.linalg.norm(workpiece.cloud - ends[0] - s[:, None] * d, axis=1).min()
         outside = (ends @ workpiece.hull_normal.T - workpiece.hull_offset).max(1)
-        deep = np.array([p[k], q[k]]) @ scenario.gate[:3] > scenario.gate[3]
+        deep = np.array([p[k], q[k]]) @ scenario.interior_plane[:3] > scenario.interior_plane[3]
         smallest = min(smallest, distance - float(robot.capsule_radius[k]), *-outside[deep & (outside > 0)])
     return smallest
 

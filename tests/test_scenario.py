@@ -70,14 +70,14 @@ def test_a_shift_moves_the_workpiece_its_gate_and_its_targets_but_not_the_start(
     still, moved = scenario(), scenario(shift=(0.05, -0.02, 0.01))
     step = moved.targets - still.targets
     np.testing.assert_allclose(step[5:], np.tile((0.05, -0.02, 0.01), (100, 1)), atol=1e-12)
-    np.testing.assert_allclose(moved.gate[3] - still.gate[3], 0.05, atol=1e-12)
+    np.testing.assert_allclose(moved.interior_plane[3] - still.interior_plane[3], 0.05, atol=1e-12)
     np.testing.assert_allclose(moved.targets[0], still.targets[0], atol=1e-12)
 
 
 def test_the_gate_is_20_cm_behind_the_clouds_nearest_x():
     s = scenario(rotation=(0.7, -0.2))
     x = made_once.duct().cloud @ s.T_world_workpiece[0, :3] + s.T_world_workpiece[0, 3]
-    np.testing.assert_allclose(s.gate, [1, 0, 0, x.min() + 0.2], atol=1e-12)
+    np.testing.assert_allclose(s.interior_plane, [1, 0, 0, x.min() + 0.2], atol=1e-12)
 
 
 def test_a_longer_tool_starts_its_path_at_its_own_tip():

@@ -22,7 +22,7 @@ from htcp_jax.scene.robot import GP50, Robot, lengthen_tool
 from htcp_jax.scene.robot_file import gp50, load_robot
 from htcp_jax.scene.workpiece_file import load_workpiece
 from htcp_jax.validation.mujoco_arm import Arm
-from htcp_jax.validation.mujoco_clearance import Scene, Wall
+from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
 from htcp_jax.validation.result import STEP_RAD
 from htcp_jax.validation.validate import validate
 
@@ -35,19 +35,19 @@ def run(planned, tmp_path):
     return shutil.copytree(planned / "run", tmp_path / "run")
 
 
-def scene(extension_m: float, rotation_y_rad: float, points: int | None = None) -> Scene:
+def scene(extension_m: float, rotation_y_rad: float, points: int | None = None) -> CheckedScene:
     """A scenario of the run, its pose by workpiece.py; or with a smaller cloud."""
     part = load_workpiece(points=points)
     T = part.T_world(rotation_y_rad, 0.1)
     wall = Wall(np.asarray(part.cloud), "hull")
-    return Scene(Arm(GP50, extension_m, "simulation"), wall, T[:3, :3], T[:3, 3], part.gate_depth_m)
+    return CheckedScene(Arm(GP50, extension_m, "simulation"), wall, T[:3, :3], T[:3, 3], part.interior_depth_m)
 
 
-def clearance(where: Scene, x: np.ndarray) -> float:
+def clearance(where: CheckedScene, x: np.ndarray) -> float:
     return where.at(x[None]).clearance[0]
 
 
-def into_the_wall(where: Scene, x: np.ndarray, depth_m: float) -> np.ndarray:
+def into_the_wall(where: CheckedScene, x: np.ndarray, depth_m: float) -> np.ndarray:
     """The configuration moved down the gradient of its clearance, until it is that deep in the wall."""
     for _ in range(100):
         now = clearance(where, x)
@@ -133,13 +133,13 @@ def test_a_damaged_validation_is_named(run):
 
 
 def test_between_two_targets_no_joint_turns_far_from_one_look_to_the_next(planned, monkeypatch):
-    ways, between = [], Scene.between
+    ways, between = [], CheckedScene.between
 
     def recorded(self, x, a, known, below):
         ways.extend(x[a == one] for one in np.unique(a))
         return between(self, x, a, known, below)
 
-    monkeypatch.setattr(Scene, "between", recorded)
+    monkeypatch.setattr(CheckedScene, "between", recorded)
     validate(planned / "run", between=3)
     furthest = max(abs(np.diff(way, axis=0)).max() for way in ways)
     assert 0.8 * STEP_RAD < furthest <= STEP_RAD * (1 + 1e-9) and min(map(len, ways)) == 2
@@ -261,7 +261,7 @@ def test_round_numbers_in_a_model_are_cut_into_the_same_pieces_in_every_posture(
     file = tmp_path / "round.xml"
     file.write_text(ROUND)
     cloud = np.random.default_rng(0).uniform(-1, 1, (500, 3))
-    where = Scene(Arm(file), Wall(cloud, "none"), np.eye(3), np.zeros(3), 0.2)
+    where = CheckedScene(Arm(file), Wall(cloud, "none"), np.eye(3), np.zeros(3), 0.2)
     ways = np.random.default_rng(1).uniform(-3, 3, (40, 3))
     counts = {where.at(x[None]).samples.shape[1] for x in ways}
     assert counts == {4 + 2 + 10 + 2 + 6 + 2}

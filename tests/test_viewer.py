@@ -164,7 +164,7 @@ def test_at_the_failed_target_the_body_in_the_way_is_red_and_named(viewer, repla
     viewer.go_to(replay.failed)
     colours = [tuple(node.color) for node in viewer.stage._arm]
     assert colours[body] == tuple(lit(FAILED).tolist()) and colours.count(colours[body]) == 1
-    assert viewer.stage._label.text == replay.obstruction.sentence in viewer._facts.content
+    assert viewer.stage._label.text == replay.obstruction.description in viewer._facts.content
     viewer.go_to(replay.failed - 1)
     assert tuple(lit(FAILED).tolist()) not in [tuple(node.color) for node in viewer.stage._arm]
 

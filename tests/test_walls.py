@@ -28,7 +28,7 @@ from htcp_jax.scene.scenario import Scenario, interior_rule
 from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.validation.mesh_clearance import axis_distances, goes_through
 from htcp_jax.validation.mujoco_arm import Arm
-from htcp_jax.validation.mujoco_clearance import Scene, wall_of
+from htcp_jax.validation.mujoco_clearance import CheckedScene, wall_of
 from htcp_jax.validation.scene_rules import turned_and_moved
 
 
@@ -120,14 +120,14 @@ def test_the_clearance_is_a_bound_on_that_to_the_triangles(car):
 
 
 def test_validation_measures_the_triangles(car, tmp_path):
-    """W2: its distances against trimesh's, and its hull and gate against the planner's."""
+    """W2: its distances against trimesh's, and its hull and plane against the planner's."""
     robot, part, where = car
     job = load_config(stranger_jobs.car_job(tmp_path))
     walls = wall_of(job.workpiece, part)
     arm = Arm(Path(job.robot.model), 0.0, "model")
     T = where.T_world_workpiece
-    beside = Scene(arm, walls, T[:3, :3], T[:3, 3], job.workpiece.gate_depth_m)
-    np.testing.assert_allclose([*beside.along, beside.gate], where.gate, atol=1e-9)
+    beside = CheckedScene(arm, walls, T[:3, :3], T[:3, 3], job.workpiece.interior_depth_m)
+    np.testing.assert_allclose([*beside.along, beside.interior_from], where.interior_plane, atol=1e-9)
     x0, rng = np.asarray(where.x_start), np.random.default_rng(1)
     x = np.concatenate([x0 + rng.uniform(-0.4, 0.4, (8, 6)), near_the_rib(robot, where, 2)])
     found = beside.at(x)
@@ -188,11 +188,11 @@ def test_the_interior_is_looked_for_along_the_inlet_and_says_when_it_is_off(tmp_
             job = load_config(make(tmp_path / name), [*more, "workpiece.mesh_spacing_m=0.015"])
             robot, part = robot_of(job.robot), workpiece_of(job.workpiece, robot_of(job.robot))
             where = scenario_of(job, robot, part)
-            told[name + key] = interior_rule(part, where), where.gate
-    rule, gate = told["box"]
-    assert rule == "convex hull, 0.2 m deep along (1, 0, 0)" and gate.tolist() == pytest.approx([1, 0, 0, 0.8])
-    rule, gate = told["tub laid down"]
-    assert rule == "convex hull, 0.2 m deep along (0, 0, -1)" and gate.tolist() == pytest.approx([1, 0, 0, 1.0])
+            told[name + key] = interior_rule(part, where), where.interior_plane
+    rule, plane = told["box"]
+    assert rule == "convex hull, 0.2 m deep along (1, 0, 0)" and plane.tolist() == pytest.approx([1, 0, 0, 0.8])
+    rule, plane = told["tub laid down"]
+    assert rule == "convex hull, 0.2 m deep along (0, 0, -1)" and plane.tolist() == pytest.approx([1, 0, 0, 1.0])
     assert told["tub"][0] == "off: the robot stands beyond the inlet" and told["tub"][1][3] == np.inf
     assert told["box no inlet"][0] == told["tub no inlet"][0] == "off: no inlet"
 
@@ -201,12 +201,12 @@ def test_an_inlet_direction_turns_with_the_part(tmp_path):
     more = ["workpiece.inlet_direction=[0, 0, -2]", "workpiece.rotation_y_rad=0.3", "workpiece.mesh_spacing_m=0.015"]
     job = load_config(stranger_jobs.box_job(tmp_path), more)
     part = workpiece_of(job.workpiece, robot_of(job.robot))
-    gate = part.gate(part.T_world(0.3, 0.0))
-    np.testing.assert_allclose(gate[:3], [-np.sin(0.3), 0, -np.cos(0.3)], atol=1e-12)
+    plane = part.interior_plane(part.T_world(0.3, 0.0))
+    np.testing.assert_allclose(plane[:3], [-np.sin(0.3), 0, -np.cos(0.3)], atol=1e-12)
     pose = Parameters(np.zeros(6), 0.0, 0.3, 0.0, np.zeros(3), 0.0)
     rotate, translate = turned_and_moved(job.workpiece, pose)
-    along = (part.triangles.reshape(-1, 3) @ rotate.T + translate) @ gate[:3]
-    assert gate[3] == pytest.approx(along.min() + 0.2)
+    along = (part.triangles.reshape(-1, 3) @ rotate.T + translate) @ plane[:3]
+    assert plane[3] == pytest.approx(along.min() + 0.2)
 
 
 JOBS = {"car": stranger_jobs.car_job, "tub": stranger_jobs.tub_job, "box": stranger_jobs.box_job}

@@ -146,14 +146,14 @@ def test_a_flat_cloud_needs_interior_none(generated):
         Workpiece("sheet", flat, PATH)
     sheet = Workpiece("sheet", flat, PATH, interior="none")
     assert sheet.hull_normal.shape == (0, 3) and sheet.hull_offset.shape == (0,)
-    assert sheet.gate(np.eye(4)).tolist() == [1, 0, 0, 0.2]
+    assert sheet.interior_plane(np.eye(4)).tolist() == [1, 0, 0, 0.2]
 
 
 def test_the_gate_is_behind_the_clouds_nearest_x(generated):
     for wy, wz in ((0.0, 0.0), (0.4, 0.1), (0.8, 0.8), (-1.0, 2.0)):
         T = generated.T_world(wy, wz)
         nearest = place(T, generated.cloud)[:, 0].min()
-        np.testing.assert_allclose(generated.gate(T), [1, 0, 0, nearest + 0.2], atol=1e-12)
+        np.testing.assert_allclose(generated.interior_plane(T), [1, 0, 0, nearest + 0.2], atol=1e-12)
 
 
 # Construction
@@ -179,7 +179,7 @@ def test_arrays_are_read_only_copies():
     ({"inlet": (0.0, 0.0)}, "inlet is"),
     ({"pivot": (0.0, 0.0, float("nan"))}, "pivot is"),
     ({"neutral_translation": "abc"}, "neutral_translation"),
-    ({"gate_depth_m": -0.1}, "gate_depth_m is -0.1"),
+    ({"interior_depth_m": -0.1}, "interior_depth_m is -0.1"),
     ({"hull_tolerance_m": float("nan")}, "hull_tolerance_m is nan"),
     ({"interior": "mesh"}, "interior is 'mesh'; valid are hull, none"),
 ])  # fmt: skip
@@ -250,7 +250,7 @@ def test_a_workpiece_of_arrays_is_that_of_their_files(tmp_path):
     read = load_workpiece(tmp_path / "part.npy", tmp_path / "seam.csv")
     for given in (cloud, jnp.asarray(cloud)):
         part = load_workpiece(given, seam, name="part")
-        for name in ("name", "inlet", "cloud", "path", "hull_normal", "hull_offset", "gate_depth_m"):
+        for name in ("name", "inlet", "cloud", "path", "hull_normal", "hull_offset", "interior_depth_m"):
             np.testing.assert_array_equal(getattr(part, name), getattr(read, name), err_msg=name)
     assert load_workpiece(cloud, seam).name == "cloud"
     np.testing.assert_array_equal(load_workpiece(path=seam).path, seam)

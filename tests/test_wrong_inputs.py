@@ -14,6 +14,7 @@ import pytest
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.runs.plan_folder import VALIDATION
 from htcp_jax.viewer import offscreen
 
 LONG = "x" * 300
@@ -156,7 +157,7 @@ RANGES = [
     setting("robot.model=gp5O", "gp5O"),
     setting("robot.tool_extension_m=1e300", "robot.tool_extension_m is 1e+300"),
     setting("workpiece.interior=box", "workpiece.interior is 'box'"),
-    setting("workpiece.gate_depth_m=-1", "workpiece.gate_depth_m is -1"),
+    setting("workpiece.interior_depth_m=-1", "workpiece.interior_depth_m is -1"),
     setting("workpiece.approach_to_path=-1", "workpiece.approach_to_path is -1"),
     setting("workpiece.approach_to_inlet=100000", "workpiece.approach_to_inlet is 100000"),
     setting("workpiece.pivot_m=[0, 0]", "workpiece.pivot_m"),

@@ -1,6 +1,6 @@
 """Exact nearest point of a cloud to a line segment, by branch and bound over a tree of three levels.
 
-The cloud is cut once into balanced leaves of 16 points; 16 neighbouring leaves make a branch, and 16 branches a bough.
+The cloud is cut once into balanced leaves of 16 points; 16 neighbouring leaves make a branch, and 16 branches a root.
 Each of these clusters is bounded by a flat disc (see `discs`). At every level the search takes the clusters in the
 order of their bounds, and descends into each until no bound left is below the smallest distance found: that is the
 certificate, and nothing is returned without it.
@@ -32,15 +32,15 @@ from htcp_jax.clearance.cloud_tree_gpu import HAS_KERNEL, nearest_leaves
 from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Float, Int
 
-ONE_BODY = 1, 1, 4  # boughs, branches and leaves that a CPU takes at a time: leaves wait for square roots
+ONE_BODY = 1, 1, 4  # roots, branches and leaves that a CPU takes at a time: leaves wait for square roots
 SIDE_BY_SIDE = 8, 8  # branches and leaves that other devices take at a time, for each body
 
 
 class CloudIndex(NamedTuple):
     """A cloud and its tree. Rows of a bound: medoid xyz, normal xyz, half thickness, radius [m]."""
 
-    boughs: Float[Array, "1 8 boughs"]
-    branches: Float[Array, "boughs 8 branches"]
+    roots: Float[Array, "1 8 roots"]
+    branches: Float[Array, "roots 8 branches"]
     leaves: Float[Array, "all_branches 8 leaves"]
     points: Float[Array, "all_leaves 3 points"]
     rows: Int[Array, "all_leaves points"]  # row of the cloud that each point came from
@@ -49,11 +49,10 @@ class CloudIndex(NamedTuple):
 def build_index(points: Float[np.ndarray, "P 3"]) -> CloudIndex:
     """Index of a cloud of P >= 1 points [m]. Clusters that are short of points repeat one of their own."""
     rows = _tree(points, np.arange(len(points)), -(-len(points) // FAN**3), 3)
-    boughs = len(rows)
-    bounds = [bounding_discs(points[rows.reshape(count, -1)]) for count in (boughs, boughs * FAN, boughs * FAN**2)]
+    roots = len(rows)
+    bounds = [bounding_discs(points[rows.reshape(count, -1)]) for count in (roots, roots * FAN, roots * FAN**2)]
     levels = [
-        b.reshape(parents, -1, 8).transpose(0, 2, 1)
-        for b, parents in zip(bounds, (1, boughs, boughs * FAN), strict=True)
+        b.reshape(parents, -1, 8).transpose(0, 2, 1) for b, parents in zip(bounds, (1, roots, roots * FAN), strict=True)
     ]
     leaves = rows.reshape(-1, FAN)
     return CloudIndex(
@@ -129,7 +128,7 @@ def _search(index: CloudIndex, p, q, radius, limit, shared: bool):
     elif backend == "gpu" and HAS_KERNEL:
         leaf = nearest_leaves(index, p, q, radius, limit, shared)
     else:
-        # Without the boughs: they would be a loop more.
+        # Without the roots: they would be a loop more.
         levels = index.branches.transpose(1, 0, 2).reshape(1, 8, -1), index.leaves
         _, leaf = _descend(levels, index.points, segments, radius, limit, shared, SIDE_BY_SIDE)
     square = squared_distance(spread(segments, 1), index.points[leaf].transpose(1, 0, 2))
@@ -138,8 +137,8 @@ def _search(index: CloudIndex, p, q, radius, limit, shared: bool):
 
 def _in_turn(index: CloudIndex, segments: Segments, radius, limit, shared: bool):
     """The leaf of each body's nearest point, -1 for none: one body after the other, the most promising first."""
-    levels, bodies = (index.boughs, index.branches, index.leaves), radius.shape[0]
-    _, upper = disc_bounds(single(spread(segments, 1)), index.boughs[0, :, None, :])
+    levels, bodies = (index.roots, index.branches, index.leaves), radius.shape[0]
+    _, upper = disc_bounds(single(spread(segments, 1)), index.roots[0, :, None, :])
     promise = jnp.min(upper, axis=1) - radius
 
     def search_one(state):

@@ -1,6 +1,6 @@
 """The interior rule: "outside the tunnel is negative".
 
-A capsule end beyond the gate (deeper than a set depth behind where the cloud begins, along its inlet's direction) must
+A capsule end in the interior (deeper than a set depth behind where the cloud begins, along its inlet's direction) must
 lie in the cloud's convex hull; where it does not, the body's clearance is at most minus how far outside it is. A body
 whose deep ends lie inside is infinitely far from this obstacle. The crossed facet is found once and then held.
 """
@@ -21,7 +21,7 @@ from htcp_jax.types import Bool, Float, Int, Scalar
 @register_pytree
 @dataclass(frozen=True)
 class Interior:
-    """The hull in the workpiece frame, F >= 1 facets; the gate is the scenario's."""
+    """The hull in the workpiece frame, F >= 1 facets; the plane where the interior begins is the scenario's."""
 
     hull: HalfSpaces
 
@@ -55,7 +55,7 @@ class Interior:
         return jnp.any(self._outside(where, bodies)[0] > 0)
 
     def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "K"]:
-        """How deep inside the deep ends are, and how far before the gate the others."""
+        """How deep inside the deep ends are, and how far before the interior the others."""
         beyond = _beyond(where, bodies.p, bodies.q)
         depth = depths(self.hull, jnp.concatenate([bodies.p_workpiece, bodies.q_workpiece]), beyond > 0)
         return jnp.min(jnp.where(beyond > 0, depth, -beyond).reshape(2, -1), axis=0)
@@ -85,5 +85,5 @@ class Interior:
 
 
 def _beyond(where: Posed, p: Float[jax.Array, "n 3"], q: Float[jax.Array, "n 3"]) -> Float[jax.Array, "ends"]:
-    """How far the ends, all p then all q, are beyond the gate [m]."""
-    return product(jnp.concatenate([p, q]), where.gate[:3]) - where.gate[3]
+    """How far the ends, all p then all q, are beyond the plane [m]."""
+    return product(jnp.concatenate([p, q]), where.interior_plane[:3]) - where.interior_plane[3]

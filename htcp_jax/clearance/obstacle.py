@@ -21,7 +21,7 @@ class Posed(Protocol):
     """Where the workpiece is: a scenario, or whatever else knows."""
 
     T_world_workpiece: Pose
-    gate: Float[jax.Array, "4"]  # unit normal n, offset [m]: capsule ends with n @ x > offset must lie in the tunnel
+    interior_plane: Float[jax.Array, "4"]  # unit normal n, offset [m]: ends with n @ x > offset must lie in the tunnel
 
 
 class Rows(NamedTuple):

@@ -41,7 +41,7 @@ def _print(found: dict) -> None:
         "numbers": found["dtype"],
         "rendering": found["rendering"]["platform"] or found["rendering"]["lacks"],
         "compiled programs": kept,
-        "self-test": f"{test['says']}; {test['seconds']:.1f} s, {test['compile_s']:.1f} s of them compiling",
+        "self-test": f"{test['description']}; {test['seconds']:.1f} s, {test['compile_s']:.1f} s of them compiling",
     }
     print_facts("htcp doctor", facts)
     verdict = ("sound", "bold green") if found["sound"] else ("the self-test failed", "bold red")

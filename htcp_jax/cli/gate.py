@@ -55,8 +55,8 @@ def gate(run: RunFolder, baseline: File, bless: Bless = False, as_json: Json = F
     htcp gate out/workpiece --baseline sweeps/baselines/workpiece.yaml --bless    the run is the new baseline
     """
     if bless:
-        with progress_bar("plans", time_left=True) as tell:
-            write_baseline(open_run(run), baseline, tell)
+        with progress_bar("plans", time_left=True) as progress:
+            write_baseline(open_run(run), baseline, progress)
         print_json({"baseline": str(baseline)}) if as_json else print(f"{run} is the baseline now: {baseline}")
         return PASSED
     known = read_baseline(baseline)
@@ -67,8 +67,8 @@ def gate(run: RunFolder, baseline: File, bless: Bless = False, as_json: Json = F
             raise
         _print_unreadable(str(error), as_json)
         return REGRESSION
-    with progress_bar("plans", time_left=True) as tell:
-        verdict = judge(there, known, tell)
+    with progress_bar("plans", time_left=True) as progress:
+        verdict = judge(there, known, progress)
     if as_json:
         print_json(_record(verdict))
     else:
@@ -107,10 +107,10 @@ def _print(run: Run, verdict: Verdict) -> None:
         console.print(f"and {len(verdict.changed) - LISTED:,} more scenarios that flipped")
     if verdict.elsewhere:
         console.print(Text("On another device or with other versions than the baseline: see allow.elsewhere.", "dim"))
-    for sentence in verdict.improvements:
-        console.print(Text.assemble(("better  ", "green"), sentence))
-    for sentence in verdict.failures[:LISTED]:
-        console.print(Text.assemble(("failed  ", "bold red"), sentence))
+    for line in verdict.improvements:
+        console.print(Text.assemble(("better  ", "green"), line))
+    for line in verdict.failures[:LISTED]:
+        console.print(Text.assemble(("failed  ", "bold red"), line))
     if len(verdict.failures) > LISTED:
         console.print(f"and {len(verdict.failures) - LISTED:,} more failures")
     console.print(Text("passed", "bold green") if verdict.passed else Text("FAILED", "bold red"))

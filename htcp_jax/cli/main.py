@@ -121,10 +121,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except typer.TyperException as error:
         return _refuse(error.format_message())
     except Lost as lost:
-        _tell(str(lost))
+        _print_line(str(lost))
         return LOST
     except Interrupted as stop:
-        _tell(str(stop))
+        _print_line(str(stop))
         return stop.code
     except BrokenPipeError:
         _forget_stdout()
@@ -141,7 +141,7 @@ def _run(words: list[str]) -> int:
     if any("\0" in word for word in words):
         raise InputError("an argument holds a NUL byte; no name of a file does")
     if words[0] in RENAMED:
-        _tell(f"note: htcp {words[0]} is called htcp {RENAMED[words[0]]} now")
+        _print_line(f"note: htcp {words[0]} is called htcp {RENAMED[words[0]]} now")
         words = [RENAMED[words[0]], *words[1:]]
     if words[0] in COMPLETION and len(words) > 1:
         os.environ["_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION"] = "1"  # the shell that is named, not one looked for
@@ -151,7 +151,7 @@ def _run(words: list[str]) -> int:
         warnings.showwarning = _warn
         code = app(args=words, prog_name="htcp", standalone_mode=False)
     if code == INTERRUPTED:  # what typer makes of Ctrl-C
-        _tell("interrupted; nothing was written")
+        _print_line("interrupted; nothing was written")
     return int(code or 0)
 
 
@@ -176,14 +176,14 @@ def _forget_stdout() -> None:
 
 def _warn(message: Warning, *_) -> None:
     kind = "note" if isinstance(message, Note) else "warning"
-    _tell(f"{kind}: {message}")
+    _print_line(f"{kind}: {message}")
 
 
 def _refuse(reason: str) -> int:
-    _tell(" ".join(reason.split()))
+    _print_line(" ".join(reason.split()))
     return BAD_INPUT
 
 
-def _tell(line: str) -> None:
+def _print_line(line: str) -> None:
     with contextlib.suppress(OSError):  # stderr may be as full as stdout
         print(f"htcp: {line}", file=sys.stderr)

@@ -4,7 +4,7 @@ from htcp_jax.cli.output import Json, print_json, print_table, stdout
 from htcp_jax.planner import registry
 from htcp_jax.report.document import Column, Table
 
-COLUMNS = Column("method", "method"), Column("title", "name"), Column("sentence", "what it does")
+COLUMNS = Column("method", "method"), Column("title", "name"), Column("description", "what it does")
 
 
 def methods(as_json: Json = False) -> int:
@@ -14,7 +14,7 @@ def methods(as_json: Json = False) -> int:
     htcp methods                              the table
     htcp methods --json                       the same for another program
     """
-    rows = tuple((name, method.title, method.sentence) for name, method in registry.all_methods().items())
+    rows = tuple((name, method.title, method.description) for name, method in registry.all_methods().items())
     table = Table("methods", COLUMNS, rows)
     if as_json:
         print_json(table.records())

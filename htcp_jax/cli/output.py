@@ -73,7 +73,7 @@ def progress_bars(*columns: ProgressColumn, **how: Any) -> Iterator[Progress]:
 
 @contextmanager
 def progress_bar(what: str, *, time_left: bool = False) -> Iterator[Callable[[int, int], None]]:
-    """One bar; hands out tell(done, of how many). time_left: to go, in place of the time so far."""
+    """One bar; hands out progress(done, of how many). time_left: to go, in place of the time so far."""
     time = TimeRemainingColumn() if time_left else TimeElapsedColumn()
     with progress_bars(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), time) as bars:
         task = bars.add_task(what, total=None)

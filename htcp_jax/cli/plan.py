@@ -58,11 +58,11 @@ def plan_with_progress(
     config: Path | None, overrides: list[str] | None, method: str | None, device: str | None = None
 ) -> Plan:
     """The plan, with a bar of tracked targets on a terminal. Raises InputError as `api.plan` does."""
-    with progress_bar("targets") as tell:
+    with progress_bar("targets") as progress:
         return api.plan(
             config,
             overrides or (),
             method=method,
             device=device,
-            progress=lambda now: tell(now.targets_tracked, now.targets),
+            progress=lambda now: progress(now.targets_tracked, now.targets),
         )

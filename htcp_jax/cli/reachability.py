@@ -118,5 +118,5 @@ def _print(name: str, batch: Batch, found: Reachability, targets: int, beaten: d
     }
     print_facts(name, rows)
     for method, scenarios in beaten.items():
-        told = f"{method} gets further in scenarios "
-        stdout().print(Text.assemble((told, "yellow"), ", ".join(map(str, scenarios))))
+        text = f"{method} gets further in scenarios "
+        stdout().print(Text.assemble((text, "yellow"), ", ".join(map(str, scenarios))))

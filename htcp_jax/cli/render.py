@@ -98,5 +98,5 @@ def _print(replay: Replay, shown: int, files: list[str], as_json: bool) -> None:
     if replay.failed is not None:
         facts["failed at"] = f"target {replay.failed}"
     if replay.obstruction is not None:
-        facts["in the way"] = replay.obstruction.sentence
+        facts["in the way"] = replay.obstruction.description
     print_facts(f"{replay.method}, scenario {replay.label}", facts | {"files": ", ".join(files)})

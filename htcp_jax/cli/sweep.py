@@ -69,7 +69,7 @@ def sweep(
     if out is None:
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
     running = RunningSummary()
-    with _bars() as tell:
+    with _bars() as progress:
         run = sweeps.sweep(
             file,
             methods,
@@ -78,7 +78,7 @@ def sweep(
             overrides=overrides or (),
             limit=limit,
             seed=seed,
-            progress=tell,
+            progress=progress,
             finished=running.add,
             shard_scenarios=shard,
             on=on,
@@ -116,7 +116,7 @@ def _bars() -> Iterator[Callable[[sweeps.SweepProgress], None]]:
     with progress_bars(*columns, speed_estimate_period=600) as bars:
         tasks = {}
 
-        def tell(now: sweeps.SweepProgress) -> None:
+        def show(now: sweeps.SweepProgress) -> None:
             # A scenario that is done has decided all of its targets, tracked or not.
             decided = max(now.targets_tracked, now.targets * now.scenarios_done // now.scenarios)
             fields = {"scenarios": f"{now.scenarios_done:,}/{now.scenarios:,}", "tracked": now.targets_tracked}
@@ -124,7 +124,7 @@ def _bars() -> Iterator[Callable[[sweeps.SweepProgress], None]]:
                 tasks[now.method] = bars.add_task(now.method, total=now.targets, **fields)
             bars.update(tasks[now.method], completed=decided, **fields)
 
-        yield tell
+        yield show
 
 
 COUNTS = (
@@ -172,14 +172,14 @@ def _print_table(run: Run, running: RunningSummary) -> None:
     console.print(Text("Drivable: tracked before the first blocked joint path of the scenario.", style="dim"))
     if plans:
         asked = _margins(running.margins_m(run, *plans))
-        told = f"Tracked: with at least the {asked} mm of clearance that were asked for."
-        console.print(Text(told, style="dim"))
-    for told in dict.fromkeys(_not_tried(whole.status) for whole in plans.values()):
-        if told:
-            console.print(Text.assemble(("not tried  ", "yellow"), told))
+        text = f"Tracked: with at least the {asked} mm of clearance that were asked for."
+        console.print(Text(text, style="dim"))
+    for text in dict.fromkeys(_not_tried(whole.status) for whole in plans.values()):
+        if text:
+            console.print(Text.assemble(("not tried  ", "yellow"), text))
     for method, count in run.unfinished().items():
-        told = f"{count:,} of {run.manifest.count:,} scenarios left; --methods {method} plans them"
-        console.print(Text.assemble(("unfinished  ", "yellow"), f"{method}: {told}"))
+        text = f"{count:,} of {run.manifest.count:,} scenarios left; --methods {method} plans them"
+        console.print(Text.assemble(("unfinished  ", "yellow"), f"{method}: {text}"))
     console.print(Text.assemble(("files  ", "cyan"), str(run.folder)))
 
 

@@ -7,7 +7,7 @@ import typer
 from rich.text import Text
 
 from htcp_jax.cli.output import Json, print_json, print_table, progress_bar, stdout
-from htcp_jax.report.validation import notes, told_apart, validation_tables
+from htcp_jax.report.validation import notes, scenarios_named, validation_tables
 from htcp_jax.runs.labels import named
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.plan_folder import VALIDATION
@@ -37,8 +37,8 @@ def validate(run: Run, between: Between = 20, feed_mm_s: Feed = 10.0, as_json: J
     htcp validate out/plan --feed-mm-s 50       one plan, ground at 50 mm/s
     htcp validate out/robot --between 0 --json  the targets alone, for another program
     """
-    with progress_bar("plans", time_left=True) as tell:
-        found = check(run, between=between, feed_mm_s=feed_mm_s, progress=tell)
+    with progress_bar("plans", time_left=True) as progress:
+        found = check(run, between=between, feed_mm_s=feed_mm_s, progress=progress)
     write_validation(run, found)
     if as_json:
         print_json(record(found))
@@ -49,12 +49,12 @@ def validate(run: Run, between: Between = 20, feed_mm_s: Feed = 10.0, as_json: J
 
 def _print(run: Path, found: Validation) -> None:
     console = stdout()
-    told = record(found)
-    for table in validation_tables(told):
+    recorded = record(found)
+    for table in validation_tables(recorded):
         print_table(console, table)
         console.print()
     labels = open_run(run).labels() if (run / MANIFEST).exists() else {}
-    for line in (*told_apart(told, labels), *notes(told)):
+    for line in (*scenarios_named(recorded, labels), *notes(recorded)):
         console.print(Text(line, style="dim"))
     for one in found.refuted[:LISTED]:
         where = f"{one.method}, scenario {named(one.scenario, labels)}, target {one.target}: "

@@ -63,8 +63,8 @@ def columns_of(names: Sequence[str] | None, width: int, source: str) -> Columns:
         normals = tuple(names.index(name) for name in known[0]) if known else None
         return Columns(width, tuple(places[0] for places in at.values()), normals, named=True)
     if any(places and places[0] != k for k, places in enumerate(at.values())):
-        told = f"{len(names)} columns ({' '.join(names)[:40]}), the rows have {width}"
-        raise InputError(f"{source}: the header names {told}; name x, y and z, or put them first")
+        named = f"{len(names)} columns ({' '.join(names)[:40]}), the rows have {width}"
+        raise InputError(f"{source}: the header names {named}; name x, y and z, or put them first")
     return Columns(width, (0, 1, 2), (3, 4, 5) if width == 6 else None, named=False)
 
 

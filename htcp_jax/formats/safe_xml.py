@@ -106,11 +106,11 @@ def _check_range(joint: ElementTree.Element, path: Path) -> None:
 def _number(joint: ElementTree.Element, name: str, path: Path) -> float:
     """A number of a joint's <limit>; 0 where it is not there, as URDF has it."""
     limit = joint.find("limit")
-    told = "0" if limit is None else limit.get(name, "0")
+    text = "0" if limit is None else limit.get(name, "0")
     try:
-        return float(told)
+        return float(text)
     except ValueError:
-        raise InputError(f"{path}: joint {joint.get('name')!r} has the {name} {told!r}, which is no number") from None
+        raise InputError(f"{path}: joint {joint.get('name')!r} has the {name} {text!r}, which is no number") from None
 
 
 def unreadable(path: Path, error: Exception) -> InputError:

@@ -27,7 +27,7 @@ def validate(raw: dict, model: type[BaseModel], source: str) -> Any:
     except ValidationError as error:
         first, *more = error.errors()
         others = f" (and {len(more)} more)" if more else ""
-        raise InputError(f"{source}: {_sentence(first)}{others}") from None
+        raise InputError(f"{source}: {_message(first)}{others}") from None
 
 
 def refuse_unknown(raw: dict, model: type, source: str, prefix: str = "") -> None:
@@ -71,7 +71,7 @@ def _items(value: Any) -> Sequence[Any]:
     return value if isinstance(value, list | tuple) else [value]
 
 
-def _sentence(error: dict) -> str:
+def _message(error: dict) -> str:
     """One pydantic error in our words."""
     where = ".".join(str(part) for part in error["loc"])
     cause = error.get("ctx", {}).get("error")

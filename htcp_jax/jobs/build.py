@@ -45,7 +45,7 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
         None if part.path == "weld" else part.path,
         inlet="auto" if part.inlet_m is None else part.inlet_m,
         interior=part.interior,
-        gate_depth_m=part.gate_depth_m,
+        interior_depth_m=part.interior_depth_m,
         inlet_direction=part.inlet_direction,
         tip_contact_m=part.tip_contact_m,
         pivot=part.pivot_m,

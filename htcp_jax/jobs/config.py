@@ -5,16 +5,16 @@ they are what `defaults` says.
 """
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator
 
 from htcp_jax.errors import InputError
 from htcp_jax.formats.strict_model import Section
 from htcp_jax.planner.registry import NAME
-from htcp_jax.scene.duct import GATE_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
+from htcp_jax.scene.duct import INTERIOR_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
 from htcp_jax.scene.tool import Tool
-from htcp_jax.settings import Settings
+from htcp_jax.settings import Settings, renamed
 
 LARGEST = 1e6  # of lengths [m] and joint positions: beyond, the tolerance is lost to rounding
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
@@ -22,6 +22,7 @@ Point = tuple[Number, Number, Number]
 Turn = Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi)]  # degrees are mostly beyond
 Steps = Annotated[int, Field(ge=0, le=10_000)]
 
+RENAMED_WORKPIECE = {"gate_depth_m": "interior_depth_m"}  # of version 0.1; known for one version more
 SOURCES = ("robot.model", "workpiece.cloud")  # what the next ones hang on, where they are not stated
 DEPENDENT = (
     "robot.limits",
@@ -53,8 +54,8 @@ class WorkpieceConfig(Section):
     cloud: str = "duct"  # the generated duct, or a file of points or a mesh
     path: str = "weld"  # the generated duct's weld, or a CSV file of x,y,z [m]
     inlet_m: Point | None = None  # centre of the inlet; without it the duct's, or none for another cloud
-    interior: Literal["hull", "none"] = "hull"  # what bounds the inside, deeper than gate_depth_m
-    gate_depth_m: float = Field(GATE_DEPTH_M, ge=0, le=LARGEST)
+    interior: Literal["hull", "none"] = "hull"  # what bounds the inside, deeper than interior_depth_m
+    interior_depth_m: float = Field(INTERIOR_DEPTH_M, ge=0, le=LARGEST)
     inlet_direction: Point | Literal["world-x"] | None = "world-x"  # into the part; see `load_workpiece`
     mesh_spacing_m: Annotated[float, Field(gt=0, le=LARGEST)] | None = None  # widest gap of the points on a mesh
     tip_contact_m: Annotated[float, Field(ge=0, le=LARGEST)] | None = None  # of the bare tip, from the TCP; null: all
@@ -66,6 +67,11 @@ class WorkpieceConfig(Section):
     shift_m: Point = (0.0, 0.0, 0.0)
     approach_to_inlet: Steps = 5  # equal steps from the start's TCP to the inlet
     approach_to_path: Steps = 5  # and from there to the first point of the path
+
+    @staticmethod
+    def with_new_names(values: dict[str, Any], source: str) -> dict[str, Any]:
+        """The keys under the names that they have now, see `renamed`."""
+        return renamed(values, RENAMED_WORKPIECE, "workpiece", source)
 
 
 class RayConfig(Section):

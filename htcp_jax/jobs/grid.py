@@ -178,8 +178,8 @@ def _first_values(raw: dict, grids: Mapping[str | None, Sequence[dict]], folder:
 def _like(first: Robot, robot: Robot, where: str) -> Robot:
     """The robot. Raises InputError where its joints are of other kinds than the first one's."""
     if robot.slides != first.slides:
-        told = [f"{one.name} has {len(one.slides)} joints, {sum(one.slides)} of them slides" for one in (robot, first)]
-        raise InputError(f"{where}: {'; '.join(told)}; the robots of one sweep must have as many joints of each kind")
+        kinds = [f"{one.name} has {len(one.slides)} joints, {sum(one.slides)} of them slides" for one in (robot, first)]
+        raise InputError(f"{where}: {'; '.join(kinds)}; the robots of one sweep must have as many joints of each kind")
     return robot
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import DEPENDENT, SOURCES, PlanConfig
+from htcp_jax.jobs.config import DEPENDENT, SOURCES, PlanConfig, WorkpieceConfig
 from htcp_jax.jobs.config_file import FILES
 from htcp_jax.settings import Settings
 
@@ -184,15 +184,15 @@ def _read_axis(where: str, folder: Path, raw: dict, known: dict[str, Parameter])
     axis = tuple(_read_column(where, folder, str(key), value, known) for key, value in raw.items())
     lengths = {column.parameter.name: len(column.values) for column in axis}
     if len(set(lengths.values())) > 1:
-        told = ", ".join(f"{name} has {length} values" for name, length in lengths.items())
-        raise InputError(f"{where}: what stands in one axis goes together, value by value, but {told}")
+        counts = ", ".join(f"{name} has {length} values" for name, length in lengths.items())
+        raise InputError(f"{where}: what stands in one axis goes together, value by value, but {counts}")
     return axis
 
 
 def _read_column(where: str, folder: Path, key: str, value: Any, known: dict[str, Parameter]) -> Column:
     section, _, name = key.partition(".")
-    if section == "settings":
-        key = f"{section}.{next(iter(Settings.with_new_names({name: value}, where)))}"
+    if (kind := {"settings": Settings, "workpiece": WorkpieceConfig}.get(section)) is not None:
+        key = f"{section}.{next(iter(kind.with_new_names({name: value}, where)))}"
     if key not in known:
         raise InputError(f"{where}: {_unknown(key, known)}")
     relative = isinstance(value, dict) and list(value) == ["offsets"]

@@ -33,11 +33,11 @@ def points_of(name: str, config: PlanConfig, groups: Sequence[Group], stated: Co
             if hanging:
                 fill_in(raw, known, source)
             own = validate(raw, PlanConfig, source)
-            yield Point(k, group.name, own, _told(own, varied, short))
+            yield Point(k, group.name, own, _words_of(own, varied, short))
 
 
 def short_names(files: Iterable[str], word: str) -> dict[str, str]:
-    """Each file by as many of the last parts of its path as tell it from the others; `word` as it is."""
+    """Each file by as many of the last parts of its path as set it apart from the others; `word` as it is."""
     whole = {file: Path(file).resolve() for file in files if file != word}
     count = 1
     while len({path.parts[-count:] for path in whole.values()}) < len(set(whole.values())):
@@ -45,7 +45,7 @@ def short_names(files: Iterable[str], word: str) -> dict[str, str]:
     return {word: word} | {file: "/".join(path.parts[-count:]) for file, path in whole.items()}
 
 
-def _told(config: PlanConfig, varied: Sequence[str], short: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
+def _words_of(config: PlanConfig, varied: Sequence[str], short: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
     if not varied:
         return {}
     raw = config.model_dump(mode="json")

@@ -13,7 +13,7 @@ class LaneInputs(NamedTuple):
     along, so the compiled programs know nothing of how many scenarios there are."""
 
     T_world_workpiece: jax.Array
-    gate: jax.Array
+    interior_plane: jax.Array
     margin_m: jax.Array
     tool_extension_m: jax.Array
     number: jax.Array
@@ -31,7 +31,7 @@ def lane_inputs(
     row, scenario = np.asarray(row, np.int32), np.asarray(scenario)
     return LaneInputs(
         T_world_workpiece=scenarios.T_world_workpiece[scenario],
-        gate=scenarios.gate[scenario],
+        interior_plane=scenarios.interior_plane[scenario],
         margin_m=scenarios.margin_m[scenario],
         tool_extension_m=scenarios.tool_extension_m[scenario],
         number=scenarios.number[scenario],

@@ -28,18 +28,18 @@ class LaneTable:
 
     def fill(self, scenarios: Iterator[int]) -> bool:
         """Top the table up from the queue, then with new scenarios. False when nothing is left to do."""
-        parts, room = [], self._kernels.lanes
+        parts, free = [], self._kernels.lanes
         if self._lanes is not None:
-            parts, room = [self._lanes], room - self._lanes.size
-        while room > 0 and self._queue:
+            parts, free = [self._lanes], free - self._lanes.size
+        while free > 0 and self._queue:
             block = self._queue.pop(0)
-            if block.size > room:
-                self._queue.insert(0, gather(block, slice(room, None)))
-                block = gather(block, slice(0, room))
+            if block.size > free:
+                self._queue.insert(0, gather(block, slice(free, None)))
+                block = gather(block, slice(0, free))
             parts.append(block)
-            room -= block.size
+            free -= block.size
         new = []
-        while len(new) < min(room, self._share) and (scenario := next(scenarios, None)) is not None:
+        while len(new) < min(free, self._share) and (scenario := next(scenarios, None)) is not None:
             new.append(scenario)
         if new:
             starts = self._starts[new]

@@ -54,34 +54,34 @@ def sphere_problem(
     """Equation (11) at x_ref: the problem, the contacts at x_ref, and alpha N(x_ref) [rad]. Nothing where D = 0."""
     robot, obstacles, task = scene
     rows = scene.rows
-    reach = settings.alpha_rad * null_basis(task.jacobian(robot, x_ref))
+    step_basis = settings.alpha_rad * null_basis(task.jacobian(robot, x_ref))
     weights = jnp.asarray(settings.q_weights)
     # J1 = |x - x_ref|_Q^2 = w' (alpha N)' Q (alpha N) w
-    half = settings.j1_weight * product(reach.T, weights[:, None] * reach)
+    half = settings.j1_weight * product(step_basis.T, weights[:, None] * step_basis)
     unseen = ~jnp.asarray(seen_rows(scene, settings.include_proximal_bodies))
     # What J2 does not see is as far away as it ever gets.
     far = jnp.where(unseen, 10.0, 0.0)
 
     def observe(w):
-        x = x_ref + product(reach, w)
+        x = x_ref + product(step_basis, w)
         touch = contacts(robot, obstacles, where, x)
         return touch.distance + far - product(w, product(half, w)), hold_contacts(robot, x, rows, touch)
 
     def measure(w):
         if not settings.include_proximal_bodies:
             return jnp.min(observe(w)[0])
-        return clearance(robot, obstacles, where, x_ref + product(reach, w)) - product(w, product(half, w))
+        return clearance(robot, obstacles, where, x_ref + product(step_basis, w)) - product(w, product(half, w))
 
     def predict(w, held):
-        value, gradient = predict_distances(robot, x_ref + product(reach, w), rows, held)
+        value, gradient = predict_distances(robot, x_ref + product(step_basis, w), rows, held)
         rounds = value.shape[0] // far.shape[0]
         value = value + jnp.concatenate([far] * rounds) - product(w, product(half, w))
-        return value, product(gradient, reach) - 2 * product(half, w)[None, :]
+        return value, product(gradient, step_basis) - 2 * product(half, w)[None, :]
 
-    G = jnp.concatenate([reach, -reach])
+    G = jnp.concatenate([step_basis, -step_basis])
     h = jnp.concatenate([robot.upper - x_ref, x_ref - robot.lower])
     problem = sphere.Sphere(observe, measure, predict, 2 * half, G, jnp.minimum(h, 1e3))
-    return problem, hold_contacts(robot, x_ref, rows, contacts(robot, obstacles, where, x_ref)), reach
+    return problem, hold_contacts(robot, x_ref, rows, contacts(robot, obstacles, where, x_ref)), step_basis
 
 
 def null_space_objective(
@@ -160,9 +160,9 @@ def null_space_step(
     minimise: Minimise, scene: Scene, settings: Settings, where: Posed, stuck: Stuck, x_ref: Joints, count
 ) -> Anchored:
     """One round of Algorithm 1's null-space loop: minimise J2 on the sphere, x = x_ref + alpha N w, re-anchor."""
-    problem, held, reach = sphere_problem(scene, settings, where, x_ref)
+    problem, held, step_basis = sphere_problem(scene, settings, where, x_ref)
     best = minimise(problem, held, jax.random.fold_in(stuck.key, count), settings)
-    x = jnp.clip(x_ref + product(reach, best.w), scene.robot.lower, scene.robot.upper)
+    x = jnp.clip(x_ref + product(step_basis, best.w), scene.robot.lower, scene.robot.upper)
     return anchor(scene, settings, where, x, stuck.target)
 
 
@@ -189,9 +189,9 @@ def keep_clear_ascent(
 
     def step(state):
         best, scale, count = state
-        problem, held, reach = sphere_problem(scene, settings, where, best.x)
+        problem, held, step_basis = sphere_problem(scene, settings, where, best.x)
         w = sphere.max_min_step(problem, held, scale)
-        x = jnp.clip(best.x + product(reach, w), scene.robot.lower, scene.robot.upper)
+        x = jnp.clip(best.x + product(step_basis, w), scene.robot.lower, scene.robot.upper)
         new = anchor(scene, settings, where, x, target)
         better = (new.clearance > best.clearance) & scene.task.reached(new.residual)
         best = jax.tree.map(lambda n, b: jnp.where(better, n, b), new, best)

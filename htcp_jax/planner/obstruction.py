@@ -42,8 +42,8 @@ class Obstruction(NamedTuple):
     x: Float[np.ndarray, "N"]  # the posture
 
     @property
-    def sentence(self) -> str:
-        """What a person is told."""
+    def description(self) -> str:
+        """What is in the way, for a person."""
         if not self.reached:
             return f"the arm comes only to within {_mm(self.residual_m)} of it"
         where = f"at ({', '.join(f'{value:.2f}' for value in self.point)}) m there"
@@ -53,8 +53,8 @@ class Obstruction(NamedTuple):
 
     def record(self) -> dict[str, Any]:
         """What a file holds of it."""
-        told = {"body": self.body, "point_m": self.point.tolist(), "depth_mm": 1e3 * self.depth_m}
-        return {**told, "residual_mm": 1e3 * self.residual_m, "x": self.x.tolist(), "sentence": self.sentence}
+        found = {"body": self.body, "point_m": self.point.tolist(), "depth_mm": 1e3 * self.depth_m}
+        return {**found, "residual_mm": 1e3 * self.residual_m, "x": self.x.tolist(), "description": self.description}
 
 
 def obstruction(
@@ -80,18 +80,18 @@ def obstructions(
     lanes = (where, np.asarray(x_last, float), np.asarray(targets, float))
     task = Task(tolerance_m=settings.tolerance_m)
     look, scene = _program(width), Scene(robot, obstacles, task)
-    told = []
+    obstructions = []
     for first in range(0, len(x_last), capacity):
         count = min(capacity, len(x_last) - first)
         rows = first + np.arange(capacity) % count
         chunks = np.int32(-(-count // width))
         found = look(scene, chunks, *jax.tree.map(lambda leaf, rows=rows: np.asarray(leaf)[rows], lanes))
-        told += zip(*(np.asarray(leaf)[:count] for leaf in found), strict=True)
+        obstructions += zip(*(np.asarray(leaf)[:count] for leaf in found), strict=True)
     return [
         Obstruction(
             robot.capsule_names[int(body)], point, float(depth), float(off), bool(task.reached(np.asarray(off))), x
         )
-        for body, point, depth, off, x in told
+        for body, point, depth, off, x in obstructions
     ]
 
 

@@ -40,7 +40,7 @@ class Method(Protocol):
         """Above a column of a table."""
 
     @property
-    def sentence(self) -> str:
+    def description(self) -> str:
         """What it does, in words."""
 
     def plan(self, problem: "Problem") -> "Plans":
@@ -58,8 +58,8 @@ _loaded: dict[str, Method] = {}  # of entry points
 def register(method: Any) -> Any:
     """Make a `Method` known to this process: to `htcp_jax.plan`, `sweep`, `methods` and all else but Ray's workers.
 
-    Returns the method. Raises InputError for one that lacks a name, a title, a sentence or `plan`, for a name that no
-    file could have, and for a name that is taken.
+    Returns the method. Raises InputError for one that lacks a name, a title, a description or `plan`, for a name that
+    no file could have, and for a name that is taken.
     """
     if fault := _fault(method):
         raise InputError(f"cannot register {method!r}: {fault}")
@@ -139,8 +139,8 @@ def _load(point: EntryPoint) -> Method:
     try:
         method = point.load()
     except Exception as error:  # whatever the import of a package may raise
-        told = " ".join(f"{type(error).__name__}: {error}".split())
-        raise InputError(f"{_called(point)} cannot be imported: {told}") from error
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise InputError(f"{_called(point)} cannot be imported: {reason}") from error
     if fault := _fault(method):
         raise InputError(f"{_called(point)} is no method: {fault}")
     if method.name != point.name:
@@ -160,7 +160,7 @@ def _fault(method: Any) -> str:
     """What keeps an object from being a method; nothing of one that is."""
     if isinstance(method, type):
         return "it is a class, not an instance of one"
-    for key in ("name", "title", "sentence"):
+    for key in ("name", "title", "description"):
         if not (isinstance(getattr(method, key, None), str) and getattr(method, key)):
             return f"it has no {key}"
     if not callable(getattr(method, "plan", None)):

@@ -25,7 +25,7 @@ class StepQPs(Escapes):
 
     name: str  # in files and on the command line
     title: str
-    sentence: str  # what it does, in words
+    description: str  # what it does, in words
 
     def plan(self, problem: Problem) -> Plans:
         """Plan all scenarios. Raises InputError for a QP solver that is not there.

@@ -57,8 +57,8 @@ def best_of_all(part: Part, table: Table, prefix: str) -> list[Block]:
     figure = part.scene.picture(number, method, what)
     if figure is None:
         return [RANKED, table, f"There is no picture of the cell: {part.scene.problem}."]
-    says = f"{what}; {count} of {targets} targets drivable, {least:.3g} mm clear at least; the workpiece cut open"
-    return [RANKED, table, f"{says}.", Picture(f"{prefix}cell", figure, says)]
+    alt = f"{what}; {count} of {targets} targets drivable, {least:.3g} mm clear at least; the workpiece cut open"
+    return [RANKED, table, f"{alt}.", Picture(f"{prefix}cell", figure, alt)]
 
 
 def _column(name: str, values: np.ndarray) -> Column:

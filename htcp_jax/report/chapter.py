@@ -68,7 +68,7 @@ def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list
 
 
 def facts(part: Part) -> list[str]:
-    """What was run, in sentences."""
+    """What was run, in words."""
     manifest = part.run.manifest
     grid = " x ".join(f"{len(values)}" for values in part.axes.values())
     varied = ", ".join(f"{label(name).split(' [')[0]}{_range(name, values)}" for name, values in part.axes.items())
@@ -77,18 +77,18 @@ def facts(part: Part) -> list[str]:
     lines = [f"{len(part.numbers):,} scenarios{over}; up to {part.targets} targets each; seed {manifest.seed}."]
     scene = part.run.config
     named = {"robot.model": scene.robot.model, "workpiece.cloud": scene.workpiece.cloud, "path": scene.workpiece.path}
-    told = {key: BUILT_IN.get(name, Path(name).name) for key, name in named.items()}
+    named_files = {key: BUILT_IN.get(name, Path(name).name) for key, name in named.items()}
     for key in named.keys() & part.parameters.keys():
-        told[key] = ", ".join(BUILT_IN.get(name, name) for name in dict.fromkeys(part.parameters[key].tolist()))
-    robot, cloud, path = told.values()
+        named_files[key] = ", ".join(BUILT_IN.get(name, name) for name in dict.fromkeys(part.parameters[key].tolist()))
+    robot, cloud, path = named_files.values()
     lines.append(f"Robot {robot}; workpiece {cloud}; path {path}.")
     lines.append(f"Configuration: {choice(part)}. {verdict(part.validation)}")
     if manifest.count < manifest.full:
         lines.append(f"The run is limited to the first {manifest.count:,} of {manifest.full:,} scenarios.")
     unfinished = {m: sum(span.last - span.first + 1 for span in part.run.missing(m)) for m in part.run.methods}
     if any(unfinished.values()):
-        told = ", ".join(f"{method} {count:,}" for method, count in unfinished.items() if count)
-        lines.append(f"The run is not complete. Scenarios still to plan: {told}.")
+        text = ", ".join(f"{method} {count:,}" for method, count in unfinished.items() if count)
+        lines.append(f"The run is not complete. Scenarios still to plan: {text}.")
     return lines
 
 
@@ -112,8 +112,8 @@ def choice(part: Part) -> str:
         return f"margin {1e3 * ran.margin_m:g} mm, {own or 'settings as they are by default'}"
     differ = {name: tables.differences(ran, preset) for name, preset in presets().items()}
     nearest = min(differ, key=lambda name: len(differ[name]))
-    told = ", ".join(f"{key} {value}" for key, value in differ[nearest].items())
-    return f"{nearest}, apart from {told}" if told else nearest
+    text = ", ".join(f"{key} {value}" for key, value in differ[nearest].items())
+    return f"{nearest}, apart from {text}" if text else nearest
 
 
 def fits_presets(part: Part) -> bool:
@@ -156,7 +156,7 @@ def _maps(part: Part, prefix: str) -> list[Block]:
     open_ = {method: _or_nan(plans, plans.outcomes.drivable) for method, plans in part.plans.items()}
     names = list(part.axes)
     axes = {name: charts.Axis(label(name), values.tolist()) for name, values in part.axes.items()}
-    says = "Tracked targets of every scenario over the grid, by method"
+    alt = "Tracked targets of every scenario over the grid, by method"
 
     def over(*chosen):
         return {method: part.cells(values, chosen) for method, values in counts.items()}
@@ -168,7 +168,7 @@ def _maps(part: Part, prefix: str) -> list[Block]:
         note = "Mean over the other axes."
         given = over(*chosen), *(axes[name] for name in chosen), part.targets
         figure = charts.success_map(*given, drivable=ways(*chosen), note=note)
-        return Picture(f"{prefix}map-{'-'.join(str(names.index(name) + 1) for name in chosen)}", figure, says)
+        return Picture(f"{prefix}map-{'-'.join(str(names.index(name) + 1) for name in chosen)}", figure, alt)
 
     if not names:
         return ["The scenarios do not differ in any parameter."]
@@ -180,7 +180,7 @@ def _maps(part: Part, prefix: str) -> list[Block]:
         figure = charts.success_slices(over(*names), *axes.values(), part.targets, drivable=ways(*names))
     else:
         return [means(*names[:2]), *([means(*names[-2:])] if len(names) > 3 else [])]
-    return [Picture(f"{prefix}map", figure, says)]
+    return [Picture(f"{prefix}map", figure, alt)]
 
 
 def _ends(part: Part, table: Table, prefix: str) -> list[Block]:
@@ -190,8 +190,8 @@ def _ends(part: Part, table: Table, prefix: str) -> list[Block]:
     if not table.rows:
         return [survival, "No scenario failed."]
     found = sorted({reason for plans in part.plans.values() for reason in tables.reasons(plans)})
-    told = (f"{reason.words}: {reason.message}." for reason in found)
-    meaning = " ".join(text[0].upper() + text[1:] for text in told)
+    lines = (f"{reason.words}: {reason.message}." for reason in found)
+    meaning = " ".join(text[0].upper() + text[1:] for text in lines)
     return [
         survival,
         Picture(f"{prefix}stops", charts.stops(statuses), "Where and why scenarios end"),
@@ -247,14 +247,14 @@ def _reachability(part: Part, table: Table) -> list[Block]:
 
 def _beaten(part: Part) -> list[str]:
     """Scenarios in which a planner got further than sampling."""
-    told = []
+    beaten = []
     for method, plans in part.plans.items():
         further = part.numbers[plans.outcomes.tracked > part.reachability]
         if further.size:
-            told.append(
+            beaten.append(
                 f"{method} in {further.size} ({', '.join(map(str, further[:8]))}{', ...' * (further.size > 8)})"
             )
-    return [f"Got further than sampling: {'; '.join(told)}."] if told else []
+    return [f"Got further than sampling: {'; '.join(beaten)}."] if beaten else []
 
 
 def _or_nan(plans: Plans, count: np.ndarray) -> np.ndarray:

@@ -56,11 +56,11 @@ class Table(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """A figure. `name` is the stem of its file, `says` what it shows, for those who cannot see it."""
+    """A figure. `name` is the stem of its file, `alt` what it shows, for those who cannot see it."""
 
     name: str
     figure: Figure
-    says: str
+    alt: str
 
 
 class Heading(NamedTuple):
@@ -107,8 +107,8 @@ def _markdown(block: Block) -> str:
             return f"{'#' * level} {text}"
         case Table():
             return _markdown_table(block)
-        case Picture(name, _, says):
-            return f"![{says}]({name}.png)"
+        case Picture(name, _, alt):
+            return f"![{alt}]({name}.png)"
     return block
 
 
@@ -132,9 +132,9 @@ def _html(block: Block, pictures: dict[str, bytes]) -> str:
             return f"<h{level}>{escape(text)}</h{level}>"
         case Table():
             return _html_table(block)
-        case Picture(name, _, says):
+        case Picture(name, _, alt):
             data = base64.b64encode(pictures[name]).decode()
-            return f'<img src="data:image/png;base64,{data}" alt="{escape(says)}">'
+            return f'<img src="data:image/png;base64,{data}" alt="{escape(alt)}">'
     return f"<p>{escape(block)}</p>"
 
 

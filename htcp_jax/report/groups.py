@@ -64,8 +64,8 @@ class Part:
     def labels(self) -> dict[int, str]:
         """What sets each scenario apart from the others of the part, by its number."""
         own = varying(self.parameters)
-        told = [", ".join(part(name, values[s]) for name, values in own.items()) for s in range(len(self.numbers))]
-        return dict(zip(self.numbers.tolist(), told, strict=True))
+        texts = [", ".join(part(name, values[s]) for name, values in own.items()) for s in range(len(self.numbers))]
+        return dict(zip(self.numbers.tolist(), texts, strict=True))
 
     @cached_property
     def paper_table(self) -> paper.Table | None:

@@ -122,7 +122,7 @@ def _appendix(parts: Sequence[Part]) -> list[Block]:
     about = Table(
         "methods",
         (Column("method", "method"), Column("title", "name"), Column("what", "what it does")),
-        tuple((name, known[name].title, known[name].sentence) for name in methods if name in known),
+        tuple((name, known[name].title, known[name].description) for name in methods if name in known),
     )
     beside = presets() if any(fits_presets(part) for part in parts) else {}
     return [
@@ -163,13 +163,13 @@ def _merged(parts: Sequence[Part], made: Sequence[dict[str, Table]]) -> list[Tab
 
 def _provenance(run: Run) -> str:
     manifest = run.manifest
-    told = [f"configuration {manifest.config_hash[:12]}", manifest.dtype]
+    facts = [f"configuration {manifest.config_hash[:12]}", manifest.dtype]
     for entry in manifest.planned_by:
         versions = ", ".join(f"{name} {version}" for name, version in (entry.get("versions") or {}).items() if version)
-        told.append(
+        facts.append(
             f"planned on {entry.get('device', '?')} from commit {str(entry.get('commit'))[:12]} with {versions}"
         )
-    return "; ".join(told) + "."
+    return "; ".join(facts) + "."
 
 
 def _name(run: Run | str | Path) -> str:

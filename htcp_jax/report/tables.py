@@ -198,12 +198,12 @@ def scenarios(part: Part) -> Table:
                 blocked = part.scene.in_the_way(method).get(number)
                 reachable = None if part.reachability is None else int(part.reachability[s])
                 row = {"scenario": number, **given, "method": method, **count}
-                told = {
+                what = {
                     "end": "complete" if end.status is None else end.status.words,
-                    "in_the_way": blocked and blocked.sentence,
+                    "in_the_way": blocked and blocked.description,
                     "reachable": reachable,
                 }
-                rows.append({**row, **told})
+                rows.append({**row, **what})
     return _table("scenarios", columns, rows)
 
 

@@ -42,7 +42,7 @@ def read_validation(run: Run) -> dict[str, Any] | None:
         found = json.loads(file.read_text(encoding="utf-8"))
         if found["files"] != run.result_files():
             return None
-        sentence(found), validation_tables(found), notes(found)  # whatever else it lacks is of no use here
+        summary(found), validation_tables(found), notes(found)  # whatever else it lacks is of no use here
         return found
     except FileNotFoundError:
         return None
@@ -57,7 +57,7 @@ def validated(found: dict[str, Any] | None) -> bool | None:
 
 def verdict(found: dict[str, Any] | None) -> str:
     """The same in a sentence."""
-    return "Not validated independently." if found is None else sentence(found)
+    return "Not validated independently." if found is None else summary(found)
 
 
 def validation_section(found: dict[str, Any] | None, labels: dict[int, str], level: int) -> list[Block]:
@@ -65,19 +65,19 @@ def validation_section(found: dict[str, Any] | None, labels: dict[int, str], lev
     the run's scenarios apart."""
     if found is None:
         return []
-    about = f"By MuJoCo's kinematics and distances alone, of the whole run. {sentence(found)}"
-    where = told_apart(found, labels)
+    about = f"By MuJoCo's kinematics and distances alone, of the whole run. {summary(found)}"
+    where = scenarios_named(found, labels)
     return [Heading(level, "Validation"), about, *validation_tables(found), *where, *notes(found)]
 
 
-def sentence(found: dict[str, Any]) -> str:
+def summary(found: dict[str, Any]) -> str:
     """What came of it; `found` is as validation.json has it, here as in the next two."""
     checks = found["methods"].values()
     checked, touching, paths = (sum(check[k] or 0 for check in checks) for k in ("checked", "paths_touching", "paths"))
     refuted = int(found["refuted_count"])
-    told = "Validated: MuJoCo refutes none" if found["validated"] else f"Not valid: MuJoCo refutes {refuted:,}"
+    verdict = "Validated: MuJoCo refutes none" if found["validated"] else f"Not valid: MuJoCo refutes {refuted:,}"
     between = f"; {touching:,} of the {paths:,} joint paths between them touch" if found["between"] else ""
-    return f"{told} of {checked:,} tracked targets{between}."
+    return f"{verdict} of {checked:,} tracked targets{between}."
 
 
 def validation_tables(found: dict[str, Any]) -> tuple[Table, Table]:
@@ -94,7 +94,7 @@ def _table(name: str, columns: tuple[Column, ...], rows: list[dict]) -> Table:
     return Table(name, filled, tuple(tuple(cell(row.get(column.key)) for column in filled) for row in rows))
 
 
-def told_apart(found: dict[str, Any], labels: dict[int, str]) -> list[str]:
+def scenarios_named(found: dict[str, Any], labels: dict[int, str]) -> list[str]:
     """A sentence that says which scenarios the tables speak of."""
     at = [check.get(key) for check in found["methods"].values() for key in ("clearance_min_at", *BETWEEN)]
     numbers = sorted({place[0] for place in at if place is not None and labels.get(place[0])})
@@ -103,20 +103,20 @@ def told_apart(found: dict[str, Any], labels: dict[int, str]) -> list[str]:
 
 def notes(found: dict[str, Any]) -> list[str]:
     """What the tables' columns mean, as far as they are filled."""
-    told = []
+    lines = []
     if found["between"]:
-        told.append(
+        lines.append(
             "Paths are the straight joint paths between tracked targets and from the start to the first, in at least "
             f"{found['between']} steps, in none of which a joint turns by more than {STEP_RAD:g} rad. What touches "
             "there refutes nothing, as no target is there; on record as blocked is what the planner found itself. "
             "Off the line: how far the TCP leaves that of its targets."
         )
     if any(check.get("speed_ratio_max") is not None for check in found["methods"].values()):
-        told.append(
+        lines.append(
             f"Joint speeds are for a feed rate of {found['feed_mm_s']:g} mm/s, and in proportion to it; the limits are "
             "the model file's, for the GP50 its data-sheet's. In place: the joint change between targets closer to "
             "each other than the tolerance, and from the start to the first, which the feed rate leaves no time for."
         )
     elif any(check["paths"] for check in found["methods"].values()):
-        told.append("There is no column of joint speeds, because the model states none to hold them against.")
-    return told
+        lines.append("There is no column of joint speeds, because the model states none to hold them against.")
+    return lines

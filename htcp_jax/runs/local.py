@@ -32,14 +32,14 @@ class Planned(NamedTuple):
 
 
 def plan_here(
-    batch: Batch, threads: int | None, device: str | None, shards: Iterable[Shard], tell: Callable
+    batch: Batch, threads: int | None, device: str | None, shards: Iterable[Shard], report: Callable
 ) -> Iterator[Planned]:
-    """The plans of the shards. tell(method, batch.Progress of the shard at hand) is called as a shard advances;
+    """The plans of the shards. report(method, batch.Progress of the shard at hand) is called as a shard advances;
     what it raises ends the work. threads, device: see `batch.plan`."""
     by = planned_by()
     for shard in shards:
         block = scenarios_of(batch, shard.span)
-        yield Planned(shard, plan_cells(batch.cells, *block, shard.method, threads, tell, device), by)
+        yield Planned(shard, plan_cells(batch.cells, *block, shard.method, threads, report, device), by)
 
 
 def scenarios_of(batch: Batch, span: Span) -> tuple[Int[np.ndarray, "S"], Scenario]:
@@ -54,11 +54,11 @@ def plan_cells(
     scenarios: Scenario,
     method: str,
     threads: int | None,
-    tell: Callable | None = None,
+    report: Callable | None = None,
     device: str | None = None,
 ) -> Plans:
     """The plans of stacked scenarios, each by the robot, workpiece and settings of its cell; a call of the planner a
-    cell. tell: as of `plan_here`."""
+    cell. report: as of `plan_here`."""
     parts: list[tuple[np.ndarray, Plans]] = []
     everything = len(cell), int(scenarios.count.sum())
     for number in dict.fromkeys(cell.tolist()):
@@ -71,7 +71,7 @@ def plan_cells(
             scenarios if whole else _rows(scenarios, rows),
             method,
             settings,
-            progress=tell and partial(_tell, tell, method, [done for _, done in parts], *everything),
+            progress=report and partial(_add_up, report, method, [done for _, done in parts], *everything),
             threads=threads,
             device=device,
         )
@@ -86,10 +86,10 @@ def _rows(scenarios: Scenario, rows: slice | np.ndarray) -> Scenario:
     return jax.tree.map(lambda leaf: leaf[rows], scenarios)
 
 
-def _tell(
-    tell: Callable, method: str, finished: Sequence[Plans], count: int, targets: int, now: batch.Progress
+def _add_up(
+    report: Callable, method: str, finished: Sequence[Plans], count: int, targets: int, now: batch.Progress
 ) -> None:
     """The progress of one cell, as that of all."""
     done = sum(len(plans.status) for plans in finished) + now.scenarios_done
     tracked = sum(int(plans.tracked.sum()) for plans in finished) + now.targets_tracked
-    tell(method, batch.Progress(done, count, tracked, targets))
+    report(method, batch.Progress(done, count, tracked, targets))

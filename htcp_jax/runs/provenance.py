@@ -30,8 +30,8 @@ def _processor() -> str:
     """The processor's kind, as far as the system tells: what a compiler optimises for."""
     try:
         lines = (line.partition(":") for line in Path("/proc/cpuinfo").read_text().splitlines())
-        told = {name.strip(): value.strip() for name, _, value in lines}
-        return f"{told['model name']}, family {told['cpu family']}, model {told['model']}"
+        found = {name.strip(): value.strip() for name, _, value in lines}
+        return f"{found['model name']}, family {found['cpu family']}, model {found['model']}"
     except (OSError, UnicodeDecodeError, KeyError):  # another system or another architecture
         return platform.processor() or platform.machine()
 

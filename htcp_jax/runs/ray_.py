@@ -33,7 +33,7 @@ GPU_SHARE = 0.75  # of a GPU's memory that JAX takes for itself unless told
 @contextlib.contextmanager
 def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]:
     """Connects to the cluster at `address`, without one to the cluster that Ray knows of or to a new one of this
-    machine, and hands out plan(shards, tell), see `local.plan_here`.
+    machine, and hands out plan(shards, report), see `local.plan_here`.
 
     Raises InputError where Ray is not installed or not there; plan raises Lost when a shard's workers died more
     often than `config.ray.retries` allows, or the cluster did.
@@ -52,7 +52,7 @@ def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]
     except Exception as error:  # of many kinds, plain Exception among them
         raise InputError(f"cannot reach Ray at {address or 'this machine'}: {' '.join(str(error).split())}") from None
     try:
-        yield lambda shards, tell: _plan(ray, batch, config, shards, tell)
+        yield lambda shards, report: _plan(ray, batch, config, shards, report)
     except Lost:
         ours = False  # Ray may end this process over a node that is gone, and what is to be told is not told yet
         raise
@@ -62,7 +62,7 @@ def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]
                 ray.shutdown()
 
 
-def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], tell: Callable) -> Iterator[Planned]:
+def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], report: Callable) -> Iterator[Planned]:
     """Keeps more tasks waiting than the cluster has room for: it never idles, and one that can grow does."""
     task = ray.remote(_plan_shard).options(
         num_cpus=config.ray.num_cpus,
@@ -86,7 +86,7 @@ def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], tell: 
                 running.clear()
                 raise Lost("Ray lost its workers (this process's own node is gone)")
             done, _ = ray.wait(list(running), timeout=LOOK_S)
-            tell(next(iter(running.values())).method)
+            report(next(iter(running.values())).method)
             if not any(node["Alive"] for node in ray.nodes()):  # Ray itself would wait for ever
                 running.clear()
                 raise Lost("Ray lost its workers (no node is left)")

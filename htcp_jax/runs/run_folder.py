@@ -181,8 +181,8 @@ def open_run(folder: str | Path) -> Run:
         text = (folder / MANIFEST).read_bytes()
     except OSError as error:
         if isinstance(error, FileNotFoundError) and (folder / SUMMARY).exists():
-            told = "holds a plan of htcp plan, no run; htcp view, htcp render and htcp validate open it"
-            raise InputError(f"{folder} {told}") from None
+            what = "holds a plan of htcp plan, no run; htcp view, htcp render and htcp validate open it"
+            raise InputError(f"{folder} {what}") from None
         raise InputError(f"{folder} holds no run: cannot read {MANIFEST}: {error.strerror}") from None
     try:
         return Run(folder, Manifest.model_validate_json(text))

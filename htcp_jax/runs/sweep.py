@@ -96,7 +96,7 @@ def sweep(
     with _folder(out) as (folder, keep), locked(folder), planned as plan, signals() as came:
         run = writer.begin(folder, asked, keep)
 
-        def tell(method: str, shard: ShardProgress | None = None) -> None:
+        def report_progress(method: str, shard: ShardProgress | None = None) -> None:
             if came:
                 raise SignalCame
             if progress is not None:
@@ -105,13 +105,13 @@ def sweep(
         try:
             shards = [Shard(method, span) for method in chosen for span in run.missing(method)]
             for method in chosen:
-                tell(method)
-            for (method, span), plans, by in plan(shards, tell):
+                report_progress(method)
+            for (method, span), plans, by in plan(shards, report_progress):
                 rows = tables(batch, method, span, plans)
                 run = writer.add(run, method, span, rows, plans, by)
                 if finished is not None:
                     finished(FinishedShard(method, span, plans, rows["scenarios"]["margin_m"].to_numpy()))
-                tell(method)
+                report_progress(method)
         except SignalCame:
             raise Interrupted(_how_to_go_on(run), came[0]) from None
         except Lost as lost:
@@ -187,7 +187,7 @@ def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | 
 
 
 def _planner(on: str, methods: tuple[str, ...], batch: Batch, spec: Sweep, threads: int | None, device: str | None):
-    """Hands out what plans shards, while it is there: plan(shards, tell) yields (shard, plans, what planned it)."""
+    """Hands out what plans shards, while it is there: plan(shards, report) yields (shard, plans, what planned it)."""
     where, _, address = on.partition(":")
     if on == "here":
         return contextlib.nullcontext(partial(plan_here, batch, threads, device))

@@ -64,10 +64,10 @@ def add(run: Run, method: str, span: Span, tables: dict[str, pa.Table], plans: P
 
 
 def _refuse_other(old: Run, asked: Manifest) -> None:
-    told = differences(_identity(old.manifest), _identity(asked))
-    if told:
-        more = f" (and {len(told) - 1} more)" if told[1:] else ""
-        raise InputError(f"{old.folder} holds another sweep: {told[0]}{more}; choose another --out")
+    differing = differences(_identity(old.manifest), _identity(asked))
+    if differing:
+        more = f" (and {len(differing) - 1} more)" if differing[1:] else ""
+        raise InputError(f"{old.folder} holds another sweep: {differing[0]}{more}; choose another --out")
     if asked.count < old.manifest.count:
         raise InputError(
             f"{old.folder} holds this sweep with {old.manifest.count} scenarios, more than {asked.count}; "
@@ -77,8 +77,8 @@ def _refuse_other(old: Run, asked: Manifest) -> None:
 
 def _warn_of_other_software(old: Run) -> None:
     if old.manifest.planned_by:
-        if told := differences(old.manifest.planned_by[-1], planned_by()):
-            warnings.warn(f"{old.folder} was planned by other software: {told[0]}", stacklevel=4)
+        if differing := differences(old.manifest.planned_by[-1], planned_by()):
+            warnings.warn(f"{old.folder} was planned by other software: {differing[0]}", stacklevel=4)
 
 
 def _identity(manifest: Manifest) -> dict:

@@ -43,7 +43,7 @@ INLET = (0.0, 0.0, 0.19138)  # centre of the inlet, the via point of the approac
 # Where the duct stands in the paper's scene, see `Workpiece.T_world`, and how far behind the inlet its interior begins.
 PIVOT = (1.73205679, -0.0037799, 0.57539635)  # [m] world
 NEUTRAL_TRANSLATION = (1.24549547, -0.0037799, 0.87525497)  # [m] workpiece origin at wy = wz = 0
-GATE_DEPTH_M = 0.2
+INTERIOR_DEPTH_M = 0.2
 
 _sections = PchipInterpolator(STATIONS[:, 0], STATIONS[:, 1:], extrapolate=False)
 

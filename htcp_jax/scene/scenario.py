@@ -30,7 +30,7 @@ class Scenario:
 
     x_start: Float[Anywhere, "*S N"]  # [rad or m]
     T_world_workpiece: Float[Anywhere, "*S 4 4"]  # [m]
-    gate: Float[Anywhere, "*S 4"]  # normal, and offset [m], see `gate_of`
+    interior_plane: Float[Anywhere, "*S 4"]  # normal, and offset [m], see `interior_plane_of`
     targets: Float[Anywhere, "*S T M"]  # of the task, world [m]; rows from `count` on are padding
     count: Int[Anywhere, "*S"]  # targets to track
     margin_m: Float[Anywhere, "*S"]  # least clearance with which a target counts
@@ -96,7 +96,7 @@ def make_scenario(
     return Scenario(
         x_start=x_start,
         T_world_workpiece=T_world_workpiece,
-        gate=gate_of(robot, workpiece, T_world_workpiece),
+        interior_plane=interior_plane_of(robot, workpiece, T_world_workpiece),
         targets=targets,
         count=np.asarray(len(targets), np.int32),
         margin_m=np.asarray(margin_m, float),
@@ -106,24 +106,26 @@ def make_scenario(
     )
 
 
-def gate_of(robot: Robot, workpiece: Workpiece, T_world_workpiece: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4"]:
+def interior_plane_of(
+    robot: Robot, workpiece: Workpiece, T_world_workpiece: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "4"]:
     """Unit normal n, offset [m]: capsule ends with n @ x > offset in the world must lie inside the workpiece.
 
     Where the robot itself stands beyond that plane, beside the workpiece, it divides nothing: the offset is infinite,
     and the rule off. The paper's rule, along the world's x, holds anywhere.
     """
-    gate = workpiece.gate(T_world_workpiece)
+    plane = workpiece.interior_plane(T_world_workpiece)
     fixed = np.asarray(robot.capsule_link) < 0
     ends = (np.asarray(end)[fixed] for end in (robot.capsule_p, robot.capsule_q))
     base = np.concatenate([np.asarray(robot.T_parent_joint)[:1, :3, 3], *ends])
-    if workpiece.inlet_direction is not None and (base @ gate[:3] > gate[3]).any():
-        gate[3] = np.inf
-    return gate
+    if workpiece.inlet_direction is not None and (base @ plane[:3] > plane[3]).any():
+        plane[3] = np.inf
+    return plane
 
 
 def interior_rule(workpiece: Workpiece, scenario: Scenario) -> str:
     """Whether bodies deep in the workpiece must be in its hull, in words."""
-    beside = np.isinf(scenario.gate[3]) and len(workpiece.hull_offset)
+    beside = np.isinf(scenario.interior_plane[3]) and len(workpiece.hull_offset)
     return "off: the robot stands beyond the inlet" if beside else workpiece.interior_rule
 
 

@@ -17,7 +17,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.formats.arrays import points, triple
 from htcp_jax.notebook import html_facts
 from htcp_jax.scene.convex_hull import Hull, convex_hull
-from htcp_jax.scene.duct import GATE_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
+from htcp_jax.scene.duct import INTERIOR_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
 
 Triple = tuple[float, float, float]
 
@@ -28,7 +28,7 @@ class Workpiece:
 
     inlet: centre of the inlet, via-point of the approach; None means none.
     pivot, neutral_translation: see `T_world`.
-    gate_depth_m: how far behind its nearest point the interior begins, see `gate`.
+    interior_depth_m: how far behind its nearest point the interior begins, see `interior_plane`.
     interior: "hull" computes the half-spaces below; "none" leaves them empty (F = 0), for flat clouds.
     hull_tolerance_m: 0 for the exact hull; above, fewer facets that reach out farther by about that much at
         most and still hold all of the cloud.
@@ -50,7 +50,7 @@ class Workpiece:
     inlet: Float[np.ndarray, "3"] | Triple | None = None  # these three are arrays once constructed
     pivot: Float[np.ndarray, "3"] | Triple = PIVOT
     neutral_translation: Float[np.ndarray, "3"] | Triple = NEUTRAL_TRANSLATION
-    gate_depth_m: float = GATE_DEPTH_M
+    interior_depth_m: float = INTERIOR_DEPTH_M
     interior: Literal["hull", "none"] = "hull"
     hull_tolerance_m: float = 0.0
     inlet_direction: Float[np.ndarray, "3"] | Triple | Literal["facet"] | None = None
@@ -65,7 +65,7 @@ class Workpiece:
         cloud = points(self.cloud, f"cloud of {self.name}", 4)
         path = points(self.path, f"path of {self.name}", 1)
         inlet = None if self.inlet is None else triple(self.inlet, "inlet")
-        for name in ("gate_depth_m", "hull_tolerance_m", "covering_radius_m", "tip_contact_m"):
+        for name in ("interior_depth_m", "hull_tolerance_m", "covering_radius_m", "tip_contact_m"):
             if getattr(self, name) is not None and not 0.0 <= getattr(self, name) < np.inf:
                 raise InputError(f"{name} is {getattr(self, name)}; it must be 0 or more")
         triangles = np.array(self.triangles, dtype=np.float64)
@@ -117,8 +117,8 @@ class Workpiece:
     def interior_rule(self) -> str:
         """Whether bodies deep in the part must be in its hull, in words."""
         if len(self.hull_offset):
-            along = "world x" if self.inlet_direction is None else f"({_told(self.inlet_direction)})"
-            return f"convex hull, {self.gate_depth_m:.3g} m deep along {along}"
+            along = "world x" if self.inlet_direction is None else f"({_numbers(self.inlet_direction)})"
+            return f"convex hull, {self.interior_depth_m:.3g} m deep along {along}"
         return "off: no inlet" if self.inlet is None else "off"
 
     def _repr_html_(self) -> str:
@@ -128,18 +128,18 @@ class Workpiece:
             "walls": self.walls,
             "extent": " x ".join(f"{side:.3f}" for side in high - low) + " m",
             "tool path": f"{len(self.path)} points, {length:.3f} m",
-            "inlet": "none" if self.inlet is None else f"{_told(self.inlet)} m",
+            "inlet": "none" if self.inlet is None else f"{_numbers(self.inlet)} m",
             "interior": self.interior_rule,
         }
         return html_facts(self.name, facts)
 
-    def gate(self, T_world_workpiece: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4"]:
+    def interior_plane(self, T_world_workpiece: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4"]:
         """Unit normal n, offset: a point of the robot with n @ x > offset [m] in the world must lie in the hull. n is
-        the inlet's direction; the plane lies gate_depth_m behind the point of the part that comes first along it."""
+        the inlet's direction; it lies interior_depth_m behind the point of the part that comes first along n."""
         rotate, translate = T_world_workpiece[:3, :3], T_world_workpiece[:3, 3]
         n = np.array([1.0, 0.0, 0.0]) if self.inlet_direction is None else rotate @ self.inlet_direction
         along = self.hull_vertices @ (rotate.T @ n) + translate @ n
-        return np.append(n, along.min() + self.gate_depth_m)
+        return np.append(n, along.min() + self.interior_depth_m)
 
 
 def _direction(value: object, hull: Hull, inlet: np.ndarray | None) -> Float[np.ndarray, "3"] | None:
@@ -154,7 +154,7 @@ def _direction(value: object, hull: Hull, inlet: np.ndarray | None) -> Float[np.
     return direction / np.linalg.norm(direction)
 
 
-def _told(values: Float[np.ndarray, "3"]) -> str:
+def _numbers(values: Float[np.ndarray, "3"]) -> str:
     return ", ".join(f"{value:.4g}" for value in values + 0.0)
 
 

@@ -11,7 +11,7 @@ from htcp_jax.formats import arrays
 from htcp_jax.formats.foreign import known_ending
 from htcp_jax.formats.table import read_table
 from htcp_jax.scene import duct
-from htcp_jax.scene.duct import GATE_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
+from htcp_jax.scene.duct import INTERIOR_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
 from htcp_jax.scene.mesh_points import Cover, cover
 from htcp_jax.scene.point_cloud import TEXT, Geometry, load_geometry
 from htcp_jax.scene.robot import Robot
@@ -33,7 +33,7 @@ def load_workpiece(
     inlet: Triple | Literal["auto"] | None = "auto",
     pivot: Triple = PIVOT,
     neutral_translation: Triple = NEUTRAL_TRANSLATION,
-    gate_depth_m: float = GATE_DEPTH_M,
+    interior_depth_m: float = INTERIOR_DEPTH_M,
     interior: Literal["hull", "none"] = "hull",
     hull_tolerance_m: float | None = None,
     inlet_direction: Triple | Literal["world-x"] | None = None,
@@ -91,7 +91,7 @@ def load_workpiece(
         inlet,
         pivot,
         neutral_translation,
-        gate_depth_m,
+        interior_depth_m,
         interior,
         hull_tolerance_m,
         inlet_direction,

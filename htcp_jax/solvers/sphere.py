@@ -160,19 +160,19 @@ def _tangent_step(sphere: Sphere, climb: _Climb) -> tuple[Direction, Float[Array
     w, value, gradient, multipliers, radius = climb.w, climb.value, climb.gradient, climb.multipliers, climb.radius
     dimension = w.shape[0]
     tangent = null_basis(w[None, :])
-    bend = jnp.sum(multipliers * product(gradient, w)) * jnp.eye(dimension - 1) + product(
+    hessian = jnp.sum(multipliers * product(gradient, w)) * jnp.eye(dimension - 1) + product(
         tangent.T, product(sphere.curvature, tangent)
     )
     # Where the objective bends upwards the QP is held convex (Gershgorin); its rows and the box bound the step.
-    disc = jnp.diag(bend) - (jnp.sum(jnp.abs(bend), axis=1) - jnp.abs(jnp.diag(bend)))
-    lift = jnp.maximum(1e-3 - jnp.min(disc), 0.0)
-    H = jnp.pad(bend + lift * jnp.eye(dimension - 1), (0, 1))
+    disc = jnp.diag(hessian) - (jnp.sum(jnp.abs(hessian), axis=1) - jnp.abs(jnp.diag(hessian)))
+    regularisation = jnp.maximum(1e-3 - jnp.min(disc), 0.0)
+    H = jnp.pad(hessian + regularisation * jnp.eye(dimension - 1), (0, 1))
     box = jnp.eye(dimension)[:-1]
     rows = jnp.concatenate([-product(gradient, tangent), product(sphere.G, tangent)])
     rise = jnp.concatenate([jnp.ones(value.shape), jnp.zeros(sphere.h.shape)])
     G = jnp.concatenate([jnp.concatenate([rows, rise[:, None]], axis=1), box, -box])
-    room = jnp.maximum(sphere.h - product(sphere.G, w), 0.0)
-    h = jnp.concatenate([value - jnp.min(value), room, jnp.full(2 * (dimension - 1), 1.0) * radius])
+    slack = jnp.maximum(sphere.h - product(sphere.G, w), 0.0)
+    h = jnp.concatenate([value - jnp.min(value), slack, jnp.full(2 * (dimension - 1), 1.0) * radius])
     solution = solve_dense(H, -jnp.eye(dimension)[-1], G, h)
     return product(tangent, solution.y[:-1]), solution.multipliers[: value.shape[0]], solution.y[-1]
 
@@ -206,23 +206,23 @@ def interior_point(sphere: Sphere, seen: Held, iterations: int = 24) -> Best:
 
     def barrier(w, values, mu):
         t = _epigraph(values, mu)
-        room = jnp.maximum(sphere.h - product(sphere.G, w), 1e-12)
-        return t + mu * (jnp.sum(jnp.log(values - t)) + jnp.sum(jnp.log(room)))
+        slack = jnp.maximum(sphere.h - product(sphere.G, w), 1e-12)
+        return t + mu * (jnp.sum(jnp.log(values - t)) + jnp.sum(jnp.log(slack)))
 
     def newton(w, values, gradient, mu):
         tangent = null_basis(w[None, :])
         t = _epigraph(values, mu)
         weight = mu / (values - t)  # sums to 1
-        room = jnp.maximum(sphere.h - product(sphere.G, w), 1e-12)
-        pull = product(weight, gradient) - product(mu / room, sphere.G)
+        slack = jnp.maximum(sphere.h - product(sphere.G, w), 1e-12)
+        pull = product(weight, gradient) - product(mu / slack, sphere.G)
         across = gradient - product(weight, gradient)[None, :]
         # d2(-barrier): the bodies' trade-off (t moves with the weighted mean), the limits, the sphere, J1.
         stiff = product(across.T, (weight / (values - t))[:, None] * across)
-        stiff = stiff + product(sphere.G.T, (mu / room**2)[:, None] * sphere.G) + sphere.curvature
-        bend = product(tangent.T, product(stiff, tangent)) + jnp.maximum(product(pull, w), 1e-3) * jnp.eye(
+        stiff = stiff + product(sphere.G.T, (mu / slack**2)[:, None] * sphere.G) + sphere.curvature
+        hessian = product(tangent.T, product(stiff, tangent)) + jnp.maximum(product(pull, w), 1e-3) * jnp.eye(
             dimension - 1
         )
-        step = solve_spd(bend, product(tangent.T, pull))
+        step = solve_spd(hessian, product(tangent.T, pull))
         return product(tangent, step * jnp.minimum(1.0, 0.5 / jnp.maximum(safe_norm(step), 1e-12)))
 
     def body(count, state):

@@ -8,7 +8,7 @@ A method fails when
 - its largest TCP error or its smallest clearance is worse than the baseline's by more than is allowed;
 - the run lacks it, one of its scenarios, or one of these figures.
 
-What is better passes and is told, so that somebody blesses it.
+What is better passes and is listed, so that somebody blesses it.
 """
 
 from collections.abc import Callable
@@ -86,10 +86,10 @@ def judge(run: Run, baseline: Baseline, progress: Callable[[int, int], None] | N
 
     Raises InputError when the baseline is of another sweep or configuration: there is nothing to compare then.
     """
-    if told := differences(baseline.planned, planned(run.manifest)):
-        more = f" (and {len(told) - 1} more)" if told[1:] else ""
+    if differing := differences(baseline.planned, planned(run.manifest)):
+        more = f" (and {len(differing) - 1} more)" if differing[1:] else ""
         raise InputError(
-            f"{run.folder} was not planned as the baseline was: {told[0]}{more}; where that is meant, --bless a new one"
+            f"{run.folder} was not planned as the baseline was: {differing[0]}{more}; where that is meant, --bless"
         )
     elsewhere = _elsewhere(run, baseline)
     allow = baseline.allow.elsewhere if elsewhere else baseline.allow.here
@@ -99,7 +99,7 @@ def judge(run: Run, baseline: Baseline, progress: Callable[[int, int], None] | N
     for method, was in baseline.methods.items():
         own = [] if (now := found.methods.get(method)) is None else _changed(method, was, now)
         wrong = ["missing"] if now is None else _shortfalls(baseline, found, method, own, allow)
-        failures += [f"{method}: {sentence}" for sentence in wrong]
+        failures += [f"{method}: {line}" for line in wrong]
         changed += own
         rows.append(_row(baseline, found, method, own, "FAILED" if wrong else "better" if _better(own) else "ok"))
     if baseline.reachability is not None:

@@ -102,17 +102,17 @@ class AtTargets(NamedTuple):
     outside: Float[np.ndarray, "n E"]  # NaN where the hull does not matter
 
 
-class Scene:
-    """An arm beside a wall that stands at x_world = rotate @ x + translate. Beyond the gate, which is `gate_depth_m`
-    behind where the wall begins along its direction, the ends of all axes must lie in the hull; unless the arm itself
-    stands beyond it. Along the world's x the rule holds wherever the arm stands."""
+class CheckedScene:
+    """An arm beside a wall that stands at x_world = rotate @ x + translate. Beyond `interior_depth_m` behind where the
+    wall begins along its direction, the ends of all axes must lie in the hull; unless the arm itself stands beyond it.
+    Along the world's x the rule holds wherever the arm stands."""
 
-    def __init__(self, arm: Arm, wall: Wall, rotate: np.ndarray, translate: np.ndarray, gate_depth_m: float):
+    def __init__(self, arm: Arm, wall: Wall, rotate: np.ndarray, translate: np.ndarray, interior_depth_m: float):
         self.arm, self.wall, self.rotate, self.translate = arm, wall, rotate, translate
         self.along = np.array([1.0, 0.0, 0.0]) if wall.direction is None else rotate @ wall.direction
-        self.gate = ((wall.corners @ rotate.T + translate) @ self.along).min() + gate_depth_m
-        if wall.direction is not None and (arm.base @ self.along > self.gate).any():
-            self.gate = np.inf
+        self.interior_from = ((wall.corners @ rotate.T + translate) @ self.along).min() + interior_depth_m
+        if wall.direction is not None and (arm.base @ self.along > self.interior_from).any():
+            self.interior_from = np.inf
 
     def at(self, x: Float[np.ndarray, "n N"]) -> AtTargets:
         """The clearance of every configuration."""
@@ -124,7 +124,7 @@ class Scene:
         kept = pieces.only(self._may_hold(pieces, distance, upper))
         clearance = self._measured(x, postures, kept, upper)
         ends = np.concatenate([postures.p, postures.q], axis=1)
-        outside = self._outside(ends, ends @ self.along > self.gate)
+        outside = self._outside(ends, ends @ self.along > self.interior_from)
         each = len(x), len(pieces.row) // len(x)
         return AtTargets(
             postures, _worse(clearance, outside), samples.reshape(*each, 3), distance.reshape(each), ends, outside
@@ -147,7 +147,7 @@ class Scene:
         clearance = self._measured(x, postures, kept, upper)
         ends = np.concatenate([postures.p, postures.q], axis=1)
         proven = [known.outside[b] + np.linalg.norm(ends - known.ends[b], axis=2) < 0 for b in (a, a + 1)]
-        outside = self._outside(ends, (ends @ self.along > self.gate) & ~proven[0] & ~proven[1])
+        outside = self._outside(ends, (ends @ self.along > self.interior_from) & ~proven[0] & ~proven[1])
         clearance = _worse(clearance, outside)
         return postures.tcp, np.where(clearance <= below, clearance, np.inf)
 

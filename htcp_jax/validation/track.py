@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from htcp_jax.errors import InputError
 from htcp_jax.runs.parameters import of_job
 from htcp_jax.validation.mujoco_arm import Arm, Postures
-from htcp_jax.validation.mujoco_clearance import AtTargets, Scene, Wall
+from htcp_jax.validation.mujoco_clearance import AtTargets, CheckedScene, Wall
 from htcp_jax.validation.result import RECORD_M, ROUNDING_M, STEP_RAD, Refuted
 from htcp_jax.validation.scene_rules import Results, Track, targets_of, turned_and_moved
 
@@ -74,7 +74,7 @@ def check(results: Results, arm: Arm, wall: Wall, track: Track, between: int) ->
     )
 
 
-def _scene(results: Results, arm: Arm, wall: Wall, track: Track) -> tuple[Scene, Float[np.ndarray, "T 3"]]:
+def _scene(results: Results, arm: Arm, wall: Wall, track: Track) -> tuple[CheckedScene, Float[np.ndarray, "T 3"]]:
     """The arm beside the wall as the track has it, and its targets."""
     part, pose, workpiece = track.config.workpiece, of_job(track.config), results.workpiece(track.config)
     rotate, translate = turned_and_moved(part, pose)
@@ -86,17 +86,17 @@ def _scene(results: Results, arm: Arm, wall: Wall, track: Track) -> tuple[Scene,
             f"{results.folder}: scenario {track.scenario} has {len(track.target)} targets on record, "
             f"{len(targets)} by its configuration"
         )
-    return Scene(arm, wall, rotate, translate, part.gate_depth_m), targets
+    return CheckedScene(arm, wall, rotate, translate, part.interior_depth_m), targets
 
 
 def _refuted(
     arm: Arm, track: Track, t: np.ndarray, tolerance_m: float, record_m: float, found: dict[str, np.ndarray]
 ) -> list[Refuted]:
-    told = {int(k): ["no configuration on record"] for k in np.setdiff1d(np.flatnonzero(track.tracked), t)}
+    reasons = {int(k): ["no configuration on record"] for k in np.setdiff1d(np.flatnonzero(track.tracked), t)}
     for k, target in enumerate(t.tolist()):
         own = {name: float(values[k]) for name, values in found.items()}
-        told[target] = _reasons(arm, tolerance_m, record_m, track.x[target], float(track.clearance[target]), own)
-    return [Refuted(track.method, track.scenario, k, "; ".join(told[k])) for k in sorted(told) if told[k]]
+        reasons[target] = _reasons(arm, tolerance_m, record_m, track.x[target], float(track.clearance[target]), own)
+    return [Refuted(track.method, track.scenario, k, "; ".join(reasons[k])) for k in sorted(reasons) if reasons[k]]
 
 
 def _off(difference: np.ndarray) -> np.ndarray:
@@ -126,7 +126,13 @@ def _reasons(
 
 
 def _walk(
-    scene: Scene, at: AtTargets, x: np.ndarray, first: np.ndarray, targets: np.ndarray, t: np.ndarray, between: int
+    scene: CheckedScene,
+    at: AtTargets,
+    x: np.ndarray,
+    first: np.ndarray,
+    targets: np.ndarray,
+    t: np.ndarray,
+    between: int,
 ) -> dict[str, Any]:
     """Along the joint paths from the rows `first` of x to the next ones: which of them touch, the least clearance where
     it is less than at all of these rows, and how far the TCP leaves the line of its targets."""

@@ -8,7 +8,7 @@ At the targets every tracked configuration must reach its target, be clear, keep
 clearance, TCP and target on record; one that does not is refuted. The clearance
 to a mesh is to its triangles, and what is on record must be a bound on it from below; where the job asks for it, the
 tool's bare tip must not go through them. Between the targets the straight joint path is walked
-in small steps. What is found there refutes nothing, because no target is there: it is counted and told.
+in small steps. What is found there refutes nothing, because no target is there: it is counted and recorded.
 """
 
 import json
@@ -34,7 +34,7 @@ from htcp_jax.validation.result import MethodCheck, Place, Validation
 from htcp_jax.validation.scene_rules import Results, Track
 from htcp_jax.validation.track import Checked, check
 
-TOLD = 100  # refuted configurations that are told one by one
+LISTED = 100  # refuted configurations that are listed one by one
 
 
 def validate(
@@ -77,7 +77,7 @@ def validate(
 
 def record(found: Validation) -> dict[str, Any]:
     """A validation as JSON has it."""
-    refuted = [one._asdict() for one in found.refuted[:TOLD]]
+    refuted = [one._asdict() for one in found.refuted[:LISTED]]
     versions = {"mujoco": mujoco.__version__, "scipy": scipy.__version__, "numpy": np.__version__}
     return {
         **found._asdict(),
@@ -93,34 +93,34 @@ def write_validation(folder: Path, found: Validation) -> None:
 
     A stronger validation of the very same results stays, and a warning says so: one that looked at more places between
     the targets, whatever the feed rate. Raises InputError when the folder cannot be written."""
-    told = record(found)
-    if _is_stronger(folder / VALIDATION, told):
+    recorded = record(found)
+    if _is_stronger(folder / VALIDATION, recorded):
         warnings.warn(
             f"{folder / VALIDATION} is kept: of the same results, it looks closer between the targets than "
             f"--between {found.between} does",
             stacklevel=2,
         )
     else:
-        write_json(folder / VALIDATION, told)
+        write_json(folder / VALIDATION, recorded)
     summary = folder / SUMMARY
     if summary.exists():
         write_json(summary, json.loads(summary.read_text(encoding="utf-8")) | {"validated": found.validated})
 
 
-def _is_stronger(file: Path, told: dict[str, Any]) -> bool:
+def _is_stronger(file: Path, recorded: dict[str, Any]) -> bool:
     """Whether the validation in `file` is of the same results, says the same of their targets, tells no less than
-    `told`, and looked at more places between the targets."""
+    `recorded`, and looked at more places between the targets."""
     try:
         known = json.loads(file.read_text(encoding="utf-8"))
-        same = all(known[key] == told[key] for key in ("files", "validated"))
-        return same and known["between"] > told["between"] and _keys(known) >= _keys(told)
+        same = all(known[key] == recorded[key] for key in ("files", "validated"))
+        return same and known["between"] > recorded["between"] and _keys(known) >= _keys(recorded)
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return False  # there is none, or it is damaged
 
 
-def _keys(told: dict[str, Any]) -> set[str]:
+def _keys(recorded: dict[str, Any]) -> set[str]:
     """What a validation tells, of all and of the methods; later programs may tell more."""
-    return {*told, *(f"{method}.{key}" for method, check in told["methods"].items() for key in check)}
+    return {*recorded, *(f"{method}.{key}" for method, check in recorded["methods"].items() for key in check)}
 
 
 def _arm(arms: dict[RobotConfig, Arm], results: Results, track: Track) -> Arm:

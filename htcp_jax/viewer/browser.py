@@ -276,7 +276,7 @@ def _facts(replay: Replay, target: int) -> str:
     status = Status(int(replay.status[target]))
     what = f"**Target {target}** {status.message}"
     if target == replay.failed and replay.obstruction is not None:
-        return f"{what}.\n\nBrought there all the same, as shown: {replay.obstruction.sentence}."
+        return f"{what}.\n\nBrought there all the same, as shown: {replay.obstruction.description}."
     if not status.tracked:
         return f"{what}.\n\nThe arm is shown where it came to before."
     clearance, error = 1e3 * replay.clearance[target], 1e3 * replay.residual[target]

@@ -73,7 +73,7 @@ class Stage:
             self._around.points = replay.cloud[there].astype(np.float32)
             distance = 1e3 * replay.clearance[target]
             near = "" if np.isnan(distance) else f"{distance:.3g} mm"
-            self._label.text = near if blocked is None else blocked.sentence
+            self._label.text = near if blocked is None else blocked.description
 
     @property
     def arm_positions(self) -> Float[np.ndarray, "K1 3"]:

@@ -46,8 +46,8 @@ def draw_plan(
     T = np.asarray(scenario.T_world_workpiece)
     cloud = workpiece.cloud @ T[:3, :3].T + T[:3, 3]
     _draw_scene(figure, grid, robot, cloud, plans, row, np.asarray(scenario.x_start)[None], obstruction)
-    told = obstruction.sentence if obstruction is not None else ""
-    _draw_clearance(figure.add_subplot(grid[1, :]), plans, row, float(scenario.margin_m), told)
+    in_the_way = obstruction.description if obstruction is not None else ""
+    _draw_clearance(figure.add_subplot(grid[1, :]), plans, row, float(scenario.margin_m), in_the_way)
     return figure
 
 
@@ -164,8 +164,8 @@ def _frame(axes: Axes, around: Float[np.ndarray, "P 2"] | None) -> None:
         axes.axhline(0, color=INK, linewidth=1, alpha=0.5, zorder=0)
     else:
         low, high = around.min(axis=0), around.max(axis=0)
-        room = 0.05 * (high - low).max()
-        axes.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room))
+        border = 0.05 * (high - low).max()
+        axes.set(xlim=(low[0] - border, high[0] + border), ylim=(low[1] - border, high[1] + border))
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     length = 10.0 ** np.floor(np.log10((right - left) / 2))
     y = top - 0.03 * (top - bottom)
@@ -185,13 +185,13 @@ def _heading(axes: Axes, text: str) -> None:
     axes.set_title(text, color=INK, fontsize=12, loc="left")
 
 
-def _draw_failure(axes: Axes, end: Outcome, targets: int, told: str) -> None:
+def _draw_failure(axes: Axes, end: Outcome, targets: int, in_the_way: str) -> None:
     """A line at the failed target, its reason where there is more room, grey where nothing was attempted."""
     axes.axvspan(end.failed + 0.5, targets, color="#eef0f2", linewidth=0, zorder=0)
     axes.axvline(end.failed, color=FAILED, linewidth=1.2, zorder=1)
     side, align = (-7, "right") if end.failed > targets / 2 else (7, "left")
     axes.annotate(
-        "\n".join(filter(None, (f"target {end.failed}: {end.status.message}", told))),
+        "\n".join(filter(None, (f"target {end.failed}: {end.status.message}", in_the_way))),
         (end.failed, 1.0),
         (side, -7),
         xycoords=("data", "axes fraction"),
@@ -203,7 +203,7 @@ def _draw_failure(axes: Axes, end: Outcome, targets: int, told: str) -> None:
     )
 
 
-def _draw_clearance(axes: Axes, plans: Plans, row: int, margin_m: float, told: str) -> None:
+def _draw_clearance(axes: Axes, plans: Plans, row: int, margin_m: float, in_the_way: str) -> None:
     """Clearance over target index, on a logarithmic scale: what matters happens where it is smallest."""
     status, clearance_mm = plans.status[row], 1e3 * plans.clearance[row]
     index = np.arange(len(status))
@@ -218,7 +218,7 @@ def _draw_clearance(axes: Axes, plans: Plans, row: int, margin_m: float, told: s
         style = {"color": INK, "linewidth": 0.9, "linestyle": "--", "zorder": 1}
         axes.axhline(1e3 * margin_m, label="margin asked for", **style)
     if (end := plans.outcome(row)).failed is not None:
-        _draw_failure(axes, end, len(status), told)
+        _draw_failure(axes, end, len(status), in_the_way)
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.set_xlim(-1, len(status))
     axes.set_xlabel("target", color=INK)

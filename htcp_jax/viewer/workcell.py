@@ -16,7 +16,7 @@ from htcp_jax.runs.open import FolderPlan, PlanSet
 from htcp_jax.runs.parameters import Parameters
 from htcp_jax.runs.plan_folder import TRAJECTORY
 from htcp_jax.scene.robot import Robot
-from htcp_jax.scene.scenario import Scenario, gate_of
+from htcp_jax.scene.scenario import Scenario, interior_plane_of
 from htcp_jax.scene.surface import Surface, surface_of
 from htcp_jax.scene.workpiece import Workpiece
 
@@ -27,7 +27,7 @@ class Placement(NamedTuple):
     """Where one scenario has the workpiece and the TCP: what `clearance.Posed` asks for, and the tool's length."""
 
     T_world_workpiece: Float[np.ndarray, "4 4"]
-    gate: Float[np.ndarray, "4"]
+    interior_plane: Float[np.ndarray, "4"]
     tool_extension_m: float
 
 
@@ -89,8 +89,8 @@ class GivenCell:
     """One workcell in memory, at one placement for all scenarios; it is asked as `RecordedCells` are."""
 
     def __init__(self, cell: Workcell, scenario: Scenario):
-        T, gate = np.asarray(scenario.T_world_workpiece), np.asarray(scenario.gate)
-        self._cell, self._placement = cell, Placement(T, gate, float(scenario.tool_extension_m))
+        T, plane = np.asarray(scenario.T_world_workpiece), np.asarray(scenario.interior_plane)
+        self._cell, self._placement = cell, Placement(T, plane, float(scenario.tool_extension_m))
 
     def key(self, number: int) -> Hashable:
         """The same for all."""
@@ -131,4 +131,4 @@ def _shared(job: PlanConfig) -> tuple:
 def _placement(robot: Robot, workpiece: Workpiece, given: Parameters) -> Placement:
     turn = given.rotation_y_rad, given.rotation_z_rad
     T = workpiece.T_world(*turn, tuple(given.shift_m.tolist()), given.rotation_x_rad)
-    return Placement(T, gate_of(robot, workpiece, T), given.tool_extension_m)
+    return Placement(T, interior_plane_of(robot, workpiece, T), given.tool_extension_m)

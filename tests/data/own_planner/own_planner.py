@@ -40,7 +40,7 @@ class RandomRestarts:
 
     name: str = "random-restarts"
     title: str = "Random restarts"
-    sentence: str = "inverse kinematics from 64 random neighbours at every target, no step QPs"
+    description: str = "inverse kinematics from 64 random neighbours at every target, no step QPs"
 
     def plan(self, problem: Problem) -> Plans:
         """One scenario after the other, on one device, by one thread."""
