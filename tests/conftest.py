@@ -1,5 +1,7 @@
 """Strict JAX for every test: ranks are never promoted in silence; compiled programs are kept between runs."""
 
+import signal
+
 import hypothesis
 import jax
 import pytest
@@ -10,6 +12,8 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 compile_cache.enable()
 hypothesis.settings.register_profile("patient", deadline=None)  # no test depends on how busy the machine is
 hypothesis.settings.load_profile("patient")
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # in the background of a script, whose children would inherit it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(autouse=True, scope="module")
