@@ -80,18 +80,18 @@ def obstructions(
     lanes = (where, np.asarray(x_last, float), np.asarray(targets, float))
     task = Task(tolerance_m=settings.tolerance_m)
     look, scene = _program(width), Scene(robot, obstacles, task)
-    obstructions = []
+    measured = []
     for first in range(0, len(x_last), capacity):
         count = min(capacity, len(x_last) - first)
         rows = first + np.arange(capacity) % count
         chunks = np.int32(-(-count // width))
         found = look(scene, chunks, *jax.tree.map(lambda leaf, rows=rows: np.asarray(leaf)[rows], lanes))
-        obstructions += zip(*(np.asarray(leaf)[:count] for leaf in found), strict=True)
+        measured += zip(*(np.asarray(leaf)[:count] for leaf in found), strict=True)
     return [
         Obstruction(
             robot.capsule_names[int(body)], point, float(depth), float(off), bool(task.reached(np.asarray(off))), x
         )
-        for body, point, depth, off, x in obstructions
+        for body, point, depth, off, x in measured
     ]
 
 

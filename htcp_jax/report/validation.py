@@ -75,9 +75,9 @@ def summary(found: dict[str, Any]) -> str:
     checks = found["methods"].values()
     checked, touching, paths = (sum(check[k] or 0 for check in checks) for k in ("checked", "paths_touching", "paths"))
     refuted = int(found["refuted_count"])
-    verdict = "Validated: MuJoCo refutes none" if found["validated"] else f"Not valid: MuJoCo refutes {refuted:,}"
+    outcome = "Validated: MuJoCo refutes none" if found["validated"] else f"Not valid: MuJoCo refutes {refuted:,}"
     between = f"; {touching:,} of the {paths:,} joint paths between them touch" if found["between"] else ""
-    return f"{verdict} of {checked:,} tracked targets{between}."
+    return f"{outcome} of {checked:,} tracked targets{between}."
 
 
 def validation_tables(found: dict[str, Any]) -> tuple[Table, Table]:

@@ -89,7 +89,8 @@ def judge(run: Run, baseline: Baseline, progress: Callable[[int, int], None] | N
     if differing := differences(baseline.planned, planned(run.manifest)):
         more = f" (and {len(differing) - 1} more)" if differing[1:] else ""
         raise InputError(
-            f"{run.folder} was not planned as the baseline was: {differing[0]}{more}; where that is meant, --bless"
+            f"{run.folder} was not planned as the baseline was: {differing[0]}{more}; "
+            "where that is meant, --bless a new one"
         )
     elsewhere = _elsewhere(run, baseline)
     allow = baseline.allow.elsewhere if elsewhere else baseline.allow.here
