@@ -1,5 +1,7 @@
 """The front of a roadmap: what is kept at a target is far apart and the best there is, and a way costs what it is."""
 
+from itertools import pairwise
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -37,7 +39,7 @@ def is_better(one, other, among):
 def test_the_best_has_the_fewest_dwells_and_then_the_least_cost(nodes):
     ranked = best_first(iter(nodes))
     assert len(ranked) == len(nodes) and {id(one) for one in ranked} == {id(one) for one in nodes}
-    for one, other in zip(ranked, ranked[1:], strict=False):
+    for one, other in pairwise(ranked):
         assert is_better(one, other, nodes)  # of equals the one found first
 
 
@@ -52,7 +54,7 @@ def test_of_close_postures_the_best_is_kept_and_all_that_are_kept_are_apart(node
         assert one in kept or away(one, better + known) < apart
 
 
-@given(some_nodes(), st.floats(0.0, 0.5), st.integers(1, 6))
+@given(some_nodes(), st.floats(0.01, 0.5), st.integers(1, 6))
 def test_where_there_are_too_many_those_far_from_each_other_are_kept(nodes, apart, most):
     """Farthest-point selection: none that is left out is further from those kept than these are from each other. The
     best is among them."""
@@ -87,4 +89,4 @@ def test_a_way_costs_the_squares_of_its_steps_and_has_the_dwells_of_its_parts(st
         assert here.dwells == dwells
     chain = list(here.ancestors())
     assert len(chain) == len(legs) + 1 and chain[0] is here and chain[-1].parent is None
-    assert all(child.parent is parent for child, parent in zip(chain, chain[1:], strict=False))
+    assert all(child.parent is parent for child, parent in pairwise(chain))

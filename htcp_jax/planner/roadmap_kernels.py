@@ -22,7 +22,7 @@ from htcp_jax.settings import Settings
 from htcp_jax.solvers.active_set import solve_step
 from htcp_jax.solvers.step_qp import QPStatus, assemble
 
-ENOUGH = 0.9  # of the clearance aimed at
+ENOUGH = 0.9  # of what is aimed at above the margin
 PATIENCE = 6  # step QPs that aim high, before they aim low
 LEAST_STEP = 0.3  # of a walk's step; a shorter one is held by the joint limits
 
@@ -65,13 +65,13 @@ def feed(settings: Settings, scene: Scene, lane: LaneInputs, x, tube: Tube) -> F
     else by step QPs, which aim as high at first, and in the end at what must be kept."""
     scene = own_scene(scene, lane.tool_extension_m)
     robot, task = scene.robot, scene.task
-    aims = lane.margin_m + jnp.array([settings.front_aim_m, settings.aim_above_m])
-
+    above = jnp.array([settings.front_aim_m, settings.aim_above_m])
+    aims, enough = lane.margin_m + above, lane.margin_m + ENOUGH * above
     measured = partial(_posture, scene, lane)
 
     def going(state):
         here, aim, count = state
-        there = (here.residual <= task.fine_m) & (here.clearance >= ENOUGH * aims[jnp.minimum(aim, 1)])
+        there = (here.residual <= task.fine_m) & (here.clearance >= enough[jnp.minimum(aim, 1)])
         return ~there & (aim < 2) & (count < settings.max_step_qps)
 
     def step(state):
@@ -89,7 +89,7 @@ def feed(settings: Settings, scene: Scene, lane: LaneInputs, x, tube: Tube) -> F
         return there, jnp.where(lost, aim + 1, aim), count + 1
 
     straight = measured(reanchor(robot, x, lane.target, task.fine_m, task=task)[0])
-    good = task.reached(straight.residual) & (straight.clearance >= ENOUGH * aims[0])
+    good = task.reached(straight.residual) & (straight.clearance >= enough[0])
     first = straight._replace(x=jnp.where(good, straight.x, x), residual=jnp.where(good, 0.0, jnp.inf))
     zero = jnp.zeros((), jnp.int32)
     here, _, count = jax.lax.while_loop(going, step, (first, zero, zero))
