@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
-from sphere_references import place
+from sphere_references import Where, place
 from test_joint_path import rail
 
 from htcp_jax.clearance.motion_bound import tcp_bend_bound
@@ -160,6 +160,26 @@ def test_what_touches_its_tube_all_along_is_open():
     assert proof.verdict == Verdict.OPEN
     assert proof_of(where, start, start, line._replace(radius=jnp.asarray(0.26))).verdict == Verdict.PROVEN
     assert proof_of(where, start, start, line._replace(radius=jnp.asarray(0.24))).verdict == Verdict.LEAVES
+
+
+@pytest.mark.parametrize("turn", [0.3, 1.5, 1.65, 2.5])
+def test_a_turn_of_the_base_leaves_its_tangent_and_turns_back_where_a_circle_does(turn):
+    """By that much either way, far from any workpiece. In the middle the TCP is on the line, and advances; at the ends
+    it is off it by r (1 - cos turn), and beyond a right angle it comes back."""
+    where, start, first = (
+        Where(jnp.eye(4).at[:3, 3].set(1e3), jnp.array([1.0, 0, 0, jnp.inf])),
+        made_once.START,
+        np.eye(6)[0],
+    )
+    here, (r, h) = tcp(start), (np.hypot(*tcp(start)[:2]), 1e-6)
+    forwards = (tcp(start + h * first) - tcp(start - h * first)) / (2 * h * r)
+    off = r * (1 - np.cos(turn))
+    for radius, verdict in ((0.999 * off, Verdict.LEAVES), (1.001 * off, Verdict.PROVEN), (10 * r, Verdict.PROVEN)):
+        around = tube(here - 2 * r * forwards, here + 2 * r * forwards, radius)
+        proof = proof_of(where, jnp.asarray(start - turn * first), jnp.asarray(start + turn * first), around)
+        beyond = turn > np.pi / 2
+        assert proof.verdict in ({Verdict.TURNS_BACK, Verdict.LEAVES} if beyond else {verdict})
+        assert proof.verdict != Verdict.LEAVES or verdict == Verdict.LEAVES
 
 
 def test_with_an_infinite_radius_the_tcp_may_be_anywhere():

@@ -309,6 +309,15 @@ def test_a_tool_that_goes_backwards_is_no_motion():
     ends(judged(one, x=with_posture(20, posture_at(20, point))), 20, Way.TURNS_BACK)
 
 
+def test_at_a_point_that_is_met_twice_the_tool_may_go_any_way():
+    one, targets = example()[0], example()[0].targets.copy()
+    line = (targets[20] - targets[19]) / np.linalg.norm(targets[20] - targets[19])
+    behind = with_posture(20, posture_at(20, targets[19] - 5e-4 * line))
+    for apart, verdict in ((0.0, Way.PROVEN), (1e-9, Way.PROVEN), (1e-4, Way.TURNS_BACK)):
+        targets[20] = targets[19] + apart * line
+        assert judged(replace(one, targets=targets.copy()), x=behind).way[0, 20] == verdict
+
+
 @pytest.mark.parametrize("target", [0, 5, 20])
 def test_an_arm_that_touches_on_its_way_is_no_motion(target):
     """There and back within one row, so that the places of the targets themselves are clear."""

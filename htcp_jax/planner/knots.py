@@ -20,7 +20,7 @@ class Knots(NamedTuple):
         return cls(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros((0, joints)))
 
     @classmethod
-    def of(cls, ways: Sequence[tuple[int, int, Float[np.ndarray, "k N"]]], joints: int) -> "Knots":
+    def of(cls, ways: Sequence[tuple[int, int, Float[np.ndarray, "_ N"]]], joints: int) -> "Knots":
         """Of (scenario, target, postures), in any order."""
         if not ways:
             return cls.none(joints)
@@ -37,8 +37,8 @@ class Knots(NamedTuple):
 
     def rows(self, which: Int[np.ndarray, "R"]) -> "Knots":
         """Those of some scenarios, by their rows; they are numbered as they are asked for."""
-        if not len(self.scenario):
-            return self
+        if not len(self.scenario) or not len(which):
+            return Knots.none(self.x.shape[1])
         found = [(new, np.flatnonzero(self.scenario == old)) for new, old in enumerate(which.tolist())]
         picked = np.concatenate([rows for _, rows in found]).astype(int)
         numbers = np.repeat([new for new, _ in found], [len(rows) for _, rows in found])

@@ -61,10 +61,12 @@ def judge_motions(problem: Problem, plans: Plans) -> None:
         block[going, first : first + ROWS_AT_ONCE] = True
         segments = _segments(plans, block & np.logical_and.accumulate(plans.tracked, axis=1))
         if not len(segments.target):
-            return
+            break
         _record(plans, segments, _proofs(problem, segments))
         last = min(first + ROWS_AT_ONCE, plans.status.shape[1]) - 1
         going = going[plans.executable[going, last]]
+    ended = np.logical_or.accumulate(plans.way != Way.PROVEN, axis=1)[:, :-1]
+    plans.way[:, 1:][ended], plans.way_clearance[:, 1:][ended] = Way.UNKNOWN, np.nan
 
 
 def _segments(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> Segments:

@@ -172,7 +172,7 @@ class Growing:
             arrived[search].append(Node(*here, int(target[k]), node, None, int(fed.step_qps[k])))
         for search, nodes in arrived.items():
             own = scenario == search.scenario
-            collides = search.target < 0 and bool((fed.at.clearance[own] <= 0).all())
+            collides = search.target < 0 and bool((fed.begun[own] <= 0).all())
             why = Status.PATH_BLOCKED if fed.reached[own].any() else Status.ESCAPE_EXHAUSTED
             self._failure[search.scenario] = Status.START_IN_COLLISION if collides else why
             search.take_fed(nodes, self._failure[search.scenario])

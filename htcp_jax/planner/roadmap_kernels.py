@@ -45,6 +45,7 @@ def _posture(scene: Scene, lane: LaneInputs, x) -> Posture:
 class Fed(NamedTuple):
     """A lane at its next target."""
 
+    begun: jax.Array  # D where it was [m]
     at: Posture
     reached: jax.Array  # whether it counts there
     proof: Proof  # of the way there
@@ -97,7 +98,7 @@ def feed(settings: Settings, scene: Scene, lane: LaneInputs, x, tube: Tube) -> F
     reached = task.counts(here.clearance, here.residual, lane.margin_m)
     anywhere = tube._replace(radius=jnp.where(reached, tube.radius, jnp.inf))
     proof = prove(scene, lane, x, jnp.where(reached, here.x, x), anywhere)
-    return Fed(here, reached, proof, count)
+    return Fed(clearance(robot, scene.obstacles, lane, x), here, reached, proof, count)
 
 
 def walk(settings: Settings, scene: Scene, lane: LaneInputs, x, walker, tube: Tube) -> Walked:
@@ -131,7 +132,8 @@ def walk(settings: Settings, scene: Scene, lane: LaneInputs, x, walker, tube: Tu
         return good, direction, jax.tree.map(lambda new, old: jnp.where(good, new, old), new, walked)
 
     zero = jnp.zeros((), jnp.int32)
-    start = Walked(_posture(scene, lane, x), jnp.zeros((settings.walk_steps, x.shape[0])), zero, zero)
+    here = Posture(x, jnp.zeros(()), jnp.zeros(()), jnp.zeros(3))  # measured where a step was taken
+    start = Walked(here, jnp.zeros((settings.walk_steps, x.shape[0])), zero, zero)
     return jax.lax.while_loop(going, step, (jnp.full((), True), first, start))[2]
 
 
