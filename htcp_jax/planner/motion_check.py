@@ -59,9 +59,10 @@ def judge_motions(problem: Problem, plans: Plans) -> None:
     for first in range(0, plans.status.shape[1], ROWS_AT_ONCE):
         block = np.zeros_like(plans.tracked)
         block[going, first : first + ROWS_AT_ONCE] = True
-        segments = _segments(plans, block & np.logical_and.accumulate(plans.tracked, axis=1))
-        if not len(segments.target):
+        block &= np.logical_and.accumulate(plans.tracked, axis=1)
+        if not block.any():
             break
+        segments = _segments(plans, block)
         _record(plans, segments, _proofs(problem, segments))
         last = min(first + ROWS_AT_ONCE, plans.status.shape[1]) - 1
         going = going[plans.executable[going, last]]
@@ -81,12 +82,7 @@ def _segments(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> Segments:
         count = len(way) - 1
         turns = np.arange(count) < count - 1
         parts.append(Segments(np.full(count, scenario), np.full(count, target), way[:-1], way[1:], turns))
-    return Segments(*(np.concatenate(column) for column in zip(*parts, strict=True))) if parts else _no_segments(plans)
-
-
-def _no_segments(plans: Plans) -> Segments:
-    none, joints = np.zeros(0, int), np.zeros((0, plans.x.shape[2]))
-    return Segments(none, none, joints, joints, none.astype(bool))
+    return Segments(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def _proofs(problem: Problem, segments: Segments) -> Proof:
