@@ -78,6 +78,7 @@ class Plan:
             **self._distances(),
             "escapes": str(s.after_escape),
             "joint paths": self._joint_paths(),
+            "executable": self._motion(),
             "walls": self.workpiece.walls,
             "interior": interior_rule(self.workpiece, self.scenario),
         }
@@ -97,7 +98,16 @@ class Plan:
         text = f"{end.blocked_paths} blocked of {end.tracked}"
         if end.tracked and (turn := self.plans.joint_step[0, 0]) > NOTABLE_RAD:
             text += f"; the first leaves the start by {turn:.2f} rad"
-        return f"{text}, the first to target {end.drivable}" if end.blocked_paths else text
+        return text
+
+    def _motion(self) -> str:
+        """How far a proven motion leads."""
+        end = self.outcome
+        text = f"{end.executable} of {end.targets} targets"
+        if end.executable < end.tracked:
+            return f"{text}; to target {end.executable}: {end.way.message}"
+        clear = self.plans.way_clearance[0, : end.executable]
+        return f"{text}, {1e3 * float(clear.min()):.3g} mm clear all along" if end.executable else text
 
     @cached_property
     def obstruction(self) -> Obstruction | None:

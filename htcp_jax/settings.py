@@ -47,10 +47,11 @@ class Settings:
     include_proximal_bodies: bool = True  # whether J2 sees the capsules far from the workpiece
     after_escape: Literal["accept", "track"] = "accept"  # Algorithm 1 accepts; the prose tracks again
 
-    # Straight joint paths between consecutive configurations
+    # Between consecutive configurations
     path_check: Literal["none", "escapes", "all"] = "all"  # which of them must be clear
     path_test: Literal["bisection", "samples"] = "bisection"  # by proof, or at the ends of `path_steps` equal steps
     path_steps: int = 20
+    path_tolerance_m: float | None = None  # how far the TCP may leave the line between targets; None: the tolerance
 
     # Sampling escapes
     samples: int = 50  # configurations or directions tried at one stuck target
@@ -66,10 +67,25 @@ class Settings:
     keep_clear_m: float = 0.02
     keep_clear_steps: int = 5
 
+    # Roadmap
+    front: int = 64  # most postures kept at one target
+    thin_front: int = 32  # with fewer, the front is spread by walks
+    front_apart_rad: float = 0.12  # closer postures are one
+    front_aim_m: float = 5e-3  # how far above the margin a posture is brought, where it can be
+    walks: int = 32  # of one round
+    walk_steps: int = 24  # the most of one walk
+    walk_step_rad: float = 0.05  # length of each of them
+    walk_rounds: int = 12  # at a target from which nothing leads on
+
     # Hybrid
     restart_rounds: int = 9  # rounds of draws for a posture at a lost target that leads back to the first
 
     seed: int = 0  # every scenario's random key is folded from it
+
+    @property
+    def tube_m(self) -> float:
+        """How far the TCP of a motion may be from the line between two targets [m]."""
+        return self.tolerance_m if self.path_tolerance_m is None else self.path_tolerance_m
 
     @staticmethod
     def with_new_names(values: dict[str, Any], source: str) -> dict[str, Any]:
@@ -122,10 +138,11 @@ def settings_of(values: Settings | Mapping[str, Any] | None) -> Settings:
 
 
 MOST, LARGEST_SEED = 100_000, 2**63 - 1  # of whatever is counted; of the seed
-_MAY_BE_ZERO = {"aim_above_m", "j1_weight", "keep_clear_m", "seed", "restart_rounds"}
+_MAY_BE_ZERO = {"aim_above_m", "j1_weight", "keep_clear_m", "seed", "restart_rounds", "front_aim_m"}
 # Beyond these a value is a slip of the pen or of the unit: a target "reached" within a kilometre, a step of many turns.
 _AT_MOST = {
     "q_weights": 1e6, "j1_weight": 1e6, "tolerance_m": 0.1, "aim_above_m": 1.0, "keep_clear_m": 1.0,
+    "path_tolerance_m": 0.1, "front_apart_rad": 3.0, "front_aim_m": 1.0, "walk_step_rad": 3.0, "walk_steps": 10_000,
     "qp_tolerance": 0.01, "alpha_rad": 3.0, "sample_step_rad": 3.0, "max_sample_distance_rad": 1e3,
     "max_step_qps": 10_000, "max_null_space_steps": 10_000, "path_steps": 10_000, "seed": LARGEST_SEED,
 }  # fmt: skip
@@ -139,7 +156,7 @@ def _check(name: str, value, kind) -> None:
     elif name == "qp":
         if value not in ("clarabel", "device") and not value.startswith("qpsolvers:"):
             raise InputError(f"qp is {value!r}; valid: clarabel, device, qpsolvers:<name of a solver>")
-    elif kind is not bool:
+    elif kind is not bool and value is not None:
         for number in value if isinstance(value, tuple) else (value,):
             if not math.isfinite(number) or number < 0 or (number == 0 and name not in _MAY_BE_ZERO):
                 least = "zero or more" if name in _MAY_BE_ZERO else "more than zero"

@@ -42,13 +42,41 @@ _MESSAGES = {
     Status.QP_INFEASIBLE: "the step QP has no answer that keeps clear, nears the target and heeds the limits",
     Status.ITERATION_LIMIT: "the step QPs ran out of iterations short of the target or of clearance",
     Status.ESCAPE_EXHAUSTED: "the escape found no clear configuration that reaches the target",
-    Status.PATH_BLOCKED: "every clear configuration that was found lies behind a joint path that collides",
+    Status.PATH_BLOCKED: "every clear configuration that was found lies behind a way that collides or leaves the path",
     Status.QP_FAILED: "the QP solver broke down and returned no usable answer",
     Status.NOT_ATTEMPTED: "not attempted, because an earlier target of the scenario failed",
     Status.START_IN_COLLISION: "the start is in collision, so nothing was tried",
     Status.OUT_OF_REACH: "a target is farther away than the arm is long, so nothing was tried",
     Status.NO_NULL_SPACE: "the step QPs are stuck, and the task leaves no null space to escape in",
     Status.TIP_BLOCKED: "the arm is clear there, but the bare end of the tool passes through the wall",
+}
+
+
+class Way(enum.IntEnum):
+    """What is known of the way from one row of a plan to the next, as a motion; stored as int8."""
+
+    UNKNOWN = -1
+    PROVEN = 0
+    COLLIDES = 1
+    LEAVES = 2
+    TURNS_BACK = 3
+    OPEN = 4
+    ELSEWHERE = 5
+
+    @property
+    def message(self) -> str:
+        """One sentence for a person."""
+        return _WAYS[self]
+
+
+_WAYS = {
+    Way.UNKNOWN: "nobody looked, because the motion ends before",
+    Way.PROVEN: "the arm is clear all along, and the tool keeps to its path",
+    Way.COLLIDES: "the arm touches on the way there",
+    Way.LEAVES: "the tool leaves its path on the way there",
+    Way.TURNS_BACK: "the tool turns back on the way there",
+    Way.OPEN: "the way there is too close to call",
+    Way.ELSEWHERE: "the plan does not begin at the start that was given",
 }
 
 

@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from htcp_jax.planner.knots import Knots
 from htcp_jax.planner.plans import Plans, is_tracked
-from htcp_jax.status import Status
+from htcp_jax.status import Status, Way
 
 
 def plans_with(status: list[list[Status]], joints: int = 2, run_s: float = 1.0) -> Plans:
@@ -24,6 +25,9 @@ def plans_with(status: list[list[Status]], joints: int = 2, run_s: float = 1.0) 
         joint_step=np.where(tracked, 0.25, np.nan),
         escape=(status == Status.TRACKED_AFTER_ESCAPE).astype(int),
         path_clear=np.where(tracked, 0, -1).astype(np.int8),
+        way=np.where(tracked, Way.COLLIDES, Way.UNKNOWN).astype(np.int8),
+        way_clearance=np.full(shape, np.nan),
+        knots=Knots.none(joints),
         compile_s=3.0,
         run_s=run_s,
     )

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from sphere_references import place
 
-from htcp_jax.clearance.joint_path import RESOLUTION_M, motion_bound, path_clear, proven_clear
+from htcp_jax.clearance.motion_bound import motion_bound
+from htcp_jax.clearance.motion_proof import RESOLUTION_M, path_clear, proven_clear
 from htcp_jax.clearance.obstacles import clearance
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.scene.kinematics import capsule_segments
@@ -82,7 +83,7 @@ def test_a_path_of_no_length_is_as_clear_as_its_ends():
 @pytest.mark.parametrize("model", ["gp50", "rail"])
 def test_no_point_of_a_body_moves_further_than_the_bound(model, tmp_path):
     """Random postures, turns up to half a radian, random points along the axes; hinges, and a slide."""
-    robot = made_once.robot() if model == "gp50" else load_robot(_rail(tmp_path), limits="model")
+    robot = made_once.robot() if model == "gp50" else load_robot(rail(tmp_path), limits="model")
     rng, n = np.random.default_rng(1), len(robot.slides)
     bound, ends = jax.jit(motion_bound), jax.jit(capsule_segments)
     tightest = 0.0
@@ -98,7 +99,7 @@ def test_no_point_of_a_body_moves_further_than_the_bound(model, tmp_path):
     assert tightest > 0.9  # and it is no more than it has to be
 
 
-def _rail(folder):
+def rail(folder):
     file = folder / "rail.xml"
     file.write_text("""<mujoco><worldbody><body><joint name="rail" type="slide" axis="0 1 0" range="-2 2"/>
         <geom type="capsule" fromto="0 0 0 0 0 0.4" size="0.1"/>

@@ -11,7 +11,7 @@ import pytest
 from own_obstacles import Floor, SelfPairs
 
 from htcp_jax.clearance.contact_model import hold_contacts, predict_distances
-from htcp_jax.clearance.joint_path import proven_clear
+from htcp_jax.clearance.motion_proof import proven_clear
 from htcp_jax.clearance.obstacle import Obstacle, rows_of
 from htcp_jax.clearance.obstacles import all_clear, clearance, clearance_rows, clearances, contacts, is_clear, room
 from htcp_jax.clearance.of_workpiece import make_obstacle

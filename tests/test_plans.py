@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from htcp_jax.planner.plans import ARRAYS, NO_TARGET, Outcome, Plans, is_tracked, outcomes
-from htcp_jax.status import Status
+from htcp_jax.status import Status, Way
 
 A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_ESCAPE, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
 FAILURES = [status for status in Status if not status.tracked and status is not NOT]
@@ -26,15 +26,19 @@ def scenarios(draw):
 
 @st.composite
 def some_plans(draw):
-    """Plans of a few scenarios, with joint paths that are clear, blocked or unknown."""
+    """Plans of a few scenarios, with joint paths that are clear, blocked or unknown, and with ways of all kinds."""
     plans = plans_with(draw(st.lists(scenarios(), min_size=1, max_size=4)))
-    known = draw(st.lists(st.sampled_from([-1, 0, 1]), min_size=plans.status.size, max_size=plans.status.size))
-    return plans._replace(path_clear=np.array(known, np.int8).reshape(plans.status.shape))
+    size, shape = plans.status.size, plans.status.shape
+    known = draw(st.lists(st.sampled_from([-1, 0, 1]), min_size=size, max_size=size))
+    ways = draw(st.lists(st.sampled_from([Way.PROVEN] * 6 + [*Way]), min_size=size, max_size=size))
+    path_clear, way = (np.array(codes, np.int8).reshape(shape) for codes in (known, ways))
+    return plans._replace(path_clear=path_clear, way=way)
 
 
 @given(some_plans())
 def test_an_outcome_is_what_one_reads_off_a_row(plans):
-    for s, (row, clear) in enumerate(zip(plans.status.tolist(), plans.path_clear.tolist(), strict=True)):
+    rows = zip(plans.status.tolist(), plans.path_clear.tolist(), plans.way.tolist(), strict=True)
+    for s, (row, clear, ways) in enumerate(rows):
         known, end = [code for code in row if code != NO_TARGET], plans.outcome(s)
         tracked = [code in (A, E) for code in known]
         blocked = [good and path == 0 for good, path in zip(tracked, clear, strict=False)]
@@ -42,7 +46,9 @@ def test_an_outcome_is_what_one_reads_off_a_row(plans):
         assert end.failed == (None if all(tracked) else tracked.index(False))
         assert end.status == (None if all(tracked) else known[tracked.index(False)])
         assert end.blocked_paths == sum(blocked)
-        assert end.drivable == (blocked.index(True) if any(blocked) else sum(tracked))
+        proven = [good and way == Way.PROVEN for good, way in zip(tracked, ways, strict=False)]
+        assert end.executable == (proven.index(False) if not all(proven) else len(proven))
+        assert end.way == (ways[end.executable] if end.executable < sum(tracked) else Way.PROVEN)
         assert end.complete == (bool(known) and all(tracked))
         assert end.can_be_driven == (end.complete and not any(blocked))
 
@@ -53,7 +59,8 @@ def test_the_columns_of_outcomes_are_the_rows_one_by_one(plans):
     assert [ends.of(s) for s in range(len(plans.status))] == [plans.outcome(s) for s in range(len(plans.status))]
     assert ends.complete.tolist() == [ends.of(s).complete for s in range(len(plans.status))]
     assert ends.planned.tolist() == (ends.targets > 0).tolist()
-    assert (plans.drivable.sum(axis=1) == ends.drivable).all() and (plans.blocked.sum(1) == ends.blocked_paths).all()
+    assert (plans.executable.sum(axis=1) == ends.executable).all()
+    assert (plans.blocked.sum(axis=1) == ends.blocked_paths).all()
 
 
 @given(some_plans())
@@ -61,7 +68,7 @@ def test_statuses_alone_say_the_same_but_for_the_joint_paths(plans):
     alone, ends = outcomes(plans.status), plans.outcomes
     for name in ("targets", "tracked", "failed", "status"):
         np.testing.assert_array_equal(getattr(alone, name), getattr(ends, name), err_msg=name)
-    assert not alone.blocked_paths.any() and (alone.drivable == alone.tracked).all()
+    assert not alone.blocked_paths.any() and not alone.executable.any()
 
 
 @given(some_plans(), st.integers(0, 3))
@@ -94,7 +101,7 @@ def test_empty_plans_attempt_nothing_and_have_the_targets_that_they_are_given():
     assert (plans.status[plans.exists] == NOT).all() and not plans.tracked.any() and not plans.attempted.any()
     assert np.isnan(plans.x).all() and plans.x.shape == (2, 4, 3) and np.isnan(plans.step_s)
     assert plans.target is target and plans.start is not start and (plans.start == start).all()
-    assert plans.outcome(1) == Outcome(1, 2, 0, 0, 0, NOT, 0)
+    assert plans.outcome(1) == Outcome(1, 2, 0, 0, 0, NOT, 0, Way.PROVEN)
 
 
 def test_a_joint_path_leaves_the_row_before_and_the_first_one_the_start():

@@ -17,6 +17,8 @@ from htcp_jax.pytree import register_pytree
 from htcp_jax.scene.robot import Robot
 from htcp_jax.types import Bool, Float, Int, Scalar
 
+NEAR_M = 0.05  # before the interior, where being inside the hull already gives room
+
 
 @register_pytree
 @dataclass(frozen=True)
@@ -55,10 +57,11 @@ class Interior:
         return jnp.any(self._outside(where, bodies)[0] > 0)
 
     def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "K"]:
-        """How deep inside the deep ends are, and how far before the interior the others."""
+        """How far before the interior the ends are, or how deep inside the hull: whichever is more."""
         beyond = _beyond(where, bodies.p, bodies.q)
-        depth = depths(self.hull, jnp.concatenate([bodies.p_workpiece, bodies.q_workpiece]), beyond > 0)
-        return jnp.min(jnp.where(beyond > 0, depth, -beyond).reshape(2, -1), axis=0)
+        asked = beyond > -NEAR_M
+        depth = depths(self.hull, jnp.concatenate([bodies.p_workpiece, bodies.q_workpiece]), asked)
+        return jnp.min(jnp.where(asked, jnp.maximum(depth, -beyond), -beyond).reshape(2, -1), axis=0)
 
     def touches_along(
         self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]

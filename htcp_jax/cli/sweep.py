@@ -132,7 +132,7 @@ COUNTS = (
     Column("success", "success", "%", ".2f"),
     Column("tracked", "tracked", "targets", ",d"),
     Column("targets", "of", "", ",d"),
-    Column("drivable", "drivable", "targets", ",d"),
+    Column("executable", "executable", "targets", ",d"),
     Column("complete", "complete", "scenarios", ",d"),
     Column("scenarios", "of", "", ",d"),
     Column("blocked", "blocked", "paths", ",d"),
@@ -158,7 +158,7 @@ def _print_table(run: Run, running: RunningSummary) -> None:
     plans = {method: running.plans(run, method) for method in _finished(run)}
     found = {method: summarise(whole) for method, whole in plans.items()}
     counts = [
-        (m, 100 * s.success_rate, s.tracked, s.targets, int(plans[m].drivable.sum()), s.complete, s.scenarios,
+        (m, 100 * s.success_rate, s.tracked, s.targets, int(plans[m].executable.sum()), s.complete, s.scenarios,
          s.blocked_paths)
         for m, s in found.items()
     ]  # fmt: skip
@@ -169,7 +169,7 @@ def _print_table(run: Run, running: RunningSummary) -> None:
     for columns, rows in ((COUNTS, counts), (FIGURES, figures)):
         print_table(console, Table("sweep", columns, tuple(rows)))
         console.print()
-    console.print(Text("Drivable: tracked before the first blocked joint path of the scenario.", style="dim"))
+    console.print(Text("Executable: tracked, and led to from the given start by a proven motion.", style="dim"))
     if plans:
         asked = _margins(running.margins_m(run, *plans))
         text = f"Tracked: with at least the {asked} mm of clearance that were asked for."

@@ -87,8 +87,10 @@ def plan(
     if check_paths:
         # Here, as methods are found: whoever asks for plans imports no kernels before one is looked up.
         from htcp_jax.planner.lane_checks import check_remaining_paths
+        from htcp_jax.planner.motion_check import judge_motions
 
         check_remaining_paths(problem, plans)
+        judge_motions(problem, plans)
     spent = time.perf_counter() - began
     compile_s = plans.compile_s + sum(each.compile_s for each in problem.kernels)
     return plans._replace(compile_s=compile_s, run_s=spent - compile_s)

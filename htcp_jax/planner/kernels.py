@@ -8,8 +8,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.joint_path import path_clear
 from htcp_jax.clearance.linearisation import Linearisation, linearise
+from htcp_jax.clearance.motion_proof import Proof, Tube, path_clear, prove
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.planner.kernel import DEEP, STEP, Kernel
 from htcp_jax.planner.lane_inputs import LaneInputs
@@ -105,6 +105,11 @@ def check_path(settings: Settings, scene: Scene, lane: LaneInputs, a, b):
     return path_clear(scene, settings, lane, a, b)
 
 
+def prove_way(settings: Settings, scene: Scene, lane: LaneInputs, a, b, tube: Tube) -> Proof:
+    """Whether the straight joint path from a to b is a motion."""
+    return prove(own_scene(scene, lane.tool_extension_m), lane, a, b, tube)
+
+
 # The kernels by name, each with the settings that it reads
 
 _STEP_QP = ("q_weights", "cost_about", "clearance_rows", "aim_above_m")
@@ -113,3 +118,4 @@ PREPARE = Kernel("prepare", prepare, STEP, _STEP_QP)
 ADVANCE = Kernel("advance", advance, STEP)
 TRACK_BURST = Kernel("track", track, STEP, (*_STEP_QP, "max_step_qps", "qp_tolerance"))
 CHECK_PATH = Kernel("check_path", check_path, DEEP, ("path_test", "path_steps"))
+PROVE = Kernel("prove", prove_way, DEEP)

@@ -1,5 +1,6 @@
-"""The built-in methods, all of them step QPs: what each does when these are stuck, and between targets."""
+"""The built-in methods: step QPs, by what each does when these are stuck and between targets; and the roadmap."""
 
+from htcp_jax.planner.roadmap import Roadmap
 from htcp_jax.planner.sampling import best_nspace_samples, cspace_samples, nspace_samples
 from htcp_jax.planner.stages import NullSpace, Sample
 from htcp_jax.planner.step_qps import StepQPs
@@ -66,5 +67,10 @@ BUILT_IN = (
         keep_clear=True,
         replan_backwards=True,
         check_paths=True,
+    ),
+    Roadmap(
+        "roadmap",
+        "Roadmap",
+        "a set of postures at every target, connected to the start by proven motions; the best path through them",
     ),
 )

@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
-from htcp_jax.status import Status
+from htcp_jax.planner.knots import Knots
+from htcp_jax.status import Status, Way
 
 NO_TARGET = -1  # a status: the scenario has no such target, or it is not planned yet
 UNKNOWN = -1  # of path_clear
@@ -26,10 +27,11 @@ class Outcome(NamedTuple):
     scenario: int  # its row
     targets: int  # that it has; 0 where it is not planned
     tracked: int  # of them
-    drivable: int  # tracked before the first joint path that is known to collide
+    executable: int  # of these, in a row from the first, those that a proven motion leads to
     failed: int | None  # the first target that is not tracked
     status: Status | None  # what became of that one
     blocked_paths: int  # tracked targets whose joint path from the row before is known to collide
+    way: Way  # to the target after the last executable one; PROVEN where there is none that is tracked
 
     @property
     def complete(self) -> bool:
@@ -47,10 +49,11 @@ class Outcomes(NamedTuple):
 
     targets: Int[np.ndarray, "S"]
     tracked: Int[np.ndarray, "S"]
-    drivable: Int[np.ndarray, "S"]
+    executable: Int[np.ndarray, "S"]
     failed: Int[np.ndarray, "S"]  # -1 for none
     status: Int8[np.ndarray, "S"]  # NO_TARGET where none failed
     blocked_paths: Int[np.ndarray, "S"]
+    way: Int8[np.ndarray, "S"]  # `status.Way`
 
     @property
     def planned(self) -> Bool[np.ndarray, "S"]:
@@ -64,9 +67,9 @@ class Outcomes(NamedTuple):
 
     def of(self, scenario: int) -> Outcome:
         """That of one row."""
-        targets, tracked, drivable, failed, status, blocked = (int(column[scenario]) for column in self)
+        targets, tracked, executable, failed, status, blocked, way = (int(column[scenario]) for column in self)
         ended = (None, None) if failed < 0 else (failed, Status(status))
-        return Outcome(int(scenario), targets, tracked, drivable, *ended, blocked)
+        return Outcome(int(scenario), targets, tracked, executable, *ended, blocked, Way(way))
 
 
 class Plans(NamedTuple):
@@ -87,6 +90,9 @@ class Plans(NamedTuple):
     joint_step: Float[np.ndarray, "S T"]  # |x_t - x_{t-1}|, the start being x_{-1} [rad]
     escape: Int[np.ndarray, "S T"]  # 0 none, k = stage k of the method's escapes, one more: planned backwards
     path_clear: Int8[np.ndarray, "S T"]  # joint path from the row before: 1 clear, 0 blocked, -1 unknown
+    way: Int8[np.ndarray, "S T"]  # `status.Way`: whether the way from the row before is a proven motion
+    way_clearance: Float[np.ndarray, "S T"]  # D all along that way, at least [m]; NaN where it is not proven
+    knots: Knots  # postures on ways that are no straight joint path
     compile_s: float  # wall time spent compiling [s]
     run_s: float  # wall time spent planning, compilation apart [s]
 
@@ -108,14 +114,20 @@ class Plans(NamedTuple):
                   for name, kind in _KINDS.items()}  # fmt: skip
         arrays["tcp"] = np.full((*shape, 3), EMPTY["tcp"])
         arrays["status"][exists] = Status.NOT_ATTEMPTED
-        return cls(start=np.array(start, float), target=target, **arrays, compile_s=0.0, run_s=0.0)
+        knots = Knots.none(joints)
+        return cls(start=np.array(start, float), target=target, **arrays, knots=knots, compile_s=0.0, run_s=0.0)
 
     @classmethod
     def concatenate(cls, parts: "Sequence[Plans]") -> "Plans":
         """The rows of all parts, one after the other, and their seconds added up; T may differ."""
         longest = max(part.status.shape[1] for part in parts)
-        columns = zip(*(part.widened(longest) for part in parts), strict=True)
-        return cls(*(np.concatenate(each) if isinstance(each[0], np.ndarray) else sum(each) for each in columns))
+        wide = [part.widened(longest).arrays() for part in parts]
+        return cls(
+            **{name: np.concatenate([arrays[name] for arrays in wide]) for name in ARRAYS},
+            knots=Knots.concatenate([part.knots for part in parts], [len(part.status) for part in parts]),
+            compile_s=sum(part.compile_s for part in parts),
+            run_s=sum(part.run_s for part in parts),
+        )
 
     @property
     def exists(self) -> Bool[np.ndarray, "S T"]:
@@ -138,9 +150,10 @@ class Plans(NamedTuple):
         return self.tracked & (self.path_clear == 0)
 
     @property
-    def drivable(self) -> Bool[np.ndarray, "S T"]:
-        """Which targets are tracked without a joint path up to them, from the start, that is known to collide."""
-        return self.tracked & ~np.logical_or.accumulate(self.blocked, axis=1)
+    def executable(self) -> Bool[np.ndarray, "S T"]:
+        """Which targets a proven motion leads to: tracked, as is everything before them, and each on a way from the row
+        before, the first from the scenario's start, on which the arm is clear and the TCP keeps to its path."""
+        return np.logical_and.accumulate(self.tracked & (self.way == Way.PROVEN), axis=1)
 
     @property
     def step_s(self) -> float:
@@ -151,12 +164,12 @@ class Plans(NamedTuple):
     @property
     def outcomes(self) -> Outcomes:
         """How every scenario ended."""
-        return outcomes(self.status, self.path_clear)
+        return outcomes(self.status, self.path_clear, self.way)
 
     def outcome(self, scenario: int) -> Outcome:
         """How the scenario in one row ended."""
         row = slice(scenario, scenario + 1)
-        return outcomes(self.status[row], self.path_clear[row]).of(0)._replace(scenario=scenario)
+        return outcomes(self.status[row], self.path_clear[row], self.way[row]).of(0)._replace(scenario=scenario)
 
     def before(self, scenario: int | np.ndarray, target: int | np.ndarray) -> Float[np.ndarray, "*n N"]:
         """The postures that the joint paths to targets leave: those of the rows before, or the start."""
@@ -165,7 +178,10 @@ class Plans(NamedTuple):
 
     def rows(self, which: slice | np.ndarray | Sequence[int]) -> "Plans":
         """The plans of some scenarios; the seconds stay those of all."""
-        return self._replace(**{name: array[which] for name, array in self.arrays().items()})
+        numbers = np.arange(len(self.status))[which]
+        return self._replace(
+            **{name: array[which] for name, array in self.arrays().items()}, knots=self.knots.rows(numbers)
+        )
 
     def widened(self, targets: int) -> "Plans":
         """The same with columns for this many targets, T or more; the new ones do not exist."""
@@ -180,10 +196,10 @@ class Plans(NamedTuple):
     def without_postures(self) -> "Plans":
         """What a summary needs, for less memory: `start`, `x`, `tcp` and `target` lose their last axis' columns."""
         bare = {name: getattr(self, name)[..., :0].copy() for name in ("start", "x", "tcp", "target")}
-        return self._replace(**bare)
+        return self._replace(**bare, knots=Knots.none(0))
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """The fields but for the seconds, by name."""
+        """The fields with a row a scenario, by name."""
         return {name: getattr(self, name) for name in ARRAYS}
 
     def _padded(self, name: str, more: int) -> np.ndarray:
@@ -191,16 +207,17 @@ class Plans(NamedTuple):
         return np.pad(array, [(0, 0), (0, more)] + [(0, 0)] * (array.ndim - 2), constant_values=EMPTY[name])
 
 
-ARRAYS = tuple(name for name in Plans._fields if name not in ("compile_s", "run_s"))
+ARRAYS = tuple(name for name in Plans._fields if name not in ("knots", "compile_s", "run_s"))
 
 # What a row holds of a target that a scenario does not have; one that is not attempted has another status.
 EMPTY = {
     "x": np.nan, "tcp": np.nan, "target": np.nan, "clearance": np.nan, "residual": np.nan, "status": NO_TARGET,
-    "iterations": 0, "joint_step": np.nan, "escape": 0, "path_clear": UNKNOWN,
+    "iterations": 0, "joint_step": np.nan, "escape": 0, "path_clear": UNKNOWN, "way": int(Way.UNKNOWN),
+    "way_clearance": np.nan,
 }  # fmt: skip
 _KINDS = {
     "x": float, "clearance": float, "residual": float, "status": np.int8, "iterations": np.int32, "joint_step": float,
-    "escape": np.int8, "path_clear": np.int8,
+    "escape": np.int8, "path_clear": np.int8, "way": np.int8, "way_clearance": float,
 }  # fmt: skip
 
 
@@ -209,19 +226,27 @@ def is_tracked(status: np.ndarray) -> np.ndarray:
     return (status >= 0) & (status <= Status.TRACKED_AFTER_ESCAPE)
 
 
-def outcomes(status: Int8[np.ndarray, "S T"], path_clear: Int8[np.ndarray, "S T"] | None = None) -> Outcomes:
-    """How scenarios with these statuses ended. path_clear: as in `Plans`; None where nothing is known of the paths."""
+def outcomes(
+    status: Int8[np.ndarray, "S T"],
+    path_clear: Int8[np.ndarray, "S T"] | None = None,
+    way: Int8[np.ndarray, "S T"] | None = None,
+) -> Outcomes:
+    """How scenarios with these statuses ended. path_clear, way: as in `Plans`; None where nothing is known of them."""
     exists, tracked = status != NO_TARGET, is_tracked(status)
     blocked = tracked & (path_clear == 0) if path_clear is not None else np.zeros_like(tracked)
     missed = exists & ~tracked
     first = np.logical_not(np.logical_or.accumulate(missed, axis=1)).sum(axis=1)  # T where none is missed
     failed = np.where(missed.any(axis=1), first, -1)
     ended = np.append(status, np.full((len(status), 1), NO_TARGET, status.dtype), axis=1)
+    way = np.full_like(status, Way.UNKNOWN) if way is None else way
+    executable = np.logical_and.accumulate(tracked & (way == Way.PROVEN), axis=1).sum(axis=1)
+    after = np.append(np.where(tracked, way, Way.PROVEN), np.full((len(way), 1), Way.PROVEN, way.dtype), axis=1)
     return Outcomes(
         targets=exists.sum(axis=1),
         tracked=tracked.sum(axis=1),
-        drivable=(tracked & ~np.logical_or.accumulate(blocked, axis=1)).sum(axis=1),
+        executable=executable,
         failed=failed,
         status=ended[np.arange(len(status)), failed],
         blocked_paths=blocked.sum(axis=1),
+        way=after[np.arange(len(status)), executable],
     )

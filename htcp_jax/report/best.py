@@ -8,20 +8,20 @@ from htcp_jax.runs.labels import SHORT, split_unit, varying
 
 BEST = 3  # scenarios a method
 RANKED = (
-    "The best scenarios of each method: those with the most drivable targets first, then by the smallest clearance, "
+    "The best scenarios of each method: those with the most executable targets first, then by the smallest clearance, "
     "then by the joint motion."
 )
 
 
 def best(part: Part) -> Table:
-    """Up to BEST scenarios a method: most drivable targets first, then largest smallest clearance, then least joint
+    """Up to BEST scenarios a method: most executable targets first, then largest smallest clearance, then least joint
     motion; with the parameters that vary."""
     own = varying(part.parameters)
     columns = (
         Column("method", "method"),
         Column("scenario", "scenario", "", "d"),
         *(_column(name, values) for name, values in own.items()),
-        Column("drivable", "drivable", "targets", "d"),
+        Column("executable", "executable", "targets", "d"),
         Column("targets", "of", "", "d"),
         Column("clearance_min_mm", "clearance", "min mm", ".3g"),
         Column("joint_motion_rad", "joint motion", "rad", ".2f"),
@@ -35,10 +35,10 @@ def best(part: Part) -> Table:
 
 
 def ranked(part: Part, method: str) -> list[tuple[int, int, int, float, float]]:
-    """Row, drivable targets, targets, smallest clearance [mm] and joint motion [rad] of every scenario that was
-    planned and has a drivable target, the best first."""
+    """Row, executable targets, targets, smallest clearance [mm] and joint motion [rad] of every scenario that was
+    planned and has an executable target, the best first."""
     plans = part.plans[method]
-    good, targets = plans.drivable, plans.outcomes.targets
+    good, targets = plans.executable, plans.outcomes.targets
     rows = []
     for s in np.flatnonzero(good.any(axis=1)).tolist():
         least = 1e3 * float(plans.clearance[s, good[s]].min())
@@ -57,7 +57,7 @@ def best_of_all(part: Part, table: Table, prefix: str) -> list[Block]:
     figure = part.scene.picture(number, method, what)
     if figure is None:
         return [RANKED, table, f"There is no picture of the cell: {part.scene.problem}."]
-    alt = f"{what}; {count} of {targets} targets drivable, {least:.3g} mm clear at least; the workpiece cut open"
+    alt = f"{what}; {count} of {targets} targets executable, {least:.3g} mm clear at least; the workpiece cut open"
     return [RANKED, table, f"{alt}.", Picture(f"{prefix}cell", figure, alt)]
 
 

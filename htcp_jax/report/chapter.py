@@ -144,7 +144,7 @@ def _success(part: Part, results: Table) -> Figure:
     return charts.success(
         {row["method"]: row["tracked"] for row in rows},
         {row["method"]: row["targets"] for row in rows},
-        drivable={row["method"]: row["drivable"] for row in rows},
+        executable={row["method"]: row["executable"] for row in rows},
         paper=theirs or None,
         reachability=int(part.reachability.sum()) if part.reachability is not None and whole else None,
     )
@@ -153,7 +153,7 @@ def _success(part: Part, results: Table) -> Figure:
 def _maps(part: Part, prefix: str) -> list[Block]:
     """The scenarios over their grid: a line for one axis, maps for two, slices for three, else maps of means."""
     counts = {method: _or_nan(plans, plans.outcomes.tracked) for method, plans in part.plans.items()}
-    open_ = {method: _or_nan(plans, plans.outcomes.drivable) for method, plans in part.plans.items()}
+    open_ = {method: _or_nan(plans, plans.outcomes.executable) for method, plans in part.plans.items()}
     names = list(part.axes)
     axes = {name: charts.Axis(label(name), values.tolist()) for name, values in part.axes.items()}
     alt = "Tracked targets of every scenario over the grid, by method"
@@ -167,17 +167,17 @@ def _maps(part: Part, prefix: str) -> list[Block]:
     def means(*chosen):
         note = "Mean over the other axes."
         given = over(*chosen), *(axes[name] for name in chosen), part.targets
-        figure = charts.success_map(*given, drivable=ways(*chosen), note=note)
+        figure = charts.success_map(*given, executable=ways(*chosen), note=note)
         return Picture(f"{prefix}map-{'-'.join(str(names.index(name) + 1) for name in chosen)}", figure, alt)
 
     if not names:
         return ["The scenarios do not differ in any parameter."]
     if len(names) == 1:
-        figure = charts.success_line(over(*names), axes[names[0]], part.targets, drivable=ways(*names))
+        figure = charts.success_line(over(*names), axes[names[0]], part.targets, executable=ways(*names))
     elif len(names) == 2:
-        figure = charts.success_map(over(*names), *axes.values(), part.targets, drivable=ways(*names))
+        figure = charts.success_map(over(*names), *axes.values(), part.targets, executable=ways(*names))
     elif len(names) == 3 and len(part.axes[names[0]]) <= MOST_SLICES:
-        figure = charts.success_slices(over(*names), *axes.values(), part.targets, drivable=ways(*names))
+        figure = charts.success_slices(over(*names), *axes.values(), part.targets, executable=ways(*names))
     else:
         return [means(*names[:2]), *([means(*names[-2:])] if len(names) > 3 else [])]
     return [Picture(f"{prefix}map", figure, alt)]
@@ -219,8 +219,8 @@ def _motion(part: Part, prefix: str) -> list[Picture]:
 def _notes_on_results(part: Part) -> list[str]:
     table = part.paper_table
     notes = [
-        "Drivable are the targets that are tracked before the first step of their scenario whose straight joint path "
-        "is known to collide: what lies beyond cannot be driven as it is planned. " + _unchecked(part),
+        "Executable are the targets to which a proven motion leads: from the start that was given, the arm clear all "
+        "along and the tool on its path. What lies beyond cannot be driven as it is planned. " + _unchecked(part),
         "Means and the smallest clearance are over the tracked targets: a method that gets further also meets "
         "tighter places. Time is run time by attempted targets, over the whole run.",
     ]

@@ -45,25 +45,25 @@ def success(
     tracked: Mapping[str, int],
     of: Mapping[str, int],
     *,
-    drivable: Mapping[str, int] | None = None,
+    executable: Mapping[str, int] | None = None,
     paper: Mapping[str, float] | None = None,
     reachability: int | None = None,
     title: str = "Success by method",
 ) -> Figure:
     """Tracked targets in percent, a bar a method with its counts, `tracked` of `of`; beside it the paper's percentage
-    where `paper` has one, and `reachability`, a count of targets known to be reachable, as a line. drivable: how many
-    of them come before the first blocked joint step; where these are fewer, the rest of the bar is pale."""
-    drivable = tracked if drivable is None else drivable
-    cut = any(drivable[method] < tracked[method] for method in tracked)
+    where `paper` has one, and `reachability`, a count of targets known to be reachable, as a line. executable: to how
+    many of them a proven motion leads; where these are fewer, the rest of the bar is pale."""
+    executable = tracked if executable is None else executable
+    cut = any(executable[method] < tracked[method] for method in tracked)
     figure = new_figure(0.42 * len(tracked) + 1.5, title, _success_note(paper, reachability, cut))
     axes = figure.subplots()
     for y, method in enumerate(tracked):
         percent = 100 * tracked[method] / of[method]
-        open_ = 100 * drivable[method] / of[method]
+        open_ = 100 * executable[method] / of[method]
         axes.barh(y, percent, height=0.62, color=line_of(method)[0], alpha=0.3)
         axes.barh(y, open_, height=0.62, color=line_of(method)[0])
         text = f"{percent:.2f} %  ({tracked[method]:,} of {of[method]:,})"
-        text += f", drivable {open_:.2f} %" if cut else ""
+        text += f", executable {open_:.2f} %" if cut else ""
         axes.annotate(text, (101.5, y), va="center", color=INK, fontsize=9.5, annotation_clip=False)
         if paper and method in paper:
             axes.plot(paper[method], y, marker="D", color=PAPER, markeredgecolor=INK, markersize=7, clip_on=False)
@@ -82,14 +82,14 @@ def success_map(
     columns: Axis,
     targets: int,
     *,
-    drivable: Mapping[str, Float[np.ndarray, "R C"]] | None = None,
+    executable: Mapping[str, Float[np.ndarray, "R C"]] | None = None,
     title: str = "Success by scenario",
     note: str = "",
 ) -> Figure:
     """A small map a method: the tracked targets of `targets`, rows down and columns across; NaN where not planned.
-    drivable: those before the first blocked joint step; where these are fewer, they have the colour and the number, and
+    executable: those that a proven motion leads to; where these are fewer, they have the colour and the number, and
     all that are tracked stand in brackets."""
-    shown = tracked if drivable is None else drivable
+    shown = tracked if executable is None else executable
     across = min(3, len(tracked))
     down = -(-len(tracked) // across)
     side = min(WIDTH / across - 0.5, 0.42 * len(columns.values) + 0.7) * len(rows.values) / len(columns.values)
@@ -112,12 +112,12 @@ def success_slices(
     columns: Axis,
     targets: int,
     *,
-    drivable: Mapping[str, Float[np.ndarray, "L R C"]] | None = None,
+    executable: Mapping[str, Float[np.ndarray, "L R C"]] | None = None,
     title: str = "Success by scenario",
     note: str = "",
 ) -> Figure:
     """A row of small maps a method, one for every value of the axis `slices`; otherwise as `success_map`."""
-    shown = tracked if drivable is None else drivable
+    shown = tracked if executable is None else executable
     across, down = len(slices.values), len(tracked)
     side = (WIDTH - 1.8) / across * len(rows.values) / len(columns.values)
     figure = new_figure(down * (side + 0.1) + 1.4, title, f"{_counted(tracked, shown, targets)} {note}".strip())
@@ -140,14 +140,14 @@ def success_line(
     axis: Axis,
     targets: int,
     *,
-    drivable: Mapping[str, Float[np.ndarray, "C"]] | None = None,
+    executable: Mapping[str, Float[np.ndarray, "C"]] | None = None,
     title: str = "Success by scenario",
     note: str = "",
 ) -> Figure:
-    """Tracked targets over the only axis of a grid, or over a list of scenarios, a line a method. drivable: those
-    before the first blocked joint step; where these are fewer, they are the line, and all tracked ones are faint."""
-    shown = tracked if drivable is None else drivable
-    lines = "" if not _cut(tracked, shown) else "Line: drivable, before the first blocked joint step; faint: tracked."
+    """Tracked targets over the only axis of a grid, or over a list of scenarios, a line a method. executable: those
+    that a proven motion leads to; where these are fewer, they are the line, and all tracked ones are faint."""
+    shown = tracked if executable is None else executable
+    lines = "" if not _cut(tracked, shown) else "Line: executable, by a proven motion from the start; faint: tracked."
     figure = new_figure(4.2, title, " ".join(filter(None, (f"Tracked targets of {targets}.", lines, note))))
     axes = figure.subplots()
     words = isinstance(axis.values[0], str)
@@ -217,7 +217,7 @@ def _cut(tracked: Mapping[str, np.ndarray], shown: Mapping[str, np.ndarray]) -> 
 def _counted(tracked: Mapping[str, np.ndarray], shown: Mapping[str, np.ndarray], targets: int) -> str:
     if not _cut(tracked, shown):
         return f"Tracked targets of {targets}."
-    return f"Targets of {targets} before the first blocked joint step; in brackets all that are tracked."
+    return f"Targets of {targets} that a proven motion leads to; in brackets all that are tracked."
 
 
 def _shares(shown: np.ndarray, tracked: np.ndarray, targets: int) -> str:

@@ -22,8 +22,8 @@ RESULTS = (
     Column("paper_success_percent", "paper", "%", ".2f", quiet=True),
     Column("tracked", "tracked", "targets", ",d"),
     Column("targets", "of", "", ",d"),
-    Column("drivable", "drivable", "targets", ",d"),
-    Column("drivable_percent", "drivable", "%", ".2f"),
+    Column("executable", "executable", "targets", ",d"),
+    Column("executable_percent", "executable", "%", ".2f"),
     Column("complete", "complete", "scenarios", ",d"),
     Column("scenarios", "of", "", ",d"),
     Column("step_ms", "time/step", "ms", ".2f"),
@@ -82,14 +82,14 @@ def results(part: Part) -> Table:
 def _result(part: Part, method: str) -> dict:
     plans, paper = part.plans[method], part.paper_table
     good, ends = plans.tracked, plans.outcomes
-    tracked, targets, drivable = (int(column.sum()) for column in (ends.tracked, ends.targets, ends.drivable))
+    tracked, targets, executable = (int(column.sum()) for column in (ends.tracked, ends.targets, ends.executable))
     row = {
         "method": method,
         "success_percent": percent(tracked, targets),
         "tracked": tracked,
         "targets": targets,
-        "drivable": drivable,
-        "drivable_percent": percent(drivable, targets),
+        "executable": executable,
+        "executable_percent": percent(executable, targets),
         "complete": int(ends.complete.sum()),
         "scenarios": int(ends.planned.sum()),
         "step_ms": 1e3 * part.step_s[method],
@@ -135,7 +135,7 @@ def steps(part: Part) -> Table:
 def _step(part: Part, method: str) -> dict:
     plans = part.plans[method]
     good, blocked, ends = plans.tracked, plans.blocked, plans.outcomes
-    before = int(ends.drivable.sum())
+    before = int((good & ~np.logical_or.accumulate(blocked, axis=1)).sum())
     return {
         "method": method,
         "accepted": int(good.sum()),
@@ -187,14 +187,14 @@ def scenarios(part: Part) -> Table:
     """One row a scenario and method: its parameters, how far it got, what ended it, how far it could have got."""
     columns = [Column("scenario", "scenario", "", "d"), *(Column(name, name) for name in part.parameters)]
     columns += [Column("method", "method"), Column("tracked", "tracked", "", "d"), Column("targets", "of", "", "d")]
-    columns += [Column("drivable", "drivable", "", "d")]
+    columns += [Column("executable", "executable", "", "d")]
     columns += [Column("end", "end"), Column("in_the_way", "in the way"), Column("reachable", "reachable", "", "d")]
     rows = []
     for s, number in enumerate(part.numbers.tolist()):
         given = {name: values[s].item() for name, values in part.parameters.items()}
         for method, plans in part.plans.items():
             if (end := plans.outcome(s)).targets:
-                count = {"tracked": end.tracked, "targets": end.targets, "drivable": end.drivable}
+                count = {"tracked": end.tracked, "targets": end.targets, "executable": end.executable}
                 blocked = part.scene.in_the_way(method).get(number)
                 reachable = None if part.reachability is None else int(part.reachability[s])
                 row = {"scenario": number, **given, "method": method, **count}

@@ -15,7 +15,8 @@ import numpy as np
 from htcp_jax.errors import InputError
 from htcp_jax.formats.strict_model import validate
 from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.planner.plans import Plans
+from htcp_jax.planner.knots import Knots
+from htcp_jax.planner.plans import EMPTY, Plans
 from htcp_jax.runs import parameters
 from htcp_jax.runs.identity import file_hash, refuse_changed
 from htcp_jax.runs.manifest import MANIFEST
@@ -70,10 +71,14 @@ class FolderPlan:
         self.config: PlanConfig = validate(record.config, PlanConfig, str(folder / SUMMARY))
         self.jobs, self.parameters, self.labels = [self.config], {0: parameters.of_job(self.config)}, {0: ""}
         self.files = {TRAJECTORY: file_hash(folder / TRAJECTORY)}
-        # A plan of before `Plans.start` was written starts where its configuration says.
-        arrays = {"start": np.array(self.config.start_rad, float)} | record.arrays
-        _check_shapes(folder / TRAJECTORY, arrays, len(self.config.start_rad))
-        self._plans = Plans(**{name: array[None] for name, array in arrays.items()}, compile_s=0.0, run_s=0.0)
+        # A plan of before `Plans.start` was written starts where its configuration says; nobody looked at its ways.
+        start, joints = np.array(self.config.start_rad, float), len(self.config.start_rad)
+        unknown = {name: np.full(record.arrays["status"].shape, EMPTY[name]) for name in ("way", "way_clearance")}
+        arrays = {"start": start} | unknown | record.arrays
+        _check_shapes(folder / TRAJECTORY, arrays, joints)
+        knots = _knots(folder / TRAJECTORY, record, joints)
+        arrays = {name: array[None] for name, array in arrays.items()}
+        self._plans = Plans(**arrays, knots=knots, compile_s=0.0, run_s=0.0)
 
     def plans(self, method: str) -> Plans:
         """Its arrays, with a leading axis of length 1; the folder knows no times."""
@@ -106,6 +111,16 @@ def plans_of_run(run: Run) -> RunPlans:
     if not run.manifest.shards:
         raise InputError(f"{run.folder} has no finished shard yet")
     return RunPlans(run)
+
+
+def _knots(file: Path, record: PlanRecord, joints: int) -> Knots:
+    """Those of a plan. Raises InputError for arrays that are not knots."""
+    if record.knots is None:
+        return Knots.none(joints)
+    target, x = record.knots
+    if x.shape != (len(target), joints) or target.dtype.kind not in "iu" or x.dtype.kind != "f":
+        raise InputError(f"{file}: the knots have the shape {x.shape}; damaged")
+    return Knots(np.zeros(len(target), np.int32), target, x)
 
 
 def _check_shapes(file: Path, arrays: dict[str, np.ndarray], joints: int) -> None:

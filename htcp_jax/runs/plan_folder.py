@@ -19,8 +19,9 @@ from htcp_jax.formats.foreign import one_line
 from htcp_jax.planner.plans import ARRAYS, Plans
 from htcp_jax.runs.summary import Summary
 from htcp_jax.scene.robot import Robot
-from htcp_jax.status import Status
+from htcp_jax.status import Status, Way
 
+LATER = "start", "way", "way_clearance"
 SUMMARY, TRAJECTORY = "summary.json", "trajectory.npz"
 VALIDATION = "validation.json"  # of a plan and of a run, what `htcp validate` found
 
@@ -31,7 +32,8 @@ class PlanRecord(NamedTuple):
     method: str
     config: dict
     files: dict[str, str]  # SHA-256 of those that the configuration names; a plan of before knew none
-    arrays: dict[str, np.ndarray]  # of `Plans`, for the one scenario; a plan of before had no `start`
+    arrays: dict[str, np.ndarray]  # of `Plans`, for the one scenario; a plan of before had no LATER ones
+    knots: tuple[np.ndarray, np.ndarray] | None  # target (n,), x (n, N)
 
 
 def read_plan(folder: Path) -> PlanRecord:
@@ -42,8 +44,9 @@ def read_plan(folder: Path) -> PlanRecord:
         files = {str(name): str(known) for name, known in summary.get("files", {}).items()}
         # np.load leaves a file that it opened itself open when it is no archive.
         with (folder / TRAJECTORY).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            known = [name for name in ARRAYS if name in file or name != "start"]
-            return PlanRecord(method, config, files, {name: file[name] for name in known})
+            known = [name for name in ARRAYS if name in file or name not in LATER]
+            knots = (file["knot_target"], file["knot_x"]) if "knot_x" in file else None
+            return PlanRecord(method, config, files, {name: file[name] for name in known}, knots)
     except OSError as error:
         raise InputError(f"{folder} holds no plan: cannot read {error.filename}: {error.strerror}") from None
     except Exception as error:  # foreign parsers on foreign bytes: whatever they raise, the files are bad
@@ -114,6 +117,8 @@ def write_trajectory_csv(file: Path, robot: Robot, plans: Plans, row: int = 0) -
         "iterations": plans.iterations[row],
         "escape": plans.escape[row],
         "path_clear": plans.path_clear[row],
+        "way": [Way(code).name if code != Way.UNKNOWN else "" for code in plans.way[row].tolist()],
+        "way_clearance_m": plans.way_clearance[row],
     }
     with file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
@@ -123,10 +128,12 @@ def write_trajectory_csv(file: Path, robot: Robot, plans: Plans, row: int = 0) -
 
 
 def write_trajectory_npz(file: Path, robot: Robot, plans: Plans, row: int = 0) -> None:
-    """The arrays of `plans` for one scenario under the names of its fields, `start` (N,) among them, and `joint_names`;
-    no pickles."""
+    """The arrays of `plans` for one scenario under the names of its fields, `start` (N,) among them, `joint_names`, and
+    the knots' `knot_target` (n,) and `knot_x` (n, N); no pickles."""
     arrays = {name: array[row] for name, array in plans.arrays().items()}
-    np.savez_compressed(file, joint_names=np.array(robot.joint_names), **arrays)
+    knots = plans.knots.rows(np.array([row]))
+    names = np.array(robot.joint_names)
+    np.savez_compressed(file, joint_names=names, knot_target=knots.target, knot_x=knots.x, **arrays)
 
 
 def write_json(file: Path, record: dict) -> None:

@@ -29,7 +29,7 @@ from htcp_jax.runs.labels import labels_of
 from htcp_jax.runs.manifest import MANIFEST, TABLES, FileRecord, Manifest, Seconds, ShardRecord, Span, shard_name, spans
 from htcp_jax.runs.plan_folder import SUMMARY
 from htcp_jax.runs.summary import summarise
-from htcp_jax.runs.tables import empty_tables, frame_of, plans_of
+from htcp_jax.runs.tables import LATER, empty_tables, frame_of, plans_of
 
 if TYPE_CHECKING:
     import pandas
@@ -223,6 +223,10 @@ def _read_parquet(file: Path, record: FileRecord, schema: pa.Schema) -> pa.Table
         rows = pq.read_table(pa.BufferReader(data))
     except (pa.ArrowException, OSError) as error:
         raise InputError(f"{file} is no Parquet file: {' '.join(str(error).split())}") from None
+    for name in LATER:
+        if name in schema.names and name not in rows.column_names:
+            place = schema.get_field_index(name)
+            rows = rows.add_column(place, schema.field(name), pa.nulls(len(rows), schema.field(name).type))
     if not rows.schema.equals(schema) or len(rows) != record.rows:
         raise InputError(f"{file} is not a file of this run: it has other columns or another number of rows")
     return rows

@@ -26,6 +26,7 @@ class Summary(NamedTuple):
     complete: int  # scenarios with every target tracked
     targets: int  # S x T
     tracked: int
+    executable: int  # of the tracked, those that a proven motion leads to
     after_escape: int  # of the tracked
     blocked_paths: int  # tracked targets whose straight joint path from the row before is known to collide
     success_rate: float  # tracked / targets
@@ -49,6 +50,7 @@ def summarise(plans: Plans) -> Summary:
         complete=int(ends.complete.sum()),
         targets=int(ends.targets.sum()),
         tracked=int(ends.tracked.sum()),
+        executable=int(ends.executable.sum()),
         after_escape=int((plans.status == Status.TRACKED_AFTER_ESCAPE).sum()),
         blocked_paths=int(ends.blocked_paths.sum()),
         success_rate=_or_nan(np.mean, tracked[plans.exists]),

@@ -12,6 +12,11 @@
     iterations     int32    step QPs solved for the target; 0 where a plan made backwards pushed it there
     joint_step_rad double   |x_t - x_{t-1}|
     path_clear     bool     straight joint path from the row before; null where unknown
+    way            string   name of a htcp_jax.status.Way: whether the way from the row before is a proven motion; null
+                            where nobody looked
+    way_clearance_m double  D all along that way, at least; null where it is not proven
+    knots          list of double   postures that the arm passes on that way, joint by joint, one after the other; null
+                            where it is a straight joint path
     escape         int8     0 none, k: stage k of the method's escapes; one beyond its last: planned backwards from a
                             posture drawn at a later target, see `planner.backwards`
     <joint>_rad    double   configuration x, a column a joint (<joint>_m where it slides)
@@ -24,6 +29,7 @@
     group          string   of the sweep file; null where it has none
     targets        int32    that the scenario has
     tracked        int32    of them
+    executable     int32    of these, those that a proven motion leads to from the scenario's start
     complete       bool     all of them
     failed_target  int32    the first that is not tracked; null where complete, as are the two that follow
     failure        string   its status
@@ -49,15 +55,18 @@ import pyarrow as pa
 
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.grid_axes import Point
+from htcp_jax.planner.knots import Knots
 from htcp_jax.planner.plans import EMPTY, NO_TARGET, Outcomes, Plans
 from htcp_jax.runs import parameters
 from htcp_jax.scene.robot import Robot
-from htcp_jax.status import Status
+from htcp_jax.status import Status, Way
 
 if TYPE_CHECKING:
     import pandas
 
+LATER = "executable", "way", "way_clearance_m", "knots"  # columns that runs of before do not have, in their order
 STATUSES = {status.name: int(status) for status in Status}
+STATES: dict[str | None, int] = {None: int(Way.UNKNOWN)} | {way.name: int(way) for way in Way}
 XYZ = "xyz"
 
 
@@ -82,6 +91,9 @@ def target_table(method: str, numbers: np.ndarray, plans: Plans, joints: Sequenc
         "iterations": pa.array(plans.iterations[s, t], pa.int32()),
         "joint_step_rad": _doubles(plans.joint_step[s, t]),
         "path_clear": pa.array(path_clear == 1, pa.bool_(), mask=path_clear < 0),
+        "way": pa.array([_way(code) for code in plans.way[s, t].tolist()], pa.string()),
+        "way_clearance_m": _doubles(plans.way_clearance[s, t]),
+        "knots": _knots(plans, s, t),
         "escape": pa.array(plans.escape[s, t], pa.int8()),
     }
     columns |= {name: _doubles(plans.x[s, t, k]) for k, name in enumerate(joints)}
@@ -101,6 +113,7 @@ def scenario_table(
         "group": pa.array([point.group for point in points], pa.string()),
         "targets": pa.array(ends.targets, pa.int32()),
         "tracked": pa.array(ends.tracked, pa.int32()),
+        "executable": pa.array(ends.executable, pa.int32()),
         **_ends(ends),
         "after_escape": pa.array((plans.status == Status.TRACKED_AFTER_ESCAPE).sum(axis=1), pa.int32()),
         "blocked_paths": pa.array(ends.blocked_paths, pa.int32()),
@@ -143,14 +156,34 @@ def plans_of(
         raise IndexError("a row of no scenario or no target")
     blank = np.full((count, int(t.max(initial=-1)) + 1, 3), EMPTY["target"])
     plans = Plans.empty(_starts(scenarios, count, joints), blank, 0)._replace(compile_s=compile_s, run_s=run_s)
-    for name in ("clearance", "residual", "status", "iterations", "joint_step", "escape", "path_clear"):
+    for name in _READ:
         getattr(plans, name)[s, t] = _numpy(targets[_COLUMN.get(name, name)], EMPTY[name])
+    plans.way[s, t] = [STATES[name] for name in targets["way"].to_pylist()]
     for array, names in ((plans.x, joints), (plans.tcp, _axes("tcp")), (plans.target, _axes("target"))):
         array[s, t] = np.stack([_numpy(targets[name], np.nan) for name in names], axis=1)
-    return plans
+    ways = zip(s.tolist(), t.tolist(), targets["knots"].to_pylist(), strict=True)
+    knots = [(scenario, target, np.reshape(way, (-1, len(joints)))) for scenario, target, way in ways if way]
+    return plans._replace(knots=Knots.of(knots, len(joints)))
 
 
-_COLUMN = {"clearance": "clearance_m", "residual": "residual_m", "joint_step": "joint_step_rad"}
+_READ = "clearance", "residual", "status", "iterations", "joint_step", "escape", "path_clear", "way_clearance"
+_COLUMN = {
+    "clearance": "clearance_m", "residual": "residual_m", "joint_step": "joint_step_rad",
+    "way_clearance": "way_clearance_m",
+}  # fmt: skip
+
+
+def _way(code: int) -> str | None:
+    return None if code == Way.UNKNOWN else Way(code).name
+
+
+def _knots(plans: Plans, s: np.ndarray, t: np.ndarray) -> pa.Array:
+    """The knots on the way to each row, flat."""
+    kind = pa.list_(pa.float64())
+    if not len(plans.knots.x):
+        return pa.nulls(len(s), kind)
+    ways = [plans.knots.on_the_way(*row).ravel().tolist() or None for row in zip(s.tolist(), t.tolist(), strict=True)]
+    return pa.array(ways, kind)
 
 
 def _starts(scenarios: pa.Table, count: int, joints: Sequence[str]) -> np.ndarray:

@@ -127,7 +127,7 @@ def _write_parquet(folder: Path, table: str, name: str, rows: pa.Table) -> FileR
         rows,
         sink,
         compression="zstd",
-        use_dictionary=[name for name in rows.column_names if name not in doubles],
+        use_dictionary=[name for name in rows.column_names if name not in doubles and name != "knots"],
         use_byte_stream_split=doubles,
     )
     data = sink.getvalue().to_pybytes()

@@ -33,6 +33,7 @@ class Scenario:
     interior_plane: Float[Anywhere, "*S 4"]  # normal, and offset [m], see `interior_plane_of`
     targets: Float[Anywhere, "*S T M"]  # of the task, world [m]; rows from `count` on are padding
     count: Int[Anywhere, "*S"]  # targets to track
+    on_path: Int[Anywhere, "*S"]  # the first target that is a point of the path; those before it lead there
     margin_m: Float[Anywhere, "*S"]  # least clearance with which a target counts
     tool_extension_m: Float[Anywhere, "*S"]
     number: Int[Anywhere, "*S"]  # identity: the random keys are folded from it
@@ -99,6 +100,7 @@ def make_scenario(
         interior_plane=interior_plane_of(robot, workpiece, T_world_workpiece),
         targets=targets,
         count=np.asarray(len(targets), np.int32),
+        on_path=np.asarray(len(targets) - len(workpiece.path), np.int32),
         margin_m=np.asarray(margin_m, float),
         tool_extension_m=np.asarray(tool_extension_m, float),
         number=np.asarray(number, np.int32),

@@ -65,6 +65,7 @@ class Scores(Section):
 
     tracked: Count
     targets: Count
+    executable: Count | None = None  # of the tracked; a baseline of before knows none
     complete: Count  # scenarios
     tcp_error_max_mm: float | None  # over the tracked targets, as is the next; None where there are none
     clearance_min_mm: float | None
@@ -245,6 +246,7 @@ def _scores(run: Run, method: str, check: MethodCheck | None) -> Scores:
     return Scores(
         tracked=int(found.tracked.sum()),
         targets=int(found.targets.sum()),
+        executable=int(found.executable.sum()),
         complete=int(found.complete.sum()),
         tcp_error_max_mm=_rounded(check and check.tcp_error_max_mm),
         clearance_min_mm=_rounded(check and check.clearance_min_mm),

@@ -144,6 +144,10 @@ def _shortfalls(
         wrong.append(f"{len(lost)} of {len(was.scenarios)} scenarios are missing, {lost[0]} the first")
     if (fewer := was.tracked - now.tracked) > allow.targets:
         wrong.append(f"{fewer} targets fewer are tracked, {now.tracked} of {was.targets}; {allow.targets} may be lost")
+    if was.executable is not None and (fewer := was.executable - (now.executable or 0)) > allow.targets:
+        wrong.append(
+            f"{fewer} targets fewer are executable, {now.executable} of {was.targets}; {allow.targets} may be lost"
+        )
     if (worse := sum(one.worse for one in changed)) > allow.scenarios:
         wrong.append(f"{worse} scenarios end earlier; {allow.scenarios} may")
     was_share, share = _share(was, baseline.reachability), _share(now, found.reachability)

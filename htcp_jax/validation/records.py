@@ -11,6 +11,7 @@ from htcp_jax.jobs.config import PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.planner.plans import Plans
 from htcp_jax.runs.open import PlanSet, open_plans
 from htcp_jax.scene.workpiece import Workpiece
+from htcp_jax.status import Way
 from htcp_jax.validation.scene_rules import Results, Track
 
 MOST_WORKPIECES = 8  # of one run in memory
@@ -32,8 +33,17 @@ def _tracks(found: PlanSet) -> Iterator[Track]:
 
 def _track(method: str, number: int, config: PlanConfig, plans: Plans) -> Track:
     there = plans.exists[number]
-    columns = plans.tracked, plans.path_clear == 0, plans.x, plans.tcp, plans.target, plans.clearance
-    return Track(method, number, config, plans.start[number], *(column[number][there] for column in columns))
+    flags = plans.tracked, plans.path_clear == 0, plans.way == Way.PROVEN
+    columns = plans.x, plans.tcp, plans.target, plans.clearance
+    return Track(
+        method,
+        number,
+        config,
+        plans.start[number],
+        *(column[number][there] for column in flags),
+        tuple(plans.knots.on_the_way(number, target) for target in range(int(there.sum()))),
+        *(column[number][there] for column in columns),
+    )
 
 
 def _workpieces() -> Callable[[PlanConfig], Workpiece]:

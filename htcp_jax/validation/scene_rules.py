@@ -24,6 +24,8 @@ class Track(NamedTuple):
     start: Float[np.ndarray, "N"]  # that the plan starts from
     tracked: Bool[np.ndarray, "T"]
     blocked: Bool[np.ndarray, "T"]  # joint path from the row before, as recorded
+    proven: Bool[np.ndarray, "T"]  # whether the way from the row before is on record as a proven motion
+    knots: tuple[Float[np.ndarray, "k N"], ...]  # T times: the postures passed on that way
     x: Float[np.ndarray, "T N"]
     tcp: Float[np.ndarray, "T 3"]
     target: Float[np.ndarray, "T 3"]

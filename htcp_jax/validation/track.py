@@ -13,6 +13,17 @@ from htcp_jax.validation.result import RECORD_M, ROUNDING_M, STEP_RAD, Refuted
 from htcp_jax.validation.scene_rules import Results, Track, targets_of, turned_and_moved
 
 
+class JointPaths(NamedTuple):
+    """The m straight joint paths that ways are made of."""
+
+    target: Int[np.ndarray, "m"]  # to which the way leads
+    row: Int[np.ndarray, "m"]  # of the postures measured, from which the way leads
+    a: Float[np.ndarray, "m N"]
+    b: Float[np.ndarray, "m N"]
+    line_a: Float[np.ndarray, "m 3"]  # the line that the TCP follows, or where it stays
+    line_b: Float[np.ndarray, "m 3"]
+
+
 class Checked(NamedTuple):
     """What was found at the n tracked targets with a configuration, and along the m joint paths that lead to them."""
 
@@ -38,10 +49,10 @@ class Checked(NamedTuple):
 def check(results: Results, arm: Arm, wall: Wall, track: Track, between: int) -> Checked:
     """Check one track with the arm that has its tool; between: least steps of a joint path, 0 to look at none.
     Raises InputError where the configuration leads to another number of targets than are on record."""
-    scene, targets = _scene(results, arm, wall, track)
+    scene, targets, on_path = _scene(results, arm, wall, track)
     t = np.flatnonzero(track.tracked & np.isfinite(track.x).all(axis=1))
-    x = np.concatenate([track.start[None], track.x[t]])  # the start is row 0
-    at = scene.at(x)
+    rows = np.concatenate([track.start[None], track.x[t]])  # the start is row 0
+    at = scene.at(rows)
     reached = at.postures.tcp[1:]
     more = at.clearance[1:] - track.clearance[t]
     bound = wall.triangles is not None  # what is on record may be less, by how closely points cover the mesh
@@ -56,9 +67,12 @@ def check(results: Results, arm: Arm, wall: Wall, track: Track, between: int) ->
     through = np.zeros(len(t), bool)
     if bound and contact is not None and len(t):
         through = scene.tip_goes_through(Postures(*(values[1:] for values in at.postures)), contact)
-    first = np.flatnonzero(t == np.concatenate([[-1], t[:-1]])[: len(t)] + 1)  # rows of x that a path leaves
-    moved, line = np.abs(np.diff(x, axis=0)[first]), targets[t[first]] - targets[np.maximum(t[first] - 1, 0)]
+    paths = _paths(track, rows, targets, t)
+    moved, line = np.abs(paths.b - paths.a), paths.line_b - paths.line_a
     speed, in_place = _speed(arm, moved, np.linalg.norm(line, axis=1), tolerance)
+    between_rows = _walk(scene, at, paths, between)
+    refuted = _refuted(arm, track, t, tolerance, ROUNDING_M if bound else RECORD_M, {**found, "through": through})
+    refuted += _refuted_ways(track, paths, between_rows, on_path)
     return Checked(
         method=track.method,
         scenario=track.scenario,
@@ -66,16 +80,16 @@ def check(results: Results, arm: Arm, wall: Wall, track: Track, between: int) ->
         blocked=int((track.tracked & track.blocked).sum()),
         target=t,
         **found,
-        refuted=_refuted(arm, track, t, tolerance, ROUNDING_M if bound else RECORD_M, {**found, "through": through}),
-        leads_to=t[first],
-        **_walk(scene, at, x, first, targets, t, between),
+        refuted=refuted,
+        leads_to=paths.target,
+        **between_rows,
         speed=speed,
         in_place=in_place,
     )
 
 
-def _scene(results: Results, arm: Arm, wall: Wall, track: Track) -> tuple[CheckedScene, Float[np.ndarray, "T 3"]]:
-    """The arm beside the wall as the track has it, and its targets."""
+def _scene(results: Results, arm: Arm, wall: Wall, track: Track) -> tuple[CheckedScene, Float[np.ndarray, "T 3"], int]:
+    """The arm beside the wall as the track has it, its targets, and which of them is the path's first point."""
     part, pose, workpiece = track.config.workpiece, of_job(track.config), results.workpiece(track.config)
     rotate, translate = turned_and_moved(part, pose)
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
@@ -86,7 +100,8 @@ def _scene(results: Results, arm: Arm, wall: Wall, track: Track) -> tuple[Checke
             f"{results.folder}: scenario {track.scenario} has {len(track.target)} targets on record, "
             f"{len(targets)} by its configuration"
         )
-    return CheckedScene(arm, wall, rotate, translate, part.interior_depth_m), targets
+    beside = CheckedScene(arm, wall, rotate, translate, part.interior_depth_m)
+    return beside, targets, len(targets) - len(workpiece.path)
 
 
 def _refuted(
@@ -125,30 +140,52 @@ def _reasons(
     return reasons
 
 
-def _walk(
-    scene: CheckedScene,
-    at: AtTargets,
-    x: np.ndarray,
-    first: np.ndarray,
-    targets: np.ndarray,
-    t: np.ndarray,
-    between: int,
-) -> dict[str, Any]:
-    """Along the joint paths from the rows `first` of x to the next ones: which of them touch, the least clearance where
-    it is less than at all of these rows, and how far the TCP leaves the line of its targets."""
+def _paths(track: Track, rows: np.ndarray, targets: np.ndarray, t: np.ndarray) -> JointPaths:
+    """The joint paths to the rows of the targets t that have a row before."""
+    parts = []
+    for k in np.flatnonzero(t == np.concatenate([[-1], t[:-1]])[: len(t)] + 1).tolist():
+        way = np.concatenate([rows[k][None], track.knots[t[k]], rows[k + 1][None]])
+        count, to, before = len(way) - 1, targets[t[k]], targets[max(t[k] - 1, 0)]
+        last = (np.arange(count) == count - 1)[:, None]  # on those before it the arm changes its posture in place
+        start = np.broadcast_to(before, (count, 3))
+        parts.append((np.full(count, t[k]), np.full(count, k), way[:-1], way[1:], start, np.where(last, to, before)))
+    if not parts:
+        none, joints = np.zeros(0, int), np.zeros((0, rows.shape[1]))
+        return JointPaths(none, none, joints, joints, np.zeros((0, 3)), np.zeros((0, 3)))
+    return JointPaths(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _refuted_ways(track: Track, paths: JointPaths, found: dict[str, Any], on_path: int) -> list[Refuted]:
+    """Ways that are on record as proven motions and are none. on_path: the first target on the path."""
+    if found["touches"] is None:
+        return []
+    proven, reasons = track.proven[paths.target], {}
+    settings = track.config.settings
+    away = proven & (paths.target > on_path) & (found["deviation"] > settings.tube_m + ROUNDING_M)
+    for k in np.flatnonzero(proven & found["touches"]).tolist():
+        reasons.setdefault(int(paths.target[k]), "the way there is on record as proven, and touches")
+    for k in np.flatnonzero(away).tolist():
+        off = f"{1e3 * found['deviation'][k]:.3f} mm"
+        reasons.setdefault(int(paths.target[k]), f"the way there is on record as proven, and leaves its path by {off}")
+    return [Refuted(track.method, track.scenario, target, reasons[target]) for target in sorted(reasons)]
+
+
+def _walk(scene: CheckedScene, at: AtTargets, paths: JointPaths, between: int) -> dict[str, Any]:
+    """Along the joint paths: which of them touch, the least clearance where it is less than at all the rows, and how
+    far the TCP leaves the line of its targets."""
     if not between:
         return dict.fromkeys(("touches", "clearance_between", "deviation"))
-    least, deviation = np.full(len(first), np.inf), np.zeros(len(first))
-    move = x[first + 1] - x[first]
+    count = len(paths.target)
+    least, deviation = np.full(count, np.inf), np.zeros(count)
+    move = paths.b - paths.a
     furthest = abs(move).max(axis=1, initial=0.0)
     steps = np.where(furthest > 0, np.maximum(between, np.ceil(furthest / STEP_RAD)), 1).astype(int)
     path, fraction = _looks(steps)
     if len(path):
-        way = x[first[path]] + fraction[:, None] * move[path]
-        tcp, clearance = scene.between(way, first[path], at, max(0.0, float(at.clearance.min())))
+        way = paths.a[path] + fraction[:, None] * move[path]
+        tcp, clearance = scene.between(way, paths.row[path], at, max(0.0, float(at.clearance.min())))
         np.minimum.at(least, path, clearance)
-        to = t[first[path]]
-        off = np.where(to > 0, _from_line(tcp, targets[np.maximum(to - 1, 0)], targets[to]), 0.0)
+        off = np.where(paths.target[path] > 0, _from_line(tcp, paths.line_a[path], paths.line_b[path]), 0.0)
         np.maximum.at(deviation, path, off)  # the way to the first target is not on the path
     return {"touches": least <= 0, "clearance_between": least, "deviation": deviation}
 

@@ -1,0 +1,55 @@
+"""How far the arm can move while every joint stays within a distance of where it is.
+
+Let joint j turn by at most d_j either way. In the frame of the link before it, a point of a body moves by
+
+    M_j <= M_{j+1} + d_j (r_j + M_{j+1}),
+
+where r_j is the point's distance to the joint's axis at the middle, and M_{j+1} bounds what the joints beyond add
+(0 beyond the body's own link). A slide adds d_j alone. A body is rigid and convex, so its ends bound all its points.
+
+On a straight joint path x(s) with x' = t, a point of the last link has p'' = sum_ij t_i t_j d2p / dq_i dq_j. The column
+of a hinge j is z_j x (p - o_j), as long as p is far from its axis, and turns with every hinge i before it (Siciliano et
+al., Robotics, section 3.1); so, with r_j bounded as above,
+
+    |p''| <= sum_j |t_j| r_j (|t_j| + 2 sum_{i < j} |t_i|).
+
+A slide's own column is of length 1, does not change along itself, and turns with the hinges before it alone.
+"""
+
+import jax
+import jax.numpy as jnp
+
+from htcp_jax.scene.kinematics import capsule_segments, joint_levers, tcp_position
+from htcp_jax.scene.robot import Robot
+from htcp_jax.types import Float, Joints, Scalar
+
+
+def motion_bound(robot: Robot, x: Joints, turns: Joints) -> Float[jax.Array, "K"]:
+    """How far any point of each body is from where it is at x, at most, while every joint stays within `turns`
+    [rad or m] of x [m]."""
+    p, q = capsule_segments(robot, x)
+    links = jnp.asarray(robot.capsule_link)
+
+    def farthest(points):
+        levers = joint_levers(robot, x, points)
+        moved = jnp.zeros(len(robot.capsule_link))
+        for j in reversed(range(len(robot.slides))):
+            adds = turns[j] * (1.0 if robot.slides[j] else levers[:, j] + moved)
+            moved = moved + jnp.where(links >= j, adds, 0.0)
+        return moved
+
+    return jnp.maximum(farthest(p), farthest(q))
+
+
+def tcp_bend_bound(robot: Robot, x: Joints, rates: Joints, turns: Joints) -> Scalar:
+    """How large the TCP's second derivative |p''| is at most on a straight joint path of x' = `rates` [rad or m],
+    while every joint stays within `turns` of x [m]."""
+    levers = joint_levers(robot, x, tcp_position(robot, x)[None])[0]
+    rates, slides = jnp.abs(rates), robot.slides
+    moved, bound = jnp.zeros(()), jnp.zeros(())
+    for j in reversed(range(len(slides))):
+        lever = 1.0 if slides[j] else levers[j] + moved
+        turned = sum((2 * rates[i] for i in range(j) if not slides[i]), start=jnp.zeros(()))
+        bound = bound + rates[j] * lever * (turned + (0.0 if slides[j] else rates[j]))
+        moved = moved + turns[j] * lever
+    return bound

@@ -1,0 +1,149 @@
+"""Whether a straight joint path is a motion: the arm clear all along it, and the TCP within a tube about a line.
+
+By bisection. An interval of the path is proven when, seen from its middle, every body has more room than its points can
+move within the interval, and the TCP can neither leave the tube nor turn back. It is refuted when the middle itself is
+in collision, out of the tube, or on its way back; otherwise it is halved. So there are three answers: proven, refuted
+at a place, and open, where the halves have become as short as they may.
+
+The TCP p(s) is bounded to second order. With |p''| <= A on an interval of half-width h about m,
+
+    |p(s) - p(m) - (s - m) p'(m)| <= A h^2 / 2        |p'(s) - p'(m)| <= A h,
+
+and as the distance to a line is convex, the ends of the straight piece p(m) +- h p'(m) bound it on all of the piece.
+"""
+
+import enum
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from htcp_jax.clearance.motion_bound import motion_bound, tcp_bend_bound
+from htcp_jax.clearance.obstacle import Posed
+from htcp_jax.clearance.obstacles import all_clear, room
+from htcp_jax.clearance.scene import Scene
+from htcp_jax.numerics import product, safe_norm, segment_parameter
+from htcp_jax.scene.kinematics import jacobian, tcp_position
+from htcp_jax.settings import Settings
+from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
+
+ROUNDING_M = 1e-9  # more than that of any position: what is proven is proven with so much to spare
+RESOLUTION_M = 1e-5  # what `path_clear` may touch unnoticed: grazing paths take many halvings to prove
+DEEPEST = 30  # halvings; a joint turns by less than 1e-8 rad then
+
+
+class Verdict(enum.IntEnum):
+    """What is known of a joint path; the numbers of `status.Way`, where they have words."""
+
+    PROVEN = 0
+    COLLIDES = 1  # refuted: a body touches
+    LEAVES = 2  # refuted: the TCP leaves its tube
+    TURNS_BACK = 3  # refuted: the TCP moves against its line
+    OPEN = 4  # neither proven nor refuted
+
+
+class Tube(NamedTuple):
+    """Where the TCP may be: within `radius` of the line from `start` to `end`, along which it only advances. Where the
+    two are one point it may move any way; with an infinite radius it may be anywhere."""
+
+    start: Vector3  # world [m]
+    end: Vector3
+    radius: Scalar  # [m]
+
+
+class Proof(NamedTuple):
+    """What bisection found on a joint path."""
+
+    verdict: Int[Array, ""]
+    place: Scalar  # 0 to 1: the middle of the interval that is refuted or open; 1 where all are proven
+    clearance: Scalar  # D all along what is proven, at least [m]
+    queries: Int[Array, ""]  # places looked at
+    depth: Int[Array, ""]  # halvings of the shortest interval
+
+
+def prove(
+    scene: Scene, where: Posed, a: Joints, b: Joints, tube: Tube | None = None, resolution_m: float = -ROUNDING_M
+) -> Proof:
+    """Whether the straight joint path from a to b [rad or m] is clear, and keeps the TCP in the tube, if there is one.
+
+    resolution_m: D is proven to be more than minus that; what is looked at has to be clear in any case.
+    """
+    line = jnp.zeros(3) if tube is None else tube.end - tube.start
+    length = safe_norm(line)
+    forwards = line / jnp.where(length > 0, length, 1.0)
+
+    def going(state):
+        index, depth, proof = state
+        return (proof.verdict == Verdict.PROVEN) & ~((depth == 0) & (index == 1))
+
+    def look(state):
+        index, depth, proof = state
+        half = 0.5 * jnp.ldexp(1.0, -depth)
+        place = (2 * index + 1) * half
+        x = a + place * (b - a)
+        turns = half * jnp.abs(b - a)
+        left = room(scene.robot, scene.obstacles, where, x)
+        spare = jnp.min(left - motion_bound(scene.robot, x, turns))
+        proven, verdict = spare >= -resolution_m, jnp.full((), int(Verdict.PROVEN), jnp.int32)
+        if tube is not None:
+            inside, verdict = _in_tube(scene, tube, forwards, x, b - a, turns, half)
+            proven &= inside
+        verdict = jnp.where(jnp.min(left) <= 0, int(Verdict.COLLIDES), verdict)
+        verdict = jnp.where((verdict == Verdict.PROVEN) & ~proven & (depth == DEEPEST), int(Verdict.OPEN), verdict)
+        found = Proof(
+            verdict,
+            jnp.where(verdict == Verdict.PROVEN, 1.0, place),
+            jnp.where(proven, jnp.minimum(proof.clearance, spare), proof.clearance),
+            proof.queries + 1,
+            jnp.maximum(proof.depth, depth.astype(jnp.int32)),
+        )
+        index, depth = jax.tree.map(partial(jnp.where, proven), _next_interval(index, depth), (2 * index, depth + 1))
+        return index, depth, found
+
+    zero, none = jnp.zeros((), jnp.int64), jnp.zeros((), jnp.int32)
+    start = Proof(none + int(Verdict.PROVEN), jnp.ones(()), jnp.full((), jnp.inf), none, none)
+    return jax.lax.while_loop(going, look, (zero, zero, start))[2]
+
+
+def path_clear(scene: Scene, settings: Settings, where: Posed, a: Joints, b: Joints) -> Bool[jax.Array, ""]:
+    """Whether the straight joint path from a to b is clear by the test of `settings.path_test`, the ends left out:
+    `bisection`, or `samples`, which looks at a number of places and knows nothing of what lies between them."""
+    if settings.path_test == "bisection":
+        return proven_clear(scene, where, a, b)
+    if settings.path_steps == 1:
+        return jnp.full((), True)
+    fractions = jnp.arange(1, settings.path_steps) / settings.path_steps
+    return all_clear(scene.robot, scene.obstacles, where, a[None, :] + fractions[:, None] * (b - a)[None, :])
+
+
+def proven_clear(scene: Scene, where: Posed, a: Joints, b: Joints) -> Bool[jax.Array, ""]:
+    """Whether D > 0 wherever bisection looks, and D > -RESOLUTION_M for certain everywhere else on the path."""
+    return prove(scene, where, a, b, resolution_m=RESOLUTION_M).verdict == Verdict.PROVEN
+
+
+def _in_tube(scene: Scene, tube: Tube, forwards: Vector3, x: Joints, rates: Joints, turns: Joints, half: Scalar):
+    """Whether the TCP surely stays in the tube on an interval about x, and what is wrong at x itself."""
+    robot = scene.robot
+    p, v = tcp_position(robot, x), product(jacobian(robot, x), rates)
+    bend = tcp_bend_bound(robot, x, rates, turns) * half
+    off, before, after = _off_line(tube, jnp.stack([p, p - half * v, p + half * v]))
+    stays = jnp.maximum(before, after) + 0.5 * bend * half + ROUNDING_M <= tube.radius
+    speed, is_line = product(forwards, v), jnp.any(forwards != 0)
+    inside = stays & (~is_line | (speed >= bend))
+    verdict = jnp.where(is_line & (speed < 0), int(Verdict.TURNS_BACK), int(Verdict.PROVEN))
+    verdict = jnp.where(off > tube.radius, int(Verdict.LEAVES), verdict).astype(jnp.int32)
+    bounded = jnp.isfinite(tube.radius)
+    return inside | ~bounded, jnp.where(bounded, verdict, int(Verdict.PROVEN))
+
+
+def _off_line(tube: Tube, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
+    start, end = (jnp.broadcast_to(point, points.shape) for point in (tube.start, tube.end))
+    return safe_norm(start + segment_parameter(start, end, points)[:, None] * (end - start) - points)
+
+
+def _next_interval(index, depth):
+    """The interval after number `index` of those of length 2^-depth: as long a one as begins there."""
+    index = index + 1
+    up = jnp.minimum(jax.lax.population_count((index & -index) - 1), depth)
+    return index >> up, depth - up

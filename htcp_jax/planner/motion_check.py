@@ -1,0 +1,123 @@
+"""Whether plans are motions: from the start that was given, the arm proven clear all along, the tool on its path.
+
+The way to a target on the path keeps the TCP within `Settings.path_tolerance_m` of the line from the target before, and
+advances along it; where the arm changes its posture on the way, the TCP stays that close to the target before. The ways
+to the path are free to leave their lines. Targets closer to each other than `ONE_POINT_M` are one.
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from htcp_jax.clearance.motion_proof import Proof, Tube
+from htcp_jax.planner.kernels import PROVE
+from htcp_jax.planner.lane_inputs import lane_inputs
+from htcp_jax.planner.lanes import gather
+from htcp_jax.planner.plans import Plans
+from htcp_jax.planner.problem import Problem
+from htcp_jax.planner.tip_check import tip_checks
+from htcp_jax.scene.scenario import Scenario
+from htcp_jax.scene.task import Task
+from htcp_jax.status import Way
+
+ONE_POINT_M = 1e-5
+ROWS_AT_ONCE = 16  # of a scenario: what lies behind the end of a motion need not be looked at
+
+
+class Segments(NamedTuple):
+    """Straight joint paths that ways are made of."""
+
+    scenario: Int[np.ndarray, "n"]
+    target: Int[np.ndarray, "n"]  # to which the way leads
+    a: Float[np.ndarray, "n N"]
+    b: Float[np.ndarray, "n N"]
+    turns: Bool[np.ndarray, "n"]  # whether the arm changes its posture at the target before
+
+
+def tubes(
+    scenarios: Scenario, task: Task, radius_m: float, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray
+) -> Tube:
+    """Where the TCP has to be on the way to targets; anywhere before the path, and where the task is not the TCP's
+    position. turns: see `Segments`."""
+    line = scenarios.targets[scenario, np.maximum(target - 1, 0)], scenarios.targets[scenario, target]
+    free = (target <= scenarios.on_path[scenario]) | (task.points != Task().points)
+    if free.all():
+        return Tube(np.zeros((len(target), 3)), np.zeros((len(target), 3)), np.full(len(target), np.inf))
+    a, b = line
+    a = np.where((np.linalg.norm(b - a, axis=1) < ONE_POINT_M)[:, None], b, a)
+    return Tube(a, np.where(turns[:, None], a, b), np.where(free, np.inf, radius_m))
+
+
+def judge_motions(problem: Problem, plans: Plans) -> None:
+    """Fill in `way` and `way_clearance`, of every scenario up to where its motion ends."""
+    starts = problem.scenarios.x_start
+    elsewhere = plans.tracked[:, 0] & np.any(plans.start != starts, axis=1)
+    plans.way[elsewhere, 0] = Way.ELSEWHERE
+    going = np.flatnonzero(plans.tracked[:, 0] & ~elsewhere)
+    for first in range(0, plans.status.shape[1], ROWS_AT_ONCE):
+        block = np.zeros_like(plans.tracked)
+        block[going, first : first + ROWS_AT_ONCE] = True
+        block &= np.logical_and.accumulate(plans.tracked, axis=1)
+        if not block.any():
+            break
+        segments = _segments(plans, block)
+        _record(plans, segments, _proofs(problem, segments))
+        last = min(first + ROWS_AT_ONCE, plans.status.shape[1]) - 1
+        going = going[plans.executable[going, last]]
+    ended = np.logical_or.accumulate(plans.way != Way.PROVEN, axis=1)[:, :-1]
+    plans.way[:, 1:][ended], plans.way_clearance[:, 1:][ended] = Way.UNKNOWN, np.nan
+
+
+def _segments(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> Segments:
+    """What the ways to some rows are made of."""
+    s, t = np.nonzero(rows)
+    if not len(plans.knots.scenario):
+        return Segments(s, t, plans.before(s, t), plans.x[s, t], np.zeros(len(s), bool))
+    parts = []
+    for scenario, target in zip(s.tolist(), t.tolist(), strict=True):
+        knots = plans.knots.on_the_way(scenario, target)
+        way = np.concatenate([plans.before(scenario, target)[None], knots, plans.x[scenario, target][None]])
+        count = len(way) - 1
+        turns = np.arange(count) < count - 1
+        parts.append(Segments(np.full(count, scenario), np.full(count, target), way[:-1], way[1:], turns))
+    return Segments(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _proofs(problem: Problem, segments: Segments) -> Proof:
+    """One each; where the tool's bare tip passes through a wall, they collide."""
+    kernels = problem.kernels  # made here, before there are threads
+    tips = tip_checks(kernels, problem.tip_guard)
+    inputs = lane_inputs(problem.scenarios, segments.scenario, segments.target)
+    radius = problem.settings.tube_m
+    tube = tubes(problem.scenarios, problem.task, radius, segments.scenario, segments.target, segments.turns)
+    tables = inputs, segments.a, segments.b, tube
+    found: list[tuple[np.ndarray, Proof]] = []
+
+    def look(number: int) -> None:
+        part = np.arange(len(segments.target))[number :: problem.threads]
+        if not len(part):
+            return
+        own = number % len(kernels)
+        pick = gather(tables, part)
+        proof = kernels[own](PROVE, *pick)
+        if (tip := tips[own]) is not None:
+            through = (proof.verdict == Way.PROVEN) & tip.along(*pick[:3])
+            proof = proof._replace(verdict=np.where(through, int(Way.COLLIDES), proof.verdict))
+        found.append((part, proof))
+
+    with ThreadPoolExecutor(problem.threads) as pool:
+        list(pool.map(look, range(problem.threads)))
+    order = np.argsort(np.concatenate([part for part, _ in found]))
+    return Proof(*(np.concatenate(column)[order] for column in zip(*(proof for _, proof in found), strict=True)))
+
+
+def _record(plans: Plans, segments: Segments, proofs: Proof) -> None:
+    """A way is what its first segment that is not proven is; it is as clear as the least clear of them."""
+    s, t = segments.scenario, segments.target
+    plans.way[s, t], plans.way_clearance[s, t] = Way.PROVEN, np.inf
+    for k in np.flatnonzero(proofs.verdict != Way.PROVEN)[::-1]:
+        plans.way[s[k], t[k]] = proofs.verdict[k]
+    np.minimum.at(plans.way_clearance, (s, t), proofs.clearance)
+    plans.way_clearance[plans.way != Way.PROVEN] = np.nan

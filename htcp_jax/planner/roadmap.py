@@ -1,0 +1,230 @@
+"""The roadmap: per scenario and target a front of postures, each connected to the start by a proven motion.
+
+    feed     every posture of the front to the next target; it arrives where its joint path is a proven motion
+    spread   where few arrive, by walks in the null space of the target, every step of them proven
+    go on    with those that are far apart; where nothing arrives, spread the front itself and feed what is new
+
+A local optimiser carries one posture along and is lost in the first dead end; the front holds many, on both sides of
+what forks the way. All that arrived is a tree whose root is the start, and the path that is chosen is that of the leaf
+with the fewest changes of posture, and then the least cost of equation (3).
+
+Random keys are folded from the scenario's number, the target, the round and the walk, so results do not depend on which
+scenarios are planned together.
+"""
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from htcp_jax.planner.front import Node, best_first, dispersed
+from htcp_jax.planner.knots import Knots
+from htcp_jax.planner.lane_inputs import lane_inputs
+from htcp_jax.planner.lanes import gather
+from htcp_jax.planner.motion_check import tubes
+from htcp_jax.planner.plans import Plans
+from htcp_jax.planner.problem import Problem
+from htcp_jax.planner.programs import Kernels
+from htcp_jax.planner.roadmap_kernels import FEED, WALK
+from htcp_jax.planner.tip_check import TipCheck, tip_checks
+from htcp_jax.settings import Settings
+from htcp_jax.status import Status, Way
+
+IN_FLIGHT = 4  # scenarios are planned together, a quarter as many as a table has lanes
+
+
+@dataclass(frozen=True)
+class Roadmap:
+    """The planner. A `registry.Method`."""
+
+    name: str
+    title: str
+    description: str
+
+    def plan(self, problem: Problem) -> Plans:
+        """Plan all scenarios; threads take them in turn, and write into different rows."""
+        plans = problem.empty_plans()
+        kernels = problem.kernels  # made here, before there are threads
+        tips = tip_checks(kernels, problem.tip_guard)
+
+        def work(number: int) -> list[tuple[int, int, np.ndarray]]:
+            own = number % len(kernels)
+            growing = Growing(problem, plans, kernels[own], tips[own])
+            return growing.run(iter(problem.to_plan.tolist()[number :: problem.threads]))
+
+        with ThreadPoolExecutor(problem.threads) as pool:
+            ways = [way for part in pool.map(work, range(problem.threads)) for way in part]
+        return plans._replace(knots=Knots.of(ways, plans.x.shape[2]))
+
+
+@dataclass(eq=False)
+class Search:
+    """How far one scenario has come: its front, which of that is still to be fed, and what has arrived."""
+
+    scenario: int
+    targets: int
+    on_path: int
+    settings: Settings
+    can_walk: bool
+    front: list[Node]
+    unfed: list[Node]
+    arrived: list[Node] = field(default_factory=list)
+    rounds: int = 0  # of walks from the front since something arrived
+    draws: int = 0  # rounds of walks in all
+    status: Status | None = None  # why the search ended, where it did not come to the last target
+
+    @property
+    def target(self) -> int:
+        """That of the front."""
+        return self.front[0].target
+
+    @property
+    def done(self) -> bool:
+        """Whether it has ended, one way or the other."""
+        return self.status is not None or self.target == self.targets - 1
+
+    @property
+    def walkers(self) -> list[Node]:
+        """The postures to walk from now, one a walk."""
+        if self.unfed or self.done:
+            return []
+        among, count = self.arrived or self.front, self.settings.walks
+        return [among[(k + count * self.rounds) % len(among)] for k in range(count)]
+
+    def take_fed(self, arrived: list[Node], failure: Status) -> None:
+        """What came of feeding; failure: what to say if nothing ever arrives."""
+        self.arrived, self.unfed = self.arrived + arrived, []
+        last = self.target == self.targets - 2
+        thin = len(self.arrived) < self.settings.thin_front and not last and self.can_walk
+        if self.arrived and not thin:
+            self._go_on()
+        elif not self.arrived and (self.target < 0 or not self.can_walk or self.rounds >= self.settings.walk_rounds):
+            self.status = failure
+
+    def take_walked(self, found: list[Node], failure: Status) -> None:
+        """What came of a round of walks."""
+        self.draws += 1
+        if self.arrived:
+            self.arrived = self.arrived + found
+            self._go_on()
+            return
+        self.rounds += 1
+        self.unfed = dispersed(found, len(found), self.settings.front_apart_rad, known=self.front)
+        self.front = self.front + self.unfed
+        if not self.unfed and self.rounds >= self.settings.walk_rounds:
+            self.status = failure
+
+    def _go_on(self) -> None:
+        self.front = dispersed(self.arrived, self.settings.front, self.settings.front_apart_rad)
+        self.unfed, self.arrived, self.rounds = self.front, [], 0
+
+
+class Growing:
+    """Plans scenarios, many at a time, in dense batches of all their postures."""
+
+    def __init__(self, problem: Problem, plans: Plans, kernels: Kernels, tip: TipCheck | None):
+        self._problem, self._plans, self._kernels, self._tip = problem, plans, kernels, tip
+        self._failure: dict[int, Status] = {}  # of scenarios: what the last feeding failed of
+
+    def run(self, scenarios: Iterator[int]) -> list[tuple[int, int, np.ndarray]]:
+        """Plan until the iterator is empty. Returns the knots of ways: (scenario, target, postures)."""
+        ways, going, most = [], [], max(1, self._kernels.lanes // IN_FLIGHT)
+        while True:
+            while len(going) < most and (scenario := next(scenarios, None)) is not None:
+                going.append(self._begin(scenario))
+            if not going:
+                return ways
+            before = sum(search.target for search in going)
+            self._feed([(search, node) for search in going for node in search.unfed])
+            self._walk([(search, node) for search in going for node in search.walkers])
+            tracked = sum(search.target for search in going) - before
+            for search in going:
+                if search.done:
+                    ways += self._record(search)
+            finished = sum(search.done for search in going)
+            going = [search for search in going if not search.done]
+            self._problem.progress(tracked, finished)
+
+    def _begin(self, s: int) -> Search:
+        scenarios = self._problem.scenarios
+        start = Node(scenarios.x_start[s], np.nan, np.nan, np.full(3, np.nan), -1)
+        count, on_path = int(scenarios.count[s]), int(scenarios.on_path[s])
+        can_walk = self._kernels.freedom > 0
+        return Search(s, count, on_path, self._problem.settings, can_walk, [start], [start])
+
+    def _feed(self, lanes: list[tuple[Search, Node]]) -> None:
+        if not lanes:
+            return
+        scenario = np.array([search.scenario for search, _ in lanes])
+        target = np.array([node.target + 1 for _, node in lanes])
+        x = np.stack([node.x for _, node in lanes])
+        inputs, tube = self._inputs(scenario, target, np.zeros_like(target), False)
+        fed = self._kernels(FEED, inputs, x, tube)
+        good = fed.reached & (fed.proof.verdict == Way.PROVEN)
+        if self._tip is not None and good.any():
+            pick = gather((inputs, x, fed.at.x), good)
+            good[good] = ~self._tip.at(pick[0], pick[2]) & ~self._tip.along(*pick)
+        arrived: dict[Search, list[Node]] = {search: [] for search, _ in lanes}
+        for k in np.flatnonzero(good).tolist():
+            search, node = lanes[k]
+            here = (leaf[k] for leaf in fed.at)
+            arrived[search].append(Node(*here, int(target[k]), node, None, int(fed.step_qps[k])))
+        for search, nodes in arrived.items():
+            own = scenario == search.scenario
+            collides = search.target < 0 and bool((fed.begun[own] <= 0).all())
+            why = Status.PATH_BLOCKED if fed.reached[own].any() else Status.ESCAPE_EXHAUSTED
+            self._failure[search.scenario] = Status.START_IN_COLLISION if collides else why
+            search.take_fed(nodes, self._failure[search.scenario])
+
+    def _walk(self, lanes: list[tuple[Search, Node]]) -> None:
+        if not lanes:
+            return
+        scenario = np.array([search.scenario for search, _ in lanes])
+        target = np.array([node.target for _, node in lanes])
+        x, draws = np.stack([node.x for _, node in lanes]), np.array([search.draws for search, _ in lanes])
+        inputs, tube = self._inputs(scenario, target, draws, True)
+        walker = np.arange(len(lanes)) - np.searchsorted(scenario, scenario)
+        walked = self._kernels(WALK, inputs, x, walker.astype(np.int32), tube)
+        good = walked.steps > 0
+        if self._tip is not None and good.any():
+            good[good] = ~self._tip.at(*gather((inputs, walked.at.x), good))
+        found: dict[Search, list[Node]] = {search: [] for search, _ in lanes}
+        for k in np.flatnonzero(good).tolist():
+            search, node = lanes[k]
+            path, dwells = walked.path[k, : walked.steps[k]].copy(), int(target[k] >= search.on_path)
+            here = (leaf[k] for leaf in walked.at)
+            found[search].append(Node(*here, int(target[k]), node, path, dwells=dwells))
+        for search, nodes in found.items():
+            search.take_walked(nodes, self._failure[search.scenario])
+
+    def _inputs(self, scenario: np.ndarray, target: np.ndarray, draws: np.ndarray, turns: bool):
+        """What lanes are about, and their tubes: on the way to their target, or while they turn at it."""
+        problem = self._problem
+        inputs = lane_inputs(problem.scenarios, scenario, target, seed=problem.settings.seed, round_=draws)
+        towards, which = target + turns, np.full(len(target), turns)
+        return inputs, tubes(problem.scenarios, problem.task, problem.settings.tube_m, scenario, towards, which)
+
+    def _record(self, search: Search) -> list[tuple[int, int, np.ndarray]]:
+        """Write down the best path, and how the search ended; returns the knots of its ways."""
+        s, plans, ways = search.scenario, self._plans, []
+        knots: list[np.ndarray] = []
+        later: Node | None = None
+        for node in best_first(search.front)[0].ancestors():
+            if node.walked is not None:
+                knots.insert(0, node.walked)
+                continue
+            if later is not None:
+                plans.joint_step[s, later.target] = np.linalg.norm(later.x - node.x)
+                if knots:
+                    ways.append((s, later.target, np.concatenate(knots)))
+            knots = []
+            if (t := node.target) >= 0:
+                plans.x[s, t], plans.tcp[s, t] = node.x, node.tcp
+                plans.clearance[s, t], plans.residual[s, t] = node.clearance, node.residual
+                plans.status[s, t], plans.iterations[s, t] = Status.TRACKED, node.step_qps
+                plans.path_clear[s, t] = 1
+                later = node
+        if search.status is not None:
+            plans.status[s, search.target + 1] = search.status
+        return ways

@@ -1,0 +1,230 @@
+"""Motions: what is proven of a joint path is so at a thousand places of it, and what is refuted is so where it says."""
+
+from functools import cache, partial
+
+import jax
+import jax.numpy as jnp
+import made_once
+import numpy as np
+import pytest
+from sphere_references import Where, place
+from test_joint_path import rail
+
+from htcp_jax.clearance.motion_bound import tcp_bend_bound
+from htcp_jax.clearance.motion_proof import ROUNDING_M, Proof, Tube, Verdict, prove
+from htcp_jax.clearance.obstacles import clearance
+from htcp_jax.clearance.scene import Scene
+from htcp_jax.scene.kinematics import jacobian, tcp_position
+from htcp_jax.scene.robot import GP50
+from htcp_jax.scene.robot_file import load_robot
+from htcp_jax.status import Way
+from htcp_jax.validation.mujoco_arm import Arm
+from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
+
+PLACES = 1000
+_PROVEN = jax.jit(prove)
+_D = jax.jit(clearance)
+_D_everywhere = jax.jit(lambda robot, obstacle, where, x: jax.lax.map(partial(clearance, robot, obstacle, where), x))
+_TCP, _TCPS, _JACOBIAN = jax.jit(tcp_position), jax.jit(jax.vmap(tcp_position, in_axes=(None, 0))), jax.jit(jacobian)
+
+
+def tcp(x):
+    return np.asarray(_TCP(made_once.robot(), jnp.asarray(x)))
+
+
+def straight(a, b, places=PLACES):
+    """So many places of the joint path, its ends among them."""
+    return np.asarray(a) + np.linspace(0, 1, places)[:, None] * (np.asarray(b) - np.asarray(a))
+
+
+def proof_of(where, a, b, around=None):
+    return Proof(*(leaf.item() for leaf in _PROVEN(Scene(*made_once.scene()), where, a, b, around)))
+
+
+def tube(start, end, radius):
+    return Tube(jnp.asarray(start, float), jnp.asarray(end, float), jnp.asarray(radius, float))
+
+
+def off_line(start, end, points):
+    """Distances of points (n, 3) to the line from start to end, by hand."""
+    line = end - start
+    along = np.clip((points - start) @ line / (line @ line or 1.0), 0, 1)
+    return np.linalg.norm(points - start - along[:, None] * line, axis=1)
+
+
+@cache
+def motions():
+    """(where, a, b, tube): from recorded configurations and from the start, of all lengths, and in tubes that fit some
+    of them: about the line from end to end, off it, against it, and about a point."""
+    rng, found = np.random.default_rng(0), []
+    for k in range(0, 200, 2):
+        where, x = place(k)
+        a = np.asarray(x) if k % 4 else np.array(made_once.START)
+        step = 10.0 ** rng.uniform(-3, -0.3) * rng.normal(size=6)
+        if k % 3 == 0:  # the TCP hardly moves, and goes to and fro
+            jac = np.asarray(_JACOBIAN(made_once.robot(), jnp.asarray(a)))
+            step -= 0.9 * np.linalg.pinv(jac) @ jac @ step
+        start, end = tcp(a), tcp(a + step)
+        length = np.linalg.norm(end - start)
+        radius = length * 10.0 ** rng.uniform(-3, 0.7)
+        if k % 10 == 8:
+            start, end = end, start
+        if k % 10 == 4:
+            end, radius = start, length * rng.uniform(0.5, 2.0)
+        found.append((where, jnp.asarray(a), jnp.asarray(a + step), tube(start, end, radius)))
+    return found
+
+
+@cache
+def proofs():
+    return [proof_of(*motion) for motion in motions()]
+
+
+def those(*verdicts):
+    """The motions of which that was said, and what was said; not too few of them."""
+    found = [(m, proof) for m, proof in zip(motions(), proofs(), strict=True) if proof.verdict in verdicts]
+    assert len(found) >= 5
+    return found
+
+
+@pytest.mark.parametrize("model", ["gp50", "rail"])
+def test_the_tcp_bends_no_more_than_the_bound(model, tmp_path):
+    """At random places within the turns, by automatic differentiation along the joint path; hinges, and a slide."""
+    robot = made_once.robot() if model == "gp50" else load_robot(rail(tmp_path), limits="model")
+    n, rng = len(robot.slides), np.random.default_rng(2)
+    along = lambda x, rates: jax.jacfwd(jax.jacfwd(lambda s: tcp_position(robot, x + s * rates)))(0.0)  # noqa: E731
+    second, bound = jax.jit(along), jax.jit(tcp_bend_bound)
+    tightest, alone = 0.0, 0.0
+    for _ in range(300):
+        x, turns = rng.uniform(-2, 2, n), rng.uniform(0, 0.5, n) * rng.integers(0, 2)
+        rates = rng.normal(size=n) * rng.integers(0, 2, n)
+        most = float(bound(robot, jnp.asarray(x), jnp.asarray(rates), jnp.asarray(turns)))
+        there = x + turns * rng.uniform(-1, 1, n)
+        bend = float(np.linalg.norm(second(jnp.asarray(there), jnp.asarray(rates))))
+        assert bend <= most + 1e-9
+        part = bend / max(most, 1e-9)
+        tightest = max(tightest, part)
+        alone = max(alone, part if np.count_nonzero(rates) > 1 and turns.any() else 0.0)
+    assert tightest > 0.99 and alone > 0.5  # one hinge alone bends it as much as is said, at the posture itself
+
+
+def test_a_slide_does_not_bend_the_way_of_the_tcp(tmp_path):
+    """Alone it does not, and before a hinge it adds nothing to what that one does."""
+    robot, bound = load_robot(rail(tmp_path), limits="model"), jax.jit(tcp_bend_bound)
+    of = lambda *rates: float(bound(robot, jnp.zeros(3), jnp.array(rates), jnp.full(3, 0.3)))  # noqa: E731
+    assert of(1.0, 0.0, 0.0) == 0.0 and of(1.0, 0.5, 0.2) == of(0.0, 0.5, 0.2) > 0
+
+
+def test_a_proven_motion_is_clear_in_its_tube_and_advances_at_a_thousand_places():
+    lines = 0
+    for (where, a, b, around), proof in those(Verdict.PROVEN):
+        x = straight(a, b)
+        smallest = float(jnp.min(_D_everywhere(*made_once.scene()[:2], where, jnp.asarray(x))))
+        assert 0 < proof.clearance <= smallest + ROUNDING_M
+        points = np.asarray(_TCPS(made_once.robot(), jnp.asarray(x)))
+        start, end = np.asarray(around.start), np.asarray(around.end)
+        assert off_line(start, end, points).max() <= float(around.radius)
+        assert (np.diff(points @ (end - start)) >= -1e-15).all()
+        assert proof.place == 1.0 and proof.queries >= 1
+        lines += (start != end).any()
+    assert lines > 5
+
+
+def test_a_refuted_motion_is_wrong_where_it_says():
+    for (where, a, b, _), proof in those(Verdict.COLLIDES):
+        assert float(_D(*made_once.scene()[:2], where, a + proof.place * (b - a))) <= 0
+    for (_, a, b, around), proof in those(Verdict.LEAVES):
+        point = tcp(a + proof.place * (b - a))
+        assert off_line(np.asarray(around.start), np.asarray(around.end), point[None])[0] > float(around.radius)
+    for (_, a, b, around), proof in those(Verdict.TURNS_BACK):
+        line, h = np.asarray(around.end - around.start), 1e-7
+        before, after = (tcp(a + (proof.place + side * h) * (b - a)) for side in (-1, 1))
+        assert (after - before) @ line < 0
+
+
+def test_nothing_is_left_open_but_what_grazes():
+    """Every motion here has an answer; and one that is refuted stays so when it ends just after where it was."""
+    assert not [proof for proof in proofs() if proof.verdict == Verdict.OPEN]
+    for (where, a, b, around), proof in those(Verdict.LEAVES, Verdict.COLLIDES, Verdict.TURNS_BACK):
+        assert 0 < proof.place < 1
+        again = proof_of(where, a, a + proof.place * (b - a) * (1 + 1e-6), around)
+        assert again.verdict != Verdict.PROVEN
+
+
+def test_what_touches_its_tube_all_along_is_open():
+    """The arm stands still, its TCP exactly as far from the line as it may be: too close to call, and never proven."""
+    where, start = place(0)[0], jnp.asarray(made_once.START)
+    here = tcp(start)
+    line = tube(here + np.array([0, 0, 0.25]), here + np.array([1, 0, 0.25]), 0.25)
+    proof = proof_of(where, start, start, line)
+    assert proof.verdict == Verdict.OPEN
+    assert proof_of(where, start, start, line._replace(radius=jnp.asarray(0.26))).verdict == Verdict.PROVEN
+    assert proof_of(where, start, start, line._replace(radius=jnp.asarray(0.24))).verdict == Verdict.LEAVES
+
+
+@pytest.mark.parametrize("turn", [0.3, 1.5, 1.65, 2.5])
+def test_a_turn_of_the_base_leaves_its_tangent_and_turns_back_where_a_circle_does(turn):
+    """By that much either way, far from any workpiece. In the middle the TCP is on the line, and advances; at the ends
+    it is off it by r (1 - cos turn), and beyond a right angle it comes back."""
+    where, start, first = (
+        Where(jnp.eye(4).at[:3, 3].set(1e3), jnp.array([1.0, 0, 0, jnp.inf])),
+        made_once.START,
+        np.eye(6)[0],
+    )
+    here, (r, h) = tcp(start), (np.hypot(*tcp(start)[:2]), 1e-6)
+    forwards = (tcp(start + h * first) - tcp(start - h * first)) / (2 * h * r)
+    off = r * (1 - np.cos(turn))
+    for radius, verdict in ((0.999 * off, Verdict.LEAVES), (1.001 * off, Verdict.PROVEN), (10 * r, Verdict.PROVEN)):
+        around = tube(here - 2 * r * forwards, here + 2 * r * forwards, radius)
+        proof = proof_of(where, jnp.asarray(start - turn * first), jnp.asarray(start + turn * first), around)
+        beyond = turn > np.pi / 2
+        assert proof.verdict in ({Verdict.TURNS_BACK, Verdict.LEAVES} if beyond else {verdict})
+        assert proof.verdict != Verdict.LEAVES or verdict == Verdict.LEAVES
+
+
+def test_with_an_infinite_radius_the_tcp_may_be_anywhere():
+    """Far from the line, and against it: the same as if there were no tube."""
+    clear = 0
+    for where, a, b, around in motions()[::3]:
+        anywhere = tube(around.end + 1.0, around.start, np.inf)
+        with_tube = proof_of(where, a, b, anywhere)
+        assert with_tube == proof_of(where, a, b)
+        clear += with_tube.verdict == Verdict.PROVEN
+    assert 5 <= clear < len(motions()[::3])
+
+
+def test_about_a_point_the_tcp_may_move_any_way():
+    """A motion that goes back on its line is none in its tube; in a ball that holds it, it is."""
+    turned = 0
+    for (where, a, b, _), _ in those(Verdict.TURNS_BACK):
+        points = np.asarray(_TCPS(made_once.robot(), jnp.asarray(straight(a, b))))
+        middle = points.mean(axis=0)
+        radius = np.linalg.norm(points - middle, axis=1).max()
+        is_clear = proof_of(where, a, b).verdict == Verdict.PROVEN
+        ball, tight = tube(middle, middle, 1.01 * radius), tube(middle, middle, 0.9 * radius)
+        assert (proof_of(where, a, b, ball).verdict == Verdict.PROVEN) == is_clear
+        assert proof_of(where, a, b, tight).verdict != Verdict.PROVEN
+        turned += is_clear
+    assert turned >= 5
+
+
+def test_a_motion_and_its_reverse_are_clear_together_but_one_of_them_turns_back():
+    for (where, a, b, around), _ in those(Verdict.PROVEN)[::3]:
+        if bool((around.start == around.end).all()):
+            continue
+        assert proof_of(where, b, a, around).verdict == Verdict.TURNS_BACK
+        assert proof_of(where, b, a, Tube(around.end, around.start, around.radius)).verdict == Verdict.PROVEN
+
+
+def test_the_verdicts_are_those_that_a_plan_records():
+    assert {one.name: one.value for one in Verdict} == {way.name: way.value for way in Way if Way.UNKNOWN < way < 5}
+
+
+def test_another_engine_finds_nothing_that_touches_on_a_proven_motion():
+    """MuJoCo, at a hundred places of each: the least it finds is no less than what was proven."""
+    duct, arm = made_once.duct(), Arm(GP50, 0.0, "simulation")
+    wall = Wall(np.asarray(duct.cloud), "hull")
+    for (where, a, b, _), proof in those(Verdict.PROVEN)[::4]:
+        T = np.asarray(where.T_world_workpiece)
+        scene = CheckedScene(arm, wall, T[:3, :3], T[:3, 3], duct.interior_depth_m)
+        assert scene.at(straight(a, b, 100)).clearance.min() >= proof.clearance - ROUNDING_M

@@ -1,0 +1,376 @@
+"""The roadmap: what it tracks are motions from the given start, looked at place by place; and motions are judged."""
+
+from dataclasses import replace
+from functools import cache, partial
+from itertools import pairwise
+
+import jax
+import jax.numpy as jnp
+import made_once
+import numpy as np
+import pytest
+
+from htcp_jax.clearance.obstacles import clearance
+from htcp_jax.planner.batch import plan, start_clearance
+from htcp_jax.planner.devices import choose
+from htcp_jax.planner.knots import Knots
+from htcp_jax.planner.motion_check import judge_motions
+from htcp_jax.planner.plans import ARRAYS, Plans
+from htcp_jax.planner.problem import Problem
+from htcp_jax.scene.inverse_kinematics import reanchor
+from htcp_jax.scene.kinematics import tcp_position
+from htcp_jax.scene.robot import lengthen_tool
+from htcp_jax.scene.scenario import make_scenario, stack
+from htcp_jax.scene.task import Task
+from htcp_jax.settings import Settings
+from htcp_jax.status import Status, Way
+
+# A small search: of these settings none is compiled into a program.
+SMALL = Settings(front=6, thin_front=6, walks=6, walk_rounds=2)
+PLACES = 200  # of every straight joint path
+_D_everywhere = jax.jit(lambda robot, obstacle, where, x: jax.lax.map(partial(clearance, robot, obstacle, where), x))
+_TCPS = jax.jit(jax.vmap(tcp_position, in_axes=(None, 0)))
+
+
+def scenario(number=0, rotation=(0.4, 0.1), start=made_once.START, **changes):
+    return make_scenario(made_once.robot(), made_once.duct(), start, rotation=rotation, number=number, **changes)
+
+
+def first_of(one, targets):
+    """The scenario with its first targets alone."""
+    return replace(one, targets=one.targets[:targets], count=np.asarray(targets, np.int32))
+
+
+@cache
+def poses():
+    """Where the search has to spread its front and to go on elsewhere; of different lengths, margins, and tools."""
+    return (
+        scenario(0, (0.4, -0.3)),
+        scenario(1, (0.2, -0.3), approach=(3, 2), margin_m=0.0),
+        scenario(2, (0.4, 0.0), tool_extension_m=0.02),
+    )
+
+
+def roadmap(scenarios, settings=SMALL, **choices):
+    return plan(made_once.robot(), made_once.duct(), scenarios, "roadmap", settings, **choices)
+
+
+@cache
+def planned():
+    return roadmap(poses(), threads=1)
+
+
+def same(one, row, other, other_row, count):
+    """Whether two plans say the same of a scenario, to the last bit."""
+    for name in ARRAYS:
+        here, there = (getattr(p, name)[r] for p, r in ((one, row), (other, other_row)))
+        if name != "start":
+            here, there = here[:count], there[:count]
+        np.testing.assert_array_equal(here, there, err_msg=name)
+    for t in range(count):
+        np.testing.assert_array_equal(one.knots.on_the_way(row, t), other.knots.on_the_way(other_row, t))
+
+
+def ways(plans, s):
+    """(target, postures from the row before to its own) of the executable targets."""
+    before = plans.start[s]
+    for t in np.flatnonzero(plans.executable[s]).tolist():
+        yield t, np.concatenate([before[None], plans.knots.on_the_way(s, t), plans.x[s, t][None]])
+        before = plans.x[s, t]
+
+
+def off_line(start, end, points):
+    line = end - start
+    along = np.clip((points - start) @ line / (line @ line or 1.0), 0, 1)
+    return np.linalg.norm(points - start - along[:, None] * line, axis=1)
+
+
+def check_way(one, t, postures, radius):
+    """By brute force: clear everywhere, and on the path the TCP near its line, along which it never turns back; or,
+    while the arm changes its posture, near the target before. Returns the smallest D."""
+    robot, where = lengthen_tool(made_once.robot(), float(one.tool_extension_m)), jax.tree.map(jnp.asarray, one)
+    smallest = np.inf
+    for k, (a, b) in enumerate(pairwise(postures)):
+        x = jnp.asarray(a + np.linspace(0, 1, PLACES)[:, None] * (b - a))
+        smallest = min(smallest, float(jnp.min(_D_everywhere(robot, made_once.scene()[1], where, x))))
+        if t <= one.on_path:
+            continue
+        points, (start, end) = np.asarray(_TCPS(robot, x)), one.targets[t - 1 : t + 1]
+        turns = k < len(postures) - 2
+        assert off_line(start, start if turns else end, points).max() <= radius
+        assert turns or (np.diff(points @ (end - start)) >= -1e-15).all()
+    return smallest
+
+
+def check_motions(scenarios, plans, radius):
+    for s, one in enumerate(scenarios):
+        np.testing.assert_array_equal(plans.start[s], one.x_start)
+        for t, postures in ways(plans, s):
+            smallest = check_way(one, t, postures, radius)
+            assert 0 < plans.way_clearance[s, t] <= smallest + 1e-9
+
+
+def test_what_is_tracked_is_a_motion_from_the_given_start():
+    """Two hundred places of every straight joint path, by the clearance itself; every tracked target is executable."""
+    plans = planned()
+    assert (plans.executable == plans.tracked).all() and (plans.tracked.sum(axis=1) > 60).all()
+    assert (plans.way[plans.tracked] == Way.PROVEN).all()
+    check_motions(poses(), plans, SMALL.tolerance_m)
+    on_path = np.array([int(one.on_path) for one in poses()])
+    assert (plans.knots.target > on_path[plans.knots.scenario]).any()  # one changed its posture on the path
+
+
+def test_targets_count_as_those_of_any_method():
+    """Reached, with the margin, within the limits; and what is recorded is what the posture has."""
+    plans, (lower, upper) = planned(), (np.asarray(made_once.robot().lower), np.asarray(made_once.robot().upper))
+    for s, one in enumerate(poses()):
+        robot = lengthen_tool(made_once.robot(), float(one.tool_extension_m))
+        own = plans.tracked[s]
+        x, count = plans.x[s, own], int(own.sum())
+        D = _D_everywhere(robot, made_once.scene()[1], jax.tree.map(jnp.asarray, one), jnp.asarray(x))
+        np.testing.assert_allclose(plans.clearance[s, own], D, atol=1e-13)
+        assert (plans.clearance[s, own] > 0).all() and (plans.clearance[s, own] >= one.margin_m).all()
+        tcp = np.asarray(_TCPS(robot, jnp.asarray(x)))
+        np.testing.assert_allclose(plans.tcp[s, own], tcp, atol=1e-13)
+        residual = np.linalg.norm(tcp - one.targets[:count], axis=1)
+        np.testing.assert_allclose(plans.residual[s, own], residual, atol=1e-13)
+        assert residual.max() <= SMALL.tolerance_m
+        assert (x >= lower).all() and (x <= upper).all()
+        walked = np.concatenate([[one.x_start], x])
+        np.testing.assert_allclose(plans.joint_step[s, own], np.linalg.norm(np.diff(walked, axis=0), axis=1))
+        assert (plans.path_clear[s, own] == 1).all() and (plans.escape[s] == 0).all()
+        for rows in (plans.x, plans.tcp, plans.clearance, plans.residual, plans.joint_step, plans.way_clearance):
+            assert np.isnan(rows[s, count:]).all()
+        exists = int(one.count)
+        assert (plans.status[s, :count] == Status.TRACKED).all()
+        assert (plans.status[s, count + 1 : exists] == Status.NOT_ATTEMPTED).all()
+        assert count == exists or plans.status[s, count] in (Status.PATH_BLOCKED, Status.ESCAPE_EXHAUSTED)
+        assert not plans.exists[s, exists:].any() and (plans.knots.target[plans.knots.scenario == s] < count).all()
+    assert {len(one.targets) for one in poses()} != {len(poses()[0].targets)}
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_who_else_is_planned_has_no_influence(threads):
+    """Alone, together, in another order, by two threads: all arrays and all knots to the last bit."""
+    plans, backwards = planned(), roadmap(poses()[::-1], threads=threads)
+    for s, one in enumerate(poses()):
+        same(plans, s, backwards, 2 - s, int(one.count))
+        if threads == 1:
+            same(plans, s, roadmap(one, threads=1), 0, int(one.count))
+    together = roadmap(poses(), threads=threads)
+    assert all(np.array_equal(a, b) for a, b in zip(plans.knots, together.knots, strict=True))
+
+
+def test_another_seed_is_another_search_for_motions():
+    settings = replace(SMALL, seed=7)
+    other = roadmap(poses()[:1], settings)
+    assert not np.array_equal(other.x[0], planned().x[0], equal_nan=True)
+    assert (other.executable == other.tracked).all() and other.tracked.sum() > 60
+    np.testing.assert_array_equal(other.x, roadmap(poses()[:1], settings).x)
+
+
+def test_a_change_of_posture_may_be_several_walks_one_after_the_other():
+    """One posture and one walk at a time, each from where those before came to: the first of them is not enough."""
+    one, settings = first_of(scenario(14, (0.2, 0.0)), 55), replace(SMALL, front=1, thin_front=1, walks=1)
+    once, often = (roadmap([one], replace(settings, walk_rounds=rounds)) for rounds in (1, 12))
+    (lost,) = set(often.knots.target.tolist())
+    assert once.outcome(0).failed == lost and once.tracked.sum() == lost
+    assert (often.executable == often.tracked).all() and often.tracked[0].all()
+    steps = np.linalg.norm(np.diff(often.knots.x, axis=0), axis=1)
+    assert len(steps) > 1 and steps.max() < 2 * settings.walk_step_rad
+
+
+def test_a_narrower_tube_is_kept_to():
+    settings = replace(SMALL, path_tolerance_m=2e-4)
+    plans = roadmap(poses()[2:], settings)
+    assert (plans.executable == plans.tracked).all() and plans.tracked.sum() > 60
+    few = Plans.concatenate([plans])._replace(status=np.where(np.arange(plans.status.shape[1]) < 40, plans.status, 7))
+    check_motions(poses()[2:], few._replace(status=few.status.astype(np.int8)), settings.tube_m)
+
+
+def test_progress_counts_every_target_and_every_scenario():
+    heard = []
+    plans = roadmap(poses(), threads=2, progress=heard.append)
+    last = heard[-1]
+    assert last.scenarios_done == last.scenarios == len(poses()) and last.targets_tracked == plans.tracked.sum()
+    assert [one.targets_tracked for one in heard] == sorted(one.targets_tracked for one in heard)
+
+
+def test_a_start_in_collision_ends_it_at_once():
+    """However deep: also where a clear posture with its TCP there is near at hand."""
+    starts = np.load(made_once.RECORDED)["x"][:20]
+    scenarios = [first_of(scenario(k, start=x), 3) for k, x in enumerate(starts)]
+    depths = [start_clearance(made_once.robot(), made_once.duct(), one)[0] for one in scenarios]
+    stuck = [one for one, D in zip(scenarios, depths, strict=True) if D <= 0]
+    assert len(stuck) >= 5
+    plans = roadmap(stuck)
+    assert (plans.status[:, 0] == Status.START_IN_COLLISION).all() and not plans.tracked.any()
+    assert (plans.status[:, 1:] == Status.NOT_ATTEMPTED).all() and (plans.way == Way.UNKNOWN).all()
+
+
+@pytest.mark.parametrize("where", ["through the wall", "out of reach"])
+def test_a_target_that_cannot_be_reached_ends_it_and_leaves_what_came_before(where):
+    one = first_of(scenario(2, (0.4, 0.0)), 20)
+    lost, targets = 15, one.targets.copy()
+    cloud = made_once.duct().cloud @ one.T_world_workpiece[:3, :3].T + one.T_world_workpiece[:3, 3]
+    nearest = cloud[np.argmin(np.linalg.norm(cloud - targets[lost], axis=1))]
+    outwards = (nearest - targets[lost]) / np.linalg.norm(nearest - targets[lost])
+    targets[lost:] += outwards * (0.15 if where == "through the wall" else 5.0)
+    plans = roadmap([replace(one, targets=targets), one])
+    end = plans.outcome(0)
+    assert (end.tracked, end.executable, end.failed, end.way) == (lost, lost, lost, Way.PROVEN)
+    assert end.status in (Status.PATH_BLOCKED, Status.ESCAPE_EXHAUSTED)
+    assert (plans.status[0, lost + 1 :] == Status.NOT_ATTEMPTED).all()
+    assert plans.outcome(1).executable == 20
+
+
+def test_points_of_the_path_that_are_met_twice_are_no_obstacle():
+    """Doubled, and a hair apart, where no line says which way is forwards."""
+    one = first_of(scenario(2, (0.4, 0.0)), 20)
+    first = int(one.on_path)
+    again = np.repeat(one.targets[first:], 2, axis=0)
+    again[1::4] += 1e-9
+    twice = replace(one, targets=np.concatenate([one.targets[:first], again]), count=np.asarray(first + len(again)))
+    twice = replace(twice, count=twice.count.astype(np.int32))
+    plans = roadmap([twice])
+    assert plans.executable.all()
+    check_motions([twice], plans, SMALL.tolerance_m)
+
+
+# Judging motions
+
+
+@cache
+def example():
+    """A scenario of which 40 targets are a motion, and its plans."""
+    one = first_of(scenario(2, (0.4, 0.0)), 40)
+    plans = roadmap([one])
+    assert plans.executable.all() and not len(plans.knots.target)
+    return one, plans
+
+
+def judged(one, settings=SMALL, threads=1, **changes):
+    """Its plans with these arrays, judged again."""
+    plans = example()[1]
+    plans = plans._replace(**{name: array.copy() for name, array in plans.arrays().items()})._replace(**changes)
+    plans.way[:], plans.way_clearance[:] = Way.UNKNOWN, np.nan
+    scene, devices, task = made_once.scene(), choose(None), Task(tolerance_m=settings.tolerance_m)
+    problem = Problem(scene[0], made_once.duct(), stack([one]), settings, task, scene[1], devices, threads)
+    judge_motions(problem, plans)
+    return plans
+
+
+def ends(plans, target, *verdicts):
+    """Whether the motion ends there, for one of these reasons."""
+    end = plans.outcome(0)
+    assert end.executable == target and end.way in verdicts and plans.way[0, target] in verdicts
+    assert (plans.way[0, :target] == Way.PROVEN).all() and np.isfinite(plans.way_clearance[0, :target]).all()
+    assert np.isnan(plans.way_clearance[0, target]) and not plans.executable[0, target:].any()
+
+
+def with_posture(target, x):
+    changed = example()[1].x.copy()
+    changed[0, target] = x
+    return changed
+
+
+def posture_at(target, point):
+    """Near that of the row before, with the TCP at a point."""
+    x, off = reanchor(made_once.robot(), jnp.asarray(example()[1].x[0, target - 1]), jnp.asarray(point), 1e-6)
+    assert off <= 1e-6
+    return np.asarray(x)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_judging_again_says_the_same(threads):
+    one, plans = example()
+    again = judged(one, threads=threads)
+    np.testing.assert_array_equal(again.way, plans.way)
+    np.testing.assert_array_equal(again.way_clearance, plans.way_clearance)
+
+
+@pytest.mark.parametrize("target", [15, 16, 31])
+def test_a_tool_that_leaves_its_path_is_no_motion(target):
+    """The next targets are still tracked, as far as statuses tell; nothing after the first that is lost is a motion."""
+    one, _ = example()
+    line = one.targets[target] - one.targets[target - 1]
+    beside = np.cross(line, [0.3, 0.5, 0.8])
+    point = one.targets[target] + 2e-3 * beside / np.linalg.norm(beside)
+    changed = judged(one, x=with_posture(target, posture_at(target, point)))
+    ends(changed, target, Way.LEAVES)
+    assert changed.tracked.all() and (changed.way[0, target // 16 * 16 + 16 :] == Way.UNKNOWN).all()
+    assert judged(one, replace(SMALL, path_tolerance_m=5e-3), x=changed.x).way[0, target] == Way.PROVEN
+
+
+def test_a_tool_that_goes_backwards_is_no_motion():
+    one, _ = example()
+    line = one.targets[20] - one.targets[19]
+    point = one.targets[19] - 5e-4 * line / np.linalg.norm(line)
+    ends(judged(one, x=with_posture(20, posture_at(20, point))), 20, Way.TURNS_BACK)
+
+
+def test_at_a_point_that_is_met_twice_the_tool_may_go_any_way():
+    one, targets = example()[0], example()[0].targets.copy()
+    line = (targets[20] - targets[19]) / np.linalg.norm(targets[20] - targets[19])
+    behind = with_posture(20, posture_at(20, targets[19] - 5e-4 * line))
+    for apart, verdict in ((0.0, Way.PROVEN), (1e-9, Way.PROVEN), (1e-4, Way.TURNS_BACK)):
+        targets[20] = targets[19] + apart * line
+        assert judged(replace(one, targets=targets.copy()), x=behind).way[0, 20] == verdict
+
+
+@pytest.mark.parametrize("target", [0, 5, 20])
+def test_an_arm_that_touches_on_its_way_is_no_motion(target):
+    """There and back within one row, so that the places of the targets themselves are clear."""
+    one, plans = example()
+    where, scene = jax.tree.map(jnp.asarray, one), made_once.scene()
+    before = plans.start[0] if target == 0 else plans.x[0, target - 1]
+    far = made_once.configurations_near(before, 200, 1.5)
+    D = np.asarray(_D_everywhere(*scene[:2], where, jnp.asarray(far)))
+    through = Knots.of([(0, target, far[[int(np.argmin(D))]])], 6)
+    assert D.min() < 0
+    changed = judged(one, knots=through)
+    ends(changed, target, *((Way.COLLIDES,) if target < one.on_path else (Way.COLLIDES, Way.LEAVES)))
+    assert judged(one, replace(SMALL, path_tolerance_m=0.1), knots=through).way[0, target] != Way.PROVEN
+
+
+def test_a_change_of_posture_has_to_stay_at_the_target_before():
+    """On the way to a target of the path; before the path it may go anywhere that is clear."""
+    one, _ = example()
+    for target, point, verdict in (
+        (20, one.targets[19] + [0, 0, 5e-4], Way.PROVEN),
+        (20, one.targets[19] + [0, 0, 3e-3], Way.LEAVES),
+        (5, one.targets[4] + [0, 0, 3e-3], Way.PROVEN),
+        (int(one.on_path), one.targets[one.on_path - 1] + [0, 0, 3e-3], Way.PROVEN),
+        (int(one.on_path) + 1, one.targets[one.on_path] + [0, 0, 3e-3], Way.LEAVES),
+    ):
+        there = posture_at(target, point)
+        back = posture_at(target, one.targets[target - 1])
+        way = np.stack([there, back])
+        changed = judged(one, knots=Knots.of([(0, target, way)], 6))
+        assert changed.way[0, target] == verdict
+        ends(changed, target, verdict) if verdict != Way.PROVEN else check_motions([one], changed, SMALL.tolerance_m)
+
+
+def test_a_plan_from_another_start_is_no_motion():
+    one, plans = example()
+    changed = judged(one, start=plans.start + 1e-12)
+    assert changed.way[0, 0] == Way.ELSEWHERE and (changed.way[0, 1:] == Way.UNKNOWN).all()
+    assert changed.outcome(0).executable == 0 and changed.outcome(0).way == Way.ELSEWHERE
+
+
+def test_nobody_looks_beyond_a_failure_or_where_nobody_is_asked_to():
+    one, plans = example()
+    status = plans.status.copy()
+    status[0, 10], status[0, 11:] = Status.PATH_BLOCKED, Status.NOT_ATTEMPTED
+    changed = judged(one, status=status)
+    assert (changed.way[0, :10] == Way.PROVEN).all() and (changed.way[0, 10:] == Way.UNKNOWN).all()
+    assert changed.outcome(0).executable == 10
+    assert (roadmap([first_of(one, 5)], check_paths=False).way == Way.UNKNOWN).all()
+
+
+def test_what_another_method_makes_is_judged_as_well():
+    """In a batch, one of which is a motion as far as it goes: by brute force, the verdicts are right."""
+    scenarios = [first_of(scenario(k, rotation), 24) for k, rotation in enumerate([(0.4, 0.0), (0.8, -0.3)])]
+    plans = plan(made_once.robot(), made_once.duct(), scenarios, "baseline", SMALL)
+    check_motions(scenarios, plans, SMALL.tolerance_m)
+    assert plans.executable.sum() > 24
