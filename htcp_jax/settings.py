@@ -69,12 +69,12 @@ class Settings:
 
     # Roadmap
     front: int = 64  # most postures kept at one target
-    thin_front: int = 32  # with fewer, the front is spread by walks
+    thin_front: int = 16  # with fewer, the front is spread by walks
     front_apart_rad: float = 0.12  # closer postures are one
     front_aim_m: float = 5e-3  # how far above the margin a posture is brought, where it can be
     walks: int = 32  # of one round
-    walk_steps: int = 24  # the most of one walk
-    walk_step_rad: float = 0.05  # length of each of them
+    walk_steps: int = 12  # the most of one walk
+    walk_step_rad: float = 0.1  # length of each of them
     walk_rounds: int = 12  # at a target from which nothing leads on
 
     # Hybrid

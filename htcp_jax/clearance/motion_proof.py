@@ -19,7 +19,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.motion_bound import motion_bound, tcp_bend_bound
+from htcp_jax.clearance.motion_bound import tcp_bend_bound, travel_bound
 from htcp_jax.clearance.obstacle import Posed
 from htcp_jax.clearance.obstacles import all_clear, room
 from htcp_jax.clearance.scene import Scene
@@ -84,7 +84,7 @@ def prove(
         x = a + place * (b - a)
         turns = half * jnp.abs(b - a)
         left = room(scene.robot, scene.obstacles, where, x)
-        spare = jnp.min(left - motion_bound(scene.robot, x, turns))
+        spare = jnp.min(left - travel_bound(scene.robot, x, b - a, half))
         proven, verdict = spare >= -resolution_m, jnp.full((), int(Verdict.PROVEN), jnp.int32)
         if tube is not None:
             inside, verdict = _in_tube(scene, tube, forwards, x, b - a, turns, half)

@@ -16,11 +16,14 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
+import jax
 import numpy as np
 
+from htcp_jax.clearance.motion_proof import Tube
 from htcp_jax.planner.front import Node, best_first, dispersed
+from htcp_jax.planner.kernels import ADVANCE, PROVE
 from htcp_jax.planner.knots import Knots
-from htcp_jax.planner.lane_inputs import lane_inputs
+from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.planner.lanes import gather
 from htcp_jax.planner.motion_check import tubes
 from htcp_jax.planner.plans import Plans
@@ -160,21 +163,18 @@ class Growing:
         target = np.array([node.target + 1 for _, node in lanes])
         x = np.stack([node.x for _, node in lanes])
         inputs, tube = self._inputs(scenario, target, np.zeros_like(target), False)
-        fed = self._kernels(FEED, inputs, x, tube)
-        good = fed.reached & (fed.proof.verdict == Way.PROVEN)
-        if self._tip is not None and good.any():
-            pick = gather((inputs, x, fed.at.x), good)
-            good[good] = ~self._tip.at(pick[0], pick[2]) & ~self._tip.along(*pick)
+        fed = self._kernels(FEED, inputs, x)
+        good = self._kept(inputs, fed.at.x, fed.reached)
+        proven = good.copy()
+        proven[good] = self._proven(*gather((inputs, x, fed.at.x, tube), good), along=True)
         arrived: dict[Search, list[Node]] = {search: [] for search, _ in lanes}
-        for k in np.flatnonzero(good).tolist():
+        for k in np.flatnonzero(proven).tolist():
             search, node = lanes[k]
             here = (leaf[k] for leaf in fed.at)
             arrived[search].append(Node(*here, int(target[k]), node, None, int(fed.step_qps[k])))
         for search, nodes in arrived.items():
             own = scenario == search.scenario
-            collides = search.target < 0 and bool((fed.begun[own] <= 0).all())
-            why = Status.PATH_BLOCKED if fed.reached[own].any() else Status.ESCAPE_EXHAUSTED
-            self._failure[search.scenario] = Status.START_IN_COLLISION if collides else why
+            self._failure[search.scenario] = self._why(search, bool(good[own].any()))
             search.take_fed(nodes, self._failure[search.scenario])
 
     def _walk(self, lanes: list[tuple[Search, Node]]) -> None:
@@ -185,18 +185,49 @@ class Growing:
         x, draws = np.stack([node.x for _, node in lanes]), np.array([search.draws for search, _ in lanes])
         inputs, tube = self._inputs(scenario, target, draws, True)
         walker = np.arange(len(lanes)) - np.searchsorted(scenario, scenario)
-        walked = self._kernels(WALK, inputs, x, walker.astype(np.int32), tube)
-        good = walked.steps > 0
-        if self._tip is not None and good.any():
-            good[good] = ~self._tip.at(*gather((inputs, walked.at.x), good))
+        walked = self._kernels(WALK, inputs, x, walker.astype(np.int32))
+        lane, step = np.nonzero(np.arange(walked.path.x.shape[1]) < walked.steps[:, None])
+        before = np.concatenate([x[:, None], walked.path.x], axis=1)
+        segments = gather((inputs, tube), lane)
+        a, b = before[lane, step], before[lane, step + 1]
+        proven = np.zeros(walked.path.clearance.shape, bool)
+        proven[lane, step] = self._proven(segments[0], a, b, segments[1])
+        steps = np.logical_and.accumulate(proven, axis=1).sum(axis=1)
+        last = jax.tree.map(lambda leaf: leaf[np.arange(len(x)), np.maximum(steps - 1, 0)], walked.path)
+        good = self._kept(inputs, last.x, steps > 0)
         found: dict[Search, list[Node]] = {search: [] for search, _ in lanes}
         for k in np.flatnonzero(good).tolist():
             search, node = lanes[k]
-            path, dwells = walked.path[k, : walked.steps[k]].copy(), int(target[k] >= search.on_path)
-            here = (leaf[k] for leaf in walked.at)
+            path, dwells = walked.path.x[k, : steps[k]].copy(), int(target[k] >= search.on_path)
+            here = (leaf[k] for leaf in last)
             found[search].append(Node(*here, int(target[k]), node, path, dwells=dwells))
         for search, nodes in found.items():
             search.take_walked(nodes, self._failure[search.scenario])
+
+    def _kept(self, inputs: LaneInputs, x: np.ndarray, among: np.ndarray) -> np.ndarray:
+        """Which of some lanes, `among`, keep the tool's bare tip out of the walls at x."""
+        good = np.array(among)
+        if self._tip is not None and good.any():
+            good[good] = ~self._tip.at(*gather((inputs, x), good))
+        return good
+
+    def _proven(self, inputs: LaneInputs, a: np.ndarray, b: np.ndarray, tube: Tube, along: bool = False) -> np.ndarray:
+        """Which straight joint paths from a to b are motions. along: whether to look at the bare tip, too."""
+        if not len(a):
+            return np.zeros(0, bool)
+        good = self._kernels(PROVE, inputs, a, b, tube).verdict == Way.PROVEN
+        if along and self._tip is not None and good.any():
+            good[good] = ~self._tip.along(*gather((inputs, a, b), good))
+        return good
+
+    def _why(self, search: Search, reached: bool) -> Status:
+        """What to say of a scenario in which nothing arrives at the next target."""
+        if search.target < 0:
+            [node] = search.front
+            inputs = lane_inputs(self._problem.scenarios, np.array([search.scenario]), np.zeros(1, int))
+            if self._kernels(ADVANCE, inputs, node.x[None], np.zeros((1, len(node.x)))).clearance[0] <= 0:
+                return Status.START_IN_COLLISION
+        return Status.PATH_BLOCKED if reached else Status.ESCAPE_EXHAUSTED
 
     def _inputs(self, scenario: np.ndarray, target: np.ndarray, draws: np.ndarray, turns: bool):
         """What lanes are about, and their tubes: on the way to their target, or while they turn at it."""
