@@ -77,6 +77,10 @@ class Settings:
     walk_step_rad: float = 0.1  # length of each of them
     walk_rounds: int = 12  # at a target from which nothing leads on
 
+    # The whole path, equation (3)
+    smooth: bool | None = None  # whether motions are smoothed; None: where the method asks for it, as roadmap does
+    path_weights: tuple[float, ...] | None = None  # of the joints in equation (3); None: 1 each, as in the paper
+
     # Hybrid
     restart_rounds: int = 9  # rounds of draws for a posture at a lost target that leads back to the first
 
@@ -156,7 +160,7 @@ def _check(name: str, value, kind) -> None:
     elif name == "qp":
         if value not in ("clarabel", "device") and not value.startswith("qpsolvers:"):
             raise InputError(f"qp is {value!r}; valid: clarabel, device, qpsolvers:<name of a solver>")
-    elif kind is not bool and value is not None:
+    elif not isinstance(value, bool | None):
         for number in value if isinstance(value, tuple) else (value,):
             if not math.isfinite(number) or number < 0 or (number == 0 and name not in _MAY_BE_ZERO):
                 least = "zero or more" if name in _MAY_BE_ZERO else "more than zero"

@@ -91,6 +91,11 @@ def plan(
 
         check_remaining_paths(problem, plans)
         judge_motions(problem, plans)
+        if getattr(chosen, "smooth", False) if settings.smooth is None else settings.smooth:
+            from htcp_jax.planner.smoothing import smooth
+
+            plans = smooth(problem, plans)
+            judge_motions(problem, plans)
     spent = time.perf_counter() - began
     compile_s = plans.compile_s + sum(each.compile_s for each in problem.kernels)
     return plans._replace(compile_s=compile_s, run_s=spent - compile_s)

@@ -44,6 +44,7 @@ class Roadmap:
     name: str
     title: str
     description: str
+    smooth = True  # unless the settings say otherwise
 
     def plan(self, problem: Problem) -> Plans:
         """Plan all scenarios; threads take them in turn, and write into different rows."""
