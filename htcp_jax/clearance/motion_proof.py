@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 
 from htcp_jax.clearance.motion_bound import tcp_bend_bound, travel_bound
 from htcp_jax.clearance.obstacle import Posed
@@ -63,11 +64,18 @@ class Proof(NamedTuple):
 
 
 def prove(
-    scene: Scene, where: Posed, a: Joints, b: Joints, tube: Tube | None = None, resolution_m: float = -ROUNDING_M
+    scene: Scene,
+    where: Posed,
+    a: Joints,
+    b: Joints,
+    tube: Tube | None = None,
+    resolution_m: float = -ROUNDING_M,
+    deepest: Int[ArrayLike, ""] = DEEPEST,
 ) -> Proof:
     """Whether the straight joint path from a to b [rad or m] is clear, and keeps the TCP in the tube, if there is one.
 
-    resolution_m: D is proven to be more than minus that; what is looked at has to be clear in any case.
+    resolution_m: D is proven to be more than minus that; what is looked at has to be clear in any case. deepest: the
+    most halvings; with fewer, what is nearly touched is open.
     """
     line = jnp.zeros(3) if tube is None else tube.end - tube.start
     length = safe_norm(line)
@@ -90,7 +98,7 @@ def prove(
             inside, verdict = _in_tube(scene, tube, forwards, x, b - a, turns, half)
             proven &= inside
         verdict = jnp.where(jnp.min(left) <= 0, int(Verdict.COLLIDES), verdict)
-        verdict = jnp.where((verdict == Verdict.PROVEN) & ~proven & (depth == DEEPEST), int(Verdict.OPEN), verdict)
+        verdict = jnp.where((verdict == Verdict.PROVEN) & ~proven & (depth >= deepest), int(Verdict.OPEN), verdict)
         found = Proof(
             verdict,
             jnp.where(verdict == Verdict.PROVEN, 1.0, place),

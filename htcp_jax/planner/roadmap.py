@@ -3,6 +3,7 @@
     feed     every posture of the front to the next target; it arrives where its joint path is a proven motion
     spread   where few arrive, by walks in the null space of the target, every step of them proven
     go on    with those that are far apart; where nothing arrives, spread the front itself and feed what is new
+    transfer where all that is exhausted, and it is allowed: once more from other postures at the first target
 
 A local optimiser carries one posture along and is lost in the first dead end; the front holds many, on both sides of
 what forks the way. All that arrived is a tree whose root is the start, and the path that is chosen is that of the leaf
@@ -31,6 +32,7 @@ from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.roadmap_kernels import FEED, WALK
 from htcp_jax.planner.tip_check import TipCheck, tip_checks
+from htcp_jax.planner.transfers import joined, other_postures
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status, Way
 
@@ -77,6 +79,7 @@ class Search:
     rounds: int = 0  # of walks from the front since something arrived
     draws: int = 0  # rounds of walks in all
     status: Status | None = None  # why the search ended, where it did not come to the last target
+    own: "Search | None" = None  # the one from the start, where this one is from other postures at the first target
 
     @property
     def target(self) -> int:
@@ -139,16 +142,17 @@ class Growing:
                 going.append(self._begin(scenario))
             if not going:
                 return ways
-            before = sum(search.target for search in going)
+            before = sum(search.target for search in going if search.own is None)
             self._feed([(search, node) for search in going for node in search.unfed])
             self._walk([(search, node) for search in going for node in search.walkers])
-            tracked = sum(search.target for search in going) - before
-            for search in going:
-                if search.done:
-                    ways += self._record(search)
-            finished = sum(search.done for search in going)
-            going = [search for search in going if not search.done]
-            self._problem.progress(tracked, finished)
+            tracked = sum(search.target for search in going if search.own is None) - before
+            ended = [(search, self._elsewhere(search)) for search in going if search.done]
+            going = [search for search in going if not search.done] + [other for _, other in ended if other is not None]
+            finished = [self._chosen(search) for search, other in ended if other is None]
+            for found in finished:
+                ways += self._record(*found)
+                tracked += found[0].target - found[0].own.target if found[0].own is not None else 0
+            self._problem.progress(tracked, len(finished))
 
     def _begin(self, s: int) -> Search:
         scenarios = self._problem.scenarios
@@ -156,6 +160,29 @@ class Growing:
         count, on_path = int(scenarios.count[s]), int(scenarios.on_path[s])
         can_walk = self._kernels.freedom > 0
         return Search(s, count, on_path, self._problem.settings, can_walk, [start], [start])
+
+    def _elsewhere(self, search: Search) -> Search | None:
+        """Where the start's own part is exhausted: a search from other postures at the first target, if it may be."""
+        s, settings = search.scenario, self._problem.settings
+        if search.status is None or search.own is not None or not settings.transfers:
+            return None
+        others = other_postures(self._problem, self._kernels, self._tip, s)
+        if not others:
+            return None
+        more = Search(s, search.targets, search.on_path, settings, search.can_walk, others, others)
+        more.own, more.draws = search, search.draws
+        return more
+
+    def _chosen(self, search: Search) -> tuple[Search, Node, np.ndarray | None]:
+        """What to write down of a scenario: the search, the leaf of its best path, and the knots of a transfer."""
+        leaves = best_first(search.front)
+        if search.own is None:
+            return search, leaves[0], None
+        if search.target > search.own.target:
+            found = joined(self._problem, self._kernels, self._tip, search.scenario, leaves)
+            if found is not None:
+                return search, *found
+        return self._chosen(search.own)
 
     def _feed(self, lanes: list[tuple[Search, Node]]) -> None:
         if not lanes:
@@ -237,12 +264,12 @@ class Growing:
         towards, which = target + turns, np.full(len(target), turns)
         return inputs, tubes(problem.scenarios, problem.task, problem.settings.tube_m, scenario, towards, which)
 
-    def _record(self, search: Search) -> list[tuple[int, int, np.ndarray]]:
-        """Write down the best path, and how the search ended; returns the knots of its ways."""
+    def _record(self, search: Search, leaf: Node, transfer: np.ndarray | None) -> list[tuple[int, int, np.ndarray]]:
+        """Write down the path to a leaf, and how the search ended; returns the knots of its ways."""
         s, plans, ways = search.scenario, self._plans, []
         knots: list[np.ndarray] = []
         later: Node | None = None
-        for node in best_first(search.front)[0].ancestors():
+        for node in leaf.ancestors():
             if node.walked is not None:
                 knots.insert(0, node.walked)
                 continue
@@ -257,6 +284,9 @@ class Growing:
                 plans.status[s, t], plans.iterations[s, t] = Status.TRACKED, node.step_qps
                 plans.path_clear[s, t] = 1
                 later = node
+        if transfer is not None:
+            plans.joint_step[s, 0] = np.linalg.norm(leaf.root.x - plans.start[s])
+            ways.append((s, 0, transfer))
         if search.status is not None:
             plans.status[s, search.target + 1] = search.status
         return ways

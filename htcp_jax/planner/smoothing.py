@@ -17,9 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.clearance.linearisation import Linearisation
-from htcp_jax.clearance.scene import Scene, own_scene
-from htcp_jax.planner.kernel import STEP, Kernel
-from htcp_jax.planner.kernels import ADVANCE, Measured
+from htcp_jax.planner.kernels import ADVANCE, SETTLE, Measured
 from htcp_jax.planner.knots import Knots
 from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.planner.lanes import gather
@@ -28,8 +26,6 @@ from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.tip_check import TipCheck, tip_checks
-from htcp_jax.scene.inverse_kinematics import reanchor
-from htcp_jax.settings import Settings
 from htcp_jax.solvers.path_qp import PathQP, path_cost, solve_path_qp
 from htcp_jax.status import Way
 
@@ -37,15 +33,6 @@ TRUST = 0.2  # a joint's longest step in a round [rad or m]
 NEIGHBOURS = 4  # postures over which a step grows back to its length, beside one that stays
 GAIN, SLOW, MOST_ROUNDS = 2e-3, 3, 40  # a path is done after SLOW rounds in a row that gain less than GAIN of its cost
 GRAZES = 64  # queries of a proof, from which on the way is too close to an obstacle to go nearer
-
-
-def settle(settings: Settings, scene: Scene, lane: LaneInputs, x):
-    """The posture at x, brought onto its target, ten times closer than inverse kinematics is asked for elsewhere."""
-    scene = own_scene(scene, lane.tool_extension_m)
-    return reanchor(scene.robot, x, lane.target, 0.1 * scene.task.fine_m, task=scene.task)[0]
-
-
-SETTLE = Kernel("settle", settle, STEP)
 
 
 @dataclass(eq=False)
