@@ -40,7 +40,7 @@
     start_<joint>_rad ...   double   the posture that the plan starts from: the job's, unless a planner starts elsewhere
     rotation_x_rad, rotation_y_rad, rotation_z_rad    double
     shift_x_m ..., tool_extension_m, margin_m    double
-    path           string   the tool path: "weld" or the name of its file
+    path           string   the tool path: a seam of the duct, such as "weld", or the name of its file
     robot.model, settings.alpha_rad ...    string   any other key in which the sweep's scenarios may differ, as JSON
 
 Columns hold results alone, no times: the same seed writes the same bytes.
