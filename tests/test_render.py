@@ -19,7 +19,8 @@ from htcp_jax.viewer import offscreen
 from htcp_jax.viewer.camera import fitted, kept, open_side
 from htcp_jax.viewer.colours import FAILED, TargetStyle, rgb, target_styles
 from htcp_jax.viewer.movie import HELD, RATE, write_movie
-from htcp_jax.viewer.render import STRIDE_M, Studio, way
+from htcp_jax.viewer.playback import STRIDE_M, way
+from htcp_jax.viewer.render import Studio
 from htcp_jax.viewer.replay import replays_of
 
 SIZE = 320, 220
@@ -94,7 +95,7 @@ def test_the_way_passes_every_tracked_target_in_small_strides(replay):
         first = postures[met.index(t)].arm
         np.testing.assert_allclose(first.p, replay.p[t], atol=1e-12)
         np.testing.assert_allclose(first.tcp, replay.tcp[t], atol=1e-12)
-    points = np.array([np.vstack([arm.p, arm.q, arm.tcp]) for arm, _ in postures])
+    points = np.array([np.vstack([arm.p, arm.q, arm.tcp]) for arm, *_ in postures])
     # Along an arc a point moves a little further than its share of the chord.
     assert np.linalg.norm(np.diff(points, axis=0), axis=2).max() < 1.3 * STRIDE_M
 

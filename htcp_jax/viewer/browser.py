@@ -7,6 +7,7 @@ import contextlib
 import io
 import socket
 import threading
+from collections import deque
 
 import numpy as np
 import viser
@@ -15,15 +16,18 @@ from viser import uplot
 
 from htcp_jax.errors import InputError
 from htcp_jax.planner.plans import Outcome
-from htcp_jax.status import Status
+from htcp_jax.status import Status, Way
 from htcp_jax.viewer.browser_scene import HERE, Stage
 from htcp_jax.viewer.camera import open_side, sight
 from htcp_jax.viewer.colours import INK, TargetStyle, target_styles
+from htcp_jax.viewer.playback import Posture, way
 from htcp_jax.viewer.replay import Replay, Replays
 from htcp_jax.viewer.sides import View
 
 FOVY_RAD, ASPECT = np.radians(40.0), 1.05  # of the first sight
 CLOSER_M = 0.25  # how far away the smallest distance is looked at from
+AT_MOST_BETWEEN = 4  # postures share the time of a target; more of them, as in a dwell, take longer
+WAITING_S = 0.1  # between looks at the play button
 RATES = "5", "10", "20", "40"  # targets a second
 SIDES = "open side", "above", "front", "nothing"  # that the workpiece is cut from
 
@@ -119,7 +123,9 @@ class Viewer:
         with gui.add_folder("Arm"):
             self._opacity = gui.add_slider("Opacity [%]", 5, 100, 5, 100)
             self._pair = gui.add_checkbox("Smallest distance", True)
+            self._marks = gui.add_checkbox("Dwells, tightest place", True)
         self._opacity.on_update(lambda _: self._stage.fade(self._opacity.value / 100))
+        self._marks.on_update(lambda _: self._stage.show_marks(self._marks.value))
         self._pair.on_update(lambda _: self._stage.show_smallest_distance(self._pair.value))
 
     def _names(self, method: str) -> dict[str, int]:
@@ -149,6 +155,8 @@ class Viewer:
             self._running, self._playing.label = False, "Play"
             self._stage.show(replay, self._opacity.value / 100)
             self._stage.show_smallest_distance(self._pair.value)
+            self._stage.show_marks(self._marks.value)
+            self._postures, self._coming = way(replay), deque[Posture]()
             self._cut()
             self._aim()
             if self._plot is not None:
@@ -171,6 +179,10 @@ class Viewer:
             if target == self._target:
                 return
             self._target = target
+            self._coming = deque(posture for posture in self._postures if posture.target == target)
+            if self._coming:
+                self._coming.popleft()  # it is shown
+            self._between = min(len(self._coming), AT_MOST_BETWEEN)
             with self._server.atomic():
                 self._stage.pose(target)
                 self._plot.data = _curves(self._replay, target)
@@ -192,17 +204,25 @@ class Viewer:
             self._playing.label = "Pause" if self._running else "Play"
             if self._running and self._target == len(self._replay.target) - 1:
                 self._slider.value = 0
+            if self._running and self._target == 0:
+                self._coming = deque(posture for posture in self._postures if posture.target <= 0)
 
     def _play(self) -> None:
-        """Move on target by target while the play button says so."""
-        while not self._ended.wait(1 / int(self._rate.value)):
+        """Move on along the way while the play button says so."""
+        pause = 0.0
+        while not self._ended.wait(pause):
             with self._lock:
-                if not self._running:
-                    continue
-                if self._target < len(self._replay.target) - 1:
-                    self._slider.value = self._target + 1
-                else:
-                    self._toggle()
+                pause = self._move_on() if self._running else WAITING_S
+
+    def _move_on(self) -> float:
+        """Show the next posture on the way to the next target, or that target; returns for how long [s]."""
+        if self._coming:
+            self._stage.move(self._coming.popleft().arm)
+        elif self._target < len(self._replay.target) - 1:
+            self._slider.value = self._target + 1
+        else:
+            self._toggle()
+        return 1 / int(self._rate.value) / (1 + self._between)
 
     # The camera
 
@@ -272,7 +292,7 @@ def _name_of(names: dict[str, int], number: int) -> str | None:
 
 
 def _facts(replay: Replay, target: int) -> str:
-    """What is known of a target, in two lines."""
+    """What is known of a target, in a few lines."""
     status = Status(int(replay.status[target]))
     what = f"**Target {target}** {status.message}"
     if target == replay.failed and replay.obstruction is not None:
@@ -280,7 +300,19 @@ def _facts(replay: Replay, target: int) -> str:
     if not status.tracked:
         return f"{what}.\n\nThe arm is shown where it came to before."
     clearance, error = 1e3 * replay.clearance[target], 1e3 * replay.residual[target]
-    return f"{what}.\n\nClearance **{clearance:.4g} mm** at {replay.witness.body[target]}, TCP error {error:.2f} mm."
+    here = f"Clearance **{clearance:.4g} mm** at {replay.witness.body[target]}, TCP error {error:.2f} mm."
+    return f"{what}.\n\n{here}\n\n{_motion(replay, target)}"
+
+
+def _motion(replay: Replay, target: int) -> str:
+    """What is known of the way to a target, and whether the arm dwells there."""
+    known = Way(int(replay.way[target]))
+    text = f"The way here: {known.message}"
+    if known == Way.PROVEN:
+        text += f", {1e3 * replay.way_clearance[target]:.3g} mm at least"
+    tightest = " It is the tightest of the proof." if target == replay.summary.tightest else ""
+    dwells = " **The arm changes its posture here.**" if target in replay.summary.dwells else ""
+    return f"{text}.{tightest}{dwells}"
 
 
 def _curves(replay: Replay, target: int) -> tuple[np.ndarray, ...]:

@@ -9,12 +9,26 @@ import viser
 from jaxtyping import Float
 
 from htcp_jax.planner.obstruction import Obstruction
+from htcp_jax.scene.kinematics import ArmShape
 from htcp_jax.viewer.camera import kept, open_side
-from htcp_jax.viewer.colours import FAILED, INK, LINKS, OUTSIDE, TOOL, WALL, is_tool, rgb, target_styles
+from htcp_jax.viewer.colours import (
+    DWELL,
+    FAILED,
+    HERE,
+    INK,
+    LINKS,
+    NEAREST,
+    OUTSIDE,
+    TOOL,
+    WALL,
+    is_tool,
+    rgb,
+    target_styles,
+)
 from htcp_jax.viewer.replay import Replay
 
-BEAD_M, FAILED_M, HERE_M, WITNESS_M, TIP_M = 0.007, 0.017, 0.012, 0.003, 0.007  # radii
-NEAREST, HERE = "#b5179e", "#f6c945"
+BEAD_M, FAILED_M, HERE_M, WITNESS_M, TIP_M, TIGHTEST_M = 0.007, 0.017, 0.012, 0.003, 0.007, 0.006  # radii
+DWELL_M = 0.018  # the side of the cube at a target where the arm changes its posture
 LIT = 0.72  # share of a colour that viser's lights bring back to the whole of it
 LIGHT_UP = 0.8  # of the light's direction, which is else towards the open side
 AROUND_M, AROUND_SIZE_M = 0.05, 0.0015  # the cloud about the smallest distance is shown even where it is cut off
@@ -38,6 +52,7 @@ class Stage:
             self._replay = replay
             self._arm = [self._capsule(k, opacity) for k in range(replay.p.shape[1] + 1)]
             self._add_targets()
+            self._marks = self._add_marks()
             self._add_floor()
             points = np.zeros((2, 3), np.float32)
             self._pair = self._add_balls("/smallest distance/points", points, WITNESS_M, NEAREST)
@@ -56,14 +71,12 @@ class Stage:
     def pose(self, target: int) -> None:
         """Move the arm, the mark of the target and the smallest distance."""
         replay = self._replay
-        p, q = replay.arm_at(target).axes()
         with self._server.atomic():
             blocked = replay.obstruction if target == replay.failed else None
-            colours = [lit(self._colour(k, blocked)) for k in range(len(self._arm))]
-            for node, wxyz, middle, colour in zip(self._arm, turned_to(q - p), (p + q) / 2, colours, strict=True):
-                node.wxyz, node.position = wxyz, middle
-                if tuple(node.color) != tuple(colour.tolist()):
-                    node.color = tuple(colour.tolist())
+            self.move(replay.arm_at(target))
+            for k, node in enumerate(self._arm):
+                if tuple(node.color) != (colour := tuple(lit(self._colour(k, blocked)).tolist())):
+                    node.color = colour
             self._here.position = replay.target[target]
             pair = np.stack([replay.witness.arm[target], replay.witness.cloud[target]]).astype(np.float32)
             self._pair.batched_positions = pair
@@ -74,6 +87,13 @@ class Stage:
             distance = 1e3 * replay.clearance[target]
             near = "" if np.isnan(distance) else f"{distance:.3g} mm"
             self._label.text = near if blocked is None else blocked.description
+
+    def move(self, arm: ArmShape) -> None:
+        """Move the arm alone, to anywhere on its way."""
+        p, q = arm.axes()
+        with self._server.atomic():
+            for node, wxyz, middle in zip(self._arm, turned_to(q - p), (p + q) / 2, strict=True):
+                node.wxyz, node.position = wxyz, middle
 
     @property
     def arm_positions(self) -> Float[np.ndarray, "K1 3"]:
@@ -101,6 +121,11 @@ class Stage:
     def show_smallest_distance(self, visible: bool) -> None:
         """Show or hide the witness pair."""
         for node in (self._pair, self._line, self._around, self._label):
+            node.visible = visible
+
+    def show_marks(self, visible: bool) -> None:
+        """Show or hide the dwells and the tightest place of the proof."""
+        for node in self._marks:
             node.visible = visible
 
     def _capsule(self, k: int, opacity: float) -> viser.MeshHandle:
@@ -139,6 +164,25 @@ class Stage:
         legs = np.stack([replay.target[:-1], replay.target[1:]], axis=1)
         if len(legs):
             self._scene.add_line_segments("/targets/way", legs, rgb(INK), thickness=1, thickness_units="screen")
+
+    def _add_marks(self) -> list[viser.SceneNodeHandle]:
+        """A cube with a label at every dwell, a ball with one where the proof is tightest."""
+        replay, marks = self._replay, []
+        for target in replay.summary.dwells:
+            place, name = replay.target[target], f"/motion/dwell {target}"
+            cube = {"dimensions": (DWELL_M,) * 3, "color": lit(DWELL), "cast_shadow": False}
+            marks += [
+                self._scene.add_box(name, position=place, **cube),
+                self._scene.add_label(f"{name}/label", f"dwell at {target}", anchor="bottom-left"),
+            ]
+        if (narrow := replay.narrow) is not None:
+            name, words = "/motion/tightest", f"tightest: {1e3 * narrow.proven_m:.3g} mm proven"
+            ball = {"radius": TIGHTEST_M, "color": lit(NEAREST), "cast_shadow": False}
+            marks += [
+                self._scene.add_icosphere(name, position=narrow.cloud, **ball),
+                self._scene.add_label(f"{name}/label", words, anchor="top-left"),
+            ]
+        return marks
 
     def _add_floor(self) -> None:
         """A grid under everything, and at world z = 0 unless something is lower."""
