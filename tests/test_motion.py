@@ -1,6 +1,8 @@
 """A motion is the start, the knots and the rows in the order in which an arm passes them, and its figures are those
 that a plain loop over them finds."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hand_made import plans_with
@@ -103,7 +105,7 @@ def test_the_figures_are_those_of_a_plain_loop(seed):
         x = np.array([x for *_, x in rows]).reshape(-1, JOINTS)
         V = np.kron(np.eye(max(len(x), 1))[1:] - np.eye(max(len(x), 1))[:-1], np.eye(JOINTS))  # equation (3)'s
         assert costs[s] == pytest.approx(x.ravel() @ V.T @ V @ x.ravel() if len(x) else 0.0)
-        own = [np.linalg.norm(b[2] - a[2]) for a, b in zip(rows, rows[1:], strict=False) if b[1] in (F, D)]
+        own = [np.linalg.norm(b[2] - a[2]) for a, b in pairwise(rows) if b[1] in (F, D)]
         np.testing.assert_allclose(steps[s], max(own, default=np.nan))
         assert np.flatnonzero(turning[s]).tolist() == sorted({t for t, kind, _ in rows if kind == D})
         assert {t: v for t, v in enumerate(bent[s]) if v == v} == pytest.approx(curved(plans, s))

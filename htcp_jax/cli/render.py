@@ -49,7 +49,8 @@ def render(
 
     The workpiece is cut open. Targets are blue where they are tracked, orange after an escape, red where the plan
     failed, grey beyond; a green cube is a target at which the arm changes its posture, a purple ball the place where
-    the least clearance is proven. Needs EGL or OSMesa of the system. Exits with 2 on bad input, and where both are missing.
+    the least clearance is proven. Needs EGL or OSMesa of the system. Exits with 2 on bad input, and where both are
+    missing.
 
     \b
     htcp render out/plan                                         the plan of htcp plan

@@ -52,8 +52,8 @@ def cost(found: Motions, count: int) -> Float[np.ndarray, "S"]:
 
 
 def largest_step(found: Motions, count: int) -> Float[np.ndarray, "S"]:
-    """The largest |x_{k+1} - x_k| of those sums' terms that lie on the path, dwells included [rad]; NaN where the motion
-    does not come to its second point."""
+    """The largest |x_{k+1} - x_k| on the path, dwells included [rad]; NaN where the motion does not come to the path's
+    second point. Equation (3) sums the squares of these."""
     most = np.full(count, np.nan)
     on_path = (found.kind == Kind.FEED) | (found.kind == Kind.DWELL)
     np.fmax.at(most, found.scenario[on_path], found.steps[on_path])

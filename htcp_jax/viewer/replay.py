@@ -52,7 +52,7 @@ class Witness(NamedTuple):
 
 
 class Narrow(NamedTuple):
-    """Where the proof is tightest: the way on which the least clearance is proven, and the narrowest place seen there."""
+    """The way on which the least clearance is proven, and the narrowest place that is seen there."""
 
     target: int  # to which the way leads
     proven_m: float  # D all along it, at least
@@ -273,9 +273,7 @@ def _narrow(summary: MotionSummary, seen: Witness) -> Narrow | None:
         return None
     apart = np.linalg.norm(seen.arm - seen.cloud, axis=1)
     k = int(apart.argmin())
-    return Narrow(
-        summary.tightest, summary.clearance_m, float(apart[k]), seen.body[k], seen.arm[k], seen.cloud[k]
-    )
+    return Narrow(summary.tightest, summary.clearance_m, float(apart[k]), seen.body[k], seen.arm[k], seen.cloud[k])
 
 
 def _witness(robot: Robot, obstacle: Obstacles, where: Placement, x: Float[np.ndarray, "T N"]) -> Witness:
