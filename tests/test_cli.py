@@ -37,7 +37,7 @@ def test_a_complete_plan_exits_0_with_a_table_and_five_files(here, capsys):
     motion, told = summary["motion"], output.out
     assert (motion["executable"], motion["way"], motion["dwells"]) == (13, "PROVEN", [])
     assert "executable          13 of 13 targets\n" in told and "dwells              none\n" in told
-    assert f"at least {1e3 * motion['clearance_m']:.3g} mm all along; least on the way to target" in told
+    assert f" all along; tightest on the way to target {motion['tightest']}\n" in told
     assert f"cost {motion['cost_rad2']:.4g} rad2; on the path steps up to {motion['path_step_max_rad']:.3g} rad" in told
     with open(here / "out" / "motion.csv", newline="") as stream:
         rows = list(csv.DictReader(stream))

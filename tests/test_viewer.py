@@ -30,7 +30,7 @@ from htcp_jax.viewer.workcell import GivenCell, Workcell
 pytest.importorskip("viser", reason="the extra `view` is not installed")
 
 from htcp_jax.viewer.browser import Viewer, grazing
-from htcp_jax.viewer.browser_scene import lit, turned_to
+from htcp_jax.viewer.browser_scene import lit, side_by_side, turned_to
 
 BROWSERS = "chromium", "chromium-browser", "chromium-headless-shell", "google-chrome"
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
@@ -188,7 +188,7 @@ def test_play_passes_the_postures_between_targets(page, viewer):
     page.get_by_role("combobox").nth(0).click()
     page.get_by_role("option", name="roadmap").click()
     until(lambda: viewer.shown == (1, "roadmap"))
-    assert page.get_by_text("dwell at 4").is_visible() and page.get_by_text("tightest: 0.2 mm proven").is_visible()
+    assert page.get_by_text("dwell at 4").is_visible() and page.get_by_text("tightest: at least 0.2 mm proven").is_visible()
     page.get_by_role("button", name="Play").click()
     until(lambda: viewer.target == 6)
     replay = viewer._replays.replay(1, "roadmap")
@@ -196,12 +196,16 @@ def test_play_passes_the_postures_between_targets(page, viewer):
     assert turning and all(np.abs(np.array(seen_at) - tcp).max(axis=1).min() < 1e-12 for tcp in turning)
 
 
+def test_dwells_side_by_side_share_a_label():
+    assert side_by_side(()) == [] and side_by_side((3, 5, 9, 30, 40, 41)) == [[3, 5, 9], [30], [40, 41]]
+
+
 def test_the_facts_of_a_target_tell_of_the_way_there(replays):
     viewer = Viewer(replays, port=0, scenario=0, method="roadmap")
     viewer.go_to(4)
     assert "The arm changes its posture here." in viewer._facts.content
     viewer.go_to(5)
-    assert "0.2 mm at least. It is the tightest of the proof." in viewer._facts.content
+    assert "proven: 0.2 mm clear at least. It is the tightest of the proof." in viewer._facts.content
     viewer.go_to(7)
     assert Way.UNKNOWN.message in viewer._facts.content
     viewer.stop()

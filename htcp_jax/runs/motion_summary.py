@@ -9,6 +9,9 @@ from htcp_jax.planner.motion_figures import curvature, dwells, figures, tightest
 from htcp_jax.planner.plans import Outcome, Plans
 
 
+LEAST_MM = 0.01  # smaller bounds say that the arm is clear, and no more
+
+
 class MotionSummary(NamedTuple):
     """Figures of the executable part, see `planner.motion_figures`; NaN and None where there is nothing to measure."""
 
@@ -32,11 +35,16 @@ class MotionSummary(NamedTuple):
             return {"executable": text}
         return {
             "executable": text,
-            "proven clearance": f"at least {1e3 * self.clearance_m:.3g} mm all along; least on the way to target "
-            f"{self.tightest}",
+            "proven clearance": f"{self.proven} all along; tightest on the way to target {self.tightest}",
             "dwells": f"{len(self.dwells)}, {_at(self.dwells)}" if self.dwells else "none",
             "smoothness": self._smoothness(),
         }
+
+    @property
+    def proven(self) -> str:
+        """The least clearance that is proven, in words."""
+        least = 1e3 * self.clearance_m
+        return f"at least {least:.3g} mm" if least >= LEAST_MM else "more than 0 mm"
 
     def _smoothness(self) -> str:
         text = f"cost {self.cost_rad2:.4g} rad2"

@@ -3,6 +3,8 @@
 One `Stage` belongs to a viser server. `show` puts a plan on it, `pose` moves the arm to a target.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import trimesh
 import viser
@@ -28,6 +30,7 @@ from htcp_jax.viewer.colours import (
 from htcp_jax.viewer.replay import Replay
 
 BEAD_M, FAILED_M, HERE_M, WITNESS_M, TIP_M, TIGHTEST_M = 0.007, 0.017, 0.012, 0.003, 0.007, 0.006  # radii
+BESIDE = 4  # targets
 DWELL_M = 0.018  # the side of the cube at a target where the arm changes its posture
 LIT = 0.72  # share of a colour that viser's lights bring back to the whole of it
 LIGHT_UP = 0.8  # of the light's direction, which is else towards the open side
@@ -166,17 +169,18 @@ class Stage:
             self._scene.add_line_segments("/targets/way", legs, rgb(INK), thickness=1, thickness_units="screen")
 
     def _add_marks(self) -> list[viser.SceneNodeHandle]:
-        """A cube with a label at every dwell, a ball with one where the proof is tightest."""
+        """A cube at every dwell and a ball where the proof is tightest, with labels; dwells side by side share one."""
         replay, marks = self._replay, []
         for target in replay.summary.dwells:
-            place, name = replay.target[target], f"/motion/dwell {target}"
             cube = {"dimensions": (DWELL_M,) * 3, "color": lit(DWELL), "cast_shadow": False}
-            marks += [
-                self._scene.add_box(name, position=place, **cube),
-                self._scene.add_label(f"{name}/label", f"dwell at {target}", anchor="bottom-left"),
-            ]
+            marks.append(self._scene.add_box(f"/motion/dwell {target}", position=replay.target[target], **cube))
+        for group in side_by_side(replay.summary.dwells):
+            words = f"dwell at {', '.join(map(str, group))}"
+            look = {"position": replay.target[group[0]], "anchor": "bottom-left"}
+            marks.append(self._scene.add_label(f"/motion/dwells from {group[0]}", words, **look))
         if (narrow := replay.narrow) is not None:
-            name, words = "/motion/tightest", f"tightest: {1e3 * narrow.proven_m:.3g} mm proven"
+            name = "/motion/tightest"
+            words = f"tightest: {replay.summary.proven} proven, {1e3 * narrow.seen_m:.3g} mm seen"
             ball = {"radius": TIGHTEST_M, "color": lit(NEAREST), "cast_shadow": False}
             marks += [
                 self._scene.add_icosphere(name, position=narrow.cloud, **ball),
@@ -193,6 +197,17 @@ class Stage:
             "/floor", infinite_grid=True, fade_distance=12, position=(0, 0, height), cell_color=rgb("#dfe3e6"),
             section_color=rgb("#c3cad0"), shadow_opacity=0.12,
         )  # fmt: skip
+
+
+def side_by_side(targets: Sequence[int]) -> list[list[int]]:
+    """Targets in order, in groups of which the labels would hide each other."""
+    groups: list[list[int]] = []
+    for target in targets:
+        if groups and target - groups[-1][-1] <= BESIDE:
+            groups[-1].append(target)
+        else:
+            groups.append([target])
+    return groups
 
 
 def turned_to(axes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:

@@ -181,22 +181,19 @@ def _mark_dwells(axes: Axes, flat: Float[np.ndarray, "T 2"], motion: MotionSumma
 
 def _draw_motion(axes: Axes, motion: MotionSummary) -> None:
     """Lines where the arm dwells, where the proof is tightest, and where the motion ends before the plan does."""
-    for name, at, look in (
-        ("dwell", motion.dwells, {"color": DWELL, "linewidth": 1.4}),
-        (
-            f"tightest: {1e3 * motion.clearance_m:.3g} mm proven",
-            [motion.tightest],
-            {"color": NEAREST, "linestyle": ":"},
-        ),
-    ):
-        for k, target in enumerate(t for t in at if t is not None):
-            axes.axvline(target, label=name if k == 0 else None, zorder=1, **look)
+    for k, target in enumerate(motion.dwells):
+        axes.axvline(target, label="dwell" if k == 0 else None, color=DWELL, linewidth=1.4, zorder=1)
+    if motion.tightest is not None:
+        _draw_line(axes, motion.tightest, f"tightest: {motion.proven}", color=NEAREST, linestyle=":")
     if (end := motion.end).executable < end.tracked:
-        text = f"target {end.executable}: {end.way.message}"
-        look = {"textcoords": "offset points", "color": INK, "va": "bottom", "zorder": 4}
-        axes.axvline(end.executable, color=INK, linewidth=1.2, linestyle="--", label="end of the motion", zorder=1)
-        side, align = (-7, "right") if end.executable > end.targets / 2 else (7, "left")
-        axes.annotate(text, (end.executable, 0.0), (side, 7), xycoords=("data", "axes fraction"), ha=align, **look)
+        _draw_line(axes, end.executable, f"target {end.executable}: {end.way.message}", color=INK, linestyle="--")
+
+
+def _draw_line(axes: Axes, target: int, text: str, **look: str) -> None:
+    """An upright line with words along it."""
+    axes.axvline(target, linewidth=1.2, zorder=1, **look)
+    how = {"rotation": 90, "ha": "right", "va": "center", "fontsize": 9, "color": look["color"], "zorder": 4}
+    axes.annotate(text, (target, 0.5), (-2, 0), ("data", "axes fraction"), "offset points", **how)
 
 
 def _frame(axes: Axes, around: Float[np.ndarray, "P 2"] | None) -> None:
