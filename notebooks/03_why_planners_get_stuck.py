@@ -345,9 +345,9 @@ motions_chart(both)
 # ## What the front is good for
 #
 # The same method with fronts of other sizes: at most so many postures are kept at a target, and walks in the null space
-# spread them where there are fewer. With one posture it is a local search that walks out of its dead ends. It may lose
-# the way in one of them, as any other, or come out in another place each time: by dwells, and by a longer way. With
-# more postures the choice among them can wait until it is known which lead on.
+# spread them where there are fewer. With one posture it is a local search, too, which has to walk out of each dead end
+# that it leads into, and dwells to do so. With more the choice among them can wait until it is known which of them lead
+# on: the plan is the path with the fewest dwells, and then the least cost of equation (3).
 
 # %%
 FRONTS = 1, 4, 16, 64

@@ -51,7 +51,8 @@ def made_plans(targets: np.ndarray, statuses: list[list[Status]]) -> Plans:
 def with_a_dwell(plans: Plans) -> Plans:
     """The same as motions up to target 6: at target 4 the arm turns its wrist, and the way to target 5 is tight."""
     turning = np.stack([plans.x[:, 4] + turn * np.eye(6)[3] for turn in (0.2, 0.5)], axis=1)
-    way = np.where(np.arange(plans.way.shape[1]) < 7, Way.PROVEN, Way.UNKNOWN).astype(np.int8)
-    clear = np.where(way == Way.PROVEN, np.where(np.arange(way.shape[1]) == 5, 2e-4, 3e-3), np.nan)
+    target = np.broadcast_to(np.arange(plans.way.shape[1]), plans.way.shape)
+    way = np.where(target < 7, Way.PROVEN, Way.UNKNOWN).astype(np.int8)
+    clear = np.where(way == Way.PROVEN, np.where(target == 5, 2e-4, 3e-3), np.nan)
     knots = Knots.of([(s, 5, x) for s, x in enumerate(turning)], 6)
     return plans._replace(way=way, way_clearance=clear, knots=knots)
