@@ -19,6 +19,7 @@
 
 # %%
 from functools import partial
+from itertools import pairwise
 
 import jax
 import jax.numpy as jnp
@@ -307,7 +308,7 @@ def off_line(plan, target):
     """How far the TCP is at most from the line to a target of the path [m], on the way from the one before."""
     plans, (a, b) = plan.plans, plan.scenario.targets[target - 1 : target + 1]
     x = np.concatenate([plans.before(0, target)[None], plans.knots.on_the_way(0, target), plans.x[:1, target]])
-    places = np.concatenate([np.linspace(*ends, PLACES) for ends in zip(x, x[1:], strict=False)])
+    places = np.concatenate([np.linspace(*ends, PLACES) for ends in pairwise(x)])
     along = np.asarray(tcps(plan.robot, places)) - a
     share = np.clip(along @ (b - a) / max((b - a) @ (b - a), 1e-12), 0, 1)
     return np.linalg.norm(along - share[:, None] * (b - a), axis=1).max()

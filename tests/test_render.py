@@ -19,7 +19,7 @@ from htcp_jax.scene.kinematics import ArmShape, capsules_and_tcp
 from htcp_jax.status import Kind
 from htcp_jax.viewer import offscreen
 from htcp_jax.viewer.camera import fitted, kept, open_side
-from htcp_jax.viewer.colours import DWELL, FAILED, TargetStyle, rgb, target_styles
+from htcp_jax.viewer.colours import DWELL, FAILED, NEAREST, TargetStyle, rgb, target_styles
 from htcp_jax.viewer.movie import HELD, RATE, write_movie
 from htcp_jax.viewer.playback import STRIDE_M, way
 from htcp_jax.viewer.render import Studio
@@ -130,7 +130,8 @@ def test_a_picture_marks_the_dwells_and_the_tightest_place(replay, dwelling, scr
         marked = studio.still(0)
     with Studio(replay, *SIZE, close=True, fine=False) as studio:
         plain = studio.still(0)
-    assert near(marked, DWELL) > near(plain, DWELL) + 20
+    assert near(marked, DWELL) > near(plain, DWELL) + 10
+    assert near(marked, NEAREST) > near(plain, NEAREST)
 
 
 def test_the_command_tells_of_the_motion(made, screenless, tmp_path, capsys):

@@ -30,7 +30,7 @@ class Motions(NamedTuple):
     """Of S scenarios, one after the other; see `Motion`."""
 
     scenario: Int[np.ndarray, "n"]
-    x: Float[np.ndarray, "n N"]
+    x: Float[np.ndarray, "n N"]  # [rad or m]
     target: Int[np.ndarray, "n"]
     kind: Int8[np.ndarray, "n"]
 

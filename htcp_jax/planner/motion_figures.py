@@ -17,8 +17,8 @@ from htcp_jax.status import Kind
 class MotionFigures(NamedTuple):
     """Of S scenarios, a column each; NaN where there is nothing to measure."""
 
-    dwells: Float[np.ndarray, "S"]  # how many
-    motion_cost_rad2: Float[np.ndarray, "S"]  # equation (3), see `cost`
+    dwells: Float[np.ndarray, "S"]  # how many [1]
+    motion_cost_rad2: Float[np.ndarray, "S"]  # equation (3), see `cost` [rad^2]
     path_step_max_rad: Float[np.ndarray, "S"]  # see `largest_step`
     curvature_max_rad_m2: Float[np.ndarray, "S"]  # see `curvature`
     way_clearance_min_m: Float[np.ndarray, "S"]  # see `tightest`
@@ -47,7 +47,7 @@ def dwells(plans: Plans, on_path: OnPath) -> Bool[np.ndarray, "S T"]:
 
 def cost(found: Motions, count: int) -> Float[np.ndarray, "S"]:
     """Equation (3), ||x||_Q^2 with Q = V'V: the sum of |x_{k+1} - x_k|^2 over all postures that are passed, from the
-    start to the last executable target [rad2]; count: S. Of two motions with the same path the smoother costs less."""
+    start to the last executable target [rad^2]; count: S. Of two motions with the same path the smoother costs less."""
     return np.bincount(found.scenario, found.steps**2, count).astype(float)
 
 

@@ -8,7 +8,6 @@ import numpy as np
 from htcp_jax.planner.motion_figures import curvature, dwells, figures, tightest
 from htcp_jax.planner.plans import Outcome, Plans
 
-
 LEAST_MM = 0.01  # smaller bounds say that the arm is clear, and no more
 
 
@@ -17,7 +16,7 @@ class MotionSummary(NamedTuple):
 
     end: Outcome
     dwells: tuple[int, ...]  # targets at which the arm changes its posture
-    cost_rad2: float  # equation (3)
+    cost_rad2: float  # equation (3) [rad^2]
     path_step_max_rad: float
     curvature_max_rad_m2: float
     curvature_at: int | None  # the target where it is

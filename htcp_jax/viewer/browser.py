@@ -7,7 +7,6 @@ import contextlib
 import io
 import socket
 import threading
-from collections import deque
 
 import numpy as np
 import viser
@@ -20,13 +19,12 @@ from htcp_jax.status import Status, Way
 from htcp_jax.viewer.browser_scene import HERE, Stage
 from htcp_jax.viewer.camera import open_side, sight
 from htcp_jax.viewer.colours import INK, TargetStyle, target_styles
-from htcp_jax.viewer.playback import Posture, way
+from htcp_jax.viewer.playback import Playback
 from htcp_jax.viewer.replay import Replay, Replays
 from htcp_jax.viewer.sides import View
 
 FOVY_RAD, ASPECT = np.radians(40.0), 1.05  # of the first sight
 CLOSER_M = 0.25  # how far away the smallest distance is looked at from
-AT_MOST_BETWEEN = 4  # postures share the time of a target; more of them, as in a dwell, take longer
 WAITING_S = 0.1  # between looks at the play button
 RATES = "5", "10", "20", "40"  # targets a second
 SIDES = "open side", "above", "front", "nothing"  # that the workpiece is cut from
@@ -156,7 +154,7 @@ class Viewer:
             self._stage.show(replay, self._opacity.value / 100)
             self._stage.show_smallest_distance(self._pair.value)
             self._stage.show_marks(self._marks.value)
-            self._postures, self._coming = way(replay), deque[Posture]()
+            self._playback = Playback(replay)
             self._cut()
             self._aim()
             if self._plot is not None:
@@ -179,10 +177,7 @@ class Viewer:
             if target == self._target:
                 return
             self._target = target
-            self._coming = deque(posture for posture in self._postures if posture.target == target)
-            if self._coming:
-                self._coming.popleft()  # it is shown
-            self._between = min(len(self._coming), AT_MOST_BETWEEN)
+            self._playback.stand(target)
             with self._server.atomic():
                 self._stage.pose(target)
                 self._plot.data = _curves(self._replay, target)
@@ -190,13 +185,9 @@ class Viewer:
 
     def _cut(self) -> None:
         with self._lock:
-            directions = {"open side": None, "above": np.array([0.0, 0, 1]), "front": -self._ahead()}
+            directions = {"open side": None, "above": np.array([0.0, 0, 1]), "front": -ahead(self._replay)}
             share = 0.0 if self._side.value == "nothing" else self._share.value / 100
             self._stage.cut(share, directions.get(self._side.value), self._size.value / 1e3)
-
-    def _ahead(self) -> np.ndarray:
-        side = open_side(self._replay)
-        return np.cross(side.near, side.up) * -1
 
     def _toggle(self) -> None:
         with self._lock:
@@ -205,7 +196,7 @@ class Viewer:
             if self._running and self._target == len(self._replay.target) - 1:
                 self._slider.value = 0
             if self._running and self._target == 0:
-                self._coming = deque(posture for posture in self._postures if posture.target <= 0)
+                self._playback.begin()
 
     def _play(self) -> None:
         """Move on along the way while the play button says so."""
@@ -216,13 +207,13 @@ class Viewer:
 
     def _move_on(self) -> float:
         """Show the next posture on the way to the next target, or that target; returns for how long [s]."""
-        if self._coming:
-            self._stage.move(self._coming.popleft().arm)
+        if (arm := self._playback.next()) is not None:
+            self._stage.move(arm)
         elif self._target < len(self._replay.target) - 1:
             self._slider.value = self._target + 1
         else:
             self._toggle()
-        return 1 / int(self._rate.value) / (1 + self._between)
+        return 1 / int(self._rate.value) / (1 + self._playback.between)
 
     # The camera
 
@@ -273,6 +264,12 @@ def _serve(host: str, port: int) -> viser.ViserServer:
         raise InputError(f"cannot listen on {host}, port {port}: {reason}; choose another with --port") from None
     with _silent():
         return viser.ViserServer(host=host, port=port, verbose=False)
+
+
+def ahead(replay: Replay) -> np.ndarray:
+    """To the side of what is seen from the open side."""
+    side = open_side(replay)
+    return np.cross(side.near, side.up) * -1
 
 
 def _silent():

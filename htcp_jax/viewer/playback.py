@@ -1,5 +1,6 @@
 """A plan as it is played: the arm at the targets and on the ways between them, through the postures that it passes."""
 
+from collections import deque
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ from htcp_jax.scene.robot import Robot
 from htcp_jax.status import Kind
 from htcp_jax.viewer.replay import Replay
 
+AT_MOST_BETWEEN = 4
 STRIDE_M = 0.04  # nothing moves further from one posture to the next
 
 
@@ -20,6 +22,29 @@ class Posture(NamedTuple):
     arm: ArmShape
     target: int
     dwells: bool = False
+
+
+class Playback:
+    """What is still to be shown of the way from one target to the next."""
+
+    def __init__(self, replay: Replay):
+        self._postures, self._coming = way(replay), deque[Posture]()
+        self.between = (
+            0  # postures that share the time of a target; where there are more, as in a dwell, it takes longer
+        )
+
+    def stand(self, target: int) -> None:
+        """Be at a target."""
+        self._coming = deque([posture for posture in self._postures if posture.target == target][1:])
+        self.between = min(len(self._coming), AT_MOST_BETWEEN)
+
+    def begin(self) -> None:
+        """Be at the start, which may be elsewhere than the first target."""
+        self._coming = deque(posture for posture in self._postures if posture.target <= 0)
+
+    def next(self) -> ArmShape | None:
+        """The arm a little further on; None where the next target comes next."""
+        return self._coming.popleft().arm if self._coming else None
 
 
 def at(replay: Replay, target: int) -> Posture:
