@@ -193,9 +193,8 @@ class Viewer:
         with self._lock:
             self._running = not self._running
             self._playing.label = "Pause" if self._running else "Play"
-            if self._running and self._target == len(self._replay.target) - 1:
+            if self._running and self._target in (0, len(self._replay.target) - 1):
                 self._slider.value = 0
-            if self._running and self._target == 0:
                 self._playback.begin()
 
     def _play(self) -> None:

@@ -175,16 +175,15 @@ class Stage:
             cube = {"dimensions": (DWELL_M,) * 3, "color": lit(DWELL), "cast_shadow": False}
             marks.append(self._scene.add_box(f"/motion/dwell {target}", position=replay.target[target], **cube))
         for group in side_by_side(replay.summary.dwells):
-            words = f"dwell at {', '.join(map(str, group))}"
-            look = {"position": replay.target[group[0]], "anchor": "bottom-left"}
+            words, place = f"dwell at {', '.join(map(str, group))}", replay.target[group[0]]
+            look = {"position": place, "anchor": "bottom-left"}
             marks.append(self._scene.add_label(f"/motion/dwells from {group[0]}", words, **look))
         if (narrow := replay.narrow) is not None:
-            name = "/motion/tightest"
             words = f"tightest: {replay.summary.proven} proven, {1e3 * narrow.seen_m:.3g} mm seen"
             ball = {"radius": TIGHTEST_M, "color": lit(NEAREST), "cast_shadow": False}
             marks += [
-                self._scene.add_icosphere(name, position=narrow.cloud, **ball),
-                self._scene.add_label(f"{name}/label", words, anchor="top-left"),
+                self._scene.add_icosphere("/motion/tightest", position=narrow.cloud, **ball),
+                self._scene.add_label("/motion/tightest in words", words, position=narrow.cloud, anchor="top-left"),
             ]
         return marks
 
