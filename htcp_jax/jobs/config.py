@@ -68,6 +68,11 @@ class WorkpieceConfig(Section):
     approach_to_inlet: Steps = 5  # equal steps from the start's TCP to the inlet
     approach_to_path: Steps = 5  # and from there to the first point of the path
 
+    @property
+    def on_path(self) -> int:
+        """The first target that is a point of the path; the start's TCP and the approach come before it."""
+        return 1 + self.approach_to_inlet + self.approach_to_path
+
     @staticmethod
     def with_new_names(values: dict[str, Any], source: str) -> dict[str, Any]:
         """The keys under the names that they have now, see `renamed`."""

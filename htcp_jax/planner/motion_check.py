@@ -15,6 +15,7 @@ from htcp_jax.clearance.motion_proof import Proof, Tube
 from htcp_jax.planner.kernels import PROVE
 from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.lanes import concatenate, gather
+from htcp_jax.planner.motion import ONE_POINT_M
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
@@ -23,7 +24,6 @@ from htcp_jax.scene.scenario import Scenario
 from htcp_jax.scene.task import Task
 from htcp_jax.status import Way
 
-ONE_POINT_M = 1e-5
 ROWS_AT_ONCE = 16  # of a scenario: what lies behind the end of a motion need not be looked at
 
 
