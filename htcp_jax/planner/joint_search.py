@@ -9,7 +9,7 @@ No task is held: the TCP may be anywhere. Per pair two trees of postures grow, o
 
 These are expansive trees (Hsu, Latombe and Motwani, 1997), joined as RRT-Connect joins its own (Kuffner and LaValle,
 2000). The draws stand about the tree and not all over the joint range, and the smaller tree, which is the one that is
-confined, has them all: of postures inside a part that joins many times as many as RRT-Connect does.
+confined, has them all: of postures inside a part that joins more than RRT-Connect does, with far fewer proofs.
 
 A search is a generator: it asks which straight joint paths are clear, and is told. It knows nothing of other searches,
 and its random numbers come from the seed and from the numbers of its scenario and pair, so what it finds does not
@@ -41,7 +41,7 @@ FINEST_RAD = 0.02  # parts of a shortcut that its proof may look at
 LEAST_RAD = 1e-6  # that a shortcut has to save; more than rounding
 
 
-class Segments(NamedTuple):
+class JointPaths(NamedTuple):
     """Straight joint paths that a search asks about."""
 
     a: Float[np.ndarray, "m N"]  # [rad or m]
@@ -49,14 +49,8 @@ class Segments(NamedTuple):
     deepest: Int[np.ndarray, "m"]  # how often their proof may halve them
 
 
-def _steps(a: np.ndarray, b: np.ndarray) -> Segments:
-    return Segments(a, b, np.full(len(a), DEEPEST, np.int32))
-
-
-def _cuts(a: np.ndarray, b: np.ndarray) -> Segments:
-    """To be proven at little cost, which keeps what is shortened off the walls."""
-    parts = np.linalg.norm(b - a, axis=1) / FINEST_RAD
-    return Segments(a, b, np.clip(np.ceil(np.log2(np.maximum(parts, 1.0))), 0, DEEPEST).astype(np.int32))
+Joining = Generator[JointPaths, Bool[np.ndarray, "m"], Any]  # asks, and is sent which of them are proven
+Limits = tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]
 
 
 def prove_clear(settings: Settings, scene: Scene, lane: LaneInputs, a, b, deepest) -> Bool[jax.Array, ""]:
@@ -66,10 +60,6 @@ def prove_clear(settings: Settings, scene: Scene, lane: LaneInputs, a, b, deepes
 
 
 PROVE_CLEAR = Kernel("prove_clear", prove_clear, DEEP)
-
-
-Search = Generator[Segments, Bool[np.ndarray, "m"], Any]  # is sent which of the segments are proven
-Limits = tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]
 
 
 def join(
@@ -92,7 +82,7 @@ def join(
     """
     found: list[np.ndarray | None] = [None] * len(a)
     waiting, most, limits = iter(range(len(a))), max(1, kernels.lanes // IN_FLIGHT), kernels.limits
-    going: dict[int, Search] = {}
+    going: dict[int, Joining] = {}
     told: dict[int, np.ndarray] = {}
     while True:
         for k in islice(waiting, most - len(going)):
@@ -100,7 +90,7 @@ def join(
             going[k] = _joined(a[k], b[k], limits, rng, settings)
         if not going:
             return found
-        asked: dict[int, Segments] = {}
+        asked: dict[int, JointPaths] = {}
         for k, search in going.items():
             try:
                 asked[k] = search.send(told.get(k))
@@ -111,10 +101,10 @@ def join(
 
 
 def _told(
-    kernels: Kernels, tip: TipCheck | None, scenarios: Scenario, scenario: np.ndarray, asked: dict[int, Segments]
+    kernels: Kernels, tip: TipCheck | None, scenarios: Scenario, scenario: np.ndarray, asked: dict[int, JointPaths]
 ) -> dict[int, np.ndarray]:
-    """Which of the segments that each search asks about are proven."""
-    counts = [len(segments.a) for segments in asked.values()]
+    """Which of the joint paths that each search asks about are proven."""
+    counts = [len(paths.a) for paths in asked.values()]
     own = np.repeat(scenario[list(asked)], counts)
     a, b, deepest = (np.concatenate(column) for column in zip(*asked.values(), strict=True))
     inputs = lane_inputs(scenarios, own, np.zeros_like(own))
@@ -125,7 +115,7 @@ def _told(
     return dict(zip(asked, np.split(clear, np.cumsum(counts)[:-1]), strict=True))
 
 
-def _joined(a: np.ndarray, b: np.ndarray, limits: Limits, rng: np.random.Generator, settings: Settings) -> Search:
+def _joined(a: np.ndarray, b: np.ndarray, limits: Limits, rng: np.random.Generator, settings: Settings) -> Joining:
     """One pair; returns what `join` does."""
     ends_clear = yield _steps(np.stack([a, b]), np.stack([a, b]))
     if not ends_clear.all():
@@ -159,7 +149,7 @@ class _Tree:
             nodes.append(node)
         return self.x[nodes if self.backwards else nodes[::-1]]
 
-    def extend(self, node: Int[np.ndarray, "m"], goal: Float[np.ndarray, "m N"], step: float) -> Search:
+    def extend(self, node: Int[np.ndarray, "m"], goal: Float[np.ndarray, "m N"], step: float) -> Joining:
         """From each node straight towards its goal, as far as steps are proven; returns the nodes where that ends."""
         node, going = node.copy(), np.arange(len(node))
         while len(going):
@@ -172,7 +162,7 @@ class _Tree:
         return node
 
 
-def _grown(a: np.ndarray, b: np.ndarray, limits: Limits, rng: np.random.Generator, settings: Settings) -> Search:
+def _grown(a: np.ndarray, b: np.ndarray, limits: Limits, rng: np.random.Generator, settings: Settings) -> Joining:
     """A way from a to b, step by step; None where the rounds are spent."""
     trees, step = (_Tree(a, False), _Tree(b, True)), settings.search_step_rad
     for _ in range(settings.search_rounds):
@@ -196,7 +186,7 @@ def _drawn(x: np.ndarray, limits: Limits, rng: np.random.Generator) -> np.ndarra
     return np.clip(x + directions * (lengths / np.linalg.norm(directions, axis=1, keepdims=True)), *limits)
 
 
-def _shortened(way: np.ndarray, rng: np.random.Generator, rounds: int) -> Search:
+def _shortened(way: np.ndarray, rng: np.random.Generator, rounds: int) -> Joining:
     """The way, with straight joint paths in place of parts of it: of each round's the one that saves most."""
     for _ in range(rounds):
         cuts = np.sort(rng.random((DRAWS, 2)) * (len(way) - 1), axis=1)
@@ -212,6 +202,16 @@ def _shortened(way: np.ndarray, rng: np.random.Generator, rounds: int) -> Search
             way = np.concatenate([way[: before[best]], legs[best], way[after[best] + 1 :]])
             way = way[np.append(True, (np.diff(way, axis=0) != 0).any(axis=1))]
     return way
+
+
+def _steps(a: np.ndarray, b: np.ndarray) -> JointPaths:
+    return JointPaths(a, b, np.full(len(a), DEEPEST, np.int32))
+
+
+def _cuts(a: np.ndarray, b: np.ndarray) -> JointPaths:
+    """To be proven at little cost: the shortest way grazes the walls, and is not wanted."""
+    parts = np.linalg.norm(b - a, axis=1) / FINEST_RAD
+    return JointPaths(a, b, np.clip(np.ceil(np.log2(np.maximum(parts, 1.0))), 0, DEEPEST).astype(np.int32))
 
 
 def _at(way: np.ndarray, place: np.ndarray) -> np.ndarray:
