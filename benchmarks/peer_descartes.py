@@ -1,14 +1,15 @@
-"""Descartes' ladder graph as one of the `peers`, through tesseract-robotics-nanobind, whose samplers and evaluators can be
-written in Python.
+"""Descartes' ladder graph as one of the `peers`, through tesseract-robotics-nanobind, whose samplers and evaluators can
+be written in Python.
 
 A rung is a target, its vertices are clear postures on it. As a grid of tool orientations would be, the same samples are
-on every rung: postures drawn at every `KEY`-th target, by inverse kinematics from uniform draws and from draws about the
-start's own, are carried by inverse kinematics to all other targets, and are vertices wherever they are clear. An edge is
-a straight joint path that is proven as the way from one target to the next; its cost is its length. There are no edges
-within a rung. Descartes builds the graph and finds the shortest path through it. It finds a whole path or none, so it is
-given the rungs up to the last that any chain of edges leads to.
+on every rung: postures drawn at every `KEY`-th target, by inverse kinematics from uniform draws and from draws about
+what becomes of the start there, are carried by inverse kinematics to all other targets, and are vertices wherever they
+are clear. An edge is a straight joint path that is proven as the way from one target to the next; its cost is its
+length. There are no edges within a rung. Descartes builds the graph and finds the shortest path through it. It finds a
+whole path or none, so it is given the rungs up to the last that any chain of edges leads to.
 
-With nothing else in its environment it takes the wheel's own libraries, which ask for the libstdc++ of GCC 13.
+The wheel asks for the libstdc++ of GCC 13 or newer, and cannot stand beside tesseract-robotics, whose module has the
+same name.
 """
 
 from dataclasses import dataclass
@@ -26,7 +27,7 @@ from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.status import Status
 
-KEY, DRAWN, TRIED = 6, 150, 4096  # a key target every so many; clear postures drawn there, and draws to find them in
+KEY, DRAWN, TRIED = 6, 150, 2048  # a key target every so many; clear postures drawn there, and draws to find them in
 SPREAD_RAD = 0.3  # of the draws about the start's own postures
 VERTICES = 300  # the most on one rung
 EDGE_RAD, APPROACH_RAD = 0.25, 0.4  # the longest edges, along the path and before it
@@ -81,28 +82,28 @@ def _rungs(cell: Cell) -> list[Brought]:
     own = _carried(cell, cell.start[None], 0)
     lines = [own]
     for key in range(KEY, cell.count, KEY):
-        about = own[key] + SPREAD_RAD * draw.normal(size=(TRIED, len(cell.start)))
+        about = own[key].x + SPREAD_RAD * draw.normal(size=(TRIED, len(cell.start)))
         for draws in (cell.uniform(draw, TRIED), np.clip(about, cell.lower, cell.upper)):
             clear = cell.brought_clear(draws, key)
             if len(clear.x):
                 lines.append(_carried(cell, clear.x[: DRAWN // 2], key))
-    postures = np.concatenate(lines, axis=1)
-    rungs = [cell.brought_clear(cell.start[None], 0)]
+    rungs = [own[0]]
     for target in range(1, cell.count):
-        clear = cell.brought_clear(postures[target], target)
-        rungs.append(clear.of(draw.permutation(len(clear.x))[:VERTICES]))
+        here = Brought(*(np.concatenate(column) for column in zip(*(line[target] for line in lines), strict=True)))
+        clear = np.flatnonzero(cell.counts(here))
+        rungs.append(here.of(draw.permutation(clear)[:VERTICES]))
     return rungs
 
 
-def _carried(cell: Cell, x: np.ndarray, target: int) -> np.ndarray:
-    """Postures at a target and as inverse kinematics carries them to all others (T, n, N), clear or not."""
-    lines = np.empty((cell.count, *x.shape))
-    lines[target] = x
-    for there in range(target + 1, cell.count):
-        lines[there] = cell.bring(lines[there - 1], there).x
+def _carried(cell: Cell, x: np.ndarray, target: int) -> list[Brought]:
+    """Postures at a target, and as inverse kinematics carries them to all others, clear or not; one each a target."""
+    here = cell.bring(x, target)
+    before, after = [here], [here]
     for there in range(target - 1, -1, -1):
-        lines[there] = cell.bring(lines[there + 1], there).x
-    return lines
+        before.append(cell.bring(before[-1].x, there))
+    for there in range(target + 1, cell.count):
+        after.append(cell.bring(after[-1].x, there))
+    return before[:0:-1] + after
 
 
 def _edges(cell: Cell, before: Brought, after: Brought, target: int) -> Edges:
@@ -162,7 +163,7 @@ class _Profile(descartes.DescartesMoveProfileD):
         self._asked = {"sampler": 0, "evaluator": 0}
         self._anything = _Anything()
 
-    def createWaypointSampler(self, move, manipulator, scene):  # noqa: N802, the name is Descartes'
+    def createWaypointSampler(self, move, manipulator, scene):
         """That of the next rung."""
         self._asked["sampler"] += 1
         return self._samplers[self._asked["sampler"] - 1]
