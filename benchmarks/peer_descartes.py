@@ -27,9 +27,9 @@ from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.status import Status
 
-KEY, DRAWN, TRIED = 6, 150, 2048  # a key target every so many; clear postures drawn there, and draws to find them in
+KEY, DRAWN, TRIED = 6, 100, 1024  # a key target every so many; clear postures drawn there, and draws to find them in
 SPREAD_RAD = 0.3  # of the draws about the start's own postures
-VERTICES = 300  # the most on one rung
+VERTICES = 200  # the most on one rung
 EDGE_RAD, APPROACH_RAD = 0.25, 0.4  # the longest edges, along the path and before it
 
 

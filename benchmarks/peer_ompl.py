@@ -86,6 +86,7 @@ class _Search:
         self._cell, self._until = cell, time.process_time() + limit_s
         self._draw = np.random.default_rng(cell.problem.settings.seed)
         self._surroundings = cell.surroundings()
+        clearance_of(*self._surroundings, cell.start)  # compiled here
 
     def run(self, plans: Plans) -> list[tuple[int, int, np.ndarray]]:
         """Plan, target after target; returns the knots of ways."""

@@ -35,6 +35,7 @@ from scipy.spatial import cKDTree
 from benchmarks import hardware, peer_motions, peer_planners, peer_trajopt
 from benchmarks.peer_planners import Advance, Task
 from htcp_jax.jobs.grid import Batch, load_sweep
+from htcp_jax.planner import compile_cache
 from htcp_jax.planner.batch import plan
 from htcp_jax.runs.parameters import of_job
 from htcp_jax.scene.robot import GP50
@@ -176,6 +177,7 @@ def main() -> None:
     points = f"{len(batch.workpiece.cloud):,} points"
     print(f"{batch.workpiece.name}, {points}; {asked.scenarios} of {POSES} poses, {targets:,} targets")
     if asked.motions:
+        compile_cache.enable()
         parts = [point.config.workpiece for point in batch.points]
         print("turned about y, z [rad]:", ", ".join(f"{p.rotation_y_rad:g} {p.rotation_z_rad:g}" for p in parts))
         for row in peer_motions.rows(batch, planners, asked.limit_s):
