@@ -5,6 +5,7 @@
     python -m benchmarks tables            both of the paper's tables by six planners under configs/paper.yaml
     python -m benchmarks cross             125 starts x 49 poses by the baseline and N-space SQP
     python -m benchmarks peers             other planners on the same task (pip install -e '.[peers]')
+    python -m benchmarks peers --motions   OMPL and Descartes, by executable targets
     python -m benchmarks baseline-margin OUT.png
     python -m benchmarks seams OUT.png     the seams of the generated duct, drawn
     python -m benchmarks shape             of the source: sizes, depth of imports, docstrings; other checkouts beside it
