@@ -106,9 +106,9 @@ def check_path(settings: Settings, scene: Scene, lane: LaneInputs, a, b):
     return path_clear(scene, settings, lane, a, b)
 
 
-def prove_way(settings: Settings, scene: Scene, lane: LaneInputs, a, b, tube: Tube) -> Proof:
-    """Whether the straight joint path from a to b is a motion."""
-    return prove(own_scene(scene, lane.tool_extension_m), lane, a, b, tube)
+def prove_way(settings: Settings, scene: Scene, lane: LaneInputs, a, b, tube: Tube, kept) -> Proof:
+    """Whether the straight joint path from a to b is a motion. kept: see `prove`."""
+    return prove(own_scene(scene, lane.tool_extension_m), lane, a, b, tube, kept=kept)
 
 
 def settle(settings: Settings, scene: Scene, lane: LaneInputs, x):

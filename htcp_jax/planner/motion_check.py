@@ -24,6 +24,7 @@ from htcp_jax.scene.scenario import Scenario
 from htcp_jax.scene.task import Task
 from htcp_jax.status import Way
 
+KEPT = 0.5  # of what is clear, that the clearance on record is at least
 ROWS_AT_ONCE = 16  # of a scenario: what lies behind the end of a motion need not be looked at
 
 
@@ -86,12 +87,14 @@ def _segments(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> Segments:
     return Segments(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def prove_segments(problem: Problem, kernels: Kernels, tip: TipCheck | None, segments: Segments) -> Proof:
-    """One proof each; where the tool's bare tip passes through a wall, they collide."""
+def prove_segments(
+    problem: Problem, kernels: Kernels, tip: TipCheck | None, segments: Segments, kept: float = 0.0
+) -> Proof:
+    """One proof each; where the tool's bare tip passes through a wall, they collide. kept: see `prove`."""
     inputs = lane_inputs(problem.scenarios, segments.scenario, segments.target)
     radius = problem.settings.tube_m
     tube = tubes(problem.scenarios, problem.task, radius, segments.scenario, segments.target, segments.turns)
-    proof = kernels(PROVE, inputs, segments.a, segments.b, tube)
+    proof = kernels(PROVE, inputs, segments.a, segments.b, tube, np.full(len(inputs.row), kept))
     if tip is not None:
         through = (proof.verdict == Way.PROVEN) & tip.along(inputs, segments.a, segments.b)
         proof = proof._replace(verdict=np.where(through, int(Way.COLLIDES), proof.verdict))
@@ -106,7 +109,8 @@ def _proofs(problem: Problem, segments: Segments) -> Proof:
 
     def look(number: int) -> Proof:
         own = number % len(kernels)
-        return prove_segments(problem, kernels[own], tips[own], gather(segments, np.arange(number, count, threads)))
+        part = gather(segments, np.arange(number, count, threads))
+        return prove_segments(problem, kernels[own], tips[own], part, KEPT)
 
     with ThreadPoolExecutor(threads) as pool:
         proofs = concatenate(list(pool.map(look, range(threads))))

@@ -36,6 +36,7 @@ from htcp_jax.planner.transfers import joined, other_postures
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status, Way
 
+MOST_TRANSFERS = 2  # searches from other postures, each from others
 IN_FLIGHT = 4  # scenarios are planned together, a quarter as many as a table has lanes
 
 
@@ -79,12 +80,17 @@ class Search:
     rounds: int = 0  # of walks from the front since something arrived
     draws: int = 0  # rounds of walks in all
     status: Status | None = None  # why the search ended, where it did not come to the last target
-    own: "Search | None" = None  # the one from the start, where this one is from other postures at the first target
+    earlier: "Search | None" = None  # the one before, where this one is from other postures at the first target
 
     @property
     def target(self) -> int:
         """That of the front."""
         return self.front[0].target
+
+    @property
+    def chain(self) -> "list[Search]":
+        """Itself and those before it."""
+        return [self, *(self.earlier.chain if self.earlier is not None else [])]
 
     @property
     def done(self) -> bool:
@@ -142,16 +148,16 @@ class Growing:
                 going.append(self._begin(scenario))
             if not going:
                 return ways
-            before = sum(search.target for search in going if search.own is None)
+            before = sum(search.target for search in going if search.earlier is None)
             self._feed([(search, node) for search in going for node in search.unfed])
             self._walk([(search, node) for search in going for node in search.walkers])
-            tracked = sum(search.target for search in going if search.own is None) - before
+            tracked = sum(search.target for search in going if search.earlier is None) - before
             ended = [(search, self._elsewhere(search)) for search in going if search.done]
             going = [search for search in going if not search.done] + [other for _, other in ended if other is not None]
             finished = [self._chosen(search) for search, other in ended if other is None]
             for found in finished:
                 ways += self._record(*found)
-                tracked += found[0].target - found[0].own.target if found[0].own is not None else 0
+                tracked += found[0].target - found[0].chain[-1].target
             self._problem.progress(tracked, len(finished))
 
     def _begin(self, s: int) -> Search:
@@ -163,26 +169,26 @@ class Growing:
 
     def _elsewhere(self, search: Search) -> Search | None:
         """Where the start's own part is exhausted: a search from other postures at the first target, if it may be."""
-        s, settings = search.scenario, self._problem.settings
-        if search.status is None or search.own is not None or not settings.transfers:
+        s, settings, searches = search.scenario, self._problem.settings, len(search.chain)
+        if search.status is None or not settings.transfers or searches > MOST_TRANSFERS:
             return None
-        others = other_postures(self._problem, self._kernels, self._tip, s)
+        others = other_postures(self._problem, self._kernels, self._tip, s, searches - 1)
         if not others:
             return None
         more = Search(s, search.targets, search.on_path, settings, search.can_walk, others, others)
-        more.own, more.draws = search, search.draws
+        more.earlier, more.draws = search, search.draws
         return more
 
     def _chosen(self, search: Search) -> tuple[Search, Node, np.ndarray | None]:
-        """What to write down of a scenario: the search, the leaf of its best path, and the knots of a transfer."""
-        leaves = best_first(search.front)
-        if search.own is None:
-            return search, leaves[0], None
-        if search.target > search.own.target:
-            found = joined(self._problem, self._kernels, self._tip, search.scenario, leaves)
-            if found is not None:
-                return search, *found
-        return self._chosen(search.own)
+        """What to write down of a scenario: the search that came furthest, the leaf of its best path, and the knots of
+        the transfer to it."""
+        for each in sorted(search.chain[::-1], key=lambda one: -one.target):
+            leaves = best_first(each.front)
+            if each.earlier is None:
+                return each, leaves[0], None
+            if (found := joined(self._problem, self._kernels, self._tip, each.scenario, leaves)) is not None:
+                return each, *found
+        raise AssertionError("the first search begins at the start, and needs no transfer")
 
     def _feed(self, lanes: list[tuple[Search, Node]]) -> None:
         if not lanes:
@@ -243,7 +249,7 @@ class Growing:
         """Which straight joint paths from a to b are motions. along: whether to look at the bare tip, too."""
         if not len(a):
             return np.zeros(0, bool)
-        good = self._kernels(PROVE, inputs, a, b, tube).verdict == Way.PROVEN
+        good = self._kernels(PROVE, inputs, a, b, tube, np.zeros(len(a))).verdict == Way.PROVEN
         if along and self._tip is not None and good.any():
             good[good] = ~self._tip.along(*gather((inputs, a, b), good))
         return good

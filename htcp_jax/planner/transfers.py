@@ -19,11 +19,11 @@ STREAM = 1_000_000  # of random numbers; those before it are of `joint_search`
 MOST_ROOTS = 16  # that are tried to be joined
 
 
-def other_postures(problem: Problem, kernels: Kernels, tip: TipCheck | None, s: int) -> list[Node]:
-    """Postures of scenario s at its first target that count, drawn uniformly within the joint limits and far apart;
-    how the arm gets there is not asked."""
+def other_postures(problem: Problem, kernels: Kernels, tip: TipCheck | None, s: int, round_: int) -> list[Node]:
+    """Postures of scenario s at its first target that count, drawn uniformly within the joint limits and far apart,
+    others in every round; how the arm gets there is not asked."""
     scenarios, settings = problem.scenarios, problem.settings
-    rng = np.random.default_rng([settings.seed, int(scenarios.number[s]), STREAM])
+    rng = np.random.default_rng([settings.seed, int(scenarios.number[s]), STREAM + round_])
     lower, upper = kernels.limits
     inputs = lane_inputs(scenarios, np.full(DRAWS, s), np.zeros(DRAWS, int))
     x = kernels(SETTLE, inputs, rng.uniform(lower, upper, (DRAWS, len(lower))))

@@ -2,8 +2,8 @@
 
 A bead lies on the wall, on a straight line in the coordinates of `duct.surface`: along one side the angle stays, around
 the duct the depth does, and down a helix both move evenly. Its points are equally spaced by arc length, from the inlet
-inwards or, around, clockwise as seen from the inlet. Depths and angles are round figures; the deep girth begins where it
-is hardest to follow.
+inwards or, around, clockwise as seen from the inlet. Depths and angles are round figures; the deep girth begins where
+it is hardest to follow.
 """
 
 from typing import NamedTuple
