@@ -379,12 +379,12 @@ def test_what_another_method_makes_is_judged_as_well():
 def test_other_postures_at_the_first_target_lead_further_by_a_transfer():
     """A start in a dead end: the arm changes its posture before the path, by a proven joint path, and goes on; every
     way is looked at place by place. Where transfers are not allowed, or the start itself leads on, nothing changes."""
-    settings = replace(SMALL, smooth=False)
-    lost, easy = scenario(20, (0.6, -0.3)), poses()[2]
-    without, with_ = (roadmap([lost, easy], replace(settings, transfers=allowed)) for allowed in (False, True))
-    assert with_.executable[0].sum() > without.executable[0].sum()
-    assert (with_.executable == with_.tracked).all() and len(with_.knots.on_the_way(0, 0))
-    assert not np.allclose(with_.x[0, 0], lost.x_start, atol=0.1)
-    check_motions([lost, easy], with_, settings.tube_m)
-    same(without, 1, with_, 1, int(easy.count))
-    same(with_, 0, roadmap([lost], replace(settings, transfers=True), threads=1), 0, int(lost.count))
+    without, settings = Settings(smooth=False), Settings(smooth=False, transfers=True)
+    lost, easy = scenario(1, (0.2, -0.2)), first_of(poses()[2], 30)
+    own, plans = roadmap([lost, easy], without), roadmap([lost, easy], settings)
+    assert own.executable[0].sum() < plans.executable[0].sum()
+    assert (plans.executable == plans.tracked).all()
+    assert plans.joint_step[0, 0] > 1.0 > own.joint_step[0, 0]
+    check_motions([lost, easy], plans, settings.tube_m)
+    same(own, 1, plans, 1, 30)
+    same(plans, 0, roadmap([lost], settings, threads=1), 0, int(lost.count))
