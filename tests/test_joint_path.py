@@ -101,8 +101,8 @@ def test_no_point_of_a_body_moves_further_than_the_bound(model, tmp_path):
 
 @pytest.mark.parametrize("model", ["gp50", "rail"])
 def test_no_point_of_a_body_travels_further_on_a_joint_path_than_the_bound(model, tmp_path):
-    """Random joint paths, random places on them; never more than the bound by turns alone says, and less than half of it where
-    the joints undo each other's motion."""
+    """Random joint paths, random places on them; never more than the bound by turns alone says, and less than half of
+    it where the joints undo each other's motion."""
     robot = made_once.robot() if model == "gp50" else load_robot(rail(tmp_path), limits="model")
     rng, n = np.random.default_rng(3), len(robot.slides)
     bound, by_turns, ends = jax.jit(travel_bound), jax.jit(motion_bound), jax.jit(capsule_segments)
