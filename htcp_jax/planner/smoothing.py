@@ -52,7 +52,8 @@ class Path:
     @classmethod
     def of(cls, problem: Problem, plans: Plans, s: int) -> "Path":
         """As far as the scenario is executable; its last posture stays where tracked targets follow."""
-        ways = [(t, [*plans.knots.on_the_way(s, t), plans.x[s, t]]) for t in np.flatnonzero(plans.executable[s])]
+        executable = np.flatnonzero(plans.executable[s]).tolist()
+        ways = [(t, [*plans.knots.on_the_way(s, t), plans.x[s, t]]) for t in executable]
         x = np.array([plans.start[s], *(posture for _, way in ways for posture in way)])
         target = np.repeat([t for t, _ in ways], [len(way) for _, way in ways])
         on_way = np.append(target[1:] == target[:-1], False)
@@ -91,7 +92,7 @@ def smooth(problem: Problem, plans: Plans) -> Plans:
     """The plans with their motions smoothed, as far as these reach; `way` and `way_clearance` are to be judged anew."""
     kernels = problem.kernels  # made here, before there are threads
     tips = tip_checks(kernels, problem.tip_guard)
-    paths = [Path.of(problem, plans, s) for s in np.flatnonzero(plans.executable[:, 0])]
+    paths = [Path.of(problem, plans, s) for s in np.flatnonzero(plans.executable[:, 0]).tolist()]
 
     def work(number: int) -> None:
         own = number % len(kernels)
@@ -108,6 +109,7 @@ class Smoothing:
     def __init__(self, problem: Problem, kernels: Kernels, tip: TipCheck | None):
         self._problem, self._kernels, self._tip = problem, kernels, tip
         settings, joints = problem.settings, problem.scenarios.x_start.shape[1]
+        self._lower, self._upper = np.asarray(problem.robot.lower), np.asarray(problem.robot.upper)
         self._weights = np.ones(joints) if settings.path_weights is None else np.array(settings.path_weights)
 
     def run(self, paths: Sequence[Path]) -> None:
@@ -158,12 +160,12 @@ class Smoothing:
 
     def _step(self, path: Path) -> Float[np.ndarray, "P N"]:
         """That of the QP about where the path is."""
-        settings, robot, rows = self._problem.settings, self._problem.robot, path.seen.clearance
+        settings, rows = self._problem.settings, path.seen.clearance
         aim = self._problem.scenarios.margin_m[path.scenario] + settings.aim_above_m
         left = np.maximum(rows.distance - aim, 0.0)
         radius, x = path.radius[:, None], path.x[1:]
-        lower = np.clip(np.asarray(robot.lower) - x, -radius, 0.0)
-        upper = np.clip(np.asarray(robot.upper) - x, 0.0, radius)
+        lower = np.clip(self._lower - x, -radius, 0.0)
+        upper = np.clip(self._upper - x, 0.0, radius)
         return solve_path_qp(
             PathQP(
                 path.x, self._weights, path.held, path.seen.task.jacobian[:, 0],
@@ -172,15 +174,18 @@ class Smoothing:
         )  # fmt: skip
 
     def _candidates(self, steps: list[tuple[Path, np.ndarray]]) -> list[tuple[np.ndarray, Linearisation, np.ndarray]]:
-        """Of each path after a step: where it is, what is seen there, and which postures are no part of a motion."""
+        """Of each path after a step: where it is, what is seen there, and which postures are no part of a motion. What
+        stays where it was is part of one, as it was."""
         paths = [path for path, _ in steps]
-        x = self._settled(paths, [path.x[1:] + y for path, y in steps])
+        x = self._settled(steps)
         seen, good = self._measured(paths, x)
         segments = [path.segments(at) for path, at in zip(paths, x, strict=True)]
         ways = self._motions(Segments(*(np.concatenate(column) for column in zip(*segments, strict=True))), GRAZES)
         found = []
-        for at, here, counts, way in zip(x, seen, good, _split(ways, paths), strict=True):
-            bad = ~counts | ~way
+        for path, at, here, counts, way in zip(paths, x, seen, good, _split(ways, paths), strict=True):
+            stays = (at == path.x).all(axis=1)
+            way = way | (stays[1:] & stays[:-1])
+            bad = ~(counts | stays[1:]) | ~way
             bad[:-1] |= ~way[1:]
             found.append((at, here, bad))
         return found
@@ -190,11 +195,14 @@ class Smoothing:
             for path, seen in zip(paths, self._measured(paths, [path.x for path in paths])[0], strict=True):
                 path.seen = seen
 
-    def _settled(self, paths: list[Path], x: list[np.ndarray]) -> list[np.ndarray]:
-        """The paths, starts included, with postures that hold the task brought onto their targets."""
-        held, all_ = np.concatenate([path.held for path in paths]), np.concatenate(x)
-        all_[held] = self._kernels(SETTLE, gather(self._inputs(paths), held), all_[held])
-        return [np.concatenate([path.x[:1], own]) for path, own in zip(paths, _split(all_, paths), strict=True)]
+    def _settled(self, steps: list[tuple[Path, np.ndarray]]) -> list[np.ndarray]:
+        """The paths after a step, starts included, with postures that moved and hold the task back on their targets."""
+        paths = [path for path, _ in steps]
+        x = np.concatenate([np.clip(path.x[1:] + y, self._lower, self._upper) for path, y in steps])
+        off = np.concatenate([path.held & y.any(axis=1) for path, y in steps])
+        if off.any():
+            x[off] = self._kernels(SETTLE, gather(self._inputs(paths), off), x[off])
+        return [np.concatenate([path.x[:1], own]) for path, own in zip(paths, _split(x, paths), strict=True)]
 
     def _measured(self, paths: list[Path], x: list[np.ndarray]) -> tuple[list[Linearisation], list[np.ndarray]]:
         """At the postures and half way to them; and which of the postures count."""
@@ -239,5 +247,8 @@ def _written(problem: Problem, plans: Plans, paths: list[Path]) -> Plans:
     plans.clearance[s, t], plans.residual[s, t] = seen.clearance, seen.residual
     plans.joint_step[s, t] = np.linalg.norm(x - plans.before(s, t), axis=1)
     ways = [(path.scenario, t, path.x[1:][path.on_way & (path.target == t)])
-            for path in paths for t in np.unique(path.target[path.on_way])]  # fmt: skip
+            for path in paths for t in np.unique(path.target[path.on_way]).tolist()]  # fmt: skip
+    executable = plans.executable
+    beyond = {row for row in zip(*map(np.ndarray.tolist, plans.knots[:2]), strict=True) if not executable[row]}
+    ways += [(*row, plans.knots.on_the_way(*row)) for row in beyond]
     return plans._replace(knots=Knots.of(ways, plans.x.shape[2]))
