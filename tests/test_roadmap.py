@@ -30,6 +30,7 @@ from htcp_jax.planner.problem import Problem
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.scenario import stack
 from htcp_jax.scene.task import Task
+from htcp_jax.settings import Settings
 from htcp_jax.status import Status, Way
 
 
