@@ -163,3 +163,17 @@ def test_where_the_solver_breaks_down_nothing_moves():
 def test_the_cost_of_a_path_is_that_of_its_steps():
     qp = random_path(np.random.default_rng(10))
     assert path_cost(qp.x, qp.weights) == pytest.approx(cost(qp, np.zeros_like(qp.lower)), rel=1e-14)
+
+
+def test_a_row_is_kept_that_only_the_longest_step_breaks():
+    """Every joint is pulled to the end of its trust region; a row at a posture, or half way, stops it just before."""
+    pulled = np.array([1.0, -1.0, 1.0])
+    x, bound, none = np.outer([0, 20, 30], pulled), np.full((2, 3), 0.3), np.zeros((2, 0))
+    towards = np.tile(-pulled, (2, 1, 1))
+    np.testing.assert_allclose(solve_path_qp(free(x, lower=-bound, upper=bound)), -0.3 * np.tile(pulled, (2, 1)))
+    for rows, bounds, row, most in (("G", "h", 0, 0.9), ("G", "h", 1, 0.9), ("C", "c", 0, 0.45), ("C", "c", 1, 0.9)):
+        limits = np.full((2, 1), np.inf)
+        limits[row] = 0.95 * most
+        other = {"G": {"C": towards[:, :0], "c": none}, "C": {"G": towards[:, :0], "h": none}}[rows]
+        qp = free(x, lower=-bound, upper=bound, **{rows: towards, bounds: limits}, **other)
+        np.testing.assert_allclose(left(qp, solve_path_qp(qp))[row], 0, atol=EXACT)

@@ -42,7 +42,7 @@ def path_cost(x: Float[np.ndarray, "P1 N"], weights: Float[np.ndarray, "N"]) -> 
 
 
 def solve_path_qp(qp: PathQP) -> Float[np.ndarray, "P N"]:
-    """The steps; zeros where the solver breaks down."""
+    """The steps y of its postures [rad or m]; zeros where the solver breaks down."""
     count, joints = qp.lower.shape
     differences = _differences(count)
     cost = 2 * sparse.kron(differences.T @ differences, sparse.diags(qp.weights))
