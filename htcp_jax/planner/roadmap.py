@@ -218,7 +218,8 @@ class Growing:
         target = np.array([node.target for _, node in lanes])
         x, draws = np.stack([node.x for _, node in lanes]), np.array([search.draws for search, _ in lanes])
         inputs, tube = self._inputs(scenario, target, draws, True)
-        walker = np.arange(len(lanes)) - np.searchsorted(scenario, scenario)
+        first = np.flatnonzero(np.diff(scenario, prepend=-1))  # of every search; theirs stand together, in any order
+        walker = np.arange(len(lanes)) - np.repeat(first, np.diff(np.append(first, len(lanes))))
         walked = self._kernels(WALK, inputs, x, walker.astype(np.int32))
         lane, step = np.nonzero(np.arange(walked.path.x.shape[1]) < walked.steps[:, None])
         before = np.concatenate([x[:, None], walked.path.x], axis=1)

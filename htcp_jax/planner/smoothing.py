@@ -32,6 +32,7 @@ from htcp_jax.status import Way
 TRUST = 0.2  # a joint's longest step in a round [rad or m]
 NEIGHBOURS = 4  # postures over which a step grows back to its length, beside one that stays
 GAIN, SLOW, MOST_ROUNDS = 2e-3, 3, 40  # a path is done after SLOW rounds in a row that gain less than GAIN of its cost
+TOGETHER = 64  # paths of a thread that are smoothed at a time; what is seen of each takes a third of a megabyte
 GRAZES = 64  # queries of a proof, from which on the way is too close to an obstacle to go nearer
 
 
@@ -95,8 +96,10 @@ def smooth(problem: Problem, plans: Plans) -> Plans:
     paths = [Path.of(problem, plans, s) for s in np.flatnonzero(plans.executable[:, 0]).tolist()]
 
     def work(number: int) -> None:
-        own = number % len(kernels)
-        Smoothing(problem, kernels[own], tips[own]).run(paths[number :: problem.threads])
+        own, mine = number % len(kernels), paths[number :: problem.threads]
+        smoothing = Smoothing(problem, kernels[own], tips[own])
+        for first in range(0, len(mine), TOGETHER):
+            smoothing.run(mine[first : first + TOGETHER])
 
     with ThreadPoolExecutor(problem.threads) as pool:
         list(pool.map(work, range(problem.threads)))
