@@ -83,7 +83,7 @@ def ways(knots=None):
 def verdicts(s, a, b):
     nowhere, which = np.zeros((len(a), 3)), np.full(len(a), s)
     tube = Tube(nowhere, nowhere, np.full(len(a), np.inf))
-    return kernels()(PROVE, lane_inputs(scenarios(), which, np.zeros_like(which)), a, b, tube).verdict
+    return kernels()(PROVE, lane_inputs(scenarios(), which, np.zeros_like(which)), a, b, tube, np.zeros(len(a))).verdict
 
 
 def length(way):

@@ -10,8 +10,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from htcp_jax.planner.knots import Knots
-from htcp_jax.planner.motion import ONE_POINT_M, motion, motions
-from htcp_jax.planner.motion_figures import cost, curvature, dwells, figures, largest_step, tightest
+from htcp_jax.planner.motion import (
+    ONE_POINT_M,
+    cost,
+    curvature,
+    dwells,
+    figures,
+    largest_step,
+    motion,
+    motions,
+    tightest,
+)
 from htcp_jax.planner.plans import Plans
 from htcp_jax.status import Kind, Status, Way
 

@@ -14,7 +14,7 @@ from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.planner import batch
-from htcp_jax.planner.motion_figures import MotionFigures
+from htcp_jax.planner.motion import MotionFigures
 from htcp_jax.report import paper, tables
 from htcp_jax.report.best import best
 from htcp_jax.report.cell import RunScene

@@ -4,6 +4,10 @@
     motions(plans, on_path).cost(len(plans.x))  # of all of them at once
 
 Only what is executable is a motion; what a plan has beyond that is no part of it.
+
+And what a motion comes to: how often the arm dwells, how smooth the whole is, how clear it is all along. Equation (3)
+of the paper asks for the least ||x||_Q^2 with Q = V'V, where V takes finite differences of consecutive postures: the
+sum of |x_{t+1} - x_t|^2, unweighted.
 """
 
 from typing import NamedTuple
@@ -82,3 +86,88 @@ def _kinds(target: np.ndarray, place: np.ndarray, on_path: np.ndarray) -> Int8[n
     kind[knot & (target == 0)] = Kind.TRANSFER
     kind[(place == 0) & np.append(kind[1:] == Kind.TRANSFER, False)] = Kind.TRANSFER
     return kind.astype(np.int8)
+
+
+class MotionFigures(NamedTuple):
+    """Of S scenarios, a column each; NaN where there is nothing to measure."""
+
+    dwells: Float[np.ndarray, "S"]  # how many [1]
+    motion_cost_rad2: Float[np.ndarray, "S"]  # equation (3), see `cost` [rad^2]
+    path_step_max_rad: Float[np.ndarray, "S"]  # see `largest_step`
+    curvature_max_rad_m2: Float[np.ndarray, "S"]  # see `curvature`
+    way_clearance_min_m: Float[np.ndarray, "S"]  # see `tightest`
+
+
+def figures(plans: Plans, on_path: OnPath) -> MotionFigures:
+    """All of them. on_path: the first target that is a point of the path, of each scenario or of all."""
+    found, count = motions(plans, on_path), len(plans.status)
+    begun = plans.executable.any(axis=1)
+    return MotionFigures(
+        dwells=np.where(begun, dwells(plans, on_path).sum(axis=1), np.nan),
+        motion_cost_rad2=np.where(begun, cost(found, count), np.nan),
+        path_step_max_rad=largest_step(found, count),
+        curvature_max_rad_m2=np.fmax.reduce(curvature(plans, on_path), axis=1, initial=np.nan),
+        way_clearance_min_m=tightest(plans)[1],
+    )
+
+
+def dwells(plans: Plans, on_path: OnPath) -> Bool[np.ndarray, "S T"]:
+    """At which targets of the path the arm changes its posture, for the next target to be executable."""
+    found = np.zeros_like(plans.tracked)
+    turns = _turns(plans) & (np.arange(found.shape[1]) > np.reshape(on_path, (-1, 1)))
+    found[:, :-1] = turns[:, 1:]
+    return found
+
+
+def cost(found: Motions, count: int) -> Float[np.ndarray, "S"]:
+    """Equation (3), ||x||_Q^2 with Q = V'V: the sum of |x_{k+1} - x_k|^2 over all postures that are passed, from the
+    start to the last executable target [rad^2]; count: S. Of two motions with the same path the smoother costs less."""
+    return np.bincount(found.scenario, found.steps**2, count).astype(float)
+
+
+def largest_step(found: Motions, count: int) -> Float[np.ndarray, "S"]:
+    """The largest |x_{k+1} - x_k| on the path, dwells included [rad]; NaN where the motion does not come to the path's
+    second point. Equation (3) sums the squares of these."""
+    most = np.full(count, np.nan)
+    on_path = (found.kind == Kind.FEED) | (found.kind == Kind.DWELL)
+    np.fmax.at(most, found.scenario[on_path], found.steps[on_path])
+    return most
+
+
+def curvature(plans: Plans, on_path: OnPath) -> Float[np.ndarray, "S T"]:
+    """|q''|, how much the joints' way bends at the points of the path, by central differences over its arc length
+    [rad/m2]: what a constant feed asks of the joints' accelerations. It is the second difference where equation (3)
+    sums the first.
+
+    Points closer than ONE_POINT_M are one, with the posture of the last of them. The arc length stands still during a
+    dwell, so |q''| is not defined at a target where the arm dwells, nor at the next one: NaN, as at both ends of the
+    path and everywhere else.
+    """
+    path = plans.executable & (np.arange(plans.x.shape[1]) >= np.reshape(on_path, (-1, 1)))
+    ahead = np.linalg.norm(np.diff(plans.target, axis=1), axis=2)
+    points = path.copy()
+    points[:, :-1] &= ~(path[:, 1:] & (ahead < ONE_POINT_M))
+    s, t = np.nonzero(points)
+    x, place, turned = plans.x[s, t], plans.target[s, t], np.cumsum(_turns(plans), axis=1)[s, t]
+    straight = (np.diff(s) == 0) & (np.diff(turned) == 0)  # to the next point
+    length = np.where(straight, np.linalg.norm(np.diff(place, axis=0), axis=1), 1.0)
+    slope = np.diff(x, axis=0) / length[:, None]
+    bend = 2 * np.linalg.norm(np.diff(slope, axis=0), axis=1) / (length[:-1] + length[1:])
+    found = np.full(plans.status.shape, np.nan)
+    found[s[1:-1], t[1:-1]] = np.where(straight[:-1] & straight[1:], bend, np.nan)
+    return found
+
+
+def tightest(plans: Plans) -> tuple[Int[np.ndarray, "S"], Float[np.ndarray, "S"]]:
+    """To which target the way leads on which the least clearance is proven, and that D [m]; -1 and NaN where no target
+    is executable."""
+    clear = np.where(plans.executable, plans.way_clearance, np.inf)
+    target, least = clear.argmin(axis=1), clear.min(axis=1)
+    return np.where(np.isinf(least), -1, target), np.where(np.isinf(least), np.nan, least)
+
+
+def _turns(plans: Plans) -> Bool[np.ndarray, "S T"]:
+    """Which executable targets lie behind a way that passes knots."""
+    found = np.zeros_like(plans.tracked)
+    found[plans.knots.scenario, plans.knots.target] = True
+    return found & plans.executable

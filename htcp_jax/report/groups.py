@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from htcp_jax.planner.motion_figures import MotionFigures
+from htcp_jax.planner.motion import MotionFigures
 from htcp_jax.planner.plans import Plans
 from htcp_jax.report import paper
 from htcp_jax.report.validation import read_validation

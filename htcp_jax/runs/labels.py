@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from htcp_jax.planner.motion_figures import MotionFigures
+from htcp_jax.planner.motion import MotionFigures
 
 RESULTS = (
     "method", "scenario", "group", "targets", "tracked", "complete", "failed_target", "failure", "reason",

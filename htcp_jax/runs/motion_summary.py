@@ -5,14 +5,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from htcp_jax.planner.motion_figures import curvature, dwells, figures, tightest
+from htcp_jax.planner.motion import curvature, dwells, figures, tightest
 from htcp_jax.planner.plans import Outcome, Plans
 
 LEAST_MM = 0.01  # smaller bounds say that the arm is clear, and no more
 
 
 class MotionSummary(NamedTuple):
-    """Figures of the executable part, see `planner.motion_figures`; NaN and None where there is nothing to measure."""
+    """Figures of the executable part, see `planner.motion`; NaN and None where there is nothing to measure."""
 
     end: Outcome
     dwells: tuple[int, ...]  # targets at which the arm changes its posture

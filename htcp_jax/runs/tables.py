@@ -59,7 +59,7 @@ import pyarrow as pa
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.grid_axes import Point
 from htcp_jax.planner.knots import Knots
-from htcp_jax.planner.motion_figures import MotionFigures, figures
+from htcp_jax.planner.motion import MotionFigures, figures
 from htcp_jax.planner.plans import EMPTY, NO_TARGET, Outcomes, Plans
 from htcp_jax.runs import parameters
 from htcp_jax.scene.robot import Robot
