@@ -84,7 +84,7 @@ def _segments(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> Segments:
         count = len(way) - 1
         turns = np.arange(count) < count - 1
         parts.append(Segments(np.full(count, scenario), np.full(count, target), way[:-1], way[1:], turns))
-    return Segments(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    return concatenate(parts)
 
 
 def prove_segments(

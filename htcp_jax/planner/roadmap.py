@@ -31,7 +31,7 @@ from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.roadmap_kernels import FEED, WALK
-from htcp_jax.planner.tip_check import TipCheck, tip_checks
+from htcp_jax.planner.tip_check import TipCheck, out_of_walls, tip_checks
 from htcp_jax.planner.transfers import joined, other_postures
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status, Way
@@ -198,7 +198,7 @@ class Growing:
         x = np.stack([node.x for _, node in lanes])
         inputs, tube = self._inputs(scenario, target, np.zeros_like(target), False)
         fed = self._kernels(FEED, inputs, x)
-        good = self._kept(inputs, fed.at.x, fed.reached)
+        good = out_of_walls(self._tip, inputs, fed.at.x, fed.reached)
         proven = good.copy()
         proven[good] = self._proven(*gather((inputs, x, fed.at.x, tube), good), along=True)
         arrived: dict[Search, list[Node]] = {search: [] for search, _ in lanes}
@@ -208,7 +208,7 @@ class Growing:
             arrived[search].append(Node(*here, int(target[k]), node, None, int(fed.step_qps[k])))
         for search, nodes in arrived.items():
             own = scenario == search.scenario
-            self._failure[search.scenario] = self._why(search, bool(good[own].any()))
+            self._failure[search.scenario] = self._why(search, bool(nodes), bool(good[own].any()))
             search.take_fed(nodes, self._failure[search.scenario])
 
     def _walk(self, lanes: list[tuple[Search, Node]]) -> None:
@@ -229,7 +229,7 @@ class Growing:
         proven[lane, step] = self._proven(segments[0], a, b, segments[1])
         steps = np.logical_and.accumulate(proven, axis=1).sum(axis=1)
         last = jax.tree.map(lambda leaf: leaf[np.arange(len(x)), np.maximum(steps - 1, 0)], walked.path)
-        good = self._kept(inputs, last.x, steps > 0)
+        good = out_of_walls(self._tip, inputs, last.x, steps > 0)
         found: dict[Search, list[Node]] = {search: [] for search, _ in lanes}
         for k in np.flatnonzero(good).tolist():
             search, node = lanes[k]
@@ -238,13 +238,6 @@ class Growing:
             found[search].append(Node(*here, int(target[k]), node, path, dwells=dwells))
         for search, nodes in found.items():
             search.take_walked(nodes, self._failure[search.scenario])
-
-    def _kept(self, inputs: LaneInputs, x: np.ndarray, among: np.ndarray) -> np.ndarray:
-        """Which of some lanes, `among`, keep the tool's bare tip out of the walls at x."""
-        good = np.array(among)
-        if self._tip is not None and good.any():
-            good[good] = ~self._tip.at(*gather((inputs, x), good))
-        return good
 
     def _proven(self, inputs: LaneInputs, a: np.ndarray, b: np.ndarray, tube: Tube, along: bool = False) -> np.ndarray:
         """Which straight joint paths from a to b are motions. along: whether to look at the bare tip, too."""
@@ -255,9 +248,10 @@ class Growing:
             good[good] = ~self._tip.along(*gather((inputs, a, b), good))
         return good
 
-    def _why(self, search: Search, reached: bool) -> Status:
-        """What to say of a scenario in which nothing arrives at the next target."""
-        if search.target < 0:
+    def _why(self, search: Search, arrived: bool, reached: bool) -> Status:
+        """What to say of a scenario if nothing more arrives at the next target. Where something did, its start is
+        clear: the way from there is proven."""
+        if search.target < 0 and not arrived:
             [node] = search.front
             inputs = lane_inputs(self._problem.scenarios, np.array([search.scenario]), np.zeros(1, int))
             if self._kernels(ADVANCE, inputs, node.x[None], np.zeros((1, len(node.x)))).clearance[0] <= 0:

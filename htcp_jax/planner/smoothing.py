@@ -20,12 +20,12 @@ from htcp_jax.clearance.linearisation import Linearisation
 from htcp_jax.planner.kernels import ADVANCE, SETTLE, Measured
 from htcp_jax.planner.knots import Knots
 from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
-from htcp_jax.planner.lanes import gather
+from htcp_jax.planner.lanes import concatenate, gather
 from htcp_jax.planner.motion_check import Segments, prove_segments
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
-from htcp_jax.planner.tip_check import TipCheck, tip_checks
+from htcp_jax.planner.tip_check import TipCheck, out_of_walls, tip_checks
 from htcp_jax.solvers.path_qp import PathQP, path_cost, solve_path_qp
 from htcp_jax.status import Way
 
@@ -183,7 +183,7 @@ class Smoothing:
         x = self._settled(steps)
         seen, good = self._measured(paths, x)
         segments = [path.segments(at) for path, at in zip(paths, x, strict=True)]
-        ways = self._motions(Segments(*(np.concatenate(column) for column in zip(*segments, strict=True))), GRAZES)
+        ways = self._motions(concatenate(segments), GRAZES)
         found = []
         for path, at, here, counts, way in zip(paths, x, seen, good, _split(ways, paths), strict=True):
             stays = (at == path.x).all(axis=1)
@@ -216,8 +216,7 @@ class Smoothing:
         seen = jax.tree.map(lambda table: table.reshape(-1, 2, *table.shape[1:]), seen)
         residual = np.where(np.concatenate([path.held for path in paths]), seen.residual[:, 0], 0.0)
         good = self._problem.task.counts(seen.clearance[:, 0], residual, inputs.margin_m[::2])
-        if self._tip is not None and good.any():
-            good[good] = ~self._tip.at(gather(self._inputs(paths), good), places[good, 0])
+        good = out_of_walls(self._tip, self._inputs(paths), places[:, 0], good)
         linear = [gather(seen.linear, rows) for rows in _split(np.arange(len(good)), paths)]
         return linear, _split(good, paths)
 

@@ -12,7 +12,7 @@ from htcp_jax.planner.kernels import ADVANCE, SETTLE
 from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
-from htcp_jax.planner.tip_check import TipCheck
+from htcp_jax.planner.tip_check import TipCheck, out_of_walls
 
 DRAWS = 512  # of postures at the first target
 STREAM = 1_000_000  # of random numbers; those before it are of `joint_search`
@@ -29,8 +29,7 @@ def other_postures(problem: Problem, kernels: Kernels, tip: TipCheck | None, s: 
     x = kernels(SETTLE, inputs, rng.uniform(lower, upper, (DRAWS, len(lower))))
     here = kernels(ADVANCE, inputs, x, np.zeros_like(x))
     good = problem.task.counts(here.clearance, here.residual, scenarios.margin_m[s])
-    if tip is not None and good.any():
-        good[good] = ~tip.at(lane_inputs(scenarios, np.full(good.sum(), s), np.zeros(good.sum(), int)), x[good])
+    good = out_of_walls(tip, inputs, x, good)
     nodes = [Node(x[k], here.clearance[k], here.residual[k], here.tcp[k], 0) for k in np.flatnonzero(good)]
     return dispersed(nodes, settings.front, settings.front_apart_rad)
 
