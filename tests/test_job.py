@@ -30,7 +30,7 @@ def pipe(tmp_path):
     folder = Path(shutil.copytree(CONFIGS / "pipe", tmp_path / "jobs"))
     np.savetxt(folder / "seam.csv", np.loadtxt(folder / "seam.csv", delimiter=",", ndmin=2)[:2], delimiter=",")
     text = (folder / "job.yaml").read_text().replace("workpiece:", "workpiece:\n  approach_to_path: 1", 1)
-    (folder / "job.yaml").write_text(text.replace("nspace-sqp", "baseline"))
+    (folder / "job.yaml").write_text(text.replace("method: roadmap", "method: baseline"))
     return folder
 
 
