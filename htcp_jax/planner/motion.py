@@ -19,6 +19,7 @@ from htcp_jax.planner.plans import Plans
 from htcp_jax.status import Kind
 
 ONE_POINT_M = 1e-5  # targets closer to each other are one point of the path
+ONE_POSTURE_RAD = 0.1  # by which tracking the first target may move the arm that is there already
 OnPath = int | Int[np.ndarray, "S"]  # the first target that is a point of the path, see `Scenario`
 
 
@@ -76,16 +77,23 @@ def motions(plans: Plans, on_path: OnPath, rows: Bool[np.ndarray, "S T"] | None 
     order = np.lexsort((place, target, scenario))
     scenario, target, place = scenario[order], target[order], place[order]
     kind = _kinds(target, place, np.broadcast_to(on_path, len(rows))[scenario])
+    kind[transfers(plans)[scenario] & (target == 0)] = Kind.TRANSFER
     return Motions(scenario, x[order], target - (kind == Kind.DWELL), kind)
 
 
 def _kinds(target: np.ndarray, place: np.ndarray, on_path: np.ndarray) -> Int8[np.ndarray, "n"]:
-    """What the arm does on its way to postures that lead to targets; a start is the transfer's if there is one."""
-    knot = place == 1
-    kind = np.where(target > on_path, np.where(knot, Kind.DWELL, Kind.FEED), Kind.APPROACH)
-    kind[knot & (target == 0)] = Kind.TRANSFER
-    kind[(place == 0) & np.append(kind[1:] == Kind.TRANSFER, False)] = Kind.TRANSFER
+    """What the arm does on its way to postures that lead to targets, where there is no transfer."""
+    kind = np.where(target > on_path, np.where(place == 1, Kind.DWELL, Kind.FEED), Kind.APPROACH)
     return kind.astype(np.int8)
+
+
+def transfers(plans: Plans) -> Bool[np.ndarray, "S"]:
+    """Whether the arm goes to another posture before it sets out: where the way to the first target passes knots or ends
+    further than ONE_POSTURE_RAD from where it began."""
+    off = np.linalg.norm(plans.x[:, :1] - plans.start[:, None], axis=2)
+    found = (off > ONE_POSTURE_RAD).any(axis=1)  # NaN is not
+    found[plans.knots.scenario[plans.knots.target == 0]] = True
+    return found
 
 
 class MotionFigures(NamedTuple):

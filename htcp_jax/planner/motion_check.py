@@ -64,12 +64,17 @@ def judge_motions(problem: Problem, plans: Plans) -> None:
         block &= np.logical_and.accumulate(plans.tracked, axis=1)
         if not block.any():
             break
-        segments = _segments(plans, block)
-        _record(plans, segments, _proofs(problem, segments))
+        judge_ways(problem, plans, block)
         last = min(first + ROWS_AT_ONCE, plans.status.shape[1]) - 1
         going = going[plans.executable[going, last]]
     ended = np.logical_or.accumulate(plans.way != Way.PROVEN, axis=1)[:, :-1]
     plans.way[:, 1:][ended], plans.way_clearance[:, 1:][ended] = Way.UNKNOWN, np.nan
+
+
+def judge_ways(problem: Problem, plans: Plans, rows: Bool[np.ndarray, "S T"]) -> None:
+    """The same of the ways to some rows alone, which are tracked, as are those before them."""
+    segments = _segments(plans, rows)
+    _record(plans, segments, _proofs(problem, segments))
 
 
 def _segments(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> Segments:

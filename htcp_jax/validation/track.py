@@ -93,15 +93,18 @@ def _scene(results: Results, arm: Arm, wall: Wall, track: Track) -> tuple[Checke
     part, pose, workpiece = track.config.workpiece, of_job(track.config), results.workpiece(track.config)
     rotate, translate = turned_and_moved(part, pose)
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
-    start_tcp = arm.postures(pose.start[None]).tcp[0]
-    targets = targets_of(part, start_tcp, inlet, workpiece.path @ rotate.T + translate)
+    start = pose.start if track.config.start is None else np.array(track.config.start)
+    path = workpiece.path @ rotate.T + translate
+    targets = targets_of(track.config, arm.postures(start[None]).tcp[0], inlet, path)
     if len(targets) != len(track.target):
         raise InputError(
             f"{results.folder}: scenario {track.scenario} has {len(track.target)} targets on record, "
             f"{len(targets)} by its configuration"
         )
-    beside = CheckedScene(arm, wall, rotate, translate, part.interior_depth_m)
-    return beside, targets, len(targets) - len(workpiece.path)
+    on_path = len(targets) - len(path)
+    if (np.abs(track.target[1:on_path] - path[0]) < RECORD_M).all():  # the approach left its lines
+        targets[1:on_path] = path[0]
+    return CheckedScene(arm, wall, rotate, translate, part.interior_depth_m), targets, on_path
 
 
 def _refuted(
