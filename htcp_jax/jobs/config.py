@@ -5,9 +5,10 @@ they are what `defaults` says.
 """
 
 import math
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PlainSerializer, ValidationInfo, WrapValidator, field_validator
+from pydantic import Field, PlainSerializer, WrapValidator, field_validator
 
 from htcp_jax.errors import InputError
 from htcp_jax.formats.strict_model import Section
@@ -22,10 +23,16 @@ Point = tuple[Number, Number, Number]
 Turn = Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi)]  # degrees are mostly beyond
 Steps = Annotated[int, Field(ge=0, le=10_000)]
 AUTO = "auto"  # a start that the planner chooses
-Start = Annotated[
-    tuple[Number, ...] | Literal["auto"],
-    WrapValidator(lambda value, numbers: value if value == AUTO else numbers(value)),
-]
+
+
+def _start(value: Any, numbers: Callable[[Any], tuple[float, ...]]) -> Any:
+    """What stands in place of joint positions is a word; raises InputError for any other."""
+    if isinstance(value, str) and value != AUTO:
+        raise InputError(f"{value!r} is no start; valid: {AUTO}, or a list of joint positions")
+    return value if value == AUTO else numbers(value)
+
+
+Start = Annotated[tuple[Number, ...], WrapValidator(_start), PlainSerializer(lambda value: value)]
 
 RENAMED_WORKPIECE = {"gate_depth_m": "interior_depth_m"}  # of version 0.1; known for one version more
 SOURCES = ("robot.model", "workpiece.cloud")  # what the next ones hang on, where they are not stated
@@ -133,7 +140,7 @@ class PlanConfig(Section):
 
     @field_validator("home_rad")
     @classmethod
-    def _where_it_begins(cls, home: tuple[float, ...] | None, others: ValidationInfo) -> tuple[float, ...] | None:
+    def _where_it_begins(cls, home: tuple[float, ...] | None, others: Any) -> tuple[float, ...] | None:
         if home is None and others.data.get("start_rad") == AUTO:
             raise InputError("start_rad is auto, so a home must be given, from which the motion begins")
         return home

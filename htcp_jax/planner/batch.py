@@ -89,21 +89,21 @@ def plan(
     )
     # Here, as methods are found: whoever asks for plans imports no kernels before one is looked up.
     from htcp_jax.planner.home import begin_at_home, leave_home
+    from htcp_jax.planner.lane_checks import check_remaining_paths
+    from htcp_jax.planner.motion_check import judge_motions
 
     ways = leave_home(problem)
     plans = _of_these(chosen.plan(problem), problem, method)
     if check_paths:
-        from htcp_jax.planner.lane_checks import check_remaining_paths
-        from htcp_jax.planner.motion_check import judge_motions
-
         check_remaining_paths(problem, plans)
+    plans = begin_at_home(problem, plans, ways)
+    if check_paths:
         judge_motions(problem, plans)
         if getattr(chosen, "smooth", False) if settings.smooth is None else settings.smooth:
             from htcp_jax.planner.smoothing import smooth
 
             plans = smooth(problem, plans)
             judge_motions(problem, plans)
-    plans = begin_at_home(problem, plans, ways)
     spent = time.perf_counter() - began
     compile_s = plans.compile_s + sum(each.compile_s for each in problem.kernels)
     return plans._replace(compile_s=compile_s, run_s=spent - compile_s)

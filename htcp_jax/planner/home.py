@@ -17,14 +17,13 @@ from htcp_jax.planner.joint_search import join
 from htcp_jax.planner.kernels import ADVANCE
 from htcp_jax.planner.knots import Knots
 from htcp_jax.planner.lane_inputs import lane_inputs
-from htcp_jax.planner.motion_check import judge_ways
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.tip_check import TipCheck, tip_checks
 from htcp_jax.planner.transfers import other_postures
 from htcp_jax.scene.scenario import NOT_REFUSED
-from htcp_jax.status import Status, Way
+from htcp_jax.status import Status
 
 ROUNDS, FIRST_ROUND = 4, 100  # of draws of starts; numbered beyond those of transfers
 TOGETHER, MOST_TRIED = 4, 16  # starts of a round that are tried to be joined at a time, and in all
@@ -116,27 +115,15 @@ class Leaving:
 
 
 def begin_at_home(problem: Problem, plans: Plans, ways: Ways) -> Plans:
-    """The plans with the ways from home before them; their starts are passed on the way to the first target. Where that
-    was proven, all of it is judged anew."""
+    """The plans with the ways from home before them: starts are knots on the way to the first target."""
     scenarios = problem.scenarios
     mine = (plans.start == scenarios.x_start).all(axis=1)
     plans.start[mine] = scenarios.x_home[mine]
     if not ways:
         return plans
     begun = [s for s in ways if mine[s] and plans.tracked[s, 0]]
-    knots = [(s, 0, way) for s in begun for way in (ways[s], _start_passed(problem, plans, s))]
+    knots = [(s, 0, way) for s in begun for way in (ways[s], scenarios.x_start[s][None])]
     knots += [(s, t, x[None]) for s, t, x in zip(*map(np.ndarray.tolist, plans.knots[:2]), plans.knots.x, strict=True)]
     plans = plans._replace(knots=Knots.of(knots, plans.x.shape[2]))
     plans.joint_step[begun, 0] = np.linalg.norm(plans.x[begun, 0] - plans.start[begun], axis=1)
-    rows = np.zeros_like(plans.tracked)
-    rows[begun, 0] = plans.way[begun, 0] == Way.PROVEN
-    if rows.any():
-        judge_ways(problem, plans, rows)
     return plans
-
-
-def _start_passed(problem: Problem, plans: Plans, s: int) -> Float[np.ndarray, "_ N"]:
-    """The start as a knot; none where it is the first row."""
-    start = problem.scenarios.x_start[s][None]
-    is_row = (plans.x[s, 0] == start).all() and not len(plans.knots.on_the_way(s, 0))
-    return start[:0] if is_row else start

@@ -16,10 +16,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
 from htcp_jax.planner.plans import Plans
-from htcp_jax.status import Kind
+from htcp_jax.status import Kind, Status
 
 ONE_POINT_M = 1e-5  # targets closer to each other are one point of the path
-ONE_POSTURE_RAD = 0.1  # by which tracking the first target may move the arm that is there already
 OnPath = int | Int[np.ndarray, "S"]  # the first target that is a point of the path, see `Scenario`
 
 
@@ -54,7 +53,7 @@ def motion(plans: Plans, scenario: int, on_path: int, *, retract: bool = False) 
     """The motion of one scenario, up to its last executable target.
 
     scenario: its row in `plans`; on_path: the first target that is a point of the path, `Scenario.on_path`. retract:
-    whether it leads back to the start, too, through the same postures: what is clear one way is clear the other.
+    whether it leads back to where it began, too, through the same postures: what is clear one way is clear the other.
     """
     there = motions(plans.rows([scenario]), on_path).of(0)
     if not retract:
@@ -88,10 +87,9 @@ def _kinds(target: np.ndarray, place: np.ndarray, on_path: np.ndarray) -> Int8[n
 
 
 def transfers(plans: Plans) -> Bool[np.ndarray, "S"]:
-    """Whether the arm goes to another posture before it sets out: where the way to the first target passes knots or ends
-    further than ONE_POSTURE_RAD from where it began."""
-    off = np.linalg.norm(plans.x[:, :1] - plans.start[:, None], axis=2)
-    found = (off > ONE_POSTURE_RAD).any(axis=1)  # NaN is not
+    """Whether the arm goes to another posture before it sets out: where the way to the first target passes knots, or that
+    target was tracked after an escape, as it is where a plan begins elsewhere than the start would have it."""
+    found = (plans.status[:, :1] == Status.TRACKED_AFTER_ESCAPE).any(axis=1)
     found[plans.knots.scenario[plans.knots.target == 0]] = True
     return found
 

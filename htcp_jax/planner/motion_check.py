@@ -54,8 +54,7 @@ def tubes(
 
 def judge_motions(problem: Problem, plans: Plans) -> None:
     """Fill in `way` and `way_clearance`, of every scenario up to where its motion ends."""
-    starts = problem.scenarios.x_start
-    elsewhere = plans.tracked[:, 0] & np.any(plans.start != starts, axis=1)
+    elsewhere = plans.tracked[:, 0] & np.any(plans.start != problem.scenarios.x_home, axis=1)
     plans.way[elsewhere, 0] = Way.ELSEWHERE
     going = np.flatnonzero(plans.tracked[:, 0] & ~elsewhere)
     for first in range(0, plans.status.shape[1], ROWS_AT_ONCE):
@@ -64,17 +63,12 @@ def judge_motions(problem: Problem, plans: Plans) -> None:
         block &= np.logical_and.accumulate(plans.tracked, axis=1)
         if not block.any():
             break
-        judge_ways(problem, plans, block)
+        segments = _segments(plans, block)
+        _record(plans, segments, _proofs(problem, segments))
         last = min(first + ROWS_AT_ONCE, plans.status.shape[1]) - 1
         going = going[plans.executable[going, last]]
     ended = np.logical_or.accumulate(plans.way != Way.PROVEN, axis=1)[:, :-1]
     plans.way[:, 1:][ended], plans.way_clearance[:, 1:][ended] = Way.UNKNOWN, np.nan
-
-
-def judge_ways(problem: Problem, plans: Plans, rows: Bool[np.ndarray, "S T"]) -> None:
-    """The same of the ways to some rows alone, which are tracked, as are those before them."""
-    segments = _segments(plans, rows)
-    _record(plans, segments, _proofs(problem, segments))
 
 
 def _segments(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> Segments:

@@ -38,6 +38,7 @@ from htcp_jax.settings import Settings
 from htcp_jax.status import Status, Way
 
 MOST_TRANSFERS = 2  # searches from other postures, each from others
+TRANSFERRED = 1  # the escape of a first target that is reached by a transfer
 IN_FLIGHT = 4  # scenarios are planned together, a quarter as many as a table has lanes
 
 
@@ -320,6 +321,7 @@ class Growing:
         s, plans, on_path = search.scenario, self._plans, search.on_path
         if not search.approached:
             plans.joint_step[s, 0] = np.linalg.norm(root.x - plans.start[s])
+            plans.status[s, 0], plans.escape[s, 0] = Status.TRACKED_AFTER_ESCAPE, TRANSFERRED
             return 0
         self._problem.scenarios.targets[s, 1:on_path] = self._problem.scenarios.targets[s, on_path]
         for t in range(1, on_path):

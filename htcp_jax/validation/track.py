@@ -70,6 +70,8 @@ def check(results: Results, arm: Arm, wall: Wall, track: Track, between: int) ->
     paths = _paths(track, rows, targets, t)
     moved, line = np.abs(paths.b - paths.a), paths.line_b - paths.line_a
     speed, in_place = _speed(arm, moved, np.linalg.norm(line, axis=1), tolerance)
+    if track.config.home_rad is not None:
+        in_place[paths.target == 0] = 0.0  # the tool comes from elsewhere
     between_rows = _walk(scene, at, paths, between)
     refuted = _refuted(arm, track, t, tolerance, ROUNDING_M if bound else RECORD_M, {**found, "through": through})
     refuted += _refuted_ways(track, paths, between_rows, on_path)
