@@ -128,7 +128,7 @@ class PlanConfig(Section):
         return 1 + sum(self.approach)
 
     @staticmethod
-    def with_new_names(values: dict[str, Any], source: str) -> dict[str, Any]:
+    def with_new_names(values: dict, source: str) -> dict:
         """The sections with what may stand beside them, too: `transfers`, which is a setting."""
         settings = values.get("settings")
         if "transfers" not in values or not isinstance(settings, dict | None):
