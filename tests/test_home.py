@@ -1,6 +1,7 @@
 """A motion begins at home, at the start that was given or at one that is chosen, and goes back there; and the approach
 leaves its lines where these lead nowhere. By brute force, every motion is looked at place by place."""
 
+import json
 from dataclasses import replace
 from functools import cache
 
@@ -12,8 +13,10 @@ from stranger_jobs import car_job
 
 import htcp_jax
 from htcp_jax.planner.batch import check_start, plan
-from htcp_jax.planner.motion import figures, motion
+from htcp_jax.planner.motion import figures, motion, transfers
+from htcp_jax.runs.plan_folder import VALIDATION
 from htcp_jax.status import Kind, Status, Way
+from htcp_jax.validation.validate import validate
 
 HOME = (0.9, -2.0, 0.2, 0.3, 0.9, -1.0)
 TOUCHES = (0.0, -1.2, -0.5, 0.0, 0.5, -2.0)
@@ -84,11 +87,10 @@ def test_any_method_begins_at_home():
     """What it tracks from its start is what it tracks from there; only the way to the first target is another."""
     one = at_home(0, start=made_once.START)
     without = replace(one, x_home=one.x_start)
-    for method in ("baseline", "hybrid"):
-        from_start, from_home = (plan(made_once.robot(), made_once.duct(), s, method, SMALL) for s in (without, one))
-        np.testing.assert_array_equal(from_home.x, from_start.x)
-        assert (from_home.way == from_start.way).all() and (from_home.start == HOME).all()
-        assert from_home.executable.sum() == from_start.executable.sum() > 0
+    from_start, from_home = (plan(made_once.robot(), made_once.duct(), s, "baseline", SMALL) for s in (without, one))
+    np.testing.assert_array_equal(from_home.x, from_start.x)
+    assert (from_home.way == from_start.way).all() and (from_home.start == HOME).all()
+    assert from_home.executable.sum() == from_start.executable.sum() > 0
 
 
 def test_a_home_from_which_there_is_no_way_is_a_scenario_with_that_reason():
@@ -109,3 +111,47 @@ def test_a_home_in_collision_is_named_with_its_body_and_depth():
     one = replace(at_home(0, start=made_once.START), x_home=np.array(TOUCHES))
     with pytest.raises(htcp_jax.InputError, match=r"home is in collision: \w+ is \d+\.\d{3} mm inside the workpiece"):
         check_start(made_once.robot(), made_once.duct(), one)
+
+
+def off_its_lines(number, rotation=(0.4, 0.1)):
+    """By its straight lines the way to the path leads beyond the reach of the arm."""
+    one = first_of(scenario(number, rotation), 16)
+    targets = one.targets.copy()
+    targets[5] = 9.0
+    return replace(one, targets=targets)
+
+
+def test_an_approach_leaves_its_lines_where_these_lead_nowhere():
+    """By a proven way through free space: its targets are the path's first point then. Nobody else's approach does."""
+    scenarios = off_its_lines(0), first_of(scenario(1), 16), off_its_lines(2, (0.2, -0.3))
+    plans = roadmap(scenarios, threads=1)
+    assert (plans.executable == plans.exists).all() and not transfers(plans).any()
+    check_motions(scenarios, plans, SMALL.tube_m)
+    for s, one in enumerate(scenarios):
+        first, asked = int(one.on_path), one.targets.copy()
+        if s != 1:
+            asked[1:first] = asked[first]
+            assert (plans.x[s, 1:first] == plans.x[s, first]).all()
+        np.testing.assert_array_equal(plans.target[s], asked)
+        np.testing.assert_allclose(plans.tcp[s], asked, atol=SMALL.tolerance_m)
+        kinds = motion(plans, s, first).kind[: first + 1 + (plans.knots.target[plans.knots.scenario == s] < first).sum()]
+        assert (kinds == Kind.APPROACH).all()
+    assert (scenarios[0].targets[5] == 9).all()  # what was asked for is what it was
+    same(plans, 2, roadmap(scenarios[2:], threads=1), 0, 16)
+    same(plans, 1, roadmap(scenarios[1:], threads=2), 0, 16)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", [{"start_rad": "auto"}, {}, {"method": "baseline", "start_rad": "auto"}])
+def test_a_stranger_s_arm_goes_behind_a_rib_from_home_and_mujoco_refutes_nothing(tmp_path, how):
+    """A part for which nothing was prepared: the start is chosen behind the rib; or the straight lines of the approach
+    lead through it, and the approach leaves them."""
+    home = {"home_rad": [0.0, -2.4, 2.3, 0.0, -1.57, 0.0]}
+    made = htcp_jax.plan(car_job(tmp_path), {"method": "roadmap", **home, **how})
+    made.save(tmp_path / "out", retract=True)
+    assert made.motion_summary.end.executable == len(made.plans.x[0]) and made.motion_summary.transfer_legs
+    rows = (tmp_path / "out" / "motion.csv").read_text().splitlines()[1:]
+    assert rows[0].split(",")[1:] == ["TRANSFER", *map(str, home["home_rad"])]
+    assert rows[-1].split(",")[1:] == ["RETRACT", *map(str, home["home_rad"])]
+    validate(tmp_path / "out", between=1000)
+    assert json.loads((tmp_path / "out" / VALIDATION).read_text())["refuted"] == []
