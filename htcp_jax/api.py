@@ -109,7 +109,8 @@ class Plan:
         """What is known of the straight joint paths to the tracked targets."""
         end = self.outcome
         text = f"{end.blocked_paths} blocked of {end.tracked}"
-        if end.tracked and not self.motion_summary.transfer_legs and (turn := self.plans.joint_step[0, 0]) > NOTABLE_RAD:
+        as_given = end.tracked and not self.motion_summary.transfer_legs
+        if as_given and (turn := self.plans.joint_step[0, 0]) > NOTABLE_RAD:
             text += f"; the first leaves the start by {turn:.2f} rad"
         return text
 

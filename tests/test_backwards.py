@@ -12,8 +12,8 @@ from htcp_jax.planner.kernels import Measured
 from htcp_jax.planner.lane_checks import LaneChecks
 from htcp_jax.planner.lanes import Lanes, concatenate, gather, new_lanes
 from htcp_jax.planner.methods import BUILT_IN
-from htcp_jax.planner.null_space import Anchored
 from htcp_jax.planner.motion import transfers
+from htcp_jax.planner.null_space import Anchored
 from htcp_jax.planner.plans import Plans, is_tracked
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.record import Record

@@ -66,10 +66,10 @@ def test_a_start_that_was_given_is_passed_on_the_way_from_home():
 
 def test_rows_say_that_the_arm_goes_from_home_to_another_posture_and_back():
     scenarios, plans = begun()
-    for s, transfers in enumerate((True, True, False, True)):
+    for s, transferred in enumerate((True, True, False, True)):
         there = motion(plans, s, int(scenarios[s].on_path), retract=True)
         kinds = there.kind[: int(plans.tracked[s].sum()) + 1 + (plans.knots.scenario == s).sum()]
-        assert ((kinds == Kind.TRANSFER) == ((there.target[: len(kinds)] == 0) & transfers)).all()
+        assert ((kinds == Kind.TRANSFER) == ((there.target[: len(kinds)] == 0) & transferred)).all()
         assert (there.kind[len(kinds) :] == Kind.RETRACT).all() and len(there.kind) == 2 * len(kinds) - 1
         np.testing.assert_array_equal(there.x[-1], scenarios[s].x_home)
 
@@ -134,8 +134,8 @@ def test_an_approach_leaves_its_lines_where_these_lead_nowhere():
             assert (plans.x[s, 1:first] == plans.x[s, first]).all()
         np.testing.assert_array_equal(plans.target[s], asked)
         np.testing.assert_allclose(plans.tcp[s], asked, atol=SMALL.tolerance_m)
-        kinds = motion(plans, s, first).kind[: first + 1 + (plans.knots.target[plans.knots.scenario == s] < first).sum()]
-        assert (kinds == Kind.APPROACH).all()
+        there = motion(plans, s, first)
+        assert (there.kind[there.target < first] == Kind.APPROACH).all()
     assert (scenarios[0].targets[5] == 9).all()  # what was asked for is what it was
     same(plans, 2, roadmap(scenarios[2:], threads=1), 0, 16)
     same(plans, 1, roadmap(scenarios[1:], threads=2), 0, 16)

@@ -181,8 +181,8 @@ class Growing:
         return Search(s, count, on_path, self._problem.settings, can_walk, [start], [start])
 
     def _elsewhere(self, search: Search) -> Search | None:
-        """Where the start's own part is exhausted: a search from other postures, at the path's first point where nothing
-        comes to the path, else at the first target, if it may be."""
+        """Where the start's own part is exhausted: a search from other postures, at the path's first point where
+        nothing comes to the path, else at the first target, if it may be."""
         s, settings, searches = search.scenario, self._problem.settings, len(search.chain)
         first = search.chain[-1]
         off_path = 0 <= first.target < search.on_path
@@ -316,8 +316,8 @@ class Growing:
         plans.path_clear[s, t] = 1
 
     def _joined(self, search: Search, root: Node) -> int:
-        """Write down how the arm gets to the posture in which a search begins; returns the target to which that leads. An
-        approach leaves its lines: all of its targets but the first are the path's first point."""
+        """Write down how the arm gets to the posture in which a search begins; returns the target to which that leads.
+        An approach leaves its lines: all of its targets but the first are the path's first point."""
         s, plans, on_path = search.scenario, self._plans, search.on_path
         if not search.approached:
             plans.joint_step[s, 0] = np.linalg.norm(root.x - plans.start[s])

@@ -52,8 +52,8 @@ class Path:
 
     @classmethod
     def of(cls, problem: Problem, plans: Plans, s: int) -> "Path":
-        """As far as the scenario is executable; its last posture stays where tracked targets follow, and a start that was
-        given does between home and the first target."""
+        """As far as the scenario is executable; its last posture stays where tracked targets follow, and a start that
+        was given does between home and the first target."""
         executable = np.flatnonzero(plans.executable[s]).tolist()
         ways = [(t, [*plans.knots.on_the_way(s, t), plans.x[s, t]]) for t in executable]
         x = np.array([plans.start[s], *(posture for _, way in ways for posture in way)])

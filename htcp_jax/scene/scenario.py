@@ -77,10 +77,11 @@ def make_scenario(
     """One scenario of the scene's rules.
 
     start: N joint positions [rad or m]; None: the planner is to choose them, at the path's first point, which is the
-    first target then, without an approach. home: those in which the motion begins, the start's if None; rotation: workpiece about world y, then z [rad], after rotation_x_rad about
-    world x; shift: of the workpiece, world [m]; margin_m: least clearance with which a target counts; tool_extension_m:
-    see `robot.lengthen_tool`; number: identity for the random keys. beyond_reach: what to do about a target beyond the
-    arm's reach; "record" makes a scenario that is planned as a failure, with that reason.
+    first target then, without an approach. home: those in which the motion begins; None: the start's. rotation:
+    workpiece about world y, then z [rad], after rotation_x_rad about world x; shift: of the workpiece, world [m];
+    margin_m: least clearance with which a target counts; tool_extension_m: see `robot.lengthen_tool`; number: identity
+    for the random keys. beyond_reach: what to do about a target beyond the arm's reach; "record" makes a scenario that
+    is planned as a failure, with that reason.
     Raises InputError for a start or home of the wrong length or outside the joint limits, for neither of them, and
     OutOfReach, which is one.
     """
