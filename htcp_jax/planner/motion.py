@@ -88,7 +88,7 @@ def _kinds(target: np.ndarray, place: np.ndarray, on_path: np.ndarray) -> Int8[n
 
 def transfers(plans: Plans) -> Bool[np.ndarray, "S"]:
     """Whether the arm goes to another posture before it sets out: where the way to the first target passes knots, or
-    that target was tracked after an escape, as it is where a plan begins in a posture that the start does not lead to."""
+    that target was tracked after an escape, as it is where a plan begins in another posture than the start."""
     found = (plans.status[:, :1] == Status.TRACKED_AFTER_ESCAPE).any(axis=1)
     found[plans.knots.scenario[plans.knots.target == 0]] = True
     return found
