@@ -96,7 +96,7 @@ def clip(triangles: Triangles, normal: Vector, offset: float) -> Float[np.ndarra
     inside = height <= 0
     count = inside.sum(axis=1)
     one, two = ((triangles[count == k], height[count == k], inside[count == k]) for k in (1, 2))
-    (a, b, c), ab, ac = _crossings(*one, alone=True)
+    (a, _, _), ab, ac = _crossings(*one, alone=True)
     (_, e, f), de, df = _crossings(*two, alone=False)
     parts = [np.stack(corners, axis=1) for corners in ((a, ab, ac), (de, e, f), (de, f, df))]
     return np.concatenate([triangles[count == 3], *parts])

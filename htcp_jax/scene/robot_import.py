@@ -2,7 +2,7 @@
 and whatever shapes a body has are held by capsules.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -63,11 +63,19 @@ class ImportedArm(NamedTuple):
     shapeless: tuple[str, ...]  # bodies that are drawn but have no shape for contact
 
 
-def import_robot(path: Path, tcp: str | None = None, *, most: int = MOST, visual: bool = False) -> ImportedArm:
+def import_robot(
+    path: Path,
+    tcp: str | None = None,
+    *,
+    most: int = MOST,
+    visual: bool = False,
+    progress: Callable[[int, int], None] = lambda done, count: None,
+) -> ImportedArm:
     """Read a URDF or MJCF file with its meshes.
 
     tcp: see `robot_tcp.find_tip`. most: capsules a body, besides the model's own. visual: hold what is drawn; else the
-    shapes for contact, or what is drawn where the model has none of these.
+    shapes for contact, or what is drawn where the model has none of these. progress: is told how many bodies of how
+    many are done.
     Raises InputError for a file or a mesh that cannot be read, for a TCP that is not there or not clear, ball and free
     joints on the way to it, fewer than three joints, and a model without shapes.
     """
@@ -85,20 +93,26 @@ def import_robot(path: Path, tcp: str | None = None, *, most: int = MOST, visual
     own = [geom for geom in chosen if not _is_left_out(geom, model)]
     if not own:
         raise InputError(f"{path}: no shapes that capsules could hold; geoms of the model: {_kinds(geoms) or 'none'}")
-    names = _unused({model.geom(geom.at).name for geom in own})
+    names = _Names({model.geom(geom.at).name for geom in own})
+    shaped, covers = sorted({_body(model, geom) for geom in own}), {}
+    joint_names = check_joints(model, path, joints)
+    for done, b in enumerate(shaped):
+        progress(done, len(shaped))
+        found = [shapes.shape(geom, model) for geom in own if _body(model, geom) == b]
+        covers[b] = _cover(found, body_name(model, b), names, most)
+    left_out = [geom for geom in chosen if geom not in own]
     return ImportedArm(
         model,
         tip,
         joints,
-        check_joints(model, path, joints),
+        joint_names,
         tuple(joint_name(model, j) for j in range(model.njnt) if j not in joints and model.jnt_bodyid[j] in bodies),
         bodies,
-        {b: made for b in bodies if (made := _cover(b, own, shapes, model, names, most)) is not None},
+        covers,
         {name: joint_numbers(model, path, name, np.inf)[list(joints)] for name in PER_JOINT if _has(model, name)},
-        tuple(f"{model.geom(geom.at).name or geom.kind} of {body_name(model, _body(model, geom))}"
-              for geom in chosen if geom not in own),
+        tuple(f"{model.geom(g.at).name or g.kind} of {body_name(model, _body(model, g))}" for g in left_out),
         tuple(body_name(model, b) for b in _shapeless(geoms, chosen, model)),
-    )  # fmt: skip
+    )
 
 
 def body_name(model: mujoco.MjModel, body: int) -> str:
@@ -151,33 +165,26 @@ def _has(model: mujoco.MjModel, name: str) -> bool:
     return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name) >= 0
 
 
-def _unused(names: set[str]) -> Iterator:
-    """A function of a wish that gives names not given yet: the wish, wish_2, wish_3, ..."""
+class _Names:
+    """Names that are not given yet."""
 
-    def name(wish: str) -> str:
-        free = next(each for k in range(1, len(names) + 2) if (each := f"{wish}_{k}" if k > 1 else wish) not in names)
-        names.add(free)
-        return free
+    def __init__(self, given: set[str]):
+        self._given = given
 
-    return name
+    def new(self, wish: str) -> str:
+        """The wish, or wish_2, wish_3, ..."""
+        tries = (f"{wish}_{k}" if k > 1 else wish for k in range(1, len(self._given) + 2))
+        name = next(each for each in tries if each not in self._given)
+        self._given.add(name)
+        return name
 
 
-def _cover(b: int, geoms: list[Geom], shapes: Shapes, model: mujoco.MjModel, name, most: int) -> Cover | None:
-    """The capsules of body b; None where it has no shape."""
-    found = [shapes.shape(geom, model) for geom in geoms if _body(model, geom) == b]
-    if not found:
-        return None
-    own = {shape.name or name(body_name(model, b)): shape.capsule for shape in found if shape.capsule is not None}
-    others = [shape for shape in found if shape.capsule is None]
-    held = _all(others)
-    fitted = cover(held, most) if others else []
-    return Cover(
-        own,
-        {name(body_name(model, b)): capsule for capsule in fitted},
-        _all([shape for shape in found if shape.capsule is not None]),
-        held,
-        tuple(shape.kind for shape in others),
-    )
+def _cover(shapes: list[Shape], body: str, names: _Names, most: int) -> Cover:
+    own = {shape.name or names.new(body): shape.capsule for shape in shapes if shape.capsule is not None}
+    others = [shape for shape in shapes if shape.capsule is None]
+    held, drawn = _all(others), _all([shape for shape in shapes if shape.capsule is not None])
+    fitted = {names.new(body): capsule for capsule in (cover(held, most) if others else [])}
+    return Cover(own, fitted, drawn, held, tuple(shape.kind for shape in others))
 
 
 def _all(shapes: list[Shape]) -> Triangles:

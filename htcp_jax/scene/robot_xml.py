@@ -11,9 +11,10 @@ from htcp_jax.scene.robot_import import Cover, ImportedArm, body_name
 
 HEAD = """
   An arm of capsules, made by htcp robot from {source}. Metres, radians.
-  Correct what is not as it should be: a capsule is "fromto", its ends, and "size", its radius, in the frame of its body.
-  Neighbours may overlap. The site "tcp" is the TCP: here {tip} of the model.{frozen}
+  Correct what is not as it should be: a capsule's "fromto" are the ends of its axis in the frame of its body, "size" is
+  its radius. Neighbours may overlap. The site "tcp" is the TCP: here {tip} of the model.{frozen}
 """
+MANY = {"mesh": "meshes", "box": "boxes", "cylinder": "cylinders", "ellipsoid": "ellipsoids"}
 
 
 def arm_xml(arm: ImportedArm, source: str) -> str:
@@ -70,11 +71,7 @@ def _add_capsules(body: Element, cover: Cover | None) -> None:
     for name, capsule in cover.own.items():
         _add_capsule(body, name, capsule)
     if cover.fitted:
-        what = f"{len(cover.kinds)} {cover.kinds[0]}es" if set(cover.kinds) == {"mesh"} else ", ".join(cover.kinds)
-        holds = "holds" if len(cover.fitted) == 1 else "together hold"
-        body.append(
-            _comment(f" {holds} {'a mesh' if cover.kinds == ('mesh',) else what}: {cover.ratio:.2f} times the hull ")
-        )
+        body.append(_comment(f" about {in_words(cover)}, {cover.ratio:.2f} times its hull "))
     for name, capsule in cover.fitted.items():
         _add_capsule(body, name, capsule)
 
@@ -85,6 +82,12 @@ def _add_capsule(body: Element, name: str, capsule: Capsule) -> None:
         SubElement(body, "geom", name=name, type="sphere", pos=_text(capsule.p), size=size)
     else:
         SubElement(body, "geom", name=name, type="capsule", fromto=_text([*capsule.p, *capsule.q]), size=size)
+
+
+def in_words(cover: Cover) -> str:
+    """What the fitted capsules hold: "mesh", "2 meshes, box"; "" where nothing was fitted."""
+    count = {kind: cover.kinds.count(kind) for kind in dict.fromkeys(cover.kinds)}
+    return ", ".join(kind if n == 1 else f"{n} {MANY[kind]}" for kind, n in count.items())
 
 
 def _pose(position: np.ndarray, turn: np.ndarray) -> dict[str, str]:
