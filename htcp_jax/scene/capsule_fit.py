@@ -102,7 +102,7 @@ def clip(triangles: Triangles, normal: Vector, offset: float) -> Float[np.ndarra
     return np.concatenate([triangles[count == 3], *parts])
 
 
-def _crossings(triangles: Triangles, height: Triangles, inside: Bool[np.ndarray, "F 3"], alone: bool):
+def _crossings(triangles: Triangles, height: Float[np.ndarray, "F 3"], inside: Bool[np.ndarray, "F 3"], alone: bool):
     """Corners from the one that is alone on its side, and where the two edges from there cross the plane."""
     rows, first = np.arange(len(triangles))[:, None], np.argmax(inside == alone, axis=1)
     turned = (first[:, None] + [0, 1, 2]) % 3
@@ -133,7 +133,7 @@ def _filled(grid: Points, pieces: list[_Piece]) -> int:
     return int(np.any([piece.capsule.depth(grid) >= 0 for piece in pieces], axis=0).sum())
 
 
-def _corners(points: Points) -> Points:
+def _corners(points: Points) -> Float[np.ndarray, "V 3"]:
     """The corners of the convex hull; of flat points all of them."""
     try:
         return points[ConvexHull(points).vertices]
