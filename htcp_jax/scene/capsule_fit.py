@@ -19,10 +19,22 @@ CUTS = 0.2, 0.35, 0.5, 0.65, 0.8  # shares of a piece's extent at which it is cu
 WORTH = 0.15  # a cut must save this share of the volume
 SNUG = 1.5  # a capsule with no more than so many times the hull's volume is not cut
 MOST = 3  # capsules a body
-ROUNDS, MORE = 8, 20  # of the working set, and points that join it in each
+MORE = 20  # points that join the working set in each round
 FINE = 28  # points a side of the grid that volumes are compared on
 TINY = 1e-9  # of a mesh's size: less is nothing
 LOOKS = np.stack(np.meshgrid(*3 * [[-1.0, 0, 1]]), axis=-1).reshape(-1, 3)  # where first points of a working set lie
+
+
+class Effort(NamedTuple):
+    """How long the smallest capsule is looked for."""
+
+    starts: int  # of the principal axes, the best first
+    rounds: int  # of the working set
+    steps: int  # of SLSQP
+    tolerance: float  # of the volume of points of size 1
+
+
+THOROUGH, ROUGH = Effort(3, 8, 60, 1e-7), Effort(1, 2, 12, 1e-3)
 
 Triangles = Float[np.ndarray, "F 3 3"]
 Points = Float[np.ndarray, "P 3"]
@@ -53,9 +65,9 @@ class _Piece(NamedTuple):
     capsule: Capsule
 
 
-def fit_capsule(points: Points, starts: int = 3) -> Capsule:
+def fit_capsule(points: Points, effort: Effort = THOROUGH) -> Capsule:
     """A capsule about all points [m], the smallest by volume or nearly so: least volume over both ends and the radius
-    by SLSQP, from the best `starts` of the points' principal axes.
+    by SLSQP, along the points' principal axes first.
 
     Few points touch the capsule, so only a working set of them are constraints; others join it where they stick out.
     The radius is measured at last, over all points, and rounded up: it holds them whatever the search did.
@@ -64,7 +76,7 @@ def fit_capsule(points: Points, starts: int = 3) -> Capsule:
     middle, size = (x.max(axis=0) + x.min(axis=0)) / 2, max(float(np.ptp(x, axis=0).max()), TINY)
     unit = (x - middle) / size
     first = sorted((_along(unit, axis) for axis in _principal(unit)), key=lambda z: _volume(2 * _half(z), z[6]))
-    ends = [_least(unit, z)[:6].reshape(2, 3) for z in first[:starts]]
+    ends = [_least(unit, z, effort)[:6].reshape(2, 3) for z in first[: effort.starts]]
     return min((_around(x, *(middle + size * pair)) for pair in ends), key=lambda capsule: capsule.volume)
 
 
@@ -111,7 +123,7 @@ def _crossings(triangles: Triangles, height: Float[np.ndarray, "F 3"], inside: B
 
 
 def _halves(piece: _Piece) -> Iterator[list[_Piece]]:
-    """A piece in two, cut across the frame's and its principal axes."""
+    """A piece in two, cut across the frame's and its principal axes; each half with a rough fit."""
     corners = _corners(piece.triangles.reshape(-1, 3))
     for axis in (*np.eye(3), *_principal(corners)):
         along = corners @ axis
@@ -119,7 +131,7 @@ def _halves(piece: _Piece) -> Iterator[list[_Piece]]:
             offset = float(along.min() + share * np.ptp(along))
             halves = clip(piece.triangles, axis, offset), clip(piece.triangles, -axis, -offset)
             if all(map(len, halves)):
-                yield [_Piece(half, fit_capsule(half.reshape(-1, 3), starts=1)) for half in halves]
+                yield [_Piece(half, fit_capsule(half.reshape(-1, 3), ROUGH)) for half in halves]
 
 
 def _grid(capsule: Capsule) -> Points:
@@ -179,11 +191,11 @@ def _along(x: Points, axis: Vector) -> Float[np.ndarray, "7"]:
     return np.concatenate([-reach * axis, reach * axis, [wide]])
 
 
-def _least(x: Points, z: Float[np.ndarray, "7"]) -> Float[np.ndarray, "7"]:
+def _least(x: Points, z: Float[np.ndarray, "7"], effort: Effort) -> Float[np.ndarray, "7"]:
     """A small capsule about points of size 1, sought from z."""
     work = np.unique(np.argmax(x @ LOOKS.T, axis=0))
-    for _ in range(ROUNDS):
-        z = _solve(x[work], z)
+    for _ in range(effort.rounds):
+        z = _solve(x[work], z, effort)
         distance = _from_segment(x, z[:3], z[3:6])[0]
         outside = np.flatnonzero(distance > z[6] + 1e-6)
         if not outside.size:
@@ -198,7 +210,7 @@ def _half(z: Float[np.ndarray, "7"]) -> float:
     return float(np.sqrt(ahead @ ahead + 1e-12)) / 2
 
 
-def _solve(x: Points, z: Float[np.ndarray, "7"]) -> Float[np.ndarray, "7"]:
+def _solve(x: Points, z: Float[np.ndarray, "7"], effort: Effort) -> Float[np.ndarray, "7"]:
     """The least volume that holds x, from z; z itself where the search fails."""
 
     def slope(z):
@@ -214,5 +226,5 @@ def _solve(x: Points, z: Float[np.ndarray, "7"]) -> Float[np.ndarray, "7"]:
 
     held = {"type": "ineq", "fun": depth, "jac": depth_slopes}
     least = partial(minimize, lambda z: _volume(2 * _half(z), z[6]), jac=slope, constraints=held, method="SLSQP")
-    found = least(z, options={"maxiter": 60, "ftol": 1e-7}).x
+    found = least(z, options={"maxiter": effort.steps, "ftol": effort.tolerance}).x
     return found if np.isfinite(found).all() else z

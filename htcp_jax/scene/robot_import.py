@@ -93,13 +93,13 @@ def import_robot(
     own = [geom for geom in chosen if not _is_left_out(geom, model)]
     if not own:
         raise InputError(f"{path}: no shapes that capsules could hold; geoms of the model: {_kinds(geoms) or 'none'}")
-    names = _Names({model.geom(geom.at).name for geom in own})
-    shaped, covers = sorted({_body(model, geom) for geom in own}), {}
     joint_names = check_joints(model, path, joints)
+    found = {b: [shapes.shape(g, model) for g in own if _body(model, g) == b] for b in bodies}  # whatever is unreadable
+    names = _Names({model.geom(geom.at).name for geom in own})
+    covers, shaped = {}, [b for b in bodies if found[b]]
     for done, b in enumerate(shaped):
         progress(done, len(shaped))
-        found = [shapes.shape(geom, model) for geom in own if _body(model, geom) == b]
-        covers[b] = _cover(found, body_name(model, b), names, most)
+        covers[b] = _cover(found[b], body_name(model, b), names, most)
     left_out = [geom for geom in chosen if geom not in own]
     return ImportedArm(
         model,
@@ -125,7 +125,7 @@ def _bodies(model: mujoco.MjModel, on_the_way: Sequence[int]) -> tuple[int, ...]
 
     def is_foreign(body: int) -> bool:
         free = model.body_jntnum[body] and model.jnt_type[model.body_jntadr[body]] == _FREE
-        return model.body_mocapid[body] >= 0 or bool(on_the_way and free and body not in on_the_way)
+        return bool(model.body_mocapid[body] >= 0 or (on_the_way and free and body not in on_the_way))
 
     return tuple(b for b in range(model.nbody) if not any(map(is_foreign, upwards(model, b))))
 

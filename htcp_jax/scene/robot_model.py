@@ -227,7 +227,8 @@ def _find_tcp(model: mujoco.MjModel, path: Path, name: str) -> tuple[int, np.nda
     sites = ", ".join(model.site(i).name or "(unnamed)" for i in range(model.nsite)) or "none"
     bodies = ", ".join(model.body(i).name or "(unnamed)" for i in range(1, model.nbody)) or "none"
     known = f"sites of the model: {sites}; bodies: {bodies}"
-    raise InputError(f"{path}: no site or body {name!r} for the TCP; {known}")
+    step = f"; name one in the job (robot.tcp), or by: htcp robot {path} --tcp NAME --out arm.xml"
+    raise InputError(f"{path}: no site or body {name!r} for the TCP; {known}{step if name == 'tcp' else ''}")
 
 
 def _chain_joints(model: mujoco.MjModel, path: Path, tcp_body: int) -> tuple[str, ...]:

@@ -14,10 +14,12 @@ from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.foreign import known_ending
 from htcp_jax.scene.capsule_fit import Capsule, Triangles
 from htcp_jax.scene.point_cloud import load_geometry
 from htcp_jax.scene.robot_model import frame
 
+ENDINGS = ".stl", ".obj", ".ply"
 SIDES = 48  # of the prism about a cylinder
 
 _Kind = mujoco.mjtGeom
@@ -92,7 +94,9 @@ class Shapes:
         """A mesh as the model changes it: shifted, turned, scaled, in this order."""
         mesh = self._meshes[name]
         if mesh.file:
-            triangles = load_geometry(_find(mesh.file, self._path, self._folders)).triangles
+            file = _find(mesh.file, self._path, self._folders)
+            known_ending(file, ENDINGS)
+            triangles = load_geometry(file).triangles
         else:
             triangles = mesh.corners[mesh.faces] if len(mesh.faces) else _hull(mesh.corners)
         if not len(triangles):
@@ -108,7 +112,7 @@ class Shapes:
         spec.compiler.fitaabb = self._fitaabb
         arrays = {"uservert": corners.ravel(), "userface": faces.ravel().astype(np.int32)}
         spec.add_mesh(name="mesh", inertia=self._meshes[geom.mesh].inertia, **arrays)
-        kind = _Kind[f"mjGEOM_{geom.kind.upper()}"]
+        kind = getattr(_Kind, f"mjGEOM_{geom.kind.upper()}")
         spec.worldbody.add_geom(type=kind, meshname="mesh", fitscale=geom.fitscale)
         try:
             model = spec.compile()
