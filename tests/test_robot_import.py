@@ -229,6 +229,26 @@ def test_the_picture_shows_the_arm(crane):
     assert picture.shape[0] > 300 and len(drawn) > 20  # meshes, capsules, the TCP's axes
 
 
+def test_an_arm_of_our_own_comes_out_as_it_is(tmp_path):
+    """Capsules, limits and the TCP, also of links without a capsule; MuJoCo itself reads the file, too."""
+    source, out = Path(__file__).parents[1] / "configs/pipe/arm.xml", tmp_path / "arm.xml"
+    assert main(["robot", str(source), "--out", str(out)]) == 0
+    mujoco.MjModel.from_xml_path(str(out))
+    before, after = htcp_jax.load_robot(source), htcp_jax.load_robot(out)
+    assert before.capsule_names == after.capsule_names and before.joint_names == after.joint_names
+    for name in (
+        "T_parent_joint",
+        "T_link_tcp",
+        "lower",
+        "upper",
+        "capsule_radius",
+        "capsule_p",
+        "capsule_q",
+        "on_tool",
+    ):
+        np.testing.assert_allclose(getattr(after, name), getattr(before, name), rtol=0, atol=1e-12, err_msg=name)
+
+
 ONE_LINE = {
     "unknown TCP": (["--tcp", "nose"], "no site or body 'nose' for the TCP; there are base, mast, boom, jib, hand"),
     "TCP not clear": ([], "it is not clear where the TCP is: hand, left, right, grasp; say --tcp NAME"),
@@ -255,7 +275,11 @@ BROKEN = {
     ),
     "no file": ('meshes/boom.stl" scale="0.1', 'meshes/jib.stl" scale="0.1', "mesh meshes/jib.stl: no such file"),
     "damaged": ("package://crane_description/meshes/boom.stl", "bad.stl", "bad.stl: 0 points"),
-    "unknown": ("package://crane_description/meshes/boom.stl", "bad.wrl", "bad.wrl: unknown ending '.wrl'"),
+    "unknown": (
+        "package://crane_description/meshes/boom.stl",
+        "bad.wrl",
+        "bad.wrl: no mesh that is read; save it as .stl or .obj or .ply and name that in",
+    ),
     "free": ('name="bend" type="revolute"', 'name="bend" type="floating"', "not a robot model that MuJoCo can read"),
     "range": ('lower="-1" upper="2"', 'lower="2" upper="-1"', "joint 'bend' has range 2 to -1; it must ascend"),
     "no shapes": ("collision>", "visual>", "no shapes that capsules could hold; geoms of the model: none"),

@@ -14,7 +14,6 @@ from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.foreign import known_ending
 from htcp_jax.scene.capsule_fit import Capsule, Triangles
 from htcp_jax.scene.point_cloud import load_geometry
 from htcp_jax.scene.robot_model import frame
@@ -95,7 +94,10 @@ class Shapes:
         mesh = self._meshes[name]
         if mesh.file:
             file = _find(mesh.file, self._path, self._folders)
-            known_ending(file, ENDINGS)
+            if file.suffix.lower() not in ENDINGS:
+                raise InputError(
+                    f"{file}: no mesh that is read; save it as {' or '.join(ENDINGS)} and name that in {self._path}"
+                )
             triangles = load_geometry(file).triangles
         else:
             triangles = mesh.corners[mesh.faces] if len(mesh.faces) else _hull(mesh.corners)

@@ -23,7 +23,8 @@ def arm_xml(arm: ImportedArm, source: str) -> str:
     frozen = f"\n  Frozen as drawn: {', '.join(arm.frozen)}." if arm.frozen else ""
     root = Element("mujoco", model=model.names.partition(b"\0")[0].decode(errors="replace"))
     root.append(_comment(HEAD.format(source=source, tip=arm.tip.name or "its only site", frozen=frozen)))
-    SubElement(root, "compiler", angle="radian", autolimits="true")
+    light = {"boundmass": "1e-6", "boundinertia": "1e-6"}  # else MuJoCo refuses a link that has no capsule
+    SubElement(root, "compiler", angle="radian", autolimits="true", **light)
     SubElement(SubElement(root, "option"), "flag", contact="disable")
     if arm.numbers:
         custom = SubElement(root, "custom")
