@@ -15,6 +15,7 @@ from scipy.optimize import minimize
 from scipy.spatial import ConvexHull, QhullError
 
 GRID_M = 1e-5  # ends and radius are multiples of it, the radius rounded up
+THINNEST_M = 3e-3  # radius: a thinner body asks for denser points of the workpiece than any task is worth
 CUTS = 0.2, 0.35, 0.5, 0.65, 0.8  # shares of a piece's extent at which it is cut on trial
 WORTH = 0.15  # a cut must save this share of the volume
 SNUG = 1.5  # a capsule with no more than so many times the hull's volume is not cut
@@ -176,7 +177,7 @@ def _from_segment(x: Points, p: Vector, q: Vector) -> tuple[Float[np.ndarray, "P
 def _around(points: Points, p: Vector, q: Vector) -> Capsule:
     """The thinnest capsule on the grid of GRID_M that holds all points, its ends the nearest there to p and q."""
     p, q = (np.round(end / GRID_M) * GRID_M for end in (p, q))
-    widest = float(_from_segment(points, p, q)[0].max())
+    widest = max(float(_from_segment(points, p, q)[0].max()), THINNEST_M)
     return Capsule(p, q, float(np.ceil(widest / GRID_M + 1e-3) * GRID_M))
 
 
