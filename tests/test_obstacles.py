@@ -1,5 +1,5 @@
-"""A kind of obstacle is a file of its own: two that the package does not know are measured, held, proven and planned
-with as the workpiece is."""
+"""A kind of obstacle is a file of its own: one that the package does not know, and the arm's own bodies, are measured,
+held, proven and planned with as the workpiece is."""
 
 from functools import cache
 
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
-from own_obstacles import Floor, SelfPairs
+from own_obstacles import Floor
 
 from htcp_jax.clearance.contact_model import hold_contacts, predict_distances
 from htcp_jax.clearance.motion_proof import proven_clear
@@ -16,6 +16,7 @@ from htcp_jax.clearance.obstacle import Obstacle, rows_of
 from htcp_jax.clearance.obstacles import all_clear, clearance, clearance_rows, clearances, contacts, is_clear, room
 from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.clearance.scene import Scene
+from htcp_jax.clearance.self_collision import SelfCollision
 from htcp_jax.scene.kinematics import capsule_segments
 
 PAIRS = ((7, 1), (7, 2), (6, 1), (5, 0))  # the tool and what carries it against the lower arm
@@ -23,7 +24,7 @@ PAIRS = ((7, 1), (7, 2), (6, 1), (5, 0))  # the tool and what carries it against
 
 @cache
 def obstacles() -> tuple[Obstacle, ...]:
-    return (*make_obstacle(made_once.duct()), Floor(jnp.asarray(0.0)), SelfPairs(PAIRS))
+    return (*make_obstacle(made_once.duct()), Floor(jnp.asarray(0.0)), SelfCollision(PAIRS))
 
 
 @cache

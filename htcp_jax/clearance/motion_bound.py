@@ -19,6 +19,8 @@ A slide's own column is of length 1, does not change along itself, and turns wit
     |p(s) - p(m)| <= h |p'(m)| + A h^2 / 2,
 
 which sees that joints undo each other's motion, as they do near a tool that hardly moves.
+
+Seen from a link before it in the chain, a body moves by the joints beyond that link alone: as if the others rested.
 """
 
 from functools import partial
@@ -28,6 +30,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from htcp_jax.clearance.obstacle import Rows
 from htcp_jax.numerics import safe_norm
 from htcp_jax.scene.kinematics import capsule_segments, joint_levers, tcp_position
 from htcp_jax.scene.robot import Robot
@@ -56,6 +59,19 @@ def travel_bound(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Float[
     within = _bounds(robot, x, rates, half * jnp.abs(rates), ends, links)
     along = half * safe_norm(jnp.concatenate(velocities)) + 0.5 * half * half * within.bend
     return jnp.minimum(_larger(along), _larger(within.moved))
+
+
+def row_travel_bound(robot: Robot, rows: Rows, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "R"]:
+    """The same of each row's body, as seen from the link of the row's other, before it in the chain [m]: with all
+    joints up to that link at rest."""
+    if rows == Rows.of_bodies(robot):
+        return travel_bound(robot, x, rates, half)
+    if any(robot.capsule_link[body] <= other for body, other in zip(*rows, strict=True)):
+        raise ValueError("the body of a row must lie beyond the link of its other")
+    seen_from = sorted(set(rows.other))
+    moving = np.arange(len(robot.slides))[None, :] > np.array(seen_from)[:, None]
+    found = jax.vmap(lambda moving: travel_bound(robot, x, jnp.where(moving, rates, 0.0), half))(moving)
+    return found[np.array([seen_from.index(other) for other in rows.other]), np.array(rows.body)]
 
 
 def tcp_bend_bound(robot: Robot, x: Joints, rates: Joints, turns: Joints) -> Scalar:

@@ -1,9 +1,9 @@
 """Whether a straight joint path is a motion: the arm clear all along it, and the TCP within a tube about a line.
 
 By bisection. An interval of the path is proven when, seen from its middle, every body has more room than its points can
-move within the interval, and the TCP can neither leave the tube nor turn back. It is refuted when the middle itself is
-in collision, out of the tube, or on its way back; otherwise it is halved. So there are three answers: proven, refuted
-at a place, and open, where the halves have become as short as they may.
+move within the interval, as seen from what it must not touch, and the TCP can neither leave the tube nor turn back. It
+is refuted when the middle itself is in collision, out of the tube, or on its way back; otherwise it is halved. So there
+are three answers: proven, refuted at a place, and open, where the halves have become as short as they may.
 
 The TCP p(s) is bounded to second order. With |p''| <= A on an interval of half-width h about m,
 
@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from htcp_jax.clearance.motion_bound import tcp_bend_bound, travel_bound
+from htcp_jax.clearance.motion_bound import row_travel_bound, tcp_bend_bound
 from htcp_jax.clearance.obstacle import Posed
 from htcp_jax.clearance.obstacles import all_clear, room
 from htcp_jax.clearance.scene import Scene
@@ -96,7 +96,7 @@ def prove(
         x = a + place * (b - a)
         turns = half * jnp.abs(b - a)
         left = room(scene.robot, scene.obstacles, where, x)
-        spare = jnp.min(left - travel_bound(scene.robot, x, b - a, half))
+        spare = jnp.min(left - row_travel_bound(scene.robot, scene.rows, x, b - a, half))
         is_kept = (spare >= kept * jnp.min(left)) | (depth >= KEPT_DEPTH)
         proven, verdict = (spare >= -resolution_m) & is_kept, jnp.full((), int(Verdict.PROVEN), jnp.int32)
         if tube is not None:

@@ -28,7 +28,7 @@ class Rows(NamedTuple):
     """What R rows of distances are between; static."""
 
     body: tuple[int, ...]  # the number of the capsule
-    other: tuple[int, ...]  # the link that the nearest point of the obstacle is fixed to; -1: the world
+    other: tuple[int, ...]  # the link, before the body's, that the obstacle's nearest point is fixed to; -1: the world
 
     @classmethod
     def of_bodies(cls, robot: Robot) -> "Rows":
@@ -91,9 +91,9 @@ class Obstacle(Protocol):
         """Whether any distance is 0 or less."""
         ...
 
-    def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "K"]:
-        """How far all points of a body may move, any way, and it surely stays clear, if the others heed theirs; at most
-        0 in collision."""
+    def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "R"]:
+        """How far all points of a row's body may move, any way, as seen from the link of the row's other, and it surely
+        stays clear; at most 0 in collision."""
         ...
 
 

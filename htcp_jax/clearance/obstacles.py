@@ -38,8 +38,7 @@ def contacts(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Con
     """What is nearest in every row at configuration x [rad]; the robot's tool is the scenario's."""
     bodies = bodies_at(robot, where, x)
     groups = [[each.contacts(robot, where, bodies) for each in own] for own in grouped(obstacles)]
-    parts = [_nearest(own) for own in groups]
-    return parts[0] if len(parts) == 1 else jax.tree.map(lambda *columns: jnp.concatenate(columns), *parts)
+    return _one_after_another([_nearest(own) for own in groups])
 
 
 def clearances(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Float[jax.Array, "R"]:
@@ -89,10 +88,12 @@ def all_clear(robot: Robot, obstacles: Obstacles, where: Posed, x: Float[jax.Arr
     return clear & jnp.all(jax.vmap(partial(is_clear, robot, others, where))(x)) if others else clear
 
 
-def room(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Float[jax.Array, "K"]:
-    """How far all points of a body may move from x, any way, and it surely stays clear [m]; at most 0 in collision."""
+def room(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Float[jax.Array, "R"]:
+    """How far all points of a row's body may move from x, any way, as seen from the link of the row's other, and it
+    surely stays clear [m]; at most 0 in collision."""
     bodies = bodies_at(robot, where, x)
-    return _together(jnp.minimum, [each.room(robot, where, bodies) for each in obstacles])
+    groups = [[each.room(robot, where, bodies) for each in own] for own in grouped(obstacles)]
+    return _one_after_another([_together(jnp.minimum, own) for own in groups])
 
 
 def clearance_rows(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> ClearanceRows:
@@ -109,6 +110,10 @@ def _nearest(parts: list[Contacts]) -> Contacts:
         choose = lambda new, old, d=decides: jnp.where(d.reshape(-1, *[1] * (new.ndim - 1)), new, old)  # noqa: E731
         nearest = jax.tree.map(choose, other, nearest)
     return nearest
+
+
+def _one_after_another(parts: list):
+    return parts[0] if len(parts) == 1 else jax.tree.map(lambda *columns: jnp.concatenate(columns), *parts)
 
 
 def _together(combine: Callable, values: list[jax.Array]) -> jax.Array:

@@ -27,6 +27,8 @@ LEFT_OUT = {
     "visual",
 }  # fmt: skip
 MESHES = "asset", "mesh"  # what stays when meshes are asked for
+CONTACTS = "contact", "keyframe"  # and when it is asked what of the arm may touch: exclusions, and postures
+ONLY = {"asset": ("mesh",), "contact": ("exclude",)}  # what stays of some elements that stay
 # They make bodies and joints that do not stand in the file.
 REFUSED = {"attach", "composite", "flexcomp", "replicate"}
 
@@ -55,17 +57,19 @@ class _Builder(ElementTree.TreeBuilder):
         return super().end(tag)
 
 
-def read_spec(path: Path, *, meshes: bool = False, visual: bool = False) -> mujoco.MjSpec:
+def read_spec(path: Path, *, meshes: bool = False, visual: bool = False, contacts: bool = False) -> mujoco.MjSpec:
     """MuJoCo's reading of an MJCF or URDF file, not compiled yet.
 
     meshes: keep those of an MJCF file, by name; a URDF's are kept anyway. visual: what a URDF draws becomes geoms, too.
+    contacts: keep what an MJCF file excludes from contact, and the postures of its keyframes.
     Raises InputError for a file that cannot be read or is too large, and for one that includes a file outside its
     folder.
     """
     root = _parse(path)
     _put_includes_in_place(root, path, {path.resolve()})
     if root.tag == "mujoco":
-        _leave_out(root, path, LEFT_OUT.difference(MESHES if meshes else ()))
+        kept = {*(MESHES if meshes else ()), *(CONTACTS if contacts else ())}
+        _leave_out(root, path, LEFT_OUT - kept)
     limits = _urdf_limits(root, path) if root.tag == "robot" else {}
     if visual and root.tag == "robot":
         ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler", discardvisual="false")
@@ -169,8 +173,10 @@ def _leave_out(root: ElementTree.Element, path: Path, unwanted: set[str]) -> Non
         for child in list(parent):
             if child.tag in REFUSED:
                 raise InputError(f"{path}: <{child.tag}> is not read; write the bodies out")
-            if child.tag in unwanted or (parent.tag == "asset" and child.tag != "mesh"):
+            if child.tag in unwanted or child.tag not in ONLY.get(parent.tag, (child.tag,)):
                 parent.remove(child)
+            elif child.tag == "key":
+                child.attrib = {name: child.attrib[name] for name in ("name", "qpos") if name in child.attrib}
         parent.attrib.pop("material", None)
     for numeric in root.iter("numeric"):
         if not numeric.get("size", "0").strip().isdigit() or int(numeric.get("size", "0")) > LARGEST_NUMERIC:

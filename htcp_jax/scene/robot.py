@@ -45,6 +45,8 @@ class Robot:
     capsule_names: tuple[str, ...] = dataclasses.field(metadata=_STATIC)
     capsule_link: tuple[int, ...] = dataclasses.field(metadata=_STATIC)  # -1 is the world
     ignored_geoms: tuple[str, ...] = dataclasses.field(metadata=_STATIC)  # neither capsule nor sphere
+    excluded: tuple[tuple[int, int], ...] = dataclasses.field(default=(), metadata=_STATIC)  # capsules that may overlap
+    keyframes: tuple[tuple[float, ...], ...] = dataclasses.field(default=(), metadata=_STATIC)  # postures [rad or m]
 
     def _repr_html_(self) -> str:
         limits = zip(self.joint_names, self.lower.tolist(), self.upper.tolist(), self.slides, strict=True)

@@ -3,6 +3,7 @@
 What a file can get wrong is an InputError here, one line that starts with its path. robot_file.py makes the Robot.
 """
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -79,6 +80,8 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
         "capsule_names": tuple(capsule.name for capsule in capsules),
         "capsule_link": tuple(capsule.link for capsule in capsules),
         "ignored_geoms": tuple(_geom_name(model, g) for g in range(model.ngeom) if not _is_round(model, g)),
+        "excluded": tuple(_excluded(model, capsules)),
+        "keyframes": tuple(tuple(posture) for posture in model.key_qpos.tolist()),
     }
     return RobotFields(arrays, facts)
 
@@ -89,7 +92,7 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
 def _compile_model(path: Path) -> tuple[mujoco.MjModel, str]:
     """Returns the model and the geom types of the file."""
     with no_log():
-        spec = read_spec(path)
+        spec = read_spec(path, contacts=True)
     geom_types = sorted({_type_name(geom) for geom in spec.geoms})
     _check_radii(spec, path)
     _forget_shapes(spec)
@@ -311,6 +314,15 @@ def _capsule(model: mujoco.MjModel, geom: int, frames: list[tuple[int, np.ndarra
     middle, reach = T_link_geom[:3, 3], half * T_link_geom[:3, 2]
     p, q = middle + reach, middle - reach  # MJCF's `fromto` runs from +z to -z
     return _Capsule(_geom_name(model, geom), body, link, p, q, float(model.geom_size[geom, 0]))
+
+
+def _excluded(model: mujoco.MjModel, capsules: list[_Capsule]) -> Iterator[tuple[int, int]]:
+    """Pairs of capsules whose bodies an <exclude> of the file names."""
+    bodies = {(int(pair) >> 16, int(pair) & 0xFFFF) for pair in model.exclude_signature}
+    for a, b in itertools.combinations(range(len(capsules)), 2):
+        one, other = capsules[a].body, capsules[b].body
+        if (one, other) in bodies or (other, one) in bodies:
+            yield a, b
 
 
 def _mounted(

@@ -1,0 +1,174 @@
+"""The arm's own bodies are kept apart: pairs of capsules as MuJoCo measures them, joint paths proven clear of them."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import made_once
+import mujoco
+import numpy as np
+import pytest
+from test_joint_path import rail
+
+from htcp_jax.clearance.motion_bound import row_travel_bound, travel_bound
+from htcp_jax.clearance.motion_proof import Verdict, prove
+from htcp_jax.clearance.obstacles import clearance_rows, clearances
+from htcp_jax.clearance.scene import Scene
+from htcp_jax.clearance.segments import nearest_points
+from htcp_jax.clearance.self_collision import SelfCollision, self_collision
+from htcp_jax.scene.kinematics import capsule_segments, link_poses
+from htcp_jax.scene.robot import GP50, Robot
+from htcp_jax.scene.robot_file import load_robot
+
+PLACES = 1000
+
+
+def arm(name: str, folder) -> tuple[Robot, mujoco.MjModel]:
+    """A robot and MuJoCo's own reading of its file."""
+    if name == "seven":
+        return made_once.seven_joints(folder), mujoco.MjModel.from_xml_path(str(folder / "seven.xml"))
+    file = GP50 if name == "gp50" else rail(folder)
+    return load_robot(file), mujoco.MjModel.from_xml_path(str(file))
+
+
+def mujoco_distances(model: mujoco.MjModel, pairs, postures) -> np.ndarray:
+    """Of every pair of geoms at every posture (n, R)."""
+    data, found = mujoco.MjData(model), np.empty((len(postures), len(pairs)))
+    for k, x in enumerate(postures):
+        data.qpos[:] = x
+        mujoco.mj_kinematics(model, data)
+        found[k] = [mujoco.mj_geomDistance(model, data, a, b, 1e3, None) for a, b in pairs]
+    return found
+
+
+@pytest.mark.parametrize("name", ["gp50", "seven", "rail"])
+def test_the_distances_of_pairs_are_mujocos(name, tmp_path):
+    robot, model = arm(name, tmp_path)
+    own, postures = self_collision(robot), made_once.configurations(robot, 300)
+    ours = jax.jit(jax.vmap(partial(clearances, robot, (own,), made_once.nominal())))(postures)
+    theirs = mujoco_distances(model, own.pairs, postures)
+    crossing = theirs < -0.99 * np.asarray(robot.capsule_radius)[np.array(own.pairs)].sum(axis=1)  # axis through axis
+    np.testing.assert_allclose(np.where(crossing, 0, ours), np.where(crossing, 0, theirs), atol=1e-9)
+    assert name == "rail" or (theirs < 0).any()
+
+
+def test_nearly_parallel_segments_and_points_are_measured_as_exactly():
+    """Against a thousand places on both, refined by scipy's bounded minimiser."""
+    from scipy.optimize import minimize
+
+    rng = np.random.default_rng(0)
+    p, q, r, s = rng.uniform(-1, 1, (4, 40, 3))
+    s[:20] = r[:20] + (q - p)[:20] * rng.uniform(-1.5, 1.5, (20, 1)) + 10.0 ** rng.uniform(-16, -4, (20, 1))
+    q[20:30] = p[20:30]
+    s[25:35] = r[25:35]
+    _, _, a, b = nearest_points(*map(jnp.asarray, (p, q, r, s)))
+    found = np.linalg.norm(a - b, axis=1)
+    for k in range(40):
+        apart = lambda v, k=k: np.sum((p[k] + v[0] * (q - p)[k] - r[k] - v[1] * (s - r)[k]) ** 2)  # noqa: E731
+        starts = [(0, 0), (0, 1), (1, 0), (1, 1), (0.5, 0.5)]
+        best = min(minimize(apart, v, bounds=[(0, 1)] * 2, tol=1e-15).fun for v in starts)
+        assert found[k] <= np.sqrt(best) + 1e-9 and found[k] >= np.sqrt(best) - 1e-5
+
+
+def test_a_pairs_body_moves_no_further_than_the_bound_as_seen_from_the_other(tmp_path):
+    """Random joint paths, random places on them; joints up to the other's link count for nothing."""
+    for name in ("gp50", "rail"):
+        robot, _ = arm(name, tmp_path)
+        own, rng, n = SelfCollision(((2, 0), (2, 1))), np.random.default_rng(3), len(robot.slides)
+        rows, tightest = own.rows(robot), 0.0
+        bound = jax.jit(lambda x, rates, half, robot=robot, rows=rows: row_travel_bound(robot, rows, x, rates, half))
+        everywhere = jax.jit(partial(travel_bound, robot))
+        ends = jax.jit(lambda x, robot=robot: (link_poses(robot, x), *capsule_segments(robot, x)))
+        for _ in range(100):
+            x, rates = rng.uniform(-1, 1, n), rng.normal(size=n)
+            half = rng.choice([0.01, 0.1, 0.5])
+            most = np.asarray(bound(x, rates, half))
+            still = np.where(np.arange(n) <= rows.other[0], 0.0, rates)
+            np.testing.assert_allclose(most[0], np.asarray(everywhere(x, still, half))[2], rtol=1e-12)
+            seen = []
+            for y in (x, x + rng.uniform(-1, 1) * half * rates):
+                T, p, q = map(np.asarray, ends(y))
+                seen.append([[(end[2] - T[link][:3, 3]) @ T[link][:3, :3] for end in (p, q)] for link in rows.other])
+            moved = np.linalg.norm(np.array(seen[0]) - np.array(seen[1]), axis=-1).max(axis=1)
+            assert (moved <= most + 1e-12).all()
+            tightest = max(tightest, float((moved / most).max()))
+        assert tightest > 0.8
+
+
+def test_a_proven_joint_path_keeps_the_pairs_apart_at_a_thousand_places_and_a_refuted_one_does_not(tmp_path):
+    robot, model = arm("seven", tmp_path)
+    own, where, rng = self_collision(robot), made_once.nominal(), np.random.default_rng(0)
+    proof = jax.jit(lambda a, b: prove(Scene(robot, (own,)), where, a, b))
+    verdicts = []
+    for a in made_once.configurations(robot, 40):
+        b = a + rng.uniform(-0.6, 0.6, 7)
+        found = proof(a, b)
+        places = a + np.linspace(0, 1, PLACES if found.verdict == Verdict.PROVEN else 2)[:, None] * (b - a)
+        if found.verdict == Verdict.PROVEN:
+            assert mujoco_distances(model, own.pairs, places).min() >= float(found.clearance) - 1e-9 > 0
+        elif found.verdict == Verdict.COLLIDES:
+            there = (a + float(found.place) * (b - a))[None]
+            assert mujoco_distances(model, own.pairs, there).min() <= 1e-9
+        verdicts.append(int(found.verdict))
+    assert verdicts.count(Verdict.PROVEN) >= 5 and verdicts.count(Verdict.COLLIDES) >= 5
+
+
+def test_turning_the_base_moves_no_pair_that_turns_with_it(tmp_path):
+    """Both bodies of a pair are carried along, so one look proves a whole turn."""
+    robot, _ = arm("seven", tmp_path)
+    own = SelfCollision(tuple(pair for pair in self_collision(robot).pairs if robot.capsule_link[pair[1]] >= 0))
+    x = jnp.array([0.0, 0.3, 0.0, 0.3, 0.0, 0.3, 0.0])
+    found = prove(Scene(robot, (own,)), made_once.nominal(), x, x + jnp.eye(7)[0] * 3.0)
+    assert found.verdict == Verdict.PROVEN and found.queries == 1
+
+
+def test_the_gradient_of_a_pair_is_that_of_its_distance(tmp_path):
+    robot, _ = arm("seven", tmp_path)
+    own, where, h = (self_collision(robot),), made_once.nominal(), 1e-6
+    value = jax.jit(partial(clearances, robot, own, where))
+    rows = jax.jit(partial(clearance_rows, robot, own, where))
+    odd = 0
+    for x in made_once.configurations(robot, 20, seed=4):
+        slope = np.stack([(value(x + h * e) - value(x - h * e)) / (2 * h) for e in np.eye(7)], axis=1)
+        odd += int((np.abs(slope - rows(x).gradient) > 1e-5).any(axis=1).sum())
+        by_autodiff = jax.jacfwd(value)(jnp.asarray(x))
+        np.testing.assert_allclose(by_autodiff, rows(x).gradient, atol=1e-9)
+    assert odd <= 4  # other points have become the nearest, within a micrometre
+
+
+CHAIN = """<mujoco><worldbody>
+  <body name="a"><joint axis="0 0 1" range="-2 2"/><geom name="A" type="sphere" size="0.1"/>
+    <body name="b" pos="0.3 0 0"><joint axis="0 0 1" range="-2 2"/><geom name="B" type="sphere" size="0.1"/>
+      <body name="c" pos="0.3 0 0"><joint axis="0 0 1" range="-2 2"/><geom name="C" type="sphere" size="{size}"/>
+        <body name="d" pos="0.3 0 0"><joint axis="0 0 1" range="-2.9 2.9"/><geom name="D" type="sphere" size="0.1"/>
+          <geom name="E" type="sphere" size="0.05" pos="0.55 0 0"/><site name="tcp" pos="0.6 0 0"/>
+  </body></body></body></body></worldbody>{more}</mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("size", "more", "pairs", "overlapping"),
+    [
+        (0.1, "", ["CA", "DA", "DB", "EA", "EB"], []),
+        (0.1, '<contact><exclude body1="d" body2="a"/></contact>', ["CA", "DB", "EB"], []),
+        (0.52, "", ["DA", "DB", "EA", "EB"], ["CA"]),
+        (0.1, '<keyframe><key qpos="0 0 0 2.9" ctrl="1"/></keyframe>', ["CA", "DA", "DB", "EA"], ["EB"]),
+    ],
+)
+def test_pairs_are_those_that_may_meet_and_are_not_drawn_as_one(size, more, pairs, overlapping, tmp_path):
+    """Not neighbours, not what the file excludes, not what overlaps at zero or a keyframe: there E comes back to B."""
+    file = tmp_path / "chain.xml"
+    file.write_text(CHAIN.format(size=size, more=more))
+    robot = load_robot(file)
+    own = self_collision(robot)
+    named = [["".join(robot.capsule_names[k] for k in pair) for pair in each] for each in (own.pairs, own.overlapping)]
+    assert named == [pairs, overlapping]
+    assert own.described(robot).startswith(f"{len(pairs)} pairs of bodies")
+
+
+def test_an_arm_of_neighbours_alone_has_nothing_to_keep_apart(tmp_path):
+    file = tmp_path / "short.xml"
+    body = '<body pos="0 0 {}"><joint axis="0 1 0" range="-2 2"/>{}'
+    parts = [body.format(0, ""), body.format(0.2, '<geom type="sphere" size="0.05"/>'), body.format(0.2, "")]
+    end = '<geom type="sphere" size="0.05"/><site name="tcp"/>' + "</body>" * 3
+    file.write_text(f"<mujoco><worldbody>{''.join(parts)}{end}</worldbody></mujoco>")
+    assert self_collision(load_robot(file)) is None
