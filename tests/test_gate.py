@@ -204,7 +204,7 @@ def test_a_missing_figure_of_a_tracked_target_fails(run, baseline, capsys):
     assert not outcome(run, baseline, capsys)["passed"]
 
 
-def test_a_missing_reachability_and_one_of_other_draws_fail(run, baseline, capsys):
+def test_a_missing_reachability_and_one_of_another_search_fail(run, baseline, capsys):
     file = run / REACHABILITY
     file.write_text(file.read_text().replace('"draws": 8', '"draws": 9'))
     assert any("searched with 9 draws" in failure for failure in outcome(run, baseline, capsys)["failures"])

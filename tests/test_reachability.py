@@ -1,18 +1,32 @@
-"""What is reachable: what it finds is clear and on target, and it is the same whatever the batch."""
+"""What is reachable: what it finds is clear and on target, what it excludes is not there, and neither depends on the batch.
+"""
+
+from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from scipy.spatial.transform import Rotation
+
+from htcp_jax.clearance.exclusion import tool_collides
 from htcp_jax.clearance.obstacles import clearance
 from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.cli.main import main
+from htcp_jax.clearance.scene import Scene
+from htcp_jax.planner.lane_inputs import lane_inputs
+from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.reachability import reachable_prefixes
-from htcp_jax.scene.kinematics import tcp_position
+from htcp_jax.planner.tool_cells import tool_cells
+from htcp_jax.scene.kinematics import link_poses, tcp_position
 from htcp_jax.scene.robot_file import gp50
 from htcp_jax.scene.scenario import make_scenario, stack
+from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.scene.workpiece_file import load_workpiece
+from htcp_jax.settings import Settings
 
+COARSE = 0.22
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
 
 
@@ -20,14 +34,14 @@ START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
 def found():
     robot, workpiece = gp50(), load_workpiece()
     scenarios = [make_scenario(robot, workpiece, START, rotation=pose) for pose in ((0.4, 0.1), (0.8, 0.0))]
-    return robot, workpiece, scenarios, reachable_prefixes(robot, workpiece, stack(scenarios), draws=256)
+    return robot, workpiece, scenarios, reachable_prefixes(robot, workpiece, stack(scenarios), resolution_rad=COARSE)
 
 
 def test_a_complete_scenario_is_found_reachable_and_one_that_dead_ends_is_not(found):
     _, _, scenarios, result = found
     assert result.prefix[0] == scenarios[0].count
-    assert 11 <= result.prefix[1] < scenarios[1].count
-    assert np.isnan(result.best[0]) and result.best[1] <= 0
+    assert 71 <= result.prefix[1] < scenarios[1].count  # how far a walk of random draws comes
+    assert np.isnan(result.best[0]) and result.best[1] < 5e-4
 
 
 def test_every_configuration_found_is_clear_and_on_its_target(found):
@@ -45,12 +59,72 @@ def test_every_configuration_found_is_clear_and_on_its_target(found):
 
 def test_a_scenario_reaches_as_far_alone(found):
     robot, workpiece, scenarios, result = found
-    alone = reachable_prefixes(robot, workpiece, stack(scenarios[:1]), draws=256)
-    np.testing.assert_array_equal(alone.x[0], result.x[0])
+    alone = reachable_prefixes(robot, workpiece, stack(scenarios[1:]), resolution_rad=COARSE)
+    np.testing.assert_array_equal(alone.x[0], result.x[1])
+    assert alone.best[0] == result.best[1]
 
 
-def test_the_command_writes_the_prefixes_and_refuses_an_empty_number_of_draws(tmp_path, capsys):
-    words = ["reachability", "sweeps/workpiece.yaml", "--limit", "1", "--draws", "1", "--out", str(tmp_path / "run")]
+def test_no_orientation_near_that_of_a_clear_posture_is_excluded(found):
+    """Whatever the radius: the tool of a clear posture is in the cell."""
+    robot, workpiece, scenarios, result = found
+    scene, draw = Scene(robot, make_obstacle(workpiece)), np.random.default_rng(0)
+    excluded = jax.jit(lambda s, target, q, rho: tool_collides(scene, s, s.margin_m, target, q, rho))
+    for _ in range(300):
+        s = draw.integers(2)
+        row, rho = draw.integers(result.prefix[s]), draw.choice([0.003, 0.03, 0.3])
+        turned = Rotation.from_matrix(np.asarray(link_poses(robot, result.x[s, row])[-1, :3, :3]))
+        axis = draw.normal(size=3)
+        middle = Rotation.from_rotvec(draw.uniform(0, rho) * axis / np.linalg.norm(axis)) * turned
+        q = middle.as_quat()[[3, 0, 1, 2]]
+        assert not excluded(scenarios[s], scenarios[s].targets[row], q, rho)
+
+
+def walled_in(radius_m):
+    """A target in the middle of a ball of points, and all else free."""
+    k = np.arange(4000) + 0.5
+    z, turn = 1 - 2 * k / 4000, np.pi * (1 + 5**0.5) * k
+    ball = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
+    target = np.array([1.5, 0.0, 1.0])
+    part = Workpiece("ball", target + radius_m * ball, target[None], interior="none", pivot=np.zeros(3),
+                     neutral_translation=np.zeros(3))  # fmt: skip
+    return part, make_scenario(gp50(), part, START, rotation=(0.0, 0.0), approach=(1, 1))
+
+
+def test_a_target_behind_walls_all_around_is_proven_unreachable_and_one_in_the_open_is_found():
+    part, scenario = walled_in(0.3)
+    result = reachable_prefixes(gp50(), part, stack([scenario]), resolution_rad=0.45)
+    assert result.prefix[0] == scenario.count - 2 and result.excluded[0]
+    assert result.most(np.array([scenario.count]))[0] == result.prefix[0]
+    part, scenario = walled_in(3.5)
+    result = reachable_prefixes(gp50(), part, stack([scenario]), resolution_rad=0.9)
+    assert result.prefix[0] == scenario.count and not result.excluded[0]
+
+
+def test_the_cells_cover_every_orientation_in_which_the_tool_is_clear(found):
+    """Held to brute force: postures all over, with the part carried to their tip, and only tool and wrist measured."""
+    robot, workpiece, scenarios, _ = found
+    scene, where, row = Scene(robot, make_obstacle(workpiece)[:1]), scenarios[0], 60
+    inputs = lane_inputs(stack([where]), np.zeros(1, int), np.array([row]))
+    cells = tool_cells(Kernels(scene, Settings()), inputs, COARSE, 10**6)
+    outer = np.array(robot.capsule_link) >= 4
+    only = replace(robot, capsule_radius=np.where(outer, robot.capsule_radius, -1e3))
+
+    def measure(x):
+        pose = jnp.asarray(where.T_world_workpiece).at[:3, 3].add(tcp_position(robot, x) - where.targets[row])
+        moved = replace(where, T_world_workpiece=pose)
+        return clearance(only, scene.obstacles, moved, x), link_poses(robot, x)[-1, :3, :3]
+
+    x = np.random.default_rng(1).uniform(-np.pi, np.pi, (3000, 6))
+    D, R = jax.jit(jax.vmap(measure))(x)
+    q = Rotation.from_matrix(np.asarray(R)).as_quat()[:, [3, 0, 1, 2]]
+    near = 2 * np.arccos(np.clip(np.abs(q @ cells.quaternion.T).max(axis=1), 0, 1))
+    clear = np.asarray(D) >= where.margin_m
+    assert 0 < clear.sum() < 3000 and (near[clear] <= cells.radius_rad[0]).all()
+    assert (near > cells.radius_rad[0]).any()  # and not all of them: some are excluded
+
+
+def test_the_command_writes_the_prefixes_and_refuses_a_resolution_of_nothing(tmp_path, capsys):
+    words = ["reachability", "sweeps/workpiece.yaml", "--limit", "1", "--resolution", "0.9", "--out", str(tmp_path / "run")]
     assert main(words) == 0
     assert "reachable at least" in capsys.readouterr().out
     assert (tmp_path / "run" / "reachability.json").exists()

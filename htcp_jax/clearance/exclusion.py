@@ -93,14 +93,14 @@ def _about_tip(robot: Robot) -> Segments:
         (a, off_a), (b, off_b) = (_on_axis(robot, end[wrist]) for end in (robot.capsule_p, robot.capsule_q))
         p, q = jnp.concatenate([p, a]), jnp.concatenate([q, b])
         moves, tool = jnp.concatenate([moves, jnp.maximum(off_a, off_b)]), np.concatenate([tool, wrist])
-    return cut(Segments(p - tip, q - tip, robot.capsule_radius[tool], moves))
+    return cut(Segments(p - tip[None], q - tip[None], robot.capsule_radius[tool], moves))
 
 
 def _on_axis(robot: Robot, points: Float[Array, "n 3"]):
     """The points of the last joint's axis nearest to points of the link before it, in the last link's frame, and how
     far they are."""
     T, axis = robot.T_parent_joint[-1], robot.axis[-1]
-    own = product(points - T[:3, 3], T[:3, :3])
+    own = product(points - T[None, :3, 3], T[:3, :3])
     on = product(own, axis)[:, None] * axis[None]
     return on, safe_norm(own - on)
 

@@ -33,11 +33,12 @@ from htcp_jax.scene.kinematics import jacobian, link_poses, tcp_position
 from htcp_jax.scene.robot import Robot, lengthen_tool
 from htcp_jax.settings import Settings
 
-CELLS = 2048  # about, at a target; with more the resolution is coarser than asked for, and says so
+CELLS = 640  # at a target; with more they are not halved again: the resolution is coarser, and says so
 SEEDS, KNOWN = 12, 2**15  # of Newton's method for each cell, and the postures that they are taken from
 STEPS = 12  # of Newton's method
 PUSHED = 64  # postures pushed clear at a target
 APART_RAD = 0.2  # closer postures are one
+HOPS, HOPPED, HOP = 2, 8, 0.15  # rounds in which the clearest are moved at random and pushed again, and how far [rad, m]
 LENGTH_M = 0.3  # of which a radian of the tool weighs as much as this far of its tip
 
 
@@ -84,16 +85,33 @@ def search(kernels: Kernels, robot: Robot, inputs: LaneInputs, resolution_rad: f
     cells = tool_cells(kernels, inputs, resolution_rad, CELLS)
     lanes, joints = len(inputs.row), len(robot.slides)
     x, best = np.zeros((lanes, PUSHED, joints)), np.full((lanes, PUSHED), -np.inf)
-    lane, here = _candidates(kernels, robot, inputs, cells)
-    if len(lane):
-        pushed = kernels(PUSH, gather(inputs, lane), here)
-        on = np.where(kernels.task.reached(pushed.residual), pushed.clearance, -np.inf)
-        for k in np.unique(lane):
-            own = np.flatnonzero(lane == k)
-            own = own[np.argsort(-on[own], kind="stable")]
-            x[k, : len(own)], best[k, : len(own)] = pushed.x[own], on[own]
+    _push(kernels, inputs, x, best, *_candidates(kernels, robot, inputs, cells))
+    for round_ in range(HOPS):
+        lost = np.flatnonzero((best[:, 0] < inputs.margin_m) & (best[:, 0] > -np.inf)).tolist()
+        moves = [_moves(inputs, k, round_, joints) for k in lost]
+        aside = [np.repeat(x[k, :HOPPED], PUSHED // HOPPED, axis=0) + own for k, own in zip(lost, moves, strict=True)]
+        _push(kernels, inputs, x, best, np.repeat(lost, PUSHED), np.concatenate([np.empty((0, joints)), *aside]))
     counts = np.bincount(cells.lane, minlength=lanes)
     return Found(x, best, cells.radius_rad, counts == 0)
+
+
+def _push(kernels: Kernels, inputs: LaneInputs, x: np.ndarray, best: np.ndarray, lane: np.ndarray, start: np.ndarray):
+    """Push postures clear, and keep the clearest of each target among those that are known."""
+    if not len(lane):
+        return
+    pushed = kernels(PUSH, gather(inputs, lane), start)
+    on = np.where(kernels.task.reached(pushed.residual), pushed.clearance, -np.inf)
+    for k in np.unique(lane):
+        own = lane == k
+        D, both = np.concatenate([best[k], on[own]]), np.concatenate([x[k], pushed.x[own]])
+        order = np.argsort(-D, kind="stable")[:PUSHED]
+        x[k], best[k] = both[order], D[order]
+
+
+def _moves(inputs: LaneInputs, k: int, round_: int, joints: int) -> np.ndarray:
+    """Random ones, of a target's own whatever else is searched."""
+    own = np.random.default_rng([inputs.seed[k], inputs.number[k], inputs.row[k], round_])
+    return HOP * 0.6**round_ * own.normal(size=(PUSHED, joints))
 
 
 def _candidates(kernels: Kernels, robot: Robot, inputs: LaneInputs, cells: ToolCells):

@@ -34,6 +34,7 @@ from htcp_jax.settings import Settings
 
 CARRIED = 6  # postures carried from a target to the next
 RESOLUTION_RAD = 0.11
+COARSE_FIRST = (4, 1)  # resolutions that a target is searched at, in turn, as multiples of the one asked for
 
 
 class Reachability(NamedTuple):
@@ -60,7 +61,7 @@ def reachable_prefixes(
     progress: Callable[[int, int], None] | None = None,
 ) -> Reachability:
     """Prefixes of the stacked scenarios. resolution_rad: of the tool's orientations, at a target where carrying over
-    fails; from the settings count alpha_rad and tolerance_m. progress(target, targets) is called after each target."""
+    fails; from the settings count alpha_rad, tolerance_m and the seed. progress(target, targets) is called after each target."""
     settings = settings or Settings()
     scenarios = jax.tree.map(np.asarray, scenarios)
     scene = Scene(robot, make_obstacle(workpiece), Task(tolerance_m=settings.tolerance_m))
@@ -77,22 +78,23 @@ def reachable_prefixes(
         alive = alive[scenarios.count[alive] > row]
         if not len(alive):
             break
-        inputs = lane_inputs(scenarios, alive, np.full(len(alive), row))
+        inputs = lane_inputs(scenarios, alive, np.full(len(alive), row), seed=settings.seed)
         clear = _carried(kernels, tip, inputs, [front[s] for s in alive])
-        lost = np.array([not len(own) for own in clear])
-        if lost.any():
-            here = search(kernels, robot, gather(inputs, lost), resolution_rad)
-            found = found._replace(resolution_rad=max(found.resolution_rad, _coarsest(here)))
-            for k, own, best, none in zip(
-                np.flatnonzero(lost), _searched(kernels, tip, gather(inputs, lost), here), here.clearance[:, 0],
-                here.excluded, strict=True,
-            ):  # fmt: skip
+        for coarser in COARSE_FIRST:
+            which = np.flatnonzero([not len(own) for own in clear])
+            if not len(which):
+                break
+            here = search(kernels, robot, gather(inputs, which), coarser * resolution_rad)
+            for k, own in zip(which, _searched(kernels, tip, gather(inputs, which), here), strict=True):
                 clear[k] = own
-                if not len(own):
-                    found.best[alive[k]], found.excluded[alive[k]] = best, none
+            nothing = np.array([not len(clear[k]) for k in which])
+            found.best[alive[which[nothing]]] = here.clearance[nothing, 0]
+            found.excluded[alive[which[nothing]]] = here.excluded[nothing]
+            if coarser == 1:
+                found = found._replace(resolution_rad=max(found.resolution_rad, _coarsest(here)))
         for s, own in zip(alive, clear, strict=True):
             if len(own):
-                front[s], found.x[s, row] = own, own[0]
+                front[s], found.x[s, row], found.best[s] = own, own[0], np.nan
                 found.prefix[s] += 1
         alive = alive[[len(own) > 0 for own in clear]]
         if progress is not None:

@@ -43,6 +43,7 @@ class Part:
     parameters: dict[str, np.ndarray]  # columns of the scenario table that a grid may vary, (S,) each
     plans: dict[str, Plans]  # by method that has begun; the status is -1 where it has not planned a scenario yet
     reachability: np.ndarray | None  # (S,) targets in a row that are known to be reachable
+    not_excluded: np.ndarray | None  # (S,) that are not proven unreachable
     step_s: dict[str, float]  # run time by attempted targets, over the whole run
     joints: tuple[str, ...]
     run: Run
@@ -125,6 +126,8 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
                 parameters={key: values[here] for key, values in parameters.items()},
                 plans={method: each for method, each in own.items() if each.exists.any()},
                 reachability=None if reachability is None else reachability.prefix[numbers[here]],
+                not_excluded=None if reachability is None or reachability.most is None
+                else reachability.most[numbers[here]],
                 **shared,
             )
         )
