@@ -37,11 +37,10 @@ class Segments(NamedTuple):
     moves: Float[Array, "n"]  # [m]
 
 
-def surely_touches(
-    obstacles: Obstacles, where: Posed, margin_m: Scalar, bodies: Segments
-) -> Bool[jax.Array, ""]:
+def surely_touches(obstacles: Obstacles, where: Posed, margin_m: Scalar, bodies: Segments) -> Bool[jax.Array, ""]:
     """Whether some body keeps less than margin_m [m] wherever its points are within `moves` of the segments, which are
-    in the world. Other kinds of obstacles than points and the interior say nothing."""
+    in the world. Other kinds of obstacles than points and the interior say nothing. By the
+    triangle inequality (docs/equations.md, section Exclusion)."""
     p, q, radius, moves = bodies
     moves, found = moves + ROUNDING_M, jnp.zeros((), bool)
     for each in obstacles:
@@ -71,7 +70,8 @@ def tool_collides(
     rho: Scalar,
 ) -> Bool[jax.Array, ""]:
     """Whether the tool, or the link before it, keeps less than margin_m [m] in every posture that has the TCP within
-    the tolerance of the target, world [m], and the last link turned by at most rho [rad] from the quaternion."""
+    the tolerance of the target, world [m], and the last link turned by at most rho [rad] from the quaternion (docs/equations.md,
+    section Exclusion)."""
     R, own = rotation(quaternion), _about_tip(scene.robot)
     farthest = jnp.maximum(safe_norm(own.p), safe_norm(own.q))
     moves = own.moves + 2 * farthest * jnp.sin(0.5 * jnp.minimum(rho, jnp.pi)) + scene.task.tolerance_m

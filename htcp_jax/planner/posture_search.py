@@ -1,7 +1,7 @@
 """A search for any clear posture at a target, complete at a stated resolution of the null space.
 
-With its tip on the target, an arm of six joints has as many degrees of freedom left as its tool has orientations. All of
-these are looked at: a cover of cells of a stated radius (`tool_cells`), but for those in which the tool collides for
+With its tip on the target, an arm of six joints has as many degrees of freedom left as its tool has orientations. All
+of these are looked at: a cover of cells of a stated radius (`tool_cells`), but for those in which the tool collides for
 sure. Each cell's middle is the aim of Newton's method from several seeds, the nearest of many postures in known poses,
 so that the arm's branches, elbow up or down and so on, are all met. What comes out is brought onto the target, and the
 clearest that are far apart are pushed clear. An arm of more joints has further freedom, which the seeds alone spread.
@@ -21,8 +21,8 @@ from htcp_jax.clearance.exclusion import rotation
 from htcp_jax.clearance.obstacles import clearance
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.numerics import product, safe_norm, solve_spd
-from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.planner.kernel import Kernel
+from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.planner.lanes import gather
 from htcp_jax.planner.null_space import Anchored
 from htcp_jax.planner.programs import Kernels
@@ -33,12 +33,16 @@ from htcp_jax.scene.kinematics import jacobian, link_poses, tcp_position
 from htcp_jax.scene.robot import Robot, lengthen_tool
 from htcp_jax.settings import Settings
 
-CELLS = 640  # at a target; with more they are not halved again: the resolution is coarser, and says so
+CELLS = 4096  # at a target, at most: else the resolution is coarser, and says so
 SEEDS, KNOWN = 12, 2**15  # of Newton's method for each cell, and the postures that they are taken from
 STEPS = 12  # of Newton's method
 PUSHED = 64  # postures pushed clear at a target
 APART_RAD = 0.2  # closer postures are one
-HOPS, HOPPED, HOP = 2, 8, 0.15  # rounds in which the clearest are moved at random and pushed again, and how far [rad, m]
+HOPS, HOPPED, HOP = (
+    2,
+    8,
+    0.15,
+)  # rounds in which the clearest are moved at random and pushed again, and how far [rad, m]
 LENGTH_M = 0.3  # of which a radian of the tool weighs as much as this far of its tip
 
 

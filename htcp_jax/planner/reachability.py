@@ -5,8 +5,8 @@ are carried over, re-anchored and pushed clear in the null space; where none of 
 searched at a stated resolution of the null space (`posture_search`). The first target at which nothing is found ends
 the prefix.
 
-A clear configuration that is found proves that one exists: the prefix is a lower bound on what is reachable. One that is
-not found proves nothing by itself; but where every orientation of the tool collides for sure, none exists, and the
+A clear configuration that is found proves that one exists: the prefix is a lower bound on what is reachable. One that
+is not found proves nothing by itself; but where every orientation of the tool collides for sure, none exists, and the
 prefix is all there is. Between the two lies what is not known.
 """
 
@@ -61,7 +61,8 @@ def reachable_prefixes(
     progress: Callable[[int, int], None] | None = None,
 ) -> Reachability:
     """Prefixes of the stacked scenarios. resolution_rad: of the tool's orientations, at a target where carrying over
-    fails; from the settings count alpha_rad, tolerance_m and the seed. progress(target, targets) is called after each target."""
+    fails; from the settings count alpha_rad, tolerance_m and the seed. progress(target, targets) is
+    called after each target."""
     settings = settings or Settings()
     scenarios = jax.tree.map(np.asarray, scenarios)
     scene = Scene(robot, make_obstacle(workpiece), Task(tolerance_m=settings.tolerance_m))

@@ -19,6 +19,7 @@ from htcp_jax.planner.programs import Kernels
 from htcp_jax.settings import Settings
 
 MANY = Load(cpu=Table(1024, 1), gpu=Table(4096, 4096))  # of what is asked by the thousand
+HOPELESS = 20_000  # cells at a target, beyond which no proof is near
 CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(8, 3)
 
 
@@ -40,24 +41,22 @@ TOOL = Kernel("tool", tool, MANY)
 
 
 def tool_cells(kernels: Kernels, inputs: LaneInputs, resolution_rad: float, most: int) -> ToolCells:
-    """The cells in which the tool may be clear, for many targets: halved until they are as small as the resolution, or
-    more than `most` at a target. A target without any has no posture at all."""
+    """The cells in which the tool may be clear, for many targets: halved until they are as small as the resolution; of
+    a target that has more than `most` of these, the larger ones. A target without any has no posture at all."""
     lanes = len(inputs.row)
-    radius, half = np.full(lanes, np.inf), 1.0
+    kept, radius, half = [np.empty((0, 4))] * lanes, np.full(lanes, np.inf), 1.0
     lane, one = np.repeat(np.arange(lanes), 4), np.tile(np.arange(4), lanes)
     cube = np.zeros((len(lane), 3))
-    done: list[tuple] = []
     while len(lane):
         q, rho = _quaternions(one, cube), 2 * np.sqrt(3) * half
         keep = ~kernels(TOOL, gather(inputs, lane), q, np.full(len(q), rho))
-        lane, one, cube, q = lane[keep], one[keep], cube[keep], q[keep]
-        radius[np.unique(lane)] = rho
-        small = (rho <= resolution_rad) | (np.bincount(lane, minlength=lanes)[lane] > most)
-        done.append((lane[small], q[small]))
-        lane, one, half = np.repeat(lane[~small], 8), np.repeat(one[~small], 8), half / 2
-        cube = (cube[~small][:, None] + half * CORNERS[None]).reshape(-1, 3)
-    order = np.argsort(np.concatenate([own for own, _ in done]), kind="stable")
-    return ToolCells(*(np.concatenate(column)[order] for column in zip(*done, strict=True)), radius)
+        counts = np.bincount(lane[keep], minlength=lanes)
+        for k in np.unique(lane[counts[lane] <= most]):
+            kept[k], radius[k] = q[keep & (lane == k)], rho
+        keep &= (rho > resolution_rad) & (counts[lane] <= HOPELESS)
+        lane, one, half = np.repeat(lane[keep], 8), np.repeat(one[keep], 8), half / 2
+        cube = (cube[keep][:, None] + half * CORNERS[None]).reshape(-1, 3)
+    return ToolCells(np.repeat(np.arange(lanes), [len(own) for own in kept]), np.concatenate(kept), radius)
 
 
 def _quaternions(one: np.ndarray, cube: np.ndarray) -> np.ndarray:

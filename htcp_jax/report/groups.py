@@ -126,7 +126,8 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
                 parameters={key: values[here] for key, values in parameters.items()},
                 plans={method: each for method, each in own.items() if each.exists.any()},
                 reachability=None if reachability is None else reachability.prefix[numbers[here]],
-                not_excluded=None if reachability is None or reachability.most is None
+                not_excluded=None
+                if reachability is None or reachability.most is None
                 else reachability.most[numbers[here]],
                 **shared,
             )
