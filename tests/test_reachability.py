@@ -89,8 +89,8 @@ def walled_in(radius_m):
 
 
 def test_a_target_behind_walls_all_around_is_proven_unreachable_and_one_in_the_open_is_found():
-    part, scenario = walled_in(0.64)
-    result = reachable_prefixes(gp50(), part, stack([scenario]), resolution_rad=COARSE)
+    part, scenario = walled_in(0.3)
+    result = reachable_prefixes(gp50(), part, stack([scenario]), resolution_rad=0.11)
     assert result.prefix[0] == 1 and result.excluded[0]
     assert result.most(np.array([scenario.count]))[0] == result.prefix[0]
     part, scenario = walled_in(3.5)

@@ -70,8 +70,8 @@ def tool_collides(
     rho: Scalar,
 ) -> Bool[jax.Array, ""]:
     """Whether the tool, or the link before it, keeps less than margin_m [m] in every posture that has the TCP within
-    the tolerance of the target, world [m], and the last link turned by at most rho [rad] from the quaternion (docs/equations.md,
-    section Exclusion)."""
+    the tolerance of the target, world [m], and the last link turned by at most rho [rad] from the quaternion; see
+    docs/equations.md, section Exclusion."""
     R, own = rotation(quaternion), _about_tip(scene.robot)
     farthest = jnp.maximum(safe_norm(own.p), safe_norm(own.q))
     moves = own.moves + 2 * farthest * jnp.sin(0.5 * jnp.minimum(rho, jnp.pi)) + scene.task.tolerance_m
