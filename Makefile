@@ -30,7 +30,7 @@ docs: $(VENV)/.installed-docs  ## build the documentation into build/site, warni
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict
 
 # The sweeps that `htcp gate` holds to sweeps/baselines/, planned by every method, and the folder of their runs.
-GATED = workpiece robot-third
+GATED = workpiece robot-third seams-part
 RUNS = build/gate
 GATE = $(VENV)/bin/htcp gate $(RUNS)/$$sweep --baseline sweeps/baselines/$$sweep.yaml
 

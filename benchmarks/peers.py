@@ -1,6 +1,7 @@
 """The same task by other planners, side by side: robot, path, workpiece and poses of sweeps/workpiece.yaml.
 
     python -m benchmarks peers [--scenarios N] [--real CLOUD PATH X Y Z]
+    python -m benchmarks peers --motions [--planners A,B] [--limit-s S] ...
 
 Only the tool's position is asked for. All run on one thread, one scenario after the other, but for htcp_jax, which
 advances all of them together. "setup s" is compilation or the building of models, apart from the time a step. "cpu ms"
@@ -10,10 +11,13 @@ is less than "ms a step" where others use the processor.
 - step QPs: the baseline's in a plain Python loop, with MuJoCo's kinematics, scipy's tree of the cloud, and Clarabel.
 - SLSQP: scipy's, on the nonlinear problem of each target, with the same distances and gradients.
 - mink: differential inverse kinematics, the obstacle a moving sphere on the nearest point of each capsule.
-- TrajOpt of tesseract-robotics, on all points. Its Descartes samples whole poses, turned about one axis only: left out.
+- TrajOpt of tesseract-robotics, on all points.
 
 A target is passed when MuJoCo's own kinematics and distances (htcp_jax/validate*.py) find the tool within the
 tolerance, the arm clear and inside its limits, and all targets before it passed.
+
+With --motions others are compared, by executable targets, see `peer_motions`: three methods of htcp_jax, OMPL's
+projected RRT-Connect (`peer_ompl`) and Descartes' ladder graph (`peer_descartes`).
 """
 
 import argparse
@@ -28,9 +32,10 @@ import jax
 import numpy as np
 from scipy.spatial import cKDTree
 
-from benchmarks import hardware, peer_planners, peer_trajopt
+from benchmarks import hardware, peer_motions, peer_planners, peer_trajopt
 from benchmarks.peer_planners import Advance, Task
 from htcp_jax.jobs.grid import Batch, load_sweep
+from htcp_jax.planner import compile_cache
 from htcp_jax.planner.batch import plan
 from htcp_jax.runs.parameters import of_job
 from htcp_jax.scene.robot import GP50
@@ -43,6 +48,7 @@ from htcp_jax.validation.scene_rules import targets_of, turned_and_moved
 SWEEP = Path(__file__).resolve().parents[1] / "sweeps" / "workpiece.yaml"
 POSES = 49
 PACKAGES = "mujoco", "scipy", "clarabel", "mink", "tesseract-robotics"
+MOTION_PACKAGES = "mujoco", "scipy", "ompl", "tesseract-robotics-nanobind"
 ROW = "{:20} {:>7} {:>6} {:>10} {:>10} {:>7} {:>8}  {}"
 
 
@@ -143,6 +149,7 @@ def chosen_scenarios(count: int, real: list[str] | None) -> Batch:
     if real:
         cloud, path, *inlet = real
         changes = {"workpiece.cloud": cloud, "workpiece.path": path, "workpiece.inlet_m": [float(v) for v in inlet]}
+        changes["workpiece.inlet_direction"] = "world-x"  # as of the generated duct
     where_the_duct_is = SWEEP.parents[1] / "configs" / "duct.yaml"
     batch = load_sweep(SWEEP, where_the_duct_is, changes).batch()
     numbers = [(24 + 19 * k) % POSES for k in range(count)]
@@ -156,14 +163,28 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenarios", type=int, default=9, choices=range(1, POSES + 1), metavar="N", help="poses")
     parser.add_argument("--real", nargs=5, metavar=("CLOUD", "PATH", "X", "Y", "Z"), help="files; the inlet's centre")
+    parser.add_argument("--motions", action="store_true", help="by executable targets")
+    parser.add_argument("--planners", default=",".join(peer_motions.NAMES), help="of --motions; by default all of them")
+    parser.add_argument("--limit-s", type=float, default=30.0, help="of OMPL's processor time for a pose")
     asked = parser.parse_args()
+    planners = asked.planners.split(",")
+    if unknown := set(planners) - set(peer_motions.NAMES):
+        parser.error(f"{', '.join(sorted(unknown))}: no planner of --motions; valid: {', '.join(peer_motions.NAMES)}")
     batch = chosen_scenarios(asked.scenarios, asked.real)
-    part, arm = batch.points[0].config.workpiece, Arm(GP50, limits=batch.points[0].config.robot.limits)
-    wall, tree = Wall(batch.workpiece.cloud, part.interior), cKDTree(batch.workpiece.cloud)
     targets = int(batch.scenarios.count.sum())
-    print(f"{hardware.line()}, {', '.join(_version(package) for package in PACKAGES)}")
+    packages = MOTION_PACKAGES if asked.motions else PACKAGES
+    print(f"{hardware.line()}, {', '.join(_version(package) for package in packages)}")
     points = f"{len(batch.workpiece.cloud):,} points"
     print(f"{batch.workpiece.name}, {points}; {asked.scenarios} of {POSES} poses, {targets:,} targets")
+    if asked.motions:
+        compile_cache.enable()
+        parts = [point.config.workpiece for point in batch.points]
+        print("turned about y, z [rad]:", ", ".join(f"{p.rotation_y_rad:g} {p.rotation_z_rad:g}" for p in parts))
+        for row in peer_motions.rows(batch, planners, asked.limit_s):
+            print(row, flush=True)
+        return
+    part, arm = batch.points[0].config.workpiece, Arm(GP50, limits=batch.points[0].config.robot.limits)
+    wall, tree = Wall(batch.workpiece.cloud, part.interior), cKDTree(batch.workpiece.cloud)
     print(ROW.format("planner", "passed", "%", "attempted", "ms a step", "cpu ms", "setup s", "notes"), flush=True)
     for name, run in PLANNERS.items():
         if sys.stderr.isatty():

@@ -16,13 +16,16 @@ from htcp_jax.jobs.load_config import load_config
 from htcp_jax.notebook import html_facts
 from htcp_jax.planner import batch, registry
 from htcp_jax.planner.devices import choose
+from htcp_jax.planner.motion import Motion, motion
 from htcp_jax.planner.obstruction import Obstruction, blocked_target, obstruction
 from htcp_jax.planner.plans import Outcome, Plans
 from htcp_jax.runs.identity import anchor_files, file_hash
+from htcp_jax.runs.motion_summary import MotionSummary, summarise_motion
 from htcp_jax.runs.plan_folder import (
     VALIDATION,
     summary_record,
     write_json,
+    write_motion_csv,
     write_trajectory_csv,
     write_trajectory_npz,
     written_whole,
@@ -57,6 +60,15 @@ class Plan:
         """Counts, times and distances."""
         return summarise(self.plans)
 
+    @cached_property
+    def motion_summary(self) -> MotionSummary:
+        """How far a proven motion leads, where it is tightest, where the arm dwells, how smooth it is."""
+        return summarise_motion(self.plans, int(self.scenario.on_path))
+
+    def motion(self, *, retract: bool = False) -> Motion:
+        """The postures that the arm passes, from the start to the last executable target, and back if `retract`."""
+        return motion(self.plans, 0, int(self.scenario.on_path), retract=retract)
+
     @property
     def complete(self) -> bool:
         """Whether every target is tracked, by joint paths none of which is known to collide."""
@@ -78,7 +90,7 @@ class Plan:
             **self._distances(),
             "escapes": str(s.after_escape),
             "joint paths": self._joint_paths(),
-            "executable": self._motion(),
+            **self.motion_summary.facts(),
             "walls": self.workpiece.walls,
             "interior": interior_rule(self.workpiece, self.scenario),
         }
@@ -99,15 +111,6 @@ class Plan:
         if end.tracked and (turn := self.plans.joint_step[0, 0]) > NOTABLE_RAD:
             text += f"; the first leaves the start by {turn:.2f} rad"
         return text
-
-    def _motion(self) -> str:
-        """How far a proven motion leads."""
-        end = self.outcome
-        text = f"{end.executable} of {end.targets} targets"
-        if end.executable < end.tracked:
-            return f"{text}; to target {end.executable}: {end.way.message}"
-        clear = self.plans.way_clearance[0, : end.executable]
-        return f"{text}, {1e3 * float(clear.min()):.3g} mm clear all along" if end.executable else text
 
     @cached_property
     def obstruction(self) -> Obstruction | None:
@@ -141,22 +144,26 @@ class Plan:
         """What summary.json holds: the summary, the failed target in words, versions, the whole configuration, and the
         SHA-256 of the files that it names, which are absolute."""
         known = {"method": self.job.method, "validated": None, **summary_record(self.summary)}
+        known["motion"] = self.motion_summary.record()
         known["in_the_way"] = self.obstruction and self.obstruction.record()
         config = self.job.model_dump()
         files = {name: file_hash(name) for name in anchor_files(config)}
         return {**known, **provenance(), "config": config, "files": files}
 
-    def write(self, folder: Path) -> None:
-        """Write trajectory.csv, trajectory.npz, summary.json and plan.png into an existing folder."""
+    def write(self, folder: Path, *, retract: bool = False) -> None:
+        """Write motion.csv, trajectory.csv, trajectory.npz, summary.json and plan.png into an existing folder. retract:
+        whether motion.csv leads back to the start, too."""
+        write_motion_csv(folder / "motion.csv", self.robot, self.motion(retract=retract))
         write_trajectory_csv(folder / "trajectory.csv", self.robot, self.plans)
         write_trajectory_npz(folder / "trajectory.npz", self.robot, self.plans)
         write_json(folder / "summary.json", self.record())
         self.figure().savefig(folder / "plan.png")
 
-    def save(self, folder: str | Path) -> None:
-        """Write the four files into `folder`, all of them or none. Raises InputError where that cannot be done."""
+    def save(self, folder: str | Path, *, retract: bool = False) -> None:
+        """Write the five files into `folder`, see `write`, all of them or none. Raises InputError where that cannot be
+        done."""
         with written_whole(Path(folder)) as scratch:
-            self.write(scratch)
+            self.write(scratch, retract=retract)
         forget_validation(Path(folder))
 
     def __str__(self) -> str:

@@ -69,13 +69,23 @@ class Settings:
 
     # Roadmap
     front: int = 64  # most postures kept at one target
-    thin_front: int = 32  # with fewer, the front is spread by walks
+    thin_front: int = 16  # with fewer, the front is spread by walks
     front_apart_rad: float = 0.12  # closer postures are one
     front_aim_m: float = 5e-3  # how far above the margin a posture is brought, where it can be
     walks: int = 32  # of one round
-    walk_steps: int = 24  # the most of one walk
-    walk_step_rad: float = 0.05  # length of each of them
+    walk_steps: int = 12  # the most of one walk
+    walk_step_rad: float = 0.1  # length of each of them
     walk_rounds: int = 12  # at a target from which nothing leads on
+    transfers: bool = False  # whether the arm may change its posture before the path, where that leads further
+
+    # The whole path, equation (3)
+    smooth: bool | None = None  # whether motions are smoothed; None: where the method asks for it, as roadmap does
+    path_weights: tuple[float, ...] | None = None  # of the joints in equation (3); None: 1 each, as in the paper
+
+    # Joining two postures in free space: transfers, approaches
+    search_rounds: int = 1000  # of draws, before a pair of postures counts as not joined
+    search_step_rad: float = 0.3  # longest step that is proven at a time
+    search_shortcuts: int = 8  # rounds of them
 
     # Hybrid
     restart_rounds: int = 9  # rounds of draws for a posture at a lost target that leads back to the first
@@ -138,13 +148,16 @@ def settings_of(values: Settings | Mapping[str, Any] | None) -> Settings:
 
 
 MOST, LARGEST_SEED = 100_000, 2**63 - 1  # of whatever is counted; of the seed
-_MAY_BE_ZERO = {"aim_above_m", "j1_weight", "keep_clear_m", "seed", "restart_rounds", "front_aim_m"}
+_MAY_BE_ZERO = {
+    "aim_above_m", "j1_weight", "keep_clear_m", "seed", "restart_rounds", "front_aim_m", "search_shortcuts",
+}  # fmt: skip
 # Beyond these a value is a slip of the pen or of the unit: a target "reached" within a kilometre, a step of many turns.
 _AT_MOST = {
     "q_weights": 1e6, "j1_weight": 1e6, "tolerance_m": 0.1, "aim_above_m": 1.0, "keep_clear_m": 1.0,
     "path_tolerance_m": 0.1, "front_apart_rad": 3.0, "front_aim_m": 1.0, "walk_step_rad": 3.0, "walk_steps": 10_000,
-    "qp_tolerance": 0.01, "alpha_rad": 3.0, "sample_step_rad": 3.0, "max_sample_distance_rad": 1e3,
-    "max_step_qps": 10_000, "max_null_space_steps": 10_000, "path_steps": 10_000, "seed": LARGEST_SEED,
+    "search_step_rad": 3.0, "qp_tolerance": 0.01, "alpha_rad": 3.0, "sample_step_rad": 3.0,
+    "max_sample_distance_rad": 1e3, "max_step_qps": 10_000, "max_null_space_steps": 10_000, "path_steps": 10_000,
+    "seed": LARGEST_SEED,
 }  # fmt: skip
 
 
@@ -156,7 +169,7 @@ def _check(name: str, value, kind) -> None:
     elif name == "qp":
         if value not in ("clarabel", "device") and not value.startswith("qpsolvers:"):
             raise InputError(f"qp is {value!r}; valid: clarabel, device, qpsolvers:<name of a solver>")
-    elif kind is not bool and value is not None:
+    elif not isinstance(value, bool | None):
         for number in value if isinstance(value, tuple) else (value,):
             if not math.isfinite(number) or number < 0 or (number == 0 and name not in _MAY_BE_ZERO):
                 least = "zero or more" if name in _MAY_BE_ZERO else "more than zero"

@@ -80,6 +80,21 @@ _WAYS = {
 }
 
 
+class Kind(enum.IntEnum):
+    """What the arm does on its way to one posture of a motion."""
+
+    TRANSFER = 0  # it goes from the start to another posture, in which the plan begins
+    APPROACH = 1  # it goes to the path's first point
+    FEED = 2  # the tool goes on along the path
+    DWELL = 3  # the tool stays at a target while the arm changes its posture
+    RETRACT = 4  # it goes back, the way it came
+
+    @property
+    def words(self) -> str:
+        """The name as text: "feed"."""
+        return self.name.lower()
+
+
 def words(status: Status) -> str:
     """The name of a status as text."""
     return status.name.replace("_", " ").lower().replace("qp", "QP")

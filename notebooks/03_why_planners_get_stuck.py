@@ -19,6 +19,7 @@
 
 # %%
 from functools import partial
+from itertools import pairwise
 
 import jax
 import jax.numpy as jnp
@@ -33,7 +34,7 @@ from htcp_jax.numerics import null_basis
 from htcp_jax.planner.null_space import Stuck, anchor, sphere_problem
 from htcp_jax.planner.registry import find
 from htcp_jax.scene.inverse_kinematics import reanchor
-from htcp_jax.scene.kinematics import jacobian
+from htcp_jax.scene.kinematics import jacobian, tcp_position
 
 # %% [markdown]
 # ## A target where the baseline ends
@@ -278,3 +279,86 @@ walks_chart()
 sampled = htcp_jax.plan(overrides=MEASURING, method="nspace-sample")
 frame = sampled.frame()
 frame[(frame.escape > 0) | (frame.path_clear == False)][["target", "status", "joint_step_rad", "path_clear"]]  # noqa: E712
+
+# %% [markdown]
+# ## Tracked is not yet driven
+#
+# Another pose, and the arm starts as in the default job. `nspace-sqp` tracks the targets, each of them reached and
+# clear. But an arm has to pass everything in between. Where a local optimiser escapes, it leaves its valley for
+# another one: the posture jumps, and on the straight joint path to the next target the tool leaves the weld. The motion
+# ends there. `roadmap` carries a front of postures along, in several valleys at once. Each is connected to the start by
+# a proven motion, and the one that leads furthest is chosen in the end.
+
+# %%
+POSE = {"workpiece.rotation_y_rad": 0.3, "workpiece.rotation_z_rad": -0.2}
+both = {method: htcp_jax.plan(overrides=POSE, method=method) for method in ("nspace-sqp", "roadmap")}
+{method: {"tracked": str(plan.summary.tracked), **plan.motion_summary.facts()} for method, plan in both.items()}
+
+# %% [markdown]
+# Both plans along the path: the clearance at the targets, and how far the tool is from the line between two targets on
+# its way, looked at in 50 places of every joint path. Pale is what cannot be driven. Green lines, if there are any, are
+# dwells, where the arm changes its posture while the tool stays.
+
+# %%
+PLACES = 50
+tcps = jax.jit(jax.vmap(tcp_position, (None, 0)))
+
+
+def off_line(plan, target):
+    """How far the TCP is at most from the line to a target of the path [m], on the way from the one before."""
+    plans, (a, b) = plan.plans, plan.scenario.targets[target - 1 : target + 1]
+    x = np.concatenate([plans.before(0, target)[None], plans.knots.on_the_way(0, target), plans.x[:1, target]])
+    places = np.concatenate([np.linspace(*ends, PLACES) for ends in pairwise(x)])
+    along = np.asarray(tcps(plan.robot, places)) - a
+    share = np.clip(along @ (b - a) / max((b - a) @ (b - a), 1e-12), 0, 1)
+    return np.linalg.norm(along - share[:, None] * (b - a), axis=1).max()
+
+
+def motions_chart(plans_by_method):
+    figure = Figure(figsize=(9, 5.6), dpi=120, layout="constrained")
+    clearance, away = figure.subplots(2, sharex=True)
+    for (method, plan), colour in zip(plans_by_method.items(), ("#0072b2", "#d55e00"), strict=True):
+        told, first = plan.motion_summary, int(plan.scenario.on_path) + 1
+        targets = np.arange(plan.summary.tracked)
+        on_path = targets[targets >= first]
+        distance = [1e3 * off_line(plan, t) for t in on_path]
+        for axes, x, y in (
+            (clearance, targets, 1e3 * plan.plans.clearance[0, targets]),
+            (away, on_path, np.array(distance)),
+        ):
+            driven = x < told.end.executable
+            axes.plot(x, y, ".-", color=colour, alpha=0.25, markersize=3, linewidth=0.8)
+            axes.plot(x[driven], y[driven], ".-", color=colour, markersize=4, label=method)
+            for target in told.dwells:
+                axes.axvline(target, color="#0b8f6a", linewidth=1.2, zorder=0)
+    away.axhline(1e3 * settings.tube_m, color="#22303c", linewidth=1, linestyle="--")
+    clearance.set(yscale="log", ylabel="clearance D [mm]")
+    away.set(yscale="log", ylabel="TCP off its line [mm]", xlabel="target")
+    for axes in (clearance, away):
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(*clearance.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+    return figure
+
+
+motions_chart(both)
+
+# %% [markdown]
+# ## What the front is good for
+#
+# The same method with fronts of other sizes: at most so many postures are kept at a target, and walks in the null space
+# spread them where there are fewer. With one posture it is a local search, too, which has to walk out of each dead end
+# that it leads into, and dwells to do so. With more the choice among them can wait until it is known which of them lead
+# on: the plan is the path with the fewest dwells, and then the least cost of equation (3).
+
+# %%
+FRONTS = 1, 4, 16, 64
+
+
+def with_front(count):
+    """The motion with fronts of at most so many postures, in figures."""
+    own = {"settings.front": count, "settings.thin_front": min(count, settings.thin_front)}
+    told = htcp_jax.plan(overrides=POSE | own, method="roadmap").motion_summary
+    return {"executable": told.end.executable, "dwells": len(told.dwells), "cost [rad2]": round(told.cost_rad2, 3)}
+
+
+{count: with_front(count) for count in FRONTS}

@@ -9,11 +9,12 @@ from made_once import START, robot
 from htcp_jax import api
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.load_config import load_config
+from htcp_jax.planner.knots import Knots
 from htcp_jax.planner.plans import Plans
 from htcp_jax.scene.duct import duct_cloud, weld
 from htcp_jax.scene.scenario import make_scenario
 from htcp_jax.scene.workpiece_file import load_workpiece
-from htcp_jax.status import Status
+from htcp_jax.status import Status, Way
 
 A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_ESCAPE, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
 STATUSES = [A, A, A, A, A, A, E, A, LIMIT, NOT], [A] * 10  # of two scenarios: the first fails at target 8
@@ -45,3 +46,13 @@ def made_plans(targets: np.ndarray, statuses: list[list[Status]]) -> Plans:
         x=x,
         target=np.repeat(np.asarray(targets)[None], len(statuses), axis=0),
     )
+
+
+def with_a_dwell(plans: Plans) -> Plans:
+    """The same as motions up to target 6: at target 4 the arm turns its wrist, and the way to target 5 is tight."""
+    turning = np.stack([plans.x[:, 4] + turn * np.eye(6)[3] for turn in (0.2, 0.5)], axis=1)
+    target = np.broadcast_to(np.arange(plans.way.shape[1]), plans.way.shape)
+    way = np.where(target < 7, Way.PROVEN, Way.UNKNOWN).astype(np.int8)
+    clear = np.where(way == Way.PROVEN, np.where(target == 5, 2e-4, 3e-3), np.nan)
+    knots = Knots.of([(s, 5, x) for s, x in enumerate(turning)], 6)
+    return plans._replace(way=way, way_clearance=clear, knots=knots)

@@ -22,7 +22,7 @@ from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 
 DRAWN = 3  # postures of a round, in the toy below
-HYBRID = BUILT_IN[-1]
+[HYBRID] = [method for method in BUILT_IN if method.name == "hybrid"]
 
 
 class Inputs(NamedTuple):

@@ -20,12 +20,12 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_a_complete_plan_exits_0_with_a_table_and_four_files(here, capsys):
+def test_a_complete_plan_exits_0_with_a_table_and_five_files(here, capsys):
     assert main(["plan", *SHORT, "--out", "out"]) == 0
     output = capsys.readouterr()
     assert "targets tracked     13 of 13" in output.out and "100.00 %" in output.out
     assert output.err == ""  # quiet when piped
-    names = {"trajectory.csv", "trajectory.npz", "summary.json", "plan.png"}
+    names = {"motion.csv", "trajectory.csv", "trajectory.npz", "summary.json", "plan.png"}
     assert {path.name for path in (here / "out").iterdir()} == names
     summary = json.loads((here / "out" / "summary.json").read_text())
     assert summary["tracked"] == 13 and summary["failures"] == []
@@ -34,6 +34,24 @@ def test_a_complete_plan_exits_0_with_a_table_and_four_files(here, capsys):
     assert all(float(row["clearance_m"]) > 0 and float(row["residual_m"]) <= 1e-3 for row in rows)
     with np.load(here / "out" / "trajectory.npz") as arrays:
         assert arrays["x"].shape == (13, 6)
+    motion, told = summary["motion"], output.out
+    assert (motion["executable"], motion["way"], motion["dwells"]) == (13, "PROVEN", [])
+    assert "executable          13 of 13 targets\n" in told and "dwells              none\n" in told
+    assert f" all along; tightest on the way to target {motion['tightest']}\n" in told
+    assert f"cost {motion['cost_rad2']:.4g} rad2; on the path steps up to {motion['path_step_max_rad']:.3g} rad" in told
+    with open(here / "out" / "motion.csv", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["kind"] for row in rows] == ["APPROACH"] * 13 + ["FEED"]
+    assert [int(row["target"]) for row in rows] == [0, *range(13)]
+
+
+def test_the_motion_leads_back_where_that_is_asked_for(here, capsys):
+    assert main(["plan", *SHORT, "--out", "out", "--retract", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["motion"]["executable"] == 13
+    with open(here / "out" / "motion.csv", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    joints = [tuple(row[f"joint{k + 1}_rad"] for k in range(6)) for row in rows]
+    assert joints == joints[::-1] and [row["kind"] for row in rows[14:]] == ["RETRACT"] * 13
 
 
 def test_an_incomplete_plan_exits_3_saves_what_it_has_and_names_the_failure(here, capsys):

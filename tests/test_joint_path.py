@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from sphere_references import place
 
-from htcp_jax.clearance.motion_bound import motion_bound
+from htcp_jax.clearance.motion_bound import motion_bound, travel_bound
 from htcp_jax.clearance.motion_proof import RESOLUTION_M, path_clear, proven_clear
 from htcp_jax.clearance.obstacles import clearance
 from htcp_jax.clearance.scene import Scene
@@ -97,6 +97,30 @@ def test_no_point_of_a_body_moves_further_than_the_bound(model, tmp_path):
         assert (moved <= most + 1e-12).all()
         tightest = max(tightest, float((moved / np.maximum(most, 1e-9)).max()))
     assert tightest > 0.9  # and it is no more than it has to be
+
+
+@pytest.mark.parametrize("model", ["gp50", "rail"])
+def test_no_point_of_a_body_travels_further_on_a_joint_path_than_the_bound(model, tmp_path):
+    """Random joint paths, random places on them; never more than the bound by turns alone says, and less than half of
+    it where the joints undo each other's motion."""
+    robot = made_once.robot() if model == "gp50" else load_robot(rail(tmp_path), limits="model")
+    rng, n = np.random.default_rng(3), len(robot.slides)
+    bound, by_turns, ends = jax.jit(travel_bound), jax.jit(motion_bound), jax.jit(capsule_segments)
+    tightest, gain = 0.0, 1.0
+    for _ in range(200):
+        x, rates, half = rng.uniform(-1, 1, n), rng.normal(size=n) * rng.integers(0, 2, n), rng.choice([0.01, 0.1, 0.5])
+        most = np.asarray(bound(robot, jnp.asarray(x), jnp.asarray(rates), half))
+        turns = np.asarray(by_turns(robot, jnp.asarray(x), jnp.asarray(half * abs(rates))))
+        assert (most <= turns).all()
+        (p, q), (p2, q2) = (
+            map(np.asarray, ends(robot, jnp.asarray(y))) for y in (x, x + rng.uniform(-1, 1) * half * rates)
+        )
+        s = rng.uniform(size=(len(most), 1))
+        moved = np.linalg.norm((1 - s) * (p2 - p) + s * (q2 - q), axis=1)
+        assert (moved <= most + 1e-12).all()
+        tightest = max(tightest, float((moved / np.maximum(most, 1e-9)).max()))
+        gain = min(gain, float((most / np.maximum(turns, 1e-9))[turns > 0].min(initial=1.0)))
+    assert tightest > 0.9 and gain < 0.5
 
 
 def rail(folder):

@@ -2,6 +2,7 @@
 
 import json
 import subprocess
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -9,17 +10,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from made_once import seven_joints
-from made_plan import STATUSES, made_plan
+from made_plan import STATUSES, made_plan, with_a_dwell
 from PIL import Image
 
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
-from htcp_jax.scene.kinematics import ArmShape
+from htcp_jax.scene.kinematics import ArmShape, capsules_and_tcp
+from htcp_jax.status import Kind
 from htcp_jax.viewer import offscreen
 from htcp_jax.viewer.camera import fitted, kept, open_side
-from htcp_jax.viewer.colours import FAILED, TargetStyle, rgb, target_styles
+from htcp_jax.viewer.colours import DWELL, FAILED, NEAREST, TargetStyle, rgb, target_styles
 from htcp_jax.viewer.movie import HELD, RATE, write_movie
-from htcp_jax.viewer.render import STRIDE_M, Studio, way
+from htcp_jax.viewer.playback import STRIDE_M, way
+from htcp_jax.viewer.render import Studio
 from htcp_jax.viewer.replay import replays_of
 
 SIZE = 320, 220
@@ -94,9 +97,49 @@ def test_the_way_passes_every_tracked_target_in_small_strides(replay):
         first = postures[met.index(t)].arm
         np.testing.assert_allclose(first.p, replay.p[t], atol=1e-12)
         np.testing.assert_allclose(first.tcp, replay.tcp[t], atol=1e-12)
-    points = np.array([np.vstack([arm.p, arm.q, arm.tcp]) for arm, _ in postures])
+    points = np.array([np.vstack([arm.p, arm.q, arm.tcp]) for arm, *_ in postures])
     # Along an arc a point moves a little further than its share of the chord.
     assert np.linalg.norm(np.diff(points, axis=0), axis=2).max() < 1.3 * STRIDE_M
+
+
+@pytest.fixture(scope="module")
+def dwelling(made):
+    """The plan, with a change of posture at target 4."""
+    return replays_of("by hand", replace(made[0], plans=with_a_dwell(made[0].plans))).replay(0, "baseline")
+
+
+def test_the_way_passes_the_postures_between_targets_and_knows_where_the_arm_dwells(dwelling):
+    """Its joints are not shown, so that postures are told by where the arm is."""
+    postures = way(dwelling)
+    at_target = [k for k, posture in enumerate(postures) if posture.target == 4]
+    turning = [k for k, posture in enumerate(postures) if posture.dwells]
+    assert set(turning) < set(at_target) and turning == list(range(turning[0], turning[-1] + 1))
+    passed = dwelling.motion.x[dwelling.motion.kind == Kind.DWELL]
+    assert len(passed) == 2
+    tips = np.array([posture.arm.tcp for posture in postures])
+    for x in passed:
+        shape = capsules_and_tcp(dwelling.robot, x[None])
+        assert np.abs(tips[turning] - np.asarray(shape.tcp)).max(axis=1).min() < 1e-12
+    points = np.array([np.vstack([posture.arm.p, posture.arm.q, posture.arm.tcp]) for posture in postures])
+    assert np.linalg.norm(np.diff(points, axis=0), axis=2).max() < 1.3 * STRIDE_M
+    assert [posture.target for posture in postures] == sorted(posture.target for posture in postures)
+
+
+def test_a_picture_marks_the_dwells_and_the_tightest_place(replay, dwelling, screenless):
+    with Studio(dwelling, *SIZE, close=True, fine=False) as studio:
+        marked = studio.still(0)
+    with Studio(replay, *SIZE, close=True, fine=False) as studio:
+        plain = studio.still(0)
+    assert near(marked, DWELL) > near(plain, DWELL) + 10
+    assert near(marked, NEAREST) > near(plain, NEAREST)
+
+
+def test_the_command_tells_of_the_motion(made, screenless, tmp_path, capsys):
+    words = ["--movie", "none", "--width", "160", "--out", str(tmp_path), "--json"]
+    replace(made[0], plans=with_a_dwell(made[0].plans)).save(tmp_path / "plan")
+    assert main(["render", str(tmp_path / "plan"), *words]) == 0
+    motion = json.loads(capsys.readouterr().out)["motion"]
+    assert (motion["executable"], motion["dwells"], motion["tightest"], motion["clearance_m"]) == (7, [4], 5, 2e-4)
 
 
 def test_the_open_side_s_half_is_cut_off(replay):

@@ -14,12 +14,14 @@ from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.planner import batch
+from htcp_jax.planner.motion import MotionFigures
 from htcp_jax.report import paper, tables
 from htcp_jax.report.best import best
 from htcp_jax.report.cell import RunScene
 from htcp_jax.report.chapter import choice, facts, label, presets
 from htcp_jax.report.document import Column, Heading, Table, html, markdown
 from htcp_jax.report.groups import read_parts
+from htcp_jax.report.motions import meaning, motions
 from htcp_jax.report.report import make_report, overview
 from htcp_jax.runs.reachability_file import REACHABILITY
 from htcp_jax.runs.run_folder import open_run
@@ -315,8 +317,44 @@ def test_the_command_prints_the_table_and_writes_a_report_that_stands_alone(fold
         (base, hybrid) = csv.DictReader(stream)
     assert float(base["success_percent"]) == 100 * 5073 / 5145 and hybrid["paper_success_percent"] == ""
     assert sorted(file.name for file in (tmp_path / "report").glob("*.csv")) == [
-        "best.csv", "joint-steps.csv", "results.csv", "scenarios.csv", "stops.csv", "times.csv",
+        "best.csv", "joint-steps.csv", "motions.csv", "results.csv", "scenarios.csv", "stops.csv", "times.csv",
     ]  # fmt: skip
+
+
+def test_the_motions_of_a_part_are_counted_and_measured(folder):
+    """The arm of `by_hand` goes from its start to zero, and rests; the baseline's motions end before the second
+    target."""
+    rows = rows_of(motions(part_of(folder, "poses")))
+    base, hybrid = rows["baseline"], rows["hybrid"]
+    assert (base["executable"], base["whole"], hybrid["executable"], hybrid["whole"]) == (49, 0, 5145, 49)
+    assert hybrid["dwells"] == hybrid["dwelling"] == hybrid["path_step_max_rad"] == hybrid["curvature_max_rad_m2"] == 0
+    assert hybrid["cost_median_rad2"] == pytest.approx(2.3**2 + 0.5**2 + 0.5**2 + 2.0**2)
+    assert base["cost_median_rad2"] is base["path_step_max_rad"] is base["cost_common_rad2"] is None
+
+
+def test_costs_are_compared_where_every_method_s_motion_leads_to_the_end(folder):
+    """Scenarios 0 to 3, of three targets; one method loses the last of 1, nobody knows what the motion of 2 costs."""
+    part = part_of(folder, "one")
+    plans = plans_with([[Status.TRACKED] * 3] * 4)
+    plans = plans._replace(way=np.full_like(plans.way, Way.PROVEN))
+    short = plans._replace(way=np.where(np.arange(12).reshape(4, 3) == 5, Way.LEAVES, plans.way).astype(np.int8))
+
+    def figures(dwells, costs, steps, bends):
+        return MotionFigures(*(np.array(column, float) for column in (dwells, costs, steps, bends, [1e-3] * 4)))
+
+    nan = np.nan
+    known = {
+        "a": figures([0, 2, nan, 1], [2.0, 3.0, nan, 8.0], [0.1, 0.5, nan, 0.2], [10, 20, nan, nan]),
+        "b": figures([0, 0, nan, 0], [1.0, 9.0, nan, 4.0], [0.3, 0.1, nan, 0.2], [1, 2, nan, 3]),
+    }
+    made = replace(part, numbers=np.arange(4), plans={"a": plans, "b": short}, motions=known)
+    a, b = rows_of(motions(made)).values()
+    assert (a["executable"], a["whole"], b["executable"], b["whole"]) == (12, 4, 11, 3)
+    assert (a["dwells"], a["dwelling"], b["dwells"], b["dwelling"]) == (3, 2, 0, 0)
+    assert (a["cost_median_rad2"], b["cost_median_rad2"]) == (3.0, 2.5)
+    assert (a["cost_common_rad2"], b["cost_common_rad2"]) == (pytest.approx(4.0), pytest.approx(2.0))
+    assert (a["path_step_max_rad"], a["curvature_median_rad_m2"], a["curvature_max_rad_m2"]) == (0.5, 15, 20)
+    assert "the 3 in which that is so with every method" in meaning(made)
 
 
 def test_grids_of_any_number_of_axes_are_drawn(folder):

@@ -1,113 +1,37 @@
 """The roadmap: what it tracks are motions from the given start, looked at place by place; and motions are judged."""
 
 from dataclasses import replace
-from functools import cache, partial
-from itertools import pairwise
+from functools import cache
 
 import jax
 import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
+from small_motions import (
+    SMALL,
+    D_everywhere,
+    check_motions,
+    check_rows,
+    first_of,
+    planned,
+    poses,
+    roadmap,
+    same,
+    scenario,
+)
 
-from htcp_jax.clearance.obstacles import clearance
 from htcp_jax.planner.batch import plan, start_clearance
 from htcp_jax.planner.devices import choose
 from htcp_jax.planner.knots import Knots
 from htcp_jax.planner.motion_check import judge_motions
-from htcp_jax.planner.plans import ARRAYS, Plans
+from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.scene.inverse_kinematics import reanchor
-from htcp_jax.scene.kinematics import tcp_position
-from htcp_jax.scene.robot import lengthen_tool
-from htcp_jax.scene.scenario import make_scenario, stack
+from htcp_jax.scene.scenario import stack
 from htcp_jax.scene.task import Task
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status, Way
-
-# A small search: of these settings none is compiled into a program.
-SMALL = Settings(front=6, thin_front=6, walks=6, walk_rounds=2)
-PLACES = 200  # of every straight joint path
-_D_everywhere = jax.jit(lambda robot, obstacle, where, x: jax.lax.map(partial(clearance, robot, obstacle, where), x))
-_TCPS = jax.jit(jax.vmap(tcp_position, in_axes=(None, 0)))
-
-
-def scenario(number=0, rotation=(0.4, 0.1), start=made_once.START, **changes):
-    return make_scenario(made_once.robot(), made_once.duct(), start, rotation=rotation, number=number, **changes)
-
-
-def first_of(one, targets):
-    """The scenario with its first targets alone."""
-    return replace(one, targets=one.targets[:targets], count=np.asarray(targets, np.int32))
-
-
-@cache
-def poses():
-    """Where the search has to spread its front and to go on elsewhere; of different lengths, margins, and tools."""
-    return (
-        scenario(0, (0.4, -0.3)),
-        scenario(1, (0.2, -0.3), approach=(3, 2), margin_m=0.0),
-        scenario(2, (0.4, 0.0), tool_extension_m=0.02),
-    )
-
-
-def roadmap(scenarios, settings=SMALL, **choices):
-    return plan(made_once.robot(), made_once.duct(), scenarios, "roadmap", settings, **choices)
-
-
-@cache
-def planned():
-    return roadmap(poses(), threads=1)
-
-
-def same(one, row, other, other_row, count):
-    """Whether two plans say the same of a scenario, to the last bit."""
-    for name in ARRAYS:
-        here, there = (getattr(p, name)[r] for p, r in ((one, row), (other, other_row)))
-        if name != "start":
-            here, there = here[:count], there[:count]
-        np.testing.assert_array_equal(here, there, err_msg=name)
-    for t in range(count):
-        np.testing.assert_array_equal(one.knots.on_the_way(row, t), other.knots.on_the_way(other_row, t))
-
-
-def ways(plans, s):
-    """(target, postures from the row before to its own) of the executable targets."""
-    before = plans.start[s]
-    for t in np.flatnonzero(plans.executable[s]).tolist():
-        yield t, np.concatenate([before[None], plans.knots.on_the_way(s, t), plans.x[s, t][None]])
-        before = plans.x[s, t]
-
-
-def off_line(start, end, points):
-    line = end - start
-    along = np.clip((points - start) @ line / (line @ line or 1.0), 0, 1)
-    return np.linalg.norm(points - start - along[:, None] * line, axis=1)
-
-
-def check_way(one, t, postures, radius):
-    """By brute force: clear everywhere, and on the path the TCP near its line, along which it never turns back; or,
-    while the arm changes its posture, near the target before. Returns the smallest D."""
-    robot, where = lengthen_tool(made_once.robot(), float(one.tool_extension_m)), jax.tree.map(jnp.asarray, one)
-    smallest = np.inf
-    for k, (a, b) in enumerate(pairwise(postures)):
-        x = jnp.asarray(a + np.linspace(0, 1, PLACES)[:, None] * (b - a))
-        smallest = min(smallest, float(jnp.min(_D_everywhere(robot, made_once.scene()[1], where, x))))
-        if t <= one.on_path:
-            continue
-        points, (start, end) = np.asarray(_TCPS(robot, x)), one.targets[t - 1 : t + 1]
-        turns = k < len(postures) - 2
-        assert off_line(start, start if turns else end, points).max() <= radius
-        assert turns or (np.diff(points @ (end - start)) >= -1e-15).all()
-    return smallest
-
-
-def check_motions(scenarios, plans, radius):
-    for s, one in enumerate(scenarios):
-        np.testing.assert_array_equal(plans.start[s], one.x_start)
-        for t, postures in ways(plans, s):
-            smallest = check_way(one, t, postures, radius)
-            assert 0 < plans.way_clearance[s, t] <= smallest + 1e-9
 
 
 def test_what_is_tracked_is_a_motion_from_the_given_start():
@@ -121,27 +45,14 @@ def test_what_is_tracked_is_a_motion_from_the_given_start():
 
 
 def test_targets_count_as_those_of_any_method():
-    """Reached, with the margin, within the limits; and what is recorded is what the posture has."""
-    plans, (lower, upper) = planned(), (np.asarray(made_once.robot().lower), np.asarray(made_once.robot().upper))
+    """And nothing is said of what comes after them."""
+    plans = planned()
+    check_rows(poses(), plans, SMALL)
     for s, one in enumerate(poses()):
-        robot = lengthen_tool(made_once.robot(), float(one.tool_extension_m))
-        own = plans.tracked[s]
-        x, count = plans.x[s, own], int(own.sum())
-        D = _D_everywhere(robot, made_once.scene()[1], jax.tree.map(jnp.asarray, one), jnp.asarray(x))
-        np.testing.assert_allclose(plans.clearance[s, own], D, atol=1e-13)
-        assert (plans.clearance[s, own] > 0).all() and (plans.clearance[s, own] >= one.margin_m).all()
-        tcp = np.asarray(_TCPS(robot, jnp.asarray(x)))
-        np.testing.assert_allclose(plans.tcp[s, own], tcp, atol=1e-13)
-        residual = np.linalg.norm(tcp - one.targets[:count], axis=1)
-        np.testing.assert_allclose(plans.residual[s, own], residual, atol=1e-13)
-        assert residual.max() <= SMALL.tolerance_m
-        assert (x >= lower).all() and (x <= upper).all()
-        walked = np.concatenate([[one.x_start], x])
-        np.testing.assert_allclose(plans.joint_step[s, own], np.linalg.norm(np.diff(walked, axis=0), axis=1))
-        assert (plans.path_clear[s, own] == 1).all() and (plans.escape[s] == 0).all()
+        count, exists = int(plans.tracked[s].sum()), int(one.count)
+        assert (plans.path_clear[s, :count] == 1).all() and (plans.escape[s] == 0).all()
         for rows in (plans.x, plans.tcp, plans.clearance, plans.residual, plans.joint_step, plans.way_clearance):
             assert np.isnan(rows[s, count:]).all()
-        exists = int(one.count)
         assert (plans.status[s, :count] == Status.TRACKED).all()
         assert (plans.status[s, count + 1 : exists] == Status.NOT_ATTEMPTED).all()
         assert count == exists or plans.status[s, count] in (Status.PATH_BLOCKED, Status.ESCAPE_EXHAUSTED)
@@ -171,13 +82,13 @@ def test_another_seed_is_another_search_for_motions():
 
 def test_a_change_of_posture_may_be_several_walks_one_after_the_other():
     """One posture and one walk at a time, each from where those before came to: the first of them is not enough."""
-    one, settings = first_of(scenario(14, (0.2, 0.0)), 55), replace(SMALL, front=1, thin_front=1, walks=1)
+    one, settings = first_of(scenario(14, (0.4, -0.3)), 60), replace(SMALL, front=1, thin_front=1, walks=1)
     once, often = (roadmap([one], replace(settings, walk_rounds=rounds)) for rounds in (1, 12))
     (lost,) = set(often.knots.target.tolist())
     assert once.outcome(0).failed == lost and once.tracked.sum() == lost
     assert (often.executable == often.tracked).all() and often.tracked[0].all()
     steps = np.linalg.norm(np.diff(often.knots.x, axis=0), axis=1)
-    assert len(steps) > 1 and steps.max() < 2 * settings.walk_step_rad
+    assert len(often.knots.x) > 1 and steps.max() < 2 * settings.walk_step_rad
 
 
 def test_a_narrower_tube_is_kept_to():
@@ -325,7 +236,7 @@ def test_an_arm_that_touches_on_its_way_is_no_motion(target):
     where, scene = jax.tree.map(jnp.asarray, one), made_once.scene()
     before = plans.start[0] if target == 0 else plans.x[0, target - 1]
     far = made_once.configurations_near(before, 200, 1.5)
-    D = np.asarray(_D_everywhere(*scene[:2], where, jnp.asarray(far)))
+    D = np.asarray(D_everywhere(*scene[:2], where, jnp.asarray(far)))
     through = Knots.of([(0, target, far[[int(np.argmin(D))]])], 6)
     assert D.min() < 0
     changed = judged(one, knots=through)
@@ -374,3 +285,29 @@ def test_what_another_method_makes_is_judged_as_well():
     plans = plan(made_once.robot(), made_once.duct(), scenarios, "baseline", SMALL)
     check_motions(scenarios, plans, SMALL.tolerance_m)
     assert plans.executable.sum() > 24
+
+
+def test_other_postures_at_the_first_target_lead_further_by_a_transfer():
+    """A start in a dead end: the arm changes its posture before the path, by a proven joint path, and goes on; every
+    way is looked at place by place. Where transfers are not allowed, or the start itself leads on, nothing changes."""
+    without, settings = Settings(smooth=False), Settings(smooth=False, transfers=True)
+    lost, easy = scenario(1, (0.2, -0.2)), first_of(poses()[2], 30)
+    own, plans = roadmap([lost, easy], without), roadmap([lost, easy], settings)
+    assert own.executable[0].sum() < plans.executable[0].sum()
+    assert (plans.executable == plans.tracked).all()
+    assert plans.joint_step[0, 0] > 1.0 > own.joint_step[0, 0]
+    check_motions([lost, easy], plans, settings.tube_m)
+    same(own, 1, plans, 1, 30)
+    same(plans, 0, roadmap([lost], settings, threads=1), 0, int(lost.count))
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_who_else_is_transferred_has_no_influence(threads):
+    """Searches from other postures are begun when those before have ended, so they stand in another order."""
+    settings = replace(SMALL, transfers=True)
+    rotations = ((0.8, 0.3), (0.2, -0.3), (0.5, 0.1), (0.7, -0.1), (0.4, -0.3), (0.6, 0.2), (0.3, 0.3))
+    lost = [scenario(k, rotation) for k, rotation in enumerate(rotations)]
+    plans, backwards = roadmap(lost, settings, threads=1), roadmap(lost[::-1], settings, threads=threads)
+    for s, one in enumerate(lost):
+        same(plans, s, backwards, len(lost) - 1 - s, int(one.count))
+        same(plans, s, roadmap([one], settings, threads=1), 0, int(one.count))

@@ -3,8 +3,9 @@
 import pyarrow as pa
 from small_run import LONGER
 
-from htcp_jax.runs.labels import labels_of, part
+from htcp_jax.runs.labels import labels_of, parameter_names, part
 from htcp_jax.runs.run_folder import open_run
+from htcp_jax.runs.tables import empty_tables
 from htcp_jax.viewer.replay import open_replays
 
 
@@ -32,6 +33,13 @@ def test_any_column_that_is_no_result_is_a_parameter():
         "margin_m": [1, 1],
     }
     assert labels_of(pa.table(table)) == {0: "a: cloud x.npy", 1: "b: cloud y.npy"}
+
+
+def test_no_result_of_a_sweep_is_a_parameter():
+    """That the targets are executable, and how smoothly, was told as if it had been asked for."""
+    table = empty_tables(("joint1_rad",))["scenarios"]
+    own = "rotation_x_rad rotation_y_rad rotation_z_rad shift_x_m shift_y_m shift_z_m tool_extension_m margin_m path"
+    assert parameter_names(table) == ["start_joint1_rad", *own.split()]
 
 
 def test_parameters_that_go_together_are_told_once():

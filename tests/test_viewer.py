@@ -16,11 +16,13 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from made_plan import STATUSES, made_plan, made_plans
+from made_plan import STATUSES, made_plan, made_plans, with_a_dwell
 from PIL import Image
 
 from htcp_jax.cli.main import main
+from htcp_jax.status import Way
 from htcp_jax.viewer.colours import FAILED
+from htcp_jax.viewer.playback import way
 from htcp_jax.viewer.replay import Replays
 from htcp_jax.viewer.sides import View
 from htcp_jax.viewer.workcell import GivenCell, Workcell
@@ -28,7 +30,7 @@ from htcp_jax.viewer.workcell import GivenCell, Workcell
 pytest.importorskip("viser", reason="the extra `view` is not installed")
 
 from htcp_jax.viewer.browser import Viewer, grazing
-from htcp_jax.viewer.browser_scene import lit, turned_to
+from htcp_jax.viewer.browser_scene import lit, side_by_side, turned_to
 
 BROWSERS = "chromium", "chromium-browser", "chromium-headless-shell", "google-chrome"
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
@@ -44,11 +46,12 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def replays(tmp_path_factory) -> Replays:
-    """Two scenarios by two methods: one fails in scenario 0, the other in none."""
+    """Two scenarios by three methods: one fails in scenario 1, the others in none; the last changes its posture."""
     plan = made_plan(tmp_path_factory.mktemp("shelf"))
     plans = {
         "baseline": made_plans(plan.scenario.targets, STATUSES[::-1]),  # scenario 1 is the one that fails
         "hybrid": made_plans(plan.scenario.targets, [STATUSES[1], STATUSES[1]]),
+        "roadmap": with_a_dwell(made_plans(plan.scenario.targets, [STATUSES[1], STATUSES[1]])),
     }
     cell = GivenCell(Workcell(plan.job, plan.robot, plan.workpiece), plan.scenario)
     return Replays("two", tuple(plans), plans.__getitem__, cell)
@@ -175,6 +178,38 @@ def test_play_walks_to_the_end_and_stops(page, viewer):
     until(lambda: viewer.target == 9)
     page.get_by_role("button", name="Play").wait_for()
     assert page.get_by_text("The arm is shown where it came to before.").is_visible()
+
+
+def test_play_passes_the_postures_between_targets(page, viewer):
+    """The plan changes its posture at target 4: the arm is seen where it is at no target, and its place is marked."""
+    seen_at: list[np.ndarray] = []
+    move = viewer.stage.move
+    viewer.stage.move = lambda arm: (seen_at.append(arm.tcp), move(arm))
+    page.get_by_role("combobox").nth(0).click()
+    page.get_by_role("option", name="roadmap").click()
+    until(lambda: viewer.shown == (1, "roadmap"))
+    told = " ".join(getattr(node, "text", "") for node in viewer.stage._marks)
+    assert "dwell at 4" in told and "tightest: at least 0.2 mm proven" in told
+    page.get_by_role("button", name="Play").click()
+    until(lambda: viewer.target == 6)
+    replay = viewer._replays.replay(1, "roadmap")
+    turning = [posture.arm.tcp for posture in way(replay) if posture.dwells]
+    assert turning and all(np.abs(np.array(seen_at) - tcp).max(axis=1).min() < 1e-12 for tcp in turning)
+
+
+def test_dwells_side_by_side_share_a_label():
+    assert side_by_side(()) == [] and side_by_side((3, 5, 9, 30, 40, 41)) == [[3, 5, 9], [30], [40, 41]]
+
+
+def test_the_facts_of_a_target_tell_of_the_way_there(replays):
+    viewer = Viewer(replays, port=0, scenario=0, method="roadmap")
+    viewer.go_to(4)
+    assert "The arm changes its posture here." in viewer._facts.content
+    viewer.go_to(5)
+    assert "proven: 0.2 mm clear at least. It is the tightest of the proof." in viewer._facts.content
+    viewer.go_to(7)
+    assert Way.UNKNOWN.message in viewer._facts.content
+    viewer.stop()
 
 
 def test_the_cut_the_points_and_the_closer_look_change_the_picture(page):

@@ -122,6 +122,9 @@ RANGES = [
     setting("settings.q_weights=[1, 1, 1, 1, 1, 0]", "settings.q_weights must be more than zero"),
     setting("settings.q_weights=[]", "q_weights has 0 values, the robot gp50 has 6 joints"),
     setting("settings.q_weights=[1, 1]", "q_weights has 2 values, the robot gp50 has 6 joints"),
+    setting("settings.path_weights=[1, 1]", "path_weights has 2 values, the robot gp50 has 6 joints"),
+    setting("settings.path_weights=[1, 1, 1, 1, 1, 0]", "settings.path_weights must be more than zero"),
+    setting("settings.smooth=perhaps", "settings.smooth is 'perhaps'"),
     setting("settings.path_steps=1000000", "settings.path_steps is 1000000; at most 10000"),
     setting("settings.path_steps=0", "settings.path_steps must be more than zero"),
     setting("settings.path_steps=2.5", "settings.path_steps is 2.5"),
@@ -210,6 +213,7 @@ YAML = [
     job("margin: 0.001\n", "unknown key margin; did you mean margin_m?"),
     job("1: 2\n", "unknown key 1"),
     job("workpiece: {cloud: box.xyz}\n", "box.xyz: a cloud needs a tool path of its own"),
+    job("workpiece: {cloud: box.xyz, path: crown}\n", "box.xyz: a cloud needs a tool path of its own"),
     job("workpiece: {cloud: none.xyz, path: path.csv}\n", "none.xyz: no such file"),
     job("workpiece: {cloud: [box.xyz], path: path.csv}\n", "workpiece.cloud is ['box.xyz']"),
     job("workpiece: {cloud: ., path: path.csv}\n", "unknown ending ''"),
@@ -335,6 +339,7 @@ SWEEPS = [
     grid("grid: [{start_rad.3: [0]}, {start_rad.joint3: [0]}]", "start_rad.joint3 stands in it twice"),
     grid("grid: [workpiece.path: {offsets: [a]}]", "workpiece.path takes names of files"),
     grid("grid: [workpiece.path: [none.csv]]", "none.csv: no such file"),
+    grid("grid: [workpiece.path: [crown, ceiling]]", "seams are weld, left, right, crown, invert, girth-shallow"),
     grid("grid: [margin_m: [0]]\ngroups: {a: [margin_m: [0]]}", "a sweep has either a grid or groups"),
     grid("config: none.yaml\ngrid: [margin_m: [0]]", "cannot read none.yaml"),
     grid('config: "a\\0b"\ngrid: [margin_m: [0]]', "cannot read a"),
@@ -389,11 +394,14 @@ PATHS = [
     path("p.csv", b"\xff\xfe0\x00", "not a text file of points"),
     path("p.npy", b"", "unknown ending '.npy'"),
     path("p.obj", "v 0 0 0\n", "unknown ending '.obj'"),
-    path("p", "0 0 0\n", "unknown ending ''"),
+    path("p", "0 0 0\n", "no seam of the generated duct, nor a table"),
     Wrong(["plan", "--set", "workpiece.path=p.csv"], "half of the path", {"p.csv": "9,0,0\n"}),
     setting("workpiece.path=none.csv", "none.csv: no such file"),
-    setting("workpiece.path=.", "unknown ending ''"),
-    setting("workpiece.path=/dev/zero", "unknown ending ''"),
+    setting("workpiece.path=.", "no seam of the generated duct, nor a table"),
+    setting("workpiece.path=/dev/zero", "tables end in .xyz .csv .txt"),
+    setting(
+        "workpiece.path=ceiling", "ceiling: no seam of the generated duct, nor a table of x,y,z; seams are weld, left,"
+    ),
 ]
 ARMS = [
     model("bad.xml", "", "not a robot model that MuJoCo can read"),

@@ -7,24 +7,32 @@ Let joint j turn by at most d_j either way. In the frame of the link before it, 
 where r_j is the point's distance to the joint's axis at the middle, and M_{j+1} bounds what the joints beyond add
 (0 beyond the body's own link). A slide adds d_j alone. A body is rigid and convex, so its ends bound all its points.
 
-On a straight joint path x(s) with x' = t, a point of the last link has p'' = sum_ij t_i t_j d2p / dq_i dq_j. The column
-of a hinge j is z_j x (p - o_j), as long as p is far from its axis, and turns with every hinge i before it (Siciliano et
-al., Robotics, section 3.1); so, with r_j bounded as above,
+On a straight joint path x(s) with x' = t, a point has p'' = sum_ij t_i t_j d2p / dq_i dq_j. The column of a hinge j is
+z_j x (p - o_j), as long as p is far from its axis, and turns with every hinge i before it (Siciliano et al., Robotics,
+section 3.1); so, with r_j bounded as above, and over the joints that move the point,
 
     |p''| <= sum_j |t_j| r_j (|t_j| + 2 sum_{i < j} |t_i|).
 
-A slide's own column is of length 1, does not change along itself, and turns with the hinges before it alone.
+A slide's own column is of length 1, does not change along itself, and turns with the hinges before it alone. With
+|p''| <= A within h of the middle m,
+
+    |p(s) - p(m)| <= h |p'(m)| + A h^2 / 2,
+
+which sees that joints undo each other's motion, as they do near a tool that hardly moves.
 """
+
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 
+from htcp_jax.numerics import safe_norm
 from htcp_jax.scene.kinematics import capsule_segments, joint_levers, tcp_position
 from htcp_jax.scene.robot import Robot
-from htcp_jax.types import Float, Joints, Scalar
+from htcp_jax.types import Array, Float, Int, Joints, Scalar
 
 
-def motion_bound(robot: Robot, x: Joints, turns: Joints) -> Float[jax.Array, "K"]:
+def motion_bound(robot: Robot, x: Joints, turns: Joints) -> Float[Array, "K"]:
     """How far any point of each body is from where it is at x, at most, while every joint stays within `turns`
     [rad or m] of x [m]."""
     p, q = capsule_segments(robot, x)
@@ -41,14 +49,35 @@ def motion_bound(robot: Robot, x: Joints, turns: Joints) -> Float[jax.Array, "K"
     return jnp.maximum(farthest(p), farthest(q))
 
 
+def travel_bound(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "K"]:
+    """How far any point of each body is from where it is at x, at most, on the joint path x + s `rates` [rad or m] with
+    |s| <= half [m]."""
+    turns, links = half * jnp.abs(rates), jnp.asarray(robot.capsule_link)
+    ends, speeds = jax.jvp(partial(capsule_segments, robot), (x,), (rates,))
+
+    def farthest(points, velocity):
+        bend = _bend_bound(robot, x, rates, turns, points, links)
+        return half * safe_norm(velocity) + 0.5 * half * half * bend
+
+    p, q = map(farthest, ends, speeds)
+    return jnp.minimum(jnp.maximum(p, q), motion_bound(robot, x, turns))
+
+
 def tcp_bend_bound(robot: Robot, x: Joints, rates: Joints, turns: Joints) -> Scalar:
     """How large the TCP's second derivative |p''| is at most on a straight joint path of x' = `rates` [rad or m],
     while every joint stays within `turns` of x [m]."""
-    levers = joint_levers(robot, x, tcp_position(robot, x)[None])[0]
-    rates, slides = jnp.abs(rates), robot.slides
-    moved, bound = jnp.zeros(()), jnp.zeros(())
+    tcp, last = tcp_position(robot, x)[None], jnp.array([len(robot.slides) - 1])
+    return _bend_bound(robot, x, rates, turns, tcp, last)[0]
+
+
+def _bend_bound(
+    robot: Robot, x: Joints, rates: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Array, "P"]
+) -> Float[Array, "P"]:
+    """The same of points at x that are fixed to links."""
+    levers, rates, slides = joint_levers(robot, x, points), jnp.abs(rates), robot.slides
+    moved, bound = jnp.zeros(len(points)), jnp.zeros(len(points))
     for j in reversed(range(len(slides))):
-        lever = 1.0 if slides[j] else levers[j] + moved
+        lever = jnp.where(links >= j, 1.0 if slides[j] else levers[:, j] + moved, 0.0)
         turned = sum((2 * rates[i] for i in range(j) if not slides[i]), start=jnp.zeros(()))
         bound = bound + rates[j] * lever * (turned + (0.0 if slides[j] else rates[j]))
         moved = moved + turns[j] * lever

@@ -18,8 +18,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 
-from htcp_jax.clearance.motion_bound import motion_bound, tcp_bend_bound
+from htcp_jax.clearance.motion_bound import tcp_bend_bound, travel_bound
 from htcp_jax.clearance.obstacle import Posed
 from htcp_jax.clearance.obstacles import all_clear, room
 from htcp_jax.clearance.scene import Scene
@@ -30,6 +31,7 @@ from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
 
 ROUNDING_M = 1e-9  # more than that of any position: what is proven is proven with so much to spare
 RESOLUTION_M = 1e-5  # what `path_clear` may touch unnoticed: grazing paths take many halvings to prove
+KEPT_DEPTH = 6  # halvings for the sake of a clearance that means something
 DEEPEST = 30  # halvings; a joint turns by less than 1e-8 rad then
 
 
@@ -63,11 +65,21 @@ class Proof(NamedTuple):
 
 
 def prove(
-    scene: Scene, where: Posed, a: Joints, b: Joints, tube: Tube | None = None, resolution_m: float = -ROUNDING_M
+    scene: Scene,
+    where: Posed,
+    a: Joints,
+    b: Joints,
+    tube: Tube | None = None,
+    resolution_m: float = -ROUNDING_M,
+    deepest: Int[ArrayLike, ""] = DEEPEST,
+    kept: Float[ArrayLike, ""] = 0.0,
 ) -> Proof:
     """Whether the straight joint path from a to b [rad or m] is clear, and keeps the TCP in the tube, if there is one.
 
-    resolution_m: D is proven to be more than minus that; what is looked at has to be clear in any case.
+    resolution_m: D is proven to be more than minus that; what is looked at has to be clear in any case. deepest: the
+    most halvings; with fewer, what is nearly touched is open. kept: the share of D in the middle that is to be left
+    over all of an interval; else it is halved further, up to KEPT_DEPTH times. Without, the clearance of a proof may be
+    next to nothing where D is not.
     """
     line = jnp.zeros(3) if tube is None else tube.end - tube.start
     length = safe_norm(line)
@@ -84,13 +96,14 @@ def prove(
         x = a + place * (b - a)
         turns = half * jnp.abs(b - a)
         left = room(scene.robot, scene.obstacles, where, x)
-        spare = jnp.min(left - motion_bound(scene.robot, x, turns))
-        proven, verdict = spare >= -resolution_m, jnp.full((), int(Verdict.PROVEN), jnp.int32)
+        spare = jnp.min(left - travel_bound(scene.robot, x, b - a, half))
+        is_kept = (spare >= kept * jnp.min(left)) | (depth >= KEPT_DEPTH)
+        proven, verdict = (spare >= -resolution_m) & is_kept, jnp.full((), int(Verdict.PROVEN), jnp.int32)
         if tube is not None:
             inside, verdict = _in_tube(scene, tube, forwards, x, b - a, turns, half)
             proven &= inside
         verdict = jnp.where(jnp.min(left) <= 0, int(Verdict.COLLIDES), verdict)
-        verdict = jnp.where((verdict == Verdict.PROVEN) & ~proven & (depth == DEEPEST), int(Verdict.OPEN), verdict)
+        verdict = jnp.where((verdict == Verdict.PROVEN) & ~proven & (depth >= deepest), int(Verdict.OPEN), verdict)
         found = Proof(
             verdict,
             jnp.where(verdict == Verdict.PROVEN, 1.0, place),

@@ -1,4 +1,4 @@
-"""`htcp plan`: one job from a configuration to a table and four files."""
+"""`htcp plan`: one job from a configuration to a table and five files."""
 
 from pathlib import Path
 from typing import Annotated
@@ -20,6 +20,7 @@ Method = Annotated[
     str | None,
     typer.Option(metavar="NAME", help="A method; htcp methods lists them.", autocompletion=complete_method),
 ]
+Retract = Annotated[bool, typer.Option("--retract", help="Let motion.csv lead back to the start, too.")]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.")]
 
 
@@ -28,13 +29,15 @@ def plan(
     method: Method = None,
     overrides: Overrides = None,
     out: Out = Path("out/plan"),
+    retract: Retract = False,
     device: Device = None,
     as_json: Json = False,
 ) -> int:
     """Plan one job: track every target of the path while every capsule keeps clear of the workpiece.
 
-    Writes trajectory.csv, trajectory.npz, summary.json and plan.png. Exits with 0 when every target is tracked and
-    no joint path between them collides, else with 3 (what was tracked is saved), with 2 on bad input.
+    Writes motion.csv, which is what an arm may follow, trajectory.csv, trajectory.npz, summary.json and plan.png.
+    Exits with 0 when every target is tracked and no joint path between them collides, else with 3 (what was tracked is
+    saved), with 2 on bad input.
 
     \b
     htcp plan                                 the default job, which is configs/duct.yaml
@@ -43,7 +46,7 @@ def plan(
     """
     with written_whole(out) as folder:
         made = plan_with_progress(config, overrides, method, device)
-        made.write(folder)
+        made.write(folder, retract=retract)
     forget_validation(out)
     if as_json:
         print_json(made.record())

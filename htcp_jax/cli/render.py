@@ -13,7 +13,8 @@ from htcp_jax.errors import InputError
 from htcp_jax.runs.plan_folder import written_whole
 from htcp_jax.viewer import offscreen
 from htcp_jax.viewer.movie import KINDS, check_kind, write_movie
-from htcp_jax.viewer.render import Studio, way
+from htcp_jax.viewer.playback import way
+from htcp_jax.viewer.render import Studio
 from htcp_jax.viewer.replay import Replay, open_replays
 
 LEAST, MOST = 160, 3840  # pixels across
@@ -47,7 +48,9 @@ def render(
     """Draw one plan by MuJoCo, without a screen: a picture, and a movie along the targets.
 
     The workpiece is cut open. Targets are blue where they are tracked, orange after an escape, red where the plan
-    failed, grey beyond. Needs EGL or OSMesa of the system. Exits with 2 on bad input, and where both are missing.
+    failed, grey beyond; a green cube is a target at which the arm changes its posture, a purple ball the place where
+    the least clearance is proven. Needs EGL or OSMesa of the system. Exits with 2 on bad input, and where both are
+    missing.
 
     \b
     htcp render out/plan                                         the plan of htcp plan
@@ -92,9 +95,10 @@ def _print(replay: Replay, shown: int, files: list[str], as_json: bool) -> None:
     tracked = f"{replay.tracked} of {len(replay.target)}"
     if as_json:
         record = {"scenario": replay.number, "method": replay.method, "tracked": replay.tracked}
-        print_json({**record, "targets": len(replay.target), "failed": replay.failed, "shown": shown, "files": files})
+        record |= {"targets": len(replay.target), "failed": replay.failed, "shown": shown}
+        print_json({**record, "motion": replay.summary.record(), "files": files})
         return
-    facts = {"targets tracked": tracked, "the arm is at": f"target {shown}"}
+    facts = {"targets tracked": tracked, **replay.summary.facts(), "the arm is at": f"target {shown}"}
     if replay.failed is not None:
         facts["failed at"] = f"target {replay.failed}"
     if replay.obstruction is not None:

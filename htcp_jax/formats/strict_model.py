@@ -59,7 +59,8 @@ def refuse_unknown(raw: dict, model: type, source: str, prefix: str = "") -> Non
             for k, item in items:
                 if isinstance(item, dict):
                     refuse_unknown(item, section, source, f"{prefix}{key}." + ("" if k is None else f"{k}."))
-        if not sections and kinds[key] is not bool and any(isinstance(item, bool) for item in _items(value)):
+        is_bool = bool in (kinds[key], *get_args(kinds[key]))
+        if not sections and not is_bool and any(isinstance(item, bool) for item in _items(value)):
             raise InputError(f"{source}: {prefix}{key} is {reprlib.repr(value)}: true and false are no numbers")
 
 

@@ -42,7 +42,7 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
     radius = float(robot.capsule_radius[thinnest])
     workpiece = load_workpiece(
         None if part.cloud == "duct" else part.cloud,
-        None if part.path == "weld" else part.path,
+        part.path,
         inlet="auto" if part.inlet_m is None else part.inlet_m,
         interior=part.interior,
         interior_depth_m=part.interior_depth_m,

@@ -52,7 +52,7 @@ class WorkpieceConfig(Section):
     """The cloud, the tool path in its frame, its pose, and the approach to the path."""
 
     cloud: str = "duct"  # the generated duct, or a file of points or a mesh
-    path: str = "weld"  # the generated duct's weld, or a CSV file of x,y,z [m]
+    path: str = "weld"  # a seam of the generated duct, see `duct_seams`, or a CSV file of x,y,z [m]
     inlet_m: Point | None = None  # centre of the inlet; without it the duct's, or none for another cloud
     interior: Literal["hull", "none"] = "hull"  # what bounds the inside, deeper than interior_depth_m
     interior_depth_m: float = Field(INTERIOR_DEPTH_M, ge=0, le=LARGEST)
@@ -67,6 +67,11 @@ class WorkpieceConfig(Section):
     shift_m: Point = (0.0, 0.0, 0.0)
     approach_to_inlet: Steps = 5  # equal steps from the start's TCP to the inlet
     approach_to_path: Steps = 5  # and from there to the first point of the path
+
+    @property
+    def on_path(self) -> int:
+        """The first target that is a point of the path; the start's TCP and the approach come before it."""
+        return 1 + self.approach_to_inlet + self.approach_to_path
 
     @staticmethod
     def with_new_names(values: dict[str, Any], source: str) -> dict[str, Any]:

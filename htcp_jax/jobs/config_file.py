@@ -13,10 +13,11 @@ from typing import Any
 
 from htcp_jax.errors import InputError
 from htcp_jax.formats.strict_yaml import parse_yaml, read_yaml
+from htcp_jax.scene.duct_seams import SEAMS
 
 BASE = "config"  # the key under which a file names the one that it builds on
-# Keys that name files, each with the word of the built-in part.
-FILES = {("robot", "model"): "gp50", ("workpiece", "cloud"): "duct", ("workpiece", "path"): "weld"}
+# Keys that name files, each with the words of the built-in parts.
+FILES = {("robot", "model"): ("gp50",), ("workpiece", "cloud"): ("duct",), ("workpiece", "path"): SEAMS}
 
 
 def layers(path: Path) -> list[tuple[str, dict]]:
@@ -80,9 +81,9 @@ def _same(one: Path, other: Path) -> bool:
 
 def _anchor_files(raw: dict, folder: Path) -> None:
     """Make file names in `raw` relative to `folder`; the words of the built-in parts stay."""
-    for (section, key), word in FILES.items():
+    for (section, key), words in FILES.items():
         value = raw.get(section)
-        if isinstance(value, dict) and isinstance(value.get(key), str) and value[key] != word:
+        if isinstance(value, dict) and isinstance(value.get(key), str) and value[key] not in words:
             value[key] = str(folder / value[key])
 
 

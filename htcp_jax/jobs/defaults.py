@@ -70,7 +70,7 @@ def value_at(raw: dict, dotted: str) -> Any:
 def is_other(raw: dict, key: str) -> bool:
     """Whether the part is another than the built-in one."""
     name = value_at(raw, key)
-    return isinstance(name, str) and name != FILES[tuple(key.split("."))]
+    return isinstance(name, str) and name not in FILES[tuple(key.split("."))]
 
 
 def _is_point(value: Any) -> bool:

@@ -169,7 +169,7 @@ def _first_values(raw: dict, grids: Mapping[str | None, Sequence[dict]], folder:
         return {key: value for key, value in first.items() if key == "start_rad" and lacks_start}
     model = first.pop("robot.model")
     if isinstance(model, str | os.PathLike):
-        first["robot.model"] = model if model == FILE_KEYS["robot.model"] else str(folder / model)
+        first["robot.model"] = model if model in FILE_KEYS["robot.model"] else str(folder / model)
     return {
         key: value for key, value in first.items() if key == "start_rad" or (key.startswith("robot.") and key in KEYS)
     }

@@ -26,7 +26,7 @@ PARAMETERS = (
     "margin_m",
 )
 NO_AXIS = "method", "ray"  # a sweep asks for methods by itself, and a cluster has no influence on results
-FILE_KEYS = {".".join(key): word for key, word in FILES.items()}
+FILE_KEYS = {".".join(key): words for key, words in FILES.items()}
 XYZ = "xyz"
 
 
@@ -138,8 +138,8 @@ def record(group: Group, stated: Collection[str]) -> dict[str, Any]:
     which of these the configuration `stated`."""
 
     def values(column: Column) -> list:
-        word = FILE_KEYS.get(column.parameter.key)
-        return [value if word is None else absolute(value, word) for value in column.values]
+        words = FILE_KEYS.get(column.parameter.key)
+        return [value if words is None else absolute(value, words) for value in column.values]
 
     axes = [
         {column.parameter.name: {"offsets" if column.relative else "values": values(column)} for column in axis}
@@ -160,9 +160,9 @@ def from_record(record: Mapping[str, Any], joints: Sequence[str]) -> Group:
     return Group(record["name"], tuple(tuple(column(*item) for item in axis.items()) for axis in record["axes"]))
 
 
-def absolute(name: str, word: str) -> str:
-    """The name of a file, whatever the working folder; the word of the built-in part stays."""
-    return name if name == word else str(Path(name).resolve())
+def absolute(name: str, words: Collection[str]) -> str:
+    """The name of a file, whatever the working folder; the words of the built-in parts stay."""
+    return name if name in words else str(Path(name).resolve())
 
 
 def hangs(group: Group) -> bool:
@@ -204,9 +204,9 @@ def _read_column(where: str, folder: Path, key: str, value: Any, known: dict[str
         raise InputError(f"{where}: {key} has no values")
     for item in value:
         _check_value(f"{where}: {key}", known[key], item, relative)
-    word = FILE_KEYS.get(known[key].key)
-    if word is not None:  # relative to the sweep file, as in any configuration
-        value = [item if item == word else str(folder / item) for item in value]
+    words = FILE_KEYS.get(known[key].key)
+    if words is not None:  # relative to the sweep file, as in any configuration
+        value = [item if item in words else str(folder / item) for item in value]
     return Column(known[key], relative, tuple(map(_hashable, value)))
 
 

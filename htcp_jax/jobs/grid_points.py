@@ -18,9 +18,9 @@ def points_of(name: str, config: PlanConfig, groups: Sequence[Group], stated: Co
     columns = [column for group in groups for axis in group.axes for column in axis]
     varied = varied_keys(column.parameter.name for column in columns)
     short = {}
-    for key, word in FILE_KEYS.items():
+    for key, words in FILE_KEYS.items():
         files = [value for column in columns if column.parameter.key == key for value in column.values]
-        short[key] = short_names([*files, value_at(base, key)], word)
+        short[key] = short_names([*files, value_at(base, key)], words)
     number = itertools.count()
     for group in groups:
         hanging, known = hangs(group), {*stated, *group.keys}
@@ -36,13 +36,13 @@ def points_of(name: str, config: PlanConfig, groups: Sequence[Group], stated: Co
             yield Point(k, group.name, own, _words_of(own, varied, short))
 
 
-def short_names(files: Iterable[str], word: str) -> dict[str, str]:
-    """Each file by as many of the last parts of its path as set it apart from the others; `word` as it is."""
-    whole = {file: Path(file).resolve() for file in files if file != word}
+def short_names(files: Iterable[str], words: Collection[str]) -> dict[str, str]:
+    """Each file by as many of the last parts of its path as set it apart from the others; `words` as they are."""
+    whole = {file: Path(file).resolve() for file in files if file not in words}
     count = 1
     while len({path.parts[-count:] for path in whole.values()}) < len(set(whole.values())):
         count += 1
-    return {word: word} | {file: "/".join(path.parts[-count:]) for file, path in whole.items()}
+    return {word: word for word in words} | {file: "/".join(path.parts[-count:]) for file, path in whole.items()}
 
 
 def _words_of(config: PlanConfig, varied: Sequence[str], short: Mapping[str, Mapping[str, str]]) -> dict[str, str]:

@@ -53,15 +53,18 @@ def plan(
     scenarios: from `make_scenario`, one or many, or stacked already. settings: a mapping, {"alpha_rad": 0.05}, changes
     the defaults. device: see `devices.choose`. threads: engines that share the scenarios, by default one a core;
     results do not depend on it. check_paths: afterwards measure, for every accepted step that the method did not check
-    itself, whether its straight joint path is clear (`Plans.path_clear`). task: what the arm holds at every target, by
-    default the TCP's position within `tolerance_m`. obstacles: further ones, see `clearance.obstacle`.
+    itself, whether its straight joint path is clear (`Plans.path_clear`), judge which ways are motions, and smooth
+    these where `settings.smooth` or the method asks for it. task: what the arm holds at every target, by default the
+    TCP's position within `tolerance_m`. obstacles: further ones, see `clearance.obstacle`.
     Raises InputError for an unknown method, device or setting, for weights of the wrong length, for no scenarios,
     and for a task of more rows than joints, or other ones than the targets have.
     """
     chosen, settings = find(method), settings_of(settings)
     joints = len(robot.joint_names)
-    if len(settings.q_weights) != joints:
-        raise InputError(f"q_weights has {len(settings.q_weights)} values, the robot {robot.name} has {joints} joints")
+    for name in ("q_weights", "path_weights"):
+        weights = getattr(settings, name)
+        if weights is not None and len(weights) != joints:
+            raise InputError(f"{name} has {len(weights)} values, the robot {robot.name} has {joints} joints")
     if not isinstance(scenarios, Scenario):
         scenarios = stack(scenarios)
     elif scenarios.x_start.ndim == 1:
@@ -91,6 +94,11 @@ def plan(
 
         check_remaining_paths(problem, plans)
         judge_motions(problem, plans)
+        if getattr(chosen, "smooth", False) if settings.smooth is None else settings.smooth:
+            from htcp_jax.planner.smoothing import smooth
+
+            plans = smooth(problem, plans)
+            judge_motions(problem, plans)
     spent = time.perf_counter() - began
     compile_s = plans.compile_s + sum(each.compile_s for each in problem.kernels)
     return plans._replace(compile_s=compile_s, run_s=spent - compile_s)

@@ -36,6 +36,11 @@ class Node:
             yield node
             node = node.parent
 
+    @property
+    def root(self) -> "Node":
+        """The first of its ancestors."""
+        return list(self.ancestors())[-1]
+
 
 def best_first(nodes: Iterable[Node]) -> list[Node]:
     """Fewest dwells first, then least cost; of equals the one found first."""

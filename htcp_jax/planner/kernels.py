@@ -13,6 +13,7 @@ from htcp_jax.clearance.motion_proof import Proof, Tube, path_clear, prove
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.planner.kernel import DEEP, STEP, Kernel
 from htcp_jax.planner.lane_inputs import LaneInputs
+from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.kinematics import tcp_position
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import step_qp
@@ -105,9 +106,15 @@ def check_path(settings: Settings, scene: Scene, lane: LaneInputs, a, b):
     return path_clear(scene, settings, lane, a, b)
 
 
-def prove_way(settings: Settings, scene: Scene, lane: LaneInputs, a, b, tube: Tube) -> Proof:
-    """Whether the straight joint path from a to b is a motion."""
-    return prove(own_scene(scene, lane.tool_extension_m), lane, a, b, tube)
+def prove_way(settings: Settings, scene: Scene, lane: LaneInputs, a, b, tube: Tube, kept) -> Proof:
+    """Whether the straight joint path from a to b is a motion. kept: see `prove`."""
+    return prove(own_scene(scene, lane.tool_extension_m), lane, a, b, tube, kept=kept)
+
+
+def settle(settings: Settings, scene: Scene, lane: LaneInputs, x):
+    """The posture at x, brought onto its target, ten times closer than inverse kinematics is asked for elsewhere."""
+    scene = own_scene(scene, lane.tool_extension_m)
+    return reanchor(scene.robot, x, lane.target, 0.1 * scene.task.fine_m, task=scene.task)[0]
 
 
 # The kernels by name, each with the settings that it reads
@@ -119,3 +126,4 @@ ADVANCE = Kernel("advance", advance, STEP)
 TRACK_BURST = Kernel("track", track, STEP, (*_STEP_QP, "max_step_qps", "qp_tolerance"))
 CHECK_PATH = Kernel("check_path", check_path, DEEP, ("path_test", "path_steps"))
 PROVE = Kernel("prove", prove_way, DEEP)
+SETTLE = Kernel("settle", settle, STEP)

@@ -14,15 +14,17 @@ from jaxtyping import Bool, Float, Int
 from htcp_jax.clearance.motion_proof import Proof, Tube
 from htcp_jax.planner.kernels import PROVE
 from htcp_jax.planner.lane_inputs import lane_inputs
-from htcp_jax.planner.lanes import gather
+from htcp_jax.planner.lanes import concatenate, gather
+from htcp_jax.planner.motion import ONE_POINT_M
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
-from htcp_jax.planner.tip_check import tip_checks
+from htcp_jax.planner.programs import Kernels
+from htcp_jax.planner.tip_check import TipCheck, tip_checks
 from htcp_jax.scene.scenario import Scenario
 from htcp_jax.scene.task import Task
 from htcp_jax.status import Way
 
-ONE_POINT_M = 1e-5
+KEPT = 0.5  # of what is clear, that the clearance on record is at least
 ROWS_AT_ONCE = 16  # of a scenario: what lies behind the end of a motion need not be looked at
 
 
@@ -82,35 +84,38 @@ def _segments(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> Segments:
         count = len(way) - 1
         turns = np.arange(count) < count - 1
         parts.append(Segments(np.full(count, scenario), np.full(count, target), way[:-1], way[1:], turns))
-    return Segments(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    return concatenate(parts)
 
 
-def _proofs(problem: Problem, segments: Segments) -> Proof:
-    """One each; where the tool's bare tip passes through a wall, they collide."""
-    kernels = problem.kernels  # made here, before there are threads
-    tips = tip_checks(kernels, problem.tip_guard)
+def prove_segments(
+    problem: Problem, kernels: Kernels, tip: TipCheck | None, segments: Segments, kept: float = 0.0
+) -> Proof:
+    """One proof each; where the tool's bare tip passes through a wall, they collide. kept: see `prove`."""
     inputs = lane_inputs(problem.scenarios, segments.scenario, segments.target)
     radius = problem.settings.tube_m
     tube = tubes(problem.scenarios, problem.task, radius, segments.scenario, segments.target, segments.turns)
-    tables = inputs, segments.a, segments.b, tube
-    found: list[tuple[np.ndarray, Proof]] = []
+    proof = kernels(PROVE, inputs, segments.a, segments.b, tube, np.full(len(inputs.row), kept))
+    if tip is not None:
+        through = (proof.verdict == Way.PROVEN) & tip.along(inputs, segments.a, segments.b)
+        proof = proof._replace(verdict=np.where(through, int(Way.COLLIDES), proof.verdict))
+    return proof
 
-    def look(number: int) -> None:
-        part = np.arange(len(segments.target))[number :: problem.threads]
-        if not len(part):
-            return
+
+def _proofs(problem: Problem, segments: Segments) -> Proof:
+    """The same, by all threads."""
+    kernels = problem.kernels  # made here, before there are threads
+    tips = tip_checks(kernels, problem.tip_guard)
+    count, threads = len(segments.target), min(problem.threads, len(segments.target))
+
+    def look(number: int) -> Proof:
         own = number % len(kernels)
-        pick = gather(tables, part)
-        proof = kernels[own](PROVE, *pick)
-        if (tip := tips[own]) is not None:
-            through = (proof.verdict == Way.PROVEN) & tip.along(*pick[:3])
-            proof = proof._replace(verdict=np.where(through, int(Way.COLLIDES), proof.verdict))
-        found.append((part, proof))
+        part = gather(segments, np.arange(number, count, threads))
+        return prove_segments(problem, kernels[own], tips[own], part, KEPT)
 
-    with ThreadPoolExecutor(problem.threads) as pool:
-        list(pool.map(look, range(problem.threads)))
-    order = np.argsort(np.concatenate([part for part, _ in found]))
-    return Proof(*(np.concatenate(column)[order] for column in zip(*(proof for _, proof in found), strict=True)))
+    with ThreadPoolExecutor(threads) as pool:
+        proofs = concatenate(list(pool.map(look, range(threads))))
+    order = np.argsort(np.concatenate([np.arange(number, count, threads) for number in range(threads)]))
+    return gather(proofs, order)
 
 
 def _record(plans: Plans, segments: Segments, proofs: Proof) -> None:

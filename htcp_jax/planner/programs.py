@@ -83,6 +83,11 @@ class Kernels:
         return self.task.freedom(self._scene.robot)
 
     @property
+    def limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """The lowest and the highest joint positions [rad or m]."""
+        return np.asarray(self._scene.robot.lower), np.asarray(self._scene.robot.upper)
+
+    @property
     def sizes(self) -> tuple[int, int]:
         """Rows of the task, and of the clearance."""
         return self.task.rows, len(self._scene.rows.body)

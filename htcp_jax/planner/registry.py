@@ -29,7 +29,7 @@ NAME = re.compile(r"[a-z0-9-]+")  # it stands in names of files and folders
 
 @runtime_checkable
 class Method(Protocol):
-    """A planner."""
+    """A planner. One whose motions are to be smoothed unless the settings say otherwise has `smooth = True`."""
 
     @property
     def name(self) -> str:

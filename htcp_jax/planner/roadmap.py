@@ -3,6 +3,7 @@
     feed     every posture of the front to the next target; it arrives where its joint path is a proven motion
     spread   where few arrive, by walks in the null space of the target, every step of them proven
     go on    with those that are far apart; where nothing arrives, spread the front itself and feed what is new
+    transfer where all that is exhausted, and it is allowed: once more from other postures at the first target
 
 A local optimiser carries one posture along and is lost in the first dead end; the front holds many, on both sides of
 what forks the way. All that arrived is a tree whose root is the start, and the path that is chosen is that of the leaf
@@ -16,21 +17,26 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
+import jax
 import numpy as np
 
+from htcp_jax.clearance.motion_proof import Tube
 from htcp_jax.planner.front import Node, best_first, dispersed
+from htcp_jax.planner.kernels import ADVANCE, PROVE
 from htcp_jax.planner.knots import Knots
-from htcp_jax.planner.lane_inputs import lane_inputs
+from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.planner.lanes import gather
 from htcp_jax.planner.motion_check import tubes
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.roadmap_kernels import FEED, WALK
-from htcp_jax.planner.tip_check import TipCheck, tip_checks
+from htcp_jax.planner.tip_check import TipCheck, out_of_walls, tip_checks
+from htcp_jax.planner.transfers import joined, other_postures
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status, Way
 
+MOST_TRANSFERS = 2  # searches from other postures, each from others
 IN_FLIGHT = 4  # scenarios are planned together, a quarter as many as a table has lanes
 
 
@@ -41,6 +47,7 @@ class Roadmap:
     name: str
     title: str
     description: str
+    smooth = True  # unless the settings say otherwise
 
     def plan(self, problem: Problem) -> Plans:
         """Plan all scenarios; threads take them in turn, and write into different rows."""
@@ -73,11 +80,17 @@ class Search:
     rounds: int = 0  # of walks from the front since something arrived
     draws: int = 0  # rounds of walks in all
     status: Status | None = None  # why the search ended, where it did not come to the last target
+    earlier: "Search | None" = None  # the one before, where this one is from other postures at the first target
 
     @property
     def target(self) -> int:
         """That of the front."""
         return self.front[0].target
+
+    @property
+    def chain(self) -> "list[Search]":
+        """Itself and those before it."""
+        return [self, *(self.earlier.chain if self.earlier is not None else [])]
 
     @property
     def done(self) -> bool:
@@ -135,16 +148,17 @@ class Growing:
                 going.append(self._begin(scenario))
             if not going:
                 return ways
-            before = sum(search.target for search in going)
+            before = sum(search.target for search in going if search.earlier is None)
             self._feed([(search, node) for search in going for node in search.unfed])
             self._walk([(search, node) for search in going for node in search.walkers])
-            tracked = sum(search.target for search in going) - before
-            for search in going:
-                if search.done:
-                    ways += self._record(search)
-            finished = sum(search.done for search in going)
-            going = [search for search in going if not search.done]
-            self._problem.progress(tracked, finished)
+            tracked = sum(search.target for search in going if search.earlier is None) - before
+            ended = [(search, self._elsewhere(search)) for search in going if search.done]
+            going = [search for search in going if not search.done] + [other for _, other in ended if other is not None]
+            finished = [self._chosen(search) for search, other in ended if other is None]
+            for found in finished:
+                ways += self._record(*found)
+                tracked += found[0].target - found[0].chain[-1].target
+            self._problem.progress(tracked, len(finished))
 
     def _begin(self, s: int) -> Search:
         scenarios = self._problem.scenarios
@@ -153,6 +167,29 @@ class Growing:
         can_walk = self._kernels.freedom > 0
         return Search(s, count, on_path, self._problem.settings, can_walk, [start], [start])
 
+    def _elsewhere(self, search: Search) -> Search | None:
+        """Where the start's own part is exhausted: a search from other postures at the first target, if it may be."""
+        s, settings, searches = search.scenario, self._problem.settings, len(search.chain)
+        if search.status is None or not settings.transfers or searches > MOST_TRANSFERS:
+            return None
+        others = other_postures(self._problem, self._kernels, self._tip, s, searches - 1)
+        if not others:
+            return None
+        more = Search(s, search.targets, search.on_path, settings, search.can_walk, others, others)
+        more.earlier, more.draws = search, search.draws
+        return more
+
+    def _chosen(self, search: Search) -> tuple[Search, Node, np.ndarray | None]:
+        """What to write down of a scenario: the search that came furthest, the leaf of its best path, and the knots of
+        the transfer to it."""
+        for each in sorted(search.chain[::-1], key=lambda one: -one.target):
+            leaves = best_first(each.front)
+            if each.earlier is None:
+                return each, leaves[0], None
+            if (found := joined(self._problem, self._kernels, self._tip, each.scenario, leaves)) is not None:
+                return each, *found
+        raise AssertionError("the first search begins at the start, and needs no transfer")
+
     def _feed(self, lanes: list[tuple[Search, Node]]) -> None:
         if not lanes:
             return
@@ -160,21 +197,18 @@ class Growing:
         target = np.array([node.target + 1 for _, node in lanes])
         x = np.stack([node.x for _, node in lanes])
         inputs, tube = self._inputs(scenario, target, np.zeros_like(target), False)
-        fed = self._kernels(FEED, inputs, x, tube)
-        good = fed.reached & (fed.proof.verdict == Way.PROVEN)
-        if self._tip is not None and good.any():
-            pick = gather((inputs, x, fed.at.x), good)
-            good[good] = ~self._tip.at(pick[0], pick[2]) & ~self._tip.along(*pick)
+        fed = self._kernels(FEED, inputs, x)
+        good = out_of_walls(self._tip, inputs, fed.at.x, fed.reached)
+        proven = good.copy()
+        proven[good] = self._proven(*gather((inputs, x, fed.at.x, tube), good), along=True)
         arrived: dict[Search, list[Node]] = {search: [] for search, _ in lanes}
-        for k in np.flatnonzero(good).tolist():
+        for k in np.flatnonzero(proven).tolist():
             search, node = lanes[k]
             here = (leaf[k] for leaf in fed.at)
             arrived[search].append(Node(*here, int(target[k]), node, None, int(fed.step_qps[k])))
         for search, nodes in arrived.items():
             own = scenario == search.scenario
-            collides = search.target < 0 and bool((fed.begun[own] <= 0).all())
-            why = Status.PATH_BLOCKED if fed.reached[own].any() else Status.ESCAPE_EXHAUSTED
-            self._failure[search.scenario] = Status.START_IN_COLLISION if collides else why
+            self._failure[search.scenario] = self._why(search, bool(nodes), bool(good[own].any()))
             search.take_fed(nodes, self._failure[search.scenario])
 
     def _walk(self, lanes: list[tuple[Search, Node]]) -> None:
@@ -184,19 +218,45 @@ class Growing:
         target = np.array([node.target for _, node in lanes])
         x, draws = np.stack([node.x for _, node in lanes]), np.array([search.draws for search, _ in lanes])
         inputs, tube = self._inputs(scenario, target, draws, True)
-        walker = np.arange(len(lanes)) - np.searchsorted(scenario, scenario)
-        walked = self._kernels(WALK, inputs, x, walker.astype(np.int32), tube)
-        good = walked.steps > 0
-        if self._tip is not None and good.any():
-            good[good] = ~self._tip.at(*gather((inputs, walked.at.x), good))
+        first = np.flatnonzero(np.diff(scenario, prepend=-1))  # of every search; theirs stand together, in any order
+        walker = np.arange(len(lanes)) - np.repeat(first, np.diff(np.append(first, len(lanes))))
+        walked = self._kernels(WALK, inputs, x, walker.astype(np.int32))
+        lane, step = np.nonzero(np.arange(walked.path.x.shape[1]) < walked.steps[:, None])
+        before = np.concatenate([x[:, None], walked.path.x], axis=1)
+        segments = gather((inputs, tube), lane)
+        a, b = before[lane, step], before[lane, step + 1]
+        proven = np.zeros(walked.path.clearance.shape, bool)
+        proven[lane, step] = self._proven(segments[0], a, b, segments[1])
+        steps = np.logical_and.accumulate(proven, axis=1).sum(axis=1)
+        last = jax.tree.map(lambda leaf: leaf[np.arange(len(x)), np.maximum(steps - 1, 0)], walked.path)
+        good = out_of_walls(self._tip, inputs, last.x, steps > 0)
         found: dict[Search, list[Node]] = {search: [] for search, _ in lanes}
         for k in np.flatnonzero(good).tolist():
             search, node = lanes[k]
-            path, dwells = walked.path[k, : walked.steps[k]].copy(), int(target[k] >= search.on_path)
-            here = (leaf[k] for leaf in walked.at)
+            path, dwells = walked.path.x[k, : steps[k]].copy(), int(target[k] >= search.on_path)
+            here = (leaf[k] for leaf in last)
             found[search].append(Node(*here, int(target[k]), node, path, dwells=dwells))
         for search, nodes in found.items():
             search.take_walked(nodes, self._failure[search.scenario])
+
+    def _proven(self, inputs: LaneInputs, a: np.ndarray, b: np.ndarray, tube: Tube, along: bool = False) -> np.ndarray:
+        """Which straight joint paths from a to b are motions. along: whether to look at the bare tip, too."""
+        if not len(a):
+            return np.zeros(0, bool)
+        good = self._kernels(PROVE, inputs, a, b, tube, np.zeros(len(a))).verdict == Way.PROVEN
+        if along and self._tip is not None and good.any():
+            good[good] = ~self._tip.along(*gather((inputs, a, b), good))
+        return good
+
+    def _why(self, search: Search, arrived: bool, reached: bool) -> Status:
+        """What to say of a scenario if nothing more arrives at the next target. Where something did, its start is
+        clear: the way from there is proven."""
+        if search.target < 0 and not arrived:
+            [node] = search.front
+            inputs = lane_inputs(self._problem.scenarios, np.array([search.scenario]), np.zeros(1, int))
+            if self._kernels(ADVANCE, inputs, node.x[None], np.zeros((1, len(node.x)))).clearance[0] <= 0:
+                return Status.START_IN_COLLISION
+        return Status.PATH_BLOCKED if reached else Status.ESCAPE_EXHAUSTED
 
     def _inputs(self, scenario: np.ndarray, target: np.ndarray, draws: np.ndarray, turns: bool):
         """What lanes are about, and their tubes: on the way to their target, or while they turn at it."""
@@ -205,12 +265,12 @@ class Growing:
         towards, which = target + turns, np.full(len(target), turns)
         return inputs, tubes(problem.scenarios, problem.task, problem.settings.tube_m, scenario, towards, which)
 
-    def _record(self, search: Search) -> list[tuple[int, int, np.ndarray]]:
-        """Write down the best path, and how the search ended; returns the knots of its ways."""
+    def _record(self, search: Search, leaf: Node, transfer: np.ndarray | None) -> list[tuple[int, int, np.ndarray]]:
+        """Write down the path to a leaf, and how the search ended; returns the knots of its ways."""
         s, plans, ways = search.scenario, self._plans, []
         knots: list[np.ndarray] = []
         later: Node | None = None
-        for node in best_first(search.front)[0].ancestors():
+        for node in leaf.ancestors():
             if node.walked is not None:
                 knots.insert(0, node.walked)
                 continue
@@ -225,6 +285,9 @@ class Growing:
                 plans.status[s, t], plans.iterations[s, t] = Status.TRACKED, node.step_qps
                 plans.path_clear[s, t] = 1
                 later = node
+        if transfer is not None:
+            plans.joint_step[s, 0] = np.linalg.norm(leaf.root.x - plans.start[s])
+            ways.append((s, 0, transfer))
         if search.status is not None:
             plans.status[s, search.target + 1] = search.status
         return ways

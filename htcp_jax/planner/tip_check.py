@@ -56,3 +56,13 @@ class TipCheck(NamedTuple):
 def tip_checks(kernels: Sequence[Kernels], guard: TipGuard | None) -> list[TipCheck | None]:
     """One for each; None where the tip may touch anywhere."""
     return [None if guard is None else TipCheck(own, guard) for own in kernels]
+
+
+def out_of_walls(
+    tip: TipCheck | None, inputs: LaneInputs, x: Float[np.ndarray, "n N"], among: Bool[np.ndarray, "n"]
+) -> Bool[np.ndarray, "n"]:
+    """Which of some lanes, `among`, keep the tool's bare tip out of the walls at x; all of them where it may touch."""
+    good = np.array(among)
+    if tip is not None and good.any():
+        good[good] = ~tip.at(*jax.tree.map(lambda table: table[good], (inputs, x)))
+    return good

@@ -14,6 +14,7 @@ from htcp_jax.report import charts, paper, tables
 from htcp_jax.report.best import best, best_of_all
 from htcp_jax.report.document import Block, Heading, Picture, Table
 from htcp_jax.report.groups import Part
+from htcp_jax.report.motions import meaning, motions
 from htcp_jax.report.validation import validation_section, verdict
 
 MOST_SLICES = 9  # maps in a row
@@ -29,6 +30,7 @@ TABLES = (
     tables.results,
     best,
     tables.reachability,
+    motions,
     tables.stops,
     tables.steps,
     tables.times,
@@ -53,6 +55,9 @@ def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list
         *_maps(part, prefix),
         Heading(level, "Best scenarios"),
         *best_of_all(part, made["best"], prefix),
+        Heading(level, "Motions"),
+        made["motions"],
+        meaning(part),
         Heading(level, "Failures"),
         *_ends(part, made["stops"], prefix),
         Heading(level, "Clearance and joint motion"),

@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
+from htcp_jax.planner.motion import MotionFigures
 from htcp_jax.planner.plans import Plans
 from htcp_jax.report import paper
 from htcp_jax.report.validation import read_validation
@@ -42,6 +43,7 @@ class Part:
     numbers: np.ndarray  # (S,) of the scenarios in the run
     parameters: dict[str, np.ndarray]  # columns of the scenario table that a grid may vary, (S,) each
     plans: dict[str, Plans]  # by method that has begun; the status is -1 where it has not planned a scenario yet
+    motions: dict[str, MotionFigures]  # by method; NaN where they are not known
     reachability: np.ndarray | None  # (S,) targets in a row that are known to be reachable
     not_excluded: np.ndarray | None  # (S,) that are not proven unreachable
     step_s: dict[str, float]  # run time by attempted targets, over the whole run
@@ -104,6 +106,7 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
     longest = max(each.status.shape[1] for each in plans.values())
     plans = {method: each.widened(longest) for method, each in plans.items()}
     parameters = {name: column_of(table[name]) for name in parameter_names(table)}
+    motions = {method: _motions(run, method) for method in methods}
     numbers, reachability = table["scenario"].to_numpy(), read_reachability(run)
     groups = np.array([group or "" for group in table["group"].to_pylist()])
     shared = {
@@ -125,6 +128,7 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
                 numbers=numbers[here],
                 parameters={key: values[here] for key, values in parameters.items()},
                 plans={method: each for method, each in own.items() if each.exists.any()},
+                motions={method: MotionFigures(*(c[numbers[here]] for c in each)) for method, each in motions.items()},
                 reachability=None if reachability is None else reachability.prefix[numbers[here]],
                 not_excluded=None
                 if reachability is None or reachability.most is None
@@ -133,3 +137,12 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
             )
         )
     return parts
+
+
+def _motions(run: Run, method: str) -> MotionFigures:
+    """What the motions of a method come to, row s of scenario s."""
+    table = run.scenarios(method)
+    found = np.full((len(MotionFigures._fields), run.manifest.count), np.nan)
+    for row, name in zip(found, MotionFigures._fields, strict=True):
+        row[table["scenario"].to_numpy()] = table[name].cast(pa.float64()).to_numpy()
+    return MotionFigures(*found)

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Int
 
 from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.planner.motion import MotionFigures
 from htcp_jax.planner.plans import NO_TARGET, Plans
 from htcp_jax.report.document import Column, Table
 from htcp_jax.report.groups import Part
@@ -190,6 +191,7 @@ def scenarios(part: Part) -> Table:
     columns = [Column("scenario", "scenario", "", "d"), *(Column(name, name) for name in part.parameters)]
     columns += [Column("method", "method"), Column("tracked", "tracked", "", "d"), Column("targets", "of", "", "d")]
     columns += [Column("executable", "executable", "", "d")]
+    columns += [Column(name, name) for name in MotionFigures._fields]
     columns += [Column("end", "end"), Column("in_the_way", "in the way"), Column("reachable", "reachable", "", "d")]
     rows = []
     for s, number in enumerate(part.numbers.tolist()):
@@ -205,7 +207,8 @@ def scenarios(part: Part) -> Table:
                     "in_the_way": blocked and blocked.description,
                     "reachable": reachable,
                 }
-                rows.append({**row, **what})
+                figures = {name: values[s].item() for name, values in part.motions[method]._asdict().items()}
+                rows.append({**row, **figures, **what})
     return _table("scenarios", columns, rows)
 
 

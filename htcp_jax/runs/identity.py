@@ -24,8 +24,8 @@ def file_hash(file: str | Path) -> str:
 def anchor_files(config: dict) -> list[str]:
     """Make the names of files in a configuration absolute, which is in its plain form; returns them."""
     named = []
-    for (section, key), word in FILES.items():
-        if config[section][key] != word:
+    for (section, key), words in FILES.items():
+        if config[section][key] not in words:
             config[section][key] = str(Path(config[section][key]).resolve())
             named.append(config[section][key])
     return named

@@ -9,9 +9,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from htcp_jax.planner.motion import MotionFigures
+
 RESULTS = (
     "method", "scenario", "group", "targets", "tracked", "complete", "failed_target", "failure", "reason",
-    "after_escape", "blocked_paths", "clearance_min_m", "residual_max_m", "joint_motion_rad",
+    "after_escape", "blocked_paths", "clearance_min_m", "residual_max_m", "joint_motion_rad", "executable",
+    *MotionFigures._fields,
 )  # fmt: skip
 SHORT = {
     "rotation_x": "tilt x",

@@ -8,18 +8,20 @@ import math
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.formats.foreign import one_line
+from htcp_jax.planner.motion import Motion
 from htcp_jax.planner.plans import ARRAYS, Plans
 from htcp_jax.runs.summary import Summary
 from htcp_jax.scene.robot import Robot
-from htcp_jax.status import Status, Way
+from htcp_jax.status import Kind, Status, Way
 
 LATER = "start", "way", "way_clearance"
 SUMMARY, TRAJECTORY = "summary.json", "trajectory.npz"
@@ -103,11 +105,8 @@ def _unwritable(folder: Path, error: OSError) -> InputError:
 
 def write_trajectory_csv(file: Path, robot: Robot, plans: Plans, row: int = 0) -> None:
     """One line a target; cells of what is not known, NaN in `plans`, are empty. Numbers read back exactly."""
-    units = ["m" if slides else "rad" for slides in robot.slides]
     statuses = [Status(status).name for status in plans.status[row].tolist()]
-    columns = {"target": range(len(statuses)), "status": statuses}
-    for j, (name, unit) in enumerate(zip(robot.joint_names, units, strict=True)):
-        columns[f"{name}_{unit}"] = plans.x[row, :, j]
+    columns = {"target": range(len(statuses)), "status": statuses, **_joints(robot, plans.x[row])}
     for name, points in (("tcp", plans.tcp), ("target", plans.target)):
         columns |= {f"{name}_{axis}_m": points[row, :, k] for k, axis in enumerate("xyz")}
     columns |= {
@@ -120,6 +119,25 @@ def write_trajectory_csv(file: Path, robot: Robot, plans: Plans, row: int = 0) -
         "way": [Way(code).name if code != Way.UNKNOWN else "" for code in plans.way[row].tolist()],
         "way_clearance_m": plans.way_clearance[row],
     }
+    _write_csv(file, columns)
+
+
+def write_motion_csv(file: Path, robot: Robot, motion: Motion) -> None:
+    """One line a posture that the arm passes: its target and `status.Kind`, see `planner.motion`, and the joints; none
+    where no target is executable. Numbers read back exactly."""
+    kinds = [Kind(kind).name for kind in motion.kind.tolist()]
+    _write_csv(file, {"target": motion.target, "kind": kinds, **_joints(robot, motion.x)})
+
+
+def _joints(robot: Robot, x: Float[np.ndarray, "n N"]) -> dict[str, np.ndarray]:
+    """The configurations, a column a joint."""
+    units = ["m" if slides else "rad" for slides in robot.slides]
+    names = [f"{name}_{unit}" for name, unit in zip(robot.joint_names, units, strict=True)]
+    return dict(zip(names, x.T, strict=True))
+
+
+def _write_csv(file: Path, columns: Mapping[str, Iterable]) -> None:
+    """Columns of one length, NaN as empty cells."""
     with file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(columns)

@@ -164,7 +164,10 @@ def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | 
     named = anchor_files(config)
     for axis in (axis for group in grid for axis in group["axes"]):
         named += [
-            name for key, word in FILE_KEYS.items() for name in axis.get(key, {}).get("values", ()) if name != word
+            name
+            for key, words in FILE_KEYS.items()
+            for name in axis.get(key, {}).get("values", ())
+            if name not in words
         ]
     files = {name: file_hash(name) for name in dict.fromkeys(named)}
     dtype = str(batch.scenarios.targets.dtype)

@@ -36,11 +36,14 @@
     reason         string   that status in words
     after_escape   int32    tracked targets that took an escape
     blocked_paths  int32    tracked targets whose joint path from the row before collides
+    dwells         int32    targets at which the arm changes its posture, of the executable part, as are all five; null
+                            where no target is executable, or none on the path
+    motion_cost_rad2, path_step_max_rad, curvature_max_rad_m2, way_clearance_min_m    double, see `MotionFigures`
     clearance_min_m, residual_max_m, joint_motion_rad    double, over the tracked targets
     start_<joint>_rad ...   double   the posture that the plan starts from: the job's, unless a planner starts elsewhere
     rotation_x_rad, rotation_y_rad, rotation_z_rad    double
     shift_x_m ..., tool_extension_m, margin_m    double
-    path           string   the tool path: "weld" or the name of its file
+    path           string   the tool path: a seam of the duct, such as "weld", or the name of its file
     robot.model, settings.alpha_rad ...    string   any other key in which the sweep's scenarios may differ, as JSON
 
 Columns hold results alone, no times: the same seed writes the same bytes.
@@ -56,6 +59,7 @@ import pyarrow as pa
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.grid_axes import Point
 from htcp_jax.planner.knots import Knots
+from htcp_jax.planner.motion import MotionFigures, figures
 from htcp_jax.planner.plans import EMPTY, NO_TARGET, Outcomes, Plans
 from htcp_jax.runs import parameters
 from htcp_jax.scene.robot import Robot
@@ -64,7 +68,8 @@ from htcp_jax.status import Status, Way
 if TYPE_CHECKING:
     import pandas
 
-LATER = "executable", "way", "way_clearance_m", "knots"  # columns that runs of before do not have, in their order
+# Columns that runs of before do not have, in their order.
+LATER = "executable", *MotionFigures._fields, "way", "way_clearance_m", "knots"
 STATUSES = {status.name: int(status) for status in Status}
 STATES: dict[str | None, int] = {None: int(Way.UNKNOWN)} | {way.name: int(way) for way in Way}
 XYZ = "xyz"
@@ -117,6 +122,7 @@ def scenario_table(
         **_ends(ends),
         "after_escape": pa.array((plans.status == Status.TRACKED_AFTER_ESCAPE).sum(axis=1), pa.int32()),
         "blocked_paths": pa.array(ends.blocked_paths, pa.int32()),
+        **_figures(points, plans),
         "clearance_min_m": _extreme(np.min, plans.clearance, tracked, np.inf),
         "residual_max_m": _extreme(np.max, plans.residual, tracked, -np.inf),
         "joint_motion_rad": pa.array(np.where(tracked, plans.joint_step, 0.0).sum(axis=1)),
@@ -134,6 +140,13 @@ def _ends(ends: Outcomes) -> dict[str, pa.Array]:
         "failure": pa.array([each and each.name for each in status], pa.string()),
         "reason": pa.array([each and each.message for each in status], pa.string()),
     }
+
+
+def _figures(points: Sequence[Point], plans: Plans) -> dict[str, pa.Array]:
+    """What the motions come to."""
+    found = figures(plans, np.array([point.config.workpiece.on_path for point in points], int))
+    columns = {name: _doubles(values) for name, values in found._asdict().items()}
+    return columns | {"dwells": columns["dwells"].cast(pa.int32())}
 
 
 def empty_tables(joints: Sequence[str], varied: Sequence[str] = ()) -> dict[str, pa.Table]:

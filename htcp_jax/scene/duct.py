@@ -6,6 +6,7 @@ figures of a section run through the stations below by monotone cubics, which ad
 ends are open, as in the measured duct that the figures were fitted to.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -114,7 +115,14 @@ def weld(points: int = WELD_POINTS) -> Float[np.ndarray, "{points} 3"]:
     """The weld on the duct's wall, from the inlet inwards: `points` points [m], equally spaced by arc length
     along the cubic spline through the knots."""
     chord = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(WELD_KNOTS, axis=0), axis=1)))
-    curve = CubicSpline(chord, WELD_KNOTS)
-    fine = np.linspace(0.0, chord[-1], 20_001)
+    return equal_steps(CubicSpline(chord, WELD_KNOTS), chord[-1], points)
+
+
+def equal_steps(
+    curve: Callable[[Float[np.ndarray, "n"]], Float[np.ndarray, "n 3"]], end: float, points: int, closed: bool = False
+) -> Float[np.ndarray, "{points} 3"]:
+    """Points on a curve, whose parameter runs from 0 to `end`, equally spaced by arc length; where it is closed, the
+    last is one step short of the first."""
+    fine = np.linspace(0.0, end, 20_001)
     length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(curve(fine), axis=0), axis=1)))
-    return curve(np.interp(np.linspace(0.0, length[-1], points), length, fine))
+    return curve(np.interp(np.linspace(0.0, length[-1], points, endpoint=not closed), length, fine))

@@ -12,6 +12,7 @@ from htcp_jax.formats.foreign import known_ending
 from htcp_jax.formats.table import read_table
 from htcp_jax.scene import duct
 from htcp_jax.scene.duct import INTERIOR_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
+from htcp_jax.scene.duct_seams import SEAMS, seam
 from htcp_jax.scene.mesh_points import Cover, cover
 from htcp_jax.scene.point_cloud import TEXT, Geometry, load_geometry
 from htcp_jax.scene.robot import Robot
@@ -46,7 +47,8 @@ def load_workpiece(
 ) -> Workpiece:
     """A workpiece from files or arrays; without a cloud the generated duct, without both the duct and its weld.
 
-    cloud, path: files, see `load_cloud` and `read_path`, or points (P, 3), (T, 3) [m].
+    cloud, path: files, see `load_cloud` and `read_path`, or points (P, 3), (T, 3) [m]; the path of the generated duct
+        may also be one of `duct_seams.SEAMS`.
     inlet: "auto" is the duct's inlet for the duct and None for another cloud.
     hull_tolerance_m: None is 0 (the exact hull) for a cloud and 0.5 mm for the duct.
     inlet_direction: "world-x" is the world's x, however the part is turned, as in the paper's scene; None is that for
@@ -60,9 +62,9 @@ def load_workpiece(
     generated = cloud is None
     name = name or ("duct" if generated else Path(_named(cloud)).stem)
     if generated:
-        track = duct.weld() if path is None else read_path(path)
+        track = _on_the_duct(path)
         surface, triangles = _generated(points, seed, spacing), np.empty((0, 3, 3))
-    elif path is None:
+    elif path is None or (_is_file(path) and str(path) in SEAMS):
         raise InputError(f"{_named(cloud)}: a cloud needs a tool path of its own (x,y,z rows in a CSV file)")
     elif points is not None:
         raise InputError(f"{_named(cloud)}: the number of points is for the generated duct; a mesh takes a spacing")
@@ -99,6 +101,19 @@ def load_workpiece(
         surface.radius_m,
         tip_contact_m,
     )
+
+
+def _on_the_duct(path: str | Path | Anywhere | None) -> Float[np.ndarray, "T 3"]:
+    if path is None:
+        return seam("weld")
+    if not _is_file(path) or Path(path).suffix:
+        return read_path(path)
+    if str(path) not in SEAMS:
+        raise InputError(
+            f"{path}: no seam of the generated duct, nor a table of x,y,z; seams are {', '.join(SEAMS)}, "
+            f"tables end in {' '.join(TEXT)}"
+        )
+    return seam(str(path))
 
 
 def _geometry(cloud: str | Path | Anywhere) -> Geometry:

@@ -15,15 +15,17 @@ from viser import uplot
 
 from htcp_jax.errors import InputError
 from htcp_jax.planner.plans import Outcome
-from htcp_jax.status import Status
+from htcp_jax.status import Status, Way
 from htcp_jax.viewer.browser_scene import HERE, Stage
 from htcp_jax.viewer.camera import open_side, sight
 from htcp_jax.viewer.colours import INK, TargetStyle, target_styles
+from htcp_jax.viewer.playback import Playback
 from htcp_jax.viewer.replay import Replay, Replays
 from htcp_jax.viewer.sides import View
 
 FOVY_RAD, ASPECT = np.radians(40.0), 1.05  # of the first sight
 CLOSER_M = 0.25  # how far away the smallest distance is looked at from
+WAITING_S = 0.1  # between looks at the play button
 RATES = "5", "10", "20", "40"  # targets a second
 SIDES = "open side", "above", "front", "nothing"  # that the workpiece is cut from
 
@@ -119,7 +121,9 @@ class Viewer:
         with gui.add_folder("Arm"):
             self._opacity = gui.add_slider("Opacity [%]", 5, 100, 5, 100)
             self._pair = gui.add_checkbox("Smallest distance", True)
+            self._marks = gui.add_checkbox("Dwells, tightest place", True)
         self._opacity.on_update(lambda _: self._stage.fade(self._opacity.value / 100))
+        self._marks.on_update(lambda _: self._stage.show_marks(self._marks.value))
         self._pair.on_update(lambda _: self._stage.show_smallest_distance(self._pair.value))
 
     def _names(self, method: str) -> dict[str, int]:
@@ -149,6 +153,8 @@ class Viewer:
             self._running, self._playing.label = False, "Play"
             self._stage.show(replay, self._opacity.value / 100)
             self._stage.show_smallest_distance(self._pair.value)
+            self._stage.show_marks(self._marks.value)
+            self._playback = Playback(replay)
             self._cut()
             self._aim()
             if self._plot is not None:
@@ -171,6 +177,7 @@ class Viewer:
             if target == self._target:
                 return
             self._target = target
+            self._playback.stand(target)
             with self._server.atomic():
                 self._stage.pose(target)
                 self._plot.data = _curves(self._replay, target)
@@ -178,31 +185,34 @@ class Viewer:
 
     def _cut(self) -> None:
         with self._lock:
-            directions = {"open side": None, "above": np.array([0.0, 0, 1]), "front": -self._ahead()}
+            directions = {"open side": None, "above": np.array([0.0, 0, 1]), "front": -ahead(self._replay)}
             share = 0.0 if self._side.value == "nothing" else self._share.value / 100
             self._stage.cut(share, directions.get(self._side.value), self._size.value / 1e3)
-
-    def _ahead(self) -> np.ndarray:
-        side = open_side(self._replay)
-        return np.cross(side.near, side.up) * -1
 
     def _toggle(self) -> None:
         with self._lock:
             self._running = not self._running
             self._playing.label = "Pause" if self._running else "Play"
-            if self._running and self._target == len(self._replay.target) - 1:
+            if self._running and self._target in (0, len(self._replay.target) - 1):
                 self._slider.value = 0
+                self._playback.begin()
 
     def _play(self) -> None:
-        """Move on target by target while the play button says so."""
-        while not self._ended.wait(1 / int(self._rate.value)):
+        """Move on along the way while the play button says so."""
+        pause = 0.0
+        while not self._ended.wait(pause):
             with self._lock:
-                if not self._running:
-                    continue
-                if self._target < len(self._replay.target) - 1:
-                    self._slider.value = self._target + 1
-                else:
-                    self._toggle()
+                pause = self._move_on() if self._running else WAITING_S
+
+    def _move_on(self) -> float:
+        """Show the next posture on the way to the next target, or that target; returns for how long [s]."""
+        if (arm := self._playback.next()) is not None:
+            self._stage.move(arm)
+        elif self._target < len(self._replay.target) - 1:
+            self._slider.value = self._target + 1
+        else:
+            self._toggle()
+        return 1 / int(self._rate.value) / (1 + self._playback.between)
 
     # The camera
 
@@ -255,6 +265,12 @@ def _serve(host: str, port: int) -> viser.ViserServer:
         return viser.ViserServer(host=host, port=port, verbose=False)
 
 
+def ahead(replay: Replay) -> np.ndarray:
+    """To the side of what is seen from the open side."""
+    side = open_side(replay)
+    return np.cross(side.near, side.up) * -1
+
+
 def _silent():
     """viser tells of itself on stdout."""
     return contextlib.redirect_stdout(io.StringIO())
@@ -272,7 +288,7 @@ def _name_of(names: dict[str, int], number: int) -> str | None:
 
 
 def _facts(replay: Replay, target: int) -> str:
-    """What is known of a target, in two lines."""
+    """What is known of a target, in a few lines."""
     status = Status(int(replay.status[target]))
     what = f"**Target {target}** {status.message}"
     if target == replay.failed and replay.obstruction is not None:
@@ -280,7 +296,19 @@ def _facts(replay: Replay, target: int) -> str:
     if not status.tracked:
         return f"{what}.\n\nThe arm is shown where it came to before."
     clearance, error = 1e3 * replay.clearance[target], 1e3 * replay.residual[target]
-    return f"{what}.\n\nClearance **{clearance:.4g} mm** at {replay.witness.body[target]}, TCP error {error:.2f} mm."
+    here = f"Clearance **{clearance:.4g} mm** at {replay.witness.body[target]}, TCP error {error:.2f} mm."
+    return f"{what}.\n\n{here}\n\n{_motion(replay, target)}"
+
+
+def _motion(replay: Replay, target: int) -> str:
+    """What is known of the way to a target, and whether the arm dwells there."""
+    known = Way(int(replay.way[target]))
+    text = f"The way here: {known.message}"
+    if known == Way.PROVEN:
+        text = f"The way here is proven: {1e3 * replay.way_clearance[target]:.3g} mm clear at least"
+    tightest = " It is the tightest of the proof." if target == replay.summary.tightest else ""
+    dwells = " **The arm changes its posture here.**" if target in replay.summary.dwells else ""
+    return f"{text}.{tightest}{dwells}"
 
 
 def _curves(replay: Replay, target: int) -> tuple[np.ndarray, ...]:

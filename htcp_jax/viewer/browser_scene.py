@@ -3,18 +3,35 @@
 One `Stage` belongs to a viser server. `show` puts a plan on it, `pose` moves the arm to a target.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import trimesh
 import viser
 from jaxtyping import Float
 
 from htcp_jax.planner.obstruction import Obstruction
+from htcp_jax.scene.kinematics import ArmShape
 from htcp_jax.viewer.camera import kept, open_side
-from htcp_jax.viewer.colours import FAILED, INK, LINKS, OUTSIDE, TOOL, WALL, is_tool, rgb, target_styles
+from htcp_jax.viewer.colours import (
+    DWELL,
+    FAILED,
+    HERE,
+    INK,
+    LINKS,
+    NEAREST,
+    OUTSIDE,
+    TOOL,
+    WALL,
+    is_tool,
+    rgb,
+    target_styles,
+)
 from htcp_jax.viewer.replay import Replay
 
-BEAD_M, FAILED_M, HERE_M, WITNESS_M, TIP_M = 0.007, 0.017, 0.012, 0.003, 0.007  # radii
-NEAREST, HERE = "#b5179e", "#f6c945"
+BEAD_M, FAILED_M, HERE_M, WITNESS_M, TIP_M, TIGHTEST_M = 0.007, 0.017, 0.012, 0.003, 0.007, 0.006  # radii
+BESIDE = 4  # targets
+DWELL_M = 0.018  # the side of the cube at a target where the arm changes its posture
 LIT = 0.72  # share of a colour that viser's lights bring back to the whole of it
 LIGHT_UP = 0.8  # of the light's direction, which is else towards the open side
 AROUND_M, AROUND_SIZE_M = 0.05, 0.0015  # the cloud about the smallest distance is shown even where it is cut off
@@ -38,6 +55,7 @@ class Stage:
             self._replay = replay
             self._arm = [self._capsule(k, opacity) for k in range(replay.p.shape[1] + 1)]
             self._add_targets()
+            self._marks = self._add_marks()
             self._add_floor()
             points = np.zeros((2, 3), np.float32)
             self._pair = self._add_balls("/smallest distance/points", points, WITNESS_M, NEAREST)
@@ -56,14 +74,12 @@ class Stage:
     def pose(self, target: int) -> None:
         """Move the arm, the mark of the target and the smallest distance."""
         replay = self._replay
-        p, q = replay.arm_at(target).axes()
         with self._server.atomic():
             blocked = replay.obstruction if target == replay.failed else None
-            colours = [lit(self._colour(k, blocked)) for k in range(len(self._arm))]
-            for node, wxyz, middle, colour in zip(self._arm, turned_to(q - p), (p + q) / 2, colours, strict=True):
-                node.wxyz, node.position = wxyz, middle
-                if tuple(node.color) != tuple(colour.tolist()):
-                    node.color = tuple(colour.tolist())
+            self.move(replay.arm_at(target))
+            for k, node in enumerate(self._arm):
+                if tuple(node.color) != (colour := tuple(lit(self._colour(k, blocked)).tolist())):
+                    node.color = colour
             self._here.position = replay.target[target]
             pair = np.stack([replay.witness.arm[target], replay.witness.cloud[target]]).astype(np.float32)
             self._pair.batched_positions = pair
@@ -74,6 +90,13 @@ class Stage:
             distance = 1e3 * replay.clearance[target]
             near = "" if np.isnan(distance) else f"{distance:.3g} mm"
             self._label.text = near if blocked is None else blocked.description
+
+    def move(self, arm: ArmShape) -> None:
+        """Move the arm alone, to anywhere on its way."""
+        p, q = arm.axes()
+        with self._server.atomic():
+            for node, wxyz, middle in zip(self._arm, turned_to(q - p), (p + q) / 2, strict=True):
+                node.wxyz, node.position = wxyz, middle
 
     @property
     def arm_positions(self) -> Float[np.ndarray, "K1 3"]:
@@ -101,6 +124,11 @@ class Stage:
     def show_smallest_distance(self, visible: bool) -> None:
         """Show or hide the witness pair."""
         for node in (self._pair, self._line, self._around, self._label):
+            node.visible = visible
+
+    def show_marks(self, visible: bool) -> None:
+        """Show or hide the dwells and the tightest place of the proof."""
+        for node in self._marks:
             node.visible = visible
 
     def _capsule(self, k: int, opacity: float) -> viser.MeshHandle:
@@ -140,6 +168,25 @@ class Stage:
         if len(legs):
             self._scene.add_line_segments("/targets/way", legs, rgb(INK), thickness=1, thickness_units="screen")
 
+    def _add_marks(self) -> list[viser.SceneNodeHandle]:
+        """A cube at every dwell and a ball where the proof is tightest, with labels; dwells side by side share one."""
+        replay, marks = self._replay, []
+        for target in replay.summary.dwells:
+            cube = {"dimensions": (DWELL_M,) * 3, "color": lit(DWELL), "cast_shadow": False}
+            marks.append(self._scene.add_box(f"/motion/dwell {target}", position=replay.target[target], **cube))
+        for group in side_by_side(replay.summary.dwells):
+            words, place = f"dwell at {', '.join(map(str, group))}", replay.target[group[0]]
+            look = {"position": place, "anchor": "bottom-left"}
+            marks.append(self._scene.add_label(f"/motion/dwells from {group[0]}", words, **look))
+        if (narrow := replay.narrow) is not None:
+            words = f"tightest: {replay.summary.proven} proven, {1e3 * narrow.seen_m:.3g} mm seen"
+            ball = {"radius": TIGHTEST_M, "color": lit(NEAREST), "cast_shadow": False}
+            marks += [
+                self._scene.add_icosphere("/motion/tightest", position=narrow.cloud, **ball),
+                self._scene.add_label("/motion/tightest in words", words, position=narrow.cloud, anchor="top-left"),
+            ]
+        return marks
+
     def _add_floor(self) -> None:
         """A grid under everything, and at world z = 0 unless something is lower."""
         replay = self._replay
@@ -149,6 +196,17 @@ class Stage:
             "/floor", infinite_grid=True, fade_distance=12, position=(0, 0, height), cell_color=rgb("#dfe3e6"),
             section_color=rgb("#c3cad0"), shadow_opacity=0.12,
         )  # fmt: skip
+
+
+def side_by_side(targets: Sequence[int]) -> list[list[int]]:
+    """Targets in order, in groups of which the labels would hide each other."""
+    groups: list[list[int]] = []
+    for target in targets:
+        if groups and target - groups[-1][-1] <= BESIDE:
+            groups[-1].append(target)
+        else:
+            groups.append([target])
+    return groups
 
 
 def turned_to(axes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:

@@ -10,6 +10,7 @@ from htcp_jax.scene.robot import Robot
 from htcp_jax.status import Status
 
 LINKS, TOOL, INK, PAPER, FAILED = "#8d99a6", "#3c6e71", "#22303c", "#ffffff", "#c8102e"
+NEAREST, DWELL, HERE = "#b5179e", "#0b8f6a", "#f6c945"  # narrow places, changes of posture, what is shown
 WALL = "#8a7a5f", "#d9cfba", "#efe9dc"  # at the cut, and lighter the deeper
 OUTSIDE = "#a3917a"  # of the wall
 

@@ -13,7 +13,7 @@ from htcp_jax.errors import InputError
 
 RATE = 20  # frames a second
 HELD = 20  # times that the last frame is shown
-COLOURS, PALETTE_FRAMES = 128, 4  # of a GIF, and how many of its frames they are taken from
+COLOURS, PALETTE_FRAMES = 128, 16  # of a GIF, and how many of its frames they are taken from
 KINDS = "gif", "mp4"
 
 Frame = UInt8[np.ndarray, "H W 3"]
@@ -37,12 +37,13 @@ def write_movie(file: Path, frames: Iterator[Frame]) -> None:
 
 def _write_gif(file: Path, frames: Iterator[Frame]) -> None:
     """All frames share the colours of a few, so that what stands still does not flicker. The last alone would not do:
-    in it the tool may hide what is blue before."""
+    in it the tool may hide what is blue before. An octree keeps the colours of small marks; a median cut would spend
+    them on the shades of the arm."""
     frames = list(frames)
     images = [Image.fromarray(frame) for frame in frames]
     few = np.linspace(0, len(frames) - 1, PALETTE_FRAMES).round().astype(int)
     mosaic = Image.fromarray(np.concatenate([frames[k] for k in few]))
-    palette = mosaic.quantize(COLOURS, method=Image.Quantize.MEDIANCUT)
+    palette = mosaic.quantize(COLOURS, method=Image.Quantize.FASTOCTREE)
     first, *others = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     lasts = [1000 // RATE] * len(others) + [HELD * 1000 // RATE]
     first.save(file, save_all=True, append_images=others, duration=lasts, loop=0, optimize=False)

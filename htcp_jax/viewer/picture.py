@@ -17,11 +17,23 @@ from matplotlib.ticker import FuncFormatter
 
 from htcp_jax.planner.obstruction import Obstruction
 from htcp_jax.planner.plans import Outcome, Plans
+from htcp_jax.runs.motion_summary import MotionSummary, summarise_motion
 from htcp_jax.scene.kinematics import ArmShape, capsules_and_tcp
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import Scenario
 from htcp_jax.scene.workpiece import Workpiece
-from htcp_jax.viewer.colours import FAILED, INK, LINKS, PAPER, TOOL, WALL, is_tool, target_styles
+from htcp_jax.viewer.colours import (
+    DWELL,
+    FAILED,
+    INK,
+    LINKS,
+    NEAREST,
+    PAPER,
+    TOOL,
+    WALL,
+    is_tool,
+    target_styles,
+)
 from htcp_jax.viewer.sides import Bodies, View, flat_side
 
 DEPTH = LinearSegmentedColormap.from_list("wall", WALL)
@@ -45,9 +57,14 @@ def draw_plan(
     grid = figure.add_gridspec(2, 2, height_ratios=(1.4, 1), width_ratios=(1.12, 1))
     T = np.asarray(scenario.T_world_workpiece)
     cloud = workpiece.cloud @ T[:3, :3].T + T[:3, 3]
-    _draw_scene(figure, grid, robot, cloud, plans, row, np.asarray(scenario.x_start)[None], obstruction)
+    view = _draw_scene(figure, grid, robot, cloud, plans, row, np.asarray(scenario.x_start)[None], obstruction)
+    motion = summarise_motion(plans, int(scenario.on_path), row)
+    for axes in figure.axes:
+        _mark_dwells(axes, view.flat(plans.target[row]), motion)
     in_the_way = obstruction.description if obstruction is not None else ""
-    _draw_clearance(figure.add_subplot(grid[1, :]), plans, row, float(scenario.margin_m), in_the_way)
+    below = figure.add_subplot(grid[1, :])
+    _draw_motion(below, motion)
+    _draw_clearance(below, plans, row, float(scenario.margin_m), in_the_way)
     return figure
 
 
@@ -60,8 +77,8 @@ def _draw_scene(
     row: int,
     x_start: Float[np.ndarray, "1 N"],
     obstruction: Obstruction | None = None,
-) -> None:
-    """Two views of the same: of everything, and of the workpiece."""
+) -> View:
+    """Two views of the same, which is returned: of everything, and of the workpiece."""
     shown = poses(plans, row)
     x = plans.x[row, shown] if shown else x_start
     arm = _shape(robot, x)
@@ -75,6 +92,7 @@ def _draw_scene(
             _draw_obstruction(axes, view, robot, obstruction)
         _frame(axes, view.flat(cloud) if column else None)
         _heading(axes, heading)
+    return view
 
 
 def draw_cell(
@@ -155,6 +173,29 @@ def _draw_targets(axes: Axes, view: View, plans: Plans, row: int) -> None:
         axes.scatter(*flat[style.where].T, edgecolors=PAPER, zorder=5, **look)
 
 
+def _mark_dwells(axes: Axes, flat: Float[np.ndarray, "T 2"], motion: MotionSummary) -> None:
+    """Squares about the targets at which the arm changes its posture."""
+    look = {"s": 90, "marker": "s", "facecolors": "none", "edgecolors": DWELL, "linewidths": 1.6}
+    axes.scatter(*flat[list(motion.dwells)].T, zorder=6, **look)
+
+
+def _draw_motion(axes: Axes, motion: MotionSummary) -> None:
+    """Lines where the arm dwells, where the proof is tightest, and where the motion ends before the plan does."""
+    for k, target in enumerate(motion.dwells):
+        axes.axvline(target, label="dwell" if k == 0 else None, color=DWELL, linewidth=1.4, zorder=1)
+    if motion.tightest is not None:
+        _draw_line(axes, motion.tightest, f"tightest: {motion.proven}", color=NEAREST, linestyle=":")
+    if (end := motion.end).executable < end.tracked:
+        _draw_line(axes, end.executable, f"target {end.executable}: {end.way.message}", color=INK, linestyle="--")
+
+
+def _draw_line(axes: Axes, target: int, text: str, **look: str) -> None:
+    """An upright line with words along it."""
+    axes.axvline(target, linewidth=1.2, zorder=1, **look)
+    how = {"rotation": 90, "ha": "right", "va": "center", "fontsize": 9, "color": look["color"], "zorder": 4}
+    axes.annotate(text, (target, 0.5), (-2, 0), ("data", "axes fraction"), "offset points", **how)
+
+
 def _frame(axes: Axes, around: Float[np.ndarray, "P 2"] | None) -> None:
     """Equal scales; all that is drawn, or the neighbourhood of the points `around`; a bar for the scale."""
     axes.set_aspect("equal", anchor="NW")
@@ -225,5 +266,5 @@ def _draw_clearance(axes: Axes, plans: Plans, row: int, margin_m: float, in_the_
     axes.grid(axis="y", color="#dfe3e6", linewidth=0.8)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(loc="lower left", frameon=False, ncols=5, bbox_to_anchor=(0.24, 1.0), borderaxespad=0.2)
+    axes.legend(loc="lower left", frameon=False, ncols=6, bbox_to_anchor=(0.24, 1.0), borderaxespad=0.2)
     _heading(axes, "Clearance along the path [mm]")

@@ -5,35 +5,38 @@ is one mesh of small discs; the targets are beads in the colours of what became 
 """
 
 from collections.abc import Iterator
-from typing import NamedTuple
 
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jaxtyping import UInt8
 
-from htcp_jax.scene.kinematics import ArmShape, capsules_and_tcp
 from htcp_jax.scene.surface import discs
 from htcp_jax.viewer.camera import kept, open_side, sight
-from htcp_jax.viewer.colours import FAILED, LINKS, OUTSIDE, TOOL, WALL, is_tool, rgb, target_styles
+from htcp_jax.viewer.colours import (
+    DWELL,
+    FAILED,
+    HERE,
+    LINKS,
+    NEAREST,
+    OUTSIDE,
+    TOOL,
+    WALL,
+    is_tool,
+    rgb,
+    target_styles,
+)
 from htcp_jax.viewer.offscreen import Camera
+from htcp_jax.viewer.playback import Posture, at, way
 from htcp_jax.viewer.replay import Replay
 
 BEAD_M, FAILED_M, TIP_M = 0.008, 0.018, 0.007  # radii of the targets, the failed one, the tool's bare tip
-MARK_M, NEAREST, NOWHERE = 0.012, "#b5179e", [0.0] * 4  # of where the body in the way meets the workpiece
-STRIDE_M = 0.04  # nothing moves further from one frame of a movie to the next
+MARK_M, NOWHERE = 0.012, [0.0] * 4  # of where the body in the way meets the workpiece
+DWELL_M = 0.011  # half the side of the cube at a target where the arm changes its posture
 FLOOR, EDGE, SKY = (0.95, 0.955, 0.96), (0.85, 0.87, 0.89), (0.92, 0.935, 0.95)
 FOVY_DEG = 32.0
 UNTOUCHED = {"contype": 0, "conaffinity": 0}  # nothing collides: the plan is what it is
 
 _Geom = mujoco.mjtGeom
-
-
-class Posture(NamedTuple):
-    """The arm in one frame, and the last target it has come to."""
-
-    arm: ArmShape
-    target: int
 
 
 class Studio:
@@ -53,6 +56,7 @@ class Studio:
         self._met_rgba = self._model.geom_rgba[self._beads].copy()
         self._not_yet = _rgba(target_styles(replay.status)[0].colour)
         self._in_the_way = _in_the_way(replay, self._model)
+        self._dwells = {target: self._model.geom(f"dwell {target}").id for target in replay.summary.dwells}
 
     def __enter__(self) -> "Studio":
         return self
@@ -65,7 +69,8 @@ class Studio:
         return self._frame(at(self._replay, target), self._view(slice(target, target + 1)), len(self._beads))
 
     def movie(self) -> Iterator[UInt8[np.ndarray, "H W 3"]]:
-        """The way along the targets up to the last that is tracked; they take their colours as they are met."""
+        """The way along the targets up to the last that is tracked, through all postures that the arm passes; targets
+        take their colours as they are met, and the cube at a dwell is lit while the arm turns there."""
         postures, view = way(self._replay), self._view(slice(None))
         for posture in postures:
             yield self._frame(posture, view, posture.target + 1)
@@ -81,6 +86,9 @@ class Studio:
         )
         for geom, shown, else_shown in self._in_the_way:
             self._model.geom_rgba[geom] = shown if posture.target == self._replay.failed else else_shown
+        for target, geom in self._dwells.items():
+            turning = posture.dwells and posture.target == target
+            self._model.geom_rgba[geom] = _rgba(HERE if turning else DWELL)
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
         return self._camera.shoot(self._data, view)
@@ -95,25 +103,6 @@ class Studio:
         camera.azimuth = np.degrees(np.arctan2(ahead[1], ahead[0]))
         camera.elevation = np.degrees(np.arcsin(ahead[2] / camera.distance))
         return camera
-
-
-def at(replay: Replay, target: int) -> Posture:
-    """The posture at a target."""
-    return Posture(replay.arm_at(target), target)
-
-
-def way(replay: Replay) -> list[Posture]:
-    """The postures at the targets up to the last that is tracked and, along the straight joint paths between them, so
-    many that nothing moves further than STRIDE_M at once."""
-    last = max(replay.tracked - 1, 0)
-    points = np.concatenate([replay.p, replay.q, replay.tcp[:, None]], axis=1)
-    moved = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1, initial=0.0)[:last]
-    counts = np.maximum(1, np.ceil(moved / STRIDE_M)).astype(int)
-    x = [replay.x[:1], *(np.linspace(a, b, n + 1)[1:] for a, b, n in zip(replay.x, replay.x[1:], counts, strict=False))]
-    reached = np.concatenate([[0], np.repeat(np.arange(last), counts)])
-    reached[np.cumsum(counts)] = np.arange(1, last + 1)
-    arms = zip(*map(np.asarray, capsules_and_tcp(replay.robot, jnp.asarray(np.concatenate(x)))), strict=True)
-    return [Posture(ArmShape(*arm), target) for arm, target in zip(arms, reached.tolist(), strict=True)]
 
 
 def _model(replay: Replay, width: int, height: int, fine: bool) -> mujoco.MjModel:
@@ -135,12 +124,23 @@ def _model(replay: Replay, width: int, height: int, fine: bool) -> mujoco.MjMode
     if replay.obstruction is not None:
         ball = {"type": _Geom.mjGEOM_SPHERE, "size": [MARK_M, 0, 0], "pos": replay.obstruction.point}
         spec.worldbody.add_geom(name="in the way", **ball, material="bead", rgba=NOWHERE, **UNTOUCHED)
+    _add_marks(spec, replay)
     _add_cloud(spec, replay)
     low = min(0.0, replay.cloud[:, 2].min(), (np.minimum(replay.p, replay.q)[..., 2] - radius[:-1]).min())
     _add_room(spec, replay, low, fine)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
     spec.visual.global_.fovy = FOVY_DEG
     return spec.compile()
+
+
+def _add_marks(spec: mujoco.MjSpec, replay: Replay) -> None:
+    """A cube at every dwell, a ball where the proof is tightest."""
+    for target in replay.summary.dwells:
+        cube = {"type": _Geom.mjGEOM_BOX, "size": [DWELL_M] * 3, "pos": replay.target[target]}
+        spec.worldbody.add_geom(name=f"dwell {target}", **cube, material="bead", rgba=_rgba(DWELL), **UNTOUCHED)
+    if replay.narrow is not None:
+        ball = {"type": _Geom.mjGEOM_SPHERE, "size": [MARK_M, 0, 0], "pos": replay.narrow.cloud}
+        spec.worldbody.add_geom(name="tightest", **ball, material="bead", rgba=_rgba(NEAREST), **UNTOUCHED)
 
 
 def _in_the_way(replay: Replay, model: mujoco.MjModel) -> list[tuple[int, list[float], np.ndarray]]:

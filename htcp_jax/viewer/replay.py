@@ -21,8 +21,10 @@ from htcp_jax.clearance.obstacle import Obstacles
 from htcp_jax.clearance.obstacles import contacts
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.planner.motion import Motion, motions
 from htcp_jax.planner.obstruction import Obstruction, blocked_target, obstructions
 from htcp_jax.planner.plans import Outcome, Plans, is_tracked, outcomes
+from htcp_jax.runs.motion_summary import MotionSummary, summarise_motion
 from htcp_jax.runs.open import PlanSet, open_plans
 from htcp_jax.scene.kinematics import ArmShape, capsules_and_tcp
 from htcp_jax.scene.robot import Robot, lengthen_tool
@@ -34,6 +36,7 @@ from htcp_jax.viewer.sides import Bodies, Side, camera_side
 from htcp_jax.viewer.workcell import GivenCell, Placement, Workcell, Workcells, cells_of
 
 LOOKED_AT = 5  # postures by which the side to look from is chosen
+LOOKED_AT_ON_WAY = 33  # postures of one way, in which the narrowest place is looked for
 
 
 class Witness(NamedTuple):
@@ -42,6 +45,21 @@ class Witness(NamedTuple):
     body: list[str]  # the capsule's name
     arm: Float[np.ndarray, "T 3"]  # on its surface, world [m]
     cloud: Float[np.ndarray, "T 3"]  # the cloud's point, or the one on the hull that the capsule's end has crossed
+
+    def rows(self, which: slice) -> "Witness":
+        """That of some configurations."""
+        return Witness(*(part[which] for part in self))
+
+
+class Narrow(NamedTuple):
+    """The way on which the least clearance is proven, and the narrowest place that is seen there."""
+
+    target: int  # to which the way leads
+    proven_m: float  # D all along it, at least
+    seen_m: float  # the smallest of LOOKED_AT_ON_WAY postures
+    body: str  # the capsule's name
+    arm: Float[np.ndarray, "3"]  # on its surface, world [m]
+    cloud: Float[np.ndarray, "3"]
 
 
 class Replay(NamedTuple):
@@ -61,6 +79,11 @@ class Replay(NamedTuple):
     x: Float[np.ndarray, "T N"]
     shape: ArmShape  # the arm at these
     witness: Witness
+    motion: Motion  # what the arm passes up to the last target that is tracked
+    summary: MotionSummary  # of what is executable
+    narrow: Narrow | None  # of that, too
+    way: Int8[np.ndarray, "T"]  # `status.Way`
+    way_clearance: Float[np.ndarray, "T"]  # D all along it, at least
     obstruction: Obstruction | None  # at the target that failed
     side: Side  # to look from
 
@@ -144,26 +167,35 @@ class Replays:
         if blocked is not None:
             x[blocked_target(plans, number)] = blocked.x
         robot = lengthen_tool(cell.robot, placement.tool_extension_m)
+        alone, on_path = plans.rows([number]), min(cell.approach, len(x))
+        summary = summarise_motion(alone, on_path)
+        looked_at = _tightest_way(alone, summary.tightest)
+        witness = _witness(robot, cell.obstacle, placement, np.concatenate([x, looked_at]))
         shape = ArmShape(*map(np.asarray, capsules_and_tcp(robot, jnp.asarray(x))))
         surface = cell.surface.placed(placement.T_world_workpiece)
-        target, status, path = plans.target[number, there], plans.status[number, there], min(cell.approach, len(x))
-        arm = _looked_at(shape, robot, np.flatnonzero(is_tracked(status)), path)
+        target, status = plans.target[number, there], plans.status[number, there]
+        arm = _looked_at(shape, robot, np.flatnonzero(is_tracked(status)), on_path)
         return Replay(
             method=method,
             number=number,
             label=self.label(number),
             robot=robot,
             surface=surface,
-            path=path,
+            path=on_path,
             target=target,
             status=status,
             clearance=plans.clearance[number, there],
             residual=plans.residual[number, there],
             x=x,
             shape=shape,
-            witness=_witness(robot, cell.obstacle, placement, x),
+            witness=witness.rows(slice(len(x))),
+            motion=motions(alone, on_path, np.logical_and.accumulate(alone.tracked, axis=1)).of(0),
+            summary=summary,
+            narrow=_narrow(summary, witness.rows(slice(len(x), None))),
+            way=plans.way[number, there],
+            way_clearance=plans.way_clearance[number, there],
             obstruction=blocked,
-            side=camera_side(surface.points, target[path:] if len(target) > path + 1 else target, arm),
+            side=camera_side(surface.points, target[on_path:] if len(target) > on_path + 1 else target, arm),
         )
 
     def label(self, number: int) -> str:
@@ -223,6 +255,25 @@ def _looked_at(shape: ArmShape, robot: Robot, tracked: np.ndarray, path: int) ->
     shown = tracked[tracked >= path] if (tracked >= path).any() else tracked if tracked.size else np.zeros(1, int)
     shown = shown[np.linspace(0, len(shown) - 1, LOOKED_AT).round().astype(int)]
     return Bodies(shape.p[shown], shape.q[shown], np.asarray(robot.capsule_radius), is_tool(robot))
+
+
+def _tightest_way(plans: Plans, target: int | None) -> Float[np.ndarray, "n N"]:
+    """Postures of the way to a target, evenly along its straight joint paths; of none where there is no such way."""
+    if target is None:
+        return np.repeat(plans.start, LOOKED_AT_ON_WAY, axis=0)
+    x = [plans.before(0, target)[None], plans.knots.on_the_way(0, target), plans.x[:1, target]]
+    x = np.concatenate(x)
+    place = np.linspace(0, len(x) - 1, LOOKED_AT_ON_WAY)
+    return np.stack([np.interp(place, np.arange(len(x)), joint) for joint in x.T], axis=1)
+
+
+def _narrow(summary: MotionSummary, seen: Witness) -> Narrow | None:
+    """The narrowest place of the postures that were looked at on the tightest way."""
+    if summary.tightest is None:
+        return None
+    apart = np.linalg.norm(seen.arm - seen.cloud, axis=1)
+    k = int(apart.argmin())
+    return Narrow(summary.tightest, summary.clearance_m, float(apart[k]), seen.body[k], seen.arm[k], seen.cloud[k])
 
 
 def _witness(robot: Robot, obstacle: Obstacles, where: Placement, x: Float[np.ndarray, "T N"]) -> Witness:

@@ -40,7 +40,7 @@ class Workcell:
     @property
     def approach(self) -> int:
         """Targets that lead to the tool path."""
-        return 1 + self.config.workpiece.approach_to_inlet + self.config.workpiece.approach_to_path
+        return self.config.workpiece.on_path
 
     @cached_property
     def obstacle(self) -> Obstacles:

@@ -1,0 +1,79 @@
+"""The planners whose plans are to be motions, by the count of htcp_jax: executable targets (`peers --motions`).
+
+Every planner is a method of htcp_jax here, also those that are not its own, so all of them are given the same problem,
+plan on one thread, and are judged by `planner.motion_check`; nothing that a peer says of its own motions counts.
+"cpu s" is what planning took of the processor, the judgement included and compilation left out.
+"""
+
+import importlib
+import time
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+import htcp_jax
+from htcp_jax.jobs.grid import Batch
+from htcp_jax.planner import registry
+from htcp_jax.planner.batch import plan
+from htcp_jax.planner.plans import Plans
+from htcp_jax.status import Way
+
+ROW = "{:18} {:>10} {:>6} {:>8} {:>8} {:>9}  {}"
+HEAD = ROW.format("planner", "executable", "%", "tracked", "cpu s", "compile s", "by pose; ways that end a motion")
+PEERS = {  # the module, the class, and what to say where it cannot be imported
+    "ompl-projected": ("benchmarks.peer_ompl", "ProjectedRRTConnect", "ompl is missing: pip install -e '.[peers]'"),
+    "descartes-ladder": (
+        "benchmarks.peer_descartes",
+        "LadderGraph",
+        "tesseract-robotics-nanobind is missing: pip install -e '.[descartes]', in an environment without peers",
+    ),
+}
+OWN = "nspace-sqp", "hybrid", "roadmap"
+NAMES = (*OWN, *PEERS)
+
+
+class Judged(NamedTuple):
+    """What a planner made of the scenarios."""
+
+    plans: Plans
+    cpu_s: float
+    compile_s: float
+
+
+def rows(batch: Batch, names: list[str], limit_s: float):
+    """A line for every planner, as it ends. limit_s: of processor time for a scenario, for OMPL, which would search on
+    for ever."""
+    yield HEAD
+    targets = int(batch.scenarios.count.sum())
+    for name in names:
+        try:
+            judged = _judged(batch, name, limit_s)
+        except ImportError:
+            yield ROW.format(name, *["--"] * 5, PEERS[name][2])
+            continue
+        ends = judged.plans.outcomes
+        good, refuted = int(ends.executable.sum()), [Way(way).name for way in ends.way if way != Way.PROVEN]
+        by_pose = " ".join(str(count) for count in ends.executable.tolist())
+        share, tracked = f"{100 * good / targets:.1f}", int(ends.tracked.sum())
+        note = f"{by_pose}; {', '.join(f'{refuted.count(way)} {way}' for way in sorted(set(refuted))) or 'none'}"
+        yield ROW.format(name, good, share, tracked, f"{judged.cpu_s:.1f}", f"{judged.compile_s:.1f}", note)
+
+
+def _judged(batch: Batch, name: str, limit_s: float) -> Judged:
+    if name in PEERS and name not in registry.names():
+        module, kind, _ = PEERS[name]
+        made = getattr(importlib.import_module(module), kind)
+        htcp_jax.register(made(limit_s) if name == "ompl-projected" else made())
+
+    def run(scenarios):
+        settings = batch.points[0].config.settings
+        return plan(batch.robot, batch.workpiece, scenarios, name, settings, threads=1)
+
+    # What a peer compiles serves any number of targets; what a method of htcp_jax needs, all scenarios together show.
+    few = jax.tree.map(lambda leaf: leaf[:1], batch.scenarios)
+    compile_s = run(replace(few, count=np.minimum(few.count, 3)) if name in PEERS else batch.scenarios).compile_s
+    began = time.process_time()
+    plans = run(batch.scenarios)
+    return Judged(plans, time.process_time() - began, compile_s + plans.compile_s)

@@ -1,0 +1,198 @@
+"""OMPL's projected RRT-Connect as one of the `peers`.
+
+The search goes from target to target, as the tool does. Where inverse kinematics leads on from the posture at hand,
+that is taken. Elsewhere the arm has to change its posture with the tool at rest, which is a constrained problem of its
+own: the manifold is where the TCP is at the target (3 equations, so 3 of 6 dimensions are left), the start the posture
+at hand, the goals postures there from which inverse kinematics leads on. `ProjectedStateSpace` keeps to the manifold by
+Newton steps, `RRTConnect` searches it, a posture is valid where it keeps the margin.
+
+Goals are drawn, half of them uniformly within the joint limits and half about the posture at hand. OMPL checks postures
+`DELTA_RAD` apart, so what it returns is proven afterwards, and searched again where that fails, until the time is over.
+"""
+
+import time
+from dataclasses import dataclass
+
+import jax
+import mujoco
+import numpy as np
+from ompl import base, geometric, util
+
+from benchmarks.peer_cell import Brought, Cell
+from htcp_jax.clearance.obstacles import clearance
+from htcp_jax.planner.knots import Knots
+from htcp_jax.planner.plans import Plans
+from htcp_jax.planner.problem import Problem
+from htcp_jax.scene.robot import GP50
+from htcp_jax.status import Status
+
+DELTA_RAD = 0.05  # between the postures that OMPL checks
+RANGE_RAD = 0.5  # the longest motion that joins its trees
+ONTO_M = 1e-4  # tolerance of its projection, the default
+DRAWS = 256  # for goals, a round
+AHEAD = 10  # targets that tell better goals from worse
+ROUND_S = 2.0  # of RRT-Connect on the goals that there are, before more are drawn
+
+clearance_of = jax.jit(lambda scene, lane, x: clearance(scene.robot, scene.obstacles, lane, x))
+
+
+class AtPoint(base.Constraint):
+    """The TCP at a point; by MuJoCo's kinematics."""
+
+    def __init__(self, point: np.ndarray):
+        self._model = mujoco.MjModel.from_xml_path(str(GP50))
+        self._data, self.point = mujoco.MjData(self._model), point
+        super().__init__(self._model.nv, 3, ONTO_M)
+
+    def function(self, x: np.ndarray, out: np.ndarray) -> None:
+        """Where the TCP is off the point [m]."""
+        self._data.qpos[:] = x
+        mujoco.mj_kinematics(self._model, self._data)
+        out[:] = self._data.site_xpos[0] - self.point
+
+    def jacobian(self, x: np.ndarray, out: np.ndarray) -> None:
+        """Its derivatives."""
+        self._data.qpos[:] = x
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_comPos(self._model, self._data)
+        jacobian = np.empty((3, self._model.nv))
+        mujoco.mj_jacSite(self._model, self._data, jacobian, None, 0)
+        out[:] = jacobian
+
+
+@dataclass(frozen=True)
+class ProjectedRRTConnect:
+    """The planner. A `registry.Method`."""
+
+    limit_s: float  # for a scenario
+    name: str = "ompl-projected"
+    title: str = "OMPL, projected RRT-Connect"
+    description: str = "changes posture at targets by OMPL's constrained planning"
+
+    def plan(self, problem: Problem) -> Plans:
+        """Plan all scenarios, one after the other."""
+        util.setLogLevel(util.LogLevel.LOG_NONE)
+        util.RNG.setSeed(problem.settings.seed + 1)
+        plans, ways = problem.empty_plans(), []
+        for scenario in problem.to_plan.tolist():
+            ways += _Search(Cell(problem, scenario), self.limit_s).run(plans)
+        return plans._replace(knots=Knots.of(ways, plans.x.shape[2]))
+
+
+class _Search:
+    """One scenario."""
+
+    def __init__(self, cell: Cell, limit_s: float):
+        self._cell, self._until = cell, time.process_time() + limit_s
+        self._draw = np.random.default_rng(cell.problem.settings.seed)
+        self._surroundings = cell.surroundings()
+        clearance_of(*self._surroundings, cell.start)  # compiled here
+
+    def run(self, plans: Plans) -> list[tuple[int, int, np.ndarray]]:
+        """Plan, target after target; returns the knots of ways."""
+        cell, x, ways = self._cell, self._cell.start, []
+        for target in range(cell.count):
+            knots, here = self._way(target, x)
+            if here is None:
+                plans.status[cell.scenario, target] = Status.ESCAPE_EXHAUSTED
+                break
+            cell.record(plans, target, x, here)
+            if len(knots):
+                ways.append((cell.scenario, target, knots))
+            x = here.x
+        return ways
+
+    def _way(self, target: int, x: np.ndarray) -> tuple[np.ndarray, Brought | None]:
+        """Postures to pass and the one at the target; None where the time is over."""
+        here, none = self._cell.brought_clear(x[None], target), x[:0].reshape(0, len(x))
+        if len(here.x) and self._cell.proven(x[None], here.x, target)[0]:
+            return none, here.of(0)
+        before, after = none, here.of(slice(0, 0))
+        while time.process_time() < self._until:
+            more, there = self._goals(target, x)
+            before = np.concatenate([before, more])
+            after = Brought(*(np.concatenate(columns) for columns in zip(after, there, strict=True)))
+            if not len(before):
+                continue
+            order = np.lexsort((np.linalg.norm(before - x, axis=1), -self._ahead(target, after)))
+            knots = self._turned(target, x, before[order])
+            if knots is None:
+                continue
+            goal = int(np.argmin(np.linalg.norm(before - knots[-1], axis=1)))
+            way = np.concatenate([x[None], knots[:-1], before[goal : goal + 1]])
+            if self._cell.proven(way[:-1], way[1:], target, True).all():
+                return way[1:], after.of(goal)
+        return none, None
+
+    def _goals(self, target: int, x: np.ndarray) -> tuple[np.ndarray, Brought]:
+        """Where a change of posture may end, and the postures at the target that are reached from there."""
+        cell, about = self._cell, 10 ** self._draw.uniform(-1.5, 0.0, (DRAWS // 2, 1))
+        near = x + about * self._draw.normal(size=(DRAWS // 2, len(x)))
+        draws = np.concatenate([near, cell.uniform(self._draw, DRAWS // 2)])
+        after = cell.brought_clear(np.clip(draws, cell.lower, cell.upper), target)
+        if target <= cell.on_path or not len(after.x):
+            return after.x, after
+        before = cell.bring(after.x, target - 1)
+        good = cell.counts(before)
+        good[good] = cell.proven(before.x[good], after.x[good], target) if good.any() else False
+        return before.x[good], after.of(good)
+
+    def _ahead(self, target: int, here: Brought) -> np.ndarray:
+        """Of postures at a target, to how many of the next ones, up to AHEAD, inverse kinematics leads on."""
+        count, going, x = np.zeros(len(here.x), int), np.arange(len(here.x)), here.x
+        for later in range(target + 1, min(target + 1 + AHEAD, self._cell.count)):
+            there = self._cell.bring(x, later)
+            good = self._cell.counts(there)
+            going, x = going[good], there.x[good]
+            count[going] += 1
+            if not len(going):
+                break
+        return count
+
+    def _turned(self, target: int, x: np.ndarray, goals: np.ndarray) -> np.ndarray | None:
+        """Postures from x, left out, to one of the goals; None where none are found in time."""
+        ambient, bounds = base.RealVectorStateSpace(len(x)), base.RealVectorBounds(len(x))
+        for joint, (low, high) in enumerate(zip(self._cell.lower, self._cell.upper, strict=True)):
+            bounds.setLow(joint, low)
+            bounds.setHigh(joint, high)
+        ambient.setBounds(bounds)
+        if target <= self._cell.on_path:
+            constraint, space = None, ambient
+            information = base.SpaceInformation(space)
+            information.setStateValidityCheckingResolution(DELTA_RAD / space.getMaximumExtent())
+        else:
+            constraint = AtPoint(self._cell.targets[target - 1])
+            space = base.ProjectedStateSpace(ambient, constraint)
+            information = base.ConstrainedSpaceInformation(space)
+            space.setDelta(DELTA_RAD)
+
+        def state(posture: np.ndarray):
+            made, onto = information.allocState(), posture.copy()
+            if constraint is not None:
+                constraint.project(onto)
+                made.copy(onto.tolist())
+                return made
+            for joint, value in enumerate(onto.tolist()):
+                made[joint] = value
+            return made
+
+        def valid(state) -> bool:
+            posture = np.array([state[joint] for joint in range(len(x))])
+            return float(clearance_of(*self._surroundings, posture)) > self._cell.margin
+
+        setup, goal = geometric.SimpleSetup(information), base.GoalStates(information)
+        setup.setStateValidityChecker(valid)
+        setup.setStartState(state(x))
+        for posture in goals:  # OMPL takes them in this order
+            goal.addState(state(posture))
+        setup.setGoal(goal)
+        planner = geometric.RRTConnect(information)
+        planner.setRange(RANGE_RAD)
+        setup.setPlanner(planner)
+        until = min(self._until, time.process_time() + ROUND_S)
+        setup.solve(base.PlannerTerminationCondition(lambda: time.process_time() > until))
+        if not setup.haveExactSolutionPath():
+            return None
+        path = setup.getSolutionPath()
+        path.interpolate()
+        return np.array([[state[joint] for joint in range(len(x))] for state in path.getStates()])[1:]

@@ -1,0 +1,82 @@
+"""What can be driven of the plans, and how smooth that is: the part's motions as a table."""
+
+import math
+
+import numpy as np
+
+from htcp_jax.report.document import Column, Table
+from htcp_jax.report.groups import Part
+
+MOTIONS = (
+    Column("method", "method"),
+    Column("tracked", "tracked", "targets", ",d"),
+    Column("executable", "executable", "targets", ",d"),
+    Column("whole", "to the end", "scenarios", ",d"),
+    Column("dwells", "dwells", "targets", ",d"),
+    Column("dwelling", "in", "scenarios", ",d"),
+    Column("cost_median_rad2", "cost", "median rad2", ".3g"),
+    Column("cost_common_rad2", "cost, common", "mean rad2", ".3g"),
+    Column("path_step_max_rad", "longest step", "rad", ".3f"),
+    Column("curvature_median_rad_m2", "curvature", "median rad/m2", ",.0f"),
+    Column("curvature_max_rad_m2", "largest", "rad/m2", ",.0f"),
+)
+MEANING = (
+    "Of the executable part alone. Dwells are targets of the path at which the arm changes its posture while the tool "
+    "stays. Cost is that of equation (3), the sum of the squared joint steps over all postures that are passed: its "
+    "median over the scenarios whose motion leads to the end, and its geometric mean over {common}. The longest step "
+    "is between two postures on the path. Curvature is the largest |q''| of a scenario, over the arc length of the "
+    "path, where the arm does not dwell."
+)
+
+
+def motions(part: Part) -> Table:
+    """Executable targets, dwells, cost, largest joint step and curvature of every method. What a run of before does not
+    have on record is not known."""
+    common = common_scenarios(part)
+    rows = [_row(part, method, common) for method in part.plans]
+    return Table("motions", MOTIONS, tuple(tuple(row[column.key] for column in MOTIONS) for row in rows))
+
+
+def meaning(part: Part) -> str:
+    """What the columns say."""
+    count = int(common_scenarios(part).sum())
+    scenarios = f"the {count:,}" if count else "those, of which there are none,"
+    return MEANING.format(common=f"{scenarios} in which that is so with every method")
+
+
+def common_scenarios(part: Part) -> np.ndarray:
+    """The scenarios (S,) in which every method's motion leads to the last target."""
+    return np.logical_and.reduce([_whole(part, method) for method in part.plans])
+
+
+def _row(part: Part, method: str, common: np.ndarray) -> dict:
+    ends, found = part.plans[method].outcomes, part.motions[method]
+    known, whole = ~np.isnan(found.dwells), _whole(part, method)
+    return {
+        "method": method,
+        "tracked": int(ends.tracked.sum()),
+        "executable": int(ends.executable.sum()),
+        "whole": int(whole.sum()),
+        "dwells": int(found.dwells[known].sum()) if known.any() else None,
+        "dwelling": int((found.dwells[known] > 0).sum()) if known.any() else None,
+        "cost_median_rad2": _over(np.median, found.motion_cost_rad2[whole]),
+        "cost_common_rad2": _over(_geometric_mean, found.motion_cost_rad2[common]),
+        "path_step_max_rad": _over(np.max, found.path_step_max_rad),
+        "curvature_median_rad_m2": _over(np.median, found.curvature_max_rad_m2),
+        "curvature_max_rad_m2": _over(np.max, found.curvature_max_rad_m2),
+    }
+
+
+def _whole(part: Part, method: str) -> np.ndarray:
+    ends = part.plans[method].outcomes
+    return ends.planned & (ends.executable == ends.targets)
+
+
+def _geometric_mean(values: np.ndarray) -> float:
+    return float(np.exp(np.log(values).mean())) if (values > 0).all() else 0.0
+
+
+def _over(reduce, values: np.ndarray) -> float:
+    """Of those that are known; NaN of none."""
+    known = values[~np.isnan(values)]
+    return float(reduce(known)) if known.size else math.nan

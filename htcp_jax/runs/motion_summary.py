@@ -1,0 +1,85 @@
+"""What the motion of one scenario comes to, for a person and for a program."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from htcp_jax.planner.motion import curvature, dwells, figures, tightest
+from htcp_jax.planner.plans import Outcome, Plans
+
+LEAST_MM = 0.01  # smaller bounds say that the arm is clear, and no more
+
+
+class MotionSummary(NamedTuple):
+    """Figures of the executable part, see `planner.motion`; NaN and None where there is nothing to measure."""
+
+    end: Outcome
+    dwells: tuple[int, ...]  # targets at which the arm changes its posture
+    cost_rad2: float  # equation (3) [rad^2]
+    path_step_max_rad: float
+    curvature_max_rad_m2: float
+    curvature_at: int | None  # the target where it is
+    clearance_m: float  # the least that is proven
+    tightest: int | None  # the target that the way there leads to
+
+    def facts(self) -> dict[str, str]:
+        """In words: how far the motion leads or why it ends there, how clear it is proven to be, where it dwells, how
+        smooth it is."""
+        end = self.end
+        text = f"{end.executable} of {end.targets} targets"
+        if end.executable < end.tracked:
+            text += f"; to target {end.executable}: {end.way.message}"
+        if not end.executable:
+            return {"executable": text}
+        return {
+            "executable": text,
+            "proven clearance": f"{self.proven} all along; tightest on the way to target {self.tightest}",
+            "dwells": f"{len(self.dwells)}, {_at(self.dwells)}" if self.dwells else "none",
+            "smoothness": self._smoothness(),
+        }
+
+    @property
+    def proven(self) -> str:
+        """The least clearance that is proven, in words."""
+        least = 1e3 * self.clearance_m
+        return f"at least {least:.3g} mm" if least >= LEAST_MM else "more than 0 mm"
+
+    def _smoothness(self) -> str:
+        text = f"cost {self.cost_rad2:.4g} rad2"
+        if not math.isnan(self.path_step_max_rad):
+            text += f"; on the path steps up to {self.path_step_max_rad:.3g} rad"
+        if self.curvature_at is not None:
+            text += f", curvature up to {self.curvature_max_rad_m2:.4g} rad/m2 (target {self.curvature_at})"
+        return text
+
+    def record(self) -> dict[str, Any]:
+        """For JSON."""
+        end, figures = self.end, self._asdict()
+        del figures["end"]
+        return {"executable": end.executable, "way": end.way.name, **figures}
+
+
+def summarise_motion(plans: Plans, on_path: int, scenario: int = 0) -> MotionSummary:
+    """That of the scenario in one row of `plans`; on_path: see `planner.motion`."""
+    alone = plans.rows([scenario])
+    (found,) = zip(*figures(alone, on_path), strict=True)
+    _, cost, step, bend, clearance = map(float, found)
+    turning, at = np.flatnonzero(dwells(alone, on_path)[0]), int(tightest(alone)[0][0])
+    bent = curvature(alone, on_path)[0]
+    return MotionSummary(
+        end=plans.outcome(scenario),
+        dwells=tuple(turning.tolist()),
+        cost_rad2=cost,
+        path_step_max_rad=step,
+        curvature_max_rad_m2=bend,
+        curvature_at=None if math.isnan(bend) else int(np.nanargmax(bent)),
+        clearance_m=clearance,
+        tightest=None if at < 0 else at,
+    )
+
+
+def _at(targets: tuple[int, ...]) -> str:
+    """Targets as a person lists them: at target 3; at targets 3, 7 and 9."""
+    *others, last = map(str, targets)
+    return f"at targets {', '.join(others)} and {last}" if others else f"at target {last}"

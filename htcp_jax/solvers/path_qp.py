@@ -1,0 +1,89 @@
+"""Equation (3) about a path: all its postures at once, as one sparse QP in their steps y_1 .. y_P.
+
+    minimise    sum_i  w' (x_i + y_i - x_{i-1} - y_{i-1})^2      ||x||_Q^2 with Q = V' V; the start x_0 is held, y_0 = 0
+    subject to  A_i y_i = 0                        where the task is held: it stays so, to first order
+                G_i y_i <= h_i                     the clearance rows (CFS) of a posture,
+                C_i (y_{i-1} + y_i) / 2 <= c_i     and those half way to it
+                lower_i <= y_i <= upper_i          the trust region, inside the joint limits
+
+With h, c >= 0 and bounds on either side of 0 the step 0 is feasible, so there is always an answer.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import clarabel
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import sparse
+
+SOLVED = ("Solved", "AlmostSolved")
+
+
+class PathQP(NamedTuple):
+    """The QP of one path; P postures after the start."""
+
+    x: Float[np.ndarray, "P1 N"]  # the start, then the postures [rad or m]
+    weights: Float[np.ndarray, "N"]  # w, of the joints
+    held: Bool[np.ndarray, "P"]  # which postures hold the task
+    A: Float[np.ndarray, "P M N"]
+    G: Float[np.ndarray, "P R N"]
+    h: Float[np.ndarray, "P R"]  # [m]
+    C: Float[np.ndarray, "P R N"]
+    c: Float[np.ndarray, "P R"]  # [m]
+    lower: Float[np.ndarray, "P N"]
+    upper: Float[np.ndarray, "P N"]
+
+
+def path_cost(x: Float[np.ndarray, "P1 N"], weights: Float[np.ndarray, "N"]) -> float:
+    """Equation (3), ||x||_Q^2 [rad2 where the joints are hinges of weight 1]."""
+    steps = np.diff(x, axis=0)
+    return float((steps * steps * weights).sum())
+
+
+def solve_path_qp(qp: PathQP) -> Float[np.ndarray, "P N"]:
+    """The steps y of its postures [rad or m]; zeros where the solver breaks down."""
+    count, joints = qp.lower.shape
+    differences = _differences(count)
+    cost = 2 * sparse.kron(differences.T @ differences, sparse.diags(qp.weights))
+    pull = 2 * differences.T @ (np.diff(qp.x, axis=0) * qp.weights)
+    rows, bounds, equal = _constraints(qp)
+    cones = [clarabel.ZeroConeT(equal), clarabel.NonnegativeConeT(len(bounds) - equal)]
+    options = clarabel.DefaultSettings()
+    options.verbose, options.max_threads = False, 1
+    solver = clarabel.DefaultSolver(sparse.triu(cost, format="csc"), pull.ravel(), rows, bounds, cones, options)
+    solution = solver.solve()
+    y = np.asarray(solution.x).reshape(count, joints)
+    good = str(solution.status) in SOLVED and np.isfinite(y).all()
+    return np.clip(y, qp.lower, qp.upper) if good else np.zeros((count, joints))
+
+
+def _constraints(qp: PathQP) -> tuple[sparse.csc_matrix, np.ndarray, int]:
+    """Rows, bounds, and how many of the rows are equations. Clearance rows that no step breaks are left out."""
+    count, joints = qp.lower.shape
+    most = np.maximum(-qp.lower, qp.upper)
+    between = 0.5 * (most + np.concatenate([np.zeros((1, joints)), most[:-1]]))
+    at = qp.h < np.einsum("prn,pn->pr", np.abs(qp.G), most)
+    on_the_way = qp.c < np.einsum("prn,pn->pr", np.abs(qp.C), between)
+    held, identity = np.flatnonzero(qp.held), sparse.identity(count * joints, format="csc")
+    halves = _rows(np.nonzero(on_the_way)[0], 0.5 * qp.C[on_the_way], count)
+    earlier = _rows(np.nonzero(on_the_way)[0] - 1, 0.5 * qp.C[on_the_way], count)
+    task = _rows(np.repeat(held, qp.A.shape[1]), qp.A[held].reshape(-1, joints), count)
+    rows = [task, _rows(np.nonzero(at)[0], qp.G[at], count), halves + earlier, identity, -identity]
+    bounds = [np.zeros(task.shape[0]), qp.h[at], qp.c[on_the_way], qp.upper.ravel(), -qp.lower.ravel()]
+    return sparse.vstack(rows, format="csc"), np.concatenate(bounds), task.shape[0]
+
+
+def _rows(posture: np.ndarray, coefficients: np.ndarray, count: int) -> sparse.csc_matrix:
+    """Rows that have the coefficients of one posture's step each; those of the start, -1, are empty."""
+    joints, there = coefficients.shape[1], posture >= 0
+    row = np.repeat(np.flatnonzero(there), joints)
+    column = (posture[there][:, None] * joints + np.arange(joints)).ravel()
+    shape = len(posture), count * joints
+    return sparse.csc_matrix((coefficients[there].ravel(), (row, column)), shape=shape)
+
+
+@lru_cache(maxsize=128)
+def _differences(count: int) -> sparse.csc_matrix:
+    """V without the start's column: row i takes y_{i-1} from y_i."""
+    return sparse.diags([np.ones(count), -np.ones(count - 1)], [0, -1], format="csc")

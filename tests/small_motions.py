@@ -1,0 +1,122 @@
+"""Small scenarios for the roadmap, and motions looked at place by place, by brute force."""
+
+from dataclasses import replace
+from functools import cache, partial
+from itertools import pairwise
+
+import jax
+import jax.numpy as jnp
+import made_once
+import numpy as np
+
+from htcp_jax.clearance.obstacles import clearance
+from htcp_jax.planner.batch import plan
+from htcp_jax.planner.plans import ARRAYS
+from htcp_jax.scene.kinematics import tcp_position
+from htcp_jax.scene.robot import lengthen_tool
+from htcp_jax.scene.scenario import make_scenario
+from htcp_jax.settings import Settings
+
+# A small search: of these settings none is compiled into a program.
+SMALL = Settings(front=6, thin_front=6, walks=6, walk_rounds=2, smooth=False)
+PLACES = 200  # of every straight joint path
+D_everywhere = jax.jit(lambda robot, obstacle, where, x: jax.lax.map(partial(clearance, robot, obstacle, where), x))
+_TCPS = jax.jit(jax.vmap(tcp_position, in_axes=(None, 0)))
+
+
+def scenario(number=0, rotation=(0.4, 0.1), start=made_once.START, **changes):
+    return make_scenario(made_once.robot(), made_once.duct(), start, rotation=rotation, number=number, **changes)
+
+
+def first_of(one, targets):
+    """The scenario with its first targets alone."""
+    return replace(one, targets=one.targets[:targets], count=np.asarray(targets, np.int32))
+
+
+@cache
+def poses():
+    """Where the search has to spread its front and to go on elsewhere; of different lengths, margins, and tools."""
+    return (
+        scenario(0, (0.4, -0.3)),
+        scenario(1, (0.2, -0.3), approach=(3, 2), margin_m=0.0),
+        scenario(2, (0.4, 0.0), tool_extension_m=0.02),
+    )
+
+
+def roadmap(scenarios, settings=SMALL, **choices):
+    return plan(made_once.robot(), made_once.duct(), scenarios, "roadmap", settings, **choices)
+
+
+@cache
+def planned():
+    return roadmap(poses(), threads=1)
+
+
+def same(one, row, other, other_row, count):
+    """Whether two plans say the same of a scenario, to the last bit."""
+    for name in ARRAYS:
+        here, there = (getattr(p, name)[r] for p, r in ((one, row), (other, other_row)))
+        if name != "start":
+            here, there = here[:count], there[:count]
+        np.testing.assert_array_equal(here, there, err_msg=name)
+    for t in range(count):
+        np.testing.assert_array_equal(one.knots.on_the_way(row, t), other.knots.on_the_way(other_row, t))
+
+
+def ways(plans, s):
+    """(target, postures from the row before to its own) of the executable targets."""
+    before = plans.start[s]
+    for t in np.flatnonzero(plans.executable[s]).tolist():
+        yield t, np.concatenate([before[None], plans.knots.on_the_way(s, t), plans.x[s, t][None]])
+        before = plans.x[s, t]
+
+
+def off_line(start, end, points):
+    line = end - start
+    along = np.clip((points - start) @ line / (line @ line or 1.0), 0, 1)
+    return np.linalg.norm(points - start - along[:, None] * line, axis=1)
+
+
+def check_way(one, t, postures, radius):
+    """By brute force: clear everywhere, and on the path the TCP near its line, along which it never turns back; or,
+    while the arm changes its posture, near the target before. Returns the smallest D."""
+    robot, where = lengthen_tool(made_once.robot(), float(one.tool_extension_m)), jax.tree.map(jnp.asarray, one)
+    smallest = np.inf
+    for k, (a, b) in enumerate(pairwise(postures)):
+        x = jnp.asarray(a + np.linspace(0, 1, PLACES)[:, None] * (b - a))
+        smallest = min(smallest, float(jnp.min(D_everywhere(robot, made_once.scene()[1], where, x))))
+        if t <= one.on_path:
+            continue
+        points, (start, end) = np.asarray(_TCPS(robot, x)), one.targets[t - 1 : t + 1]
+        turns = k < len(postures) - 2
+        assert off_line(start, start if turns else end, points).max() <= radius
+        assert turns or (np.diff(points @ (end - start)) >= -1e-15).all()
+    return smallest
+
+
+def check_motions(scenarios, plans, radius):
+    for s, one in enumerate(scenarios):
+        np.testing.assert_array_equal(plans.start[s], one.x_start)
+        for t, postures in ways(plans, s):
+            smallest = check_way(one, t, postures, radius)
+            assert 0 < plans.way_clearance[s, t] <= smallest + 1e-9
+
+
+def check_rows(scenarios, plans, settings):
+    """Tracked rows are reached, with the margin, within the limits; and what is recorded is what the posture has."""
+    lower, upper = np.asarray(made_once.robot().lower), np.asarray(made_once.robot().upper)
+    for s, one in enumerate(scenarios):
+        robot = lengthen_tool(made_once.robot(), float(one.tool_extension_m))
+        own = plans.tracked[s]
+        x, count = plans.x[s, own], int(own.sum())
+        D = D_everywhere(robot, made_once.scene()[1], jax.tree.map(jnp.asarray, one), jnp.asarray(x))
+        np.testing.assert_allclose(plans.clearance[s, own], D, atol=1e-13)
+        assert (plans.clearance[s, own] > 0).all() and (plans.clearance[s, own] >= one.margin_m).all()
+        tcp = np.asarray(_TCPS(robot, jnp.asarray(x)))
+        np.testing.assert_allclose(plans.tcp[s, own], tcp, atol=1e-13)
+        residual = np.linalg.norm(tcp - one.targets[:count], axis=1)
+        np.testing.assert_allclose(plans.residual[s, own], residual, atol=1e-13)
+        assert residual.max() <= settings.tolerance_m
+        assert (x >= lower).all() and (x <= upper).all()
+        walked = np.concatenate([[one.x_start], x])
+        np.testing.assert_allclose(plans.joint_step[s, own], np.linalg.norm(np.diff(walked, axis=0), axis=1))

@@ -1,0 +1,228 @@
+"""Joining postures: what is found is clear at a thousand places of every step, and found only where there is a way."""
+
+from dataclasses import replace
+from functools import cache
+
+import jax
+import made_once
+import numpy as np
+import pytest
+from sphere_references import place
+from test_clearance import few_points
+
+from htcp_jax.clearance.motion_proof import Tube, Verdict
+from htcp_jax.clearance.of_workpiece import make_obstacle
+from htcp_jax.clearance.scene import Scene
+from htcp_jax.clearance.tip_guard import make_tip_guard
+from htcp_jax.errors import InputError
+from htcp_jax.planner.joint_search import join
+from htcp_jax.planner.kernels import PROVE
+from htcp_jax.planner.lane_inputs import lane_inputs
+from htcp_jax.planner.programs import Kernels
+from htcp_jax.planner.tip_check import TipCheck
+from htcp_jax.scene.robot import GP50
+from htcp_jax.scene.robot_file import load_robot
+from htcp_jax.scene.scenario import make_scenario, stack
+from htcp_jax.scene.workpiece_file import load_workpiece
+from htcp_jax.settings import Settings, settings_of
+from htcp_jax.validation.mujoco_arm import Arm
+from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
+
+PLACES = 1000
+NUMBERS = 49, 53, 3, 78, 86, 109, 112, 113, 153  # recorded configurations in the duct, all clear but one
+SETTINGS = Settings(search_rounds=150)
+
+
+@cache
+def kernels():
+    return Kernels(made_once.scene(), SETTINGS)
+
+
+@cache
+def scenarios():
+    """One for the pose of each recorded configuration."""
+    nominal = jax.tree.map(np.asarray, made_once.nominal())
+    poses = [jax.tree.map(np.asarray, place(k)[0]) for k in NUMBERS]
+    return stack(
+        [
+            replace(
+                nominal,
+                T_world_workpiece=where.T_world_workpiece,
+                interior_plane=where.interior_plane,
+                number=np.array(k, np.int32),
+            )
+            for k, where in zip(NUMBERS, poses, strict=True)
+        ]
+    )
+
+
+def ends():
+    """From the start, outside, to the recorded configuration in the duct."""
+    b = np.stack([np.asarray(place(k)[1]) for k in NUMBERS])
+    return np.broadcast_to(np.array(made_once.START), b.shape).copy(), b
+
+
+def joined(which, settings=SETTINGS, pair=0, tip=None):
+    which = np.asarray(which, int)
+    a, b = (end[which] for end in ends())
+    return join(kernels(), tip, scenarios(), which, np.full(len(which), pair), a, b, settings)
+
+
+@cache
+def found():
+    return joined(range(len(NUMBERS)))
+
+
+def ways(knots=None):
+    """(scenario, postures from end to end) of those joined."""
+    a, b = ends()
+    knots = found() if knots is None else knots
+    return [(s, np.concatenate([a[s][None], own, b[s][None]])) for s, own in enumerate(knots) if own is not None]
+
+
+def verdicts(s, a, b):
+    nowhere, which = np.zeros((len(a), 3)), np.full(len(a), s)
+    tube = Tube(nowhere, nowhere, np.full(len(a), np.inf))
+    return kernels()(PROVE, lane_inputs(scenarios(), which, np.zeros_like(which)), a, b, tube, np.zeros(len(a))).verdict
+
+
+def length(way):
+    return np.linalg.norm(np.diff(way, axis=0), axis=1).sum()
+
+
+def test_another_engine_finds_nothing_that_touches_at_a_thousand_places_of_every_step():
+    duct, arm, several = made_once.duct(), Arm(GP50, 0.0, "simulation"), 0
+    wall = Wall(np.asarray(duct.cloud), "hull")
+    for s, way in ways():
+        T = scenarios().T_world_workpiece[s]
+        scene = CheckedScene(arm, wall, T[:3, :3], T[:3, 3], duct.interior_depth_m)
+        known = scene.at(way)
+        assert known.clearance.min() > 0
+        row = np.repeat(np.arange(len(way) - 1), PLACES)
+        part = np.tile(np.linspace(0, 1, PLACES), len(way) - 1)[:, None]
+        _, clearance = scene.between(way[row] + part * (way[row + 1] - way[row]), row, known, 0.0)
+        assert np.isinf(clearance).all()
+        several += len(way) > 3
+    assert several >= 3
+
+
+def test_every_step_is_proven_and_within_the_limits():
+    """As a plan's ways are, by the kernel that judges them; knots repeat neither each other nor the ends."""
+    lower, upper = kernels().limits
+    for s, way in ways():
+        assert (verdicts(s, way[:-1], way[1:]) == Verdict.PROVEN).all()
+        assert (way >= lower).all() and (way <= upper).all()
+        assert (np.diff(way, axis=0) != 0).any(axis=1).all()
+
+
+def test_where_the_straight_joint_path_is_proven_there_are_no_knots_and_elsewhere_there_are():
+    a, b = ends()
+    straight = [(verdicts(s, a[s][None], b[s][None]) == Verdict.PROVEN).all() for s, _ in ways()]
+    assert [len(way) == 2 for _, way in ways()] == straight and not all(straight)
+    near = a + 1e-3
+    (none, same) = join(
+        kernels(), None, scenarios(), np.arange(2), np.zeros(2, int), a[:2], np.stack([near[0], a[1]]), SETTINGS
+    )
+    assert none.shape == same.shape == (0, a.shape[1])
+
+
+def test_an_end_in_collision_is_joined_with_nothing():
+    """On either side; and all others of these pairs, whose ends are clear, are joined."""
+    a, b = ends()
+    clear = [(verdicts(s, b[s][None], b[s][None]) == Verdict.PROVEN).all() for s in range(len(NUMBERS))]
+    assert [own is not None for own in found()] == clear and not all(clear)
+    s = np.array([clear.index(False)])
+    assert join(kernels(), None, scenarios(), s, s, b[s], a[s], SETTINGS) == [None]
+
+
+def test_who_else_is_joined_has_no_influence():
+    """Alone, in another order, and several times over: the same to the last bit."""
+    order = [6, 0, 3, 8, 3, 1, 5, 2, 7, 4]
+    for s, own in [*zip(order, joined(order), strict=True), *((s, joined([s])[0]) for s in (0, 5, 8))]:
+        assert (own is None) == (found()[s] is None)
+        assert own is None or np.array_equal(own, found()[s])
+    many = joined(order * 4)  # more than are in flight at a time
+    assert all(one is other or np.array_equal(one, other) for one, other in zip(many[:10], many[-10:], strict=True))
+
+
+def test_another_pair_number_and_another_seed_are_other_searches():
+    s = max(ways(), key=lambda way: len(way[1]))[0]
+    others = [joined([s], pair=1)[0], joined([s], replace(SETTINGS, seed=5))[0]]
+    assert not any(np.array_equal(other, found()[s]) for other in others)
+    assert all((verdicts(s, *_steps(s, other)) == Verdict.PROVEN).all() for other in others)
+
+
+def _steps(s, knots):
+    a, b = ends()
+    way = np.concatenate([a[s][None], knots, b[s][None]])
+    return way[:-1], way[1:]
+
+
+def test_shortcuts_make_a_way_shorter_and_never_longer():
+    """Round after round of the same search; the steps that are not shortened yet are no longer than asked for."""
+    before, longest = None, 0.0
+    for rounds in (0, 1, 4, 8):
+        now = [way for _, way in ways(joined(range(len(NUMBERS)), replace(SETTINGS, search_shortcuts=rounds)))]
+        if before is None:
+            steps = [np.linalg.norm(np.diff(way, axis=0), axis=1).max() for way in now if len(way) > 2]
+            longest = max(steps)
+        else:
+            assert all(length(new) <= length(old) for new, old in zip(now, before, strict=True))
+            assert sum(map(length, now)) < sum(map(length, before))
+        before = now
+    assert longest <= SETTINGS.search_step_rad + 1e-12
+
+
+def columns(*angles):
+    """Points of upright columns about an arm's base."""
+    height = np.arange(-0.3, 0.31, 0.02)
+    return np.concatenate([np.column_stack([np.full((len(height), 2), _at(angle)), height]) for angle in angles])
+
+
+def _at(angle, radius=0.35):
+    return radius * np.array([np.cos(angle), np.sin(angle)])
+
+
+@pytest.mark.parametrize(("angles", "way"), [((-1.0, 1.0), False), ((-1.0,), True)])
+def test_an_arm_between_two_columns_does_not_get_out_and_beside_one_it_does(angles, way, tmp_path):
+    """Its first link reaches past them and can only turn, and not all the way round."""
+    links = "".join(
+        f'<body pos="{0.5 * (k > 0)} 0 0"><joint name="j{k}" axis="0 0 1" range="-175 175"/>'
+        '<geom type="capsule" size="0.05" fromto="0 0 0 0.5 0 0"/>'
+        for k in range(3)
+    )
+    file = tmp_path / "planar.xml"
+    site = '<site name="tcp" pos="0.6 0 0"/>'
+    file.write_text(f"<mujoco><worldbody>{links}{site}{'</body>' * 3}</worldbody></mujoco>")
+    robot, part = load_robot(file, limits="model"), few_points(columns(*angles))
+    start, inside = np.array([2.0, 0.4, 0.0]), np.array([0.0, 0.5, -0.5])
+    one = stack([make_scenario(robot, part, start, rotation=(0.0, 0.0))])
+    own = Kernels(Scene(robot, make_obstacle(part)), SETTINGS)
+    zero = np.zeros(1, int)
+    for a, b in ((start, inside), (inside, start)):
+        (knots,) = join(own, None, one, zero, zero, a[None], b[None], replace(SETTINGS, search_rounds=60))
+        assert (knots is not None) == way
+
+
+def test_the_bare_tip_keeps_out_of_the_walls():
+    """Of the pairs that are joined without heed to it some pass through a wall; with it none does."""
+    tip = TipCheck(kernels(), make_tip_guard(load_workpiece(tip_contact_m=0.01)))
+
+    def passes(s, knots):
+        steps = _steps(s, knots)
+        return tip.along(
+            lane_inputs(scenarios(), np.full(len(steps[0]), s), np.zeros(len(steps[0]), int)), *steps
+        ).any()
+
+    which = [s for s, own in enumerate(found()) if own is not None][::2]
+    heedful = dict(zip(which, joined(which, replace(SETTINGS, search_rounds=20), tip=tip), strict=True))
+    assert any(own is not None for own in heedful.values())
+    assert not any(passes(s, own) for s, own in heedful.items() if own is not None)
+    assert any(passes(s, found()[s]) for s in which)
+
+
+@pytest.mark.parametrize(("name", "value"), [("search_rounds", 0), ("search_step_rad", 0.0), ("search_step_rad", 4.0)])
+def test_settings_out_of_range_are_refused(name, value):
+    with pytest.raises(InputError, match=name):
+        settings_of({name: value})
+    assert settings_of({"search_shortcuts": 0}).search_shortcuts == 0

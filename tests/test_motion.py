@@ -1,0 +1,151 @@
+"""A motion is the start, the knots and the rows in the order in which an arm passes them, and its figures are those
+that a plain loop over them finds."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hand_made import plans_with
+from hypothesis import given
+from hypothesis import strategies as st
+
+from htcp_jax.planner.knots import Knots
+from htcp_jax.planner.motion import (
+    ONE_POINT_M,
+    cost,
+    curvature,
+    dwells,
+    figures,
+    largest_step,
+    motion,
+    motions,
+    tightest,
+)
+from htcp_jax.planner.plans import Plans
+from htcp_jax.status import Kind, Status, Way
+
+TARGETS, ON_PATH, JOINTS = 8, 3, 2
+T, A, F, D, R = Kind.TRANSFER, Kind.APPROACH, Kind.FEED, Kind.DWELL, Kind.RETRACT
+
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def some_plans(seed: int, scenarios: int = 3) -> Plans:
+    """Plans whose rows are executable up to a drawn target, with knots on some ways and points that meet again."""
+    rng = np.random.default_rng(seed)
+    ends = rng.integers(0, TARGETS, scenarios, endpoint=True)
+    tracked = np.arange(TARGETS) < TARGETS - 1 + (np.arange(scenarios) % 2)[:, None]
+    plans = plans_with(np.where(tracked, Status.TRACKED, Status.QP_INFEASIBLE).tolist(), joints=JOINTS)
+    ahead = rng.choice([0.0, 0.3 * ONE_POINT_M, 0.01, 0.02], (scenarios, TARGETS, 1)) * [1.0, 0.5, 0.0]
+    way = np.where(np.arange(TARGETS) < ends[:, None], Way.PROVEN, Way.UNKNOWN).astype(np.int8)
+    keys = [(s, t) for s in range(scenarios) for t in range(TARGETS) if rng.random() < 0.25]
+    return plans._replace(
+        start=rng.normal(size=(scenarios, JOINTS)),
+        x=np.where(tracked[..., None], rng.normal(size=(scenarios, TARGETS, JOINTS)), np.nan),
+        target=np.cumsum(ahead, axis=1),
+        way=way,
+        way_clearance=np.where(way == Way.PROVEN, rng.choice([1e-3, 2e-3, 3e-3], way.shape), np.nan),
+        knots=Knots.of([(*key, rng.normal(size=(rng.integers(1, 4), JOINTS))) for key in keys], JOINTS),
+    )
+
+
+def walked(plans: Plans, s: int) -> list[tuple[int, Kind, np.ndarray]]:
+    """Target, kind and posture of all that scenario s passes, one by one."""
+    rows, count = [], int(plans.executable[s].sum())
+    for t in range(count):
+        knots = plans.knots.on_the_way(s, t)
+        if t == 0:
+            rows.append((0, T if len(knots) else A, plans.start[s]))
+        kind = D if t > ON_PATH else A if t else T
+        rows += [(t - (kind == D), kind, x) for x in knots]
+        rows.append((t, F if t > ON_PATH else A, plans.x[s, t]))
+    return rows
+
+
+@given(SEEDS)
+def test_a_motion_is_the_start_the_knots_and_the_rows_in_their_order(seed):
+    plans = some_plans(seed)
+    together = motions(plans, ON_PATH)
+    for s in range(len(plans.x)):
+        rows = walked(plans, s)
+        for found in (motion(plans, s, ON_PATH), together.of(s)):
+            assert [*zip(found.target, found.kind, strict=True)] == [row[:2] for row in rows]
+            np.testing.assert_array_equal(found.x, np.array([x for *_, x in rows]).reshape(-1, JOINTS))
+
+
+@given(SEEDS)
+def test_the_way_back_is_the_way_there_reversed(seed):
+    plans = some_plans(seed)
+    there, back = (motion(plans, 0, ON_PATH, retract=retract) for retract in (False, True))
+    np.testing.assert_array_equal(back.x, np.concatenate([there.x, there.x[::-1][1:]]))
+    assert (back.kind[len(there.x) :] == R).all() and (back.kind[: len(there.x)] == there.kind).all()
+
+
+def curved(plans: Plans, s: int) -> dict[int, float]:
+    """|q''| at targets of scenario s, point by point."""
+    points: list[tuple[int, bool]] = []  # the last target of each, and whether the arm turns on the way to it
+    turns = False
+    for t in range(ON_PATH, int(plans.executable[s].sum())):
+        turns |= bool(len(plans.knots.on_the_way(s, t))) and t > ON_PATH
+        if points and t > ON_PATH and np.linalg.norm(plans.target[s, t] - plans.target[s, t - 1]) < ONE_POINT_M:
+            points[-1] = t, points[-1][1] | turns
+        else:
+            points.append((t, turns))
+        turns = False
+    found = {}
+    for (a, _), (b, turned), (c, turns) in zip(points, points[1:], points[2:], strict=False):
+        if not turned and not turns:
+            p, q, r = (plans.target[s, t] for t in (a, b, c))
+            before, after = np.linalg.norm(q - p), np.linalg.norm(r - q)
+            slopes = (plans.x[s, b] - plans.x[s, a]) / before, (plans.x[s, c] - plans.x[s, b]) / after
+            found[b] = float(np.linalg.norm(slopes[1] - slopes[0]) / ((before + after) / 2))
+    return found
+
+
+@given(SEEDS)
+def test_the_figures_are_those_of_a_plain_loop(seed):
+    plans = some_plans(seed)
+    found, bent, on_path = figures(plans, ON_PATH), curvature(plans, ON_PATH), motions(plans, ON_PATH)
+    turning, (least_at, least) = dwells(plans, ON_PATH), tightest(plans)
+    costs, steps = cost(on_path, len(plans.x)), largest_step(on_path, len(plans.x))
+    for s in range(len(plans.x)):
+        rows, count = walked(plans, s), int(plans.executable[s].sum())
+        x = np.array([x for *_, x in rows]).reshape(-1, JOINTS)
+        V = np.kron(np.eye(max(len(x), 1))[1:] - np.eye(max(len(x), 1))[:-1], np.eye(JOINTS))  # equation (3)'s
+        assert costs[s] == pytest.approx(x.ravel() @ V.T @ V @ x.ravel() if len(x) else 0.0)
+        own = [np.linalg.norm(b[2] - a[2]) for a, b in pairwise(rows) if b[1] in (F, D)]
+        np.testing.assert_allclose(steps[s], max(own, default=np.nan))
+        assert np.flatnonzero(turning[s]).tolist() == sorted({t for t, kind, _ in rows if kind == D})
+        assert {t: v for t, v in enumerate(bent[s]) if v == v} == pytest.approx(curved(plans, s))
+        np.testing.assert_allclose(found.curvature_max_rad_m2[s], max(curved(plans, s).values(), default=np.nan))
+        clear = plans.way_clearance[s, :count].tolist()
+        assert least_at[s] == (clear.index(min(clear)) if count else -1)
+        np.testing.assert_equal(least[s], min(clear, default=np.nan))
+        np.testing.assert_equal(found.dwells[s], turning[s].sum() if count else np.nan)
+        np.testing.assert_equal(found.motion_cost_rad2[s], costs[s] if count else np.nan)
+
+
+def test_a_joint_that_follows_a_parabola_over_the_arc_length_has_its_curvature():
+    """q = s^2 / 2 along a straight path of uneven steps: |q''| is 1 at every inner point."""
+    plans = plans_with([[Status.TRACKED] * 9], joints=1)
+    length = np.array([0.0, 0.1, 0.15, 0.3, 0.33, 0.5, 0.6, 0.8, 0.9])
+    target = length[None, :, None] * np.array([0.6, 0.0, 0.8])
+    way = np.full_like(plans.way, Way.PROVEN)
+    bent = curvature(plans._replace(x=length[None, :, None] ** 2 / 2, target=target, way=way), 0)
+    assert np.isnan(bent[0, [0, -1]]).all()
+    np.testing.assert_allclose(bent[0, 1:-1], 1.0)
+
+
+def test_many_scenarios_are_as_each_alone():
+    rng = np.random.default_rng(0)
+    plans = plans_with([[Status.TRACKED] * TARGETS] * 50, joints=JOINTS)
+    way = np.where(rng.random(plans.way.shape) < 0.9, Way.PROVEN, Way.LEAVES).astype(np.int8)
+    knots = Knots.of([(s, t, rng.normal(size=(2, JOINTS))) for s in range(50) for t in range(0, TARGETS, 2)], JOINTS)
+    plans = plans._replace(x=rng.normal(size=plans.x.shape), target=rng.normal(size=plans.target.shape), way=way)
+    plans = plans._replace(way_clearance=rng.random(way.shape), knots=knots)
+    on_path = rng.integers(0, 4, 50)
+    together = figures(plans, on_path)
+    for s in range(50):
+        alone = figures(plans.rows([s]), int(on_path[s]))
+        np.testing.assert_allclose([column[s] for column in together], [column[0] for column in alone], rtol=1e-12)

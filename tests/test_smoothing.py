@@ -1,0 +1,215 @@
+"""Smoothing: motions become cheaper in equation (3), and stay motions; nothing else of a plan changes."""
+
+from dataclasses import replace
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import made_once
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from small_motions import (
+    SMALL,
+    check_motions,
+    check_rows,
+    first_of,
+    planned,
+    poses,
+    roadmap,
+    same,
+    scenario,
+    ways,
+)
+
+from htcp_jax.errors import InputError
+from htcp_jax.planner import smoothing
+from htcp_jax.planner.batch import plan
+from htcp_jax.planner.devices import choose
+from htcp_jax.planner.knots import Knots
+from htcp_jax.planner.motion_check import judge_motions
+from htcp_jax.planner.plans import ARRAYS
+from htcp_jax.planner.problem import Problem
+from htcp_jax.scene.kinematics import jacobian, tcp_position
+from htcp_jax.scene.scenario import stack
+from htcp_jax.scene.task import Task
+from htcp_jax.status import Way
+
+SMOOTH = replace(SMALL, smooth=True)
+NARROW = replace(SMALL, path_tolerance_m=3e-4, path_check="none")  # motions of step QPs end early in that
+_TCPS, _JACOBIANS = (jax.jit(jax.vmap(of, in_axes=(None, 0))) for of in (tcp_position, jacobian))
+
+
+@cache
+def smoothed():
+    return roadmap(poses(), SMOOTH, threads=1)
+
+
+@cache
+def of_baseline(smooth):
+    """Tracked further than it is a motion."""
+    return plan(made_once.robot(), made_once.duct(), poses(), "baseline", replace(NARROW, smooth=smooth), threads=1)
+
+
+def steps(plans, s):
+    """Of all joint paths of a motion, knots included (n, N)."""
+    return np.concatenate([np.diff(postures, axis=0) for _, postures in ways(plans, s)])
+
+
+def cost(plans, s):
+    """Equation (3) with weights of 1."""
+    return float((steps(plans, s) ** 2).sum())
+
+
+def dwells(plans, s):
+    """The targets on whose ways the arm changes its posture."""
+    return set(plans.knots.target[plans.knots.scenario == s].tolist())
+
+
+def smooth_again(scenarios, plans, settings=SMOOTH, **changes):
+    """These plans, changed, smoothed and judged, as if a method had made them."""
+    plans = plans._replace(**{name: array.copy() for name, array in plans.arrays().items()})._replace(**changes)
+    scene, devices, task = made_once.scene(), choose(None), Task(tolerance_m=settings.tolerance_m)
+    problem = Problem(scene[0], made_once.duct(), stack(scenarios), settings, task, scene[1], devices, 1)
+    judge_motions(problem, plans)
+    plans = smoothing.smooth(problem, plans)
+    judge_motions(problem, plans)
+    return plans
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "settings"),
+    [(planned, smoothed, SMOOTH), (lambda: of_baseline(False), lambda: of_baseline(True), NARROW)],
+    ids=["roadmap", "baseline"],
+)
+def test_the_same_targets_by_a_cheaper_motion(before, after, settings):
+    """Looked at in two hundred places of every joint path; rows keep the margin; dwells are dropped, none is new."""
+    before, after = before(), after()
+    assert (after.executable == before.executable).all() and (after.status == before.status).all()
+    check_motions(poses(), after, settings.tube_m)
+    check_rows(poses(), after, settings)
+    for s in range(3):
+        assert cost(after, s) < 0.98 * cost(before, s) and dwells(after, s) <= dwells(before, s)
+    assert sum(cost(after, s) for s in range(3)) < 0.7 * sum(cost(before, s) for s in range(3))
+    longest = [max(np.linalg.norm(steps(plans, s), axis=1).max() for s in range(3)) for plans in (before, after)]
+    assert longest[1] < 0.8 * longest[0]
+
+
+def test_dwells_go_where_there_is_a_straight_way():
+    assert any(dwells(planned(), s) for s in range(3)) and not any(dwells(smoothed(), s) for s in range(3))
+
+
+def test_what_is_no_motion_stays_to_the_last_bit():
+    """All that is said of rows behind the end of a motion, the first of them, which it does not lead to, among them."""
+    before, after = of_baseline(False), of_baseline(True)
+    assert (before.tracked.sum(axis=1) > before.executable.sum(axis=1)).sum() >= 2
+    for s, one in enumerate(poses()):
+        end = int(before.executable[s].sum())
+        for name in ARRAYS:
+            if name != "start":
+                a, b = (getattr(plans, name)[s, end : int(one.count)] for plans in (before, after))
+                np.testing.assert_array_equal(a, b, err_msg=name)
+        np.testing.assert_array_equal(before.start[s], after.start[s])
+        if before.tracked[s].sum() > end:
+            np.testing.assert_array_equal(before.x[s, end - 1], after.x[s, end - 1])
+    assert (after.path_clear == before.path_clear).all() and (after.iterations == before.iterations).all()
+
+
+def test_knots_behind_the_end_of_a_motion_stay():
+    before = of_baseline(False)
+    s = 0
+    lost = int(before.executable[s].sum())
+    beyond = Knots.of([(s, lost, before.x[s, [lost]]), (s, lost + 3, before.x[s, [lost, lost + 3]])], 6)
+    after = smooth_again(poses(), before, replace(NARROW, smooth=True), knots=beyond)
+    assert all(np.array_equal(a, b) for a, b in zip(after.knots, beyond, strict=True))
+    assert cost(after, s) < 0.9 * cost(before, s)
+
+
+def test_a_scenario_without_a_motion_is_left_alone():
+    """Beside one that has one."""
+    one = first_of(scenario(2, (0.4, 0.0)), 6)
+    lost = replace(one, targets=one.targets + 5.0)
+    plans = roadmap([lost, one], SMOOTH)
+    assert not plans.tracked[0].any() and plans.executable[1].all()
+    same(plans, 1, roadmap([one], SMOOTH), 0, 6)
+    assert not roadmap([lost], SMOOTH).tracked.any()
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_who_else_is_smoothed_has_no_influence(threads):
+    """Alone, together, in another order, by two threads: all arrays to the last bit."""
+    backwards = roadmap(poses()[::-1], SMOOTH, threads=threads)
+    for s, one in enumerate(poses()):
+        same(smoothed(), s, backwards, 2 - s, int(one.count))
+        if threads == 1:
+            same(smoothed(), s, roadmap(one, SMOOTH, threads=1), 0, int(one.count))
+
+
+def test_a_smooth_motion_has_next_to_nothing_left_to_gain():
+    """Another time changes its cost by a few per cent at most, and never for the worse."""
+    again = smooth_again(poses(), smoothed())
+    for s in range(3):
+        assert 0.95 * cost(smoothed(), s) < cost(again, s) <= cost(smoothed(), s)
+
+
+def test_where_nothing_is_in_the_way_it_is_the_shortest_path_over_the_targets():
+    """A few targets of the approach, before the walls are near, against a dense optimiser that knows them alone."""
+    one, robot = first_of(scenario(2, (0.4, 0.0)), 8), made_once.robot()
+    plans = roadmap([one], SMOOTH)
+    shape = 8, 6
+    path = lambda y: np.concatenate([one.x_start[None], y.reshape(shape)])  # noqa: E731
+    on_target = {
+        "type": "eq",
+        "fun": lambda y: (np.asarray(_TCPS(robot, jnp.asarray(y.reshape(shape)))) - one.targets).ravel(),
+        "jac": lambda y: jax.scipy.linalg.block_diag(*np.asarray(_JACOBIANS(robot, jnp.asarray(y.reshape(shape))))),
+    }
+    V = np.kron(np.eye(8) - np.eye(8, k=-1), np.eye(6))
+    slope = lambda y: 2 * V.T @ np.diff(path(y), axis=0).ravel()  # noqa: E731
+    found = minimize(
+        lambda y: (np.diff(path(y), axis=0) ** 2).sum(), plans.x[0].ravel(), jac=slope, constraints=on_target,
+        method="SLSQP", options={"ftol": 1e-12},
+    )  # fmt: skip
+    assert plans.executable.all() and plans.clearance.min() > 0.005 and found.success
+    assert found.fun <= cost(plans, 0) * 1.001 and cost(plans, 0) < 1.01 * found.fun
+
+
+def test_a_heavy_joint_moves_less():
+    """The one that moves most of all; and the cost with that weight falls more than without it."""
+    weights = np.ones(6)
+    free = steps(smoothed(), 0)
+    most = int((free**2).sum(axis=0).argmax())
+    weights[most] = 30.0
+    plans = roadmap(poses()[0], replace(SMOOTH, path_weights=tuple(weights)))
+    heavy = steps(plans, 0)
+    assert (plans.executable[0] == smoothed().executable[0][: plans.executable.shape[1]]).all()
+    assert (heavy**2).sum(axis=0)[most] < 0.8 * (free**2).sum(axis=0)[most]
+    assert (weights * heavy**2).sum() < (weights * free**2).sum()
+    check_motions(poses()[:1], plans, SMOOTH.tube_m)
+
+
+def test_weights_of_another_arm_are_refused():
+    with pytest.raises(InputError, match=r"path_weights has 2 values, the robot gp50 has 6 joints"):
+        roadmap(poses()[0], replace(SMOOTH, path_weights=(1.0, 1.0)))
+
+
+def test_ways_that_take_long_to_prove_do_not_hold_up_the_rest(monkeypatch):
+    """Where nothing new may take more than one query, what has not moved still counts as what it was."""
+    monkeypatch.setattr(smoothing, "GRAZES", 1)
+    after = smooth_again(poses(), planned())
+    assert (after.executable == planned().executable).all() and (after.way[after.executable] == Way.PROVEN).all()
+    assert all(cost(after, s) < cost(planned(), s) for s in (0, 2))
+
+
+def test_it_is_for_the_settings_to_say_and_for_the_method_to_wish():
+    """The roadmap is smoothed unless told otherwise, the baseline is not; without checks there are no motions."""
+    one = first_of(scenario(2, (0.4, 0.0)), 6)
+
+    def made(method, smooth, **more):
+        settings = replace(SMALL, smooth=smooth)
+        return plan(made_once.robot(), made_once.duct(), one, method, settings, **more).x
+
+    for method, wishes in (("roadmap", True), ("baseline", False)):
+        plain, smoothed = made(method, False), made(method, True)
+        assert not np.array_equal(plain, smoothed)
+        np.testing.assert_array_equal(made(method, None), smoothed if wishes else plain)
+        np.testing.assert_array_equal(made(method, True, check_paths=False), plain)
