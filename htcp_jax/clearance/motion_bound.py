@@ -35,18 +35,19 @@ from htcp_jax.types import Array, Float, Int, Joints, Scalar
 def motion_bound(robot: Robot, x: Joints, turns: Joints) -> Float[Array, "K"]:
     """How far any point of each body is from where it is at x, at most, while every joint stays within `turns`
     [rad or m] of x [m]."""
-    p, q = capsule_segments(robot, x)
-    links = jnp.asarray(robot.capsule_link)
+    links, (p, q) = jnp.asarray(robot.capsule_link), capsule_segments(robot, x)
+    return jnp.maximum(*(point_motion_bound(robot, x, turns, ends, links) for ends in (p, q)))
 
-    def farthest(points):
-        levers = joint_levers(robot, x, points)
-        moved = jnp.zeros(len(robot.capsule_link))
-        for j in reversed(range(len(robot.slides))):
-            adds = turns[j] * (1.0 if robot.slides[j] else levers[:, j] + moved)
-            moved = moved + jnp.where(links >= j, adds, 0.0)
-        return moved
 
-    return jnp.maximum(farthest(p), farthest(q))
+def point_motion_bound(
+    robot: Robot, x: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Array, "P"]
+) -> Float[Array, "P"]:
+    """The same of points at x, world [m], that are fixed to links, -1 for the world."""
+    levers, moved = joint_levers(robot, x, points), jnp.zeros(len(points))
+    for j in reversed(range(len(robot.slides))):
+        adds = turns[j] * (1.0 if robot.slides[j] else levers[:, j] + moved)
+        moved = moved + jnp.where(links >= j, adds, 0.0)
+    return moved
 
 
 def travel_bound(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "K"]:

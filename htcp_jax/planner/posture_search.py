@@ -7,7 +7,6 @@ so that the arm's branches, elbow up or down and so on, are all met. What comes 
 clearest that are far apart are pushed clear. An arm of more joints has further freedom, which the seeds alone spread.
 """
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import jax
@@ -15,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
 from htcp_jax.clearance.exclusion import rotation
@@ -27,23 +27,22 @@ from htcp_jax.planner.lanes import gather
 from htcp_jax.planner.null_space import Anchored
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.stages import PUSH
-from htcp_jax.planner.tool_cells import MANY, ToolCells, tool_cells
+from htcp_jax.planner.tool_cells import MANY, Cells, tool_cells
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.kinematics import jacobian, link_poses, tcp_position
 from htcp_jax.scene.robot import Robot, lengthen_tool
 from htcp_jax.settings import Settings
 
-CELLS = 4096  # at a target, at most: else the resolution is coarser, and says so
+CELLS = 8192  # at a target, at most: else the resolution is coarser, and says so
 SEEDS, KNOWN = 12, 2**15  # of Newton's method for each cell, and the postures that they are taken from
 STEPS = 12  # of Newton's method
 PUSHED = 64  # postures pushed clear at a target
 APART_RAD = 0.2  # closer postures are one
-HOPS, HOPPED, HOP = (
-    2,
-    8,
-    0.15,
-)  # rounds in which the clearest are moved at random and pushed again, and how far [rad, m]
+HOPS, HOPPED = 2, 8  # rounds in which so many of the clearest are moved at random and pushed again,
+HOP = 0.15  # and how far [rad or m]
 LENGTH_M = 0.3  # of which a radian of the tool weighs as much as this far of its tip
+TURN_M = LENGTH_M / np.sqrt(2)  # the same of rotation matrices, whose distance is sqrt(2) times the angle
+KnownPostures = dict[float, tuple[np.ndarray, cKDTree]]  # by the tool's extension: postures, and a tree of their poses
 
 
 class Found(NamedTuple):
@@ -51,8 +50,7 @@ class Found(NamedTuple):
 
     x: Float[np.ndarray, "n PUSHED N"]  # pushed postures, clearest first
     clearance: Float[np.ndarray, "n PUSHED"]  # [m]; -inf for no posture
-    resolution_rad: Float[np.ndarray, "n"]  # radius of the cells
-    excluded: Bool[np.ndarray, "n"]  # the tool collides in every orientation: there is no posture
+    resolution_rad: Float[np.ndarray, "n"]  # radius of the cells; 0 where the tool collides in every orientation
 
 
 def aim(settings: Settings, scene: Scene, lane: LaneInputs, x, quaternion) -> Anchored:
@@ -84,19 +82,34 @@ AIM = Kernel("aim", aim, MANY)
 MEASURE = Kernel("measure", measure, MANY)
 
 
-def search(kernels: Kernels, robot: Robot, inputs: LaneInputs, resolution_rad: float) -> Found:
+def known_postures(robot: Robot, extensions_m: np.ndarray) -> KnownPostures:
+    """Postures spread evenly within the joint limits (Halton), and a tree of their poses, for each tool."""
+    lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
+    x = lower + (upper - lower) * qmc.Halton(len(lower), scramble=False).random(KNOWN)
+    pose = jax.jit(jax.vmap(_pose, in_axes=(None, 0)))
+    tools = {float(own_m): lengthen_tool(robot, float(own_m)) for own_m in np.unique(extensions_m)}
+    return {own_m: (x, cKDTree(np.asarray(pose(own, x)))) for own_m, own in tools.items()}
+
+
+def _pose(robot: Robot, x):
+    """Where the TCP is, and how the last link is turned, as numbers that are metres."""
+    return jnp.concatenate([tcp_position(robot, x), TURN_M * link_poses(robot, x)[-1, :3, :3].ravel()])
+
+
+def search(kernels: Kernels, known: KnownPostures, inputs: LaneInputs, resolution_rad: float) -> Found:
     """Postures at n targets, each searched by itself."""
     cells = tool_cells(kernels, inputs, resolution_rad, CELLS)
-    lanes, joints = len(inputs.row), len(robot.slides)
+    lanes, joints = len(inputs.row), len(kernels.limits[0])
     x, best = np.zeros((lanes, PUSHED, joints)), np.full((lanes, PUSHED), -np.inf)
-    _push(kernels, inputs, x, best, *_candidates(kernels, robot, inputs, cells))
+    _push(kernels, inputs, x, best, *_candidates(kernels, known, inputs, cells))
     for round_ in range(HOPS):
         lost = np.flatnonzero((best[:, 0] < inputs.margin_m) & (best[:, 0] > -np.inf)).tolist()
         moves = [_moves(inputs, k, round_, joints) for k in lost]
         aside = [np.repeat(x[k, :HOPPED], PUSHED // HOPPED, axis=0) + own for k, own in zip(lost, moves, strict=True)]
         _push(kernels, inputs, x, best, np.repeat(lost, PUSHED), np.concatenate([np.empty((0, joints)), *aside]))
-    counts = np.bincount(cells.lane, minlength=lanes)
-    return Found(x, best, cells.radius_rad, counts == 0)
+    coarsest = np.zeros(lanes)
+    np.maximum.at(coarsest, cells.lane, cells.radius_rad)
+    return Found(x, best, coarsest)
 
 
 def _push(kernels: Kernels, inputs: LaneInputs, x: np.ndarray, best: np.ndarray, lane: np.ndarray, start: np.ndarray):
@@ -118,9 +131,9 @@ def _moves(inputs: LaneInputs, k: int, round_: int, joints: int) -> np.ndarray:
     return HOP * 0.6**round_ * own.normal(size=(PUSHED, joints))
 
 
-def _candidates(kernels: Kernels, robot: Robot, inputs: LaneInputs, cells: ToolCells):
+def _candidates(kernels: Kernels, known: KnownPostures, inputs: LaneInputs, cells: Cells):
     """Postures on the targets, the clearest that are far apart: whose each is, and where."""
-    which, seeds = _seeds(robot, inputs, cells)
+    which, seeds = _seeds(known, inputs, cells)
     lane = cells.lane[which]
     at = kernels(AIM, gather(inputs, lane), seeds, cells.quaternion[which]) if len(lane) else None
     kept: list[np.ndarray] = []
@@ -131,7 +144,7 @@ def _candidates(kernels: Kernels, robot: Robot, inputs: LaneInputs, cells: ToolC
             D = kernels(MEASURE, gather(inputs, lane[own]), at.x[own])
             kept.append(own[np.argsort(-D, kind="stable")][_apart(at.x[own][np.argsort(-D, kind="stable")])])
     rows = np.concatenate(kept) if kept else np.empty(0, int)
-    return lane[rows], at.x[rows] if len(rows) else np.empty((0, len(robot.slides)))
+    return lane[rows], at.x[rows] if len(rows) else seeds[:0]
 
 
 def _apart(x: np.ndarray) -> np.ndarray:
@@ -144,43 +157,17 @@ def _apart(x: np.ndarray) -> np.ndarray:
     return np.array(kept, int)
 
 
-def _seeds(robot: Robot, inputs: LaneInputs, cells: ToolCells):
+def _seeds(known: KnownPostures, inputs: LaneInputs, cells: Cells):
     """For each cell the known postures in the poses nearest to it: whose each is, and the posture."""
-    parts = []
-    for extension in np.unique(inputs.tool_extension_m):
-        own = np.flatnonzero(inputs.tool_extension_m[cells.lane] == extension)
-        known, tree = _known(_Frozen(robot), float(extension))
-        R = np.asarray(jax.vmap(rotation)(cells.quaternion[own])).reshape(-1, 9)
-        near = tree.query(np.hstack([inputs.target[cells.lane[own]], LENGTH_M / np.sqrt(2) * R]), SEEDS)[1]
-        parts.append((np.repeat(own, SEEDS), known[near.ravel()]))
-    if not parts:
-        return np.empty(0, int), np.empty((0, len(robot.slides)))
-    return tuple(np.concatenate(column) for column in zip(*parts, strict=True))
-
-
-class _Frozen:
-    """A robot by its identity, to keep what was made of it."""
-
-    def __init__(self, robot: Robot):
-        self.robot = robot
-
-    def __hash__(self) -> int:
-        return id(self.robot)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Frozen) and self.robot is other.robot
-
-
-@lru_cache(maxsize=4)
-def _known(frozen: _Frozen, extension_m: float) -> tuple[np.ndarray, cKDTree]:
-    """Postures spread evenly within the joint limits (Halton), and a tree of their poses."""
-    robot = lengthen_tool(frozen.robot, extension_m)
-    lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
-    x = lower + (upper - lower) * qmc.Halton(len(lower), scramble=False).random(KNOWN)
-    pose = jax.jit(jax.vmap(lambda x: jnp.concatenate([
-        tcp_position(robot, x), LENGTH_M / np.sqrt(2) * link_poses(robot, x)[-1, :3, :3].ravel()
-    ])))  # fmt: skip
-    return x, cKDTree(np.asarray(pose(x)))
+    which, seeds = [], []
+    extension = inputs.tool_extension_m[cells.lane]
+    R = Rotation.from_quat(cells.quaternion, scalar_first=True).as_matrix().reshape(-1, 9)
+    for own_m, (x, tree) in known.items():
+        own = np.flatnonzero(extension == own_m)
+        near = tree.query(np.hstack([inputs.target[cells.lane[own]], TURN_M * R[own]]), SEEDS)[1]
+        which.append(np.repeat(own, SEEDS))
+        seeds.append(x[near.ravel()])
+    return np.concatenate(which), np.concatenate(seeds)
 
 
 def _turning(robot: Robot, x):

@@ -6,11 +6,13 @@ searched at a stated resolution of the null space (`posture_search`). The first 
 the prefix.
 
 A clear configuration that is found proves that one exists: the prefix is a lower bound on what is reachable. One that
-is not found proves nothing by itself; but where every orientation of the tool collides for sure, none exists, and the
-prefix is all there is. Between the two lies what is not known.
+is not found proves nothing by itself. But at a target at which the tool, or the arm behind it, collides for sure in
+every posture (`tool_cells.excluded`) there is none, and whatever follows the path ends before it: an upper bound.
+Between the two lies what is not known.
 """
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
@@ -19,13 +21,15 @@ import numpy as np
 from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.clearance.tip_guard import make_tip_guard
+from htcp_jax.planner.devices import default_threads
 from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
-from htcp_jax.planner.lanes import gather
+from htcp_jax.planner.lanes import concatenate, gather
 from htcp_jax.planner.null_space import Anchored
-from htcp_jax.planner.posture_search import APART_RAD, PUSHED, search
+from htcp_jax.planner.posture_search import APART_RAD, PUSHED, known_postures, search
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.stages import PUSH
 from htcp_jax.planner.tip_check import TipCheck, tip_checks
+from htcp_jax.planner.tool_cells import excluded
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import Scenario
 from htcp_jax.scene.task import Task
@@ -34,6 +38,7 @@ from htcp_jax.settings import Settings
 
 CARRIED = 6  # postures carried from a target to the next
 RESOLUTION_RAD = 0.11
+PROOF_CELLS = 4096
 COARSE_FIRST = (4, 1)  # resolutions that a target is searched at, in turn, as multiples of the one asked for
 
 
@@ -41,14 +46,10 @@ class Reachability(NamedTuple):
     """Result for S scenarios of T targets."""
 
     prefix: np.ndarray  # (S,) targets in a row, from the first, with a clear configuration
-    excluded: np.ndarray  # (S,) whether the first target without one is proven to have none
+    most: np.ndarray  # (S,) targets in a row before one that is proven to have none
     best: np.ndarray  # (S,) best clearance found at the first target without one [m]; NaN where all have one
     x: np.ndarray  # (S, T, N) the configurations found, NaN beyond the prefix
-    resolution_rad: float  # of every search: the coarsest
-
-    def most(self, count: np.ndarray) -> np.ndarray:
-        """(S,) targets in a row that are not proven unreachable; count: those of each scenario."""
-        return np.where(self.excluded, self.prefix, count)
+    resolution_rad: np.ndarray  # (S,) of the last search; 0 where there was none
 
 
 def reachable_prefixes(
@@ -58,20 +59,37 @@ def reachable_prefixes(
     settings: Settings | None = None,
     *,
     resolution_rad: float = RESOLUTION_RAD,
+    proof_cells: int = PROOF_CELLS,
     progress: Callable[[int, int], None] | None = None,
 ) -> Reachability:
     """Prefixes of the stacked scenarios. resolution_rad: of the tool's orientations, at a target where carrying over
-    fails; from the settings count alpha_rad, tolerance_m and the seed. progress(target, targets) is
-    called after each target."""
-    settings = settings or Settings()
-    scenarios = jax.tree.map(np.asarray, scenarios)
+    fails; proof_cells: see `tool_cells.excluded`, 0 for no proofs; from the settings count alpha_rad, tolerance_m and
+    the seed. Threads, one a core, share the scenarios. progress(target, targets) is called after each target."""
+    settings, scenarios = settings or Settings(), jax.tree.map(np.asarray, scenarios)
     scene = Scene(robot, make_obstacle(workpiece), Task(tolerance_m=settings.tolerance_m))
     kernels = Kernels(scene, settings)
     [tip] = tip_checks([kernels], make_tip_guard(workpiece))
+    known = known_postures(robot, scenarios.tool_extension_m)
+    threads = default_threads([kernels.device], settings.qp)
+
+    def work(number: int) -> Reachability:
+        own = gather(scenarios, slice(number, None, threads))
+        told = progress if number == 0 else None
+        found = _prefixes(kernels, tip, known, own, settings.seed, resolution_rad, told)
+        return found._replace(most=_most(kernels, robot, own, found.prefix, proof_cells))
+
+    with ThreadPoolExecutor(threads) as pool:
+        parts = concatenate(list(pool.map(work, range(threads))))
+    order = np.concatenate([np.arange(len(scenarios.count))[number::threads] for number in range(threads)])
+    return gather(parts, np.argsort(order))
+
+
+def _prefixes(kernels, tip, known, scenarios: Scenario, seed: int, resolution_rad: float, progress) -> Reachability:
+    """What the search finds; `most` is not known yet."""
     count, rows = scenarios.targets.shape[:2]
     found = Reachability(
-        np.zeros(count, int), np.zeros(count, bool), np.full(count, np.nan),
-        np.full((count, rows, scenarios.x_start.shape[1]), np.nan), resolution_rad,
+        np.zeros(count, int), scenarios.count, np.full(count, np.nan),
+        np.full((count, rows, scenarios.x_start.shape[1]), np.nan), np.zeros(count),
     )  # fmt: skip
     front = [x[None] for x in scenarios.x_start]
     alive = np.arange(count)
@@ -79,20 +97,17 @@ def reachable_prefixes(
         alive = alive[scenarios.count[alive] > row]
         if not len(alive):
             break
-        inputs = lane_inputs(scenarios, alive, np.full(len(alive), row), seed=settings.seed)
+        inputs = lane_inputs(scenarios, alive, np.full(len(alive), row), seed=seed)
         clear = _carried(kernels, tip, inputs, [front[s] for s in alive])
         for coarser in COARSE_FIRST:
             which = np.flatnonzero([not len(own) for own in clear])
             if not len(which):
                 break
-            here = search(kernels, robot, gather(inputs, which), coarser * resolution_rad)
+            here = search(kernels, known, gather(inputs, which), coarser * resolution_rad)
             for k, own in zip(which, _searched(kernels, tip, gather(inputs, which), here), strict=True):
                 clear[k] = own
-            nothing = np.array([not len(clear[k]) for k in which])
-            found.best[alive[which[nothing]]] = here.clearance[nothing, 0]
-            found.excluded[alive[which[nothing]]] = here.excluded[nothing]
-            if coarser == 1:
-                found = found._replace(resolution_rad=max(found.resolution_rad, _coarsest(here)))
+            found.best[alive[which]] = here.clearance[:, 0]
+            found.resolution_rad[alive[which]] = here.resolution_rad
         for s, own in zip(alive, clear, strict=True):
             if len(own):
                 front[s], found.x[s, row], found.best[s] = own, own[0], np.nan
@@ -101,6 +116,17 @@ def reachable_prefixes(
         if progress is not None:
             progress(row + 1, rows)
     return found
+
+
+def _most(kernels: Kernels, robot: Robot, scenarios: Scenario, prefix: np.ndarray, cells: int) -> np.ndarray:
+    """(S,) targets before one that is proven out of reach. By bisection between the last one that was found and the end
+    of the path: a target further on is excluded more easily, as a rule, and where it is not the bound is higher."""
+    low, high = prefix - 1, scenarios.count.astype(int)
+    while cells and (open_ := np.flatnonzero((prefix < scenarios.count) & (high - low > 1))).size:
+        middle = (low + high)[open_] // 2
+        none = excluded(kernels, robot, lane_inputs(scenarios, open_, middle), cells)
+        high[open_[none]], low[open_[~none]] = middle[none], middle[~none]
+    return high
 
 
 def _carried(kernels: Kernels, tip: TipCheck | None, inputs: LaneInputs, front: list[np.ndarray]) -> list[np.ndarray]:
@@ -137,8 +163,3 @@ def _dispersed(x: np.ndarray, clearance: np.ndarray) -> np.ndarray:
         kept.append(int(np.argmax(away)))
         away = np.minimum(away, np.linalg.norm(x - x[kept[-1]], axis=1))
     return x[kept]
-
-
-def _coarsest(here) -> float:
-    searched = here.resolution_rad[~here.excluded]
-    return float(searched.max()) if len(searched) else 0.0
