@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from htcp_jax.clearance.arm_exclusion import arm_cell, has_wrist, tool_cell, wrist
 from htcp_jax.clearance.exclusion import tool_collides
 from htcp_jax.clearance.obstacles import clearance
 from htcp_jax.clearance.of_workpiece import make_obstacle
@@ -17,7 +18,7 @@ from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.reachability import reachable_prefixes
 from htcp_jax.planner.tool_cells import tool_cells
-from htcp_jax.scene.kinematics import link_poses, tcp_position
+from htcp_jax.scene.kinematics import link_poses, point_positions, tcp_position
 from htcp_jax.scene.robot_file import gp50
 from htcp_jax.scene.scenario import make_scenario, stack
 from htcp_jax.scene.workpiece import Workpiece
@@ -59,7 +60,46 @@ def test_a_scenario_reaches_as_far_alone(found):
     robot, workpiece, scenarios, result = found
     alone = reachable_prefixes(robot, workpiece, stack(scenarios[1:]), resolution_rad=COARSE)
     np.testing.assert_array_equal(alone.x[0], result.x[1])
-    assert alone.best[0] == result.best[1]
+    assert alone.best[0] == result.best[1] and alone.most[0] == result.most[1]
+
+
+def test_the_arm_behind_the_tool_proves_that_the_end_of_a_path_is_out_of_reach(found):
+    """The search finds nothing there, of course, and a planner that got so far would refute the proof."""
+    _, _, scenarios, result = found
+    assert result.most[0] == result.prefix[0] == scenarios[0].count
+    assert result.prefix[1] < result.most[1] < scenarios[1].count
+
+
+def test_a_posture_is_in_the_cells_about_it_with_its_wrist_and_excluded_by_none_where_it_is_clear(found):
+    robot, workpiece, scenarios, result = found
+    scene, draw = Scene(robot, make_obstacle(workpiece)), np.random.default_rng(2)
+    assert has_wrist(robot)
+
+    @jax.jit
+    def cells(s, target, x, about, turns, q, rho):
+        where = point_positions(robot, x, wrist(robot).on_arm[None], (3,))[0]
+        margin = jnp.asarray(s.margin_m)
+        return where, tool_cell(scene, s, margin, target, q, rho), arm_cell(scene, s, margin, target, about, turns)
+
+    for _ in range(300):
+        s = draw.integers(2)
+        row, size = draw.integers(result.prefix[s]), draw.choice([0.003, 0.03, 0.3])
+        x = jnp.asarray(result.x[s, row])
+        axis = draw.normal(size=3)
+        turned = Rotation.from_matrix(np.asarray(link_poses(robot, x)[-1, :3, :3]))
+        middle = Rotation.from_rotvec(draw.uniform(0, size) * axis / np.linalg.norm(axis)) * turned
+        q, turns = middle.as_quat()[[3, 0, 1, 2]], size * draw.uniform(0, 1, 6)
+        about = x + turns * draw.uniform(-1, 1, 6)
+        at, *both = cells(scenarios[s], *map(jnp.asarray, (scenarios[s].targets[row], x, about, turns, q, size)))
+        for cell in both:
+            assert not cell.collides
+            assert np.linalg.norm(cell.wrist - at) <= cell.moves
+
+
+def test_an_arm_whose_last_axes_pass_each_other_has_no_wrist(found):
+    robot, *_ = found
+    assert not has_wrist(replace(robot, T_parent_joint=robot.T_parent_joint.at[-1, 0, 3].add(1e-6)))
+    assert not has_wrist(replace(robot, slides=(False,) * 5 + (True,)))
 
 
 def test_no_orientation_near_that_of_a_clear_posture_is_excluded(found):
@@ -91,11 +131,10 @@ def walled_in(radius_m):
 def test_a_target_behind_walls_all_around_is_proven_unreachable_and_one_in_the_open_is_found():
     part, scenario = walled_in(0.3)
     result = reachable_prefixes(gp50(), part, stack([scenario]), resolution_rad=0.11)
-    assert result.prefix[0] == 1 and result.excluded[0]
-    assert result.most(np.array([scenario.count]))[0] == result.prefix[0]
+    assert result.prefix[0] == result.most[0] == 1
     part, scenario = walled_in(3.5)
     result = reachable_prefixes(gp50(), part, stack([scenario]), resolution_rad=0.9)
-    assert result.prefix[0] == scenario.count and not result.excluded[0]
+    assert result.prefix[0] == result.most[0] == scenario.count
 
 
 def test_the_cells_cover_every_orientation_in_which_the_tool_is_clear(found):
@@ -129,10 +168,12 @@ def test_the_command_writes_the_prefixes_and_refuses_a_resolution_of_nothing(tmp
         "1",
         "--resolution",
         "0.9",
+        "--proof-cells",
+        "0",
         "--out",
         str(tmp_path / "run"),
     ]
     assert main(words) == 0
     assert "reachable at least" in capsys.readouterr().out
     assert (tmp_path / "run" / "reachability.json").exists()
-    assert main([*words[:5], "0"]) == 2
+    assert main([*words[:5], "0"]) == 2 and main([*words[:7], "-1"]) == 2

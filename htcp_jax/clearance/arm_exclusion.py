@@ -97,7 +97,7 @@ def arm_cell(scene: Scene, where: Posed, margin_m: Scalar, target: Vector3, x: J
 
 def _before_wrist(robot: Robot):
     """The pieces of the bodies up to the link that carries the wrist, in their links' frames, and their links. That
-    link turns with the first joint of the wrist: its bodies are seen from that joint's axis, as far away as they are."""
+    link turns with the first joint of the wrist: its bodies are seen from that axis, as far away as they are."""
     first = len(robot.slides) - WRIST
     links = np.array(robot.capsule_link)
     here = np.flatnonzero((links >= 0) & (links <= first))

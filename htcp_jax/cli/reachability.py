@@ -22,7 +22,8 @@ from htcp_jax.cli.output import (
 )
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.grid import Batch, load_sweep
-from htcp_jax.planner.reachability import RESOLUTION_RAD, Reachability, reachable_prefixes
+from htcp_jax.planner.lanes import concatenate, gather
+from htcp_jax.planner.reachability import PROOF_CELLS, RESOLUTION_RAD, Reachability, reachable_prefixes
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.plan_folder import write_json, written_whole
 from htcp_jax.runs.run_folder import Run, open_run
@@ -31,12 +32,16 @@ Resolution = Annotated[
     float,
     typer.Option(metavar="RAD", min=0.01, help="Of the tool's orientations, where a target looks out of reach."),
 ]
+ProofCells = Annotated[
+    int, typer.Option(metavar="CELLS", min=0, help="Of a proof that a target is out of reach, at a time; 0: no proofs.")
+]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="The run folder to compare with and to write into.")]
 
 
 def reachability(
     file: SweepFile,
     resolution: Resolution = RESOLUTION_RAD,
+    proof_cells: ProofCells = PROOF_CELLS,
     out: Out = None,
     limit: Limit = None,
     config: Config = None,
@@ -57,14 +62,15 @@ def reachability(
     batch = (spec := load_sweep(file, config, overrides or ())).batch(limit)
     run = open_run(out) if (out / MANIFEST).exists() else None
     with written_whole(out) as folder:
-        found = _search(batch, resolution)
+        found = _search(batch, resolution, proof_cells)
         beaten = {} if run is None else _beaten(run, batch, found)
         targets = int(batch.scenarios.count.sum())
         record = {
             "prefix": found.prefix.tolist(),
             "best_mm": [None if np.isnan(b) else 1e3 * b for b in found.best],
-            "most": found.most(batch.scenarios.count).tolist(),
-            "resolution_rad": found.resolution_rad,
+            "most": found.most.tolist(),
+            "resolution_rad": max(resolution, float(found.resolution_rad.max())),
+            "proof_cells": proof_cells,
             "seed": spec.config.settings.seed,
             "targets": targets,
             "beaten_by": beaten,
@@ -73,11 +79,11 @@ def reachability(
     if as_json:
         print_json(record)
     else:
-        _print(spec.name, batch, found, targets, beaten, out)
+        _print(spec.name, batch, found, record, out)
     return 0
 
 
-def _search(batch: Batch, resolution_rad: float) -> Reachability:
+def _search(batch: Batch, resolution_rad: float, proof_cells: int) -> Reachability:
     with progress_bars() as bars:
         parts = []
         for number, cell in enumerate(batch.cells):
@@ -89,13 +95,12 @@ def _search(batch: Batch, resolution_rad: float) -> Reachability:
                 jax.tree.map(itemgetter(rows), batch.scenarios),
                 cell.settings,
                 resolution_rad=resolution_rad,
+                proof_cells=proof_cells,
                 progress=lambda row, rows, task=task: bars.update(task, completed=row, total=rows),
             )
             parts.append((rows, found))
     order = np.argsort(np.concatenate([rows for rows, _ in parts]))
-    columns = zip(*(found[:-1] for _, found in parts), strict=True)
-    coarsest = max(found.resolution_rad for _, found in parts)
-    return Reachability(*(np.concatenate(column)[order] for column in columns), coarsest)
+    return gather(concatenate([found for _, found in parts]), order)
 
 
 def _beaten(run: Run, batch: Batch, found: Reachability) -> dict[str, list[int]]:
@@ -113,17 +118,17 @@ def _beaten(run: Run, batch: Batch, found: Reachability) -> dict[str, list[int]]
     return beaten
 
 
-def _print(name: str, batch: Batch, found: Reachability, targets: int, beaten: dict[str, list[int]], out: Path) -> None:
-    most = int(found.most(batch.scenarios.count).sum())
-    reachable, complete = int(found.prefix.sum()), int((found.prefix == batch.scenarios.count).sum())
+def _print(name: str, batch: Batch, found: Reachability, record: dict, out: Path) -> None:
+    targets, reachable, most = record["targets"], int(found.prefix.sum()), int(found.most.sum())
+    complete = int((found.prefix == batch.scenarios.count).sum())
     rows = {
         "reachable at least": f"{reachable:,} of {targets:,} targets, {100 * reachable / targets:.2f} %",
         "complete": f"{complete:,} of {len(found.prefix):,} scenarios",
-        "not excluded": f"{most:,} targets, {100 * most / targets:.2f} %",
-        "resolution": f"{found.resolution_rad:.3g} rad of the tool's orientations",
+        "at most, by proof": f"{most:,} targets, {100 * most / targets:.2f} %",
+        "resolution": f"{record['resolution_rad']:.3g} rad of the tool's orientations",
         "files": str(out / "reachability.json"),
     }
     print_facts(name, rows)
-    for method, scenarios in beaten.items():
+    for method, scenarios in record["beaten_by"].items():
         text = f"{method} gets further in scenarios "
         stdout().print(Text.assemble((text, "yellow"), ", ".join(map(str, scenarios))))

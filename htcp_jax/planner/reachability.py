@@ -38,7 +38,7 @@ from htcp_jax.settings import Settings
 
 CARRIED = 6  # postures carried from a target to the next
 RESOLUTION_RAD = 0.11
-PROOF_CELLS = 4096
+PROOF_CELLS = 2048
 COARSE_FIRST = (4, 1)  # resolutions that a target is searched at, in turn, as multiples of the one asked for
 
 
@@ -49,7 +49,7 @@ class Reachability(NamedTuple):
     most: np.ndarray  # (S,) targets in a row before one that is proven to have none
     best: np.ndarray  # (S,) best clearance found at the first target without one [m]; NaN where all have one
     x: np.ndarray  # (S, T, N) the configurations found, NaN beyond the prefix
-    resolution_rad: np.ndarray  # (S,) of the last search; 0 where there was none
+    resolution_rad: np.ndarray  # (S,) of the search there; 0 where all are found, or the tool alone collides
 
 
 def reachable_prefixes(
@@ -110,7 +110,7 @@ def _prefixes(kernels, tip, known, scenarios: Scenario, seed: int, resolution_ra
             found.resolution_rad[alive[which]] = here.resolution_rad
         for s, own in zip(alive, clear, strict=True):
             if len(own):
-                front[s], found.x[s, row], found.best[s] = own, own[0], np.nan
+                front[s], found.x[s, row], found.best[s], found.resolution_rad[s] = own, own[0], np.nan, 0.0
                 found.prefix[s] += 1
         alive = alive[[len(own) > 0 for own in clear]]
         if progress is not None:

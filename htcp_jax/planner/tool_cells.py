@@ -4,9 +4,9 @@ Unit quaternions, q and -q the same, are the four faces of a cube in four dimens
 component is 1, and the others are between -1 and 1. A face is cut into cubes, and these are halved. Seen from the
 middle nothing gets longer, so a cube of half side h covers rotations within 2 sqrt(3) h of its middle's.
 
-The joints before the wrist have a cover of their own, of boxes. In turn the one is halved that knows less of where the
-wrist is. Out of both falls what collides for sure, and what cannot meet any of the other at the wrist
-(`clearance.arm_exclusion`). A proof that there is no posture needs both; an arm without a wrist has the first alone.
+The joints before the wrist have a cover of their own, of boxes. That one is halved which has fewer cells. Out of both
+falls what collides for sure, and what cannot meet any of the other at the wrist (`clearance.arm_exclusion`). A proof
+that there is no posture needs both; an arm without a wrist has the first alone.
 """
 
 from typing import NamedTuple
@@ -82,9 +82,7 @@ def arm(settings: Settings, scene: Scene, lane: LaneInputs, cube, half) -> Cell:
 TOOL, ARM = Kernel("tool", tool, MANY), Kernel("arm", arm, MANY)
 
 
-def tool_cells(
-    kernels: Kernels, inputs: LaneInputs, resolution_rad: float, most: int, before_wrist: int = 0
-) -> Cells:
+def tool_cells(kernels: Kernels, inputs: LaneInputs, resolution_rad: float, most: int, before_wrist: int = 0) -> Cells:
     """The cells in which the tool may be clear, for n targets: halved until they are as small as the resolution, or
     until a cover would have more than `most` at a target; then the larger ones. before_wrist: how many joints have the
     other cover; 0 for none. A target without any cell has no posture that keeps the margin."""
@@ -92,7 +90,7 @@ def tool_cells(
     covers = [_whole(lanes, FACES, 3)] + ([_whole(lanes, 1, before_wrist)] if before_wrist else [])
     going, done = np.ones(lanes, bool), []
     while going.any():
-        turn = np.argmax([_largest(cells, cells.moves, lanes) for cells in covers], axis=0)
+        turn = np.argmin([np.bincount(cells.lane, minlength=lanes) for cells in covers], axis=0)
         halved = [_halved(kernels, number, inputs, cells, turn) for number, cells in enumerate(covers)]
         halved = [gather(own, _meets(own, other)) for own, other in zip(halved, halved[::-1], strict=True)]
         left = np.array([np.bincount(cells.lane, minlength=lanes) for cells in halved])
