@@ -108,4 +108,4 @@ def _before_wrist(robot: Robot):
     on = [product(ends, axis)[:, None] * axis[None] for ends in pieces[:2]]
     aside = jnp.maximum(*(safe_norm(ends - own) for ends, own in zip(pieces[:2], on, strict=True)))
     p, q = (jnp.where(turned[:, None], own, ends) for ends, own in zip(pieces[:2], on, strict=True))
-    return p, q, pieces.radius, jnp.where(turned, aside, 0.0), tuple(np.tile(links[here], len(pieces.p) // len(here)))
+    return p, q, pieces.radius, jnp.where(turned, aside, 0.0), tuple(np.tile(links[here], len(pieces.p) // len(here)).tolist())
