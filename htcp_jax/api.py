@@ -71,7 +71,7 @@ class Plan:
 
     @property
     def complete(self) -> bool:
-        """Whether every target is tracked, by joint paths none of which is known to collide."""
+        """Whether a proven motion leads from the given start to the last target."""
         return self.outcome.can_be_driven
 
     @property
@@ -126,8 +126,8 @@ class Plan:
         facts = {} if end.failed is None else {f"failed at target {end.failed}": end.status.message}
         if self.obstruction is not None:
             facts["in the way"] = self.obstruction.description
-        if end.blocked_paths:
-            facts["not to be driven"] = f"{end.blocked_paths} joint paths between tracked targets collide"
+        if end.executable < end.tracked:
+            facts[f"no motion to target {end.executable}"] = end.way.message
         return facts
 
     def frame(self) -> "pandas.DataFrame":

@@ -94,7 +94,7 @@ class PlanConfig(Section):
     workpiece: WorkpieceConfig = WorkpieceConfig()
     start_rad: tuple[Number, ...] = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
     margin_m: float = Field(5e-4, ge=0, le=1)  # least clearance with which a target counts
-    method: str = "nspace-sqp"
+    method: str = "roadmap"
     settings: Settings = Settings()
     ray: RayConfig = RayConfig()
 

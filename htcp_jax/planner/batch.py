@@ -38,7 +38,7 @@ def plan(
     robot: Robot,
     workpiece: Workpiece,
     scenarios: Scenario | Sequence[Scenario],
-    method: str = "nspace-sqp",
+    method: str = "roadmap",
     settings: Settings | Mapping[str, Any] | None = None,
     *,
     progress: Callable[[Progress], None] | None = None,

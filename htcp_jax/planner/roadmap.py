@@ -22,7 +22,7 @@ import numpy as np
 
 from htcp_jax.clearance.motion_proof import Tube
 from htcp_jax.planner.front import Node, best_first, dispersed
-from htcp_jax.planner.kernels import ADVANCE, PROVE
+from htcp_jax.planner.kernels import ADVANCE, PROVE, SETTLE
 from htcp_jax.planner.knots import Knots
 from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.planner.lanes import gather
@@ -54,6 +54,8 @@ class Roadmap:
         plans = problem.empty_plans()
         kernels = problem.kernels  # made here, before there are threads
         tips = tip_checks(kernels, problem.tip_guard)
+        for each in kernels if len(problem.to_plan) else ():
+            each.prepare(_calls(problem))
 
         def work(number: int) -> list[tuple[int, int, np.ndarray]]:
             own = number % len(kernels)
@@ -63,6 +65,18 @@ class Roadmap:
         with ThreadPoolExecutor(problem.threads) as pool:
             ways = [way for part in pool.map(work, range(problem.threads)) for way in part]
         return plans._replace(knots=Knots.of(ways, plans.x.shape[2]))
+
+
+def _calls(problem: Problem) -> list[tuple]:
+    """One of each kernel that will be called, see `Kernels.prepare`."""
+    one, zero = problem.to_plan[:1], np.zeros(1, int)
+    x, turns = problem.scenarios.x_start[one], np.zeros(1, bool)
+    inputs = lane_inputs(problem.scenarios, one, zero)
+    tube = tubes(problem.scenarios, problem.task, problem.settings.tube_m, one, zero, turns)
+    calls = [(FEED, inputs, x), (PROVE, inputs, x, x, tube, np.zeros(1))]
+    if problem.kernels[0].freedom:
+        calls.append((WALK, inputs, x, zero.astype(np.int32)))
+    return calls if problem.settings.smooth is False else [*calls, (ADVANCE, inputs, x, x), (SETTLE, inputs, x)]
 
 
 @dataclass(eq=False)
