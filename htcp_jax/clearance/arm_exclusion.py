@@ -6,13 +6,12 @@ posture is in one of either sort, and its wrist in both balls. So a target has n
 collide for sure, no ball of one sort meets one of the other. Joint limits of the last three are not heeded.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
-from htcp_jax.clearance.exclusion import Segments, cut, rotation, surely_touches, tool_collides
+from htcp_jax.clearance.exclusion import PIECES, Segments, cut, rotation, surely_touches, tool_collides
 from htcp_jax.clearance.motion_bound import point_motion_bound
 from htcp_jax.clearance.motion_proof import ROUNDING_M
 from htcp_jax.clearance.obstacle import Posed
@@ -83,16 +82,15 @@ def arm_cell(scene: Scene, where: Posed, margin_m: Scalar, target: Vector3, x: J
     first = len(robot.slides) - WRIST
     free = jnp.arange(len(robot.slides)) < first
     x, turns = jnp.where(free, x, 0.0), jnp.where(free, turns, 0.0)
-    bound = partial(point_motion_bound, robot, x, turns)
-    at = point_positions(robot, x, tool.on_arm[None], (first,))
-    moves = bound(at, jnp.array([first]))[0] + ROUNDING_M
-    length = safe_norm(tool.on_tool - robot.T_link_tcp[:3, 3])
-    off = jnp.abs(safe_norm(at[0] - target) - length) > moves + scene.task.tolerance_m
     p, q, radius, aside, links = _before_wrist(robot)
-    p, q = point_positions(robot, x, p, links), point_positions(robot, x, q, links)
-    body = jnp.array(links)
-    bodies = Segments(p, q, radius, aside + jnp.maximum(bound(p, body), bound(q, body)))
-    return Cell(off | surely_touches(scene.obstacles, where, margin_m, bodies), at[0], moves)
+    own, body = (tool.on_arm[None], p, q), (first, *links, *links)
+    at = point_positions(robot, x, jnp.concatenate(own), body)
+    moves = point_motion_bound(robot, x, turns, at, jnp.array(body)) + ROUNDING_M
+    length = safe_norm(tool.on_tool - robot.T_link_tcp[:3, 3])
+    off = jnp.abs(safe_norm(at[0] - target) - length) > moves[0] + scene.task.tolerance_m
+    (p, q), (of_p, of_q) = jnp.split(at[1:], 2), jnp.split(moves[1:], 2)
+    bodies = Segments(p, q, radius, aside + jnp.maximum(of_p, of_q))
+    return Cell(off | surely_touches(scene.obstacles, where, margin_m, bodies), at[0], moves[0])
 
 
 def _before_wrist(robot: Robot):
@@ -101,11 +99,11 @@ def _before_wrist(robot: Robot):
     first = len(robot.slides) - WRIST
     links = np.array(robot.capsule_link)
     here = np.flatnonzero((links >= 0) & (links <= first))
-    turned, axis = jnp.asarray(links[here] == first), robot.axis[first]
-    own = Segments(robot.capsule_p[here], robot.capsule_q[here], robot.capsule_radius[here], jnp.zeros(len(here)))
-    pieces = cut(own)
-    turned = jnp.tile(turned, len(pieces.p) // len(here))
-    on = [product(ends, axis)[:, None] * axis[None] for ends in pieces[:2]]
-    aside = jnp.maximum(*(safe_norm(ends - own) for ends, own in zip(pieces[:2], on, strict=True)))
-    p, q = (jnp.where(turned[:, None], own, ends) for ends, own in zip(pieces[:2], on, strict=True))
-    return p, q, pieces.radius, jnp.where(turned, aside, 0.0), tuple(np.tile(links[here], len(pieces.p) // len(here)).tolist())
+    bodies = robot.capsule_p[here], robot.capsule_q[here], robot.capsule_radius[here]
+    p, q, radius, _ = cut(Segments(*bodies, jnp.zeros(len(here))))
+    links, axis = np.tile(links[here], PIECES), robot.axis[first]
+    turned = jnp.asarray(links == first)
+    on_p, on_q = (product(ends, axis)[:, None] * axis[None] for ends in (p, q))
+    aside = jnp.where(turned, jnp.maximum(safe_norm(p - on_p), safe_norm(q - on_q)), 0.0)
+    p, q = jnp.where(turned[:, None], on_p, p), jnp.where(turned[:, None], on_q, q)
+    return p, q, radius, aside, tuple(links.tolist())

@@ -76,7 +76,7 @@ def reachable_prefixes(
         own = gather(scenarios, slice(number, None, threads))
         told = progress if number == 0 else None
         found = _prefixes(kernels, tip, known, own, settings.seed, resolution_rad, told)
-        return found._replace(most=_most(kernels, robot, own, found.prefix, proof_cells))
+        return found._replace(most=_most(kernels, robot, own, found, proof_cells))
 
     with ThreadPoolExecutor(threads) as pool:
         parts = concatenate(list(pool.map(work, range(threads))))
@@ -118,11 +118,12 @@ def _prefixes(kernels, tip, known, scenarios: Scenario, seed: int, resolution_ra
     return found
 
 
-def _most(kernels: Kernels, robot: Robot, scenarios: Scenario, prefix: np.ndarray, cells: int) -> np.ndarray:
+def _most(kernels: Kernels, robot: Robot, scenarios: Scenario, found: Reachability, cells: int) -> np.ndarray:
     """(S,) targets before one that is proven out of reach. By bisection between the last one that was found and the end
     of the path: a target further on is excluded more easily, as a rule, and where it is not the bound is higher."""
-    low, high = prefix - 1, scenarios.count.astype(int)
-    while cells and (open_ := np.flatnonzero((prefix < scenarios.count) & (high - low > 1))).size:
+    short, no_cell = found.prefix < scenarios.count, found.resolution_rad == 0
+    low, high = found.prefix - 1, np.where(short & no_cell, found.prefix, scenarios.count)
+    while cells and (open_ := np.flatnonzero(short & (high - low > 1))).size:
         middle = (low + high)[open_] // 2
         none = excluded(kernels, robot, lane_inputs(scenarios, open_, middle), cells)
         high[open_[none]], low[open_[~none]] = middle[none], middle[~none]
