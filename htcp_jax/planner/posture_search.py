@@ -33,7 +33,7 @@ from htcp_jax.scene.kinematics import jacobian, link_poses, tcp_position
 from htcp_jax.scene.robot import Robot, lengthen_tool
 from htcp_jax.settings import Settings
 
-CELLS = 8192  # at a target, at most: else the resolution is coarser, and says so
+CELLS = 20_000  # at a target, at most: else the resolution is coarser, and says so
 SEEDS, KNOWN = 12, 2**15  # of Newton's method for each cell, and the postures that they are taken from
 STEPS = 12  # of Newton's method
 PUSHED = 64  # postures pushed clear at a target
