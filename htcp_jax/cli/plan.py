@@ -20,7 +20,7 @@ Method = Annotated[
     str | None,
     typer.Option(metavar="NAME", help="A method; htcp methods lists them.", autocompletion=complete_method),
 ]
-Retract = Annotated[bool, typer.Option("--retract", help="Let motion.csv lead back to the start, too.")]
+Retract = Annotated[bool, typer.Option("--retract", help="Let motion.csv lead back to home or the start, too.")]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.")]
 
 

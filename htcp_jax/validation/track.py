@@ -70,6 +70,8 @@ def check(results: Results, arm: Arm, wall: Wall, track: Track, between: int) ->
     paths = _paths(track, rows, targets, t)
     moved, line = np.abs(paths.b - paths.a), paths.line_b - paths.line_a
     speed, in_place = _speed(arm, moved, np.linalg.norm(line, axis=1), tolerance)
+    if track.config.home_rad is not None:
+        in_place[paths.target == 0] = 0.0  # the tool comes from elsewhere
     between_rows = _walk(scene, at, paths, between, on_path)
     refuted = _refuted(arm, track, t, tolerance, ROUNDING_M if bound else RECORD_M, {**found, "through": through})
     refuted += _refuted_ways(track, paths, between_rows)
@@ -93,15 +95,18 @@ def _scene(results: Results, arm: Arm, wall: Wall, track: Track) -> tuple[Checke
     part, pose, workpiece = track.config.workpiece, of_job(track.config), results.workpiece(track.config)
     rotate, translate = turned_and_moved(part, pose)
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
-    start_tcp = arm.postures(pose.start[None]).tcp[0]
-    targets = targets_of(part, start_tcp, inlet, workpiece.path @ rotate.T + translate)
+    start = pose.start if track.config.start is None else np.array(track.config.start)
+    path = workpiece.path @ rotate.T + translate
+    targets = targets_of(track.config, arm.postures(start[None]).tcp[0], inlet, path)
     if len(targets) != len(track.target):
         raise InputError(
             f"{results.folder}: scenario {track.scenario} has {len(track.target)} targets on record, "
             f"{len(targets)} by its configuration"
         )
-    beside = CheckedScene(arm, wall, rotate, translate, part.interior_depth_m)
-    return beside, targets, len(targets) - len(workpiece.path)
+    on_path = len(targets) - len(path)
+    if (np.abs(track.target[1:on_path] - path[0]) < RECORD_M).all():  # the approach left its lines
+        targets[1:on_path] = path[0]
+    return CheckedScene(arm, wall, rotate, translate, part.interior_depth_m), targets, on_path
 
 
 def _refuted(
