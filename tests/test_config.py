@@ -165,4 +165,4 @@ def test_what_is_on_record_is_renamed_and_nothing_else(tmp_path):
     (tmp_path / "old.yaml").write_text(before)
     done = subprocess.run([sys.executable, SWEEPS / "rename_keys.py", tmp_path / "old.yaml"], capture_output=True)
     assert done.returncode == 0 and (tmp_path / "old.yaml").read_text() == blessed
-    assert read_baseline(tmp_path / "old.yaml").reachability.draws == 2048
+    assert read_baseline(tmp_path / "old.yaml").reachability.reachable > 4382  # that many by draws, once

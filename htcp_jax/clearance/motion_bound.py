@@ -47,8 +47,14 @@ class _Bounds(NamedTuple):
 def motion_bound(robot: Robot, x: Joints, turns: Joints) -> Float[Array, "K"]:
     """How far any point of each body is from where it is at x, at most, while every joint stays within `turns`
     [rad or m] of x [m]."""
-    ends, links = _ends(robot, capsule_segments(robot, x))
-    return _larger(_bounds(robot, x, jnp.zeros_like(x), turns, ends, links).moved)
+    return _larger(point_motion_bound(robot, x, turns, *_ends(robot, capsule_segments(robot, x))))
+
+
+def point_motion_bound(
+    robot: Robot, x: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Array, "P"]
+) -> Float[Array, "P"]:
+    """The same of points at x, world [m], that are fixed to links, -1 for the world."""
+    return _bounds(robot, x, jnp.zeros_like(x), turns, points, links).moved
 
 
 def travel_bound(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "K"]:

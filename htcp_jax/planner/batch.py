@@ -66,6 +66,10 @@ def plan(
         weights = getattr(settings, name)
         if weights is not None and len(weights) != joints:
             raise InputError(f"{name} has {len(weights)} values, the robot {robot.name} has {joints} joints")
+    if settings.qp.startswith("qpsolvers:"):  # one that is not installed is refused, whether the method asks it or not
+        from htcp_jax.solvers.qpsolvers_ import QPSolversSolver
+
+        QPSolversSolver(settings.qp.partition(":")[2])
     if not isinstance(scenarios, Scenario):
         scenarios = stack(scenarios)
     elif scenarios.x_start.ndim == 1:
