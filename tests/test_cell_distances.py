@@ -1,0 +1,197 @@
+"""Distances between capsules and the solids of a cell are MuJoCo's, and a contact held predicts what they do."""
+
+from functools import cache, partial
+
+import jax
+import jax.numpy as jnp
+import made_once
+import mujoco
+import numpy as np
+import pytest
+
+from htcp_jax.clearance.contact_model import hold_contacts, predict_distances
+from htcp_jax.clearance.fixtures import Fixtures
+from htcp_jax.clearance.motion_proof import Verdict, prove
+from htcp_jax.clearance.obstacle import rows_of
+from htcp_jax.clearance.obstacles import all_clear, clearance_rows, clearances, contacts, is_clear
+from htcp_jax.clearance.of_cell import make_fixtures, solid_of
+from htcp_jax.clearance.scene import Scene
+from htcp_jax.scene.cell import load_cell
+from htcp_jax.scene.kinematics import capsule_segments
+
+POSE = 'pos="0.1 -0.2 0.3" euler="20 30 40"'
+WEDGE = "0 0 0  0.3 0 0  0 0.2 0  0 0 0.4  0.2 0.15 0.1  0.1 0.1 0.35"
+SHAPES = {  # and how far from MuJoCo we may be
+    "plane": (f'<geom name="it" type="plane" size="1 1 1" {POSE}/>', 1e-9),
+    "sphere": (f'<geom name="it" type="sphere" size="0.2" {POSE}/>', 1e-9),
+    "capsule": (f'<geom name="it" type="capsule" size="0.1 0.3" {POSE}/>', 1e-9),
+    "box": (f'<geom name="it" type="box" size="0.1 0.3 0.2" {POSE}/>', 1e-6),
+    "cylinder": (f'<geom name="it" type="cylinder" size="0.15 0.3" {POSE}/>', 1e-6),
+    "mesh": (f'<geom name="it" type="mesh" mesh="wedge" {POSE}/>', 1e-6),
+}
+KINDS = tuple(SHAPES)
+BOX = " ".join(f"{x} {y} {z}" for x in (-0.1, 0.1) for y in (-0.3, 0.3) for z in (-0.2, 0.2))
+
+
+def cell_of(kind: str, folder):
+    file = folder / "cell.xml"
+    asset = f'<asset><mesh name="wedge" vertex="{BOX if kind == "box as mesh" else WEDGE}"/></asset>'
+    geom = SHAPES["mesh" if kind == "box as mesh" else kind][0]
+    file.write_text(f"<mujoco>{asset}<worldbody>{geom}</worldbody></mujoco>")
+    return file
+
+
+def segments(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ends and radii: anywhere about, long and short, some of them points, some along an axis of the world."""
+    rng = np.random.default_rng(seed)
+    p = rng.uniform(-0.7, 0.9, (count, 3))
+    q = p + rng.normal(size=(count, 3)) * rng.choice([0.02, 0.2, 0.5], (count, 1))
+    return p, q, rng.choice([0.01, 0.05, 0.2], count)
+
+
+def by_mujoco(file, p, q, radius) -> np.ndarray:
+    """Signed distances of free capsules to the geom `it`."""
+    spec = mujoco.MjSpec.from_file(str(file))
+    body = spec.worldbody.add_body(name="probe", mocap=True)
+    body.add_geom(name="probe", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.1, 0.1, 0])
+    spec.option.ccd_tolerance, spec.option.ccd_iterations = 1e-10, 500
+    model = spec.compile()
+    data, probe, it = mujoco.MjData(model), model.geom("probe").id, model.geom("it").id
+    found, turn = np.empty(len(p)), np.empty(4)
+    for k in range(len(p)):
+        along = q[k] - p[k]
+        length = np.linalg.norm(along)
+        mujoco.mju_quatZ2Vec(turn, along / length)
+        data.mocap_pos[0], data.mocap_quat[0] = (p[k] + q[k]) / 2, turn
+        model.geom_size[probe, :2] = radius[k], length / 2
+        model.geom_rbound[probe] = radius[k] + length / 2
+        mujoco.mj_kinematics(model, data)
+        found[k] = mujoco.mj_geomDistance(model, data, probe, it, 100.0, None)
+    return found
+
+
+def seen(kind: str, folder, p, q):
+    solid = jax.tree.map(jnp.asarray, solid_of(load_cell(cell_of(kind, folder))[0]))
+    return jax.jit(jax.vmap(solid.seen))(p, q)
+
+
+def compare(kind: str, folder, count: int) -> None:
+    p, q, radius = segments(count)
+    ours = np.asarray(seen(kind, folder, p, q).distance) - radius
+    theirs = by_mujoco(cell_of(kind, folder), p, q, radius)
+    inside = ours < -radius - 1e-9  # the axis itself is, partly
+    assert inside.sum() > 0.01 * count and (~inside).sum() > 0.2 * count
+    if kind == "box":  # where an axis crosses a box, MuJoCo's routine for the two says anything; of a mesh it does not
+        theirs[inside] = by_mujoco(cell_of("box as mesh", folder), p, q, radius)[inside]
+    if kind == "cylinder":  # a bound
+        assert (ours <= theirs + 1e-9)[inside].all() and (theirs[inside] < 0).all()
+        theirs[inside] = ours[inside]
+    np.testing.assert_allclose(ours, theirs, atol=SHAPES[kind][1])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_distance_of_a_capsule_is_mujocos(kind, tmp_path):
+    compare(kind, tmp_path, 500)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_ten_thousand_distances_are_mujocos(kind, tmp_path):
+    compare(kind, tmp_path, 10_000)
+
+
+def test_segments_along_faces_and_edges_and_points_are_measured_too(tmp_path):
+    """Against ten thousand places of the segment: no closed form divides by nothing."""
+    rng = np.random.default_rng(2)
+    for kind in ("box", "cylinder", "mesh"):
+        T = load_cell(cell_of(kind, tmp_path))[0].T_world
+        p = rng.integers(-2, 3, (200, 3)) * np.array([0.1, 0.15, 0.2])
+        q = p + rng.integers(-1, 2, (200, 3)) * 0.3
+        p, q = (x @ T[:3, :3].T + T[:3, 3] for x in (p, q))
+        found = seen(kind, tmp_path, p, q)
+        assert all(np.isfinite(leaf).all() for leaf in found)
+        places = p[:, None] + np.linspace(0, 1, 51)[:, None] * (q - p)[:, None]
+        each = np.asarray(seen(kind, tmp_path, *2 * [places.reshape(-1, 3)]).distance).reshape(200, 51).min(axis=1)
+        clear = np.asarray(found.distance) > 1e-9
+        assert (found.distance <= each + 1e-12).all() and clear.sum() > 50
+        np.testing.assert_allclose(found.distance[clear], each[clear], atol=1e-3)
+
+
+def everything(folder) -> Fixtures:
+    """All shapes at once, and pieces of several sizes, beside the default arm."""
+    file = folder / "cell.xml"
+    geoms = "".join(
+        geom.replace('"it"', f'"{kind}"').replace(POSE, f'pos="{np.cos(k)} {np.sin(k)} 1.1" euler="20 30 40"')
+        for k, (kind, (geom, _)) in enumerate(SHAPES.items())
+    )
+    more = '<geom type="mesh" mesh="tent" pos="1.6 -0.4 -1"/><geom type="mesh" mesh="wedge" pos="-1.5 0.4 1"/>'
+    asset = f'<mesh name="wedge" vertex="{WEDGE}"/><mesh name="tent" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/>'
+    geoms = geoms.replace('pos="1.0 0.0 1.1" euler="20 30 40"', 'pos="0 0 -1.3"')  # of the plane
+    file.write_text(f"<mujoco><asset>{asset}</asset><worldbody>{geoms}{more}</worldbody></mujoco>")
+    (found,) = make_fixtures(made_once.robot(), load_cell(file))
+    return found
+
+
+def test_of_many_solids_the_nearest_decides_whatever_is_searched_first(tmp_path):
+    robot, where, own = made_once.robot(), made_once.nominal(), everything(tmp_path)
+    assert len(own.names) == 8 and own.pieces is not None
+    ends = jax.jit(lambda x: capsule_segments(robot, x))
+    each = jax.jit(lambda x: own.distances(robot, *capsule_segments(robot, x)))
+    touching = 0
+    for x in made_once.configurations(robot, 40):
+        found = jitted(clearances)(robot, (own,), where, x)
+        every = np.where(own.heeds, each(x), np.inf)
+        expected = every.min(axis=0)
+        np.testing.assert_allclose(found, expected, atol=1e-14)
+        assert jitted(is_clear)(robot, (own,), where, x) == (expected.min() > 0)
+        touching += int(expected.min() <= 0)
+        row = int(expected.argmin())
+        assert own.hit(robot, row, *ends(x)) == f"the fixture {own.names[every[:, row].argmin()]!r}"
+    assert 5 < touching < 35
+
+
+def test_gradients_and_what_is_held_are_those_of_the_distance(tmp_path):
+    """By finite differences, where the same point stays the nearest; a contact held never predicts less than the truth,
+    but for planes."""
+    robot, where, own, h = made_once.robot(), made_once.nominal(), (everything(tmp_path),), 1e-6
+    rows, rng, odd = rows_of(robot, own), np.random.default_rng(0), 0
+    value = partial(jitted(clearances), robot, own, where)
+    for x in made_once.configurations(robot, 10, seed=3):
+        found = jitted(clearance_rows)(robot, own, where, x)
+        np.testing.assert_allclose(jitted(jax.jacfwd(clearances, 3))(robot, own, where, x), found.gradient, atol=1e-9)
+        slope = np.stack([(value(x + h * e) - value(x - h * e)) / (2 * h) for e in np.eye(6)], axis=1)
+        odd += int((np.abs(slope - found.gradient) > 1e-4).any(axis=1).sum())
+        touch = jitted(contacts)(robot, own, where, x)
+        held = hold_contacts(robot, jnp.asarray(x), rows, touch)
+        np.testing.assert_allclose(predict_distances(robot, x, rows, held)[0], touch.distance, atol=1e-12)
+        near = x + rng.uniform(-0.1, 0.1, 6)
+        predicted = np.asarray(predict_distances(robot, near, rows, held)[0])
+        assert (predicted >= np.asarray(value(near)) - 1e-12)[~np.asarray(touch.plane)].all()
+    assert odd <= 6
+
+
+def test_joint_paths_beside_solids_are_proven_and_refuted_as_they_are(tmp_path):
+    robot, where, own = made_once.robot(), made_once.nominal(), (everything(tmp_path),)
+    proof = jax.jit(lambda a, b: prove(Scene(robot, own), where, a, b))
+    rng, verdicts = np.random.default_rng(1), []
+    for a in made_once.configurations(robot, 40):
+        b = a + rng.uniform(-0.3, 0.3, 6)
+        places = a + np.linspace(0, 1, 201)[:, None] * (b - a)
+        truth = np.asarray(jitted(everywhere)(robot, own, where, places))
+        found = proof(a, b)
+        if found.verdict == Verdict.PROVEN:
+            assert truth.min() >= float(found.clearance) - 1e-9 > 0
+        elif found.verdict == Verdict.COLLIDES:
+            assert jitted(clearances)(robot, own, where, a + float(found.place) * (b - a)).min() <= 0
+        assert jitted(all_clear)(robot, own, where, places) == (truth.min() > 0)
+        verdicts.append(int(found.verdict))
+    assert verdicts.count(Verdict.PROVEN) >= 5 and verdicts.count(Verdict.COLLIDES) >= 5
+
+
+def everywhere(robot, obstacles, where, places):
+    return jax.lax.map(partial(clearances, robot, obstacles, where), places)
+
+
+@cache
+def jitted(function):
+    return jax.jit(function)
