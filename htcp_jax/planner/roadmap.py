@@ -37,7 +37,7 @@ from htcp_jax.planner.transfers import joined, other_postures
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status, Way
 
-MOST_TRANSFERS = 2  # searches from other postures, each from others
+MOST_TRANSFERS = 3  # searches from other postures, each from others
 TRANSFERRED = 1  # the escape of a first target that is reached by a transfer
 IN_FLIGHT = 4  # scenarios are planned together, a quarter as many as a table has lanes
 
