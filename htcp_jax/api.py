@@ -10,7 +10,8 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from htcp_jax.jobs.build import scene
+from htcp_jax.clearance.obstacle import Obstacles
+from htcp_jax.jobs.build import obstacles_of, scene
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.notebook import html_facts
@@ -54,6 +55,7 @@ class Plan:
     workpiece: Workpiece
     scenario: Scenario  # adds nothing to the tool
     plans: Plans  # of this one scenario: the first axis of every array has length 1
+    obstacles: Obstacles = ()  # besides the workpiece
 
     @cached_property
     def summary(self) -> Summary:
@@ -120,7 +122,8 @@ class Plan:
         if (failed := blocked_target(self.plans, 0)) is None:
             return None
         x_last = self.plans.before(0, failed)
-        return obstruction(self.robot, self.workpiece, self.scenario, x_last, failed, self.job.settings)
+        known = self.robot, self.workpiece, self.scenario
+        return obstruction(*known, x_last, failed, self.job.settings, self.obstacles)
 
     def failure(self) -> dict[str, str]:
         """Where the plan ended, why, and what is in the way, in words; nothing of a complete one."""
@@ -206,10 +209,12 @@ def plan(
     job = load_config(config, overrides)
     registry.find(job.method)
     robot, workpiece, scenario = scene(job)
-    batch.check_start(robot, workpiece, scenario)
-    plans = batch.plan(robot, workpiece, scenario, job.method, job.settings, progress=progress, device=device)
+    obstacles = obstacles_of(job.cell, robot)
+    batch.check_start(robot, workpiece, scenario, obstacles)
+    how = {"progress": progress, "device": device, "obstacles": obstacles}
+    plans = batch.plan(robot, workpiece, scenario, job.method, job.settings, **how)
     robot, scenario = with_own_tool(robot, scenario)
-    return Plan(job, robot, workpiece, scenario, plans)
+    return Plan(job, robot, workpiece, scenario, plans, obstacles)
 
 
 def methods() -> "pandas.DataFrame":

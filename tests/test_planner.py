@@ -238,13 +238,15 @@ def test_what_cannot_be_planned_is_refused_by_name():
 def test_a_start_in_collision_is_refused_with_its_body_and_depth():
     robot, duct = scene()
     check_start(robot, duct, scenario())
-    D, body = start_clearance(robot, duct, scenario())
+    D, body, _ = start_clearance(robot, duct, scenario())
     np.testing.assert_allclose(D, numpy_D(robot, duct, scenario(), np.array(made_once.START)), atol=1e-14)
     assert body in robot.capsule_names
     stuck = scenario(start=np.load(made_once.RECORDED)["x"][1])
-    deep, body = start_clearance(robot, duct, stuck)
-    assert deep < 0
-    with pytest.raises(InputError, match=rf"start is in collision: {body} is {-1e3 * deep:.3f} mm inside"):
+    deep, body, other = start_clearance(robot, duct, stuck)
+    assert deep < 0 and other == "the workpiece"
+    with pytest.raises(
+        InputError, match=rf"start is in collision: {body} is {-1e3 * deep:.3f} mm inside the workpiece"
+    ):
         check_start(robot, duct, stuck)
 
 

@@ -102,6 +102,26 @@ def clearance_rows(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) 
     return ClearanceRows(touch.distance, slopes(robot, x, rows, touch.normal, touch.point, touch.witness))
 
 
+def nearest_to(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, row: int) -> str:
+    """What the body of a row is nearest to at x, in words: kinds that have some tell it by `hit`."""
+    if not any(hasattr(each, "hit") for each in obstacles):
+        return "the workpiece"
+    rows = 0
+    for own in grouped(obstacles):
+        count = len(own[0].rows(robot).body)
+        if row < rows + count:
+            break
+        rows += count
+    named = [each for each in own if hasattr(each, "hit")]
+    others = tuple(each for each in own if not hasattr(each, "hit"))
+    parts = [(each,) for each in named] + ([others] if named and others else [])
+    distance = [float(contacts(robot, part, where, x).distance[row - rows]) for part in parts]
+    if not named or distance.index(min(distance)) == len(named):
+        return "the workpiece"
+    bodies = bodies_at(robot, where, x)
+    return named[distance.index(min(distance))].hit(robot, row - rows, bodies.p, bodies.q)
+
+
 def _nearest(parts: list[Contacts]) -> Contacts:
     """Row by row the contact with the smallest distance; the first of equals."""
     nearest = parts[0]

@@ -22,7 +22,8 @@ from htcp_jax.clearance.solids import Box, Cylinder, HalfSpace, Piece, Rod, Soli
 from htcp_jax.numerics import product
 from htcp_jax.pytree import register_pytree
 from htcp_jax.scene.cell import Fixture
-from htcp_jax.scene.mesh_points import cover
+from htcp_jax.scene.mesh_points import Cover, cover
+from htcp_jax.scene.point_cloud import load_geometry
 from htcp_jax.scene.robot import Robot
 from htcp_jax.types import Bool, Float, Int, Pose, Scalar
 
@@ -77,7 +78,7 @@ class PlacedCloud:
 
     def _seen(self, robot: Robot, bodies: Bodies) -> tuple[Robot, _Place, Bodies]:
         """The robot, with bodies that stand still infinitely thin, the place, and the bodies as seen from there."""
-        R, t = self.T_world[:3, :3], self.T_world[:3, 3]
+        R, t = self.T_world[:3, :3], self.T_world[:3, 3].reshape((1,) * (bodies.p.ndim - 1) + (3,))
         own = bodies._replace(p_workpiece=product(bodies.p - t, R), q_workpiece=product(bodies.q - t, R))
         radius = jnp.where(np.array(robot.capsule_link) >= 0, robot.capsule_radius, -FAR_M)
         return dataclasses.replace(robot, capsule_radius=radius), _Place(self.T_world, jnp.zeros(4)), own
@@ -91,9 +92,18 @@ def make_fixtures(robot: Robot, shapes: Sequence[Fixture]) -> Obstacles:
     meshes = [each for each in shapes if each.kind == "mesh" and not each.convex]
     clouds = []
     for mesh in meshes:
-        points, radius = cover(mesh.triangles, f"fixture {mesh.name!r}", thinnest_m=thinnest)
-        clouds.append(PlacedCloud(cloud_of(points, radius), jnp.eye(4), mesh.name))
+        points = cover(mesh.triangles, f"fixture {mesh.name!r}", thinnest_m=thinnest)
+        clouds.append(PlacedCloud(cloud_of(*points), jnp.eye(4), mesh.name))
     return ((fixtures(robot, solids),) if solids else ()) + tuple(clouds)
+
+
+def placed_cloud(robot: Robot, file: str, T_world: HostFloat[np.ndarray, "4 4"], name: str) -> PlacedCloud:
+    """The points of a file, or points on its mesh, where they stand. Raises InputError as `load_geometry` does."""
+    points, triangles = load_geometry(file)
+    found = Cover(points, 0.0)
+    if len(triangles):
+        found = cover(triangles, file, thinnest_m=float(np.min(robot.capsule_radius)))
+    return PlacedCloud(cloud_of(*found), jnp.asarray(T_world), name)
 
 
 def solid_of(shape: Fixture) -> Solid | None:

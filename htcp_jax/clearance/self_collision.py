@@ -52,8 +52,8 @@ class SelfCollision:
         """The distance itself, as one of the two sees it."""
         return self.contacts(robot, where, bodies).distance
 
-    def hit(self, robot: Robot, row: int) -> str:
-        """What the body of a row touches, in words."""
+    def hit(self, robot: Robot, row: int, p: Float[jax.Array, "K 3"], q: Float[jax.Array, "K 3"]) -> str:
+        """What the body of a row is nearest to, in words."""
         return robot.capsule_names[self.pairs[row][1]]
 
     def described(self, robot: Robot) -> str:

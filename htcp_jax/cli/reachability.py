@@ -94,6 +94,7 @@ def _search(batch: Batch, resolution_rad: float, proof_cells: int) -> Reachabili
                 cell.workpiece,
                 jax.tree.map(itemgetter(rows), batch.scenarios),
                 cell.settings,
+                obstacles=cell.obstacles,
                 resolution_rad=resolution_rad,
                 proof_cells=proof_cells,
                 progress=lambda row, rows, task=task: bars.update(task, completed=row, total=rows),

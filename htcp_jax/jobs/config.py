@@ -45,6 +45,7 @@ DEPENDENT = (
     "workpiece.pivot_m",
     "workpiece.inlet_direction",
     "workpiece.tip_contact_m",
+    "cell.self_collision",
 )
 
 
@@ -86,6 +87,25 @@ class WorkpieceConfig(Section):
         return renamed(values, RENAMED_WORKPIECE, "workpiece", source)
 
 
+class CloudConfig(Section):
+    """A further cloud or mesh that stands in the world by itself."""
+
+    cloud: str  # a file of points or a mesh
+    base_m: Point = (0.0, 0.0, 0.0)  # of its own frame, in the world
+    base_rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # about world x, then y, then z
+
+
+class CellConfig(Section):
+    """What the arm keeps clear of besides the workpiece: itself, and what stands about."""
+
+    self_collision: bool = False
+    model: str | None = None  # an MJCF file
+    moved: str | None = None  # a body of it, that is turned and shifted; None: all of it
+    shift_m: Point = (0.0, 0.0, 0.0)
+    rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # about world x, then y, then z
+    clouds: tuple[CloudConfig, ...] = ()
+
+
 class RayConfig(Section):
     """What a shard of a sweep asks of a Ray cluster; has no influence on results."""
 
@@ -99,6 +119,7 @@ class PlanConfig(Section):
 
     robot: RobotConfig = RobotConfig()
     workpiece: WorkpieceConfig = WorkpieceConfig()
+    cell: CellConfig = CellConfig()
     start_rad: Start = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # or auto: chosen at the path's first point
     home_rad: tuple[Number, ...] | None = Field(None, validate_default=True)  # where the motion begins; None: the start
     margin_m: float = Field(5e-4, ge=0, le=1)  # least clearance with which a target counts

@@ -7,7 +7,7 @@ the folder of the file that they stand in.
 """
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,12 @@ from htcp_jax.scene.duct_seams import SEAMS
 
 BASE = "config"  # the key under which a file names the one that it builds on
 # Keys that name files, each with the words of the built-in parts.
-FILES = {("robot", "model"): ("gp50",), ("workpiece", "cloud"): ("duct",), ("workpiece", "path"): SEAMS}
+FILES = {
+    ("robot", "model"): ("gp50",),
+    ("workpiece", "cloud"): ("duct",),
+    ("workpiece", "path"): SEAMS,
+    ("cell", "model"): (None,),
+}
 
 
 def layers(path: Path) -> list[tuple[str, dict]]:
@@ -79,12 +84,23 @@ def _same(one: Path, other: Path) -> bool:
     return os.path.realpath(one) == os.path.realpath(other)
 
 
-def _anchor_files(raw: dict, folder: Path) -> None:
-    """Make file names in `raw` relative to `folder`; the words of the built-in parts stay."""
+def named_files(raw: dict) -> Iterator[tuple[dict, str]]:
+    """Where a configuration in its plain form names a file: the mapping, and the key in it."""
     for (section, key), words in FILES.items():
         value = raw.get(section)
         if isinstance(value, dict) and isinstance(value.get(key), str) and value[key] not in words:
-            value[key] = str(folder / value[key])
+            yield value, key
+    cell = raw.get("cell")
+    clouds = cell.get("clouds") if isinstance(cell, dict) else ()
+    for cloud in clouds if isinstance(clouds, list | tuple) else ():
+        if isinstance(cloud, dict) and isinstance(cloud.get("cloud"), str):
+            yield cloud, "cloud"
+
+
+def _anchor_files(raw: dict, folder: Path) -> None:
+    """Make file names in `raw` relative to `folder`; the words of the built-in parts stay."""
+    for owner, key in named_files(raw):
+        owner[key] = str(folder / owner[key])
 
 
 def _lay_over(whole: dict, raw: dict) -> None:

@@ -20,15 +20,16 @@ _DEFAULTS = PlanConfig().model_dump()
 def own_defaults(raw: dict, stated: Collection[str]) -> dict[str, Any]:
     """The `DEPENDENT` keys with their defaults, given the parts that `raw` names and what is stated of it.
 
-    A robot other than the GP50 has its model's own limits and weights of 1; a cloud other than the duct is not turned
-    and not moved, and turns about its own origin, wherever `neutral_translation_m` puts it; its inlet faces where its
-    hull does, and the tip of the tool stays out of its walls, from which the paper's duct exempts it.
+    A robot other than the GP50 has its model's own limits and weights of 1, and keeps clear of itself; a cloud other
+    than the duct is not turned and not moved, and turns about its own origin, wherever `neutral_translation_m` puts it;
+    its inlet faces where its hull does, and the tip of the tool stays out of its walls, from which the paper's duct
+    exempts it.
     """
     found = {key: value_at(_DEFAULTS, key) for key in DEPENDENT}
     if is_other(raw, "robot.model"):
         known = (value_at(raw, key) for key in ("start_rad", "home_rad"))
         joints = next((len(x) for x in known if isinstance(x, list | tuple)), 0)
-        found["robot.limits"] = "model"
+        found["robot.limits"], found["cell.self_collision"] = "model", True
         found["settings.q_weights"] = (1.0,) * joints
     if is_other(raw, "workpiece.cloud"):
         origin = value_at(raw, "workpiece.neutral_translation_m")
@@ -45,7 +46,7 @@ def fill_in(raw: dict, stated: Collection[str], source: str) -> None:
     whose start is not stated."""
     if is_other(raw, "robot.model") and "start_rad" not in stated:
         raise InputError(_no_start(raw["robot"], source))
-    sections = {key: raw.get(key, {}) for key in ("robot", "workpiece", "settings")}
+    sections = {key: raw.get(key, {}) for key in ("robot", "workpiece", "cell", "settings")}
     for key, default in own_defaults(raw, stated).items():
         if key not in stated and isinstance(sections[key.partition(".")[0]], dict):
             put(raw, key, default)

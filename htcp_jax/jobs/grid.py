@@ -22,11 +22,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Int
 
+from htcp_jax.clearance.obstacle import Obstacles
 from htcp_jax.errors import InputError
 from htcp_jax.formats.strict_model import Section, validate
 from htcp_jax.formats.strict_yaml import read_yaml
-from htcp_jax.jobs.build import arm_of, part_of, robot_of, scenario_of, shape_of, workpiece_of
-from htcp_jax.jobs.config import DEPENDENT, PlanConfig, RobotConfig, WorkpieceConfig
+from htcp_jax.jobs.build import arm_of, obstacles_of, part_of, robot_of, scenario_of, shape_of, workpiece_of
+from htcp_jax.jobs.config import DEPENDENT, CellConfig, PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.jobs.config_file import put
 from htcp_jax.jobs.defaults import fill_in, is_other, keys_of
 from htcp_jax.jobs.grid_axes import FILE_KEYS, KEYS, MOST, Group, Point, read_grid
@@ -52,6 +53,7 @@ class Cell(NamedTuple):
     robot: Robot
     workpiece: Workpiece
     settings: Settings
+    obstacles: Obstacles = ()  # besides the workpiece
 
 
 class Batch(NamedTuple):
@@ -102,6 +104,7 @@ class Sweep:
         points = self.points(limit)
         arms = {arm_of(self.config): self.robot}
         parts: dict[tuple[RobotConfig, WorkpieceConfig], Workpiece] = {}
+        obstacles: dict[tuple[RobotConfig, CellConfig], Obstacles] = {}
         cells: dict[tuple, tuple[int, Cell]] = {}
         scenarios, whose = [], []
         for point in points:
@@ -110,8 +113,11 @@ class Sweep:
                 arms[arm] = _like(self.robot, robot_of(arm), f"{self.name}: scenario {point.number}")
             if (arm, part) not in parts:
                 parts[arm, part] = workpiece_of(part, arms[arm])
-            own = len(cells), Cell(arms[arm], parts[arm, part], settings)
-            whose.append(cells.setdefault((arm, shape_of(part), settings), own)[0])
+            beside = point.config.cell
+            if (arm, beside) not in obstacles:
+                obstacles[arm, beside] = obstacles_of(beside, arms[arm])
+            own = len(cells), Cell(arms[arm], parts[arm, part], settings, obstacles[arm, beside])
+            whose.append(cells.setdefault((arm, shape_of(part), settings, beside), own)[0])
             scenarios.append(_scenario(point, arms[arm], parts[arm, part]))
         return Batch(tuple(cell for _, cell in cells.values()), np.array(whose, int), stack(scenarios), points)
 

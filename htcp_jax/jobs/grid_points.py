@@ -36,7 +36,7 @@ def points_of(name: str, config: PlanConfig, groups: Sequence[Group], stated: Co
             yield Point(k, group.name, own, _words_of(own, varied, short))
 
 
-def short_names(files: Iterable[str], words: Collection[str]) -> dict[str, str]:
+def short_names(files: Iterable[str | None], words: Collection[str | None]) -> dict[str | None, str | None]:
     """Each file by as many of the last parts of its path as set it apart from the others; `words` as they are."""
     whole = {file: Path(file).resolve() for file in files if file not in words}
     count = 1

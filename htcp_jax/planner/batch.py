@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.clearance.obstacle import Obstacles
-from htcp_jax.clearance.obstacles import clearances
+from htcp_jax.clearance.obstacles import clearances, nearest_to
 from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.errors import InputError
@@ -114,25 +114,33 @@ def plan(
 
 
 def start_clearance(
-    robot: Robot, workpiece: Workpiece, scenario: Scenario, x: Float[np.ndarray, "N"] | None = None
-) -> tuple[float, str]:
-    """D at the scenario's start, or at another x [m], and the name of the body it belongs to."""
+    robot: Robot,
+    workpiece: Workpiece,
+    scenario: Scenario,
+    x: Float[np.ndarray, "N"] | None = None,
+    obstacles: Obstacles = (),
+) -> tuple[float, str, str]:
+    """D at the scenario's start, or at another x [m], the name of the body it belongs to, and what that is nearest to.
+    obstacles: further ones."""
     scenario = jax.tree.map(jnp.asarray, scenario)
     x = scenario.x_start if x is None else jnp.asarray(x)
-    scene = own_scene(Scene(robot, make_obstacle(workpiece)), scenario.tool_extension_m)
+    scene = own_scene(Scene(robot, (*make_obstacle(workpiece), *obstacles)), scenario.tool_extension_m)
     D = np.asarray(jax.jit(clearances)(scene.robot, scene.obstacles, scenario, x))
-    return float(D.min()), robot.capsule_names[int(D.argmin())]
+    row = int(D.argmin())
+    other = nearest_to(scene.robot, scene.obstacles, scenario, x, row)
+    return float(D.min()), robot.capsule_names[scene.rows.body[row]], other
 
 
-def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario) -> None:
-    """Raise InputError when the home or the start is in collision, naming the body and the depth."""
+def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario, obstacles: Obstacles = ()) -> None:
+    """Raise InputError when the home or the start is in collision, naming the body, what it is in, and the depth.
+    obstacles: besides the workpiece."""
     postures = {"start": scenario.x_start}
     if scenario.auto_start or (scenario.x_home != scenario.x_start).any():
         postures = {"home": scenario.x_home} | ({} if scenario.auto_start else postures)
     for what, x in postures.items():
-        D, body = start_clearance(robot, workpiece, scenario, x)
+        D, body, other = start_clearance(robot, workpiece, scenario, x, obstacles)
         if D <= 0:
-            raise InputError(f"{what} is in collision: {body} is {-1e3 * D:.3f} mm inside the workpiece")
+            raise InputError(f"{what} is in collision: {body} is {-1e3 * D:.3f} mm inside {other}")
 
 
 def _check_task(task: Task, robot: Robot, scenarios: Scenario) -> None:

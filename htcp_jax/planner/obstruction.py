@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.clearance.obstacle import Obstacles
-from htcp_jax.clearance.obstacles import contacts
+from htcp_jax.clearance.obstacles import contacts, nearest_to
 from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.planner.kernel import DEEP, chunked
@@ -35,11 +35,12 @@ class Obstruction(NamedTuple):
     """The arm brought onto a target that failed."""
 
     body: str  # the capsule with the smallest clearance there
-    point: Float[np.ndarray, "3"]  # of the workpiece, nearest to it, world [m]
-    depth_m: float  # how far the body is inside the workpiece; below zero, how much is free
+    point: Float[np.ndarray, "3"]  # of what is nearest to it, world [m]
+    depth_m: float  # how far the body is inside of that; below zero, how much is free
     residual_m: float  # how far the TCP stays from the target
     reached: bool  # whether that is within the tolerance
     x: Float[np.ndarray, "N"]  # the posture
+    other: str = "the workpiece"  # what is nearest to the body
 
     @property
     def description(self) -> str:
@@ -48,21 +49,29 @@ class Obstruction(NamedTuple):
             return f"the arm comes only to within {_mm(self.residual_m)} of it"
         where = f"at ({', '.join(f'{value:.2f}' for value in self.point)}) m there"
         if self.depth_m > 0:
-            return f"{self.body} is {_mm(self.depth_m)} inside the workpiece {where}"
-        return f"{self.body} is nearest to the workpiece, {_mm(-self.depth_m)} clear of it {where}"
+            return f"{self.body} is {_mm(self.depth_m)} inside {self.other} {where}"
+        return f"{self.body} is nearest to {self.other}, {_mm(-self.depth_m)} clear of it {where}"
 
     def record(self) -> dict[str, Any]:
         """What a file holds of it."""
-        found = {"body": self.body, "point_m": self.point.tolist(), "depth_mm": 1e3 * self.depth_m}
+        found = {"body": self.body, "other": self.other, "point_m": self.point.tolist(), "depth_mm": 1e3 * self.depth_m}
         return {**found, "residual_mm": 1e3 * self.residual_m, "x": self.x.tolist(), "description": self.description}
 
 
 def obstruction(
-    robot: Robot, workpiece: Workpiece, scenario: Scenario, x_last: np.ndarray, target: int, settings: Settings
+    robot: Robot,
+    workpiece: Workpiece,
+    scenario: Scenario,
+    x_last: np.ndarray,
+    target: int,
+    settings: Settings,
+    obstacles: Obstacles = (),
 ) -> Obstruction:
-    """What is in the way at a target of a scenario. x_last: the last tracked posture, else the start [rad or m]."""
+    """What is in the way at a target of a scenario. x_last: the last tracked posture, else the start [rad or m];
+    obstacles: besides the workpiece."""
     task = lane_inputs(stack([scenario]), np.zeros(1, int), np.array([target]))
-    (found,) = obstructions(robot, make_obstacle(workpiece), task, np.asarray(x_last)[None], task.target, settings)
+    known = (*make_obstacle(workpiece), *obstacles)
+    (found,) = obstructions(robot, known, task, np.asarray(x_last)[None], task.target, settings)
     return found
 
 
@@ -87,12 +96,13 @@ def obstructions(
         chunks = np.int32(-(-count // width))
         found = look(scene, chunks, *jax.tree.map(lambda leaf, rows=rows: np.asarray(leaf)[rows], lanes))
         measured += zip(*(np.asarray(leaf)[:count] for leaf in found), strict=True)
-    return [
-        Obstruction(
-            robot.capsule_names[int(body)], point, float(depth), float(off), bool(task.reached(np.asarray(off))), x
-        )
-        for body, point, depth, off, x in measured
-    ]
+    found = []
+    for k, (row, point, depth, off, x) in enumerate(measured):
+        here = jax.tree.map(lambda leaf, k=k: jnp.asarray(leaf[k]), where)
+        other = nearest_to(own_scene(scene, here.tool_extension_m).robot, obstacles, here, jnp.asarray(x), int(row))
+        body, reached = robot.capsule_names[scene.rows.body[int(row)]], bool(task.reached(np.asarray(off)))
+        found.append(Obstruction(body, point, float(depth), float(off), reached, x, other))
+    return found
 
 
 def blocked_target(plans: Plans, scenario: int) -> int | None:
@@ -108,13 +118,12 @@ def _program(width: int):
 
 
 def _brought_there(scene: Scene, where, x_last, target):
-    """Body, point of the workpiece, depth [m], TCP error [m] and posture of one scenario."""
+    """Row of clearance, point of the obstacle, depth [m], TCP error [m] and posture of one scenario."""
     robot, obstacles, task = own_scene(scene, where.tool_extension_m)
     x, residual = reanchor(robot, x_last, target, task.fine_m, task=task)
     touch = contacts(robot, obstacles, where, x)
     row = jnp.argmin(touch.distance)
-    body = jnp.asarray(scene.rows.body)[row]
-    return body, touch.witness[row], -touch.distance[row], residual, x
+    return row, touch.witness[row], -touch.distance[row], residual, x
 
 
 def _mm(length_m: float) -> str:

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from htcp_jax.clearance.obstacle import Obstacles
 from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.clearance.tip_guard import make_tip_guard
@@ -58,15 +59,17 @@ def reachable_prefixes(
     scenarios: Scenario,
     settings: Settings | None = None,
     *,
+    obstacles: Obstacles = (),
     resolution_rad: float = RESOLUTION_RAD,
     proof_cells: int = PROOF_CELLS,
     progress: Callable[[int, int], None] | None = None,
 ) -> Reachability:
-    """Prefixes of the stacked scenarios. resolution_rad: of the tool's orientations, at a target where carrying over
-    fails; proof_cells: see `tool_cells.excluded`, 0 for no proofs; from the settings count alpha_rad, tolerance_m and
-    the seed. Threads, one a core, share the scenarios. progress(target, targets) is called after each target."""
+    """Prefixes of the stacked scenarios. obstacles: besides the workpiece, which proofs leave out; resolution_rad: of
+    the tool's orientations, at a target where carrying over fails; proof_cells: see `tool_cells.excluded`, 0 for no
+    proofs; from the settings count alpha_rad, tolerance_m and the seed. Threads, one a core, share the scenarios.
+    progress(target, targets) is called after each target."""
     settings, scenarios = settings or Settings(), jax.tree.map(np.asarray, scenarios)
-    scene = Scene(robot, make_obstacle(workpiece), Task(tolerance_m=settings.tolerance_m))
+    scene = Scene(robot, (*make_obstacle(workpiece), *obstacles), Task(tolerance_m=settings.tolerance_m))
     kernels = Kernels(scene, settings)
     [tip] = tip_checks([kernels], make_tip_guard(workpiece))
     known = known_postures(robot, scenarios.tool_extension_m)

@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config_file import FILES
+from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.jobs.config_file import named_files
 
 NO_IDENTITY = "method", "ray"  # of a configuration: a run has methods of its own, and may be planned anywhere
+NO_CELL = PlanConfig().cell.model_dump(mode="json")  # runs of before know no cell
 
 
 def file_hash(file: str | Path) -> str:
@@ -24,10 +26,9 @@ def file_hash(file: str | Path) -> str:
 def anchor_files(config: dict) -> list[str]:
     """Make the names of files in a configuration absolute, which is in its plain form; returns them."""
     named = []
-    for (section, key), words in FILES.items():
-        if config[section][key] not in words:
-            config[section][key] = str(Path(config[section][key]).resolve())
-            named.append(config[section][key])
+    for owner, key in named_files(config):
+        owner[key] = str(Path(owner[key]).resolve())
+        named.append(owner[key])
     return named
 
 
@@ -49,6 +50,8 @@ def identity(config: dict, grid: list | tuple, dtype: str, files: dict[str, str]
         return f"{Path(value).name}, SHA-256 {files[value]}" if isinstance(value, str) and value in files else value
 
     config = {key: value for key, value in config.items() if key not in NO_IDENTITY}
+    if plain(config.get("cell")) == NO_CELL:
+        del config["cell"]
     return plain({**config, "grid": json.dumps(plain(grid)), "dtype": dtype})
 
 

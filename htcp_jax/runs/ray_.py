@@ -62,6 +62,11 @@ def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]
                 ray.shutdown()
 
 
+def _on_host(cell: Cell) -> Cell:
+    arrays = jax.tree.map(np.asarray, (cell.robot, cell.obstacles))
+    return cell._replace(robot=arrays[0], obstacles=arrays[1])
+
+
 def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], report: Callable) -> Iterator[Planned]:
     """Keeps more tasks waiting than the cluster has room for: it never idles, and one that can grow does."""
     task = ray.remote(_plan_shard).options(
@@ -72,7 +77,7 @@ def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], report
     )
     left, running = iter(shards), {}
     try:
-        cells = [ray.put(cell._replace(robot=jax.tree.map(np.asarray, cell.robot))) for cell in batch.cells]
+        cells = [ray.put(_on_host(cell)) for cell in batch.cells]
         while True:
             room = 2 * int(ray.cluster_resources().get("CPU", 1)) + 8 - len(running)
             for _, shard in zip(range(room), left):  # noqa: B905 - as many as there is room for

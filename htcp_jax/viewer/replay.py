@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int8
 
-from htcp_jax.clearance.obstacle import Obstacles
+from htcp_jax.clearance.obstacle import Obstacles, rows_of
 from htcp_jax.clearance.obstacles import contacts
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.config import PlanConfig
@@ -277,20 +277,22 @@ def _narrow(summary: MotionSummary, seen: Witness) -> Narrow | None:
 
 
 def _witness(robot: Robot, obstacle: Obstacles, where: Placement, x: Float[np.ndarray, "T N"]) -> Witness:
-    body, arm, cloud = map(np.asarray, _nearest(robot, obstacle, where, jnp.asarray(x)))
+    row, arm, cloud = map(np.asarray, _nearest(robot, obstacle, where, jnp.asarray(x)))
+    body = np.array(rows_of(robot, obstacle).body)[row]
     return Witness([robot.capsule_names[k] for k in body.tolist()], arm, cloud)
 
 
 @jax.jit
 def _nearest(robot: Robot, obstacle: Obstacles, where: Placement, x: Float[jax.Array, "T N"]):
-    """The witness of the smallest distance (body, point on it, point of the cloud), of every configuration."""
+    """The witness of the smallest distance (row, point on the body, point of the obstacle), of every configuration."""
+    bodies = jnp.asarray(rows_of(robot, obstacle).body)
 
     def one(x):
         touch = contacts(robot, obstacle, where, x)
-        body = jnp.argmin(touch.distance)
-        point, normal, crossed = touch.point[body], touch.normal[body], touch.plane[body]
-        arm = point - jnp.where(crossed, 0.0, robot.capsule_radius[body]) * normal
-        return body, arm, arm - touch.distance[body] * normal
+        row = jnp.argmin(touch.distance)
+        point, normal, ended = touch.point[row], touch.normal[row], touch.plane[row] & (touch.reach[row] == 0)
+        arm = point - jnp.where(ended, 0.0, robot.capsule_radius[bodies[row]]) * normal
+        return row, arm, arm - touch.distance[row] * normal
 
     return jax.vmap(one)(x)
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from htcp_jax.clearance.obstacle import Obstacles
 from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.build import arm_of, part_of, robot_of, workpiece_of
+from htcp_jax.jobs.build import arm_of, obstacles_of, part_of, robot_of, workpiece_of
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.runs.open import FolderPlan, PlanSet
 from htcp_jax.runs.parameters import Parameters
@@ -44,8 +44,8 @@ class Workcell:
 
     @cached_property
     def obstacle(self) -> Obstacles:
-        """The workpiece as the clearance has it."""
-        return make_obstacle(self.workpiece)
+        """The workpiece, and what else there is, as the clearance has it."""
+        return (*make_obstacle(self.workpiece), *obstacles_of(self.config.cell, self.robot))
 
     @cached_property
     def surface(self) -> Surface:
@@ -124,7 +124,7 @@ def cells_of(found: PlanSet) -> RecordedCells:
 
 def _shared(job: PlanConfig) -> tuple:
     """What scenarios in one workcell agree in."""
-    return arm_of(job), part_of(job), job.approach, job.settings
+    return arm_of(job), part_of(job), job.approach, job.settings, job.cell
 
 
 def _placement(robot: Robot, workpiece: Workpiece, given: Parameters) -> Placement:
