@@ -11,7 +11,8 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from htcp_jax.clearance.obstacle import Obstacles
-from htcp_jax.jobs.build import obstacles_of, scene
+from htcp_jax.clearance.self_collision import SelfCollision
+from htcp_jax.jobs.build import drawn_of, obstacles_of, scene
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.notebook import html_facts
@@ -96,7 +97,15 @@ class Plan:
             **self.motion_summary.facts(),
             "walls": self.workpiece.walls,
             "interior": interior_rule(self.workpiece, self.scenario),
+            **self._beside(),
         }
+
+    def _beside(self) -> dict[str, str]:
+        """What the arm keeps clear of besides the workpiece."""
+        own = [each.described(self.robot) for each in self.obstacles if isinstance(each, SelfCollision)]
+        names = [name for each in self.obstacles for name in getattr(each, "names", ())]
+        facts = {"self-collision": own[0]} if own else {}
+        return facts | ({"fixtures": ", ".join(names)} if names else {})
 
     def _distances(self) -> dict[str, str]:
         s, asked = self.summary, f"{1e3 * self.job.margin_m:g} mm asked for"
@@ -143,7 +152,8 @@ class Plan:
         """The arm in the workpiece cut open, and the clearance along the path."""
         title = f"{self.job.method}: {self.summary.tracked} of {self.summary.targets} targets"
         blocked = self.obstruction
-        return draw_plan(self.robot, self.workpiece, self.scenario, self.plans, title=title, obstruction=blocked)
+        more = {"obstruction": blocked, "fixtures": drawn_of(self.job.cell)}
+        return draw_plan(self.robot, self.workpiece, self.scenario, self.plans, title=title, **more)
 
     def record(self) -> dict[str, Any]:
         """What summary.json holds: the summary, the failed target in words, versions, the whole configuration, and the

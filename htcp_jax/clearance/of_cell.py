@@ -21,7 +21,7 @@ from htcp_jax.clearance.obstacle import Bodies, Contacts, Obstacles, Posed, Rows
 from htcp_jax.clearance.solids import Box, Cylinder, HalfSpace, Piece, Rod, Solid
 from htcp_jax.numerics import product
 from htcp_jax.pytree import register_pytree
-from htcp_jax.scene.cell import Fixture
+from htcp_jax.scene.fixture import Fixture
 from htcp_jax.scene.mesh_points import Cover, cover
 from htcp_jax.scene.point_cloud import load_geometry
 from htcp_jax.scene.robot import Robot
@@ -71,6 +71,11 @@ class PlacedCloud:
     ) -> Bool[jax.Array, ""]:
         """Whether a body touches at any of the postures."""
         return self.cloud.touches_along(*self._seen(robot, bodies), body, asked)
+
+    @property
+    def names(self) -> tuple[str]:
+        """Its own alone."""
+        return (self.name,)
 
     def hit(self, robot: Robot, row: int, p: Float[jax.Array, "K 3"], q: Float[jax.Array, "K 3"]) -> str:
         """What it is, in words."""

@@ -5,12 +5,14 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Float
 
 from htcp_jax.clearance.obstacle import Obstacles
 from htcp_jax.clearance.of_cell import make_fixtures, placed_cloud
 from htcp_jax.clearance.self_collision import self_collision
 from htcp_jax.jobs.config import CellConfig, PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.scene.cell import load_cell
+from htcp_jax.scene.fixture import Fixture
 from htcp_jax.scene.robot import GP50, Robot
 from htcp_jax.scene.robot_file import load_robot
 from htcp_jax.scene.scenario import Scenario, make_scenario
@@ -96,17 +98,26 @@ def scenario_of(
     )
 
 
+def shapes_of(cell: CellConfig) -> tuple[Fixture, ...]:
+    """The shapes of a cell's model, where they stand."""
+    if cell.model is None:
+        return ()
+    return load_cell(cell.model, moved=cell.moved, shift_m=cell.shift_m, rpy_rad=cell.rpy_rad)
+
+
+def drawn_of(cell: CellConfig) -> Float[np.ndarray, "F 3 3"]:
+    """What there is to draw of it: triangles in the world [m]."""
+    return np.concatenate([np.empty((0, 3, 3)), *(each.surface for each in shapes_of(cell))])
+
+
 def obstacles_of(cell: CellConfig, robot: Robot) -> Obstacles:
     """What the robot keeps clear of besides the workpiece."""
-    shapes = ()
-    if cell.model is not None:
-        shapes = load_cell(cell.model, moved=cell.moved, shift_m=cell.shift_m, rpy_rad=cell.rpy_rad)
     clouds = tuple(
         placed_cloud(robot, each.cloud, pose(each.base_m, each.base_rpy_rad), Path(each.cloud).stem)
         for each in cell.clouds
     )
     own = self_collision(robot) if cell.self_collision else None
-    return (*make_fixtures(robot, shapes), *clouds, *(() if own is None else (own,)))
+    return (*make_fixtures(robot, shapes_of(cell)), *clouds, *(() if own is None else (own,)))
 
 
 _POSE = {"rotation_x_rad": 0.0, "rotation_y_rad": 0.0, "rotation_z_rad": 0.0, "shift_m": (0.0, 0.0, 0.0)}

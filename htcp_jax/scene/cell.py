@@ -5,47 +5,17 @@ is drawn. Where a file has geoms for contact and others for the eye, the first c
 """
 
 from pathlib import Path
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy.spatial import ConvexHull, QhullError
+from jaxtyping import Bool
 
 from htcp_jax.errors import InputError
 from htcp_jax.formats.safe_xml import read_spec
-from htcp_jax.scene.mesh_points import area
+from htcp_jax.scene.fixture import KINDS, Fixture
 from htcp_jax.scene.robot_model import compile_spec, no_log, upwards
 from htcp_jax.scene.robot_shapes import Geom, Shapes
 from htcp_jax.scene.tool import ZERO, Triple, pose
-
-KINDS = "plane", "box", "sphere", "capsule", "cylinder", "mesh"
-CONVEX = 1e-6  # of its hull's size, that a convex mesh may lack
-MOST_FACES = 400  # of a mesh that is measured as a convex solid; more are points
-
-
-class Fixture(NamedTuple):
-    """A shape in the world."""
-
-    name: str
-    kind: str  # one of KINDS
-    T_world: Float[np.ndarray, "4 4"]  # MuJoCo's frame of it; of a mesh the world's
-    size: Float[np.ndarray, "3"]  # MuJoCo's [m]
-    triangles: Float[np.ndarray, "F 3 3"]  # of a mesh, world [m]
-
-    @property
-    def convex(self) -> bool:
-        """Whether a mesh is closed and convex, of a few faces: its triangles lie on its hull, and have its area."""
-        if len(self.triangles) > MOST_FACES:
-            return False
-        try:
-            hull = ConvexHull(self.triangles.reshape(-1, 3))
-        except QhullError:
-            return False
-        normal, offset = hull.equations[:, :3], -hull.equations[:, 3]
-        depth = (offset - self.triangles.mean(axis=1) @ normal.T).min(axis=1)
-        alike = abs(area(self.triangles).sum() - hull.area) <= CONVEX * hull.area
-        return bool(alike and depth.max() <= CONVEX * np.sqrt(hull.area))
 
 
 def load_cell(

@@ -4,6 +4,7 @@ Nothing of robot.py, kinematics.py or clearance.py is used, nor anything they re
 site is the TCP, what a longer tool is, which limits hold) is read here a second time.
 """
 
+import copy
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -73,8 +74,32 @@ class Arm:
         ends = self._ends()
         self.base = np.vstack([self._data.xanchor[:1], *ends[:, fixed]])  # what stands still, world
         joints = np.array([_joints_below(self._model, int(b)) for b in self._model.geom_bodyid[self._geoms]])
+        self.links = joints  # 0: fixed to the world
         away = np.where(joints == joints.max(), np.linalg.norm(ends - self._data.site_xpos[self._site], axis=2), np.inf)
         self._tip = np.unravel_index(away.argmin(), away.shape)
+
+    @property
+    def apart(self) -> list[tuple[int, int]]:
+        """Pairs of capsules that may meet: not on one link or on neighbours, nor excluded by the file."""
+        bodies = self._model.geom_bodyid[self._geoms].tolist()
+        excluded = {(int(pair) >> 16, int(pair) & 0xFFFF) for pair in self._model.exclude_signature}
+        count = range(len(bodies))
+        pairs = [(a, b) for a in count for b in count if self.links[a] > self.links[b] + 1]
+        return [(a, b) for a, b in pairs if not {(bodies[a], bodies[b]), (bodies[b], bodies[a])} & excluded]
+
+    @property
+    def drawn(self) -> Postures:
+        """The postures that the file knows: zero, and its keyframes."""
+        return self.postures(np.vstack([np.zeros(self._model.njnt), self._model.key_qpos]))
+
+    @property
+    def moving(self) -> "Arm":
+        """The arm without the capsules that are fixed to the world."""
+        own, which = copy.copy(self), self.links > 0
+        own._geoms, own._half, own.links = self._geoms[which], self._half[which], self.links[which]
+        own.radius, own.length = self.radius[which], self.length[which]
+        own.names = tuple(np.array(self.names)[which].tolist())
+        return own
 
     def postures(self, x: Float[np.ndarray, "n N"]) -> Postures:
         """Where MuJoCo's kinematics puts the arm."""
@@ -112,7 +137,7 @@ class Arm:
 
 def _compile(path: Path, tcp: str, tool: Tool | None) -> tuple[mujoco.MjModel, int]:
     """The model with its capsules, its spheres, the tool's and the probe as its only geoms, and the site at the TCP."""
-    spec = read_spec(path)
+    spec = read_spec(path, contacts=True)
     try:
         for geom in list(spec.geoms):
             if geom.type not in (_SPHERE, _CAPSULE):

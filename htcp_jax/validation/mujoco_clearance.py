@@ -18,7 +18,7 @@ that may hold it only the points within sqrt((U + radius)^2 + h^2) of m can be t
 are cut finer until that ball holds few points, and all of these are measured.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -105,9 +105,18 @@ class AtTargets(NamedTuple):
 class CheckedScene:
     """An arm beside a wall that stands at x_world = rotate @ x + translate. Beyond `interior_depth_m` behind where the
     wall begins along its direction, the ends of all axes must lie in the hull; unless the arm itself stands beyond it.
-    Along the world's x the rule holds wherever the arm stands."""
+    Along the world's x the rule holds wherever the arm stands. beside(x, postures): the clearance to all else."""
 
-    def __init__(self, arm: Arm, wall: Wall, rotate: np.ndarray, translate: np.ndarray, interior_depth_m: float):
+    def __init__(
+        self,
+        arm: Arm,
+        wall: Wall,
+        rotate: np.ndarray,
+        translate: np.ndarray,
+        interior_depth_m: float,
+        beside: Callable[[np.ndarray, Postures], np.ndarray] | None = None,
+    ):
+        self.beside = beside or (lambda x, postures: np.full(len(x), np.inf))
         self.arm, self.wall, self.rotate, self.translate = arm, wall, rotate, translate
         self.along = np.array([1.0, 0.0, 0.0]) if wall.direction is None else rotate @ wall.direction
         self.interior_from = ((wall.corners @ rotate.T + translate) @ self.along).min() + interior_depth_m
@@ -122,7 +131,7 @@ class CheckedScene:
         distance = self.wall.tree.query(self._local(samples), workers=-1)[0]
         upper = _least(np.full(len(x), np.inf), pieces, distance - self.arm.radius[pieces.capsule])
         kept = pieces.only(self._may_hold(pieces, distance, upper))
-        clearance = self._measured(x, postures, kept, upper)
+        clearance = np.minimum(self._measured(x, postures, kept, upper), self.beside(x, postures))
         ends = np.concatenate([postures.p, postures.q], axis=1)
         outside = self._outside(ends, ends @ self.along > self.interior_from)
         each = len(x), len(pieces.row) // len(x)
@@ -144,7 +153,7 @@ class CheckedScene:
         distance = np.maximum(0.0, np.maximum(*near)).reshape(-1)
         upper = np.full(len(x), below)
         kept = pieces.only(self._may_hold(pieces, distance, upper))
-        clearance = self._measured(x, postures, kept, upper)
+        clearance = np.minimum(self._measured(x, postures, kept, upper), self.beside(x, postures))
         ends = np.concatenate([postures.p, postures.q], axis=1)
         proven = [known.outside[b] + np.linalg.norm(ends - known.ends[b], axis=2) < 0 for b in (a, a + 1)]
         outside = self._outside(ends, (ends @ self.along > self.interior_from) & ~proven[0] & ~proven[1])

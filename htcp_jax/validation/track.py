@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from htcp_jax.errors import InputError
 from htcp_jax.runs.parameters import of_job
 from htcp_jax.validation.mujoco_arm import Arm, Postures
+from htcp_jax.validation.mujoco_cell import Beside
 from htcp_jax.validation.mujoco_clearance import AtTargets, CheckedScene, Wall
 from htcp_jax.validation.result import RECORD_M, ROUNDING_M, STEP_RAD, Refuted
 from htcp_jax.validation.scene_rules import Results, Track, targets_of, turned_and_moved
@@ -46,16 +47,17 @@ class Checked(NamedTuple):
     in_place: Float[np.ndarray, "m"]  # largest joint change where the targets coincide [rad or m]
 
 
-def check(results: Results, arm: Arm, wall: Wall, track: Track, between: int) -> Checked:
+def check(results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: Track, between: int) -> Checked:
     """Check one track with the arm that has its tool; between: least steps of a joint path, 0 to look at none.
     Raises InputError where the configuration leads to another number of targets than are on record."""
-    scene, targets, on_path = _scene(results, arm, wall, track)
+    scene, targets, on_path = _scene(results, arm, wall, beside, track)
     t = np.flatnonzero(track.tracked & np.isfinite(track.x).all(axis=1))
     rows = np.concatenate([track.start[None], track.x[t]])  # the start is row 0
     at = scene.at(rows)
     reached = at.postures.tcp[1:]
     more = at.clearance[1:] - track.clearance[t]
-    bound = wall.triangles is not None  # what is on record may be less, by how closely points cover the mesh
+    mesh = wall.triangles is not None
+    bound = mesh or (beside is not None and beside.bound)  # the record may be less, by how closely points cover a mesh
     found = {
         "tcp_error": np.linalg.norm(reached - targets[t], axis=1),
         "clearance": at.clearance[1:],
@@ -65,7 +67,7 @@ def check(results: Results, arm: Arm, wall: Wall, track: Track, between: int) ->
     }
     tolerance, contact = track.config.settings.tolerance_m, track.config.workpiece.tip_contact_m
     through = np.zeros(len(t), bool)
-    if bound and contact is not None and len(t):
+    if mesh and contact is not None and len(t):
         through = scene.tip_goes_through(Postures(*(values[1:] for values in at.postures)), contact)
     paths = _paths(track, rows, targets, t)
     moved, line = np.abs(paths.b - paths.a), paths.line_b - paths.line_a
@@ -90,7 +92,9 @@ def check(results: Results, arm: Arm, wall: Wall, track: Track, between: int) ->
     )
 
 
-def _scene(results: Results, arm: Arm, wall: Wall, track: Track) -> tuple[CheckedScene, Float[np.ndarray, "T 3"], int]:
+def _scene(
+    results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: Track
+) -> tuple[CheckedScene, Float[np.ndarray, "T 3"], int]:
     """The arm beside the wall as the track has it, its targets, and which of them is the path's first point."""
     part, pose, workpiece = track.config.workpiece, of_job(track.config), results.workpiece(track.config)
     rotate, translate = turned_and_moved(part, pose)
@@ -106,7 +110,8 @@ def _scene(results: Results, arm: Arm, wall: Wall, track: Track) -> tuple[Checke
     on_path = len(targets) - len(path)
     if (np.abs(track.target[1:on_path] - path[0]) < RECORD_M).all():  # the approach left its lines
         targets[1:on_path] = path[0]
-    return CheckedScene(arm, wall, rotate, translate, part.interior_depth_m), targets, on_path
+    beside = None if beside is None else beside.clearance
+    return CheckedScene(arm, wall, rotate, translate, part.interior_depth_m, beside), targets, on_path
 
 
 def _refuted(

@@ -28,6 +28,7 @@ from htcp_jax.jobs.config import RobotConfig
 from htcp_jax.runs.plan_folder import SUMMARY, VALIDATION, write_json
 from htcp_jax.scene.robot import GP50
 from htcp_jax.validation.mujoco_arm import Arm
+from htcp_jax.validation.mujoco_cell import Beside
 from htcp_jax.validation.mujoco_clearance import Wall, wall_of
 from htcp_jax.validation.records import read_results
 from htcp_jax.validation.result import MethodCheck, Place, Validation
@@ -59,10 +60,12 @@ def validate(
     results = read_results(Path(folder))
     arms: dict[RobotConfig, Arm] = {}
     walls: dict[tuple, Wall] = {}
+    besides: dict[tuple, Beside] = {}
     checked = []
     for track in results.tracks:
         arm, wall = _arm(arms, results, track), _wall(walls, results, track)
-        checked.append(check(results, arm, wall, track, between))
+        beside = _beside(besides, arms, track)
+        checked.append(check(results, arm, wall, beside, track, between))
         if progress is not None:
             progress(len(checked), results.count)
     joints = next(iter(arms.values())).joints
@@ -124,8 +127,15 @@ def _keys(recorded: dict[str, Any]) -> set[str]:
 
 
 def _arm(arms: dict[RobotConfig, Arm], results: Results, track: Track) -> Arm:
-    """The arm with the track's tool; each is compiled once."""
-    robot = track.config.robot
+    """The arm with the track's tool. Raises InputError for another number of joints than are on record."""
+    arm = _compiled(arms, track.config.robot)
+    if len(arm.joints) != track.x.shape[1]:
+        raise InputError(f"{results.folder}: {track.x.shape[1]} joints on record, {len(arm.joints)} in the model")
+    return arm
+
+
+def _compiled(arms: dict[RobotConfig, Arm], robot: RobotConfig) -> Arm:
+    """An arm; each is compiled once."""
     if robot not in arms:
         arms[robot] = Arm(
             GP50 if robot.model == "gp50" else Path(robot.model),
@@ -136,10 +146,18 @@ def _arm(arms: dict[RobotConfig, Arm], results: Results, track: Track) -> Arm:
             base_rpy_rad=robot.base_rpy_rad,
             tool=robot.tool,
         )
-    arm = arms[robot]
-    if len(arm.joints) != track.x.shape[1]:
-        raise InputError(f"{results.folder}: {track.x.shape[1]} joints on record, {len(arm.joints)} in the model")
-    return arm
+    return arms[robot]
+
+
+def _beside(besides: dict[tuple, Beside], arms: dict[RobotConfig, Arm], track: Track) -> Beside | None:
+    """What the track's arm keeps clear of besides the workpiece; None where that is nothing."""
+    robot, cell = track.config.robot, track.config.cell
+    if not (cell.self_collision or cell.model or cell.clouds):
+        return None
+    if (robot, cell) not in besides:
+        plain = _compiled(arms, robot.model_copy(update={"tool_extension_m": 0.0}))
+        besides[robot, cell] = Beside(cell, _compiled(arms, robot), plain)
+    return besides[robot, cell]
 
 
 def _wall(walls: dict[tuple, Wall], results: Results, track: Track) -> Wall:

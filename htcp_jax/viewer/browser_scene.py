@@ -16,6 +16,7 @@ from htcp_jax.viewer.camera import kept, open_side
 from htcp_jax.viewer.colours import (
     DWELL,
     FAILED,
+    FIXTURE,
     HERE,
     INK,
     LINKS,
@@ -57,6 +58,7 @@ class Stage:
             self._add_targets()
             self._marks = self._add_marks()
             self._add_floor()
+            self._add_fixtures()
             points = np.zeros((2, 3), np.float32)
             self._pair = self._add_balls("/smallest distance/points", points, WITNESS_M, NEAREST)
             self._line = self._scene.add_line_segments(
@@ -70,6 +72,13 @@ class Stage:
                 "/targets/here", here.vertices, here.faces, color=lit(HERE), opacity=0.55, cast_shadow=False
             )
             self.pose(0)
+
+    def _add_fixtures(self) -> None:
+        triangles = self._replay.fixtures
+        if len(triangles):
+            faces = np.arange(3 * len(triangles)).reshape(-1, 3)
+            look = {"color": lit(FIXTURE), "opacity": 0.5, "flat_shading": True, "side": "double"}
+            self._scene.add_mesh_simple("/fixtures", triangles.reshape(-1, 3), faces, **look)
 
     def pose(self, target: int) -> None:
         """Move the arm, the mark of the target and the smallest distance."""

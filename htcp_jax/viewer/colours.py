@@ -13,6 +13,7 @@ LINKS, TOOL, INK, PAPER, FAILED = "#8d99a6", "#3c6e71", "#22303c", "#ffffff", "#
 NEAREST, DWELL, HERE = "#b5179e", "#0b8f6a", "#f6c945"  # narrow places, changes of posture, what is shown
 WALL = "#8a7a5f", "#d9cfba", "#efe9dc"  # at the cut, and lighter the deeper
 OUTSIDE = "#a3917a"  # of the wall
+FIXTURE = "#5b7fb4"  # what else stands there
 
 
 class TargetStyle(NamedTuple):

@@ -25,6 +25,7 @@ from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.viewer.colours import (
     DWELL,
     FAILED,
+    FIXTURE,
     INK,
     LINKS,
     NEAREST,
@@ -36,6 +37,8 @@ from htcp_jax.viewer.colours import (
 )
 from htcp_jax.viewer.sides import Bodies, View, flat_side
 
+Triangles = Float[np.ndarray, "F 3 3"]
+NOTHING = np.empty((0, 3, 3))
 DEPTH = LinearSegmentedColormap.from_list("wall", WALL)
 
 
@@ -47,9 +50,11 @@ def draw_plan(
     row: int = 0,
     title: str = "",
     obstruction: Obstruction | None = None,
+    fixtures: Triangles = NOTHING,
 ) -> Figure:
     """The plan of `scenario`, which is row `row` of `plans`; `robot` has the scenario's tool. obstruction: what is in
-    the way at the target that failed, drawn in red. Save it with `figure.savefig(path)`."""
+    the way at the target that failed, drawn in red; fixtures: what else stands there, triangles in the world [m]. Save
+    it with `figure.savefig(path)`."""
     figure = Figure(figsize=(14, 9.6), dpi=120, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.1, rect=(0, 0, 0.985, 1))
@@ -57,7 +62,8 @@ def draw_plan(
     grid = figure.add_gridspec(2, 2, height_ratios=(1.4, 1), width_ratios=(1.12, 1))
     T = np.asarray(scenario.T_world_workpiece)
     cloud = workpiece.cloud @ T[:3, :3].T + T[:3, 3]
-    view = _draw_scene(figure, grid, robot, cloud, plans, row, np.asarray(scenario.x_start)[None], obstruction)
+    x_start = np.asarray(scenario.x_start)[None]
+    view = _draw_scene(figure, grid, robot, cloud, plans, row, x_start, obstruction, fixtures)
     motion = summarise_motion(plans, int(scenario.on_path), row)
     for axes in figure.axes:
         _mark_dwells(axes, view.flat(plans.target[row]), motion)
@@ -77,6 +83,7 @@ def _draw_scene(
     row: int,
     x_start: Float[np.ndarray, "1 N"],
     obstruction: Obstruction | None = None,
+    fixtures: Triangles = NOTHING,
 ) -> View:
     """Two views of the same, which is returned: of everything, and of the workpiece."""
     shown = poses(plans, row)
@@ -86,6 +93,7 @@ def _draw_scene(
     for column, heading in enumerate((_pose_heading(shown), "Inside")):
         axes = figure.add_subplot(grid[0, column])
         _draw_wall(axes, view, cloud)
+        _draw_fixtures(axes, view, fixtures)
         _draw_arm(axes, view, robot, arm)
         _draw_targets(axes, view, plans, row)
         if obstruction is not None:
@@ -120,6 +128,16 @@ def _draw_wall(axes: Axes, view: View, cloud: Float[np.ndarray, "P 3"]) -> None:
     behind = behind[np.argsort(depth[behind])]
     flat = view.flat(cloud[behind])
     axes.scatter(*flat.T, c=cut - depth[behind], cmap=DEPTH, s=1.2, linewidths=0, rasterized=True, zorder=1)
+
+
+def _draw_fixtures(axes: Axes, view: View, fixtures: Triangles) -> None:
+    """What stands about, seen through, the farther first."""
+    if not len(fixtures):
+        return
+    order = np.argsort(fixtures.mean(axis=1) @ view.near)
+    flat = view.flat(fixtures[order].reshape(-1, 3)).reshape(-1, 3, 2)
+    look = {"facecolors": to_rgba(FIXTURE, 0.25), "edgecolors": to_rgba(FIXTURE, 0.12), "linewidths": 0.3}
+    axes.add_collection(PolyCollection(flat, rasterized=True, zorder=1.5, **look))
 
 
 def _shape(robot: Robot, x: Float[np.ndarray, "W N"]) -> ArmShape:

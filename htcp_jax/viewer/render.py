@@ -15,6 +15,7 @@ from htcp_jax.viewer.camera import kept, open_side, sight
 from htcp_jax.viewer.colours import (
     DWELL,
     FAILED,
+    FIXTURE,
     HERE,
     LINKS,
     NEAREST,
@@ -126,6 +127,7 @@ def _model(replay: Replay, width: int, height: int, fine: bool) -> mujoco.MjMode
         spec.worldbody.add_geom(name="in the way", **ball, material="bead", rgba=NOWHERE, **UNTOUCHED)
     _add_marks(spec, replay)
     _add_cloud(spec, replay)
+    _add_fixtures(spec, replay)
     low = min(0.0, replay.cloud[:, 2].min(), (np.minimum(replay.p, replay.q)[..., 2] - radius[:-1]).min())
     _add_room(spec, replay, low, fine)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
@@ -163,6 +165,16 @@ def _add_cloud(spec: mujoco.MjSpec, replay: Replay) -> None:
         shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # a solid's volume would be nothing
         spec.add_mesh(name=name, inertia=shell, **{key: array.ravel() for key, array in arrays.items()})
         spec.worldbody.add_geom(type=_Geom.mjGEOM_MESH, meshname=name, rgba=_rgba(colour), **UNTOUCHED)
+
+
+def _add_fixtures(spec: mujoco.MjSpec, replay: Replay) -> None:
+    """What stands about, in one mesh, seen through."""
+    corners = replay.fixtures.reshape(-1, 3)
+    if len(corners):
+        faces, shell = np.arange(len(corners), dtype=np.int32), mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+        spec.add_mesh(name="fixtures", inertia=shell, uservert=corners.ravel(), userface=faces)
+        look = {"rgba": [*_rgba(FIXTURE)[:3], 0.5]}
+        spec.worldbody.add_geom(type=_Geom.mjGEOM_MESH, meshname="fixtures", **look, **UNTOUCHED)
 
 
 def _add_room(spec: mujoco.MjSpec, replay: Replay, low: float, fine: bool) -> None:

@@ -86,6 +86,7 @@ class Replay(NamedTuple):
     way_clearance: Float[np.ndarray, "T"]  # D all along it, at least
     obstruction: Obstruction | None  # at the target that failed
     side: Side  # to look from
+    fixtures: Float[np.ndarray, "F 3 3"]  # what else stands there, as triangles
 
     @property
     def cloud(self) -> Float[np.ndarray, "P 3"]:
@@ -196,6 +197,7 @@ class Replays:
             way_clearance=plans.way_clearance[number, there],
             obstruction=blocked,
             side=camera_side(surface.points, target[on_path:] if len(target) > on_path + 1 else target, arm),
+            fixtures=cell.fixtures,
         )
 
     def label(self, number: int) -> str:

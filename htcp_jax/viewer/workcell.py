@@ -10,7 +10,7 @@ from jaxtyping import Float
 from htcp_jax.clearance.obstacle import Obstacles
 from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.build import arm_of, obstacles_of, part_of, robot_of, workpiece_of
+from htcp_jax.jobs.build import arm_of, drawn_of, obstacles_of, part_of, robot_of, workpiece_of
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.runs.open import FolderPlan, PlanSet
 from htcp_jax.runs.parameters import Parameters
@@ -46,6 +46,11 @@ class Workcell:
     def obstacle(self) -> Obstacles:
         """The workpiece, and what else there is, as the clearance has it."""
         return (*make_obstacle(self.workpiece), *obstacles_of(self.config.cell, self.robot))
+
+    @cached_property
+    def fixtures(self) -> Float[np.ndarray, "F 3 3"]:
+        """What stands about, as it is drawn: triangles in the world [m]."""
+        return drawn_of(self.config.cell)
 
     @cached_property
     def surface(self) -> Surface:

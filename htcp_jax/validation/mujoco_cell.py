@@ -1,0 +1,136 @@
+"""What an arm keeps clear of besides its workpiece, as MuJoCo sees it: itself, the shapes of a cell, further clouds.
+
+The cell's file is read a second time, and where its shapes stand, which of them a body heeds and which bodies may touch
+each other is worked out anew. Capsules stand in for the arm's bodies in the cell's own model, put where MuJoCo's
+kinematics has these; distances are mj_geomDistance's. Of a mesh that is not convex MuJoCo knows the hull alone: its
+triangles are measured, as a workpiece's are.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import trimesh
+from jaxtyping import Float
+
+from htcp_jax.errors import InputError
+from htcp_jax.formats.safe_xml import read_spec
+from htcp_jax.jobs.config import CellConfig
+from htcp_jax.scene.point_cloud import load_geometry
+from htcp_jax.validation.mujoco_arm import FAR_M, Arm, Postures
+from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
+
+MOST_FACES = 400  # of a mesh that counts as convex
+_CAPSULE, _MESH = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_MESH
+
+
+class Beside:
+    """An arm, and what there is in a job's cell. Raises InputError for a file that MuJoCo cannot read.
+
+    plain: the arm without an extension of its tool, as the model draws it. bound: whether there are meshes of which a
+    planner may know points only."""
+
+    def __init__(self, cell: CellConfig, arm: Arm, plain: Arm):
+        self._arm, self.walls, self.bound = arm, [], False
+        spec = mujoco.MjSpec() if cell.model is None else _spec(Path(cell.model))
+        for k, radius in enumerate(arm.radius.tolist()):
+            spec.worldbody.add_geom(name=f"body {k} of the arm", type=_CAPSULE, size=[radius, 1, 0])
+        try:
+            self._model = spec.compile()
+        except (ValueError, mujoco.FatalError) as error:
+            raise InputError(f"{cell.model}: not a cell that MuJoCo can read: {' '.join(str(error).split())}") from None
+        self._bodies = [self._model.geom(f"body {k} of the arm").id for k in range(len(arm.radius))]
+        self._data = mujoco.MjData(self._model)
+        mujoco.mj_kinematics(self._model, self._data)
+        if cell.model is not None:
+            _move(self._model, self._data, cell)
+        solids = [g for g in range(self._model.ngeom) if g not in self._bodies and not self._is_hollow(g)]
+        moving = arm.moving
+        for cloud in cell.clouds:
+            R, t = _frame(cloud.base_m, cloud.base_rpy_rad)
+            found = load_geometry(cloud.cloud)
+            self._add_wall(moving, found.points, found.triangles, R, t)
+        drawn = plain.drawn
+        pairs = [(self._bodies[a], self._bodies[b]) for a, b in (arm.apart if cell.self_collision else ())]
+        self._pairs = [pair for pair, D in zip(pairs, self._distances(drawn, pairs).min(axis=0), strict=True) if D > 0]
+        heeded = [(body, g) for body, link in zip(self._bodies, arm.links, strict=True) for g in solids if link > 0]
+        first = {self._bodies[k] for k in range(len(arm.links)) if arm.links[k] == 1}
+        at_zero = self._distances(Postures(*(part[:1] for part in drawn)), heeded).min(axis=0)
+        self._pairs += [pair for pair, D in zip(heeded, at_zero, strict=True) if D > 0 or pair[0] not in first]
+
+    def clearance(self, x: Float[np.ndarray, "n N"], postures: Postures) -> Float[np.ndarray, "n"]:
+        """The least distance of all that must not touch; inf where there is nothing."""
+        found = self._distances(postures, self._pairs).min(axis=1, initial=np.inf)
+        for wall in self.walls:
+            found = np.minimum(found, wall.at(x).clearance)
+        return found
+
+    def _distances(self, postures: Postures, pairs: Sequence[tuple[int, int]]) -> Float[np.ndarray, "n R"]:
+        found = np.full((len(postures.p), len(pairs)), np.inf)
+        for k, (p, q) in enumerate(zip(postures.p, postures.q, strict=True)):
+            self._pose(p, q)
+            found[k] = [mujoco.mj_geomDistance(self._model, self._data, a, b, FAR_M, None) for a, b in pairs]
+        return found
+
+    def _pose(self, p: Float[np.ndarray, "K 3"], q: Float[np.ndarray, "K 3"]) -> None:
+        """Put the bodies of the arm there."""
+        turn = np.empty(4)
+        for geom, a, b in zip(self._bodies, p, q, strict=True):
+            self._data.geom_xpos[geom], self._model.geom_size[geom, 1] = (a + b) / 2, np.linalg.norm(a - b) / 2
+            if (a != b).any():
+                mujoco.mju_quatZ2Vec(turn, (a - b) / np.linalg.norm(a - b))
+                mujoco.mju_quat2Mat(self._data.geom_xmat[geom], turn)
+
+    def _is_hollow(self, geom: int) -> bool:
+        """Whether a geom is a mesh that is not convex; it becomes a wall of triangles."""
+        model = self._model
+        if model.geom_type[geom] != _MESH:
+            return False
+        mesh = model.mesh(model.geom_dataid[geom])
+        corners = model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]]
+        triangles = corners[model.mesh_face[mesh.faceadr[0] :][: mesh.facenum[0]]].astype(float)
+        solid = trimesh.Trimesh(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
+        if solid.is_convex and len(triangles) <= MOST_FACES:
+            return False
+        R, t = self._data.geom_xmat[geom].reshape(3, 3), self._data.geom_xpos[geom]
+        self._add_wall(self._arm.moving, triangles.reshape(-1, 3), triangles, R.copy(), t.copy())
+        return True
+
+    def _add_wall(self, arm: Arm, points: np.ndarray, triangles: np.ndarray, R: np.ndarray, t: np.ndarray) -> None:
+        self.bound |= len(triangles) > 0
+        wall = Wall(points, "none", None, triangles if len(triangles) else None)
+        self.walls.append(CheckedScene(arm, wall, R, t, 0.0))
+
+
+def _spec(path: Path) -> mujoco.MjSpec:
+    """The file, its geoms for contact alone."""
+    spec = read_spec(path, meshes=True)
+    spec.modelfiledir = str(path.parent.resolve())
+    for geom in list(spec.geoms):
+        if not (geom.contype or geom.conaffinity):
+            spec.delete(geom)
+    spec.compiler.boundmass = spec.compiler.boundinertia = 1e-9
+    spec.compiler.balanceinertia = True
+    return spec
+
+
+def _move(model: mujoco.MjModel, data: mujoco.MjData, cell: CellConfig) -> None:
+    """Turn and shift what the job moves; the arm's stand-ins are put elsewhere anyway."""
+    body = 0 if cell.moved is None else model.body(cell.moved).id
+    origin = np.zeros(3) if body == 0 else data.xpos[body].copy()
+    R, shift = _frame(cell.shift_m, cell.rpy_rad)
+    for geom in range(model.ngeom):
+        carrier = int(model.geom_bodyid[geom])
+        while carrier not in (0, body):
+            carrier = int(model.body_parentid[carrier])
+        if carrier == body:
+            data.geom_xpos[geom] = R @ (data.geom_xpos[geom] - origin) + origin + shift
+            data.geom_xmat[geom] = (R @ data.geom_xmat[geom].reshape(3, 3)).ravel()
+
+
+def _frame(position: tuple, rpy: tuple) -> tuple[np.ndarray, np.ndarray]:
+    quaternion, R = np.empty(4), np.empty(9)
+    mujoco.mju_euler2Quat(quaternion, np.array(rpy), "XYZ")
+    mujoco.mju_quat2Mat(R, quaternion)
+    return R.reshape(3, 3), np.array(position)

@@ -1,0 +1,211 @@
+"""A job's `cell:` section: itself, what stands about, clouds of their own; what is hit is named."""
+
+import dataclasses
+import json
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import made_once
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+from small_cell import small_job
+from test_self_collision import CHAIN
+
+import htcp_jax
+from htcp_jax.clearance.obstacles import clearance
+from htcp_jax.clearance.of_cell import PlacedCloud, make_fixtures
+from htcp_jax.clearance.solids import Box
+from htcp_jax.errors import InputError
+from htcp_jax.jobs.build import obstacles_of
+from htcp_jax.jobs.grid import load_sweep
+from htcp_jax.jobs.load_config import load_config
+from htcp_jax.planner.batch import check_start
+from htcp_jax.scene.cell import load_cell
+from htcp_jax.scene.kinematics import capsule_segments
+from htcp_jax.scene.robot import GP50
+from htcp_jax.validation.validate import validate
+
+CELL = """<mujoco><worldbody>
+  <geom name="floor" type="plane" size="3 3 1" pos="0 0 -0.6"/>
+  <geom name="pedestal" type="cylinder" size="0.3 0.3" pos="0 0 -0.1"/>
+  <body name="post" pos="2 2 1"><geom name="post" type="sphere" size="0.02"/></body>
+  <body name="bench" pos="-1.6 -1.2 0"><geom name="table" type="box" size="0.3 0.3 0.05"/>
+    <geom name="vice" type="box" size="0.05 0.05 0.05" pos="0 0 0.1"/></body>
+</worldbody></mujoco>"""
+
+
+@pytest.fixture
+def cell(tmp_path):
+    (tmp_path / "cell.xml").write_text(CELL)
+    return tmp_path / "cell.xml"
+
+
+def test_an_arm_of_one_s_own_keeps_clear_of_itself_and_the_gp50_where_it_is_asked_to(tmp_path):
+    (tmp_path / "arm.xml").write_text(CHAIN.format(size=0.1, more=""))
+    own = {"robot.model": str(tmp_path / "arm.xml"), "start_rad": [0, 0, 0, 0]}
+    assert not load_config().cell.self_collision and load_config(own).cell.self_collision
+    assert load_config({"cell.self_collision": True}).cell.self_collision
+    assert not load_config(own | {"cell.self_collision": False}).cell.self_collision
+    (found,) = obstacles_of(load_config(own).cell, htcp_jax.load_robot(tmp_path / "arm.xml"))
+    assert len(found.pairs) == 5 and not obstacles_of(load_config().cell, made_once.robot())
+
+
+def test_a_start_that_hits_itself_names_the_pair_and_the_depth():
+    folded = [0.0, -2.3, 2.6, 0.0, 1.5, 0.0]
+    model = mujoco.MjModel.from_xml_path(str(GP50))
+    data = mujoco.MjData(model)
+    data.qpos[:] = folded
+    mujoco.mj_kinematics(model, data)
+    apart = [
+        (mujoco.mj_geomDistance(model, data, a, b, 10, None), a, b) for a in range(8) for b in range(8) if a > b + 1
+    ]
+    depth, a, b = min(each for each in apart if not (each[1] > 4 and each[2] > 4))
+    assert depth < 0
+    names = [model.geom(k).name for k in (a, b)]
+    far = np.eye(4) + 10 * np.eye(4, k=3)
+    own = {"x_start": jnp.array(folded), "x_home": jnp.array(folded), "T_world_workpiece": jnp.array(far)}
+    start = dataclasses.replace(made_once.nominal(), **own)
+    own = obstacles_of(load_config({"cell.self_collision": True}).cell, made_once.robot())
+    message = rf"start is in collision: {names[0]} is {-1e3 * depth:.3f} mm inside {names[1]}"
+    with pytest.raises(InputError, match=message):
+        check_start(made_once.robot(), made_once.duct(), start, own)
+
+
+def test_a_start_in_a_fixture_names_it(cell):
+    robot, x = made_once.robot(), np.array(made_once.START)
+    p = np.asarray(capsule_segments(robot, jnp.asarray(x))[0])[-1]
+    job = {"cell.model": str(cell), "cell.moved": "bench", "cell.shift_m": (p - [-1.6, -1.2, 0]).tolist()}
+    with pytest.raises(InputError, match=r"start is in collision: capsule_\w+ is [\d.]+ mm inside the fixture 'table'"):
+        htcp_jax.plan(job)
+
+
+def test_shapes_stand_where_mujoco_puts_them_and_where_they_are_moved(cell):
+    model = mujoco.MjModel.from_xml_path(str(cell))
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    as_drawn = load_cell(cell)
+    assert [each.name for each in as_drawn] == ["floor", "pedestal", "post", "table", "vice"]
+    for each, at, turn in zip(as_drawn, data.geom_xpos, data.geom_xmat, strict=True):
+        np.testing.assert_allclose(each.T_world[:3, 3], at, atol=1e-15)
+        np.testing.assert_allclose(each.T_world[:3, :3], turn.reshape(3, 3), atol=1e-15)
+    moved = load_cell(cell, moved="bench", shift_m=(0.0, 0.0, 1.0), rpy_rad=(np.pi / 2, 0.0, 0.0))
+    np.testing.assert_allclose(moved[3].T_world[:3, 3], [-1.6, -1.2, 1.0], atol=1e-15)
+    np.testing.assert_allclose(moved[4].T_world[:3, 3], [-1.6, -1.3, 1.0], atol=1e-15)  # it is over the table no more
+    np.testing.assert_array_equal(moved[0].T_world, as_drawn[0].T_world)
+    whole = load_cell(cell, shift_m=(1.0, 0.0, 0.0))
+    assert all(
+        np.allclose(a.T_world[:3, 3] - b.T_world[:3, 3], [1, 0, 0]) for a, b in zip(whole, as_drawn, strict=True)
+    )
+
+
+def test_the_first_link_stands_on_its_pedestal_and_other_bodies_heed_it(cell):
+    (found,) = make_fixtures(made_once.robot(), load_cell(cell))
+    heeds = dict(zip(found.names, np.asarray(found.heeds), strict=True))
+    assert not heeds["pedestal"][0] and heeds["pedestal"][1:].all() and heeds["table"].all()
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        (
+            '<geom name="egg" type="ellipsoid" size="1 1 1"/>',
+            "egg is a geom of type ellipsoid; a cell is made of plane",
+        ),
+        ('<geom type="box" size="1 1 1" contype="0" conaffinity="0"/>', "no geoms for contact"),
+        ('<geom type="mesh" mesh="part"/>', "mesh part.stl: no such file"),
+        ("<geom", "not a robot model that MuJoCo can read"),
+    ],
+)
+def test_a_cell_that_cannot_be_taken_in_is_named_in_one_line(body, message, tmp_path):
+    file = tmp_path / "cell.xml"
+    asset = '<asset><mesh name="part" file="part.stl"/></asset>' if "mesh" in body else ""
+    file.write_text(f"<mujoco>{asset}<worldbody>{body}</worldbody></mujoco>")
+    with pytest.raises(InputError, match=message) as caught:
+        load_cell(file)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_body_that_is_not_there_cannot_be_moved(cell):
+    with pytest.raises(InputError, match="no body 'desk' to move; bodies of the cell: post, bench"):
+        load_cell(cell, moved="desk")
+
+
+def test_a_mesh_that_is_not_convex_is_a_bound_on_its_triangles(tmp_path):
+    """A ring, by trimesh: the arm may reach through it."""
+    ring = trimesh.creation.annulus(0.35, 0.4, 0.2)
+    ring.export(tmp_path / "ring.stl")
+    (tmp_path / "cell.xml").write_text(
+        '<mujoco><asset><mesh name="ring" file="ring.stl"/></asset><worldbody>'
+        '<geom name="hoop" type="mesh" mesh="ring" pos="1.2 0.3 1" euler="0 90 0"/></worldbody></mujoco>'
+    )
+    robot, where = made_once.robot(), made_once.nominal()
+    (hoop,) = make_fixtures(robot, load_cell(tmp_path / "cell.xml"))
+    assert isinstance(hoop, PlacedCloud) and 0 < hoop.cloud.cover < 2e-3
+    ring.apply_transform(np.vstack([[0, 0, 1, 1.2], [0, 1, 0, 0.3], [-1, 0, 0, 1.0], [0, 0, 0, 1]]))
+    for x in made_once.configurations_near(made_once.START, 4, 0.5):
+        axes, radius = axes_of(robot, x)
+        apart = trimesh.proximity.closest_point_naive(ring, axes.reshape(-1, 3))[1].reshape(axes.shape[:2]).min(axis=1)
+        truth = (apart - radius).min()
+        D = float(clearance(robot, (hoop,), where, jnp.asarray(x)))
+        assert truth - 2 * float(hoop.cloud.cover) - 1e-3 < D <= truth + 1e-3  # the axes are cut into pieces
+
+
+def test_a_cloud_of_its_own_stands_where_the_job_says(tmp_path):
+    points = np.random.default_rng(0).uniform(-0.2, 0.2, (50, 3))
+    np.savetxt(tmp_path / "scan.xyz", points)
+    placed = {"cloud": str(tmp_path / "scan.xyz"), "base_m": [1.2, 0.3, 1.0], "base_rpy_rad": [0.0, np.pi / 2, 0.0]}
+    robot, where = made_once.robot(), made_once.nominal()
+    (scan,) = obstacles_of(load_config({"cell.clouds": [placed]}).cell, robot)
+    world = points @ np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]]).T + [1.2, 0.3, 1.0]
+    for x in made_once.configurations_near(made_once.START, 4, 0.5):
+        axes, radius = axes_of(robot, x)
+        truth = (np.linalg.norm(axes[:, :, None] - world, axis=3).min(axis=(1, 2)) - radius).min()
+        assert abs(float(clearance(robot, (scan,), where, jnp.asarray(x))) - truth) < 1e-3
+
+
+def axes_of(robot, x) -> tuple[np.ndarray, np.ndarray]:
+    """Places along the axes of the bodies (K, 201, 3), and their radii."""
+    p, q = (np.asarray(end) for end in capsule_segments(robot, jnp.asarray(x)))
+    return p[:, None] + np.linspace(0, 1, 201)[:, None] * (q - p)[:, None], np.asarray(robot.capsule_radius)
+
+
+@pytest.fixture
+def job(tmp_path, cell):
+    """A line before a plate, for the GP50 beside a cell."""
+    return small_job(GP50, tmp_path) | {"cell": {"self_collision": True, "model": str(cell)}, "method": "baseline"}
+
+
+@pytest.mark.slow
+def test_a_plan_beside_a_fixture_is_as_mujoco_measures_it_and_refuted_where_the_fixture_is_in_the_way(job, tmp_path):
+    """A post beside the tool is what is nearest at the targets; put into the tool, it is what is touched."""
+    p, q = (np.asarray(end)[-1] for end in capsule_segments(htcp_jax.load_robot(GP50), jnp.array(job["start_rad"])))
+    aside = np.linalg.svd((q - p)[None])[2][1]
+    job["cell"] |= {"moved": "post", "shift_m": (0.5 * (p + q) + 0.06 * aside - [2, 2, 1]).tolist()}
+    plan = htcp_jax.plan(job)
+    alone = jax.jit(jax.vmap(partial(clearance, plan.robot, htcp_jax.make_obstacle(plan.workpiece), plan.scenario)))
+    tracked = plan.plans.tracked[0]
+    assert tracked.any() and (alone(plan.plans.x[0, tracked]) > plan.plans.clearance[0, tracked] + 1e-3).all()
+    plan.save(tmp_path / "plan")
+    found = validate(tmp_path / "plan")
+    assert found.validated and found.methods["baseline"].clearance_off_max_mm < 1e-6
+    summary = json.loads((tmp_path / "plan/summary.json").read_text())
+    summary["config"]["cell"]["shift_m"] = (0.5 * (p + q) - [2, 2, 1]).tolist()
+    (tmp_path / "plan/summary.json").write_text(json.dumps(summary))
+    found = validate(tmp_path / "plan")
+    assert not found.validated and "the arm touches" in found.refuted[0].reason
+
+
+def test_a_sweep_moves_a_fixture(job, tmp_path):
+    x = np.array(job["start_rad"])
+    tool = np.asarray(capsule_segments(made_once.robot(), jnp.asarray(x))[0])[-1]
+    there = (tool - [-1.6, -1.2, 0]).tolist()
+    job["cell"]["moved"] = "bench"
+    sweep = load_sweep({"grid": [{"cell.shift_m": [[0, 0, 0], there]}, {"margin_m": [0.0, 1e-3]}]}, job)
+    batch = sweep.batch()
+    assert len(batch.cells) == 2 and batch.cell.tolist() == [0, 0, 1, 1]
+    boxes = [next(kind for kind in cell.obstacles[0].simple if isinstance(kind, Box)) for cell in batch.cells]
+    offsets = [box.centre for box in boxes]
+    np.testing.assert_allclose(offsets[1] - offsets[0], np.tile(there, (2, 1)), atol=1e-12)
