@@ -11,15 +11,18 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from made_plan import made_plan
+from matplotlib.colors import to_rgba
 from small_cell import small_job
 from test_self_collision import CHAIN
 
 import htcp_jax
 from htcp_jax.clearance.obstacles import clearance
-from htcp_jax.clearance.of_cell import PlacedCloud, make_fixtures
+from htcp_jax.clearance.of_cell import PlacedCloud, make_fixtures, solid_of
 from htcp_jax.clearance.solids import Box
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import obstacles_of
+from htcp_jax.jobs.config import CellConfig
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.planner.batch import check_start
@@ -27,6 +30,7 @@ from htcp_jax.scene.cell import load_cell
 from htcp_jax.scene.kinematics import capsule_segments
 from htcp_jax.scene.robot import GP50
 from htcp_jax.validation.validate import validate
+from htcp_jax.viewer.colours import FIXTURE
 
 CELL = """<mujoco><worldbody>
   <geom name="floor" type="plane" size="3 3 1" pos="0 0 -0.6"/>
@@ -66,8 +70,8 @@ def test_a_start_that_hits_itself_names_the_pair_and_the_depth():
     assert depth < 0
     names = [model.geom(k).name for k in (a, b)]
     far = np.eye(4) + 10 * np.eye(4, k=3)
-    own = {"x_start": jnp.array(folded), "x_home": jnp.array(folded), "T_world_workpiece": jnp.array(far)}
-    start = dataclasses.replace(made_once.nominal(), **own)
+    own = {"x_start": np.array(folded), "x_home": np.array(folded), "T_world_workpiece": far}
+    start = dataclasses.replace(jax.tree.map(np.asarray, made_once.nominal()), **own)
     own = obstacles_of(load_config({"cell.self_collision": True}).cell, made_once.robot())
     message = rf"start is in collision: {names[0]} is {-1e3 * depth:.3f} mm inside {names[1]}"
     with pytest.raises(InputError, match=message):
@@ -143,7 +147,7 @@ def test_a_mesh_that_is_not_convex_is_a_bound_on_its_triangles(tmp_path):
     )
     robot, where = made_once.robot(), made_once.nominal()
     (hoop,) = make_fixtures(robot, load_cell(tmp_path / "cell.xml"))
-    assert isinstance(hoop, PlacedCloud) and 0 < hoop.cloud.cover < 2e-3
+    assert isinstance(hoop, PlacedCloud) and 0 < hoop.cloud.cover < 5e-3
     ring.apply_transform(np.vstack([[0, 0, 1, 1.2], [0, 1, 0, 0.3], [-1, 0, 0, 1.0], [0, 0, 0, 1]]))
     for x in made_once.configurations_near(made_once.START, 4, 0.5):
         axes, radius = axes_of(robot, x)
@@ -170,6 +174,25 @@ def axes_of(robot, x) -> tuple[np.ndarray, np.ndarray]:
     """Places along the axes of the bodies (K, 201, 3), and their radii."""
     p, q = (np.asarray(end) for end in capsule_segments(robot, jnp.asarray(x)))
     return p[:, None] + np.linspace(0, 1, 201)[:, None] * (q - p)[:, None], np.asarray(robot.capsule_radius)
+
+
+def test_what_is_drawn_of_a_shape_lies_on_it(tmp_path):
+    shapes = ["box", "sphere", "capsule", "cylinder"]
+    geoms = "".join(f'<geom type="{kind}" size="0.1 0.3 0.2" pos="0.1 0.2 0.3" euler="20 30 40"/>' for kind in shapes)
+    (tmp_path / "cell.xml").write_text(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
+    for shape in load_cell(tmp_path / "cell.xml"):
+        solid, corners = jax.tree.map(jnp.asarray, solid_of(shape)), jnp.asarray(shape.surface.reshape(-1, 3))
+        np.testing.assert_allclose(jax.jit(jax.vmap(solid.seen))(corners, corners).distance, 0.0, atol=1e-7)
+
+
+def test_the_picture_of_a_plan_shows_its_cell(cell, tmp_path):
+    def has_fixtures(plan) -> bool:
+        colours = [each.get_facecolor() for axes in plan.figure().axes for each in axes.collections]
+        return to_rgba(FIXTURE, 0.25) in [tuple(own[0]) for own in colours if len(own)]
+
+    alone = made_plan(tmp_path / "job")
+    beside = alone.job.model_copy(update={"cell": CellConfig(model=str(cell))})
+    assert not has_fixtures(alone) and has_fixtures(dataclasses.replace(alone, job=beside))
 
 
 @pytest.fixture

@@ -19,6 +19,8 @@ from htcp_jax.clearance.self_collision import SelfCollision, self_collision
 from htcp_jax.scene.kinematics import capsule_segments, link_poses
 from htcp_jax.scene.robot import GP50, Robot
 from htcp_jax.scene.robot_file import load_robot
+from htcp_jax.scene.robot_import import import_robot
+from htcp_jax.scene.robot_xml import arm_xml
 
 PLACES = 1000
 
@@ -163,6 +165,34 @@ def test_pairs_are_those_that_may_meet_and_are_not_drawn_as_one(size, more, pair
     named = [["".join(robot.capsule_names[k] for k in pair) for pair in each] for each in (own.pairs, own.overlapping)]
     assert named == [pairs, overlapping]
     assert own.described(robot).startswith(f"{len(pairs)} pairs of bodies")
+
+
+def test_of_several_bodies_on_a_link_the_nearest_decides(tmp_path):
+    """A row for each body and each link before it; by hand, of spheres."""
+    first = '<geom name="A" type="sphere" size="0.1"/>'
+    more = [f'<geom name="{name}" type="sphere" size="0.1" pos="0 {y} 0"/>' for name, y in (("F", 0.3), ("G", -0.3))]
+    (tmp_path / "chain.xml").write_text(CHAIN.format(size=0.1, more="").replace(first, "".join([first, *more])))
+    robot, where = load_robot(tmp_path / "chain.xml"), made_once.nominal()
+    own, radius = self_collision(robot), np.asarray(robot.capsule_radius)
+    rows = own.rows(robot)
+    assert len(own.pairs) == 11 and len(rows.body) == 5 and set(rows.other) == {0, 1}
+    for x in map(jnp.asarray, np.random.default_rng(0).uniform(-2, 2, (10, 4))):
+        ends = capsule_segments(robot, x)
+        p, found = np.asarray(ends[0]), np.asarray(clearances(robot, (own,), where, x))
+        for row, (body, link) in enumerate(zip(*rows, strict=True)):
+            others = [b for a, b in own.pairs if a == body and robot.capsule_link[b] == link]
+            each = [np.linalg.norm(p[body] - p[b]) - radius[body] - radius[b] for b in others]
+            np.testing.assert_allclose(found[row], min(each), atol=1e-12)
+            assert own.hit(robot, row, *ends) == robot.capsule_names[others[int(np.argmin(each))]]
+
+
+def test_what_may_touch_and_how_it_is_drawn_is_handed_on_to_an_imported_arm(tmp_path):
+    more = '<contact><exclude body1="d" body2="a"/></contact><keyframe><key qpos="0 0.1 0 2.9"/></keyframe>'
+    (tmp_path / "chain.xml").write_text(CHAIN.format(size=0.1, more=more))
+    (tmp_path / "arm.xml").write_text(arm_xml(import_robot(tmp_path / "chain.xml"), "chain.xml"))
+    there, here = (load_robot(tmp_path / name) for name in ("chain.xml", "arm.xml"))
+    assert there.excluded == here.excluded == ((0, 3), (0, 4)) and there.keyframes == here.keyframes
+    assert self_collision(there) == self_collision(here)
 
 
 def test_an_arm_of_neighbours_alone_has_nothing_to_keep_apart(tmp_path):

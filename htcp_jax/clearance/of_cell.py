@@ -27,6 +27,7 @@ from htcp_jax.scene.point_cloud import load_geometry
 from htcp_jax.scene.robot import Robot
 from htcp_jax.types import Bool, Float, Int, Pose, Scalar
 
+FINER, COARSEST_M = 4, 0.01  # points on a mesh: their widest gap, by the radius of the thinnest body, and at most
 FAR_M = 1e6  # from everything that stands still: a body that does so itself
 
 
@@ -92,12 +93,11 @@ class PlacedCloud:
 def make_fixtures(robot: Robot, shapes: Sequence[Fixture]) -> Obstacles:
     """The obstacles that the shapes of a cell are to a robot. Raises InputError, naming it, for a mesh without an
     area."""
-    thinnest = float(np.min(robot.capsule_radius))
     solids = [(each.name, found) for each in shapes if (found := solid_of(each)) is not None]
     meshes = [each for each in shapes if each.kind == "mesh" and not each.convex]
     clouds = []
     for mesh in meshes:
-        points = cover(mesh.triangles, f"fixture {mesh.name!r}", thinnest_m=thinnest)
+        points = _covered(robot, mesh.triangles, f"fixture {mesh.name!r}")
         clouds.append(PlacedCloud(cloud_of(*points), jnp.eye(4), mesh.name))
     return ((fixtures(robot, solids),) if solids else ()) + tuple(clouds)
 
@@ -105,10 +105,13 @@ def make_fixtures(robot: Robot, shapes: Sequence[Fixture]) -> Obstacles:
 def placed_cloud(robot: Robot, file: str, T_world: HostFloat[np.ndarray, "4 4"], name: str) -> PlacedCloud:
     """The points of a file, or points on its mesh, where they stand. Raises InputError as `load_geometry` does."""
     points, triangles = load_geometry(file)
-    found = Cover(points, 0.0)
-    if len(triangles):
-        found = cover(triangles, file, thinnest_m=float(np.min(robot.capsule_radius)))
+    found = _covered(robot, triangles, file) if len(triangles) else Cover(points, 0.0)
     return PlacedCloud(cloud_of(*found), jnp.asarray(T_world), name)
+
+
+def _covered(robot: Robot, triangles: HostFloat[np.ndarray, "F 3 3"], source: str) -> Cover:
+    thinnest = float(np.min(robot.capsule_radius))
+    return cover(triangles, source, spacing=min(thinnest / FINER, COARSEST_M))
 
 
 def solid_of(shape: Fixture) -> Solid | None:

@@ -1,4 +1,6 @@
-"""The arm's own bodies as an obstacle: pairs of capsules that must not touch, a row each.
+"""The arm's own bodies as an obstacle: pairs of capsules that must not touch.
+
+A row is a body against those of one link before it, of which the nearest counts.
 
 Left out are pairs on one link and on neighbouring ones, which meet at their joint; those that the model excludes; and
 those that overlap at the model's zero or at a keyframe of it, where the arm stands as its maker drew it.
@@ -16,9 +18,10 @@ from htcp_jax.numerics import safe_divide, safe_norm
 from htcp_jax.pytree import register_pytree
 from htcp_jax.scene.kinematics import capsule_segments
 from htcp_jax.scene.robot import Robot
-from htcp_jax.types import Bool, Float, Scalar
+from htcp_jax.types import Bool, Float, Int, Scalar
 
 Pairs = tuple[tuple[int, int], ...]
+Ends = Float[jax.Array, "K 3"]
 
 
 @register_pytree
@@ -33,12 +36,13 @@ class SelfCollision:
     per_body = False
 
     def rows(self, robot: Robot) -> Rows:
-        """One a pair: the body further out, against a point of the link of the other."""
-        return Rows(tuple(a for a, _ in self.pairs), tuple(robot.capsule_link[b] for _, b in self.pairs))
+        """A body further out against those of one link."""
+        return Rows(*zip(*self._rows(robot), strict=True))
 
     def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
-        """The nearest points of the axes of every pair."""
-        return _contacts(robot, self.pairs, bodies.p, bodies.q)
+        """The nearest points of the axes of the nearest pair of every row."""
+        every, nearest = self._nearest(robot, bodies.p, bodies.q)
+        return jax.tree.map(lambda leaf: leaf[nearest], every)
 
     def smallest(self, robot: Robot, where: Posed, bodies: Bodies) -> Scalar:
         """Of all pairs."""
@@ -52,14 +56,29 @@ class SelfCollision:
         """The distance itself, as one of the two sees it."""
         return self.contacts(robot, where, bodies).distance
 
-    def hit(self, robot: Robot, row: int, p: Float[jax.Array, "K 3"], q: Float[jax.Array, "K 3"]) -> str:
+    def hit(self, robot: Robot, row: int, p: Ends, q: Ends) -> str:
         """What the body of a row is nearest to, in words."""
-        return robot.capsule_names[self.pairs[row][1]]
+        return robot.capsule_names[self.pairs[int(self._nearest(robot, p, q)[1][row])][1]]
 
     def described(self, robot: Robot) -> str:
         """How many pairs are kept apart, and which are not."""
         left_out = ", ".join(f"{robot.capsule_names[a]} and {robot.capsule_names[b]}" for a, b in self.overlapping)
         return f"{len(self.pairs)} pairs of bodies" + (f"; not {left_out}, which overlap as drawn" if left_out else "")
+
+    def _rows(self, robot: Robot) -> dict[tuple[int, int], list[int]]:
+        """Of every row the body, the link, and its pairs by their numbers."""
+        found = {}
+        for number, (a, b) in enumerate(self.pairs):
+            found.setdefault((a, robot.capsule_link[b]), []).append(number)
+        return found
+
+    def _nearest(self, robot: Robot, p: Ends, q: Ends) -> tuple[Contacts, Int[jax.Array, "R"]]:
+        """The contacts of all pairs, and which of them is nearest in every row."""
+        every, rows = _contacts(robot, self.pairs, p, q), list(self._rows(robot).values())
+        most = max(map(len, rows))
+        table = np.array([(own + own[-1:] * most)[:most] for own in rows])
+        best = jnp.argmin(every.distance[table], axis=1)
+        return every, jnp.take_along_axis(jnp.asarray(table), best[:, None], axis=1)[:, 0]
 
 
 def self_collision(robot: Robot) -> SelfCollision | None:
@@ -76,7 +95,7 @@ def self_collision(robot: Robot) -> SelfCollision | None:
     return SelfCollision(kept, tuple(pair for pair in pairs if pair not in kept)) if kept else None
 
 
-def _contacts(robot: Robot, pairs: Pairs, p: Float[jax.Array, "K 3"], q: Float[jax.Array, "K 3"]) -> Contacts:
+def _contacts(robot: Robot, pairs: Pairs, p: Ends, q: Ends) -> Contacts:
     a, b = (np.array(side) for side in zip(*pairs, strict=True))
     _, _, on_a, on_b = nearest_points(p[a], q[a], p[b], q[b])
     arm, reach = on_a - on_b, robot.capsule_radius[a] + robot.capsule_radius[b]

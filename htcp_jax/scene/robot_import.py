@@ -80,7 +80,7 @@ def import_robot(
     joints on the way to it, fewer than three joints, and a model without shapes.
     """
     with no_log():
-        spec = read_spec(path, meshes=True, visual=visual)
+        spec = read_spec(path, meshes=True, visual=visual, contacts=True)
     spec.compiler.discardvisual = False
     shapes = Shapes(spec, path)
     model = compile_spec(spec, path)

@@ -38,6 +38,7 @@ def arm_xml(arm: ImportedArm, source: str) -> str:
     position, turn = arm.tip.T_body_tcp[:3, 3], np.empty(4)
     mujoco.mju_mat2Quat(turn, arm.tip.T_body_tcp[:3, :3].ravel())
     SubElement(elements[arm.tip.body], "site", name="tcp", **_pose(position, turn))
+    _add_exclusions(root, arm)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
@@ -49,6 +50,21 @@ def _body(parent: Element, arm: ImportedArm, b: int) -> Element:
         if model.jnt_bodyid[j] == b:
             SubElement(body, "joint", name=name, **_joint(model, j))
     return body
+
+
+def _add_exclusions(root: Element, arm: ImportedArm) -> None:
+    """What may touch: bodies that the model excludes, and postures in which it is drawn."""
+    model = arm.model
+    pairs = [(int(pair) >> 16, int(pair) & 0xFFFF) for pair in model.exclude_signature]
+    names = {0: "world"} | {b: body_name(model, b) for b in arm.bodies if b > 0}
+    if pairs := [pair for pair in pairs if set(pair) <= names.keys()]:
+        contact = SubElement(root, "contact")
+        for one, other in pairs:
+            SubElement(contact, "exclude", body1=names[one], body2=names[other])
+    if model.nkey:
+        frames = SubElement(root, "keyframe")
+        for posture in model.key_qpos[:, model.jnt_qposadr[list(arm.joints)]]:
+            SubElement(frames, "key", qpos=_text(posture))
 
 
 def _joint(model: mujoco.MjModel, j: int) -> dict[str, str]:
