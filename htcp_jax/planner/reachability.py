@@ -22,6 +22,7 @@ from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.clearance.tip_guard import make_tip_guard
 from htcp_jax.planner.devices import default_threads
+from htcp_jax.planner.front import farthest_first
 from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.planner.lanes import concatenate, gather
 from htcp_jax.planner.null_space import Anchored
@@ -158,9 +159,4 @@ def _dispersed(x: np.ndarray, clearance: np.ndarray) -> np.ndarray:
     """CARRIED of the postures at most: the clearest, then always the one farthest from those chosen."""
     if not len(x):
         return x
-    kept = [int(np.argmax(clearance))]
-    away = np.linalg.norm(x - x[kept[0]], axis=1)
-    while len(kept) < CARRIED and away.max() >= APART_RAD:
-        kept.append(int(np.argmax(away)))
-        away = np.minimum(away, np.linalg.norm(x - x[kept[-1]], axis=1))
-    return x[kept]
+    return x[farthest_first(x, int(np.argmax(clearance)), CARRIED, APART_RAD)]
