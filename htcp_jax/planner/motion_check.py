@@ -41,10 +41,11 @@ class Segments(NamedTuple):
 def tubes(
     scenarios: Scenario, task: Task, radius_m: float, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray
 ) -> Tube:
-    """Where the TCP has to be on the way to targets; anywhere before the path, and where the task is not the TCP's
-    position. turns: see `Segments`."""
+    """Where the TCP has to be on the way to targets; anywhere before the path, and where the task does not hold it at a
+    place. turns: see `Segments`."""
     line = scenarios.targets[scenario, np.maximum(target - 1, 0)], scenarios.targets[scenario, target]
-    free = (target <= scenarios.on_path[scenario]) | (task.points != Task().points)
+    is_tcp = task.holds_tcp and scenarios.targets.shape[-1] == 3
+    free = (target <= scenarios.on_path[scenario]) | (not is_tcp)
     if free.all():
         return Tube(np.zeros((len(target), 3)), np.zeros((len(target), 3)), np.full(len(target), np.inf))
     a, b = line

@@ -31,13 +31,19 @@ class Scenario:
     x_start: Float[Anywhere, "*S N"]  # [rad or m]
     T_world_workpiece: Float[Anywhere, "*S 4 4"]  # [m]
     interior_plane: Float[Anywhere, "*S 4"]  # normal, and offset [m], see `interior_plane_of`
-    targets: Float[Anywhere, "*S T M"]  # of the task, world [m]; rows from `count` on are padding
+    targets: Float[Anywhere, "*S T M"]  # where the tool goes, world [m]; rows from `count` on are padding
     count: Int[Anywhere, "*S"]  # targets to track
     on_path: Int[Anywhere, "*S"]  # the first target that is a point of the path; those before it lead there
     margin_m: Float[Anywhere, "*S"]  # least clearance with which a target counts
     tool_extension_m: Float[Anywhere, "*S"]
     number: Int[Anywhere, "*S"]  # identity: the random keys are folded from it
     refused: Int[Anywhere, "*S"]  # NOT_REFUSED, or the Status for which nothing is planned
+    goals: Float[Anywhere, "*S T G"] | None = None  # what the task's rows ask for, see `task_rows`; None: the targets
+
+    @property
+    def aims(self) -> Float[Anywhere, "*S T G"]:
+        """What the task is held to at every target."""
+        return self.targets if self.goals is None else self.goals
 
 
 def path_targets(
@@ -144,10 +150,13 @@ def stack(scenarios: Sequence[Scenario]) -> Scenario:
         raise InputError("no scenarios to plan")
     longest = max(len(s.targets) for s in scenarios)
 
-    def pad(targets):
-        return np.concatenate([targets, np.repeat(targets[-1:], longest - len(targets), axis=0)])
+    def pad(rows):
+        return None if rows is None else np.concatenate([rows, np.repeat(rows[-1:], longest - len(rows), axis=0)])
 
-    padded = [jax.tree.map(np.asarray, Scenario(**{**vars(s), "targets": pad(s.targets)})) for s in scenarios]
+    padded = [
+        jax.tree.map(np.asarray, Scenario(**{**vars(s), "targets": pad(s.targets), "goals": pad(s.goals)}))
+        for s in scenarios
+    ]
     return jax.tree.map(lambda *leaves: np.stack(leaves), *padded)
 
 
