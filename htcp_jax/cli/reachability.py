@@ -84,6 +84,7 @@ def _search(batch: Batch, draws: int) -> Reachability:
                 cell.workpiece,
                 jax.tree.map(itemgetter(rows), batch.scenarios),
                 cell.settings,
+                task=cell.task,
                 draws=draws,
                 progress=lambda row, rows, task=task: bars.update(task, completed=row, total=rows),
             )

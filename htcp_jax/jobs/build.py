@@ -6,9 +6,11 @@ from typing import Literal
 import numpy as np
 
 from htcp_jax.jobs.config import PlanConfig, RobotConfig, WorkpieceConfig
-from htcp_jax.scene.robot import GP50, Robot
+from htcp_jax.scene.goals import leader, task_of, with_goals
+from htcp_jax.scene.robot import GP50, Robot, lengthen_tool
 from htcp_jax.scene.robot_file import load_robot
 from htcp_jax.scene.scenario import Scenario, make_scenario
+from htcp_jax.scene.task import Task
 from htcp_jax.scene.units import check_tool
 from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.scene.workpiece_file import load_workpiece
@@ -19,6 +21,11 @@ def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
     robot = robot_of(job.robot)
     workpiece = workpiece_of(job.workpiece, robot)
     return robot, workpiece, scenario_of(job, robot, workpiece)
+
+
+def task_of_job(job: PlanConfig, robot: Robot) -> Task:
+    """What the arm has to hold on the path."""
+    return task_of(job.task, robot, job.settings.tolerance_m, job.settings.tolerance_rad)
 
 
 def robot_of(arm: RobotConfig) -> Robot:
@@ -73,8 +80,9 @@ def scenario_of(
 ) -> Scenario:
     """Start, pose, targets, margin and tool of a configuration; `number` is its identity for the random keys;
     beyond_reach: see `make_scenario`."""
-    part = job.workpiece
-    return make_scenario(
+    part, task = job.workpiece, task_of_job(job, robot)
+    longer = lengthen_tool(robot, job.robot.tool_extension_m)
+    scenario = make_scenario(
         robot,
         workpiece,
         job.start_rad,
@@ -86,7 +94,9 @@ def scenario_of(
         tool_extension_m=job.robot.tool_extension_m,
         number=number,
         beyond_reach=beyond_reach,
+        follows=leader(job.task, longer, job.start_rad) if job.task else None,
     )
+    return with_goals(scenario, job.task, task, robot, workpiece)
 
 
 _POSE = {"rotation_x_rad": 0.0, "rotation_y_rad": 0.0, "rotation_z_rad": 0.0, "shift_m": (0.0, 0.0, 0.0)}

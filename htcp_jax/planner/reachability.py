@@ -44,13 +44,16 @@ def reachable_prefixes(
     scenarios: Scenario,
     settings: Settings | None = None,
     *,
+    task: Task | None = None,
     draws: int = 2048,
     progress: Callable[[int, int], None] | None = None,
 ) -> Reachability:
     """Prefixes of the stacked scenarios. draws: at a target where carrying over fails, in rounds of `DRAWS`; from the
-    settings count alpha_rad, tolerance_m and the seed. progress(target, targets) is called after each target."""
+    settings count alpha_rad, tolerance_m and the seed. task: what the arm holds; None: the TCP's position.
+    progress(target, targets) is called after each target."""
     settings = settings or Settings()
-    scene = Scene(robot, make_obstacle(workpiece), Task(tolerance_m=settings.tolerance_m))
+    task = Task(tolerance_m=settings.tolerance_m) if task is None else task
+    scene = Scene(robot, make_obstacle(workpiece), task)
     kernels = Kernels(scene, settings)
     [tip] = tip_checks([kernels], make_tip_guard(workpiece))
 

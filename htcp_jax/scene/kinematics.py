@@ -108,9 +108,7 @@ def point_positions(
     return _to_world(_frames_of(robot, x, links), points)
 
 
-def directions(
-    robot: Robot, x: Joints, vectors: Float[Array, "P 3"], links: tuple[int, ...]
-) -> Float[Array, "P 3"]:
+def directions(robot: Robot, x: Joints, vectors: Float[Array, "P 3"], links: tuple[int, ...]) -> Float[Array, "P 3"]:
     """How directions that are fixed to links stand in the world at x, of the same lengths and without a unit.
 
     vectors: in the frames of their links; links: each one's, -1 for the world.

@@ -76,13 +76,15 @@ def make_scenario(
     tool_extension_m: float = 0.0,
     number: int = 0,
     beyond_reach: Literal["raise", "record"] = "raise",
+    follows: Float[np.ndarray, "3"] | None = None,
 ) -> Scenario:
     """One scenario of the scene's rules.
 
     start: N joint positions [rad or m]; rotation: workpiece about world y, then z [rad], after rotation_x_rad about
     world x; shift: of the workpiece, world [m]; margin_m: least clearance with which a target counts; tool_extension_m:
     see `robot.lengthen_tool`; number: identity for the random keys. beyond_reach: what to do about a target beyond the
-    arm's reach; "record" makes a scenario that is planned as a failure, with that reason.
+    arm's reach; "record" makes a scenario that is planned as a failure, with that reason. follows: where
+    the point that is to follow the path is at the start, world [m]; None: the TCP.
     Raises InputError for a start of the wrong length or outside the joint limits, and OutOfReach, which is one.
     """
     x_start = np.asarray(start, float)
@@ -90,7 +92,7 @@ def make_scenario(
     longer = lengthen_tool(robot, tool_extension_m)
     T_world_workpiece = workpiece.T_world(*rotation, shift=shift, wx=rotation_x_rad)
     rotate, translate = T_world_workpiece[:3, :3], T_world_workpiece[:3, 3]
-    tcp = np.asarray(_TCP(longer, jnp.asarray(x_start)))
+    tcp = np.asarray(_TCP(longer, jnp.asarray(x_start))) if follows is None else follows
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
     targets = path_targets(tcp, inlet, workpiece.path @ rotate.T + translate, approach)
     refused = NOT_REFUSED

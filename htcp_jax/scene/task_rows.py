@@ -186,7 +186,7 @@ class AxisTowards:
 
 @dataclass(frozen=True)
 class Turned:
-    """A frame of the arm turned as a rotation says: exactly, or by no more than an angle. A goal is the rotation matrix,
+    """A frame of the arm turned as a rotation says: exactly, or within an angle. A goal is the rotation matrix,
     row by row, and with a tolerance the angle [rad]."""
 
     link: int | None
