@@ -11,6 +11,8 @@ from htcp_jax.validation.mujoco_arm import Arm, Postures
 from htcp_jax.validation.mujoco_clearance import AtTargets, CheckedScene, Wall
 from htcp_jax.validation.result import RECORD_M, ROUNDING_M, STEP_RAD, Refuted
 from htcp_jax.validation.scene_rules import Results, Track, targets_of, turned_and_moved
+from htcp_jax.validation.task_check import Place as RowPlace
+from htcp_jax.validation.task_check import check_rows, follower, follows_all, holds_tcp
 
 
 class JointPaths(NamedTuple):
@@ -50,20 +52,21 @@ def check(results: Results, arm: Arm, wall: Wall, track: Track, between: int) ->
     """Check one track with the arm that has its tool; between: least steps of a joint path, 0 to look at none.
     Raises InputError where the configuration leads to another number of targets than are on record."""
     scene, targets, on_path = _scene(results, arm, wall, track)
+    task, settings = track.config.task, track.config.settings
     t = np.flatnonzero(track.tracked & np.isfinite(track.x).all(axis=1))
     rows = np.concatenate([track.start[None], track.x[t]])  # the start is row 0
     at = scene.at(rows)
-    reached = at.postures.tcp[1:]
+    reached = follower(task, arm, track.x[t]) if task else at.postures.tcp[1:]
     more = at.clearance[1:] - track.clearance[t]
     bound = wall.triangles is not None  # what is on record may be less, by how closely points cover the mesh
     found = {
-        "tcp_error": np.linalg.norm(reached - targets[t], axis=1),
+        "tcp_error": np.linalg.norm(reached - targets[t], axis=1) if follows_all(task) else np.zeros(len(t)),
         "clearance": at.clearance[1:],
         "clearance_off": _off(np.minimum(more, 0.0) if bound else more),
-        "tcp_off": _off(np.linalg.norm(reached - track.tcp[t], axis=1)),
+        "tcp_off": _off(np.linalg.norm(at.postures.tcp[1:] - track.tcp[t], axis=1)),
         "target_off": _off(np.linalg.norm(targets[t] - track.target[t], axis=1)),
     }
-    tolerance, contact = track.config.settings.tolerance_m, track.config.workpiece.tip_contact_m
+    tolerance, contact = settings.tolerance_m, track.config.workpiece.tip_contact_m
     through = np.zeros(len(t), bool)
     if bound and contact is not None and len(t):
         through = scene.tip_goes_through(Postures(*(values[1:] for values in at.postures)), contact)
@@ -73,6 +76,7 @@ def check(results: Results, arm: Arm, wall: Wall, track: Track, between: int) ->
     between_rows = _walk(scene, at, paths, between)
     refuted = _refuted(arm, track, t, tolerance, ROUNDING_M if bound else RECORD_M, {**found, "through": through})
     refuted += _refuted_ways(track, paths, between_rows, on_path)
+    refuted += _refuted_rows(results, arm, track, scene, t[t >= on_path], on_path)
     return Checked(
         method=track.method,
         scenario=track.scenario,
@@ -93,7 +97,7 @@ def _scene(results: Results, arm: Arm, wall: Wall, track: Track) -> tuple[Checke
     part, pose, workpiece = track.config.workpiece, of_job(track.config), results.workpiece(track.config)
     rotate, translate = turned_and_moved(part, pose)
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
-    start_tcp = arm.postures(pose.start[None]).tcp[0]
+    start_tcp = follower(track.config.task, arm, pose.start[None])[0]
     targets = targets_of(part, start_tcp, inlet, workpiece.path @ rotate.T + translate)
     if len(targets) != len(track.target):
         raise InputError(
@@ -112,6 +116,23 @@ def _refuted(
         own = {name: float(values[k]) for name, values in found.items()}
         reasons[target] = _reasons(arm, tolerance_m, record_m, track.x[target], float(track.clearance[target]), own)
     return [Refuted(track.method, track.scenario, k, "; ".join(reasons[k])) for k in sorted(reasons) if reasons[k]]
+
+
+def _refuted_rows(
+    results: Results, arm: Arm, track: Track, scene: CheckedScene, t: np.ndarray, on_path: int
+) -> list[Refuted]:
+    """Targets t of the path at which a row of the task does not hold."""
+    task, settings = track.config.task, track.config.settings
+    if not task:
+        return []  # its one row is looked at as every plan's
+    place = RowPlace(scene.rotate, scene.translate, results.workpiece(track.config), t - on_path)
+    checks = check_rows(task, arm, track.x[t], place, settings.tolerance_m, settings.tolerance_rad)
+    found = []
+    for k, target in enumerate(t.tolist()):
+        reasons = [reason for number, one in enumerate(checks, 1) if (reason := one.reason(number, k)) is not None]
+        if reasons:
+            found.append(Refuted(track.method, track.scenario, target, "; ".join(reasons)))
+    return found
 
 
 def _off(difference: np.ndarray) -> np.ndarray:
@@ -161,7 +182,8 @@ def _refuted_ways(track: Track, paths: JointPaths, found: dict[str, Any], on_pat
         return []
     proven, reasons = track.proven[paths.target], {}
     settings = track.config.settings
-    away = proven & (paths.target > on_path) & (found["deviation"] > settings.tube_m + ROUNDING_M)
+    away = holds_tcp(track.config.task) & proven & (paths.target > on_path)
+    away = away & (found["deviation"] > settings.tube_m + ROUNDING_M)
     for k in np.flatnonzero(proven & found["touches"]).tolist():
         reasons.setdefault(int(paths.target[k]), "the way there is on record as proven, and touches")
     for k in np.flatnonzero(away).tolist():
