@@ -94,7 +94,7 @@ def scenario_of(
         tool_extension_m=job.robot.tool_extension_m,
         number=number,
         beyond_reach=beyond_reach,
-        follows=leader(job.task, longer, job.start_rad) if job.task else None,
+        follows=leader(job.task, longer, np.array(job.start_rad)) if job.task else None,
     )
     return with_goals(scenario, job.task, task, robot, workpiece)
 

@@ -78,7 +78,7 @@ def with_goals(scenario: Scenario, rows: Sequence[TaskRow], task: Task, robot: R
     before = len(targets) - len(workpiece.path)
     posed = Posed(rotate, translate, targets[before:], workpiece)
     _check_frames(rows, workpiece)
-    start = np.asarray(_VALUE(robot, jnp.asarray(scenario.x_start), task))
+    start = np.array(_VALUE(robot, jnp.asarray(scenario.x_start), task))
     share = np.linspace(0.0, 1.0, before) if before > 1 else np.zeros(before)
     columns, v, follows = [], 0, False
     for row, part in zip(rows or ON_PATH, task.parts, strict=True):
@@ -254,7 +254,7 @@ def _eased(
         goals = there + share[:, None] * (first - there)
     else:
         turn = _least_turn(start[:3], first)
-        goals = Rotation.from_rotvec(share[:, None] * turn).apply(start[:3])
+        goals = Rotation.from_rotvec(share[:, None] * turn).apply(np.array(start[:3]))
     return goals
 
 
