@@ -3,6 +3,7 @@
 from functools import cache
 
 import jax
+import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
@@ -35,7 +36,7 @@ def free_plan():
 def tool_frames() -> np.ndarray:
     """The tool's orientations on that plan's path, in the workpiece frame."""
     x, T_world_workpiece = free_plan()
-    T = jax.vmap(lambda x: tcp_pose(made_once.robot(), x))(x[11:])
+    T = jax.vmap(lambda x: tcp_pose(made_once.robot(), x))(jnp.asarray(x[11:]))
     return T_world_workpiece[:3, :3].T @ np.asarray(T)[:, :3, :3]
 
 
@@ -51,7 +52,7 @@ def as_planned(tmp_path):
 
 
 def elbow() -> list[float]:
-    return np.asarray(link_poses(made_once.robot(), np.array(made_once.START)))[3, :3, 3].tolist()
+    return np.asarray(link_poses(made_once.robot(), jnp.asarray(made_once.START)))[3, :3, 3].tolist()
 
 
 def tasks() -> dict[int, list[dict]]:

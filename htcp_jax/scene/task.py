@@ -26,7 +26,7 @@ from htcp_jax.scene.kinematics import (
     tcp_position,
 )
 from htcp_jax.scene.robot import Robot
-from htcp_jax.scene.task_rows import XYZ, Feature, Row, TaskPoint
+from htcp_jax.scene.task_rows import XYZ, AxisTowards, Feature, Row, TaskPoint
 from htcp_jax.types import Anywhere, Array, Float, Joints, Scalar
 
 Numbers = Anywhere | np.generic | float | bool
@@ -84,6 +84,18 @@ class Task:
     def holds_tcp(self) -> bool:
         """Whether the TCP is held at a place."""
         return TaskPoint() in self.parts
+
+    @property
+    def cones(self) -> tuple[int, ...]:
+        """Where in a goal the cones about directions stand; their numbers are a direction and a half angle [rad]."""
+        starts = np.cumsum([0, *(part.numbers for part in self.parts)]).tolist()
+        return tuple(start for start, part in zip(starts, self.parts, strict=False) if _is_cone(part))
+
+    def cone_axes(self, robot: Robot, x: Joints) -> tuple[Float[Array, "C 3"], Float[Array, "C 3 N"]]:
+        """The axes that are held in these cones, without a unit, and their Jacobians [1/rad]."""
+        axes = [part.features[0] for part in self.parts if _is_cone(part)]
+        values, slopes = ([of(robot, x, axis) for axis in axes] for of in (_stands, _moves))
+        return jnp.stack(values), jnp.stack(slopes)
 
     @property
     def _features(self) -> tuple[Feature, ...]:
@@ -172,6 +184,10 @@ class Task:
 
 
 TCP_POSITION = Task()  # the paper's
+
+
+def _is_cone(part: Row) -> bool:
+    return isinstance(part, AxisTowards) and part.cone and part.looks_from_m is None
 
 
 def _stands(robot: Robot, x: Joints, feature: Feature) -> Float[Array, "3"]:

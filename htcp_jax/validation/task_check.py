@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from htcp_jax.scene.task_list import TaskRow
@@ -59,6 +59,19 @@ def check_rows(
 ) -> list[RowCheck]:
     """Every row at configurations x."""
     return [_check(row, arm, x, place, tolerance_m, float(np.rad2deg(tolerance_rad))) for row in rows or (HELD,)]
+
+
+def in_cones(
+    rows: Sequence[TaskRow], arm: Arm, x: Float[np.ndarray, "n N"], places: Sequence[Place], tolerance_rad: float
+) -> Bool[np.ndarray, "n"]:
+    """Whether every axis that is held about a direction is in its cone at one of the places, within the tolerance, at
+    configurations x between them."""
+    good = np.ones(len(x), bool)
+    for row in rows:
+        if row.axis is not None and row.looks_at_m is None and row.limit_deg is not None:
+            off = np.minimum(*(_off_axis(row, arm, x, place) for place in places))
+            good &= off <= np.deg2rad(row.limit_deg) + tolerance_rad + ROUNDING_M
+    return good
 
 
 def follower(rows: Sequence[TaskRow], arm: Arm, x: Float[np.ndarray, "n N"]) -> Float[np.ndarray, "n 3"]:
