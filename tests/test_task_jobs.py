@@ -9,14 +9,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from htcp_jax import api
 from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.planner.batch import plan
+from htcp_jax.runs.plan_folder import SUMMARY, write_json
 from htcp_jax.scene.kinematics import link_poses, tcp_pose
 from htcp_jax.scene.robot import GP50
 from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.task_check import Place, check_rows
+from htcp_jax.validation.validate import validate
 
 ON_PATH = {"point": "tcp", "on": "path"}
 CONE = {"axis": "tcp.z", "towards": "-path.normal", "cone_deg": 60}
@@ -122,15 +125,11 @@ def test_a_band_and_a_cone_alone_leave_every_joint_free_and_hold_all_the_same():
 
 @pytest.mark.slow
 def test_a_plan_with_a_cone_is_validated_and_with_a_narrower_one_on_record_refuted(tmp_path):
-    import htcp_jax
-    from htcp_jax.runs.plan_folder import SUMMARY, read_plan, write_json
-
-    found = htcp_jax.plan({"task": [ON_PATH, CONE]}, method="baseline")
+    found = api.plan({"task": [ON_PATH, CONE]}, method="baseline")
     found.save(tmp_path / "plan")
-    assert htcp_jax.validate(tmp_path / "plan", between=0).validated
+    assert validate(tmp_path / "plan").validated
     record = found.record()
     record["config"]["task"][1]["cone_deg"] = 50.0
-    assert read_plan(tmp_path / "plan").method == "baseline"
     write_json(tmp_path / "plan" / SUMMARY, record)
-    refuted = htcp_jax.validate(tmp_path / "plan", between=0).refuted
+    refuted = validate(tmp_path / "plan", between=0).refuted
     assert refuted and all("task.2 (axis tcp.z) is" in one.reason and "50 are allowed" in one.reason for one in refuted)
