@@ -38,7 +38,7 @@ class Scenario:
     tool_extension_m: Float[Anywhere, "*S"]
     number: Int[Anywhere, "*S"]  # identity: the random keys are folded from it
     refused: Int[Anywhere, "*S"]  # NOT_REFUSED, or the Status for which nothing is planned
-    goals: Float[Anywhere, "*S T G"] | None = None  # what the task's rows ask for, see `task_rows`; None: the targets
+    goals: Float[Anywhere, "*S T G"] | None = None  # of the task, see `task_rows` [m]; None: the targets
 
     @property
     def aims(self) -> Float[Anywhere, "*S T G"]:

@@ -46,9 +46,9 @@ class TaskRow:
     axis: str | None = None  # a name and x, y or z of its frame, tcp.z; with a minus the other way
     towards: str | Triple | None = None  # one of DIRECTIONS, or in numbers, of any length
     looks_at_m: Triple | None = None  # a place, from the origin of the axis's frame
-    cone_deg: float | None = None  # half angle; 0 or none: exactly
-    within_deg: float | None = None  # the same, and of an orientation
-    orientation: str | tuple[float, float, float, float] | None = None  # path, or a quaternion, w first
+    cone_deg: float | None = None  # half angle [degrees, pi rad are 180]; 0 or none: exactly
+    within_deg: float | None = None  # the same, and of an orientation [degrees, pi rad are 180]
+    orientation: str | tuple[float, float, float, float] | None = None  # path, or a quaternion without a unit, w first
     of: str = "tcp"  # a name: whose orientation
 
     def __post_init__(self):
