@@ -13,7 +13,7 @@ from htcp_jax.jobs.load_config import load_config
 from htcp_jax.scene.duct import section_value
 from htcp_jax.scene.goals import task_of
 from htcp_jax.scene.kinematics import tcp_pose
-from htcp_jax.scene.path_frames import tangents, wall_normals
+from htcp_jax.scene.path_frames import PathFrames, tangents, wall_normals
 from htcp_jax.scene.task import TCP_POSITION
 from htcp_jax.scene.task_list import TaskRow
 from htcp_jax.scene.workpiece_file import load_workpiece
@@ -185,3 +185,9 @@ def test_a_path_file_brings_its_normals_tangents_and_quaternions(tmp_path):
 def test_directions_that_are_none_are_refused(names, columns, message, tmp_path):
     with pytest.raises(InputError, match=message):
         load_workpiece(None, weld_file(tmp_path, names, np.array(columns)))
+
+
+def test_as_many_directions_as_points_are_needed():
+    duct = made_once.duct()
+    with pytest.raises(InputError, match="normals of the path: 3 for its 94 points"):
+        load_workpiece(None, duct.path, frames=PathFrames(normals=np.tile([0.0, 0.0, 1.0], (3, 1))))

@@ -43,7 +43,7 @@ class Workpiece:
     Computed once: the cloud's convex hull is where hull_normal @ x <= hull_offset (unit outward normals);
     hull_vertices are the vertices of the exact hull (the whole cloud with interior "none").
 
-    Raises InputError for wrong shapes, NaN, fewer than 4 points, an empty path, and a flat cloud with "hull".
+    Raises InputError for wrong shapes and counts, NaN, fewer than 4 points, no path, and a flat cloud with "hull".
     """
 
     name: str
@@ -71,6 +71,9 @@ class Workpiece:
         for name in ("interior_depth_m", "hull_tolerance_m", "covering_radius_m", "tip_contact_m"):
             if getattr(self, name) is not None and not 0.0 <= getattr(self, name) < np.inf:
                 raise InputError(f"{name} is {getattr(self, name)}; it must be 0 or more")
+        for name, directions in self.frames._asdict().items():
+            if directions is not None and len(directions) != len(path):
+                raise InputError(f"{name} of the path: {len(directions)} for its {len(path)} points")
         triangles = np.array(self.triangles, dtype=np.float64)
         corners = triangles.reshape(-1, 3) if len(triangles) else cloud  # what is sampled between adds no vertex
         lost = inlet is None and self.inlet_direction == "facet"
