@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from htcp_jax import api
 from htcp_jax.jobs.build import scene, task_of_job
+from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.planner.batch import plan
 from htcp_jax.runs.plan_folder import SUMMARY, write_json
@@ -133,3 +134,18 @@ def test_a_plan_with_a_cone_is_validated_and_with_a_narrower_one_on_record_refut
     write_json(tmp_path / "plan" / SUMMARY, record)
     refuted = validate(tmp_path / "plan", between=0).refuted
     assert refuted and all("task.2 (axis tcp.z) is" in one.reason and "50 are allowed" in one.reason for one in refuted)
+
+
+@pytest.mark.slow
+def test_a_scenario_with_a_cone_is_the_same_alone_and_among_others_with_other_cones():
+    sweep = load_sweep({"grid": [{"task.2.cone_deg": [70, 45, 30]}]}, {"task": [ON_PATH, CONE], "settings": NO_WAYS})
+    batch = sweep.batch()
+    [(robot, part, settings, task)] = batch.cells
+    how = {"settings": settings, "task": task, "check_paths": False}
+    together = plan(robot, part, batch.scenarios, "nspace-sqp", threads=2, **how)
+    assert len(set(together.tracked.sum(axis=1).tolist())) > 1
+    for k in range(3):
+        one = jax.tree.map(lambda leaf, k=k: leaf[k : k + 1], batch.scenarios)
+        alone = plan(robot, part, one, "nspace-sqp", threads=1, **how)
+        for name in ("x", "status", "clearance", "residual"):
+            np.testing.assert_array_equal(getattr(alone, name)[0], getattr(together, name)[k], err_msg=name)
