@@ -100,10 +100,11 @@ def rooms(task, robot, x, goal):
 def test_inverse_kinematics_comes_onto_it_and_its_null_space_leaves_it_alone(name):
     task, goal = task_of(name)
     robot = made_once.robot()
+    off, jac = (jax.jit(f) for f in (lambda x: task.off(robot, x, goal), lambda x: linear_at(task, robot, x, goal)))
     reached = 0
-    for x in made_once.configurations(robot, 20):
+    for x in made_once.configurations(robot, 12):
         near, residual = reanchor(robot, jnp.asarray(x), goal, task.fine_m, iterations=60, task=task)
-        np.testing.assert_allclose(residual, task.off(robot, near, goal), atol=1e-15)
+        np.testing.assert_allclose(residual, off(near), atol=1e-15)
         reached += bool(task.reached(residual))
         if not task.reached(residual):
             continue
@@ -111,10 +112,15 @@ def test_inverse_kinematics_comes_onto_it_and_its_null_space_leaves_it_alone(nam
             assert by_scipy(name, near)[0] >= -2e-9
         else:
             assert by_scipy(name, near)[0] <= (task.tolerance_rad if task.parts[0].angular else task.tolerance_m)
-            basis = null_basis(task.linear_at(robot, near, goal).jacobian)
+            basis = null_basis(jac(near))
             assert basis.shape == (6, task.freedom(robot))
-            np.testing.assert_allclose(task.linear_at(robot, near, goal).jacobian @ basis, 0.0, atol=1e-9)
-    assert reached >= 15
+            np.testing.assert_allclose(jac(near) @ basis, 0.0, atol=1e-9)
+    assert reached >= 9
+
+
+def linear_at(task, robot, x, goal):
+    """The Jacobian of the equalities."""
+    return task.linear_at(robot, x, goal).jacobian
 
 
 def test_a_broken_cone_is_never_reached_however_little_it_is_broken():
