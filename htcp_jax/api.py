@@ -66,12 +66,13 @@ class Plan:
         return summarise_motion(self.plans, int(self.scenario.on_path))
 
     def motion(self, *, retract: bool = False) -> Motion:
-        """The postures that the arm passes, from the start to the last executable target, and back if `retract`."""
+        """The postures that the arm passes, from home or the start to the last executable target, and back if
+        `retract`."""
         return motion(self.plans, 0, int(self.scenario.on_path), retract=retract)
 
     @property
     def complete(self) -> bool:
-        """Whether every target is tracked, by joint paths none of which is known to collide."""
+        """Whether a proven motion leads from the given start to the last target."""
         return self.outcome.can_be_driven
 
     @property
@@ -108,7 +109,8 @@ class Plan:
         """What is known of the straight joint paths to the tracked targets."""
         end = self.outcome
         text = f"{end.blocked_paths} blocked of {end.tracked}"
-        if end.tracked and (turn := self.plans.joint_step[0, 0]) > NOTABLE_RAD:
+        as_given = end.tracked and not self.motion_summary.transfer_legs
+        if as_given and (turn := self.plans.joint_step[0, 0]) > NOTABLE_RAD:
             text += f"; the first leaves the start by {turn:.2f} rad"
         return text
 
@@ -126,8 +128,8 @@ class Plan:
         facts = {} if end.failed is None else {f"failed at target {end.failed}": end.status.message}
         if self.obstruction is not None:
             facts["in the way"] = self.obstruction.description
-        if end.blocked_paths:
-            facts["not to be driven"] = f"{end.blocked_paths} joint paths between tracked targets collide"
+        if end.executable < end.tracked:
+            facts[f"no motion to target {end.executable}"] = end.way.message
         return facts
 
     def frame(self) -> "pandas.DataFrame":
@@ -152,7 +154,7 @@ class Plan:
 
     def write(self, folder: Path, *, retract: bool = False) -> None:
         """Write motion.csv, trajectory.csv, trajectory.npz, summary.json and plan.png into an existing folder. retract:
-        whether motion.csv leads back to the start, too."""
+        whether motion.csv leads back to home or the start, too."""
         write_motion_csv(folder / "motion.csv", self.robot, self.motion(retract=retract))
         write_trajectory_csv(folder / "trajectory.csv", self.robot, self.plans)
         write_trajectory_npz(folder / "trajectory.npz", self.robot, self.plans)

@@ -19,6 +19,9 @@ class Status(enum.IntEnum):
     OUT_OF_REACH = 9
     TIP_BLOCKED = 10
     NO_NULL_SPACE = 11
+    HOME_IN_COLLISION = 12
+    HOME_NOT_JOINED = 13
+    NO_START = 14
 
     @property
     def tracked(self) -> bool:
@@ -36,6 +39,10 @@ class Status(enum.IntEnum):
         return _MESSAGES[self]
 
 
+# Ends of scenarios of which nothing was tried.
+AT_HOME = Status.HOME_IN_COLLISION, Status.HOME_NOT_JOINED, Status.NO_START
+NOT_TRIED = Status.START_IN_COLLISION, Status.OUT_OF_REACH, *AT_HOME
+
 _MESSAGES = {
     Status.TRACKED: "tracked by step QPs",
     Status.TRACKED_AFTER_ESCAPE: "tracked after an escape",
@@ -46,6 +53,9 @@ _MESSAGES = {
     Status.QP_FAILED: "the QP solver broke down and returned no usable answer",
     Status.NOT_ATTEMPTED: "not attempted, because an earlier target of the scenario failed",
     Status.START_IN_COLLISION: "the start is in collision, so nothing was tried",
+    Status.HOME_IN_COLLISION: "the home posture is in collision, so nothing was tried",
+    Status.HOME_NOT_JOINED: "no joint path from home to a start was found that is proven clear, so nothing was tried",
+    Status.NO_START: "no clear posture was found at the first point of the path, so nothing was tried",
     Status.OUT_OF_REACH: "a target is farther away than the arm is long, so nothing was tried",
     Status.NO_NULL_SPACE: "the step QPs are stuck, and the task leaves no null space to escape in",
     Status.TIP_BLOCKED: "the arm is clear there, but the bare end of the tool passes through the wall",
@@ -83,7 +93,7 @@ _WAYS = {
 class Kind(enum.IntEnum):
     """What the arm does on its way to one posture of a motion."""
 
-    TRANSFER = 0  # it goes from the start to another posture, in which the plan begins
+    TRANSFER = 0  # it goes from home, or from the start, to another posture, in which the plan begins
     APPROACH = 1  # it goes to the path's first point
     FEED = 2  # the tool goes on along the path
     DWELL = 3  # the tool stays at a target while the arm changes its posture

@@ -12,6 +12,7 @@ from htcp_jax.planner.kernels import Measured
 from htcp_jax.planner.lane_checks import LaneChecks
 from htcp_jax.planner.lanes import Lanes, concatenate, gather, new_lanes
 from htcp_jax.planner.methods import BUILT_IN
+from htcp_jax.planner.motion import transfers
 from htcp_jax.planner.null_space import Anchored
 from htcp_jax.planner.plans import Plans, is_tracked
 from htcp_jax.planner.programs import Kernels
@@ -161,6 +162,7 @@ def test_a_plan_made_backwards_says_so_and_holds_up_nobody(crossed, monkeypatch)
     last = np.flatnonzero(back[0])[-1]
     assert (plans.iterations[0, :last] == 0).all() and plans.iterations[0, last] > 0
     assert (plans.status[back] == Status.TRACKED_AFTER_ESCAPE).all() and (plans.path_clear[back] == 1).all()
+    assert (plans.start == made_once.START).all() and transfers(plans).tolist() == [True, False, True]
     x = np.concatenate([[scenarios[0].x_start], plans.x[0]])
     np.testing.assert_allclose(plans.joint_step[0], np.linalg.norm(np.diff(x, axis=0), axis=1))
     pushes = {one: [k for k, (name, at) in enumerate(calls) if name == "push" and one in at] for one in (1, 3)}

@@ -56,7 +56,7 @@ def test_the_motion_leads_back_where_that_is_asked_for(here, capsys):
 
 def test_an_incomplete_plan_exits_3_saves_what_it_has_and_names_the_failure(here, capsys):
     (here / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.1857,-0.25,0.1708\n")  # the second lies in the wall
-    assert main(["plan", *SHORT, "--out", "out"]) == 3
+    assert main(["plan", *SHORT, "--method", "nspace-sqp", "--out", "out"]) == 3
     assert "failed at target 12: " in capsys.readouterr().out
     (failure,) = json.loads((here / "out" / "summary.json").read_text())["failures"]
     assert failure["target"] == 12 and failure["reason"]

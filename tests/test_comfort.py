@@ -86,7 +86,7 @@ def test_plan_prints_its_summary_as_json(here, capsys):
 def test_sweep_and_reachability_print_what_they_found_as_json(here, capsys):
     told = json_of(capsys, ["sweep", "two.yaml", "--methods", "baseline", *SHORT[:2]])
     assert told["complete"] and told["methods"]["baseline"]["targets"] == 2 * 13
-    found = json_of(capsys, ["reachability", "two.yaml", "--limit", "1", "--draws", "16", *SHORT[:2], "--out", "c"])
+    found = json_of(capsys, ["reachability", "two.yaml", "--limit", "1", *SHORT[:2], "--out", "c"])
     assert found == json.loads((here / "c" / "reachability.json").read_text())
 
 

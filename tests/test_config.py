@@ -71,7 +71,7 @@ def test_files_are_relative_to_the_yaml_file_and_to_the_working_folder_in_an_ove
         ("settings.qp=magic", "settings.qp is 'magic'; valid: clarabel"),
         ("margin_m=-0.1", "margin_m is -0.1: input should be greater than or equal to 0"),
         ("margin_m=.nan", "margin_m is nan: input should be a finite number"),
-        ("start_rad=here", "start_rad is 'here': input should be a valid tuple"),
+        ("start_rad=here", "start_rad: 'here' is no start; valid: auto, or a list of joint positions"),
         ("settings=3", "settings is 3: input should be a dictionary"),
         ("margin_m", "--set expects key=value, not 'margin_m'"),
         ("margin_m=[", "--set margin_m=[, line 1: "),
@@ -165,4 +165,4 @@ def test_what_is_on_record_is_renamed_and_nothing_else(tmp_path):
     (tmp_path / "old.yaml").write_text(before)
     done = subprocess.run([sys.executable, SWEEPS / "rename_keys.py", tmp_path / "old.yaml"], capture_output=True)
     assert done.returncode == 0 and (tmp_path / "old.yaml").read_text() == blessed
-    assert read_baseline(tmp_path / "old.yaml").reachability.draws == 2048
+    assert read_baseline(tmp_path / "old.yaml").reachability.reachable > 4382  # that many by draws, once

@@ -77,7 +77,7 @@ def test_a_run_passes_its_own_baseline_and_the_table_lines_up(run, baseline, cap
 
 def test_the_baseline_says_what_was_planned_and_one_line_a_scenario(baseline):
     lines = baseline.read_text().splitlines()
-    assert lines.count(f"      3: {TARGETS} complete") == 2 and len(lines) < 130
+    assert lines.count(f"      3: {TARGETS} complete") == 2 and len(lines) < 140
     known = read_baseline(baseline)
     here = provenance()
     assert (known.sweep, known.seed, known.dtype, known.device) == ("grid", 0, "float64", here["device"])
@@ -204,7 +204,7 @@ def test_a_missing_figure_of_a_tracked_target_fails(run, baseline, capsys):
     assert not outcome(run, baseline, capsys)["passed"]
 
 
-def test_a_missing_reachability_and_one_of_other_draws_fail(run, baseline, capsys):
+def test_a_missing_reachability_and_one_of_another_search_fail(run, baseline, capsys):
     file = run / REACHABILITY
     file.write_text(file.read_text().replace('"draws": 8', '"draws": 9'))
     assert any("searched with 9 draws" in failure for failure in outcome(run, baseline, capsys)["failures"])

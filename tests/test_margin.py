@@ -66,8 +66,8 @@ def test_a_margin_of_nothing_asks_for_a_clearance_above_zero():
 
 
 def test_what_is_reachable_keeps_the_margin_too():
-    near = reachable_prefixes(*scene(), stack(tight(0.0)[:1]), draws=256).prefix
-    far = reachable_prefixes(*scene(), stack(tight(0.03)[:1]), draws=256).prefix
+    near = reachable_prefixes(*scene(), stack(tight(0.0)[:1]), resolution_rad=0.45, proof_cells=0).prefix
+    far = reachable_prefixes(*scene(), stack(tight(0.03)[:1]), resolution_rad=0.45, proof_cells=0).prefix
     assert 0 < far[0] < near[0]
 
 

@@ -36,7 +36,9 @@ def some_plans(seed: int, scenarios: int = 3) -> Plans:
     rng = np.random.default_rng(seed)
     ends = rng.integers(0, TARGETS, scenarios, endpoint=True)
     tracked = np.arange(TARGETS) < TARGETS - 1 + (np.arange(scenarios) % 2)[:, None]
-    plans = plans_with(np.where(tracked, Status.TRACKED, Status.QP_INFEASIBLE).tolist(), joints=JOINTS)
+    status = np.where(tracked, Status.TRACKED, Status.QP_INFEASIBLE)
+    status[rng.random(scenarios) < 0.25, 0] = Status.TRACKED_AFTER_ESCAPE
+    plans = plans_with(status.tolist(), joints=JOINTS)
     ahead = rng.choice([0.0, 0.3 * ONE_POINT_M, 0.01, 0.02], (scenarios, TARGETS, 1)) * [1.0, 0.5, 0.0]
     way = np.where(np.arange(TARGETS) < ends[:, None], Way.PROVEN, Way.UNKNOWN).astype(np.int8)
     keys = [(s, t) for s in range(scenarios) for t in range(TARGETS) if rng.random() < 0.25]
@@ -55,11 +57,12 @@ def walked(plans: Plans, s: int) -> list[tuple[int, Kind, np.ndarray]]:
     rows, count = [], int(plans.executable[s].sum())
     for t in range(count):
         knots = plans.knots.on_the_way(s, t)
+        transfer = t == 0 and (len(knots) > 0 or plans.status[s, 0] == Status.TRACKED_AFTER_ESCAPE)
         if t == 0:
-            rows.append((0, T if len(knots) else A, plans.start[s]))
-        kind = D if t > ON_PATH else A if t else T
+            rows.append((0, T if transfer else A, plans.start[s]))
+        kind = D if t > ON_PATH else T if transfer else A
         rows += [(t - (kind == D), kind, x) for x in knots]
-        rows.append((t, F if t > ON_PATH else A, plans.x[s, t]))
+        rows.append((t, F if t > ON_PATH else kind, plans.x[s, t]))
     return rows
 
 

@@ -50,7 +50,7 @@ def test_an_outcome_is_what_one_reads_off_a_row(plans):
         assert end.executable == (proven.index(False) if not all(proven) else len(proven))
         assert end.way == (ways[end.executable] if end.executable < sum(tracked) else Way.PROVEN)
         assert end.complete == (bool(known) and all(tracked))
-        assert end.can_be_driven == (end.complete and not any(blocked))
+        assert end.can_be_driven == (bool(known) and all(proven) and all(tracked))
 
 
 @given(some_plans())

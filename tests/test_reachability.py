@@ -1,18 +1,31 @@
-"""What is reachable: what it finds is clear and on target, and it is the same whatever the batch."""
+"""What is reachable: what is found is clear and on target, what is excluded is not there, whatever the batch."""
+
+from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from htcp_jax.clearance.arm_exclusion import arm_cell, has_wrist, tool_cell, wrist
+from htcp_jax.clearance.exclusion import tool_collides
 from htcp_jax.clearance.obstacles import clearance
 from htcp_jax.clearance.of_workpiece import make_obstacle
+from htcp_jax.clearance.scene import Scene
 from htcp_jax.cli.main import main
+from htcp_jax.planner.lane_inputs import lane_inputs
+from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.reachability import reachable_prefixes
-from htcp_jax.scene.kinematics import tcp_position
+from htcp_jax.planner.tool_cells import tool_cells
+from htcp_jax.scene.kinematics import link_poses, point_positions, tcp_position
 from htcp_jax.scene.robot_file import gp50
 from htcp_jax.scene.scenario import make_scenario, stack
+from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.scene.workpiece_file import load_workpiece
+from htcp_jax.settings import Settings
 
+COARSE = 0.22
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
 
 
@@ -20,14 +33,14 @@ START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
 def found():
     robot, workpiece = gp50(), load_workpiece()
     scenarios = [make_scenario(robot, workpiece, START, rotation=pose) for pose in ((0.4, 0.1), (0.8, 0.0))]
-    return robot, workpiece, scenarios, reachable_prefixes(robot, workpiece, stack(scenarios), draws=256)
+    return robot, workpiece, scenarios, reachable_prefixes(robot, workpiece, stack(scenarios), resolution_rad=COARSE)
 
 
 def test_a_complete_scenario_is_found_reachable_and_one_that_dead_ends_is_not(found):
     _, _, scenarios, result = found
     assert result.prefix[0] == scenarios[0].count
-    assert 11 <= result.prefix[1] < scenarios[1].count
-    assert np.isnan(result.best[0]) and result.best[1] <= 0
+    assert 71 <= result.prefix[1] < scenarios[1].count  # how far a walk of random draws comes
+    assert np.isnan(result.best[0]) and result.best[1] < 5e-4
 
 
 def test_every_configuration_found_is_clear_and_on_its_target(found):
@@ -45,13 +58,122 @@ def test_every_configuration_found_is_clear_and_on_its_target(found):
 
 def test_a_scenario_reaches_as_far_alone(found):
     robot, workpiece, scenarios, result = found
-    alone = reachable_prefixes(robot, workpiece, stack(scenarios[:1]), draws=256)
-    np.testing.assert_array_equal(alone.x[0], result.x[0])
+    alone = reachable_prefixes(robot, workpiece, stack(scenarios[1:]), resolution_rad=COARSE)
+    np.testing.assert_array_equal(alone.x[0], result.x[1])
+    assert alone.best[0] == result.best[1] and alone.most[0] == result.most[1]
 
 
-def test_the_command_writes_the_prefixes_and_refuses_an_empty_number_of_draws(tmp_path, capsys):
-    words = ["reachability", "sweeps/workpiece.yaml", "--limit", "1", "--draws", "1", "--out", str(tmp_path / "run")]
+def test_the_arm_behind_the_tool_proves_that_the_end_of_a_path_is_out_of_reach(found):
+    """The search finds nothing there, of course, and a planner that got so far would refute the proof."""
+    _, _, scenarios, result = found
+    assert result.most[0] == result.prefix[0] == scenarios[0].count
+    assert result.prefix[1] < result.most[1] < scenarios[1].count
+
+
+def test_a_posture_is_in_the_cells_about_it_with_its_wrist_and_excluded_by_none_where_it_is_clear(found):
+    robot, workpiece, scenarios, result = found
+    scene, draw = Scene(robot, make_obstacle(workpiece)), np.random.default_rng(2)
+    assert has_wrist(robot)
+
+    @jax.jit
+    def cells(s, target, x, about, turns, q, rho):
+        where = point_positions(robot, x, wrist(robot).on_arm[None], (3,))[0]
+        margin = jnp.asarray(s.margin_m)
+        return where, tool_cell(scene, s, margin, target, q, rho), arm_cell(scene, s, margin, target, about, turns)
+
+    for _ in range(300):
+        s = draw.integers(2)
+        row, size = draw.integers(result.prefix[s]), draw.choice([0.003, 0.03, 0.3])
+        x = jnp.asarray(result.x[s, row])
+        axis = draw.normal(size=3)
+        turned = Rotation.from_matrix(np.asarray(link_poses(robot, x)[-1, :3, :3]))
+        middle = Rotation.from_rotvec(draw.uniform(0, size) * axis / np.linalg.norm(axis)) * turned
+        q, turns = middle.as_quat()[[3, 0, 1, 2]], size * draw.uniform(0, 1, 6)
+        about = x + turns * draw.uniform(-1, 1, 6)
+        at, *both = cells(scenarios[s], *map(jnp.asarray, (scenarios[s].targets[row], x, about, turns, q, size)))
+        for cell in both:
+            assert not cell.collides
+            assert np.linalg.norm(cell.wrist - at) <= cell.moves
+
+
+def test_an_arm_whose_last_axes_pass_each_other_has_no_wrist(found):
+    robot, *_ = found
+    assert not has_wrist(replace(robot, T_parent_joint=robot.T_parent_joint.at[-1, 0, 3].add(1e-6)))
+    assert not has_wrist(replace(robot, slides=(False,) * 5 + (True,)))
+
+
+def test_no_orientation_near_that_of_a_clear_posture_is_excluded(found):
+    """Whatever the radius: the tool of a clear posture is in the cell."""
+    robot, workpiece, scenarios, result = found
+    scene, draw = Scene(robot, make_obstacle(workpiece)), np.random.default_rng(0)
+    excluded = jax.jit(lambda s, target, q, rho: tool_collides(scene, s, jnp.asarray(s.margin_m), target, q, rho))
+    for _ in range(300):
+        s = draw.integers(2)
+        row, rho = draw.integers(result.prefix[s]), draw.choice([0.003, 0.03, 0.3])
+        turned = Rotation.from_matrix(np.asarray(link_poses(robot, jnp.asarray(result.x[s, row]))[-1, :3, :3]))
+        axis = draw.normal(size=3)
+        middle = Rotation.from_rotvec(draw.uniform(0, rho) * axis / np.linalg.norm(axis)) * turned
+        q = middle.as_quat()[[3, 0, 1, 2]]
+        assert not excluded(scenarios[s], *map(jnp.asarray, (scenarios[s].targets[row], q, rho)))
+
+
+def walled_in(radius_m):
+    """A target in the middle of a ball of points, and all else free."""
+    k = np.arange(8000) + 0.5
+    z, turn = 1 - 2 * k / 8000, np.pi * (1 + 5**0.5) * k
+    ball = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
+    target = np.array([1.5, 0.0, 1.0])
+    part = Workpiece("ball", target + radius_m * ball, target[None], interior="none", pivot=np.zeros(3),
+                     neutral_translation=np.zeros(3))  # fmt: skip
+    return part, make_scenario(gp50(), part, START, rotation=(0.0, 0.0), approach=(1, 0))
+
+
+def test_a_target_behind_walls_all_around_is_proven_unreachable_and_one_in_the_open_is_found():
+    part, scenario = walled_in(0.3)
+    result = reachable_prefixes(gp50(), part, stack([scenario]), resolution_rad=0.11)
+    assert result.prefix[0] == result.most[0] == 1
+    part, scenario = walled_in(3.5)
+    result = reachable_prefixes(gp50(), part, stack([scenario]), resolution_rad=0.9)
+    assert result.prefix[0] == result.most[0] == scenario.count
+
+
+def test_the_cells_cover_every_orientation_in_which_the_tool_is_clear(found):
+    """Held to brute force: postures all over, with the part carried to their tip, and only tool and wrist measured."""
+    robot, workpiece, scenarios, _ = found
+    scene, where, row = Scene(robot, make_obstacle(workpiece)[:1]), scenarios[0], 60
+    inputs = lane_inputs(stack([where]), np.zeros(1, int), np.array([row]))
+    cells = tool_cells(Kernels(scene, Settings()), inputs, COARSE, 10**6)
+    outer = np.array(robot.capsule_link) >= 4
+    only = replace(robot, capsule_radius=jnp.where(outer, robot.capsule_radius, -1e3))
+
+    def measure(x):
+        pose = jnp.asarray(where.T_world_workpiece).at[:3, 3].add(tcp_position(robot, x) - where.targets[row])
+        moved = replace(where, T_world_workpiece=pose)
+        return clearance(only, scene.obstacles, moved, x), link_poses(robot, x)[-1, :3, :3]
+
+    x = np.random.default_rng(1).uniform(-np.pi, np.pi, (3000, 6))
+    D, R = jax.jit(jax.vmap(measure))(x)
+    q = Rotation.from_matrix(np.asarray(R)).as_quat()[:, [3, 0, 1, 2]]
+    near = 2 * np.arccos(np.clip(np.abs(q @ cells.quaternion.T).max(axis=1), 0, 1))
+    clear = np.asarray(D) >= where.margin_m
+    assert 0 < clear.sum() < 3000 and (near[clear] <= cells.radius_rad[0]).all()
+    assert (near > cells.radius_rad[0]).any()  # and not all of them: some are excluded
+
+
+def test_the_command_writes_the_prefixes_and_refuses_a_resolution_of_nothing(tmp_path, capsys):
+    words = [
+        "reachability",
+        "sweeps/workpiece.yaml",
+        "--limit",
+        "1",
+        "--resolution",
+        "0.9",
+        "--proof-cells",
+        "0",
+        "--out",
+        str(tmp_path / "run"),
+    ]
     assert main(words) == 0
     assert "reachable at least" in capsys.readouterr().out
     assert (tmp_path / "run" / "reachability.json").exists()
-    assert main([*words[:5], "0"]) == 2
+    assert main([*words[:5], "0"]) == 2 and main([*words[:7], "-1"]) == 2

@@ -90,18 +90,18 @@ def by_hand(status: list[list[Status]], folder) -> Replays:
 
 def test_failed_scenarios_come_first_and_what_is_not_planned_does_not(tmp_path):
     replays = by_hand([[A, A, A], [A, LIMIT, NOT], [-1, -1, -1], [E, A, LIMIT], [A, A, -1]], tmp_path)
-    outcomes = replays.outcomes("nspace-sqp")
+    outcomes = replays.outcomes("roadmap")
     assert [outcome.scenario for outcome in outcomes] == [1, 3, 0, 4]
     assert [(outcome.tracked, outcome.targets) for outcome in outcomes] == [(1, 3), (2, 3), (3, 3), (2, 2)]
-    with pytest.raises(InputError, match="ball has no scenario 2 by nspace-sqp; it has 0 to 1, 3 to 4"):
-        replays.replay(2, "nspace-sqp")
-    with pytest.raises(InputError, match="ball has no results of 'hybrid'; it has nspace-sqp"):
+    with pytest.raises(InputError, match="ball has no scenario 2 by roadmap; it has 0 to 1, 3 to 4"):
+        replays.replay(2, "roadmap")
+    with pytest.raises(InputError, match="ball has no results of 'hybrid'; it has roadmap"):
         replays.replay(0, "hybrid")
 
 
 def test_any_arm_is_shown_with_its_scenario_s_tool(tmp_path):
     replays = by_hand([[LIMIT, NOT, NOT]], tmp_path)
-    replay = replays.replay(0, "nspace-sqp")
+    replay = replays.replay(0, "roadmap")
     assert replay.p.shape == (3, 8, 3) and replay.tracked == 0
     held = replay.tcp[1:]  # at the failed target the arm is brought there
     # The seven links of 0.3 m stand upright; the TCP is 0.05 m aside and 0.35 m above the last, its z axis upwards.

@@ -289,7 +289,7 @@ def test_the_reachability_is_compared_with_and_what_beats_it_is_named(folder, tm
         rows = rows_of(tables.reachability(part))
         assert (rows["baseline"]["reachable"], rows["baseline"]["of_reachable_percent"]) == (25, 100)
         assert (rows["baseline"]["short"], rows["baseline"]["beyond"]) == (1, 1)
-        assert "Got further than sampling: baseline in 1 (0); hybrid in 1 (0)." in markdown(
+        assert "Got further than the search: baseline in 1 (0); hybrid in 1 (0)." in markdown(
             make_report([folder / "one"]).blocks
         )
         other = '"draws": 8, "seed": 0}'

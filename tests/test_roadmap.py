@@ -24,6 +24,7 @@ from small_motions import (
 from htcp_jax.planner.batch import plan, start_clearance
 from htcp_jax.planner.devices import choose
 from htcp_jax.planner.knots import Knots
+from htcp_jax.planner.motion import motion, transfers
 from htcp_jax.planner.motion_check import judge_motions
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
@@ -31,7 +32,7 @@ from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.scenario import stack
 from htcp_jax.scene.task import Task
 from htcp_jax.settings import Settings
-from htcp_jax.status import Status, Way
+from htcp_jax.status import Kind, Status, Way
 
 
 def test_what_is_tracked_is_a_motion_from_the_given_start():
@@ -296,6 +297,10 @@ def test_other_postures_at_the_first_target_lead_further_by_a_transfer():
     assert own.executable[0].sum() < plans.executable[0].sum()
     assert (plans.executable == plans.tracked).all()
     assert plans.joint_step[0, 0] > 1.0 > own.joint_step[0, 0]
+    assert transfers(plans).tolist() == [True, False] and not transfers(own).any()
+    straight = plans._replace(knots=Knots.none(plans.x.shape[2]))  # as it is on record where nothing is in the way
+    kinds = motion(straight, 0, int(lost.on_path)).kind
+    assert (kinds[:2] == Kind.TRANSFER).all() and (kinds[2:] > Kind.TRANSFER).all()
     check_motions([lost, easy], plans, settings.tube_m)
     same(own, 1, plans, 1, 30)
     same(plans, 0, roadmap([lost], settings, threads=1), 0, int(lost.count))

@@ -72,6 +72,19 @@ class Cloud:
         """The distance itself."""
         return self.contacts(robot, where, bodies).distance
 
+    def holds(
+        self,
+        where: Posed,
+        p: Float[jax.Array, "n 3"],
+        q: Float[jax.Array, "n 3"],
+        within: Float[jax.Array, "n"],
+    ) -> Bool[jax.Array, ""]:
+        """Whether a point is closer to any of n segments of the world than its `within` [m]; never where that is
+        negative."""
+        rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
+        p, q = product(p - translate[None, :], rotate), product(q - translate[None, :], rotate)
+        return nearest_body(self.index, p, q, within + self.cover, below=0.0).row >= 0
+
     def touches_along(
         self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
     ) -> Bool[jax.Array, ""]:

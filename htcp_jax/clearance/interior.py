@@ -63,6 +63,21 @@ class Interior:
         depth = depths(self.hull, jnp.concatenate([bodies.p_workpiece, bodies.q_workpiece]), asked)
         return jnp.min(jnp.where(asked, jnp.maximum(depth, -beyond), -beyond).reshape(2, -1), axis=0)
 
+    def holds(
+        self,
+        where: Posed,
+        p: Float[jax.Array, "n 3"],
+        q: Float[jax.Array, "n 3"],
+        moves: Float[jax.Array, "n"],
+    ) -> Bool[jax.Array, ""]:
+        """Whether an end of any of n segments of the world is further outside, and deeper, than it can move [m]."""
+        rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
+        ends, moves = jnp.concatenate([p, q]), jnp.concatenate([moves, moves])
+        own = product(ends - translate[None, :], rotate)
+        facet = crossed_facets(self.hull, own, _beyond(where, p, q) > moves)
+        outside = jnp.sum(self.hull.normal[facet] * own, axis=1) - self.hull.offset[facet]
+        return jnp.any((facet >= 0) & (outside > moves))
+
     def touches_along(
         self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
     ) -> Bool[jax.Array, ""]:

@@ -22,9 +22,11 @@ which sees that joints undo each other's motion, as they do near a tool that har
 """
 
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from htcp_jax.numerics import safe_norm
 from htcp_jax.scene.kinematics import capsule_segments, joint_levers, tcp_position
@@ -32,53 +34,62 @@ from htcp_jax.scene.robot import Robot
 from htcp_jax.types import Array, Float, Int, Joints, Scalar
 
 
+class _Bounds(NamedTuple):
+    """Of P points that are fixed to links."""
+
+    moved: Float[Array, "P"]  # how far each is from where it was, at most [m]
+    bend: Float[Array, "P"]  # and how large its |p''| is
+
+
 def motion_bound(robot: Robot, x: Joints, turns: Joints) -> Float[Array, "K"]:
     """How far any point of each body is from where it is at x, at most, while every joint stays within `turns`
     [rad or m] of x [m]."""
-    p, q = capsule_segments(robot, x)
-    links = jnp.asarray(robot.capsule_link)
+    return _larger(point_motion_bound(robot, x, turns, *_ends(robot, capsule_segments(robot, x))))
 
-    def farthest(points):
-        levers = joint_levers(robot, x, points)
-        moved = jnp.zeros(len(robot.capsule_link))
-        for j in reversed(range(len(robot.slides))):
-            adds = turns[j] * (1.0 if robot.slides[j] else levers[:, j] + moved)
-            moved = moved + jnp.where(links >= j, adds, 0.0)
-        return moved
 
-    return jnp.maximum(farthest(p), farthest(q))
+def point_motion_bound(
+    robot: Robot, x: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Array, "P"]
+) -> Float[Array, "P"]:
+    """The same of points at x, world [m], that are fixed to links, -1 for the world."""
+    return _bounds(robot, x, jnp.zeros_like(x), turns, points, links).moved
 
 
 def travel_bound(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "K"]:
     """How far any point of each body is from where it is at x, at most, on the joint path x + s `rates` [rad or m] with
     |s| <= half [m]."""
-    turns, links = half * jnp.abs(rates), jnp.asarray(robot.capsule_link)
-    ends, speeds = jax.jvp(partial(capsule_segments, robot), (x,), (rates,))
-
-    def farthest(points, velocity):
-        bend = _bend_bound(robot, x, rates, turns, points, links)
-        return half * safe_norm(velocity) + 0.5 * half * half * bend
-
-    p, q = map(farthest, ends, speeds)
-    return jnp.minimum(jnp.maximum(p, q), motion_bound(robot, x, turns))
+    segments, velocities = jax.jvp(partial(capsule_segments, robot), (x,), (rates,))
+    ends, links = _ends(robot, segments)
+    within = _bounds(robot, x, rates, half * jnp.abs(rates), ends, links)
+    along = half * safe_norm(jnp.concatenate(velocities)) + 0.5 * half * half * within.bend
+    return jnp.minimum(_larger(along), _larger(within.moved))
 
 
 def tcp_bend_bound(robot: Robot, x: Joints, rates: Joints, turns: Joints) -> Scalar:
     """How large the TCP's second derivative |p''| is at most on a straight joint path of x' = `rates` [rad or m],
     while every joint stays within `turns` of x [m]."""
     tcp, last = tcp_position(robot, x)[None], jnp.array([len(robot.slides) - 1])
-    return _bend_bound(robot, x, rates, turns, tcp, last)[0]
+    return _bounds(robot, x, rates, turns, tcp, last).bend[0]
 
 
-def _bend_bound(
+def _ends(robot: Robot, segments: tuple[Float[Array, "K 3"], Float[Array, "K 3"]]):
+    """Both ends of every body's axis, the first ones first, and their links."""
+    return jnp.concatenate(segments), jnp.tile(jnp.asarray(robot.capsule_link), 2)
+
+
+def _larger(bounds: Float[Array, "P"]) -> Float[Array, "K"]:
+    """The larger of the bounds of each body's two ends."""
+    return jnp.max(bounds.reshape(2, -1), axis=0)
+
+
+def _bounds(
     robot: Robot, x: Joints, rates: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Array, "P"]
-) -> Float[Array, "P"]:
-    """The same of points at x that are fixed to links."""
+) -> _Bounds:
+    """Of points at x, while every joint stays within `turns` of x, and moves by `rates`."""
     levers, rates, slides = joint_levers(robot, x, points), jnp.abs(rates), robot.slides
-    moved, bound = jnp.zeros(len(points)), jnp.zeros(len(points))
+    moved, bend = jnp.zeros(len(points)), jnp.zeros(len(points))
     for j in reversed(range(len(slides))):
         lever = jnp.where(links >= j, 1.0 if slides[j] else levers[:, j] + moved, 0.0)
-        turned = sum((2 * rates[i] for i in range(j) if not slides[i]), start=jnp.zeros(()))
-        bound = bound + rates[j] * lever * (turned + (0.0 if slides[j] else rates[j]))
+        turned = 2 * jnp.sum(rates[:j], where=~np.array(slides[:j], bool))
+        bend = bend + rates[j] * lever * (turned + (0.0 if slides[j] else rates[j]))
         moved = moved + turns[j] * lever
-    return bound
+    return _Bounds(moved, bend)

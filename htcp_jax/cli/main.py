@@ -26,6 +26,7 @@ logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
 COMMANDS = {
     "plan": "Plan one job; a table, the trajectory, a picture.",
+    "robot": "Make an arm of capsules of a robot's model, URDF or MJCF.",
     "sweep": "Plan every scenario of a grid by several methods.",
     "report": "Tables and charts of sweeps, beside the paper's figures.",
     "validate": "Check results by MuJoCo alone.",
@@ -96,6 +97,9 @@ def htcp(
       htcp validate out/workpiece                every tracked target again, by MuJoCo alone
       htcp view out/workpiece                    look at them in the browser, failed ones first
       htcp render out/workpiece --scenario 24    a picture and a movie of one of them
+    \b
+    A robot of your own:
+      htcp robot panda.urdf --tcp panda_hand --out panda.xml    its model as an arm of capsules
     \b
     Good to know:
       htcp methods                               what --method may name

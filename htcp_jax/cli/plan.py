@@ -20,7 +20,7 @@ Method = Annotated[
     str | None,
     typer.Option(metavar="NAME", help="A method; htcp methods lists them.", autocompletion=complete_method),
 ]
-Retract = Annotated[bool, typer.Option("--retract", help="Let motion.csv lead back to the start, too.")]
+Retract = Annotated[bool, typer.Option("--retract", help="Let motion.csv lead back to home or the start, too.")]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.")]
 
 
@@ -36,8 +36,8 @@ def plan(
     """Plan one job: track every target of the path while every capsule keeps clear of the workpiece.
 
     Writes motion.csv, which is what an arm may follow, trajectory.csv, trajectory.npz, summary.json and plan.png.
-    Exits with 0 when every target is tracked and no joint path between them collides, else with 3 (what was tracked is
-    saved), with 2 on bad input.
+    Exits with 0 when a proven motion leads to the last target, else with 3 (what was tracked is saved), with 2 on bad
+    input.
 
     \b
     htcp plan                                 the default job, which is configs/duct.yaml

@@ -22,18 +22,26 @@ from htcp_jax.cli.output import (
 )
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.grid import Batch, load_sweep
-from htcp_jax.planner.reachability import Reachability, reachable_prefixes
+from htcp_jax.planner.lanes import concatenate, gather
+from htcp_jax.planner.reachability import PROOF_CELLS, RESOLUTION_RAD, Reachability, reachable_prefixes
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.plan_folder import write_json, written_whole
 from htcp_jax.runs.run_folder import Run, open_run
 
-Draws = Annotated[int, typer.Option(metavar="N", min=1, help="Configurations drawn where a target looks out of reach.")]
+Resolution = Annotated[
+    float,
+    typer.Option(metavar="RAD", min=0.01, help="Of the tool's orientations, where a target looks out of reach."),
+]
+ProofCells = Annotated[
+    int, typer.Option(metavar="CELLS", min=0, help="Of a proof that a target is out of reach, at a time; 0: no proofs.")
+]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="The run folder to compare with and to write into.")]
 
 
 def reachability(
     file: SweepFile,
-    draws: Draws = 2048,
+    resolution: Resolution = RESOLUTION_RAD,
+    proof_cells: ProofCells = PROOF_CELLS,
     out: Out = None,
     limit: Limit = None,
     config: Config = None,
@@ -42,25 +50,27 @@ def reachability(
 ) -> int:
     """Look for any clear configuration at every target, scenario by scenario, and count the targets in a row.
 
-    A lower bound on what is reachable, with the number of draws behind it. Writes reachability.json into the run
-    folder, where `htcp report` finds it, and names every method of that folder that gets further.
+    What is found is reachable; what is not found, and not proven to be out of reach, may be. Writes reachability.json
+    into the run folder, where `htcp report` finds it, and names every method of that folder that gets further.
 
     \b
     htcp reachability sweeps/workpiece.yaml                     into out/workpiece, where the sweep writes
-    htcp reachability sweeps/workpiece.yaml --draws 20000
+    htcp reachability sweeps/workpiece.yaml --resolution 0.06
     """
     if out is None:
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
     batch = (spec := load_sweep(file, config, overrides or ())).batch(limit)
     run = open_run(out) if (out / MANIFEST).exists() else None
     with written_whole(out) as folder:
-        found = _search(batch, draws)
+        found = _search(batch, resolution, proof_cells)
         beaten = {} if run is None else _beaten(run, batch, found)
         targets = int(batch.scenarios.count.sum())
         record = {
             "prefix": found.prefix.tolist(),
             "best_mm": [None if np.isnan(b) else 1e3 * b for b in found.best],
-            "draws": draws,
+            "most": found.most.tolist(),
+            "resolution_rad": max(resolution, float(found.resolution_rad.max())),
+            "proof_cells": proof_cells,
             "seed": spec.config.settings.seed,
             "targets": targets,
             "beaten_by": beaten,
@@ -69,11 +79,11 @@ def reachability(
     if as_json:
         print_json(record)
     else:
-        _print(spec.name, batch, found, targets, beaten, out)
+        _print(spec.name, batch, found, record, out)
     return 0
 
 
-def _search(batch: Batch, draws: int) -> Reachability:
+def _search(batch: Batch, resolution_rad: float, proof_cells: int) -> Reachability:
     with progress_bars() as bars:
         parts = []
         for number, cell in enumerate(batch.cells):
@@ -85,13 +95,13 @@ def _search(batch: Batch, draws: int) -> Reachability:
                 jax.tree.map(itemgetter(rows), batch.scenarios),
                 cell.settings,
                 task=cell.task,
-                draws=draws,
+                resolution_rad=resolution_rad,
+                proof_cells=proof_cells,
                 progress=lambda row, rows, task=task: bars.update(task, completed=row, total=rows),
             )
             parts.append((rows, found))
     order = np.argsort(np.concatenate([rows for rows, _ in parts]))
-    columns = zip(*(found[:-1] for _, found in parts), strict=True)
-    return Reachability(*(np.concatenate(column)[order] for column in columns), draws)
+    return gather(concatenate([found for _, found in parts]), order)
 
 
 def _beaten(run: Run, batch: Batch, found: Reachability) -> dict[str, list[int]]:
@@ -109,15 +119,17 @@ def _beaten(run: Run, batch: Batch, found: Reachability) -> dict[str, list[int]]
     return beaten
 
 
-def _print(name: str, batch: Batch, found: Reachability, targets: int, beaten: dict[str, list[int]], out: Path) -> None:
-    reachable, complete = int(found.prefix.sum()), int((found.prefix == batch.scenarios.count).sum())
+def _print(name: str, batch: Batch, found: Reachability, record: dict, out: Path) -> None:
+    targets, reachable, most = record["targets"], int(found.prefix.sum()), int(found.most.sum())
+    complete = int((found.prefix == batch.scenarios.count).sum())
     rows = {
         "reachable at least": f"{reachable:,} of {targets:,} targets, {100 * reachable / targets:.2f} %",
         "complete": f"{complete:,} of {len(found.prefix):,} scenarios",
-        "draws": f"{found.draws:,} at the first target without a clear configuration",
+        "at most, by proof": f"{most:,} targets, {100 * most / targets:.2f} %",
+        "resolution": f"{record['resolution_rad']:.3g} rad of the tool's orientations",
         "files": str(out / "reachability.json"),
     }
     print_facts(name, rows)
-    for method, scenarios in beaten.items():
+    for method, scenarios in record["beaten_by"].items():
         text = f"{method} gets further in scenarios "
         stdout().print(Text.assemble((text, "yellow"), ", ".join(map(str, scenarios))))

@@ -29,7 +29,7 @@ from htcp_jax.runs.plan_folder import summary_record
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.running import RunningSummary
 from htcp_jax.runs.summary import summarise
-from htcp_jax.status import Status
+from htcp_jax.status import NOT_TRIED
 
 Methods = Annotated[
     str, typer.Option(metavar="A,B|all", help="Planners; htcp methods lists them.", autocompletion=complete_methods)
@@ -191,5 +191,5 @@ def _margins(asked_m: np.ndarray) -> str:
 
 def _not_tried(status: np.ndarray) -> str:
     """How many scenarios were refused for what reason, in words; nothing where none was."""
-    counts = {reason: int((status == reason).sum()) for reason in (Status.START_IN_COLLISION, Status.OUT_OF_REACH)}
+    counts = {reason: int((status == reason).sum()) for reason in NOT_TRIED}
     return ", ".join(f"{reason.words} {count:,}" for reason, count in counts.items() if count)

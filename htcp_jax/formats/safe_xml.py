@@ -3,7 +3,8 @@
 MuJoCo follows what a file names: included models, meshes, textures, height fields, plugins. Here a file is read as
 plain XML without a document type, so without entities; its includes are put in place from its own folder; and what
 has no part in where the links and their capsules are is left out. In the text that results nothing names a file, but
-for the meshes of a URDF, which robot_model.py takes out before MuJoCo would open them.
+for meshes: those of a URDF, and those of an MJCF file that is read with its meshes. Who reads takes them out before
+MuJoCo would open them.
 """
 
 import math
@@ -22,9 +23,10 @@ LARGEST_NUMERIC = 1000  # values of a <numeric>
 # Of MJCF; tendons, actuators and the like move nothing here, and what is for the eye or for dynamics neither.
 LEFT_OUT = {
     "actuator", "asset", "camera", "contact", "deformable", "equality", "extension", "hfield", "keyframe", "light",
-    "material", "option", "plugin", "sensor", "size", "skin", "statistic", "tendon", "text", "texture", "tuple",
+    "material", "mesh", "option", "plugin", "sensor", "size", "skin", "statistic", "tendon", "text", "texture", "tuple",
     "visual",
 }  # fmt: skip
+MESHES = "asset", "mesh"  # what stays when meshes are asked for
 # They make bodies and joints that do not stand in the file.
 REFUSED = {"attach", "composite", "flexcomp", "replicate"}
 
@@ -53,47 +55,45 @@ class _Builder(ElementTree.TreeBuilder):
         return super().end(tag)
 
 
-def read_spec(path: Path) -> mujoco.MjSpec:
-    """MuJoCo's reading of an MJCF or URDF file, not compiled yet. Raises InputError for a file that cannot be read or
-    is too large, and for one that includes a file outside its folder."""
+def read_spec(path: Path, *, meshes: bool = False, visual: bool = False) -> mujoco.MjSpec:
+    """MuJoCo's reading of an MJCF or URDF file, not compiled yet.
+
+    meshes: keep those of an MJCF file, by name; a URDF's are kept anyway. visual: what a URDF draws becomes geoms, too.
+    Raises InputError for a file that cannot be read or is too large, and for one that includes a file outside its
+    folder.
+    """
     root = _parse(path)
     _put_includes_in_place(root, path, {path.resolve()})
     if root.tag == "mujoco":
-        _leave_out(root, path)
-    speeds = _urdf_speeds(root, path) if root.tag == "robot" else []
+        _leave_out(root, path, LEFT_OUT.difference(MESHES if meshes else ()))
+    limits = _urdf_limits(root, path) if root.tag == "robot" else {}
+    if visual and root.tag == "robot":
+        ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler", discardvisual="false")
     text = ElementTree.tostring(root, encoding="unicode")
     try:
         spec = mujoco.MjSpec.from_string(text)
-        if speeds:
-            spec.add_numeric(name="speed", data=speeds, size=len(speeds))
+        for name, given in limits.items():
+            numbers = [given.get(joint.name, math.inf) for joint in spec.joints]
+            if numbers and (name == "speed" or min(numbers) < math.inf):
+                spec.add_numeric(name=name, data=numbers, size=len(numbers))
         return spec
     except (ValueError, mujoco.FatalError) as error:
         raise unreadable(path, error) from None
 
 
-def _urdf_speeds(root: ElementTree.Element, path: Path) -> list[float]:
-    """The velocities of a URDF's joints from the base outwards, which MuJoCo does not read, as an MJCF gives them in
-    its <numeric> "speed": inf where there is none, or 0 in its place. Raises InputError for a range turned round."""
-    joints = root.findall("joint")
-    above = {_link(joint, "child"): _link(joint, "parent") for joint in joints}
-
-    def depth(joint: ElementTree.Element) -> int:
-        link, links = _link(joint, "parent"), {""}
-        while link not in links:  # a circle is for MuJoCo to refuse
-            links.add(link)
-            link = above.get(link, "")
-        return len(links)
-
-    moving = [joint for joint in joints if joint.get("type") in ("revolute", "continuous", "prismatic")]
-    for joint in moving:
+def _urdf_limits(root: ElementTree.Element, path: Path) -> dict[str, dict[str, float]]:
+    """What a URDF says of its joints and MuJoCo does not read, as the <numeric>s of an MJCF file have it: by their
+    names, then the joints'; inf where there is none, or 0 in its place. Raises InputError for a range turned round."""
+    limits = {"speed": {}, "acceleration": {}}
+    for joint in root.findall("joint"):
+        if joint.get("type") not in ("revolute", "continuous", "prismatic"):
+            continue
         if joint.get("type") != "continuous":
             _check_range(joint, path)
-    speeds = [_number(joint, "velocity", path) for joint in sorted(moving, key=depth)]
-    return [speed if speed > 0 else math.inf for speed in speeds]
-
-
-def _link(joint: ElementTree.Element, end: str) -> str:
-    return "" if (found := joint.find(end)) is None else found.get("link", "")
+        for name, attribute in (("speed", "velocity"), ("acceleration", "acceleration")):
+            number = _number(joint, attribute, path)
+            limits[name][joint.get("name", "")] = number if number > 0 else math.inf
+    return limits
 
 
 def _check_range(joint: ElementTree.Element, path: Path) -> None:
@@ -164,12 +164,12 @@ def _included(include: ElementTree.Element, path: Path) -> Path:
     return file
 
 
-def _leave_out(root: ElementTree.Element, path: Path) -> None:
+def _leave_out(root: ElementTree.Element, path: Path, unwanted: set[str]) -> None:
     for parent in list(root.iter()):
         for child in list(parent):
             if child.tag in REFUSED:
                 raise InputError(f"{path}: <{child.tag}> is not read; write the bodies out")
-            if child.tag in LEFT_OUT or (child.tag == "mesh" and parent.tag == "default"):
+            if child.tag in unwanted or (parent.tag == "asset" and child.tag != "mesh"):
                 parent.remove(child)
         parent.attrib.pop("material", None)
     for numeric in root.iter("numeric"):

@@ -4,6 +4,7 @@ import warnings
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Float
 
 from htcp_jax.jobs.config import PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.scene.goals import leader, task_of, with_goals
@@ -81,22 +82,29 @@ def scenario_of(
     """Start, pose, targets, margin and tool of a configuration; `number` is its identity for the random keys;
     beyond_reach: see `make_scenario`."""
     part, task = job.workpiece, task_of_job(job, robot)
-    longer = lengthen_tool(robot, job.robot.tool_extension_m)
     scenario = make_scenario(
         robot,
         workpiece,
-        job.start_rad,
+        job.start,
+        home=job.home_rad,
         rotation=(part.rotation_y_rad, part.rotation_z_rad),
         rotation_x_rad=part.rotation_x_rad,
         shift=part.shift_m,
-        approach=(part.approach_to_inlet, part.approach_to_path),
+        approach=job.approach,
         margin_m=job.margin_m,
         tool_extension_m=job.robot.tool_extension_m,
         number=number,
         beyond_reach=beyond_reach,
-        follows=leader(job.task, longer, np.array(job.start_rad)) if job.task else None,
+        follows=_follower_at_start(job, robot),
     )
     return with_goals(scenario, job.task, task, robot, workpiece)
+
+
+def _follower_at_start(job: PlanConfig, robot: Robot) -> Float[np.ndarray, "3"] | None:
+    """Where the point that follows the path is at a start that is given, world [m]; None: `make_scenario` knows."""
+    if not job.task or job.start is None:
+        return None
+    return leader(job.task, lengthen_tool(robot, job.robot.tool_extension_m), np.array(job.start))
 
 
 _POSE = {"rotation_x_rad": 0.0, "rotation_y_rad": 0.0, "rotation_z_rad": 0.0, "shift_m": (0.0, 0.0, 0.0)}

@@ -5,9 +5,10 @@ they are what `defaults` says.
 """
 
 import math
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, PlainSerializer, WrapValidator, field_validator
 
 from htcp_jax.errors import InputError
 from htcp_jax.formats.strict_model import Section
@@ -22,6 +23,17 @@ Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Point = tuple[Number, Number, Number]
 Turn = Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi)]  # degrees are mostly beyond
 Steps = Annotated[int, Field(ge=0, le=10_000)]
+AUTO = "auto"  # a start that the planner chooses
+
+
+def _start(value: Any, numbers: Callable[[Any], tuple[float, ...]]) -> Any:
+    """What stands in place of joint positions is a word; raises InputError for any other."""
+    if isinstance(value, str) and value != AUTO:
+        raise InputError(f"{value!r} is no start; valid: {AUTO}, or a list of joint positions")
+    return value if value == AUTO else numbers(value)
+
+
+Start = Annotated[tuple[Number, ...], WrapValidator(_start), PlainSerializer(lambda value: value)]
 
 RENAMED_WORKPIECE = {"gate_depth_m": "interior_depth_m"}  # of version 0.1; known for one version more
 SOURCES = ("robot.model", "workpiece.cloud")  # what the next ones hang on, where they are not stated
@@ -69,11 +81,6 @@ class WorkpieceConfig(Section):
     approach_to_inlet: Steps = 5  # equal steps from the start's TCP to the inlet
     approach_to_path: Steps = 5  # and from there to the first point of the path
 
-    @property
-    def on_path(self) -> int:
-        """The first target that is a point of the path; the start's TCP and the approach come before it."""
-        return 1 + self.approach_to_inlet + self.approach_to_path
-
     @staticmethod
     def with_new_names(values: dict[str, Any], source: str) -> dict[str, Any]:
         """The keys under the names that they have now, see `renamed`."""
@@ -93,12 +100,52 @@ class PlanConfig(Section):
 
     robot: RobotConfig = RobotConfig()
     workpiece: WorkpieceConfig = WorkpieceConfig()
-    start_rad: tuple[Number, ...] = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
+    start_rad: Start = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # or auto: chosen at the path's first point
+    home_rad: tuple[Number, ...] | None = Field(None, validate_default=True)  # where the motion begins; None: the start
     task: tuple[TaskRow, ...] = ()  # none: the TCP on the path
     margin_m: float = Field(5e-4, ge=0, le=1)  # least clearance with which a target counts
-    method: str = "nspace-sqp"
+    method: str = "roadmap"
     settings: Settings = Settings()
     ray: RayConfig = RayConfig()
+
+    @property
+    def start(self) -> tuple[float, ...] | None:
+        """The start that is given; None where it is to be chosen."""
+        return None if isinstance(self.start_rad, str) else self.start_rad
+
+    @property
+    def begins_rad(self) -> tuple[float, ...]:
+        """Where the motion begins: at home, or at the start where there is no home."""
+        return self.home_rad if self.home_rad is not None else self.start_rad
+
+    @property
+    def approach(self) -> tuple[int, int]:
+        """Steps to the inlet and from there to the path; none where the start is chosen on the path."""
+        part = self.workpiece
+        return (0, 0) if self.start is None else (part.approach_to_inlet, part.approach_to_path)
+
+    @property
+    def on_path(self) -> int:
+        """The first target that is a point of the path; the start's TCP and the approach come before it."""
+        return 1 + sum(self.approach)
+
+    @staticmethod
+    def with_new_names(values: dict, source: str) -> dict:
+        """The sections with what may stand beside them, too: `transfers`, which is a setting."""
+        settings = values.get("settings")
+        if "transfers" not in values or not isinstance(settings, dict | None):
+            return dict(values)
+        if "transfers" in (settings or {}):
+            raise InputError(f"{source}: transfers and settings.transfers are the same; leave out one")
+        rest = {key: value for key, value in values.items() if key != "transfers"}
+        return rest | {"settings": {**(settings or {}), "transfers": values["transfers"]}}
+
+    @field_validator("home_rad")
+    @classmethod
+    def _where_it_begins(cls, home: tuple[float, ...] | None, others: Any) -> tuple[float, ...] | None:
+        if home is None and others.data.get("start_rad") == AUTO:
+            raise InputError("start_rad is auto, so a home must be given, from which the motion begins")
+        return home
 
     @field_validator("method")
     @classmethod

@@ -26,9 +26,10 @@ def own_defaults(raw: dict, stated: Collection[str]) -> dict[str, Any]:
     """
     found = {key: value_at(_DEFAULTS, key) for key in DEPENDENT}
     if is_other(raw, "robot.model"):
-        start = value_at(raw, "start_rad")
+        known = (value_at(raw, key) for key in ("start_rad", "home_rad"))
+        joints = next((len(x) for x in known if isinstance(x, list | tuple)), 0)
         found["robot.limits"] = "model"
-        found["settings.q_weights"] = (1.0,) * len(start) if isinstance(start, list | tuple) else ()
+        found["settings.q_weights"] = (1.0,) * joints
     if is_other(raw, "workpiece.cloud"):
         origin = value_at(raw, "workpiece.neutral_translation_m")
         known = "workpiece.neutral_translation_m" in stated and _is_point(origin)
@@ -86,5 +87,5 @@ def _no_start(robot: dict, source: str) -> str:
     joints = read_robot_file(Path(robot["model"]), site, "model", np.eye(4), None).facts["joint_names"]
     return (
         f"{source}: robot.model is {Path(robot['model']).name}, so start_rad must be given: "
-        f"{len(joints)} joint positions ({', '.join(joints)})"
+        f"{len(joints)} joint positions ({', '.join(joints)}), or auto beside as many of home_rad"
     )

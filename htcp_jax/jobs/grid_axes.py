@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import DEPENDENT, SOURCES, PlanConfig, WorkpieceConfig
+from htcp_jax.jobs.config import AUTO, DEPENDENT, SOURCES, PlanConfig, WorkpieceConfig
 from htcp_jax.jobs.config_file import FILES
 from htcp_jax.settings import Settings
 
@@ -129,6 +129,8 @@ def put(raw: dict, column: Column, value: Any) -> None:
     old = owner[key]
     if old is None and column.relative:
         raise InputError(f"{parameter.name} is not given, so nothing can be added to it")
+    if old == AUTO and (column.relative or parameter.element is not None):
+        raise InputError(f"{parameter.name}: {parameter.key} is {AUTO}, which has no joint positions to vary")
     if parameter.element is None:
         owner[key] = _added(parameter, old, value) if column.relative else value
         return

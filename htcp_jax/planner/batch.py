@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from htcp_jax.clearance.obstacle import Obstacles
 from htcp_jax.clearance.obstacles import clearances
@@ -38,7 +39,7 @@ def plan(
     robot: Robot,
     workpiece: Workpiece,
     scenarios: Scenario | Sequence[Scenario],
-    method: str = "nspace-sqp",
+    method: str = "roadmap",
     settings: Settings | Mapping[str, Any] | None = None,
     *,
     progress: Callable[[Progress], None] | None = None,
@@ -65,11 +66,15 @@ def plan(
         weights = getattr(settings, name)
         if weights is not None and len(weights) != joints:
             raise InputError(f"{name} has {len(weights)} values, the robot {robot.name} has {joints} joints")
+    if settings.qp.startswith("qpsolvers:"):  # one that is not installed is refused, whether the method asks it or not
+        from htcp_jax.solvers.qpsolvers_ import QPSolversSolver
+
+        QPSolversSolver(settings.qp.partition(":")[2])
     if not isinstance(scenarios, Scenario):
         scenarios = stack(scenarios)
     elif scenarios.x_start.ndim == 1:
         scenarios = stack([scenarios])
-    scenarios = jax.tree.map(np.asarray, scenarios)
+    scenarios = jax.tree.map(np.array, scenarios)  # a copy: starts may be chosen, and approaches leave their lines
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
     _check_task(task, robot, scenarios)
     devices = choose(device)
@@ -86,13 +91,17 @@ def plan(
         check_paths,
         _counter(scenarios, progress),
     )
+    # Here, as methods are found: whoever asks for plans imports no kernels before one is looked up.
+    from htcp_jax.planner.home import begin_at_home, leave_home
+    from htcp_jax.planner.lane_checks import check_remaining_paths
+    from htcp_jax.planner.motion_check import judge_motions
+
+    ways = leave_home(problem)
     plans = _of_these(chosen.plan(problem), problem, method)
     if check_paths:
-        # Here, as methods are found: whoever asks for plans imports no kernels before one is looked up.
-        from htcp_jax.planner.lane_checks import check_remaining_paths
-        from htcp_jax.planner.motion_check import judge_motions
-
         check_remaining_paths(problem, plans)
+    plans = begin_at_home(problem, plans, ways)
+    if check_paths:
         judge_motions(problem, plans)
         if getattr(chosen, "smooth", False) if settings.smooth is None else settings.smooth:
             from htcp_jax.planner.smoothing import smooth
@@ -104,19 +113,26 @@ def plan(
     return plans._replace(compile_s=compile_s, run_s=spent - compile_s)
 
 
-def start_clearance(robot: Robot, workpiece: Workpiece, scenario: Scenario) -> tuple[float, str]:
-    """D at the scenario's start [m] and the name of the body it belongs to."""
+def start_clearance(
+    robot: Robot, workpiece: Workpiece, scenario: Scenario, x: Float[np.ndarray, "N"] | None = None
+) -> tuple[float, str]:
+    """D at the scenario's start, or at another x [m], and the name of the body it belongs to."""
     scenario = jax.tree.map(jnp.asarray, scenario)
+    x = scenario.x_start if x is None else jnp.asarray(x)
     scene = own_scene(Scene(robot, make_obstacle(workpiece)), scenario.tool_extension_m)
-    D = np.asarray(jax.jit(clearances)(scene.robot, scene.obstacles, scenario, scenario.x_start))
+    D = np.asarray(jax.jit(clearances)(scene.robot, scene.obstacles, scenario, x))
     return float(D.min()), robot.capsule_names[int(D.argmin())]
 
 
 def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario) -> None:
-    """Raise InputError when the start is in collision, naming the body and the depth."""
-    D, body = start_clearance(robot, workpiece, scenario)
-    if D <= 0:
-        raise InputError(f"start is in collision: {body} is {-1e3 * D:.3f} mm inside the workpiece")
+    """Raise InputError when the home or the start is in collision, naming the body and the depth."""
+    postures = {"start": scenario.x_start}
+    if scenario.auto_start or (scenario.x_home != scenario.x_start).any():
+        postures = {"home": scenario.x_home} | ({} if scenario.auto_start else postures)
+    for what, x in postures.items():
+        D, body = start_clearance(robot, workpiece, scenario, x)
+        if D <= 0:
+            raise InputError(f"{what} is in collision: {body} is {-1e3 * D:.3f} mm inside the workpiece")
 
 
 def _check_task(task: Task, robot: Robot, scenarios: Scenario) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
 from htcp_jax.planner.plans import Plans
-from htcp_jax.status import Kind
+from htcp_jax.status import Kind, Status
 
 ONE_POINT_M = 1e-5  # targets closer to each other are one point of the path
 OnPath = int | Int[np.ndarray, "S"]  # the first target that is a point of the path, see `Scenario`
@@ -53,7 +53,7 @@ def motion(plans: Plans, scenario: int, on_path: int, *, retract: bool = False) 
     """The motion of one scenario, up to its last executable target.
 
     scenario: its row in `plans`; on_path: the first target that is a point of the path, `Scenario.on_path`. retract:
-    whether it leads back to the start, too, through the same postures: what is clear one way is clear the other.
+    whether it leads back to where it began, too, through the same postures: what is clear one way is clear the other.
     """
     there = motions(plans.rows([scenario]), on_path).of(0)
     if not retract:
@@ -76,16 +76,22 @@ def motions(plans: Plans, on_path: OnPath, rows: Bool[np.ndarray, "S T"] | None 
     order = np.lexsort((place, target, scenario))
     scenario, target, place = scenario[order], target[order], place[order]
     kind = _kinds(target, place, np.broadcast_to(on_path, len(rows))[scenario])
+    kind[transfers(plans)[scenario] & (target == 0)] = Kind.TRANSFER
     return Motions(scenario, x[order], target - (kind == Kind.DWELL), kind)
 
 
 def _kinds(target: np.ndarray, place: np.ndarray, on_path: np.ndarray) -> Int8[np.ndarray, "n"]:
-    """What the arm does on its way to postures that lead to targets; a start is the transfer's if there is one."""
-    knot = place == 1
-    kind = np.where(target > on_path, np.where(knot, Kind.DWELL, Kind.FEED), Kind.APPROACH)
-    kind[knot & (target == 0)] = Kind.TRANSFER
-    kind[(place == 0) & np.append(kind[1:] == Kind.TRANSFER, False)] = Kind.TRANSFER
+    """What the arm does on its way to postures that lead to targets, where there is no transfer."""
+    kind = np.where(target > on_path, np.where(place == 1, Kind.DWELL, Kind.FEED), Kind.APPROACH)
     return kind.astype(np.int8)
+
+
+def transfers(plans: Plans) -> Bool[np.ndarray, "S"]:
+    """Whether the arm goes to another posture before it sets out: where the way to the first target passes knots, or
+    that target was tracked after an escape, as it is where a plan begins in another posture than the start."""
+    found = (plans.status[:, :1] == Status.TRACKED_AFTER_ESCAPE).any(axis=1)
+    found[plans.knots.scenario[plans.knots.target == 0]] = True
+    return found
 
 
 class MotionFigures(NamedTuple):

@@ -70,8 +70,7 @@ def _cones(
 
 def judge_motions(problem: Problem, plans: Plans) -> None:
     """Fill in `way` and `way_clearance`, of every scenario up to where its motion ends."""
-    starts = problem.scenarios.x_start
-    elsewhere = plans.tracked[:, 0] & np.any(plans.start != starts, axis=1)
+    elsewhere = plans.tracked[:, 0] & np.any(plans.start != problem.scenarios.x_home, axis=1)
     plans.way[elsewhere, 0] = Way.ELSEWHERE
     going = np.flatnonzero(plans.tracked[:, 0] & ~elsewhere)
     for first in range(0, plans.status.shape[1], ROWS_AT_ONCE):

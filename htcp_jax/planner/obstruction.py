@@ -26,9 +26,9 @@ from htcp_jax.scene.scenario import Scenario, stack
 from htcp_jax.scene.task import Task
 from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.settings import Settings
-from htcp_jax.status import Status
+from htcp_jax.status import AT_HOME, Status
 
-NO_BODY = Status.NOT_ATTEMPTED, Status.OUT_OF_REACH, Status.TIP_BLOCKED  # ends that no body is to blame for
+NO_BODY = Status.NOT_ATTEMPTED, Status.OUT_OF_REACH, Status.TIP_BLOCKED, *AT_HOME  # ends that no body is to blame for
 
 
 class Obstruction(NamedTuple):

@@ -40,8 +40,8 @@ class Outcome(NamedTuple):
 
     @property
     def can_be_driven(self) -> bool:
-        """Whether it is complete, by joint paths none of which is known to collide."""
-        return self.complete and not self.blocked_paths
+        """Whether a proven motion leads to its last target."""
+        return 0 < self.targets == self.executable
 
 
 class Outcomes(NamedTuple):

@@ -2,6 +2,8 @@
 
 import threading
 import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax
@@ -18,15 +20,14 @@ class Programs:
 
     def __init__(self):
         self._compiled: dict[tuple, jax.stages.Compiled] = {}
-        self._compiling = threading.Lock()
+        self._compiling: dict[tuple, threading.Lock] = {}  # of each program: others may be compiled meanwhile
 
     def __len__(self) -> int:
         return len(self._compiled)
 
     def clear(self) -> None:
         """Forget them all, and give their memory back."""
-        with self._compiling:
-            self._compiled.clear()
+        self._compiled.clear()
 
     def get(
         self, kernel: Kernel, settings: Settings, device: jax.Device, arguments: tuple
@@ -35,7 +36,7 @@ class Programs:
         leaves, structure = jax.tree.flatten(arguments)
         shapes = tuple((x.shape, x.dtype) for x in leaves)
         key = (kernel, kernel.values(settings), device, structure, shapes)
-        with self._compiling:
+        with self._compiling.setdefault(key, threading.Lock()):
             if key in self._compiled:
                 return self._compiled[key], 0.0
             began = time.perf_counter()
@@ -101,6 +102,15 @@ class Kernels:
             for start in range(0, lanes, most)
         ]
         return parts[0] if len(parts) == 1 else jax.tree.map(lambda *p: np.concatenate(p), *parts)
+
+    def prepare(self, calls: Sequence[tuple]) -> None:
+        """Compile side by side what would be compiled one after the other. calls: (kernel, tables) as they will be
+        made, with any numbers; what comes of them is forgotten."""
+        began, before = time.perf_counter(), self.compile_s
+        with ThreadPoolExecutor(len(calls)) as pool:
+            list(pool.map(lambda call: self(*call), calls))
+        if self.compile_s > before:
+            self.compile_s = before + time.perf_counter() - began
 
     def _run(self, kernel: Kernel, tables):
         lanes = len(jax.tree.leaves(tables)[0])

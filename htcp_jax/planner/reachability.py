@@ -1,14 +1,18 @@
 """What was reachable at all: per scenario, how many targets in a row have any clear configuration.
 
-A planner walks a continuous path; this looks at every target by itself. At each target in turn the last clear
-configuration is carried over, re-anchored and pushed clear in the null space; where that fails, configurations are
-drawn uniformly within the joint limits, brought onto the target, and the clearest of them pushed clear. The first
-target at which all draws fail ends the prefix. A clear configuration that is found proves that one exists; one that is
-not found proves nothing: the prefix is a lower bound on what is reachable, and says with how many draws. A planner that
-gets further found what the draws missed, and is flagged.
+A planner walks a continuous path; this looks at every target by itself. A few postures of the last target, far apart,
+are carried over, re-anchored and pushed clear in the null space; where none of them gets through, the target is
+searched at a stated resolution of the null space (`posture_search`). The first target at which nothing is found ends
+the prefix.
+
+A clear configuration that is found proves that one exists: the prefix is a lower bound on what is reachable. One that
+is not found proves nothing by itself. But at a target at which the tool, or the arm behind it, collides for sure in
+every posture (`tool_cells.excluded`) there is none, and whatever follows the path ends before it: an upper bound.
+Between the two lies what is not known.
 """
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
@@ -17,25 +21,35 @@ import numpy as np
 from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.clearance.tip_guard import make_tip_guard
-from htcp_jax.planner.lane_inputs import lane_inputs
-from htcp_jax.planner.null_space import DRAWS, Anchored
+from htcp_jax.planner.devices import default_threads
+from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
+from htcp_jax.planner.lanes import concatenate, gather
+from htcp_jax.planner.null_space import Anchored
+from htcp_jax.planner.posture_search import APART_RAD, PUSHED, known_postures, search
 from htcp_jax.planner.programs import Kernels
-from htcp_jax.planner.stages import DRAW, PUSH
-from htcp_jax.planner.tip_check import tip_checks
+from htcp_jax.planner.stages import PUSH
+from htcp_jax.planner.tip_check import TipCheck, tip_checks
+from htcp_jax.planner.tool_cells import excluded
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import Scenario
 from htcp_jax.scene.task import Task
 from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.settings import Settings
 
+CARRIED = 6  # postures carried from a target to the next
+RESOLUTION_RAD = 0.11
+PROOF_CELLS = 2048
+COARSE_FIRST = (4, 1)  # resolutions that a target is searched at, in turn, as multiples of the one asked for
+
 
 class Reachability(NamedTuple):
     """Result for S scenarios of T targets."""
 
     prefix: np.ndarray  # (S,) targets in a row, from the first, with a clear configuration
+    most: np.ndarray  # (S,) targets in a row before one that is proven to have none
     best: np.ndarray  # (S,) best clearance found at the first target without one [m]; NaN where all have one
     x: np.ndarray  # (S, T, N) the configurations found, NaN beyond the prefix
-    draws: int  # at the first target without one
+    resolution_rad: np.ndarray  # (S,) of the search there; 0 where all are found, or the tool alone collides
 
 
 def reachable_prefixes(
@@ -45,51 +59,111 @@ def reachable_prefixes(
     settings: Settings | None = None,
     *,
     task: Task | None = None,
-    draws: int = 2048,
+    resolution_rad: float = RESOLUTION_RAD,
+    proof_cells: int = PROOF_CELLS,
     progress: Callable[[int, int], None] | None = None,
 ) -> Reachability:
-    """Prefixes of the stacked scenarios. draws: at a target where carrying over fails, in rounds of `DRAWS`; from the
-    settings count alpha_rad, tolerance_m and the seed. task: what the arm holds; None: the TCP's position.
+    """Prefixes of the stacked scenarios. resolution_rad: of the tool's orientations, at a target where carrying over
+    fails; proof_cells: see `tool_cells.excluded`, 0 for no proofs; from the settings count alpha_rad, tolerance_m and
+    the seed. task: what the arm holds; None: the TCP's position. Threads, one a core, share the scenarios.
     progress(target, targets) is called after each target."""
-    settings = settings or Settings()
+    settings, scenarios = settings or Settings(), jax.tree.map(np.asarray, scenarios)
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
     scene = Scene(robot, make_obstacle(workpiece), task)
     kernels = Kernels(scene, settings)
     [tip] = tip_checks([kernels], make_tip_guard(workpiece))
+    known = known_postures(robot, scenarios.tool_extension_m)
+    threads = default_threads([kernels.device], settings.qp)
 
-    def good_at(row: int, rows: np.ndarray, here: Anchored) -> np.ndarray:
-        good = kernels.task.counts(here.clearance, here.residual, scenarios.margin_m[rows])
-        if tip is not None and good.any():
-            good[good] = ~tip.at(lane_inputs(scenarios, rows[good], np.full(good.sum(), row)), here.x[good])
-        return good
+    def work(number: int) -> Reachability:
+        own = gather(scenarios, slice(number, None, threads))
+        told = progress if number == 0 else None
+        found = _prefixes(kernels, tip, known, own, settings.seed, resolution_rad, told)
+        return found._replace(most=_most(kernels, robot, own, found, proof_cells))
 
-    scenarios = jax.tree.map(np.asarray, scenarios)
+    with ThreadPoolExecutor(threads) as pool:
+        parts = concatenate(list(pool.map(work, range(threads))))
+    order = np.concatenate([np.arange(len(scenarios.count))[number::threads] for number in range(threads)])
+    return gather(parts, np.argsort(order))
+
+
+def _prefixes(kernels, tip, known, scenarios: Scenario, seed: int, resolution_rad: float, progress) -> Reachability:
+    """What the search finds; `most` is not known yet."""
     count, rows = scenarios.targets.shape[:2]
-    prefix, best = np.zeros(count, int), np.full(count, np.nan)
-    found = np.full((count, rows, scenarios.x_start.shape[1]), np.nan)
-    x = scenarios.x_start.copy()
+    found = Reachability(
+        np.zeros(count, int), scenarios.count, np.full(count, np.nan),
+        np.full((count, rows, scenarios.x_start.shape[1]), np.nan), np.zeros(count),
+    )  # fmt: skip
+    front = [x[None] for x in scenarios.x_start]
     alive = np.arange(count)
     for row in range(rows):
         alive = alive[scenarios.count[alive] > row]
         if not len(alive):
             break
-        here = kernels(PUSH, lane_inputs(scenarios, alive, np.full(len(alive), row)), x[alive])
-        x[alive], good = here.x, good_at(row, alive, here)
-        for round_ in range(-(-draws // DRAWS)):
-            lost = alive[~good]
-            if not len(lost):
+        inputs = lane_inputs(scenarios, alive, np.full(len(alive), row), seed=seed)
+        clear = _carried(kernels, tip, inputs, [front[s] for s in alive])
+        for coarser in COARSE_FIRST:
+            which = np.flatnonzero([not len(own) for own in clear])
+            if not len(which):
                 break
-            here = kernels(
-                DRAW, lane_inputs(scenarios, lost, np.full(len(lost), row), seed=settings.seed, round_=round_)
-            )
-            here = jax.tree.map(lambda leaf: leaf[:, 0], here)
-            x[lost] = here.x
-            best[lost] = np.fmax(best[lost], np.where(kernels.task.reached(here.residual), here.clearance, -np.inf))
-            good[~good] = good_at(row, lost, here)
-        best[alive[good]] = np.nan
-        alive = alive[good]
-        found[alive, row] = x[alive]
-        prefix[alive] += 1
+            here = search(kernels, known, gather(inputs, which), coarser * resolution_rad)
+            for k, own in zip(which, _searched(kernels, tip, gather(inputs, which), here), strict=True):
+                clear[k] = own
+            found.best[alive[which]] = here.clearance[:, 0]
+            found.resolution_rad[alive[which]] = here.resolution_rad
+        for s, own in zip(alive, clear, strict=True):
+            if len(own):
+                front[s], found.x[s, row], found.best[s], found.resolution_rad[s] = own, own[0], np.nan, 0.0
+                found.prefix[s] += 1
+        alive = alive[[len(own) > 0 for own in clear]]
         if progress is not None:
             progress(row + 1, rows)
-    return Reachability(prefix, best, found, draws)
+    return found
+
+
+def _most(kernels: Kernels, robot: Robot, scenarios: Scenario, found: Reachability, cells: int) -> np.ndarray:
+    """(S,) targets before one that is proven out of reach. By bisection between the last one that was found and the end
+    of the path: a target further on is excluded more easily, as a rule, and where it is not the bound is higher."""
+    short, no_cell = found.prefix < scenarios.count, found.resolution_rad == 0
+    low, high = found.prefix - 1, np.where(short & no_cell, found.prefix, scenarios.count)
+    while cells and (open_ := np.flatnonzero(short & (high - low > 1))).size:
+        middle = (low + high)[open_] // 2
+        none = excluded(kernels, robot, lane_inputs(scenarios, open_, middle), cells)
+        high[open_[none]], low[open_[~none]] = middle[none], middle[~none]
+    return high
+
+
+def _carried(kernels: Kernels, tip: TipCheck | None, inputs: LaneInputs, front: list[np.ndarray]) -> list[np.ndarray]:
+    """Of each target's front the postures that are clear at the next, far apart, clearest first."""
+    lane = np.repeat(np.arange(len(front)), [len(own) for own in front])
+    here = kernels(PUSH, gather(inputs, lane), np.concatenate(front))
+    return _clear(kernels, tip, gather(inputs, lane), lane, len(front), here)
+
+
+def _searched(kernels: Kernels, tip: TipCheck | None, inputs: LaneInputs, here) -> list[np.ndarray]:
+    """The same of what a search found."""
+    lane = np.repeat(np.arange(len(here.x)), PUSHED)
+    residual = np.where(here.clearance > -np.inf, 0.0, np.inf).ravel()  # others are not among them
+    at = Anchored(here.x.reshape(len(lane), -1), here.clearance.ravel(), residual)
+    return _clear(kernels, tip, gather(inputs, lane), lane, len(here.x), at)
+
+
+def _clear(
+    kernels: Kernels, tip: TipCheck | None, inputs: LaneInputs, lane: np.ndarray, lanes: int, here: Anchored
+) -> list[np.ndarray]:
+    good = kernels.task.counts(here.clearance, here.residual, inputs.margin_m)
+    if tip is not None and good.any():
+        good[good] = ~tip.at(gather(inputs, good), here.x[good])
+    return [_dispersed(here.x[own], here.clearance[own]) for own in (good & (lane == k) for k in range(lanes))]
+
+
+def _dispersed(x: np.ndarray, clearance: np.ndarray) -> np.ndarray:
+    """CARRIED of the postures at most: the clearest, then always the one farthest from those chosen."""
+    if not len(x):
+        return x
+    kept = [int(np.argmax(clearance))]
+    away = np.linalg.norm(x - x[kept[0]], axis=1)
+    while len(kept) < CARRIED and away.max() >= APART_RAD:
+        kept.append(int(np.argmax(away)))
+        away = np.minimum(away, np.linalg.norm(x - x[kept[-1]], axis=1))
+    return x[kept]

@@ -3,6 +3,7 @@
     feed     every posture of the front to the next target; it arrives where its joint path is a proven motion
     spread   where few arrive, by walks in the null space of the target, every step of them proven
     go on    with those that are far apart; where nothing arrives, spread the front itself and feed what is new
+    approach where no straight line leads to the path: once more from postures at its first point, joined in free space
     transfer where all that is exhausted, and it is allowed: once more from other postures at the first target
 
 A local optimiser carries one posture along and is lost in the first dead end; the front holds many, on both sides of
@@ -22,7 +23,7 @@ import numpy as np
 
 from htcp_jax.clearance.motion_proof import Tube
 from htcp_jax.planner.front import Node, best_first, dispersed
-from htcp_jax.planner.kernels import ADVANCE, PROVE
+from htcp_jax.planner.kernels import ADVANCE, PROVE, SETTLE
 from htcp_jax.planner.knots import Knots
 from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.planner.lanes import gather
@@ -36,7 +37,8 @@ from htcp_jax.planner.transfers import joined, other_postures
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status, Way
 
-MOST_TRANSFERS = 2  # searches from other postures, each from others
+MOST_TRANSFERS = 3  # searches from other postures, each from others
+TRANSFERRED = 1  # the escape of a first target that is reached by a transfer
 IN_FLIGHT = 4  # scenarios are planned together, a quarter as many as a table has lanes
 
 
@@ -54,6 +56,8 @@ class Roadmap:
         plans = problem.empty_plans()
         kernels = problem.kernels  # made here, before there are threads
         tips = tip_checks(kernels, problem.tip_guard)
+        for each in kernels if len(problem.to_plan) else ():
+            each.prepare(_calls(problem))
 
         def work(number: int) -> list[tuple[int, int, np.ndarray]]:
             own = number % len(kernels)
@@ -63,6 +67,18 @@ class Roadmap:
         with ThreadPoolExecutor(problem.threads) as pool:
             ways = [way for part in pool.map(work, range(problem.threads)) for way in part]
         return plans._replace(knots=Knots.of(ways, plans.x.shape[2]))
+
+
+def _calls(problem: Problem) -> list[tuple]:
+    """One of each kernel that will be called, see `Kernels.prepare`."""
+    one, zero = problem.to_plan[:1], np.zeros(1, int)
+    x, turns = problem.scenarios.x_start[one], np.zeros(1, bool)
+    inputs = lane_inputs(problem.scenarios, one, zero)
+    tube = tubes(problem.scenarios, problem.task, problem.settings.tube_m, one, zero, turns)
+    calls = [(FEED, inputs, x), (PROVE, inputs, x, x, tube, np.zeros(1))]
+    if problem.kernels[0].freedom:
+        calls.append((WALK, inputs, x, zero.astype(np.int32)))
+    return calls if problem.settings.smooth is False else [*calls, (ADVANCE, inputs, x, x), (SETTLE, inputs, x)]
 
 
 @dataclass(eq=False)
@@ -91,6 +107,17 @@ class Search:
     def chain(self) -> "list[Search]":
         """Itself and those before it."""
         return [self, *(self.earlier.chain if self.earlier is not None else [])]
+
+    @property
+    def approached(self) -> bool:
+        """Whether it begins at the path's first point, and not at the first target."""
+        return self.earlier is not None and self.front[0].root.target > 0
+
+    @property
+    def row_0(self) -> Node:
+        """The posture at the first target, from the start, of the best that the first search has come to."""
+        best = best_first(self.chain[-1].front)[0]
+        return next(node for node in best.ancestors() if node.target == 0 and node.walked is None)
 
     @property
     def done(self) -> bool:
@@ -168,11 +195,16 @@ class Growing:
         return Search(s, count, on_path, self._problem.settings, can_walk, [start], [start])
 
     def _elsewhere(self, search: Search) -> Search | None:
-        """Where the start's own part is exhausted: a search from other postures at the first target, if it may be."""
+        """Where the start's own part is exhausted: a search from other postures, at the path's first point where
+        nothing comes to the path, else at the first target, if it may be."""
         s, settings, searches = search.scenario, self._problem.settings, len(search.chain)
-        if search.status is None or not settings.transfers or searches > MOST_TRANSFERS:
+        first = search.chain[-1]
+        off_path = 0 <= first.target < search.on_path
+        may = off_path or settings.transfers or self._problem.scenarios.auto_start[s]
+        if search.status is None or not may or searches > MOST_TRANSFERS:
             return None
-        others = other_postures(self._problem, self._kernels, self._tip, s, searches - 1)
+        target = search.on_path if off_path else 0
+        others = other_postures(self._problem, self._kernels, self._tip, s, searches - 1, target)
         if not others:
             return None
         more = Search(s, search.targets, search.on_path, settings, search.can_walk, others, others)
@@ -186,7 +218,8 @@ class Growing:
             leaves = best_first(each.front)
             if each.earlier is None:
                 return each, leaves[0], None
-            if (found := joined(self._problem, self._kernels, self._tip, each.scenario, leaves)) is not None:
+            start = each.row_0.x if each.approached else self._problem.scenarios.x_start[each.scenario]
+            if (found := joined(self._problem, self._kernels, self._tip, each.scenario, start, leaves)) is not None:
                 return each, *found
         raise AssertionError("the first search begins at the start, and needs no transfer")
 
@@ -279,15 +312,37 @@ class Growing:
                 if knots:
                     ways.append((s, later.target, np.concatenate(knots)))
             knots = []
-            if (t := node.target) >= 0:
-                plans.x[s, t], plans.tcp[s, t] = node.x, node.tcp
-                plans.clearance[s, t], plans.residual[s, t] = node.clearance, node.residual
-                plans.status[s, t], plans.iterations[s, t] = Status.TRACKED, node.step_qps
-                plans.path_clear[s, t] = 1
+            if node.target >= 0:
+                self._write(s, node.target, node)
                 later = node
         if transfer is not None:
-            plans.joint_step[s, 0] = np.linalg.norm(leaf.root.x - plans.start[s])
-            ways.append((s, 0, transfer))
+            ways.append((s, self._joined(search, leaf.root), transfer))
         if search.status is not None:
             plans.status[s, search.target + 1] = search.status
         return ways
+
+    def _write(self, s: int, t: int, node: Node) -> None:
+        """One row. A node that is written to several stays where it is."""
+        plans = self._plans
+        plans.x[s, t], plans.tcp[s, t] = node.x, node.tcp
+        plans.clearance[s, t], plans.residual[s, t] = node.clearance, node.residual
+        plans.status[s, t], plans.iterations[s, t] = Status.TRACKED, node.step_qps
+        plans.path_clear[s, t] = 1
+
+    def _joined(self, search: Search, root: Node) -> int:
+        """Write down how the arm gets to the posture in which a search begins; returns the target to which that leads.
+        An approach leaves its lines: all of its targets but the first are the path's first point."""
+        s, plans, on_path = search.scenario, self._plans, search.on_path
+        if not search.approached:
+            plans.joint_step[s, 0] = np.linalg.norm(root.x - plans.start[s])
+            plans.status[s, 0], plans.escape[s, 0] = Status.TRACKED_AFTER_ESCAPE, TRANSFERRED
+            return 0
+        for table in (self._problem.scenarios.targets, self._problem.scenarios.aims):
+            table[s, 1:on_path] = table[s, on_path]
+        for t in range(1, on_path):
+            self._write(s, t, root)
+        self._write(s, 0, search.row_0)
+        plans.joint_step[s, 0] = np.linalg.norm(search.row_0.x - plans.start[s])
+        plans.joint_step[s, 1] = np.linalg.norm(root.x - search.row_0.x)
+        plans.joint_step[s, 2 : on_path + 1] = 0.0
+        return 1

@@ -52,7 +52,8 @@ class Path:
 
     @classmethod
     def of(cls, problem: Problem, plans: Plans, s: int) -> "Path":
-        """As far as the scenario is executable; its last posture stays where tracked targets follow."""
+        """As far as the scenario is executable; its last posture stays where tracked targets follow, and a start that
+        was given does between home and the first target."""
         executable = np.flatnonzero(plans.executable[s]).tolist()
         ways = [(t, [*plans.knots.on_the_way(s, t), plans.x[s, t]]) for t in executable]
         x = np.array([plans.start[s], *(posture for _, way in ways for posture in way)])
@@ -61,12 +62,18 @@ class Path:
         radius = np.full(len(target), TRUST)
         if len(ways) < plans.tracked[s].sum():
             radius[-1] = 0.0
+        radius[(target == 0) & on_way & _is_given_start(problem, s, x[1:])] = 0.0
         return cls(s, x, target, on_way, int(problem.scenarios.on_path[s]), radius)
 
     @property
     def held(self) -> Bool[np.ndarray, "P"]:
         """Which postures hold the task; on the way to the path none need to but those at targets."""
         return ~self.on_way | (self.target > self.on_path)
+
+    @property
+    def may_drop(self) -> Bool[np.ndarray, "P"]:
+        """Which postures may be left out: those on ways on which none stays."""
+        return self.on_way & ~np.isin(self.target, self.target[self.on_way & (self.radius == 0)])
 
     @property
     def row(self) -> Int[np.ndarray, "P"]:
@@ -131,7 +138,7 @@ class Smoothing:
 
     def _drop(self, paths: list[Path]) -> None:
         """Leave out postures on the way where the straight way is a motion."""
-        ways = [(path, target) for path in paths for target in np.unique(path.target[path.on_way])]
+        ways = [(path, target) for path in paths for target in np.unique(path.target[path.may_drop])]
         if not ways:
             return
         own = [np.flatnonzero(path.target == target) for path, target in ways]
@@ -244,6 +251,11 @@ class Smoothing:
     def _inputs(self, paths: list[Path]) -> LaneInputs:
         scenario = np.repeat([path.scenario for path in paths], [len(path.target) for path in paths])
         return lane_inputs(self._problem.scenarios, scenario, np.concatenate([path.row for path in paths]))
+
+
+def _is_given_start(problem: Problem, s: int, x: Float[np.ndarray, "P N"]) -> Bool[np.ndarray, "P"]:
+    scenarios = problem.scenarios
+    return (x == scenarios.x_start[s]).all(axis=1) & ~scenarios.auto_start[s]
 
 
 def _split(table: np.ndarray, paths: list[Path]) -> list[np.ndarray]:

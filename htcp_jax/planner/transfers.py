@@ -1,7 +1,8 @@
-"""Transfers: from the start to other postures at the first target, which lead further.
+"""Transfers and approaches: from the start to other postures at the first target, or at the path's first point.
 
-A start may be in a part of the space of postures from which no motion along the path gets through, or not to the end.
-Before the path the tool is free, so the arm may change its posture there by any joint path that is proven clear.
+A start may be in a part of the space of postures from which no motion along the path gets through, or not to the end;
+and the straight lines to the path may lead through a wall. Before the path the tool is free, so the arm may go to
+another posture there by any joint path that is proven clear.
 """
 
 import numpy as np
@@ -19,28 +20,33 @@ STREAM = 1_000_000  # of random numbers; those before it are of `joint_search`
 MOST_ROOTS = 16  # that are tried to be joined
 
 
-def other_postures(problem: Problem, kernels: Kernels, tip: TipCheck | None, s: int, round_: int) -> list[Node]:
-    """Postures of scenario s at its first target that count, drawn uniformly within the joint limits and far apart,
-    others in every round; how the arm gets there is not asked."""
+def other_postures(
+    problem: Problem, kernels: Kernels, tip: TipCheck | None, s: int, round_: int, target: int = 0
+) -> list[Node]:
+    """Postures of scenario s at a target that count, drawn uniformly within the joint limits and far apart, others in
+    every round; how the arm gets there is not asked. Of turns that are the same posture, those next to home."""
     scenarios, settings = problem.scenarios, problem.settings
     rng = np.random.default_rng([settings.seed, int(scenarios.number[s]), STREAM + round_])
     lower, upper = kernels.limits
-    inputs = lane_inputs(scenarios, np.full(DRAWS, s), np.zeros(DRAWS, int))
-    x = kernels(SETTLE, inputs, rng.uniform(lower, upper, (DRAWS, len(lower))))
+    inputs = lane_inputs(scenarios, np.full(DRAWS, s), np.full(DRAWS, target))
+    drawn = rng.uniform(lower, upper, (DRAWS, len(lower)))
+    turns = np.where(problem.robot.slides, 0.0, np.rint((drawn - scenarios.x_home[s]) / (2 * np.pi)))
+    turned = drawn - 2 * np.pi * turns
+    x = kernels(SETTLE, inputs, np.where((turned >= lower) & (turned <= upper), turned, drawn))
     here = kernels(ADVANCE, inputs, x, np.zeros_like(x))
     good = problem.task.counts(here.clearance, here.residual, scenarios.margin_m[s])
     good = out_of_walls(tip, inputs, x, good)
-    nodes = [Node(x[k], here.clearance[k], here.residual[k], here.tcp[k], 0) for k in np.flatnonzero(good)]
+    nodes = [Node(x[k], here.clearance[k], here.residual[k], here.tcp[k], target) for k in np.flatnonzero(good)]
     return dispersed(nodes, settings.front, settings.front_apart_rad)
 
 
 def joined(
-    problem: Problem, kernels: Kernels, tip: TipCheck | None, s: int, leaves: list[Node]
+    problem: Problem, kernels: Kernels, tip: TipCheck | None, s: int, start: np.ndarray, leaves: list[Node]
 ) -> tuple[Node, np.ndarray] | None:
-    """The first of the leaves whose root can be reached from the start of scenario s, and the knots on the way there;
-    None where none can."""
+    """The first of the leaves whose root can be reached from a posture of scenario s, `start`, and the knots on the way
+    there; None where none can."""
     roots = list(dict.fromkeys(leaf.root for leaf in leaves))[:MOST_ROOTS]
-    start, scenario = problem.scenarios.x_start[s], np.full(len(roots), s)
+    scenario = np.full(len(roots), s)
     to, pair = np.stack([root.x for root in roots]), np.arange(len(roots))
     ways = join(kernels, tip, problem.scenarios, scenario, pair, np.broadcast_to(start, to.shape), to, problem.settings)
     known = dict(zip(roots, ways, strict=True))

@@ -246,12 +246,14 @@ def _unchecked(part: Part) -> str:
 def _reachability(part: Part, table: Table) -> list[Block]:
     if part.reachability is None:
         return []
-    what = "Reachable are the targets in a row for which sampling found any clear configuration: a lower bound."
+    what = "Reachable are the targets in a row for which a search found any clear configuration: a lower bound."
+    if part.not_excluded is not None:
+        what += " Not excluded are those that are not proven to have none: an upper bound."
     return [table, " ".join([what, *_beaten(part)])]
 
 
 def _beaten(part: Part) -> list[str]:
-    """Scenarios in which a planner got further than sampling."""
+    """Scenarios in which a planner got further than the search."""
     beaten = []
     for method, plans in part.plans.items():
         further = part.numbers[plans.outcomes.tracked > part.reachability]
@@ -259,7 +261,7 @@ def _beaten(part: Part) -> list[str]:
             beaten.append(
                 f"{method} in {further.size} ({', '.join(map(str, further[:8]))}{', ...' * (further.size > 8)})"
             )
-    return [f"Got further than sampling: {'; '.join(beaten)}."] if beaten else []
+    return [f"Got further than the search: {'; '.join(beaten)}."] if beaten else []
 
 
 def _or_nan(plans: Plans, count: np.ndarray) -> np.ndarray:

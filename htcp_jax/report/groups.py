@@ -45,6 +45,7 @@ class Part:
     plans: dict[str, Plans]  # by method that has begun; the status is -1 where it has not planned a scenario yet
     motions: dict[str, MotionFigures]  # by method; NaN where they are not known
     reachability: np.ndarray | None  # (S,) targets in a row that are known to be reachable
+    not_excluded: np.ndarray | None  # (S,) that are not proven unreachable
     step_s: dict[str, float]  # run time by attempted targets, over the whole run
     joints: tuple[str, ...]
     run: Run
@@ -129,6 +130,9 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
                 plans={method: each for method, each in own.items() if each.exists.any()},
                 motions={method: MotionFigures(*(c[numbers[here]] for c in each)) for method, each in motions.items()},
                 reachability=None if reachability is None else reachability.prefix[numbers[here]],
+                not_excluded=None
+                if reachability is None or reachability.most is None
+                else reachability.most[numbers[here]],
                 **shared,
             )
         )

@@ -15,6 +15,7 @@ START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # the middle of the starts, as we read
 # What differs from the default job: `configs/paper.yaml`, here for the report, which says what was run.
 CHOICES = {
     "margin_m": 0.0,
+    "method": "nspace-sqp",
     "settings": {
         "cost_about": "previous",
         "clearance_rows": "smallest",

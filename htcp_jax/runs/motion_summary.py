@@ -5,8 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from htcp_jax.planner.motion import curvature, dwells, figures, tightest
+from htcp_jax.planner.motion import curvature, dwells, figures, motions, tightest
 from htcp_jax.planner.plans import Outcome, Plans
+from htcp_jax.status import Kind
 
 LEAST_MM = 0.01  # smaller bounds say that the arm is clear, and no more
 
@@ -22,6 +23,8 @@ class MotionSummary(NamedTuple):
     curvature_at: int | None  # the target where it is
     clearance_m: float  # the least that is proven
     tightest: int | None  # the target that the way there leads to
+    transfer_rad: float  # how long the joint path is to the posture in which the plan begins
+    transfer_legs: int  # straight joint paths that it has; 0 where there is no transfer
 
     def facts(self) -> dict[str, str]:
         """In words: how far the motion leads or why it ends there, how clear it is proven to be, where it dwells, how
@@ -35,9 +38,15 @@ class MotionSummary(NamedTuple):
         return {
             "executable": text,
             "proven clearance": f"{self.proven} all along; tightest on the way to target {self.tightest}",
+            **self._transfer(),
             "dwells": f"{len(self.dwells)}, {_at(self.dwells)}" if self.dwells else "none",
             "smoothness": self._smoothness(),
         }
+
+    def _transfer(self) -> dict[str, str]:
+        legs = self.transfer_legs
+        paths = f"{legs} straight joint paths" if legs > 1 else "one straight joint path"
+        return {"transfer": f"{self.transfer_rad:.3g} rad by {paths}"} if legs else {}
 
     @property
     def proven(self) -> str:
@@ -67,6 +76,8 @@ def summarise_motion(plans: Plans, on_path: int, scenario: int = 0) -> MotionSum
     _, cost, step, bend, clearance = map(float, found)
     turning, at = np.flatnonzero(dwells(alone, on_path)[0]), int(tightest(alone)[0][0])
     bent = curvature(alone, on_path)[0]
+    there = motions(alone, on_path)
+    transfer = there.steps[there.kind == Kind.TRANSFER]
     return MotionSummary(
         end=plans.outcome(scenario),
         dwells=tuple(turning.tolist()),
@@ -76,6 +87,8 @@ def summarise_motion(plans: Plans, on_path: int, scenario: int = 0) -> MotionSum
         curvature_at=None if math.isnan(bend) else int(np.nanargmax(bent)),
         clearance_m=clearance,
         tightest=None if at < 0 else at,
+        transfer_rad=float(transfer.sum()) if len(transfer) else math.nan,
+        transfer_legs=max(0, len(transfer) - 1),
     )
 
 

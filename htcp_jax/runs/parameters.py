@@ -19,7 +19,7 @@ TOOL = "tool_extension_m"
 
 
 class Parameters(NamedTuple):
-    """Start, pose of the workpiece and length of the tool of one scenario."""
+    """Where the motion begins, pose of the workpiece and length of the tool of one scenario."""
 
     start: Float[np.ndarray, "N"]  # [rad or m]
     rotation_x_rad: float  # of the workpiece about its pivot, first about world x, then y, then z
@@ -32,7 +32,7 @@ class Parameters(NamedTuple):
 def of_job(job: PlanConfig) -> Parameters:
     """Those that a configuration gives its one scenario."""
     part = job.workpiece
-    start, shift = np.array(job.start_rad, float), np.array(part.shift_m, float)
+    start, shift = np.array(job.begins_rad, float), np.array(part.shift_m, float)
     return Parameters(start, *(getattr(part, name) for name in ROTATIONS), shift, job.robot.tool_extension_m)
 
 

@@ -13,10 +13,12 @@ REACHABILITY, OLD_NAME = "reachability.json", "ceiling.json"  # the second in ve
 
 
 class Reachable(NamedTuple):
-    """How far sampling got in every scenario of a run."""
+    """How far a search got in every scenario of a run."""
 
     prefix: np.ndarray  # (S,) targets in a row that are known to be reachable, of scenario 0, 1, ...
-    draws: int
+    most: np.ndarray | None  # (S,) that are not proven unreachable; None in a file that does not know
+    resolution_rad: float | None  # of the search; None where configurations were drawn instead, as once
+    draws: int | None  # how many
     seed: int
 
 
@@ -27,11 +29,18 @@ def read_reachability(run: Run) -> Reachable | None:
     file = files[0] if files[0].exists() else files[1]
     try:
         record = json.loads(file.read_text(encoding="utf-8"))
-        found = Reachable(np.asarray(record["prefix"], int), int(record["draws"]), int(record["seed"]))
+        found = _read(record)
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{file} is damaged or no result of htcp reachability: {error}") from None
-    if found.prefix.shape != (run.manifest.count,):
+    if any(counts is not None and counts.shape != (run.manifest.count,) for counts in found[:2]):
         raise InputError(f"{file} holds {found.prefix.size} scenarios, the run has {run.manifest.count}")
     return found
+
+
+def _read(record: dict) -> Reachable:
+    prefix, seed = np.asarray(record["prefix"], int), int(record["seed"])
+    if "draws" in record:
+        return Reachable(prefix, None, None, int(record["draws"]), seed)
+    return Reachable(prefix, np.asarray(record["most"], int), float(record["resolution_rad"]), None, seed)

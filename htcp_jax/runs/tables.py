@@ -144,7 +144,7 @@ def _ends(ends: Outcomes) -> dict[str, pa.Array]:
 
 def _figures(points: Sequence[Point], plans: Plans) -> dict[str, pa.Array]:
     """What the motions come to."""
-    found = figures(plans, np.array([point.config.workpiece.on_path for point in points], int))
+    found = figures(plans, np.array([point.config.on_path for point in points], int))
     columns = {name: _doubles(values) for name, values in found._asdict().items()}
     return columns | {"dwells": columns["dwells"].cast(pa.int32())}
 

@@ -79,7 +79,7 @@ def with_goals(scenario: Scenario, rows: Sequence[TaskRow], task: Task, robot: R
     posed = Posed(rotate, translate, targets[before:], workpiece)
     _check_frames(rows, workpiece)
     start = np.array(_VALUE(robot, jnp.asarray(scenario.x_start), task))
-    share = np.linspace(0.0, 1.0, before) if before > 1 else np.zeros(before)
+    share = np.linspace(0.0, 1.0, before) if before > 1 else np.full(before, float(scenario.auto_start))
     columns, v, follows = [], 0, False
     for row, part in zip(rows or ON_PATH, task.parts, strict=True):
         size = sum(len(feature.rows) for feature in part.features)

@@ -44,6 +44,8 @@ class Robot:
     lower: Joints  # [rad or m], -inf where the model sets no limit
     upper: Joints
     speed: Joints  # [rad/s or m/s], inf where the model says nothing
+    acceleration: Joints  # [rad/s2 or m/s2], likewise
+    effort: Joints  # [N m or N], likewise
     capsule_p: Float[Array, "K 3"]  # ends of the segment in the frame of the capsule's link
     capsule_q: Float[Array, "K 3"]  # a sphere has p == q
     capsule_radius: Float[Array, "K"]

@@ -26,8 +26,8 @@ def load_robot(
         only site of the model, or the outermost link of a URDF, which has no sites.
     limits: "model" (the joint ranges of the file, infinite where there is none), "simulation" (+-pi on
         hinges, slides as in the file) or "datasheet" (the <numeric> entries "datasheet_lower" and
-        "datasheet_upper" of the file, a value a joint). Joint speeds are its <numeric> "speed", of a URDF the
-        velocities of its joints.
+        "datasheet_upper" of the file, a value a joint). Joint speeds and accelerations are its <numeric> "speed" and
+        "acceleration", of a URDF what its joints' <limit> says; efforts are the joints' actuatorfrcrange, or `effort`.
     base_m, base_rpy_rad: pose of the model's own frame, and so of all that it holds, in the world: turned about world
         x, then y, then z.
     tool: mounted on the frame that `tcp_site` means, which is then the flange.

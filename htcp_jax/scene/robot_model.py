@@ -4,7 +4,7 @@ What a file can get wrong is an InputError here, one line that starts with its p
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -54,7 +54,8 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
     on_tool = mounted or _on_tcp_body(model, tcp_body, capsules)
     capsules += mounted
     if not capsules:
-        raise InputError(f"{path}: no capsule or sphere geoms; geoms of the model: {geom_types or 'none'}")
+        known = f"geoms of the model: {geom_types or 'none'}"
+        raise InputError(f"{path}: no capsule or sphere geoms; {known}{geom_types and '; ' + _next_step(path)}")
     arrays = {
         "T_parent_joint": T_parent_joint,
         "axis": model.jnt_axis.copy(),
@@ -67,9 +68,11 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
     for name, numbers in arrays.items():
         if not np.isfinite(numbers).all():
             raise InputError(f"{path}: a number of the model is not finite ({name})")
-    arrays |= {"lower": lower, "upper": upper, "speed": _numeric(model, path, "speed", default=math.inf)}
-    if not (arrays["speed"] > 0).all():
-        raise InputError(f"{path}: numeric 'speed' must be positive")
+    arrays |= {"lower": lower, "upper": upper, "effort": _effort(model)}
+    for name in ("speed", "acceleration"):
+        arrays[name] = joint_numbers(model, path, name, default=math.inf)
+        if not (arrays[name] > 0).all():
+            raise InputError(f"{path}: numeric {name!r} must be positive")
     facts = {
         "name": model.names.partition(b"\0")[0].decode(errors="replace") or path.stem,
         "joint_names": joint_names,
@@ -87,26 +90,31 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
 
 def _compile_model(path: Path) -> tuple[mujoco.MjModel, str]:
     """Returns the model and the geom types of the file."""
+    with no_log():
+        spec = read_spec(path)
+    geom_types = sorted({_type_name(geom) for geom in spec.geoms})
+    _check_radii(spec, path)
+    _forget_shapes(spec)
+    return compile_spec(spec, path), ", ".join(geom_types)
+
+
+def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
+    """A model whose shapes need no file, as MuJoCo compiles it. Raises InputError for what MuJoCo refuses and
+    for a range that is turned round."""
+    _check_ranges(spec, path)
+    spec.compiler.fusestatic = False  # the fixed links of a URDF name its TCP
+    # Kinematics needs no masses; MuJoCo insists on them.
+    spec.compiler.boundmass = spec.compiler.boundinertia = 1e-9
+    spec.compiler.balanceinertia = True
     try:
-        with _no_log():
-            spec = read_spec(path)
-            geom_types = sorted({_type_name(geom) for geom in spec.geoms})
-            _check_radii(spec, path)
-            _check_ranges(spec, path)
-            _forget_shapes(spec)
-            spec.compiler.fusestatic = False  # the fixed links of a URDF name its TCP
-            # Kinematics needs no masses; MuJoCo insists on them.
-            spec.compiler.boundmass = spec.compiler.boundinertia = 1e-9
-            spec.compiler.balanceinertia = True
-            return spec.compile(), ", ".join(geom_types)
-    except InputError:
-        raise
+        with no_log():
+            return spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise unreadable(path, error) from None
 
 
 @contextmanager
-def _no_log() -> Iterator[None]:
+def no_log() -> Iterator[None]:
     """Keep MuJoCo from writing its warnings into MUJOCO_LOG.TXT in the working folder."""
     handler = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _: None)
@@ -116,6 +124,10 @@ def _no_log() -> Iterator[None]:
         mujoco.set_mju_user_warning(handler)
 
 
+def _next_step(path: Path) -> str:
+    return f"an arm of capsules is made of it by: htcp robot {path} --out arm.xml"
+
+
 def _type_name(geom: mujoco.MjsGeom) -> str:
     return geom.type.name.removeprefix("mjGEOM_").lower()
 
@@ -123,10 +135,10 @@ def _type_name(geom: mujoco.MjsGeom) -> str:
 def _check_radii(spec: mujoco.MjSpec, path: Path) -> None:
     for geom in spec.geoms:
         if geom.type in (_SPHERE, _CAPSULE) and not 0 < geom.size[0] < math.inf:
-            raise InputError(
-                f"{path}: {_type_name(geom)} {geom.name!r} of body {geom.parent.name!r} has radius "
-                f"{geom.size[0]:g} m; it must be positive"
-            )
+            body = f"{path}: {_type_name(geom)} {geom.name!r} of body {geom.parent.name!r}"
+            if geom.meshname:
+                raise InputError(f"{body} is fitted to a mesh; {_next_step(path)}")
+            raise InputError(f"{body} has radius {geom.size[0]:g} m; it must be positive")
 
 
 def _check_ranges(spec: mujoco.MjSpec, path: Path) -> None:
@@ -147,8 +159,9 @@ def _forget_shapes(spec: mujoco.MjSpec) -> None:
         spec.delete(mesh)
 
 
-def _numeric(model: mujoco.MjModel, path: Path, name: str, default: float) -> np.ndarray:
-    """The <custom><numeric> of that name, a value a joint; `default` where the file has none."""
+def joint_numbers(model: mujoco.MjModel, path: Path, name: str, default: float) -> np.ndarray:
+    """The <custom><numeric> of that name, (N,) a value a joint; `default` where the file has none. Raises InputError
+    for another number of values."""
     at = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
     if at < 0:
         return np.full(model.njnt, default)
@@ -158,10 +171,16 @@ def _numeric(model: mujoco.MjModel, path: Path, name: str, default: float) -> np
     return model.numeric_data[start : start + size].copy()
 
 
+def _effort(model: mujoco.MjModel) -> np.ndarray:
+    """The joints' `actuatorfrcrange`, which MuJoCo also reads from a URDF; inf where there is none."""
+    return np.where(model.jnt_actfrclimited > 0, np.abs(model.jnt_actfrcrange).min(axis=1), math.inf)
+
+
 # The chain and its frames
 
 
-def _pose(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+def frame(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+    """A pose (4, 4) from a position (3,) [m] and a unit quaternion (4,), w first."""
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, quaternion)
     pose = np.eye(4)
@@ -172,7 +191,7 @@ def _pose(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
 def _turned(axis: np.ndarray, angle: float) -> np.ndarray:
     quaternion = np.zeros(4)
     mujoco.mju_axisAngle2Quat(quaternion, axis, angle)
-    return _pose(np.zeros(3), quaternion)
+    return frame(np.zeros(3), quaternion)
 
 
 def _shifted(offset: np.ndarray) -> np.ndarray:
@@ -181,8 +200,8 @@ def _shifted(offset: np.ndarray) -> np.ndarray:
     return pose
 
 
-def _upwards(model: mujoco.MjModel, body: int) -> Iterator[int]:
-    """The body and its ancestors, without the world."""
+def upwards(model: mujoco.MjModel, body: int) -> Iterator[int]:
+    """The body and its ancestors, by their numbers in the model, without the world."""
     while body > 0:
         yield body
         body = int(model.body_parentid[body])
@@ -190,7 +209,7 @@ def _upwards(model: mujoco.MjModel, body: int) -> Iterator[int]:
 
 def _outermost_body(model: mujoco.MjModel) -> int:
     """The last of the bodies with the most joints between them and the world."""
-    depths = [sum(model.body_jntnum[list(_upwards(model, body))]) for body in range(model.nbody)]
+    depths = [sum(model.body_jntnum[list(upwards(model, body))]) for body in range(model.nbody)]
     return max(range(model.nbody), key=lambda body: (depths[body], body))
 
 
@@ -204,27 +223,39 @@ def _find_tcp(model: mujoco.MjModel, path: Path, name: str) -> tuple[int, np.nda
         elif path.suffix.lower() == ".urdf":
             body = _outermost_body(model)
     if site >= 0:
-        return int(model.site_bodyid[site]), _pose(model.site_pos[site], model.site_quat[site])
+        return int(model.site_bodyid[site]), frame(model.site_pos[site], model.site_quat[site])
     if body >= 0:
         return body, np.eye(4)
     sites = ", ".join(model.site(i).name or "(unnamed)" for i in range(model.nsite)) or "none"
     bodies = ", ".join(model.body(i).name or "(unnamed)" for i in range(1, model.nbody)) or "none"
-    raise InputError(f"{path}: no site or body {name!r} for the TCP; sites of the model: {sites}; bodies: {bodies}")
+    known = f"sites of the model: {sites}; bodies: {bodies}"
+    step = f"; name one in the job (robot.tcp), or by: htcp robot {path} --tcp NAME --out arm.xml"
+    raise InputError(f"{path}: no site or body {name!r} for the TCP; {known}{step if name == 'tcp' else ''}")
 
 
 def _chain_joints(model: mujoco.MjModel, path: Path, tcp_body: int) -> tuple[str, ...]:
     """Names of the joints from the world to the TCP, in order; they must be all joints of the model."""
-    chain = set(_upwards(model, tcp_body))
-    names = [model.joint(j).name or f"joint{j + 1}" for j in range(model.njnt)]
-    odd = [names[j] for j in range(model.njnt) if model.jnt_type[j] not in (_HINGE, _SLIDE)]
-    stray = [names[j] for j in range(model.njnt) if int(model.jnt_bodyid[j]) not in chain]
+    chain = set(upwards(model, tcp_body))
+    stray = [joint_name(model, j) for j in range(model.njnt) if int(model.jnt_bodyid[j]) not in chain]
+    if stray:
+        off = f"joints off the chain from the world to the TCP: {', '.join(stray)}"
+        raise InputError(f"{path}: {off}; {_next_step(path)}")
+    return check_joints(model, path, range(model.njnt))
+
+
+def check_joints(model: mujoco.MjModel, path: Path, joints: Sequence[int]) -> tuple[str, ...]:
+    """Names of the joints of a chain. Raises InputError for ball and free joints, and for less than three."""
+    odd = [joint_name(model, j) for j in joints if model.jnt_type[j] not in (_HINGE, _SLIDE)]
     if odd:
         raise InputError(f"{path}: ball or free joints ({', '.join(odd)}); only hinge and slide joints can be used")
-    if stray:
-        raise InputError(f"{path}: joints off the chain from the world to the TCP: {', '.join(stray)}")
-    if model.njnt < 3:
-        raise InputError(f"{path}: {model.njnt or 'no'} joints from the world to the TCP; at least 3 are needed")
-    return tuple(names)
+    if len(joints) < 3:
+        raise InputError(f"{path}: {len(joints) or 'no'} joints from the world to the TCP; at least 3 are needed")
+    return tuple(joint_name(model, j) for j in joints)
+
+
+def joint_name(model: mujoco.MjModel, joint: int) -> str:
+    """The joint's own name, or joint1, joint2, ... by its place in the model."""
+    return model.joint(joint).name or f"joint{joint + 1}"
 
 
 def _link_frames(model: mujoco.MjModel, T_world_base: np.ndarray) -> tuple[np.ndarray, list[tuple[int, np.ndarray]]]:
@@ -236,7 +267,7 @@ def _link_frames(model: mujoco.MjModel, T_world_base: np.ndarray) -> tuple[np.nd
     frames = [(-1, T_world_base)]
     for body in range(1, model.nbody):  # parents come before children
         link, T_link_parent = frames[model.body_parentid[body]]
-        T_link_body = T_link_parent @ _pose(model.body_pos[body], model.body_quat[body])
+        T_link_body = T_link_parent @ frame(model.body_pos[body], model.body_quat[body])
         first = model.body_jntadr[body]
         for j in range(first, first + model.body_jntnum[body]):
             axis, drawn_at = model.jnt_axis[j], model.qpos0[j]
@@ -253,7 +284,7 @@ def _limits(model: mujoco.MjModel, path: Path, profile: str) -> tuple[np.ndarray
     hinges = model.jnt_type[:, None] == _HINGE
     profiles = {"model": ranges, "simulation": np.where(hinges, [-math.pi, math.pi], ranges)}
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, "datasheet_lower") >= 0:
-        sides = [_numeric(model, path, f"datasheet_{side}", default=math.nan) for side in ("lower", "upper")]
+        sides = [joint_numbers(model, path, f"datasheet_{side}", default=math.nan) for side in ("lower", "upper")]
         profiles["datasheet"] = np.stack(sides, axis=1)
     if profile not in profiles:
         raise InputError(f"{path}: no joint limits {profile!r}; the model has {', '.join(profiles)}")
@@ -269,7 +300,7 @@ def _named_frames(model: mujoco.MjModel, frames: list[tuple[int, np.ndarray]]) -
     sites = []
     for site in range(model.nsite):
         link, T_link_body = frames[model.site_bodyid[site]]
-        sites.append((model.site(site).name, link, T_link_body @ _pose(model.site_pos[site], model.site_quat[site])))
+        sites.append((model.site(site).name, link, T_link_body @ frame(model.site_pos[site], model.site_quat[site])))
     found: dict[str, ArmFrame] = {}
     for name, link, T in [*sites, *bodies]:
         if name and link >= 0:
@@ -292,7 +323,7 @@ def _geom_name(model: mujoco.MjModel, geom: int) -> str:
 def _capsule(model: mujoco.MjModel, geom: int, frames: list[tuple[int, np.ndarray]]) -> _Capsule:
     body = int(model.geom_bodyid[geom])
     link, T_link_body = frames[body]
-    T_link_geom = T_link_body @ _pose(model.geom_pos[geom], model.geom_quat[geom])
+    T_link_geom = T_link_body @ frame(model.geom_pos[geom], model.geom_quat[geom])
     half = model.geom_size[geom, 1] if model.geom_type[geom] == _CAPSULE else 0.0
     middle, reach = T_link_geom[:3, 3], half * T_link_geom[:3, 2]
     p, q = middle + reach, middle - reach  # MJCF's `fromto` runs from +z to -z
@@ -314,7 +345,7 @@ def _mounted(
 
 def _on_tcp_body(model: mujoco.MjModel, tcp_body: int, capsules: list[_Capsule]) -> list[_Capsule]:
     """The capsules of the body that carries the TCP and of what is fixed to it; without any, those of the last link."""
-    tool = [capsule for capsule in capsules if tcp_body in _upwards(model, capsule.body)]
+    tool = [capsule for capsule in capsules if tcp_body in upwards(model, capsule.body)]
     return tool or [capsule for capsule in capsules if capsule.link == model.njnt - 1]
 
 

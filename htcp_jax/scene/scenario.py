@@ -14,7 +14,7 @@ from htcp_jax.scene.kinematics import reach, tcp_position
 from htcp_jax.scene.robot import Robot, lengthen_tool
 from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.status import Status
-from htcp_jax.types import Anywhere, Float, Int
+from htcp_jax.types import Anywhere, Bool, Float, Int
 
 NOT_REFUSED = -1
 
@@ -28,7 +28,9 @@ class OutOfReach(InputError):
 class Scenario:
     """What differs between the members of a batch. Stacked, every leaf has a leading axis S."""
 
-    x_start: Float[Anywhere, "*S N"]  # [rad or m]
+    x_start: Float[Anywhere, "*S N"]  # [rad or m]; home, until it is chosen, where `auto_start` says so
+    x_home: Float[Anywhere, "*S N"]  # where the motion begins; the start, where there is no other home [rad or m]
+    auto_start: Bool[Anywhere, "*S"]  # whether the planner chooses the start, at the path's first point
     T_world_workpiece: Float[Anywhere, "*S 4 4"]  # [m]
     interior_plane: Float[Anywhere, "*S 4"]  # normal, and offset [m], see `interior_plane_of`
     targets: Float[Anywhere, "*S T M"]  # where the tool goes, world [m]; rows from `count` on are padding
@@ -66,8 +68,9 @@ def path_targets(
 def make_scenario(
     robot: Robot,
     workpiece: Workpiece,
-    start: Sequence[float] | Anywhere,
+    start: Sequence[float] | Anywhere | None,
     *,
+    home: Sequence[float] | Anywhere | None = None,
     rotation: tuple[float, float] = (0.4, 0.1),
     rotation_x_rad: float = 0.0,
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
@@ -80,21 +83,27 @@ def make_scenario(
 ) -> Scenario:
     """One scenario of the scene's rules.
 
-    start: N joint positions [rad or m]; rotation: workpiece about world y, then z [rad], after rotation_x_rad about
-    world x; shift: of the workpiece, world [m]; margin_m: least clearance with which a target counts; tool_extension_m:
-    see `robot.lengthen_tool`; number: identity for the random keys. beyond_reach: what to do about a target beyond the
-    arm's reach; "record" makes a scenario that is planned as a failure, with that reason. follows: where
-    the point that is to follow the path is at the start, world [m]; None: the TCP.
-    Raises InputError for a start of the wrong length or outside the joint limits, and OutOfReach, which is one.
+    start: N joint positions [rad or m]; None: the planner is to choose them, at the path's first point, which is the
+    first target then, without an approach. home: those in which the motion begins; None: the start's. rotation:
+    workpiece about world y, then z [rad], after rotation_x_rad about world x; shift: of the workpiece, world [m];
+    margin_m: least clearance with which a target counts; tool_extension_m: see `robot.lengthen_tool`; number: identity
+    for the random keys. beyond_reach: what to do about a target beyond the arm's reach; "record" makes a scenario that
+    is planned as a failure, with that reason. follows: where the point that is to follow the path is at the start,
+    world [m]; None: the TCP.
+    Raises InputError for a start or home of the wrong length or outside the joint limits, for neither of them, and
+    OutOfReach, which is one.
     """
-    x_start = np.asarray(start, float)
-    _check_start(robot, x_start)
+    x_home = _posture(robot, start if home is None else home, "start" if home is None else "home")
+    x_start = x_home if start is None else _posture(robot, start, "start")
     longer = lengthen_tool(robot, tool_extension_m)
     T_world_workpiece = workpiece.T_world(*rotation, shift=shift, wx=rotation_x_rad)
     rotate, translate = T_world_workpiece[:3, :3], T_world_workpiece[:3, 3]
-    tcp = np.asarray(_TCP(longer, jnp.asarray(x_start))) if follows is None else follows
+    path = workpiece.path @ rotate.T + translate
+    if follows is None:
+        follows = np.asarray(_TCP(longer, jnp.asarray(x_start)))
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
-    targets = path_targets(tcp, inlet, workpiece.path @ rotate.T + translate, approach)
+    first, steps = (path[0], (0, 0)) if start is None else (follows, approach)
+    targets = path_targets(first, inlet, path, steps)
     refused = NOT_REFUSED
     try:
         _check_reach(longer, targets)
@@ -104,6 +113,8 @@ def make_scenario(
         refused = Status.OUT_OF_REACH
     return Scenario(
         x_start=x_start,
+        x_home=x_home,
+        auto_start=np.asarray(start is None),
         T_world_workpiece=T_world_workpiece,
         interior_plane=interior_plane_of(robot, workpiece, T_world_workpiece),
         targets=targets,
@@ -165,13 +176,17 @@ def stack(scenarios: Sequence[Scenario]) -> Scenario:
 _TCP = jax.jit(tcp_position)
 
 
-def _check_start(robot: Robot, x_start: np.ndarray) -> None:
-    lower, upper = np.asarray(robot.lower), np.asarray(robot.upper)
-    if x_start.shape != lower.shape:
-        raise InputError(f"start has {x_start.size} joint positions, the robot {robot.name} has {lower.size} joints")
-    for name, value, low, high in zip(robot.joint_names, x_start, lower, upper, strict=True):
+def _posture(robot: Robot, positions: Sequence[float] | Anywhere | None, what: str) -> Float[np.ndarray, "N"]:
+    """Joint positions that the robot can take. Raises InputError that calls them `what`."""
+    if positions is None:
+        raise InputError("the start is to be chosen, so a home must be given: where the motion begins")
+    x, lower, upper = np.asarray(positions, float), np.asarray(robot.lower), np.asarray(robot.upper)
+    if x.shape != lower.shape:
+        raise InputError(f"{what} has {x.size} joint positions, the robot {robot.name} has {lower.size} joints")
+    for name, value, low, high in zip(robot.joint_names, x, lower, upper, strict=True):
         if not low <= value <= high:
-            raise InputError(f"start: joint {name} at {value:.6g} is outside its limits {low:.6g} to {high:.6g}")
+            raise InputError(f"{what}: joint {name} at {value:.6g} is outside its limits {low:.6g} to {high:.6g}")
+    return x
 
 
 def _check_reach(robot: Robot, targets: np.ndarray) -> None:

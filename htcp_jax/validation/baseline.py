@@ -89,8 +89,15 @@ class Reachability(Section):
     """What `htcp reachability` found."""
 
     reachable: Count  # targets
-    draws: Count
+    resolution_rad: float | None = None  # of the search; a baseline of before has `draws`
+    draws: Count | None = None
     seed: int
+
+    @property
+    def searched(self) -> str:
+        """With what, in words."""
+        how = f"{self.draws} draws" if self.resolution_rad is None else f"a resolution of {self.resolution_rad:.3g} rad"
+        return f"{how} and seed {self.seed}"
 
 
 class Allowance(Section):
@@ -260,7 +267,9 @@ def _end(found: Outcome) -> End:
 
 def _reachability(run: Run) -> Reachability | None:
     found = read_reachability(run)
-    return found and Reachability(reachable=int(found.prefix.sum()), draws=found.draws, seed=found.seed)
+    return found and Reachability(
+        reachable=int(found.prefix.sum()), resolution_rad=found.resolution_rad, draws=found.draws, seed=found.seed
+    )
 
 
 def _rounded(value: float | None) -> float | None:

@@ -179,9 +179,8 @@ def _reachability_shortfall(baseline: Baseline, found: RunSummary, allow: Allowa
     was, now = baseline.reachability, found.reachability
     if now is None:
         return ["reachability: missing; htcp reachability writes it into the run's folder"]
-    if (now.draws, now.seed) != (was.draws, was.seed):
-        here, there = f"{now.draws} draws and seed {now.seed}", f"{was.draws} and {was.seed}"
-        return [f"reachability: searched with {here}, the baseline's with {there}; they cannot be compared"]
+    if now.searched != was.searched:
+        return [f"reachability: searched with {now.searched}, the baseline's with {was.searched}; not to be compared"]
     if was.reachable - now.reachable > allow.targets:
         return [
             f"reachability: {was.reachable - now.reachable} targets fewer are reachable; {allow.targets} may be lost"

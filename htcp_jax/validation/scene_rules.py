@@ -55,10 +55,13 @@ def turned_and_moved(part: WorkpieceConfig, pose: Parameters) -> tuple[np.ndarra
 
 
 def targets_of(
-    part: WorkpieceConfig, tcp: np.ndarray, inlet: np.ndarray | None, path: np.ndarray
+    job: PlanConfig, tcp: np.ndarray, inlet: np.ndarray | None, path: np.ndarray
 ) -> Float[np.ndarray, "T 3"]:
-    """The targets, world: the start's TCP, steps to the inlet, steps from there to the path, the path."""
-    to_inlet, to_path = part.approach_to_inlet, part.approach_to_path
+    """The targets, world: the start's TCP, steps to the inlet, steps from there to the path, the path. Where the start
+    is chosen at the path's first point, the path alone, and that point once more before it."""
+    if job.start is None:
+        return np.concatenate([path[:1], path])
+    to_inlet, to_path = job.workpiece.approach_to_inlet, job.workpiece.approach_to_path
     if inlet is None:
         legs = [(tcp, path[0], to_inlet + to_path)]
     else:

@@ -73,9 +73,11 @@ def check(results: Results, arm: Arm, wall: Wall, track: Track, between: int) ->
     paths = _paths(track, rows, targets, t)
     moved, line = np.abs(paths.b - paths.a), paths.line_b - paths.line_a
     speed, in_place = _speed(arm, moved, np.linalg.norm(line, axis=1), tolerance)
-    between_rows = _walk(scene, at, paths, between)
+    if track.config.home_rad is not None:
+        in_place[paths.target == 0] = 0.0  # the tool comes from elsewhere
+    between_rows = _walk(scene, at, paths, between, on_path)
     refuted = _refuted(arm, track, t, tolerance, ROUNDING_M if bound else RECORD_M, {**found, "through": through})
-    refuted += _refuted_ways(track, paths, between_rows, on_path)
+    refuted += _refuted_ways(track, paths, between_rows)
     refuted += _refuted_rows(results, arm, track, scene, t[t >= on_path], on_path)
     refuted += _refuted_cones(results, arm, track, scene, paths, between, on_path)
     return Checked(
@@ -98,15 +100,18 @@ def _scene(results: Results, arm: Arm, wall: Wall, track: Track) -> tuple[Checke
     part, pose, workpiece = track.config.workpiece, of_job(track.config), results.workpiece(track.config)
     rotate, translate = turned_and_moved(part, pose)
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
-    start_tcp = follower(track.config.task, arm, pose.start[None])[0]
-    targets = targets_of(part, start_tcp, inlet, workpiece.path @ rotate.T + translate)
+    start = pose.start if track.config.start is None else np.array(track.config.start)
+    path = workpiece.path @ rotate.T + translate
+    targets = targets_of(track.config, follower(track.config.task, arm, start[None])[0], inlet, path)
     if len(targets) != len(track.target):
         raise InputError(
             f"{results.folder}: scenario {track.scenario} has {len(track.target)} targets on record, "
             f"{len(targets)} by its configuration"
         )
-    beside = CheckedScene(arm, wall, rotate, translate, part.interior_depth_m)
-    return beside, targets, len(targets) - len(workpiece.path)
+    on_path = len(targets) - len(path)
+    if (np.abs(track.target[1:on_path] - path[0]) < RECORD_M).all():  # the approach left its lines
+        targets[1:on_path] = path[0]
+    return CheckedScene(arm, wall, rotate, translate, part.interior_depth_m), targets, on_path
 
 
 def _refuted(
@@ -195,14 +200,13 @@ def _paths(track: Track, rows: np.ndarray, targets: np.ndarray, t: np.ndarray) -
     return JointPaths(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _refuted_ways(track: Track, paths: JointPaths, found: dict[str, Any], on_path: int) -> list[Refuted]:
-    """Ways that are on record as proven motions and are none. on_path: the first target on the path."""
+def _refuted_ways(track: Track, paths: JointPaths, found: dict[str, Any]) -> list[Refuted]:
+    """Ways that are on record as proven motions and are none."""
     if found["touches"] is None:
         return []
     proven, reasons = track.proven[paths.target], {}
     settings = track.config.settings
-    away = holds_tcp(track.config.task) & proven & (paths.target > on_path)
-    away = away & (found["deviation"] > settings.tube_m + ROUNDING_M)
+    away = holds_tcp(track.config.task) & proven & (found["deviation"] > settings.tube_m + ROUNDING_M)
     for k in np.flatnonzero(proven & found["touches"]).tolist():
         reasons.setdefault(int(paths.target[k]), "the way there is on record as proven, and touches")
     for k in np.flatnonzero(away).tolist():
@@ -211,9 +215,9 @@ def _refuted_ways(track: Track, paths: JointPaths, found: dict[str, Any], on_pat
     return [Refuted(track.method, track.scenario, target, reasons[target]) for target in sorted(reasons)]
 
 
-def _walk(scene: CheckedScene, at: AtTargets, paths: JointPaths, between: int) -> dict[str, Any]:
+def _walk(scene: CheckedScene, at: AtTargets, paths: JointPaths, between: int, on_path: int) -> dict[str, Any]:
     """Along the joint paths: which of them touch, the least clearance where it is less than at all the rows, and how
-    far the TCP leaves the line of its targets."""
+    far the TCP leaves the line of its targets, 0 up to `on_path`, the path's first point: the approach is free to."""
     if not between:
         return dict.fromkeys(("touches", "clearance_between", "deviation"))
     count = len(paths.target)
@@ -226,8 +230,8 @@ def _walk(scene: CheckedScene, at: AtTargets, paths: JointPaths, between: int) -
         way = paths.a[path] + fraction[:, None] * move[path]
         tcp, clearance = scene.between(way, paths.row[path], at, max(0.0, float(at.clearance.min())))
         np.minimum.at(least, path, clearance)
-        off = np.where(paths.target[path] > 0, _from_line(tcp, paths.line_a[path], paths.line_b[path]), 0.0)
-        np.maximum.at(deviation, path, off)  # the way to the first target is not on the path
+        off = np.where(paths.target[path] > on_path, _from_line(tcp, paths.line_a[path], paths.line_b[path]), 0.0)
+        np.maximum.at(deviation, path, off)
     return {"touches": least <= 0, "clearance_between": least, "deviation": deviation}
 
 

@@ -40,7 +40,7 @@ class Workcell:
     @property
     def approach(self) -> int:
         """Targets that lead to the tool path."""
-        return self.config.workpiece.on_path
+        return self.config.on_path
 
     @cached_property
     def obstacle(self) -> Obstacles:
@@ -124,8 +124,7 @@ def cells_of(found: PlanSet) -> RecordedCells:
 
 def _shared(job: PlanConfig) -> tuple:
     """What scenarios in one workcell agree in."""
-    part = job.workpiece
-    return arm_of(job), part_of(job), part.approach_to_inlet, part.approach_to_path, job.settings
+    return arm_of(job), part_of(job), job.approach, job.settings
 
 
 def _placement(robot: Robot, workpiece: Workpiece, given: Parameters) -> Placement:

@@ -1,0 +1,95 @@
+"""`htcp robot`: a robot's model file as its maker ships it, made into an arm of capsules."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
+from htcp_jax.errors import InputError
+from htcp_jax.report.document import Column, Table
+from htcp_jax.runs.plan_folder import written_whole
+from htcp_jax.scene.capsule_fit import MOST
+from htcp_jax.scene.robot_file import load_robot
+from htcp_jax.scene.robot_import import ImportedArm, body_name, import_robot
+from htcp_jax.scene.robot_xml import arm_xml, in_words
+
+COLUMNS = (
+    Column("body", "body"),
+    Column("own", "own", "", "d"),
+    Column("fitted", "fitted", "", "d"),
+    Column("volume_ratio", "volume", "x hull", ".2f"),
+    Column("outside_mm", "outside", "mm", ".1f"),
+    Column("shapes", "about"),
+)
+
+Model = Annotated[Path, typer.Argument(metavar="MODEL", help="A URDF or MJCF file, beside its meshes.")]
+Tcp = Annotated[str | None, typer.Option(metavar="NAME", help="The TCP: a site or body of the model, or the flange.")]
+Out = Annotated[Path, typer.Option(metavar="ARM.xml", help="The file to write; its picture goes beside it.")]
+Most = Annotated[int, typer.Option(metavar="N", min=1, max=20, help="Capsules fitted to a body.")]
+Visual = Annotated[bool, typer.Option("--visual", help="Hold what is drawn, not the shapes for contact.")]
+Replace = Annotated[bool, typer.Option("--replace", help="Write over an arm that is there.")]
+
+
+def robot(
+    model: Model,
+    out: Out,
+    tcp: Tcp = None,
+    most: Most = MOST,
+    visual: Visual = False,
+    replace: Replace = False,
+    as_json: Json = False,
+) -> int:
+    """Make an arm of capsules of a robot's model, URDF or MJCF, as its maker ships it.
+
+    The joints from the world to the TCP stay; all others, a gripper's say, are frozen as they are drawn. A body keeps
+    the capsules and spheres that it has; its meshes, boxes and cylinders are held by capsules that are fitted to them.
+    Writes ARM.xml, to be looked at and corrected, and ARM.png, where the capsules are drawn over what they hold.
+    Exits with 2 on bad input, and where ARM.xml is there already.
+
+    \b
+    htcp robot ur10e.urdf --out arm.xml
+    htcp robot panda.urdf --tcp panda_hand --out panda.xml
+    """
+    if out.suffix.lower() != ".xml":
+        raise InputError(f"--out is {out}; an arm is an MJCF file and ends in .xml")
+    picture = out.with_suffix(".png")
+    for file in (out, picture):
+        if file.exists() and not replace:
+            raise InputError(f"{file} is there already; --replace writes over it, with what was corrected by hand")
+    with progress_bar("bodies") as progress:
+        arm = import_robot(model, tcp, most=most, visual=visual, progress=progress)
+    text = arm_xml(arm, model.name)
+    from htcp_jax.viewer.arm_picture import draw_arm  # here, because bad input is refused before matplotlib is loaded
+
+    with written_whole(out.parent) as folder:
+        (folder / out.name).write_text(text, encoding="utf-8")
+        made = load_robot(folder / out.name)
+        title = f"{made.name}: {len(made.joint_names)} joints, {len(made.capsule_names)} capsules; TCP {arm.tip.name}"
+        draw_arm(arm, text, title).savefig(folder / picture.name)
+    table, facts = _table(arm), _facts(arm)
+    if as_json:
+        print_json({"model": made.name, **facts, "bodies": table.records(), "files": [str(out), str(picture)]})
+        return 0
+    print_table(stdout(), table)
+    lines = {name: ", ".join(value) if isinstance(value, tuple) else value for name, value in facts.items() if value}
+    print_facts(title, lines | {"files": f"{out}, {picture}"})
+    return 0
+
+
+def _table(arm: ImportedArm) -> Table:
+    rows = []
+    for b, cover in arm.covers.items():
+        counts = len(cover.own), len(cover.fitted)
+        rows.append((body_name(arm.model, b), *counts, cover.ratio, 1e3 * cover.outside_m, in_words(cover)))
+    return Table("robot", COLUMNS, tuple(rows))
+
+
+def _facts(arm: ImportedArm) -> dict[str, str | tuple[str, ...]]:
+    return {
+        "TCP": arm.tip.name,
+        "joints": arm.joint_names,
+        "frozen": arm.frozen,
+        "without a shape": arm.shapeless,
+        "left out": arm.left_out,
+    }

@@ -1,0 +1,61 @@
+"""An imported arm in one picture: its capsules over the shapes that they hold, from two sides.
+
+What the arm's own file says of it is drawn, by MuJoCo's kinematics, in the posture nearest to zero that its limits
+allow. Drawing needs no screen.
+"""
+
+import mujoco
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+
+from htcp_jax.scene.robot_import import ImportedArm, body_name
+from htcp_jax.viewer.colours import DWELL, INK, PAPER, TOOL, WALL
+from htcp_jax.viewer.picture import stadium
+
+FITTED, OWN, DRAWN = INK, DWELL, WALL[1]  # capsules made here, those of the model, shapes
+SIDES = {"seen along y": [0, 2], "seen against x": [1, 2]}  # what is right and up
+AXES, AXIS_M = ("#c0392b", "#27ae60", "#2c5fd1"), 0.1  # x, y, z of the TCP's frame
+
+
+def draw_arm(arm: ImportedArm, text: str, title: str) -> Figure:
+    """The arm that `text`, an MJCF file, is made of; `arm` has the shapes. Save it with `figure.savefig(path)`."""
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    low, high = np.where(model.jnt_limited[:, None] > 0, model.jnt_range, [-np.inf, np.inf]).T
+    data.qpos[:] = np.clip(0.0, low, high)
+    mujoco.mj_kinematics(model, data)
+    figure = Figure(figsize=(14, 10), dpi=110, facecolor=PAPER, layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, color=INK, fontsize=15, fontweight="bold", x=0.015, ha="left")
+    for axes, (heading, flat) in zip(figure.subplots(1, len(SIDES), sharey=True), SIDES.items(), strict=True):
+        _draw_side(axes, arm, model, data, flat)
+        axes.set_title(heading, color=INK, fontsize=12, loc="left")
+    return figure
+
+
+def _draw_side(axes: Axes, arm: ImportedArm, model: mujoco.MjModel, data: mujoco.MjData, flat: list[int]) -> None:
+    for b, cover in arm.covers.items():
+        at = model.body(body_name(arm.model, b)).id if b else 0
+        R, t = data.xmat[at].reshape(3, 3), data.xpos[at]
+        triangles = (np.concatenate([cover.held, cover.drawn]) @ R.T + t)[..., flat]
+        axes.add_collection(PolyCollection(triangles, facecolors=DRAWN, linewidths=0, rasterized=True, zorder=2))
+        for colour, capsules in ((TOOL if b == arm.tip.body else FITTED, cover.fitted), (OWN, cover.own)):
+            moved = [(R @ capsule.p + t, R @ capsule.q + t, capsule.radius) for capsule in capsules.values()]
+            outlines = [stadium(p[flat], q[flat], radius) for p, q, radius in moved]
+            look = {"facecolors": to_rgba(colour, 0.12), "edgecolors": colour, "linewidths": 1.0}
+            axes.add_collection(PolyCollection(outlines, zorder=3, **look))
+    tcp = model.site("tcp").id
+    for axis, colour in zip(data.site_xmat[tcp].reshape(3, 3).T, AXES, strict=True):
+        ends = data.site_xpos[tcp] + np.outer([0, AXIS_M], axis)
+        axes.plot(*ends[:, flat].T, color=colour, linewidth=2.5, zorder=5)
+    axes.set_aspect("equal")
+    axes.autoscale_view()
+    axes.tick_params(colors=INK, labelsize=9)
+    axes.set_xlabel(f"{'xyz'[flat[0]]} [m]", color=INK)
+    axes.set_ylabel(f"{'xyz'[flat[1]]} [m]", color=INK)
+    for spine in axes.spines.values():
+        spine.set_visible(False)

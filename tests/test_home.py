@@ -1,0 +1,154 @@
+"""A motion begins at home, at the start that was given or at one that is chosen, and goes back there; and the approach
+leaves its lines where these lead nowhere. By brute force, every motion is looked at place by place."""
+
+from dataclasses import replace
+from functools import cache
+
+import made_once
+import numpy as np
+import pytest
+from small_motions import SMALL, check_motions, check_way, first_of, roadmap, same, scenario, ways
+from stranger_jobs import car_job
+
+import htcp_jax
+from htcp_jax.planner.batch import check_start, plan
+from htcp_jax.planner.motion import figures, motion, transfers
+from htcp_jax.status import Kind, Status, Way
+from htcp_jax.validation.validate import validate
+
+HOME = (0.9, -2.0, 0.2, 0.3, 0.9, -1.0)
+TOUCHES = (0.0, -1.2, -0.5, 0.0, 0.5, -2.0)
+
+
+def at_home(number, rotation=(0.4, 0.1), start=None, targets=4, **changes):
+    one = scenario(number, rotation, start, home=HOME, **changes)
+    return first_of(one, int(one.on_path) + targets)
+
+
+@cache
+def begun():
+    """A start that is chosen, one that is given, and no home at all; together."""
+    scenarios = at_home(0), at_home(1, start=made_once.START), first_of(scenario(2), 14), at_home(3, (0.2, -0.3))
+    return scenarios, roadmap(scenarios, threads=1)
+
+
+def test_motions_begin_at_home_and_are_proven_from_there_on():
+    scenarios, plans = begun()
+    assert (plans.executable == plans.tracked).all() and plans.tracked[:3].all(where=plans.exists[:3])
+    for s, one in enumerate(scenarios):
+        np.testing.assert_array_equal(plans.start[s], one.x_home)
+        for t, postures in ways(plans, s):
+            assert 0 < plans.way_clearance[s, t] <= check_way(one, t, postures, SMALL.tube_m) + 1e-9
+        assert plans.joint_step[s, 0] == pytest.approx(np.linalg.norm(plans.x[s, 0] - plans.start[s]))
+
+
+def test_a_chosen_start_is_at_the_first_point_of_the_path():
+    scenarios, plans = begun()
+    for s in (0, 3):
+        part, one = made_once.duct(), scenarios[s]
+        first = one.T_world_workpiece[:3, :3] @ part.path[0] + one.T_world_workpiece[:3, 3]
+        assert one.auto_start and one.on_path == 1 and int(one.count) == 5
+        assert np.linalg.norm(plans.tcp[s, 0] - first) <= SMALL.tolerance_m
+        np.testing.assert_allclose(plans.target[s, :2], [first, first], atol=1e-15)
+
+
+def test_a_start_that_was_given_is_passed_on_the_way_from_home():
+    """Also where the motion is smoothed, which moves all else."""
+    scenarios, plans = begun()
+    smoothed = roadmap(scenarios, replace(SMALL, smooth=True), threads=1)
+    for found in (plans, smoothed):
+        assert (found.knots.on_the_way(1, 0) == made_once.START).all(axis=1).any()
+    cost, less = (figures(found, np.array([one.on_path for one in scenarios])) for found in (plans, smoothed))
+    assert (less.motion_cost_rad2 <= cost.motion_cost_rad2).all() and (smoothed.executable == plans.executable).all()
+
+
+def test_rows_say_that_the_arm_goes_from_home_to_another_posture_and_back():
+    scenarios, plans = begun()
+    for s, transferred in enumerate((True, True, False, True)):
+        there = motion(plans, s, int(scenarios[s].on_path), retract=True)
+        kinds = there.kind[: int(plans.tracked[s].sum()) + 1 + (plans.knots.scenario == s).sum()]
+        assert ((kinds == Kind.TRANSFER) == ((there.target[: len(kinds)] == 0) & transferred)).all()
+        assert (there.kind[len(kinds) :] == Kind.RETRACT).all() and len(there.kind) == 2 * len(kinds) - 1
+        np.testing.assert_array_equal(there.x[-1], scenarios[s].x_home)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_who_else_begins_at_home_has_no_influence(threads):
+    scenarios, plans = begun()
+    backwards = roadmap(scenarios[::-1], threads=threads)
+    for s, one in enumerate(scenarios):
+        same(plans, s, backwards, 3 - s, int(one.count))
+    same(plans, 3, roadmap(scenarios[3:], threads=1), 0, int(scenarios[3].count))
+
+
+def test_any_method_begins_at_home():
+    """What it tracks from its start is what it tracks from there; only the way to the first target is another."""
+    one = at_home(0, start=made_once.START)
+    without = replace(one, x_home=one.x_start)
+    from_start, from_home = (plan(made_once.robot(), made_once.duct(), s, "baseline", SMALL) for s in (without, one))
+    np.testing.assert_array_equal(from_home.x, from_start.x)
+    assert (from_home.way == from_start.way).all() and (from_home.start == HOME).all()
+    assert from_home.executable.sum() == from_start.executable.sum() > 0
+
+
+def test_a_home_from_which_there_is_no_way_is_a_scenario_with_that_reason():
+    """Those beside it are planned as ever."""
+    collides = at_home(5, start=made_once.START)
+    collides = replace(collides, x_home=np.array(TOUCHES))
+    starts_in_it = at_home(6, start=TOUCHES)
+    nowhere = at_home(7, margin_m=0.5)  # no posture keeps so far from the part
+    fine, plans = begun()
+    found = roadmap([collides, starts_in_it, nowhere, fine[2]])
+    ends = Status.HOME_IN_COLLISION, Status.START_IN_COLLISION, Status.NO_START
+    assert found.status[:3, 0].tolist() == list(ends) and not found.tracked[:3].any()
+    assert (found.way[:3] == Way.UNKNOWN).all()
+    same(found, 3, plans, 2, int(fine[2].count))
+
+
+def test_a_home_in_collision_is_named_with_its_body_and_depth():
+    one = replace(at_home(0, start=made_once.START), x_home=np.array(TOUCHES))
+    with pytest.raises(htcp_jax.InputError, match=r"home is in collision: \w+ is \d+\.\d{3} mm inside the workpiece"):
+        check_start(made_once.robot(), made_once.duct(), one)
+
+
+def off_its_lines(number, rotation=(0.4, 0.1)):
+    """By its straight lines the way to the path leads beyond the reach of the arm."""
+    one = first_of(scenario(number, rotation), 16)
+    targets = one.targets.copy()
+    targets[5] = 9.0
+    return replace(one, targets=targets)
+
+
+def test_an_approach_leaves_its_lines_where_these_lead_nowhere():
+    """By a proven way through free space: its targets are the path's first point then. Nobody else's approach does."""
+    scenarios = off_its_lines(0), first_of(scenario(1), 16), off_its_lines(2, (0.2, -0.3))
+    plans = roadmap(scenarios, threads=1)
+    assert (plans.executable == plans.exists).all() and not transfers(plans).any()
+    check_motions(scenarios, plans, SMALL.tube_m)
+    for s, one in enumerate(scenarios):
+        first, asked = int(one.on_path), one.targets.copy()
+        if s != 1:
+            asked[1:first] = asked[first]
+            assert (plans.x[s, 1:first] == plans.x[s, first]).all()
+        np.testing.assert_array_equal(plans.target[s], asked)
+        np.testing.assert_allclose(plans.tcp[s], asked, atol=SMALL.tolerance_m)
+        there = motion(plans, s, first)
+        assert (there.kind[there.target < first] == Kind.APPROACH).all()
+    assert (scenarios[0].targets[5] == 9).all()  # what was asked for is what it was
+    same(plans, 2, roadmap(scenarios[2:], threads=1), 0, 16)
+    same(plans, 1, roadmap(scenarios[1:], threads=2), 0, 16)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", [{"start_rad": "auto"}, {}, {"method": "baseline", "start_rad": "auto"}])
+def test_a_stranger_s_arm_goes_behind_a_rib_from_home_and_mujoco_refutes_nothing(tmp_path, how):
+    """A part for which nothing was prepared: the start is chosen behind the rib; or the straight lines of the approach
+    lead through it, and the approach leaves them."""
+    home = {"home_rad": [0.0, -2.4, 2.3, 0.0, -1.57, 0.0]}
+    made = htcp_jax.plan(car_job(tmp_path), {"method": "roadmap", **home, **how})
+    made.save(tmp_path / "out", retract=True)
+    assert made.motion_summary.end.executable == len(made.plans.x[0]) and made.motion_summary.transfer_legs
+    rows = (tmp_path / "out" / "motion.csv").read_text().splitlines()[1:]
+    assert rows[0].split(",")[1:] == ["TRANSFER", *map(str, home["home_rad"])]
+    assert rows[-1].split(",")[1:] == ["RETRACT", *map(str, home["home_rad"])]
+    assert validate(tmp_path / "out", between=1000).refuted == ()
