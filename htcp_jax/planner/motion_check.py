@@ -43,13 +43,11 @@ def tubes(
 ) -> Tube:
     """Where the TCP has to be on the way to targets; anywhere before the path, and where the task does not hold it at a
     place. turns: see `Segments`."""
-    line = scenarios.targets[scenario, np.maximum(target - 1, 0)], scenarios.targets[scenario, target]
-    is_tcp = task.holds_tcp and scenarios.targets.shape[-1] == 3
-    free = (target <= scenarios.on_path[scenario]) | (not is_tcp)
+    free = (target <= scenarios.on_path[scenario]) | (not task.holds_tcp)
     cones = _cones(scenarios, task, scenario, target, turns) if task.cones else None
     if free.all():
         return Tube(np.zeros((len(target), 3)), np.zeros((len(target), 3)), np.full(len(target), np.inf), cones)
-    a, b = line
+    a, b = (task.tcp_place(scenarios.aims[scenario, row]) for row in (np.maximum(target - 1, 0), target))
     a = np.where((np.linalg.norm(b - a, axis=1) < ONE_POINT_M)[:, None], b, a)
     return Tube(a, np.where(turns[:, None], a, b), np.where(free, np.inf, radius_m), cones)
 

@@ -85,17 +85,26 @@ class Task:
         """Whether the TCP is held at a place."""
         return TaskPoint() in self.parts
 
+    def tcp_place(self, goal: Float[Anywhere, "*S G"]) -> Float[Anywhere, "*S 3"]:
+        """Where a goal holds the TCP, of a task that does, in the world [m]."""
+        start = self._starts[self.parts.index(TaskPoint())]
+        return goal[..., start : start + 3]
+
     @property
     def cones(self) -> tuple[int, ...]:
         """Where in a goal the cones about directions stand; their numbers are a direction and a half angle [rad]."""
-        starts = np.cumsum([0, *(part.numbers for part in self.parts)]).tolist()
-        return tuple(start for start, part in zip(starts, self.parts, strict=False) if _is_cone(part))
+        return tuple(start for start, part in zip(self._starts, self.parts, strict=True) if _is_cone(part))
 
     def cone_axes(self, robot: Robot, x: Joints) -> tuple[Float[Array, "C 3"], Float[Array, "C 3 N"]]:
         """The axes that are held in these cones, without a unit, and their Jacobians [1/rad]."""
         axes = [part.features[0] for part in self.parts if _is_cone(part)]
         values, slopes = ([of(robot, x, axis) for axis in axes] for of in (_stands, _moves))
         return jnp.stack(values), jnp.stack(slopes)
+
+    @property
+    def _starts(self) -> tuple[int, ...]:
+        """Where in a goal the numbers of each part begin."""
+        return tuple(np.cumsum([0, *(part.numbers for part in self.parts[:-1])]).tolist())
 
     @property
     def _features(self) -> tuple[Feature, ...]:
@@ -152,6 +161,18 @@ class Task:
         """The residual at x [m]."""
         return self.residual(self.value(robot, x), goal)
 
+    def least_turn(self, robot: Robot, rotation: Float[Array, "3 3"], goal: Float[Array, "G"]) -> Scalar:
+        """How far the last link has to turn from a rotation at the least, before every row holds [rad]; of the rows
+        that look at nothing but how it is turned. Turned by an angle, none of its axes turns by more."""
+        found = [jnp.zeros(())]
+        for start, part in zip(self._starts, self.parts, strict=True):
+            if all(_turns_with_last(robot, feature) for feature in part.features):
+                axes = [product(rotation, _fixed(robot, feature)[0]) for feature in part.features]
+                value, own = jnp.concatenate(axes), goal[start : start + part.numbers]
+                found += [-part.room(value, own)[0]] if part.inequalities else []
+                found += [safe_norm(part.error(value, own)) - self.tolerance_rad] if part.equalities else []
+        return jnp.max(jnp.stack(found))
+
     @property
     def fine_m(self) -> float:
         """The residual that inverse kinematics stops at [m]: a tenth of the tolerance."""
@@ -206,6 +227,10 @@ def _moves(robot: Robot, x: Joints, feature: Feature) -> Float[Array, "3 N"]:
 
 def _is_tcp(feature: Feature) -> bool:
     return feature.link is None and not feature.is_direction and not any(feature.vector)
+
+
+def _turns_with_last(robot: Robot, feature: Feature) -> bool:
+    return feature.is_direction and feature.link in (None, len(robot.slides) - 1)
 
 
 def _fixed(robot: Robot, feature: Feature) -> tuple[Float[Array, "3"], tuple[int]]:
