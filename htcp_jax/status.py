@@ -48,7 +48,7 @@ _MESSAGES = {
     Status.TRACKED_AFTER_ESCAPE: "tracked after an escape",
     Status.QP_INFEASIBLE: "the step QP has no answer that keeps clear, nears the target and heeds the limits",
     Status.ITERATION_LIMIT: "the step QPs ran out of iterations short of the target or of clearance",
-    Status.ESCAPE_EXHAUSTED: "the escape found no clear configuration that reaches the target",
+    Status.ESCAPE_EXHAUSTED: "no clear configuration was found that reaches the target",
     Status.PATH_BLOCKED: "every clear configuration that was found lies behind a way that collides or leaves the path",
     Status.QP_FAILED: "the QP solver broke down and returned no usable answer",
     Status.NOT_ATTEMPTED: "not attempted, because an earlier target of the scenario failed",

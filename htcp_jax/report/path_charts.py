@@ -34,7 +34,7 @@ REASONS = {
     Status.OUT_OF_REACH: ("#009e73", "v"),
     Status.TIP_BLOCKED: ("#56b4e9", "P"),
     Status.NO_NULL_SPACE: ("#999999", "h"),
-    Status.HOME_IN_COLLISION: ("#8c564b", "*"),
+    Status.HOME_IN_COLLISION: ("#8c564b", "<"),
     Status.HOME_NOT_JOINED: ("#f0e442", "p"),
     Status.NO_START: ("#332288", "d"),
 }
