@@ -90,6 +90,21 @@ def test_its_jacobian_is_that_of_jacfwd_and_of_differences(name):
         np.testing.assert_allclose(found, np.transpose(slope), atol=3e-8)
 
 
+@pytest.mark.parametrize("name", PARTS)
+def test_the_least_turn_of_the_last_link_is_what_scipy_says_and_none_where_a_row_looks_at_more(name):
+    """Whatever the arm, each of these rows hangs on the last link's rotation alone, or is not counted."""
+    part, _ = PARTS[name]
+    task, goal = task_of(name, tolerance_rad=0.01)
+    robot = made_once.robot()
+    counts = (
+        isinstance(part, AxisTowards | Turned) and part.link is None and getattr(part, "looks_from_m", None) is None
+    )
+    found = jax.jit(lambda x: task.least_turn(robot, link_poses(robot, x)[-1, :3, :3], goal))
+    for x in made_once.configurations(robot, 10):
+        off = -by_scipy(name, x)[0] if task.bands else by_scipy(name, x)[0] - 0.01
+        np.testing.assert_allclose(found(jnp.asarray(x)), max(off, 0.0) if counts else 0.0, atol=1e-9)
+
+
 def rooms(task, robot, x, goal):
     """Room of every row, without what a step aims inside: that hangs on the goal alone."""
     linear = task.linear_at(robot, x, goal)
