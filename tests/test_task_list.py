@@ -54,6 +54,14 @@ def test_the_rows_follow_from_the_list():
         assert (task.rows, task.bands) == (rows, bands), row
 
 
+def test_a_point_held_in_all_directions_is_a_place_whatever_frame_they_are_of():
+    for frame in ("workpiece", "path"):
+        task, scenario = made({**ON_PATH, "frame": frame})
+        assert task == TCP_POSITION and scenario.goals is None
+    task, scenario = made({"point": "tcp", "on": [1.0, 0.0, 1.0]})
+    assert task == TCP_POSITION and (scenario.goals[11:] == (1.0, 0.0, 1.0)).all()
+
+
 def test_before_the_path_rows_are_eased_so_that_the_start_is_on_its_target():
     for rows in ([ON_PATH, CONE], [ON_PATH, {**CONE, "cone_deg": 0}], [ON_PATH, {"orientation": [1, 0, 0, 0]}],
                  [{**ON_PATH, "axes": "yz", "frame": "workpiece"}], [{**ON_PATH, "frame": "path", "within_m": 0.01}],

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.jobs.config import PlanConfig, RobotConfig, WorkpieceConfig
-from htcp_jax.scene.goals import leader, task_of, with_goals
+from htcp_jax.scene.goals import follower, task_of, with_goals
 from htcp_jax.scene.robot import GP50, Robot, lengthen_tool
 from htcp_jax.scene.robot_file import load_robot
 from htcp_jax.scene.scenario import Scenario, make_scenario
@@ -104,7 +104,7 @@ def _follower_at_start(job: PlanConfig, robot: Robot) -> Float[np.ndarray, "3"] 
     """Where the point that follows the path is at a start that is given, world [m]; None: `make_scenario` knows."""
     if not job.task or job.start is None:
         return None
-    return leader(job.task, lengthen_tool(robot, job.robot.tool_extension_m), np.array(job.start))
+    return follower(job.task, lengthen_tool(robot, job.robot.tool_extension_m), np.array(job.start))
 
 
 _POSE = {"rotation_x_rad": 0.0, "rotation_y_rad": 0.0, "rotation_z_rad": 0.0, "shift_m": (0.0, 0.0, 0.0)}

@@ -57,7 +57,7 @@ def task_of(rows: Sequence[TaskRow], robot: Robot, tolerance_m: float = 1e-3, to
     return task
 
 
-def leader(rows: Sequence[TaskRow], robot: Robot, x: Float[np.ndarray, "N"]) -> Float[np.ndarray, "3"]:
+def follower(rows: Sequence[TaskRow], robot: Robot, x: Float[np.ndarray, "N"]) -> Float[np.ndarray, "3"]:
     """Where the point that follows the path is at x [rad or m], in the world [m]; the TCP where none does. Raises
     InputError for a name that the robot lacks."""
     row = next((row for row in rows if row.on == "path"), ON_PATH[0])
@@ -71,7 +71,8 @@ def with_goals(scenario: Scenario, rows: Sequence[TaskRow], task: Task, robot: R
     task: what `task_of` makes of the rows. robot: without the scenario's tool extension.
     Raises InputError for a path without what the rows ask for, and for axes that no posture turns as they are to be.
     """
-    if task.parts == (TaskPoint(),):
+    rows = rows or ON_PATH
+    if task.parts == (TaskPoint(),) and rows[0].on == "path":
         return scenario
     robot, targets = lengthen_tool(robot, float(scenario.tool_extension_m)), scenario.targets
     rotate, translate = scenario.T_world_workpiece[:3, :3], scenario.T_world_workpiece[:3, 3]
@@ -81,7 +82,7 @@ def with_goals(scenario: Scenario, rows: Sequence[TaskRow], task: Task, robot: R
     start = np.array(_VALUE(robot, jnp.asarray(scenario.x_start), task))
     share = np.linspace(0.0, 1.0, before) if before > 1 else np.full(before, float(scenario.auto_start))
     columns, v, follows = [], 0, False
-    for row, part in zip(rows or ON_PATH, task.parts, strict=True):
+    for row, part in zip(rows, task.parts, strict=True):
         size = sum(len(feature.rows) for feature in part.features)
         wanted = _wanted(row, part, posed)
         leads = row.on == "path" and not follows
@@ -108,7 +109,7 @@ def _part(row: TaskRow, robot: Robot) -> Row:
     link, offset = _place(row, robot)
     if row.on in ("plane", "line"):
         return PointAlong(link, offset, 1 if row.on == "plane" else 2, row.within_m is not None)
-    of_world = row.frame == "world" and row.within_m is None
+    of_world = (row.frame == "world" or row.axes == "xyz") and row.within_m is None  # all three say the same anywhere
     if of_world and not (link is None and any(offset)):
         return TaskPoint(link, offset, tuple("xyz".index(axis) for axis in row.axes))
     return PointAlong(link, offset, len(row.axes), row.within_m is not None)

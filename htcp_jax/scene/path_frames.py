@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from htcp_jax.errors import InputError
-from htcp_jax.scene.surface import inwards
+from htcp_jax.scene.surface import fitted_normals
 
 NEIGHBOURS = 60  # points of the wall that a normal is fitted to
 
@@ -23,12 +23,9 @@ class PathFrames(NamedTuple):
 
 
 def wall_normals(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
-    """The normals of the wall at a path, unit: across the plane that fits the nearest points of the cloud, on the side
-    on which most of the part's surroundings lie, its inside."""
+    """The normals of the wall at a path, unit, see `surface.fitted_normals`."""
     _, near = cKDTree(cloud).query(path, k=min(NEIGHBOURS, len(cloud)))
-    spread = cloud[near] - cloud[near].mean(axis=1, keepdims=True)
-    _, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", spread, spread))
-    return inwards(path, axes[:, :, 0], cloud)
+    return fitted_normals(path, cloud[near], cloud)
 
 
 def tangents(path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:

@@ -42,13 +42,21 @@ def surface_of(cloud: Float[np.ndarray, "P 3"]) -> Surface:
         cloud = cloud[np.sort(np.random.default_rng(0).choice(len(cloud), MOST, replace=False))]
     count = min(NEIGHBOURS, len(cloud) - 1)
     distance, near = cKDTree(cloud).query(cloud, k=count + 1)
-    spread = cloud[near] - cloud[near].mean(axis=1, keepdims=True)
-    _, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", spread, spread))
     reach = 1.1 * distance[:, min(REACHED, count)]
-    return Surface(cloud, inwards(cloud, axes[:, :, 0], cloud), np.minimum(reach, 3 * np.median(reach)))
+    return Surface(cloud, fitted_normals(cloud, cloud[near], cloud), np.minimum(reach, 3 * np.median(reach)))
 
 
-def inwards(
+def fitted_normals(
+    points: Float[np.ndarray, "P 3"], near: Float[np.ndarray, "P K 3"], cloud: Float[np.ndarray, "C 3"]
+) -> Float[np.ndarray, "P 3"]:
+    """The normals of the cloud's surface at points, unit: across the planes that fit the points near to each, on the
+    side on which most of the surroundings lie, the inside."""
+    spread = near - near.mean(axis=1, keepdims=True)
+    _, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", spread, spread))
+    return _inwards(points, axes[:, :, 0], cloud)
+
+
+def _inwards(
     points: Float[np.ndarray, "P 3"], normals: Float[np.ndarray, "P 3"], cloud: Float[np.ndarray, "C 3"]
 ) -> Float[np.ndarray, "P 3"]:
     """The normals turned to the side on which, seen from a point, its wider surroundings in the cloud lie."""

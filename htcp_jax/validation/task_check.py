@@ -4,6 +4,7 @@ Nothing of the planner's rows is used. Normals and tangents that the path's file
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -81,7 +82,7 @@ def follower(rows: Sequence[TaskRow], arm: Arm, x: Float[np.ndarray, "n N"]) -> 
 
 def holds_tcp(rows: Sequence[TaskRow]) -> bool:
     """Whether the TCP is held on the path in all directions."""
-    return not rows or HELD in rows
+    return not rows or any(replace(row, frame=HELD.frame) == HELD for row in rows)
 
 
 def follows_all(rows: Sequence[TaskRow]) -> bool:
