@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from htcp_jax.jobs.build import scene
+from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.notebook import html_facts
@@ -207,7 +207,8 @@ def plan(
     registry.find(job.method)
     robot, workpiece, scenario = scene(job)
     batch.check_start(robot, workpiece, scenario)
-    plans = batch.plan(robot, workpiece, scenario, job.method, job.settings, progress=progress, device=device)
+    how = {"progress": progress, "device": device, "task": task_of_job(job, robot)}
+    plans = batch.plan(robot, workpiece, scenario, job.method, job.settings, **how)
     robot, scenario = with_own_tool(robot, scenario)
     return Plan(job, robot, workpiece, scenario, plans)
 

@@ -4,11 +4,14 @@ import warnings
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Float
 
 from htcp_jax.jobs.config import PlanConfig, RobotConfig, WorkpieceConfig
-from htcp_jax.scene.robot import GP50, Robot
+from htcp_jax.scene.goals import follower, task_of, with_goals
+from htcp_jax.scene.robot import GP50, Robot, lengthen_tool
 from htcp_jax.scene.robot_file import load_robot
 from htcp_jax.scene.scenario import Scenario, make_scenario
+from htcp_jax.scene.task import Task
 from htcp_jax.scene.units import check_tool
 from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.scene.workpiece_file import load_workpiece
@@ -19,6 +22,11 @@ def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
     robot = robot_of(job.robot)
     workpiece = workpiece_of(job.workpiece, robot)
     return robot, workpiece, scenario_of(job, robot, workpiece)
+
+
+def task_of_job(job: PlanConfig, robot: Robot) -> Task:
+    """What the arm has to hold on the path."""
+    return task_of(job.task, robot, job.settings.tolerance_m, job.settings.tolerance_rad)
 
 
 def robot_of(arm: RobotConfig) -> Robot:
@@ -73,8 +81,8 @@ def scenario_of(
 ) -> Scenario:
     """Start, pose, targets, margin and tool of a configuration; `number` is its identity for the random keys;
     beyond_reach: see `make_scenario`."""
-    part = job.workpiece
-    return make_scenario(
+    part, task = job.workpiece, task_of_job(job, robot)
+    scenario = make_scenario(
         robot,
         workpiece,
         job.start,
@@ -87,7 +95,16 @@ def scenario_of(
         tool_extension_m=job.robot.tool_extension_m,
         number=number,
         beyond_reach=beyond_reach,
+        follows=_follower_at_start(job, robot),
     )
+    return with_goals(scenario, job.task, task, robot, workpiece)
+
+
+def _follower_at_start(job: PlanConfig, robot: Robot) -> Float[np.ndarray, "3"] | None:
+    """Where the point that follows the path is at a start that is given, world [m]; None: `make_scenario` knows."""
+    if not job.task or job.start is None:
+        return None
+    return follower(job.task, lengthen_tool(robot, job.robot.tool_extension_m), np.array(job.start))
 
 
 _POSE = {"rotation_x_rad": 0.0, "rotation_y_rad": 0.0, "rotation_z_rad": 0.0, "shift_m": (0.0, 0.0, 0.0)}

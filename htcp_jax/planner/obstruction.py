@@ -62,7 +62,8 @@ def obstruction(
 ) -> Obstruction:
     """What is in the way at a target of a scenario. x_last: the last tracked posture, else the start [rad or m]."""
     task = lane_inputs(stack([scenario]), np.zeros(1, int), np.array([target]))
-    (found,) = obstructions(robot, make_obstacle(workpiece), task, np.asarray(x_last)[None], task.target, settings)
+    place = np.asarray(scenario.targets)[target][None]
+    (found,) = obstructions(robot, make_obstacle(workpiece), task, np.asarray(x_last)[None], place, settings)
     return found
 
 
