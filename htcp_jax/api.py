@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from htcp_jax.clearance.obstacle import Obstacles
 from htcp_jax.clearance.self_collision import SelfCollision
-from htcp_jax.jobs.build import drawn_of, obstacles_of, scene
+from htcp_jax.jobs.build import drawn_of, obstacles_of, scene, task_of_job
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.notebook import html_facts
@@ -219,9 +219,9 @@ def plan(
     job = load_config(config, overrides)
     registry.find(job.method)
     robot, workpiece, scenario = scene(job)
-    obstacles = obstacles_of(job.cell, robot)
+    obstacles, task = obstacles_of(job.cell, robot), task_of_job(job, robot)
     batch.check_start(robot, workpiece, scenario, obstacles)
-    how = {"progress": progress, "device": device, "obstacles": obstacles}
+    how = {"progress": progress, "device": device, "obstacles": obstacles, "task": task}
     plans = batch.plan(robot, workpiece, scenario, job.method, job.settings, **how)
     robot, scenario = with_own_tool(robot, scenario)
     return Plan(job, robot, workpiece, scenario, plans, obstacles)

@@ -37,6 +37,7 @@ class Settings:
     aim_above_m: float = 5e-4  # how far above the margin that must be kept the step QP's clearance rows aim
     max_step_qps: int = 20  # step QPs at one target before it counts as stuck
     tolerance_m: float = 1e-3  # a target is reached at this TCP error or less; also xi of the re-anchoring
+    tolerance_rad: float = 2e-3  # and of angles that the task holds
     qp: str = "clarabel"  # solver: clarabel, device, or qpsolvers:<name>
     qp_tolerance: float = 1e-8  # of Clarabel's residuals and gap, no unit; at margin 0 it decides what gets stuck
 
@@ -153,9 +154,9 @@ _MAY_BE_ZERO = {
 }  # fmt: skip
 # Beyond these a value is a slip of the pen or of the unit: a target "reached" within a kilometre, a step of many turns.
 _AT_MOST = {
-    "q_weights": 1e6, "j1_weight": 1e6, "tolerance_m": 0.1, "aim_above_m": 1.0, "keep_clear_m": 1.0,
-    "path_tolerance_m": 0.1, "front_apart_rad": 3.0, "front_aim_m": 1.0, "walk_step_rad": 3.0, "walk_steps": 10_000,
-    "search_step_rad": 3.0, "qp_tolerance": 0.01, "alpha_rad": 3.0, "sample_step_rad": 3.0,
+    "q_weights": 1e6, "j1_weight": 1e6, "tolerance_m": 0.1, "tolerance_rad": 0.2, "aim_above_m": 1.0,
+    "keep_clear_m": 1.0, "path_tolerance_m": 0.1, "front_apart_rad": 3.0, "front_aim_m": 1.0, "walk_step_rad": 3.0,
+    "walk_steps": 10_000, "search_step_rad": 3.0, "qp_tolerance": 0.01, "alpha_rad": 3.0, "sample_step_rad": 3.0,
     "max_sample_distance_rad": 1e3, "max_step_qps": 10_000, "max_null_space_steps": 10_000, "path_steps": 10_000,
     "seed": LARGEST_SEED,
 }  # fmt: skip

@@ -30,7 +30,8 @@ def scenario(number=0, rotation=(0.4, 0.1), start=made_once.START, **changes):
 
 def first_of(one, targets):
     """The scenario with its first targets alone."""
-    return replace(one, targets=one.targets[:targets], count=np.asarray(targets, np.int32))
+    goals = None if one.goals is None else one.goals[:targets]
+    return replace(one, targets=one.targets[:targets], goals=goals, count=np.asarray(targets, np.int32))
 
 
 @cache

@@ -117,6 +117,18 @@ def test_no_orientation_near_that_of_a_clear_posture_is_excluded(found):
         assert not excluded(scenarios[s], *map(jnp.asarray, (scenarios[s].targets[row], q, rho)))
 
 
+def test_an_approach_whose_lines_lead_out_of_reach_is_at_the_path_s_first_point(found):
+    """As planners leave the lines there; the scenario that was given stays as it is."""
+    robot, workpiece, (scenario, _), _ = found
+    targets, first = scenario.targets[:14].copy(), int(scenario.on_path)
+    targets[5] = 9.0
+    scenario = replace(scenario, targets=targets, count=np.asarray(14, np.int32))
+    result = reachable_prefixes(robot, workpiece, stack([scenario]), resolution_rad=0.9)
+    assert result.prefix[0] == result.most[0] == 14 and (scenario.targets[5] == 9.0).all()
+    for row in range(5, first):
+        assert np.linalg.norm(tcp_position(robot, jnp.asarray(result.x[0, row])) - targets[first]) <= 1e-3
+
+
 def walled_in(radius_m):
     """A target in the middle of a ball of points, and all else free."""
     k = np.arange(8000) + 0.5

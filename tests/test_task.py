@@ -41,7 +41,7 @@ def test_the_value_is_where_the_points_are_and_the_jacobian_its_derivative(name)
     for x in made_once.configurations(robot, 5):
         T = np.asarray(link_poses(robot, jnp.asarray(x)))
         by_hand = []
-        for point in task.points:
+        for point in task.parts:
             own = T[-1 if point.link is None else point.link]
             offset = np.asarray(robot.T_link_tcp)[:3, 3] if point.link is None else np.array(point.offset_m)
             by_hand += (own[:3, :3] @ offset + own[:3, 3])[list(point.axes)].tolist()

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from htcp_jax.clearance.exclusion import PIECES, Segments, cut, rotation, surely_touches, tool_collides
+from htcp_jax.clearance.exclusion import PIECES, Segments, cut, rotation, seen_from, surely_touches, tool_collides
 from htcp_jax.clearance.motion_bound import point_motion_bound
 from htcp_jax.clearance.motion_proof import ROUNDING_M
 from htcp_jax.clearance.obstacle import Posed
@@ -103,7 +103,7 @@ def _before_wrist(robot: Robot):
     p, q, radius, _ = cut(Segments(*bodies, jnp.zeros(len(here))))
     links, axis = np.tile(links[here], PIECES), robot.axis[first]
     turned = jnp.asarray(links == first)
-    on_p, on_q = (product(ends, axis)[:, None] * axis[None] for ends in (p, q))
-    aside = jnp.where(turned, jnp.maximum(safe_norm(p - on_p), safe_norm(q - on_q)), 0.0)
+    (on_p, off_p), (on_q, off_q) = seen_from(axis, p), seen_from(axis, q)
+    aside = jnp.where(turned, jnp.maximum(off_p, off_q), 0.0)
     p, q = jnp.where(turned[:, None], on_p, p), jnp.where(turned[:, None], on_q, q)
     return p, q, radius, aside, tuple(links.tolist())

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.clearance.cloud_tree import CloudIndex, build_index, nearest_body, nearest_rows
-from htcp_jax.clearance.obstacle import Bodies, Contacts, Posed, Rows
+from htcp_jax.clearance.obstacle import Bodies, Contacts, Posed, Rows, in_workpiece
 from htcp_jax.numerics import product, safe_divide, safe_norm, segment_parameter
 from htcp_jax.pytree import register_pytree
 from htcp_jax.scene.robot import Robot
@@ -81,9 +81,8 @@ class Cloud:
     ) -> Bool[jax.Array, ""]:
         """Whether a point is closer to any of n segments of the world than its `within` [m]; never where that is
         negative."""
-        rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
-        p, q = product(p - translate[None, :], rotate), product(q - translate[None, :], rotate)
-        return nearest_body(self.index, p, q, within + self.cover, below=0.0).row >= 0
+        own = in_workpiece(where, p), in_workpiece(where, q)
+        return nearest_body(self.index, *own, within + self.cover, below=0.0).row >= 0
 
     def touches_along(
         self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]

@@ -101,8 +101,13 @@ def _on_axis(robot: Robot, points: Float[Array, "n 3"]):
     far they are."""
     T, axis = robot.T_parent_joint[-1], robot.axis[-1]
     own = product(points - T[None, :3, 3], T[:3, :3])
-    on = product(own, axis)[:, None] * axis[None]
-    return on, safe_norm(own - on)
+    return seen_from(axis, own)
+
+
+def seen_from(axis: Vector3, points: Float[Array, "n 3"]):
+    """The points of an axis through the origin nearest to others, and how far they are [m]."""
+    on = product(points, axis)[:, None] * axis[None]
+    return on, safe_norm(points - on)
 
 
 def cut(bodies: Segments) -> Segments:

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance.half_spaces import HalfSpaces, crossed_facets, depths
-from htcp_jax.clearance.obstacle import Bodies, Contacts, Posed, Rows
+from htcp_jax.clearance.obstacle import Bodies, Contacts, Posed, Rows, in_workpiece
 from htcp_jax.numerics import product
 from htcp_jax.pytree import register_pytree
 from htcp_jax.scene.robot import Robot
@@ -71,9 +71,7 @@ class Interior:
         moves: Float[jax.Array, "n"],
     ) -> Bool[jax.Array, ""]:
         """Whether an end of any of n segments of the world is further outside, and deeper, than it can move [m]."""
-        rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
-        ends, moves = jnp.concatenate([p, q]), jnp.concatenate([moves, moves])
-        own = product(ends - translate[None, :], rotate)
+        own, moves = in_workpiece(where, jnp.concatenate([p, q])), jnp.concatenate([moves, moves])
         facet = crossed_facets(self.hull, own, _beyond(where, p, q) > moves)
         outside = jnp.sum(self.hull.normal[facet] * own, axis=1) - self.hull.offset[facet]
         return jnp.any((facet >= 0) & (outside > moves))

@@ -12,8 +12,8 @@ from htcp_jax.types import Array, Float, Joints
 class TaskRows(NamedTuple):
     """The task at one configuration, to first order."""
 
-    value: Float[Array, "M"]  # what the target is compared with [m]
-    jacobian: Float[Array, "M N"]
+    value: Float[Array, "V"]  # what the goals are compared with [m]
+    jacobian: Float[Array, "V N"]
 
 
 class Linearisation(NamedTuple):

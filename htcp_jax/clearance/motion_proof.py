@@ -10,6 +10,11 @@ The TCP p(s) is bounded to second order. With |p''| <= A on an interval of half-
     |p(s) - p(m) - (s - m) p'(m)| <= A h^2 / 2        |p'(s) - p'(m)| <= A h,
 
 and as the distance to a line is convex, the ends of the straight piece p(m) +- h p'(m) bound it on all of the piece.
+
+An axis a(s) that is held in a cone stays in it, or in that of the target before, with the tolerance of angles to spare:
+d a(s) is at least the cosine of the angle. Where the hinges turn by S in all per unit of s, |a''| <= S^2, and
+
+    d a(s) >= d a(m) - h |d a'(m)| - h^2 S^2 / 2.
 """
 
 import enum
@@ -18,6 +23,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 
 from htcp_jax.clearance.motion_bound import row_travel_bound, tcp_bend_bound
@@ -30,6 +36,7 @@ from htcp_jax.settings import Settings
 from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
 
 ROUNDING_M = 1e-9  # more than that of any position: what is proven is proven with so much to spare
+ROUNDING = 1e-12  # the same of a cosine
 RESOLUTION_M = 1e-5  # what `path_clear` may touch unnoticed: grazing paths take many halvings to prove
 KEPT_DEPTH = 6  # halvings for the sake of a clearance that means something
 DEEPEST = 30  # halvings; a joint turns by less than 1e-8 rad then
@@ -52,6 +59,7 @@ class Tube(NamedTuple):
     start: Vector3  # world [m]
     end: Vector3
     radius: Scalar  # [m]
+    cones: Float[Array, "C 2 4"] | None = None  # of each axis of the task: that of either end, and the least cosine
 
 
 class Proof(NamedTuple):
@@ -102,6 +110,10 @@ def prove(
         if tube is not None:
             inside, verdict = _in_tube(scene, tube, forwards, x, b - a, turns, half)
             proven &= inside
+            if tube.cones is not None:
+                inside, leaves = _in_cones(scene, tube.cones, x, b - a, half)
+                proven &= inside
+                verdict = jnp.where((verdict == Verdict.PROVEN) & leaves, int(Verdict.LEAVES), verdict)
         verdict = jnp.where(jnp.min(left) <= 0, int(Verdict.COLLIDES), verdict)
         verdict = jnp.where((verdict == Verdict.PROVEN) & ~proven & (depth >= deepest), int(Verdict.OPEN), verdict)
         found = Proof(
@@ -148,6 +160,18 @@ def _in_tube(scene: Scene, tube: Tube, forwards: Vector3, x: Joints, rates: Join
     verdict = jnp.where(off > tube.radius, int(Verdict.LEAVES), verdict).astype(jnp.int32)
     bounded = jnp.isfinite(tube.radius)
     return inside | ~bounded, jnp.where(bounded, verdict, int(Verdict.PROVEN))
+
+
+def _in_cones(scene: Scene, cones: Float[Array, "C 2 4"], x: Joints, rates: Joints, half: Scalar):
+    """Whether every axis surely stays in one of its two cones on an interval about x; whether one is in none at x."""
+    axes, slopes = scene.task.cone_axes(scene.robot, x)
+    along = jnp.sum(cones[:, :, :3] * axes[:, None], axis=2)
+    turning = jnp.sum(slopes * rates[None, None], axis=2)
+    ahead = jnp.sum(cones[:, :, :3] * turning[:, None], axis=2)
+    turned = half * jnp.sum(jnp.where(np.array(scene.robot.slides), 0.0, jnp.abs(rates)))
+    least = along - half * jnp.abs(ahead) - 0.5 * turned * turned
+    inside = jnp.any(least - ROUNDING >= cones[:, :, 3], axis=1)
+    return jnp.all(inside), jnp.any(jnp.all(along < cones[:, :, 3], axis=1))
 
 
 def _off_line(tube: Tube, points: Float[Array, "n 3"]) -> Float[Array, "n"]:

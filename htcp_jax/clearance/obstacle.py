@@ -63,9 +63,14 @@ class Bodies(NamedTuple):
 
 def bodies_at(robot: Robot, where: Posed, x: Joints) -> Bodies:
     """Where the bodies are at configuration x [rad or m]."""
-    rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
     p, q = capsule_segments(robot, x)
-    return Bodies(p, q, product(p - translate[None, :], rotate), product(q - translate[None, :], rotate))
+    return Bodies(p, q, in_workpiece(where, p), in_workpiece(where, q))
+
+
+def in_workpiece(where: Posed, points: Float[jax.Array, "n 3"]) -> Float[jax.Array, "n 3"]:
+    """World points [m] in the workpiece's frame."""
+    rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
+    return product(points - translate[None, :], rotate)
 
 
 @runtime_checkable

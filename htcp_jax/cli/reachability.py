@@ -27,6 +27,7 @@ from htcp_jax.planner.reachability import PROOF_CELLS, RESOLUTION_RAD, Reachabil
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.plan_folder import write_json, written_whole
 from htcp_jax.runs.run_folder import Run, open_run
+from htcp_jax.scene.scenario import Scenario
 
 Resolution = Annotated[
     float,
@@ -94,6 +95,7 @@ def _search(batch: Batch, resolution_rad: float, proof_cells: int) -> Reachabili
                 cell.workpiece,
                 jax.tree.map(itemgetter(rows), batch.scenarios),
                 cell.settings,
+                task=cell.task,
                 obstacles=cell.obstacles,
                 resolution_rad=resolution_rad,
                 proof_cells=proof_cells,
@@ -110,13 +112,22 @@ def _beaten(run: Run, batch: Batch, found: Reachability) -> dict[str, list[int]]
     for method in run.methods:
         plans = run.plans(method)
         both = min(len(plans.target), len(found.prefix))
-        here, there = batch.scenarios.targets[:both], plans.target[:both]
-        if here.shape != there.shape or np.nanmax(np.abs(here - there), initial=0.0) > 1e-9:
+        here, there = gather(batch.scenarios, slice(both)), plans.target[:both]
+        if here.targets.shape != there.shape or np.nanmax(_away(here, there), initial=0.0) > 1e-9:
             raise InputError(f"{run.folder} holds a run with other targets; name another folder with --out")
         further = np.flatnonzero(plans.outcomes.tracked[:both] > found.prefix[:both])
         if len(further):
             beaten[method] = further.tolist()
     return beaten
+
+
+def _away(scenarios: Scenario, targets: np.ndarray) -> np.ndarray:
+    """How far targets of a run are from those of the scenarios [m]; not those of an approach that left its lines, which
+    are the path's first point."""
+    before = np.arange(targets.shape[1]) < scenarios.on_path[:, None]
+    first = np.take_along_axis(scenarios.targets, scenarios.on_path[:, None, None], axis=1)
+    left = before & (np.abs(targets - first) <= 1e-9).all(axis=2)
+    return np.where(left[..., None], 0.0, np.abs(targets - scenarios.targets))
 
 
 def _print(name: str, batch: Batch, found: Reachability, record: dict, out: Path) -> None:

@@ -53,7 +53,7 @@ def refuse_unknown(raw: dict, model: type, source: str, prefix: str = "") -> Non
             continue
         sections = [kind for kind in (kinds[key], *get_args(kinds[key])) if _is_section(kind)]
         for section in sections:
-            items = enumerate(value) if isinstance(value, list) else [(None, value)]
+            items = enumerate(value, int(key == "task")) if isinstance(value, list) else [(None, value)]
             if get_origin(kinds[key]) is dict and isinstance(value, dict):
                 items = value.items()
             for k, item in items:
@@ -74,7 +74,8 @@ def _items(value: Any) -> Sequence[Any]:
 
 def _message(error: dict) -> str:
     """One pydantic error in our words."""
-    where = ".".join(str(part) for part in error["loc"])
+    rows = error["loc"][:1] == ("task",)  # which are counted from 1, as in --set
+    where = ".".join(str(part + 1 if rows and isinstance(part, int) else part) for part in error["loc"])
     cause = error.get("ctx", {}).get("error")
     if isinstance(cause, InputError):
         return f"{where}.{cause}" if where == "settings" else f"{where}: {cause}"

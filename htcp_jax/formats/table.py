@@ -3,6 +3,7 @@
 import io
 import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,16 +25,34 @@ def read_table(path: Path) -> Points:
     commas.
     """
     reader = _TableReader(path)
-    for number, line in enumerate(_text(path).replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1):
-        reader.take(number, line)
+    reader.take_all()
     return reader.points()
+
+
+def read_named(path: Path, families: Sequence[tuple[str, ...]]) -> dict[tuple[str, ...], np.ndarray]:
+    """Further columns of a text file by their names in its header: those of each family that it names all of, (P, k).
+    Raises InputError as `read_table` does, and for what is no finite number, naming the point."""
+    reader = _TableReader(path, keep=True)
+    reader.take_all()
+    names, found = reader.names or [], {}
+    if reader.columns is None or not reader.columns.named:
+        return found
+    for family in families:
+        if all(names.count(name) == 1 for name in family):
+            cells = [[row[names.index(name)] for name in family] for row in reader.rows]
+            for k, row in enumerate(cells):
+                if not all(_is_number(cell) and math.isfinite(float(cell)) for cell in row):
+                    raise InputError(f"{path}: {','.join(family)} of point {k + 1} is {','.join(row)[:40]!r}")
+            found[family] = np.array(cells, float)
+    return found
 
 
 class _TableReader:
     """Takes line by line; the columns are settled at the first row."""
 
-    def __init__(self, path: Path):
-        self.path = path
+    def __init__(self, path: Path, keep: bool = False):
+        self.path, self.keep = path, keep
+        self.rows: list[list[str]] = []  # of all columns, where they are kept
         self.names: list[str] | None = None
         self.header: int | None = None  # the line of it
         self.first = 0  # the line of the first row
@@ -41,6 +60,11 @@ class _TableReader:
         self.xyz: list[list[float]] = []
         self.normals: list[list[float]] | None = None
         self.whole = False  # whether all so far is as 1,5,2,5,3,5, where each comma may be a decimal one
+
+    def take_all(self) -> None:
+        lines = _text(self.path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+        for number, line in enumerate(lines, start=1):
+            self.take(number, line)
 
     def take(self, number: int, line: str) -> None:
         content, _, comment = line.partition("#")
@@ -89,6 +113,8 @@ class _TableReader:
         if not all(map(math.isfinite, row)):
             raise self._error(number, " holds NaN or an infinite number")
         self.xyz.append(row)
+        if self.keep:
+            self.rows.append(cells)
         self.whole = self.whole and all(cell.strip().lstrip("+-").isdigit() for cell in cells)
         if self.normals is not None:
             self._normal(cells)

@@ -13,9 +13,11 @@ from htcp_jax.clearance.self_collision import self_collision
 from htcp_jax.jobs.config import CellConfig, PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.scene.cell import load_cell
 from htcp_jax.scene.fixture import Fixture
-from htcp_jax.scene.robot import GP50, Robot
+from htcp_jax.scene.goals import follower, task_of, with_goals
+from htcp_jax.scene.robot import GP50, Robot, lengthen_tool
 from htcp_jax.scene.robot_file import load_robot
 from htcp_jax.scene.scenario import Scenario, make_scenario
+from htcp_jax.scene.task import Task
 from htcp_jax.scene.tool import pose
 from htcp_jax.scene.units import check_tool
 from htcp_jax.scene.workpiece import Workpiece
@@ -27,6 +29,11 @@ def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
     robot = robot_of(job.robot)
     workpiece = workpiece_of(job.workpiece, robot)
     return robot, workpiece, scenario_of(job, robot, workpiece)
+
+
+def task_of_job(job: PlanConfig, robot: Robot) -> Task:
+    """What the arm has to hold on the path."""
+    return task_of(job.task, robot, job.settings.tolerance_m, job.settings.tolerance_rad)
 
 
 def robot_of(arm: RobotConfig) -> Robot:
@@ -81,8 +88,8 @@ def scenario_of(
 ) -> Scenario:
     """Start, pose, targets, margin and tool of a configuration; `number` is its identity for the random keys;
     beyond_reach: see `make_scenario`."""
-    part = job.workpiece
-    return make_scenario(
+    part, task = job.workpiece, task_of_job(job, robot)
+    scenario = make_scenario(
         robot,
         workpiece,
         job.start,
@@ -95,7 +102,16 @@ def scenario_of(
         tool_extension_m=job.robot.tool_extension_m,
         number=number,
         beyond_reach=beyond_reach,
+        follows=_follower_at_start(job, robot),
     )
+    return with_goals(scenario, job.task, task, robot, workpiece)
+
+
+def _follower_at_start(job: PlanConfig, robot: Robot) -> Float[np.ndarray, "3"] | None:
+    """Where the point that follows the path is at a start that is given, world [m]; None: `make_scenario` knows."""
+    if not job.task or job.start is None:
+        return None
+    return follower(job.task, lengthen_tool(robot, job.robot.tool_extension_m), np.array(job.start))
 
 
 def shapes_of(cell: CellConfig) -> tuple[Fixture, ...]:

@@ -14,6 +14,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.formats.strict_model import Section
 from htcp_jax.planner.registry import NAME
 from htcp_jax.scene.duct import INTERIOR_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
+from htcp_jax.scene.task_list import TaskRow
 from htcp_jax.scene.tool import Tool
 from htcp_jax.settings import Settings, renamed
 
@@ -122,6 +123,7 @@ class PlanConfig(Section):
     cell: CellConfig = CellConfig()
     start_rad: Start = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # or auto: chosen at the path's first point
     home_rad: tuple[Number, ...] | None = Field(None, validate_default=True)  # where the motion begins; None: the start
+    task: tuple[TaskRow, ...] = ()  # none: the TCP on the path
     margin_m: float = Field(5e-4, ge=0, le=1)  # least clearance with which a target counts
     method: str = "roadmap"
     settings: Settings = Settings()

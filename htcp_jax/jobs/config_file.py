@@ -50,13 +50,25 @@ def merged(raws: Iterable[dict]) -> dict:
 
 
 def put(raw: dict, dotted: str, value: Any) -> None:
-    """Set one key, or lay a mapping over the section that is there."""
+    """Set one key, or lay a mapping over the section that is there. Rows of a list have numbers, from 1. Raises
+    InputError for a row that is not there."""
     *sections, key = dotted.split(".")
-    for section in sections:
+    for k, section in enumerate(sections):
+        if isinstance(raw.get(section), list) and k + 1 < len(sections):
+            rows = raw[section] = list(raw[section])
+            return _put_in_row(rows, sections[k + 1], ".".join([*sections[k + 2 :], key]), dotted, value)
         if not isinstance(raw.get(section), dict):
             raw[section] = {}
         raw = raw[section]
     _lay_over(raw, {key: _plain(value)})
+
+
+def _put_in_row(rows: list, number: str, key: str, dotted: str, value: Any) -> None:
+    """Set a key of one row of a list, which are counted from 1."""
+    if not number.isdecimal() or not 1 <= int(number) <= len(rows) or not isinstance(rows[int(number) - 1], dict):
+        raise InputError(f"{dotted}: there is no row {number}; there are {len(rows)}")
+    own = rows[int(number) - 1] = dict(rows[int(number) - 1])
+    put(own, key, value)
 
 
 def parse_override(override: str) -> tuple[str, Any]:

@@ -63,6 +63,8 @@ def keys_of(raw: dict, prefix: str = "") -> set[str]:
 def value_at(raw: dict, dotted: str) -> Any:
     """The value of a key; None where it is not there."""
     for key in dotted.split("."):
+        if isinstance(raw, list | tuple):
+            raw = dict(zip(map(str, range(1, len(raw) + 1)), raw, strict=True))
         if not isinstance(raw, dict) or key not in raw:
             return None
         raw = raw[key]

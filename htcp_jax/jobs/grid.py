@@ -26,7 +26,16 @@ from htcp_jax.clearance.obstacle import Obstacles
 from htcp_jax.errors import InputError
 from htcp_jax.formats.strict_model import Section, validate
 from htcp_jax.formats.strict_yaml import read_yaml
-from htcp_jax.jobs.build import arm_of, obstacles_of, part_of, robot_of, scenario_of, shape_of, workpiece_of
+from htcp_jax.jobs.build import (
+    arm_of,
+    obstacles_of,
+    part_of,
+    robot_of,
+    scenario_of,
+    shape_of,
+    task_of_job,
+    workpiece_of,
+)
 from htcp_jax.jobs.config import DEPENDENT, CellConfig, PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.jobs.config_file import put
 from htcp_jax.jobs.defaults import fill_in, is_other, keys_of
@@ -35,6 +44,7 @@ from htcp_jax.jobs.grid_points import points_of
 from htcp_jax.jobs.load_config import read_config
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import Scenario, stack
+from htcp_jax.scene.task import Task
 from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.settings import Settings
 
@@ -53,6 +63,7 @@ class Cell(NamedTuple):
     robot: Robot
     workpiece: Workpiece
     settings: Settings
+    task: Task
     obstacles: Obstacles = ()  # besides the workpiece
 
 
@@ -113,12 +124,13 @@ class Sweep:
                 arms[arm] = _like(self.robot, robot_of(arm), f"{self.name}: scenario {point.number}")
             if (arm, part) not in parts:
                 parts[arm, part] = workpiece_of(part, arms[arm])
-            beside = point.config.cell
+            task, beside = _task(point, arms[arm]), point.config.cell
             if (arm, beside) not in obstacles:
                 obstacles[arm, beside] = obstacles_of(beside, arms[arm])
-            own = len(cells), Cell(arms[arm], parts[arm, part], settings, obstacles[arm, beside])
-            whose.append(cells.setdefault((arm, shape_of(part), settings, beside), own)[0])
+            own = len(cells), Cell(arms[arm], parts[arm, part], settings, task, obstacles[arm, beside])
+            whose.append(cells.setdefault((arm, shape_of(part), settings, task, beside), own)[0])
             scenarios.append(_scenario(point, arms[arm], parts[arm, part]))
+            _check_alike(point, task, next(iter(cells.values()))[1].task)
         return Batch(tuple(cell for _, cell in cells.values()), np.array(whose, int), stack(scenarios), points)
 
 
@@ -187,6 +199,21 @@ def _like(first: Robot, robot: Robot, where: str) -> Robot:
         kinds = [f"{one.name} has {len(one.slides)} joints, {sum(one.slides)} of them slides" for one in (robot, first)]
         raise InputError(f"{where}: {'; '.join(kinds)}; the robots of one sweep must have as many joints of each kind")
     return robot
+
+
+def _task(point: Point, robot: Robot) -> Task:
+    try:
+        return task_of_job(point.config, robot)
+    except InputError as error:
+        raise InputError(f"scenario {point.number}: {error}") from None
+
+
+def _check_alike(point: Point, task: Task, first: Task) -> None:
+    """Raise InputError where a goal has other numbers than those of the first scenario: they stand in one table."""
+    if task.numbers != first.numbers:
+        raise InputError(
+            f"scenario {point.number}: its task has other rows than the first one's; a cone of 0 degrees is no cone"
+        )
 
 
 def _scenario(point: Point, robot: Robot, workpiece: Workpiece) -> Scenario:

@@ -26,6 +26,8 @@ PARAMETERS = (
     "margin_m",
 )
 NO_AXIS = "method", "ray"  # a sweep asks for methods by itself, and a cluster has no influence on results
+MOST_ROWS = 8  # of a task, that an axis may name
+OF_A_ROW = {"cone_deg": 0.0, "within_deg": 0.0, "within_m": 0.0, "offset_m": (0.0, 0.0, 0.0)}  # what varies of a row
 FILE_KEYS = {".".join(key): words for key, words in FILES.items()}
 XYZ = "xyz"
 
@@ -34,7 +36,9 @@ def _keys() -> dict[str, Any]:
     """Every key that an axis may vary, with its default."""
     found = {}
     for name, value in PlanConfig().model_dump().items():
-        if name not in NO_AXIS:
+        if name == "task":
+            found |= {f"task.{k}.{key}": default for k in range(1, MOST_ROWS + 1) for key, default in OF_A_ROW.items()}
+        elif name not in NO_AXIS:
             found |= {f"{name}.{key}": v for key, v in value.items()} if isinstance(value, dict) else {name: value}
     return found
 
@@ -121,8 +125,10 @@ def put(raw: dict, column: Column, value: Any) -> None:
     """Set one parameter in the plain form of a configuration."""
     parameter = column.parameter
     section, _, key = parameter.key.rpartition(".")
-    owner = raw[section] if section else raw
+    owner = _row(raw, parameter) if section.startswith("task.") else raw[section] if section else raw
     old = owner[key]
+    if old is None and column.relative:
+        raise InputError(f"{parameter.name} is not given, so nothing can be added to it")
     if old == AUTO and (column.relative or parameter.element is not None):
         raise InputError(f"{parameter.name}: {parameter.key} is {AUTO}, which has no joint positions to vary")
     if parameter.element is None:
@@ -133,6 +139,15 @@ def put(raw: dict, column: Column, value: Any) -> None:
     new = list(old)
     new[parameter.element] = old[parameter.element] + value if column.relative else value
     owner[key] = tuple(new)
+
+
+def _row(raw: dict, parameter: Parameter) -> dict:
+    """The row of the task that a parameter is of; it is the configuration's own afterwards."""
+    rows, number = [dict(row) for row in raw["task"]], int(parameter.key.split(".")[1])
+    if number > len(rows):
+        raise InputError(f"{parameter.name}: the task has {len(rows)} rows")
+    raw["task"] = tuple(rows)
+    return rows[number - 1]
 
 
 def record(group: Group, stated: Collection[str]) -> dict[str, Any]:

@@ -145,8 +145,10 @@ def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario, obstacle
 
 def _check_task(task: Task, robot: Robot, scenarios: Scenario) -> None:
     task.freedom(robot)
-    if (given := scenarios.targets.shape[-1]) != task.rows:
+    if scenarios.goals is None and (given := scenarios.targets.shape[-1]) != task.rows:
         raise InputError(f"the task has {task.rows} rows, the targets have {given}")
+    if scenarios.goals is not None and (given := scenarios.goals.shape[-1]) != task.numbers:
+        raise InputError(f"the task has {task.numbers} numbers at a target, the goals have {given}")
 
 
 def _counter(scenarios: Scenario, progress: Callable[[Progress], None] | None) -> Callable[[int, int], None]:

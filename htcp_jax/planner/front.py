@@ -58,9 +58,13 @@ def dispersed(nodes: Sequence[Node], most: int, apart: float, known: Sequence[No
             near.append(node.x)
     if len(chosen) <= most:
         return chosen
-    x = np.array([node.x for node in chosen])
-    kept, distance = [0], np.linalg.norm(x - x[0], axis=1)
-    while len(kept) < most:
+    return [chosen[k] for k in sorted(farthest_first(np.array([node.x for node in chosen]), 0, most, apart))]
+
+
+def farthest_first(x: Float[np.ndarray, "n N"], first: int, most: int, apart: float) -> list[int]:
+    """Up to `most` rows of x, from `first` on always the one farthest from those chosen; none nearer than `apart`."""
+    kept, distance = [first], np.linalg.norm(x - x[first], axis=1)
+    while len(kept) < most and distance.max() >= apart:
         kept.append(int(np.argmax(distance)))
         distance = np.minimum(distance, np.linalg.norm(x - x[kept[-1]], axis=1))
-    return [chosen[k] for k in sorted(kept)]
+    return kept

@@ -15,6 +15,7 @@ from htcp_jax.planner.kernel import DEEP, STEP, Kernel
 from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.kinematics import tcp_position
+from htcp_jax.scene.task import TaskLinear
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import step_qp
 from htcp_jax.solvers.active_set import solve_step
@@ -37,18 +38,20 @@ def prepare(
 ) -> step_qp.StepQP:
     """The step QP of one lane, equation (8)."""
     scene = own_scene(scene, lane.tool_extension_m)
-    robot = scene.robot
+    robot, task = scene.robot, scene.task.linear(*linear.task, lane.target)
     return step_qp.assemble(
         settings,
         x_ref,
         x_previous,
-        scene.task.error(linear.task.value, lane.target),
-        linear.task.jacobian,
+        task.error,
+        task.jacobian,
         linear.clearance.distance,
         linear.clearance.gradient,
         lane.margin_m + settings.aim_above_m,
         robot.lower,
         robot.upper,
+        task.room,
+        task.gradient,
     )
 
 
@@ -117,6 +120,11 @@ def settle(settings: Settings, scene: Scene, lane: LaneInputs, x):
     return reanchor(scene.robot, x, lane.target, 0.1 * scene.task.fine_m, task=scene.task)[0]
 
 
+def hold(settings: Settings, scene: Scene, lane: LaneInputs, linear: Linearisation) -> TaskLinear:
+    """The task's rows at the lane's target, where the arm is linearised."""
+    return scene.task.linear(*linear.task, lane.target)
+
+
 # The kernels by name, each with the settings that it reads
 
 _STEP_QP = ("q_weights", "cost_about", "clearance_rows", "aim_above_m")
@@ -127,3 +135,4 @@ TRACK_BURST = Kernel("track", track, STEP, (*_STEP_QP, "max_step_qps", "qp_toler
 CHECK_PATH = Kernel("check_path", check_path, DEEP, ("path_test", "path_steps"))
 PROVE = Kernel("prove", prove_way, DEEP)
 SETTLE = Kernel("settle", settle, STEP)
+HOLD = Kernel("hold", hold, STEP)

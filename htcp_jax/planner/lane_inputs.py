@@ -17,7 +17,7 @@ class LaneInputs(NamedTuple):
     margin_m: jax.Array
     tool_extension_m: jax.Array
     number: jax.Array
-    target: jax.Array  # [m]
+    target: jax.Array  # the task's goal there [m]
     row: jax.Array  # of the target
     round: jax.Array  # of draws
     seed: jax.Array
@@ -35,7 +35,7 @@ def lane_inputs(
         margin_m=scenarios.margin_m[scenario],
         tool_extension_m=scenarios.tool_extension_m[scenario],
         number=scenarios.number[scenario],
-        target=scenarios.targets[scenario, row],
+        target=scenarios.aims[scenario, row],
         row=row,
         round=np.broadcast_to(np.asarray(round_, np.int32), row.shape),
         seed=np.full(row.shape, seed, np.int64),

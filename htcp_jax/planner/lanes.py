@@ -39,7 +39,7 @@ class Lanes(NamedTuple):
 
 
 def new_lanes(sizes: tuple[int, int], scenario, target, x_previous, x_ref, candidate=MAIN) -> Lanes:
-    """Lanes that start at x_ref (L, N); sizes: rows of the task, and of the clearance."""
+    """Lanes that start at x_ref (L, N); sizes: values that the task looks at, rows of the clearance."""
     lanes, n = x_ref.shape
 
     def column(value):

@@ -41,15 +41,29 @@ class Segments(NamedTuple):
 def tubes(
     scenarios: Scenario, task: Task, radius_m: float, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray
 ) -> Tube:
-    """Where the TCP has to be on the way to targets; anywhere before the path, and where the task is not the TCP's
-    position. turns: see `Segments`."""
-    line = scenarios.targets[scenario, np.maximum(target - 1, 0)], scenarios.targets[scenario, target]
-    free = (target <= scenarios.on_path[scenario]) | (task.points != Task().points)
+    """Where the TCP has to be on the way to targets; anywhere before the path, and where the task does not hold it at a
+    place. turns: see `Segments`."""
+    free = (target <= scenarios.on_path[scenario]) | (not task.holds_tcp)
+    cones = _cones(scenarios, task, scenario, target, turns) if task.cones else None
     if free.all():
-        return Tube(np.zeros((len(target), 3)), np.zeros((len(target), 3)), np.full(len(target), np.inf))
-    a, b = line
+        return Tube(np.zeros((len(target), 3)), np.zeros((len(target), 3)), np.full(len(target), np.inf), cones)
+    a, b = (task.tcp_place(scenarios.aims[scenario, row]) for row in (np.maximum(target - 1, 0), target))
     a = np.where((np.linalg.norm(b - a, axis=1) < ONE_POINT_M)[:, None], b, a)
-    return Tube(a, np.where(turns[:, None], a, b), np.where(free, np.inf, radius_m))
+    return Tube(a, np.where(turns[:, None], a, b), np.where(free, np.inf, radius_m), cones)
+
+
+def _cones(
+    scenarios: Scenario, task: Task, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray
+) -> Float[np.ndarray, "n C 2 4"]:
+    """The cones that the task's axes are in on the way to targets: those of the target before and of this one; all of
+    space before the path."""
+    before = np.maximum(target - 1, 0)
+    goals = np.stack([scenarios.aims[scenario, row] for row in (before, np.where(turns, before, target))], axis=1)
+    found = np.stack([goals[:, :, start : start + 4] for start in task.cones], axis=1)
+    limit = np.minimum(found[..., 3] + task.tolerance_rad, np.pi)
+    off = (target <= scenarios.on_path[scenario])[:, None, None]
+    found[..., 3] = np.where(off | (limit >= np.pi), -2.0, np.cos(limit))
+    return found
 
 
 def judge_motions(problem: Problem, plans: Plans) -> None:

@@ -38,7 +38,7 @@ class Stuck(NamedTuple):
     """Where one scenario is stuck."""
 
     x_previous: Joints  # x_{t-1}
-    target: Float[Array, "M"]  # C_next [m]
+    target: Float[Array, "G"]  # C_next, the task's goal [m]
     key: jax.Array  # folded from seed, scenario and target: depends on nothing else
 
 
@@ -49,12 +49,14 @@ def seen_rows(scene: Scene, include_proximal_bodies: bool) -> tuple[bool, ...]:
 
 
 def sphere_problem(
-    scene: Scene, settings: Settings, where: Posed, x_ref: Joints
+    scene: Scene, settings: Settings, where: Posed, x_ref: Joints, target: Float[Array, "G"] | None = None
 ) -> tuple[sphere.Sphere, HeldContacts, Float[Array, "N D"]]:
-    """Equation (11) at x_ref: the problem, the contacts at x_ref, and alpha N(x_ref) [rad]. Nothing where D = 0."""
+    """Equation (11) at x_ref: the problem, the contacts at x_ref, and alpha N(x_ref) [rad]. Nothing where D = 0.
+    target: the task's goal; of a task of points any, and so None."""
     robot, obstacles, task = scene
     rows = scene.rows
-    step_basis = settings.alpha_rad * null_basis(task.jacobian(robot, x_ref))
+    held = task.linear_at(robot, x_ref, jnp.zeros(task.numbers) if target is None else target)
+    step_basis = settings.alpha_rad * null_basis(held.jacobian)
     weights = jnp.asarray(settings.q_weights)
     # J1 = |x - x_ref|_Q^2 = w' (alpha N)' Q (alpha N) w
     half = settings.j1_weight * product(step_basis.T, weights[:, None] * step_basis)
@@ -80,6 +82,9 @@ def sphere_problem(
 
     G = jnp.concatenate([step_basis, -step_basis])
     h = jnp.concatenate([robot.upper - x_ref, x_ref - robot.lower])
+    if task.bands:
+        G = jnp.concatenate([G, -product(held.gradient, step_basis)])
+        h = jnp.concatenate([h, jnp.maximum(held.room, 0.0)])
     problem = sphere.Sphere(observe, measure, predict, 2 * half, G, jnp.minimum(h, 1e3))
     return problem, hold_contacts(robot, x_ref, rows, contacts(robot, obstacles, where, x_ref)), step_basis
 
@@ -144,7 +149,7 @@ class Anchored(NamedTuple):
     residual: Scalar  # the task's [m]
 
 
-def anchor(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Float[Array, "M"]) -> Anchored:
+def anchor(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Float[Array, "G"]) -> Anchored:
     """Re-anchor x where its TCP error exceeds the tolerance xi, equation (10b) and Algorithm 1; then measure it."""
     robot, obstacles, task = scene
     off = task.off(robot, x, target)
@@ -160,7 +165,7 @@ def null_space_step(
     minimise: Minimise, scene: Scene, settings: Settings, where: Posed, stuck: Stuck, x_ref: Joints, count
 ) -> Anchored:
     """One round of Algorithm 1's null-space loop: minimise J2 on the sphere, x = x_ref + alpha N w, re-anchor."""
-    problem, held, step_basis = sphere_problem(scene, settings, where, x_ref)
+    problem, held, step_basis = sphere_problem(scene, settings, where, x_ref, stuck.target)
     best = minimise(problem, held, jax.random.fold_in(stuck.key, count), settings)
     x = jnp.clip(x_ref + product(step_basis, best.w), scene.robot.lower, scene.robot.upper)
     return anchor(scene, settings, where, x, stuck.target)
@@ -171,7 +176,7 @@ def keep_clear_ascent(
     settings: Settings,
     where: Posed,
     x: Joints,
-    target: Float[Array, "M"],
+    target: Float[Array, "G"],
     enough_m: Scalar | float | None = None,
     steps: int | None = None,
 ) -> Anchored:
@@ -189,7 +194,7 @@ def keep_clear_ascent(
 
     def step(state):
         best, scale, count = state
-        problem, held, step_basis = sphere_problem(scene, settings, where, best.x)
+        problem, held, step_basis = sphere_problem(scene, settings, where, best.x, target)
         w = sphere.max_min_step(problem, held, scale)
         x = jnp.clip(best.x + product(step_basis, w), scene.robot.lower, scene.robot.upper)
         new = anchor(scene, settings, where, x, target)
@@ -204,7 +209,7 @@ def keep_clear_ascent(
     return best
 
 
-def push_clear(scene: Scene, settings: Settings, where: Asked, x: Joints, target: Float[Array, "M"]) -> Anchored:
+def push_clear(scene: Scene, settings: Settings, where: Asked, x: Joints, target: Float[Array, "G"]) -> Anchored:
     """x brought onto the target and pushed in the null space until it keeps the margin, or as clear as it gets."""
     enough_m = jnp.maximum(1e-9, where.margin_m)
     x = anchor(scene, settings, where, x, target).x

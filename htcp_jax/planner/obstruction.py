@@ -71,7 +71,8 @@ def obstruction(
     obstacles: besides the workpiece."""
     task = lane_inputs(stack([scenario]), np.zeros(1, int), np.array([target]))
     known = (*make_obstacle(workpiece), *obstacles)
-    (found,) = obstructions(robot, known, task, np.asarray(x_last)[None], task.target, settings)
+    place = np.asarray(scenario.targets)[target][None]
+    (found,) = obstructions(robot, known, task, np.asarray(x_last)[None], place, settings)
     return found
 
 

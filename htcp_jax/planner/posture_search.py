@@ -5,6 +5,9 @@ of these are looked at: a cover of cells of a stated radius (`tool_cells`), but 
 sure. Each cell's middle is the aim of Newton's method from several seeds, the nearest of many postures in known poses,
 so that the arm's branches, elbow up or down and so on, are all met. What comes out is brought onto the target, and the
 clearest that are far apart are pushed clear. An arm of more joints has further freedom, which the seeds alone spread.
+
+Where a task does not hold the tip at a place there are no cells: postures that are spread over the joint limits are
+brought onto the target, and nothing is complete.
 """
 
 from typing import NamedTuple
@@ -12,7 +15,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
@@ -22,6 +25,7 @@ from htcp_jax.clearance.obstacles import clearance
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.numerics import product, safe_norm, solve_spd
 from htcp_jax.planner.kernel import Kernel
+from htcp_jax.planner.kernels import ADVANCE, SETTLE
 from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.planner.lanes import gather
 from htcp_jax.planner.null_space import Anchored
@@ -31,10 +35,12 @@ from htcp_jax.planner.tool_cells import MANY, Cells, tool_cells
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.kinematics import jacobian, link_poses, tcp_position
 from htcp_jax.scene.robot import Robot, lengthen_tool
+from htcp_jax.scene.task import Task
 from htcp_jax.settings import Settings
 
 CELLS = 20_000  # at a target, at most: else the resolution is coarser, and says so
 SEEDS, KNOWN = 12, 2**15  # of Newton's method for each cell, and the postures that they are taken from
+SPREAD = 2**13  # of these postures, where there are no cells
 STEPS = 12  # of Newton's method
 PUSHED = 64  # postures pushed clear at a target
 APART_RAD = 0.2  # closer postures are one
@@ -43,6 +49,13 @@ HOP = 0.15  # and how far [rad or m]
 LENGTH_M = 0.3  # of which a radian of the tool weighs as much as this far of its tip
 TURN_M = LENGTH_M / np.sqrt(2)  # the same of rotation matrices, whose distance is sqrt(2) times the angle
 KnownPostures = dict[float, tuple[np.ndarray, cKDTree]]  # by the tool's extension: postures, and a tree of their poses
+
+
+class OnTarget(NamedTuple):
+    """Postures on targets."""
+
+    lane: Int[np.ndarray, "m"]  # which target
+    x: Float[np.ndarray, "m N"]
 
 
 class Found(NamedTuple):
@@ -58,10 +71,10 @@ def aim(settings: Settings, scene: Scene, lane: LaneInputs, x, quaternion) -> An
     the target. Damped least squares within the joint limits (Siciliano et al., Robotics, section 3.7)."""
     scene = own_scene(scene, lane.tool_extension_m)
     robot, task = scene.robot, scene.task
-    turned = rotation(quaternion)
+    place, turned = task.tcp_place(lane.target), rotation(quaternion)
 
     def step(_, x):
-        error = jnp.concatenate([lane.target - tcp_position(robot, x), LENGTH_M * _turn(robot, x, turned)])
+        error = jnp.concatenate([place - tcp_position(robot, x), LENGTH_M * _turn(robot, x, turned)])
         jac = jnp.concatenate([jacobian(robot, x), LENGTH_M * _turning(robot, x)])
         push = product(jac.T, _damped(jac, error))
         jac = jnp.where((((x <= robot.lower) & (push < 0)) | ((x >= robot.upper) & (push > 0)))[None], 0.0, jac)
@@ -98,17 +111,21 @@ def _pose(robot: Robot, x):
 
 def search(kernels: Kernels, known: KnownPostures, inputs: LaneInputs, resolution_rad: float) -> Found:
     """Postures at n targets, each searched by itself."""
-    cells = tool_cells(kernels, inputs, resolution_rad, CELLS)
     lanes, joints = len(inputs.row), len(kernels.limits[0])
     x, best = np.zeros((lanes, PUSHED, joints)), np.full((lanes, PUSHED), -np.inf)
-    _push(kernels, inputs, x, best, *_candidates(kernels, known, inputs, cells))
+    if kernels.task.holds_tcp:
+        cells = tool_cells(kernels, inputs, resolution_rad, CELLS)
+        lane, radius_rad, on = cells.lane, cells.radius_rad, _aimed(kernels, known, inputs, cells)
+    else:
+        lane, radius_rad, on = np.arange(lanes), np.full(lanes, np.pi), _settled(kernels, known, inputs)
+    _push(kernels, inputs, x, best, *_candidates(kernels, inputs, on))
     for round_ in range(HOPS):
         lost = np.flatnonzero((best[:, 0] < inputs.margin_m) & (best[:, 0] > -np.inf)).tolist()
         moves = [_moves(inputs, k, round_, joints) for k in lost]
         aside = [np.repeat(x[k, :HOPPED], PUSHED // HOPPED, axis=0) + own for k, own in zip(lost, moves, strict=True)]
         _push(kernels, inputs, x, best, np.repeat(lost, PUSHED), np.concatenate([np.empty((0, joints)), *aside]))
     coarsest = np.zeros(lanes)
-    np.maximum.at(coarsest, cells.lane, cells.radius_rad)
+    np.maximum.at(coarsest, lane, radius_rad)
     return Found(x, best, coarsest)
 
 
@@ -131,20 +148,36 @@ def _moves(inputs: LaneInputs, k: int, round_: int, joints: int) -> np.ndarray:
     return HOP * 0.6**round_ * own.normal(size=(PUSHED, joints))
 
 
-def _candidates(kernels: Kernels, known: KnownPostures, inputs: LaneInputs, cells: Cells):
-    """Postures on the targets, the clearest that are far apart: whose each is, and where."""
-    which, seeds = _seeds(known, inputs, cells)
+def _aimed(kernels: Kernels, known: KnownPostures, inputs: LaneInputs, cells: Cells) -> OnTarget:
+    """Postures in all of the cells."""
+    which, seeds = _seeds(kernels.task, known, inputs, cells)
     lane = cells.lane[which]
-    at = kernels(AIM, gather(inputs, lane), seeds, cells.quaternion[which]) if len(lane) else None
-    kept: list[np.ndarray] = []
-    for k in np.unique(lane):
-        own = np.flatnonzero((lane == k) & kernels.task.reached(at.residual))
-        own = own[np.unique(np.round(at.x[own] / (0.5 * APART_RAD)).astype(int), axis=0, return_index=True)[1]]
-        if len(own):
-            D = kernels(MEASURE, gather(inputs, lane[own]), at.x[own])
-            kept.append(own[np.argsort(-D, kind="stable")][_apart(at.x[own][np.argsort(-D, kind="stable")])])
-    rows = np.concatenate(kept) if kept else np.empty(0, int)
-    return lane[rows], at.x[rows] if len(rows) else seeds[:0]
+    if not len(lane):
+        return OnTarget(lane, seeds)
+    at = kernels(AIM, gather(inputs, lane), seeds, cells.quaternion[which])
+    on = kernels.task.reached(at.residual)
+    return OnTarget(lane[on], at.x[on])
+
+
+def _settled(kernels: Kernels, known: KnownPostures, inputs: LaneInputs) -> OnTarget:
+    """Postures from everywhere."""
+    lane = np.repeat(np.arange(len(inputs.row)), SPREAD)
+    seeds = np.concatenate([known[own_m][0][:SPREAD] for own_m in inputs.tool_extension_m.tolist()])
+    x = kernels(SETTLE, gather(inputs, lane), seeds)
+    on = kernels.task.reached(kernels(ADVANCE, gather(inputs, lane), x, np.zeros_like(x)).residual)
+    return OnTarget(lane[on], x[on])
+
+
+def _candidates(kernels: Kernels, inputs: LaneInputs, on: OnTarget) -> OnTarget:
+    """The clearest of postures that are far apart."""
+    kept: list[np.ndarray] = [np.empty(0, int)]
+    for k in np.unique(on.lane):
+        own = np.flatnonzero(on.lane == k)
+        own = own[np.unique(np.round(on.x[own] / (0.5 * APART_RAD)).astype(int), axis=0, return_index=True)[1]]
+        D = kernels(MEASURE, gather(inputs, on.lane[own]), on.x[own])
+        own = own[np.argsort(-D, kind="stable")]
+        kept.append(own[_apart(on.x[own])])
+    return gather(on, np.concatenate(kept))
 
 
 def _apart(x: np.ndarray) -> np.ndarray:
@@ -157,14 +190,14 @@ def _apart(x: np.ndarray) -> np.ndarray:
     return np.array(kept, int)
 
 
-def _seeds(known: KnownPostures, inputs: LaneInputs, cells: Cells):
+def _seeds(task: Task, known: KnownPostures, inputs: LaneInputs, cells: Cells):
     """For each cell the known postures in the poses nearest to it: whose each is, and the posture."""
     which, seeds = [], []
-    extension = inputs.tool_extension_m[cells.lane]
+    extension, place = inputs.tool_extension_m[cells.lane], task.tcp_place(inputs.target)
     R = Rotation.from_quat(cells.quaternion, scalar_first=True).as_matrix().reshape(-1, 9)
     for own_m, (x, tree) in known.items():
         own = np.flatnonzero(extension == own_m)
-        near = tree.query(np.hstack([inputs.target[cells.lane[own]], TURN_M * R[own]]), SEEDS)[1]
+        near = tree.query(np.hstack([place[cells.lane[own]], TURN_M * R[own]]), SEEDS)[1]
         which.append(np.repeat(own, SEEDS))
         seeds.append(x[near.ravel()])
     return np.concatenate(which), np.concatenate(seeds)

@@ -90,8 +90,8 @@ class Kernels:
 
     @property
     def sizes(self) -> tuple[int, int]:
-        """Rows of the task, and of the clearance."""
-        return self.task.rows, len(self._scene.rows.body)
+        """Values that the task looks at, and rows of the clearance."""
+        return self.task.values, len(self._scene.rows.body)
 
     def __call__(self, kernel: Kernel, *tables) -> Any:
         """Run a kernel over tables of n >= 1 lanes; numpy tables of n lanes come back."""

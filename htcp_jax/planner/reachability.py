@@ -6,9 +6,9 @@ searched at a stated resolution of the null space (`posture_search`). The first 
 the prefix.
 
 A clear configuration that is found proves that one exists: the prefix is a lower bound on what is reachable. One that
-is not found proves nothing by itself. But at a target at which the tool, or the arm behind it, collides for sure in
-every posture (`tool_cells.excluded`) there is none, and whatever follows the path ends before it: an upper bound.
-Between the two lies what is not known.
+is not found proves nothing by itself. But at a target at which every posture has the tool, or the arm behind it,
+collide for sure, or breaks a row of the task (`tool_cells.excluded`), there is none, and whatever follows the path ends
+before it: an upper bound. Between the two lies what is not known.
 """
 
 from collections.abc import Callable
@@ -17,16 +17,18 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from htcp_jax.clearance.obstacle import Obstacles
 from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.clearance.tip_guard import make_tip_guard
 from htcp_jax.planner.devices import default_threads
+from htcp_jax.planner.front import farthest_first
 from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.planner.lanes import concatenate, gather
 from htcp_jax.planner.null_space import Anchored
-from htcp_jax.planner.posture_search import APART_RAD, PUSHED, known_postures, search
+from htcp_jax.planner.posture_search import APART_RAD, PUSHED, KnownPostures, known_postures, search
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.stages import PUSH
 from htcp_jax.planner.tip_check import TipCheck, tip_checks
@@ -46,11 +48,13 @@ COARSE_FIRST = (4, 1)  # resolutions that a target is searched at, in turn, as m
 class Reachability(NamedTuple):
     """Result for S scenarios of T targets."""
 
-    prefix: np.ndarray  # (S,) targets in a row, from the first, with a clear configuration
+    prefix: np.ndarray  # (S,) targets in a row, from the first, with a clear configuration; see `_off_lines`
     most: np.ndarray  # (S,) targets in a row before one that is proven to have none
     best: np.ndarray  # (S,) best clearance found at the first target without one [m]; NaN where all have one
     x: np.ndarray  # (S, T, N) the configurations found, NaN beyond the prefix
-    resolution_rad: np.ndarray  # (S,) of the search there; 0 where all are found, or the tool alone collides
+    # (S,) of the search there; 0 where all are found, or the tool alone collides, or can hold no row about how it is
+    # turned; pi where the task holds the TCP nowhere, and postures spread over the joint limits are all that is tried
+    resolution_rad: np.ndarray
 
 
 def reachable_prefixes(
@@ -59,17 +63,21 @@ def reachable_prefixes(
     scenarios: Scenario,
     settings: Settings | None = None,
     *,
+    task: Task | None = None,
     obstacles: Obstacles = (),
     resolution_rad: float = RESOLUTION_RAD,
     proof_cells: int = PROOF_CELLS,
     progress: Callable[[int, int], None] | None = None,
 ) -> Reachability:
-    """Prefixes of the stacked scenarios. obstacles: besides the workpiece, which proofs leave out; resolution_rad: of
-    the tool's orientations, at a target where carrying over fails; proof_cells: see `tool_cells.excluded`, 0 for no
-    proofs; from the settings count alpha_rad, tolerance_m and the seed. Threads, one a core, share the scenarios.
+    """Prefixes of the stacked scenarios. resolution_rad: of the tool's orientations, at a target where carrying over
+    fails; proof_cells: see `tool_cells.excluded`, 0 for no proofs; from the settings count alpha_rad, tolerance_m and
+    the seed. task: what the arm holds; None: the TCP's position; where it holds the TCP nowhere, there are no proofs.
+    obstacles: besides the workpiece, which proofs leave out. Threads, one a core, share the scenarios.
     progress(target, targets) is called after each target."""
-    settings, scenarios = settings or Settings(), jax.tree.map(np.asarray, scenarios)
-    scene = Scene(robot, (*make_obstacle(workpiece), *obstacles), Task(tolerance_m=settings.tolerance_m))
+    settings = settings or Settings()
+    scenarios = jax.tree.map(np.array, scenarios)  # a copy: approaches leave their lines
+    task = Task(tolerance_m=settings.tolerance_m) if task is None else task
+    scene = Scene(robot, (*make_obstacle(workpiece), *obstacles), task)
     kernels = Kernels(scene, settings)
     [tip] = tip_checks([kernels], make_tip_guard(workpiece))
     known = known_postures(robot, scenarios.tool_extension_m)
@@ -79,7 +87,7 @@ def reachable_prefixes(
         own = gather(scenarios, slice(number, None, threads))
         told = progress if number == 0 else None
         found = _prefixes(kernels, tip, known, own, settings.seed, resolution_rad, told)
-        return found._replace(most=_most(kernels, robot, own, found, proof_cells))
+        return found._replace(most=_most(kernels, robot, own, found, proof_cells if task.holds_tcp else 0))
 
     with ThreadPoolExecutor(threads) as pool:
         parts = concatenate(list(pool.map(work, range(threads))))
@@ -100,25 +108,51 @@ def _prefixes(kernels, tip, known, scenarios: Scenario, seed: int, resolution_ra
         alive = alive[scenarios.count[alive] > row]
         if not len(alive):
             break
-        inputs = lane_inputs(scenarios, alive, np.full(len(alive), row), seed=seed)
-        clear = _carried(kernels, tip, inputs, [front[s] for s in alive])
-        for coarser in COARSE_FIRST:
-            which = np.flatnonzero([not len(own) for own in clear])
-            if not len(which):
-                break
-            here = search(kernels, known, gather(inputs, which), coarser * resolution_rad)
-            for k, own in zip(which, _searched(kernels, tip, gather(inputs, which), here), strict=True):
-                clear[k] = own
-            found.best[alive[which]] = here.clearance[:, 0]
-            found.resolution_rad[alive[which]] = here.resolution_rad
-        for s, own in zip(alive, clear, strict=True):
-            if len(own):
-                front[s], found.x[s, row], found.best[s], found.resolution_rad[s] = own, own[0], np.nan, 0.0
-                found.prefix[s] += 1
-        alive = alive[[len(own) > 0 for own in clear]]
+        looked = alive
+        while len(looked):
+            inputs = lane_inputs(scenarios, looked, np.full(len(looked), row), seed=seed)
+            clear, best, coarsest = _looked_at(kernels, tip, known, inputs, [front[s] for s in looked], resolution_rad)
+            for k, s in enumerate(looked):
+                found.best[s], found.resolution_rad[s] = best[k], coarsest[k]
+                if len(clear[k]):
+                    front[s], found.x[s, row] = clear[k], clear[k][0]
+                    found.prefix[s] += 1
+            looked = looked[[not len(own) for own in clear]]
+            looked = looked[_off_lines(scenarios, looked, row)]
+        alive = alive[found.prefix[alive] > row]
         if progress is not None:
             progress(row + 1, rows)
     return found
+
+
+def _looked_at(
+    kernels: Kernels, tip: TipCheck | None, known: KnownPostures, inputs: LaneInputs, front: list, resolution_rad: float
+) -> tuple[list[np.ndarray], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Of n targets the postures that are clear, of each front's or else of a search; the best clearance and the
+    resolution where there are none, NaN and 0 elsewhere."""
+    clear = _carried(kernels, tip, inputs, front)
+    best, coarsest = np.full(len(front), np.nan), np.zeros(len(front))
+    for coarser in COARSE_FIRST if kernels.task.holds_tcp else (1,):
+        which = np.flatnonzero([not len(own) for own in clear])
+        if not len(which):
+            break
+        here = search(kernels, known, gather(inputs, which), coarser * resolution_rad)
+        for k, own in zip(which, _searched(kernels, tip, gather(inputs, which), here), strict=True):
+            clear[k] = own
+        lost = np.array([not len(clear[k]) for k in which])
+        best[which], coarsest[which] = np.where(lost, here.clearance[:, 0], np.nan), lost * here.resolution_rad
+    return clear, best, coarsest
+
+
+def _off_lines(scenarios: Scenario, rows: Int[np.ndarray, "n"], target: int) -> Bool[np.ndarray, "n"]:
+    """Let approaches leave their lines, as a planner may: from a target before the path on, all become the path's first
+    point. Which of them did so."""
+    aims, on_path = scenarios.aims, scenarios.on_path[rows]
+    leave = (0 < target) & (target < on_path) & (aims[rows, target] != aims[rows, on_path]).any(axis=1)
+    for s, first in zip(rows[leave], on_path[leave], strict=True):
+        for table in (scenarios.targets, aims):
+            table[s, target:first] = table[s, first]
+    return leave
 
 
 def _most(kernels: Kernels, robot: Robot, scenarios: Scenario, found: Reachability, cells: int) -> np.ndarray:
@@ -161,9 +195,4 @@ def _dispersed(x: np.ndarray, clearance: np.ndarray) -> np.ndarray:
     """CARRIED of the postures at most: the clearest, then always the one farthest from those chosen."""
     if not len(x):
         return x
-    kept = [int(np.argmax(clearance))]
-    away = np.linalg.norm(x - x[kept[0]], axis=1)
-    while len(kept) < CARRIED and away.max() >= APART_RAD:
-        kept.append(int(np.argmax(away)))
-        away = np.minimum(away, np.linalg.norm(x - x[kept[-1]], axis=1))
-    return x[kept]
+    return x[farthest_first(x, int(np.argmax(clearance)), CARRIED, APART_RAD)]

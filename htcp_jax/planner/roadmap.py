@@ -337,7 +337,8 @@ class Growing:
             plans.joint_step[s, 0] = np.linalg.norm(root.x - plans.start[s])
             plans.status[s, 0], plans.escape[s, 0] = Status.TRACKED_AFTER_ESCAPE, TRANSFERRED
             return 0
-        self._problem.scenarios.targets[s, 1:on_path] = self._problem.scenarios.targets[s, on_path]
+        for table in (self._problem.scenarios.targets, self._problem.scenarios.aims):
+            table[s, 1:on_path] = table[s, on_path]
         for t in range(1, on_path):
             self._write(s, t, root)
         self._write(s, 0, search.row_0)

@@ -66,10 +66,10 @@ def feed(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Fed:
 
     def step(state):
         here, aim, count = state
-        rows = here.linear.clearance
+        rows, held = here.linear.clearance, task.linear(*here.linear.task, lane.target)
         qp = assemble(
-            settings, here.x, x, task.error(here.linear.task.value, lane.target), here.linear.task.jacobian,
-            rows.distance, rows.gradient, aims[aim], robot.lower, robot.upper,
+            settings, here.x, x, held.error, held.jacobian,
+            rows.distance, rows.gradient, aims[aim], robot.lower, robot.upper, held.room, held.gradient,
         )  # fmt: skip
         found = solve_step(qp, settings.qp_tolerance)
         stuck = (found.status != QPStatus.SOLVED) | ((aim == 0) & (count > PATIENCE))
@@ -102,7 +102,7 @@ def walk(settings: Settings, scene: Scene, lane: LaneInputs, x, walker) -> Walke
 
     def step(state):
         _, x, direction, path, steps = state
-        basis = null_basis(task.jacobian(robot, x))
+        basis = null_basis(task.linear_at(robot, x, lane.target).jacobian)
         within = jnp.where(steps == 0, direction[: basis.shape[1]], product(direction, basis))
         direction = product(basis, within)
         direction = direction / jnp.maximum(safe_norm(direction), 1e-12)

@@ -52,14 +52,14 @@ def nspace_samples(
     length, re-anchored whenever the TCP error exceeds the tolerance. The direction is carried along by projection."""
     robot, task = scene.robot, scene.task
     origin, _ = reanchor(robot, stuck.x_previous, stuck.target, task.fine_m, task=task)
-    first = null_basis(task.jacobian(robot, origin))
+    first = null_basis(task.linear_at(robot, origin, stuck.target).jacobian)
     draw = jax.random.normal(stuck.key, (settings.samples, first.shape[1]))
     directions = jax.vmap(lambda w: product(first, w / safe_norm(w)))(draw)
 
     def walk(direction, length):
         def step(_, state):
             x, v = state
-            basis = null_basis(task.jacobian(robot, x))
+            basis = null_basis(task.linear_at(robot, x, stuck.target).jacobian)
             v = product(basis, product(v, basis))
             v = v / jnp.maximum(safe_norm(v), 1e-12)
             x = jnp.clip(x + length * v, robot.lower, robot.upper)

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.clearance.linearisation import Linearisation
-from htcp_jax.planner.kernels import ADVANCE, SETTLE, Measured
+from htcp_jax.planner.kernels import ADVANCE, HOLD, SETTLE, Measured
 from htcp_jax.planner.knots import Knots
 from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.planner.lanes import concatenate, gather
@@ -173,15 +173,30 @@ class Smoothing:
         settings, rows = self._problem.settings, path.seen.clearance
         aim = self._problem.scenarios.margin_m[path.scenario] + settings.aim_above_m
         left = np.maximum(rows.distance - aim, 0.0)
+        A, G, left = self._held(path, -rows.gradient, left)
         radius, x = path.radius[:, None], path.x[1:]
         lower = np.clip(self._lower - x, -radius, 0.0)
         upper = np.clip(self._upper - x, 0.0, radius)
         return solve_path_qp(
             PathQP(
-                path.x, self._weights, path.held, path.seen.task.jacobian[:, 0],
-                -rows.gradient[:, 0], left[:, 0], -rows.gradient[:, 1], left[:, 1], lower, upper,
+                path.x, self._weights, path.held, A, G[:, 0], left[:, 0], G[:, 1], left[:, 1], lower, upper,
             )
         )  # fmt: skip
+
+    def _held(self, path: Path, G: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The task's equations at the postures, and the rows that limit a step, its bands and cones among them: at
+        postures that hold the task, and half way to those beyond the path's first point."""
+        task, linear = self._problem.task, path.seen.task
+        if task.is_points:
+            return linear.jacobian[:, 0], G, left
+        count = len(path.target)
+        inputs = jax.tree.map(lambda table: np.repeat(table, 2, axis=0), self._inputs([path]))
+        flat = jax.tree.map(lambda table: table.reshape(2 * count, *table.shape[2:]), path.seen)
+        held = self._kernels(HOLD, inputs, flat)
+        held = jax.tree.map(lambda table: table.reshape(count, 2, *table.shape[1:]), held)
+        asked = np.stack([path.held, path.target > path.on_path], axis=1)
+        room = np.where(asked[:, :, None], np.maximum(held.room, 0.0), np.inf)
+        return held.jacobian[:, 0], np.concatenate([G, -held.gradient], 2), np.concatenate([left, room], 2)
 
     def _candidates(self, steps: list[tuple[Path, np.ndarray]]) -> list[tuple[np.ndarray, Linearisation, np.ndarray]]:
         """Of each path after a step: where it is, what is seen there, and which postures are no part of a motion. What

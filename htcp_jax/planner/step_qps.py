@@ -45,8 +45,8 @@ class StepQPs(Escapes):
 
         def work(number: int) -> None:
             robot, settings = problem.robot, problem.settings
-            task_rows, rows = kernels[0].sizes
-            solver = make_solver(settings, len(robot.joint_names), row_count(settings, rows), task_rows)
+            task, (_, rows) = problem.task, kernels[0].sizes
+            solver = make_solver(settings, len(robot.joint_names), row_count(settings, rows, task.bands), task.rows)
             own = number % len(kernels)
             engine = Engine(kernels[own], solver, self, settings, problem.scenarios, plans, share, tips[own])
             engine.run(handed_out, problem.progress)

@@ -10,9 +10,9 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
+from htcp_jax.clearance.obstacle import in_workpiece
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.clearance.tip_guard import TipGuard
-from htcp_jax.numerics import product
 from htcp_jax.planner.kernel import STEP, Kernel
 from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.planner.programs import Kernels
@@ -24,8 +24,7 @@ PLACES = 100  # of a joint path at which its tip is looked at
 
 def tip(settings: Settings, scene: Scene, lane: LaneInputs, x):
     """The tool's bare tip at x in the workpiece's frame, from the last body to the TCP."""
-    rotate, translate = lane.T_world_workpiece[:3, :3], lane.T_world_workpiece[:3, 3]
-    return product(tip_segment(own_scene(scene, lane.tool_extension_m).robot, x) - translate[None, :], rotate)
+    return in_workpiece(lane, tip_segment(own_scene(scene, lane.tool_extension_m).robot, x))
 
 
 TIP = Kernel("tip", tip, STEP)

@@ -1,4 +1,5 @@
-"""Which orientations the tool can have with its tip on a target: a cover of cells, whatever does not collide for sure.
+"""Which orientations the tool can have with its tip on a target: a cover of cells, whatever does not collide for sure,
+and holds the rows of the task about how the tool is turned, if there are any.
 
 Unit quaternions, q and -q the same, are the four faces of a cube in four dimensions, seen from its middle: on each one
 component is 1, and the others are between -1 and 1. A face is cut into cubes, and these are halved. Seen from the
@@ -17,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from htcp_jax.clearance.arm_exclusion import WRIST, Cell, arm_cell, has_wrist, tool_cell
+from htcp_jax.clearance.exclusion import rotation
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.planner.kernel import Kernel, Load, Table
 from htcp_jax.planner.lane_inputs import LaneInputs
@@ -28,6 +30,7 @@ from htcp_jax.settings import Settings
 MANY = Load(cpu=Table(1024, 1), gpu=Table(4096, 4096))  # of what is asked by the thousand
 FACES = 4
 FINEST = 2.0**-24  # half the side of a cube: no smaller ones
+ROUNDING_RAD = 1e-8  # more than that of any angle
 
 
 class Cells(NamedTuple):
@@ -64,8 +67,13 @@ class Cells(NamedTuple):
 
 
 def tool(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho) -> Cell:
-    """What is known of a cell of the tool's orientations."""
-    return tool_cell(own_scene(scene, lane.tool_extension_m), lane, lane.margin_m, lane.target, quaternion, rho)
+    """What is known of a cell of the tool's orientations; one in which a row of the task breaks is as one that
+    collides."""
+    scene = own_scene(scene, lane.tool_extension_m)
+    robot, task = scene.robot, scene.task
+    cell = tool_cell(scene, lane, lane.margin_m, task.tcp_place(lane.target), quaternion, rho)
+    turn = task.least_turn(robot, rotation(quaternion), lane.target)
+    return cell._replace(collides=cell.collides | (turn > rho + ROUNDING_RAD))
 
 
 def arm(settings: Settings, scene: Scene, lane: LaneInputs, cube, half) -> Cell:
@@ -76,7 +84,8 @@ def arm(settings: Settings, scene: Scene, lane: LaneInputs, cube, half) -> Cell:
     upper = jnp.where(jnp.array(robot.slides), robot.upper, jnp.minimum(robot.upper, lower + 2 * jnp.pi))
     x = 0.5 * (lower + upper + (upper - lower) * jnp.pad(cube, (0, WRIST)))
     turns = 0.5 * (upper - lower) * half
-    return arm_cell(own_scene(scene, lane.tool_extension_m), lane, lane.margin_m, lane.target, x, turns)
+    place = scene.task.tcp_place(lane.target)
+    return arm_cell(own_scene(scene, lane.tool_extension_m), lane, lane.margin_m, place, x, turns)
 
 
 TOOL, ARM = Kernel("tool", tool, MANY), Kernel("arm", arm, MANY)

@@ -64,7 +64,7 @@ def plan_cells(
     for number in dict.fromkeys(cell.tolist()):
         rows = np.flatnonzero(cell == number)
         whole = len(rows) == len(cell)
-        robot, workpiece, settings, obstacles = cells[number]
+        robot, workpiece, settings, task, obstacles = cells[number]
         plans = batch.plan(
             robot,
             workpiece,
@@ -74,6 +74,7 @@ def plan_cells(
             progress=report and partial(_add_up, report, method, [done for _, done in parts], *everything),
             threads=threads,
             device=device,
+            task=task,
             obstacles=obstacles,
         )
         if whole:

@@ -16,25 +16,24 @@ from htcp_jax.types import Array, Bool, Float, Joints, Scalar
 def reanchor(
     robot: Robot,
     x: Joints,
-    target: Float[Array, "M"],
+    target: Float[Array, "G"],
     tolerance_m: float,
     iterations: int = 20,
     task: Task = TCP_POSITION,
 ) -> tuple[Joints, Scalar]:
     """Damped Newton inverse kinematics inside the joint limits: (x, residual [m]), equation (10b).
 
-    Stops at tolerance_m or after `iterations`. The damping (1e-3 m/rad)^2 keeps singular postures bounded and costs
-    1e-6 of a Newton step elsewhere; a joint at its limit is held there while the others make up for it. Raises
-    InputError for more than one configuration or target.
+    target: the task's goal, of its kinds of rows. Stops at tolerance_m or after `iterations`. The damping
+    (1e-3 m/rad)^2 keeps singular postures bounded and costs 1e-6 of a Newton step elsewhere; a joint at its limit is
+    held there while the others make up for it. A band or cone is a row of a step where it is broken. Raises InputError
+    for more than one configuration or target.
     """
-    x, target = configuration(robot, x), of_shape(target, (task.rows,), "target")
-
-    def off(x):
-        return task.error(task.value(robot, x), target)
+    x, target = configuration(robot, x), of_shape(target, (task.numbers,), "target")
+    off, slopes = partial(_off, robot, task, target), partial(_slopes, robot, task, target)
 
     def step(state):
         x, error, count = state
-        jac = task.jacobian(robot, x)
+        jac = slopes(x)
         # A joint at its limit that the step would push further out takes no part.
         push = product(jac.T, _weighted(jac, error))
         blocked = ((x <= robot.lower) & (push < 0)) | ((x >= robot.upper) & (push > 0))
@@ -47,7 +46,23 @@ def reanchor(
         return (safe_norm(error) > tolerance_m) & (count < iterations)
 
     x, error, _ = jax.lax.while_loop(going, step, (x, off(x), jnp.zeros((), jnp.int32)))
-    return x, safe_norm(error)
+    return x, task.off(robot, x, target) if task.bands else safe_norm(error)
+
+
+def _off(robot: Robot, task: Task, target: Float[Array, "G"], x: Joints) -> Float[Array, "R"]:
+    """What a step has to make up for [m]: the error, and as much as bands and cones lack."""
+    if not task.bands:
+        return task.error(task.value(robot, x), target)
+    linear = task.linear_at(robot, x, target)
+    return jnp.concatenate([linear.error, jnp.maximum(-linear.room, 0.0)])
+
+
+def _slopes(robot: Robot, task: Task, target: Float[Array, "G"], x: Joints) -> Float[Array, "R N"]:
+    """How fast a step makes up for that [m/rad or m/m]."""
+    if task.is_points:
+        return task.jacobian(robot, x)
+    linear = task.linear_at(robot, x, target)
+    return jnp.concatenate([linear.jacobian, jnp.where((linear.room < 0)[:, None], linear.gradient, 0.0)])
 
 
 def _weighted(jac: Float[Array, "M N"], error: Float[Array, "M"]) -> Float[Array, "M"]:

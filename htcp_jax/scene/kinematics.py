@@ -108,6 +108,29 @@ def point_positions(
     return _to_world(_frames_of(robot, x, links), points)
 
 
+def directions(robot: Robot, x: Joints, vectors: Float[Array, "P 3"], links: tuple[int, ...]) -> Float[Array, "P 3"]:
+    """How directions that are fixed to links stand in the world at x, of the same lengths and without a unit.
+
+    vectors: in the frames of their links; links: each one's, -1 for the world.
+    """
+    return product(_frames_of(robot, x, links).rotation, vectors[:, :, None])[..., 0]
+
+
+def direction_jacobians(
+    robot: Robot, x: Joints, directions: Float[Array, "P 3"], links: tuple[int, ...]
+) -> Float[Array, "P 3 N"]:
+    """The derivatives of `directions` at x, axis x direction for a hinge [1/rad] and 0 for a slide [1/m].
+
+    directions: how they stand in the world at x; links: each one's, -1 for the world.
+    """
+    frames = _link_frames(robot, x)
+    axes = product(frames.rotation, robot.axis[:, :, None])[..., 0]
+    joints = np.arange(len(robot.slides))
+    moves = (joints[None, :] <= np.array(links)[:, None]) & ~np.array(robot.slides)[None, :]
+    turning = jnp.cross(axes[None], directions[:, None])
+    return jnp.where(moves[:, :, None], turning, 0.0).swapaxes(1, 2)
+
+
 def joint_levers(robot: Robot, x: Joints, points: Float[Array, "P 3"]) -> Float[Array, "P N"]:
     """Distance at x of world points to the axis of each hinge [m]; 1 for a slide, which moves every point alike."""
     return safe_norm(_velocities(robot, _link_frames(robot, x), points))

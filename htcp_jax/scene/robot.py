@@ -6,6 +6,7 @@ belong to it. A Robot is plain arrays, made once from a model file (`robot_file`
 
 import dataclasses
 from pathlib import Path
+from typing import NamedTuple
 
 import jax.numpy as jnp
 
@@ -16,6 +17,16 @@ from htcp_jax.types import Array, Float, Joints, Pose, Scalar
 GP50 = Path(__file__).parent / "models" / "gp50.xml"  # the built-in arm
 
 _STATIC = {"static": True}
+Triple = tuple[float, float, float]
+
+
+class ArmFrame(NamedTuple):
+    """A site or a body of the model, by its name."""
+
+    name: str
+    link: int | None  # that it is fixed to; None: the TCP's own frame
+    origin_m: Triple  # in the frame of the link
+    columns: tuple[Triple, Triple, Triple]  # its axes x, y, z, there
 
 
 @register_pytree
@@ -47,6 +58,7 @@ class Robot:
     ignored_geoms: tuple[str, ...] = dataclasses.field(metadata=_STATIC)  # neither capsule nor sphere
     excluded: tuple[tuple[int, int], ...] = dataclasses.field(default=(), metadata=_STATIC)  # capsules that may overlap
     keyframes: tuple[tuple[float, ...], ...] = dataclasses.field(default=(), metadata=_STATIC)  # postures [rad or m]
+    frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=_STATIC)  # that a task may name
 
     def _repr_html_(self) -> str:
         limits = zip(self.joint_names, self.lower.tolist(), self.upper.tolist(), self.slides, strict=True)

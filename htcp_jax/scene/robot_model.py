@@ -15,6 +15,7 @@ import numpy as np
 
 from htcp_jax.errors import InputError
 from htcp_jax.formats.safe_xml import read_spec, unreadable
+from htcp_jax.scene.robot import ArmFrame
 from htcp_jax.scene.tool import Tool, pose
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -82,6 +83,7 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
         "ignored_geoms": tuple(_geom_name(model, g) for g in range(model.ngeom) if not _is_round(model, g)),
         "excluded": tuple(_excluded(model, capsules)),
         "keyframes": tuple(tuple(posture) for posture in model.key_qpos.tolist()),
+        "frames": _named_frames(model, frames),
     }
     return RobotFields(arrays, facts)
 
@@ -293,6 +295,21 @@ def _limits(model: mujoco.MjModel, path: Path, profile: str) -> tuple[np.ndarray
     if not (lower < upper).all():
         raise InputError(f"{path}: joint limits {profile!r} must be lower < upper for every joint")
     return lower, upper
+
+
+def _named_frames(model: mujoco.MjModel, frames: list[tuple[int, np.ndarray]]) -> tuple[ArmFrame, ...]:
+    """The sites and then the bodies that move; of two of one name the first."""
+    bodies = [(model.body(body).name, *frames[body]) for body in range(1, model.nbody)]
+    sites = []
+    for site in range(model.nsite):
+        link, T_link_body = frames[model.site_bodyid[site]]
+        sites.append((model.site(site).name, link, T_link_body @ frame(model.site_pos[site], model.site_quat[site])))
+    found: dict[str, ArmFrame] = {}
+    for name, link, T in [*sites, *bodies]:
+        if name and link >= 0:
+            columns = tuple(map(tuple, T[:3, :3].T.tolist()))
+            found.setdefault(name, ArmFrame(name, link, tuple(T[:3, 3].tolist()), columns))
+    return tuple(found.values())
 
 
 # Capsules

@@ -33,13 +33,19 @@ class Scenario:
     auto_start: Bool[Anywhere, "*S"]  # whether the planner chooses the start, at the path's first point
     T_world_workpiece: Float[Anywhere, "*S 4 4"]  # [m]
     interior_plane: Float[Anywhere, "*S 4"]  # normal, and offset [m], see `interior_plane_of`
-    targets: Float[Anywhere, "*S T M"]  # of the task, world [m]; rows from `count` on are padding
+    targets: Float[Anywhere, "*S T M"]  # where the tool goes, world [m]; rows from `count` on are padding
     count: Int[Anywhere, "*S"]  # targets to track
     on_path: Int[Anywhere, "*S"]  # the first target that is a point of the path; those before it lead there
     margin_m: Float[Anywhere, "*S"]  # least clearance with which a target counts
     tool_extension_m: Float[Anywhere, "*S"]
     number: Int[Anywhere, "*S"]  # identity: the random keys are folded from it
     refused: Int[Anywhere, "*S"]  # NOT_REFUSED, or the Status for which nothing is planned
+    goals: Float[Anywhere, "*S T G"] | None = None  # of the task, see `task_rows` [m]; None: the targets
+
+    @property
+    def aims(self) -> Float[Anywhere, "*S T G"]:
+        """What the task is held to at every target."""
+        return self.targets if self.goals is None else self.goals
 
 
 def path_targets(
@@ -73,6 +79,7 @@ def make_scenario(
     tool_extension_m: float = 0.0,
     number: int = 0,
     beyond_reach: Literal["raise", "record"] = "raise",
+    follows: Float[np.ndarray, "3"] | None = None,
 ) -> Scenario:
     """One scenario of the scene's rules.
 
@@ -81,7 +88,8 @@ def make_scenario(
     workpiece about world y, then z [rad], after rotation_x_rad about world x; shift: of the workpiece, world [m];
     margin_m: least clearance with which a target counts; tool_extension_m: see `robot.lengthen_tool`; number: identity
     for the random keys. beyond_reach: what to do about a target beyond the arm's reach; "record" makes a scenario that
-    is planned as a failure, with that reason.
+    is planned as a failure, with that reason. follows: where the point that is to follow the path is at the start,
+    world [m]; None: the TCP.
     Raises InputError for a start or home of the wrong length or outside the joint limits, for neither of them, and
     OutOfReach, which is one.
     """
@@ -91,9 +99,11 @@ def make_scenario(
     T_world_workpiece = workpiece.T_world(*rotation, shift=shift, wx=rotation_x_rad)
     rotate, translate = T_world_workpiece[:3, :3], T_world_workpiece[:3, 3]
     path = workpiece.path @ rotate.T + translate
-    tcp = path[0] if start is None else np.asarray(_TCP(longer, jnp.asarray(x_start)))
+    if follows is None:
+        follows = np.asarray(_TCP(longer, jnp.asarray(x_start)))
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
-    targets = path_targets(tcp, inlet, path, (0, 0) if start is None else approach)
+    first, steps = (path[0], (0, 0)) if start is None else (follows, approach)
+    targets = path_targets(first, inlet, path, steps)
     refused = NOT_REFUSED
     try:
         _check_reach(longer, targets)
@@ -153,10 +163,13 @@ def stack(scenarios: Sequence[Scenario]) -> Scenario:
         raise InputError("no scenarios to plan")
     longest = max(len(s.targets) for s in scenarios)
 
-    def pad(targets):
-        return np.concatenate([targets, np.repeat(targets[-1:], longest - len(targets), axis=0)])
+    def pad(rows):
+        return None if rows is None else np.concatenate([rows, np.repeat(rows[-1:], longest - len(rows), axis=0)])
 
-    padded = [jax.tree.map(np.asarray, Scenario(**{**vars(s), "targets": pad(s.targets)})) for s in scenarios]
+    padded = [
+        jax.tree.map(np.asarray, Scenario(**{**vars(s), "targets": pad(s.targets), "goals": pad(s.goals)}))
+        for s in scenarios
+    ]
     return jax.tree.map(lambda *leaves: np.stack(leaves), *padded)
 
 

@@ -42,16 +42,26 @@ def surface_of(cloud: Float[np.ndarray, "P 3"]) -> Surface:
         cloud = cloud[np.sort(np.random.default_rng(0).choice(len(cloud), MOST, replace=False))]
     count = min(NEIGHBOURS, len(cloud) - 1)
     distance, near = cKDTree(cloud).query(cloud, k=count + 1)
-    spread = cloud[near] - cloud[near].mean(axis=1, keepdims=True)
-    _, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", spread, spread))
     reach = 1.1 * distance[:, min(REACHED, count)]
-    return Surface(cloud, _inwards(cloud, axes[:, :, 0]), np.minimum(reach, 3 * np.median(reach)))
+    return Surface(cloud, fitted_normals(cloud, cloud[near], cloud), np.minimum(reach, 3 * np.median(reach)))
 
 
-def _inwards(points: Float[np.ndarray, "P 3"], normals: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 3"]:
-    """The normals turned to the side on which, seen from a point, its wider surroundings lie."""
-    some = points[:: max(1, len(points) // SURROUNDINGS)]
-    width = max(np.ptp(points, axis=0).max() / 4, 1e-9)
+def fitted_normals(
+    points: Float[np.ndarray, "P 3"], near: Float[np.ndarray, "P K 3"], cloud: Float[np.ndarray, "C 3"]
+) -> Float[np.ndarray, "P 3"]:
+    """The normals of the cloud's surface at points, unit: across the planes that fit the points near to each, on the
+    side on which most of the surroundings lie, the inside."""
+    spread = near - near.mean(axis=1, keepdims=True)
+    _, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", spread, spread))
+    return _inwards(points, axes[:, :, 0], cloud)
+
+
+def _inwards(
+    points: Float[np.ndarray, "P 3"], normals: Float[np.ndarray, "P 3"], cloud: Float[np.ndarray, "C 3"]
+) -> Float[np.ndarray, "P 3"]:
+    """The normals turned to the side on which, seen from a point, its wider surroundings in the cloud lie."""
+    some = cloud[:: max(1, len(cloud) // SURROUNDINGS)]
+    width = max(np.ptp(cloud, axis=0).max() / 4, 1e-9)
     squared = (points**2).sum(axis=1)[:, None] - 2 * points @ some.T + (some**2).sum(axis=1)
     weight = np.exp(-squared / (2 * width**2))
     middle = weight @ some / weight.sum(axis=1, keepdims=True)

@@ -1,71 +1,114 @@
-"""The task: M equations that hold the end of the arm where the path wants it, equation (7).
+"""The task: M equations that hold the arm where the path wants it, equation (7), and B inequalities beside them.
 
-    error(x) = target - value(x) = 0        with the Jacobian d value / dx, M x N
+    error(x) = 0        M rows, with the Jacobian -d error / dx, M x N; the paper's are target - Gamma(x) of the TCP
+    room(x) >= 0        B rows: cones and bands
 
-A row is a world coordinate of a point of the arm; the paper's task is the three of the TCP. Several points, or fewer
-coordinates, make other tasks. With N - M = 0 the arm has no freedom left, and no null space. Nobody else forms an
-error, or says when it is small enough.
+The kinds of rows are in `task_rows`. They look at features of the arm, `value`, which hang on x alone; what is asked of
+these at one target are the numbers of its goal. With N - M = 0 the arm has no freedom left, and no null space. Nobody
+else forms an error, or says when it is small enough.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.numerics import safe_norm
-from htcp_jax.scene.kinematics import jacobian, point_jacobians, point_positions, tcp_position
+from htcp_jax.numerics import product, safe_norm
+from htcp_jax.scene.kinematics import (
+    direction_jacobians,
+    directions,
+    jacobian,
+    point_jacobians,
+    point_positions,
+    tcp_position,
+)
 from htcp_jax.scene.robot import Robot
+from htcp_jax.scene.task_rows import XYZ, AxisTowards, Feature, Row, TaskPoint
 from htcp_jax.types import Anywhere, Array, Float, Joints, Scalar
 
-XYZ = (0, 1, 2)
 Numbers = Anywhere | np.generic | float | bool
+EXACT = 1e-9  # [m or rad]; a row of room that is broken by less is broken by rounding
 
 
-@dataclass(frozen=True)
-class TaskPoint:
-    """A point of the arm and the world coordinates of it that are held. Raises InputError for none, or for others."""
+class TaskLinear(NamedTuple):
+    """A task at one configuration, to first order; angles count as lengths, see `Task`."""
 
-    link: int | None = None  # that it is fixed to; None: the TCP
-    offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # in the frame of the link; the TCP has none
-    axes: tuple[int, ...] = XYZ  # of the world: 0, 1, 2 are x, y, z
-
-    def __post_init__(self):
-        if not self.axes or sorted(set(self.axes)) != list(self.axes) or not set(self.axes) <= set(XYZ):
-            raise InputError(f"the axes of a task point are {self.axes}; valid: some of 0, 1, 2, in this order")
-        if self.link is None and any(self.offset_m):
-            raise InputError("the TCP has no offset of its own: name the link that the point is fixed to")
-
-    def position(self, robot: Robot, x: Joints) -> Float[Array, "m"]:
-        """Its coordinates that are held [m]."""
-        if self.link is None:
-            return self._held(tcp_position(robot, x))
-        return self._held(point_positions(robot, x, jnp.asarray(self.offset_m)[None], (self.link,))[0])
-
-    def jacobian(self, robot: Robot, x: Joints) -> Float[Array, "m N"]:
-        """Their derivatives [m/rad or m/m]."""
-        if self.link is None:
-            return self._held(jacobian(robot, x))
-        point = point_positions(robot, x, jnp.asarray(self.offset_m)[None], (self.link,))
-        return self._held(point_jacobians(robot, x, point, (self.link,))[0])
-
-    def _held(self, rows: Array) -> Array:
-        return rows if self.axes == XYZ else rows[jnp.asarray(self.axes)]
+    error: Float[Array, "M"]  # what a step has to make up for [m]
+    jacobian: Float[Array, "M N"]  # [m/rad or m/m]; the paper's Jac(x)
+    room: Float[Array, "B"]  # less the little that a step aims inside [m]
+    gradient: Float[Array, "B N"]
 
 
 @jax.tree_util.register_static
 @dataclass(frozen=True)
 class Task:
-    """The constraint on the arm: the points that it holds, and how near is near enough. Static: a target is data."""
+    """The constraint on the arm: the rows that hold it, and how near is near enough. Static: a goal is data.
 
-    points: tuple[TaskPoint, ...] = (TaskPoint(),)
+    An angle counts as the length that has the same share of its tolerance, so that one number, the residual [m], says
+    how far a configuration is off.
+    """
+
+    parts: tuple[Row, ...] = (TaskPoint(),)
     tolerance_m: float = 1e-3  # of the norm of the error
+    tolerance_rad: float = 2e-3  # of angles in it
 
     @property
     def rows(self) -> int:
         """M."""
-        return sum(len(point.axes) for point in self.points)
+        return sum(part.equalities for part in self.parts)
+
+    @property
+    def bands(self) -> int:
+        """B."""
+        return sum(part.inequalities for part in self.parts)
+
+    @property
+    def values(self) -> int:
+        """How many numbers the features have."""
+        return sum(len(feature.rows) for feature in self._features)
+
+    @property
+    def numbers(self) -> int:
+        """How many a goal has."""
+        return sum(part.numbers for part in self.parts)
+
+    @property
+    def is_points(self) -> bool:
+        """Whether all rows are world coordinates of points: then a goal is what the value has to be."""
+        return all(isinstance(part, TaskPoint) for part in self.parts)
+
+    @property
+    def holds_tcp(self) -> bool:
+        """Whether the TCP is held at a place."""
+        return TaskPoint() in self.parts
+
+    def tcp_place(self, goal: Float[Anywhere, "*S G"]) -> Float[Anywhere, "*S 3"]:
+        """Where a goal holds the TCP, of a task that does, in the world [m]."""
+        start = self._starts[self.parts.index(TaskPoint())]
+        return goal[..., start : start + 3]
+
+    @property
+    def cones(self) -> tuple[int, ...]:
+        """Where in a goal the cones about directions stand; their numbers are a direction and a half angle [rad]."""
+        return tuple(start for start, part in zip(self._starts, self.parts, strict=True) if _is_cone(part))
+
+    def cone_axes(self, robot: Robot, x: Joints) -> tuple[Float[Array, "C 3"], Float[Array, "C 3 N"]]:
+        """The axes that are held in these cones, without a unit, and their Jacobians [1/rad]."""
+        axes = [part.features[0] for part in self.parts if _is_cone(part)]
+        values, slopes = ([of(robot, x, axis) for axis in axes] for of in (_stands, _moves))
+        return jnp.stack(values), jnp.stack(slopes)
+
+    @property
+    def _starts(self) -> tuple[int, ...]:
+        """Where in a goal the numbers of each part begin."""
+        return tuple(np.cumsum([0, *(part.numbers for part in self.parts[:-1])]).tolist())
+
+    @property
+    def _features(self) -> tuple[Feature, ...]:
+        return tuple(feature for part in self.parts for feature in part.features)
 
     def freedom(self, robot: Robot) -> int:
         """D = N - M, the dimension of the null space. Raises InputError for more rows than joints."""
@@ -74,25 +117,61 @@ class Task:
             raise InputError(f"the task has {self.rows} rows, the robot {robot.name} has {joints} joints")
         return joints - self.rows
 
-    def value(self, robot: Robot, x: Joints) -> Float[Array, "M"]:
-        """What the target is compared with [m]."""
-        return _joined([point.position(robot, x) for point in self.points])
+    def value(self, robot: Robot, x: Joints) -> Float[Array, "V"]:
+        """The features of the arm: points [m], and directions without a unit."""
+        return _joined([_held(feature, _stands(robot, x, feature)) for feature in self._features])
 
-    def jacobian(self, robot: Robot, x: Joints) -> Float[Array, "M N"]:
-        """d value / dx [m/rad or m/m]; the paper's Jac(x)."""
-        return _joined([point.jacobian(robot, x) for point in self.points])
+    def jacobian(self, robot: Robot, x: Joints) -> Float[Array, "V N"]:
+        """d value / dx [m/rad or m/m, of directions 1/rad]; the paper's Jac(x)."""
+        return _joined([_held(feature, _moves(robot, x, feature)) for feature in self._features])
 
-    def error(self, value: Float[Array, "M"], target: Float[Array, "M"]) -> Float[Array, "M"]:
+    def linear(self, value: Float[Array, "V"], slopes: Float[Array, "V N"], goal: Float[Array, "G"]) -> TaskLinear:
+        """The rows where the features have this value [m] and Jacobian [m/rad], to first order; equation (7)."""
+        if self.is_points:
+            return TaskLinear(goal - value, slopes, jnp.zeros(0), jnp.zeros((0, slopes.shape[1])))
+        error, room = self.error(value, goal), self._room(value, goal) - self._together("aim", value, goal)
+        return TaskLinear(
+            error,
+            product(-jax.jacfwd(self.error)(value, goal), slopes),
+            room,
+            product(jax.jacfwd(self._room)(value, goal), slopes),
+        )
+
+    def linear_at(self, robot: Robot, x: Joints, goal: Float[Array, "G"]) -> TaskLinear:
+        """The same at x [rad or m]; goal: as the rows have it, in metres and without a unit."""
+        return self.linear(self.value(robot, x), self.jacobian(robot, x), goal)
+
+    def error(self, value: Float[Array, "V"], goal: Float[Array, "G"]) -> Float[Array, "M"]:
         """Delta C = C_next - C_ref of equation (7) [m]."""
-        return target - value
+        return goal - value if self.is_points else self._together("error", value, goal)
 
-    def residual(self, value: Float[Array, "M"], target: Float[Array, "M"]) -> Scalar:
-        """The error's norm [m], which a plan records."""
-        return safe_norm(self.error(value, target))
+    def room(self, value: Float[Array, "V"], goal: Float[Array, "G"]) -> Scalar:
+        """The least room in any band or cone [m]; infinite without one."""
+        return jnp.min(self._room(value, goal), initial=jnp.inf)
 
-    def off(self, robot: Robot, x: Joints, target: Float[Array, "M"]) -> Scalar:
+    def residual(self, value: Float[Array, "V"], goal: Float[Array, "G"]) -> Scalar:
+        """The error's norm [m], which a plan records; where a band or cone is broken, more than the tolerance."""
+        off = safe_norm(self.error(value, goal))
+        if not self.bands:
+            return off
+        broken = -self.room(value, goal)
+        return jnp.where(broken > EXACT, off + broken + self.tolerance_m, off)
+
+    def off(self, robot: Robot, x: Joints, goal: Float[Array, "G"]) -> Scalar:
         """The residual at x [m]."""
-        return self.residual(self.value(robot, x), target)
+        return self.residual(self.value(robot, x), goal)
+
+    def least_turn(self, robot: Robot, rotation: Float[Array, "3 3"], goal: Float[Array, "G"]) -> Scalar:
+        """How far the last link has to turn from a rotation at the least, before every row holds [rad]; of the rows
+        that look at nothing but how it is turned. Turned by an angle, none of its axes turns by more."""
+        found = [jnp.zeros(())]
+        for start, part in zip(self._starts, self.parts, strict=True):
+            if all(_turns_with_last(robot, feature) for feature in part.features):
+                axes = [product(rotation, _fixed(robot, feature)[0]) for feature in part.features]
+                value, own = jnp.concatenate(axes), goal[start : start + part.numbers]
+                found += [-part.room(value, own)[0]] if part.inequalities else []
+                found += [safe_norm(part.error(value, own)) - self.tolerance_rad] if part.equalities else []
+        return jnp.max(jnp.stack(found))
 
     @property
     def fine_m(self) -> float:
@@ -111,8 +190,61 @@ class Task:
         """
         return (clearance > 0) & (clearance >= margin_m) & self.reached(residual)
 
+    def _room(self, value: Array, goal: Array) -> Float[Array, "B"]:
+        return self._together("room", value, goal)
+
+    def _together(self, what: str, value: Array, goal: Array) -> Array:
+        """Of all parts, angles as lengths."""
+        found, v, g = [], 0, 0
+        for part in self.parts:
+            size = sum(len(feature.rows) for feature in part.features)
+            rows = getattr(part, what)(value[v : v + size], goal[g : g + part.numbers])
+            found.append(rows * (self.tolerance_m / self.tolerance_rad) if part.angular else rows)
+            v, g = v + size, g + part.numbers
+        return _joined(found)
+
 
 TCP_POSITION = Task()  # the paper's
+
+
+def _is_cone(part: Row) -> bool:
+    return isinstance(part, AxisTowards) and part.cone and part.looks_from_m is None
+
+
+def _stands(robot: Robot, x: Joints, feature: Feature) -> Float[Array, "3"]:
+    if _is_tcp(feature):
+        return tcp_position(robot, x)
+    vector, links = _fixed(robot, feature)
+    return (directions if feature.is_direction else point_positions)(robot, x, vector[None], links)[0]
+
+
+def _moves(robot: Robot, x: Joints, feature: Feature) -> Float[Array, "3 N"]:
+    if _is_tcp(feature):
+        return jacobian(robot, x)
+    of = direction_jacobians if feature.is_direction else point_jacobians
+    return of(robot, x, _stands(robot, x, feature)[None], _fixed(robot, feature)[1])[0]
+
+
+def _is_tcp(feature: Feature) -> bool:
+    return feature.link is None and not feature.is_direction and not any(feature.vector)
+
+
+def _turns_with_last(robot: Robot, feature: Feature) -> bool:
+    return feature.is_direction and feature.link in (None, len(robot.slides) - 1)
+
+
+def _fixed(robot: Robot, feature: Feature) -> tuple[Float[Array, "3"], tuple[int]]:
+    """The vector in the frame of its link, and that link; the TCP's frame is part of the last one."""
+    vector = jnp.asarray(feature.vector)
+    if feature.link is not None:
+        return vector, (feature.link,)
+    T = robot.T_link_tcp
+    turned = product(T[:3, :3], vector)
+    return (turned if feature.is_direction else turned + T[:3, 3]), (len(robot.slides) - 1,)
+
+
+def _held(feature: Feature, rows: Array) -> Array:
+    return rows if feature.rows == XYZ else rows[jnp.asarray(feature.rows)]
 
 
 def _joined(parts: list[Array]) -> Array:

@@ -18,6 +18,7 @@ from htcp_jax.formats.arrays import points, triple
 from htcp_jax.notebook import html_facts
 from htcp_jax.scene.convex_hull import Hull, convex_hull
 from htcp_jax.scene.duct import INTERIOR_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
+from htcp_jax.scene.path_frames import PathFrames, tangents, wall_normals
 
 Triple = tuple[float, float, float]
 
@@ -37,11 +38,12 @@ class Workpiece:
     triangles: of the mesh that the cloud was sampled on [m]; none for a cloud.
     covering_radius_m: no point of the mesh is further from one of the cloud; 0 for a cloud.
     tip_contact_m: how near to the TCP the stretch between the last body and the TCP may touch walls; None: anywhere.
+    frames: the path's normals, tangents and orientations, where they are known.
 
     Computed once: the cloud's convex hull is where hull_normal @ x <= hull_offset (unit outward normals);
     hull_vertices are the vertices of the exact hull (the whole cloud with interior "none").
 
-    Raises InputError for wrong shapes, NaN, fewer than 4 points, an empty path, and a flat cloud with "hull".
+    Raises InputError for wrong shapes and counts, NaN, fewer than 4 points, no path, and a flat cloud with "hull".
     """
 
     name: str
@@ -57,6 +59,7 @@ class Workpiece:
     triangles: Float[np.ndarray, "M 3 3"] = field(default_factory=lambda: np.empty((0, 3, 3)))
     covering_radius_m: float = 0.0
     tip_contact_m: float | None = None
+    frames: PathFrames = field(default_factory=PathFrames)
     hull_normal: Float[np.ndarray, "F 3"] = field(init=False)
     hull_offset: Float[np.ndarray, "F"] = field(init=False)
     hull_vertices: Float[np.ndarray, "V 3"] = field(init=False)
@@ -68,6 +71,9 @@ class Workpiece:
         for name in ("interior_depth_m", "hull_tolerance_m", "covering_radius_m", "tip_contact_m"):
             if getattr(self, name) is not None and not 0.0 <= getattr(self, name) < np.inf:
                 raise InputError(f"{name} is {getattr(self, name)}; it must be 0 or more")
+        for name, directions in self.frames._asdict().items():
+            if directions is not None and len(directions) != len(path):
+                raise InputError(f"{name} of the path: {len(directions)} for its {len(path)} points")
         triangles = np.array(self.triangles, dtype=np.float64)
         corners = triangles.reshape(-1, 3) if len(triangles) else cloud  # what is sampled between adds no vertex
         lost = inlet is None and self.inlet_direction == "facet"
@@ -99,6 +105,16 @@ class Workpiece:
             T[:3, :3] = T[:3, :3] @ [[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]]
         T[:3, 3] = self.pivot + T[:3, :3] @ (self.neutral_translation - self.pivot) + shift
         return T
+
+    @cached_property
+    def normals(self) -> Float[np.ndarray, "T 3"]:
+        """The path's normals, unit, from the wall into the free space: those known, else those of the cloud."""
+        return wall_normals(self.cloud, self.path) if self.frames.normals is None else self.frames.normals
+
+    @cached_property
+    def tangents(self) -> Float[np.ndarray, "T 3"]:
+        """The way that the path goes, unit: as known, else by central differences."""
+        return tangents(self.path) if self.frames.tangents is None else self.frames.tangents
 
     @cached_property
     def largest_gap_m(self) -> float:

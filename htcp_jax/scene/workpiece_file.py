@@ -14,6 +14,8 @@ from htcp_jax.scene import duct
 from htcp_jax.scene.duct import INTERIOR_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
 from htcp_jax.scene.duct_seams import SEAMS, seam
 from htcp_jax.scene.mesh_points import Cover, cover
+from htcp_jax.scene.path_file import read_frames
+from htcp_jax.scene.path_frames import PathFrames
 from htcp_jax.scene.point_cloud import TEXT, Geometry, load_geometry
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.units import check_extent, check_path
@@ -44,6 +46,7 @@ def load_workpiece(
     spacing: float | None = None,
     thinnest_m: float = np.inf,
     robot: Robot | None = None,
+    frames: PathFrames | None = None,
 ) -> Workpiece:
     """A workpiece from files or arrays; without a cloud the generated duct, without both the duct and its weld.
 
@@ -57,6 +60,7 @@ def load_workpiece(
     spacing [m]: of the points on a mesh, see `mesh_points.cover`; thinnest_m: radius of the thinnest body [m], which
         must be larger than the covering radius of a mesh.
     robot: whose reach and bodies part and path have to make sense for by their size, see `units`; None: no such check.
+    frames: the path's normals, tangents and orientations; None: those that its file has.
     Raises InputError for what is wrong with a file or a figure, and for a cloud without a path.
     """
     generated = cloud is None
@@ -100,6 +104,7 @@ def load_workpiece(
         triangles,
         surface.radius_m,
         tip_contact_m,
+        _frames(path) if frames is None else frames,
     )
 
 
@@ -120,6 +125,11 @@ def _geometry(cloud: str | Path | Anywhere) -> Geometry:
     if _is_file(cloud):
         return load_geometry(cloud)
     return Geometry(arrays.points(cloud, "cloud", 4), np.empty((0, 3, 3)))
+
+
+def _frames(path: str | Path | Anywhere | None) -> PathFrames:
+    """Those in a path's file; none of an array and of a seam of the duct."""
+    return read_frames(Path(path)) if _is_file(path) and str(path) not in SEAMS else PathFrames()
 
 
 def _is_file(given: object) -> bool:

@@ -2,7 +2,7 @@
 
     minimise    1/2 y' diag(P) y + q' y
     subject to  A y = b          the task, linearised (7) with sigma = 0
-                G y <= h         the clearance rows (CFS)
+                G y <= h         the clearance rows (CFS), then the task's bands and cones
                 lb <= y <= ub
 
 A solver takes a batch of them on the host and gives back steps and verdicts. Infeasible is a normal answer: it means
@@ -64,28 +64,34 @@ def assemble(
     margin_m: Scalar,
     lower: Joints,
     upper: Joints,
+    room: Float[Array, "B"] | None = None,
+    room_gradient: Float[Array, "B N"] | None = None,
 ) -> StepQP:
     """Equation (8) about x_ref: `to_target` is Delta C = C_next - C_ref [m]; see `Settings` for the two options.
 
     cost_about: J1 about x_ref (8), or about x_{t-1} (4). clearance_rows: all, or the one of the smallest clearance.
+    room: in the task's bands and cones [m], if there are any.
     """
     weights = jnp.asarray(settings.q_weights)
     about = x_ref if settings.cost_about == "reference" else x_previous
     if settings.clearance_rows == "smallest":
         body = jnp.argmin(clearance)
         clearance, gradient = clearance[body][None], gradient[body][None]
+    G, h = -gradient, clearance - margin_m
+    if room is not None and len(room):
+        G, h = jnp.concatenate([G, -room_gradient]), jnp.concatenate([h, room])
     return StepQP(
         P=2 * weights,
         q=2 * weights * (x_ref - about),
         A=task_jacobian,
         b=to_target,
-        G=-gradient,
-        h=clearance - margin_m,
+        G=G,
+        h=h,
         lb=lower - x_ref,
         ub=upper - x_ref,
     )
 
 
-def row_count(settings: Settings, rows: int) -> int:
-    """Clearance rows of one step QP, of so many that there are."""
-    return 1 if settings.clearance_rows == "smallest" else rows
+def row_count(settings: Settings, rows: int, bands: int = 0) -> int:
+    """Inequality rows of one step QP, of so many clearance rows that there are; bands: the task's rows."""
+    return (1 if settings.clearance_rows == "smallest" else rows) + bands

@@ -110,6 +110,23 @@ class Arm:
             ends[:, k] = self._ends()
         return Postures(tcp, *ends)
 
+    def frames(
+        self, x: Float[np.ndarray, "n N"], name: str
+    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]:
+        """Where the TCP's frame, tcp, or that of a site or body of the model is: origins [m] and axes, world. Raises
+        InputError for another name."""
+        site = self._site if name == "tcp" else mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_SITE, name)
+        body = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_BODY, name)
+        if site < 0 and body < 0:
+            raise InputError(f"no site or body {name!r} in the model")
+        data = self._data
+        own = (data.site_xpos[site], data.site_xmat[site]) if site >= 0 else (data.xpos[body], data.xmat[body])
+        origin, rotation = np.empty((len(x), 3)), np.empty((len(x), 3, 3))
+        for k, row in enumerate(x):
+            self._pose(row)
+            origin[k], rotation[k] = own[0], own[1].reshape(3, 3)
+        return origin, rotation
+
     def tip_start(self, postures: Postures) -> Float[np.ndarray, "n 3"]:
         """Where the bare tip begins: the end on the last link that is nearest to the TCP at the model's zero; world."""
         end, body = self._tip

@@ -12,6 +12,8 @@ from htcp_jax.validation.mujoco_cell import Beside
 from htcp_jax.validation.mujoco_clearance import AtTargets, CheckedScene, Wall
 from htcp_jax.validation.result import RECORD_M, ROUNDING_M, STEP_RAD, Refuted
 from htcp_jax.validation.scene_rules import Results, Track, targets_of, turned_and_moved
+from htcp_jax.validation.task_check import Place as RowPlace
+from htcp_jax.validation.task_check import check_rows, follower, follows_all, holds_tcp, in_cones
 
 
 class JointPaths(NamedTuple):
@@ -51,21 +53,22 @@ def check(results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: 
     """Check one track with the arm that has its tool; between: least steps of a joint path, 0 to look at none.
     Raises InputError where the configuration leads to another number of targets than are on record."""
     scene, targets, on_path = _scene(results, arm, wall, beside, track)
+    task, settings = track.config.task, track.config.settings
     t = np.flatnonzero(track.tracked & np.isfinite(track.x).all(axis=1))
     rows = np.concatenate([track.start[None], track.x[t]])  # the start is row 0
     at = scene.at(rows)
-    reached = at.postures.tcp[1:]
+    reached = follower(task, arm, track.x[t]) if task else at.postures.tcp[1:]
     more = at.clearance[1:] - track.clearance[t]
     mesh = wall.triangles is not None
     bound = mesh or (beside is not None and beside.bound)  # the record may be less, by how closely points cover a mesh
     found = {
-        "tcp_error": np.linalg.norm(reached - targets[t], axis=1),
+        "tcp_error": np.linalg.norm(reached - targets[t], axis=1) if follows_all(task) else np.zeros(len(t)),
         "clearance": at.clearance[1:],
         "clearance_off": _off(np.minimum(more, 0.0) if bound else more),
-        "tcp_off": _off(np.linalg.norm(reached - track.tcp[t], axis=1)),
+        "tcp_off": _off(np.linalg.norm(at.postures.tcp[1:] - track.tcp[t], axis=1)),
         "target_off": _off(np.linalg.norm(targets[t] - track.target[t], axis=1)),
     }
-    tolerance, contact = track.config.settings.tolerance_m, track.config.workpiece.tip_contact_m
+    tolerance, contact = settings.tolerance_m, track.config.workpiece.tip_contact_m
     through = np.zeros(len(t), bool)
     if mesh and contact is not None and len(t):
         through = scene.tip_goes_through(Postures(*(values[1:] for values in at.postures)), contact)
@@ -77,6 +80,8 @@ def check(results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: 
     between_rows = _walk(scene, at, paths, between, on_path)
     refuted = _refuted(arm, track, t, tolerance, ROUNDING_M if bound else RECORD_M, {**found, "through": through})
     refuted += _refuted_ways(track, paths, between_rows)
+    refuted += _refuted_rows(results, arm, track, scene, t[t >= on_path], on_path)
+    refuted += _refuted_cones(results, arm, track, scene, paths, between, on_path)
     return Checked(
         method=track.method,
         scenario=track.scenario,
@@ -101,7 +106,7 @@ def _scene(
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
     start = pose.start if track.config.start is None else np.array(track.config.start)
     path = workpiece.path @ rotate.T + translate
-    targets = targets_of(track.config, arm.postures(start[None]).tcp[0], inlet, path)
+    targets = targets_of(track.config, follower(track.config.task, arm, start[None])[0], inlet, path)
     if len(targets) != len(track.target):
         raise InputError(
             f"{results.folder}: scenario {track.scenario} has {len(track.target)} targets on record, "
@@ -122,6 +127,41 @@ def _refuted(
         own = {name: float(values[k]) for name, values in found.items()}
         reasons[target] = _reasons(arm, tolerance_m, record_m, track.x[target], float(track.clearance[target]), own)
     return [Refuted(track.method, track.scenario, k, "; ".join(reasons[k])) for k in sorted(reasons) if reasons[k]]
+
+
+def _refuted_rows(
+    results: Results, arm: Arm, track: Track, scene: CheckedScene, t: np.ndarray, on_path: int
+) -> list[Refuted]:
+    """Targets t of the path at which a row of the task does not hold."""
+    task, settings = track.config.task, track.config.settings
+    if not task:
+        return []  # its one row is looked at as every plan's
+    place = RowPlace(scene.rotate, scene.translate, results.workpiece(track.config), t - on_path)
+    checks = check_rows(task, arm, track.x[t], place, settings.tolerance_m, settings.tolerance_rad)
+    found = []
+    for k, target in enumerate(t.tolist()):
+        reasons = [reason for number, one in enumerate(checks, 1) if (reason := one.reason(number, k)) is not None]
+        if reasons:
+            found.append(Refuted(track.method, track.scenario, target, "; ".join(reasons)))
+    return found
+
+
+def _refuted_cones(
+    results: Results, arm: Arm, track: Track, scene: CheckedScene, paths: JointPaths, between: int, on_path: int
+) -> list[Refuted]:
+    """Ways along the path that are on record as proven, and on which an axis leaves its cone."""
+    task, own = track.config.task, np.flatnonzero(track.proven[paths.target] & (paths.target > on_path))
+    if not task or between < 2 or not len(own):
+        return []
+    share = np.arange(1, between) / between
+    path = np.repeat(own, len(share))
+    x = paths.a[path] + np.tile(share, len(own))[:, None] * (paths.b[path] - paths.a[path])
+    part = results.workpiece(track.config)
+    places = [RowPlace(scene.rotate, scene.translate, part, paths.target[path] - on_path - k) for k in (1, 0)]
+    good = in_cones(task, arm, x, places, track.config.settings.tolerance_rad)
+    reason = "the way there is on record as proven, and an axis leaves its cone"
+    targets = np.unique(paths.target[path[~good]]).tolist()
+    return [Refuted(track.method, track.scenario, target, reason) for target in targets]
 
 
 def _off(difference: np.ndarray) -> np.ndarray:
@@ -171,7 +211,7 @@ def _refuted_ways(track: Track, paths: JointPaths, found: dict[str, Any]) -> lis
         return []
     proven, reasons = track.proven[paths.target], {}
     settings = track.config.settings
-    away = proven & (found["deviation"] > settings.tube_m + ROUNDING_M)
+    away = holds_tcp(track.config.task) & proven & (found["deviation"] > settings.tube_m + ROUNDING_M)
     for k in np.flatnonzero(proven & found["touches"]).tolist():
         reasons.setdefault(int(paths.target[k]), "the way there is on record as proven, and touches")
     for k in np.flatnonzero(away).tolist():

@@ -1,0 +1,127 @@
+"""What a person writes of a task: a list of rows, each a point held, an axis turned, or a whole orientation.
+
+    task:
+      - {point: tcp, on: path}
+      - {axis: tcp.z, towards: -path.normal, cone_deg: 60}
+
+`goals` makes rows of the planner's kinds of them, and goals at every target.
+"""
+
+import math
+from dataclasses import dataclass, fields
+
+from htcp_jax.errors import InputError
+
+Triple = tuple[float, float, float]
+FRAMES = "world", "workpiece", "path"
+DIRECTIONS = "path.normal", "-path.normal", "path.tangent", "-path.tangent"
+# What may stand beside the key that says what a row is.
+KINDS = {
+    "point": ("offset_m", "on", "through_m", "normal", "direction", "axes", "frame", "within_m"),
+    "axis": ("towards", "looks_at_m", "frame", "cone_deg", "within_deg"),
+    "orientation": ("of", "frame", "within_deg"),
+}
+NEEDED = {"path": (), "plane": ("through_m", "normal"), "line": ("through_m", "direction")}
+
+
+@dataclass(frozen=True)
+class TaskRow:
+    """One row; which of the fields belong together, `KINDS` says. Raises InputError for others, for a place or a
+    direction that is none, and for an angle out of its range.
+
+    A name is the TCP's, tcp, or that of a site or body of the model. frame: of places and directions that are given in
+    numbers, the workpiece's or the world's; of a point on the path what its axes are of, and then also the path's own,
+    with x along the tangent and z along the normal.
+    """
+
+    point: str | None = None  # a name
+    offset_m: Triple = (0.0, 0.0, 0.0)  # of the point, in the frame of that name
+    on: str | Triple | None = None  # path, plane, line, or a place [m]
+    through_m: Triple | None = None  # a point of the plane or the line
+    normal: Triple | None = None  # of the plane, any length
+    direction: Triple | None = None  # of the line, any length
+    axes: str = "xyz"  # in which a point on the path or at a place is held
+    frame: str = "world"
+    within_m: float | None = None  # either way in each direction; without it exactly
+    axis: str | None = None  # a name and x, y or z of its frame, tcp.z; with a minus the other way
+    towards: str | Triple | None = None  # one of DIRECTIONS, or in numbers, of any length
+    looks_at_m: Triple | None = None  # a place, from the origin of the axis's frame
+    cone_deg: float | None = None  # half angle [degrees, pi rad are 180]; 0 or none: exactly
+    within_deg: float | None = None  # the same, and of an orientation [degrees, pi rad are 180]
+    orientation: str | tuple[float, float, float, float] | None = None  # path, or a quaternion without a unit, w first
+    of: str = "tcp"  # a name: whose orientation
+
+    def __post_init__(self):
+        given = [name for name in KINDS if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise InputError(f"a row is one of {', '.join(KINDS)}; this one is {' and '.join(given) or 'none of them'}")
+        self._check_keys(given[0])
+        if self.frame not in FRAMES:
+            raise InputError(f"frame is {self.frame!r}; valid: {', '.join(FRAMES)}")
+        {"point": self._check_point, "axis": self._check_axis, "orientation": self._check_orientation}[given[0]]()
+        for name in ("cone_deg", "within_deg"):
+            value = getattr(self, name)
+            if value is not None and not 0 <= value <= 180:
+                raise InputError(f"{name} is {value:g}; it must be 0 to 180")
+        if self.within_m is not None and not 0 < self.within_m <= 1e3:
+            raise InputError(f"within_m is {self.within_m:g}; it must be more than 0 and finite")
+
+    @property
+    def limit_deg(self) -> float | None:
+        """Of a cone or a tolerance of angle; None where the row is an equality."""
+        return (self.cone_deg if self.cone_deg is not None else self.within_deg) or None
+
+    @property
+    def uses(self) -> set[str]:
+        """What of the path's frames it asks for: normals, tangents, rotations."""
+        found = {"rotations"} if self.orientation == "path" else set()
+        if isinstance(self.towards, str):
+            found.add("normals" if self.towards.endswith("normal") else "tangents")
+        return found | ({"normals", "tangents"} if self.on == "path" and self.frame == "path" else set())
+
+    def __str__(self) -> str:
+        what = next(name for name in KINDS if getattr(self, name) is not None)
+        return f"{what} {getattr(self, what) if what != 'orientation' else self.of}"
+
+    def _check_keys(self, kind: str) -> None:
+        for field in fields(self):
+            stated = getattr(self, field.name) != field.default
+            if stated and field.name != kind and field.name not in KINDS[kind]:
+                raise InputError(f"{field.name} is no key of a row of {kind}; valid: {', '.join(KINDS[kind])}")
+
+    def _check_point(self) -> None:
+        if self.on is None or (isinstance(self.on, str) and self.on not in NEEDED):
+            raise InputError(f"on is {self.on!r}; valid: {', '.join(NEEDED)}, or x,y,z in metres")
+        for name in NEEDED[self.on] if isinstance(self.on, str) else ():
+            if getattr(self, name) is None:
+                raise InputError(f"a point on a {self.on} needs {name}")
+        for name in ("normal", "direction"):
+            if (vector := getattr(self, name)) is not None and not math.hypot(*vector) > 0:
+                raise InputError(f"{name} is zero; it must point somewhere")
+        if not self.axes or any(axis not in "xyz" for axis in self.axes) or sorted(set(self.axes)) != list(self.axes):
+            raise InputError(f"axes is {self.axes!r}; valid: some of x, y, z, in this order")
+        if self.frame == "path" and self.on != "path":
+            raise InputError("frame is path, which a point on the path alone has; valid: world, workpiece")
+
+    def _check_axis(self) -> None:
+        name, dot, letter = self.axis.lstrip("-").rpartition(".")
+        if not name or not dot or letter not in ("x", "y", "z"):
+            raise InputError(f"axis is {self.axis!r}; it is a name and x, y or z, as in tcp.z")
+        if (self.towards is None) == (self.looks_at_m is None):
+            raise InputError(f"an axis needs either towards ({', '.join(DIRECTIONS)}, or x,y,z) or looks_at_m")
+        if isinstance(self.towards, str) and self.towards not in DIRECTIONS:
+            raise InputError(f"towards is {self.towards!r}; valid: {', '.join(DIRECTIONS)}, or x,y,z")
+        if isinstance(self.towards, tuple) and not math.hypot(*self.towards) > 0:
+            raise InputError("towards is zero; it must point somewhere")
+        if self.cone_deg is not None and self.within_deg is not None:
+            raise InputError("cone_deg and within_deg are the same; leave out one")
+        if self.frame == "path":
+            raise InputError("frame is path; write towards: path.tangent or path.normal")
+
+    def _check_orientation(self) -> None:
+        if self.frame == "path":
+            raise InputError("frame is path; write orientation: path")
+        if isinstance(self.orientation, str) and self.orientation != "path":
+            raise InputError(f"orientation is {self.orientation!r}; valid: path, or a quaternion w,x,y,z")
+        if isinstance(self.orientation, tuple) and not math.hypot(*self.orientation) > 0:
+            raise InputError("orientation is a quaternion of length 0")

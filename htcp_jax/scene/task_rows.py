@@ -1,0 +1,271 @@
+"""The kinds of rows that a task is made of: what of the arm each looks at, what it asks of that, and how far off it is.
+
+A row looks at features of the arm: points and directions that are fixed to a link. Given their values, and the numbers
+of its goal at one target, it says by how much they are off (`error`, an equality) or how much room is left (`room`, an
+inequality, broken below 0). Kinds are static; goals are data, so a cone's angle may differ from scenario to scenario.
+
+Errors of angles are rotation vectors, the logarithm map (Lynch and Park, Modern Robotics, section 3.2.3) [rad].
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import jax.numpy as jnp
+
+from htcp_jax.errors import InputError
+from htcp_jax.numerics import product, safe_norm
+from htcp_jax.types import Array, Float, Scalar, Vector3
+
+XYZ = (0, 1, 2)
+AIM_RAD, AIM_M = 1e-3, 2e-4  # a step aims so far inside an inequality, which linear rows cut too short,
+AIM_SHARE = 0.25  # but by no more than this share of it
+Triple = tuple[float, float, float]
+
+
+class Feature(NamedTuple):
+    """A point or a direction of the arm, in the world."""
+
+    link: int | None  # that it is fixed to; None: the TCP's frame
+    vector: Triple  # in that frame: of a point [m], of a direction of length 1
+    is_direction: bool = False
+    rows: tuple[int, ...] = XYZ  # the coordinates that count
+
+
+@dataclass(frozen=True)
+class TaskPoint:
+    """A point of the arm and the world coordinates of it that are held; a goal is these coordinates [m]. Raises
+    InputError for none, or for others."""
+
+    link: int | None = None  # that it is fixed to; None: the TCP
+    offset_m: Triple = (0.0, 0.0, 0.0)  # in the frame of the link; the TCP has none
+    axes: tuple[int, ...] = XYZ  # of the world: 0, 1, 2 are x, y, z
+
+    inequalities: ClassVar[int] = 0
+    angular: ClassVar[bool] = False
+
+    def __post_init__(self):
+        if not self.axes or sorted(set(self.axes)) != list(self.axes) or not set(self.axes) <= set(XYZ):
+            raise InputError(f"the axes of a task point are {self.axes}; valid: some of 0, 1, 2, in this order")
+        if self.link is None and any(self.offset_m):
+            raise InputError("the TCP has no offset of its own: name the link that the point is fixed to")
+
+    @property
+    def features(self) -> tuple[Feature, ...]:
+        """The point."""
+        return (Feature(self.link, self.offset_m, rows=self.axes),)
+
+    @property
+    def equalities(self) -> int:
+        """One a coordinate."""
+        return len(self.axes)
+
+    @property
+    def numbers(self) -> int:
+        """Of a goal."""
+        return len(self.axes)
+
+    def error(self, value: Float[Array, "m"], goal: Float[Array, "m"]) -> Float[Array, "m"]:
+        """From where it is to where it is wanted [m]."""
+        return goal - value
+
+    def room(self, value: Float[Array, "m"], goal: Float[Array, "m"]) -> Float[Array, "0"]:
+        """There are no inequalities."""
+        return jnp.zeros(0)
+
+    aim = room
+
+
+@dataclass(frozen=True)
+class PointAlong:
+    """A point of the arm that is held in `count` directions u: u p = offset, or within a band about that. A goal is u
+    and the offset [m] of each direction and, with a band, its half width [m]."""
+
+    link: int | None
+    offset_m: Triple
+    count: int
+    band: bool = False
+
+    angular: ClassVar[bool] = False
+
+    @property
+    def features(self) -> tuple[Feature, ...]:
+        """The point."""
+        return (Feature(self.link, self.offset_m),)
+
+    @property
+    def equalities(self) -> int:
+        """One a direction, without a band."""
+        return 0 if self.band else self.count
+
+    @property
+    def inequalities(self) -> int:
+        """Two a direction, with a band."""
+        return 2 * self.count if self.band else 0
+
+    @property
+    def numbers(self) -> int:
+        """Of a goal."""
+        return 4 * self.count + self.band
+
+    def error(self, value: Vector3, goal: Float[Array, "g"]) -> Float[Array, "m"]:
+        """How much further it has to go in each direction [m]."""
+        return jnp.zeros(0) if self.band else self._ahead(value, goal)
+
+    def room(self, value: Vector3, goal: Float[Array, "g"]) -> Float[Array, "b"]:
+        """To either side of the band [m]."""
+        if not self.band:
+            return jnp.zeros(0)
+        ahead = self._ahead(value, goal)
+        return jnp.concatenate([goal[-1] - ahead, goal[-1] + ahead])
+
+    def aim(self, value: Vector3, goal: Float[Array, "g"]) -> Float[Array, "b"]:
+        """How far inside the band a step aims [m]."""
+        return jnp.broadcast_to(jnp.minimum(AIM_M, AIM_SHARE * goal[-1]), (self.inequalities,))
+
+    def _ahead(self, point: Vector3, goal: Float[Array, "g"]) -> Float[Array, "count"]:
+        each = goal[: 4 * self.count].reshape(self.count, 4)
+        return each[:, 3] - product(each[:, :3], point)
+
+
+@dataclass(frozen=True)
+class AxisTowards:
+    """An axis of the arm turned in a direction, or towards a place, which it looks at from a point beside it: exactly,
+    or within a cone. A goal is the direction, or the place [m], and with a cone its half angle [rad]."""
+
+    link: int | None
+    axis: Triple  # of length 1, in the frame of the link
+    looks_from_m: Triple | None = None  # the point that looks, in the frame of the link; None: at no place
+    cone: bool = True
+
+    angular: ClassVar[bool] = True
+
+    @property
+    def features(self) -> tuple[Feature, ...]:
+        """The axis and, where it looks at a place, the point that it looks from."""
+        axis = Feature(self.link, self.axis, is_direction=True)
+        return (axis,) if self.looks_from_m is None else (axis, Feature(self.link, self.looks_from_m))
+
+    @property
+    def equalities(self) -> int:
+        """Two without a cone: an axis may turn about itself."""
+        return 0 if self.cone else 2
+
+    @property
+    def inequalities(self) -> int:
+        """One with a cone."""
+        return int(self.cone)
+
+    @property
+    def numbers(self) -> int:
+        """Of a goal."""
+        return 3 + self.cone
+
+    def error(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "m"]:
+        """The rotation vector from the axis to the direction, which is square to both: in two directions that are
+        square to the latter [rad]."""
+        if self.cone:
+            return jnp.zeros(0)
+        return axis_error(value[:3], self._direction(value, goal))
+
+    def room(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
+        """From the axis to the cone [rad]."""
+        if not self.cone:
+            return jnp.zeros(0)
+        return (goal[3] - angle(value[:3], self._direction(value, goal)))[None]
+
+    def aim(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
+        """How far inside the cone a step aims [rad]."""
+        return jnp.broadcast_to(jnp.minimum(AIM_RAD, AIM_SHARE * goal[-1]), (self.inequalities,))
+
+    def _direction(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Vector3:
+        if self.looks_from_m is None:
+            return goal[:3]
+        ahead = goal[:3] - value[3:6]
+        return ahead / jnp.maximum(safe_norm(ahead), 1e-12)
+
+
+@dataclass(frozen=True)
+class Turned:
+    """A frame of the arm turned as a rotation says: exactly, or within an angle. A goal is the rotation matrix,
+    row by row, and with a tolerance the angle [rad]."""
+
+    link: int | None
+    columns: tuple[Triple, Triple, Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # the frame's axes
+    cone: bool = False
+
+    angular: ClassVar[bool] = True
+
+    @property
+    def features(self) -> tuple[Feature, ...]:
+        """The three axes of the frame."""
+        return tuple(Feature(self.link, column, is_direction=True) for column in self.columns)
+
+    @property
+    def equalities(self) -> int:
+        """Three without a tolerance."""
+        return 0 if self.cone else 3
+
+    @property
+    def inequalities(self) -> int:
+        """One with a tolerance."""
+        return int(self.cone)
+
+    @property
+    def numbers(self) -> int:
+        """Of a goal."""
+        return 9 + self.cone
+
+    def error(self, value: Float[Array, "9"], goal: Float[Array, "g"]) -> Float[Array, "m"]:
+        """The rotation vector from the frame to what is wanted [rad]."""
+        return jnp.zeros(0) if self.cone else self._to_go(value, goal)
+
+    def room(self, value: Float[Array, "9"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
+        """What is left of the tolerance [rad]."""
+        return (goal[-1] - safe_norm(self._to_go(value, goal)))[None] if self.cone else jnp.zeros(0)
+
+    def aim(self, value: Float[Array, "9"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
+        """How far inside the tolerance a step aims [rad]."""
+        return jnp.broadcast_to(jnp.minimum(AIM_RAD, AIM_SHARE * goal[-1]), (self.inequalities,))
+
+    def _to_go(self, value: Float[Array, "9"], goal: Float[Array, "g"]) -> Vector3:
+        return rotation_vector(product(goal[:9].reshape(3, 3), value.reshape(3, 3)))  # value: the axes are rows
+
+
+Row = TaskPoint | PointAlong | AxisTowards | Turned
+
+
+def angle(a: Vector3, b: Vector3) -> Scalar:
+    """Between two directions of length 1, 0 to pi [rad]; exact near both ends, where its gradient is 0."""
+    return jnp.arctan2(safe_norm(jnp.cross(a, b)), product(a, b))
+
+
+def axis_error(axis: Vector3, direction: Vector3) -> Float[Array, "2"]:
+    """The rotation vector [rad] from one direction of length 1 to another in two directions square to the latter, the
+    logarithm map; of opposite ones half a turn, any way."""
+    least = jnp.argmin(jnp.abs(direction))
+    first = jnp.cross(direction, jnp.where(jnp.arange(3) == least, 1.0, 0.0))
+    first = first / safe_norm(first)
+    across = jnp.stack([first, jnp.cross(direction, first)])
+    square = jnp.cross(axis, direction)
+    sine, cosine = safe_norm(square), product(axis, direction)
+    flat = sine < 1e-12
+    turn = jnp.where(flat, 1.0, jnp.arctan2(sine, cosine) / jnp.where(flat, 1.0, sine))
+    opposite = flat & (cosine < 0)
+    return turn * product(across, square) + jnp.where(opposite, jnp.array([jnp.pi, 0.0]), 0.0)
+
+
+def rotation_vector(rotation: Float[Array, "3 3"]) -> Vector3:
+    """The axis of a rotation matrix times its angle, 0 to pi [rad], the logarithm map."""
+    twice = jnp.stack([
+        rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1],
+    ])  # fmt: skip
+    sine, cosine = 0.5 * safe_norm(twice), 0.5 * (jnp.trace(rotation) - 1.0)
+    turn = jnp.arctan2(sine, cosine)
+    flat = sine < 1e-12
+    small = 0.5 * twice * jnp.where(flat, 1.0, turn / jnp.where(flat, 1.0, sine))
+    # Near half a turn the sine says nothing of the axis; the symmetric part is (1 - cos) axis axis' + cos I.
+    symmetric = 0.5 * (rotation + rotation.T) - cosine * jnp.eye(3)
+    best = jnp.argmax(jnp.diagonal(symmetric))
+    column = jnp.where(cosine < -0.5, symmetric[:, best], jnp.array([1.0, 0.0, 0.0]))
+    axis = column / jnp.maximum(safe_norm(column), 1e-12) * jnp.where(twice[best] < 0, -1.0, 1.0)
+    return jnp.where(cosine < -0.5, turn * axis, small)
