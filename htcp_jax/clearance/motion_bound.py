@@ -72,7 +72,7 @@ def row_travel_bound(robot: Robot, rows: Rows, x: Joints, rates: Joints, half: S
     joints up to that link at rest."""
     if rows == Rows.of_bodies(robot):
         return travel_bound(robot, x, rates, half)
-    if any(robot.capsule_link[body] <= other for body, other in zip(*rows, strict=True)):
+    if any(0 <= other >= robot.capsule_link[body] for body, other in zip(*rows, strict=True)):
         raise ValueError("the body of a row must lie beyond the link of its other")
     seen_from = sorted(set(rows.other))
     moving = np.arange(len(robot.slides))[None, :] > np.array(seen_from)[:, None]
