@@ -3,6 +3,7 @@
 import dataclasses
 import json
 from functools import partial
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +27,14 @@ from htcp_jax.jobs.config import CellConfig
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.planner.batch import check_start
+from htcp_jax.runs.identity import (
+    anchor_files,
+    config_hash,
+    differences,
+    file_hashes,
+    identity,
+    refuse_changed,
+)
 from htcp_jax.scene.cell import load_cell
 from htcp_jax.scene.kinematics import capsule_segments
 from htcp_jax.scene.robot import GP50
@@ -232,3 +241,42 @@ def test_a_sweep_moves_a_fixture(job, tmp_path):
     boxes = [next(kind for kind in cell.obstacles[0].simple if isinstance(kind, Box)) for cell in batch.cells]
     offsets = [box.centre for box in boxes]
     np.testing.assert_allclose(offsets[1] - offsets[0], np.tile(there, (2, 1)), atol=1e-12)
+
+
+def test_the_meshes_of_a_cell_and_what_models_include_are_part_of_a_runs_identity(tmp_path):
+    """By their contents, wherever they lie; a mesh that is there for the eye alone is none of it."""
+
+    def made(name: str):
+        folder = tmp_path / name
+        (folder / "parts").mkdir(parents=True)
+        for part in ("vice", "logo"):
+            trimesh.creation.box([0.1, 0.1, 0.1]).export(folder / f"parts/{part}.stl")
+        (folder / "posts.xml").write_text('<mujoco><worldbody><geom type="sphere" size="0.1"/></worldbody></mujoco>')
+        (folder / "cell.xml").write_text(
+            '<mujoco><compiler meshdir="parts"/><include file="posts.xml"/>'
+            '<asset><mesh name="vice" file="vice.stl"/><mesh name="logo" file="logo.stl"/></asset><worldbody>'
+            '<geom type="mesh" mesh="vice"/><geom type="mesh" mesh="logo" contype="0" conaffinity="0"/>'
+            "</worldbody></mujoco>"
+        )
+        return folder
+
+    def same(folder):
+        config = load_config({"cell.model": str(folder / "cell.xml")}).model_dump(mode="json")
+        files = file_hashes(anchor_files(config))
+        assert [Path(file).name for file in files] == ["cell.xml", "vice.stl", "posts.xml"]
+        return identity(config, [], "float64", files), files
+
+    (here, files), (there, _) = same(made("here")), same(made("there"))
+    assert here == there
+    (tmp_path / "there/parts/logo.stl").write_bytes(b"")
+    assert same(tmp_path / "there")[0] == here
+    for part in ("parts/vice.stl", "posts.xml"):
+        (tmp_path / "there" / part).write_bytes((tmp_path / "there" / part).read_bytes() + b"\n")
+        changed = same(tmp_path / "there")[0]
+        (line,) = differences(here, changed)
+        assert line.startswith(f"parts.{Path(part).name} is SHA-256 ") and config_hash(here) != config_hash(changed)
+        here = changed
+    refuse_changed(files, tmp_path)
+    (tmp_path / "here/parts/vice.stl").write_bytes(b"")
+    with pytest.raises(InputError, match=r"vice\.stl is not what it was when"):
+        refuse_changed(files, tmp_path)

@@ -85,6 +85,13 @@ def read_spec(path: Path, *, meshes: bool = False, visual: bool = False, contact
         raise unreadable(path, error) from None
 
 
+def files_of(path: Path) -> set[Path]:
+    """A model file and those that it includes, absolute. Raises InputError as `read_spec` does."""
+    seen = {path.resolve()}
+    _put_includes_in_place(_parse(path), path, seen)
+    return seen
+
+
 def _urdf_limits(root: ElementTree.Element, path: Path) -> dict[str, dict[str, float]]:
     """What a URDF says of its joints and MuJoCo does not read, as the <numeric>s of an MJCF file have it: by their
     names, then the joints'; inf where there is none, or 0 in its place. Raises InputError for a range turned round."""

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.safe_xml import read_spec
+from htcp_jax.formats.safe_xml import files_of, read_spec
 from htcp_jax.scene.fixture import KINDS, Fixture
 from htcp_jax.scene.robot_model import compile_spec, no_log, upwards
 from htcp_jax.scene.robot_shapes import Geom, Shapes
@@ -45,6 +45,15 @@ def load_cell(
         _fixture(geom, shapes, model, data, path, move if own[model.geom_bodyid[geom.at]] else np.eye(4))
         for geom in sorted(geoms, key=lambda geom: geom.at)
     )
+
+
+def files_of_cell(path: str | Path) -> set[Path]:
+    """An MJCF file, those that it includes and the meshes that count, absolute. Raises InputError as `load_cell` does."""
+    path = Path(path)
+    with no_log():
+        shapes = Shapes(read_spec(path, meshes=True), path)
+    meshes = {shapes.file(geom) for geom in shapes.geoms if geom.touches}
+    return files_of(path) | {file.resolve() for file in meshes - {None}}
 
 
 def _moving(model: mujoco.MjModel, path: Path, moved: str | None) -> Bool[np.ndarray, "B"]:
