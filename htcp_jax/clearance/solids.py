@@ -9,8 +9,8 @@ and a capsule at once; for a box the slope of the squared distance along the seg
 lies between two of eight places; for a cylinder it is found by halving; for a convex piece the nearest is an end of the
 segment above a face, or a point of an edge. Where the segment crosses S, n is the best of those that may be the best:
 normals of S swept along the segment, whose surface is nearest within a face and never at an edge. Of a box and a piece
-these are the normals of faces, and those at right angles to the segment and an edge; of a cylinder those of its caps and
-side, and one at right angles to the segment, found by halving, too.
+these are the normals of faces, and those at right angles to the segment and an edge; of a cylinder those of its caps
+and side, and one at right angles to the segment, found by halving, too.
 """
 
 from collections.abc import Callable

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.formats.safe_xml import files_of
+from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.config_file import named_files
 from htcp_jax.scene.cell import files_of_cell
 

@@ -48,7 +48,7 @@ def load_cell(
 
 
 def files_of_cell(path: str | Path) -> set[Path]:
-    """An MJCF file, those that it includes and the meshes that count, absolute. Raises InputError as `load_cell` does."""
+    """An MJCF file, those that it includes and its meshes for contact, absolute. Raises InputError as `load_cell`."""
     path = Path(path)
     with no_log():
         shapes = Shapes(read_spec(path, meshes=True), path)
