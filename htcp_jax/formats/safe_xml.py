@@ -41,7 +41,7 @@ class _Builder(ElementTree.TreeBuilder):
         self._path, self._elements, self._depth = path, 0, 0
 
     def doctype(self, *_) -> None:
-        raise InputError(f"{self._path}: a document type (<!DOCTYPE) is not part of a robot model")
+        raise InputError(f"{self._path}: a document type (<!DOCTYPE) is not part of a model")
 
     def start(self, tag, attributes):
         self._elements += 1
@@ -127,25 +127,25 @@ def _number(joint: ElementTree.Element, name: str, path: Path) -> float:
 def unreadable(path: Path, error: Exception) -> InputError:
     """What MuJoCo, or the parser, has to say about the file, in one line."""
     reason = re.sub(r",? line \d+$", "", " ".join(str(error).split()))  # of our text, not of the file
-    return InputError(f"{path}: not a robot model that MuJoCo can read: {reason}")
+    return InputError(f"{path}: not a model that MuJoCo can read: {reason}")
 
 
 def _parse(path: Path) -> ElementTree.Element:
     try:
         if path.exists() and not path.is_file():
-            raise InputError(f"{path}: not a file; a robot is an MJCF or URDF file")
+            raise InputError(f"{path}: not a file; a model is an MJCF or URDF file")
         if (size := path.stat().st_size) > LARGEST_FILE:
-            raise InputError(f"{path}: {size:,} bytes; a robot model has at most {LARGEST_FILE:,}")
+            raise InputError(f"{path}: {size:,} bytes; a model has at most {LARGEST_FILE:,}")
         parser = ElementTree.XMLParser(target=_Builder(path))
         parser.feed(path.read_bytes())
         return parser.close()
     except InputError:
         raise
     except OSError as error:
-        raise InputError(f"{path}: cannot read the robot model: {error.strerror}") from None
+        raise InputError(f"{path}: cannot read the model: {error.strerror}") from None
     except (ElementTree.ParseError, ValueError, LookupError) as error:  # LookupError: an encoding that is none
         reason = " ".join(str(error).split())
-        raise InputError(f"{path}: not a robot model that MuJoCo can read: {reason}") from None
+        raise InputError(f"{path}: not a model that MuJoCo can read: {reason}") from None
 
 
 def _put_includes_in_place(root: ElementTree.Element, path: Path, seen: set[Path]) -> None:

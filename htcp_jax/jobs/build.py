@@ -10,6 +10,7 @@ from jaxtyping import Float
 from htcp_jax.clearance.obstacle import Obstacles
 from htcp_jax.clearance.of_cell import make_fixtures, placed_cloud
 from htcp_jax.clearance.self_collision import self_collision
+from htcp_jax.errors import InputError
 from htcp_jax.jobs.config import CellConfig, PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.scene.cell import load_cell
 from htcp_jax.scene.fixture import Fixture
@@ -119,6 +120,9 @@ def _follower_at_start(job: PlanConfig, robot: Robot) -> Float[np.ndarray, "3"] 
 def shapes_of(cell: CellConfig) -> tuple[Fixture, ...]:
     """The shapes of a cell's model, where they stand."""
     if cell.model is None:
+        for key in ("moved", "shift_m", "rpy_rad"):
+            if getattr(cell, key) != getattr(CellConfig(), key):
+                raise InputError(f"cell.{key} is given, and no cell.model that could be moved")
         return ()
     return load_cell(cell.model, moved=cell.moved, shift_m=cell.shift_m, rpy_rad=cell.rpy_rad)
 

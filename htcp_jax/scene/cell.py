@@ -69,7 +69,7 @@ def _moving(model: mujoco.MjModel, path: Path, moved: str | None) -> Bool[np.nda
 def _fixture(
     geom: Geom, shapes: Shapes, model: mujoco.MjModel, data: mujoco.MjData, path: Path, move: np.ndarray
 ) -> Fixture:
-    body = model.body(model.geom_bodyid[geom.at]).name
+    body = model.body(model.geom_bodyid[geom.at]).name if model.geom_bodyid[geom.at] else ""
     name = model.geom(geom.at).name or body or f"{geom.kind} {geom.at}"
     if geom.kind not in KINDS or (geom.mesh and geom.kind != "mesh"):
         kind = f"a {geom.kind} fitted to a mesh" if geom.mesh else f"a geom of type {geom.kind}"
