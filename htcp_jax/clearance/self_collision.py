@@ -62,7 +62,7 @@ class SelfCollision:
 
     def hit(self, robot: Robot, row: int, p: Ends, q: Ends) -> str:
         """What the body of a row is nearest to, in words."""
-        return robot.capsule_names[self.pairs[int(self._nearest(robot, p, q)[1][row])][1]]
+        return robot.capsule_names[self.pairs[int(_nearest(self, robot, p, q)[row])][1]]
 
     def described(self, robot: Robot) -> str:
         """How many pairs are kept apart, and which are not."""
@@ -106,6 +106,11 @@ def _contacts(robot: Robot, pairs: Pairs, p: Ends, q: Ends) -> Contacts:
     length = safe_norm(arm)
     normal = safe_divide(arm, jnp.broadcast_to(length[:, None], arm.shape))
     return Contacts(length - reach, on_a, normal, reach, jnp.zeros(length.shape, bool))
+
+
+@jax.jit
+def _nearest(own: SelfCollision, robot: Robot, p: Ends, q: Ends) -> Int[jax.Array, "R"]:
+    return own._nearest(robot, p, q)[1]
 
 
 @jax.jit
