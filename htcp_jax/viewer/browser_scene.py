@@ -80,7 +80,7 @@ class Stage:
             look = {"color": lit(FIXTURE), "opacity": 0.5, "flat_shading": True, "side": "double"}
             self._scene.add_mesh_simple("/fixtures", triangles.reshape(-1, 3), faces, **look)
         if len(clouds.points):
-            look = {"point_size": 2 * float(np.median(clouds.radius)), "point_shape": "circle", "precision": "float32"}
+            look = {"point_size": float(np.median(clouds.radius)), "point_shape": "circle", "precision": "float32"}
             self._scene.add_point_cloud("/clouds", clouds.points, rgb(FIXTURE), **look)
 
     def pose(self, target: int) -> None:
