@@ -3,8 +3,8 @@
     ways = leave_home(problem)            # before planning: chooses starts, and refuses scenarios
     begin_at_home(problem, plans, ways)   # afterwards: the plans begin at home
 
-Any method plans from the start, so all of them can begin at home. A start that is to be chosen is the clearest posture
-at the path's first point, of those that are drawn there, that can be reached from home.
+Any method plans from the start, so all of them can begin at home. A start that is to be chosen is one
+of the clearest postures of those that are drawn at the path's first point: that which is joined to home soonest.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -99,7 +99,7 @@ class Leaving:
         return [Trial(s, PAIR + round_ * MOST_TRIED + k, node.x) for k, node in enumerate(nodes)]
 
     def _joined(self, trials: dict[int, list[Trial]]) -> Ways:
-        """Of each scenario the way to the first of its trials that can be joined, which becomes its start."""
+        """Of each scenario the way to that of its trials which is joined soonest, which becomes its start."""
         ways, scenarios = Ways(), self._problem.scenarios
         for first in range(0, MOST_TRIED, TOGETHER):
             now = [one for s, own in trials.items() if s not in ways for one in own[first : first + TOGETHER]]
@@ -107,7 +107,7 @@ class Leaving:
                 break
             s, pair = np.array([one.scenario for one in now]), np.array([one.pair for one in now])
             to, settings = np.stack([one.x for one in now]), self._problem.settings
-            found = join(self._kernels, self._tip, scenarios, s, pair, scenarios.x_home[s], to, settings)
+            found = join(self._kernels, self._tip, scenarios, s, pair, scenarios.x_home[s], to, settings, soonest=True)
             for one, way in zip(now, found, strict=True):
                 if way is not None and one.scenario not in ways:
                     ways[one.scenario], scenarios.x_start[one.scenario] = way, one.x
