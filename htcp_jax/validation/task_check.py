@@ -30,9 +30,18 @@ class RowCheck(NamedTuple):
         """In words, why the row does not hold at the k-th of the points; None where it does."""
         if self.off[k] <= self.most + ROUNDING_M:
             return None
-        factor, unit = (1e3, "mm") if self.row.point else (1.0, "degrees")
-        off, most = factor * self.off[k], factor * self.most
-        return f"task.{number} ({self.row}) is {off:.5g} {unit} off, {most:.4g} are allowed"
+        off, most = self.factor * self.off[k], self.factor * self.most
+        return f"task.{number} ({self.row}) is {off:.5g} {self.unit} off, {most:.4g} are allowed"
+
+    @property
+    def unit(self) -> str:
+        """In which people are told."""
+        return "mm" if self.row.point else "degrees"
+
+    @property
+    def factor(self) -> float:
+        """To that unit."""
+        return 1e3 if self.row.point else 1.0
 
 
 class Place(NamedTuple):
