@@ -1,6 +1,7 @@
 """One command for every case:
 
     python -m benchmarks clearance         an exact query against brute force, 5,000 to 500,000 points
+    python -m benchmarks cell-distances    of arms to themselves and to a cell, against MuJoCo's
     python -m benchmarks step-qps          the step QP's solvers, on 100,000 recorded ones
     python -m benchmarks tables            both of the paper's tables by six planners under configs/paper.yaml
     python -m benchmarks cross             125 starts x 49 poses by the baseline and N-space SQP
@@ -17,7 +18,7 @@ beside this file has the numbers measured so far.
 import importlib
 import sys
 
-CASES = ("clearance", "step-qps", "tables", "cross", "peers", "baseline-margin", "seams", "shape")
+CASES = "clearance", "cell-distances", "step-qps", "tables", "cross", "peers", "baseline-margin", "seams", "shape"
 
 
 def main() -> int:

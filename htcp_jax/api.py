@@ -21,7 +21,7 @@ from htcp_jax.planner.devices import choose
 from htcp_jax.planner.motion import Motion, motion
 from htcp_jax.planner.obstruction import Obstruction, blocked_target, obstruction
 from htcp_jax.planner.plans import Outcome, Plans
-from htcp_jax.runs.identity import anchor_files, file_hash
+from htcp_jax.runs.identity import anchor_files, file_hashes
 from htcp_jax.runs.motion_summary import MotionSummary, summarise_motion
 from htcp_jax.runs.plan_folder import (
     VALIDATION,
@@ -162,7 +162,7 @@ class Plan:
         known["motion"] = self.motion_summary.record()
         known["in_the_way"] = self.obstruction and self.obstruction.record()
         config = self.job.model_dump()
-        files = {name: file_hash(name) for name in anchor_files(config)}
+        files = file_hashes(anchor_files(config))
         return {**known, **provenance(), "config": config, "files": files}
 
     def write(self, folder: Path, *, retract: bool = False) -> None:

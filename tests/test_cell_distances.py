@@ -8,7 +8,9 @@ import made_once
 import mujoco
 import numpy as np
 import pytest
+from published import MODELS, path_of
 
+from benchmarks import cell_distances
 from htcp_jax.clearance.contact_model import hold_contacts, predict_distances
 from htcp_jax.clearance.fixtures import Fixtures
 from htcp_jax.clearance.motion_proof import Verdict, prove
@@ -18,6 +20,9 @@ from htcp_jax.clearance.of_cell import make_fixtures, solid_of
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.scene.cell import load_cell
 from htcp_jax.scene.kinematics import capsule_segments
+from htcp_jax.scene.robot import GP50
+from htcp_jax.scene.robot_import import import_robot
+from htcp_jax.scene.robot_xml import arm_xml
 
 POSE = 'pos="0.1 -0.2 0.3" euler="20 30 40"'
 WEDGE = "0 0 0  0.3 0 0  0 0.2 0  0 0 0.4  0.2 0.15 0.1  0.1 0.1 0.35"
@@ -72,7 +77,12 @@ def by_mujoco(file, p, q, radius) -> np.ndarray:
 
 def seen(kind: str, folder, p, q):
     solid = jax.tree.map(jnp.asarray, solid_of(load_cell(cell_of(kind, folder))[0]))
-    return jax.jit(jax.vmap(solid.seen))(p, q)
+    return each_seen(solid, p, q)
+
+
+@jax.jit
+def each_seen(solid, p, q):
+    return jax.vmap(solid.seen)(p, q)
 
 
 def compare(kind: str, folder, count: int) -> None:
@@ -83,9 +93,6 @@ def compare(kind: str, folder, count: int) -> None:
     assert inside.sum() > 0.01 * count and (~inside).sum() > 0.2 * count
     if kind == "box":  # where an axis crosses a box, MuJoCo's routine for the two says anything; of a mesh it does not
         theirs[inside] = by_mujoco(cell_of("box as mesh", folder), p, q, radius)[inside]
-    if kind == "cylinder":  # a bound
-        assert (ours <= theirs + 1e-9)[inside].all() and (theirs[inside] < 0).all()
-        theirs[inside] = ours[inside]
     np.testing.assert_allclose(ours, theirs, atol=SHAPES[kind][1])
 
 
@@ -98,6 +105,73 @@ def test_the_distance_of_a_capsule_is_mujocos(kind, tmp_path):
 @pytest.mark.parametrize("kind", KINDS)
 def test_ten_thousand_distances_are_mujocos(kind, tmp_path):
     compare(kind, tmp_path, 10_000)
+
+
+def crossing(kind: str, folder, count: int) -> tuple:
+    """Segments that cross a solid or lie in it, and what is seen of them: some through its middle, some along its axes,
+    some points."""
+    shape, rng = load_cell(cell_of(kind, folder))[0], np.random.default_rng(1)
+    p = rng.uniform(-0.25, 0.25, (count, 3)) * rng.choice([0.02, 1], (count, 1))
+    q = p + rng.normal(size=(count, 3)) * rng.choice([0.003, 0.1, 0.5], (count, 1))
+    q[::9, 2], q[1::9, :2], q[2::9] = p[::9, 2], p[1::9, :2], p[2::9]
+    R, t = shape.T_world[:3, :3], shape.triangles.mean(axis=(0, 1)) if kind == "mesh" else shape.T_world[:3, 3]
+    p, q = (x * (0.3 if kind == "mesh" else 1) @ R.T + t for x in (p, q))
+    found = jax.tree.map(np.asarray, seen(kind, folder, p, q))
+    assert found.plane.mean() > 0.4
+    return p, q, found, shape
+
+
+def outermost(shape, normals: np.ndarray) -> np.ndarray:
+    """h(n): how far a solid reaches along directions, world."""
+    if shape.kind == "mesh":
+        return (normals @ shape.triangles.reshape(-1, 3).T).max(axis=-1)
+    own, size = normals @ shape.T_world[:3, :3], shape.size
+    if shape.kind == "box":
+        reach = np.abs(own) @ size
+    else:
+        reach = size[0] * np.hypot(own[..., 0], own[..., 1]) + size[1] * np.abs(own[..., 2])
+    return reach + normals @ shape.T_world[:3, 3]
+
+
+@pytest.mark.parametrize("kind", ["box", "cylinder", "mesh"])
+def test_of_a_segment_that_crosses_no_other_normal_is_better(kind, tmp_path):
+    """What is found is the depth along its own normal; of 2,000 others, and ever closer ones about the best of them,
+    none comes up to it."""
+    rng = np.random.default_rng(4)
+    sphere = rng.normal(size=(2000, 3))
+    sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
+    p, q, found, shape = crossing(kind, tmp_path, 200)
+    p, q, found = jax.tree.map(lambda leaf: leaf[found.plane], (p, q, found))
+
+    def depth(normals):  # (n, m, 3)
+        ends = np.minimum(np.einsum("nmi,ni->nm", normals, p), np.einsum("nmi,ni->nm", normals, q))
+        return ends - outermost(shape, normals)
+
+    np.testing.assert_allclose(np.linalg.norm(found.normal, axis=1), 1, atol=1e-12)
+    np.testing.assert_allclose(depth(found.normal[:, None])[:, 0], found.distance, atol=1e-12)
+    tried = np.broadcast_to(sphere, (len(p), *sphere.shape))
+    for closer in (0.1, 0.03, 0.01, 3e-3, 1e-3, 1e-4, 1e-5):
+        each = depth(tried)
+        assert (each.max(axis=1) <= found.distance + 1e-12).all()
+        best = np.take_along_axis(tried, each.argmax(axis=1)[:, None, None], axis=1)
+        tried = best + closer * rng.normal(size=(len(p), 200, 3)) * rng.choice([0, 1], (len(p), 200, 1))
+        tried = tried / np.linalg.norm(tried, axis=2, keepdims=True)
+    assert np.quantile(found.distance - depth(tried).max(axis=1), 0.5) < 1e-3  # it is the others that come up to it
+
+
+@pytest.mark.parametrize("kind", ["box", "cylinder", "mesh"])
+def test_of_a_segment_that_crosses_the_depth_changes_where_it_is_said_to_be_held(kind, tmp_path):
+    """Each end moved at random, by finite differences: it counts by its share of the place."""
+    p, q, found, _ = crossing(kind, tmp_path, 200)
+    rng, h = np.random.default_rng(0), 1e-7
+    dp, dq = rng.normal(size=(2, *p.shape))
+    ahead, behind = (seen(kind, tmp_path, p + s * dp, q + s * dq) for s in (h, -h))
+    slope = np.asarray(ahead.distance - behind.distance) / (2 * h)
+    moved = (1 - found.t)[:, None] * dp + found.t[:, None] * dq
+    lasts = np.abs(np.column_stack([ahead.normal - behind.normal, ahead.t - behind.t])).max(axis=1) < 1e-3
+    lasts &= found.plane  # of two normals that are as good, or two places, neither does
+    assert lasts.sum() > 50 and (lasts & (found.t > 0) & (found.t < 1)).sum() > 10
+    np.testing.assert_allclose(np.sum(found.normal * moved, axis=1)[lasts], slope[lasts], atol=1e-5)
 
 
 def test_segments_along_faces_and_edges_and_points_are_measured_too(tmp_path):
@@ -115,6 +189,27 @@ def test_segments_along_faces_and_edges_and_points_are_measured_too(tmp_path):
         clear = np.asarray(found.distance) > 1e-9
         assert (found.distance <= each + 1e-12).all() and clear.sum() > 50
         np.testing.assert_allclose(found.distance[clear], each[clear], atol=1e-3)
+
+
+def compare_arm(file, folder, count: int) -> None:
+    """A whole arm, by the benchmark that measures the same at more configurations."""
+    for row in cell_distances.compare(file, folder, count):
+        assert row.off_m <= (1e-6 if row.kind in ("box", "cylinder", "piece") else 1e-9)
+        assert row.others == 0 < row.touching < row.count
+
+
+def test_an_arm_is_as_far_from_a_cell_and_itself_as_mujoco_says(tmp_path):
+    compare_arm(GP50, tmp_path, 100)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["panda", "fetch", "ur5e"])
+def test_published_arms_are_as_far_from_a_cell_and_themselves_as_mujoco_says(name, tmp_path):
+    file = tmp_path / "arm.xml"
+    file.write_text(arm_xml(import_robot(path_of(name), MODELS[name].tcp), name))
+    compare_arm(file, tmp_path, 1000)
+    ring = cell_distances.compare_ring(file, tmp_path, 50)
+    assert ring.wrong == 0 and ring.above_m <= 1e-9 and ring.below_m < 0.02
 
 
 def everything(folder) -> Fixtures:
@@ -138,7 +233,7 @@ def test_of_many_solids_the_nearest_decides_whatever_is_searched_first(tmp_path)
     ends = jax.jit(lambda x: capsule_segments(robot, x))
     each = jax.jit(lambda x: own.distances(robot, *capsule_segments(robot, x)))
     touching = 0
-    for x in made_once.configurations(robot, 40):
+    for x in made_once.configurations(robot, 25):
         found = jitted(clearances)(robot, (own,), where, x)
         every = np.where(own.heeds, each(x), np.inf)
         expected = every.min(axis=0)
@@ -147,7 +242,7 @@ def test_of_many_solids_the_nearest_decides_whatever_is_searched_first(tmp_path)
         touching += int(expected.min() <= 0)
         row = int(expected.argmin())
         assert own.hit(robot, row, *ends(x)) == f"the fixture {own.names[every[:, row].argmin()]!r}"
-    assert 5 < touching < 35
+    assert 3 < touching < 22
 
 
 def test_gradients_and_what_is_held_are_those_of_the_distance(tmp_path):
@@ -156,7 +251,7 @@ def test_gradients_and_what_is_held_are_those_of_the_distance(tmp_path):
     robot, where, own, h = made_once.robot(), made_once.nominal(), (everything(tmp_path),), 1e-6
     rows, rng, odd = rows_of(robot, own), np.random.default_rng(0), 0
     value = partial(jitted(clearances), robot, own, where)
-    for x in made_once.configurations(robot, 10, seed=3):
+    for x in made_once.configurations(robot, 6, seed=3):
         found = jitted(clearance_rows)(robot, own, where, x)
         np.testing.assert_allclose(jitted(jax.jacfwd(clearances, 3))(robot, own, where, x), found.gradient, atol=1e-9)
         slope = np.stack([(value(x + h * e) - value(x - h * e)) / (2 * h) for e in np.eye(6)], axis=1)
@@ -167,16 +262,16 @@ def test_gradients_and_what_is_held_are_those_of_the_distance(tmp_path):
         near = x + rng.uniform(-0.1, 0.1, 6)
         predicted = np.asarray(predict_distances(robot, near, rows, held)[0])
         assert (predicted >= np.asarray(value(near)) - 1e-12)[~np.asarray(touch.plane)].all()
-    assert odd <= 6
+    assert odd <= 4
 
 
 def test_joint_paths_beside_solids_are_proven_and_refuted_as_they_are(tmp_path):
     robot, where, own = made_once.robot(), made_once.nominal(), (everything(tmp_path),)
     proof = jax.jit(lambda a, b: prove(Scene(robot, own), where, a, b))
     rng, verdicts = np.random.default_rng(1), []
-    for a in made_once.configurations(robot, 40):
+    for a in made_once.configurations(robot, 24):
         b = a + rng.uniform(-0.3, 0.3, 6)
-        places = a + np.linspace(0, 1, 201)[:, None] * (b - a)
+        places = a + np.linspace(0, 1, 51)[:, None] * (b - a)
         truth = np.asarray(jitted(everywhere)(robot, own, where, places))
         found = proof(a, b)
         if found.verdict == Verdict.PROVEN:
@@ -185,7 +280,7 @@ def test_joint_paths_beside_solids_are_proven_and_refuted_as_they_are(tmp_path):
             assert jitted(clearances)(robot, own, where, a + float(found.place) * (b - a)).min() <= 0
         assert jitted(all_clear)(robot, own, where, places) == (truth.min() > 0)
         verdicts.append(int(found.verdict))
-    assert verdicts.count(Verdict.PROVEN) >= 5 and verdicts.count(Verdict.COLLIDES) >= 5
+    assert verdicts.count(Verdict.PROVEN) >= 3 and verdicts.count(Verdict.COLLIDES) >= 3
 
 
 def everywhere(robot, obstacles, where, places):

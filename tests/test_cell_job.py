@@ -2,7 +2,9 @@
 
 import dataclasses
 import json
+import re
 from functools import partial
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -20,12 +22,20 @@ import htcp_jax
 from htcp_jax.clearance.obstacles import clearance
 from htcp_jax.clearance.of_cell import PlacedCloud, make_fixtures, solid_of
 from htcp_jax.clearance.solids import Box
+from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import obstacles_of
 from htcp_jax.jobs.config import CellConfig
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.jobs.load_config import load_config
-from htcp_jax.planner.batch import check_start
+from htcp_jax.runs.identity import (
+    anchor_files,
+    config_hash,
+    differences,
+    file_hashes,
+    identity,
+    refuse_changed,
+)
 from htcp_jax.scene.cell import load_cell
 from htcp_jax.scene.kinematics import capsule_segments
 from htcp_jax.scene.robot import GP50
@@ -57,7 +67,17 @@ def test_an_arm_of_one_s_own_keeps_clear_of_itself_and_the_gp50_where_it_is_aske
     assert len(found.pairs) == 5 and not obstacles_of(load_config().cell, made_once.robot())
 
 
-def test_a_start_that_hits_itself_names_the_pair_and_the_depth():
+@pytest.fixture
+def afar(tmp_path) -> list[str]:
+    """A few points that nothing touches, as the settings of a job."""
+    points = np.random.default_rng(0).uniform(1.0, 1.1, (20, 3))
+    for name, rows in (("part.xyz", points), ("path.csv", points[:2])):
+        np.savetxt(tmp_path / name, rows, delimiter=",")
+    part, path = tmp_path / "part.xyz", tmp_path / "path.csv"
+    return [f"workpiece.cloud={part}", f"workpiece.path={path}", "workpiece.interior=none"]
+
+
+def test_a_start_that_hits_itself_names_the_pair_and_the_depth(afar, capsys):
     folded = [0.0, -2.3, 2.6, 0.0, 1.5, 0.0]
     model = mujoco.MjModel.from_xml_path(str(GP50))
     data = mujoco.MjData(model)
@@ -68,22 +88,18 @@ def test_a_start_that_hits_itself_names_the_pair_and_the_depth():
     ]
     depth, a, b = min(each for each in apart if not (each[1] > 4 and each[2] > 4))
     assert depth < 0
-    names = [model.geom(k).name for k in (a, b)]
-    far = np.eye(4) + 10 * np.eye(4, k=3)
-    own = {"x_start": np.array(folded), "x_home": np.array(folded), "T_world_workpiece": far}
-    start = dataclasses.replace(jax.tree.map(np.asarray, made_once.nominal()), **own)
-    own = obstacles_of(load_config({"cell.self_collision": True}).cell, made_once.robot())
-    message = rf"start is in collision: {names[0]} is {-1e3 * depth:.3f} mm inside {names[1]}"
-    with pytest.raises(InputError, match=message):
-        check_start(made_once.robot(), made_once.duct(), start, own)
+    first, second = (model.geom(k).name for k in (a, b))
+    message = f"start is in collision: {first} is {-1e3 * depth:.3f} mm inside {second}"
+    refused([*afar, "cell.self_collision=true", f"start_rad={folded}"], message, capsys)
 
 
-def test_a_start_in_a_fixture_names_it(cell):
-    robot, x = made_once.robot(), np.array(made_once.START)
-    p = np.asarray(capsule_segments(robot, jnp.asarray(x))[0])[-1]
-    job = {"cell.model": str(cell), "cell.moved": "bench", "cell.shift_m": (p - [-1.6, -1.2, 0]).tolist()}
-    with pytest.raises(InputError, match=r"start is in collision: capsule_\w+ is [\d.]+ mm inside the fixture 'table'"):
-        htcp_jax.plan(job)
+def test_a_start_in_a_fixture_names_it(afar, cell, capsys):
+    x = np.array(made_once.START)
+    p = np.asarray(capsule_segments(made_once.robot(), jnp.asarray(x))[0])[-1]
+    there = (p - [-1.6, -1.2, 0]).tolist()
+    own = [f"cell.model={cell}", "cell.moved=bench", f"cell.shift_m={there}"]
+    found = refused([*afar, *own], "start is in collision: capsule_", capsys)
+    assert re.search(r"is [\d.]+ mm inside the fixture 'table'$", found.strip())
 
 
 def test_shapes_stand_where_mujoco_puts_them_and_where_they_are_moved(cell):
@@ -112,24 +128,52 @@ def test_the_first_link_stands_on_its_pedestal_and_other_bodies_heed_it(cell):
 
 
 @pytest.mark.parametrize(
-    ("body", "message"),
+    ("geoms", "message"),
     [
         (
             '<geom name="egg" type="ellipsoid" size="1 1 1"/>',
             "egg is a geom of type ellipsoid; a cell is made of plane",
         ),
         ('<geom type="box" size="1 1 1" contype="0" conaffinity="0"/>', "no geoms for contact"),
-        ('<geom type="mesh" mesh="part"/>', "mesh part.stl: no such file"),
-        ("<geom", "not a robot model that MuJoCo can read"),
+        ('<geom type="mesh" mesh="gone"/>', "mesh gone.stl: no such file"),
+        ('<geom type="mesh" mesh="torn"/>', "torn.stl: 0 points, at least 4 are needed"),
+        ('<geom type="mesh" mesh="flat"/>', "mesh 'flat' has no triangles"),
+        ('<geom type="sphere" size="-1"/>', "not a model that MuJoCo can read: Error: size 0 must be positive"),
+        ("<geom", "not a model that MuJoCo can read"),
     ],
 )
-def test_a_cell_that_cannot_be_taken_in_is_named_in_one_line(body, message, tmp_path):
+def test_a_cell_that_cannot_be_taken_in_is_named_in_one_line(geoms, message, tmp_path, capsys):
     file = tmp_path / "cell.xml"
-    asset = '<asset><mesh name="part" file="part.stl"/></asset>' if "mesh" in body else ""
-    file.write_text(f"<mujoco>{asset}<worldbody>{body}</worldbody></mujoco>")
-    with pytest.raises(InputError, match=message) as caught:
-        load_cell(file)
-    assert "\n" not in str(caught.value)
+    (tmp_path / "torn.stl").write_text("no mesh at all")
+    meshes = {"gone": 'file="gone.stl"', "torn": 'file="torn.stl"', "flat": 'vertex="0 0 0 1 0 0 0 1 0"'}
+    own = [f'<mesh name="{name}" {what}/>' for name, what in meshes.items() if f'"{name}"' in geoms]
+    file.write_text(f"<mujoco><asset>{''.join(own)}</asset><worldbody>{geoms}</worldbody></mujoco>")
+    refused([f"cell.model={file}"], message, capsys)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (["cell.model=none.xml"], "none.xml: cannot read the model: No such file"),
+        (["cell.modle=cell.xml"], "unknown key cell.modle; did you mean cell.model?"),
+        (["cell.moved=bench"], "cell.moved is given, and no cell.model that could be moved"),
+        (["cell.shift_m=[1, 0, 0]"], "cell.shift_m is given, and no cell.model"),
+        (["cell.shift_m=[.nan, 0, 0]"], "cell.shift_m.0 is nan"),
+        (["cell.clouds=[{cloud: none.xyz}]"], "none.xyz: no such file"),
+        (["cell.clouds=[{file: a.xyz}]"], "unknown key cell.clouds.0.file; valid: cloud, base_m, base_rpy_rad"),
+        (["cell.self_collision=maybe"], "cell.self_collision is 'maybe'"),
+    ],
+)
+def test_what_a_job_says_wrongly_of_its_cell_is_named_in_one_line(settings, message, capsys):
+    refused(settings, message, capsys)
+
+
+def refused(settings, message: str, capsys) -> str:
+    """The one line by which `htcp plan` ends."""
+    assert main(["plan", "--method", "baseline", *(word for each in settings for word in ("--set", each))]) == 2
+    errors = capsys.readouterr().err
+    assert message in errors and errors.count("\n") == 1
+    return errors
 
 
 def test_a_body_that_is_not_there_cannot_be_moved(cell):
@@ -232,3 +276,42 @@ def test_a_sweep_moves_a_fixture(job, tmp_path):
     boxes = [next(kind for kind in cell.obstacles[0].simple if isinstance(kind, Box)) for cell in batch.cells]
     offsets = [box.centre for box in boxes]
     np.testing.assert_allclose(offsets[1] - offsets[0], np.tile(there, (2, 1)), atol=1e-12)
+
+
+def test_the_meshes_of_a_cell_and_what_models_include_are_part_of_a_runs_identity(tmp_path):
+    """By their contents, wherever they lie; a mesh that is there for the eye alone is none of it."""
+
+    def made(name: str):
+        folder = tmp_path / name
+        (folder / "parts").mkdir(parents=True)
+        for part in ("vice", "logo"):
+            trimesh.creation.box([0.1, 0.1, 0.1]).export(folder / f"parts/{part}.stl")
+        (folder / "posts.xml").write_text('<mujoco><worldbody><geom type="sphere" size="0.1"/></worldbody></mujoco>')
+        (folder / "cell.xml").write_text(
+            '<mujoco><compiler meshdir="parts"/><include file="posts.xml"/>'
+            '<asset><mesh name="vice" file="vice.stl"/><mesh name="logo" file="logo.stl"/></asset><worldbody>'
+            '<geom type="mesh" mesh="vice"/><geom type="mesh" mesh="logo" contype="0" conaffinity="0"/>'
+            "</worldbody></mujoco>"
+        )
+        return folder
+
+    def same(folder):
+        config = load_config({"cell.model": str(folder / "cell.xml")}).model_dump(mode="json")
+        files = file_hashes(anchor_files(config))
+        assert [Path(file).name for file in files] == ["cell.xml", "vice.stl", "posts.xml"]
+        return identity(config, [], "float64", files), files
+
+    (here, files), (there, _) = same(made("here")), same(made("there"))
+    assert here == there
+    (tmp_path / "there/parts/logo.stl").write_bytes(b"")
+    assert same(tmp_path / "there")[0] == here
+    for part in ("parts/vice.stl", "posts.xml"):
+        (tmp_path / "there" / part).write_bytes((tmp_path / "there" / part).read_bytes() + b"\n")
+        changed = same(tmp_path / "there")[0]
+        (line,) = differences(here, changed)
+        assert line.startswith(f"parts.{Path(part).name} is SHA-256 ") and config_hash(here) != config_hash(changed)
+        here = changed
+    refuse_changed(files, tmp_path)
+    (tmp_path / "here/parts/vice.stl").write_bytes(b"")
+    with pytest.raises(InputError, match=r"vice\.stl is not what it was when"):
+        refuse_changed(files, tmp_path)

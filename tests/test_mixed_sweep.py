@@ -159,7 +159,7 @@ def test_a_changed_file_of_an_axis_is_refused(place, run):
         ("[settings.clearance_rows: [all]]", "scenario 0: settings.clearance_rows is 'all'"),
         ("[settings.seed: [1.5]]", "scenario 0: settings.seed is 1.5"),
         ("[{workpiece.cloud: [none.xyz], workpiece.path: [path.csv]}]", "none.xyz: no such file"),
-        ("[robot.model: [none.xml]]", "none.xml: cannot read the robot model"),
+        ("[robot.model: [none.xml]]", "none.xml: cannot read the model"),
         ("[robot.model: [gp50, short/arm.xml]]", "short has 4 joints, 0 of them slides; "),
     ],
 )

@@ -308,9 +308,9 @@ NUMERIC = '<custom><numeric name="{}" data="{}"/></custom>'
 LOWER, UPPER = '<numeric name="datasheet_lower" data="{}"/>', '<numeric name="datasheet_upper" data="{}"/>'
 
 BAD_MODELS = {
-    "not xml": ("no model at all", {}, "not a robot model that MuJoCo can read: "),
-    "not mjcf": ("<html></html>", {}, "not a robot model that MuJoCo can read: "),
-    "empty": ("", {}, "not a robot model that MuJoCo can read: "),
+    "not xml": ("no model at all", {}, "not a model that MuJoCo can read: "),
+    "not mjcf": ("<html></html>", {}, "not a model that MuJoCo can read: "),
+    "empty": ("", {}, "not a model that MuJoCo can read: "),
     "no geoms": (arm(geom=" "), {}, "no capsule or sphere geoms; geoms of the model: none"),
     "only others": (
         arm(
@@ -408,12 +408,12 @@ def test_gp50_refuses_an_unknown_profile():
 
 
 def test_missing_file(tmp_path):
-    with pytest.raises(InputError, match=r"none\.xml: cannot read the robot model: No such file or directory"):
+    with pytest.raises(InputError, match=r"none\.xml: cannot read the model: No such file or directory"):
         load_robot(tmp_path / "none.xml")
 
 
 def test_folder_instead_of_a_file(tmp_path):
-    with pytest.raises(InputError, match="not a file; a robot is an MJCF or URDF file"):
+    with pytest.raises(InputError, match="not a file; a model is an MJCF or URDF file"):
         load_robot(tmp_path)
 
 
@@ -421,5 +421,5 @@ def test_folder_instead_of_a_file(tmp_path):
 def test_unreadable_file(tmp_path):
     path = written(tmp_path, arm())
     path.chmod(0)
-    with pytest.raises(InputError, match="cannot read the robot model: Permission denied"):
+    with pytest.raises(InputError, match="cannot read the model: Permission denied"):
         load_robot(path)

@@ -280,7 +280,7 @@ BROKEN = {
         "bad.wrl",
         "bad.wrl: no mesh that is read; save it as .stl or .obj or .ply and name that in",
     ),
-    "free": ('name="bend" type="revolute"', 'name="bend" type="floating"', "not a robot model that MuJoCo can read"),
+    "free": ('name="bend" type="revolute"', 'name="bend" type="floating"', "not a model that MuJoCo can read"),
     "range": ('lower="-1" upper="2"', 'lower="2" upper="-1"', "joint 'bend' has range 2 to -1; it must ascend"),
     "no shapes": ("collision>", "visual>", "no shapes that capsules could hold; geoms of the model: none"),
 }

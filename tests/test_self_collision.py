@@ -102,7 +102,7 @@ def test_a_proven_joint_path_keeps_the_pairs_apart_at_a_thousand_places_and_a_re
     own, where, rng = self_collision(robot), made_once.nominal(), np.random.default_rng(0)
     proof = jax.jit(lambda a, b: prove(Scene(robot, (own,)), where, a, b))
     verdicts = []
-    for a in made_once.configurations(robot, 40):
+    for a in made_once.configurations(robot, 24):
         b = a + rng.uniform(-0.6, 0.6, 7)
         found = proof(a, b)
         places = a + np.linspace(0, 1, PLACES if found.verdict == Verdict.PROVEN else 2)[:, None] * (b - a)
@@ -112,7 +112,7 @@ def test_a_proven_joint_path_keeps_the_pairs_apart_at_a_thousand_places_and_a_re
             there = (a + float(found.place) * (b - a))[None]
             assert mujoco_distances(model, own.pairs, there).min() <= 1e-9
         verdicts.append(int(found.verdict))
-    assert verdicts.count(Verdict.PROVEN) >= 5 and verdicts.count(Verdict.COLLIDES) >= 5
+    assert verdicts.count(Verdict.PROVEN) >= 3 and verdicts.count(Verdict.COLLIDES) >= 3
 
 
 def test_turning_the_base_moves_no_pair_that_turns_with_it(tmp_path):

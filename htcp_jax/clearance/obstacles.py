@@ -102,6 +102,9 @@ def clearance_rows(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) 
     return ClearanceRows(touch.distance, slopes(robot, x, rows, touch.normal, touch.point, touch.witness))
 
 
+_clearances, _bodies_at = jax.jit(clearances), jax.jit(bodies_at)
+
+
 def nearest_to(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, row: int) -> str:
     """What the body of a row is nearest to at x, in words: kinds that have some tell it by `hit`."""
     if not any(hasattr(each, "hit") for each in obstacles):
@@ -115,10 +118,10 @@ def nearest_to(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, row:
     named = [each for each in own if hasattr(each, "hit")]
     others = tuple(each for each in own if not hasattr(each, "hit"))
     parts = [(each,) for each in named] + ([others] if named and others else [])
-    distance = [float(contacts(robot, part, where, x).distance[row - rows]) for part in parts]
+    distance = [float(_clearances(robot, part, where, x)[row - rows]) for part in parts] if len(parts) > 1 else [0.0]
     if not named or distance.index(min(distance)) == len(named):
         return "the workpiece"
-    bodies = bodies_at(robot, where, x)
+    bodies = _bodies_at(robot, where, x)
     return named[distance.index(min(distance))].hit(robot, row - rows, bodies.p, bodies.q)
 
 

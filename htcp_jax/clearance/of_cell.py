@@ -22,12 +22,13 @@ from htcp_jax.clearance.solids import Box, Cylinder, HalfSpace, Piece, Rod, Soli
 from htcp_jax.numerics import product
 from htcp_jax.pytree import register_pytree
 from htcp_jax.scene.fixture import Fixture
-from htcp_jax.scene.mesh_points import Cover, cover
+from htcp_jax.scene.mesh_points import Cover, area, cover
 from htcp_jax.scene.point_cloud import load_geometry
 from htcp_jax.scene.robot import Robot
 from htcp_jax.types import Bool, Float, Int, Pose, Scalar
 
-FINER, COARSEST_M = 4, 0.01  # points on a mesh: their widest gap, by the radius of the thinnest body, and at most
+FINER, COARSEST_M = 4, 0.01  # points on a mesh: their widest gap, by the radius of the thinnest body, and at most;
+MANY = 300_000  # but about so many points are enough for one mesh, however thin a body is
 FAR_M = 1e6  # from everything that stands still: a body that does so itself
 
 
@@ -111,7 +112,8 @@ def placed_cloud(robot: Robot, file: str, T_world: HostFloat[np.ndarray, "4 4"],
 
 def _covered(robot: Robot, triangles: HostFloat[np.ndarray, "F 3 3"], source: str) -> Cover:
     thinnest = float(np.min(robot.capsule_radius))
-    return cover(triangles, source, spacing=min(thinnest / FINER, COARSEST_M))
+    many = np.sqrt(2 * area(triangles).sum() / MANY)
+    return cover(triangles, source, spacing=max(min(thinnest / FINER, COARSEST_M), many))
 
 
 def solid_of(shape: Fixture) -> Solid | None:

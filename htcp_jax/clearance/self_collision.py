@@ -56,9 +56,13 @@ class SelfCollision:
         """The distance itself, as one of the two sees it."""
         return self.contacts(robot, where, bodies).distance
 
+    def distances(self, robot: Robot, p: Ends, q: Ends) -> Float[jax.Array, "n"]:
+        """Of every pair, in their order."""
+        return _contacts(robot, self.pairs, p, q).distance
+
     def hit(self, robot: Robot, row: int, p: Ends, q: Ends) -> str:
         """What the body of a row is nearest to, in words."""
-        return robot.capsule_names[self.pairs[int(self._nearest(robot, p, q)[1][row])][1]]
+        return robot.capsule_names[self.pairs[int(_nearest(self, robot, p, q)[row])][1]]
 
     def described(self, robot: Robot) -> str:
         """How many pairs are kept apart, and which are not."""
@@ -105,8 +109,13 @@ def _contacts(robot: Robot, pairs: Pairs, p: Ends, q: Ends) -> Contacts:
 
 
 @jax.jit
+def _nearest(own: SelfCollision, robot: Robot, p: Ends, q: Ends) -> Int[jax.Array, "R"]:
+    return own._nearest(robot, p, q)[1]
+
+
+@jax.jit
 def _distances(robot: Robot, own: SelfCollision, postures: Float[jax.Array, "n N"]) -> Float[jax.Array, "n R"]:
     def at(x):
-        return _contacts(robot, own.pairs, *capsule_segments(robot, x)).distance
+        return own.distances(robot, *capsule_segments(robot, x))
 
     return jax.vmap(at)(postures)

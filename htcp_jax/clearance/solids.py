@@ -8,10 +8,12 @@ Outside, n points from the nearest point of S to the nearest of the segment, whi
 and a capsule at once; for a box the slope of the squared distance along the segment is piecewise linear, and its zero
 lies between two of eight places; for a cylinder it is found by halving; for a convex piece the nearest is an end of the
 segment above a face, or a point of an edge. Where the segment crosses S, n is the best of those that may be the best:
-of a box and a piece the normals of faces, and those at right angles to the segment and an edge. Of a cylinder some are
-left out, so that what is found there is a bound from below.
+normals of S swept along the segment, whose surface is nearest within a face and never at an edge. Of a box and a piece
+these are the normals of faces, and those at right angles to the segment and an edge; of a cylinder those of its caps
+and side, and one at right angles to the segment, found by halving, too.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -85,8 +87,10 @@ class Box(NamedTuple):
         x = p + t * d
         outside = x - jnp.clip(x, -self.half, self.half)
         axes = jnp.eye(3)
-        normals = _both(jnp.concatenate([axes, _units(jnp.cross(axes, d[None]))]))
-        across = _best(normals, p, q, jnp.sum(jnp.abs(normals) * self.half[None], axis=1))
+        faces, beside = _both(axes), _both(_units(jnp.cross(axes, d[None])))
+        corners, normals = jnp.sign(beside) * self.half[None], jnp.concatenate([faces, beside])
+        places = jnp.concatenate([_lower(faces, p, q), _level(beside, p, q, corners, _both(axes))])
+        across = _best(normals, p, q, jnp.sum(jnp.abs(normals) * self.half[None], axis=1), places)
         return _turned(self, _either(_outside(t, outside), across))
 
 
@@ -99,25 +103,49 @@ class Cylinder(NamedTuple):
     half: Float[Array, "*n"]
 
     def seen(self, p: Vector3, q: Vector3) -> Seen:
-        """By a segment; where it crosses, a bound from below."""
+        """By a segment."""
         p, q = _within(self, p), _within(self, q)
         d = q - p
+        t = _halved(lambda t: product(self._off(p + t * d), d) <= 0, jnp.zeros(()))
+        return _turned(self, _either(_outside(t, self._off(p + t * d)), self._across(p, q)))
 
-        def halve(_, between):
-            low, high = between
-            t = 0.5 * (low + high)
-            rising = product(self._off(p + t * d), d) > 0
-            return jnp.where(rising, low, t), jnp.where(rising, t, high)
-
-        low, high = jax.lax.fori_loop(0, HALVINGS, halve, (jnp.zeros(()), jnp.ones(())))
-        t = 0.5 * (low + high)
-        t = jnp.where(low == 0, 0.0, jnp.where(high == 1, 1.0, t))
+    def _across(self, p: Vector3, q: Vector3) -> Seen:
+        """By a segment that crosses: along normals of the caps, of the side, and at right angles to the segment."""
         x, z, flat = jnp.array([1.0, 0.0, 0.0]), jnp.array([0.0, 0.0, 1.0]), jnp.array([1.0, 1.0, 0.0])
-        on = (p + segment_parameter(p * flat, q * flat, jnp.zeros(3)) * d) * flat
-        beside = jnp.cross(d, z)
-        normals = _both(_units(jnp.stack([x, z, on, beside, jnp.cross(d, beside)])))
+        d = q - p
+        middle = segment_parameter(p * flat, q * flat, jnp.zeros(3))
+        rim = self._rim(p, d)
+        normals = _units(jnp.stack([z, -z, (p + middle * d) * flat, _towards(jnp.cross(d, z), p), rim, x]))
         reach = self.radius * safe_norm(normals * flat[None]) + self.half * jnp.abs(normals[:, 2])
-        return _turned(self, _either(_outside(t, self._off(p + t * d)), _best(normals, p, q, reach)))
+        places = jnp.where(normals[:, 2] == 0, middle, _lower(normals, p, q))
+        return _best(normals, p, q, reach, places.at[4].set(self._beside(p, d, normals[4])))
+
+    def _rim(self, p: Vector3, d: Vector3) -> Vector3:
+        """Along the best normal at right angles to a segment through p.
+
+        Looked at along the segment the cylinder is an ellipse swept up and down, p a point (u, v) about the upper one's
+        centre. The normal at the ellipse's angle f leads to it where u sin f - v c cos f = r s^2 sin f cos f, with `c`
+        and `s` the segment's rise and run. Of two such f, as there are where v < 0, the larger one is a nearest point;
+        they are on both sides of tan^3 f = -v c / u."""
+        along = _units(d[None])[0]
+        aside = _towards(_units(jnp.array([[-d[1], d[0], 0.0]]))[0], p)
+        up = _towards(jnp.cross(aside, along), p)
+        c, s = jnp.abs(along[2]), jnp.abs(up[2])
+        u, v = product(p, aside), product(p, up) - self.half * s
+
+        def short(sine):
+            cosine = jnp.sqrt(1 - sine * sine)
+            return u * sine - v * c * cosine < self.radius * s * s * sine * cosine
+
+        least = jnp.cbrt(jnp.maximum(-v * c, 0.0))
+        sine = _halved(short, safe_divide(least, jnp.hypot(least, jnp.cbrt(u))))
+        return c * jnp.sqrt(1 - sine * sine) * aside + sine * up
+
+    def _beside(self, p: Vector3, d: Vector3, normal: Vector3) -> Scalar:
+        """Where along a segment from p the cylinder's outermost point along a normal is."""
+        round_ = jnp.array([1.0, 1.0, 0.0]) * normal
+        outermost = self.radius * _units(round_[None])[0] + (self.half * jnp.sign(normal)).at[:2].set(0.0)
+        return jnp.clip(safe_divide(product(outermost - p, d), product(d, d)), 0, 1)
 
     def _off(self, x: Vector3) -> Vector3:
         """From the nearest point of the cylinder."""
@@ -171,14 +199,16 @@ class Piece(NamedTuple):
 
     def _normals(self, p: Vector3, q: Vector3):
         """Those of the faces, and of planes along an edge that the segment's direction touches the piece at; with the
-        segment and their reach."""
+        segment, their reach and where the segment meets their planes."""
         ways = product(self.normal, q - p)[self.beside]
         outline = ways[:, 0] * ways[:, 1] <= 0
-        along = _units(jnp.cross(self.edges[:, 1] - self.edges[:, 0], (q - p)[None]))
+        edges = self.edges[:, 1] - self.edges[:, 0]
+        along = _units(jnp.cross(edges, (q - p)[None]))
         outwards = jnp.sum(along * jnp.sum(self.normal[self.beside], axis=1), axis=1)
         along = along * jnp.where(outwards < 0, -1.0, 1.0)[:, None]
         reach = jnp.where(outline & jnp.any(along != 0, axis=1), jnp.sum(along * self.edges[:, 0], axis=1), jnp.inf)
-        return jnp.concatenate([self.normal, along]), p, q, jnp.concatenate([self._offset, reach])
+        places = jnp.concatenate([_lower(self.normal, p, q), _level(along, p, q, self.edges[:, 0], edges)])
+        return jnp.concatenate([self.normal, along]), p, q, jnp.concatenate([self._offset, reach]), places
 
 
 Solid = HalfSpace | Rod | Box | Cylinder | Piece
@@ -199,17 +229,51 @@ def _outside(t: Scalar, arm: Vector3) -> Seen:
     return Seen(t, normal, length, length <= TOUCHES_M, jnp.zeros(()))
 
 
-def _best(normals: Float[Array, "n 3"], p: Vector3, q: Vector3, reach: Float[Array, "n"]) -> Seen:
-    """Along the normal by which the segment sticks in the least; `reach` is h(n). A normal of length 0 is none."""
+def _best(
+    normals: Float[Array, "n 3"], p: Vector3, q: Vector3, reach: Float[Array, "n"], places: Float[Array, "n"]
+) -> Seen:
+    """Along the normal by which the segment sticks in the least; `reach` is h(n), `places` are where on the segment the
+    nearest point of the surface is. A normal of length 0 is none."""
     ends = product(jnp.stack([p, q]), normals.T)
     depth = jnp.where(jnp.any(normals != 0, axis=1), jnp.min(ends, axis=0) - reach, -jnp.inf)
     k = jnp.argmax(depth)
-    lower = (ends[1, k] < ends[0, k]).astype(float)
-    return Seen(lower, normals[k], depth[k], jnp.ones((), bool), jnp.zeros(()))
+    return Seen(places[k], normals[k], depth[k], jnp.ones((), bool), jnp.zeros(()))
+
+
+def _lower(normals: Float[Array, "n 3"], p: Vector3, q: Vector3) -> Float[Array, "n"]:
+    """The end that is lower along each normal: 0 or 1."""
+    return (product(normals, q - p) < 0).astype(float)
+
+
+def _level(
+    normals: Float[Array, "n 3"], p: Vector3, q: Vector3, points: Float[Array, "n 3"], edges: Float[Array, "n 3"]
+) -> Float[Array, "n"]:
+    """Where the segment passes over an edge through each point, looked at along a normal at right angles to both."""
+    over = jnp.sum(jnp.cross(points - p[None], edges) * normals, axis=1)
+    return jnp.clip(safe_divide(over, jnp.sum(jnp.cross((q - p)[None], edges) * normals, axis=1)), 0, 1)
+
+
+def _halved(short: Callable[[Scalar], Bool[Array, ""]], low: Scalar) -> Scalar:
+    """Between `low` and 1 where something is no longer short; exactly `low` or 1 where it is nowhere or everywhere."""
+
+    def halve(_, between):
+        low, high = between
+        middle = 0.5 * (low + high)
+        yes = short(middle)
+        return jnp.where(yes, middle, low), jnp.where(yes, high, middle)
+
+    first = low
+    low, high = jax.lax.fori_loop(0, HALVINGS, halve, (low, jnp.ones(())))
+    return jnp.where(low == first, first, jnp.where(high == 1, 1.0, 0.5 * (low + high)))
 
 
 def _either(outside: Seen, across: Seen) -> Seen:
     return jax.tree.map(lambda a, b: jnp.where(outside.plane, a, b), across, outside)
+
+
+def _towards(normal: Vector3, p: Vector3) -> Vector3:
+    """A normal, or its opposite, that points from the origin to p's side."""
+    return jnp.where(product(normal, p) < 0, -1.0, 1.0) * normal
 
 
 def _both(normals: Float[Array, "n 3"]) -> Float[Array, "m 3"]:

@@ -42,7 +42,7 @@ class _Builder(ElementTree.TreeBuilder):
         self._path, self._elements, self._depth = path, 0, 0
 
     def doctype(self, *_) -> None:
-        raise InputError(f"{self._path}: a document type (<!DOCTYPE) is not part of a robot model")
+        raise InputError(f"{self._path}: a document type (<!DOCTYPE) is not part of a model")
 
     def start(self, tag, attributes):
         self._elements += 1
@@ -86,6 +86,13 @@ def read_spec(path: Path, *, meshes: bool = False, visual: bool = False, contact
         raise unreadable(path, error) from None
 
 
+def files_of(path: Path) -> set[Path]:
+    """A model file and those that it includes, absolute. Raises InputError as `read_spec` does."""
+    seen = {path.resolve()}
+    _put_includes_in_place(_parse(path), path, seen)
+    return seen
+
+
 def _urdf_limits(root: ElementTree.Element, path: Path) -> dict[str, dict[str, float]]:
     """What a URDF says of its joints and MuJoCo does not read, as the <numeric>s of an MJCF file have it: by their
     names, then the joints'; inf where there is none, or 0 in its place. Raises InputError for a range turned round."""
@@ -121,23 +128,23 @@ def _number(joint: ElementTree.Element, name: str, path: Path) -> float:
 def unreadable(path: Path, error: Exception) -> InputError:
     """What MuJoCo, or the parser, has to say about the file, in one line."""
     reason = re.sub(r",? line \d+$", "", " ".join(str(error).split()))  # of our text, not of the file
-    return InputError(f"{path}: not a robot model that MuJoCo can read: {reason}")
+    return InputError(f"{path}: not a model that MuJoCo can read: {reason}")
 
 
 def _parse(path: Path) -> ElementTree.Element:
     try:
         if path.exists() and not path.is_file():
-            raise InputError(f"{path}: not a file; a robot is an MJCF or URDF file")
+            raise InputError(f"{path}: not a file; a model is an MJCF or URDF file")
         if (size := path.stat().st_size) > LARGEST_FILE:
-            raise InputError(f"{path}: {size:,} bytes; a robot model has at most {LARGEST_FILE:,}")
+            raise InputError(f"{path}: {size:,} bytes; a model has at most {LARGEST_FILE:,}")
         return _tree(path.read_bytes(), _Builder(path))
     except InputError:
         raise
     except OSError as error:
-        raise InputError(f"{path}: cannot read the robot model: {error.strerror}") from None
+        raise InputError(f"{path}: cannot read the model: {error.strerror}") from None
     except (expat.ExpatError, ValueError, LookupError) as error:  # LookupError: an encoding that is none
         reason = " ".join(str(error).split())
-        raise InputError(f"{path}: not a robot model that MuJoCo can read: {reason}") from None
+        raise InputError(f"{path}: not a model that MuJoCo can read: {reason}") from None
 
 
 def _tree(text: bytes, builder: _Builder) -> ElementTree.Element:

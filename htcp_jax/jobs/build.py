@@ -10,13 +10,16 @@ from jaxtyping import Float
 from htcp_jax.clearance.obstacle import Obstacles
 from htcp_jax.clearance.of_cell import make_fixtures, placed_cloud
 from htcp_jax.clearance.self_collision import self_collision
+from htcp_jax.errors import InputError
 from htcp_jax.jobs.config import CellConfig, PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.scene.cell import load_cell
 from htcp_jax.scene.fixture import Fixture
 from htcp_jax.scene.goals import follower, task_of, with_goals
+from htcp_jax.scene.point_cloud import load_geometry
 from htcp_jax.scene.robot import GP50, Robot, lengthen_tool
 from htcp_jax.scene.robot_file import load_robot
 from htcp_jax.scene.scenario import Scenario, make_scenario
+from htcp_jax.scene.surface import NOTHING, Drawn, Surface, surface_of
 from htcp_jax.scene.task import Task
 from htcp_jax.scene.tool import pose
 from htcp_jax.scene.units import check_tool
@@ -117,13 +120,25 @@ def _follower_at_start(job: PlanConfig, robot: Robot) -> Float[np.ndarray, "3"] 
 def shapes_of(cell: CellConfig) -> tuple[Fixture, ...]:
     """The shapes of a cell's model, where they stand."""
     if cell.model is None:
+        for key in ("moved", "shift_m", "rpy_rad"):
+            if getattr(cell, key) != getattr(CellConfig(), key):
+                raise InputError(f"cell.{key} is given, and no cell.model that could be moved")
         return ()
     return load_cell(cell.model, moved=cell.moved, shift_m=cell.shift_m, rpy_rad=cell.rpy_rad)
 
 
-def drawn_of(cell: CellConfig) -> Float[np.ndarray, "F 3 3"]:
-    """What there is to draw of it: triangles in the world [m]."""
-    return np.concatenate([np.empty((0, 3, 3)), *(each.surface for each in shapes_of(cell))])
+def drawn_of(cell: CellConfig) -> Drawn:
+    """What there is to draw of it."""
+    triangles = [NOTHING.triangles, *(each.surface for each in shapes_of(cell))]
+    surfaces = [NOTHING.clouds]
+    for each in cell.clouds:
+        points, mesh = load_geometry(each.cloud)
+        T = pose(each.base_m, each.base_rpy_rad)
+        if len(mesh):
+            triangles.append(mesh @ T[:3, :3].T + T[:3, 3])
+        else:
+            surfaces.append(surface_of(points).placed(T))
+    return Drawn(np.concatenate(triangles), Surface(*map(np.concatenate, zip(*surfaces, strict=True))))
 
 
 def obstacles_of(cell: CellConfig, robot: Robot) -> Obstacles:

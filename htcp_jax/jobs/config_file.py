@@ -96,22 +96,22 @@ def _same(one: Path, other: Path) -> bool:
     return os.path.realpath(one) == os.path.realpath(other)
 
 
-def named_files(raw: dict) -> Iterator[tuple[dict, str]]:
-    """Where a configuration in its plain form names a file: the mapping, and the key in it."""
+def named_files(raw: dict) -> Iterator[tuple[str, dict, str]]:
+    """Where a configuration in its plain form names a file: dotted, and as a mapping and the key in it."""
     for (section, key), words in FILES.items():
         value = raw.get(section)
         if isinstance(value, dict) and isinstance(value.get(key), str) and value[key] not in words:
-            yield value, key
+            yield f"{section}.{key}", value, key
     cell = raw.get("cell")
     clouds = cell.get("clouds") if isinstance(cell, dict) else ()
     for cloud in clouds if isinstance(clouds, list | tuple) else ():
         if isinstance(cloud, dict) and isinstance(cloud.get("cloud"), str):
-            yield cloud, "cloud"
+            yield "cell.clouds", cloud, "cloud"
 
 
 def _anchor_files(raw: dict, folder: Path) -> None:
     """Make file names in `raw` relative to `folder`; the words of the built-in parts stay."""
-    for owner, key in named_files(raw):
+    for _, owner, key in named_files(raw):
         owner[key] = str(folder / owner[key])
 
 

@@ -54,4 +54,4 @@ class RunScene:
             return None
         replay = replays.replay(number, method)
         plans = self._plans[method].rows([number]).narrowed()
-        return draw_cell(replay.robot, replay.cloud, replay.x[:1], plans, title)
+        return draw_cell(replay.robot, replay.cloud, replay.x[:1], plans, title, replay.fixtures)

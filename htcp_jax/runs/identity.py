@@ -2,15 +2,18 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.safe_xml import files_of
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.config_file import named_files
+from htcp_jax.scene.cell import files_of_cell
 
 NO_IDENTITY = "method", "ray"  # of a configuration: a run has methods of its own, and may be planned anywhere
+PARTS = {"robot.model": files_of, "cell.model": files_of_cell}  # the files of which one named so is made
 NO_CELL = PlanConfig().cell.model_dump(mode="json")  # runs of before know no cell
 
 
@@ -23,13 +26,25 @@ def file_hash(file: str | Path) -> str:
         raise InputError(f"cannot read {file}: {error.strerror}") from None
 
 
-def anchor_files(config: dict) -> list[str]:
-    """Make the names of files in a configuration absolute, which is in its plain form; returns them."""
+def anchor_files(config: dict) -> list[tuple[str, str]]:
+    """Make the names of files in a configuration absolute, which is in its plain form; returns the dotted keys that
+    name them, and them."""
     named = []
-    for owner, key in named_files(config):
+    for dotted, owner, key in named_files(config):
         owner[key] = str(Path(owner[key]).resolve())
-        named.append(owner[key])
+        named.append((dotted, owner[key]))
     return named
+
+
+def file_hashes(named: Iterable[tuple[str, str]]) -> dict[str, str]:
+    """SHA-256 by name of files that are named under some keys of a configuration, and of those that they name
+    themselves: what models include, and the meshes of a cell's. Raises InputError."""
+    found = {}
+    for key, name in named:
+        found[name] = file_hash(name)
+        if (parts := PARTS.get(key)) is not None:
+            found |= {str(part): file_hash(part) for part in sorted(parts(Path(name)) - {Path(name).resolve()})}
+    return found
 
 
 def refuse_changed(files: Mapping[str, str], folder: Path) -> None:
@@ -41,18 +56,28 @@ def refuse_changed(files: Mapping[str, str], folder: Path) -> None:
 
 def identity(config: dict, grid: list | tuple, dtype: str, files: dict[str, str]) -> dict:
     """What makes two runs the same: files count by their contents, not by where they are."""
+    named = set()
 
     def plain(value: Any) -> Any:
         if isinstance(value, dict):
             return {key: plain(item) for key, item in value.items()}
         if isinstance(value, list | tuple):
             return [plain(item) for item in value]
-        return f"{Path(value).name}, SHA-256 {files[value]}" if isinstance(value, str) and value in files else value
+        if not isinstance(value, str) or value not in files:
+            return value
+        named.add(value)
+        return f"{Path(value).name}, SHA-256 {files[value]}"
 
     config = {key: value for key, value in config.items() if key not in NO_IDENTITY}
     if plain(config.get("cell")) == NO_CELL:
         del config["cell"]
-    return plain({**config, "grid": json.dumps(plain(grid)), "dtype": dtype})
+    same = plain({**config, "grid": json.dumps(plain(grid)), "dtype": dtype})
+    parts = {}
+    for file in sorted(set(files) - named, key=lambda file: (Path(file).name, files[file])):
+        parts.setdefault(Path(file).name, []).append(files[file])
+    if parts:
+        same["parts"] = {name: f"SHA-256 {', '.join(each)}" for name, each in parts.items()}
+    return same
 
 
 def config_hash(same: dict) -> str:

@@ -28,7 +28,7 @@ from htcp_jax.planner.batch import Progress as ShardProgress
 from htcp_jax.planner.devices import choose
 from htcp_jax.planner.plans import Plans
 from htcp_jax.runs import writer
-from htcp_jax.runs.identity import anchor_files, config_hash, file_hash, identity
+from htcp_jax.runs.identity import anchor_files, config_hash, file_hashes, identity
 from htcp_jax.runs.local import Shard, plan_here
 from htcp_jax.runs.lock import SignalCame, locked, signals
 from htcp_jax.runs.manifest import Manifest, Span, spans
@@ -164,12 +164,12 @@ def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | 
     named = anchor_files(config)
     for axis in (axis for group in grid for axis in group["axes"]):
         named += [
-            name
+            (key, name)
             for key, words in FILE_KEYS.items()
             for name in axis.get(key, {}).get("values", ())
             if name not in words
         ]
-    files = {name: file_hash(name) for name in dict.fromkeys(named)}
+    files = file_hashes(named)
     dtype = str(batch.scenarios.targets.dtype)
     return Manifest(
         name=spec.name,

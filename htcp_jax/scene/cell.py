@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.safe_xml import read_spec
+from htcp_jax.formats.safe_xml import files_of, read_spec
 from htcp_jax.scene.fixture import KINDS, Fixture
 from htcp_jax.scene.robot_model import compile_spec, no_log, upwards
 from htcp_jax.scene.robot_shapes import Geom, Shapes
@@ -47,6 +47,15 @@ def load_cell(
     )
 
 
+def files_of_cell(path: str | Path) -> set[Path]:
+    """An MJCF file, those that it includes and its meshes for contact, absolute. Raises InputError as `load_cell`."""
+    path = Path(path)
+    with no_log():
+        shapes = Shapes(read_spec(path, meshes=True), path)
+    meshes = {shapes.file(geom) for geom in shapes.geoms if geom.touches}
+    return files_of(path) | {file.resolve() for file in meshes - {None}}
+
+
 def _moving(model: mujoco.MjModel, path: Path, moved: str | None) -> Bool[np.ndarray, "B"]:
     """Which bodies are moved."""
     if moved is None:
@@ -60,7 +69,7 @@ def _moving(model: mujoco.MjModel, path: Path, moved: str | None) -> Bool[np.nda
 def _fixture(
     geom: Geom, shapes: Shapes, model: mujoco.MjModel, data: mujoco.MjData, path: Path, move: np.ndarray
 ) -> Fixture:
-    body = model.body(model.geom_bodyid[geom.at]).name
+    body = model.body(model.geom_bodyid[geom.at]).name if model.geom_bodyid[geom.at] else ""
     name = model.geom(geom.at).name or body or f"{geom.kind} {geom.at}"
     if geom.kind not in KINDS or (geom.mesh and geom.kind != "mesh"):
         kind = f"a {geom.kind} fitted to a mesh" if geom.mesh else f"a geom of type {geom.kind}"

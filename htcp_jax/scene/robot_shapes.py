@@ -89,6 +89,11 @@ class Shapes:
             return Shape(name, geom.kind, mesh, Capsule(T[:3, 3] + reach, T[:3, 3] - reach, float(size[0])))
         return Shape(name, geom.kind, _moved(T, _SOLIDS[geom.kind](size)), None)
 
+    def file(self, geom: Geom) -> Path | None:
+        """The file of the mesh that a geom is or is fitted to. Raises InputError where there is none of that name."""
+        name = self._meshes[geom.mesh].file if geom.mesh else ""
+        return _find(name, self._path, self._folders) if name else None
+
     def _triangles(self, name: str) -> Triangles:
         """A mesh as the model changes it: shifted, turned, scaled, in this order."""
         mesh = self._meshes[name]

@@ -28,6 +28,16 @@ class Surface(NamedTuple):
         return Surface(self.points @ rotate.T + translate, self.normals @ rotate.T, self.radius)
 
 
+class Drawn(NamedTuple):
+    """What stands in the world, to be looked at."""
+
+    triangles: Float[np.ndarray, "F 3 3"]  # [m]
+    clouds: Surface
+
+
+NOTHING = Drawn(np.empty((0, 3, 3)), Surface(np.empty((0, 3)), np.empty((0, 3)), np.empty(0)))
+
+
 class Mesh(NamedTuple):
     """Triangles, anticlockwise as seen from where their normals point."""
 

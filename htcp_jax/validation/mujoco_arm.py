@@ -179,7 +179,7 @@ def _compile(path: Path, tcp: str, tool: Tool | None) -> tuple[mujoco.MjModel, i
         model = spec.compile()
         return model, model.site(_TCP).id
     except (ValueError, OSError, mujoco.FatalError) as error:
-        raise InputError(f"{path}: not a robot model that MuJoCo can read: {' '.join(str(error).split())}") from None
+        raise InputError(f"{path}: not a model that MuJoCo can read: {' '.join(str(error).split())}") from None
 
 
 def _flange(model: mujoco.MjModel, name: str) -> tuple[int, np.ndarray, np.ndarray]:

@@ -74,11 +74,14 @@ class Stage:
             self.pose(0)
 
     def _add_fixtures(self) -> None:
-        triangles = self._replay.fixtures
+        triangles, clouds = self._replay.fixtures
         if len(triangles):
             faces = np.arange(3 * len(triangles)).reshape(-1, 3)
             look = {"color": lit(FIXTURE), "opacity": 0.5, "flat_shading": True, "side": "double"}
             self._scene.add_mesh_simple("/fixtures", triangles.reshape(-1, 3), faces, **look)
+        if len(clouds.points):
+            look = {"point_size": 2 * float(np.median(clouds.radius)), "point_shape": "circle", "precision": "float32"}
+            self._scene.add_point_cloud("/clouds", clouds.points, rgb(FIXTURE), **look)
 
     def pose(self, target: int) -> None:
         """Move the arm, the mark of the target and the smallest distance."""

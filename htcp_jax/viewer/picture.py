@@ -21,6 +21,7 @@ from htcp_jax.runs.motion_summary import MotionSummary, summarise_motion
 from htcp_jax.scene.kinematics import ArmShape, capsules_and_tcp
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import Scenario
+from htcp_jax.scene.surface import NOTHING, Drawn
 from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.viewer.colours import (
     DWELL,
@@ -37,8 +38,6 @@ from htcp_jax.viewer.colours import (
 )
 from htcp_jax.viewer.sides import Bodies, View, flat_side
 
-Triangles = Float[np.ndarray, "F 3 3"]
-NOTHING = np.empty((0, 3, 3))
 DEPTH = LinearSegmentedColormap.from_list("wall", WALL)
 
 
@@ -50,11 +49,11 @@ def draw_plan(
     row: int = 0,
     title: str = "",
     obstruction: Obstruction | None = None,
-    fixtures: Triangles = NOTHING,
+    fixtures: Drawn = NOTHING,
 ) -> Figure:
     """The plan of `scenario`, which is row `row` of `plans`; `robot` has the scenario's tool. obstruction: what is in
-    the way at the target that failed, drawn in red; fixtures: what else stands there, triangles in the world [m]. Save
-    it with `figure.savefig(path)`."""
+    the way at the target that failed, drawn in red; fixtures: what else stands there. Save it with
+    `figure.savefig(path)`."""
     figure = Figure(figsize=(14, 9.6), dpi=120, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.1, rect=(0, 0, 0.985, 1))
@@ -83,7 +82,7 @@ def _draw_scene(
     row: int,
     x_start: Float[np.ndarray, "1 N"],
     obstruction: Obstruction | None = None,
-    fixtures: Triangles = NOTHING,
+    fixtures: Drawn = NOTHING,
 ) -> View:
     """Two views of the same, which is returned: of everything, and of the workpiece."""
     shown = poses(plans, row)
@@ -104,13 +103,19 @@ def _draw_scene(
 
 
 def draw_cell(
-    robot: Robot, cloud: Float[np.ndarray, "P 3"], x_start: Float[np.ndarray, "1 N"], plans: Plans, title: str
+    robot: Robot,
+    cloud: Float[np.ndarray, "P 3"],
+    x_start: Float[np.ndarray, "1 N"],
+    plans: Plans,
+    title: str,
+    fixtures: Drawn = NOTHING,
 ) -> Figure:
-    """The arm in the workpiece cut open, and nothing else, of plans of one scenario; cloud: in the world [m]."""
+    """The arm in the workpiece cut open and what stands about, of plans of one scenario; cloud: in the world [m]."""
     figure = Figure(figsize=(14, 5.6), dpi=120, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title, color=INK, fontsize=16, fontweight="bold", x=0.015, ha="left")
-    _draw_scene(figure, figure.add_gridspec(1, 2, width_ratios=(1.12, 1)), robot, cloud, plans, 0, x_start)
+    grid = figure.add_gridspec(1, 2, width_ratios=(1.12, 1))
+    _draw_scene(figure, grid, robot, cloud, plans, 0, x_start, fixtures=fixtures)
     return figure
 
 
@@ -130,12 +135,16 @@ def _draw_wall(axes: Axes, view: View, cloud: Float[np.ndarray, "P 3"]) -> None:
     axes.scatter(*flat.T, c=cut - depth[behind], cmap=DEPTH, s=1.2, linewidths=0, rasterized=True, zorder=1)
 
 
-def _draw_fixtures(axes: Axes, view: View, fixtures: Triangles) -> None:
+def _draw_fixtures(axes: Axes, view: View, fixtures: Drawn) -> None:
     """What stands about, seen through, the farther first."""
-    if not len(fixtures):
+    triangles, clouds = fixtures
+    if len(clouds.points):
+        flat = view.flat(clouds.points)
+        axes.scatter(*flat.T, color=to_rgba(FIXTURE, 0.25), s=1.2, linewidths=0, rasterized=True, zorder=1.5)
+    if not len(triangles):
         return
-    order = np.argsort(fixtures.mean(axis=1) @ view.near)
-    flat = view.flat(fixtures[order].reshape(-1, 3)).reshape(-1, 3, 2)
+    order = np.argsort(triangles.mean(axis=1) @ view.near)
+    flat = view.flat(triangles[order].reshape(-1, 3)).reshape(-1, 3, 2)
     look = {"facecolors": to_rgba(FIXTURE, 0.25), "edgecolors": to_rgba(FIXTURE, 0.12), "linewidths": 0.3}
     axes.add_collection(PolyCollection(flat, rasterized=True, zorder=1.5, **look))
 

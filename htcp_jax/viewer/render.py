@@ -169,7 +169,8 @@ def _add_cloud(spec: mujoco.MjSpec, replay: Replay) -> None:
 
 def _add_fixtures(spec: mujoco.MjSpec, replay: Replay) -> None:
     """What stands about, in one mesh, seen through."""
-    corners = replay.fixtures.reshape(-1, 3)
+    both = [discs(replay.fixtures.clouds, side) for side in (1, -1)]
+    corners = np.concatenate([replay.fixtures.triangles, *(mesh.vertices[mesh.faces] for mesh in both)]).reshape(-1, 3)
     if len(corners):
         faces, shell = np.arange(len(corners), dtype=np.int32), mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
         spec.add_mesh(name="fixtures", inertia=shell, uservert=corners.ravel(), userface=faces)

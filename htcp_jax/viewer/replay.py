@@ -29,7 +29,7 @@ from htcp_jax.runs.open import PlanSet, open_plans
 from htcp_jax.scene.kinematics import ArmShape, capsules_and_tcp
 from htcp_jax.scene.robot import Robot, lengthen_tool
 from htcp_jax.scene.scenario import Scenario
-from htcp_jax.scene.surface import Surface
+from htcp_jax.scene.surface import Drawn, Surface
 from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.viewer.colours import is_tool
 from htcp_jax.viewer.sides import Bodies, Side, camera_side
@@ -86,7 +86,7 @@ class Replay(NamedTuple):
     way_clearance: Float[np.ndarray, "T"]  # D all along it, at least
     obstruction: Obstruction | None  # at the target that failed
     side: Side  # to look from
-    fixtures: Float[np.ndarray, "F 3 3"]  # what else stands there, as triangles
+    fixtures: Drawn  # what else stands there
 
     @property
     def cloud(self) -> Float[np.ndarray, "P 3"]:

@@ -17,7 +17,7 @@ from htcp_jax.runs.parameters import Parameters
 from htcp_jax.runs.plan_folder import TRAJECTORY
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import Scenario, interior_plane_of
-from htcp_jax.scene.surface import Surface, surface_of
+from htcp_jax.scene.surface import Drawn, Surface, surface_of
 from htcp_jax.scene.workpiece import Workpiece
 
 MOST_CELLS = 8  # robots and workpieces of one run in memory
@@ -48,8 +48,8 @@ class Workcell:
         return (*make_obstacle(self.workpiece), *obstacles_of(self.config.cell, self.robot))
 
     @cached_property
-    def fixtures(self) -> Float[np.ndarray, "F 3 3"]:
-        """What stands about, as it is drawn: triangles in the world [m]."""
+    def fixtures(self) -> Drawn:
+        """What stands about, as it is drawn."""
         return drawn_of(self.config.cell)
 
     @cached_property

@@ -1,0 +1,203 @@
+"""Distances of arms to themselves and to the shapes of a cell, against MuJoCo's and, of a ring, trimesh's.
+
+    python -m benchmarks cell-distances [--configurations N] [MODEL[:TCP] ...]
+
+Arms: the GP50, and models as `htcp robot` reads them. At random configurations within the joint limits every capsule is
+measured to every shape, and every pair of capsules that is kept apart; MuJoCo does the kinematics for its own part.
+Where a capsule's axis crosses a box, mj_geomDistance says anything, so a box is a mesh of eight corners for MuJoCo.
+Clearances to the ring, which is not convex, are bounds: how far below trimesh's they are at most, at every 100th
+configuration.
+"""
+
+import argparse
+import tempfile
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import trimesh
+
+from benchmarks import hardware
+from htcp_jax.clearance.obstacles import clearance
+from htcp_jax.clearance.of_cell import PlacedCloud, make_fixtures
+from htcp_jax.clearance.self_collision import SelfCollision, self_collision
+from htcp_jax.planner import compile_cache
+from htcp_jax.scene.cell import load_cell
+from htcp_jax.scene.kinematics import capsule_segments
+from htcp_jax.scene.robot import GP50, Robot
+from htcp_jax.scene.robot_file import load_robot
+from htcp_jax.scene.robot_import import import_robot
+from htcp_jax.scene.robot_xml import arm_xml
+from htcp_jax.validation.mujoco_arm import Arm
+
+WEDGE = "0 0 0  0.3 0 0  0 0.2 0  0 0 0.4  0.2 0.15 0.1  0.1 0.1 0.35"
+BOX = " ".join(f"{x} {y} {z}" for x in (-0.1, 0.1) for y in (-0.3, 0.3) for z in (-0.2, 0.2))
+SHAPES = {
+    "plane": '<geom name="plane" type="plane" size="3 3 1" pos="0 0 -0.1" euler="3 2 0"/>',
+    "sphere": '<geom name="sphere" type="sphere" size="0.2" pos="0.6 0.2 0.9"/>',
+    "capsule": '<geom name="capsule" type="capsule" size="0.1 0.3" pos="0.2 -0.6 0.6" euler="20 30 40"/>',
+    "box": '<geom name="box" type="{box}" pos="-0.2 0.5 0.6" euler="20 30 40"/>',
+    "cylinder": '<geom name="cylinder" type="cylinder" size="0.15 0.3" pos="-0.5 -0.3 0.8" euler="20 30 40"/>',
+    "piece": '<geom name="piece" type="mesh" mesh="wedge" pos="0.5 -0.3 0.3" euler="20 30 40"/>',
+}
+SOLID, AS_MESH = 'box" size="0.1 0.3 0.2', 'mesh" mesh="box'  # a box
+RING_AT, EVERY, PLACES = (0.4, 0.0, 0.7), 100, 101  # of the ring, configurations; of an axis
+FAR_M, CROSSING = 1e3, 0.99  # of two radii: where a capsule's axis passes through another's MuJoCo takes another normal
+
+
+class Compared(NamedTuple):
+    """Of a kind of shape: how far ours were from MuJoCo's at most [m], how many were compared and touched, and of how
+    many the verdicts differ."""
+
+    kind: str
+    off_m: float
+    count: int
+    touching: int
+    others: int
+
+
+class _World(NamedTuple):
+    """No workpiece has a part in it."""
+
+    T_world_workpiece: np.ndarray
+    interior_plane: np.ndarray
+
+
+class Ring(NamedTuple):
+    """Of the ring: how far clearances were below trimesh's at most and above it [m], and how many verdicts of clear
+    were wrong."""
+
+    below_m: float
+    above_m: float
+    count: int
+    wrong: int
+
+
+def main() -> None:
+    """Compare and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--configurations", type=int, default=10_000)
+    parser.add_argument("models", nargs="*", metavar="MODEL[:TCP]")
+    asked = parser.parse_args()
+    compile_cache.enable()
+    print(hardware.line())
+    with tempfile.TemporaryDirectory() as scratch:
+        for file in [GP50, *(read(model, Path(scratch)) for model in asked.models)]:
+            print(f"{file.stem}: kind, distances, off at most [m], touching, other verdicts")
+            for row in compare(file, Path(scratch), asked.configurations):
+                print(f"  {row.kind:9} {row.count:9,} {row.off_m:8.1e} {row.touching:9,} {row.others}")
+            ring = compare_ring(file, Path(scratch), max(1, asked.configurations // EVERY))
+            off = f"from {-ring.below_m:.1e} to {ring.above_m:.1e}"
+            print(f"  ring      {ring.count:9,} {off}, wrongly clear {ring.wrong}", flush=True)
+
+
+def read(model: str, folder: Path) -> Path:
+    """An arm of capsules, made of a model as its maker ships it."""
+    file, _, tcp = model.partition(":")
+    arm = folder / f"{Path(file).stem}.xml"
+    arm.write_text(arm_xml(import_robot(Path(file), tcp or None), file))
+    return arm
+
+
+def compare(file: Path, folder: Path, count: int) -> list[Compared]:
+    """Every kind of shape, and pairs of the arm's own capsules, at `count` configurations."""
+    arm, robot = Arm(file), load_robot(file)
+    (fixed,), own = make_fixtures(robot, load_cell(_cell(folder, SOLID))), self_collision(robot)
+    x = drawn(robot, count)
+    ours, pairs = map(np.asarray, _ours(robot, fixed, own, jnp.asarray(x)))
+    theirs, their_pairs = _theirs(arm, _cell(folder, AS_MESH), fixed.names, own.pairs, x)
+    rows = [_compared(name, ours[:, k], theirs[:, k]) for k, name in enumerate(fixed.names)]
+    apart = pairs > -CROSSING * arm.radius[np.array(own.pairs)].sum(axis=1)
+    return [*rows, _compared("itself", pairs[apart], their_pairs[apart])]
+
+
+def compare_ring(file: Path, folder: Path, count: int) -> Ring:
+    """A ring, of which MuJoCo knows the hull alone: axes of capsules by places on them, trimesh's distances."""
+    robot, arm = load_robot(file), Arm(file).moving
+    ring = trimesh.creation.annulus(0.35, 0.4, 0.2)
+    ring.export(folder / "ring.stl")
+    (folder / "ring.xml").write_text(
+        '<mujoco><asset><mesh name="ring" file="ring.stl"/></asset><worldbody>'
+        f'<geom type="mesh" mesh="ring" pos="{" ".join(map(str, RING_AT))}"/></worldbody></mujoco>'
+    )
+    (hoop,) = make_fixtures(robot, load_cell(folder / "ring.xml"))
+    assert isinstance(hoop, PlacedCloud)
+    ring.apply_translation(RING_AT)
+    x = drawn(robot, count)
+    world = _World(np.eye(4), np.zeros(4))
+    ours = np.asarray(jax.jit(lambda x: jax.lax.map(partial(clearance, robot, (hoop,), world), x))(jnp.asarray(x)))
+    _, p, q = arm.postures(x)
+    places = p[:, :, None] + np.linspace(0, 1, PLACES)[:, None] * (q - p)[:, :, None]
+    apart = np.array([_to_triangles(ring, each) for each in places])
+    theirs = (apart - arm.radius).min(axis=1)
+    off = ours - theirs
+    return Ring(-off.min(), off.max(), count, int(((ours > 0) & (theirs <= 0)).sum()))
+
+
+def _to_triangles(mesh: trimesh.Trimesh, places: np.ndarray) -> np.ndarray:
+    """The least distance of every axis's places (K, m, 3)."""
+    return trimesh.proximity.closest_point_naive(mesh, places.reshape(-1, 3))[1].reshape(places.shape[:2]).min(axis=1)
+
+
+def drawn(robot: Robot, count: int) -> np.ndarray:
+    """Uniform within the limits, at most half a turn either way."""
+    lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
+    return np.random.default_rng(0).uniform(lower, upper, (count, len(lower)))
+
+
+def _cell(folder: Path, box: str) -> Path:
+    file = folder / ("solid.xml" if box == SOLID else "meshes.xml")
+    asset = f'<asset><mesh name="wedge" vertex="{WEDGE}"/><mesh name="box" vertex="{BOX}"/></asset>'
+    geoms = "".join(SHAPES.values()).replace("{box}", box)
+    file.write_text(f"<mujoco>{asset}<worldbody>{geoms}</worldbody></mujoco>")
+    return file
+
+
+@jax.jit
+def _ours(robot: Robot, fixed, own: SelfCollision, x):
+    """To every shape, and of every pair."""
+
+    def at(x):
+        p, q = capsule_segments(robot, x)
+        return fixed.distances(robot, p, q), own.distances(robot, p, q)
+
+    return jax.lax.map(at, x, batch_size=64)
+
+
+def _theirs(arm: Arm, cell: Path, names, pairs, x) -> tuple[np.ndarray, np.ndarray]:
+    """The same by mj_geomDistance, with capsules put where MuJoCo's kinematics has the arm's."""
+    spec = mujoco.MjSpec.from_file(str(cell))
+    for k, (radius, length) in enumerate(zip(arm.radius, arm.length, strict=True)):
+        spec.worldbody.add_geom(
+            name=f"body {k}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[radius, length / 2 or 1e-12, 0]
+        )
+    spec.option.ccd_tolerance, spec.option.ccd_iterations = 1e-10, 500
+    model = spec.compile()
+    data, turn = mujoco.MjData(model), np.empty(4)
+    mujoco.mj_kinematics(model, data)
+    bodies, shapes = ([model.geom(name).id for name in each] for each in (_bodies(arm), names))
+    distance = partial(mujoco.mj_geomDistance, model, data)
+    _, p, q = arm.postures(x)
+    found, between = np.empty((len(x), len(shapes), len(bodies))), np.empty((len(x), len(pairs)))
+    for k in range(len(x)):
+        for geom, a, b in zip(bodies, p[k], q[k], strict=True):
+            data.geom_xpos[geom] = (a + b) / 2
+            if (a != b).any():
+                mujoco.mju_quatZ2Vec(turn, (a - b) / np.linalg.norm(a - b))
+                mujoco.mju_quat2Mat(data.geom_xmat[geom], turn)
+        found[k] = [[distance(body, shape, FAR_M, None) for body in bodies] for shape in shapes]
+        between[k] = [distance(bodies[a], bodies[b], FAR_M, None) for a, b in pairs]
+    return found, between
+
+
+def _bodies(arm: Arm) -> list[str]:
+    return [f"body {k}" for k in range(len(arm.radius))]
+
+
+def _compared(kind: str, ours: np.ndarray, theirs: np.ndarray) -> Compared:
+    off = np.abs(ours - theirs).max()
+    return Compared(kind, float(off), ours.size, int((theirs <= 0).sum()), int(((ours > 0) != (theirs > 0)).sum()))
