@@ -13,7 +13,7 @@ from htcp_jax.validation.mujoco_clearance import AtTargets, CheckedScene, Wall
 from htcp_jax.validation.result import RECORD_M, ROUNDING_M, STEP_RAD, Refuted
 from htcp_jax.validation.scene_rules import Results, Track, targets_of, turned_and_moved
 from htcp_jax.validation.task_check import Place as RowPlace
-from htcp_jax.validation.task_check import RowCheck, check_rows, follower, follows_all, holds_tcp, in_cones
+from htcp_jax.validation.task_check import RowCheck, check_rows, follower, follows_all, hold_between, holds_tcp
 
 
 class JointPaths(NamedTuple):
@@ -85,7 +85,7 @@ def check(results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: 
     on = t[t >= on_path]
     rows_held = _rows(results, arm, track, scene, on, on_path)
     refuted += _refuted_rows(track, rows_held, on)
-    refuted += _refuted_cones(results, arm, track, scene, paths, between, on_path)
+    refuted += _refuted_between(results, arm, track, scene, paths, between, on_path)
     return Checked(
         method=track.method,
         scenario=track.scenario,
@@ -152,10 +152,10 @@ def _refuted_rows(track: Track, rows: list[RowCheck], t: np.ndarray) -> list[Ref
     return found
 
 
-def _refuted_cones(
+def _refuted_between(
     results: Results, arm: Arm, track: Track, scene: CheckedScene, paths: JointPaths, between: int, on_path: int
 ) -> list[Refuted]:
-    """Ways along the path that are on record as proven, and on which an axis leaves its cone."""
+    """Ways along the path that are on record as proven, and on which a row of the task does not hold."""
     task, own = track.config.task, np.flatnonzero(track.proven[paths.target] & (paths.target > on_path))
     if not task or between < 2 or not len(own):
         return []
@@ -164,10 +164,14 @@ def _refuted_cones(
     x = paths.a[path] + np.tile(share, len(own))[:, None] * (paths.b[path] - paths.a[path])
     part = results.workpiece(track.config)
     places = [RowPlace(scene.rotate, scene.translate, part, paths.target[path] - on_path - k) for k in (1, 0)]
-    good = in_cones(task, arm, x, places, track.config.settings.tolerance_rad)
-    reason = "the way there is on record as proven, and an axis leaves its cone"
-    targets = np.unique(paths.target[path[~good]]).tolist()
-    return [Refuted(track.method, track.scenario, target, reason) for target in targets]
+    settings = track.config.settings
+    good = hold_between(task, arm, x, *places, settings.tolerance_m, settings.tolerance_rad)
+    found = []
+    for target in np.unique(paths.target[path[~good.all(axis=0)]]).tolist():
+        number = int(np.argmin(good[:, paths.target[path] == target].all(axis=1)))
+        reason = f"the way there is on record as proven, and task.{number + 1} ({task[number]}) does not hold on it"
+        found.append(Refuted(track.method, track.scenario, target, reason))
+    return found
 
 
 def _off(difference: np.ndarray) -> np.ndarray:
