@@ -65,7 +65,7 @@ class RobotConfig(Section):
 class WorkpieceConfig(Section):
     """The cloud, the tool path in its frame, its pose, and the approach to the path."""
 
-    cloud: str = "duct"  # the generated duct, or a file of points or a mesh
+    cloud: str = "duct"  # the generated duct, a file of points or a mesh, or none
     path: str = "weld"  # a seam of the generated duct, see `duct_seams`, or a CSV file of x,y,z [m]
     inlet_m: Point | None = None  # centre of the inlet; without it the duct's, or none for another cloud
     interior: Literal["hull", "none"] = "hull"  # what bounds the inside, deeper than interior_depth_m

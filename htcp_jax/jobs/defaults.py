@@ -11,6 +11,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.jobs.config import DEPENDENT, PlanConfig
 from htcp_jax.jobs.config_file import FILES, put
 from htcp_jax.scene.robot_model import read_robot_file
+from htcp_jax.scene.workpiece import NO_CLOUD
 
 TIP_CONTACT_M = 0.01  # of a part of one's own
 
@@ -23,7 +24,7 @@ def own_defaults(raw: dict, stated: Collection[str]) -> dict[str, Any]:
     A robot other than the GP50 has its model's own limits and weights of 1, and keeps clear of itself; a cloud other
     than the duct is not turned and not moved, and turns about its own origin, wherever `neutral_translation_m` puts it;
     its inlet faces where its hull does, and the tip of the tool stays out of its walls, from which the paper's duct
-    exempts it.
+    exempts it. Without a cloud there is no wall, and any arm keeps clear of itself.
     """
     found = {key: value_at(_DEFAULTS, key) for key in DEPENDENT}
     if is_other(raw, "robot.model"):
@@ -38,6 +39,8 @@ def own_defaults(raw: dict, stated: Collection[str]) -> dict[str, Any]:
         found["workpiece.neutral_translation_m"] = (0.0, 0.0, 0.0)
         found["workpiece.pivot_m"] = tuple(origin) if known else (0.0, 0.0, 0.0)
         found["workpiece.inlet_direction"], found["workpiece.tip_contact_m"] = None, TIP_CONTACT_M
+    if value_at(raw, "workpiece.cloud") == NO_CLOUD:
+        found["cell.self_collision"], found["workpiece.tip_contact_m"] = True, None
     return found
 
 
@@ -72,9 +75,9 @@ def value_at(raw: dict, dotted: str) -> Any:
 
 
 def is_other(raw: dict, key: str) -> bool:
-    """Whether the part is another than the built-in one."""
+    """Whether the part is another than the built-in one, which is the first of its words."""
     name = value_at(raw, key)
-    return isinstance(name, str) and name not in FILES[tuple(key.split("."))]
+    return isinstance(name, str) and name != FILES[tuple(key.split("."))][0]
 
 
 def _is_point(value: Any) -> bool:

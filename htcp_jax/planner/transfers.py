@@ -29,8 +29,10 @@ def other_postures(
     rng = np.random.default_rng([settings.seed, int(scenarios.number[s]), STREAM + round_])
     lower, upper = kernels.limits
     inputs = lane_inputs(scenarios, np.full(DRAWS, s), np.full(DRAWS, target))
-    drawn = rng.uniform(lower, upper, (DRAWS, len(lower)))
-    turns = np.where(problem.robot.slides, 0.0, np.rint((drawn - scenarios.x_home[s]) / (2 * np.pi)))
+    home = scenarios.x_home[s]  # joints that turn on and on are drawn within a turn about it
+    low, high = np.where(np.isfinite(lower), lower, home - np.pi), np.where(np.isfinite(upper), upper, home + np.pi)
+    drawn = rng.uniform(low, high, (DRAWS, len(lower)))
+    turns = np.where(problem.robot.slides, 0.0, np.rint((drawn - home) / (2 * np.pi)))
     turned = drawn - 2 * np.pi * turns
     x = kernels(SETTLE, inputs, np.where((turned >= lower) & (turned <= upper), turned, drawn))
     here = kernels(ADVANCE, inputs, x, np.zeros_like(x))
