@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import DEPENDENT, PlanConfig
+from htcp_jax.jobs.config import AUTO, DEPENDENT, PlanConfig
 from htcp_jax.jobs.config_file import FILES, put
 from htcp_jax.scene.robot_model import read_robot_file
 from htcp_jax.scene.workpiece import NO_CLOUD
@@ -30,6 +30,7 @@ def own_defaults(raw: dict, stated: Collection[str]) -> dict[str, Any]:
     if is_other(raw, "robot.model"):
         known = (value_at(raw, key) for key in ("start_rad", "home_rad"))
         joints = next((len(x) for x in known if isinstance(x, list | tuple)), 0)
+        joints = joints or (len(_joint_names(raw["robot"])) if value_at(raw, "start_rad") == AUTO else 0)
         found["robot.limits"], found["cell.self_collision"] = "model", True
         found["settings.q_weights"] = (1.0,) * joints
     if is_other(raw, "workpiece.cloud"):
@@ -86,10 +87,14 @@ def _is_point(value: Any) -> bool:
 
 
 def _no_start(robot: dict, source: str) -> str:
-    tcp = robot.get("tcp")
-    site = tcp if isinstance(tcp, str) else "tcp"
-    joints = read_robot_file(Path(robot["model"]), site, "model", np.eye(4), None).facts["joint_names"]
+    names = _joint_names(robot)
     return (
         f"{source}: robot.model is {Path(robot['model']).name}, so start_rad must be given: "
-        f"{len(joints)} joint positions ({', '.join(joints)}), or auto beside as many of home_rad"
+        f"{len(names)} joint positions ({', '.join(names)}), or auto"
     )
+
+
+def _joint_names(robot: dict) -> tuple[str, ...]:
+    tcp = robot.get("tcp")
+    site = tcp if isinstance(tcp, str) else "tcp"
+    return read_robot_file(Path(robot["model"]), site, "model", np.eye(4), None).facts["joint_names"]
