@@ -105,3 +105,43 @@ def _checked(problem: PathProblem) -> list[tuple[str, str]]:
         if frozenset((a, b)) not in arm.ignored and arm.parents.get(a) != b and arm.parents.get(b) != a
     ]
     return links + [(link, f"box {k}") for link in arm.capsules for k in range(len(problem.boxes))]
+
+
+# What can be reached at all
+
+
+def reachable(problem: PathProblem) -> Bool[np.ndarray, "T"]:
+    """For which waypoints a posture within the joint limits is found, whatever it touches: by damped least squares from
+    STARTS random postures each."""
+    arm, rng, count = problem.arm, np.random.default_rng(0), len(problem.position)
+    lower, upper = (np.array([getattr(joint, side) for joint in arm.moving]) for side in ("lower", "upper"))
+    ends = np.maximum(lower, -np.pi), np.minimum(upper, np.pi)
+    found = np.zeros(count, bool)
+    for _ in range(STARTS):
+        left = np.flatnonzero(~found)
+        x = rng.uniform(*ends, (len(left), len(lower)))
+        for _ in range(NEWTON):
+            error, slopes = _error(problem, x, left)
+            step = np.linalg.solve(slopes @ np.swapaxes(slopes, 1, 2) + DAMPING * np.eye(6), error[:, :, None])
+            x = np.clip(x + (np.swapaxes(slopes, 1, 2) @ step)[:, :, 0], lower, upper)
+        error, _ = _error(problem, x, left)
+        near = np.linalg.norm(error[:, :3], axis=1) <= problem.tolerance[0]
+        found[left[near & (np.linalg.norm(error[:, 3:], axis=1) <= problem.tolerance[1])]] = True
+    return found
+
+
+STARTS, NEWTON, DAMPING = 100, 60, 1e-4
+
+
+def _error(problem: PathProblem, x: Float[np.ndarray, "n N"], rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far the tip is from its waypoints, as a length and a rotation vector in the world, and the Jacobian."""
+    arm = problem.arm
+    T = poses(arm, x)
+    tip = T[arm.tip]
+    turn = Rotation.from_matrix(problem.rotation[rows] @ np.swapaxes(tip[:, :3, :3], 1, 2)).as_rotvec()
+    columns = []
+    for joint in arm.moving:
+        axis = (T[joint.child][:, :3, :3] @ joint.axis) / np.linalg.norm(joint.axis)
+        arms = np.cross(axis, tip[:, :3, 3] - T[joint.child][:, :3, 3])
+        columns.append(np.hstack([axis, 0 * axis] if joint.slides else [arms, axis]))
+    return np.hstack([problem.position[rows] - tip[:, :3, 3], turn]), np.stack(columns, axis=2)
