@@ -111,8 +111,8 @@ def _checked(problem: PathProblem) -> list[tuple[str, str]]:
 
 
 def reachable(problem: PathProblem) -> Bool[np.ndarray, "T"]:
-    """For which waypoints a posture within the joint limits is found, whatever it touches: by damped least squares from
-    STARTS random postures each."""
+    """For which waypoints a posture within the joint limits is found, whatever it touches: by damped least squares
+    (Sugihara, Solvability-unconcerned inverse kinematics, 2011) from STARTS random postures each."""
     arm, rng, count = problem.arm, np.random.default_rng(0), len(problem.position)
     lower, upper = (np.array([getattr(joint, side) for joint in arm.moving]) for side in ("lower", "upper"))
     ends = np.maximum(lower, -np.pi), np.minimum(upper, np.pi)
@@ -122,7 +122,8 @@ def reachable(problem: PathProblem) -> Bool[np.ndarray, "T"]:
         x = rng.uniform(*ends, (len(left), len(lower)))
         for _ in range(NEWTON):
             error, slopes = _error(problem, x, left)
-            step = np.linalg.solve(slopes @ np.swapaxes(slopes, 1, 2) + DAMPING * np.eye(6), error[:, :, None])
+            damping = (DAMPING * (error * error).sum(axis=1) + 1e-12)[:, None, None]
+            step = np.linalg.solve(slopes @ np.swapaxes(slopes, 1, 2) + damping * np.eye(6), error[:, :, None])
             x = np.clip(x + (np.swapaxes(slopes, 1, 2) @ step)[:, :, 0], lower, upper)
         error, _ = _error(problem, x, left)
         near = np.linalg.norm(error[:, :3], axis=1) <= problem.tolerance[0]
@@ -130,7 +131,7 @@ def reachable(problem: PathProblem) -> Bool[np.ndarray, "T"]:
     return found
 
 
-STARTS, NEWTON, DAMPING = 100, 60, 1e-4
+STARTS, NEWTON, DAMPING = 100, 100, 0.1
 
 
 def _error(problem: PathProblem, x: Float[np.ndarray, "n N"], rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -45,7 +45,7 @@ class Scenario:
     @property
     def begins_anywhere(self) -> Bool[Anywhere, "*S"]:
         """Whether the motion begins at the start, and that is still to be chosen."""
-        return np.isnan(self.x_home).any(axis=-1)
+        return np.asarray(np.isnan(self.x_home).any(axis=-1))
 
     @property
     def aims(self) -> Float[Anywhere, "*S T G"]:
