@@ -126,7 +126,8 @@ def test_clearance_is_that_of_capsules_and_boxes(data):
     sampled = np.full(20, np.inf)
     for link, numbers in problem.arm.capsules.items():
         axis = numbers[:3] + np.linspace(0, 1, 400)[:, None] * (numbers[3:6] - numbers[:3])
-        points = axis @ np.swapaxes(T[link][:, :3, :3], 1, 2) + T[link][:, None, :3, 3]
+        own = np.broadcast_to(T[link], (len(x), 4, 4))
+        points = axis @ np.swapaxes(own[:, :3, :3], 1, 2) + own[:, None, :3, 3]
         outside = np.abs(points - problem.boxes[0, :3]) - problem.boxes[0, 6:] / 2
         away = np.linalg.norm(np.maximum(outside, 0), axis=2) + np.minimum(outside.max(axis=2), 0)
         sampled = np.minimum(sampled, away.min(axis=1) - numbers[6])

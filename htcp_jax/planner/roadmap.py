@@ -202,7 +202,7 @@ class Growing:
         s, settings, searches = search.scenario, self._problem.settings, len(search.chain)
         first, anywhere = search.chain[-1], bool(self._problem.scenarios.begins_anywhere[s])
         off_path = 0 <= first.target < search.on_path and not anywhere
-        may = off_path or settings.transfers or self._problem.scenarios.auto_start[s]
+        may = off_path or settings.transfers or (self._problem.scenarios.auto_start[s] and not anywhere)
         if search.status is None or not may or searches > MOST_TRANSFERS:
             return None
         target = search.on_path if off_path else 0

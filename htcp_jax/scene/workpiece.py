@@ -123,6 +123,11 @@ class Workpiece:
         """The way that the path goes, unit: as known, else by central differences."""
         return tangents(self.path) if self.frames.tangents is None else self.frames.tangents
 
+    @property
+    def shown(self) -> Float[np.ndarray, "P 3"]:
+        """What a picture of it is of [m]: its cloud, or without one its path."""
+        return self.cloud if len(self.cloud) else self.path
+
     @cached_property
     def largest_gap_m(self) -> float:
         """The largest distance from a point of the cloud to the next one: holes are at least as wide."""
@@ -147,8 +152,7 @@ class Workpiece:
         return "off: no inlet" if self.inlet is None else "off"
 
     def _repr_html_(self) -> str:
-        seen = self.cloud if len(self.cloud) else self.path
-        low, high = seen.min(axis=0), seen.max(axis=0)
+        low, high = self.shown.min(axis=0), self.shown.max(axis=0)
         length = np.linalg.norm(np.diff(self.path, axis=0), axis=1).sum()
         facts = {
             "walls": self.walls,
