@@ -26,6 +26,7 @@ CHECKED = {
 }
 TOLERANCE = (1e-4, np.deg2rad(0.1))  # of CppFlow [m, rad]
 IKLINK, IKLINK_TOLERANCE = "iklink__panda", (1e-3, 0.01)
+MOST_BOXES, FAR_M = 4, -50.0  # of a problem: others get boxes far away, so that one compilation serves all of an arm's
 WAY_M = 0.02  # that the TCP may be from the straight line between two waypoints; the rules ask for nothing there
 
 
@@ -38,6 +39,10 @@ class PathProblem(NamedTuple):
     rotation: Float[np.ndarray, "T 3 3"]
     boxes: Float[np.ndarray, "B 9"]  # centre [m], roll, pitch, yaw [rad], full sizes [m]
     tolerance: tuple[float, float]  # [m, rad]
+
+    def rest(self, first: int) -> "PathProblem":
+        """From a waypoint on."""
+        return self._replace(position=self.position[first:], rotation=self.rotation[first:])
 
 
 class Joint(NamedTuple):
@@ -215,8 +220,9 @@ def made(problem: PathProblem, folder: Path) -> dict[str, Any]:
             "path_tolerance_m": WAY_M,
         },
     }
-    if len(problem.boxes):
-        (folder / "cell.xml").write_text(cell_xml(problem.boxes))
+    if problem.name != IKLINK:
+        far = np.array([[0, 0, FAR_M - k, 0, 0, 0, 0.1, 0.1, 0.1] for k in range(MOST_BOXES - len(problem.boxes))])
+        (folder / "cell.xml").write_text(cell_xml(np.vstack([problem.boxes, far.reshape(-1, 9)])))
         job["cell"] = {"model": str(folder / "cell.xml")}
     return job
 
