@@ -19,7 +19,9 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 BOX = ("x", "y", "z", "roll", "pitch", "yaw", "size_x", "size_y", "size_z")
-FETCH_LINKS = "torso_lift shoulder_pan shoulder_lift upperarm_roll elbow_flex forearm_roll wrist_flex wrist_roll gripper"
+FETCH_LINKS = (
+    "torso_lift shoulder_pan shoulder_lift upperarm_roll elbow_flex forearm_roll wrist_flex wrist_roll gripper"
+)
 CHECKED = {
     "fetch": ("base_link", *(f"{name}_link" for name in FETCH_LINKS.split()), "head_tilt_link"),
     "panda": (*(f"panda_link{k}" for k in range(8)), "panda_hand"),
@@ -140,9 +142,7 @@ def read_arm(data: Path, name: str) -> Arm:
     return arm._replace(capsules=capsules, ignored=frozenset(frozenset(pair) for pair in of["ignored_pairs"]))
 
 
-def read_chain(
-    urdf: Path, base: str, tip: str, links: tuple[str, ...], moving: list[str] | None = None
-) -> Arm:
+def read_chain(urdf: Path, base: str, tip: str, links: tuple[str, ...], moving: list[str] | None = None) -> Arm:
     """The joints of a URDF from the base to the tip and to some links. moving: their names; the others stand at 0;
     None: all that can move."""
     into = {found.child: found for each in ElementTree.parse(urdf).getroot().iter("joint") if (found := _joint(each))}
@@ -191,9 +191,11 @@ def poses(arm: Arm, x: Float[np.ndarray, "*n N"]) -> dict[str, Float[np.ndarray,
             if joint.slides:
                 own[..., :3, 3] = x[..., at, None] * joint.axis
             else:
-                own[..., :3, :3] = Rotation.from_rotvec(
-                    (x[..., at, None] * joint.axis).reshape(-1, 3)
-                ).as_matrix().reshape(*x.shape[:-1], 3, 3)
+                own[..., :3, :3] = (
+                    Rotation.from_rotvec((x[..., at, None] * joint.axis).reshape(-1, 3))
+                    .as_matrix()
+                    .reshape(*x.shape[:-1], 3, 3)
+                )
             T, at = T @ own, at + 1
         found[joint.child] = T
     return found

@@ -2,10 +2,10 @@
 
     python -m benchmarks paths DATA [--problems A,B] [--effort 10 --runs 10]
 
-DATA is a folder that holds cppflow/, iklink/ and robots/. Every problem becomes a job of ours (`path_problems`): the arm
-of exactly their capsules, their boxes as a cell, the tip's pose held at all waypoints, the start left to the planner.
-It is planned three times: once to compile, once without smoothing, which is when the first valid plan is there, and once
-whole. What comes of it is checked by their rules alone (`path_check`).
+DATA is a folder that holds cppflow/, iklink/ and robots/. Every problem becomes a job of ours (`path_problems`): the
+arm of exactly their capsules, their boxes as a cell, the tip's pose held at all waypoints, the start left to the
+planner. It is planned three times: once to compile, once without smoothing, which is when the first valid plan is
+there, and once whole. What comes of it is checked by their rules alone (`path_check`).
 
 Untrained, and on as many threads as there are cores. With --runs each is planned as often again by other seeds, with
 --effort times the front, the walks and the front that counts as thin, and the shortest of these paths is told.
@@ -28,9 +28,21 @@ from htcp_jax.settings import Settings
 
 ROW = "{:18} {:>9} {:>6} {:>8} {:>6} {:>6} {:>9} {:>5} {:>8} {:>8} {:>7} {:>6} {:>9} {:>8}"
 HEAD = (
-    "problem", "waypoints", "valid", "first s", "run s", "cpu s", "compile s", "parts", "path rad", "slide m", "step", "reconf",
-    "clear mm", "of best",
-)  # fmt: skip
+    "problem",
+    "waypoints",
+    "valid",
+    "first s",
+    "run s",
+    "cpu s",
+    "compile s",
+    "parts",
+    "path rad",
+    "slide m",
+    "step",
+    "reconf",
+    "clear mm",
+    "of best",
+)
 DEFAULTS = Settings()
 
 

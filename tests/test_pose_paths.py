@@ -1,4 +1,4 @@
-"""Whole poses along a path, by an arm with a joint to spare; no cloud, no home; and public problems by their own rules."""
+"""Whole poses along a path, by an arm with a joint to spare, in empty space; public problems by their own rules."""
 
 from pathlib import Path
 
@@ -42,8 +42,9 @@ def job(tmp_path):
     }
 
 
-def test_an_arm_with_a_joint_to_spare_follows_poses_in_empty_space_from_where_it_likes(job, tmp_path):
-    plan = htcp_jax.plan(job)
+@pytest.mark.parametrize("method", ["baseline", pytest.param("roadmap", marks=pytest.mark.slow)])
+def test_an_arm_with_a_joint_to_spare_follows_poses_in_empty_space_from_where_it_likes(job, tmp_path, method):
+    plan = htcp_jax.plan(job | {"method": method})
     assert plan.complete and plan.facts()["walls"] == "none"
     x = plan.motion().x
     np.testing.assert_array_equal(x[0], plan.plans.x[0, 0])

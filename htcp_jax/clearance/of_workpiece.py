@@ -26,5 +26,7 @@ def all_obstacles(workpiece: Workpiece, others: Obstacles) -> Obstacles:
     """The workpiece's and the others. Raises InputError where there are none."""
     found = (*make_obstacle(workpiece), *others)
     if not found:
-        raise InputError("there is nothing to keep clear of: no cloud, no cell, and no self-collision; give one of them")
+        raise InputError(
+            "there is nothing to keep clear of: no cloud, no cell, and no self-collision; give one of them"
+        )
     return found

@@ -137,7 +137,8 @@ class PlanConfig(Section):
     @property
     def begins_rad(self) -> tuple[float, ...]:
         """Where the motion begins: at home, or at the start where there is no home; empty where that is chosen."""
-        return self.home_rad or self.start or ()
+        begins = self.start if self.home_rad is None else self.home_rad
+        return () if begins is None else begins
 
     @property
     def approach(self) -> tuple[int, int]:

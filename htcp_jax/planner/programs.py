@@ -58,7 +58,8 @@ class Kernels:
     """Runs kernels on one scene and one device. Compiles on first use, once for any number of scenarios, and knows the
     seconds that took.
 
-    threads: a call's lanes are shared out among, on a CPU; each lane is computed by itself, so none comes out otherwise.
+    threads: among which a call's lanes are shared out, on a CPU; each is computed by itself, so none comes out
+    otherwise.
     """
 
     def __init__(

@@ -115,7 +115,7 @@ class Workpiece:
         if self.frames.normals is not None:
             return self.frames.normals
         if not len(self.cloud):
-            raise InputError(f"{self.name}: without a cloud, normals stand in the path's file; it needs columns nx,ny,nz")
+            raise InputError(f"{self.name}: without a cloud, normals stand in the path's file: columns nx,ny,nz")
         return wall_normals(self.cloud, self.path)
 
     @cached_property
