@@ -70,6 +70,9 @@ class Leaving:
     def run(self, rows: list[int]) -> Ways:
         """The ways that there are; of the other scenarios it is written down why there is none."""
         scenarios, ways = self._problem.scenarios, Ways()
+        anywhere = [s for s in rows if scenarios.begins_anywhere[s]]
+        self._begin(anywhere)
+        rows = [s for s in rows if s not in anywhere]
         rows = self._clear(rows, scenarios.x_home, Status.HOME_IN_COLLISION)
         chosen = [s for s in rows if scenarios.auto_start[s]]
         given = self._clear([s for s in rows if s not in chosen], scenarios.x_start, Status.START_IN_COLLISION)
@@ -82,6 +85,16 @@ class Leaving:
             ways |= self._joined(trials)
         scenarios.refused[list(ways)] = NOT_REFUSED
         return ways
+
+    def _begin(self, rows: list[int]) -> None:
+        """Of scenarios that begin at a start to be chosen: choose it, the clearest of the first draws that count."""
+        scenarios = self._problem.scenarios
+        for s in rows:
+            found = (self._drawn(s, round_) for round_ in range(ROUNDS))
+            if (trials := next(filter(None, found), None)) is None:
+                scenarios.refused[s] = Status.NO_START
+            else:
+                scenarios.x_start[s] = trials[0].x
 
     def _clear(self, rows: list[int], x: Float[np.ndarray, "S N"], otherwise: Status) -> list[int]:
         """Those of the scenarios that are clear at their x; the others are refused."""
@@ -117,7 +130,7 @@ class Leaving:
 def begin_at_home(problem: Problem, plans: Plans, ways: Ways) -> Plans:
     """The plans with the ways from home before them: starts are knots on the way to the first target."""
     scenarios = problem.scenarios
-    mine = (plans.start == scenarios.x_start).all(axis=1)
+    mine = (plans.start == scenarios.x_start).all(axis=1) & ~scenarios.begins_anywhere
     plans.start[mine] = scenarios.x_home[mine]
     if not ways:
         return plans

@@ -66,7 +66,8 @@ def _rows(
 
 def judge_motions(problem: Problem, plans: Plans) -> None:
     """Fill in `way` and `way_clearance`, of every scenario up to where its motion ends."""
-    elsewhere = plans.tracked[:, 0] & np.any(plans.start != problem.scenarios.x_home, axis=1)
+    scenarios = problem.scenarios
+    elsewhere = plans.tracked[:, 0] & np.any(plans.start != scenarios.x_home, axis=1) & ~scenarios.begins_anywhere
     plans.way[elsewhere, 0] = Way.ELSEWHERE
     going = np.flatnonzero(plans.tracked[:, 0] & ~elsewhere)
     for first in range(0, plans.status.shape[1], ROWS_AT_ONCE):

@@ -110,7 +110,7 @@ def _scene(
     part, pose, workpiece = track.config.workpiece, of_job(track.config), results.workpiece(track.config)
     rotate, translate = turned_and_moved(part, pose)
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
-    start = pose.start if track.config.start is None else np.array(track.config.start)
+    start = track.start if track.config.start is None else np.array(track.config.start)
     path = workpiece.path @ rotate.T + translate
     targets = targets_of(track.config, follower(track.config.task, arm, start[None])[0], inlet, path)
     if len(targets) != len(track.target):
