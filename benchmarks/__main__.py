@@ -19,7 +19,18 @@ beside this file has the numbers measured so far.
 import importlib
 import sys
 
-CASES = "clearance", "cell-distances", "step-qps", "tables", "cross", "peers", "paths", "baseline-margin", "seams", "shape"
+CASES = (
+    "clearance",
+    "cell-distances",
+    "step-qps",
+    "tables",
+    "cross",
+    "peers",
+    "paths",
+    "baseline-margin",
+    "seams",
+    "shape",
+)
 
 
 def main() -> int:
