@@ -8,7 +8,9 @@ import warnings
 from collections.abc import Collection
 from pathlib import Path
 
+import numpy as np
 import pytest
+import trimesh
 from sweep_process import COLD, HALF, SHARDS, finish, make_sweep, plan_half, rows, start
 
 from htcp_jax.cli.main import main
@@ -197,3 +199,26 @@ def test_when_the_whole_cluster_is_lost_what_is_finished_is_kept(here, undisturb
     assert line.startswith("htcp: Ray lost its workers") and line.endswith("the same command goes on from there")
     assert f"{HALF} of {SHARDS} shards are finished" in line
     assert finish(here, "run").returncode == 0 and rows(here / "run") == undisturbed
+
+
+@pytest.mark.slow
+def test_a_sweep_of_cells_on_ray_is_the_same_bytes_and_none_is_continued_with_another_mesh(here, one_worker):
+    """A fixture of every kind of obstacle, shifted by the grid."""
+    trimesh.creation.box([0.1, 0.1, 0.1]).export("vice.stl")
+    trimesh.creation.annulus(0.35, 0.4, 0.2).export("ring.stl")
+    Path("cell.xml").write_text(
+        '<mujoco><asset><mesh name="vice" file="vice.stl"/><mesh name="ring" file="ring.stl"/></asset><worldbody>'
+        '<geom type="plane" size="3 3 1" pos="0 0 -0.6"/><geom type="cylinder" size="0.1 0.1" pos="0 2 1"/>'
+        '<geom type="mesh" mesh="vice" pos="2 2 1"/><geom type="mesh" mesh="ring" pos="-2 0 1"/></worldbody></mujoco>'
+    )
+    np.savetxt("scan.xyz", np.random.default_rng(0).uniform(-0.1, 0.1, (30, 3)))
+    cell = "cell: {self_collision: true, model: cell.xml, clouds: [{cloud: scan.xyz, base_m: [0, -2, 1]}]}\n"
+    Path("job.yaml").write_text(Path("job.yaml").read_text() + cell)
+    Path("grid.yaml").write_text("config: job.yaml\ngrid:\n  - cell.shift_m.y: [0, 0.1]\n")
+    runs = [
+        sweep("grid.yaml", "baseline", name, shard_scenarios=1, on=on) for name, on in (("a", "ray"), ("b", "here"))
+    ]
+    assert runs[0].complete and rows(runs[0].folder) == rows(runs[1].folder)
+    trimesh.creation.box([0.1, 0.1, 0.11]).export("vice.stl")
+    with pytest.raises(InputError, match=r"a holds another sweep: parts\.vice\.stl is SHA-256 "):
+        sweep("grid.yaml", "baseline", "a", shard_scenarios=1)
