@@ -11,7 +11,6 @@ from htcp_jax.errors import InputError
 from htcp_jax.jobs.config import AUTO, DEPENDENT, PlanConfig
 from htcp_jax.jobs.config_file import FILES, put
 from htcp_jax.scene.robot_model import read_robot_file
-from htcp_jax.scene.workpiece import NO_CLOUD
 
 TIP_CONTACT_M = 0.01  # of a part of one's own
 
@@ -40,7 +39,7 @@ def own_defaults(raw: dict, stated: Collection[str]) -> dict[str, Any]:
         found["workpiece.neutral_translation_m"] = (0.0, 0.0, 0.0)
         found["workpiece.pivot_m"] = tuple(origin) if known else (0.0, 0.0, 0.0)
         found["workpiece.inlet_direction"], found["workpiece.tip_contact_m"] = None, TIP_CONTACT_M
-    if value_at(raw, "workpiece.cloud") == NO_CLOUD:
+    if value_at(raw, "workpiece.cloud") == "none":
         found["cell.self_collision"], found["workpiece.tip_contact_m"] = True, None
     return found
 
