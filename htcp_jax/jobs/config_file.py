@@ -14,13 +14,12 @@ from typing import Any
 from htcp_jax.errors import InputError
 from htcp_jax.formats.strict_yaml import parse_yaml, read_yaml
 from htcp_jax.scene.duct_seams import SEAMS
-from htcp_jax.scene.workpiece import NO_CLOUD
 
 BASE = "config"  # the key under which a file names the one that it builds on
 # Keys that name files, each with the words of the built-in parts.
 FILES = {
     ("robot", "model"): ("gp50",),
-    ("workpiece", "cloud"): ("duct", NO_CLOUD),
+    ("workpiece", "cloud"): ("duct", "none"),
     ("workpiece", "path"): SEAMS,
     ("cell", "model"): (None,),
 }
