@@ -59,10 +59,10 @@ def check(problem: PathProblem, x: Float[np.ndarray, "T N"]) -> Verdicts:
     good &= (position <= problem.tolerance[0] + SLACK) & (turned <= problem.tolerance[1] + SLACK)
     calm = (np.abs(steps) <= np.where(slides, STEP[1], STEP[0]) + SLACK).all(axis=1)
     fast = (np.abs(steps) > speed * DT_S + SLACK).any(axis=1)
-    length = float(np.linalg.norm(steps[:, ~slides], axis=1).sum())
+    length = float(np.nansum(np.linalg.norm(steps[:, ~slides], axis=1)))
     return Verdicts(
         position, turned, clear, inside, steps, good, calm, int(fast.sum()), length,
-        float(np.abs(steps[:, slides]).sum()),
+        float(np.nansum(np.abs(steps[:, slides]))),
     )  # fmt: skip
 
 

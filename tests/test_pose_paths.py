@@ -1,5 +1,6 @@
 """Whole poses along a path, by an arm with a joint to spare, in empty space; public problems by their own rules."""
 
+from itertools import combinations
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -11,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import htcp_jax
 from benchmarks.path_check import check, clearance
-from benchmarks.path_problems import arm_xml, made, poses, problems, read_problem
+from benchmarks.path_problems import CHECKED, arm_xml, made, poses, problems, read_problem
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.scene.kinematics import tcp_pose
@@ -47,7 +48,7 @@ def test_an_arm_with_a_joint_to_spare_follows_poses_in_empty_space_from_where_it
     plan = htcp_jax.plan(job | {"method": method})
     assert plan.complete and plan.facts()["walls"] == "none"
     x = plan.motion().x
-    np.testing.assert_array_equal(x[0], plan.plans.x[0, 0])
+    np.testing.assert_allclose(x[0], plan.plans.x[0, 0], atol=1e-6)
     assert np.abs(np.diff(x, axis=0)).max() < 0.1
     path = np.genfromtxt(job["workpiece"]["path"], delimiter=",", skip_header=1)
     wanted = Rotation.from_quat(path[:, 3:], scalar_first=True)
@@ -132,7 +133,12 @@ def test_clearance_is_that_of_capsules_and_boxes(data):
         outside = np.abs(points - problem.boxes[0, :3]) - problem.boxes[0, 6:] / 2
         away = np.linalg.norm(np.maximum(outside, 0), axis=2) + np.minimum(outside.max(axis=2), 0)
         sampled = np.minimum(sampled, away.min(axis=1) - numbers[6])
-    assert (clearance(problem, T) <= sampled + 1e-6).all()
+    found, shallow = clearance(problem, T), sampled > -0.04  # deeper an axis is in the box, and there are other depths
+    assert (found[shallow] <= sampled[shallow] + 1e-6).all() and (found[~shallow] < 0).all()
+    alone = problem._replace(
+        arm=problem.arm._replace(ignored=frozenset(map(frozenset, combinations(CHECKED["panda"], 2))))
+    )
+    np.testing.assert_allclose(clearance(alone, T)[shallow], sampled[shallow], atol=1e-4)
     assert len(problems(data)) == 11
 
 
