@@ -7,6 +7,7 @@
     python -m benchmarks cross             125 starts x 49 poses by the baseline and N-space SQP
     python -m benchmarks peers             other planners on the same task (pip install -e '.[peers]')
     python -m benchmarks peers --motions   OMPL and Descartes, by executable targets
+    python -m benchmarks paths DATA        public problems of full poses, by their own rules
     python -m benchmarks baseline-margin OUT.png
     python -m benchmarks seams OUT.png     the seams of the generated duct, drawn
     python -m benchmarks shape             of the source: sizes, depth of imports, docstrings; other checkouts beside it
@@ -18,7 +19,18 @@ beside this file has the numbers measured so far.
 import importlib
 import sys
 
-CASES = "clearance", "cell-distances", "step-qps", "tables", "cross", "peers", "baseline-margin", "seams", "shape"
+CASES = (
+    "clearance",
+    "cell-distances",
+    "step-qps",
+    "tables",
+    "cross",
+    "peers",
+    "paths",
+    "baseline-margin",
+    "seams",
+    "shape",
+)
 
 
 def main() -> int:

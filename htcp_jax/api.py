@@ -21,7 +21,7 @@ from htcp_jax.planner.devices import choose
 from htcp_jax.planner.motion import Motion, motion
 from htcp_jax.planner.obstruction import Obstruction, blocked_target, obstruction
 from htcp_jax.planner.plans import Outcome, Plans
-from htcp_jax.runs.identity import anchor_files, file_hashes
+from htcp_jax.runs.input_files import anchor_files, file_hashes
 from htcp_jax.runs.motion_summary import MotionSummary, summarise_motion
 from htcp_jax.runs.plan_folder import (
     VALIDATION,

@@ -28,14 +28,8 @@ from htcp_jax.jobs.build import obstacles_of
 from htcp_jax.jobs.config import CellConfig
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.jobs.load_config import load_config
-from htcp_jax.runs.identity import (
-    anchor_files,
-    config_hash,
-    differences,
-    file_hashes,
-    identity,
-    refuse_changed,
-)
+from htcp_jax.runs.identity import config_hash, differences, identity, refuse_changed
+from htcp_jax.runs.input_files import anchor_files, file_hashes
 from htcp_jax.scene.cell import load_cell
 from htcp_jax.scene.kinematics import capsule_segments
 from htcp_jax.scene.robot import GP50

@@ -11,7 +11,7 @@ from htcp_jax.jobs.build import workpiece_of
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.jobs.grid_axes import from_record, record
 from htcp_jax.jobs.load_config import load_config
-from htcp_jax.runs.identity import anchor_files
+from htcp_jax.runs.input_files import anchor_files
 from htcp_jax.scene import duct
 from htcp_jax.scene.duct_seams import BEADS, SEAMS, seam
 from htcp_jax.scene.robot_file import gp50

@@ -63,7 +63,7 @@ def test_another_robot_without_a_start_is_refused_and_its_joints_are_named(tmp_p
     (tmp_path / "job.yaml").write_text(f"robot: {{model: {ARM}}}\n")
     told = refusal(tmp_path / "job.yaml")
     assert told.startswith(f"{tmp_path / 'job.yaml'}: robot.model is arm.xml, so start_rad must be given: ")
-    assert told.endswith(": 7 joint positions (a1, a2, a3, a4, a5, a6, a7), or auto beside as many of home_rad")
+    assert told.endswith(": 7 joint positions (a1, a2, a3, a4, a5, a6, a7), or auto")
 
 
 def test_another_cloud_stands_at_its_own_origin_and_is_not_turned():

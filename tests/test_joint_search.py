@@ -1,7 +1,7 @@
 """Joining postures: what is found is clear at a thousand places of every step, and found only where there is a way."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import jax
 import made_once
@@ -226,3 +226,23 @@ def test_settings_out_of_range_are_refused(name, value):
     with pytest.raises(InputError, match=name):
         settings_of({name: value})
     assert settings_of({"search_shortcuts": 0}).search_shortcuts == 0
+
+
+def test_of_each_scenario_s_pairs_that_is_joined_which_takes_least_whoever_else_is_joined():
+    """Far ends first, then one a step away: it is joined at once, and the search for the others is given up."""
+    a, b = ends()
+    s = np.flatnonzero([own is not None and len(own) > 0 for own in found()])[:2]
+    scenario, pair = np.repeat(s, 3), np.tile(np.arange(3), 2)
+    to = np.stack([b[s], b[s], a[s] + 1e-3], axis=1).reshape(6, -1)
+    of = partial(join, kernels(), None, scenarios())
+    ways = of(scenario, pair, a[scenario], to, SETTINGS, soonest=True)
+    assert [way is None for way in ways] == [True, True, False] * 2
+    far = np.arange(6) % 3 < 2  # now the two searches that take long, of which the one that asks less often wins
+    every = of(scenario[far], pair[far], a[scenario[far]], to[far], SETTINGS)
+    sooner = of(scenario[far], pair[far], a[scenario[far]], to[far], SETTINGS, soonest=True)
+    for k in range(2):
+        mine = slice(2 * k, 2 * k + 2)
+        (kept,) = [n for n in (2 * k, 2 * k + 1) if sooner[n] is not None]
+        np.testing.assert_array_equal(sooner[kept], every[kept])
+        alone = of(scenario[far][mine], pair[far][mine], a[scenario[far][mine]], to[far][mine], SETTINGS, soonest=True)
+        np.testing.assert_array_equal(alone[kept - 2 * k], sooner[kept])

@@ -9,7 +9,7 @@ import pytest
 
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.build import robot_of, scene
+from htcp_jax.jobs.build import obstacles_of, robot_of, scene
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.planner import batch
 from htcp_jax.planner.plans import is_tracked
@@ -70,7 +70,8 @@ def test_each_scenario_is_what_it_would_be_alone(place, run):
     for point in load_sweep(place / "grid.yaml").points():
         robot, workpiece, scenario = scene(point.config)
         own = replace(scenario, number=np.asarray(point.number, np.int32))
-        alone = batch.plan(robot, workpiece, own, "baseline", point.config.settings)
+        beside = obstacles_of(point.config.cell, robot)
+        alone = batch.plan(robot, workpiece, own, "baseline", point.config.settings, obstacles=beside)
         for name in ("x", "status", "clearance", "target", "path_clear"):
             np.testing.assert_array_equal(getattr(plans, name)[point.number], getattr(alone, name)[0], name)
 

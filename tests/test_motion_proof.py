@@ -14,11 +14,9 @@ from htcp_jax.clearance.motion_bound import tcp_bend_bound
 from htcp_jax.clearance.motion_proof import ROUNDING_M, Proof, Tube, Verdict, prove
 from htcp_jax.clearance.obstacles import clearance
 from htcp_jax.clearance.scene import Scene
-from htcp_jax.scene.kinematics import jacobian, tcp_pose, tcp_position
+from htcp_jax.scene.kinematics import jacobian, tcp_position
 from htcp_jax.scene.robot import GP50
 from htcp_jax.scene.robot_file import load_robot
-from htcp_jax.scene.task import Task
-from htcp_jax.scene.task_rows import AxisTowards, TaskPoint
 from htcp_jax.status import Way
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
@@ -240,33 +238,3 @@ def test_another_engine_finds_nothing_that_touches_on_a_proven_motion():
         T = np.asarray(where.T_world_workpiece)
         scene = CheckedScene(arm, wall, T[:3, :3], T[:3, 3], duct.interior_depth_m)
         assert scene.at(straight(a, b, 100)).clearance.min() >= proof.clearance - ROUNDING_M
-
-
-# Axes in cones
-
-
-def cone_scene():
-    return Scene(*made_once.scene()[:2], Task((TaskPoint(), AxisTowards(None, (0.0, 0.0, 1.0)))))
-
-
-def test_an_axis_that_is_proven_to_stay_in_one_of_two_cones_does_so_at_a_thousand_places_and_one_refuted_does_not():
-    scene, where, rng = cone_scene(), made_once.nominal(), np.random.default_rng(3)
-    proven, poses = jax.jit(prove), jax.jit(jax.vmap(tcp_pose, in_axes=(None, 0)))
-    anywhere, verdicts = jnp.zeros(3), []
-    for k in range(60):
-        a = np.array(made_once.START) + rng.uniform(-0.1, 0.1, 6)
-        b = a + rng.uniform(-0.15, 0.15, 6)
-        axes = np.asarray(poses(scene.robot, jnp.asarray(straight(a, b))))[:, :3, 2]
-        limit = np.arccos((axes @ axes[0]).min()) * rng.uniform(0.5, 1.3) if k % 2 else 0.0
-        directions, cosine = (axes[[0, 0]], np.cos(limit)) if k % 2 else (axes[[0, -1]], np.cos(rng.uniform(0, 0.15)))
-        cones = np.concatenate([directions, np.full((2, 1), cosine)], axis=1)[None]
-        found = proven(scene, where, a, b, Tube(anywhere, anywhere, jnp.asarray(jnp.inf), jnp.asarray(cones)))
-        inside = ((axes @ directions.T) >= cosine).any(axis=1)
-        verdicts.append(int(found.verdict))
-        if found.verdict == Verdict.PROVEN:
-            assert inside.all()
-        elif found.verdict == Verdict.LEAVES:
-            x = a + float(found.place) * (b - a)
-            assert (directions @ np.asarray(tcp_pose(scene.robot, jnp.asarray(x)))[:3, 2] < cosine).all()
-    assert verdicts.count(Verdict.PROVEN) > 10 and verdicts.count(Verdict.LEAVES) > 10
-    assert verdicts.count(Verdict.OPEN) < 3

@@ -37,7 +37,7 @@ URDF = """
   <joint name="bend" type="revolute"><parent link="boom"/><child link="jib"/><axis xyz="0 1 0"/>
     <origin xyz="0.4 0 0" rpy="0 0.5 0"/><limit lower="-1" upper="2" velocity="2.5" effort="0"/></joint>
   <joint name="roll" type="revolute"><parent link="jib"/><child link="hand"/><axis xyz="1 0 0"/>
-    <origin xyz="0.3 0 0"/><limit lower="-3" upper="3" velocity="0" effort="20" acceleration="8"/></joint>
+    <origin xyz="0.3 0 0"/><limit lower="-3" upper="3" velocity="0" effort="20" drake:acceleration="8"/></joint>
   <joint name="right_finger" type="prismatic"><parent link="hand"/><child link="right"/><axis xyz="0 -1 0"/>
     <origin xyz="0 0 0.05"/><limit lower="0" upper="0.04" velocity="9" effort="9"/></joint>
   <joint name="in_hand" type="fixed"><parent link="hand"/><child link="grasp"/>

@@ -128,11 +128,18 @@ def test_a_band_and_a_cone_alone_leave_every_joint_free_and_hold_all_the_same():
 def test_a_plan_with_a_cone_is_validated_and_with_a_narrower_one_on_record_refuted(tmp_path):
     found = api.plan({"task": [ON_PATH, CONE]}, method="baseline")
     found.save(tmp_path / "plan")
-    assert validate(tmp_path / "plan").validated
+    stands = validate(tmp_path / "plan")
+    assert stands.validated
+    point, axis = stands.methods["baseline"].rows
+    assert (point.row, axis.row) == ("task.1: point tcp", "task.2: axis tcp.z")
+    assert (axis.unit, axis.most) == ("degrees", CONE["cone_deg"])
+    assert 0 < point.off <= point.most == 1.0 and 50 < axis.off <= axis.most
     record = found.record()
     record["config"]["task"][1]["cone_deg"] = 50.0
     write_json(tmp_path / "plan" / SUMMARY, record)
-    refuted = validate(tmp_path / "plan", between=0).refuted
+    narrower = validate(tmp_path / "plan", between=0)
+    assert narrower.methods["baseline"].rows[1].off == axis.off > narrower.methods["baseline"].rows[1].most == 50
+    refuted = narrower.refuted
     assert refuted and all("task.2 (axis tcp.z) is" in one.reason and "50 are allowed" in one.reason for one in refuted)
 
 

@@ -101,6 +101,13 @@ def folder(command: str, says: str, **files: str | bytes) -> Wrong:
     return Wrong([command, "run", *more], says, {f"run/{name.replace('_', '.')}": data for name, data in files.items()})
 
 
+def task(rows: str, says: str, **files: str) -> Wrong:
+    """A job with these rows, whose path is the file path.csv where there is one."""
+    named = {f"{name}.csv": text for name, text in files.items()}
+    path = ", workpiece: {path: path.csv}" if named else ""
+    return Wrong(["plan", "job.yaml"], says, {"job.yaml": f"{{task: [{rows}]{path}}}", **named})
+
+
 MISSPELT = [setting(f"{key}q=1", f"unknown key {key}q") for key in keys()]
 NOT_A_NUMBER = [setting(f"{key}=.nan", key) for key in keys()]
 NO_MAPPING = [setting(f"{key}={{a: 1}}", key) for key in keys()]
@@ -173,7 +180,6 @@ RANGES = [
     setting("start_rad=[9, -2.3, 0.5, 0, 0.5, -2]", "outside its limits"),
     setting("start_rad=[a, -2.3, 0.5, 0, 0.5, -2]", "start_rad.0 is 'a'"),
     setting("start_rad=[0, -1.2, -0.5, 0, 0.5, -2]", "start is in collision: "),
-    setting("start_rad=auto", "home_rad: start_rad is auto, so a home must be given, from which the motion begins"),
     setting("start_rad=atuo", "start_rad: 'atuo' is no start; valid: auto, or a list of joint positions"),
     setting("home_rad=[]", "home has 0 joint positions, the robot gp50 has 6 joints"),
     setting("home_rad=[0, 0]", "home has 2 joint positions, the robot gp50 has 6 joints"),
@@ -452,6 +458,35 @@ ARMS = [
     setting("robot.model=none.urdf", "none.urdf: cannot read the model: No such file"),
     setting("robot.model=.", "not a file; a model is an MJCF or URDF file"),
 ]  # fmt: skip
+ON_PATH, CONE = "{point: tcp, on: path}", "{axis: tcp.z, towards: -path.normal, cone_deg: 60}"
+POINTS = "0.1857,-0.1737,0.1708", "0.19,-0.1738,0.1705"
+TASKS = [
+    task("{point: flange, on: path}", "task.1: no point 'flange' on gp50; valid: link1, "),
+    task(f"{ON_PATH}, {{axis: flange.z, towards: [0, 0, 1]}}", "task.2: no axis 'flange' on gp50; valid: link1, "),
+    task(f"{ON_PATH}, {{orientation: [1, 0, 0, 0], of: hand}}", "task.2: no frame 'hand' on gp50; valid: link1, "),
+    task("{point: tcp, on: path, frame: tool}", "task.1: frame is 'tool'; valid: world, workpiece, path"),
+    task("{axis: tcp.w, towards: [0, 0, 1]}", "task.1: axis is 'tcp.w'; it is a name and x, y or z"),
+    task(f"{ON_PATH}, {CONE.replace('60', '-1')}", "task.2: cone_deg is -1; it must be 0 to 180"),
+    task(f"{ON_PATH}, {CONE.replace('60', '180.5')}", "task.2: cone_deg is 180.5; it must be 0 to 180"),
+    task(f"{ON_PATH}, {CONE.replace('60', '.nan')}", "task.2.cone_deg"),
+    task(CONE.replace("-path.normal", "[0, 0, 0]"), "task.1: towards is zero; it must point somewhere"),
+    task("{point: tcp, on: plane, through_m: [1, 0, 1], normal: [0, 0, 0]}", "task.1: normal is zero"),
+    task("{point: tcp, on: line, through_m: [1, 0, 1], direction: [0, 0, 0]}", "task.1: direction is zero"),
+    task(f"{ON_PATH}, {{orientation: [0, 0, 0, 0]}}", "task.2: orientation is a quaternion of length 0"),
+    task("{orientation: path}", "task.1 (orientation tcp): the path has no orientations; its file needs columns qw,"),
+    task(CONE, "path.csv: the normal of point 2 has the length 0.5; 1 is needed",
+         path=f"x,y,z,nx,ny,nz\n{POINTS[0]},0,0,1\n{POINTS[1]},0,0,0.5\n"),
+    task(CONE, "path.csv: the normal of point 1 has the length 0; 1 is needed",
+         path=f"x,y,z,nx,ny,nz\n{POINTS[0]},0,0,0\n{POINTS[1]},0,0,1\n"),
+    task("{orientation: path}", "path.csv: the quaternion of point 1 has the length 0",
+         path=f"x,y,z,qw,qx,qy,qz\n{POINTS[0]},0,0,0,0\n{POINTS[1]},1,0,0,0\n"),
+    task("{axis: tcp.x, towards: path.tangent}", "the path has no tangent: all of its points are at one place",
+         path=f"{POINTS[0]}\n{POINTS[0]}\n"),
+    task(f"{ON_PATH}, {{point: tcp, on: [1, 0, 1]}}", "task.2 (point tcp) asks for what the rows before it fix"),
+    task(f"{CONE}, {CONE.replace('tcp.z', '-tcp.z')}", "task.1 (axis tcp.z) and task.2 (axis -tcp.z) contradict each"),
+    task(f"{ON_PATH}, {{orientation: [1, 0, 0, 0]}}, {{point: link4, on: [1, 0, 1]}}", "the task has 9 rows, the"),
+    Wrong(["plan", "--set", "task.1.cone_deg=5"], "task.1.cone_deg: there is no row 1; there are 0"),
+]  # fmt: skip
 PLAN = {"summary_json": '{"method": "baseline", "config": {}}', "trajectory_npz": b"PK"}
 FOLDERS = [
     folder("report", "run holds a plan of htcp plan, no run; htcp view, htcp render and htcp validate open it", **PLAN),
@@ -486,7 +521,6 @@ JOBS = [
     Wrong(["plan", "--set", "robot.model=arm.xml"], "start_rad"),
     Wrong(["plan", "--set", "robot.model=arm.urdf"], "start_rad"),
     job("robot: {model: arm.xml}\ntransfers: true\n", "must be given: 3 joint positions (j1, j2, j3), or auto"),
-    job("robot: {model: arm.xml}\ntransfers: true\nstart_rad: auto\n", "home_rad: start_rad is auto, so a home"),
     job("robot: {model: arm.xml}\nstart_rad: auto\nhome_rad: [0, 0]\n", "home has 2 joint positions, the robot arm"),
     job("transfers: true\nsettings: {transfers: false}\n", "transfers and settings.transfers are the same"),
     cloud("a.csv", "1,5;2,5;3,5\n2,5;3,5;4,5\n", "decimal comma"),
@@ -507,6 +541,7 @@ WRONG = [
     *CLOUDS,
     *PATHS,
     *ARMS,
+    *TASKS,
     *FOLDERS,
     *JOBS,
 ]

@@ -12,8 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.clearance.exclusion import PIECES, Segments, cut, rotation, seen_from, surely_touches, tool_collides
-from htcp_jax.clearance.motion_bound import point_motion_bound
-from htcp_jax.clearance.motion_proof import ROUNDING_M
+from htcp_jax.clearance.motion_bound import ROUNDING_M, point_motion_bound
 from htcp_jax.clearance.obstacle import Posed
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.numerics import product, safe_divide, safe_norm

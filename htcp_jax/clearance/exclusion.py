@@ -18,7 +18,7 @@ import numpy as np
 
 from htcp_jax.clearance.cloud import Cloud
 from htcp_jax.clearance.interior import Interior
-from htcp_jax.clearance.motion_proof import ROUNDING_M
+from htcp_jax.clearance.motion_bound import ROUNDING_M
 from htcp_jax.clearance.obstacle import Obstacles, Posed
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.numerics import product, safe_norm

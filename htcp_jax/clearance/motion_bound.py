@@ -30,11 +30,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from htcp_jax.clearance.obstacle import Rows
 from htcp_jax.numerics import safe_norm
 from htcp_jax.scene.kinematics import capsule_segments, joint_levers, tcp_position
 from htcp_jax.scene.robot import Robot
 from htcp_jax.types import Array, Float, Int, Joints, Scalar
+
+ROUNDING_M = 1e-9  # more than that of any position: what is proven is proven with so much to spare
 
 
 class _Bounds(NamedTuple):
@@ -67,24 +68,18 @@ def travel_bound(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Float[
     return jnp.minimum(_larger(along), _larger(within.moved))
 
 
-def row_travel_bound(robot: Robot, rows: Rows, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "R"]:
-    """The same of each row's body, as seen from the link of the row's other, before it in the chain [m]: with all
-    joints up to that link at rest."""
-    if rows == Rows.of_bodies(robot):
-        return travel_bound(robot, x, rates, half)
-    if any(0 <= other >= robot.capsule_link[body] for body, other in zip(*rows, strict=True)):
-        raise ValueError("the body of a row must lie beyond the link of its other")
-    seen_from = sorted(set(rows.other))
-    moving = np.arange(len(robot.slides))[None, :] > np.array(seen_from)[:, None]
-    found = jax.vmap(lambda moving: travel_bound(robot, x, jnp.where(moving, rates, 0.0), half))(moving)
-    return found[np.array([seen_from.index(other) for other in rows.other]), np.array(rows.body)]
-
-
 def tcp_bend_bound(robot: Robot, x: Joints, rates: Joints, turns: Joints) -> Scalar:
     """How large the TCP's second derivative |p''| is at most on a straight joint path of x' = `rates` [rad or m],
     while every joint stays within `turns` of x [m]."""
     tcp, last = tcp_position(robot, x)[None], jnp.array([len(robot.slides) - 1])
-    return _bounds(robot, x, rates, turns, tcp, last).bend[0]
+    return point_bend_bound(robot, x, rates, turns, tcp, last)[0]
+
+
+def point_bend_bound(
+    robot: Robot, x: Joints, rates: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Array, "P"]
+) -> Float[Array, "P"]:
+    """The same of points at x, world [m], that are fixed to links."""
+    return _bounds(robot, x, rates, turns, points, links).bend
 
 
 def _ends(robot: Robot, segments: tuple[Float[Array, "K 3"], Float[Array, "K 3"]]):

@@ -11,10 +11,7 @@ The TCP p(s) is bounded to second order. With |p''| <= A on an interval of half-
 
 and as the distance to a line is convex, the ends of the straight piece p(m) +- h p'(m) bound it on all of the piece.
 
-An axis a(s) that is held in a cone stays in it, or in that of the target before, with the tolerance of angles to spare:
-d a(s) is at least the cosine of the angle. Where the hinges turn by S in all per unit of s, |a''| <= S^2, and
-
-    d a(s) >= d a(m) - h |d a'(m)| - h^2 S^2 / 2.
+What else the task asks for is bounded in the same way, see `row_proof`.
 """
 
 import enum
@@ -26,17 +23,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from htcp_jax.clearance.motion_bound import row_travel_bound, tcp_bend_bound
-from htcp_jax.clearance.obstacle import Posed
+from htcp_jax.clearance.motion_bound import ROUNDING_M, tcp_bend_bound, travel_bound
+from htcp_jax.clearance.obstacle import Posed, Rows
 from htcp_jax.clearance.obstacles import all_clear, room
+from htcp_jax.clearance.row_proof import between, rows_hold
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.numerics import product, safe_norm, segment_parameter
 from htcp_jax.scene.kinematics import jacobian, tcp_position
+from htcp_jax.scene.robot import Robot
 from htcp_jax.settings import Settings
 from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
 
-ROUNDING_M = 1e-9  # more than that of any position: what is proven is proven with so much to spare
-ROUNDING = 1e-12  # the same of a cosine
 RESOLUTION_M = 1e-5  # what `path_clear` may touch unnoticed: grazing paths take many halvings to prove
 KEPT_DEPTH = 6  # halvings for the sake of a clearance that means something
 DEEPEST = 30  # halvings; a joint turns by less than 1e-8 rad then
@@ -47,19 +44,20 @@ class Verdict(enum.IntEnum):
 
     PROVEN = 0
     COLLIDES = 1  # refuted: a body touches
-    LEAVES = 2  # refuted: the TCP leaves its tube
+    LEAVES = 2  # refuted: the TCP leaves its tube, or a row of the task is broken
     TURNS_BACK = 3  # refuted: the TCP moves against its line
     OPEN = 4  # neither proven nor refuted
 
 
 class Tube(NamedTuple):
     """Where the TCP may be: within `radius` of the line from `start` to `end`, along which it only advances. Where the
-    two are one point it may move any way; with an infinite radius it may be anywhere."""
+    two are one point it may move any way; with an infinite radius it may be anywhere. And what the task asks for."""
 
     start: Vector3  # world [m]
     end: Vector3
     radius: Scalar  # [m]
-    cones: Float[Array, "C 2 4"] | None = None  # of each axis of the task: that of either end, and the least cosine
+    goals: Float[Array, "2 G"] | None = None  # of the task, at the target before and at this one; None: the paper's
+    held: Bool[Array, ""] | None = None  # whether these hold on the way
 
 
 class Proof(NamedTuple):
@@ -92,6 +90,7 @@ def prove(
     line = jnp.zeros(3) if tube is None else tube.end - tube.start
     length = safe_norm(line)
     forwards = line / jnp.where(length > 0, length, 1.0)
+    asked = None if tube is None or tube.goals is None else between(scene.task, tube.goals)
 
     def going(state):
         index, depth, proof = state
@@ -110,10 +109,11 @@ def prove(
         if tube is not None:
             inside, verdict = _in_tube(scene, tube, forwards, x, b - a, turns, half)
             proven &= inside
-            if tube.cones is not None:
-                inside, leaves = _in_cones(scene, tube.cones, x, b - a, half)
-                proven &= inside
-                verdict = jnp.where((verdict == Verdict.PROVEN) & leaves, int(Verdict.LEAVES), verdict)
+        if asked is not None:
+            inside, broken = rows_hold(scene.robot, scene.task.parts, asked, x, b - a, half)
+            proven &= jnp.all(inside) | ~tube.held
+            broken = jnp.any(broken) & tube.held
+            verdict = jnp.where((verdict == Verdict.PROVEN) & broken, int(Verdict.LEAVES), verdict)
         verdict = jnp.where(jnp.min(left) <= 0, int(Verdict.COLLIDES), verdict)
         verdict = jnp.where((verdict == Verdict.PROVEN) & ~proven & (depth >= deepest), int(Verdict.OPEN), verdict)
         found = Proof(
@@ -147,6 +147,19 @@ def proven_clear(scene: Scene, where: Posed, a: Joints, b: Joints) -> Bool[jax.A
     return prove(scene, where, a, b, resolution_m=RESOLUTION_M).verdict == Verdict.PROVEN
 
 
+def row_travel_bound(robot: Robot, rows: Rows, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "R"]:
+    """`travel_bound` of each row's body, as seen from the link of the row's other, before it in the chain [m]: with all
+    joints up to that link at rest."""
+    if rows == Rows.of_bodies(robot):
+        return travel_bound(robot, x, rates, half)
+    if any(0 <= other >= robot.capsule_link[body] for body, other in zip(*rows, strict=True)):
+        raise ValueError("the body of a row must lie beyond the link of its other")
+    seen_from = sorted(set(rows.other))
+    moving = np.arange(len(robot.slides))[None, :] > np.array(seen_from)[:, None]
+    found = jax.vmap(lambda moving: travel_bound(robot, x, jnp.where(moving, rates, 0.0), half))(moving)
+    return found[np.array([seen_from.index(other) for other in rows.other]), np.array(rows.body)]
+
+
 def _in_tube(scene: Scene, tube: Tube, forwards: Vector3, x: Joints, rates: Joints, turns: Joints, half: Scalar):
     """Whether the TCP surely stays in the tube on an interval about x, and what is wrong at x itself."""
     robot = scene.robot
@@ -160,18 +173,6 @@ def _in_tube(scene: Scene, tube: Tube, forwards: Vector3, x: Joints, rates: Join
     verdict = jnp.where(off > tube.radius, int(Verdict.LEAVES), verdict).astype(jnp.int32)
     bounded = jnp.isfinite(tube.radius)
     return inside | ~bounded, jnp.where(bounded, verdict, int(Verdict.PROVEN))
-
-
-def _in_cones(scene: Scene, cones: Float[Array, "C 2 4"], x: Joints, rates: Joints, half: Scalar):
-    """Whether every axis surely stays in one of its two cones on an interval about x; whether one is in none at x."""
-    axes, slopes = scene.task.cone_axes(scene.robot, x)
-    along = jnp.sum(cones[:, :, :3] * axes[:, None], axis=2)
-    turning = jnp.sum(slopes * rates[None, None], axis=2)
-    ahead = jnp.sum(cones[:, :, :3] * turning[:, None], axis=2)
-    turned = half * jnp.sum(jnp.where(np.array(scene.robot.slides), 0.0, jnp.abs(rates)))
-    least = along - half * jnp.abs(ahead) - 0.5 * turned * turned
-    inside = jnp.any(least - ROUNDING >= cones[:, :, 3], axis=1)
-    return jnp.all(inside), jnp.any(jnp.all(along < cones[:, :, 3], axis=1))
 
 
 def _off_line(tube: Tube, points: Float[Array, "n 3"]) -> Float[Array, "n"]:

@@ -70,7 +70,7 @@ def reachability(
             "prefix": found.prefix.tolist(),
             "best_mm": [None if np.isnan(b) else 1e3 * b for b in found.best],
             "most": found.most.tolist(),
-            "resolution_rad": max(resolution, float(found.resolution_rad.max())),
+            "resolution_rad": _resolution(batch, found, resolution),
             "proof_cells": proof_cells,
             "seed": spec.config.settings.seed,
             "targets": targets,
@@ -106,6 +106,13 @@ def _search(batch: Batch, resolution_rad: float, proof_cells: int) -> Reachabili
     return gather(concatenate([found for _, found in parts]), order)
 
 
+def _resolution(batch: Batch, found: Reachability, asked_rad: float) -> float | None:
+    """The coarsest that a target was searched at; None where a task leaves no orientations to be gone through."""
+    if not all(cell.task.holds_tcp for cell in batch.cells):
+        return None
+    return max(asked_rad, float(found.resolution_rad.max()))
+
+
 def _beaten(run: Run, batch: Batch, found: Reachability) -> dict[str, list[int]]:
     """Scenarios that a method of the run brought further, by method. Raises InputError for a run of other targets."""
     beaten = {}
@@ -137,7 +144,9 @@ def _print(name: str, batch: Batch, found: Reachability, record: dict, out: Path
         "reachable at least": f"{reachable:,} of {targets:,} targets, {100 * reachable / targets:.2f} %",
         "complete": f"{complete:,} of {len(found.prefix):,} scenarios",
         "at most, by proof": f"{most:,} targets, {100 * most / targets:.2f} %",
-        "resolution": f"{record['resolution_rad']:.3g} rad of the tool's orientations",
+        "resolution": "none: postures spread over the joint limits were tried, as the task holds the TCP at no place"
+        if (resolution := record["resolution_rad"]) is None
+        else f"{resolution:.3g} rad of the tool's orientations",
         "files": str(out / "reachability.json"),
     }
     print_facts(name, rows)

@@ -11,6 +11,7 @@ import math
 import re
 from pathlib import Path
 from xml.etree import ElementTree
+from xml.parsers import expat
 
 import mujoco
 
@@ -101,9 +102,9 @@ def _urdf_limits(root: ElementTree.Element, path: Path) -> dict[str, dict[str, f
             continue
         if joint.get("type") != "continuous":
             _check_range(joint, path)
-        for name, attribute in (("speed", "velocity"), ("acceleration", "acceleration")):
-            number = _number(joint, attribute, path)
-            limits[name][joint.get("name", "")] = number if number > 0 else math.inf
+        for name, attributes in (("speed", ["velocity"]), ("acceleration", ["acceleration", "drake:acceleration"])):
+            given = [number for each in attributes if (number := _number(joint, each, path)) > 0]
+            limits[name][joint.get("name", "")] = min(given, default=math.inf)
     return limits
 
 
@@ -136,16 +137,24 @@ def _parse(path: Path) -> ElementTree.Element:
             raise InputError(f"{path}: not a file; a model is an MJCF or URDF file")
         if (size := path.stat().st_size) > LARGEST_FILE:
             raise InputError(f"{path}: {size:,} bytes; a model has at most {LARGEST_FILE:,}")
-        parser = ElementTree.XMLParser(target=_Builder(path))
-        parser.feed(path.read_bytes())
-        return parser.close()
+        return _tree(path.read_bytes(), _Builder(path))
     except InputError:
         raise
     except OSError as error:
         raise InputError(f"{path}: cannot read the model: {error.strerror}") from None
-    except (ElementTree.ParseError, ValueError, LookupError) as error:  # LookupError: an encoding that is none
+    except (expat.ExpatError, ValueError, LookupError) as error:  # LookupError: an encoding that is none
         reason = " ".join(str(error).split())
         raise InputError(f"{path}: not a model that MuJoCo can read: {reason}") from None
+
+
+def _tree(text: bytes, builder: _Builder) -> ElementTree.Element:
+    """The elements of a text, with names as they stand there: models use prefixes that they do not declare."""
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = builder.doctype
+    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+    parser.CharacterDataHandler = builder.data
+    parser.Parse(text, True)
+    return builder.close()
 
 
 def _put_includes_in_place(root: ElementTree.Element, path: Path, seen: set[Path]) -> None:

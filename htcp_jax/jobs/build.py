@@ -72,7 +72,7 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
         thinnest_m=radius,
         robot=robot,
     )
-    if not len(workpiece.triangles) and workpiece.largest_gap_m > 2 * radius:
+    if len(workpiece.cloud) and not len(workpiece.triangles) and workpiece.largest_gap_m > 2 * radius:
         warnings.warn(
             f"{part.cloud}: a gap of {1e3 * workpiece.largest_gap_m:.3g} mm between its points; "
             f"{robot.capsule_names[thinnest]}, {2e3 * radius:.3g} mm thick, fits through",

@@ -65,7 +65,7 @@ class RobotConfig(Section):
 class WorkpieceConfig(Section):
     """The cloud, the tool path in its frame, its pose, and the approach to the path."""
 
-    cloud: str = "duct"  # the generated duct, or a file of points or a mesh
+    cloud: str = "duct"  # the generated duct, a file of points or a mesh, or none
     path: str = "weld"  # a seam of the generated duct, see `duct_seams`, or a CSV file of x,y,z [m]
     inlet_m: Point | None = None  # centre of the inlet; without it the duct's, or none for another cloud
     interior: Literal["hull", "none"] = "hull"  # what bounds the inside, deeper than interior_depth_m
@@ -122,7 +122,7 @@ class PlanConfig(Section):
     workpiece: WorkpieceConfig = WorkpieceConfig()
     cell: CellConfig = CellConfig()
     start_rad: Start = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # or auto: chosen at the path's first point
-    home_rad: tuple[Number, ...] | None = Field(None, validate_default=True)  # where the motion begins; None: the start
+    home_rad: tuple[Number, ...] | None = None  # where the motion begins; None: the start
     task: tuple[TaskRow, ...] = ()  # none: the TCP on the path
     margin_m: float = Field(5e-4, ge=0, le=1)  # least clearance with which a target counts
     method: str = "roadmap"
@@ -136,8 +136,9 @@ class PlanConfig(Section):
 
     @property
     def begins_rad(self) -> tuple[float, ...]:
-        """Where the motion begins: at home, or at the start where there is no home."""
-        return self.home_rad if self.home_rad is not None else self.start_rad
+        """Where the motion begins: at home, or at the start where there is no home; empty where that is chosen."""
+        begins = self.start if self.home_rad is None else self.home_rad
+        return () if begins is None else begins
 
     @property
     def approach(self) -> tuple[int, int]:
@@ -160,13 +161,6 @@ class PlanConfig(Section):
             raise InputError(f"{source}: transfers and settings.transfers are the same; leave out one")
         rest = {key: value for key, value in values.items() if key != "transfers"}
         return rest | {"settings": {**(settings or {}), "transfers": values["transfers"]}}
-
-    @field_validator("home_rad")
-    @classmethod
-    def _where_it_begins(cls, home: tuple[float, ...] | None, others: Any) -> tuple[float, ...] | None:
-        if home is None and others.data.get("start_rad") == AUTO:
-            raise InputError("start_rad is auto, so a home must be given, from which the motion begins")
-        return home
 
     @field_validator("method")
     @classmethod

@@ -19,7 +19,7 @@ BASE = "config"  # the key under which a file names the one that it builds on
 # Keys that name files, each with the words of the built-in parts.
 FILES = {
     ("robot", "model"): ("gp50",),
-    ("workpiece", "cloud"): ("duct",),
+    ("workpiece", "cloud"): ("duct", "none"),
     ("workpiece", "path"): SEAMS,
     ("cell", "model"): (None,),
 }
@@ -54,8 +54,9 @@ def put(raw: dict, dotted: str, value: Any) -> None:
     InputError for a row that is not there."""
     *sections, key = dotted.split(".")
     for k, section in enumerate(sections):
-        if isinstance(raw.get(section), list) and k + 1 < len(sections):
-            rows = raw[section] = list(raw[section])
+        known, more = raw.get(section), sections[k + 1 :]
+        if more and (isinstance(known, list) or (known is None and more[0].isdecimal())):
+            rows = raw[section] = list(known or [])
             return _put_in_row(rows, sections[k + 1], ".".join([*sections[k + 2 :], key]), dotted, value)
         if not isinstance(raw.get(section), dict):
             raw[section] = {}

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import DEPENDENT, PlanConfig
+from htcp_jax.jobs.config import AUTO, DEPENDENT, PlanConfig
 from htcp_jax.jobs.config_file import FILES, put
 from htcp_jax.scene.robot_model import read_robot_file
 
@@ -23,12 +23,13 @@ def own_defaults(raw: dict, stated: Collection[str]) -> dict[str, Any]:
     A robot other than the GP50 has its model's own limits and weights of 1, and keeps clear of itself; a cloud other
     than the duct is not turned and not moved, and turns about its own origin, wherever `neutral_translation_m` puts it;
     its inlet faces where its hull does, and the tip of the tool stays out of its walls, from which the paper's duct
-    exempts it.
+    exempts it. Without a cloud there is no wall, and any arm keeps clear of itself.
     """
     found = {key: value_at(_DEFAULTS, key) for key in DEPENDENT}
     if is_other(raw, "robot.model"):
         known = (value_at(raw, key) for key in ("start_rad", "home_rad"))
         joints = next((len(x) for x in known if isinstance(x, list | tuple)), 0)
+        joints = joints or (len(_joint_names(raw["robot"])) if value_at(raw, "start_rad") == AUTO else 0)
         found["robot.limits"], found["cell.self_collision"] = "model", True
         found["settings.q_weights"] = (1.0,) * joints
     if is_other(raw, "workpiece.cloud"):
@@ -38,6 +39,8 @@ def own_defaults(raw: dict, stated: Collection[str]) -> dict[str, Any]:
         found["workpiece.neutral_translation_m"] = (0.0, 0.0, 0.0)
         found["workpiece.pivot_m"] = tuple(origin) if known else (0.0, 0.0, 0.0)
         found["workpiece.inlet_direction"], found["workpiece.tip_contact_m"] = None, TIP_CONTACT_M
+    if value_at(raw, "workpiece.cloud") == "none":
+        found["cell.self_collision"], found["workpiece.tip_contact_m"] = True, None
     return found
 
 
@@ -72,9 +75,9 @@ def value_at(raw: dict, dotted: str) -> Any:
 
 
 def is_other(raw: dict, key: str) -> bool:
-    """Whether the part is another than the built-in one."""
+    """Whether the part is another than the built-in one, which is the first of its words."""
     name = value_at(raw, key)
-    return isinstance(name, str) and name not in FILES[tuple(key.split("."))]
+    return isinstance(name, str) and name != FILES[tuple(key.split("."))][0]
 
 
 def _is_point(value: Any) -> bool:
@@ -83,10 +86,14 @@ def _is_point(value: Any) -> bool:
 
 
 def _no_start(robot: dict, source: str) -> str:
-    tcp = robot.get("tcp")
-    site = tcp if isinstance(tcp, str) else "tcp"
-    joints = read_robot_file(Path(robot["model"]), site, "model", np.eye(4), None).facts["joint_names"]
+    names = _joint_names(robot)
     return (
         f"{source}: robot.model is {Path(robot['model']).name}, so start_rad must be given: "
-        f"{len(joints)} joint positions ({', '.join(joints)}), or auto beside as many of home_rad"
+        f"{len(names)} joint positions ({', '.join(names)}), or auto"
     )
+
+
+def _joint_names(robot: dict) -> tuple[str, ...]:
+    tcp = robot.get("tcp")
+    site = tcp if isinstance(tcp, str) else "tcp"
+    return read_robot_file(Path(robot["model"]), site, "model", np.eye(4), None).facts["joint_names"]

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from htcp_jax.clearance.obstacle import Obstacles
 from htcp_jax.clearance.obstacles import clearances, nearest_to
-from htcp_jax.clearance.of_workpiece import make_obstacle
+from htcp_jax.clearance.of_workpiece import all_obstacles
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.errors import InputError
 from htcp_jax.planner.devices import choose, default_threads
@@ -85,7 +85,7 @@ def plan(
         scenarios,
         settings,
         task,
-        (*make_obstacle(workpiece), *obstacles),
+        all_obstacles(workpiece, obstacles),
         devices,
         threads or default_threads(devices, settings.qp),
         check_paths,
@@ -124,7 +124,7 @@ def start_clearance(
     obstacles: further ones."""
     scenario = jax.tree.map(jnp.asarray, scenario)
     x = scenario.x_start if x is None else jnp.asarray(x)
-    scene = own_scene(Scene(robot, (*make_obstacle(workpiece), *obstacles)), scenario.tool_extension_m)
+    scene = own_scene(Scene(robot, all_obstacles(workpiece, obstacles)), scenario.tool_extension_m)
     D = np.asarray(jax.jit(clearances)(scene.robot, scene.obstacles, scenario, x))
     row = int(D.argmin())
     other = nearest_to(scene.robot, scene.obstacles, scenario, x, row)
@@ -135,6 +135,8 @@ def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario, obstacle
     """Raise InputError when the home or the start is in collision, naming the body, what it is in, and the depth.
     obstacles: besides the workpiece."""
     postures = {"start": scenario.x_start}
+    if scenario.begins_anywhere:
+        return
     if scenario.auto_start or (scenario.x_home != scenario.x_start).any():
         postures = {"home": scenario.x_home} | ({} if scenario.auto_start else postures)
     for what, x in postures.items():

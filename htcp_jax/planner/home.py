@@ -3,8 +3,8 @@
     ways = leave_home(problem)            # before planning: chooses starts, and refuses scenarios
     begin_at_home(problem, plans, ways)   # afterwards: the plans begin at home
 
-Any method plans from the start, so all of them can begin at home. A start that is to be chosen is the clearest posture
-at the path's first point, of those that are drawn there, that can be reached from home.
+Any method plans from the start, so all of them can begin at home. A start that is to be chosen is one
+of the clearest postures of those that are drawn at the path's first point: that which is joined to home soonest.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -70,6 +70,9 @@ class Leaving:
     def run(self, rows: list[int]) -> Ways:
         """The ways that there are; of the other scenarios it is written down why there is none."""
         scenarios, ways = self._problem.scenarios, Ways()
+        anywhere = [s for s in rows if scenarios.begins_anywhere[s]]
+        self._begin(anywhere)
+        rows = [s for s in rows if s not in anywhere]
         rows = self._clear(rows, scenarios.x_home, Status.HOME_IN_COLLISION)
         chosen = [s for s in rows if scenarios.auto_start[s]]
         given = self._clear([s for s in rows if s not in chosen], scenarios.x_start, Status.START_IN_COLLISION)
@@ -82,6 +85,16 @@ class Leaving:
             ways |= self._joined(trials)
         scenarios.refused[list(ways)] = NOT_REFUSED
         return ways
+
+    def _begin(self, rows: list[int]) -> None:
+        """Of scenarios that begin at a start to be chosen: choose it, the clearest of the first draws that count."""
+        scenarios = self._problem.scenarios
+        for s in rows:
+            found = (self._drawn(s, round_) for round_ in range(ROUNDS))
+            if (trials := next(filter(None, found), None)) is None:
+                scenarios.refused[s] = Status.NO_START
+            else:
+                scenarios.x_start[s] = trials[0].x
 
     def _clear(self, rows: list[int], x: Float[np.ndarray, "S N"], otherwise: Status) -> list[int]:
         """Those of the scenarios that are clear at their x; the others are refused."""
@@ -99,7 +112,7 @@ class Leaving:
         return [Trial(s, PAIR + round_ * MOST_TRIED + k, node.x) for k, node in enumerate(nodes)]
 
     def _joined(self, trials: dict[int, list[Trial]]) -> Ways:
-        """Of each scenario the way to the first of its trials that can be joined, which becomes its start."""
+        """Of each scenario the way to that of its trials which is joined soonest, which becomes its start."""
         ways, scenarios = Ways(), self._problem.scenarios
         for first in range(0, MOST_TRIED, TOGETHER):
             now = [one for s, own in trials.items() if s not in ways for one in own[first : first + TOGETHER]]
@@ -107,7 +120,7 @@ class Leaving:
                 break
             s, pair = np.array([one.scenario for one in now]), np.array([one.pair for one in now])
             to, settings = np.stack([one.x for one in now]), self._problem.settings
-            found = join(self._kernels, self._tip, scenarios, s, pair, scenarios.x_home[s], to, settings)
+            found = join(self._kernels, self._tip, scenarios, s, pair, scenarios.x_home[s], to, settings, soonest=True)
             for one, way in zip(now, found, strict=True):
                 if way is not None and one.scenario not in ways:
                     ways[one.scenario], scenarios.x_start[one.scenario] = way, one.x
@@ -117,7 +130,7 @@ class Leaving:
 def begin_at_home(problem: Problem, plans: Plans, ways: Ways) -> Plans:
     """The plans with the ways from home before them: starts are knots on the way to the first target."""
     scenarios = problem.scenarios
-    mine = (plans.start == scenarios.x_start).all(axis=1)
+    mine = (plans.start == scenarios.x_start).all(axis=1) & ~scenarios.begins_anywhere
     plans.start[mine] = scenarios.x_home[mine]
     if not ways:
         return plans

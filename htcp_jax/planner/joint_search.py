@@ -71,6 +71,7 @@ def join(
     a: Float[np.ndarray, "n N"],
     b: Float[np.ndarray, "n N"],
     settings: Settings,
+    soonest: bool = False,
 ) -> list[Float[np.ndarray, "_ N"] | None]:
     """For each pair of postures the knots strictly between them, such that every straight joint path from a over the
     knots to b is proven clear; none where the straight joint path is. None where an end is not clear, or where nothing
@@ -79,11 +80,18 @@ def join(
     scenario: each pair's, by its row in `scenarios` (stacked, numpy). pair: its number within the scenario, 0 or more;
     random numbers are drawn by it. a, b: within the joint limits [rad or m]. tip: the tool's bare tip keeps out of the
     walls, too, as far as samples tell.
+    soonest: of each scenario's pairs only that one is wanted for which least has to be asked, the first of equals; the
+    others are given up.
     """
     found: list[np.ndarray | None] = [None] * len(a)
     waiting, most, limits = iter(range(len(a))), max(1, kernels.lanes // IN_FLIGHT), kernels.limits
     going: dict[int, Joining] = {}
     told: dict[int, np.ndarray] = {}
+    asks, best = [0] * len(a), {}
+
+    def wanted(k: int) -> bool:
+        return not soonest or (asks[k], k) < best.get(scenario[k], (np.inf, k))
+
     while True:
         for k in islice(waiting, most - len(going)):
             rng = np.random.default_rng([settings.seed, int(scenarios.number[scenario[k]]), int(pair[k])])
@@ -94,8 +102,13 @@ def join(
         for k, search in going.items():
             try:
                 asked[k] = search.send(told.get(k))
+                asks[k] += 1
             except StopIteration as end:
-                found[k] = end.value
+                if end.value is not None and wanted(k):
+                    if soonest and scenario[k] in best:
+                        found[best[scenario[k]][1]] = None
+                    found[k], best[scenario[k]] = end.value, (asks[k], k)
+        asked = {k: paths for k, paths in asked.items() if wanted(k)}
         going = {k: going[k] for k in asked}
         told = _told(kernels, tip, scenarios, scenario, asked) if asked else {}
 

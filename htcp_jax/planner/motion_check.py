@@ -21,7 +21,7 @@ from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.tip_check import TipCheck, tip_checks
 from htcp_jax.scene.scenario import Scenario
-from htcp_jax.scene.task import Task
+from htcp_jax.scene.task import TCP_POSITION, Task
 from htcp_jax.status import Way
 
 KEPT = 0.5  # of what is clear, that the clearance on record is at least
@@ -42,33 +42,32 @@ def tubes(
     scenarios: Scenario, task: Task, radius_m: float, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray
 ) -> Tube:
     """Where the TCP has to be on the way to targets; anywhere before the path, and where the task does not hold it at a
-    place. turns: see `Segments`."""
+    place; and what else the task asks for, on the path. turns: see `Segments`."""
     free = (target <= scenarios.on_path[scenario]) | (not task.holds_tcp)
-    cones = _cones(scenarios, task, scenario, target, turns) if task.cones else None
+    rows = _rows(scenarios, task, scenario, target, turns)
     if free.all():
-        return Tube(np.zeros((len(target), 3)), np.zeros((len(target), 3)), np.full(len(target), np.inf), cones)
+        return Tube(np.zeros((len(target), 3)), np.zeros((len(target), 3)), np.full(len(target), np.inf), *rows)
     a, b = (task.tcp_place(scenarios.aims[scenario, row]) for row in (np.maximum(target - 1, 0), target))
     a = np.where((np.linalg.norm(b - a, axis=1) < ONE_POINT_M)[:, None], b, a)
-    return Tube(a, np.where(turns[:, None], a, b), np.where(free, np.inf, radius_m), cones)
+    return Tube(a, np.where(turns[:, None], a, b), np.where(free, np.inf, radius_m), *rows)
 
 
-def _cones(
+def _rows(
     scenarios: Scenario, task: Task, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray
-) -> Float[np.ndarray, "n C 2 4"]:
-    """The cones that the task's axes are in on the way to targets: those of the target before and of this one; all of
-    space before the path."""
+) -> tuple[Float[np.ndarray, "n 2 G"], Bool[np.ndarray, "n"]] | tuple[()]:
+    """What the task asks for at the target before and at this one, and whether it does so on the way: not before the
+    path. Nothing of the paper's task, which the tube alone holds."""
+    if task.parts == TCP_POSITION.parts:
+        return ()
     before = np.maximum(target - 1, 0)
     goals = np.stack([scenarios.aims[scenario, row] for row in (before, np.where(turns, before, target))], axis=1)
-    found = np.stack([goals[:, :, start : start + 4] for start in task.cones], axis=1)
-    limit = np.minimum(found[..., 3] + task.tolerance_rad, np.pi)
-    off = (target <= scenarios.on_path[scenario])[:, None, None]
-    found[..., 3] = np.where(off | (limit >= np.pi), -2.0, np.cos(limit))
-    return found
+    return goals, target > scenarios.on_path[scenario]
 
 
 def judge_motions(problem: Problem, plans: Plans) -> None:
     """Fill in `way` and `way_clearance`, of every scenario up to where its motion ends."""
-    elsewhere = plans.tracked[:, 0] & np.any(plans.start != problem.scenarios.x_home, axis=1)
+    scenarios = problem.scenarios
+    elsewhere = plans.tracked[:, 0] & np.any(plans.start != scenarios.x_home, axis=1) & ~scenarios.begins_anywhere
     plans.way[elsewhere, 0] = Way.ELSEWHERE
     going = np.flatnonzero(plans.tracked[:, 0] & ~elsewhere)
     for first in range(0, plans.status.shape[1], ROWS_AT_ONCE):

@@ -47,7 +47,8 @@ class Problem:
     def kernels(self) -> list[Kernels]:
         """What runs kernels in this scene, one for each device."""
         scene = Scene(self.robot, self.obstacles, self.task)
-        return [Kernels(scene, self.settings, device) for device in self.devices]
+        spare = max(1, self.threads // max(1, len(self.to_plan)))  # threads that no scenario of its own keeps busy
+        return [Kernels(scene, self.settings, device, threads=spare) for device in self.devices]
 
     @cached_property
     def tip_guard(self) -> TipGuard | None:

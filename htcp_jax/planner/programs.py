@@ -51,16 +51,30 @@ class Programs:
 PROGRAMS = Programs()  # of this process
 
 
+FEW = 4  # lanes, which are not worth sharing out
+
+
 class Kernels:
     """Runs kernels on one scene and one device. Compiles on first use, once for any number of scenarios, and knows the
-    seconds that took."""
+    seconds that took.
+
+    threads: among which a call's lanes are shared out, on a CPU; each is computed by itself, so none comes out
+    otherwise.
+    """
 
     def __init__(
-        self, scene: Scene, settings: Settings, device: jax.Device | None = None, programs: Programs = PROGRAMS
+        self,
+        scene: Scene,
+        settings: Settings,
+        device: jax.Device | None = None,
+        programs: Programs = PROGRAMS,
+        threads: int = 1,
     ):
         self.device = device or jax.local_devices()[0]
         self._scene, self._settings = jax.device_put(scene, self.device), settings
         self._programs, self._own = programs, {}
+        self._pool = ThreadPoolExecutor(threads) if threads > 1 and self.pays_by_lane else None
+        self._threads = threads if self._pool else 1
         self.compile_s = 0.0
 
     @property
@@ -96,11 +110,10 @@ class Kernels:
     def __call__(self, kernel: Kernel, *tables) -> Any:
         """Run a kernel over tables of n >= 1 lanes; numpy tables of n lanes come back."""
         lanes = len(jax.tree.leaves(tables)[0])
-        most = kernel.load.on(self.device).capacity
-        parts = [
-            self._run(kernel, jax.tree.map(lambda t, s=start: t[s : s + most], tables))
-            for start in range(0, lanes, most)
-        ]
+        most = min(kernel.load.on(self.device).capacity, max(FEW, -(-lanes // self._threads)))
+        shares = [jax.tree.map(lambda t, s=start: t[s : s + most], tables) for start in range(0, lanes, most)]
+        mapped = self._pool.map if self._pool and len(shares) > 1 else map
+        parts = list(mapped(lambda share: self._run(kernel, share), shares))
         return parts[0] if len(parts) == 1 else jax.tree.map(lambda *p: np.concatenate(p), *parts)
 
     def prepare(self, calls: Sequence[tuple]) -> None:

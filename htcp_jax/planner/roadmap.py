@@ -191,20 +191,22 @@ class Growing:
         scenarios = self._problem.scenarios
         start = Node(scenarios.x_start[s], np.nan, np.nan, np.full(3, np.nan), -1)
         count, on_path = int(scenarios.count[s]), int(scenarios.on_path[s])
-        can_walk = self._kernels.freedom > 0
-        return Search(s, count, on_path, self._problem.settings, can_walk, [start], [start])
+        can_walk, roots = self._kernels.freedom > 0, [start]
+        if scenarios.begins_anywhere[s]:
+            roots = other_postures(self._problem, self._kernels, self._tip, s, 0) or roots
+        return Search(s, count, on_path, self._problem.settings, can_walk, roots, roots)
 
     def _elsewhere(self, search: Search) -> Search | None:
         """Where the start's own part is exhausted: a search from other postures, at the path's first point where
         nothing comes to the path, else at the first target, if it may be."""
         s, settings, searches = search.scenario, self._problem.settings, len(search.chain)
-        first = search.chain[-1]
-        off_path = 0 <= first.target < search.on_path
-        may = off_path or settings.transfers or self._problem.scenarios.auto_start[s]
+        first, anywhere = search.chain[-1], bool(self._problem.scenarios.begins_anywhere[s])
+        off_path = 0 <= first.target < search.on_path and not anywhere
+        may = off_path or settings.transfers or (self._problem.scenarios.auto_start[s] and not anywhere)
         if search.status is None or not may or searches > MOST_TRANSFERS:
             return None
         target = search.on_path if off_path else 0
-        others = other_postures(self._problem, self._kernels, self._tip, s, searches - 1, target)
+        others = other_postures(self._problem, self._kernels, self._tip, s, searches - 1 + anywhere, target)
         if not others:
             return None
         more = Search(s, search.targets, search.on_path, settings, search.can_walk, others, others)
@@ -216,7 +218,7 @@ class Growing:
         the transfer to it."""
         for each in sorted(search.chain[::-1], key=lambda one: -one.target):
             leaves = best_first(each.front)
-            if each.earlier is None:
+            if each.earlier is None or self._problem.scenarios.begins_anywhere[each.scenario]:
                 return each, leaves[0], None
             start = each.row_0.x if each.approached else self._problem.scenarios.x_start[each.scenario]
             if (found := joined(self._problem, self._kernels, self._tip, each.scenario, start, leaves)) is not None:
@@ -315,6 +317,8 @@ class Growing:
             if node.target >= 0:
                 self._write(s, node.target, node)
                 later = node
+        if self._problem.scenarios.begins_anywhere[s]:
+            plans.start[s], plans.joint_step[s, 0] = plans.x[s, 0], 0.0
         if transfer is not None:
             ways.append((s, self._joined(search, leaf.root), transfer))
         if search.status is not None:

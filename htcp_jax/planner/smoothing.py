@@ -46,6 +46,7 @@ class Path:
     on_way: Bool[np.ndarray, "P"]  # whether it is on the way, and not there
     on_path: int  # see `Scenario`
     radius: Float[np.ndarray, "P"]  # of the trust region; 0 for a posture that stays
+    begins_anywhere: bool  # whether the start is wherever the first target's posture is
     seen: Linearisation | None = None  # at the postures, and half way to each: (P, 2, ...)
     slow: int = field(default=0)  # rounds in a row that gained next to nothing
     rounds: int = 0
@@ -63,7 +64,8 @@ class Path:
         if len(ways) < plans.tracked[s].sum():
             radius[-1] = 0.0
         radius[(target == 0) & on_way & _is_given_start(problem, s, x[1:])] = 0.0
-        return cls(s, x, target, on_way, int(problem.scenarios.on_path[s]), radius)
+        anywhere = bool(problem.scenarios.begins_anywhere[s])
+        return cls(s, x, target, on_way, int(problem.scenarios.on_path[s]), radius, anywhere)
 
     @property
     def held(self) -> Bool[np.ndarray, "P"]:
@@ -180,6 +182,7 @@ class Smoothing:
         return solve_path_qp(
             PathQP(
                 path.x, self._weights, path.held, A, G[:, 0], left[:, 0], G[:, 1], left[:, 1], lower, upper,
+                path.begins_anywhere,
             )
         )  # fmt: skip
 
@@ -227,7 +230,10 @@ class Smoothing:
         off = np.concatenate([path.held & y.any(axis=1) for path, y in steps])
         if off.any():
             x[off] = self._kernels(SETTLE, gather(self._inputs(paths), off), x[off])
-        return [np.concatenate([path.x[:1], own]) for path, own in zip(paths, _split(x, paths), strict=True)]
+        return [
+            np.concatenate([own[:1] if path.begins_anywhere else path.x[:1], own])
+            for path, own in zip(paths, _split(x, paths), strict=True)
+        ]
 
     def _measured(self, paths: list[Path], x: list[np.ndarray]) -> tuple[list[Linearisation], list[np.ndarray]]:
         """At the postures and half way to them; and which of the postures count."""
@@ -267,6 +273,8 @@ def _written(problem: Problem, plans: Plans, paths: list[Path]) -> Plans:
     s = np.concatenate([np.full((~path.on_way).sum(), path.scenario) for path in paths] or [np.zeros(0, int)])
     if not len(s):
         return plans
+    for path in paths:
+        plans.start[path.scenario] = path.x[0]
     t, x = (
         np.concatenate(column)
         for column in zip(*((p.target[~p.on_way], p.x[1:][~p.on_way]) for p in paths), strict=True)

@@ -6,9 +6,10 @@ another posture there by any joint path that is proven clear.
 """
 
 import numpy as np
+from jaxtyping import Float
 
 from htcp_jax.planner.front import Node, dispersed
-from htcp_jax.planner.joint_search import join
+from htcp_jax.planner.joint_search import Limits, join
 from htcp_jax.planner.kernels import ADVANCE, SETTLE
 from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.problem import Problem
@@ -27,17 +28,32 @@ def other_postures(
     every round; how the arm gets there is not asked. Of turns that are the same posture, those next to home."""
     scenarios, settings = problem.scenarios, problem.settings
     rng = np.random.default_rng([settings.seed, int(scenarios.number[s]), STREAM + round_])
-    lower, upper = kernels.limits
     inputs = lane_inputs(scenarios, np.full(DRAWS, s), np.full(DRAWS, target))
-    drawn = rng.uniform(lower, upper, (DRAWS, len(lower)))
-    turns = np.where(problem.robot.slides, 0.0, np.rint((drawn - scenarios.x_home[s]) / (2 * np.pi)))
-    turned = drawn - 2 * np.pi * turns
-    x = kernels(SETTLE, inputs, np.where((turned >= lower) & (turned <= upper), turned, drawn))
+    about = scenarios.x_start[s] if scenarios.begins_anywhere[s] else scenarios.x_home[s]
+    x = kernels(SETTLE, inputs, _drawn(problem.robot.slides, kernels.limits, about, rng))
+    x = _unwound(x, kernels.limits, about)
     here = kernels(ADVANCE, inputs, x, np.zeros_like(x))
     good = problem.task.counts(here.clearance, here.residual, scenarios.margin_m[s])
     good = out_of_walls(tip, inputs, x, good)
     nodes = [Node(x[k], here.clearance[k], here.residual[k], here.tcp[k], target) for k in np.flatnonzero(good)]
     return dispersed(nodes, settings.front, settings.front_apart_rad)
+
+
+def _drawn(
+    slides: tuple[bool, ...], limits: Limits, about: Float[np.ndarray, "N"], rng: np.random.Generator
+) -> Float[np.ndarray, "DRAWS N"]:
+    """Postures within the limits; where a joint turns on and on, within half a turn of that of `about`."""
+    lower, upper = limits
+    ends = np.where(np.isfinite(lower), lower, about - np.pi), np.where(np.isfinite(upper), upper, about + np.pi)
+    drawn = rng.uniform(*ends, (DRAWS, len(lower)))
+    turned = drawn - 2 * np.pi * np.where(slides, 0.0, np.rint((drawn - about) / (2 * np.pi)))
+    return np.where((turned >= lower) & (turned <= upper), turned, drawn)
+
+
+def _unwound(x: Float[np.ndarray, "n N"], limits: Limits, about: Float[np.ndarray, "N"]) -> Float[np.ndarray, "n N"]:
+    """The same postures, joints that turn on and on within half a turn of those of `about`."""
+    endless = np.isinf(limits[0]) & np.isinf(limits[1])
+    return np.where(endless, x - 2 * np.pi * np.rint((x - about) / (2 * np.pi)), x) if endless.any() else x
 
 
 def joined(

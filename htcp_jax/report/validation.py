@@ -31,6 +31,14 @@ ON_THE_WAY = (
     Column("speed_joint", "of"),
     Column("in_place_max_rad", "in place", "max rad", ".2f"),
 )
+ROWS = (
+    Column("method", "method"),
+    Column("row", "row of the task"),
+    Column("off", "off", "at most", ".4g"),
+    Column("most", "allowed", "", ".4g"),
+    Column("unit", "", ""),
+    Column("at", "scenario:", "target"),
+)
 BETWEEN = ("clearance_between_min_at",)
 
 
@@ -80,10 +88,12 @@ def summary(found: dict[str, Any]) -> str:
     return f"{outcome} of {checked:,} tracked targets{between}."
 
 
-def validation_tables(found: dict[str, Any]) -> tuple[Table, Table]:
-    """Method by method, at the targets and on the way between them."""
+def validation_tables(found: dict[str, Any]) -> tuple[Table, ...]:
+    """Method by method, at the targets and on the way between them; then the rows of a task."""
     rows = [{"method": method, **check} for method, check in found["methods"].items()]
-    return _table("validation", AT_TARGETS, rows), _table("validation-paths", ON_THE_WAY, rows)
+    tables = _table("validation", AT_TARGETS, rows), _table("validation-paths", ON_THE_WAY, rows)
+    held = [{"method": check["method"], **row} for check in rows for row in check.get("rows", ())]
+    return (*tables, _table("validation-rows", ROWS, held)) if held else tables
 
 
 def _table(name: str, columns: tuple[Column, ...], rows: list[dict]) -> Table:

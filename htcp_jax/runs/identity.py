@@ -2,18 +2,14 @@
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.safe_xml import files_of
 from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.jobs.config_file import named_files
-from htcp_jax.scene.cell import files_of_cell
 
 NO_IDENTITY = "method", "ray"  # of a configuration: a run has methods of its own, and may be planned anywhere
-PARTS = {"robot.model": files_of, "cell.model": files_of_cell}  # the files of which one named so is made
 NO_CELL = PlanConfig().cell.model_dump(mode="json")  # runs of before know no cell
 
 
@@ -24,27 +20,6 @@ def file_hash(file: str | Path) -> str:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"cannot read {file}: {error.strerror}") from None
-
-
-def anchor_files(config: dict) -> list[tuple[str, str]]:
-    """Make the names of files in a configuration absolute, which is in its plain form; returns the dotted keys that
-    name them, and them."""
-    named = []
-    for dotted, owner, key in named_files(config):
-        owner[key] = str(Path(owner[key]).resolve())
-        named.append((dotted, owner[key]))
-    return named
-
-
-def file_hashes(named: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """SHA-256 by name of files that are named under some keys of a configuration, and of those that they name
-    themselves: what models include, and the meshes of a cell's. Raises InputError."""
-    found = {}
-    for key, name in named:
-        found[name] = file_hash(name)
-        if (parts := PARTS.get(key)) is not None:
-            found |= {str(part): file_hash(part) for part in sorted(parts(Path(name)) - {Path(name).resolve()})}
-    return found
 
 
 def refuse_changed(files: Mapping[str, str], folder: Path) -> None:

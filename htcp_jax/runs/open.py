@@ -72,7 +72,7 @@ class FolderPlan:
         self.jobs, self.parameters, self.labels = [self.config], {0: parameters.of_job(self.config)}, {0: ""}
         self.files = {TRAJECTORY: file_hash(folder / TRAJECTORY)}
         # A plan of before `Plans.start` was written starts where its configuration says; nobody looked at its ways.
-        start, joints = np.array(self.config.begins_rad, float), len(self.config.begins_rad)
+        start, joints = np.array(self.config.begins_rad, float), record.arrays["x"].shape[-1]
         unknown = {name: np.full(record.arrays["status"].shape, EMPTY[name]) for name in ("way", "way_clearance")}
         arrays = {"start": start} | unknown | record.arrays
         _check_shapes(folder / TRAJECTORY, arrays, joints)

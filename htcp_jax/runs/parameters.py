@@ -21,7 +21,7 @@ TOOL = "tool_extension_m"
 class Parameters(NamedTuple):
     """Where the motion begins, pose of the workpiece and length of the tool of one scenario."""
 
-    start: Float[np.ndarray, "N"]  # [rad or m]
+    start: Float[np.ndarray, "N"]  # [rad or m]; empty in a configuration that leaves it to the planner
     rotation_x_rad: float  # of the workpiece about its pivot, first about world x, then y, then z
     rotation_y_rad: float
     rotation_z_rad: float

@@ -17,7 +17,7 @@ class Reachable(NamedTuple):
 
     prefix: np.ndarray  # (S,) targets in a row that are known to be reachable, of scenario 0, 1, ...
     most: np.ndarray | None  # (S,) that are not proven unreachable; None in a file that does not know
-    resolution_rad: float | None  # of the search; None where configurations were drawn instead, as once
+    resolution_rad: float | None  # of the search; None where postures were tried that are spread all over, or drawn
     draws: int | None  # how many
     seed: int
 
@@ -43,4 +43,5 @@ def _read(record: dict) -> Reachable:
     prefix, seed = np.asarray(record["prefix"], int), int(record["seed"])
     if "draws" in record:
         return Reachable(prefix, None, None, int(record["draws"]), seed)
-    return Reachable(prefix, np.asarray(record["most"], int), float(record["resolution_rad"]), None, seed)
+    resolution_rad = None if record["resolution_rad"] is None else float(record["resolution_rad"])
+    return Reachable(prefix, np.asarray(record["most"], int), resolution_rad, None, seed)

@@ -28,7 +28,8 @@ from htcp_jax.planner.batch import Progress as ShardProgress
 from htcp_jax.planner.devices import choose
 from htcp_jax.planner.plans import Plans
 from htcp_jax.runs import writer
-from htcp_jax.runs.identity import anchor_files, config_hash, file_hashes, identity
+from htcp_jax.runs.identity import config_hash, identity
+from htcp_jax.runs.input_files import anchor_files, file_hashes
 from htcp_jax.runs.local import Shard, plan_here
 from htcp_jax.runs.lock import SignalCame, locked, signals
 from htcp_jax.runs.manifest import Manifest, Span, spans

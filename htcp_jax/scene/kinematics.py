@@ -163,7 +163,7 @@ def _link_frames(robot: Robot, x: Joints) -> _Frames:
     fixed = _Frames(robot.T_parent_joint[:, :3, :3], robot.T_parent_joint[:, :3, 3])
     slides = np.array(robot.slides)
     turn, slide = jnp.where(slides, 0.0, x), jnp.where(slides, x, 0.0)
-    steps = _Frames(product(fixed.rotation, _turned(robot.axis, turn)), _to_world(fixed, slide[:, None] * robot.axis))
+    steps = _Frames(product(fixed.rotation, turned(robot.axis, turn)), _to_world(fixed, slide[:, None] * robot.axis))
     links = [_row(steps, 0)]
     for i in range(1, len(robot.slides)):
         rotation, origin = _row(steps, i)
@@ -189,8 +189,8 @@ def _velocities(robot: Robot, links: _Frames, points: Float[Array, "P 3"]) -> Fl
     return jnp.where(np.array(robot.slides)[None, :, None], axes[None], turning)
 
 
-def _turned(axis: Float[Array, "N 3"], turn: Joints) -> Float[Array, "N 3 3"]:
-    """Rotations about unit axes by Rodrigues: I + sin(turn) K + (1 - cos(turn)) K^2, where K v = axis x v."""
+def turned(axis: Float[Array, "n 3"], turn: Float[Array, "n"]) -> Float[Array, "n 3 3"]:
+    """Rotations about unit axes by angles [rad]: I + sin(turn) K + (1 - cos(turn)) K^2, where K v = axis x v."""
     x, y, z = axis.T
     o = jnp.zeros_like(x)
     K = jnp.stack([o, -z, y, z, o, -x, -y, x, o], axis=1).reshape(-1, 3, 3)

@@ -28,8 +28,8 @@ class OutOfReach(InputError):
 class Scenario:
     """What differs between the members of a batch. Stacked, every leaf has a leading axis S."""
 
-    x_start: Float[Anywhere, "*S N"]  # [rad or m]; home, until it is chosen, where `auto_start` says so
-    x_home: Float[Anywhere, "*S N"]  # where the motion begins; the start, where there is no other home [rad or m]
+    x_start: Float[Anywhere, "*S N"]  # [rad or m]; home or any, until it is chosen, where `auto_start` says so
+    x_home: Float[Anywhere, "*S N"]  # where the motion begins [rad or m]; NaN: at the start, which is to be chosen
     auto_start: Bool[Anywhere, "*S"]  # whether the planner chooses the start, at the path's first point
     T_world_workpiece: Float[Anywhere, "*S 4 4"]  # [m]
     interior_plane: Float[Anywhere, "*S 4"]  # normal, and offset [m], see `interior_plane_of`
@@ -41,6 +41,11 @@ class Scenario:
     number: Int[Anywhere, "*S"]  # identity: the random keys are folded from it
     refused: Int[Anywhere, "*S"]  # NOT_REFUSED, or the Status for which nothing is planned
     goals: Float[Anywhere, "*S T G"] | None = None  # of the task, see `task_rows` [m]; None: the targets
+
+    @property
+    def begins_anywhere(self) -> Bool[Anywhere, "*S"]:
+        """Whether the motion begins at the start, and that is still to be chosen."""
+        return np.asarray(np.isnan(self.x_home).any(axis=-1))
 
     @property
     def aims(self) -> Float[Anywhere, "*S T G"]:
@@ -84,17 +89,15 @@ def make_scenario(
     """One scenario of the scene's rules.
 
     start: N joint positions [rad or m]; None: the planner is to choose them, at the path's first point, which is the
-    first target then, without an approach. home: those in which the motion begins; None: the start's. rotation:
+    first target then, without an approach. home: those in which the motion begins; None: the start. rotation:
     workpiece about world y, then z [rad], after rotation_x_rad about world x; shift: of the workpiece, world [m];
     margin_m: least clearance with which a target counts; tool_extension_m: see `robot.lengthen_tool`; number: identity
     for the random keys. beyond_reach: what to do about a target beyond the arm's reach; "record" makes a scenario that
     is planned as a failure, with that reason. follows: where the point that is to follow the path is at the start,
     world [m]; None: the TCP.
-    Raises InputError for a start or home of the wrong length or outside the joint limits, for neither of them, and
-    OutOfReach, which is one.
+    Raises InputError for a start or home of the wrong length or outside the joint limits, and OutOfReach, which is one.
     """
-    x_home = _posture(robot, start if home is None else home, "start" if home is None else "home")
-    x_start = x_home if start is None else _posture(robot, start, "start")
+    x_start, x_home = _begins(robot, start, home)
     longer = lengthen_tool(robot, tool_extension_m)
     T_world_workpiece = workpiece.T_world(*rotation, shift=shift, wx=rotation_x_rad)
     rotate, translate = T_world_workpiece[:3, :3], T_world_workpiece[:3, 3]
@@ -176,10 +179,17 @@ def stack(scenarios: Sequence[Scenario]) -> Scenario:
 _TCP = jax.jit(tcp_position)
 
 
-def _posture(robot: Robot, positions: Sequence[float] | Anywhere | None, what: str) -> Float[np.ndarray, "N"]:
+def _begins(robot: Robot, start: Sequence[float] | Anywhere | None, home: Sequence[float] | Anywhere | None):
+    """x_start and x_home of a scenario."""
+    if start is None and home is None:
+        anywhere = np.clip(np.zeros(len(robot.joint_names)), robot.lower, robot.upper)
+        return anywhere, np.full_like(anywhere, np.nan)
+    x_home = _posture(robot, start if home is None else home, "start" if home is None else "home")
+    return x_home if start is None else _posture(robot, start, "start"), x_home
+
+
+def _posture(robot: Robot, positions: Sequence[float] | Anywhere, what: str) -> Float[np.ndarray, "N"]:
     """Joint positions that the robot can take. Raises InputError that calls them `what`."""
-    if positions is None:
-        raise InputError("the start is to be chosen, so a home must be given: where the motion begins")
     x, lower, upper = np.asarray(positions, float), np.asarray(robot.lower), np.asarray(robot.upper)
     if x.shape != lower.shape:
         raise InputError(f"{what} has {x.size} joint positions, the robot {robot.name} has {lower.size} joints")

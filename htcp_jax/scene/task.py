@@ -26,7 +26,7 @@ from htcp_jax.scene.kinematics import (
     tcp_position,
 )
 from htcp_jax.scene.robot import Robot
-from htcp_jax.scene.task_rows import XYZ, AxisTowards, Feature, Row, TaskPoint
+from htcp_jax.scene.task_rows import XYZ, Feature, Row, TaskPoint
 from htcp_jax.types import Anywhere, Array, Float, Joints, Scalar
 
 Numbers = Anywhere | np.generic | float | bool
@@ -87,22 +87,11 @@ class Task:
 
     def tcp_place(self, goal: Float[Anywhere, "*S G"]) -> Float[Anywhere, "*S 3"]:
         """Where a goal holds the TCP, of a task that does, in the world [m]."""
-        start = self._starts[self.parts.index(TaskPoint())]
+        start = self.starts[self.parts.index(TaskPoint())]
         return goal[..., start : start + 3]
 
     @property
-    def cones(self) -> tuple[int, ...]:
-        """Where in a goal the cones about directions stand; their numbers are a direction and a half angle [rad]."""
-        return tuple(start for start, part in zip(self._starts, self.parts, strict=True) if _is_cone(part))
-
-    def cone_axes(self, robot: Robot, x: Joints) -> tuple[Float[Array, "C 3"], Float[Array, "C 3 N"]]:
-        """The axes that are held in these cones, without a unit, and their Jacobians [1/rad]."""
-        axes = [part.features[0] for part in self.parts if _is_cone(part)]
-        values, slopes = ([of(robot, x, axis) for axis in axes] for of in (_stands, _moves))
-        return jnp.stack(values), jnp.stack(slopes)
-
-    @property
-    def _starts(self) -> tuple[int, ...]:
+    def starts(self) -> tuple[int, ...]:
         """Where in a goal the numbers of each part begin."""
         return tuple(np.cumsum([0, *(part.numbers for part in self.parts[:-1])]).tolist())
 
@@ -119,7 +108,7 @@ class Task:
 
     def value(self, robot: Robot, x: Joints) -> Float[Array, "V"]:
         """The features of the arm: points [m], and directions without a unit."""
-        return _joined([_held(feature, _stands(robot, x, feature)) for feature in self._features])
+        return _joined([_held(feature, feature_at(robot, x, feature)) for feature in self._features])
 
     def jacobian(self, robot: Robot, x: Joints) -> Float[Array, "V N"]:
         """d value / dx [m/rad or m/m, of directions 1/rad]; the paper's Jac(x)."""
@@ -165,7 +154,7 @@ class Task:
         """How far the last link has to turn from a rotation at the least, before every row holds [rad]; of the rows
         that look at nothing but how it is turned. Turned by an angle, none of its axes turns by more."""
         found = [jnp.zeros(())]
-        for start, part in zip(self._starts, self.parts, strict=True):
+        for start, part in zip(self.starts, self.parts, strict=True):
             if all(_turns_with_last(robot, feature) for feature in part.features):
                 axes = [product(rotation, _fixed(robot, feature)[0]) for feature in part.features]
                 value, own = jnp.concatenate(axes), goal[start : start + part.numbers]
@@ -207,11 +196,8 @@ class Task:
 TCP_POSITION = Task()  # the paper's
 
 
-def _is_cone(part: Row) -> bool:
-    return isinstance(part, AxisTowards) and part.cone and part.looks_from_m is None
-
-
-def _stands(robot: Robot, x: Joints, feature: Feature) -> Float[Array, "3"]:
+def feature_at(robot: Robot, x: Joints, feature: Feature) -> Float[Array, "3"]:
+    """Where a point is in the world [m], or how a direction is turned there, of length 1; of all three coordinates."""
     if _is_tcp(feature):
         return tcp_position(robot, x)
     vector, links = _fixed(robot, feature)
@@ -222,7 +208,7 @@ def _moves(robot: Robot, x: Joints, feature: Feature) -> Float[Array, "3 N"]:
     if _is_tcp(feature):
         return jacobian(robot, x)
     of = direction_jacobians if feature.is_direction else point_jacobians
-    return of(robot, x, _stands(robot, x, feature)[None], _fixed(robot, feature)[1])[0]
+    return of(robot, x, feature_at(robot, x, feature)[None], _fixed(robot, feature)[1])[0]
 
 
 def _is_tcp(feature: Feature) -> bool:

@@ -21,6 +21,7 @@ from htcp_jax.scene.duct import INTERIOR_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
 from htcp_jax.scene.path_frames import PathFrames, tangents, wall_normals
 
 Triple = tuple[float, float, float]
+NO_CLOUD = "none"  # in place of a cloud: there is a path, and no wall
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +44,9 @@ class Workpiece:
     Computed once: the cloud's convex hull is where hull_normal @ x <= hull_offset (unit outward normals);
     hull_vertices are the vertices of the exact hull (the whole cloud with interior "none").
 
-    Raises InputError for wrong shapes and counts, NaN, fewer than 4 points, no path, and a flat cloud with "hull".
+    A cloud of no points is none: there is a path alone.
+
+    Raises InputError for wrong shapes and counts, NaN, 1 to 3 points, no path, and a flat cloud with "hull".
     """
 
     name: str
@@ -65,7 +68,7 @@ class Workpiece:
     hull_vertices: Float[np.ndarray, "V 3"] = field(init=False)
 
     def __post_init__(self):
-        cloud = points(self.cloud, f"cloud of {self.name}", 4)
+        cloud = points(self.cloud, f"cloud of {self.name}", 4) if len(self.cloud) else np.empty((0, 3))
         path = points(self.path, f"path of {self.name}", 1)
         inlet = None if self.inlet is None else triple(self.inlet, "inlet")
         for name in ("interior_depth_m", "hull_tolerance_m", "covering_radius_m", "tip_contact_m"):
@@ -109,12 +112,21 @@ class Workpiece:
     @cached_property
     def normals(self) -> Float[np.ndarray, "T 3"]:
         """The path's normals, unit, from the wall into the free space: those known, else those of the cloud."""
-        return wall_normals(self.cloud, self.path) if self.frames.normals is None else self.frames.normals
+        if self.frames.normals is not None:
+            return self.frames.normals
+        if not len(self.cloud):
+            raise InputError(f"{self.name}: without a cloud, normals stand in the path's file: columns nx,ny,nz")
+        return wall_normals(self.cloud, self.path)
 
     @cached_property
     def tangents(self) -> Float[np.ndarray, "T 3"]:
         """The way that the path goes, unit: as known, else by central differences."""
         return tangents(self.path) if self.frames.tangents is None else self.frames.tangents
+
+    @property
+    def shown(self) -> Float[np.ndarray, "P 3"]:
+        """What a picture of it is of [m]: its cloud, or without one its path."""
+        return self.cloud if len(self.cloud) else self.path
 
     @cached_property
     def largest_gap_m(self) -> float:
@@ -124,6 +136,8 @@ class Workpiece:
     @property
     def walls(self) -> str:
         """What clearance is measured to, in words."""
+        if not len(self.cloud):
+            return NO_CLOUD
         if len(self.triangles):
             reach = f"{len(self.triangles):,} triangles within {1e3 * self.covering_radius_m:.3g} mm of"
             return f"{reach} {len(self.cloud):,} points, subtracted"
@@ -138,7 +152,7 @@ class Workpiece:
         return "off: no inlet" if self.inlet is None else "off"
 
     def _repr_html_(self) -> str:
-        low, high = self.cloud.min(axis=0), self.cloud.max(axis=0)
+        low, high = self.shown.min(axis=0), self.shown.max(axis=0)
         length = np.linalg.norm(np.diff(self.path, axis=0), axis=1).sum()
         facts = {
             "walls": self.walls,
@@ -155,7 +169,7 @@ class Workpiece:
         rotate, translate = T_world_workpiece[:3, :3], T_world_workpiece[:3, 3]
         n = np.array([1.0, 0.0, 0.0]) if self.inlet_direction is None else rotate @ self.inlet_direction
         along = self.hull_vertices @ (rotate.T @ n) + translate @ n
-        return np.append(n, along.min() + self.interior_depth_m)
+        return np.append(n, along.min(initial=np.inf) + self.interior_depth_m)
 
 
 def _direction(value: object, hull: Hull, inlet: np.ndarray | None) -> Float[np.ndarray, "3"] | None:
@@ -175,8 +189,8 @@ def _numbers(values: Float[np.ndarray, "3"]) -> str:
 
 
 def _hull(cloud: Float[np.ndarray, "P 3"], interior: str, tolerance_m: float, name: str) -> Hull:
-    if interior == "hull":
+    if interior == "hull" and len(cloud):
         return convex_hull(cloud, tolerance_m, f"cloud of {name}")
-    if interior == "none":
+    if interior in ("hull", "none"):
         return Hull(np.empty((0, 3)), np.empty(0), cloud)
     raise InputError(f"interior is {interior!r}; valid are hull, none")

@@ -19,13 +19,16 @@ from htcp_jax.scene.path_frames import PathFrames
 from htcp_jax.scene.point_cloud import TEXT, Geometry, load_geometry
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.units import check_extent, check_path
-from htcp_jax.scene.workpiece import Triple, Workpiece
+from htcp_jax.scene.workpiece import NO_CLOUD, Triple, Workpiece
 from htcp_jax.types import Anywhere
 
 MOST_POINTS = 10_000_000  # of the generated duct
 # Where the duct's wall bulges outwards nearly every point is a vertex of the hull: 22,914 facets.
 # At this tolerance they are 944, and the corners that they leave lie at most 0.42 mm outside the exact hull.
 DUCT_HULL_TOLERANCE_M = 5e-4
+
+
+NOTHING = Geometry(np.empty((0, 3)), np.empty((0, 3, 3)))
 
 
 def load_workpiece(
@@ -50,6 +53,7 @@ def load_workpiece(
 ) -> Workpiece:
     """A workpiece from files or arrays; without a cloud the generated duct, without both the duct and its weld.
 
+    cloud: "none" is none: there is a path alone.
     cloud, path: files, see `load_cloud` and `read_path`, or points (P, 3), (T, 3) [m]; the path of the generated duct
         may also be one of `duct_seams.SEAMS`.
     inlet: "auto" is the duct's inlet for the duct and None for another cloud.
@@ -63,8 +67,8 @@ def load_workpiece(
     frames: the path's normals, tangents and orientations; None: those that its file has.
     Raises InputError for what is wrong with a file or a figure, and for a cloud without a path.
     """
-    generated = cloud is None
-    name = name or ("duct" if generated else Path(_named(cloud)).stem)
+    generated, no_cloud = cloud is None, _is_file(cloud) and str(cloud) == NO_CLOUD
+    name = name or ("duct" if generated else Path(_named(path if no_cloud else cloud)).stem)
     if generated:
         track = _on_the_duct(path)
         surface, triangles = _generated(points, seed, spacing), np.empty((0, 3, 3))
@@ -75,12 +79,12 @@ def load_workpiece(
     else:
         read, triangles = _geometry(cloud)
         track, surface = read_path(path), Cover(read, 0.0)
-        if robot is not None:
+        if robot is not None and not no_cloud:
             check_extent(robot, read, track, name)
         if len(triangles):
             surface = cover(triangles, str(cloud), spacing, thinnest_m)
             _check_thinnest(surface, str(cloud), thinnest_m)
-    if robot is not None:
+    if robot is not None and not no_cloud:
         check_path(surface.points, track, name)
     if inlet == "auto":
         inlet = duct.INLET if generated else None
@@ -123,7 +127,7 @@ def _on_the_duct(path: str | Path | Anywhere | None) -> Float[np.ndarray, "T 3"]
 
 def _geometry(cloud: str | Path | Anywhere) -> Geometry:
     if _is_file(cloud):
-        return load_geometry(cloud)
+        return NOTHING if str(cloud) == NO_CLOUD else load_geometry(cloud)
     return Geometry(arrays.points(cloud, "cloud", 4), np.empty((0, 3, 3)))
 
 

@@ -33,6 +33,7 @@ class PathQP(NamedTuple):
     c: Float[np.ndarray, "P R"]  # [m]
     lower: Float[np.ndarray, "P N"]
     upper: Float[np.ndarray, "P N"]
+    begins_anywhere: bool = False  # whether the way to the first posture costs nothing
 
 
 def path_cost(x: Float[np.ndarray, "P1 N"], weights: Float[np.ndarray, "N"]) -> float:
@@ -44,9 +45,9 @@ def path_cost(x: Float[np.ndarray, "P1 N"], weights: Float[np.ndarray, "N"]) -> 
 def solve_path_qp(qp: PathQP) -> Float[np.ndarray, "P N"]:
     """The steps y of its postures [rad or m]; zeros where the solver breaks down."""
     count, joints = qp.lower.shape
-    differences = _differences(count)
+    differences = _differences(count)[1:] if qp.begins_anywhere else _differences(count)
     cost = 2 * sparse.kron(differences.T @ differences, sparse.diags(qp.weights))
-    pull = 2 * differences.T @ (np.diff(qp.x, axis=0) * qp.weights)
+    pull = 2 * differences.T @ (np.diff(qp.x[qp.begins_anywhere :], axis=0) * qp.weights)
     rows, bounds, equal = _constraints(qp)
     cones = [clarabel.ZeroConeT(equal), clarabel.NonnegativeConeT(len(bounds) - equal)]
     options = clarabel.DefaultSettings()

@@ -119,7 +119,7 @@ class CheckedScene:
         self.beside = beside or (lambda x, postures: np.full(len(x), np.inf))
         self.arm, self.wall, self.rotate, self.translate = arm, wall, rotate, translate
         self.along = np.array([1.0, 0.0, 0.0]) if wall.direction is None else rotate @ wall.direction
-        self.interior_from = ((wall.corners @ rotate.T + translate) @ self.along).min() + interior_depth_m
+        self.interior_from = ((wall.corners @ rotate.T + translate) @ self.along).min(initial=np.inf) + interior_depth_m
         if wall.direction is not None and (arm.base @ self.along > self.interior_from).any():
             self.interior_from = np.inf
 
@@ -192,6 +192,8 @@ class CheckedScene:
         """Columns (row, capsule, point), sorted: all that can be a row's nearest, if its clearance is `upper` or less;
         see the module."""
         radius = self.arm.radius
+        if not len(self.wall.middle):
+            return np.empty((3, 0), int)
         while len(pieces.row):
             reach = self._reach(pieces, upper)
             centres = self._local(_centres(postures, pieces))

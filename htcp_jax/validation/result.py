@@ -14,6 +14,16 @@ class Refuted(NamedTuple):
     reason: str
 
 
+class RowHeld(NamedTuple):
+    """How a row of the task is held at the path's tracked targets, by all scenarios together."""
+
+    row: str  # task.2, and what it is of
+    off: float  # where that is the largest share of what is allowed
+    most: float  # what is allowed there
+    unit: str  # of both: mm or degrees
+    at: Place
+
+
 class MethodCheck(NamedTuple):
     """What was found for one method; None where there was nothing to measure."""
 
@@ -37,6 +47,7 @@ class MethodCheck(NamedTuple):
     speed_at: Place | None
     in_place_max_rad: float | None  # largest joint change between targets closer than the tolerance, for which the
     # feed rate leaves no time; among them the one from the start to the first target
+    rows: tuple[RowHeld, ...]  # of the task, where the job has one
 
 
 class Validation(NamedTuple):

@@ -30,9 +30,18 @@ class RowCheck(NamedTuple):
         """In words, why the row does not hold at the k-th of the points; None where it does."""
         if self.off[k] <= self.most + ROUNDING_M:
             return None
-        factor, unit = (1e3, "mm") if self.row.point else (1.0, "degrees")
-        off, most = factor * self.off[k], factor * self.most
-        return f"task.{number} ({self.row}) is {off:.5g} {unit} off, {most:.4g} are allowed"
+        off, most = self.factor * self.off[k], self.factor * self.most
+        return f"task.{number} ({self.row}) is {off:.5g} {self.unit} off, {most:.4g} are allowed"
+
+    @property
+    def unit(self) -> str:
+        """In which people are told."""
+        return "mm" if self.row.point else "degrees"
+
+    @property
+    def factor(self) -> float:
+        """To that unit."""
+        return 1e3 if self.row.point else 1.0
 
 
 class Place(NamedTuple):
@@ -62,16 +71,25 @@ def check_rows(
     return [_check(row, arm, x, place, tolerance_m, float(np.rad2deg(tolerance_rad))) for row in rows or (HELD,)]
 
 
-def in_cones(
-    rows: Sequence[TaskRow], arm: Arm, x: Float[np.ndarray, "n N"], places: Sequence[Place], tolerance_rad: float
-) -> Bool[np.ndarray, "n"]:
-    """Whether every axis that is held about a direction is in its cone at one of the places, within the tolerance, at
-    configurations x between them."""
-    good = np.ones(len(x), bool)
-    for row in rows:
-        if row.axis is not None and row.looks_at_m is None and row.limit_deg is not None:
-            off = np.minimum(*(_off_axis(row, arm, x, place) for place in places))
-            good &= off <= np.deg2rad(row.limit_deg) + tolerance_rad + ROUNDING_M
+def hold_between(
+    rows: Sequence[TaskRow],
+    arm: Arm,
+    x: Float[np.ndarray, "n N"],
+    before: Place,
+    here: Place,
+    tolerance_m: float,
+    tolerance_rad: float,
+) -> Bool[np.ndarray, "R n"]:
+    """Whether every row holds at configurations x on the way from one point of the path to the next: what is asked for
+    there is between what is asked for at both. A TCP that is held at a place counts as held; `track` looks at it."""
+    good = np.ones((len(rows), len(x)), bool)
+    for own, row in zip(good, rows, strict=True):
+        if row.point is not None and not _is_tcp_at_place(row):
+            point, most = _point(row, arm, x), (row.within_m or 0.0) + tolerance_m + ROUNDING_M
+            off = [_off_place(row, point, place) for place in (before, here)]
+            own[:] = ((np.minimum(*off) <= most) & (np.maximum(*off) >= -most)).all(axis=1)
+        elif row.point is None:
+            own[:] = _turned_between(row, arm, x, (before, here), tolerance_rad + ROUNDING_M)
     return good
 
 
@@ -114,10 +132,7 @@ def _off_place(row: TaskRow, point: np.ndarray, place: Place) -> Float[np.ndarra
     if row.on == "line":
         along = place.world(row, row.direction) / np.linalg.norm(row.direction)
         off = point - place.world(row, row.through_m, True)
-        beside = off - (off @ along)[:, None] * along
-        if row.within_m is None:
-            return beside
-        return beside @ np.linalg.svd(along[None])[2][1:].T
+        return off @ np.linalg.svd(along[None])[2][1:].T
     if row.on == "path":
         off = point - (place.workpiece.path[place.point] @ place.rotate.T + place.translate)
     else:
@@ -135,25 +150,66 @@ def _off_place(row: TaskRow, point: np.ndarray, place: Place) -> Float[np.ndarra
 
 def _off_axis(row: TaskRow, arm: Arm, x: np.ndarray, place: Place) -> Float[np.ndarray, "n"]:
     """The angle between an axis and what it is turned to [rad]."""
+    return _angle(_axis(row, arm, x), _turned_to(row, arm, x, place))
+
+
+def _axis(row: TaskRow, arm: Arm, x: np.ndarray) -> Float[np.ndarray, "n 3"]:
     name, _, letter = row.axis.lstrip("-").rpartition(".")
-    origin, rotation = arm.frames(x, name)
-    axis = (-1.0 if row.axis.startswith("-") else 1.0) * rotation[:, :, "xyz".index(letter)]
+    _, rotation = arm.frames(x, name)
+    return (-1.0 if row.axis.startswith("-") else 1.0) * rotation[:, :, "xyz".index(letter)]
+
+
+def _turned_to(row: TaskRow, arm: Arm, x: np.ndarray, place: Place) -> Float[np.ndarray, "n 3"]:
+    """The direction that an axis is turned in, of any length."""
     if row.looks_at_m is not None:
-        to = place.world(row, row.looks_at_m, True) - origin
-    elif isinstance(row.towards, str):
+        origin, _ = arm.frames(x, row.axis.lstrip("-").rpartition(".")[0])
+        return place.world(row, row.looks_at_m, True) - origin
+    if isinstance(row.towards, str):
         own = place.workpiece.normals if row.towards.endswith("normal") else place.workpiece.tangents
-        to = (-1.0 if row.towards.startswith("-") else 1.0) * own[place.point] @ place.rotate.T
-    else:
-        to = np.broadcast_to(place.world(row, row.towards), axis.shape)
-    return np.arctan2(np.linalg.norm(np.cross(axis, to), axis=1), (axis * to).sum(axis=1))
+        return (-1.0 if row.towards.startswith("-") else 1.0) * own[place.point] @ place.rotate.T
+    return np.broadcast_to(place.world(row, row.towards), (len(x), 3))
+
+
+def _angle(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+    return np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1))
 
 
 def _off_turn(row: TaskRow, arm: Arm, x: np.ndarray, place: Place) -> Float[np.ndarray, "n"]:
     """The angle of the rotation between a frame and what it is to be [rad]."""
     _, rotation = arm.frames(x, row.of)
+    return _turn(rotation, _orientation(row, len(x), place))
+
+
+def _orientation(row: TaskRow, count: int, place: Place) -> Float[np.ndarray, "n 3 3"]:
+    """What a frame is to be."""
     if row.orientation == "path":
-        wanted = place.rotate @ place.workpiece.frames.rotations[place.point]
+        return place.rotate @ place.workpiece.frames.rotations[place.point]
+    own = Rotation.from_quat(row.orientation, scalar_first=True).as_matrix()
+    return np.tile(place.rotate @ own if row.frame == "workpiece" else own, (count, 1, 1))
+
+
+def _turn(a: Float[np.ndarray, "n 3 3"], b: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n"]:
+    return Rotation.from_matrix(b @ np.swapaxes(a, 1, 2)).magnitude() if len(a) else np.zeros(0)
+
+
+def _turned_between(
+    row: TaskRow, arm: Arm, x: np.ndarray, places: tuple[Place, Place], tolerance_rad: float
+) -> Bool[np.ndarray, "n"]:
+    """Whether an axis or a frame is turned as at either end of a way, or as half way between them, where the limit is
+    at least half of the turn; a place that is looked at is the same all along."""
+    limit = np.deg2rad(row.limit_deg or 0.0)
+    if row.axis is None:
+        (_, now), off = arm.frames(x, row.of), _turn
+        a, b = (_orientation(row, len(x), place) for place in places)
+        both = Rotation.from_matrix(b @ np.swapaxes(a, 1, 2)).as_rotvec() if len(x) else np.zeros((0, 3))
+        middle = Rotation.from_rotvec(0.5 * both).as_matrix() @ a
     else:
-        own = Rotation.from_quat(row.orientation, scalar_first=True).as_matrix()
-        wanted = np.tile(place.rotate @ own if row.frame == "workpiece" else own, (len(x), 1, 1))
-    return Rotation.from_matrix(wanted @ np.swapaxes(rotation, 1, 2)).magnitude() if len(x) else np.zeros(0)
+        now, off = _axis(row, arm, x), _angle
+        a, b = (_turned_to(row, arm, x, place) for place in places)
+        middle = a / np.linalg.norm(a, axis=1)[:, None] + b / np.linalg.norm(b, axis=1)[:, None]
+    good = (off(now, a) <= limit + tolerance_rad) | (off(now, b) <= limit + tolerance_rad)
+    return good | (off(now, middle) <= np.maximum(limit, 0.5 * off(a, b)) + tolerance_rad)
+
+
+def _is_tcp_at_place(row: TaskRow) -> bool:
+    return replace(row, on=HELD.on, frame=HELD.frame) == HELD and row.on not in ("plane", "line")

@@ -13,7 +13,7 @@ from htcp_jax.validation.mujoco_clearance import AtTargets, CheckedScene, Wall
 from htcp_jax.validation.result import RECORD_M, ROUNDING_M, STEP_RAD, Refuted
 from htcp_jax.validation.scene_rules import Results, Track, targets_of, turned_and_moved
 from htcp_jax.validation.task_check import Place as RowPlace
-from htcp_jax.validation.task_check import check_rows, follower, follows_all, holds_tcp, in_cones
+from htcp_jax.validation.task_check import RowCheck, check_rows, follower, follows_all, hold_between, holds_tcp
 
 
 class JointPaths(NamedTuple):
@@ -47,6 +47,8 @@ class Checked(NamedTuple):
     deviation: Float[np.ndarray, "m"] | None
     speed: Float[np.ndarray, "m N"]  # ratio to the limit at a feed rate of 1 m/s; 0 where the targets coincide
     in_place: Float[np.ndarray, "m"]  # largest joint change where the targets coincide [rad or m]
+    on_path: Int[np.ndarray, "k"]  # those of the targets that are on the path
+    rows: list[RowCheck]  # of the task at these; none where the job has no task
 
 
 def check(results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: Track, between: int) -> Checked:
@@ -80,8 +82,10 @@ def check(results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: 
     between_rows = _walk(scene, at, paths, between, on_path)
     refuted = _refuted(arm, track, t, tolerance, ROUNDING_M if bound else RECORD_M, {**found, "through": through})
     refuted += _refuted_ways(track, paths, between_rows)
-    refuted += _refuted_rows(results, arm, track, scene, t[t >= on_path], on_path)
-    refuted += _refuted_cones(results, arm, track, scene, paths, between, on_path)
+    on = t[t >= on_path]
+    rows_held = _rows(results, arm, track, scene, on, on_path)
+    refuted += _refuted_rows(track, rows_held, on)
+    refuted += _refuted_between(results, arm, track, scene, paths, between, on_path)
     return Checked(
         method=track.method,
         scenario=track.scenario,
@@ -94,6 +98,8 @@ def check(results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: 
         **between_rows,
         speed=speed,
         in_place=in_place,
+        on_path=on,
+        rows=rows_held,
     )
 
 
@@ -104,7 +110,7 @@ def _scene(
     part, pose, workpiece = track.config.workpiece, of_job(track.config), results.workpiece(track.config)
     rotate, translate = turned_and_moved(part, pose)
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
-    start = pose.start if track.config.start is None else np.array(track.config.start)
+    start = track.start if track.config.start is None else np.array(track.config.start)
     path = workpiece.path @ rotate.T + translate
     targets = targets_of(track.config, follower(track.config.task, arm, start[None])[0], inlet, path)
     if len(targets) != len(track.target):
@@ -129,27 +135,27 @@ def _refuted(
     return [Refuted(track.method, track.scenario, k, "; ".join(reasons[k])) for k in sorted(reasons) if reasons[k]]
 
 
-def _refuted_rows(
-    results: Results, arm: Arm, track: Track, scene: CheckedScene, t: np.ndarray, on_path: int
-) -> list[Refuted]:
-    """Targets t of the path at which a row of the task does not hold."""
+def _rows(results: Results, arm: Arm, track: Track, scene: CheckedScene, t: np.ndarray, on_path: int) -> list[RowCheck]:
+    """The rows of the task at targets t of the path. Without a task the one row is looked at as every plan's."""
     task, settings = track.config.task, track.config.settings
-    if not task:
-        return []  # its one row is looked at as every plan's
     place = RowPlace(scene.rotate, scene.translate, results.workpiece(track.config), t - on_path)
-    checks = check_rows(task, arm, track.x[t], place, settings.tolerance_m, settings.tolerance_rad)
+    return check_rows(task, arm, track.x[t], place, settings.tolerance_m, settings.tolerance_rad) if task else []
+
+
+def _refuted_rows(track: Track, rows: list[RowCheck], t: np.ndarray) -> list[Refuted]:
+    """Targets t at which a row of the task does not hold."""
     found = []
     for k, target in enumerate(t.tolist()):
-        reasons = [reason for number, one in enumerate(checks, 1) if (reason := one.reason(number, k)) is not None]
+        reasons = [reason for number, one in enumerate(rows, 1) if (reason := one.reason(number, k)) is not None]
         if reasons:
             found.append(Refuted(track.method, track.scenario, target, "; ".join(reasons)))
     return found
 
 
-def _refuted_cones(
+def _refuted_between(
     results: Results, arm: Arm, track: Track, scene: CheckedScene, paths: JointPaths, between: int, on_path: int
 ) -> list[Refuted]:
-    """Ways along the path that are on record as proven, and on which an axis leaves its cone."""
+    """Ways along the path that are on record as proven, and on which a row of the task does not hold."""
     task, own = track.config.task, np.flatnonzero(track.proven[paths.target] & (paths.target > on_path))
     if not task or between < 2 or not len(own):
         return []
@@ -158,10 +164,14 @@ def _refuted_cones(
     x = paths.a[path] + np.tile(share, len(own))[:, None] * (paths.b[path] - paths.a[path])
     part = results.workpiece(track.config)
     places = [RowPlace(scene.rotate, scene.translate, part, paths.target[path] - on_path - k) for k in (1, 0)]
-    good = in_cones(task, arm, x, places, track.config.settings.tolerance_rad)
-    reason = "the way there is on record as proven, and an axis leaves its cone"
-    targets = np.unique(paths.target[path[~good]]).tolist()
-    return [Refuted(track.method, track.scenario, target, reason) for target in targets]
+    settings = track.config.settings
+    good = hold_between(task, arm, x, *places, settings.tolerance_m, settings.tolerance_rad)
+    found = []
+    for target in np.unique(paths.target[path[~good.all(axis=0)]]).tolist():
+        number = int(np.argmin(good[:, paths.target[path] == target].all(axis=1)))
+        reason = f"the way there is on record as proven, and task.{number + 1} ({task[number]}) does not hold on it"
+        found.append(Refuted(track.method, track.scenario, target, reason))
+    return found
 
 
 def _off(difference: np.ndarray) -> np.ndarray:

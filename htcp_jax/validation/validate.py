@@ -31,7 +31,7 @@ from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_cell import Beside
 from htcp_jax.validation.mujoco_clearance import Wall, wall_of
 from htcp_jax.validation.records import read_results
-from htcp_jax.validation.result import MethodCheck, Place, Validation
+from htcp_jax.validation.result import MethodCheck, Place, RowHeld, Validation
 from htcp_jax.validation.scene_rules import Results, Track
 from htcp_jax.validation.track import Checked, check
 
@@ -86,7 +86,10 @@ def record(found: Validation) -> dict[str, Any]:
         **found._asdict(),
         "refuted_count": len(found.refuted),
         "refuted": refuted,
-        "methods": {name: check._asdict() for name, check in found.methods.items()},
+        "methods": {
+            name: check._asdict() | {"rows": [row._asdict() for row in check.rows]}
+            for name, check in found.methods.items()
+        },
         "versions": versions,
     }
 
@@ -206,7 +209,22 @@ def _sum_up(checked: Sequence[Checked], joints: Sequence[str], feed_mm_s: float)
         speed_joint=None if path is None else joints[joint],
         speed_at=None if path is None else paths[path],
         in_place_max_rad=float(all_of("in_place").max()) if paths else None,
+        rows=_rows(checked),
     )
+
+
+def _rows(checked: Sequence[Checked]) -> tuple[RowHeld, ...]:
+    """Every row of the task where it is off by the largest share of what is allowed."""
+    found = [[_held(one, number) for number in range(len(one.rows))] for one in checked if len(one.on_path)]
+    return tuple(max(rows, key=lambda row: row.off / row.most) for rows in zip(*found, strict=True))
+
+
+def _held(one: Checked, number: int) -> RowHeld:
+    """A row of one track."""
+    row = one.rows[number]
+    k = int(np.argmax(row.off))
+    at = one.scenario, int(one.on_path[k])
+    return RowHeld(f"task.{number + 1}: {row.row}", row.factor * float(row.off[k]), row.factor * row.most, row.unit, at)
 
 
 def _worst(which: Callable, values: np.ndarray, places: Sequence[Place]) -> tuple[float | None, Place | None]:

@@ -60,7 +60,7 @@ def draw_plan(
     figure.suptitle(title, color=INK, fontsize=16, fontweight="bold", x=0.015, ha="left")
     grid = figure.add_gridspec(2, 2, height_ratios=(1.4, 1), width_ratios=(1.12, 1))
     T = np.asarray(scenario.T_world_workpiece)
-    cloud = workpiece.cloud @ T[:3, :3].T + T[:3, 3]
+    cloud = workpiece.shown @ T[:3, :3].T + T[:3, 3]
     x_start = np.asarray(scenario.x_start)[None]
     view = _draw_scene(figure, grid, robot, cloud, plans, row, x_start, obstruction, fixtures)
     motion = summarise_motion(plans, int(scenario.on_path), row)

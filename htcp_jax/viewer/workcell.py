@@ -55,7 +55,7 @@ class Workcell:
     @cached_property
     def surface(self) -> Surface:
         """The workpiece as it is drawn."""
-        return surface_of(self.workpiece.cloud)
+        return surface_of(self.workpiece.shown)
 
 
 class RecordedCells:

@@ -1,0 +1,153 @@
+"""What is proven of a task's rows between targets is so at a thousand places by MuJoCo; what is broken is broken."""
+
+from functools import cache, partial
+
+import jax
+import jax.numpy as jnp
+import made_once
+import numpy as np
+import pytest
+
+from htcp_jax.clearance.motion_proof import Tube, Verdict, prove
+from htcp_jax.clearance.row_proof import between, rows_hold
+from htcp_jax.clearance.scene import Scene
+from htcp_jax.scene.goals import task_of, with_goals
+from htcp_jax.scene.kinematics import link_poses, tcp_pose
+from htcp_jax.scene.path_frames import PathFrames
+from htcp_jax.scene.robot import GP50
+from htcp_jax.scene.scenario import make_scenario
+from htcp_jax.scene.task import Task
+from htcp_jax.scene.task_list import TaskRow
+from htcp_jax.scene.workpiece import Workpiece
+from htcp_jax.validation.mujoco_arm import Arm
+from htcp_jax.validation.task_check import Place, hold_between
+
+WAYS, PLACES, INTERVALS = 32, 1000, 128
+TOLERANCE_M, TOLERANCE_RAD = 1e-3, 2e-3
+NOWHERE = jnp.zeros(3)
+
+
+@cache
+def postures() -> np.ndarray:
+    """(WAYS + 1, 6): steps of all lengths, there and back, about the start."""
+    way = np.zeros((WAYS + 1, 6))
+    way[1::2] = np.random.default_rng(0).normal(size=(WAYS // 2, 6)) * np.geomspace(2e-4, 0.1, WAYS // 2)[:, None]
+    return np.array(made_once.START) + way
+
+
+@cache
+def ways() -> tuple[np.ndarray, np.ndarray]:
+    """(WAYS, 6) twice: from one posture to the next, but for a little that is anything between none and a lot."""
+    rng = np.random.default_rng(1)
+    beside = rng.normal(size=(2, WAYS, 6)) * rng.permutation(np.geomspace(1e-5, 0.05, WAYS))[:, None]
+    return postures()[:-1] + beside[0], postures()[1:] + beside[1]
+
+
+class Posed(Arm):
+    """An arm that is asked for the same frames again and again."""
+
+    def frames(self, x, name):
+        known = self.__dict__.setdefault("known", {})
+        key = name, x.tobytes()
+        if key not in known:
+            known[key] = super().frames(x, name)
+        return known[key]
+
+
+def tool() -> np.ndarray:
+    return np.asarray(jax.vmap(partial(tcp_pose, made_once.robot()))(jnp.asarray(postures())))
+
+
+@cache
+def rows() -> tuple[TaskRow, ...]:
+    """One of each kind, which hold at the postures, or nearly so."""
+    T, fourth = tool()[0], np.asarray(link_poses(made_once.robot(), jnp.asarray(made_once.START)))[3]
+    ahead, elbow = tuple(T[:3, 3] + 0.4 * T[:3, 2]), tuple(fourth[:3, 3])
+    return (
+        TaskRow(point="tcp", on="path", axes="z"),
+        TaskRow(point="tcp", on="path", axes="yz", frame="path"),
+        TaskRow(point="tcp", on="path", within_m=0.004),
+        TaskRow(point="link4", on="plane", through_m=elbow, normal=(1.0, 2.0, 0.5), within_m=0.01),
+        TaskRow(point="link4", on="line", through_m=elbow, direction=(1.0, 2.0, 0.5), offset_m=(0.0, 0.0, 0.0)),
+        TaskRow(point="link4", on=elbow),
+        TaskRow(axis="tcp.z", towards="-path.normal"),
+        TaskRow(axis="tcp.z", towards="-path.normal", cone_deg=2.0),
+        TaskRow(axis="link4.y", towards=tuple(fourth[:3, 1])),
+        TaskRow(axis="tcp.z", looks_at_m=ahead, cone_deg=4.0),
+        TaskRow(axis="tcp.z", looks_at_m=ahead),
+        TaskRow(orientation="path"),
+        TaskRow(orientation="path", within_deg=3.0),
+    )
+
+
+@cache
+def held():
+    """The task, its goals at the postures, and the part whose path the tool follows with them."""
+    T, parts = tool(), [task_of([row], made_once.robot()).parts[0] for row in rows()]
+    frames = PathFrames(-T[:, :3, 2], T[:, :3, 0], T[:, :3, :3])
+    here = {"pivot": np.zeros(3), "neutral_translation": np.zeros(3)}
+    part = Workpiece("path", made_once.duct().cloud[::1000], T[:, :3, 3], interior="none", frames=frames, **here)
+    scenario = make_scenario(made_once.robot(), part, made_once.START, rotation=(0.0, 0.0))
+    task = Task(tuple(parts), TOLERANCE_M, TOLERANCE_RAD)
+    return task, with_goals(scenario, rows(), task, made_once.robot(), part).goals[int(scenario.on_path) :], part
+
+
+@cache
+def bounded():
+    """(WAYS, rows): which rows surely hold on every interval of a way; (WAYS, INTERVALS, rows): which are broken at
+    their middles."""
+    task, goals, _ = held()
+    half = jnp.asarray(0.5 / INTERVALS)
+
+    def on(goals, a, b, place):
+        return rows_hold(made_once.robot(), task.parts, between(task, goals), a + place * (b - a), b - a, half)
+
+    pairs = jnp.asarray(np.stack([goals[:-1], goals[1:]], axis=1))
+    places = jnp.linspace(half, 1.0 - half, INTERVALS)
+    each = jax.jit(jax.vmap(jax.vmap(on, in_axes=(None, None, None, 0)), in_axes=(0, 0, 0, None)))
+    inside, broken = each(pairs, *map(jnp.asarray, ways()), places)
+    return np.asarray(inside).all(axis=1), np.asarray(broken)
+
+
+@cache
+def arm() -> Posed:
+    return Posed(GP50, limits="simulation")
+
+
+def by_mujoco(way: int, share: np.ndarray) -> np.ndarray:
+    """(rows, n): which rows hold at these places of a way."""
+    _, _, part = held()
+    a, b = (end[way] for end in ways())
+    points = [np.full(len(share), t) for t in (way, way + 1)]
+    places = [Place(np.eye(3), np.zeros(3), part, point) for point in points]
+    x = a + share[:, None] * (b - a)
+    return hold_between(rows(), arm(), x, *places, TOLERANCE_M, TOLERANCE_RAD)
+
+
+def test_a_row_that_is_proven_to_hold_does_so_at_a_thousand_places_and_one_that_is_broken_does_not():
+    inside, broken = bounded()
+    middles = (np.arange(INTERVALS) + 0.5) / INTERVALS
+    for way in range(WAYS):
+        good = by_mujoco(way, np.linspace(0, 1, PLACES)).all(axis=1)
+        assert good[inside[way]].all(), [str(rows()[k]) for k in np.flatnonzero(inside[way] & ~good)]
+        assert not (by_mujoco(way, middles).T & broken[way]).any()
+    # Of every kind some ways are proven, some are not, and nearly all are decided.
+    assert ((inside.sum(axis=0) >= 3) & (broken.any(axis=1).sum(axis=0) >= 3)).all(), inside.sum(axis=0)
+    assert ((inside | broken.any(axis=1)).mean(axis=0) > 0.8).all()
+
+
+@pytest.mark.slow
+def test_the_proof_of_a_motion_heeds_them_where_they_are_asked_for():
+    """The rows alone: whatever the path the arm is clear, or the proof says that it is not."""
+    task, goals, _ = held()
+    scene, proven = Scene(*made_once.scene()[:2], task), jax.jit(prove)
+    inside, broken = bounded()
+    for way in range(0, WAYS, 3):
+        a, b = (end[way] for end in ways())
+        pair = jnp.asarray(goals[way : way + 2])
+        tubes = [Tube(NOWHERE, NOWHERE, jnp.asarray(jnp.inf), pair, jnp.asarray(held)) for held in (True, False)]
+        heeding, free = (proven(scene, made_once.nominal(), a, b, tube) for tube in tubes)
+        assert free.verdict == proven(scene, made_once.nominal(), a, b).verdict
+        if free.verdict == Verdict.PROVEN:
+            assert heeding.verdict == Verdict.PROVEN or broken[way].any() or not inside[way].all()
+            assert heeding.verdict != Verdict.PROVEN or by_mujoco(way, np.linspace(0, 1, PLACES)).all()
