@@ -483,9 +483,9 @@ TASKS = [
          path=f"x,y,z,qw,qx,qy,qz\n{POINTS[0]},0,0,0,0\n{POINTS[1]},1,0,0,0\n"),
     task("{axis: tcp.x, towards: path.tangent}", "the path has no tangent: all of its points are at one place",
          path=f"{POINTS[0]}\n{POINTS[0]}\n"),
-    task(f"{ON_PATH}, {{point: tcp, on: [1, 0, 1]}}", "task.2 (point tcp) asks for what the rows before it fix already"),
+    task(f"{ON_PATH}, {{point: tcp, on: [1, 0, 1]}}", "task.2 (point tcp) asks for what the rows before it fix"),
     task(f"{CONE}, {CONE.replace('tcp.z', '-tcp.z')}", "task.1 (axis tcp.z) and task.2 (axis -tcp.z) contradict each"),
-    task(f"{ON_PATH}, {{orientation: [1, 0, 0, 0]}}, {{point: link4, on: [1, 0, 1]}}", "the task has 9 rows, the robot"),
+    task(f"{ON_PATH}, {{orientation: [1, 0, 0, 0]}}, {{point: link4, on: [1, 0, 1]}}", "the task has 9 rows, the"),
     Wrong(["plan", "--set", "task.1.cone_deg=5"], "task.1.cone_deg: there is no row 1; there are 0"),
 ]  # fmt: skip
 PLAN = {"summary_json": '{"method": "baseline", "config": {}}', "trajectory_npz": b"PK"}
