@@ -38,6 +38,7 @@ from htcp_jax.runs.tables import frame_of, joint_columns, target_table
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import Scenario, interior_rule, with_own_tool
 from htcp_jax.scene.workpiece import Workpiece
+from htcp_jax.viewer.needles import needles
 from htcp_jax.viewer.picture import draw_plan
 
 if TYPE_CHECKING:
@@ -153,6 +154,7 @@ class Plan:
         title = f"{self.job.method}: {self.summary.tracked} of {self.summary.targets} targets"
         blocked = self.obstruction
         more = {"obstruction": blocked, "fixtures": drawn_of(self.job.cell)}
+        more["normals"] = needles(self.job.task, self.workpiece, np.asarray(self.scenario.T_world_workpiece))
         return draw_plan(self.robot, self.workpiece, self.scenario, self.plans, title=title, **more)
 
     def record(self) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from htcp_jax.planner.motion import MotionFigures
 from htcp_jax.report import paper, tables
 from htcp_jax.report.best import best
 from htcp_jax.report.cell import RunScene
-from htcp_jax.report.chapter import choice, facts, label, presets
+from htcp_jax.report.chapter import chapter, choice, facts, label, presets, tables_of
 from htcp_jax.report.document import Column, Heading, Table, html, markdown
 from htcp_jax.report.groups import read_parts
 from htcp_jax.report.motions import meaning, motions
@@ -29,6 +29,7 @@ from htcp_jax.runs.sweep import sweep
 from htcp_jax.status import Status, Way
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*a gap of")  # a cloud of eight points is no wall
+ALONG = "along-task-2-cone_deg"
 POSES = """
   - workpiece.rotation_y_rad: [0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
   - workpiece.rotation_z_rad: [-0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3]
@@ -355,6 +356,17 @@ def test_costs_are_compared_where_every_method_s_motion_leads_to_the_end(folder)
     assert (a["cost_common_rad2"], b["cost_common_rad2"]) == (pytest.approx(4.0), pytest.approx(2.0))
     assert (a["path_step_max_rad"], a["curvature_median_rad_m2"], a["curvature_max_rad_m2"]) == (0.5, 15, 20)
     assert "the 3 in which that is so with every method" in meaning(made)
+
+
+def test_success_is_drawn_along_a_parameter_of_the_task_with_what_is_reachable_beside_it(folder):
+    part = part_of(folder, "four")
+    [name, *_], reachability = part.axes, np.arange(len(part.numbers))
+    parameters = {"task.2.cone_deg": part.parameters[name], **part.parameters}
+    asked = replace(part, parameters=parameters, reachability=reachability)
+    [drawn] = [one for one in chapter(asked, tables_of(asked), "", 2) if getattr(one, "name", "") == ALONG]
+    [dashed] = [line for line in drawn.figure.axes[0].lines if line.get_linestyle() == "--"]
+    np.testing.assert_allclose(dashed.get_ydata(), part.cells(reachability.astype(float), [name]))
+    assert not [one for one in chapter(part, tables_of(part), "", 2) if getattr(one, "name", "") == ALONG]
 
 
 def test_grids_of_any_number_of_axes_are_drawn(folder):

@@ -19,6 +19,7 @@ from htcp_jax.report.validation import validation_section, verdict
 
 MOST_SLICES = 9  # maps in a row
 UNITS = "rad", "m"
+OF_TASK = "task."  # parameters that say what is asked for, along which success is told beside what is reachable
 BLOCKED = (
     "A joint step is blocked when the straight joint path from the configuration before collides on the way; not every "
     "planner checks that. Tracked before it: the targets of each scenario up to its first blocked step."
@@ -156,7 +157,8 @@ def _success(part: Part, results: Table) -> Figure:
 
 
 def _maps(part: Part, prefix: str) -> list[Block]:
-    """The scenarios over their grid: a line for one axis, maps for two, slices for three, else maps of means."""
+    """The scenarios over their grid: a line for one axis, maps for two, slices for three, else maps of means;
+    and a line for every parameter of the task."""
     counts = {method: _or_nan(plans, plans.outcomes.tracked) for method, plans in part.plans.items()}
     open_ = {method: _or_nan(plans, plans.outcomes.executable) for method, plans in part.plans.items()}
     names = list(part.axes)
@@ -175,17 +177,28 @@ def _maps(part: Part, prefix: str) -> list[Block]:
         figure = charts.success_map(*given, executable=ways(*chosen), note=note)
         return Picture(f"{prefix}map-{'-'.join(str(names.index(name) + 1) for name in chosen)}", figure, alt)
 
+    def line(name):
+        given = over(name), axes[name], part.targets
+        known = part.reachability
+        beside = {"reachability": None if known is None else part.cells(known.astype(float), [name])}
+        if len(names) == 1:
+            return Picture(f"{prefix}map", charts.success_line(*given, executable=ways(name), **beside), alt)
+        beside["title"] = f"Success over {axes[name].label}, means over the other axes"
+        figure = charts.success_line(*given, executable=ways(name), **beside)
+        return Picture(f"{prefix}along-{name.replace('.', '-')}", figure, alt)
+
     if not names:
         return ["The scenarios do not differ in any parameter."]
+    along = [line(name) for name in names if name.startswith(OF_TASK)]
     if len(names) == 1:
-        figure = charts.success_line(over(*names), axes[names[0]], part.targets, executable=ways(*names))
+        return along or [line(names[0])]
     elif len(names) == 2:
         figure = charts.success_map(over(*names), *axes.values(), part.targets, executable=ways(*names))
     elif len(names) == 3 and len(part.axes[names[0]]) <= MOST_SLICES:
         figure = charts.success_slices(over(*names), *axes.values(), part.targets, executable=ways(*names))
     else:
-        return [means(*names[:2]), *([means(*names[-2:])] if len(names) > 3 else [])]
-    return [Picture(f"{prefix}map", figure, alt)]
+        return [*along, means(*names[:2]), *([means(*names[-2:])] if len(names) > 3 else [])]
+    return [*along, Picture(f"{prefix}map", figure, alt)]
 
 
 def _ends(part: Part, table: Table, prefix: str) -> list[Block]:

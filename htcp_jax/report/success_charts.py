@@ -141,19 +141,25 @@ def success_line(
     targets: int,
     *,
     executable: Mapping[str, Float[np.ndarray, "C"]] | None = None,
+    reachability: Float[np.ndarray, "C"] | None = None,
     title: str = "Success by scenario",
     note: str = "",
 ) -> Figure:
-    """Tracked targets over the only axis of a grid, or over a list of scenarios, a line a method. executable: those
-    that a proven motion leads to; where these are fewer, they are the line, and all tracked ones are faint."""
+    """Tracked targets over an axis of a grid, or over a list of scenarios, a line a method. executable: those that a
+    proven motion leads to; where these are fewer, they are the line, and all tracked ones are faint. reachability:
+    counts [1] of targets known to be reachable, dashed."""
     shown = tracked if executable is None else executable
     lines = "" if not _cut(tracked, shown) else "Line: executable, by a proven motion from the start; faint: tracked."
-    figure = new_figure(4.2, title, " ".join(filter(None, (f"Tracked targets of {targets}.", lines, note))))
+    figure = new_figure(
+        4.2, title, " ".join(filter(None, (f"Tracked targets of {targets}.", lines, note, *_dashed(reachability))))
+    )
     axes = figure.subplots()
     words = isinstance(axis.values[0], str)
     at = range(len(axis.values)) if words else axis.values
     if words:
         axes.set_xticks(at, axis.names)
+    if reachability is not None:
+        axes.plot(at, reachability, color=INK, linewidth=1.2, linestyle=(0, (4, 2)), zorder=3)
     for method, values in shown.items():
         colour, style = line_of(method)
         if not np.array_equal(values, tracked[method], equal_nan=True):
@@ -235,5 +241,8 @@ def _share(values: Float[np.ndarray, "*n"], targets: int) -> str:
 def _success_note(paper: Mapping[str, float] | None, reachability: int | None, cut: bool) -> str:
     parts = ["Pale: behind a blocked joint step."] if cut else []
     parts += ["Diamond: the paper's figure."] if paper else []
-    parts += ["Dashed: what is known to be reachable."] if reachability is not None else []
-    return " ".join(parts)
+    return " ".join([*parts, *_dashed(reachability)])
+
+
+def _dashed(reachability: object) -> list[str]:
+    return [] if reachability is None else ["Dashed: what is known to be reachable."]

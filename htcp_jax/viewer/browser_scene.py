@@ -21,6 +21,7 @@ from htcp_jax.viewer.colours import (
     INK,
     LINKS,
     NEAREST,
+    NORMAL,
     OUTSIDE,
     TOOL,
     WALL,
@@ -179,6 +180,9 @@ class Stage:
         legs = np.stack([replay.target[:-1], replay.target[1:]], axis=1)
         if len(legs):
             self._scene.add_line_segments("/targets/way", legs, rgb(INK), thickness=1, thickness_units="screen")
+        if len(replay.normals):
+            look = {"thickness": 2, "thickness_units": "screen"}
+            self._scene.add_line_segments("/targets/normals", replay.normals, rgb(NORMAL), **look)
 
     def _add_marks(self) -> list[viser.SceneNodeHandle]:
         """A cube at every dwell and a ball where the proof is tightest, with labels; dwells side by side share one."""

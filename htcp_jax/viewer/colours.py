@@ -14,6 +14,7 @@ NEAREST, DWELL, HERE = "#b5179e", "#0b8f6a", "#f6c945"  # narrow places, changes
 WALL = "#8a7a5f", "#d9cfba", "#efe9dc"  # at the cut, and lighter the deeper
 OUTSIDE = "#a3917a"  # of the wall
 FIXTURE = "#5b7fb4"  # what else stands there
+NORMAL = "#7a4fbf"  # of the path
 
 
 class TargetStyle(NamedTuple):

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import PolyCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
@@ -30,12 +30,14 @@ from htcp_jax.viewer.colours import (
     INK,
     LINKS,
     NEAREST,
+    NORMAL,
     PAPER,
     TOOL,
     WALL,
     is_tool,
     target_styles,
 )
+from htcp_jax.viewer.needles import NO_NEEDLES, Needles
 from htcp_jax.viewer.sides import Bodies, View, flat_side
 
 DEPTH = LinearSegmentedColormap.from_list("wall", WALL)
@@ -50,10 +52,11 @@ def draw_plan(
     title: str = "",
     obstruction: Obstruction | None = None,
     fixtures: Drawn = NOTHING,
+    normals: Needles = NO_NEEDLES,
 ) -> Figure:
     """The plan of `scenario`, which is row `row` of `plans`; `robot` has the scenario's tool. obstruction: what is in
-    the way at the target that failed, drawn in red; fixtures: what else stands there. Save it with
-    `figure.savefig(path)`."""
+    the way at the target that failed, drawn in red; fixtures: what else stands there; normals: of the path, where the
+    task names them. Save it with `figure.savefig(path)`."""
     figure = Figure(figsize=(14, 9.6), dpi=120, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.1, rect=(0, 0, 0.985, 1))
@@ -65,6 +68,7 @@ def draw_plan(
     view = _draw_scene(figure, grid, robot, cloud, plans, row, x_start, obstruction, fixtures)
     motion = summarise_motion(plans, int(scenario.on_path), row)
     for axes in figure.axes:
+        axes.add_collection(LineCollection(view.flat(normals), colors=NORMAL, linewidths=0.7, zorder=4))
         _mark_dwells(axes, view.flat(plans.target[row]), motion)
     in_the_way = obstruction.description if obstruction is not None else ""
     below = figure.add_subplot(grid[1, :])

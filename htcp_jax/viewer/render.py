@@ -19,6 +19,7 @@ from htcp_jax.viewer.colours import (
     HERE,
     LINKS,
     NEAREST,
+    NORMAL,
     OUTSIDE,
     TOOL,
     WALL,
@@ -32,6 +33,7 @@ from htcp_jax.viewer.replay import Replay
 
 BEAD_M, FAILED_M, TIP_M = 0.008, 0.018, 0.007  # radii of the targets, the failed one, the tool's bare tip
 MARK_M, NOWHERE = 0.012, [0.0] * 4  # of where the body in the way meets the workpiece
+NEEDLE_M = 0.0012  # radius of a normal
 DWELL_M = 0.011  # half the side of the cube at a target where the arm changes its posture
 FLOOR, EDGE, SKY = (0.95, 0.955, 0.96), (0.85, 0.87, 0.89), (0.92, 0.935, 0.95)
 FOVY_DEG = 32.0
@@ -122,6 +124,9 @@ def _model(replay: Replay, width: int, height: int, fine: bool) -> mujoco.MjMode
         for t in np.flatnonzero(style.where).tolist():
             place = {"name": f"target {t}", "pos": replay.target[t]}
             spec.worldbody.add_geom(**place, **bead, material="bead", rgba=_rgba(style.colour), **UNTOUCHED)
+    for foot, tip in replay.normals:
+        needle = {"type": _Geom.mjGEOM_CAPSULE, "fromto": [*foot, *tip], "size": [NEEDLE_M, 0, 0]}
+        spec.worldbody.add_geom(**needle, material="bead", rgba=_rgba(NORMAL), **UNTOUCHED)
     if replay.obstruction is not None:
         ball = {"type": _Geom.mjGEOM_SPHERE, "size": [MARK_M, 0, 0], "pos": replay.obstruction.point}
         spec.worldbody.add_geom(name="in the way", **ball, material="bead", rgba=NOWHERE, **UNTOUCHED)

@@ -32,6 +32,7 @@ from htcp_jax.scene.scenario import Scenario
 from htcp_jax.scene.surface import Drawn, Surface
 from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.viewer.colours import is_tool
+from htcp_jax.viewer.needles import Needles, needles
 from htcp_jax.viewer.sides import Bodies, Side, camera_side
 from htcp_jax.viewer.workcell import GivenCell, Placement, Workcell, Workcells, cells_of
 
@@ -87,6 +88,7 @@ class Replay(NamedTuple):
     obstruction: Obstruction | None  # at the target that failed
     side: Side  # to look from
     fixtures: Drawn  # what else stands there
+    normals: Needles  # of the path, where the task names them
 
     @property
     def cloud(self) -> Float[np.ndarray, "P 3"]:
@@ -198,6 +200,7 @@ class Replays:
             obstruction=blocked,
             side=camera_side(surface.points, target[on_path:] if len(target) > on_path + 1 else target, arm),
             fixtures=cell.fixtures,
+            normals=needles(cell.config.task, cell.workpiece, placement.T_world_workpiece),
         )
 
     def label(self, number: int) -> str:

@@ -1,0 +1,21 @@
+"""The normals of a path as they are drawn: needles from its points into the free space, where a task names them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.scene.task_list import TaskRow
+from htcp_jax.scene.workpiece import Workpiece
+
+LENGTH_M = 0.04
+Needles = Float[np.ndarray, "n 2 3"]  # foot and tip, world [m]
+NO_NEEDLES = np.empty((0, 2, 3))
+
+
+def needles(task: Sequence[TaskRow], workpiece: Workpiece, T_world_workpiece: Float[np.ndarray, "4 4"]) -> Needles:
+    """One a point of the path; none where no row of the task names the normals."""
+    if not any("normals" in row.uses for row in task):
+        return NO_NEEDLES
+    both = np.stack([workpiece.path, workpiece.path + LENGTH_M * workpiece.normals], axis=1)
+    return both @ T_world_workpiece[:3, :3].T + T_world_workpiece[:3, 3]

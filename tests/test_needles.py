@@ -1,0 +1,34 @@
+"""The normals of a path are drawn where the task names them: from its points, into the free space, in every picture."""
+
+import made_once
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from htcp_jax.scene.task_list import TaskRow
+from htcp_jax.viewer.needles import LENGTH_M, needles
+
+ON_PATH = TaskRow(point="tcp", on="path")
+T = np.asarray(made_once.duct().T_world(0.4, 0.1))
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        TaskRow(axis="tcp.z", towards="-path.normal", cone_deg=30.0),
+        TaskRow(axis="tcp.z", towards="path.normal"),
+        TaskRow(point="tcp", on="path", axes="yz", frame="path"),
+    ],
+)
+def test_a_needle_stands_on_every_point_of_the_path_and_leads_away_from_the_wall(row):
+    duct = made_once.duct()
+    found = needles([ON_PATH, row], duct, T)
+    np.testing.assert_allclose(found[:, 0], duct.path @ T[:3, :3].T + T[:3, 3], atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(found[:, 1] - found[:, 0], axis=1), LENGTH_M, atol=1e-12)
+    wall = cKDTree(duct.cloud @ T[:3, :3].T + T[:3, 3])
+    assert (wall.query(found[:, 1])[0] > wall.query(found[:, 0])[0] + 0.5 * LENGTH_M).mean() > 0.9
+
+
+def test_there_are_none_where_no_row_names_the_normals():
+    rows = [ON_PATH, TaskRow(axis="tcp.x", towards="path.tangent"), TaskRow(point="link4", on=(1.0, 0.0, 1.0))]
+    assert needles(rows, made_once.duct(), T).shape == needles([], made_once.duct(), T).shape == (0, 2, 3)

@@ -1,0 +1,55 @@
+"""Tasks of one to six equalities by other arms than the GP50, in front of a plate: every row confirmed by MuJoCo."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from published import MODELS, path_of
+from scipy.spatial.transform import Rotation
+from small_cell import small_job
+
+import htcp_jax
+from htcp_jax.jobs.build import scene
+from htcp_jax.jobs.load_config import load_config
+from htcp_jax.scene.kinematics import link_poses, tcp_pose
+from htcp_jax.scene.robot_import import import_robot
+from htcp_jax.scene.robot_xml import arm_xml
+from htcp_jax.validation.validate import validate
+
+ON_PATH = {"point": "tcp", "on": "path"}
+
+
+@pytest.fixture(params=["panda", "ur10"])
+def job(request, tmp_path):
+    name = request.param
+    arm = tmp_path / "arm.xml"
+    arm.write_text(arm_xml(import_robot(path_of(name), MODELS[name].tcp), name))
+    return small_job(arm, tmp_path, MODELS[name].out)
+
+
+def tasks(job: dict) -> dict[int, list[dict]]:
+    """By the number of equalities; all hold at the start. Four: two points at once."""
+    robot, _, scenario = scene(load_config(job))
+    x = jnp.asarray(scenario.x_start)
+    T = np.asarray(tcp_pose(robot, x))
+    body = next(frame for frame in robot.frames if frame.link == 3)
+    elbow = np.asarray(link_poses(robot, x))[3] @ [*body.origin_m, 1.0]
+    ahead = T[:3, 2].tolist()
+    return {
+        1: [{**ON_PATH, "axes": "z"}],
+        2: [{**ON_PATH, "axes": "xy"}],
+        3: [ON_PATH, {"axis": "tcp.z", "towards": ahead, "cone_deg": 3}],
+        4: [ON_PATH, {"point": body.name, "on": "plane", "through_m": elbow[:3].tolist(), "normal": [1, 2, 3]}],
+        5: [ON_PATH, {"axis": "tcp.z", "towards": ahead}],
+        6: [ON_PATH, {"orientation": Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True).tolist()}],
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rows", [1, 2, 3, 4, 5, 6])
+def test_an_arm_is_given_a_task_of_any_number_of_equalities(job, rows, tmp_path):
+    task = tasks(job)[rows]
+    plan = htcp_jax.plan(job | {"task": task}, method="baseline")
+    held = plan.plans
+    assert plan.complete and held.executable.all()
+    plan.save(tmp_path / "plan")
+    assert validate(tmp_path / "plan").validated
