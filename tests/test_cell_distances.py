@@ -90,7 +90,7 @@ def compare(kind: str, folder, count: int) -> None:
     ours = np.asarray(seen(kind, folder, p, q).distance) - radius
     theirs = by_mujoco(cell_of(kind, folder), p, q, radius)
     inside = ours < -radius - 1e-9  # the axis itself is, partly
-    assert inside.sum() > 0.01 * count and (~inside).sum() > 0.2 * count
+    assert inside.sum() > 0.005 * count and (~inside).sum() > 0.2 * count
     if kind == "box":  # where an axis crosses a box, MuJoCo's routine for the two says anything; of a mesh it does not
         theirs[inside] = by_mujoco(cell_of("box as mesh", folder), p, q, radius)[inside]
     np.testing.assert_allclose(ours, theirs, atol=SHAPES[kind][1])

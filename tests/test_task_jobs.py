@@ -147,8 +147,8 @@ def test_a_plan_with_a_cone_is_validated_and_with_a_narrower_one_on_record_refut
 def test_a_scenario_with_a_cone_is_the_same_alone_and_among_others_with_other_cones():
     sweep = load_sweep({"grid": [{"task.2.cone_deg": [70, 45, 30]}]}, {"task": [ON_PATH, CONE], "settings": NO_WAYS})
     batch = sweep.batch()
-    [(robot, part, settings, task)] = batch.cells
-    how = {"settings": settings, "task": task, "check_paths": False}
+    [(robot, part, settings, task, obstacles)] = batch.cells
+    how = {"settings": settings, "task": task, "obstacles": obstacles, "check_paths": False}
     together = plan(robot, part, batch.scenarios, "nspace-sqp", threads=2, **how)
     assert len(set(together.tracked.sum(axis=1).tolist())) > 1
     for k in range(3):
