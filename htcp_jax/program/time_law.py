@@ -1,0 +1,116 @@
+"""The law of time of one stretch: at the feed, or as fast as it can be, within velocity, acceleration and jerk.
+
+Over the length s a joint has velocity q' s', acceleration q'' s'^2 + q' s'' and jerk q''' s'^3 + 3 q'' s' s'' + q' s'''.
+At constant speed each limit is a cap on it in closed form,
+
+    s' <= v / |q'|,    s' <= (a / |q''|)^(1/2),    s' <= (j / |q'''|)^(1/3),
+
+and what q'' s'^2 leaves of a may be spent on s''. A cap holds for as long as the law's moving mean sees it. What the
+mean or the mixed terms still exceed is found on the timed curve, and capped lower there; what remains after some rounds
+is made up for by more time for the whole stretch, so that no limit is exceeded at the places looked at.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.program.curve import Derivatives
+from htcp_jax.program.limits import Limits
+from htcp_jax.program.path import Path
+from htcp_jax.program.speed import Speed, fastest
+
+CURVED = 0.9  # the share of a limit that a corner may take of it at constant speed
+ROUNDS = 12
+LOOKED_AT_S = 0.002  # how far instants are apart
+SPARE = 0.995  # of the limits, for what lies between them
+
+
+class Caps(NamedTuple):
+    """On a path's grid."""
+
+    speed: Float[np.ndarray, "m"]
+    push: Float[np.ndarray, "m"]  # the law's own acceleration, either way
+    limit: Float[np.ndarray, "m"]  # which one caps the speed: 0 the feed; 1, 2, 3 + 3 j: v, a, j of joint j
+
+
+class Law(NamedTuple):
+    """One stretch, timed."""
+
+    path: Path
+    speed: Speed
+    caps: Caps
+
+    def at(self, time: Float[np.ndarray, "n"]) -> tuple[Float[np.ndarray, "n"], Derivatives]:
+        """Places, and joints with their derivatives by time [rad or m, and s], at times from 0 to its duration."""
+        place, v, a, j = self.speed.at(time)
+        v, a, j = v[:, None], a[:, None], j[:, None]
+        x, first, second, third = self.path.at(place)
+        return place, Derivatives(
+            x, first * v, second * v * v + first * a, third * v**3 + 3 * second * v * a + first * j
+        )
+
+
+def law_of(path: Path, limits: Limits, feed: float = np.inf) -> Law:
+    """The law of a stretch. feed: the speed that it should have, and not exceed; for one that does not feed 1 is the
+    speed of its fastest joint."""
+    limits = Limits(*(SPARE * part for part in limits))
+    window = float(np.max(limits.acceleration / limits.jerk))
+    caps = _caps(path, limits, feed)
+    caps = caps._replace(speed=_held(path, caps.speed, window))
+    speed, push = caps.speed.copy(), caps.push.copy()
+    for _ in range(ROUNDS):
+        law = Law(path, fastest(path.place, speed, push, window), caps)
+        time = np.linspace(0, law.speed.duration_s, 2 + int(law.speed.duration_s / LOOKED_AT_S))
+        place, found = law.at(time)
+        over, _ = limits.stretch(*found[1:])
+        if over.max() <= 1.0:
+            return law
+        _slow_down(path.place, law.speed, time, place, over, speed, push)
+    return law._replace(speed=law.speed._replace(slower=float(over.max())))
+
+
+def _caps(path: Path, limits: Limits, feed: float) -> Caps:
+    """In closed form, at every place of the grid."""
+    _, first, second, third = (np.maximum(np.abs(part), 1e-300) for part in path.at(path.place))
+    by_joint = np.stack(
+        [
+            limits.velocity / first,
+            np.sqrt(CURVED * limits.acceleration / second),
+            np.cbrt(CURVED * limits.jerk / third),
+        ]
+    )
+    flat = by_joint.transpose(1, 2, 0).reshape(len(first), -1)
+    limit = flat.argmin(axis=1)
+    least = flat[np.arange(len(flat)), limit]
+    speed = np.minimum(least, feed)
+    push = ((limits.acceleration - second * speed[:, None] ** 2) / first).min(axis=1)
+    return Caps(speed, push, np.where(least < feed, 1 + limit, 0))
+
+
+def _held(path: Path, cap: np.ndarray, window: float) -> np.ndarray:
+    """The caps, that of each corner held for as long before and after it as the mean sees it."""
+    held = cap.copy()
+    first, last = np.searchsorted(path.place, path.at_corner[:, 0]), np.searchsorted(path.place, path.at_corner[:, 1])
+    slowest = np.array([cap[a : b + 1].min() for a, b in zip(first, last, strict=True)])
+    reach = 0.5 * window * slowest
+    first = np.maximum(np.searchsorted(path.place, path.at_corner[:, 0] - reach) - 1, 0)
+    last = np.searchsorted(path.place, path.at_corner[:, 1] + reach)
+    for k in np.flatnonzero(slowest < np.inf):
+        part = held[first[k] : last[k] + 1]
+        np.minimum(part, slowest[k], out=part)
+    return held
+
+
+def _slow_down(
+    grid: np.ndarray, law: Speed, time: np.ndarray, place: np.ndarray, over: np.ndarray, speed: np.ndarray, push: np.ndarray
+) -> None:
+    """Lower caps and pushes wherever the mean sees an instant at which a limit is exceeded."""
+    bad = np.flatnonzero(over > 1.0)
+    parts = np.split(bad, np.flatnonzero(np.diff(bad) > 1) + 1)
+    for part in parts:
+        worst = over[part].max() * 1.01
+        begin, end = law.at(np.clip(time[part[[0, -1]]] + 0.5 * law.window_s * np.array([-1, 1]), 0, time[-1]))[0]
+        a, b = max(np.searchsorted(grid, begin) - 1, 0), np.searchsorted(grid, end) + 1
+        speed[a:b] /= worst
+        push[a:b] /= worst**2
