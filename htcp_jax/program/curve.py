@@ -57,12 +57,13 @@ class Curve(NamedTuple):
         x, first = self.x[leg] + ahead[:, None] * slope, slope
         second, third = np.zeros_like(x), np.zeros_like(x)
         near = np.flatnonzero(np.abs(w) < 1)
-        w, reach, turn = w[near, None], reach[near, None], self.turns[corner[near]]
+        turn, after = self.turns[corner[near]], (corner == leg)[near, None]
+        w, reach = w[near, None], reach[near, None]
         square, bump = w * w, 1 - w * w
         slope = 0.5 + 15 / 16 * w * (1 - square * (2 / 3 - square / 5))
         rise = 5 / 32 + w / 2 + 15 / 16 * square * (0.5 - square * (1 / 6 - square / 30))
-        x[near] += turn * reach * (rise - np.maximum(w, 0))
-        first[near] += turn * (slope - (w > 0))
+        x[near] += turn * reach * (rise - after * w)
+        first[near] += turn * (slope - after)
         second[near] = turn * (15 / 16 * bump * bump / reach)
         third[near] = turn * (-15 / 4 * w * bump / reach**2)
         return Derivatives(x, first, second, third)

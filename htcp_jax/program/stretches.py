@@ -7,18 +7,19 @@ cannot be rounded, because the way is too tight or the tool would all but turn r
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from htcp_jax.planner.motion import ONE_POINT_M, Motion
 from htcp_jax.planner.plans import Plans
 from htcp_jax.program.curve import FARTHEST, Curve
 from htcp_jax.program.limits import Limits
-from htcp_jax.program.nudge import arm_at, bend_bound, nudge_bound, tcp_at
+from htcp_jax.program.nudge import Arm, arm_at, bend_bound, nudge_bound, tcp_at
 from htcp_jax.scene.robot import Robot
 from htcp_jax.status import Kind
 
 SHARE = 0.5  # of the proven clearance, and of what is left of the tolerance, that rounding may take
 HALVINGS = 12  # of a corner's reach, until the arm has to stop there
+ONE_MOMENT_S = 1e-3  # legs that take no longer at full speed are next to nothing
 SHARPEST = 0.5  # cosine of half the angle by which the tool's own path may turn without a stop
 PIECES = 8  # of a leg, between which the TCP's distance from its line is bounded
 SHARE_OF_LIMITS = 0.3  # of accelerations and jerks that a corner of the path should take at the feed
@@ -53,32 +54,83 @@ def spare(plans: Plans, scenario: int, motion: Motion, tube_m: float) -> Spare:
 
 def stretches(robot: Robot, motion: Motion, left: Spare, limits: Limits, feed_m_s: float) -> list[Stretch]:
     """The motion's, in their order; legs on which nothing moves are left out."""
-    moves = np.any(np.diff(motion.x, axis=0) != 0, axis=1)
-    kept = np.flatnonzero(np.append(True, moves))
-    if len(kept) < 2:
+    way = _merged(_moving(robot, motion, left), limits)
+    if not len(way.row):
         return []
-    x, row = motion.x[kept], kept[1:]
-    arm = arm_at(robot, x)
-    length = np.linalg.norm(np.diff(arm.tcp, axis=0), axis=1)
-    feeds = (motion.kind[row] == Kind.FEED) & (length >= ONE_POINT_M)
-    duration = np.max(np.abs(np.diff(x, axis=0)) / limits.velocity, axis=1)
-    step = np.where(feeds, length, duration)
-    stands = np.isin(motion.kind[row], (Kind.FEED, Kind.DWELL)) & ~feeds
-    group = np.where(feeds, 1, np.where(stands, 2, np.where(motion.kind[row] == Kind.RETRACT, 3, 0)))
-    whole = Curve(np.append(0.0, np.cumsum(step)), x, np.zeros(len(x)))
-    wanted = _wanted(whole, feeds, limits, feed_m_s)
-    reach = _reach(robot, arm, whole, wanted, Spare(*(part[row - 1] for part in left)))
-    along = np.diff(arm.tcp, axis=0) / np.maximum(length, 1e-300)[:, None]
+    whole = Curve(np.append(0.0, np.cumsum(np.where(way.feeds, way.length, _duration(way.x, limits)))), way.x, 0 * way.x[:, 0])
+    wanted = _wanted(whole, way.feeds, limits, feed_m_s)
+    reach = _reach(robot, way, whole, wanted)
+    along = np.diff(way.arm.tcp, axis=0) / np.maximum(way.length, 1e-300)[:, None]
     turned = np.einsum("ij,ij->i", along[:-1], along[1:]) < 2 * SHARPEST**2 - 1
-    stops = (np.diff(group) != 0) | (feeds[1:] & turned) | (reach[1:-1] <= 0)
-    ends = [0, *(np.flatnonzero(stops) + 1).tolist(), len(x) - 1]
-    return [_cut(whole, reach, a, b, row, bool(feeds[a])) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    stops = (np.diff(way.group + 10 * way.feeds) != 0) | (way.feeds[1:] & turned) | (reach[1:-1] <= 0)
+    ends = [0, *(np.flatnonzero(stops) + 1).tolist(), len(way.x) - 1]
+    return [_cut(whole, reach, a, b, way) for a, b in zip(ends[:-1], ends[1:], strict=True)]
 
 
-def _cut(whole: Curve, reach: np.ndarray, a: int, b: int, row: np.ndarray, feeds: bool) -> Stretch:
+class _Way(NamedTuple):
+    """The polyline of a motion, or what is kept of it: k postures, and k - 1 legs between them."""
+
+    x: Float[np.ndarray, "k N"]
+    row: Int[np.ndarray, "m"]
+    group: Int[np.ndarray, "m"]
+    left: Spare
+    arm: Arm
+
+    @property
+    def length(self) -> Float[np.ndarray, "m"]:
+        """Between the TCP at both ends [m]."""
+        return np.linalg.norm(np.diff(self.arm.tcp, axis=0), axis=1)
+
+    @property
+    def feeds(self) -> Bool[np.ndarray, "m"]:
+        """On which legs the tool follows the path."""
+        return (self.group == Kind.FEED) & (self.length >= ONE_POINT_M)
+
+
+def _moving(robot: Robot, motion: Motion, left: Spare) -> _Way:
+    """The legs on which joints move. Transfer and approach are one."""
+    kept = np.flatnonzero(np.append(True, np.any(np.diff(motion.x, axis=0) != 0, axis=1)))
+    row = kept[1:]
+    group = np.maximum(motion.kind[row], Kind.APPROACH).astype(int)
+    return _Way(motion.x[kept], row, group, Spare(*(part[row - 1] for part in left)), arm_at(robot, motion.x[kept]))
+
+
+def _merged(way: _Way, limits: Limits) -> _Way:
+    """Without the first posture of legs that are next to nothing, where the next one may stand for it, too: the leg to
+    it moves by less than is left beside it."""
+    short = (_duration(way.x, limits) < ONE_MOMENT_S) | ((way.group == Kind.FEED) & ~way.feeds)
+    goes = np.flatnonzero(short[1:] & (way.group[1:] == way.group[:-1])) + 1
+    if not len(goes):
+        return way
+    to = np.arange(len(way.x))
+    for k in goes[::-1]:
+        to[k] = to[k + 1]
+    before, nudge = goes - 1, way.x[to[goes]] - way.x[goes]
+    arm = way.arm._replace(levers=way.arm.levers[goes], jacobian=way.arm.jacobian[goes])
+    moved = nudge_bound(arm, np.abs(way.x[goes] - way.x[before]), nudge)
+    off = np.linalg.norm(way.arm.tcp[to[goes]] - way.arm.tcp[goes], axis=1)
+    clearance, tube = (part.copy() for part in way.left)
+    clearance[before] -= moved[:, :-1].max(axis=1)
+    tube[before] -= moved[:, -1] + off
+    fits = (clearance[before] > SHARE * way.left.clearance[before]) & (tube[before] >= SHARE * way.left.tube[before])
+    gone = np.zeros(len(way.x), bool)
+    for k, fit in zip(goes[::-1], fits[::-1], strict=True):
+        gone[k] = fit and (gone[k + 1] or to[k] == k + 1)  # all up to the one that stands for it
+    kept = np.flatnonzero(~gone)
+    last, first = kept[1:] - 1, kept[:-1]  # of the legs that become one
+    arm = way.arm._replace(levers=way.arm.levers[kept], jacobian=way.arm.jacobian[kept], tcp=way.arm.tcp[kept])
+    return _Way(way.x[kept], way.row[last], way.group[last], Spare(clearance[first], tube[first]), arm)
+
+
+def _duration(x: np.ndarray, limits: Limits) -> Float[np.ndarray, "m"]:
+    """Of straight joint paths at full speed [s]."""
+    return np.max(np.abs(np.diff(x, axis=0)) / limits.velocity, axis=1)
+
+
+def _cut(whole: Curve, reach: np.ndarray, a: int, b: int, way: _Way) -> Stretch:
     inner = reach[a : b + 1].copy()
     inner[[0, -1]] = 0.0
-    return Stretch(Curve(whole.u[a : b + 1] - whole.u[a], whole.x[a : b + 1], inner), row[a:b], feeds)
+    return Stretch(Curve(whole.u[a : b + 1] - whole.u[a], whole.x[a : b + 1], inner), way.row[a:b], bool(way.feeds[a]))
 
 
 def _wanted(curve: Curve, feeds: np.ndarray, limits: Limits, feed_m_s: float) -> Float[np.ndarray, "k"]:
@@ -93,8 +145,9 @@ def _wanted(curve: Curve, feeds: np.ndarray, limits: Limits, feed_m_s: float) ->
     return np.where(fed, np.minimum(room, needed), room)
 
 
-def _reach(robot: Robot, arm, curve: Curve, wanted: np.ndarray, left: Spare) -> Float[np.ndarray, "k"]:
+def _reach(robot: Robot, way: _Way, curve: Curve, wanted: np.ndarray) -> Float[np.ndarray, "k"]:
     """The largest reaches, wanted / 2^i, that what is left beside the legs covers; 0 where none is."""
+    arm, left = way.arm, way.left
     tries = np.append(wanted * 0.5 ** np.arange(HALVINGS)[:, None], np.zeros((1, len(wanted))), axis=0)
     slopes = np.abs(curve.slopes)
     beside = np.maximum(np.append(slopes[:1], slopes, axis=0), np.append(slopes, slopes[-1:], axis=0))
@@ -107,7 +160,7 @@ def _reach(robot: Robot, arm, curve: Curve, wanted: np.ndarray, left: Spare) -> 
     return tries[np.argmax(fits, axis=0), np.arange(len(wanted))]
 
 
-def _sag(robot: Robot, arm, curve: Curve, which: np.ndarray) -> Float[np.ndarray, "m"]:
+def _sag(robot: Robot, arm: Arm, curve: Curve, which: np.ndarray) -> Float[np.ndarray, "m"]:
     """How far the TCP is from the straight line between the ends of some legs at most, as the joints go straight [m];
     0 of the others."""
     found, legs = np.zeros(len(which)), np.flatnonzero(which)

@@ -22,7 +22,7 @@ from htcp_jax.program.speed import Speed, fastest
 
 CURVED = 0.9  # the share of a limit that a corner may take of it at constant speed
 ROUNDS = 12
-LOOKED_AT_S = 0.002  # how far instants are apart
+LOOKED_AT_S = 0.004  # how far instants are apart, beside those at which the places of the grid are passed
 SPARE = 0.995  # of the limits, for what lies between them
 
 
@@ -61,13 +61,19 @@ def law_of(path: Path, limits: Limits, feed: float = np.inf) -> Law:
     speed, push = caps.speed.copy(), caps.push.copy()
     for _ in range(ROUNDS):
         law = Law(path, fastest(path.place, speed, push, window), caps)
-        time = np.linspace(0, law.speed.duration_s, 2 + int(law.speed.duration_s / LOOKED_AT_S))
+        time = _instants(law.speed)
         place, found = law.at(time)
         over, _ = limits.stretch(*found[1:])
         if over.max() <= 1.0:
             return law
         _slow_down(path.place, law.speed, time, place, over, speed, push)
     return law._replace(speed=law.speed._replace(slower=float(over.max())))
+
+
+def _instants(law: Speed) -> Float[np.ndarray, "n"]:
+    """When limits are looked at."""
+    even = np.linspace(0, law.duration_s, 2 + int(law.duration_s / LOOKED_AT_S))
+    return np.sort(np.append(even, law.time + 0.5 * law.window_s))
 
 
 def _caps(path: Path, limits: Limits, feed: float) -> Caps:
@@ -91,8 +97,8 @@ def _caps(path: Path, limits: Limits, feed: float) -> Caps:
 def _held(path: Path, cap: np.ndarray, window: float) -> np.ndarray:
     """The caps, that of each corner held for as long before and after it as the mean sees it."""
     held = cap.copy()
-    first, last = np.searchsorted(path.place, path.at_corner[:, 0]), np.searchsorted(path.place, path.at_corner[:, 1])
-    slowest = np.array([cap[a : b + 1].min() for a, b in zip(first, last, strict=True)])
+    first, last = np.searchsorted(path.place, path.at_corner.T)
+    slowest = np.array([cap[max(a - 1, 0) : b + 1].min() for a, b in zip(first, last, strict=True)])
     reach = 0.5 * window * slowest
     first = np.maximum(np.searchsorted(path.place, path.at_corner[:, 0] - reach) - 1, 0)
     last = np.searchsorted(path.place, path.at_corner[:, 1] + reach)
