@@ -113,10 +113,12 @@ def _slow_down(
 ) -> None:
     """Lower caps and pushes wherever the mean sees an instant at which a limit is exceeded."""
     bad = np.flatnonzero(over > 1.0)
-    parts = np.split(bad, np.flatnonzero(np.diff(bad) > 1) + 1)
-    for part in parts:
-        worst = over[part].max() * 1.01
-        begin, end = law.at(np.clip(time[part[[0, -1]]] + 0.5 * law.window_s * np.array([-1, 1]), 0, time[-1]))[0]
-        a, b = max(np.searchsorted(grid, begin) - 1, 0), np.searchsorted(grid, end) + 1
+    breaks = np.flatnonzero(np.diff(bad) > 1)
+    begin, end = bad[np.append(0, breaks + 1)], bad[np.append(breaks, len(bad) - 1)]
+    seen = 0.5 * law.window_s
+    begins = np.searchsorted(grid, law.at(np.maximum(time[begin] - seen, 0.0))[0]) - 1
+    ends = np.searchsorted(grid, law.at(np.minimum(time[end] + seen, time[-1]))[0]) + 1
+    for first, last, a, b in zip(begin, end, np.maximum(begins, 0), ends, strict=True):
+        worst = 1.01 * over[first : last + 1].max()
         speed[a:b] /= worst
         push[a:b] /= worst**2
