@@ -19,13 +19,15 @@ class Limits(NamedTuple):
     jerk: Float[np.ndarray, "N"]  # [rad/s3 or m/s3]
 
     def stretch(
-        self, velocity: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray
-    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """By how much time must be stretched at n instants for all to be within these limits, less than 1 where they
-        are, and which joint says so. Derivatives are (n, N)."""
-        shares = [np.abs(velocity) / self.velocity, np.sqrt(np.abs(acceleration) / self.acceleration)]
-        shares = np.stack([*shares, np.cbrt(np.abs(jerk) / self.jerk)]).max(axis=0)
-        return shares.max(axis=1), shares.argmax(axis=1).astype(float)
+        self,
+        velocity: Float[np.ndarray, "n N"],
+        acceleration: Float[np.ndarray, "n N"],
+        jerk: Float[np.ndarray, "n N"],
+    ) -> Float[np.ndarray, "n"]:
+        """By how much time must be stretched at n instants to be within these limits; 1 or less where it is."""
+        shares = np.abs(velocity) / self.velocity
+        shares = np.maximum(shares, np.sqrt(np.abs(acceleration) / self.acceleration))
+        return np.maximum(shares, np.cbrt(np.abs(jerk) / self.jerk)).max(axis=1)
 
 
 def joint_limits(

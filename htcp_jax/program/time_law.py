@@ -63,7 +63,7 @@ def law_of(path: Path, limits: Limits, feed: float = np.inf) -> Law:
         law = Law(path, fastest(path.place, speed, push, window), caps)
         time = _instants(law.speed)
         place, found = law.at(time)
-        over, _ = limits.stretch(*found[1:])
+        over = limits.stretch(*found[1:])
         if over.max() <= 1.0:
             return law
         _slow_down(path.place, law.speed, time, place, over, speed, push)
