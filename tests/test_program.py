@@ -10,20 +10,23 @@ import made_once
 import mujoco
 import numpy as np
 import pytest
-from hand_made import plans_with
+from made_plan import STATUSES, made_plans, with_a_dwell
 from test_joint_path import rail
 
+from htcp_jax import api
 from htcp_jax.errors import InputError
 from htcp_jax.planner.motion import Motion
+from htcp_jax.planner.motion import motion as motion_of
 from htcp_jax.program.curve import FARTHEST, Curve
-from htcp_jax.program.limits import Limits, joint_limits
+from htcp_jax.program.limits import joint_limits
 from htcp_jax.program.nudge import arm_at, nudge_bound
 from htcp_jax.program.program import program
 from htcp_jax.program.stretches import SHARE, Spare, spare
+from htcp_jax.scene.kinematics import capsules_and_tcp
 from htcp_jax.scene.robot_file import GP50, load_robot
-from htcp_jax.status import Kind, Status, Way
+from htcp_jax.status import Kind
 
-T, A, F, D, R = Kind
+_, A, F, D, R = Kind
 STEP_S = 1e-3
 ROUNDING = 1e-3  # of a limit: third differences of doubles over 1 ms
 
@@ -140,18 +143,19 @@ def test_the_feed_is_held_by_mujoco_but_where_the_arm_stops():
     dipping = sum(dip.end_m - dip.begin_m for dip in dips)
     off = np.abs(speed[feeding] - 0.02) > 0.01 * 0.02
     assert speed[feeding].max() < 1.001 * 0.02
-    assert speed[feeding][off].sum() * STEP_S == pytest.approx(dipping, abs=2e-4)
+    assert speed[feeding][off].sum() * STEP_S == pytest.approx(dipping, abs=5e-4)
     assert dipping < 0.03 * 0.3
 
 
 def test_the_table_of_dips_names_the_joint_whose_limit_is_reached():
     """One joint is made slow: it, and none else, keeps the feed below the one asked for."""
     motion, robot = whole_motion(rough=0.0), made_once.robot()
-    velocity = np.diff(motion.x[4:24], axis=0) / (0.3 / 39)
-    slow = replace(robot, speed=robot.speed.at[2].set(0.5 * 0.05 * np.abs(velocity[:, 2]).max()))
+    slopes = np.abs(np.diff(motion.x[3:24], axis=0)).max(axis=0) / (0.3 / 39)
+    joint = int(slopes.argmax())
+    slow = replace(robot, speed=robot.speed.at[joint].set(0.8 * 0.05 * slopes[joint]))
     dips = program(slow, motion, room(motion), joint_limits(slow), 0.05).dips()
     reasons = {dip.reason for dip in dips} - {"stop"}
-    assert reasons and all(slow.joint_names[2] in reason for reason in reasons)
+    assert reasons and all(slow.joint_names[joint] in reason for reason in reasons)
 
 
 @pytest.mark.parametrize("tube", [1e-3, 5e-5])
@@ -187,8 +191,6 @@ def test_no_point_of_the_arm_is_nudged_further_than_the_bound(model, tmp_path):
 
 
 def _points(robot, x):
-    from htcp_jax.scene.kinematics import capsules_and_tcp
-
     shape = capsules_and_tcp(robot, x)
     return np.concatenate([shape.p, shape.q, np.asarray(shape.tcp)[:, None]], axis=1)
 
@@ -196,13 +198,12 @@ def _points(robot, x):
 def test_no_body_is_further_from_the_polyline_than_the_share_of_its_clearance():
     motion, robot = whole_motion(rough=0.01), made_once.robot()
     one = program(robot, motion, room(motion, clearance=2e-3), joint_limits(robot), 0.02)
-    farthest = 0.0
-    for stretch in one.stretches:
-        curve = stretch.curve
+    pairs = []
+    for curve in (stretch.curve for stretch in one.stretches):
         u = curve.grid(9, 3)
-        straight = np.stack([np.interp(u, curve.u, joint) for joint in curve.x.T], axis=1)
-        moved = np.linalg.norm(_points(robot, curve.at(u).x) - _points(robot, straight), axis=2)
-        farthest = max(farthest, float(moved.max()))
+        pairs.append((curve.at(u).x, np.stack([np.interp(u, curve.u, joint) for joint in curve.x.T], axis=1)))
+    rounded, straight = (_points(robot, np.concatenate(part)) for part in zip(*pairs, strict=True))
+    farthest = np.linalg.norm(rounded - straight, axis=2).max()
     assert 0.1 * SHARE * 2e-3 < farthest <= SHARE * 2e-3
 
 
@@ -285,6 +286,33 @@ def test_a_motion_without_postures_is_refused():
         program(made_once.robot(), none, Spare(np.zeros(0), np.zeros(0)), joint_limits(made_once.robot()), 0.02)
 
 
-def test_an_arm_that_does_not_move_takes_no_time():
-    made = one_leg(made_once.robot(), np.zeros((2, 6)))
-    assert made.duration_s == 0 and not made.dips()
+def test_a_motion_in_which_nothing_moves_is_refused():
+    with pytest.raises(InputError, match="stands still"):
+        one_leg(made_once.robot(), np.zeros((2, 6)))
+
+
+def test_what_is_left_beside_a_leg_is_that_of_its_way_there_and_back():
+    """At target 4 the arm dwells over two postures: the way to target 5, of three legs, is tight."""
+    plans = with_a_dwell(made_plans(np.zeros((10, 3)), STATUSES[:1]))
+    plans.residual[:] = 3e-4
+    there_and_back = motion_of(plans, 0, 2, retract=True)
+    left = spare(plans, 0, there_and_back, tube_m=1e-3)
+    tight = np.flatnonzero(left.clearance == 2e-4)
+    assert tight.tolist() == [5, 6, 7, 10, 11, 12] and len(left.clearance) == len(there_and_back.x) - 1
+    held = np.isfinite(left.tube)
+    np.testing.assert_array_equal(held, np.isin(there_and_back.kind[1:], (F, D)))
+    np.testing.assert_allclose(left.tube[held], 7e-4)
+
+
+@pytest.mark.slow
+def test_the_default_job_holds_its_feed_over_99_percent_of_the_weld():
+    plan = api.plan()
+    there_and_back, limits = plan.motion(retract=True), joint_limits(plan.robot)
+    left = spare(plan.plans, 0, there_and_back, plan.job.settings.tube_m)
+    one = program(plan.robot, there_and_back, left, limits, 0.02)
+    timed = one.timed(STEP_S)
+    assert max(shares(timed, limits)) <= 1 + ROUNDING
+    speed = np.linalg.norm(np.diff(tcp_by_mujoco(timed.x), axis=0), axis=1)[:-1] / STEP_S
+    speed = speed[timed.kind[:-2] == F]
+    held = np.abs(speed - 0.02) <= 0.01 * 0.02
+    assert speed[held].sum() >= 0.99 * speed.sum()

@@ -1,1 +1,1 @@
-"""Programs: a motion with time, within the arm's limits, and clear all along as timed."""
+"""What is run: a motion with time, and the files that controllers and simulators take it from."""

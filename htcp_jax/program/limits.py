@@ -18,16 +18,17 @@ class Limits(NamedTuple):
     acceleration: Float[np.ndarray, "N"]  # [rad/s2 or m/s2]
     jerk: Float[np.ndarray, "N"]  # [rad/s3 or m/s3]
 
-    def stretch(
+    def shares(
         self,
         velocity: Float[np.ndarray, "n N"],
         acceleration: Float[np.ndarray, "n N"],
         jerk: Float[np.ndarray, "n N"],
-    ) -> Float[np.ndarray, "n"]:
-        """By how much time must be stretched at n instants to be within these limits; 1 or less where it is."""
-        shares = np.abs(velocity) / self.velocity
-        shares = np.maximum(shares, np.sqrt(np.abs(acceleration) / self.acceleration))
-        return np.maximum(shares, np.cbrt(np.abs(jerk) / self.jerk)).max(axis=1)
+    ) -> Float[np.ndarray, "n M"]:
+        """By how much time must be stretched at n instants for each of M = 3 N limits to be kept, joint by joint; 1 or
+        less where it is."""
+        v, a, j = np.abs(velocity), np.abs(acceleration), np.abs(jerk)
+        found = [v / self.velocity, np.sqrt(a / self.acceleration), np.cbrt(j / self.jerk)]
+        return np.stack(found, axis=2).reshape(len(v), -1)
 
 
 def joint_limits(

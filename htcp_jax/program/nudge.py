@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float
 from htcp_jax.scene.kinematics import capsule_segments, jacobian, joint_levers, point_jacobians, tcp_position
 from htcp_jax.scene.robot import Robot
 
-ROWS = 256  # postures are padded to multiples of this, so that few programs are compiled
+ROWS = 256  # postures are padded to this times a power of two, so that few programs are compiled
 
 
 class Arm(NamedTuple):
@@ -83,7 +83,7 @@ def _second(arm: Arm, lever: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.nda
 
 def _padded(function, robot: Robot, x: np.ndarray) -> tuple[np.ndarray, ...]:
     """A function of many postures, a few sizes of which are compiled."""
-    short = -len(x) % ROWS
+    short = ROWS * 2 ** max(0, int(np.ceil(np.log2(len(x) / ROWS)))) - len(x)
     found = function(robot, np.concatenate([x, np.repeat(x[-1:], short, axis=0)]))
     return tuple(np.asarray(part)[: len(x)] for part in found)
 

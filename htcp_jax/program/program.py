@@ -16,11 +16,11 @@ from htcp_jax.planner.motion import Motion
 from htcp_jax.program.limits import Limits
 from htcp_jax.program.path import path_of
 from htcp_jax.program.stretches import Spare, Stretch, stretches
-from htcp_jax.program.time_law import Law, law_of
+from htcp_jax.program.time_law import Law, instants, law_of
 from htcp_jax.program.timed import Timed
 from htcp_jax.scene.robot import Robot
 
-HELD = 0.99  # of the feed, below which it counts as a dip
+HELD, STANDS = 0.99, 1e-6  # shares of the feed, below which it counts as a dip, and as a stop
 
 
 class Dip(NamedTuple):
@@ -49,7 +49,7 @@ class Program(NamedTuple):
     @property
     def duration_s(self) -> float:
         """From the first posture to the last."""
-        return float(self.ends_s[-1]) if self.laws else 0.0
+        return float(self.ends_s[-1])
 
     def timed(self, step_s: float = 0.001) -> Timed:
         """Every `step_s`, and at the end."""
@@ -67,9 +67,8 @@ class Program(NamedTuple):
             row = stretch.row[stretch.curve.leg(law.path.u(place))]
             parts.append((found.x, found.first, found.second, row))
         x, velocity, acceleration, row = map(np.concatenate, zip(*parts, strict=True))
-        return Timed(
-            time, x, velocity, acceleration, self.motion.kind[row], self.joint_names, self.motion.target[row]
-        )
+        kind, target = self.motion.kind[row], self.motion.target[row]
+        return Timed(time, x, velocity, acceleration, kind, target, self.joint_names)
 
     def dips(self) -> list[Dip]:
         """Along the weld, in order."""
@@ -85,12 +84,14 @@ def program(robot: Robot, motion: Motion, left: Spare, limits: Limits, feed_m_s:
     """A motion with time.
 
     left: what its proof leaves beside each leg. Raises InputError for a feed that is not above 0, and for a motion
-    without postures.
+    without postures or in which the arm stands still.
     """
     if not 0 < feed_m_s < np.inf:
         raise InputError(f"feed is {feed_m_s} m/s, a speed above 0 is needed")
     if not len(motion.x):
         raise InputError("the motion has no postures: no target is executable")
+    if not np.any(motion.x != motion.x[0]):
+        raise InputError("the arm stands still in this motion, there is nothing to time")
     parts = stretches(robot, motion, left, limits, feed_m_s)
     laws = [law_of(path_of(robot, part), limits, feed_m_s if part.feeds else np.inf) for part in parts]
     return Program(motion, parts, laws, robot.joint_names, feed_m_s)
@@ -98,7 +99,7 @@ def program(robot: Robot, motion: Motion, left: Spare, limits: Limits, feed_m_s:
 
 def _dips(law: Law, before: float, feed: float, names: tuple[str, ...]) -> list[Dip]:
     """Of one stretch that begins `before` metres along the weld."""
-    time = np.linspace(0, law.speed.duration_s, 2 + int(law.speed.duration_s / 0.001))
+    time = instants(law.speed)
     place, speed, _, _ = law.speed.at(time)
     slow = np.flatnonzero(speed < HELD * feed)
     parts = np.split(slow, np.flatnonzero(np.diff(slow) > 1) + 1)
@@ -106,10 +107,8 @@ def _dips(law: Law, before: float, feed: float, names: tuple[str, ...]) -> list[
 
 
 def _dip(law: Law, place: np.ndarray, speed: np.ndarray, before: float, names: tuple[str, ...]) -> Dip:
-    grid, worst = law.path.place, place[speed.argmin()]
-    near = np.flatnonzero((grid >= place[0]) & (grid <= place[-1]) & (law.caps.limit > 0))
-    reason = "stop"
-    if speed.min() > 0 and len(near):
-        limit = int(law.caps.limit[near[np.abs(grid[near] - worst).argmin()]]) - 1
-        reason = f"{('velocity', 'acceleration', 'jerk')[limit % 3]} of {names[limit // 3]}"
-    return Dip(before + float(place[0]), before + float(place[-1]), float(speed.min()), reason)
+    least = float(speed.min())
+    limit = law.limit_at(float(place[0]), float(place[-1]))
+    known = least > STANDS * law.speed.speed.max() and limit is not None
+    reason = f"{('velocity', 'acceleration', 'jerk')[limit % 3]} of {names[limit // 3]}" if known else "stop"
+    return Dip(before + float(place[0]), before + float(place[-1]), least, reason)

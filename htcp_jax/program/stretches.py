@@ -47,7 +47,8 @@ def spare(plans: Plans, scenario: int, motion: Motion, tube_m: float) -> Spare:
     way = target + (kind == Kind.DWELL)
     clearance = plans.way_clearance[scenario, way]
     off = plans.residual[scenario]
-    tube = np.where(np.isin(kind, (Kind.FEED, Kind.DWELL)), tube_m - np.fmax(off[way], off[np.maximum(way - 1, 0)]), np.inf)
+    off = np.fmax(off[way], off[np.maximum(way - 1, 0)])
+    tube = np.where(np.isin(kind, (Kind.FEED, Kind.DWELL)), tube_m - off, np.inf)
     back = len(motion.x) - there
     return Spare(np.append(clearance, clearance[::-1][:back]), np.append(tube, np.full(back, np.inf)))
 
@@ -57,7 +58,8 @@ def stretches(robot: Robot, motion: Motion, left: Spare, limits: Limits, feed_m_
     way = _merged(_moving(robot, motion, left), limits)
     if not len(way.row):
         return []
-    whole = Curve(np.append(0.0, np.cumsum(np.where(way.feeds, way.length, _duration(way.x, limits)))), way.x, 0 * way.x[:, 0])
+    step = np.where(way.feeds, way.length, _duration(way.x, limits))
+    whole = Curve(np.append(0.0, np.cumsum(step)), way.x, np.zeros(len(way.x)))
     wanted = _wanted(whole, way.feeds, limits, feed_m_s)
     reach = _reach(robot, way, whole, wanted)
     along = np.diff(way.arm.tcp, axis=0) / np.maximum(way.length, 1e-300)[:, None]
@@ -112,7 +114,7 @@ def _merged(way: _Way, limits: Limits) -> _Way:
     clearance, tube = (part.copy() for part in way.left)
     clearance[before] -= moved[:, :-1].max(axis=1)
     tube[before] -= moved[:, -1] + off
-    fits = (clearance[before] > SHARE * way.left.clearance[before]) & (tube[before] >= SHARE * way.left.tube[before])
+    fits = (clearance[before] >= SHARE * way.left.clearance[before]) & (tube[before] >= SHARE * way.left.tube[before])
     gone = np.zeros(len(way.x), bool)
     for k, fit in zip(goes[::-1], fits[::-1], strict=True):
         gone[k] = fit and (gone[k + 1] or to[k] == k + 1)  # all up to the one that stands for it
@@ -154,10 +156,14 @@ def _reach(robot: Robot, way: _Way, curve: Curve, wanted: np.ndarray) -> Float[n
     moved = nudge_bound(arm, tries[..., None] * beside, FARTHEST * tries[..., None] * curve.turns)
     bodies, tcp = moved[..., :-1].max(axis=-1), moved[..., -1]
     tube = left.tube - _sag(robot, arm, curve, np.isfinite(left.tube))
-    clear, tube = (SHARE * np.minimum(np.append(part[:1], part), np.append(part, part[-1:])) for part in (left.clearance, tube))
-    fits = (bodies <= clear) & (tcp <= tube)
+    fits = (bodies <= SHARE * _beside(left.clearance)) & (tcp <= SHARE * _beside(tube))
     fits[-1] = True
     return tries[np.argmax(fits, axis=0), np.arange(len(wanted))]
+
+
+def _beside(legs: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k"]:
+    """At each knot, the less of the legs before and after it."""
+    return np.minimum(np.append(legs[:1], legs), np.append(legs, legs[-1:]))
 
 
 def _sag(robot: Robot, arm: Arm, curve: Curve, which: np.ndarray) -> Float[np.ndarray, "m"]:

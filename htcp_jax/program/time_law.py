@@ -13,7 +13,7 @@ is made up for by more time for the whole stretch, so that no limit is exceeded 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from htcp_jax.program.curve import Derivatives
 from htcp_jax.program.limits import Limits
@@ -22,16 +22,17 @@ from htcp_jax.program.speed import Speed, fastest
 
 CURVED = 0.9  # the share of a limit that a corner may take of it at constant speed
 ROUNDS = 12
-LOOKED_AT_S = 0.004  # how far instants are apart, beside those at which the places of the grid are passed
+LOOKED_AT_S, INSTANTS = 0.004, 20_000  # how far instants are apart, and how many there are at most, beside those at
+# which the places of the grid are passed
 SPARE = 0.995  # of the limits, for what lies between them
 
 
-class Caps(NamedTuple):
+class _Caps(NamedTuple):
     """On a path's grid."""
 
     speed: Float[np.ndarray, "m"]
     push: Float[np.ndarray, "m"]  # the law's own acceleration, either way
-    limit: Float[np.ndarray, "m"]  # which one caps the speed: 0 the feed; 1, 2, 3 + 3 j: v, a, j of joint j
+    limit: Int[np.ndarray, "m"]  # as in `Law`
 
 
 class Law(NamedTuple):
@@ -39,7 +40,8 @@ class Law(NamedTuple):
 
     path: Path
     speed: Speed
-    caps: Caps
+    limit: Int[np.ndarray, "m"]  # on the path's grid, what keeps the speed low: -1 the feed, k + 3 j of joint j the
+    # velocity, acceleration or jerk, k = 0, 1, 2
 
     def at(self, time: Float[np.ndarray, "n"]) -> tuple[Float[np.ndarray, "n"], Derivatives]:
         """Places, and joints with their derivatives by time [rad or m, and s], at times from 0 to its duration."""
@@ -50,6 +52,11 @@ class Law(NamedTuple):
             x, first * v, second * v * v + first * a, third * v**3 + 3 * second * v * a + first * j
         )
 
+    def limit_at(self, begin: float, end: float) -> int | None:
+        """The limit that is named where it is slowest between two places, see `limit`; None where none is."""
+        near = np.flatnonzero((self.path.place >= begin) & (self.path.place <= end) & (self.limit >= 0))
+        return int(self.limit[near[self.speed.speed[near].argmin()]]) if len(near) else None
+
 
 def law_of(path: Path, limits: Limits, feed: float = np.inf) -> Law:
     """The law of a stretch. feed: the speed that it should have, and not exceed; for one that does not feed 1 is the
@@ -58,25 +65,25 @@ def law_of(path: Path, limits: Limits, feed: float = np.inf) -> Law:
     window = float(np.max(limits.acceleration / limits.jerk))
     caps = _caps(path, limits, feed)
     caps = caps._replace(speed=_held(path, caps.speed, window))
-    speed, push = caps.speed.copy(), caps.push.copy()
     for _ in range(ROUNDS):
-        law = Law(path, fastest(path.place, speed, push, window), caps)
-        time = _instants(law.speed)
+        law = Law(path, fastest(path.place, caps.speed, caps.push, window), caps.limit)
+        time = instants(law.speed)
         place, found = law.at(time)
-        over = limits.stretch(*found[1:])
+        shares = limits.shares(*found[1:])
+        over = shares.max(axis=1)
         if over.max() <= 1.0:
             return law
-        _slow_down(path.place, law.speed, time, place, over, speed, push)
+        _slow_down(caps, path.place, law.speed, time, shares)
     return law._replace(speed=law.speed._replace(slower=float(over.max())))
 
 
-def _instants(law: Speed) -> Float[np.ndarray, "n"]:
+def instants(law: Speed) -> Float[np.ndarray, "n"]:
     """When limits are looked at."""
-    even = np.linspace(0, law.duration_s, 2 + int(law.duration_s / LOOKED_AT_S))
+    even = np.linspace(0, law.duration_s, 2 + min(int(law.duration_s / LOOKED_AT_S), INSTANTS))
     return np.sort(np.append(even, law.time + 0.5 * law.window_s))
 
 
-def _caps(path: Path, limits: Limits, feed: float) -> Caps:
+def _caps(path: Path, limits: Limits, feed: float) -> _Caps:
     """In closed form, at every place of the grid."""
     _, first, second, third = (np.maximum(np.abs(part), 1e-300) for part in path.at(path.place))
     by_joint = np.stack(
@@ -91,7 +98,7 @@ def _caps(path: Path, limits: Limits, feed: float) -> Caps:
     least = flat[np.arange(len(flat)), limit]
     speed = np.minimum(least, feed)
     push = ((limits.acceleration - second * speed[:, None] ** 2) / first).min(axis=1)
-    return Caps(speed, push, np.where(least < feed, 1 + limit, 0))
+    return _Caps(speed, push, np.where(least < feed, limit, -1))
 
 
 def _held(path: Path, cap: np.ndarray, window: float) -> np.ndarray:
@@ -108,10 +115,9 @@ def _held(path: Path, cap: np.ndarray, window: float) -> np.ndarray:
     return held
 
 
-def _slow_down(
-    grid: np.ndarray, law: Speed, time: np.ndarray, place: np.ndarray, over: np.ndarray, speed: np.ndarray, push: np.ndarray
-) -> None:
-    """Lower caps and pushes wherever the mean sees an instant at which a limit is exceeded."""
+def _slow_down(caps: _Caps, grid: np.ndarray, law: Speed, time: np.ndarray, shares: np.ndarray) -> None:
+    """Lower caps and pushes wherever the mean sees an instant at which a limit is exceeded, and note which one."""
+    over = shares.max(axis=1)
     bad = np.flatnonzero(over > 1.0)
     breaks = np.flatnonzero(np.diff(bad) > 1)
     begin, end = bad[np.append(0, breaks + 1)], bad[np.append(breaks, len(bad) - 1)]
@@ -119,6 +125,8 @@ def _slow_down(
     begins = np.searchsorted(grid, law.at(np.maximum(time[begin] - seen, 0.0))[0]) - 1
     ends = np.searchsorted(grid, law.at(np.minimum(time[end] + seen, time[-1]))[0]) + 1
     for first, last, a, b in zip(begin, end, np.maximum(begins, 0), ends, strict=True):
-        worst = 1.01 * over[first : last + 1].max()
-        speed[a:b] /= worst
-        push[a:b] /= worst**2
+        worst = first + over[first : last + 1].argmax()
+        by = 1.01 * over[worst]
+        caps.speed[a:b] /= by
+        caps.push[a:b] /= by**2
+        caps.limit[a:b] = shares[worst].argmax()
