@@ -10,7 +10,7 @@ import made_once
 import mujoco
 import numpy as np
 import pytest
-from made_plan import STATUSES, made_plans, with_a_dwell
+from made_plan import STATUSES, made_plan, made_plans, with_a_dwell
 from test_joint_path import rail
 
 from htcp_jax import api
@@ -20,8 +20,10 @@ from htcp_jax.planner.motion import motion as motion_of
 from htcp_jax.program.curve import FARTHEST, Curve
 from htcp_jax.program.limits import joint_limits
 from htcp_jax.program.nudge import arm_at, nudge_bound
+from htcp_jax.program.of_plan import feed_of, program_of
 from htcp_jax.program.program import program
 from htcp_jax.program.stretches import SHARE, Spare, spare
+from htcp_jax.runs.open import open_plans
 from htcp_jax.scene.kinematics import capsules_and_tcp
 from htcp_jax.scene.robot_file import GP50, load_robot
 from htcp_jax.status import Kind
@@ -316,3 +318,20 @@ def test_the_default_job_holds_its_feed_over_99_percent_of_the_weld():
     speed = speed[timed.kind[:-2] == F]
     held = np.abs(speed - 0.02) <= 0.01 * 0.02
     assert speed[held].sum() >= 0.99 * speed.sum()
+
+
+@pytest.mark.parametrize(("text", "m_s"), [("20mm/s", 0.02), (" 1.2 m/min", 0.02), ("2e1 mm/s", 0.02), ("0.02m/s", 0.02)])
+def test_a_feed_is_read_with_its_unit(text, m_s):
+    assert feed_of(text) == pytest.approx(m_s)
+
+
+@pytest.mark.parametrize("text", ["0mm/s", "20", "mm/s", "-1mm/s", "20 in/s", "1.2.3mm/s", ""])
+def test_a_feed_without_a_unit_or_not_above_0_is_refused(text):
+    with pytest.raises(InputError, match="units: mm/s, m/s, mm/min, m/min"):
+        feed_of(text)
+
+
+def test_a_plan_that_is_not_executable_says_how_far_it_is(tmp_path):
+    made_plan(tmp_path / "job").save(tmp_path / "plan")
+    with pytest.raises(InputError, match="a motion leads to 0 of 10 targets"):
+        program_of(open_plans(tmp_path / "plan"), 0.02)
