@@ -69,9 +69,12 @@ class Curve(NamedTuple):
         return Derivatives(x, first, second, third)
 
     def grid(self, on_corner: int, on_leg: int) -> Float[np.ndarray, "m"]:
-        """Places along the curve, so many on each corner and so many between two corners; ends included."""
+        """Places along the curve: so many on each corner, and between two corners so many halvings from the middle
+        towards either one; ends included."""
+        near = 0.5 ** np.arange(1, on_leg + 1)
+        shares = np.concatenate([[0.0], near[::-1], 1 - near[1:], [1.0]])
         before, after = self.u[:-1] + self.reach[:-1], self.u[1:] - self.reach[1:]
-        legs = before[:, None] + np.linspace(0, 1, on_leg) * (after - before)[:, None]
+        legs = before[:, None] + shares * (after - before)[:, None]
         corners = self.u[:, None] + np.linspace(-1, 1, on_corner) * self.reach[:, None]
         places = np.unique(np.concatenate([legs.ravel(), corners.ravel()]))
         return places[np.diff(places, prepend=-np.inf) > 1e-9 * self.u[-1]]

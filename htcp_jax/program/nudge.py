@@ -37,9 +37,7 @@ def arm_at(robot: Robot, x: Float[np.ndarray, "k N"]) -> Arm:
     return Arm(*_padded(_points, robot, x), ~np.array(robot.slides))
 
 
-def tcp_at(
-    robot: Robot, x: Float[np.ndarray, "k N"]
-) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3 N"]]:
+def tcp_at(robot: Robot, x: Float[np.ndarray, "k N"]) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3 N"]]:
     """The TCP at postures, world [m], and its Jacobian."""
     return _padded(_tcp, robot, x)
 
@@ -55,9 +53,7 @@ def nudge_bound(
     return np.minimum((lever * size[..., None, :]).sum(-1), along + _second(arm, lever, within + 0.5 * size, size))
 
 
-def bend_bound(
-    arm: Arm, within: Float[np.ndarray, "k N"], rates: Float[np.ndarray, "k N"]
-) -> Float[np.ndarray, "k P"]:
+def bend_bound(arm: Arm, within: Float[np.ndarray, "k N"], rates: Float[np.ndarray, "k N"]) -> Float[np.ndarray, "k P"]:
     """How large each point's second derivative is on straight joint paths of these rates, while joints are within
     `within` of the arm's postures."""
     return _second(arm, _levers(arm, within), np.abs(rates), np.abs(rates))

@@ -15,7 +15,7 @@ from htcp_jax.program.nudge import tcp_at
 from htcp_jax.program.stretches import Stretch
 from htcp_jax.scene.robot import Robot
 
-FINE, COARSE = 17, 9  # places on a corner and between two corners
+FINE, HALVINGS = 13, 8  # places on a corner, and halvings between two corners
 
 
 class Path(NamedTuple):
@@ -45,7 +45,7 @@ class Path(NamedTuple):
 def path_of(robot: Robot, stretch: Stretch) -> Path:
     """A stretch's."""
     curve = stretch.curve
-    u = curve.grid(FINE, COARSE)
+    u = curve.grid(FINE, HALVINGS)
     ends = curve.u[:, None] + np.array([-1, 1]) * curve.reach[:, None]
     if not stretch.feeds:
         return Path(curve, u, ends, None)

@@ -1,9 +1,9 @@
 """A motion with time: `program(robot, motion, left, limits, feed_m_s)`, and what it comes to.
 
-    left = spare(plans, 0, motion, settings.tube_m)
-    made = program(robot, motion, left, joint_limits(robot), feed_m_s=0.02)
-    made.timed(0.001)   # arrays, 1 ms apart
-    made.dips()         # where along the weld the feed is not held, how far, and which joint says so
+left = spare(plans, 0, motion, settings.tube_m)
+made = program(robot, motion, left, joint_limits(robot), feed_m_s=0.02)
+made.timed(0.001)   # arrays, 1 ms apart
+made.dips()         # where along the weld the feed is not held, how far, and which joint says so
 """
 
 from typing import NamedTuple
@@ -99,16 +99,24 @@ def program(robot: Robot, motion: Motion, left: Spare, limits: Limits, feed_m_s:
 
 def _dips(law: Law, before: float, feed: float, names: tuple[str, ...]) -> list[Dip]:
     """Of one stretch that begins `before` metres along the weld."""
-    time = instants(law.speed)
-    place, speed, _, _ = law.speed.at(time)
-    slow = np.flatnonzero(speed < HELD * feed)
-    parts = np.split(slow, np.flatnonzero(np.diff(slow) > 1) + 1)
-    return [_dip(law, place[part], speed[part], before, names) for part in parts if len(part)]
+    place, speed, _, _ = law.speed.at(instants(law.speed))
+    slow, found = np.flatnonzero(speed < HELD * feed), []
+    limit = law.limit_at(place)
+    for part in _runs(slow, np.diff(slow) > 1):
+        stops = speed[part].min() <= STANDS * feed
+        for piece in _runs(part, np.diff(limit[part] >= 0)) if stops else [part]:
+            least = piece[speed[piece].argmin()]
+            known = piece[limit[piece] >= 0]
+            reason = _named(int(limit[known[speed[known].argmin()]]), names) if len(known) else "stop"
+            ends = before + place[piece[[0, -1]]]
+            found.append(Dip(float(ends[0]), float(ends[1]), float(speed[least]), reason))
+    return found
 
 
-def _dip(law: Law, place: np.ndarray, speed: np.ndarray, before: float, names: tuple[str, ...]) -> Dip:
-    least = float(speed.min())
-    limit = law.limit_at(float(place[0]), float(place[-1]))
-    known = least > STANDS * law.speed.speed.max() and limit is not None
-    reason = f"{('velocity', 'acceleration', 'jerk')[limit % 3]} of {names[limit // 3]}" if known else "stop"
-    return Dip(before + float(place[0]), before + float(place[-1]), least, reason)
+def _runs(which: np.ndarray, breaks: np.ndarray) -> list[np.ndarray]:
+    """Cut behind every break."""
+    return [run for run in np.split(which, np.flatnonzero(breaks) + 1) if len(run)]
+
+
+def _named(limit: int, names: tuple[str, ...]) -> str:
+    return f"{('velocity', 'acceleration', 'jerk')[limit % 3]} of {names[limit // 3]}"

@@ -24,7 +24,7 @@ CURVED = 0.9  # the share of a limit that a corner may take of it at constant sp
 ROUNDS = 12
 LOOKED_AT_S, INSTANTS = 0.004, 20_000  # how far instants are apart, and how many there are at most, beside those at
 # which the places of the grid are passed
-SPARE = 0.995  # of the limits, for what lies between them
+SPARE, ENOUGH = 0.995, 1.001  # of the limits for what lies between them, and how little more time is none
 
 
 class _Caps(NamedTuple):
@@ -52,10 +52,9 @@ class Law(NamedTuple):
             x, first * v, second * v * v + first * a, third * v**3 + 3 * second * v * a + first * j
         )
 
-    def limit_at(self, begin: float, end: float) -> int | None:
-        """The limit that is named where it is slowest between two places, see `limit`; None where none is."""
-        near = np.flatnonzero((self.path.place >= begin) & (self.path.place <= end) & (self.limit >= 0))
-        return int(self.limit[near[self.speed.speed[near].argmin()]]) if len(near) else None
+    def limit_at(self, place: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+        """What keeps the speed low at places, see `limit`."""
+        return self.limit[np.clip(np.searchsorted(self.path.place, place), 0, len(self.limit) - 1)]
 
 
 def law_of(path: Path, limits: Limits, feed: float = np.inf) -> Law:
@@ -71,16 +70,17 @@ def law_of(path: Path, limits: Limits, feed: float = np.inf) -> Law:
         place, found = law.at(time)
         shares = limits.shares(*found[1:])
         over = shares.max(axis=1)
-        if over.max() <= 1.0:
+        if over.max() <= ENOUGH:
             return law
         _slow_down(caps, path.place, law.speed, time, shares)
     return law._replace(speed=law.speed._replace(slower=float(over.max())))
 
 
 def instants(law: Speed) -> Float[np.ndarray, "n"]:
-    """When limits are looked at."""
+    """When limits are looked at: evenly, and as the places of the grid are passed."""
     even = np.linspace(0, law.duration_s, 2 + min(int(law.duration_s / LOOKED_AT_S), INSTANTS))
-    return np.sort(np.append(even, law.time + 0.5 * law.window_s))
+    passed = np.interp(law.place, np.maximum.accumulate(law.at(even)[0]), even)
+    return np.sort(np.append(even, passed))
 
 
 def _caps(path: Path, limits: Limits, feed: float) -> _Caps:
@@ -118,7 +118,7 @@ def _held(path: Path, cap: np.ndarray, window: float) -> np.ndarray:
 def _slow_down(caps: _Caps, grid: np.ndarray, law: Speed, time: np.ndarray, shares: np.ndarray) -> None:
     """Lower caps and pushes wherever the mean sees an instant at which a limit is exceeded, and note which one."""
     over = shares.max(axis=1)
-    bad = np.flatnonzero(over > 1.0)
+    bad = np.flatnonzero(over > ENOUGH)
     breaks = np.flatnonzero(np.diff(bad) > 1)
     begin, end = bad[np.append(0, breaks + 1)], bad[np.append(breaks, len(bad) - 1)]
     seen = 0.5 * law.window_s
