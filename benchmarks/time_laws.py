@@ -4,7 +4,7 @@
 
 Every law gets the same rounded curve on the same grid. toppra and copp-py's second order know no jerk; the others do.
 Whichever of the two is not installed is left out. A row a law and way: how long it takes, the median time to find it,
-and the largest shares of velocity, acceleration and jerk on the timed curve, by finite differences of joints 1 ms apart.
+and the largest shares of velocity, acceleration and jerk on the timed curve, by finite differences at 1 ms.
 """
 
 import statistics

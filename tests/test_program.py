@@ -75,7 +75,7 @@ def whole_motion(seed=0, rough=0.002):
     line = weld(seed=seed, rough=rough)
     home = np.array([0.0, -1.5, 0.3, 0.0, 0.3, 0.0])
     turned = line[20] + np.array([[0, 0, 0, 0, 0, 0.2], [0, 0, 0, 0, 0, 0.4]])
-    rest = line[20:] + [0, 0, 0, 0, 0, 0.4]
+    rest = line[20:] + np.array([0, 0, 0, 0, 0, 0.4])
     there = [
         home,
         home + 0.4,
@@ -185,7 +185,7 @@ def test_the_tool_stays_within_the_share_of_the_tolerance_by_mujoco(tube):
     away = tcp_by_mujoco(timed.x[on]) - begin
     off = np.linalg.norm(away - (away @ along)[:, None] * along, axis=1)
     between = np.concatenate(
-        [a + np.linspace(0, 1, 21)[:, None] * (b - a) for a, b in zip(motion.x[3:47], motion.x[4:48])]
+        [a + np.linspace(0, 1, 21)[:, None] * (b - a) for a, b in zip(motion.x[3:47], motion.x[4:48], strict=True)]
     )
     polyline = tcp_by_mujoco(between) - begin
     sag = np.linalg.norm(polyline - (polyline @ along)[:, None] * along, axis=1).max()

@@ -4,6 +4,7 @@ The arm stops where the tool begins or ends to follow the path, and before and a
 cannot be rounded, because the way is too tight or the tool would all but turn round.
 """
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -66,7 +67,7 @@ def stretches(robot: Robot, motion: Motion, left: Spare, limits: Limits, feed_m_
     turned = np.einsum("ij,ij->i", along[:-1], along[1:]) < 2 * SHARPEST**2 - 1
     stops = (np.diff(way.group + 10 * way.feeds) != 0) | (way.feeds[1:] & turned) | (reach[1:-1] <= 0)
     ends = [0, *(np.flatnonzero(stops) + 1).tolist(), len(way.x) - 1]
-    return [_cut(whole, reach, a, b, way) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    return [_cut(whole, reach, a, b, way) for a, b in pairwise(ends)]
 
 
 class _Way(NamedTuple):

@@ -1,6 +1,6 @@
 """The law of time of one stretch: at the feed, or as fast as it can be, within velocity, acceleration and jerk.
 
-Over the length s a joint has velocity q' s', acceleration q'' s'^2 + q' s'' and jerk q''' s'^3 + 3 q'' s' s'' + q' s'''.
+Over the length s a joint has velocity q' s', acceleration q'' s'^2 + q' s'', jerk q''' s'^3 + 3 q'' s' s'' + q' s'''.
 At constant speed each limit is a cap on it in closed form,
 
     s' <= v / |q'|,    s' <= (a / |q''|)^(1/2),    s' <= (j / |q'''|)^(1/3),
@@ -24,7 +24,8 @@ CURVED = 0.9  # the share of a limit that a corner may take of it at constant sp
 ROUNDS = 12
 LOOKED_AT_S, INSTANTS = 0.004, 20_000  # how far instants are apart, and how many there are at most, beside those at
 # which the places of the grid are passed
-SPARE, ENOUGH = 0.995, 1.001  # of the limits for what lies between them, and how little more time is none
+SPARE = 0.995, 0.995, 0.93  # of v, a and j, for what lies between them: jerks jump where accelerations bend
+ENOUGH = 1.001  # so little more time is none
 
 
 class _Caps(NamedTuple):
@@ -60,14 +61,14 @@ class Law(NamedTuple):
 def law_of(path: Path, limits: Limits, feed: float = np.inf) -> Law:
     """The law of a stretch. feed: the speed that it should have, and not exceed; for one that does not feed 1 is the
     speed of its fastest joint."""
-    limits = Limits(*(SPARE * part for part in limits))
+    limits = Limits(*(share * part for share, part in zip(SPARE, limits, strict=True)))
     window = float(np.max(limits.acceleration / limits.jerk))
     caps = _caps(path, limits, feed)
     caps = caps._replace(speed=_held(path, caps.speed, window))
     for _ in range(ROUNDS):
         law = Law(path, fastest(path.place, caps.speed, caps.push, window), caps.limit)
         time = instants(law.speed)
-        place, found = law.at(time)
+        _, found = law.at(time)
         shares = limits.shares(*found[1:])
         over = shares.max(axis=1)
         if over.max() <= ENOUGH:
