@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
 from htcp_jax.program.beside import Beside, Pulses, UserFrame
+from htcp_jax.program.thinning import thinned
 from htcp_jax.program.timed import Timed
 from htcp_jax.program.writers import FORMATS, program_text
 from htcp_jax.scene.robot import GP50
@@ -148,6 +149,7 @@ class Job:
                 self.fields[key] = value
         assert self.fields["NPOS"] == f"{len(self.positions)},0,0,0,0,0"
         self.remarks = [line[1:] for line in lines[begin:-1] if line.startswith("'")]
+        assert not any(re.search(r"-0(\.0+)?(,|$)", line) for line in lines if line.startswith("C"))  # no minus zero
         self.moves = [line.split() for line in lines[begin + 1 : -1] if not line.startswith("'")]
         assert all(len(remark) <= 32 for remark in self.remarks)
 
@@ -243,6 +245,33 @@ def test_mujoco_reads_the_keyframes_exactly_with_the_built_in_arm():
     assert [model.key(k).name for k in range(3)] == ["0_transfer", "1_feed", "2_retract"]
 
 
+# --- fewer postures
+
+
+@FEW
+@given(motions(), st.floats(1e-3, 2))
+def test_a_thinned_motion_passes_every_posture_at_its_time_within_what_was_allowed(timed, within):
+    thin = thinned(timed, within)
+    assert thin.time_s[0] == timed.time_s[0] and thin.time_s[-1] == timed.time_s[-1]
+    for joint in range(timed.x.shape[1]):
+        there = np.interp(timed.time_s, thin.time_s, thin.x[:, joint])
+        assert np.abs(there - timed.x[:, joint]).max() <= within + 1e-9
+    rows = np.searchsorted(timed.time_s, thin.time_s)
+    assert all((a == b).all() for a, b in zip(thin[:-1], (column[rows] for column in timed[:-1]), strict=True))
+    assert set(np.flatnonzero(np.diff(timed.kind))) <= set(rows)  # the last posture of each kind
+
+
+def test_a_straight_motion_at_constant_speed_is_thinned_to_its_ends_and_a_bent_one_keeps_its_bend():
+    rows = np.arange(101.0)
+    straight = np.stack([rows, -2 * rows], axis=1) / 100
+    timed = Timed(
+        rows / 500, straight, straight, straight, np.full(101, Kind.FEED, np.int8), rows.astype(int), ("a", "b")
+    )
+    assert thinned(timed, 1e-9).target.tolist() == [0, 100]
+    bent = timed._replace(x=np.stack([straight[:, 0], np.abs(straight[:, 0] - 0.5)], axis=1))
+    assert thinned(bent, 1e-9).target.tolist() == [0, 50, 100]
+
+
 # --- all of them
 
 
@@ -289,7 +318,7 @@ MANY = MANY._replace(time_s=np.arange(12000.0))
         ("jbi-pulses", a_motion(), {"pulses": None}, "no pulses: give a table"),
         ("jbi-pulses", a_motion(), {"pulses": Pulses(np.ones(5), "x")}, "5 pulses per radian for 6 joints"),
         ("jbi-pulses", a_motion(9), {}, "an arm of 9 joints"),
-        ("jbi-pulses", MANY, {}, "a job holds 9,999"),
+        ("jbi-pulses", MANY, {}, "a job holds 9,999; take fewer"),
         ("urscript", a_motion(7), {}, "an arm of 7 joints, 0 of which slide"),
         ("urscript", a_motion(), {"slides": (True, *[False] * 5)}, "1 of which slide"),
         ("urscript", a_motion(), {"name": "2 welds"}, "'2 welds' is no name of a function"),

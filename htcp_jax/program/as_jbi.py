@@ -77,12 +77,14 @@ def jbi_pulses_text(timed: Timed, beside: Beside) -> str:
 def _job(format: str, beside: Beside, positions: list[str], attributes: list[str], instructions: list[str]) -> str:
     if not NAME.fullmatch(beside.name):
         raise InputError(f"{format}: {beside.name!r} is no name of a job; up to 32 of A to Z, 0 to 9, - and _")
-    if len(instructions) + 2 > MOST_LINES:
-        raise InputError(f"{format}: {len(instructions) + 2:,} lines; a job holds {MOST_LINES:,}: take fewer postures")
+    if (lines := len(instructions) + 2) > MOST_LINES:
+        raise InputError(
+            f"{format}: {lines:,} lines, a job holds {MOST_LINES:,}; take fewer postures (program.thinning)"
+        )
     count = sum(line.startswith("C") for line in positions)
-    lines = ["/JOB", f"//NAME {beside.name}", "//POS", f"///NPOS {count},0,0,0,0,0", *positions, "//INST"]
-    lines += [] if beside.date is None else [f"///DATE {beside.date:%Y/%m/%d %H:%M}"]
-    return "\r\n".join([*lines, *attributes, "///GROUP1 RB1", "NOP", *instructions, "END"]) + "\r\n"
+    head = ["/JOB", f"//NAME {beside.name}", "//POS", f"///NPOS {count},0,0,0,0,0", *positions, "//INST"]
+    date = [] if beside.date is None else [f"///DATE {beside.date:%Y/%m/%d %H:%M}"]
+    return "\r\n".join([*head, *date, *attributes, "///GROUP1 RB1", "NOP", *instructions, "END"]) + "\r\n"
 
 
 def _remarks(about: list[str]) -> Iterator[str]:
@@ -93,13 +95,19 @@ def _remarks(about: list[str]) -> Iterator[str]:
 
 def _poses(frame: UserFrame) -> Iterator[str]:
     """The positions, with the arm's form before those that it changes at."""
-    at_mm, turn_deg = 1e3 * frame.T_frame_tcp[:, :3, 3], np.degrees(_fixed_xyz_rad(frame.T_frame_tcp[:, :3, :3]))
+    at_mm = _rounded(1e3 * frame.T_frame_tcp[:, :3, 3], 3)
+    turn_deg = _rounded(np.degrees(_fixed_xyz_rad(frame.T_frame_tcp[:, :3, :3])), 4)
     last = None
     for k, (xyz, angles, form) in enumerate(zip(at_mm.tolist(), turn_deg.tolist(), frame.form.tolist(), strict=True)):
         if form != last:
             yield f"///RCONF {','.join(map(str, (*form, *UNUSED)))}"
         last = form
         yield f"C{k:05d}={','.join([f'{v:.3f}' for v in xyz] + [f'{v:.4f}' for v in angles])}"
+
+
+def _rounded(values: np.ndarray, digits: int) -> np.ndarray:
+    """Without the sign of what becomes zero."""
+    return np.round(values, digits) + 0.0
 
 
 def _fixed_xyz_rad(R: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:

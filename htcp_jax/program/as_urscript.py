@@ -38,7 +38,7 @@ def urscript_text(timed: Timed, beside: Beside) -> str:
     if not NAME.fullmatch(beside.name):
         raise InputError(f"urscript: {beside.name!r} is no name of a function; letters, digits and _, a letter first")
     hold_s = _steps(timed, beside.control_step_s) * beside.control_step_s
-    postures = [", ".join(f"{value:.6f}" for value in row) for row in timed.x.tolist()]
+    postures = [", ".join(f"{value:.6f}" for value in row) for row in (np.round(timed.x, 6) + 0.0).tolist()]
     lines = [f"# {line}" for line in header(timed, *MORE)] + [f"def {beside.name}():"]
     lines.append(f"  movej([{postures[0]}], {SLOW_RAD_S2}, {SLOW_RAD_S})")
     for posture, seconds in zip(postures[1:], hold_s.tolist(), strict=True):
