@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
 from htcp_jax.program.beside import Beside, Pulses, UserFrame
-from htcp_jax.program.thinning import thinned
 from htcp_jax.program.timed import Timed
 from htcp_jax.program.writers import FORMATS, program_text
 from htcp_jax.scene.robot import GP50
@@ -108,12 +107,12 @@ def check_message(value, kind: str) -> None:
         assert kind != "uint32" or 0 <= value < 10**9
 
 
-@pytest.mark.parametrize("format", ["ros-yaml", "ros-json"])
+@pytest.mark.parametrize("format", ["ros", "ros-json"])
 @FEW
 @given(motions())
 def test_a_ros_message_is_as_defined_and_reads_back_exactly_and_to_half_a_nanosecond(format, timed):
     text = program_text(format, timed, beside(timed))
-    message = yaml.safe_load(text) if format == "ros-yaml" else json.loads(text)["message"]
+    message = yaml.safe_load(text) if format == "ros" else json.loads(text)["message"]
     check_message(message, "JointTrajectory")
     assert tuple(message["joint_names"]) == timed.joint_names
     for name, array in zip(("positions", "velocities", "accelerations"), timed[1:4], strict=True):
@@ -163,10 +162,11 @@ class Job:
 def test_pulses_read_back_to_half_a_pulse(timed, data):
     N = len(timed.joint_names)
     table = np.array(data.draw(st.lists(st.sampled_from([85000.5, -73000.0, 1e6]), min_size=N, max_size=N)))
-    pulses = Pulses(table, "a drawing")
+    zero = np.linspace(-1, 1, N)
+    pulses = Pulses(table, zero, "a drawing")
     job = Job(program_text("jbi-pulses", timed, beside(timed, pulses=pulses, tool=4)))
     assert (job.fields["TOOL"], job.fields["POSTYPE"], job.fields["NAME"]) == ("4", "PULSE", "WELD")
-    assert (np.abs(job.array() / table - timed.x) <= 0.5 / np.abs(table) + 1e-15).all()
+    assert (np.abs(job.array() / table + zero - timed.x) <= 0.5 / np.abs(table) + 1e-15).all()
     assert {move[0] for move in job.moves} == {"MOVJ"}
 
 
@@ -239,46 +239,25 @@ def test_urscript_reads_back_to_half_a_microradian_at_the_same_times(timed):
 def test_mujoco_reads_the_keyframes_exactly_with_the_built_in_arm():
     timed = a_motion()._replace(x=np.random.default_rng(0).uniform(-1, 1, (3, 6)))
     model = GP50.read_text().replace("</mujoco>", '<include file="weld.xml"/></mujoco>')
-    model = mujoco.MjModel.from_xml_string(model, {"weld.xml": program_text("mujoco", timed, beside(timed)).encode()})
+    model = mujoco.MjModel.from_xml_string(
+        model, {"weld.xml": program_text("keyframes", timed, beside(timed)).encode()}
+    )
     assert (model.key_time == timed.time_s).all()
     assert (model.key_qpos == timed.x).all() and (model.key_qvel == timed.velocity).all()
     assert [model.key(k).name for k in range(3)] == ["0_transfer", "1_feed", "2_retract"]
 
 
-# --- fewer postures
-
-
-@FEW
-@given(motions(), st.floats(1e-3, 2))
-def test_a_thinned_motion_passes_every_posture_at_its_time_within_what_was_allowed(timed, within):
-    thin = thinned(timed, within)
-    assert thin.time_s[0] == timed.time_s[0] and thin.time_s[-1] == timed.time_s[-1]
-    for joint in range(timed.x.shape[1]):
-        there = np.interp(timed.time_s, thin.time_s, thin.x[:, joint])
-        assert np.abs(there - timed.x[:, joint]).max() <= within + 1e-9
-    rows = np.searchsorted(timed.time_s, thin.time_s)
-    assert all((a == b).all() for a, b in zip(thin[:-1], (column[rows] for column in timed[:-1]), strict=True))
-    assert set(np.flatnonzero(np.diff(timed.kind))) <= set(rows)  # the last posture of each kind
-
-
-def test_a_straight_motion_at_constant_speed_is_thinned_to_its_ends_and_a_bent_one_keeps_its_bend():
-    rows = np.arange(101.0)
-    straight = np.stack([rows, -2 * rows], axis=1) / 100
-    timed = Timed(
-        rows / 500, straight, straight, straight, np.full(101, Kind.FEED, np.int8), rows.astype(int), ("a", "b")
-    )
-    assert thinned(timed, 1e-9).target.tolist() == [0, 100]
-    bent = timed._replace(x=np.stack([straight[:, 0], np.abs(straight[:, 0] - 0.5)], axis=1))
-    assert thinned(bent, 1e-9).target.tolist() == [0, 50, 100]
-
-
 # --- all of them
+
+
+def table_of(joints: int) -> Pulses:
+    return Pulses(np.full(joints, 1e4), np.zeros(joints), "a drawing")
 
 
 def whole(timed: Timed) -> Beside:
     """With all that any format asks for."""
     frame = UserFrame(1, np.tile(np.eye(4), (len(timed.x), 1, 1)), np.zeros((len(timed.x), 6), int))
-    return beside(timed, user_frame=frame, pulses=Pulses(np.full(timed.x.shape[1], 1e4), "a drawing"))
+    return beside(timed, user_frame=frame, pulses=table_of(timed.x.shape[1]))
 
 
 @pytest.mark.parametrize("format", FORMATS)
@@ -305,20 +284,25 @@ MANY = MANY._replace(time_s=np.arange(12000.0))
 @pytest.mark.parametrize(
     ("format", "timed", "given", "said"),
     [
-        ("krl", a_motion(), {}, "'krl' is no format of a program; valid: csv, ros-yaml, ros-json, jbi, jbi-pulses"),
+        ("krl", a_motion(), {}, "'krl' is no format of a program; valid: csv, ros, ros-json, jbi, jbi-pulses"),
         ("csv", NO_POSTURE, {}, "has none"),
         ("csv", STILL, {}, "posture 2 comes no later"),
-        ("jbi", a_motion(), {"user_frame": None}, "need a user frame"),
+        ("jbi", a_motion(), {"user_frame": None}, "program.user_frame names it"),
         ("jbi", a_motion(), {"user_frame": FRAME_0}, "user frame 0; there are 1 to 63"),
         ("jbi", a_motion(7), {}, "an arm of 7 joints; RECTAN holds 6"),
         ("jbi", a_motion(), {"name": "Größe"}, "'Größe' is no name of a job"),
-        ("jbi", a_motion(), {"speed": None}, "give those of all joints"),
-        ("jbi-pulses", a_motion(), {"speed": np.array([1, 1, 1, 1, 1, np.inf])}, "give those of all joints"),
+        ("jbi", a_motion(), {"speed": None}, "program.velocity gives them"),
+        (
+            "jbi-pulses",
+            a_motion(),
+            {"speed": np.array([1, 1, 1, 1, 1, np.inf])},
+            "program.velocity gives them",
+        ),
         ("jbi-pulses", a_motion(), {"speed": np.full(6, 0.1)}, "j0 at 200.0 % of its full speed"),
-        ("jbi-pulses", a_motion(), {"pulses": None}, "no pulses: give a table"),
-        ("jbi-pulses", a_motion(), {"pulses": Pulses(np.ones(5), "x")}, "5 pulses per radian for 6 joints"),
+        ("jbi-pulses", a_motion(), {"pulses": None}, "no table; program.pulses gives one"),
+        ("jbi-pulses", a_motion(), {"pulses": table_of(5)}, "5 pulses per radian for 6 joints"),
         ("jbi-pulses", a_motion(9), {}, "an arm of 9 joints"),
-        ("jbi-pulses", MANY, {}, "a job holds 9,999; take fewer"),
+        ("jbi-pulses", MANY, {}, "a job holds 9,999; the path has too many points"),
         ("urscript", a_motion(7), {}, "an arm of 7 joints, 0 of which slide"),
         ("urscript", a_motion(), {"slides": (True, *[False] * 5)}, "1 of which slide"),
         ("urscript", a_motion(), {"name": "2 welds"}, "'2 welds' is no name of a function"),

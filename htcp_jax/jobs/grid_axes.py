@@ -25,7 +25,7 @@ PARAMETERS = (
     "robot.tool_extension_m",
     "margin_m",
 )
-NO_AXIS = "method", "ray"  # a sweep asks for methods by itself, and a cluster has no influence on results
+NO_AXIS = "method", "program", "ray"  # a sweep asks for methods by itself; the others have no influence on plans
 MOST_ROWS = 8  # of a task, that an axis may name
 OF_A_ROW = {"cone_deg": 0.0, "within_deg": 0.0, "within_m": 0.0, "offset_m": (0.0, 0.0, 0.0)}  # what varies of a row
 FILE_KEYS = {".".join(key): words for key, words in FILES.items()}

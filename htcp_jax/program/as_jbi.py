@@ -41,7 +41,7 @@ def jbi_text(timed: Timed, beside: Beside) -> str:
     them, for an arm of other than six joints, for more postures than a job holds, and for a name that is none of a job.
     """
     if (frame := beside.user_frame) is None:
-        raise InputError("jbi: RECTAN positions need a user frame: its number, the TCP's poses in it, the arm's form")
+        raise InputError("jbi: RECTAN positions are in a user frame; program.user_frame names it, {number: 1 to 63}")
     if len(timed.joint_names) != RECTAN_JOINTS:
         joints = f"an arm of {len(timed.joint_names)} joints"
         raise InputError(f"jbi: {joints}; RECTAN holds {RECTAN_JOINTS}, jbi-pulses up to {MOST_JOINTS}")
@@ -61,14 +61,14 @@ def jbi_pulses_text(timed: Timed, beside: Beside) -> str:
     job holds, for more postures than it holds, and for a name that is none of a job.
     """
     if (pulses := beside.pulses) is None:
-        raise InputError("jbi-pulses: no pulses: give a table, pulses per radian for each joint, with its source")
+        raise InputError("jbi-pulses: no table; program.pulses gives one: {per_rad: [...], source: ...}")
     if len(timed.joint_names) > MOST_JOINTS:
         raise InputError(f"jbi-pulses: an arm of {len(timed.joint_names)} joints; a job holds up to {MOST_JOINTS}")
     if np.shape(pulses.per_unit) != timed.x.shape[1:]:
         raise InputError(f"jbi-pulses: {np.size(pulses.per_unit)} pulses per radian for {timed.x.shape[1]} joints")
-    counts = np.round(timed.x * pulses.per_unit).astype(int).tolist()
+    counts = np.round((timed.x - pulses.zero) * pulses.per_unit).astype(int).tolist()
     positions = [f"C{k:05d}={','.join(map(str, row))}" for k, row in enumerate(counts)]
-    about = header(timed, *MORE, f"Tool {beside.tool}. Pulses by {pulses.source}; 0 pulses at joint value 0.")
+    about = header(timed, *MORE, f"Tool {beside.tool}. Pulses by {pulses.source}.")
     moves = _moves(timed, _percent(timed, beside, "jbi-pulses"), np.zeros(len(timed.x)))
     names = [f"///TOOL {beside.tool}", "///POSTYPE PULSE", "///PULSE"]
     return _job("jbi-pulses", beside, [*names, *positions], ["///ATTR SC,RW"], [*_remarks(about), *moves])
@@ -78,9 +78,7 @@ def _job(format: str, beside: Beside, positions: list[str], attributes: list[str
     if not NAME.fullmatch(beside.name):
         raise InputError(f"{format}: {beside.name!r} is no name of a job; up to 32 of A to Z, 0 to 9, - and _")
     if (lines := len(instructions) + 2) > MOST_LINES:
-        raise InputError(
-            f"{format}: {lines:,} lines, a job holds {MOST_LINES:,}; take fewer postures (program.thinning)"
-        )
+        raise InputError(f"{format}: {lines:,} lines, a job holds {MOST_LINES:,}; the path has too many points for it")
     count = sum(line.startswith("C") for line in positions)
     head = ["/JOB", f"//NAME {beside.name}", "//POS", f"///NPOS {count},0,0,0,0,0", *positions, "//INST"]
     date = [] if beside.date is None else [f"///DATE {beside.date:%Y/%m/%d %H:%M}"]
@@ -134,7 +132,7 @@ def _feed_mm_s(timed: Timed, frame: UserFrame) -> Float[np.ndarray, "n"]:
 def _percent(timed: Timed, beside: Beside, format: str) -> Float[np.ndarray, "n"]:
     """The fastest joint's share of its full speed on the way to a row, in percent; slow to the first."""
     if beside.speed is None or not np.isfinite(beside.speed).all():
-        raise InputError(f"{format}: speeds are in percent of full joint speed; give those of all joints")
+        raise InputError(f"{format}: speeds are in percent of full joint speed; program.velocity gives them")
     share = 100 * np.abs(np.diff(timed.x, axis=0)) / (np.diff(timed.time_s)[:, None] * beside.speed)
     if (share > 100 + LEAST_PERCENT / 2).any():
         row, joint = np.unravel_index(share.argmax(), share.shape)

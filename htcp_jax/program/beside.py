@@ -20,9 +20,10 @@ class UserFrame(NamedTuple):
 
 
 class Pulses(NamedTuple):
-    """How a controller counts; joint value 0 is pulse 0."""
+    """How a controller counts."""
 
     per_unit: Float[np.ndarray, "N"]  # [1/rad or 1/m]; negative where the controller's joint turns the other way
+    zero: Float[np.ndarray, "N"]  # joint values at which it counts 0 [rad or m]
     source: str  # of these numbers, in words
 
 

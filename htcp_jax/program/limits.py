@@ -6,9 +6,10 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
+from htcp_jax.jobs.config import ProgramConfig
 from htcp_jax.scene.robot import Robot
 
-FULL_SPEED_S, FULL_ACCELERATION_S = 0.2, 0.1
+KINDS = "velocity", "acceleration", "jerk"
 
 
 class Limits(NamedTuple):
@@ -31,23 +32,33 @@ class Limits(NamedTuple):
         return np.stack(found, axis=2).reshape(len(v), -1)
 
 
-def joint_limits(
-    robot: Robot, full_speed_s: float = FULL_SPEED_S, full_acceleration_s: float = FULL_ACCELERATION_S
-) -> Limits:
-    """Those of an arm: its own accelerations where the model states them, else full speed in `full_speed_s`; full
-    acceleration in `full_acceleration_s`.
+def joint_limits(robot: Robot, job: ProgramConfig | None = None) -> Limits:
+    """Those of an arm: the job's; else the model's where it states them; else full speed in `job.full_speed_s`, and
+    full acceleration in `job.full_acceleration_s`. job: None has the defaults.
 
-    Raises InputError for a joint without a velocity limit, and for times that are not above 0.
+    Raises InputError for a joint without a velocity limit, and for a list of the job that is not as long as the arm has
+    joints.
     """
-    for name, value in (("full_speed_s", full_speed_s), ("full_acceleration_s", full_acceleration_s)):
-        if not 0 < value < np.inf:
-            raise InputError(f"{name} is {value}, a time above 0 s is needed")
-    velocity = np.asarray(robot.speed, float)
+    job = ProgramConfig() if job is None else job
+    given = {kind: own_of(robot, f"program.{kind}", getattr(job, kind)) for kind in KINDS}
+    velocity = _either(given["velocity"], np.asarray(robot.speed, float))
     for name, speed in zip(robot.joint_names, velocity, strict=True):
         if not 0 < speed < np.inf:
-            raise InputError(
-                f"{robot.name} has no velocity limit of joint {name}; its <numeric> speed gives one a joint"
-            )
+            raise InputError(f"{robot.name} has no velocity limit of joint {name}; program.velocity gives one a joint")
     own = np.asarray(robot.acceleration, float)
-    acceleration = np.where(np.isfinite(own), own, velocity / full_speed_s)
-    return Limits(velocity, acceleration, acceleration / full_acceleration_s)
+    own = np.where(np.isfinite(own), own, velocity / job.full_speed_s)
+    acceleration = _either(given["acceleration"], own)
+    return Limits(velocity, acceleration, _either(given["jerk"], acceleration / job.full_acceleration_s))
+
+
+def own_of(robot: Robot, key: str, values: tuple[float, ...] | None) -> Float[np.ndarray, "N"] | None:
+    """A list that a job gives. Raises InputError where it is not as long as the arm has joints."""
+    if values is None:
+        return None
+    if len(values) != len(robot.joint_names):
+        raise InputError(f"{key} has {len(values)} values, the robot {robot.name} has {len(robot.joint_names)} joints")
+    return np.array(values)
+
+
+def _either(given: np.ndarray | None, otherwise: np.ndarray) -> np.ndarray:
+    return otherwise if given is None else given

@@ -52,12 +52,23 @@ class Program(NamedTuple):
         return float(self.ends_s[-1])
 
     def timed(self, step_s: float = 0.001) -> Timed:
-        """Every `step_s`, and at the end."""
+        """Every `step_s`, up to the first time at which the arm has come to its last posture."""
         count = int(np.ceil(self.duration_s / step_s - 1e-9))
-        return self.at(np.append(step_s * np.arange(count), self.duration_s))
+        return self.at(step_s * np.arange(count + 1))
+
+    def at_postures(self) -> Timed:
+        """The postures that the motion is made of, at the times at which their corners are passed: straight joint paths
+        between them are what was proven."""
+        starts = np.append(0.0, self.ends_s[:-1])
+        parts = zip(starts.tolist(), self.stretches, self.laws, strict=True)
+        times = [start + law.passes(stretch.curve.u) for start, stretch, law in parts]
+        found = self.at(np.concatenate([times[0][:1], *(each[1:] for each in times)]))
+        x = np.concatenate([self.stretches[0].curve.x[:1], *(each.curve.x[1:] for each in self.stretches)])
+        row = np.concatenate([self.stretches[0].row[:1], *(each.row for each in self.stretches)])
+        return found._replace(x=x, kind=self.motion.kind[row], target=self.motion.target[row])
 
     def at(self, time: Float[np.ndarray, "n"]) -> Timed:
-        """At times that rise, from 0 to `duration_s`."""
+        """At times that rise from 0; from `duration_s` on the arm stands."""
         ends = self.ends_s
         bounds = [0, *np.searchsorted(time, ends[:-1]).tolist(), len(time)]
         parts = []

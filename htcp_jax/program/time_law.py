@@ -57,6 +57,13 @@ class Law(NamedTuple):
         """What keeps the speed low at places, see `limit`."""
         return self.limit[np.clip(np.searchsorted(self.path.place, place), 0, len(self.limit) - 1)]
 
+    def passes(self, u: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
+        """When knots of the curve are passed, the ends of it at 0 and at the end [s]."""
+        when = instants(self.speed)
+        found = np.interp(u, np.maximum.accumulate(self.path.u(self.speed.at(when)[0])), when)
+        found[[0, -1]] = 0.0, self.speed.duration_s
+        return found
+
 
 def law_of(path: Path, limits: Limits, feed: float = np.inf) -> Law:
     """The law of a stretch. feed: the speed that it should have, and not exceed; for one that does not feed 1 is the

@@ -1,6 +1,7 @@
 """The formats by name."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,15 +14,30 @@ from htcp_jax.program.as_urscript import urscript_text
 from htcp_jax.program.beside import Beside
 from htcp_jax.program.timed import Timed
 
-FORMATS: dict[str, Callable[[Timed, Beside], str]] = {
-    "csv": csv_text,
-    "ros-yaml": ros_yaml_text,
-    "ros-json": ros_json_text,
-    "jbi": jbi_text,
-    "jbi-pulses": jbi_pulses_text,
-    "urscript": urscript_text,
-    "mujoco": keyframes_text,
+
+class Format(NamedTuple):
+    """How a program is written."""
+
+    write: Callable[[Timed, Beside], str]
+    step_s: float | None  # between postures, where nobody says otherwise; None: the postures that the motion is made of
+
+
+FORMATS = {
+    "csv": Format(csv_text, 0.001),
+    "ros": Format(ros_yaml_text, 0.01),
+    "ros-json": Format(ros_json_text, 0.01),
+    "jbi": Format(jbi_text, None),
+    "jbi-pulses": Format(jbi_pulses_text, None),
+    "urscript": Format(urscript_text, 0.002),
+    "keyframes": Format(keyframes_text, 0.01),
 }
+
+
+def format_of(name: str) -> Format:
+    """One of FORMATS. Raises InputError for another name."""
+    if name not in FORMATS:
+        raise InputError(f"{name!r} is no format of a program; valid: {', '.join(FORMATS)}")
+    return FORMATS[name]
 
 
 def program_text(format: str, timed: Timed, beside: Beside) -> str:
@@ -30,10 +46,9 @@ def program_text(format: str, timed: Timed, beside: Beside) -> str:
     Raises InputError for an unknown format, for what a format needs and `beside` lacks, for a motion without postures,
     and for times that do not increase.
     """
-    if format not in FORMATS:
-        raise InputError(f"{format!r} is no format of a program; valid: {', '.join(FORMATS)}")
+    write = format_of(format).write
     if len(timed.x) == 0:
         raise InputError("a program needs postures; this motion has none")
     if (late := np.flatnonzero(~(np.diff(timed.time_s) > 0))).size:
         raise InputError(f"posture {late[0] + 1} comes no later than the one before; times must increase")
-    return FORMATS[format](timed, beside)
+    return write(timed, beside)
