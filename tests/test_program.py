@@ -11,7 +11,7 @@ import made_once
 import mujoco
 import numpy as np
 import pytest
-from made_plan import STATUSES, made_plan, made_plans, with_a_dwell
+from made_plan import STATUSES, made_plans, with_a_dwell
 from test_joint_path import rail
 
 from htcp_jax import api
@@ -22,10 +22,9 @@ from htcp_jax.planner.motion import motion as motion_of
 from htcp_jax.program.curve import FARTHEST, Curve
 from htcp_jax.program.limits import joint_limits
 from htcp_jax.program.nudge import arm_at, nudge_bound
-from htcp_jax.program.of_plan import feed_of, program_of
+from htcp_jax.program.of_plan import feed_of
 from htcp_jax.program.program import program
 from htcp_jax.program.stretches import SHARE, Spare, spare
-from htcp_jax.runs.open import open_plans
 from htcp_jax.scene.kinematics import capsules_and_tcp
 from htcp_jax.scene.robot_file import GP50, load_robot
 from htcp_jax.status import Kind
@@ -351,9 +350,3 @@ def test_a_feed_is_read_with_its_unit(text, m_s):
 def test_a_feed_without_a_unit_or_not_above_0_is_refused(text):
     with pytest.raises(InputError, match="units: mm/s, m/s, mm/min, m/min"):
         feed_of(text)
-
-
-def test_a_plan_that_is_not_executable_says_how_far_it_is(tmp_path):
-    made_plan(tmp_path / "job").save(tmp_path / "plan")
-    with pytest.raises(InputError, match="a motion leads to 0 of 10 targets"):
-        program_of(open_plans(tmp_path / "plan"), 0.02)

@@ -9,12 +9,18 @@ from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, stdout
 from htcp_jax.errors import InputError
 from htcp_jax.program.figures import Figures, figures
-from htcp_jax.program.of_plan import UNITS, feed_of, program_of
+from htcp_jax.program.of_plan import UNITS, OfPlan, feed_of, program_of
 from htcp_jax.program.writers import FORMATS, format_of
 from htcp_jax.report.document import Column, Table
 from htcp_jax.runs.open import open_plans
 from htcp_jax.runs.plan_folder import made_folder, write_text
+from htcp_jax.validation.timed_check import check_timed
 
+REFUTED = 1
+CHECKED = (
+    "{refuted} of {postures:,} postures refuted; clearance {clearance_min_mm:.3g} mm at least, "
+    "TCP {off_max_mm:.3g} mm off its path at most"
+)
 COLUMNS = (
     Column("begin_mm", "from", "mm", ".2f"),
     Column("end_mm", "to", "mm", ".2f"),
@@ -31,6 +37,7 @@ Method = Annotated[
     str | None, typer.Option(metavar="NAME", help="By default the run's first.", autocompletion=complete_method)
 ]
 OneWay = Annotated[bool, typer.Option("--one-way", help="End at the last target, without the way back.")]
+Check = Annotated[bool, typer.Option("--check", help="Look at every millisecond by MuJoCo alone, which takes longer.")]
 Step = Annotated[float | None, typer.Option(metavar="MS", help="Between postures; by default the format's own.")]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key of program; may be repeated.")
@@ -45,6 +52,7 @@ def program(
     scenario: Scenario = 0,
     method: Method = None,
     one_way: OneWay = False,
+    check: Check = False,
     step_ms: Step = None,
     overrides: Overrides = None,
     as_json: Json = False,
@@ -54,7 +62,8 @@ def program(
     From home over the approach and along the path to the last target, and back: on the path the TCP has the feed that
     is asked for, elsewhere the arm is as fast as its limits allow. Where a limit would be exceeded on the path the feed
     dips, and the table says where, how far and because of which joint. Limits and what a controller has to be told are
-    in the job's section program. Exits with 2 on bad input, a plan that does not lead to its last target among it.
+    in the job's section program. Exits with 1 when --check refutes a posture, with 2 on bad input, a plan that does not
+    lead to its last target among it.
 
     \b
     htcp program out/plan --feed 20mm/s --out weld.csv
@@ -67,15 +76,25 @@ def program(
     text, found = made.text(format, out.stem, step_s), figures(made.program, made.limits)
     with made_folder(out.parent):
         write_text(out, text)
-    dips = _table(found)
+    checked = _check(run, made, scenario) if check else {}
+    dips, code = _table(found), REFUTED if checked.get("refuted") else 0
     if as_json:
-        print_json({**found._asdict(), "dips": dips.records(), "shares": _shares(found), "file": str(out)})
-        return 0
-    print_facts(f"{made.robot.name}: {format}", _facts(found) | {"file": str(out)})
+        record = {**found._asdict(), "dips": dips.records(), "shares": _shares(found)}
+        print_json({**record, "check": checked or None, "file": str(out)})
+        return code
+    facts = _facts(found) | ({"by MuJoCo": CHECKED.format(**checked)} if checked else {})
+    print_facts(f"{made.robot.name}: {format}", facts | {"file": str(out)})
     if found.dips:
         stdout().print()
         print_table(stdout(), dips)
-    return 0
+    return code
+
+
+def _check(run: Path, made: OfPlan, scenario: int) -> dict[str, float]:
+    timed = made.program.timed()
+    found = check_timed(run, timed, made.method, scenario)
+    lengths = {"clearance_min_mm": 1e3 * found.clearance_min_m, "off_max_mm": 1e3 * found.off_max_m}
+    return {"postures": len(timed.x), "refuted": found.refuted, **lengths}
 
 
 def _seconds(step_ms: float | None) -> float | None:

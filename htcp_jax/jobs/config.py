@@ -120,9 +120,7 @@ class UserFrameConfig(Section):
 class PulsesConfig(Section):
     """How a controller counts."""
 
-    per_rad: tuple[
-        Annotated[float, Field(ge=-FASTEST, le=FASTEST)], ...
-    ]  # or per m; negative where it turns the other way
+    per_rad: tuple[Annotated[float, Field(ge=-FASTEST, le=FASTEST)], ...]  # or per m; negative: the other way
     zero_rad: tuple[Annotated[float, Field(ge=-FASTEST, le=FASTEST)], ...] | None = None  # or m, where 0 is; None: at 0
     source: str = Field(min_length=1, max_length=200)  # of these numbers
 

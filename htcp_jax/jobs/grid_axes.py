@@ -233,7 +233,7 @@ def _unknown(key: str, known: Collection[str]) -> str:
     close = difflib.get_close_matches(key, known, n=2, cutoff=0.6)
     hint = f"did you mean {' or '.join(close)}? " if close else ""
     return (
-        f"unknown parameter {key}; {hint}valid: any key of the configuration but {' and '.join(NO_AXIS)}, "
+        f"unknown parameter {key}; {hint}valid: any key of the configuration but {', '.join(NO_AXIS[:-1])} and {NO_AXIS[-1]}, "
         "one joint as start_rad.3"
     )
 

@@ -41,6 +41,7 @@ class OfPlan(NamedTuple):
     robot: Robot  # with the job's tool
     job: PlanConfig
     limits: Limits
+    method: str
 
     def text(self, format: str, name: str, step_s: float | None = None) -> str:
         """The file of it. name: of the program; step_s: between postures, see `writers.Format` [s]. Raises InputError
@@ -119,20 +120,21 @@ def program_of(
     program, as on the command line. Raises InputError for a plan that is not there or not executable to its end, for
     overrides of anything else, and as `program` and `joint_limits` do.
     """
+    method = found.methods[0] if method is None else method
     plans = _plans(found, method, scenario)
     job = _with(found.jobs[scenario], overrides)
     robot = lengthen_tool(robot_of(job.robot), job.robot.tool_extension_m)
     limits = joint_limits(robot, job.program)
     whole = motion(plans, scenario, job.on_path, retract=retract)
     left = spare(plans, scenario, whole, job.settings.tube_m)
-    return OfPlan(program(robot, whole, left, limits, feed_m_s), robot, job, limits)
+    return OfPlan(program(robot, whole, left, limits, feed_m_s), robot, job, limits, method)
 
 
-def _plans(found: PlanSet, method: str | None, scenario: int) -> Plans:
+def _plans(found: PlanSet, method: str, scenario: int) -> Plans:
     """Those of a method. Raises InputError for a scenario that is not executable to its end."""
-    if method is not None and method not in found.methods:
+    if method not in found.methods:
         raise InputError(f"{found.folder} has no plans by {method!r}; there are {', '.join(found.methods)}")
-    plans = found.plans(found.methods[0] if method is None else method)
+    plans = found.plans(method)
     if not 0 <= scenario < len(plans.status):
         raise InputError(f"{found.folder} has no scenario {scenario}; there are 0 to {len(plans.status) - 1}")
     end = plans.outcome(scenario)
