@@ -20,9 +20,8 @@ from htcp_jax.validation.timed_check import check_timed
 STEP_S = 1e-3
 ROUNDING = 1e-3  # of a limit: third differences of doubles over 1 ms
 WELD = "0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n0.195,-0.1739,0.1703\n"
-PULSES = (
-    "program.pulses={per_rad: [9e4, 8e4, -8e4, -5e4, -5e4, -3e4], zero_rad: [0, -1.5, 0, 0, 0, 0], source: a drawing}"
-)
+PER_RAD, ZERO_RAD = [9e4, 8e4, -8e4, -5e4, -5e4, -3e4], [0, -1.5, 0, 0, 0, 0]
+PULSES = f"program.pulses={{per_rad: {PER_RAD}, zero_rad: {ZERO_RAD}, source: a drawing}}"
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +126,7 @@ def test_a_job_of_pulses_passes_the_postures_of_the_motion_on_record(plans, here
     assert run(plans, "--format", "jbi-pulses", "--set", PULSES, "--one-way", "--out", "weld.jbi") == 0
     lines = [line for line in (here / "weld.jbi").read_text().splitlines() if line.startswith("C0")]
     pulses = np.array([[int(cell) for cell in line.split("=")[1].split(",")] for line in lines])
-    x = pulses / [9e4, 8e4, -8e4, -5e4, -5e4, -3e4] + np.array([0, -1.5, 0, 0, 0, 0])
+    x = pulses / PER_RAD + np.array(ZERO_RAD)
     known = open_plans(plans / "good").plans("roadmap")
     passed = np.concatenate([known.start[:1], known.x[0]])
     nearest = np.abs(x[:, None] - passed).max(axis=2).min(axis=1)

@@ -90,7 +90,7 @@ def program(
     return code
 
 
-def _check(run: Path, made: OfPlan, scenario: int) -> dict[str, float]:
+def _check(run: Path, made: OfPlan, scenario: int) -> dict[str, int | float]:
     timed = made.program.timed()
     found = check_timed(run, timed, made.method, scenario)
     lengths = {"clearance_min_mm": 1e3 * found.clearance_min_m, "off_max_mm": 1e3 * found.off_max_m}

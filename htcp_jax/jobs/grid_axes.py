@@ -232,10 +232,8 @@ def _unknown(key: str, known: Collection[str]) -> str:
         return f"{key} cannot vary within a sweep; valid is any other key of the configuration, {', '.join(PARAMETERS)}"
     close = difflib.get_close_matches(key, known, n=2, cutoff=0.6)
     hint = f"did you mean {' or '.join(close)}? " if close else ""
-    return (
-        f"unknown parameter {key}; {hint}valid: any key of the configuration but {', '.join(NO_AXIS[:-1])} and {NO_AXIS[-1]}, "
-        "one joint as start_rad.3"
-    )
+    others = f"{', '.join(NO_AXIS[:-1])} and {NO_AXIS[-1]}"
+    return f"unknown parameter {key}; {hint}valid: any key of the configuration but {others}, one joint as start_rad.3"
 
 
 def _check_value(where: str, parameter: Parameter, item: Any, relative: bool) -> None:

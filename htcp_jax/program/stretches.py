@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from htcp_jax.planner.motion import ONE_POINT_M, Motion
 from htcp_jax.planner.plans import Plans
 from htcp_jax.program.curve import FARTHEST, Curve
+from htcp_jax.program.held import Held
 from htcp_jax.program.limits import Limits
 from htcp_jax.program.nudge import Arm, arm_at, bend_bound, nudge_bound, tcp_at
 from htcp_jax.scene.robot import Robot
@@ -31,6 +32,14 @@ class Spare(NamedTuple):
 
     clearance: Float[np.ndarray, "m"]  # proven of the straight joint path [m]
     tube: Float[np.ndarray, "m"]  # how far the TCP may be from the line between the postures' TCPs [m]; inf: anywhere
+    rows: Float[np.ndarray, "m"] | float = np.inf  # of the task's tolerance and room, see `held.Held` [m]
+    cones: Float[np.ndarray, "m"] | float = np.inf
+    length_per_rad: float = 0.0
+
+    def only(self, which: Int[np.ndarray, "k"]) -> "Spare":
+        """Beside some of the legs."""
+        parts = (np.broadcast_to(part, self.clearance.shape)[which] for part in self[:4])
+        return Spare(*parts, self.length_per_rad)
 
 
 class Stretch(NamedTuple):
@@ -41,8 +50,9 @@ class Stretch(NamedTuple):
     feeds: bool
 
 
-def spare(plans: Plans, scenario: int, motion: Motion, tube_m: float) -> Spare:
-    """What the proof of a plan leaves beside the legs of its motion. tube_m: `Settings.tube_m`."""
+def spare(plans: Plans, scenario: int, motion: Motion, tube_m: float, held: Held | None = None) -> Spare:
+    """What the proof of a plan leaves beside the legs of its motion. tube_m: `Settings.tube_m`; held: what its task
+    leaves, where that is more than the TCP on the path."""
     there = int((motion.kind != Kind.RETRACT).sum())
     target, kind = motion.target[1:there], motion.kind[1:there]
     way = target + (kind == Kind.DWELL)
@@ -51,7 +61,11 @@ def spare(plans: Plans, scenario: int, motion: Motion, tube_m: float) -> Spare:
     off = np.fmax(off[way], off[np.maximum(way - 1, 0)])
     tube = np.where(np.isin(kind, (Kind.FEED, Kind.DWELL)), tube_m - off, np.inf)
     back = len(motion.x) - there
-    return Spare(np.append(clearance, clearance[::-1][:back]), np.append(tube, np.full(back, np.inf)))
+    found = Spare(np.append(clearance, clearance[::-1][:back]), np.append(tube, np.full(back, np.inf)))
+    if held is None:
+        return found
+    rows, cones = (np.minimum(part[:-1], part[1:]) for part in held[:2])
+    return found._replace(rows=rows, cones=cones, length_per_rad=held.length_per_rad)
 
 
 def stretches(robot: Robot, motion: Motion, left: Spare, limits: Limits, feed_m_s: float) -> list[Stretch]:
@@ -95,7 +109,7 @@ def _moving(robot: Robot, motion: Motion, left: Spare) -> _Way:
     kept = np.flatnonzero(np.append(True, np.any(np.diff(motion.x, axis=0) != 0, axis=1)))
     row = kept[1:]
     group = np.maximum(motion.kind[row], Kind.APPROACH).astype(int)
-    return _Way(motion.x[kept], row, group, Spare(*(part[row - 1] for part in left)), arm_at(robot, motion.x[kept]))
+    return _Way(motion.x[kept], row, group, left.only(row - 1), arm_at(robot, motion.x[kept]))
 
 
 def _merged(way: _Way, limits: Limits) -> _Way:
@@ -112,17 +126,26 @@ def _merged(way: _Way, limits: Limits) -> _Way:
     arm = way.arm._replace(levers=way.arm.levers[goes], jacobian=way.arm.jacobian[goes])
     moved = nudge_bound(arm, np.abs(way.x[goes] - way.x[before]), nudge)
     off = np.linalg.norm(way.arm.tcp[to[goes]] - way.arm.tcp[goes], axis=1)
-    clearance, tube = (part.copy() for part in way.left)
-    clearance[before] -= moved[:, :-1].max(axis=1)
-    tube[before] -= moved[:, -1] + off
-    fits = (clearance[before] >= SHARE * way.left.clearance[before]) & (tube[before] >= SHARE * way.left.tube[before])
+    changed = _changed(arm, way.left, moved, nudge)
+    taken = moved[:, :-1].max(axis=1), moved[:, -1] + off, changed, changed
+    left, fits = way.left, np.ones(len(goes), bool)
+    for name, by in zip(Spare._fields[:4], taken, strict=True):
+        rest = getattr(left, name).copy()
+        rest[before] -= by
+        fits &= rest[before] >= SHARE * getattr(left, name)[before]
+        left = left._replace(**{name: rest})
     gone = np.zeros(len(way.x), bool)
     for k, fit in zip(goes[::-1], fits[::-1], strict=True):
         gone[k] = fit and (gone[k + 1] or to[k] == k + 1)  # all up to the one that stands for it
     kept = np.flatnonzero(~gone)
     last, first = kept[1:] - 1, kept[:-1]  # of the legs that become one
     arm = way.arm._replace(levers=way.arm.levers[kept], jacobian=way.arm.jacobian[kept], tcp=way.arm.tcp[kept])
-    return _Way(way.x[kept], way.row[last], way.group[last], Spare(clearance[first], tube[first]), arm)
+    return _Way(way.x[kept], way.row[last], way.group[last], left.only(first), arm)
+
+
+def _changed(arm: Arm, left: Spare, moved: np.ndarray, turned: np.ndarray) -> Float[np.ndarray, "*S k"]:
+    """How much the rows of a task change at most where points move and joints turn by so much [m]."""
+    return moved.max(axis=-1) + left.length_per_rad * (np.abs(turned) * arm.hinge).sum(axis=-1)
 
 
 def _duration(x: np.ndarray, limits: Limits) -> Float[np.ndarray, "m"]:
@@ -154,10 +177,14 @@ def _reach(robot: Robot, way: _Way, curve: Curve, wanted: np.ndarray) -> Float[n
     tries = np.append(wanted * 0.5 ** np.arange(HALVINGS)[:, None], np.zeros((1, len(wanted))), axis=0)
     slopes = np.abs(curve.slopes)
     beside = np.maximum(np.append(slopes[:1], slopes, axis=0), np.append(slopes, slopes[-1:], axis=0))
-    moved = nudge_bound(arm, tries[..., None] * beside, FARTHEST * tries[..., None] * curve.turns)
+    around, nudge = tries[..., None] * beside, FARTHEST * tries[..., None] * curve.turns
+    moved = nudge_bound(arm, around, nudge)
     bodies, tcp = moved[..., :-1].max(axis=-1), moved[..., -1]
     tube = left.tube - _sag(robot, arm, curve, np.isfinite(left.tube))
     fits = (bodies <= SHARE * _beside(left.clearance)) & (tcp <= SHARE * _beside(tube))
+    if left.length_per_rad:
+        fits &= _changed(arm, left, moved, nudge) <= SHARE * _beside(left.rows)
+        fits &= left.length_per_rad * ((around + np.abs(nudge)) * arm.hinge).sum(axis=-1) <= _beside(left.cones)
     fits[-1] = True
     return tries[np.argmax(fits, axis=0), np.arange(len(wanted))]
 
