@@ -20,7 +20,7 @@ from htcp_jax.planner.motion import motion
 from htcp_jax.planner.plans import Plans
 from htcp_jax.program.beside import Beside, Pulses, UserFrame
 from htcp_jax.program.form import form_of
-from htcp_jax.program.held import held
+from htcp_jax.program.held import with_rows
 from htcp_jax.program.limits import Limits, joint_limits, own_of
 from htcp_jax.program.program import Program, program
 from htcp_jax.program.stretches import spare
@@ -127,7 +127,7 @@ def program_of(
     robot = lengthen_tool(robot_of(job.robot), job.robot.tool_extension_m)
     limits = joint_limits(robot, job.program)
     whole = motion(plans, scenario, job.on_path, retract=retract)
-    left = spare(plans, scenario, whole, job.settings.tube_m, held(job, robot, whole))
+    left = with_rows(spare(plans, scenario, whole, job.settings.tube_m), job, robot, whole)
     return OfPlan(program(robot, whole, left, limits, feed_m_s), robot, job, limits, method)
 
 

@@ -13,7 +13,6 @@ from jaxtyping import Bool, Float, Int
 from htcp_jax.planner.motion import ONE_POINT_M, Motion
 from htcp_jax.planner.plans import Plans
 from htcp_jax.program.curve import FARTHEST, Curve
-from htcp_jax.program.held import Held
 from htcp_jax.program.limits import Limits
 from htcp_jax.program.nudge import Arm, arm_at, bend_bound, nudge_bound, tcp_at
 from htcp_jax.scene.robot import Robot
@@ -32,7 +31,9 @@ class Spare(NamedTuple):
 
     clearance: Float[np.ndarray, "m"]  # proven of the straight joint path [m]
     tube: Float[np.ndarray, "m"]  # how far the TCP may be from the line between the postures' TCPs [m]; inf: anywhere
-    rows: Float[np.ndarray, "m"] | float = np.inf  # of the task's tolerance and room, see `held.Held` [m]
+    # Of a task that asks for more, see `held`: by how much errors of rows may grow, and the room in bands and cones shrink
+    # near by [m], and the length that an angle counts as [m/rad]; 0 where there is none.
+    rows: Float[np.ndarray, "m"] | float = np.inf
     cones: Float[np.ndarray, "m"] | float = np.inf
     length_per_rad: float = 0.0
 
@@ -50,9 +51,8 @@ class Stretch(NamedTuple):
     feeds: bool
 
 
-def spare(plans: Plans, scenario: int, motion: Motion, tube_m: float, held: Held | None = None) -> Spare:
-    """What the proof of a plan leaves beside the legs of its motion. tube_m: `Settings.tube_m`; held: what its task
-    leaves, where that is more than the TCP on the path."""
+def spare(plans: Plans, scenario: int, motion: Motion, tube_m: float) -> Spare:
+    """What the proof of a plan leaves beside the legs of its motion. tube_m: `Settings.tube_m`."""
     there = int((motion.kind != Kind.RETRACT).sum())
     target, kind = motion.target[1:there], motion.kind[1:there]
     way = target + (kind == Kind.DWELL)
@@ -61,11 +61,7 @@ def spare(plans: Plans, scenario: int, motion: Motion, tube_m: float, held: Held
     off = np.fmax(off[way], off[np.maximum(way - 1, 0)])
     tube = np.where(np.isin(kind, (Kind.FEED, Kind.DWELL)), tube_m - off, np.inf)
     back = len(motion.x) - there
-    found = Spare(np.append(clearance, clearance[::-1][:back]), np.append(tube, np.full(back, np.inf)))
-    if held is None:
-        return found
-    rows, cones = (np.minimum(part[:-1], part[1:]) for part in held[:2])
-    return found._replace(rows=rows, cones=cones, length_per_rad=held.length_per_rad)
+    return Spare(np.append(clearance, clearance[::-1][:back]), np.append(tube, np.full(back, np.inf)))
 
 
 def stretches(robot: Robot, motion: Motion, left: Spare, limits: Limits, feed_m_s: float) -> list[Stretch]:
