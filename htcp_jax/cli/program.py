@@ -9,6 +9,7 @@ from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, stdout
 from htcp_jax.errors import InputError
 from htcp_jax.program.figures import Figures, figures
+from htcp_jax.program.loads import Load
 from htcp_jax.program.of_plan import UNITS, OfPlan, feed_of, program_of
 from htcp_jax.program.writers import FORMATS, format_of
 from htcp_jax.report.document import Column, Table
@@ -73,6 +74,7 @@ def program(
     format_of(format)
     feed_m_s, step_s = feed_of(feed), _seconds(step_ms)
     made = program_of(open_plans(run), feed_m_s, method, scenario, retract=not one_way, overrides=overrides or ())
+    load = made.load
     text, found = made.text(format, out.stem, step_s), figures(made.program, made.limits)
     with made_folder(out.parent):
         write_text(out, text)
@@ -80,9 +82,10 @@ def program(
     dips, code = _table(found), REFUTED if checked.get("refuted") else 0
     if as_json:
         record = {**found._asdict(), "dips": dips.records(), "shares": _shares(found)}
+        record["load"] = load and load._asdict()
         print_json({**record, "check": checked or None, "file": str(out)})
         return code
-    facts = _facts(found) | ({"by MuJoCo": CHECKED.format(**checked)} if checked else {})
+    facts = _facts(found) | {"torque": _torque(load)} | ({"by MuJoCo": CHECKED.format(**checked)} if checked else {})
     print_facts(f"{made.robot.name}: {format}", facts | {"file": str(out)})
     if found.dips:
         stdout().print()
@@ -110,6 +113,13 @@ def _table(found: Figures) -> Table:
 
 def _shares(found: Figures) -> dict[str, dict]:
     return {each.limit: {"share": each.share, "joint": each.joint, "time_s": each.time_s} for each in found.shares}
+
+
+def _torque(load: Load | None) -> str:
+    if load is None:
+        return "not known: the arm's model states no inertias"
+    at = f"{abs(load.torque):.4g} N m (N where it slides) at most, {load.joint} at {load.time_s:.2f} s"
+    return f"{100 * load.share:.1f} % of the effort limit, {at}" if load.share else f"{at}; no effort limit"
 
 
 def _facts(found: Figures) -> dict[str, str]:

@@ -1,8 +1,8 @@
 """What the rows of a task leave beside the legs of a motion, where they ask for more than the TCP on the path.
 
 Where a corner is rounded, every point of the arm moves by at most a length m, and every direction turns by at most an
-angle w. Angles count as lengths, by their tolerances, as in `scene.task`: a row's error changes by m + w c at most. At a
-target equalities and bands hold to within the tolerance; between targets the proof has axes in their cones, widened by
+angle w. Angles count as lengths, by their tolerances, as in `scene.task`: a row's error changes by m + w c at most. At
+targets equalities and bands hold to within the tolerance; between targets the proof has axes in their cones, widened by
 it, and says nothing of the other rows.
 """
 

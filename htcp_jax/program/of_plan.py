@@ -22,6 +22,7 @@ from htcp_jax.program.beside import Beside, Pulses, UserFrame
 from htcp_jax.program.form import form_of
 from htcp_jax.program.held import with_rows
 from htcp_jax.program.limits import Limits, joint_limits, own_of
+from htcp_jax.program.loads import LOOKED_AT_S, Load, load, model_of, torques
 from htcp_jax.program.program import Program, program
 from htcp_jax.program.stretches import spare
 from htcp_jax.program.timed import Timed
@@ -60,6 +61,15 @@ class OfPlan(NamedTuple):
         if format == "urscript":
             own = self.job.program.control_step_s
         return self.program.timed(own if step_s is None else step_s)
+
+    @property
+    def load(self) -> Load | None:
+        """What it asks of the joints; None where the arm's model does not state its inertias."""
+        if (model := model_of(self.job.robot)) is None:
+            return None
+        timed = self.program.timed(LOOKED_AT_S)
+        torque = torques(model)(timed.x, timed.velocity, timed.acceleration)
+        return load(timed, torque, np.asarray(self.robot.effort))
 
     def beside(self, format: str, name: str, timed: Timed) -> Beside:
         """What the job says beside it."""

@@ -31,8 +31,8 @@ class Spare(NamedTuple):
 
     clearance: Float[np.ndarray, "m"]  # proven of the straight joint path [m]
     tube: Float[np.ndarray, "m"]  # how far the TCP may be from the line between the postures' TCPs [m]; inf: anywhere
-    # Of a task that asks for more, see `held`: by how much errors of rows may grow, and the room in bands and cones shrink
-    # near by [m], and the length that an angle counts as [m/rad]; 0 where there is none.
+    # Of a task that asks for more, see `held`: by how much errors of rows may grow, and the room in bands and cones
+    # shrink near by [m], and the length that an angle counts as [m/rad]; 0 where there is none.
     rows: Float[np.ndarray, "m"] | float = np.inf
     cones: Float[np.ndarray, "m"] | float = np.inf
     length_per_rad: float = 0.0
