@@ -32,6 +32,7 @@ def states(joints: int, count: int, seed: int = 0):
     return [rng.uniform(-size, size, (count, joints)) for size in (2.0, 2.0, 10.0)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["panda", "ur10"])
 def test_torques_of_published_arms_are_mujocos_to_a_millionth_of_the_largest(name):
     model = model_of(RobotConfig(model=str(path_of(name))))
