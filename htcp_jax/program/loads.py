@@ -5,6 +5,7 @@ of the loads. What the job mounts has no mass. Gravity is 9.81 m/s2 downwards in
 where the model has them. MJX computes many postures at once; it is held to MuJoCo by a test.
 """
 
+import contextlib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -14,7 +15,6 @@ import jax
 import mujoco
 import numpy as np
 from jaxtyping import Float
-from mujoco import mjx
 
 from htcp_jax.formats.safe_xml import read_spec
 from htcp_jax.jobs.config import RobotConfig
@@ -57,6 +57,8 @@ def model_of(arm: RobotConfig) -> mujoco.MjModel | None:
 
 def torques(model: mujoco.MjModel) -> Callable[..., Float[np.ndarray, "n N"]]:
     """Of postures, velocities and accelerations (n, N): torques of the joints [N m or N]."""
+    with contextlib.redirect_stdout(None):  # it prints what it lacks when it is imported
+        from mujoco import mjx
     device = mjx.put_model(model)
     blank = mjx.make_data(device)
 
