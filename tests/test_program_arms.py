@@ -1,5 +1,6 @@
 """Programs of other arms, held by more than the TCP's place, in a cell: limits, clearance, rows, loads, by MuJoCo."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from published import MODELS, path_of
@@ -9,6 +10,7 @@ from small_cell import small_job
 import htcp_jax
 from htcp_jax.cli.main import main
 from htcp_jax.jobs.build import robot_of
+from htcp_jax.jobs.load_config import load_config
 from htcp_jax.program.of_plan import program_of
 from htcp_jax.runs.open import open_plans
 from htcp_jax.scene.kinematics import tcp_pose
@@ -24,8 +26,8 @@ FLOOR = '<mujoco><worldbody><geom name="floor" type="plane" size="3 3 .1" pos="0
 
 def rows(kind: str, job: dict) -> list[dict]:
     """A task that the start of a job holds: the tool's axis in a cone, along a direction, or all of its orientation."""
-    config = htcp_jax.load_config(job)
-    R = np.asarray(tcp_pose(robot_of(config.robot), np.array(config.start)))[:3, :3]
+    config = load_config(job)
+    R = np.asarray(tcp_pose(robot_of(config.robot), jnp.array(config.start)))[:3, :3]
     more = {
         "cone": {"axis": "tcp.z", "towards": R[:, 2].tolist(), "cone_deg": 10},
         "axis": {"axis": "tcp.z", "towards": R[:, 2].tolist()},
