@@ -14,19 +14,19 @@ class Share(NamedTuple):
     """Of one kind of limit, the largest share that is used of it."""
 
     limit: str  # velocity, acceleration or jerk
-    share: float
+    share: float  # of it, 1 at the limit [1]
     joint: str
-    time_s: float
+    time_s: float  # [s]
 
 
 class Figures(NamedTuple):
     """Of a program."""
 
-    duration_s: float
-    seconds: dict[str, float]  # of it, by the name of a `status.Kind`
-    feed_m_s: float  # asked for
-    path_m: float  # how far the TCP goes along the path
-    held_share: float  # of that, where the feed is held within 1 %
+    duration_s: float  # [s]
+    seconds: dict[str, float]  # of it, by the name of a `status.Kind` [s]
+    feed_m_s: float  # asked for [m/s]
+    path_m: float  # how far the TCP goes along the path [m]
+    held_share: float  # of that, where the feed is held within 1 % [1]
     dips: list[Dip]
     shares: list[Share]
 
