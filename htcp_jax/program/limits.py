@@ -52,8 +52,8 @@ def joint_limits(robot: Robot, job: ProgramConfig | None = None) -> Limits:
 
 
 def own_of(robot: Robot, key: str, values: tuple[float, ...] | None) -> Float[np.ndarray, "N"] | None:
-    """A list that a job gives, a number a joint, in the units of its key [rad or m, or by s]. Raises InputError where it
-    is not as long as the arm has joints."""
+    """A list that a job gives, a number a joint, in the units of its key [rad or m, or by s]. Raises InputError where
+    it is not as long as the arm has joints."""
     if values is None:
         return None
     if len(values) != len(robot.joint_names):
