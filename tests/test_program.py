@@ -31,7 +31,7 @@ from htcp_jax.status import Kind
 
 _, A, F, D, R = Kind
 STEP_S = 1e-3
-ROUNDING = 1e-3  # of a limit: third differences of doubles over 1 ms
+ROUNDING = 1e-6  # of a limit: third differences of doubles over 1 ms
 
 
 @cache

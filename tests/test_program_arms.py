@@ -20,7 +20,7 @@ from htcp_jax.validation.timed_check import check_timed
 from htcp_jax.validation.validate import parts_of
 
 STEP_S = 1e-3
-ROUNDING = 1e-3  # of a limit: third differences of doubles over 1 ms
+ROUNDING = 1e-6  # of a limit: third differences of doubles over 1 ms
 FLOOR = '<mujoco><worldbody><geom name="floor" type="plane" size="3 3 .1" pos="0 0 -0.6"/></worldbody></mujoco>'
 
 

@@ -18,7 +18,7 @@ from htcp_jax.status import Kind
 from htcp_jax.validation.timed_check import check_timed
 
 STEP_S = 1e-3
-ROUNDING = 1e-3  # of a limit: third differences of doubles over 1 ms
+ROUNDING = 1e-6  # of a limit: third differences of doubles over 1 ms
 WELD = "0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n0.195,-0.1739,0.1703\n"
 PER_RAD, ZERO_RAD = [9e4, 8e4, -8e4, -5e4, -5e4, -3e4], [0, -1.5, 0, 0, 0, 0]
 PULSES = f"program.pulses={{per_rad: {PER_RAD}, zero_rad: {ZERO_RAD}, source: a drawing}}"

@@ -25,6 +25,7 @@ ROUNDS = 12
 LOOKED_AT_S, INSTANTS = 0.004, 20_000  # how far instants are apart, and how many there are at most, beside those at
 # which the places of the grid are passed
 SPARE = 0.995, 0.995, 0.93  # of v, a and j, for what lies between them: jerks jump where accelerations bend
+NEAR, CLOSER_S, REACH_S = 0.9, 0.0005, 0.004  # from which share on, how closely and how far around is looked again
 ENOUGH = 1.001  # so little more time is none
 
 
@@ -68,6 +69,7 @@ class Law(NamedTuple):
 def law_of(path: Path, limits: Limits, feed: float = np.inf) -> Law:
     """The law of a stretch. feed: the speed that it should have, and not exceed; for one that does not feed 1 is the
     speed of its fastest joint."""
+    whole = limits
     limits = Limits(*(share * part for share, part in zip(SPARE, limits, strict=True)))
     window = float(np.max(limits.acceleration / limits.jerk))
     caps = _caps(path, limits, feed)
@@ -79,9 +81,22 @@ def law_of(path: Path, limits: Limits, feed: float = np.inf) -> Law:
         shares = limits.shares(*found[1:])
         over = shares.max(axis=1)
         if over.max() <= ENOUGH:
-            return law
+            return _slower(law, whole)
         _slow_down(caps, path.place, law.speed, time, shares)
-    return law._replace(speed=law.speed._replace(slower=float(over.max())))
+    return _slower(law._replace(speed=law.speed._replace(slower=float(over.max()))), whole)
+
+
+def _slower(law: Law, limits: Limits) -> Law:
+    """The law with as much more time as limits ask for that are exceeded between the instants looked at so far."""
+    time = instants(law.speed)
+    near = time[limits.shares(*law.at(time)[1][1:]).max(axis=1) > NEAR]
+    if not len(near):
+        return law
+    around = np.arange(-REACH_S, REACH_S, CLOSER_S)
+    steps = np.unique(np.round((near[:, None] + around) / CLOSER_S))
+    _, found = law.at(np.clip(CLOSER_S * steps, 0.0, law.speed.duration_s))
+    over = float(limits.shares(*found[1:]).max())
+    return law if over <= 1 else law._replace(speed=law.speed._replace(slower=law.speed.slower * over))
 
 
 def instants(law: Speed) -> Float[np.ndarray, "n"]:
