@@ -11,8 +11,12 @@ import htcp_jax
 PACKAGE = Path(htcp_jax.__file__).parent
 
 # From the bottom up: what is read makes a scene; small problems in it, and how clear the arm is, make a planner; jobs
-# ask it, runs keep the answers, validation doubts them, a viewer and a report show them, the command is the door.
-ROOMS = ["formats", "scene", "solvers", "clearance", "planner", "jobs", "runs", "validation", "viewer", "report", "cli"]
+# ask it, runs keep the answers, programs give them time, validation doubts them, a viewer and a report show
+# them, the command is the door.
+ROOMS = [
+    *("formats", "scene", "solvers", "clearance", "planner", "jobs", "runs", "program"),
+    *("validation", "viewer", "report", "cli"),
+]
 EVERYWHERE = {"errors", "notebook", "numerics", "pytree", "settings", "status", "types"}  # modules for every room
 PUBLIC = {"api": "viewer"}  # at the root for its name's sake; stands behind this room
 

@@ -26,6 +26,7 @@ logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
 COMMANDS = {
     "plan": "Plan one job; a table, the trajectory, a picture.",
+    "program": "Give a plan its time, and write what a controller takes.",
     "robot": "Make an arm of capsules of a robot's model, URDF or MJCF.",
     "sweep": "Plan every scenario of a grid by several methods.",
     "report": "Tables and charts of sweeps, beside the paper's figures.",

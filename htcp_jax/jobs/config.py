@@ -23,6 +23,9 @@ Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Point = tuple[Number, Number, Number]
 Turn = Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi)]  # degrees are mostly beyond
 Steps = Annotated[int, Field(ge=0, le=10_000)]
+FASTEST = 1e9  # of any rate or count
+Rates = tuple[Annotated[float, Field(gt=0, le=FASTEST)], ...]  # of the joints, either way
+Moment = Annotated[float, Field(gt=0, le=100)]  # [s]
 AUTO = "auto"  # a start that the planner chooses
 
 
@@ -107,6 +110,35 @@ class CellConfig(Section):
     clouds: tuple[CloudConfig, ...] = ()
 
 
+class UserFrameConfig(Section):
+    """A frame that the controller knows by number; RECTAN positions are in it."""
+
+    number: int = Field(ge=1, le=63)
+    on: Literal["workpiece", "world"] = "workpiece"  # whose frame it is
+
+
+class PulsesConfig(Section):
+    """How a controller counts."""
+
+    per_rad: tuple[Annotated[float, Field(ge=-FASTEST, le=FASTEST)], ...]  # or per m; negative: the other way
+    zero_rad: tuple[Annotated[float, Field(ge=-FASTEST, le=FASTEST)], ...] | None = None  # or m, where 0 is; None: at 0
+    source: str = Field(min_length=1, max_length=200)  # of these numbers
+
+
+class ProgramConfig(Section):
+    """The section `program` of a job; it has no influence on plans."""
+
+    velocity: Rates | None = None  # [rad/s or m/s]; None: the model's
+    acceleration: Rates | None = None  # [rad/s2 or m/s2]; None: the model's, or full speed in full_speed_s
+    jerk: Rates | None = None  # [rad/s3 or m/s3]; None: full acceleration in full_acceleration_s
+    full_speed_s: Moment = 0.2
+    full_acceleration_s: Moment = 0.1
+    tool: int = Field(0, ge=0, le=63)  # its number at the controller
+    user_frame: UserFrameConfig | None = None
+    pulses: PulsesConfig | None = None
+    control_step_s: Moment = 0.002  # of the controller
+
+
 class RayConfig(Section):
     """What a shard of a sweep asks of a Ray cluster; has no influence on results."""
 
@@ -127,6 +159,7 @@ class PlanConfig(Section):
     margin_m: float = Field(5e-4, ge=0, le=1)  # least clearance with which a target counts
     method: str = "roadmap"
     settings: Settings = Settings()
+    program: ProgramConfig = ProgramConfig()
     ray: RayConfig = RayConfig()
 
     @property

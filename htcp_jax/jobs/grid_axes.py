@@ -25,7 +25,7 @@ PARAMETERS = (
     "robot.tool_extension_m",
     "margin_m",
 )
-NO_AXIS = "method", "ray"  # a sweep asks for methods by itself, and a cluster has no influence on results
+NO_AXIS = "method", "program", "ray"  # a sweep asks for methods by itself; the others have no influence on plans
 MOST_ROWS = 8  # of a task, that an axis may name
 OF_A_ROW = {"cone_deg": 0.0, "within_deg": 0.0, "within_m": 0.0, "offset_m": (0.0, 0.0, 0.0)}  # what varies of a row
 FILE_KEYS = {".".join(key): words for key, words in FILES.items()}
@@ -232,10 +232,8 @@ def _unknown(key: str, known: Collection[str]) -> str:
         return f"{key} cannot vary within a sweep; valid is any other key of the configuration, {', '.join(PARAMETERS)}"
     close = difflib.get_close_matches(key, known, n=2, cutoff=0.6)
     hint = f"did you mean {' or '.join(close)}? " if close else ""
-    return (
-        f"unknown parameter {key}; {hint}valid: any key of the configuration but {' and '.join(NO_AXIS)}, "
-        "one joint as start_rad.3"
-    )
+    others = f"{', '.join(NO_AXIS[:-1])} and {NO_AXIS[-1]}"
+    return f"unknown parameter {key}; {hint}valid: any key of the configuration but {others}, one joint as start_rad.3"
 
 
 def _check_value(where: str, parameter: Parameter, item: Any, relative: bool) -> None:

@@ -9,7 +9,8 @@ from typing import Any
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.config import PlanConfig
 
-NO_IDENTITY = "method", "ray"  # of a configuration: a run has methods of its own, and may be planned anywhere
+# Of a configuration: a run has methods of its own, may be planned anywhere, and its programs are made afterwards.
+NO_IDENTITY = "method", "program", "ray"
 NO_CELL = PlanConfig().cell.model_dump(mode="json")  # runs of before know no cell
 
 

@@ -58,6 +58,7 @@ class ImportedArm(NamedTuple):
     frozen: tuple[str, ...]  # names of the other joints
     bodies: tuple[int, ...]  # without what is no part of the arm
     covers: dict[int, Cover]  # by body
+    massive: tuple[int, ...]  # bodies whose inertia the file states
     numbers: dict[str, Float[np.ndarray, "N"]]  # PER_JOINT, of `joints`
     left_out: tuple[str, ...]  # shapes that nothing stands for
     shapeless: tuple[str, ...]  # bodies that are drawn but have no shape for contact
@@ -109,6 +110,7 @@ def import_robot(
         tuple(joint_name(model, j) for j in range(model.njnt) if j not in joints and model.jnt_bodyid[j] in bodies),
         bodies,
         covers,
+        tuple(body.id for body in spec.bodies if body.explicitinertial and body.mass > 0 and body.id in bodies),
         {name: joint_numbers(model, path, name, np.inf)[list(joints)] for name in PER_JOINT if _has(model, name)},
         tuple(f"{model.geom(g.at).name or g.kind} of {body_name(model, _body(model, g))}" for g in left_out),
         tuple(body_name(model, b) for b in _shapeless(geoms, chosen, model)),

@@ -46,6 +46,9 @@ def arm_xml(arm: ImportedArm, source: str) -> str:
 def _body(parent: Element, arm: ImportedArm, b: int) -> Element:
     model = arm.model
     body = SubElement(parent, "body", name=body_name(model, b), **_pose(model.body_pos[b], model.body_quat[b]))
+    if b in arm.massive:
+        inertia = {"mass": _text([model.body_mass[b]]), "diaginertia": _text(model.body_inertia[b])}
+        SubElement(body, "inertial", pos=_text(model.body_ipos[b]), quat=_text(model.body_iquat[b]), **inertia)
     for j, name in zip(arm.joints, arm.joint_names, strict=True):
         if model.jnt_bodyid[j] == b:
             SubElement(body, "joint", name=name, **_joint(model, j))

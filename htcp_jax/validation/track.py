@@ -54,7 +54,7 @@ class Checked(NamedTuple):
 def check(results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: Track, between: int) -> Checked:
     """Check one track with the arm that has its tool; between: least steps of a joint path, 0 to look at none.
     Raises InputError where the configuration leads to another number of targets than are on record."""
-    scene, targets, on_path = _scene(results, arm, wall, beside, track)
+    scene, targets, on_path = scene_of(results, arm, wall, beside, track)
     task, settings = track.config.task, track.config.settings
     t = np.flatnonzero(track.tracked & np.isfinite(track.x).all(axis=1))
     rows = np.concatenate([track.start[None], track.x[t]])  # the start is row 0
@@ -103,10 +103,11 @@ def check(results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: 
     )
 
 
-def _scene(
+def scene_of(
     results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: Track
 ) -> tuple[CheckedScene, Float[np.ndarray, "T 3"], int]:
-    """The arm beside the wall as the track has it, its targets, and which of them is the path's first point."""
+    """The arm beside the wall as the track has it, its targets, and which of them is the path's first point. Raises
+    InputError where the configuration leads to another number of targets than are on record."""
     part, pose, workpiece = track.config.workpiece, of_job(track.config), results.workpiece(track.config)
     rotate, translate = turned_and_moved(part, pose)
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
@@ -245,7 +246,7 @@ def _walk(scene: CheckedScene, at: AtTargets, paths: JointPaths, between: int, o
         way = paths.a[path] + fraction[:, None] * move[path]
         tcp, clearance = scene.between(way, paths.row[path], at, max(0.0, float(at.clearance.min())))
         np.minimum.at(least, path, clearance)
-        off = np.where(paths.target[path] > on_path, _from_line(tcp, paths.line_a[path], paths.line_b[path]), 0.0)
+        off = np.where(paths.target[path] > on_path, from_line(tcp, paths.line_a[path], paths.line_b[path]), 0.0)
         np.maximum.at(deviation, path, off)
     return {"touches": least <= 0, "clearance_between": least, "deviation": deviation}
 
@@ -257,10 +258,10 @@ def _looks(steps: Int[np.ndarray, "m"]) -> tuple[Int[np.ndarray, "n"], Float[np.
     return path, (np.arange(len(path)) - before[path] + 1) / steps[path]
 
 
-def _from_line(
+def from_line(
     points: Float[np.ndarray, "n 3"], a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n"]:
-    """Distance of each point to its straight line from a to b."""
+    """Distance of each point to its straight line from a to b [m]."""
     along = b - a
     square = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
     fraction = np.clip(((points - a) * along).sum(axis=1) / square, 0.0, 1.0)

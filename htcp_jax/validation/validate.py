@@ -129,6 +129,13 @@ def _keys(recorded: dict[str, Any]) -> set[str]:
     return {*recorded, *(f"{method}.{key}" for method, check in recorded["methods"].items() for key in check)}
 
 
+def parts_of(results: Results, track: Track) -> tuple[Arm, Wall, Beside | None]:
+    """What a track is checked with: the arm, the workpiece, and what else it keeps clear of. Raises InputError for a
+    model that cannot be read."""
+    arms: dict[RobotConfig, Arm] = {}
+    return _arm(arms, results, track), _wall({}, results, track), _beside({}, arms, track)
+
+
 def _arm(arms: dict[RobotConfig, Arm], results: Results, track: Track) -> Arm:
     """The arm with the track's tool. Raises InputError for another number of joints than are on record."""
     arm = _compiled(arms, track.config.robot)

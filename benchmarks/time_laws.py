@@ -1,0 +1,156 @@
+"""How fast, and how fast found, laws of time are: this package's, copp-py's and toppra's, on the ways off the weld.
+
+    python -m benchmarks.time_laws out/plan [out/other ...]
+
+Every law gets the same rounded curve on the same grid. toppra and copp-py's second order know no jerk; the others do.
+Whichever of the two is not installed is left out. A row a law and way: how long it takes, the median time to find it,
+and the largest shares of velocity, acceleration and jerk on the timed curve, by finite differences at 1 ms.
+"""
+
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from htcp_jax.jobs.build import scene
+from htcp_jax.planner.motion import motion
+from htcp_jax.program.limits import Limits, joint_limits
+from htcp_jax.program.path import Path, path_of
+from htcp_jax.program.stretches import spare, stretches
+from htcp_jax.program.time_law import law_of
+from htcp_jax.runs.open import open_plans
+from htcp_jax.scene.scenario import with_own_tool
+
+FEED_M_S, STEP_S, REPEATS = 0.02, 1e-3, 5
+Found = Callable[[np.ndarray], np.ndarray]  # places at times
+
+
+def own(path: Path, limits: Limits) -> tuple[float, Found]:
+    """This package's."""
+    law = law_of(path, limits)
+    return law.speed.duration_s, lambda time: law.speed.at(time)[0]
+
+
+def copp_robot(path: Path, limits: Limits, jerk: bool):
+    """A station a place of the grid."""
+    import copp_py as copp
+
+    robot, found = copp.Robot(path.curve.x.shape[1]), path.at(path.place)
+    robot.append_s(path.place)
+    robot.set_q(found.x, found.first, found.second, 0, dddq=found.third)
+    length = len(path.place)
+    robot.add_velocity_limits(limits.velocity, -limits.velocity, start_idx_s=0, length=length)
+    robot.add_acceleration_limits(limits.acceleration, -limits.acceleration, start_idx_s=0, length=length)
+    if jerk:
+        robot.add_jerk_limits(limits.jerk, -limits.jerk, start_idx_s=0, length=length)
+    return robot
+
+
+def between(place: np.ndarray, square: np.ndarray) -> tuple[float, Found]:
+    """The law that has these squares of the speed at the places, and a constant acceleration between them."""
+    speed = np.sqrt(np.maximum(square, 0.0))
+    step = 2 * np.diff(place) / np.maximum(speed[:-1] + speed[1:], 1e-12)
+    when = np.append(0.0, np.cumsum(step))
+    push = np.diff(speed) / step
+
+    def at(time: np.ndarray) -> np.ndarray:
+        k = np.clip(np.searchsorted(when, time, side="right") - 1, 0, len(step) - 1)
+        t = time - when[k]
+        return place[k] + t * (speed[k] + t * push[k] / 2)
+
+    return float(when[-1]), at
+
+
+def copp_2(path: Path, limits: Limits) -> tuple[float, Found]:
+    """Time-optimal in velocity and acceleration, by reachability."""
+    import copp_py as copp
+
+    robot = copp_robot(path, limits, jerk=False)
+    problem = copp.solver.topp2_ra.Problem(robot.constraints, (0, len(robot) - 1), (0.0, 0.0))
+    return between(path.place, copp.solver.topp2_ra.solve(problem))
+
+
+def copp_3(path: Path, limits: Limits) -> tuple[float, Found]:
+    """With jerk, linearised about the second order's answer, as a linear programme."""
+    import copp_py as copp
+
+    robot = copp_robot(path, limits, jerk=True)
+    problem = copp.solver.topp2_ra.Problem(robot.constraints, (0, len(robot) - 1), (0.0, 0.0))
+    about = copp.solver.topp2_ra.solve(problem)
+    problem = copp.solver.topp3_lp.Problem(robot.constraints, about, a_boundary=(0.0, 0.0), b_boundary=(0.0, 0.0))
+    profile = copp.solver.topp3_lp.solve(problem)
+    duration, times = copp.interpolation.s_to_t_topp3(path.place, profile)
+    return float(duration), lambda time: copp.interpolation.t_to_s_topp3_samples(path.place, profile, times, time)
+
+
+def toppra_(path: Path, limits: Limits) -> tuple[float, Found]:
+    """toppra, by reachability, on the curve itself."""
+    import toppra
+    from toppra import algorithm, constraint
+    from toppra.interpolator import AbstractGeometricPath
+
+    class Geometric(AbstractGeometricPath):
+        dof, path_interval = path.curve.x.shape[1], np.array([0.0, path.place[-1]])
+
+        def __call__(self, places, order=0):
+            found = path.at(np.atleast_1d(np.asarray(places, float)))[order]
+            return found if np.ndim(places) else found[0]
+
+        @property
+        def waypoints(self):
+            return path.place, path.at(path.place).x
+
+    toppra.setup_logging("WARNING")
+    either = [np.stack([-limit, limit], axis=1) for limit in limits[:2]]
+    bounds = [constraint.JointVelocityConstraint(either[0]), constraint.JointAccelerationConstraint(either[1])]
+    instance = algorithm.TOPPRA(bounds, Geometric(), gridpoints=path.place, solver_wrapper="seidel")
+    _, speed, _ = instance.compute_parameterization(0.0, 0.0)
+    return between(path.place, speed**2)
+
+
+LAWS = {"own": own, "copp-py, 2nd order": copp_2, "copp-py, 3rd order": copp_3, "toppra": toppra_}
+
+
+def paths(folder: str) -> Iterator[tuple[str, Path, Limits]]:
+    """The ways of a plan's motion that do not feed."""
+    found = open_plans(folder)
+    plans, job = found.plans(found.methods[0]), found.jobs[0]
+    robot, _, scenario = scene(job)
+    robot, scenario = with_own_tool(robot, scenario)
+    whole, limits = motion(plans, 0, int(scenario.on_path), retract=True), joint_limits(robot)
+    parts = stretches(robot, whole, spare(plans, 0, whole, job.settings.tube_m), limits, FEED_M_S)
+    for k, part in enumerate(part for part in parts if not part.feeds):
+        yield f"{folder} {k}, {len(part.row)} legs", path_of(robot, part), limits
+
+
+def row(law: Callable, path: Path, limits: Limits) -> str:
+    """What a law comes to on a way, as cells."""
+    taken = []
+    for _ in range(REPEATS):
+        begin = time.process_time()
+        duration, at = law(path, limits)
+        taken.append(time.process_time() - begin)
+    x = path.at(at(np.arange(0, duration, STEP_S))).x
+    most = [np.abs(np.diff(x, n=n, axis=0) / STEP_S**n) / limit for n, limit in zip((1, 2, 3), limits, strict=True)]
+    shares = " | ".join(f"{part.max():.2f}" if len(part) else "" for part in most)
+    return f"{duration:.3f} | {1e3 * statistics.median(taken):.1f} | {shares}"
+
+
+def main(folders: list[str]) -> None:
+    """Print the table."""
+    print("| way | law | duration s | found in ms | of v | of a | of j |\n|---|---|---|---|---|---|---|")
+    for folder in folders:
+        for name, path, limits in paths(folder):
+            for title, law in LAWS.items():
+                try:
+                    print(f"| {name} | {title} | {row(law, path, limits)} |", flush=True)
+                except ImportError:
+                    print(f"| {name} | {title} | not installed | | | | |")
+                except Exception as error:  # a solver's own: it found no law
+                    print(f"| {name} | {title} | none: {' '.join(str(error).split())[:60]} | | | | |")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

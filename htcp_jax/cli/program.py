@@ -1,0 +1,131 @@
+"""`htcp program`: a plan as a program that a controller takes."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from htcp_jax.cli.methods import complete_method
+from htcp_jax.cli.output import Json, print_facts, print_json, print_table, stdout
+from htcp_jax.errors import InputError
+from htcp_jax.program.figures import Figures, figures
+from htcp_jax.program.loads import Load
+from htcp_jax.program.of_plan import UNITS, OfPlan, feed_of, program_of
+from htcp_jax.program.writers import FORMATS, format_of
+from htcp_jax.report.document import Column, Table
+from htcp_jax.runs.open import open_plans
+from htcp_jax.runs.plan_folder import made_folder, write_text
+from htcp_jax.validation.timed_check import check_timed
+
+REFUTED = 1
+CHECKED = (
+    "{refuted} of {postures:,} postures refuted; clearance {clearance_min_mm:.3g} mm at least, "
+    "TCP {off_max_mm:.3g} mm off its path at most"
+)
+COLUMNS = (
+    Column("begin_mm", "from", "mm", ".2f"),
+    Column("end_mm", "to", "mm", ".2f"),
+    Column("feed_mm_s", "least feed", "mm/s", ".2f"),
+    Column("reason", "because of"),
+)
+
+Run = Annotated[Path, typer.Argument(metavar="RUN", help="The folder that htcp plan or htcp sweep wrote.")]
+Feed = Annotated[str, typer.Option(metavar="SPEED", help=f"Of the TCP on the path, 20mm/s say; in {', '.join(UNITS)}.")]
+Format = Annotated[str, typer.Option(metavar="NAME", help=f"One of {', '.join(FORMATS)}.")]
+Out = Annotated[Path, typer.Option(metavar="FILE", help="The file to write; its stem is the program's name.")]
+Scenario = Annotated[int, typer.Option(metavar="K", help="Its number, as in the tables; a plan has only 0.")]
+Method = Annotated[
+    str | None, typer.Option(metavar="NAME", help="By default the run's first.", autocompletion=complete_method)
+]
+OneWay = Annotated[bool, typer.Option("--one-way", help="End at the last target, without the way back.")]
+Check = Annotated[bool, typer.Option("--check", help="Look at every millisecond by MuJoCo alone, which takes longer.")]
+Step = Annotated[float | None, typer.Option(metavar="MS", help="Between postures; by default the format's own.")]
+Overrides = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key of program; may be repeated.")
+]
+
+
+def program(
+    run: Run,
+    feed: Feed,
+    out: Out,
+    format: Format = "csv",
+    scenario: Scenario = 0,
+    method: Method = None,
+    one_way: OneWay = False,
+    check: Check = False,
+    step_ms: Step = None,
+    overrides: Overrides = None,
+    as_json: Json = False,
+) -> int:
+    """Give the motion of a plan its time, and write it as a controller takes it.
+
+    From home over the approach and along the path to the last target, and back: on the path the TCP has the feed that
+    is asked for, elsewhere the arm is as fast as its limits allow. Where a limit would be exceeded on the path the feed
+    dips, and the table says where, how far and because of which joint. Limits and what a controller has to be told are
+    in the job's section program. Exits with 1 when --check refutes a posture, with 2 on bad input, a plan that does not
+    lead to its last target among it.
+
+    \b
+    htcp program out/plan --feed 20mm/s --out weld.csv
+    htcp program out/plan --feed 20mm/s --format ros --out weld.yaml
+    htcp program out/workpiece --scenario 24 --feed 1.2m/min --out weld.csv --set program.full_speed_s=0.4
+    """
+    format_of(format)
+    feed_m_s, step_s = feed_of(feed), _seconds(step_ms)
+    made = program_of(open_plans(run), feed_m_s, method, scenario, retract=not one_way, overrides=overrides or ())
+    load = made.load
+    text, found = made.text(format, out.stem, step_s), figures(made.program, made.limits)
+    with made_folder(out.parent):
+        write_text(out, text)
+    checked = _check(run, made, scenario) if check else {}
+    dips, code = _table(found), REFUTED if checked.get("refuted") else 0
+    if as_json:
+        record = {**found._asdict(), "dips": dips.records(), "shares": _shares(found)}
+        record["load"] = load and load._asdict()
+        print_json({**record, "check": checked or None, "file": str(out)})
+        return code
+    facts = _facts(found) | {"torque": _torque(load)} | ({"by MuJoCo": CHECKED.format(**checked)} if checked else {})
+    print_facts(f"{made.robot.name}: {format}", facts | {"file": str(out)})
+    if found.dips:
+        stdout().print()
+        print_table(stdout(), dips)
+    return code
+
+
+def _check(run: Path, made: OfPlan, scenario: int) -> dict[str, int | float]:
+    timed = made.program.timed()
+    found = check_timed(run, timed, made.method, scenario)
+    lengths = {"clearance_min_mm": 1e3 * found.clearance_min_m, "off_max_mm": 1e3 * found.off_max_m}
+    return {"postures": len(timed.x), "refuted": found.refuted, **lengths}
+
+
+def _seconds(step_ms: float | None) -> float | None:
+    if step_ms is not None and not 0.1 <= step_ms <= 1000:
+        raise InputError(f"--step-ms is {step_ms}; from 0.1 to 1000 are possible")
+    return None if step_ms is None else 1e-3 * step_ms
+
+
+def _table(found: Figures) -> Table:
+    rows = [(1e3 * dip.begin_m, 1e3 * dip.end_m, 1e3 * dip.feed_m_s, dip.reason) for dip in found.dips]
+    return Table("dips", COLUMNS, tuple(rows))
+
+
+def _shares(found: Figures) -> dict[str, dict]:
+    return {each.limit: {"share": each.share, "joint": each.joint, "time_s": each.time_s} for each in found.shares}
+
+
+def _torque(load: Load | None) -> str:
+    if load is None:
+        return "not known: the arm's model states no inertias"
+    at = f"{abs(load.torque):.4g} N m (N where it slides) at most, {load.joint} at {load.time_s:.2f} s"
+    return f"{100 * load.share:.1f} % of the effort limit, {at}" if load.share else f"{at}; no effort limit"
+
+
+def _facts(found: Figures) -> dict[str, str]:
+    parts = ", ".join(f"{kind} {seconds:.2f} s" for kind, seconds in found.seconds.items())
+    held = f"held within 1 % over {100 * found.held_share:.2f} % of {1e3 * found.path_m:.1f} mm"
+    facts = {"duration": f"{found.duration_s:.2f} s: {parts}", "feed": f"{1e3 * found.feed_m_s:g} mm/s, {held}"}
+    for each in found.shares:
+        facts[each.limit] = f"{100 * each.share:.1f} % of the limit at most, {each.joint} at {each.time_s:.2f} s"
+    return facts

@@ -1,0 +1,80 @@
+"""The joint polyline with rounded corners: a curve with three continuous derivatives.
+
+Over a length u with the knots x_k at u_k and the slopes t_k between them, the curve is the polyline, but within d_k of
+a corner, where with Delta = t_k - t_{k-1} and w = (u - u_k) / d_k
+
+    q = x_k + t_{k-1} (u - u_k) + d_k Delta F(w),    F'' = 15/16 (1 - w^2)^2,    F(-1) = F'(-1) = 0,
+
+so that F(1) = F'(1) = 1. It is at most F(0) d_k Delta = 5/32 d_k Delta from the polyline, at the corner, always along
+Delta, and within the triangle that the corner spans: joint limits that hold for the knots hold for it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+FARTHEST = 5 / 32  # F(0): how far a rounded corner is from its knot, in d Delta
+
+
+class Derivatives(NamedTuple):
+    """A curve and its derivatives at n places."""
+
+    x: Float[np.ndarray, "n N"]
+    first: Float[np.ndarray, "n N"]
+    second: Float[np.ndarray, "n N"]
+    third: Float[np.ndarray, "n N"]
+
+
+class Curve(NamedTuple):
+    """k knots of N joints."""
+
+    u: Float[np.ndarray, "k"]  # rises
+    x: Float[np.ndarray, "k N"]  # [rad or m]
+    reach: Float[np.ndarray, "k"]  # d, in units of u: at most half of the legs beside it; 0 at both ends
+
+    @property
+    def slopes(self) -> Float[np.ndarray, "k1 N"]:
+        """dx / du of the polyline's legs."""
+        return np.diff(self.x, axis=0) / np.diff(self.u)[:, None]
+
+    @property
+    def turns(self) -> Float[np.ndarray, "k N"]:
+        """Delta at the knots; 0 at both ends."""
+        return np.pad(np.diff(self.slopes, axis=0), ((1, 1), (0, 0)))
+
+    def leg(self, u: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+        """On which leg places are."""
+        return np.clip(np.searchsorted(self.u, u, side="right") - 1, 0, len(self.u) - 2)
+
+    def at(self, u: Float[np.ndarray, "n"]) -> Derivatives:
+        """The curve at places."""
+        leg, slopes = self.leg(u), self.slopes
+        ahead, slope = u - self.u[leg], slopes[leg]
+        corner = leg + (2 * ahead > np.diff(self.u)[leg])
+        reach = self.reach[corner]
+        w = np.divide(u - self.u[corner], reach, out=np.full_like(u, 2.0), where=reach > 0)
+        x, first = self.x[leg] + ahead[:, None] * slope, slope
+        second, third = np.zeros_like(x), np.zeros_like(x)
+        near = np.flatnonzero(np.abs(w) < 1)
+        turn, after = self.turns[corner[near]], (corner == leg)[near, None]
+        w, reach = w[near, None], reach[near, None]
+        square, bump = w * w, 1 - w * w
+        slope = 0.5 + 15 / 16 * w * (1 - square * (2 / 3 - square / 5))
+        rise = 5 / 32 + w / 2 + 15 / 16 * square * (0.5 - square * (1 / 6 - square / 30))
+        x[near] += turn * reach * (rise - after * w)
+        first[near] += turn * (slope - after)
+        second[near] = turn * (15 / 16 * bump * bump / reach)
+        third[near] = turn * (-15 / 4 * w * bump / reach**2)
+        return Derivatives(x, first, second, third)
+
+    def grid(self, on_corner: int, on_leg: int) -> Float[np.ndarray, "m"]:
+        """Places along the curve: so many on each corner, and between two corners so many halvings from the middle
+        towards either one; ends included."""
+        near = 0.5 ** np.arange(1, on_leg + 1)
+        shares = np.concatenate([[0.0], near[::-1], 1 - near[1:], [1.0]])
+        before, after = self.u[:-1] + self.reach[:-1], self.u[1:] - self.reach[1:]
+        legs = before[:, None] + shares * (after - before)[:, None]
+        corners = self.u[:, None] + np.linspace(-1, 1, on_corner) * self.reach[:, None]
+        places = np.unique(np.concatenate([legs.ravel(), corners.ravel()]))
+        return places[np.diff(places, prepend=-np.inf) > 1e-9 * self.u[-1]]

@@ -1,0 +1,76 @@
+"""The speed along a curve from stop to stop, as high as caps and an acceleration allow, and the time that it takes.
+
+Over a grid of places s with speeds z, z^2 is straight between two places: the acceleration is constant there. A moving
+mean of s over a window of time makes it smooth: with P the integral of s,
+
+    s_T(t) = (P(t + T/2) - P(t - T/2)) / T,    s_T' = (s(t + T/2) - s(t - T/2)) / T,    and so on,
+
+so that the acceleration is continuous, and the jerk no more than the difference of two accelerations, over T. Speeds
+that are held longer than T are kept.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+
+class Speed(NamedTuple):
+    """A law on a grid of m places, with the window T."""
+
+    time: Float[np.ndarray, "m"]  # [s]
+    place: Float[np.ndarray, "m"]
+    speed: Float[np.ndarray, "m"]
+    integral: Float[np.ndarray, "m"]  # of the place over time
+    window_s: float
+    slower: float = 1.0  # by how much all of it is stretched in time
+
+    @property
+    def duration_s(self) -> float:
+        """From stop to stop."""
+        return self.slower * float(self.time[-1] + self.window_s)
+
+    def at(self, time: Float[np.ndarray, "n"]) -> tuple[Float[np.ndarray, "n"], ...]:
+        """Place, speed, acceleration and jerk at times from 0 to `duration_s`."""
+        late, early = self._raw(time / self.slower), self._raw(time / self.slower - self.window_s)
+        scale = self.window_s * self.slower ** np.arange(4)
+        place, *more = ((b - a) / by for a, b, by in zip(early, late, scale, strict=True))
+        return np.clip(place, 0.0, self.place[-1]), *more
+
+    def _raw(self, time: np.ndarray) -> tuple[np.ndarray, ...]:
+        """P, s, s', s'' of the law without the mean; it stands before and after."""
+        k = np.clip(np.searchsorted(self.time, time, side="right") - 1, 0, len(self.time) - 2)
+        push = np.diff(self.speed) / np.diff(self.time)
+        t, last = time - self.time[k], self.time[-1]
+        s, z, a = self.place[k], self.speed[k], push[k]
+        raw = [self.integral[k] + t * (s + t * (z / 2 + t * a / 6)), s + t * (z + t * a / 2), z + t * a, a]
+        before, after = time < 0, time >= last
+        for part, at_end in zip(
+            raw, (self.integral[-1] + (time - last) * self.place[-1], self.place[-1], 0, 0), strict=True
+        ):
+            part[before] = 0.0
+            part[after] = np.broadcast_to(at_end, time.shape)[after]
+        return tuple(raw)
+
+
+def fastest(
+    place: Float[np.ndarray, "m"], cap: Float[np.ndarray, "m"], push: Float[np.ndarray, "m"], window_s: float
+) -> Speed:
+    """The fastest law under speeds `cap` and accelerations `push`, that stands at both ends.
+
+    z^2 grows by 2 push ds at most, either way: with C the integral of 2 push, z^2 = C + min(cap^2 - C) over what lies
+    before, and the same from behind.
+    """
+    square = cap * cap
+    square[[0, -1]] = 0.0
+    rise = np.minimum(push[:-1], push[1:]) * np.diff(place) * 2
+    sums = np.append(0.0, np.cumsum(rise))
+    square = np.minimum.accumulate(square - sums) + sums
+    square = np.minimum.accumulate((square + sums)[::-1])[::-1] - sums
+    speed = np.minimum(np.sqrt(np.maximum(square, 0.0)), cap)
+    speed[[0, -1]] = 0.0
+    step = 2 * np.diff(place) / (speed[:-1] + speed[1:])
+    time = np.append(0.0, np.cumsum(step))
+    push = np.diff(speed) / step
+    whole = step * (place[:-1] + step * (speed[:-1] / 2 + step * push / 6))
+    return Speed(time, place, speed, np.append(0.0, np.cumsum(whole)), window_s)

@@ -1,0 +1,62 @@
+"""Programs of other arms, held by more than the TCP's place, in a cell: limits, clearance, rows, loads, by MuJoCo."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from published import MODELS, path_of
+from scipy.spatial.transform import Rotation
+from small_cell import small_job
+
+import htcp_jax
+from htcp_jax.cli.main import main
+from htcp_jax.jobs.build import robot_of
+from htcp_jax.jobs.load_config import load_config
+from htcp_jax.program.of_plan import program_of
+from htcp_jax.runs.open import open_plans
+from htcp_jax.scene.kinematics import tcp_pose
+from htcp_jax.status import Kind
+from htcp_jax.validation.records import read_results
+from htcp_jax.validation.timed_check import check_timed
+from htcp_jax.validation.validate import parts_of
+
+STEP_S = 1e-3
+ROUNDING = 1e-6  # of a limit: third differences of doubles over 1 ms
+FLOOR = '<mujoco><worldbody><geom name="floor" type="plane" size="3 3 .1" pos="0 0 -0.6"/></worldbody></mujoco>'
+
+
+def rows(kind: str, job: dict) -> list[dict]:
+    """A task that the start of a job holds: the tool's axis in a cone, along a direction, or all of its orientation."""
+    config = load_config(job)
+    R = np.asarray(tcp_pose(robot_of(config.robot), jnp.array(config.start)))[:3, :3]
+    more = {
+        "cone": {"axis": "tcp.z", "towards": R[:, 2].tolist(), "cone_deg": 10},
+        "axis": {"axis": "tcp.z", "towards": R[:, 2].tolist()},
+        "orientation": {"orientation": Rotation.from_matrix(R).as_quat(scalar_first=True).tolist()},
+    }
+    return [{"point": "tcp", "on": "path"}, more[kind]]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "kind"), [("panda", "orientation"), ("panda", "cone"), ("ur10", "axis")])
+def test_an_arm_with_a_task_in_a_cell_is_timed_within_its_limits_and_nothing_is_refuted(name, kind, tmp_path):
+    model, arm = MODELS[name], tmp_path / "arm.xml"
+    words = [] if model.tcp is None else ["--tcp", model.tcp]
+    assert main(["robot", str(path_of(name)), "--out", str(arm), *words]) == 0
+    (tmp_path / "cell.xml").write_text(FLOOR)
+    job = small_job(arm, tmp_path, model.out) | {"cell": {"model": str(tmp_path / "cell.xml")}}
+    plan = htcp_jax.plan(job | {"task": rows(kind, job)})
+    assert plan.complete
+    plan.save(tmp_path / "plan")
+    made = program_of(open_plans(tmp_path / "plan"), 0.02)
+    timed = made.program.timed(STEP_S)
+    for order, limit in enumerate(made.limits, 1):
+        assert (np.abs(np.diff(timed.x, n=order, axis=0)) / STEP_S**order <= (1 + ROUNDING) * limit).all()
+    found = check_timed(tmp_path / "plan", timed, made.method)
+    assert found.refuted == 0 and found.clearance_min_m > 0
+    assert 0 < made.load.share < 1 and abs(made.load.torque) > 1
+    if kind != "cone":
+        passed = made.program.at(made.program.at_postures().time_s)
+        results = read_results(tmp_path / "plan")
+        seen, _, _ = parts_of(results, next(iter(results.tracks)))
+        axes = seen.frames(np.vstack([job["start_rad"], passed.x[passed.kind == Kind.FEED]]), "tcp")[1][:, :, 2]
+        assert np.arccos(np.minimum(axes[1:] @ axes[0], 1.0)).max() <= made.job.settings.tolerance_rad

@@ -1,0 +1,178 @@
+"""`htcp program` as a person meets it: the table, the file, what is proven of it by MuJoCo, and one line for what is
+wrong."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from made_plan import made_plan
+
+from htcp_jax.cli.main import main
+from htcp_jax.program.limits import joint_limits
+from htcp_jax.program.of_plan import program_of
+from htcp_jax.program.writers import FORMATS
+from htcp_jax.runs.open import open_plans
+from htcp_jax.scene.robot_file import gp50
+from htcp_jax.status import Kind
+from htcp_jax.validation.timed_check import check_timed
+
+STEP_S = 1e-3
+ROUNDING = 1e-6  # of a limit: third differences of doubles over 1 ms
+WELD = "0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n0.195,-0.1739,0.1703\n"
+PER_RAD, ZERO_RAD = [9e4, 8e4, -8e4, -5e4, -5e4, -3e4], [0, -1.5, 0, 0, 0, 0]
+PULSES = f"program.pulses={{per_rad: {PER_RAD}, zero_rad: {ZERO_RAD}, source: a drawing}}"
+
+
+@pytest.fixture(scope="module")
+def plans(tmp_path_factory):
+    """A folder with an executable plan of three points of the generated duct's weld, and one that is not executable."""
+    folder = tmp_path_factory.mktemp("plans")
+    (folder / "path.csv").write_text(WELD)
+    set_path = ["--set", f"workpiece.path={folder / 'path.csv'}"]
+    assert main(["plan", *set_path, "--out", str(folder / "good")]) == 0
+    made_plan(folder / "job").save(folder / "bad")
+    return folder
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def run(plans, *words: str) -> int:
+    return main(["program", str(plans / "good"), "--feed", "20mm/s", *words])
+
+
+def test_the_table_says_how_long_it_takes_where_the_feed_dips_and_what_is_used_of_each_limit(plans, here, capsys):
+    assert run(plans, "--out", "weld.csv") == 0
+    output = capsys.readouterr()
+    assert output.err == ""
+    for name in ("duration", "feed", "velocity", "acceleration", "jerk", "torque", "file"):
+        assert sum(line.startswith(f"{name} ") for line in output.out.splitlines()) == 1, name
+    assert "20 mm/s, held within 1 % over" in output.out and "stop" in output.out
+    assert run(plans, "--out", "weld.csv", "--json") == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["path_m"] == pytest.approx(0.0093, abs=2e-4) and 0 < record["held_share"] < 1
+    assert set(record["seconds"]) == {"approach", "feed", "retract"}
+    assert sum(record["seconds"].values()) == pytest.approx(record["duration_s"])
+    assert all(0 < record["shares"][kind]["share"] <= 1 for kind in ("velocity", "acceleration", "jerk"))
+
+
+def table(file) -> np.ndarray:
+    """Times and joint values of a written CSV."""
+    rows = csv.reader(line for line in file.read_text().splitlines() if not line.startswith("#"))
+    names = next(rows)
+    joints = [k for k, name in enumerate(names) if name.endswith("_rad")]
+    return np.array([[float(row[0]), *(float(row[k]) for k in joints)] for row in rows])
+
+
+@pytest.mark.parametrize("feed", ["20mm/s", "0.2m/s"])
+def test_no_limit_is_exceeded_by_finite_differences_of_the_written_file(plans, here, feed):
+    assert main(["program", str(plans / "good"), "--feed", feed, "--out", "weld.csv"]) == 0
+    rows, limits = table(here / "weld.csv"), joint_limits(gp50())
+    np.testing.assert_allclose(np.diff(rows[:, 0]), STEP_S, atol=1e-9)
+    for order, limit in enumerate(limits, 1):
+        rates = np.diff(rows[:, 1:], n=order, axis=0) / STEP_S**order
+        assert (np.abs(rates) <= (1 + ROUNDING) * limit).all()
+
+
+def test_limits_of_the_job_are_kept_and_cost_time(plans, here, capsys):
+    slow = [0.2, 0.2, 0.2, 0.2, 0.2, 0.2]
+    durations = []
+    for words in ((), ("--set", f"program.velocity={slow}")):
+        assert run(plans, "--out", "weld.csv", "--json", *words) == 0
+        durations.append(json.loads(capsys.readouterr().out)["duration_s"])
+    rates = np.diff(table(here / "weld.csv")[:, 1:], axis=0) / STEP_S
+    assert np.abs(rates).max() <= 0.2 * (1 + ROUNDING) and durations[1] > durations[0]
+
+
+def test_the_motion_is_clear_by_mujoco_every_millisecond_and_the_tool_within_its_tolerance(plans):
+    made = program_of(open_plans(plans / "good"), 0.02)
+    found = check_timed(plans / "good", made.program.timed(STEP_S), "roadmap")
+    assert found.refuted == 0 and found.clearance_min_m > 0
+    assert 0 < found.off_max_m <= made.job.settings.tube_m
+
+
+def test_a_motion_that_leaves_its_path_or_goes_through_the_wall_is_refuted(plans):
+    made = program_of(open_plans(plans / "good"), 0.02, retract=False)
+    timed = made.program.timed(0.02)
+    aside = timed._replace(x=timed.x + np.array([0.005, 0, 0, 0, 0, 0]))  # at a metre and a half: 7 mm
+    found = check_timed(plans / "good", aside, "roadmap")
+    assert found.leaves[timed.kind == Kind.FEED].all() and not found.leaves[timed.kind != Kind.FEED].any()
+    down = timed._replace(x=timed.x + np.array([0, 0.3, 0, 0, 0, 0]))
+    assert check_timed(plans / "good", down, "roadmap").touches.any()
+
+
+def test_check_looks_at_all_of_it_by_mujoco_and_says_what_it_found(plans, here, capsys):
+    assert run(plans, "--check", "--json", "--out", "weld.csv") == 0
+    found = json.loads(capsys.readouterr().out)["check"]
+    assert found["postures"] == len(table(here / "weld.csv")) and found["refuted"] == 0
+    assert found["clearance_min_mm"] > 0 and 0 < found["off_max_mm"] <= 1
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_every_format_is_written_from_a_plan_on_record_the_same_twice(plans, here, format):
+    words = ["--format", format, "--set", "program.user_frame={number: 3}", "--set", PULSES]
+    for name in ("one", "two"):
+        (here / name).mkdir()
+        assert run(plans, *words, "--out", f"{name}/weld.txt") == 0
+    one, two = ((here / name / "weld.txt").read_text() for name in ("one", "two"))
+    assert one == two and "tool data" in one.replace("\r\n'", " ")
+
+
+def test_a_job_of_pulses_passes_the_postures_of_the_motion_on_record(plans, here):
+    assert run(plans, "--format", "jbi-pulses", "--set", PULSES, "--one-way", "--out", "weld.jbi") == 0
+    lines = [line for line in (here / "weld.jbi").read_text().splitlines() if line.startswith("C0")]
+    pulses = np.array([[int(cell) for cell in line.split("=")[1].split(",")] for line in lines])
+    x = pulses / PER_RAD + np.array(ZERO_RAD)
+    known = open_plans(plans / "good").plans("roadmap")
+    passed = np.concatenate([known.start[:1], known.x[0]])
+    nearest = np.abs(x[:, None] - passed).max(axis=2).min(axis=1)
+    assert len(x) >= 13 and nearest.max() <= 0.5 / 3e4
+
+
+def test_rectan_positions_are_the_tcp_by_mujoco_in_the_workpiece(plans, here):
+    words = ["--format", "jbi", "--set", "program.user_frame={number: 3}", "--one-way", "--out", "weld.jbi"]
+    assert run(plans, *words) == 0
+    lines = [line for line in (here / "weld.jbi").read_text().splitlines() if line.startswith("C0")]
+    last = np.array([float(cell) for cell in lines[-1].split("=")[1].split(",")])
+    target = np.array([float(cell) for cell in WELD.splitlines()[-1].split(",")])  # in the workpiece's frame
+    assert np.linalg.norm(last[:3] / 1e3 - target) <= 1e-3
+
+
+WRONG = [
+    (["--set", "margin_m=0"], "--set margin_m: the plan is on record; keys of program.* alone can be changed"),
+    (["--set", "program.velocty=1"], "unknown key program.velocty; did you mean program.velocity?"),
+    (["--set", "program.velocity=[1, 2]"], "program.velocity has 2 values, the robot gp50 has 6 joints"),
+    (["--set", "program.velocity=[1, 1, 1, 1, 1, 0]"], "program.velocity.5 is 0"),
+    (["--set", "program.jerk=fast"], "program.jerk is 'fast'"),
+    (["--set", "program.full_speed_s=0"], "program.full_speed_s is 0"),
+    (["--format", "jbi"], "jbi: RECTAN positions are in a user frame; program.user_frame names it"),
+    (["--format", "jbi", "--set", "program.user_frame={number: 64}"], "program.user_frame.number is 64"),
+    (["--format", "jbi-pulses"], "jbi-pulses: no table; program.pulses gives one"),
+    (["--format", "jbi-pulses", "--set", "program.pulses={per_rad: [1, 2]}"], "program.pulses.source"),
+    (
+        ["--format", "jbi-pulses", "--set", "program.pulses={per_rad: [1, 2], source: x}"],
+        "program.pulses.per_rad has 2 values, the robot gp50 has 6 joints",
+    ),
+    (["--format", "jbi-pulses", "--step-ms", "2"], "jbi-pulses holds the postures that the motion is made of"),
+    (["--format", "urscript", "--step-ms", "3"], "times must be multiples of the controller's 0.002 s"),
+    (["--step-ms", "0"], "--step-ms is 0.0; from 0.1 to 1000 are possible"),
+    (["--scenario", "1"], "has no scenario 1; there are 0 to 0"),
+    (["--method", "hybrid"], "has no plans by 'hybrid'; there are roadmap"),
+]
+
+
+@pytest.mark.parametrize(("words", "says"), WRONG)
+def test_what_is_wrong_is_one_line_that_names_it_exit_2_and_no_file(plans, here, capsys, words, says):
+    assert run(plans, *words, "--out", "weld.txt") == 2
+    output = capsys.readouterr()
+    assert says in output.err and output.err.count("\n") == 1 and output.out == ""
+    assert not list(here.iterdir())
+
+
+def test_a_plan_that_is_not_executable_says_how_far_it_is(plans, here, capsys):
+    assert main(["program", str(plans / "bad"), "--feed", "20mm/s", "--out", "weld.csv"]) == 2
+    assert "a motion leads to 0 of 10 targets" in capsys.readouterr().err and not list(here.iterdir())

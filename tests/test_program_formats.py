@@ -1,0 +1,315 @@
+"""Files of a program, each read back by a reader that was written from the format's description and knows no writer."""
+
+import csv
+import datetime
+import json
+import re
+
+import mujoco
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as of_numpy
+from scipy.spatial.transform import Rotation
+
+from htcp_jax.errors import InputError
+from htcp_jax.program.beside import Beside, Pulses, UserFrame
+from htcp_jax.program.timed import Timed
+from htcp_jax.program.writers import FORMATS, program_text
+from htcp_jax.scene.robot import GP50
+from htcp_jax.status import Kind
+
+STEP_S = 0.002
+FULL_SPEED = 1e4  # [rad/s], so that no motion of these tests is over it
+ALL = st.floats(-3.2, 3.2) | st.floats(-1e-4, 1e-4)
+NAMES = st.text("abcXYZ019_-: #,'\"é", min_size=1, max_size=8)
+FEW = settings(max_examples=25)
+
+
+def states(n: int, joints: int):
+    return of_numpy.arrays(float, (n, joints), elements=ALL)
+
+
+@st.composite
+def motions(draw, joints=None):
+    """Any few postures, at multiples of a controller's step."""
+    n, N = draw(st.integers(1, 6)), joints or draw(st.integers(1, 8))
+    steps = draw(st.lists(st.integers(1, 700), min_size=n, max_size=n))
+    return Timed(
+        time_s=STEP_S * (np.cumsum(steps) - steps[0]),
+        x=draw(states(n, N)),
+        velocity=draw(states(n, N)),
+        acceleration=draw(states(n, N)),
+        kind=np.array(draw(st.lists(st.sampled_from(Kind), min_size=n, max_size=n)), np.int8),
+        target=np.array(draw(st.lists(st.integers(0, 99), min_size=n, max_size=n))),
+        joint_names=tuple(draw(st.lists(NAMES, min_size=N, max_size=N, unique=True))),
+    )
+
+
+def beside(timed: Timed, **given) -> Beside:
+    N = len(timed.joint_names)
+    return Beside("WELD", (False,) * N, speed=np.full(N, FULL_SPEED))._replace(**given)
+
+
+def a_motion(joints=6) -> Timed:
+    rows = np.arange(3.0)
+    x = rows[:, None] * np.linspace(-0.02, 0.01, joints)
+    kind = np.array([Kind.TRANSFER, Kind.FEED, Kind.RETRACT], np.int8)
+    return Timed(0.1 * rows, x, x, x, kind, rows.astype(int), tuple(f"j{k}" for k in range(joints)))
+
+
+# --- tables
+
+
+@FEW
+@given(motions())
+def test_a_table_reads_back_exactly(timed):
+    slides = tuple(k % 2 == 1 for k in range(len(timed.joint_names)))
+    text = program_text("csv", timed, beside(timed, slides=slides))
+    head, *rows = csv.reader(line for line in text.splitlines() if not line.startswith("#"))
+    names = [name + ("_m" if slide else "_rad") for name, slide in zip(timed.joint_names, slides, strict=True)]
+    assert head == ["time_s", "kind", "target", *names, *(f"{n}_s" for n in names), *(f"{n}_s2" for n in names)]
+    assert [Kind[row[1]] for row in rows] == timed.kind.tolist() and [
+        int(row[2]) for row in rows
+    ] == timed.target.tolist()
+    numbers = np.array([[row[0], *row[3:]] for row in rows], float)
+    assert (numbers == np.column_stack([timed.time_s, timed.x, timed.velocity, timed.acceleration])).all()
+
+
+# --- ROS: the messages' definitions, field by field
+
+MESSAGES = {
+    "JointTrajectory": {"header": "Header", "joint_names": "string[]", "points": "JointTrajectoryPoint[]"},
+    "Header": {"stamp": "Time", "frame_id": "string"},
+    "Time": {"sec": "int32", "nanosec": "uint32"},
+    "Duration": {"sec": "int32", "nanosec": "uint32"},
+    "JointTrajectoryPoint": {
+        **dict.fromkeys(("positions", "velocities", "accelerations", "effort"), "float64[]"),
+        "time_from_start": "Duration",
+    },
+}
+PLAIN = {"string": str, "int32": int, "uint32": int, "float64": float}
+
+
+def check_message(value, kind: str) -> None:
+    if kind.endswith("[]"):
+        assert isinstance(value, list)
+        for each in value:
+            check_message(each, kind[:-2])
+    elif kind in MESSAGES:
+        assert value.keys() == MESSAGES[kind].keys()
+        for name, inner in MESSAGES[kind].items():
+            check_message(value[name], inner)
+    else:
+        assert type(value) is PLAIN[kind]
+        assert kind != "uint32" or 0 <= value < 10**9
+
+
+@pytest.mark.parametrize("format", ["ros", "ros-json"])
+@FEW
+@given(motions())
+def test_a_ros_message_is_as_defined_and_reads_back_exactly_and_to_half_a_nanosecond(format, timed):
+    text = program_text(format, timed, beside(timed))
+    message = yaml.safe_load(text) if format == "ros" else json.loads(text)["message"]
+    check_message(message, "JointTrajectory")
+    assert tuple(message["joint_names"]) == timed.joint_names
+    for name, array in zip(("positions", "velocities", "accelerations"), timed[1:4], strict=True):
+        assert (np.array([point[name] for point in message["points"]]) == array).all()
+    times = [point["time_from_start"] for point in message["points"]]
+    nanoseconds = np.array([10**9 * time["sec"] + time["nanosec"] for time in times])
+    assert np.abs(nanoseconds - 1e9 * timed.time_s).max() <= 0.5 + 1e-6
+
+
+# --- JBI: pseudo instructions before //INST, instructions behind it
+
+
+class Job:
+    """A job of INFORM, read from its text."""
+
+    def __init__(self, text: str):
+        assert text.endswith("\r\n") and text.isascii()
+        lines = text.split("\r\n")[:-1]
+        assert lines[0] == "/JOB" and lines[-1] == "END"
+        at = lines.index("//INST")
+        begin = lines.index("NOP")
+        self.positions, self.forms, self.fields, form = {}, [], {}, None
+        for line in lines[1:at] + lines[at + 1 : begin]:
+            if found := re.fullmatch(r"C(\d{5})=(.*)", line):
+                assert int(found[1]) == len(self.positions)
+                self.positions[f"C{found[1]}"] = [float(cell) for cell in found[2].split(",")]
+                self.forms.append(form)
+            elif line.startswith("///RCONF "):
+                form = [int(cell) for cell in line[9:].split(",")]
+                assert len(form) == 24
+            else:
+                key, _, value = line.lstrip("/").partition(" ")
+                self.fields[key] = value
+        assert self.fields["NPOS"] == f"{len(self.positions)},0,0,0,0,0"
+        self.remarks = [line[1:] for line in lines[begin:-1] if line.startswith("'")]
+        assert not any(re.search(r"-0(\.0+)?(,|$)", line) for line in lines if line.startswith("C"))  # no minus zero
+        self.moves = [line.split() for line in lines[begin + 1 : -1] if not line.startswith("'")]
+        assert all(len(remark) <= 32 for remark in self.remarks)
+
+    def array(self) -> np.ndarray:
+        """The positions, in the order in which the instructions go to them."""
+        return np.array([self.positions[move[1]] for move in self.moves])
+
+
+@FEW
+@given(motions(), st.data())
+def test_pulses_read_back_to_half_a_pulse(timed, data):
+    N = len(timed.joint_names)
+    table = np.array(data.draw(st.lists(st.sampled_from([85000.5, -73000.0, 1e6]), min_size=N, max_size=N)))
+    zero = np.linspace(-1, 1, N)
+    pulses = Pulses(table, zero, "a drawing")
+    job = Job(program_text("jbi-pulses", timed, beside(timed, pulses=pulses, tool=4)))
+    assert (job.fields["TOOL"], job.fields["POSTYPE"], job.fields["NAME"]) == ("4", "PULSE", "WELD")
+    assert (np.abs(job.array() / table + zero - timed.x) <= 0.5 / np.abs(table) + 1e-15).all()
+    assert {move[0] for move in job.moves} == {"MOVJ"}
+
+
+@FEW
+@given(motions(joints=6), st.data())
+def test_rectan_reads_back_to_half_of_its_last_digits(timed, data):
+    n = len(timed.x)
+    angles = data.draw(of_numpy.arrays(float, (n, 3), elements=st.floats(-180, 180) | st.sampled_from([90.0, -90.0])))
+    T = np.tile(np.eye(4), (n, 1, 1))
+    T[:, :3, :3] = Rotation.from_euler("ZYX", angles, degrees=True).as_matrix()
+    T[:, :3, 3] = data.draw(of_numpy.arrays(float, (n, 3), elements=st.floats(-4, 4)))
+    form = np.array(data.draw(st.lists(st.tuples(*[st.integers(0, 1)] * 6), min_size=n, max_size=n)))
+    job = Job(program_text("jbi", timed, beside(timed, user_frame=UserFrame(7, T, form), tool=2)))
+    assert [job.fields[key] for key in ("USER", "TOOL", "POSTYPE", "FRAME")] == ["7", "2", "USER", "USER 7"]
+    assert job.forms == [[*row, *[0] * 18] for row in form.tolist()]
+    read = job.array()
+    assert np.abs(read[:, :3] - 1e3 * T[:, :3, 3]).max() <= 0.5e-3 + 1e-9
+    turned = Rotation.from_matrix(T[:, :3, :3]).inv() * Rotation.from_euler("xyz", read[:, 3:], degrees=True)
+    assert np.degrees(turned.magnitude()).max() <= 3 * 0.5e-4 + 1e-6  # three angles, half a digit each
+
+
+def test_a_jobs_speeds_are_those_of_the_motion():
+    timed = a_motion()
+    T = np.tile(np.eye(4), (3, 1, 1))
+    T[1, 0, 3] = 0.002  # 2 mm in 0.1 s
+    frame = UserFrame(1, T, np.zeros((3, 6), int))
+    given = beside(timed, user_frame=frame, speed=np.full(6, 2.0), date=datetime.datetime(2024, 5, 6, 7, 8))
+    job = Job(program_text("jbi", timed, given))
+    # |dx| = 0.02 rad in 0.1 s: a tenth of 2 rad/s
+    assert job.moves == [
+        ["MOVJ", "C00000", "VJ=1.00"],
+        ["MOVL", "C00001", "V=20.0"],
+        ["MOVJ", "C00002", "VJ=10.00", "PL=0"],
+    ]
+    assert job.fields["DATE"] == "2024/05/06 07:08"
+
+
+# --- URScript: calls of one function
+
+
+def read_urscript(text: str) -> tuple[np.ndarray, np.ndarray]:
+    """Postures and times from the first one on: movej(q, a, v), then servoj(q, a, v, t, lookahead_time, gain)."""
+    lines = [line.strip() for line in text.splitlines() if not line.startswith("#")]
+    name = re.fullmatch(r"def (\w+)\(\):", lines[0])[1]
+    assert lines[-3:] == ["stopj(1.0)", "end", f"{name}()"]
+    postures, times = [], [0.0]
+    for line in lines[1:-3]:
+        call, inside, rest = re.fullmatch(r"(\w+)\(\[(.*)\], (.*)\)", line).groups()
+        numbers = [float(cell) for cell in rest.split(",")]
+        assert (call, len(numbers)) == (("servoj", 5) if postures else ("movej", 2))
+        postures.append([float(cell) for cell in inside.split(",")])
+        if call == "servoj":
+            _, _, t, lookahead, gain = numbers
+            assert 0.03 <= lookahead <= 0.2 and 100 <= gain <= 2000  # the manual's ranges
+            times.append(times[-1] + t)
+    return np.array(postures), np.array(times)
+
+
+@FEW
+@given(motions(joints=6))
+def test_urscript_reads_back_to_half_a_microradian_at_the_same_times(timed):
+    x, times = read_urscript(program_text("urscript", timed, beside(timed)))
+    assert np.abs(x - timed.x).max() <= 0.5e-6 + 1e-15
+    assert np.abs(times - timed.time_s).max() <= 1e-9
+
+
+# --- MuJoCo reads its own
+
+
+def test_mujoco_reads_the_keyframes_exactly_with_the_built_in_arm():
+    timed = a_motion()._replace(x=np.random.default_rng(0).uniform(-1, 1, (3, 6)))
+    model = GP50.read_text().replace("</mujoco>", '<include file="weld.xml"/></mujoco>')
+    model = mujoco.MjModel.from_xml_string(
+        model, {"weld.xml": program_text("keyframes", timed, beside(timed)).encode()}
+    )
+    assert (model.key_time == timed.time_s).all()
+    assert (model.key_qpos == timed.x).all() and (model.key_qvel == timed.velocity).all()
+    assert [model.key(k).name for k in range(3)] == ["0_transfer", "1_feed", "2_retract"]
+
+
+# --- all of them
+
+
+def table_of(joints: int) -> Pulses:
+    return Pulses(np.full(joints, 1e4), np.zeros(joints), "a drawing")
+
+
+def whole(timed: Timed) -> Beside:
+    """With all that any format asks for."""
+    frame = UserFrame(1, np.tile(np.eye(4), (len(timed.x), 1, 1)), np.zeros((len(timed.x), 6), int))
+    return beside(timed, user_frame=frame, pulses=table_of(timed.x.shape[1]))
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_every_file_says_what_it_does_not_hold(format):
+    text = program_text(format, a_motion(), whole(a_motion()))
+    said = re.sub(r"\s+", " ", text.replace("\r\n'", " "))
+    for what in ("tool data", "frames", "signals", "safety", "not proven clear"):
+        assert what in said, what
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_a_file_depends_on_its_motion_alone(format):
+    assert program_text(format, a_motion(), whole(a_motion())) == program_text(format, a_motion(), whole(a_motion()))
+
+
+NO_POSTURE = Timed(*(column[:0] for column in a_motion()[:6]), a_motion().joint_names)
+STILL = a_motion()._replace(time_s=np.array([0.0, 0.2, 0.2]))
+OFF_STEP = a_motion()._replace(time_s=np.array([0.0, 0.1, 0.2013]))
+FRAME_0 = whole(a_motion()).user_frame._replace(number=0)
+MANY = Timed(*(np.repeat(column, 4000, axis=0) for column in a_motion()[:6]), a_motion().joint_names)
+MANY = MANY._replace(time_s=np.arange(12000.0))
+
+
+@pytest.mark.parametrize(
+    ("format", "timed", "given", "said"),
+    [
+        ("krl", a_motion(), {}, "'krl' is no format of a program; valid: csv, ros, ros-json, jbi, jbi-pulses"),
+        ("csv", NO_POSTURE, {}, "has none"),
+        ("csv", STILL, {}, "posture 2 comes no later"),
+        ("jbi", a_motion(), {"user_frame": None}, "program.user_frame names it"),
+        ("jbi", a_motion(), {"user_frame": FRAME_0}, "user frame 0; there are 1 to 63"),
+        ("jbi", a_motion(7), {}, "an arm of 7 joints; RECTAN holds 6"),
+        ("jbi", a_motion(), {"name": "Größe"}, "'Größe' is no name of a job"),
+        ("jbi", a_motion(), {"speed": None}, "program.velocity gives them"),
+        (
+            "jbi-pulses",
+            a_motion(),
+            {"speed": np.array([1, 1, 1, 1, 1, np.inf])},
+            "program.velocity gives them",
+        ),
+        ("jbi-pulses", a_motion(), {"speed": np.full(6, 0.1)}, "j0 at 200.0 % of its full speed"),
+        ("jbi-pulses", a_motion(), {"pulses": None}, "no table; program.pulses gives one"),
+        ("jbi-pulses", a_motion(), {"pulses": table_of(5)}, "5 pulses per radian for 6 joints"),
+        ("jbi-pulses", a_motion(9), {}, "an arm of 9 joints"),
+        ("jbi-pulses", MANY, {}, "a job holds 9,999; the path has too many points"),
+        ("urscript", a_motion(7), {}, "an arm of 7 joints, 0 of which slide"),
+        ("urscript", a_motion(), {"slides": (True, *[False] * 5)}, "1 of which slide"),
+        ("urscript", a_motion(), {"name": "2 welds"}, "'2 welds' is no name of a function"),
+        ("urscript", OFF_STEP, {}, "a posture at 0.2013 s; times must be multiples of the controller's 0.002 s"),
+    ],
+)
+def test_what_a_format_cannot_hold_is_one_line_that_names_it(format, timed, given, said):
+    with pytest.raises(InputError) as caught:
+        program_text(format, timed, whole(timed)._replace(**given))
+    assert said in str(caught.value) and "\n" not in str(caught.value)
