@@ -2,8 +2,7 @@
 
 Where a corner is rounded, every point of the arm moves by at most a length m, and every direction turns by at most an
 angle w. Angles count as lengths, by their tolerances, as in `scene.task`: a row's error changes by m + w c at most. At
-targets equalities and bands hold to within the tolerance; between targets the proof has axes in their cones, widened by
-it, and says nothing of the other rows.
+targets equalities and bands hold to within the tolerance; between targets the proof has bands and cones widened by it.
 """
 
 import jax
@@ -30,8 +29,7 @@ def with_rows(left: Spare, job: PlanConfig, robot: Robot, motion: Motion) -> Spa
     on = np.isin(motion.kind, (Kind.FEED, Kind.DWELL))
     goals = scene(job)[2].aims[motion.target]
     rest, room = (np.where(on, part, np.inf) for part in _left(task, robot, motion.x, goals))
-    widened = task.tolerance_m if len(task.cones) == task.bands else 0.0
-    rows, cones = (np.minimum(part[:-1], part[1:]) for part in (rest, np.maximum(room + widened, 0.0)))
+    rows, cones = (np.minimum(part[:-1], part[1:]) for part in (rest, np.maximum(room + task.tolerance_m, 0.0)))
     return left._replace(rows=rows, cones=cones, length_per_rad=task.tolerance_m / task.tolerance_rad)
 
 

@@ -15,7 +15,7 @@ from htcp_jax.status import Kind
 from htcp_jax.validation.mujoco_clearance import CheckedScene
 from htcp_jax.validation.records import read_results
 from htcp_jax.validation.result import ROUNDING_M
-from htcp_jax.validation.task_check import Place, holds_tcp, in_cones
+from htcp_jax.validation.task_check import Place, hold_between, holds_tcp
 from htcp_jax.validation.track import from_line, scene_of
 from htcp_jax.validation.validate import parts_of
 
@@ -56,7 +56,9 @@ def check_timed(folder: str | Path, timed: Timed, method: str, scenario: int = 0
         if track.config.task:
             part = results.workpiece(track.config)
             ends = [Place(scene.rotate, scene.translate, part, end - on_path) for end in (before, to)]
-            leaves[held] |= ~in_cones(track.config.task, arm, timed.x[held], ends, settings.tolerance_rad)
+            cones = [row for row in track.config.task if row.axis is not None and row.limit_deg is not None]
+            inside = hold_between(cones, arm, timed.x[held], *ends, settings.tolerance_m, settings.tolerance_rad)
+            leaves[held] |= ~inside.all(axis=0)
     beyond = ((timed.x < arm.lower - ROUNDING_M) | (timed.x > arm.upper + ROUNDING_M)).any(axis=1)
     return TimedCheck(clearance <= 0, leaves, beyond, float(clearance.min()), float(off.max()))
 
