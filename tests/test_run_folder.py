@@ -13,6 +13,7 @@ import pytest
 from hand_made import plans_with
 
 from htcp_jax.errors import InputError
+from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.grid_axes import Point
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.planner.plans import ARRAYS, NO_TARGET
@@ -259,3 +260,15 @@ def test_the_lock_of_a_dead_process_is_taken_over(tmp_path):
         process.wait()
         with locked(tmp_path):
             pass
+
+
+def test_a_job_without_a_task_is_the_same_run_as_before_there_were_tasks():
+    def of(**changed):
+        config = PlanConfig().model_dump(mode="json") | changed
+        return identity(config, [], "float64", {})
+
+    settings = PlanConfig().model_dump(mode="json")["settings"]
+    before = {key: value for key, value in settings.items() if key != "tolerance_rad"}
+    finer, row = settings | {"tolerance_rad": 1e-4}, {"point": "tcp", "on": "path"}
+    assert of() == of(settings=before) == of(settings=finer) and "task" not in of()
+    assert of(task=[row]) != of() and of(task=[row], settings=finer) != of(task=[row])

@@ -11,7 +11,7 @@ from htcp_jax.jobs.config import PlanConfig
 
 # Of a configuration: a run has methods of its own, may be planned anywhere, and its programs are made afterwards.
 NO_IDENTITY = "method", "program", "ray"
-NO_CELL = PlanConfig().cell.model_dump(mode="json")  # runs of before know no cell
+NO_CELL = PlanConfig().cell.model_dump(mode="json")  # runs of before know no cell, and no task
 
 
 def file_hash(file: str | Path) -> str:
@@ -47,6 +47,9 @@ def identity(config: dict, grid: list | tuple, dtype: str, files: dict[str, str]
     config = {key: value for key, value in config.items() if key not in NO_IDENTITY}
     if plain(config.get("cell")) == NO_CELL:
         del config["cell"]
+    if config.get("task") == []:  # then there is nothing that a tolerance of angles could be of
+        del config["task"]
+        config["settings"] = {key: value for key, value in config["settings"].items() if key != "tolerance_rad"}
     same = plain({**config, "grid": json.dumps(plain(grid)), "dtype": dtype})
     parts = {}
     for file in sorted(set(files) - named, key=lambda file: (Path(file).name, files[file])):
