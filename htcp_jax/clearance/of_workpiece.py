@@ -13,7 +13,7 @@ from htcp_jax.scene.workpiece import Workpiece
 @lru_cache(maxsize=2)
 def make_obstacle(workpiece: Workpiece) -> Obstacles:
     """The obstacles that a workpiece is, on the device, kept for the next plan: its points, and its interior rule.
-    None where it is a path alone."""
+    None of them where it is a path alone."""
     if not len(workpiece.cloud):
         return ()
     cloud = cloud_of(workpiece.cloud, workpiece.covering_radius_m)

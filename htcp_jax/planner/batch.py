@@ -134,9 +134,9 @@ def start_clearance(
 def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario, obstacles: Obstacles = ()) -> None:
     """Raise InputError when the home or the start is in collision, naming the body, what it is in, and the depth.
     obstacles: besides the workpiece."""
-    postures = {"start": scenario.x_start}
     if scenario.begins_anywhere:
         return
+    postures = {"start": scenario.x_start}
     if scenario.auto_start or (scenario.x_home != scenario.x_start).any():
         postures = {"home": scenario.x_home} | ({} if scenario.auto_start else postures)
     for what, x in postures.items():

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from htcp_jax.clearance.obstacle import Obstacles
 from htcp_jax.clearance.obstacles import contacts, nearest_to
-from htcp_jax.clearance.of_workpiece import make_obstacle
+from htcp_jax.clearance.of_workpiece import all_obstacles
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.planner.kernel import DEEP, chunked
 from htcp_jax.planner.lane_inputs import lane_inputs
@@ -70,7 +70,7 @@ def obstruction(
     """What is in the way at a target of a scenario. x_last: the last tracked posture, else the start [rad or m];
     obstacles: besides the workpiece."""
     task = lane_inputs(stack([scenario]), np.zeros(1, int), np.array([target]))
-    known = (*make_obstacle(workpiece), *obstacles)
+    known = all_obstacles(workpiece, obstacles)
     place = np.asarray(scenario.targets)[target][None]
     (found,) = obstructions(robot, known, task, np.asarray(x_last)[None], place, settings)
     return found

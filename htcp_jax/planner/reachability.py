@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.clearance.obstacle import Obstacles
-from htcp_jax.clearance.of_workpiece import make_obstacle
+from htcp_jax.clearance.of_workpiece import all_obstacles
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.clearance.tip_guard import make_tip_guard
 from htcp_jax.planner.devices import default_threads
@@ -77,7 +77,7 @@ def reachable_prefixes(
     settings = settings or Settings()
     scenarios = jax.tree.map(np.array, scenarios)  # a copy: approaches leave their lines
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
-    scene = Scene(robot, (*make_obstacle(workpiece), *obstacles), task)
+    scene = Scene(robot, all_obstacles(workpiece, obstacles), task)
     kernels = Kernels(scene, settings)
     [tip] = tip_checks([kernels], make_tip_guard(workpiece))
     known = known_postures(robot, scenarios.tool_extension_m)

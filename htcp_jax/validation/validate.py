@@ -8,7 +8,8 @@ At the targets every tracked configuration must reach its target, be clear, keep
 clearance, TCP and target on record; one that does not is refuted. The clearance
 to a mesh is to its triangles, and what is on record must be a bound on it from below; where the job asks for it, the
 tool's bare tip must not go through them. Between the targets the straight joint path is walked
-in small steps. What is found there refutes nothing, because no target is there: it is counted and recorded.
+in small steps. What is found there refutes a target only where the way to it is on record as proven: a touch, a TCP off
+its line, a row of the task that does not hold. Else it is counted and recorded.
 """
 
 import json

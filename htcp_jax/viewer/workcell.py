@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.clearance.obstacle import Obstacles
-from htcp_jax.clearance.of_workpiece import make_obstacle
+from htcp_jax.clearance.of_workpiece import all_obstacles
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import arm_of, drawn_of, obstacles_of, part_of, robot_of, workpiece_of
 from htcp_jax.jobs.config import PlanConfig
@@ -45,7 +45,7 @@ class Workcell:
     @cached_property
     def obstacle(self) -> Obstacles:
         """The workpiece, and what else there is, as the clearance has it."""
-        return (*make_obstacle(self.workpiece), *obstacles_of(self.config.cell, self.robot))
+        return all_obstacles(self.workpiece, obstacles_of(self.config.cell, self.robot))
 
     @cached_property
     def fixtures(self) -> Drawn:
