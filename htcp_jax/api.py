@@ -133,7 +133,8 @@ class Plan:
             return None
         x_last = self.plans.before(0, failed)
         known = self.robot, self.workpiece, self.scenario
-        return obstruction(*known, x_last, failed, self.job.settings, self.obstacles)
+        task = task_of_job(self.job, self.robot)
+        return obstruction(*known, x_last, failed, self.job.settings, self.obstacles, task)
 
     def failure(self) -> dict[str, str]:
         """Where the plan ended, why, and what is in the way, in words; nothing of a complete one."""

@@ -272,6 +272,14 @@ def test_a_sweep_moves_a_fixture(job, tmp_path):
     np.testing.assert_allclose(offsets[1] - offsets[0], np.tile(there, (2, 1)), atol=1e-12)
 
 
+def test_a_sweep_plans_with_and_without_a_cell(job):
+    model = job.pop("cell")["model"]
+    batch = load_sweep({"grid": [{"cell.model": [None, model]}]}, job).batch()
+    assert [len(cell.obstacles) for cell in batch.cells] == [1, 2]  # itself, too
+    with pytest.raises(InputError, match=r"unknown parameter cell\.clouds"):
+        load_sweep({"grid": [{"cell.clouds": [[], []]}]}, job)
+
+
 def test_the_meshes_of_a_cell_and_what_models_include_are_part_of_a_runs_identity(tmp_path):
     """By their contents, wherever they lie; a mesh that is there for the eye alone is none of it."""
 

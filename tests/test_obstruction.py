@@ -1,5 +1,7 @@
 """What is in the way of a failed target: the body, the place and the depth, as brute force finds them."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +11,8 @@ from made_once import START, robot
 from made_plan import made_plan
 
 from htcp_jax.clearance.of_workpiece import make_obstacle
+from htcp_jax.jobs.build import scene, task_of_job
+from htcp_jax.jobs.load_config import load_config
 from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.obstruction import blocked_target, obstruction, obstructions
 from htcp_jax.scene.duct import duct_cloud, weld
@@ -56,6 +60,18 @@ def test_the_body_the_place_and_the_depth_are_those_of_brute_force(target, scena
     off = np.linalg.norm(tcp_position(robot(), jnp.asarray(found.x)) - scenario.targets[target])
     np.testing.assert_allclose(found.residual_m, off, atol=1e-12)
     assert found.reached == (off <= SETTINGS.tolerance_m)
+
+
+def test_the_arm_is_brought_to_where_the_task_is_held():
+    """A tool that looks into the wall: the free arm comes to another posture, in which it does not."""
+    rows = [{"point": "tcp", "on": "path"}, {"axis": "tcp.z", "towards": "-path.normal", "cone_deg": 40}]
+    job = load_config({"task": rows})
+    arm, part, scenario = scene(job)
+    task, known = task_of_job(job, arm), (arm, part, scenario, np.array(START), 60, SETTINGS)
+    held = obstruction(*known, task=task)
+    free = obstruction(arm, part, replace(scenario, goals=None), *known[3:])
+    off = [float(task.off(arm, jnp.asarray(found.x), scenario.goals[60])) for found in (held, free)]
+    assert held.reached and off[0] <= SETTINGS.tolerance_m < off[1]
 
 
 def test_hundreds_at_once_are_each_as_alone(scenario, workpiece):

@@ -212,7 +212,8 @@ def _check_alike(point: Point, task: Task, first: Task) -> None:
     """Raise InputError where a goal has other numbers than those of the first scenario: they stand in one table."""
     if task.numbers != first.numbers:
         raise InputError(
-            f"scenario {point.number}: its task has other rows than the first one's; a cone of 0 degrees is no cone"
+            f"scenario {point.number}: its task has other rows than the first one's; "
+            "a cone of 0 degrees is no cone, and the TCP with an offset is another point than without"
         )
 
 

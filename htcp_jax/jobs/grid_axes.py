@@ -40,6 +40,7 @@ def _keys() -> dict[str, Any]:
             found |= {f"task.{k}.{key}": default for k in range(1, MOST_ROWS + 1) for key, default in OF_A_ROW.items()}
         elif name not in NO_AXIS:
             found |= {f"{name}.{key}": v for key, v in value.items()} if isinstance(value, dict) else {name: value}
+    del found["cell.clouds"]  # lists of files, with where they stand
     return found
 
 
@@ -240,7 +241,7 @@ def _check_value(where: str, parameter: Parameter, item: Any, relative: bool) ->
     """Raise InputError unless `item` is of the parameter's kind; its range is checked with the configuration."""
     default = KEYS[parameter.key]
     if parameter.key in FILE_KEYS:
-        if relative or not isinstance(item, str | os.PathLike):
+        if relative or not (item in FILE_KEYS[parameter.key] or isinstance(item, str | os.PathLike)):
             raise InputError(f"{where} takes names of files, not {item!r}")
         return
     is_list = isinstance(default, tuple) and parameter.element is None

@@ -66,13 +66,13 @@ def obstruction(
     target: int,
     settings: Settings,
     obstacles: Obstacles = (),
+    task: Task | None = None,
 ) -> Obstruction:
     """What is in the way at a target of a scenario. x_last: the last tracked posture, else the start [rad or m];
-    obstacles: besides the workpiece."""
-    task = lane_inputs(stack([scenario]), np.zeros(1, int), np.array([target]))
+    obstacles: besides the workpiece; task: None for the TCP's position."""
+    inputs = lane_inputs(stack([scenario]), np.zeros(1, int), np.array([target]))
     known = all_obstacles(workpiece, obstacles)
-    place = np.asarray(scenario.targets)[target][None]
-    (found,) = obstructions(robot, known, task, np.asarray(x_last)[None], place, settings)
+    (found,) = obstructions(robot, known, inputs, np.asarray(x_last)[None], inputs.target, settings, task)
     return found
 
 
@@ -81,14 +81,15 @@ def obstructions(
     obstacles: Obstacles,
     where: Any,
     x_last: Float[np.ndarray, "S N"],
-    targets: Float[np.ndarray, "S 3"],
+    goals: Float[np.ndarray, "S G"],
     settings: Settings,
+    task: Task | None = None,
 ) -> list[Obstruction]:
     """The same for S scenarios at once. where: stacked, what `Posed` asks for and `tool_extension_m`;
-    targets: one a scenario, world [m]."""
+    goals: of the task, one a scenario; of the TCP's position the target, world [m]."""
     capacity, width = DEEP.on(jax.local_devices()[0])
-    lanes = (where, np.asarray(x_last, float), np.asarray(targets, float))
-    task = Task(tolerance_m=settings.tolerance_m)
+    lanes = (where, np.asarray(x_last, float), np.asarray(goals, float))
+    task = Task(tolerance_m=settings.tolerance_m) if task is None else task
     look, scene = _program(width), Scene(robot, obstacles, task)
     measured = []
     for first in range(0, len(x_last), capacity):
@@ -118,10 +119,10 @@ def _program(width: int):
     return chunked(_brought_there, width)
 
 
-def _brought_there(scene: Scene, where, x_last, target):
+def _brought_there(scene: Scene, where, x_last, goal):
     """Row of clearance, point of the obstacle, depth [m], TCP error [m] and posture of one scenario."""
     robot, obstacles, task = own_scene(scene, where.tool_extension_m)
-    x, residual = reanchor(robot, x_last, target, task.fine_m, task=task)
+    x, residual = reanchor(robot, x_last, goal, task.fine_m, task=task)
     touch = contacts(robot, obstacles, where, x)
     row = jnp.argmin(touch.distance)
     return row, touch.witness[row], -touch.distance[row], residual, x

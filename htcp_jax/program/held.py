@@ -30,7 +30,8 @@ def with_rows(left: Spare, job: PlanConfig, robot: Robot, motion: Motion) -> Spa
     goals = scene(job)[2].aims[motion.target]
     rest, room = (np.where(on, part, np.inf) for part in _left(task, robot, motion.x, goals))
     rows, cones = (np.minimum(part[:-1], part[1:]) for part in (rest, np.maximum(room + task.tolerance_m, 0.0)))
-    return left._replace(rows=rows, cones=cones, length_per_rad=task.tolerance_m / task.tolerance_rad)
+    tube = left.tube if task.holds_tcp else np.full_like(left.tube, np.inf)
+    return left._replace(tube=tube, rows=rows, cones=cones, length_per_rad=task.tolerance_m / task.tolerance_rad)
 
 
 def _left(task: Task, robot: Robot, x: np.ndarray, goals: np.ndarray) -> tuple[jax.Array, jax.Array]:

@@ -137,7 +137,10 @@ def program_of(
     robot = lengthen_tool(robot_of(job.robot), job.robot.tool_extension_m)
     limits = joint_limits(robot, job.program)
     whole = motion(plans, scenario, job.on_path, retract=retract)
-    left = with_rows(spare(plans, scenario, whole, job.settings.tube_m), job, robot, whole)
+    left = spare(plans, scenario, whole, job.settings.tube_m)
+    if job.cell.self_collision:
+        left = left._replace(clearance=0.5 * left.clearance)  # two bodies may move towards each other
+    left = with_rows(left, job, robot, whole)
     return OfPlan(program(robot, whole, left, limits, feed_m_s), robot, job, limits, method)
 
 

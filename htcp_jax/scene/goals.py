@@ -89,7 +89,7 @@ def with_goals(scenario: Scenario, rows: Sequence[TaskRow], task: Task, robot: R
         eased = _eased(part, start[v : v + size], wanted[0], share, targets[:before] if leads else None)
         columns.append(np.concatenate([eased, wanted]))
         v, follows = v + size, follows or leads
-    _check_axes(rows, task.parts, columns, before)
+    _check_axes(rows, task, columns, before)
     return replace(scenario, goals=np.concatenate(columns, axis=1))
 
 
@@ -276,15 +276,22 @@ def _check_frames(rows: Sequence[TaskRow], workpiece: Workpiece) -> None:
     for k, row in enumerate(rows, 1):
         if "rotations" in row.uses and workpiece.frames.rotations is None:
             raise InputError(f"task.{k} ({row}): the path has no orientations; its file needs columns qw,qx,qy,qz")
+        if row.frame == "path":
+            square = np.linalg.norm(np.cross(workpiece.tangents, workpiece.normals), axis=1)
+            if len(flat := np.flatnonzero(square < 1e-6)):
+                raise InputError(
+                    f"task.{k} ({row}): tangent and normal are parallel at point {flat[0] + 1} of the path"
+                )
 
 
-def _check_axes(rows: Sequence[TaskRow], parts: Sequence[Row], goals: Sequence[np.ndarray], before: int) -> None:
+def _check_axes(rows: Sequence[TaskRow], task: Task, goals: Sequence[np.ndarray], before: int) -> None:
     """Raise InputError where two axes of one link are asked to be turned further together, or apart, than they are."""
+    parts = task.parts
     axes = [k for k, part in enumerate(parts) if isinstance(part, AxisTowards) and part.looks_from_m is None]
     for k, i in ((k, i) for k in axes for i in axes if i < k and parts[i].link == parts[k].link):
         between = np.arccos(np.clip(np.dot(parts[i].axis, parts[k].axis), -1.0, 1.0))
         asked = np.arccos(np.clip((goals[i][before:, :3] * goals[k][before:, :3]).sum(axis=1), -1.0, 1.0))
-        most = sum(goals[j][before:, 3] if parts[j].cone else 2e-3 for j in (i, k))
+        most = sum(goals[j][before:, 3] if parts[j].cone else task.tolerance_rad for j in (i, k))
         if len(far := np.flatnonzero(np.abs(asked - between) > most)):
             has, wants = np.rad2deg(between), np.rad2deg(asked[far[0]])
             raise InputError(

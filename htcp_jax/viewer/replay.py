@@ -219,7 +219,10 @@ class Replays:
         return {number: found[number] for number in sorted(found)}
 
     def _in_the_way(self, cell: Workcell, plans: Plans, targets: dict[int, int]) -> dict[int, Obstruction]:
-        """The same for scenarios of one workcell, by number the target that failed."""
+        """The same for scenarios of one workcell, by number the target that failed; nothing where the job has a task,
+        whose goals are not on record."""
+        if cell.config.task:
+            return {}
         where = jax.tree.map(lambda *leaves: np.stack(leaves), *map(self._cells.placement, targets))
         s, t = np.array(list(targets)), np.array(list(targets.values()))
         how = plans.before(s, t), plans.target[s, t], cell.config.settings
