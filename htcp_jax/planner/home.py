@@ -3,8 +3,9 @@
     ways = leave_home(problem)            # before planning: chooses starts, and refuses scenarios
     begin_at_home(problem, plans, ways)   # afterwards: the plans begin at home
 
-Any method plans from the start, so all of them can begin at home. A start that is to be chosen is one
-of the clearest postures of those that are drawn at the path's first point: that which is joined to home soonest.
+Any method plans from the start, so all of them can begin at home. A start that is to be chosen is one of
+the clearest postures of those that are drawn at the path's first point: of four at a time that which is joined to home
+soonest; without a home the clearest.
 """
 
 from concurrent.futures import ThreadPoolExecutor

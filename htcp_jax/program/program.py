@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.planner.motion import Motion
-from htcp_jax.program.limits import Limits
+from htcp_jax.program.limits import KINDS, Limits
 from htcp_jax.program.path import path_of
 from htcp_jax.program.stretches import Spare, Stretch, stretches
 from htcp_jax.program.time_law import Law, instants, law_of
@@ -130,4 +130,4 @@ def _runs(which: np.ndarray, breaks: np.ndarray) -> list[np.ndarray]:
 
 
 def _named(limit: int, names: tuple[str, ...]) -> str:
-    return f"{('velocity', 'acceleration', 'jerk')[limit % 3]} of {names[limit // 3]}"
+    return f"{KINDS[limit % len(KINDS)]} of {names[limit // len(KINDS)]}"

@@ -34,7 +34,7 @@ class RunPlans:
         self.methods = tuple(dict.fromkeys(shard.method for shard in shards))  # that have results
         self.count = sum(shard.last - shard.first + 1 for shard in shards)  # of the plans
         self.config = run.config  # what the scenarios share
-        self.mixed = bool(run.varied)  # whether they differ in the robot, the workpiece or the settings, too
+        self.mixed = bool(run.varied)  # whether they differ in more than their scenarios: arms, parts, cells
         self.files = run.result_files()  # SHA-256 of the files with results, by their names in the folder
 
     def plans(self, method: str) -> Plans:

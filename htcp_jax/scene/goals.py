@@ -101,9 +101,9 @@ def _part(row: TaskRow, robot: Robot) -> Row:
         frame = _frame(row.of, robot, "frame")
         return Turned(frame.link, frame.columns, cone=row.limit_deg is not None)
     if row.axis is not None:
-        name, _, letter = row.axis.lstrip("-").rpartition(".")
-        frame, sign = _frame(name, robot, "axis"), -1.0 if row.axis.startswith("-") else 1.0
-        axis = tuple(sign * value for value in frame.columns["xyz".index(letter)])
+        name, k, sign = row.axis_of
+        frame = _frame(name, robot, "axis")
+        axis = tuple(sign * value for value in frame.columns[k])
         looks_from = None if row.looks_at_m is None else frame.origin_m
         return AxisTowards(frame.link, axis, looks_from, cone=row.limit_deg is not None)
     link, offset = _place(row, robot)

@@ -333,9 +333,14 @@ def _capsule(model: mujoco.MjModel, geom: int, frames: list[tuple[int, np.ndarra
     return _Capsule(_geom_name(model, geom), body, link, p, q, float(model.geom_size[geom, 0]))
 
 
+def excluded_bodies(model: mujoco.MjModel) -> set[tuple[int, int]]:
+    """Pairs of bodies that an <exclude> of the file names, by their numbers."""
+    return {(int(pair) >> 16, int(pair) & 0xFFFF) for pair in model.exclude_signature}
+
+
 def _excluded(model: mujoco.MjModel, capsules: list[_Capsule]) -> Iterator[tuple[int, int]]:
     """Pairs of capsules whose bodies an <exclude> of the file names."""
-    bodies = {(int(pair) >> 16, int(pair) & 0xFFFF) for pair in model.exclude_signature}
+    bodies = excluded_bodies(model)
     for a, b in itertools.combinations(range(len(capsules)), 2):
         one, other = capsules[a].body, capsules[b].body
         if (one, other) in bodies or (other, one) in bodies:

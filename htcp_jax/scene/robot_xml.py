@@ -8,6 +8,7 @@ import numpy as np
 
 from htcp_jax.scene.capsule_fit import Capsule
 from htcp_jax.scene.robot_import import Cover, ImportedArm, body_name
+from htcp_jax.scene.robot_model import excluded_bodies
 
 HEAD = """
   An arm of capsules, made by htcp robot from {source}. Metres, radians.
@@ -58,9 +59,8 @@ def _body(parent: Element, arm: ImportedArm, b: int) -> Element:
 def _add_exclusions(root: Element, arm: ImportedArm) -> None:
     """What may touch: bodies that the model excludes, and postures in which it is drawn."""
     model = arm.model
-    pairs = [(int(pair) >> 16, int(pair) & 0xFFFF) for pair in model.exclude_signature]
     names = {0: "world"} | {b: body_name(model, b) for b in arm.bodies if b > 0}
-    if pairs := [pair for pair in pairs if set(pair) <= names.keys()]:
+    if pairs := [pair for pair in sorted(excluded_bodies(model)) if set(pair) <= names.keys()]:
         contact = SubElement(root, "contact")
         for one, other in pairs:
             SubElement(contact, "exclude", body1=names[one], body2=names[other])

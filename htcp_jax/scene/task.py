@@ -111,7 +111,7 @@ class Task:
         return _joined([_held(feature, feature_at(robot, x, feature)) for feature in self._features])
 
     def jacobian(self, robot: Robot, x: Joints) -> Float[Array, "V N"]:
-        """d value / dx [m/rad or m/m, of directions 1/rad]; the paper's Jac(x)."""
+        """d value / dx [m/rad or m/m, of directions 1/rad]."""
         return _joined([_held(feature, _moves(robot, x, feature)) for feature in self._features])
 
     def linear(self, value: Float[Array, "V"], slopes: Float[Array, "V N"], goal: Float[Array, "G"]) -> TaskLinear:

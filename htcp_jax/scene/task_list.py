@@ -72,6 +72,12 @@ class TaskRow:
         return (self.cone_deg if self.cone_deg is not None else self.within_deg) or None
 
     @property
+    def axis_of(self) -> tuple[str, int, float]:
+        """Of an axis the frame's name, which of its axes it is, and 1 or -1."""
+        name, _, letter = self.axis.lstrip("-").rpartition(".")
+        return name, "xyz".index(letter), -1.0 if self.axis.startswith("-") else 1.0
+
+    @property
     def uses(self) -> set[str]:
         """What of the path's frames it asks for: normals, tangents, rotations."""
         found = {"rotations"} if self.orientation == "path" else set()

@@ -154,15 +154,15 @@ def _off_axis(row: TaskRow, arm: Arm, x: np.ndarray, place: Place) -> Float[np.n
 
 
 def _axis(row: TaskRow, arm: Arm, x: np.ndarray) -> Float[np.ndarray, "n 3"]:
-    name, _, letter = row.axis.lstrip("-").rpartition(".")
+    name, k, sign = row.axis_of
     _, rotation = arm.frames(x, name)
-    return (-1.0 if row.axis.startswith("-") else 1.0) * rotation[:, :, "xyz".index(letter)]
+    return sign * rotation[:, :, k]
 
 
 def _turned_to(row: TaskRow, arm: Arm, x: np.ndarray, place: Place) -> Float[np.ndarray, "n 3"]:
     """The direction that an axis is turned in, of any length."""
     if row.looks_at_m is not None:
-        origin, _ = arm.frames(x, row.axis.lstrip("-").rpartition(".")[0])
+        origin, _ = arm.frames(x, row.axis_of[0])
         return place.world(row, row.looks_at_m, True) - origin
     if isinstance(row.towards, str):
         own = place.workpiece.normals if row.towards.endswith("normal") else place.workpiece.tangents
