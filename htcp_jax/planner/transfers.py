@@ -59,11 +59,12 @@ def _unwound(x: Float[np.ndarray, "n N"], limits: Limits, about: Float[np.ndarra
 def joined(
     problem: Problem, kernels: Kernels, tip: TipCheck | None, s: int, start: np.ndarray, leaves: list[Node]
 ) -> tuple[Node, np.ndarray] | None:
-    """The first of the leaves whose root can be reached from a posture of scenario s, `start`, and the knots on the way
-    there; None where none can."""
+    """The first of the leaves whose root is the one that is joined soonest to a posture of scenario s, `start`, and the
+    knots on the way there; None where none can be."""
     roots = list(dict.fromkeys(leaf.root for leaf in leaves))[:MOST_ROOTS]
     scenario = np.full(len(roots), s)
     to, pair = np.stack([root.x for root in roots]), np.arange(len(roots))
-    ways = join(kernels, tip, problem.scenarios, scenario, pair, np.broadcast_to(start, to.shape), to, problem.settings)
+    starts, scenarios = np.broadcast_to(start, to.shape), problem.scenarios
+    ways = join(kernels, tip, scenarios, scenario, pair, starts, to, problem.settings, soonest=True)
     known = dict(zip(roots, ways, strict=True))
     return next(((leaf, way) for leaf in leaves if (way := known.get(leaf.root)) is not None), None)
