@@ -29,8 +29,8 @@ grid:
 FAULTS = {
     "kinematics": """
 from htcp_jax.scene import kinematics
-turned = kinematics._turned
-kinematics._turned = lambda axis, turn: turned(axis, 1.0005 * turn)
+turned = kinematics.turned
+kinematics.turned = lambda axis, turn: turned(axis, 1.0005 * turn)
 """,
     "clearance sign": """
 from htcp_jax.clearance import obstacles
