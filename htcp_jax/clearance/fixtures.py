@@ -14,20 +14,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from htcp_jax.clearance.obstacle import Bodies, Contacts, Posed, Rows
+from htcp_jax.clearance.obstacle import Bodies, Contacts, Exact, Posed, Rows
 from htcp_jax.clearance.solids import Box, Cylinder, HalfSpace, Piece, Rod, Seen, Solid
 from htcp_jax.numerics import one_by_one, safe_norm, segment_parameter
 from htcp_jax.pytree import register_pytree
 from htcp_jax.scene.kinematics import capsule_segments
 from htcp_jax.scene.robot import Robot
-from htcp_jax.types import Array, Bool, Float, Int, Scalar
+from htcp_jax.types import Array, Bool, Float, Int
 
 Ends = Float[Array, "K 3"]
 
 
 @register_pytree
 @dataclass(frozen=True)
-class Fixtures:
+class Fixtures(Exact):
     """Solids in the world, stacked, a kind after the other; which of them each of the K bodies heeds."""
 
     simple: tuple[HalfSpace | Rod | Box | Cylinder, ...]
@@ -45,18 +45,6 @@ class Fixtures:
     def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
         """The nearest solid of every body."""
         return self._nearest(bodies.p, bodies.q, robot.capsule_radius, self.heeds)
-
-    def smallest(self, robot: Robot, where: Posed, bodies: Bodies) -> Scalar:
-        """Of all bodies."""
-        return jnp.min(self.contacts(robot, where, bodies).distance)
-
-    def touches(self, robot: Robot, where: Posed, bodies: Bodies) -> Bool[jax.Array, ""]:
-        """Whether any body does."""
-        return self.smallest(robot, where, bodies) <= 0
-
-    def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "K"]:
-        """The distance itself."""
-        return self.contacts(robot, where, bodies).distance
 
     def touches_along(
         self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]

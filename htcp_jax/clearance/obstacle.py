@@ -113,6 +113,22 @@ class Surroundings(Obstacle, Protocol):
         ...
 
 
+class Exact:
+    """Of a kind whose distances are exact: its contacts answer the cheap questions, too."""
+
+    def smallest(self, robot: Robot, where: Posed, bodies: Bodies) -> Scalar:
+        """Of all rows."""
+        return jnp.min(self.contacts(robot, where, bodies).distance)
+
+    def touches(self, robot: Robot, where: Posed, bodies: Bodies) -> Bool[jax.Array, ""]:
+        """Whether any row does."""
+        return self.smallest(robot, where, bodies) <= 0
+
+    def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "R"]:
+        """The distance itself."""
+        return self.contacts(robot, where, bodies).distance
+
+
 Obstacles = tuple[Obstacle, ...]
 
 

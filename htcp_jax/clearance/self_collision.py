@@ -12,13 +12,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from htcp_jax.clearance.obstacle import Bodies, Contacts, Posed, Rows
+from htcp_jax.clearance.obstacle import Bodies, Contacts, Exact, Posed, Rows
 from htcp_jax.clearance.segments import nearest_points
 from htcp_jax.numerics import safe_divide, safe_norm
 from htcp_jax.pytree import register_pytree
 from htcp_jax.scene.kinematics import capsule_segments
 from htcp_jax.scene.robot import Robot
-from htcp_jax.types import Bool, Float, Int, Scalar
+from htcp_jax.types import Float, Int
 
 Pairs = tuple[tuple[int, int], ...]
 Ends = Float[jax.Array, "K 3"]
@@ -26,7 +26,7 @@ Ends = Float[jax.Array, "K 3"]
 
 @register_pytree
 @dataclass(frozen=True)
-class SelfCollision:
+class SelfCollision(Exact):
     """Pairs of bodies by their numbers, the one further out first: those that are kept apart, at least one, and those
     that overlap where the model is drawn, which are not."""
 
@@ -43,18 +43,6 @@ class SelfCollision:
         """The nearest points of the axes of the nearest pair of every row."""
         every, nearest = self._nearest(robot, bodies.p, bodies.q)
         return jax.tree.map(lambda leaf: leaf[nearest], every)
-
-    def smallest(self, robot: Robot, where: Posed, bodies: Bodies) -> Scalar:
-        """Of all pairs."""
-        return jnp.min(self.contacts(robot, where, bodies).distance)
-
-    def touches(self, robot: Robot, where: Posed, bodies: Bodies) -> Bool[jax.Array, ""]:
-        """Whether any pair does."""
-        return self.smallest(robot, where, bodies) <= 0
-
-    def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "R"]:
-        """The distance itself, as one of the two sees it."""
-        return self.contacts(robot, where, bodies).distance
 
     def distances(self, robot: Robot, p: Ends, q: Ends) -> Float[jax.Array, "n"]:
         """Of every pair, in their order."""
