@@ -15,7 +15,8 @@ from htcp_jax.formats.safe_xml import files_of, read_spec
 from htcp_jax.scene.fixture import KINDS, Fixture
 from htcp_jax.scene.robot_model import compile_spec, no_log, upwards
 from htcp_jax.scene.robot_shapes import Geom, Shapes
-from htcp_jax.scene.tool import ZERO, Triple, pose
+from htcp_jax.scene.tool import ZERO, pose
+from htcp_jax.types import Triple
 
 
 def load_cell(

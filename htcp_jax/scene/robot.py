@@ -12,12 +12,11 @@ import jax.numpy as jnp
 
 from htcp_jax.notebook import html_facts
 from htcp_jax.pytree import register_pytree
-from htcp_jax.types import Array, Float, Joints, Pose, Scalar
+from htcp_jax.types import Array, Float, Joints, Pose, Scalar, Triple
 
 GP50 = Path(__file__).parent / "models" / "gp50.xml"  # the built-in arm
 
 _STATIC = {"static": True}
-Triple = tuple[float, float, float]
 
 
 class ArmFrame(NamedTuple):

@@ -6,7 +6,8 @@ import jax.numpy as jnp
 
 from htcp_jax.scene.robot import GP50, Robot
 from htcp_jax.scene.robot_model import read_robot_file
-from htcp_jax.scene.tool import ZERO, Tool, Triple, pose
+from htcp_jax.scene.tool import ZERO, Tool, pose
+from htcp_jax.types import Triple
 
 
 def load_robot(

@@ -11,8 +11,8 @@ import math
 from dataclasses import dataclass, fields
 
 from htcp_jax.errors import InputError
+from htcp_jax.types import Triple
 
-Triple = tuple[float, float, float]
 FRAMES = "world", "workpiece", "path"
 DIRECTIONS = "path.normal", "-path.normal", "path.tangent", "-path.tangent"
 # What may stand beside the key that says what a row is.

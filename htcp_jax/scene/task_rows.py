@@ -14,12 +14,11 @@ import jax.numpy as jnp
 
 from htcp_jax.errors import InputError
 from htcp_jax.numerics import product, safe_norm
-from htcp_jax.types import Array, Float, Scalar, Vector3
+from htcp_jax.types import Array, Float, Scalar, Triple, Vector3
 
 XYZ = (0, 1, 2)
 AIM_RAD, AIM_M = 1e-3, 2e-4  # a step aims so far inside an inequality, which linear rows cut too short,
 AIM_SHARE = 0.25  # but by no more than this share of it
-Triple = tuple[float, float, float]
 
 
 class Feature(NamedTuple):

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
+from htcp_jax.types import Triple
 
-Triple = tuple[float, float, float]
 ZERO = (0.0, 0.0, 0.0)
 LARGEST = 1e6  # [m]; beyond, the tolerance is lost to rounding
 

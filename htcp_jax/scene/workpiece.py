@@ -19,8 +19,8 @@ from htcp_jax.notebook import html_facts
 from htcp_jax.scene.convex_hull import Hull, convex_hull
 from htcp_jax.scene.duct import INTERIOR_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
 from htcp_jax.scene.path_frames import PathFrames, tangents, wall_normals
+from htcp_jax.types import Triple
 
-Triple = tuple[float, float, float]
 NO_CLOUD = "none"  # in place of a cloud: there is a path, and no wall
 
 

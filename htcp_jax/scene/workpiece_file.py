@@ -19,8 +19,8 @@ from htcp_jax.scene.path_frames import PathFrames
 from htcp_jax.scene.point_cloud import TEXT, Geometry, load_geometry
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.units import check_extent, check_path
-from htcp_jax.scene.workpiece import NO_CLOUD, Triple, Workpiece
-from htcp_jax.types import Anywhere
+from htcp_jax.scene.workpiece import NO_CLOUD, Workpiece
+from htcp_jax.types import Anywhere, Triple
 
 MOST_POINTS = 10_000_000  # of the generated duct
 # Where the duct's wall bulges outwards nearly every point is a vertex of the hull: 22,914 facets.

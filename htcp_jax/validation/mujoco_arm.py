@@ -16,7 +16,8 @@ from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError
 from htcp_jax.formats.safe_xml import read_spec
-from htcp_jax.scene.tool import ZERO, Tool, Triple
+from htcp_jax.scene.tool import ZERO, Tool
+from htcp_jax.types import Triple
 
 PROBE_M = 1e-9  # radius of the sphere that stands for a point of the cloud; distances are corrected by it
 FAR_M = 1e3  # MuJoCo looks no further
