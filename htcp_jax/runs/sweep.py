@@ -34,6 +34,7 @@ from htcp_jax.runs.local import Shard, plan_here
 from htcp_jax.runs.lock import SignalCame, locked, signals
 from htcp_jax.runs.manifest import Manifest, Span, spans
 from htcp_jax.runs.plan_folder import made_folder
+from htcp_jax.runs.provenance import planned_by
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.running import FinishedShard
 from htcp_jax.runs.tables import joint_columns, scenario_table, target_table
@@ -117,6 +118,19 @@ def sweep(
         except Lost as lost:
             raise Lost(f"{lost}; {_how_to_go_on(run)}") from None
         return run
+
+
+def keep_plans(spec: Sweep, method: str, plans: Plans, out: str | Path) -> Run:
+    """A run of plans that are there already, a row a scenario of the grid. What `out` held is planned no more: it is
+    written anew. Raises InputError when it cannot be written."""
+    batch, folder = spec.batch(), Path(out)
+    shutil.rmtree(folder, ignore_errors=True)
+    with made_folder(folder):
+        run = writer.begin(folder, _manifest(spec, batch, (method,), None, SHARD_SCENARIOS))
+        for span in spans(run.manifest):
+            own = plans.rows(slice(span.first, span.last + 1))
+            run = writer.add(run, method, span, tables(batch, method, span, own), own, planned_by())
+    return run
 
 
 def _seeded(overrides: Sequence[str] | Mapping[str, Any], seed: int | None) -> Sequence[str] | Mapping[str, Any]:

@@ -1,0 +1,148 @@
+"""Mountings, judged: each is planned with every seam, by one planner, as the scenarios of a sweep.
+
+What is judged is on disk as any sweep is, shard by shard. Asked for again it is read, so a search that was killed goes
+on from there, and where it is planned has no influence on it.
+"""
+
+from collections.abc import Callable
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from htcp_jax.jobs.grid import Sweep, load_sweep
+from htcp_jax.placement.place_file import Search
+from htcp_jax.planner.plans import Plans
+from htcp_jax.program.of_plan import feed_of, program_of
+from htcp_jax.runs import sweep as sweeps
+from htcp_jax.runs.open import plans_of_run
+from htcp_jax.runs.run_folder import Run
+from htcp_jax.status import Status
+
+MARGIN = "margin_m"
+
+
+class Where(NamedTuple):
+    """How scenarios are planned: as sweeps are."""
+
+    on: str = "here"
+    device: str | None = None
+    threads: int | None = None
+    progress: Callable[[sweeps.SweepProgress], None] | None = None
+
+
+class Judged:
+    """n mountings with k seams by one method. Larger is better in all that is spare."""
+
+    def __init__(self, search: Search, run: Run, method: str, values: Float[np.ndarray, "n d"]):
+        self.search, self.run, self.method, self.values = search, run, method, values
+        self.seams = max(1, len(search.seams))
+        self.first, self.margin_m = 0, None  # scenario of the run; that was asked for, mounting by mounting [m]
+
+    @cached_property
+    def plans(self) -> Plans:
+        """A row a mounting and seam, the seam moving fastest."""
+        return self.run.plans(self.method)
+
+    def part(self, which: slice) -> "Judged":
+        """Some of the mountings."""
+        own = Judged(self.search, self.run, self.method, self.values[which])
+        rows = slice(which.start * self.seams, which.stop * self.seams)
+        own.first, own.plans = rows.start, self.plans.rows(rows)
+        return own
+
+    @cached_property
+    def done(self) -> Float[np.ndarray, "n k"]:
+        """Which share of its targets each seam is tracked at."""
+        ends = self.plans.outcomes
+        return (ends.tracked / np.maximum(ends.targets, 1)).reshape(-1, self.seams)
+
+    @cached_property
+    def complete(self) -> Bool[np.ndarray, "n"]:
+        """Whether every target of every seam is tracked."""
+        return self.plans.outcomes.complete.reshape(-1, self.seams).all(axis=1)
+
+    @cached_property
+    def driven(self) -> Bool[np.ndarray, "n"]:
+        """Whether a proven motion leads along the whole of every seam."""
+        ends = self.plans.outcomes
+        return (ends.planned & (ends.executable == ends.targets)).reshape(-1, self.seams).all(axis=1)
+
+    @cached_property
+    def spare(self) -> Float[np.ndarray, "n A"]:
+        """Of each aim what is left, the worst seam's; -inf where a mounting is not complete or nothing is known."""
+        found = np.stack([AIMS[name](self).reshape(-1, self.seams).min(axis=1) for name in self.search.file.spare], 1)
+        return np.where(self.complete[:, None], found, -np.inf)
+
+    @cached_property
+    def clearance(self) -> Float[np.ndarray, "n"]:
+        """The least clearance at a target that is tracked, over all seams [m]."""
+        plans = self.plans
+        return np.where(plans.tracked, plans.clearance, np.inf).min(axis=1).reshape(-1, self.seams).min(axis=1)
+
+    def lost(self) -> list[str]:
+        """Why each mounting is not complete, in words, by its worst seam; empty where it is."""
+        ends, worst = self.plans.outcomes, self.done.argmin(axis=1)
+        rows = np.arange(len(self.values)) * self.seams + worst
+        return ["" if ends.of(row).status is None else Status(ends.of(row).status).words for row in rows.tolist()]
+
+
+def sweep_of(search: Search, values: Float[np.ndarray, "n d"], margin_m: Float[np.ndarray, "n"] | None = None) -> Sweep:
+    """The grid of some mountings with every seam. margin_m: that each asks for; None: the job's. Raises InputError for
+    values that the job refuses."""
+    first: dict[str, Any] = search.ranges.columns(values)
+    if margin_m is not None:
+        first[MARGIN] = margin_m.tolist()
+    grid = [first, {"workpiece.path": list(search.seams)}] if search.seams else [first]
+    return load_sweep({"grid": grid}, search.config, search.overrides)
+
+
+def judge(
+    search: Search,
+    values: Float[np.ndarray, "n d"],
+    method: str,
+    folder: Path,
+    where: Where,
+    margin_m: Float[np.ndarray, "n"] | None = None,
+) -> Judged:
+    """Plan mountings, or go on with it, or read them. Raises InputError and Interrupted as `runs.sweep` does."""
+    spec = sweep_of(search, values, margin_m)
+    run = sweeps.sweep(
+        spec, [method], folder, progress=where.progress, threads=where.threads, on=where.on, device=where.device
+    )
+    found = Judged(search, run, method, values)
+    found.margin_m = margin_m
+    return found
+
+
+def _clearance(judged: Judged) -> np.ndarray:
+    """The least that is proven all along; of a plan that is no motion the least at its targets [m]."""
+    plans = judged.plans
+    at_targets = np.where(plans.tracked, plans.clearance, np.inf).min(axis=1)
+    ends = plans.outcomes
+    proven = np.where(plans.executable, plans.way_clearance, np.inf).min(axis=1)
+    return np.where((ends.executable == ends.targets) & _is_confirmed(judged), proven, at_targets)
+
+
+def _is_confirmed(judged: Judged) -> bool:
+    return judged.method == judged.search.file.confirm
+
+
+def _cycle_time(judged: Judged) -> np.ndarray:
+    """The program's, less than 0 [s]; -inf where there is no motion to give time to."""
+    found, feed = plans_of_run(judged.run), feed_of(judged.search.file.feed)
+    ends, times = judged.plans.outcomes, np.full(len(judged.plans.status), -np.inf)
+    for row in np.flatnonzero(ends.planned & (ends.executable == ends.targets)).tolist():
+        times[row] = -program_of(found, feed, judged.method, judged.first + row).program.duration_s
+    return times
+
+
+def _joint_motion(judged: Judged) -> np.ndarray:
+    """How far the joints go along the path, less than 0 [rad]."""
+    plans = judged.plans
+    return -np.nansum(np.where(plans.tracked, plans.joint_step, 0.0), axis=1)
+
+
+AIMS = {"clearance": _clearance, "cycle time": _cycle_time, "joint motion": _joint_motion}

@@ -1,0 +1,218 @@
+"""The public call of a search: ranges of mountings in, mountings ranked out.
+
+    found = htcp_jax.place("place.yaml", out="out/place")
+    found.table()                                # a row a mounting, the best first
+
+Every stage is a sweep or several, in folders of their own: `rounds` judge mountings by a quick planner, first evenly and
+then about what is best, `confirmed` plans the best of them as proven motions with as much clearance as there is,
+`disturbed` and `tolerance` plan these anew, a little off, and `ranked` holds the motions in their order. Called again it
+goes on from what is there.
+"""
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.errors import InputError
+from htcp_jax.placement.judge import Judged, Where, judge, sweep_of
+from htcp_jax.placement.place_file import Search, load_search
+from htcp_jax.placement.placed import Mounting, Placed, begin, write
+from htcp_jax.placement.search import EVEN, FROM, POPULATION, ROUND, Evolution, Known, best_apart, even, score
+from htcp_jax.placement.tolerance import Tolerance, disturbed, tolerances
+from htcp_jax.planner.batch import start_clearance
+from htcp_jax.planner.plans import Plans
+from htcp_jax.runs import sweep as sweeps
+from htcp_jax.runs.lock import locked
+from htcp_jax.runs.plan_folder import made_folder
+from htcp_jax.status import AT_HOME, Status
+
+MARGINS = 1.1, 0.95, 0.75, 0.5  # of the clearance that the quick planner left, that a motion is asked for
+TOLERANCES = 3  # of so many mountings tolerances are worked out
+
+
+class PlaceProgress(NamedTuple):
+    """How far a search has come."""
+
+    stage: str
+    scenarios: int  # judged so far
+    of: int | None  # that will be; None: as many as time allows
+    complete: int  # mountings
+    best: float  # of the first aim so far; -inf: none
+    sweep: sweeps.SweepProgress | None = None  # the one at hand
+
+
+def place(
+    spec: str | Path | Mapping[str, Any],
+    out: str | Path,
+    *,
+    config: str | Path | None = None,
+    overrides: Sequence[str] = (),
+    changes: Mapping[str, Any] | None = None,
+    on: str = "here",
+    device: str | None = None,
+    threads: int | None = None,
+    progress: Callable[[PlaceProgress], None] | None = None,
+) -> Placed:
+    """Search the ranges of a file, or of a mapping that spells one, and rank what does the whole work.
+
+    config, overrides, changes: see `load_search`. on, device, threads: as of `runs.sweep.sweep`; no result hangs on
+    them. out: the folder; one that holds a part of the same search is gone on with.
+    Raises InputError for bad input, for a folder that holds another search or is in use, and where every start collides;
+    Interrupted and Lost as a sweep does, with what is finished in the folder.
+    """
+    search, folder = load_search(spec, config, overrides, changes), Path(out)
+    with made_folder(folder), locked(folder):
+        begin(folder, search)
+        tell = _Teller(search, progress)
+        where = Where(on, device, threads, tell.sweep)
+        judged = list(_rounds(search, folder / "rounds", where, tell))
+        tell.stage = "confirm"
+        confirmed = _confirmed(search, judged, folder, where)
+        tell.stage = "tolerance"
+        mountings = _ranked(search, confirmed, folder, where)
+        return write(folder, search, judged, mountings, _motions(search, confirmed, mountings, folder))
+
+
+class _Teller:
+    """What is told of the stages to whoever listens."""
+
+    def __init__(self, search: Search, progress: Callable[[PlaceProgress], None] | None):
+        self.stage, self._progress, self._of = "search", progress, search.file.within.scenarios
+        self._scenarios, self._complete, self._best = 0, 0, -np.inf
+
+    def judged(self, found: Judged) -> None:
+        self._scenarios += len(found.plans.status)
+        self._complete += int(found.complete.sum())
+        self._best = max(self._best, float(found.spare[:, 0].max(initial=-np.inf)))
+
+    def sweep(self, now: sweeps.SweepProgress) -> None:
+        if self._progress is not None:
+            self._progress(PlaceProgress(self.stage, self._scenarios, self._of, self._complete, self._best, now))
+
+
+def _rounds(search: Search, folder: Path, where: Where, tell: _Teller) -> Iterator[Judged]:
+    """The mountings of all rounds, judged."""
+    began, known, number = time.monotonic(), None, 0
+    budget, seconds = search.file.within.scenarios, search.file.within.seconds
+    mountings = None if budget is None else max(1, budget // max(1, len(search.seams)))
+    evolved = 0 if mountings is None else int((1 - EVEN) * mountings) // (FROM * POPULATION)
+    spread = None if mountings is None else mountings - evolved * FROM * POPULATION
+    d, seed = len(search.ranges.axes), search.file.seed
+    evolution: Evolution | None = None
+
+    def used() -> float:
+        return 0.0 if seconds is None else (time.monotonic() - began) / seconds
+
+    while used() < 1 and (mountings is None or known is None or len(known.u) < mountings):
+        here = 0 if known is None else len(known.u)
+        if evolution is None and (here < spread if spread is not None else used() < EVEN or known is None):
+            u = even(d, here, ROUND if spread is None else min(ROUND, spread - here), seed)
+        else:
+            evolution = Evolution(known, len(search.file.spare), seed) if evolution is None else evolution
+            u = evolution.ask()
+        found = judge(search, search.ranges.values(u), search.file.screen, folder / f"{number:03d}", where)
+        if not number:
+            _refuse_collision(search, found)
+        own = Known(u, found.done.mean(axis=1), found.complete, found.spare)
+        if evolution is not None:
+            evolution.tell(own)
+        known = own if known is None else Known(*map(np.concatenate, zip(known, own, strict=True)))
+        number += 1
+        tell.judged(found)
+        yield found
+
+
+def _refuse_collision(search: Search, found: Judged) -> None:
+    """Raise InputError where every start of the first round collides, naming the body."""
+    first = found.plans.status[:, 0]
+    if not np.isin(first, (Status.START_IN_COLLISION, *AT_HOME)).all():
+        return
+    batch = sweep_of(search, found.values[:1]).batch(1)
+    cell, scenario = batch.cells[0], _first(batch.scenarios)
+    why = Status(int(first[0])).message
+    if Status(int(first[0])) in (Status.START_IN_COLLISION, Status.HOME_IN_COLLISION):
+        depth, body, other = start_clearance(cell.robot, cell.workpiece, scenario, scenario.x_home, cell.obstacles)
+        why = f"{body} is {-1e3 * depth:.3g} mm inside {other} in the first of them" if depth <= 0 else why
+    raise InputError(f"{search.name}: in all of {len(first):,} mountings nothing can begin: {why}")
+
+
+def _first(scenarios):
+    import jax
+
+    return jax.tree.map(lambda leaf: leaf[0], scenarios)
+
+
+def _confirmed(search: Search, judged: Sequence[Judged], folder: Path, where: Where) -> Judged | None:
+    """The best mountings, some way apart, each planned with several margins; the plans of those that are motions."""
+    values = np.concatenate([each.values for each in judged])
+    known = Known(
+        (values - search.ranges.low) / search.ranges.width,
+        np.concatenate([each.done.mean(axis=1) for each in judged]),
+        np.concatenate([each.complete for each in judged]),
+        np.concatenate([each.spare for each in judged]),
+    )
+    aims = known.spare.shape[1]
+    chosen: list[int] = []
+    for weights in np.eye(aims):
+        order = np.argsort(score(known, weights), kind="stable")
+        chosen += best_apart(known.u, order, -(-search.file.best // aims))
+    chosen = list(dict.fromkeys(chosen))
+    clear = np.concatenate([each.clearance for each in judged])[chosen]
+    least = search.job.margin_m
+    margins = [
+        sorted({max(least, share * c) for share in MARGINS} if whole else {least}, reverse=True)
+        for c, whole in zip(clear.tolist(), known.complete[chosen].tolist(), strict=True)
+    ]
+    every = np.repeat(values[chosen], [len(own) for own in margins], axis=0)
+    return judge(search, every, search.file.confirm, folder / "confirmed", where, np.concatenate(margins))
+
+
+def _ranked(search: Search, confirmed: Judged, folder: Path, where: Where) -> list[Mounting]:
+    """Of each mounting the plan with the most to spare, in the order of what is left when they are off."""
+    rows = _best_rows(confirmed)
+    if not rows:
+        return []
+    values = confirmed.values[rows]
+    off = disturbed(search, values, folder / "disturbed", where)
+    worst = np.array([one.spare.min(axis=0) for one in off])
+    held = np.array([one.complete.mean() for one in off])
+    order = np.lexsort((-confirmed.spare[rows, 0], -worst[:, 0], -held)).tolist()
+    first = order[:TOLERANCES]
+    known = dict(zip(first, tolerances(search, values[first], folder / "tolerance", where), strict=True))
+    front = _front(confirmed.spare[rows])
+    return [
+        Mounting(rows[k], values[k], confirmed.spare[rows[k]], worst[k], float(held[k]), bool(front[k]), known.get(k))
+        for k in order
+    ]
+
+
+def _best_rows(confirmed: Judged) -> list[int]:
+    """Of the plans of each mounting the one that is a motion with the most to spare."""
+    best: dict[bytes, int] = {}
+    for row in np.flatnonzero(confirmed.driven).tolist():
+        key = confirmed.values[row].tobytes()
+        if key not in best or confirmed.spare[row, 0] > confirmed.spare[best[key], 0]:
+            best[key] = row
+    return list(best.values())
+
+
+def _front(spare: Float[np.ndarray, "n A"]) -> np.ndarray:
+    """Which are no worse in some aim than every other."""
+    beaten = (spare[None] >= spare[:, None]).all(axis=2) & (spare[None] > spare[:, None]).any(axis=2)
+    return ~beaten.any(axis=1)
+
+
+def _motions(search: Search, confirmed: Judged, mountings: Sequence[Mounting], folder: Path) -> Path | None:
+    """The ranked mountings' motions as a run of their own, in their order."""
+    if not mountings:
+        return None
+    rows = np.array([one.row for one in mountings])
+    margins = np.array([confirmed.margin_m[row] for row in rows])
+    scenarios = (rows[:, None] * confirmed.seams + np.arange(confirmed.seams)).ravel()
+    plans: Plans = confirmed.plans.rows(scenarios)
+    spec = sweep_of(search, confirmed.values[rows], margins)
+    return sweeps.keep_plans(spec, confirmed.method, plans, folder / "ranked").folder

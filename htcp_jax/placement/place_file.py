@@ -1,0 +1,122 @@
+"""PLACE.yaml: what is searched, for what, and how long.
+
+    config: ../configs/duct.yaml                    # the job; without it the default one
+    place:                                          # ranges, see `ranges`
+      workpiece.rotation_y_rad: [0.0, 1.0]
+      workpiece.shift_m: [[-0.2, 0.2], [-0.2, 0.2], [0.0, 0.1]]
+    seams: [weld.csv, left.csv]                     # all of them, in one mounting; by default the job's own path
+    spare: clearance                                # or cycle time, joint motion; a list of two makes a front
+    within: {scenarios: 2000}                       # or {seconds: 60}
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import Field, field_validator, model_validator
+
+from htcp_jax.errors import InputError
+from htcp_jax.formats.strict_model import Section, validate
+from htcp_jax.formats.strict_yaml import read_yaml
+from htcp_jax.jobs.build import robot_of
+from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.jobs.grid_axes import FILE_KEYS, absolute
+from htcp_jax.jobs.load_config import load_config
+from htcp_jax.placement.ranges import Ranges, read_ranges
+from htcp_jax.planner import registry
+
+AIMS = "clearance", "cycle time", "joint motion"
+
+
+class Within(Section):
+    """How long is searched: so many scenarios are judged, or for so long."""
+
+    scenarios: Annotated[int, Field(gt=0, le=1_000_000)] | None = None
+    seconds: Annotated[float, Field(gt=0)] | None = None
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> "Within":
+        if (self.scenarios is None) == (self.seconds is None):
+            raise InputError("within is {scenarios: N} or {seconds: S}, one of them")
+        return self
+
+
+class Off(Section):
+    """By how much a mounting may be off in every parameter at once, while it is judged."""
+
+    mm: float = Field(3.0, gt=0, le=1000)
+    deg: float = Field(0.5, gt=0, le=90)
+
+
+class PlaceFile(Section):
+    """What a person writes."""
+
+    config: str | None = None
+    place: dict[str, Any] = Field(default_factory=dict)
+    seams: tuple[str, ...] = ()
+    spare: tuple[str, ...] = ("clearance",)
+    feed: str = "20mm/s"  # of the tool, where the cycle time counts
+    within: Within = Within(scenarios=2000)
+    off: Off = Off()
+    best: int = Field(20, ge=1, le=1000)  # mountings that are confirmed as motions
+    screen: str = "keep-clear"  # the planner that judges
+    confirm: str = "roadmap"  # the planner that confirms
+    seed: int = Field(0, ge=0)
+
+    @field_validator("spare", mode="before")
+    @classmethod
+    def _one_or_two(cls, value: Any) -> Any:
+        names = [value] if isinstance(value, str) else value
+        if not isinstance(names, list | tuple) or not 1 <= len(names) <= 2 or len(set(map(str, names))) < len(names):
+            raise InputError(f"spare is {value!r}; it is one aim, or a list of two: {', '.join(AIMS)}")
+        for name in names:
+            if name not in AIMS:
+                raise InputError(f"unknown spare {name!r}; valid: {', '.join(AIMS)}")
+        return tuple(names)
+
+    @field_validator("screen", "confirm")
+    @classmethod
+    def _is_a_method(cls, name: str) -> str:
+        if name not in registry.names():
+            raise InputError(f"unknown method {name!r}; valid: {', '.join(registry.names())}")
+        return name
+
+
+class Search(NamedTuple):
+    """A file, read and checked."""
+
+    name: str
+    file: PlaceFile
+    config: dict[str, Any] | str | None  # of the job, as `load_sweep` takes it
+    overrides: tuple[str, ...]
+    job: PlanConfig
+    ranges: Ranges
+    seams: tuple[str, ...]  # words, or absolute names of files
+
+
+def load_search(
+    spec: str | Path | Mapping[str, Any],
+    config: str | Path | None = None,
+    overrides: Sequence[str] = (),
+    changes: Mapping[str, Any] | None = None,
+) -> Search:
+    """The search at the path `spec`, or the one that a mapping spells; its files are then relative to the working
+    folder. config takes the place of its own; overrides change the job, changes the file's own keys.
+
+    Raises InputError for what is wrong with either file, and for a seam that is missing.
+    """
+    path, raw = (Path("place"), dict(spec)) if isinstance(spec, Mapping) else (Path(spec), read_yaml(spec))
+    file: PlaceFile = validate({**raw, **(changes or {})}, PlaceFile, str(path))
+    if config is None and file.config is not None:
+        config = path.parent / file.config
+    job = load_config(config, overrides)
+    robot = robot_of(job.robot)
+    ranges = read_ranges(f"{path}: place", file.place, robot.joint_names, job.model_dump())
+    words = FILE_KEYS["workpiece.path"]
+    seams = tuple(absolute(name if name in words else str(path.parent / name), words) for name in file.seams)
+    for name, seam in zip(file.seams, seams, strict=True):
+        if seam not in words and not Path(seam).is_file():
+            raise InputError(f"{path}: seams: there is no file {name}")
+    if len(set(seams)) < len(seams):
+        raise InputError(f"{path}: seams: one stands there twice")
+    return Search(path.stem, file, None if config is None else str(config), tuple(overrides), job, ranges, seams)

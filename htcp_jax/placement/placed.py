@@ -1,0 +1,147 @@
+"""What a search came to, and its folder.
+
+    place.json            what was asked for
+    ranked.json           the mountings in their order, see `Mounting`
+    mountings.parquet     every mounting that was judged: parameters, share of the targets, what is spare, why it ended
+    ranked/               a run: the motions of the ranked mountings, scenario by scenario
+"""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from jaxtyping import Float
+
+from htcp_jax.errors import InputError
+from htcp_jax.placement.judge import Judged
+from htcp_jax.placement.place_file import Search
+from htcp_jax.placement.tolerance import Tolerance
+from htcp_jax.runs.plan_folder import write_json
+
+ASKED, RANKED, MOUNTINGS, MOTIONS = "place.json", "ranked.json", "mountings.parquet", "ranked"
+UNITS = {"clearance": ("mm", 1e3), "cycle time": ("s", -1.0), "joint motion": ("rad", -1.0)}  # as a person reads them
+
+
+class Mounting(NamedTuple):
+    """One that does the whole work, as a proven motion."""
+
+    row: int  # of `confirmed`
+    values: Float[np.ndarray, "d"]  # of the parameters, in the job's own units
+    spare: Float[np.ndarray, "A"]  # of each aim, larger is better
+    worst: Float[np.ndarray, "A"]  # the same at the worst of the disturbed mountings; -inf where one is lost
+    held: float  # share of the disturbed mountings that are complete
+    front: bool  # whether none of the others is better in every aim
+    tolerance: Tolerance | None  # of the first few
+
+
+class Placed(NamedTuple):
+    """A search that has come to its end."""
+
+    folder: Path
+    search: Search
+    judged: Sequence[Judged]
+    mountings: Sequence[Mounting]  # ranked
+    motions: Path | None  # the run
+
+    @property
+    def scenarios(self) -> int:
+        """How many were judged."""
+        return sum(len(each.plans.status) for each in self.judged)
+
+    @property
+    def complete(self) -> int:
+        """How many mountings the quick planner found that do the whole work."""
+        return sum(int(each.complete.sum()) for each in self.judged)
+
+    def seams(self) -> dict[str, tuple[int, float]]:
+        """Of every seam in how many mountings it is complete, and which share of it is in the best mounting."""
+        names = self.search.seams or (self.search.job.workpiece.path,)
+        done = np.concatenate([each.done for each in self.judged])
+        best = done[np.lexsort((done.mean(axis=1), (done == 1).sum(axis=1)))[-1]]
+        return {
+            Path(name).stem: (int((done[:, k] == 1).sum()), float(best[k])) for k, name in enumerate(names)
+        }
+
+    def record(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "name": self.search.name,
+            "scenarios": self.scenarios,
+            "mountings": sum(len(each.values) for each in self.judged),
+            "complete": self.complete,
+            "seams": {name: {"complete": n, "in_the_best": share} for name, (n, share) in self.seams().items()},
+            "spare": list(self.search.file.spare),
+            "ranked": [self._row(one) for one in self.mountings],
+        }
+
+    def _row(self, one: Mounting) -> dict[str, Any]:
+        axes, aims, off = self.search.ranges.axes, self.search.file.spare, self.search.file.off
+        known = {} if one.tolerance is None else {
+            "tolerance": {
+                "mm": one.tolerance.together * off.mm,
+                "deg": one.tolerance.together * off.deg,
+                "alone": {axis.name: v for axis, v in zip(axes, one.tolerance.alone.tolist(), strict=True)},
+            }
+        }  # fmt: skip
+        return {
+            "parameters": {axis.name: value for axis, value in zip(axes, one.values.tolist(), strict=True)},
+            "spare": {name: v for name, v in zip(aims, one.spare.tolist(), strict=True)},
+            "spare_when_off": {name: v for name, v in zip(aims, one.worst.tolist(), strict=True)},
+            "complete_when_off": one.held,
+            "front": one.front,
+            **known,
+        }
+
+
+def begin(folder: Path, search: Search) -> None:
+    """Write down what is asked for. Raises InputError where the folder holds another search."""
+    asked = {
+        **search.file.model_dump(mode="json"),
+        "config": search.config,
+        "overrides": list(search.overrides),
+        "seams": list(search.seams),
+    }
+    file = folder / ASKED
+    if not file.exists():
+        write_json(file, asked)
+        return
+    try:
+        there = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file} is damaged: {error}") from None
+    asked = json.loads(json.dumps(asked))
+    differing = [key for key in {**there, **asked} if there.get(key) != asked.get(key) and key != "config"]
+    if differing:
+        key = differing[0]
+        raise InputError(
+            f"{folder} holds another search: {key} is {there.get(key)} there, {asked.get(key)} here; choose another --out"
+        )
+
+
+def write(
+    folder: Path, search: Search, judged: Sequence[Judged], mountings: Sequence[Mounting], motions: Path | None
+) -> Placed:
+    """The tables."""
+    found = Placed(folder, search, judged, mountings, motions)
+    part = folder / f".part-{MOUNTINGS}"
+    pq.write_table(_table(search, judged), part, compression="zstd")
+    part.replace(folder / MOUNTINGS)
+    write_json(folder / RANKED, found.record())
+    return found
+
+
+def _table(search: Search, judged: Sequence[Judged]) -> pa.Table:
+    values = np.concatenate([each.values for each in judged])
+    columns: dict[str, Any] = {"round": np.repeat(np.arange(len(judged)), [len(each.values) for each in judged])}
+    columns |= {axis.name: values[:, k] for k, axis in enumerate(search.ranges.axes)}
+    columns["done"] = np.concatenate([each.done.mean(axis=1) for each in judged])
+    columns["complete"] = np.concatenate([each.complete for each in judged])
+    spare = np.concatenate([each.spare for each in judged])
+    for k, name in enumerate(search.file.spare):
+        columns[name.replace(" ", "_")] = pa.array(spare[:, k], mask=~np.isfinite(spare[:, k]))
+    columns["lost"] = [words or None for each in judged for words in each.lost()]
+    return pa.table(columns)

@@ -1,0 +1,156 @@
+"""Ranges in place of lists: which parameters of a job a search may vary, and how far.
+
+    workpiece.rotation_y_rad: [0.0, 1.0]                          # a number
+    workpiece.shift_m: [[-0.2, 0.2], [-0.2, 0.2], 0.0]            # a vector, element by element; a number stays
+
+A mounting is a point of the unit cube, an axis a number that varies; `Ranges.columns` turns points into the axis of a
+grid, see `jobs.grid`.
+"""
+
+import difflib
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.errors import InputError
+from htcp_jax.jobs.grid_axes import KEYS, NO_AXIS, XYZ, parameters
+
+PLANNERS_OWN = ("settings.", "margin_m", "workpiece.interior", "workpiece.mesh", "workpiece.tip_contact_m",
+                "workpiece.inlet", "workpiece.approach")  # fmt: skip
+UNITS = {"_m": ("mm", 1e3), "_rad": ("°", 180 / math.pi), "_deg": ("°", 1.0)}
+
+
+class Range(NamedTuple):
+    """One number that varies: all of a key's value, or one element of it."""
+
+    key: str
+    element: int | None
+    low: float
+    high: float
+
+    @property
+    def name(self) -> str:
+        """workpiece.shift_m.x"""
+        return self.key if self.element is None else f"{self.key}.{_element(self.key, self.element)}"
+
+    @property
+    def unit(self) -> tuple[str, float]:
+        """How it is told to a person, and by what it is multiplied for that."""
+        return next((unit for ending, unit in UNITS.items() if self.key.partition(".x")[0].endswith(ending)), ("", 1.0))
+
+    @property
+    def is_angle(self) -> bool:
+        """Whether it is an angle, in whatever unit."""
+        return self.unit[0] == "°"
+
+    def disturbed(self, off_m: float, off_deg: float) -> float:
+        """Half the width of a box in which it may be off, in its own unit: by a length, or by an angle."""
+        return off_deg / self.unit[1] if self.is_angle else off_m
+
+
+class Ranges(NamedTuple):
+    """d numbers that vary, and the vectors of which some elements do not."""
+
+    axes: tuple[Range, ...]
+    fixed: dict[str, tuple[float | None, ...]]  # of a key with elements: the values of those that stay
+
+    @property
+    def low(self) -> Float[np.ndarray, "d"]:
+        """Smallest values, in the job's own units."""
+        return np.array([axis.low for axis in self.axes])
+
+    @property
+    def width(self) -> Float[np.ndarray, "d"]:
+        """Largest less smallest."""
+        return np.array([axis.high - axis.low for axis in self.axes])
+
+    def values(self, u: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
+        """Mountings in the job's own units."""
+        return self.low + u * self.width
+
+    def columns(self, values: Float[np.ndarray, "n d"]) -> dict[str, list]:
+        """One axis of a grid: the values of every key, mounting by mounting."""
+        found: dict[str, list] = {}
+        for k, axis in enumerate(self.axes):
+            if axis.element is None:
+                found[axis.key] = values[:, k].tolist()
+                continue
+            rows = found.setdefault(axis.key, [list(self.fixed[axis.key]) for _ in values])
+            for row, value in zip(rows, values[:, k].tolist(), strict=True):
+                row[axis.element] = value
+        return found
+
+
+def read_ranges(where: str, raw: Mapping[str, Any], joints: Sequence[str], base: Mapping[str, Any]) -> Ranges:
+    """As a person writes them. joints: the arm's; base: the plain form of the job that they vary.
+
+    Raises InputError for no range, an unknown key, one that cannot vary, and a range that is empty or reversed."""
+    if not raw:
+        raise InputError(f"{where} is empty; it needs at least one range")
+    known = parameters(joints)
+    axes: list[Range] = []
+    fixed: dict[str, tuple[float | None, ...]] = {}
+    for name, value in raw.items():
+        _refuse(where, str(name), known)
+        key, element = known[name].key, known[name].element
+        if element is None and isinstance(KEYS[key], tuple):
+            if not isinstance(value, list | tuple) or len(value) != len(KEYS[key]):
+                raise InputError(f"{where}: {name} has {len(KEYS[key])} elements; each is a range or a number")
+            fixed[key] = tuple(float(item) if _is_number(item) else None for item in value)
+            axes += [_range(where, key, k, item) for k, item in enumerate(value) if not _is_number(item)]
+        elif element is None:
+            axes.append(_range(where, key, None, value))
+        else:
+            old = _of(base, key)
+            if old is None or isinstance(old, str) or element >= len(old):
+                raise InputError(f"{where}: {name}: the job gives {key} no such element")
+            fixed.setdefault(key, tuple(old))
+            axes.append(_range(where, key, element, value))
+    if len({axis.name for axis in axes}) < len(axes):
+        raise InputError(f"{where}: a parameter stands in it twice")
+    if not axes:
+        raise InputError(f"{where} has no range, only numbers")
+    return Ranges(tuple(axes), fixed)
+
+
+def _refuse(where: str, name: str, known: Mapping[str, Any]) -> None:
+    """Raise InputError for a key that is unknown or cannot vary."""
+    if name.partition(".")[0] in NO_AXIS or name.startswith(PLANNERS_OWN):
+        raise InputError(f"{where}: {name} cannot vary in a search; the workpiece's pose, the arm's, its tool, the start, "
+                         "the task and the cell can")  # fmt: skip
+    if name not in known:
+        close = difflib.get_close_matches(name, known, n=2, cutoff=0.6)
+        hint = f"did you mean {' or '.join(close)}?" if close else "valid: keys of the job, workpiece.shift_m for example"
+        raise InputError(f"{where}: unknown parameter {name}; {hint}")
+    default = KEYS[known[name].key]
+    is_vector = isinstance(default, tuple) and all(map(_is_number, default))
+    if not (isinstance(default, float) or is_vector) or (name == "start_rad" and known[name].element is None):
+        raise InputError(f"{where}: {name} cannot vary in a search: it is no number that could lie between two others")
+
+
+def _range(where: str, key: str, element: int | None, value: Any) -> Range:
+    name = Range(key, element, 0.0, 0.0).name
+    if not isinstance(value, list | tuple) or len(value) != 2 or not all(map(_is_number, value)):
+        raise InputError(f"{where}: {name} is {value!r}; a range is [smallest, largest]")
+    low, high = map(float, value)
+    if not low < high:
+        kind = "empty" if low == high else "reversed"
+        raise InputError(f"{where}: {name}: the range [{low:g}, {high:g}] is {kind}")
+    return Range(key, element, low, high)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _of(base: Mapping[str, Any], key: str) -> Any:
+    for part in key.split("."):
+        base = base[int(part) - 1] if isinstance(base, list | tuple) else base[part]
+    return base
+
+
+def _element(key: str, element: int) -> str:
+    return str(element + 1) if key == "start_rad" else XYZ[element]

@@ -1,0 +1,115 @@
+"""Where to look next: first evenly over the ranges, then about what is best so far, by CMA-ES from several places.
+
+A round depends on what the rounds before it came to and on the seed, on nothing else: asked again with the same answers
+it gives the same mountings.
+"""
+
+from typing import NamedTuple
+
+import cma
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.stats import qmc
+
+EVEN = 0.5  # of the budget, that is spread evenly
+ROUND = 512  # mountings of an even round
+FROM, POPULATION = 4, 24  # places that evolution starts from, and mountings about each a round
+SIGMA, ENDED = 0.08, 0.004  # of the ranges: how widely it begins, and when it begins elsewhere
+APART = 0.1  # of a range, by which two mountings differ in one parameter at least, to be two
+
+
+class Known(NamedTuple):
+    """n mountings that are judged."""
+
+    u: Float[np.ndarray, "n d"]  # in the unit cube
+    done: Float[np.ndarray, "n"]  # share of the targets
+    complete: Bool[np.ndarray, "n"]
+    spare: Float[np.ndarray, "n A"]  # larger is better; -inf where a mounting is not complete
+
+
+def even(dimensions: int, first: int, count: int, seed: int) -> Float[np.ndarray, "n d"]:
+    """Mountings number `first` and after of a scrambled Sobol sequence."""
+    sequence = qmc.Sobol(dimensions, rng=np.random.default_rng(seed))
+    if first:
+        sequence.fast_forward(first)
+    return sequence.random(count)
+
+
+def score(known: Known, weights: Float[np.ndarray, "A"]) -> Float[np.ndarray, "n"]:
+    """What evolution makes small: below 0 where a mounting is complete, the better the lower; else the share that it
+    lacks. Aims are weighed between their worst and best so far."""
+    spare = np.where(np.isfinite(known.spare), known.spare, np.nan)
+    if not np.isfinite(spare).any():
+        return 1 - known.done
+    low, high = np.nanmin(spare, axis=0), np.nanmax(spare, axis=0)
+    scaled = (spare - low) / np.maximum(high - low, 1e-12)
+    whole = np.where(np.isnan(scaled).any(axis=1), -1e-6, -1e-6 - (scaled * weights).sum(axis=1))
+    return np.where(known.complete, whole, 1 - known.done + 1e-6)
+
+
+def best_apart(u: Float[np.ndarray, "n d"], order: np.ndarray, count: int) -> list[int]:
+    """The first `count` in an order that are not as good as the same as one before."""
+    chosen: list[int] = []
+    for k in order.tolist():
+        if all(np.abs(u[k] - u[other]).max() >= APART for other in chosen):
+            chosen.append(k)
+        if len(chosen) == count:
+            break
+    return chosen
+
+
+class Evolution:
+    """CMA-ES from several places at a time; each begins elsewhere when it has come to an end."""
+
+    def __init__(self, known: Known, aims: int, seed: int):
+        self._rng, self._known, self._begun = np.random.default_rng([seed, 1]), known, []
+        self._weights = [_weights(k, aims) for k in range(FROM)]
+        self._runs = [self._begin(weights) for weights in self._weights]
+
+    def ask(self) -> Float[np.ndarray, "n d"]:
+        """The mountings of the next round."""
+        self._asked = [np.array(run.ask()) for run in self._runs]
+        return np.clip(np.concatenate(self._asked), 0.0, 1.0)
+
+    def tell(self, found: Known) -> None:
+        """What they came to."""
+        self._known = Known(*map(np.concatenate, zip(self._known, found, strict=True)))
+        count = len(found.u)
+        for k, (run, asked) in enumerate(zip(self._runs, self._asked, strict=True)):
+            own = score(self._known, self._weights[k])[-count:][k * POPULATION : (k + 1) * POPULATION]
+            run.tell(list(asked), own.tolist())
+            if run.sigma * np.sqrt(np.max(run.D**2)) < ENDED or run.stop():
+                self._runs[k] = self._begin(self._weights[k])
+
+    def _begin(self, weights: np.ndarray) -> cma.CMAEvolutionStrategy:
+        """About the best mounting that none has begun from."""
+        order = np.argsort(score(self._known, weights), kind="stable")
+        u = np.concatenate([np.array(self._begun).reshape(-1, self._known.u.shape[1]), self._known.u])
+        taken = len(self._begun)
+        chosen = best_apart(u, np.append(np.arange(taken), taken + order), taken + 1)
+        start = u[chosen[-1]] if len(chosen) > taken else self._rng.random(u.shape[1])
+        self._begun.append(start)
+        return cma.CMAEvolutionStrategy(
+            start,
+            SIGMA,
+            {
+                "bounds": [0.0, 1.0],
+                "popsize": POPULATION,
+                "randn": lambda *shape: self._rng.standard_normal(shape),
+                "seed": np.nan,
+                "verbose": -9,
+                "tolfun": 0,
+                "tolfunhist": 0,
+                "tolx": 0,
+                "tolstagnation": 10**9,
+                "tolflatfitness": 10**9,
+            },
+        )
+
+
+def _weights(k: int, aims: int) -> np.ndarray:
+    """Of several aims each run of evolution weighs another mixture."""
+    if aims == 1:
+        return np.ones(1)
+    share = k / (FROM - 1)
+    return np.array([1 - share, share])
