@@ -39,6 +39,7 @@ _HOME = {
     "plan": "api",
     "Plan": "api",
     "sweep": "runs.sweep",
+    "place": "placement.place",
     "open_run": "runs.run_folder",
     "make_report": "report.report",
     "methods": "api",

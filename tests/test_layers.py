@@ -11,10 +11,10 @@ import htcp_jax
 PACKAGE = Path(htcp_jax.__file__).parent
 
 # From the bottom up: what is read makes a scene; small problems in it, and how clear the arm is, make a planner; jobs
-# ask it, runs keep the answers, programs give them time, validation doubts them, a viewer and a report show
-# them, the command is the door.
+# ask it, runs keep the answers, programs give them time, a placement searches among them, validation doubts them, a
+# viewer and a report show them, the command is the door.
 ROOMS = [
-    *("formats", "scene", "solvers", "clearance", "planner", "jobs", "runs", "program"),
+    *("formats", "scene", "solvers", "clearance", "planner", "jobs", "runs", "program", "placement"),
     *("validation", "viewer", "report", "cli"),
 ]
 EVERYWHERE = {"errors", "notebook", "numerics", "pytree", "settings", "status", "types"}  # modules for every room

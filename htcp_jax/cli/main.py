@@ -33,6 +33,7 @@ COMMANDS = {
     "validate": "Check results by MuJoCo alone.",
     "view": "Look at plans in the browser, target by target.",
     "render": "A picture and a movie of one plan.",
+    "place": "Where to mount it: search ranges, rank what does the whole work.",
     "reachability": "How much is reachable at all, whatever the method.",
     "gate": "Hold a sweep to a baseline: does it still reach what it did?",
     "methods": "List the planners and what each does.",

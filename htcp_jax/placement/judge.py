@@ -7,7 +7,7 @@ on from there, and where it is planned has no influence on it.
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,7 +16,6 @@ from htcp_jax.jobs.grid import Sweep, load_sweep
 from htcp_jax.placement.place_file import Search
 from htcp_jax.planner.plans import Plans
 from htcp_jax.program.of_plan import feed_of, program_of
-from htcp_jax.runs import sweep as sweeps
 from htcp_jax.runs.open import plans_of_run
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.status import Status
@@ -24,13 +23,7 @@ from htcp_jax.status import Status
 MARGIN = "margin_m"
 
 
-class Where(NamedTuple):
-    """How scenarios are planned: as sweeps are."""
-
-    on: str = "here"
-    device: str | None = None
-    threads: int | None = None
-    progress: Callable[[sweeps.SweepProgress], None] | None = None
+Planner = Callable[[Sweep, str, Path], Run]  # plans a grid by a method into a folder, or goes on with it
 
 
 class Judged:
@@ -101,18 +94,14 @@ def sweep_of(search: Search, values: Float[np.ndarray, "n d"], margin_m: Float[n
 
 def judge(
     search: Search,
+    plan: Planner,
     values: Float[np.ndarray, "n d"],
     method: str,
     folder: Path,
-    where: Where,
     margin_m: Float[np.ndarray, "n"] | None = None,
 ) -> Judged:
     """Plan mountings, or go on with it, or read them. Raises InputError and Interrupted as `runs.sweep` does."""
-    spec = sweep_of(search, values, margin_m)
-    run = sweeps.sweep(
-        spec, [method], folder, progress=where.progress, threads=where.threads, on=where.on, device=where.device
-    )
-    found = Judged(search, run, method, values)
+    found = Judged(search, plan(sweep_of(search, values, margin_m), method, folder), method, values)
     found.margin_m = margin_m
     return found
 

@@ -3,34 +3,39 @@
     found = htcp_jax.place("place.yaml", out="out/place")
     found.table()                                # a row a mounting, the best first
 
-Every stage is a sweep or several, in folders of their own: `rounds` judge mountings by a quick planner, first evenly and
-then about what is best, `confirmed` plans the best of them as proven motions with as much clearance as there is,
-`disturbed` and `tolerance` plan these anew, a little off, and `ranked` holds the motions in their order. Called again it
-goes on from what is there.
+Every stage is a sweep or several, in folders of their own: `rounds` judge mountings by a quick planner, first evenly
+and then about what is best, `confirmed` plans the best of them as proven motions with as much clearance as there is,
+`disturbed` and `tolerance` plan these anew, a little off, and `ranked` holds the motions in their order. Called again
+it goes on from what is there.
 """
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.placement.judge import Judged, Where, judge, sweep_of
+from htcp_jax.jobs.grid import Sweep
+from htcp_jax.placement.judge import Judged, Planner, judge, sweep_of
+from htcp_jax.placement.mounting import Mounting
 from htcp_jax.placement.place_file import Search, load_search
-from htcp_jax.placement.placed import Mounting, Placed, begin, write
+from htcp_jax.placement.placed import Placed, begin, write
 from htcp_jax.placement.search import EVEN, FROM, POPULATION, ROUND, Evolution, Known, best_apart, even, score
-from htcp_jax.placement.tolerance import Tolerance, disturbed, tolerances
+from htcp_jax.placement.tolerance import disturbed, tolerances
 from htcp_jax.planner.batch import start_clearance
 from htcp_jax.planner.plans import Plans
 from htcp_jax.runs import sweep as sweeps
 from htcp_jax.runs.lock import locked
 from htcp_jax.runs.plan_folder import made_folder
+from htcp_jax.runs.run_folder import Run
 from htcp_jax.status import AT_HOME, Status
 
-MARGINS = 1.1, 0.95, 0.75, 0.5  # of the clearance that the quick planner left, that a motion is asked for
+MARGINS = 1.1, 0.985, 0.96, 0.8, 0.5  # of the clearance that the quick planner left, that a motion is asked for
 TOLERANCES = 3  # of so many mountings tolerances are worked out
 
 
@@ -61,19 +66,22 @@ def place(
 
     config, overrides, changes: see `load_search`. on, device, threads: as of `runs.sweep.sweep`; no result hangs on
     them. out: the folder; one that holds a part of the same search is gone on with.
-    Raises InputError for bad input, for a folder that holds another search or is in use, and where every start collides;
-    Interrupted and Lost as a sweep does, with what is finished in the folder.
+    Raises InputError for bad input, for a folder that holds another search or is in use, and where every start
+    collides; Interrupted and Lost as a sweep does, with what is finished in the folder.
     """
     search, folder = load_search(spec, config, overrides, changes), Path(out)
     with made_folder(folder), locked(folder):
         begin(folder, search)
         tell = _Teller(search, progress)
-        where = Where(on, device, threads, tell.sweep)
-        judged = list(_rounds(search, folder / "rounds", where, tell))
+
+        def plan(grid: Sweep, method: str, into: Path) -> Run:
+            return sweeps.sweep(grid, [method], into, progress=tell.sweep, on=on, device=device, threads=threads)
+
+        judged = list(_rounds(search, folder / "rounds", plan, tell))
         tell.stage = "confirm"
-        confirmed = _confirmed(search, judged, folder, where)
+        confirmed = _confirmed(search, judged, folder / "confirmed", plan)
         tell.stage = "tolerance"
-        mountings = _ranked(search, confirmed, folder, where)
+        mountings = _ranked(search, confirmed, folder, plan)
         return write(folder, search, judged, mountings, _motions(search, confirmed, mountings, folder))
 
 
@@ -94,7 +102,7 @@ class _Teller:
             self._progress(PlaceProgress(self.stage, self._scenarios, self._of, self._complete, self._best, now))
 
 
-def _rounds(search: Search, folder: Path, where: Where, tell: _Teller) -> Iterator[Judged]:
+def _rounds(search: Search, folder: Path, plan: Planner, tell: _Teller) -> Iterator[Judged]:
     """The mountings of all rounds, judged."""
     began, known, number = time.monotonic(), None, 0
     budget, seconds = search.file.within.scenarios, search.file.within.seconds
@@ -114,7 +122,7 @@ def _rounds(search: Search, folder: Path, where: Where, tell: _Teller) -> Iterat
         else:
             evolution = Evolution(known, len(search.file.spare), seed) if evolution is None else evolution
             u = evolution.ask()
-        found = judge(search, search.ranges.values(u), search.file.screen, folder / f"{number:03d}", where)
+        found = judge(search, plan, search.ranges.values(u), search.file.screen, folder / f"{number:03d}")
         if not number:
             _refuse_collision(search, found)
         own = Known(u, found.done.mean(axis=1), found.complete, found.spare)
@@ -132,7 +140,7 @@ def _refuse_collision(search: Search, found: Judged) -> None:
     if not np.isin(first, (Status.START_IN_COLLISION, *AT_HOME)).all():
         return
     batch = sweep_of(search, found.values[:1]).batch(1)
-    cell, scenario = batch.cells[0], _first(batch.scenarios)
+    cell, scenario = batch.cells[0], jax.tree.map(itemgetter(0), batch.scenarios)
     why = Status(int(first[0])).message
     if Status(int(first[0])) in (Status.START_IN_COLLISION, Status.HOME_IN_COLLISION):
         depth, body, other = start_clearance(cell.robot, cell.workpiece, scenario, scenario.x_home, cell.obstacles)
@@ -140,13 +148,7 @@ def _refuse_collision(search: Search, found: Judged) -> None:
     raise InputError(f"{search.name}: in all of {len(first):,} mountings nothing can begin: {why}")
 
 
-def _first(scenarios):
-    import jax
-
-    return jax.tree.map(lambda leaf: leaf[0], scenarios)
-
-
-def _confirmed(search: Search, judged: Sequence[Judged], folder: Path, where: Where) -> Judged | None:
+def _confirmed(search: Search, judged: Sequence[Judged], folder: Path, plan: Planner) -> Judged | None:
     """The best mountings, some way apart, each planned with several margins; the plans of those that are motions."""
     values = np.concatenate([each.values for each in judged])
     known = Known(
@@ -168,21 +170,26 @@ def _confirmed(search: Search, judged: Sequence[Judged], folder: Path, where: Wh
         for c, whole in zip(clear.tolist(), known.complete[chosen].tolist(), strict=True)
     ]
     every = np.repeat(values[chosen], [len(own) for own in margins], axis=0)
-    return judge(search, every, search.file.confirm, folder / "confirmed", where, np.concatenate(margins))
+    return judge(search, plan, every, search.file.confirm, folder, np.concatenate(margins))
 
 
-def _ranked(search: Search, confirmed: Judged, folder: Path, where: Where) -> list[Mounting]:
+def _ranked(search: Search, confirmed: Judged, folder: Path, plan: Planner) -> list[Mounting]:
     """Of each mounting the plan with the most to spare, in the order of what is left when they are off."""
     rows = _best_rows(confirmed)
     if not rows:
         return []
     values = confirmed.values[rows]
-    off = disturbed(search, values, folder / "disturbed", where)
+
+    def anew(values: Float[np.ndarray, "n d"], into: Path) -> Judged:
+        return judge(search, plan, values, search.file.screen, into)
+
+    off = disturbed(search, values, folder / "disturbed", anew)
     worst = np.array([one.spare.min(axis=0) for one in off])
+    worst = np.minimum(worst, confirmed.spare[rows])  # quick plans know their targets alone
     held = np.array([one.complete.mean() for one in off])
     order = np.lexsort((-confirmed.spare[rows, 0], -worst[:, 0], -held)).tolist()
     first = order[:TOLERANCES]
-    known = dict(zip(first, tolerances(search, values[first], folder / "tolerance", where), strict=True))
+    known = dict(zip(first, tolerances(search, values[first], folder / "tolerance", anew), strict=True))
     front = _front(confirmed.spare[rows])
     return [
         Mounting(rows[k], values[k], confirmed.spare[rows[k]], worst[k], float(held[k]), bool(front[k]), known.get(k))

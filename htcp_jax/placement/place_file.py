@@ -1,12 +1,12 @@
 """PLACE.yaml: what is searched, for what, and how long.
 
-    config: ../configs/duct.yaml                    # the job; without it the default one
-    place:                                          # ranges, see `ranges`
-      workpiece.rotation_y_rad: [0.0, 1.0]
-      workpiece.shift_m: [[-0.2, 0.2], [-0.2, 0.2], [0.0, 0.1]]
-    seams: [weld.csv, left.csv]                     # all of them, in one mounting; by default the job's own path
-    spare: clearance                                # or cycle time, joint motion; a list of two makes a front
-    within: {scenarios: 2000}                       # or {seconds: 60}
+config: ../configs/duct.yaml                    # the job; without it the default one
+place:                                          # ranges, see `ranges`
+  workpiece.rotation_y_rad: [0.0, 1.0]
+  workpiece.shift_m: [[-0.2, 0.2], [-0.2, 0.2], [0.0, 0.1]]
+seams: [weld.csv, left.csv]                     # all of them, in one mounting; by default the job's own path
+spare: clearance                                # or cycle time, joint motion; a list of two makes a front
+within: {scenarios: 2000}                       # or {seconds: 60}
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,41 +1,30 @@
 """What a search came to, and its folder.
 
-    place.json            what was asked for
-    ranked.json           the mountings in their order, see `Mounting`
-    mountings.parquet     every mounting that was judged: parameters, share of the targets, what is spare, why it ended
-    ranked/               a run: the motions of the ranked mountings, scenario by scenario
+place.json            what was asked for
+ranked.json           the mountings in their order, see `Mounting`
+mountings.parquet     every mounting that was judged: parameters, share of the targets, what is spare, why it ended
+ranked/               a run: the motions of the ranked mountings, scenario by scenario
 """
 
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.placement.judge import Judged
+from htcp_jax.placement.mounting import Mounting
 from htcp_jax.placement.place_file import Search
-from htcp_jax.placement.tolerance import Tolerance
 from htcp_jax.runs.plan_folder import write_json
+
+if TYPE_CHECKING:
+    from htcp_jax.placement.judge import Judged
 
 ASKED, RANKED, MOUNTINGS, MOTIONS = "place.json", "ranked.json", "mountings.parquet", "ranked"
 UNITS = {"clearance": ("mm", 1e3), "cycle time": ("s", -1.0), "joint motion": ("rad", -1.0)}  # as a person reads them
-
-
-class Mounting(NamedTuple):
-    """One that does the whole work, as a proven motion."""
-
-    row: int  # of `confirmed`
-    values: Float[np.ndarray, "d"]  # of the parameters, in the job's own units
-    spare: Float[np.ndarray, "A"]  # of each aim, larger is better
-    worst: Float[np.ndarray, "A"]  # the same at the worst of the disturbed mountings; -inf where one is lost
-    held: float  # share of the disturbed mountings that are complete
-    front: bool  # whether none of the others is better in every aim
-    tolerance: Tolerance | None  # of the first few
 
 
 class Placed(NamedTuple):
@@ -43,7 +32,7 @@ class Placed(NamedTuple):
 
     folder: Path
     search: Search
-    judged: Sequence[Judged]
+    judged: Sequence["Judged"]
     mountings: Sequence[Mounting]  # ranked
     motions: Path | None  # the run
 
@@ -62,9 +51,7 @@ class Placed(NamedTuple):
         names = self.search.seams or (self.search.job.workpiece.path,)
         done = np.concatenate([each.done for each in self.judged])
         best = done[np.lexsort((done.mean(axis=1), (done == 1).sum(axis=1)))[-1]]
-        return {
-            Path(name).stem: (int((done[:, k] == 1).sum()), float(best[k])) for k, name in enumerate(names)
-        }
+        return {Path(name).stem: (int((done[:, k] == 1).sum()), float(best[k])) for k, name in enumerate(names)}
 
     def record(self) -> dict[str, Any]:
         """For JSON."""
@@ -117,13 +104,12 @@ def begin(folder: Path, search: Search) -> None:
     differing = [key for key in {**there, **asked} if there.get(key) != asked.get(key) and key != "config"]
     if differing:
         key = differing[0]
-        raise InputError(
-            f"{folder} holds another search: {key} is {there.get(key)} there, {asked.get(key)} here; choose another --out"
-        )
+        words = f"{key} is {there.get(key)} there, {asked.get(key)} here"
+        raise InputError(f"{folder} holds another search: {words}; choose another --out")
 
 
 def write(
-    folder: Path, search: Search, judged: Sequence[Judged], mountings: Sequence[Mounting], motions: Path | None
+    folder: Path, search: Search, judged: Sequence["Judged"], mountings: Sequence[Mounting], motions: Path | None
 ) -> Placed:
     """The tables."""
     found = Placed(folder, search, judged, mountings, motions)
@@ -134,7 +120,7 @@ def write(
     return found
 
 
-def _table(search: Search, judged: Sequence[Judged]) -> pa.Table:
+def _table(search: Search, judged: Sequence["Judged"]) -> pa.Table:
     values = np.concatenate([each.values for each in judged])
     columns: dict[str, Any] = {"round": np.repeat(np.arange(len(judged)), [len(each.values) for each in judged])}
     columns |= {axis.name: values[:, k] for k, axis in enumerate(search.ranges.axes)}

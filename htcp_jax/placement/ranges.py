@@ -119,11 +119,13 @@ def read_ranges(where: str, raw: Mapping[str, Any], joints: Sequence[str], base:
 def _refuse(where: str, name: str, known: Mapping[str, Any]) -> None:
     """Raise InputError for a key that is unknown or cannot vary."""
     if name.partition(".")[0] in NO_AXIS or name.startswith(PLANNERS_OWN):
-        raise InputError(f"{where}: {name} cannot vary in a search; the workpiece's pose, the arm's, its tool, the start, "
-                         "the task and the cell can")  # fmt: skip
+        kinds = "the workpiece's pose, the arm's, its tool, the start, the task and the cell can"
+        raise InputError(f"{where}: {name} cannot vary in a search; {kinds}")
     if name not in known:
         close = difflib.get_close_matches(name, known, n=2, cutoff=0.6)
-        hint = f"did you mean {' or '.join(close)}?" if close else "valid: keys of the job, workpiece.shift_m for example"
+        hint = (
+            f"did you mean {' or '.join(close)}?" if close else "valid: keys of the job, workpiece.shift_m for example"
+        )
         raise InputError(f"{where}: unknown parameter {name}; {hint}")
     default = KEYS[known[name].key]
     is_vector = isinstance(default, tuple) and all(map(_is_number, default))

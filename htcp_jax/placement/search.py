@@ -28,8 +28,8 @@ class Known(NamedTuple):
 
 
 def even(dimensions: int, first: int, count: int, seed: int) -> Float[np.ndarray, "n d"]:
-    """Mountings number `first` and after of a scrambled Sobol sequence."""
-    sequence = qmc.Sobol(dimensions, rng=np.random.default_rng(seed))
+    """Mountings number `first` and after of a scrambled Halton sequence."""
+    sequence = qmc.Halton(dimensions, rng=np.random.default_rng(seed))
     if first:
         sequence.fast_forward(first)
     return sequence.random(count)

@@ -4,27 +4,27 @@ What is off is off in all parameters at once: lengths by up to so many millimetr
 tolerance is stated where every disturbed mounting that was tried in a box a fifth wider is complete.
 """
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.placement.judge import Judged, Where, judge
+from htcp_jax.placement.mounting import Tolerance
 from htcp_jax.placement.place_file import Search
 from htcp_jax.placement.search import even
 
+if TYPE_CHECKING:
+    from htcp_jax.placement.judge import Judged
+
 TRIED = 32  # disturbed mountings about each of the confirmed
-LEVELS = 0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0  # of what a mounting may be off, that are looked at
-MORE = 128  # disturbed mountings a level
+LEVELS = 0.5, 1.0, 2.0, 4.0  # of what a mounting may be off, that are looked at
+MORE = 96  # disturbed mountings a level
 WIDER = 1.2  # than what is stated
 
 
-class Tolerance(NamedTuple):
-    """Of one mounting."""
-
-    together: float  # how often `off` all parameters may be off at once; 0: not even the least that was tried
-    alone: Float[np.ndarray, "d"]  # by how much each one may be, with the others as they are, in its own unit
+Judge = Callable[[Float[np.ndarray, "n d"], Path], "Judged"]  # plans mountings anew into a folder
 
 
 def box(search: Search) -> Float[np.ndarray, "d"]:
@@ -33,19 +33,19 @@ def box(search: Search) -> Float[np.ndarray, "d"]:
     return np.array([axis.disturbed(1e-3 * off.mm, off.deg) for axis in search.ranges.axes])
 
 
-def disturbed(search: Search, values: Float[np.ndarray, "n d"], folder: Path, where: Where) -> list[Judged]:
+def disturbed(search: Search, values: Float[np.ndarray, "n d"], folder: Path, judge: Judge) -> list["Judged"]:
     """What mountings come to when they are off by up to `off`, one by one."""
     shifts = _shifts(search, TRIED, 1) * box(search)
-    return _judged(search, values, shifts, folder, where)
+    return _judged(search, values, shifts, folder, judge)
 
 
-def tolerances(search: Search, values: Float[np.ndarray, "n d"], folder: Path, where: Where) -> list[Tolerance]:
+def tolerances(search: Search, values: Float[np.ndarray, "n d"], folder: Path, judge: Judge) -> list[Tolerance]:
     """Of mountings, one by one. The levels are gone through from the smallest; who fails at one is tried no more."""
     half, going = box(search), np.arange(len(values))
     together = np.zeros(len(values))
     for level in LEVELS:
         shifts = WIDER * level * half * _shifts(search, MORE, 2)
-        found = _judged(search, values[going], shifts, folder / f"all-{level:g}", where)
+        found = _judged(search, values[going], shifts, folder / f"all-{level:g}", judge)
         going = going[[one.complete.all() for one in found]]
         together[going] = level
         if not len(going):
@@ -54,7 +54,7 @@ def tolerances(search: Search, values: Float[np.ndarray, "n d"], folder: Path, w
     steps = np.array(LEVELS)
     d = len(half)
     shifts = np.concatenate([sign * level * half * np.eye(d) for level in steps for sign in (-1, 1)])
-    for k, one in enumerate(_judged(search, values, shifts, folder / "alone", where)):
+    for k, one in enumerate(_judged(search, values, shifts, folder / "alone", judge)):
         fine = one.complete.reshape(len(steps), 2, d).all(axis=1)
         kept = np.logical_and.accumulate(fine, axis=0).sum(axis=0)
         alone[k] = np.append(0.0, steps)[kept] * half
@@ -70,9 +70,9 @@ def _shifts(search: Search, count: int, key: int) -> Float[np.ndarray, "n d"]:
 
 
 def _judged(
-    search: Search, values: Float[np.ndarray, "n d"], shifts: Float[np.ndarray, "m d"], folder: Path, where: Where
-) -> list[Judged]:
+    search: Search, values: Float[np.ndarray, "n d"], shifts: Float[np.ndarray, "m d"], folder: Path, judge: Judge
+) -> list["Judged"]:
     """Each mounting with every shift: all in one sweep."""
     every = (values[:, None] + shifts).reshape(-1, values.shape[1])
-    whole = judge(search, every, search.file.screen, folder, where)
+    whole = judge(every, folder)
     return [whole.part(slice(k * len(shifts), (k + 1) * len(shifts))) for k in range(len(values))]

@@ -25,7 +25,7 @@ from htcp_jax.scene.task import TCP_POSITION, Task
 from htcp_jax.status import Way
 
 KEPT = 0.5  # of what is clear, that the clearance of a way on record is at least
-TIGHT = 0.95  # the same of a smoothed motion, where it is least clear
+TIGHT = 0.99  # the same of a smoothed motion, where it is least clear
 ROWS_AT_ONCE = 16  # of a scenario: what lies behind the end of a motion need not be looked at
 
 

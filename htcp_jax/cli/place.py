@@ -1,0 +1,164 @@
+"""`htcp place`: search ranges of mountings, and rank those that do the whole work."""
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+from rich.text import Text
+
+from htcp_jax.cli.output import Device, Json, print_facts, print_json, print_table, progress_bars, stdout
+from htcp_jax.errors import InputError
+from htcp_jax.placement.place import PlaceProgress
+from htcp_jax.placement.place import place as search_places
+from htcp_jax.placement.placed import UNITS, Placed
+from htcp_jax.report.document import Column, Table
+
+NONE_FOUND = 3
+File = Annotated[Path, typer.Argument(metavar="PLACE.yaml", help="Ranges, seams, and what is to be spare.")]
+Out = Annotated[Path | None, typer.Option(metavar="DIR", help="The folder; by default out/<name of the file>.")]
+JobFile = Annotated[Path | None, typer.Option(metavar="CONFIG.yaml", help="In place of the file's own job.")]
+Seed = Annotated[int | None, typer.Option(metavar="S", help="Of the search.")]
+Overrides = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key of the job.")]
+WithinN = Annotated[int | None, typer.Option("--scenarios", metavar="N", help="Judge so many, in place of within.")]
+WithinS = Annotated[float | None, typer.Option("--seconds", metavar="S", help="Search so long, in place of within.")]
+On = Annotated[str, typer.Option(metavar="here|ray[:ADDRESS]", help="This process, or the workers of a Ray cluster.")]
+
+
+def place(
+    file: File,
+    out: Out = None,
+    scenarios: WithinN = None,
+    seconds: WithinS = None,
+    seed: Seed = None,
+    config: JobFile = None,
+    overrides: Overrides = None,
+    on: On = "here",
+    device: Device = None,
+    as_json: Json = False,
+) -> int:
+    """Find the mountings that do the whole seam, or several, with something to spare.
+
+    Quick plans judge mountings all over the ranges and then about the best of them; the best are planned as proven
+    motions, and once more a little off. The folder gets ranked.json, every mounting that was judged, pictures, and the
+    motions as a run that view, render, validate and program open. The same command again goes on where the last one
+    stopped. Exits with 0 when a mounting is found, with 3 when none is, with 2 on bad input.
+
+    \b
+    htcp place configs/place/duct.yaml                     the mountings of the weld in the generated duct
+    htcp place configs/place/duct.yaml --scenarios 500 --out out/try
+    htcp view out/duct/ranked                           the first of them; the others as scenarios 1, 2, ...
+    """
+    changes: dict[str, Any] = {} if seed is None else {"seed": seed}
+    if scenarios is not None and seconds is not None:
+        raise InputError("--scenarios and --seconds say the same; leave out one")
+    if scenarios is not None or seconds is not None:
+        changes["within"] = {"scenarios": scenarios} if seconds is None else {"seconds": seconds}
+    with _bar() as progress:
+        found = search_places(
+            file,
+            Path("out", file.stem) if out is None else out,
+            config=config,
+            overrides=overrides or (),
+            changes=changes,
+            on=on,
+            device=device,
+            progress=progress,
+        )
+    if as_json:
+        print_json(found.record())
+    else:
+        _print(found)
+    return 0 if found.mountings else NONE_FOUND
+
+
+@contextmanager
+def _bar() -> Iterator[Callable[[PlaceProgress], None]]:
+    """One bar a stage on a terminal: scenarios, mountings that do it all, the best so far."""
+    columns = TextColumn("{task.description:<10}"), BarColumn(), TextColumn("{task.fields[text]}"), TimeElapsedColumn()
+    with progress_bars(*columns) as bars:
+        tasks: dict[str, Any] = {}
+
+        def show(now: PlaceProgress) -> None:
+            if now.stage not in tasks:
+                tasks[now.stage] = bars.add_task(now.stage, total=None, text="")
+            if now.stage == "search":
+                done, of = now.scenarios + now.sweep.scenarios_done, now.of
+                text = f"{done:,} scenarios, {now.complete:,} mountings do it all"
+            else:
+                done, of = now.sweep.scenarios_done, now.sweep.scenarios
+                text = f"{done:,} of {of:,} scenarios"
+            bars.update(tasks[now.stage], completed=done, total=of, text=text)
+
+        yield show
+
+
+def _print(found: Placed) -> None:
+    search, console = found.search, stdout()
+    off = search.file.off
+    facts = {
+        "judged": f"{found.scenarios:,} scenarios, {sum(len(each.values) for each in found.judged):,} mountings by "
+        f"{search.file.screen}",
+        "do the whole work": f"{found.complete:,} of them",
+        **_seams(found),
+        "confirmed": f"{len(found.mountings)} as proven motions by {search.file.confirm}",
+    }
+    print_facts(search.name, facts)
+    console.print()
+    if found.mountings:
+        print_table(console, _table(found))
+        console.print()
+        text = f"When off: the least of it while every parameter is off by up to {off.mm:g} mm and {off.deg:g}°."
+        console.print(Text(text, style="dim"))
+    console.print(Text.assemble(("files  ", "cyan"), str(found.folder)))
+
+
+def _seams(found: Placed) -> dict[str, str]:
+    """How often each seam is done, and which of them prevents the best mounting."""
+    seams = found.seams()
+    if len(seams) == 1:
+        ((_, best),) = seams.values()
+        return {} if found.complete else {"best": f"{100 * best:.1f} % of the targets"}
+    facts = {"each seam alone": ", ".join(f"{name} {count:,}" for name, (count, _) in seams.items())}
+    if not found.complete:
+        lost = [f"{name} ({100 * share:.1f} % of it)" for name, (_, share) in seams.items() if share < 1]
+        facts["best"] = f"{len(seams) - len(lost)} of {len(seams)} seams; prevented by {', '.join(lost)}"
+    return facts
+
+
+def _table(found: Placed) -> Table:
+    axes, aims = found.search.ranges.axes, found.search.file.spare
+    columns = [Column("rank", "rank", "", "d")]
+    columns += [Column(axis.name, axis.name.rpartition(".")[2] if axis.element is None else _short(axis.name),
+                       axis.unit[0], ".4g") for axis in axes]  # fmt: skip
+    for name in aims:
+        columns += [Column(name, name, UNITS[name][0], ".3g"), Column(f"{name} off", "when off", UNITS[name][0], ".3g")]
+    columns.append(Column("tolerates", "tolerates"))
+    rows = [
+        (
+            number,
+            *(value * axis.unit[1] for axis, value in zip(axes, one.values.tolist(), strict=True)),
+            *(_told(name, v) for name, a, b in zip(aims, one.spare, one.worst, strict=True) for v in (a, b)),
+            _tolerated(found, one),
+        )
+        for number, one in enumerate(found.mountings, 1)
+    ]
+    return Table("place", tuple(columns), tuple(rows))
+
+
+def _short(name: str) -> str:
+    return ".".join(name.split(".")[1:])
+
+
+def _told(aim: str, value: float) -> float:
+    return UNITS[aim][1] * float(value) if math.isfinite(value) else math.nan
+
+
+def _tolerated(found: Placed, one) -> str:
+    if one.tolerance is None:
+        return f"{100 * one.held:.0f} % of those off do it" if one.held < 1 else ""
+    off = found.search.file.off
+    return f"{one.tolerance.together * off.mm:g} mm and {one.tolerance.together * off.deg:g}°"

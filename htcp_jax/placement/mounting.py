@@ -1,0 +1,25 @@
+"""A mounting that does the whole work, and how far it may be off."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+
+class Tolerance(NamedTuple):
+    """Of one mounting."""
+
+    together: float  # how often `off` all parameters may be off at once; 0: not even the least that was tried
+    alone: Float[np.ndarray, "d"]  # by how much each one may be, with the others as they are, in its own unit
+
+
+class Mounting(NamedTuple):
+    """One that does the whole work, as a proven motion."""
+
+    row: int  # of `confirmed`
+    values: Float[np.ndarray, "d"]  # of the parameters, in the job's own units
+    spare: Float[np.ndarray, "A"]  # of each aim, larger is better
+    worst: Float[np.ndarray, "A"]  # the same at the worst of the disturbed mountings; -inf where one is lost
+    held: float  # share of the disturbed mountings that are complete
+    front: bool  # whether none of the others is better in every aim
+    tolerance: Tolerance | None  # of the first few
