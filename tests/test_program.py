@@ -124,6 +124,19 @@ def test_no_limit_is_exceeded_by_finite_differences_at_1_ms(feed, seed, rough):
     assert max(shares(one.timed(STEP_S), joint_limits(made_once.robot()))) <= 1 + ROUNDING
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_legs_a_thousand_times_shorter_than_others_keep_the_limits_within_a_millisecond_too(seed):
+    rng = np.random.default_rng(seed)
+    step = rng.normal(size=(30, 6)) * 10 ** rng.uniform(-5, -0.5, size=(30, 1))
+    x = np.array([0.0, -2.0, 0.5, 0.0, 0.5, -1.0]) + np.cumsum(step, axis=0)
+    motion = Motion(x, np.zeros(30, int), np.full(30, A))
+    one = program(made_once.robot(), motion, room(motion, clearance=2e-5), joint_limits(made_once.robot()), 0.02)
+    assert max(law.speed.slower for law in one.laws) < 1.005, "one corner does not slow the whole motion down"
+    for k, limit in enumerate(joint_limits(made_once.robot()), 1):
+        found = np.diff(one.timed(1e-4).x, n=k, axis=0) / 1e-4**k
+        assert np.abs(found / limit).max() <= 1 + 100 * ROUNDING
+
+
 def test_velocities_and_accelerations_are_the_differences_of_the_postures():
     timed = made().timed(STEP_S)
     x, limits = timed.x, joint_limits(made_once.robot())

@@ -94,7 +94,7 @@ def plan(
     # Here, as methods are found: whoever asks for plans imports no kernels before one is looked up.
     from htcp_jax.planner.home import begin_at_home, leave_home
     from htcp_jax.planner.lane_checks import check_remaining_paths
-    from htcp_jax.planner.motion_check import judge_motions
+    from htcp_jax.planner.motion_check import judge_motions, tighten
 
     ways = leave_home(problem)
     plans = _of_these(chosen.plan(problem), problem, method)
@@ -108,6 +108,7 @@ def plan(
 
             plans = smooth(problem, plans)
             judge_motions(problem, plans)
+            tighten(problem, plans)
     spent = time.perf_counter() - began
     compile_s = plans.compile_s + sum(each.compile_s for each in problem.kernels)
     return plans._replace(compile_s=compile_s, run_s=spent - compile_s)

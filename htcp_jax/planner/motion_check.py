@@ -24,7 +24,8 @@ from htcp_jax.scene.scenario import Scenario
 from htcp_jax.scene.task import TCP_POSITION, Task
 from htcp_jax.status import Way
 
-KEPT = 0.5  # of what is clear, that the clearance on record is at least
+KEPT = 0.5  # of what is clear, that the clearance of a way on record is at least
+TIGHT = 0.95  # the same of a smoothed motion, where it is least clear
 ROWS_AT_ONCE = 16  # of a scenario: what lies behind the end of a motion need not be looked at
 
 
@@ -84,6 +85,20 @@ def judge_motions(problem: Problem, plans: Plans) -> None:
     plans.way[:, 1:][ended], plans.way_clearance[:, 1:][ended] = Way.UNKNOWN, np.nan
 
 
+def tighten(problem: Problem, plans: Plans) -> None:
+    """Prove the executable ways again, closely, that look less clear than any target is: the least `way_clearance` of
+    a scenario is what its arm is trusted with."""
+    clear = np.where(plans.executable, plans.clearance, np.inf).min(axis=1)
+    loose = plans.executable & (plans.way_clearance < TIGHT * clear[:, None])
+    if not loose.any():
+        return
+    segments = _segments(plans, loose)
+    proofs = _proofs(problem, segments, TIGHT)
+    found = np.full_like(plans.way_clearance, np.inf)
+    np.minimum.at(found, (segments.scenario, segments.target), proofs.clearance)
+    plans.way_clearance[loose] = np.maximum(plans.way_clearance, found)[loose]
+
+
 def _segments(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> Segments:
     """What the ways to some rows are made of."""
     s, t = np.nonzero(rows)
@@ -113,7 +128,7 @@ def prove_segments(
     return proof
 
 
-def _proofs(problem: Problem, segments: Segments) -> Proof:
+def _proofs(problem: Problem, segments: Segments, kept: float = KEPT) -> Proof:
     """The same, by all threads."""
     kernels = problem.kernels  # made here, before there are threads
     tips = tip_checks(kernels, problem.tip_guard)
@@ -122,7 +137,7 @@ def _proofs(problem: Problem, segments: Segments) -> Proof:
     def look(number: int) -> Proof:
         own = number % len(kernels)
         part = gather(segments, np.arange(number, count, threads))
-        return prove_segments(problem, kernels[own], tips[own], part, KEPT)
+        return prove_segments(problem, kernels[own], tips[own], part, kept)
 
     with ThreadPoolExecutor(threads) as pool:
         proofs = concatenate(list(pool.map(look, range(threads))))

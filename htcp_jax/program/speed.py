@@ -14,6 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+AT_ONCE_S = 1e-9
+
 
 class Speed(NamedTuple):
     """A law on a grid of m places, with the window T."""
@@ -36,6 +38,18 @@ class Speed(NamedTuple):
         scale = self.window_s * self.slower ** np.arange(4)
         place, *more = ((b - a) / by for a, b, by in zip(early, late, scale, strict=True))
         return np.clip(place, 0.0, self.place[-1]), *more
+
+    def seen(self, time: Float[np.ndarray, "n"]) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """The first and the last place that the mean at these times is taken over."""
+        time = time / self.slower
+        return self._raw(time - self.window_s)[1], self._raw(time)[1]
+
+    def jumps(self) -> Float[np.ndarray, "n"]:
+        """Shortly before and after each time at which the jerk jumps; between two of them it is constant."""
+        push = np.pad(np.diff(self.speed) / np.diff(self.time), 1)
+        bends = self.time[np.abs(np.diff(push)) > 1e-9 * np.abs(push).max()]
+        bends = self.slower * np.append(bends, bends + self.window_s)
+        return np.clip(np.append(bends - AT_ONCE_S, bends + AT_ONCE_S), 0.0, self.duration_s)
 
     def _raw(self, time: np.ndarray) -> tuple[np.ndarray, ...]:
         """P, s, s', s'' of the law without the mean; it stands before and after."""

@@ -100,10 +100,10 @@ def _slower(law: Law, limits: Limits) -> Law:
 
 
 def instants(law: Speed) -> Float[np.ndarray, "n"]:
-    """When limits are looked at: evenly, and as the places of the grid are passed."""
+    """When limits are looked at: evenly, as the places of the grid are passed, and where the jerk jumps."""
     even = np.linspace(0, law.duration_s, 2 + min(int(law.duration_s / LOOKED_AT_S), INSTANTS))
     passed = np.interp(law.place, np.maximum.accumulate(law.at(even)[0]), even)
-    return np.sort(np.append(even, passed))
+    return np.sort(np.concatenate([even, passed, law.jumps()]))
 
 
 def _caps(path: Path, limits: Limits, feed: float) -> _Caps:
@@ -144,9 +144,8 @@ def _slow_down(caps: _Caps, grid: np.ndarray, law: Speed, time: np.ndarray, shar
     bad = np.flatnonzero(over > ENOUGH)
     breaks = np.flatnonzero(np.diff(bad) > 1)
     begin, end = bad[np.append(0, breaks + 1)], bad[np.append(breaks, len(bad) - 1)]
-    seen = 0.5 * law.window_s
-    begins = np.searchsorted(grid, law.at(np.maximum(time[begin] - seen, 0.0))[0]) - 1
-    ends = np.searchsorted(grid, law.at(np.minimum(time[end] + seen, time[-1]))[0]) + 1
+    begins = np.searchsorted(grid, law.seen(time[begin])[0]) - 1
+    ends = np.searchsorted(grid, law.seen(time[end])[1]) + 1
     for first, last, a, b in zip(begin, end, np.maximum(begins, 0), ends, strict=True):
         worst = first + over[first : last + 1].argmax()
         by = 1.01 * over[worst]

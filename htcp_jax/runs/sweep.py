@@ -34,7 +34,6 @@ from htcp_jax.runs.local import Shard, plan_here
 from htcp_jax.runs.lock import SignalCame, locked, signals
 from htcp_jax.runs.manifest import Manifest, Span, spans
 from htcp_jax.runs.plan_folder import made_folder
-from htcp_jax.runs.ray_ import on_ray
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.running import FinishedShard
 from htcp_jax.runs.tables import joint_columns, scenario_table, target_table
@@ -196,6 +195,8 @@ def _planner(on: str, methods: tuple[str, ...], batch: Batch, spec: Sweep, threa
     if on == "here":
         return contextlib.nullcontext(partial(plan_here, batch, threads, device))
     if where == "ray":
+        from htcp_jax.runs.ray_ import on_ray  # here, because it is an extra
+
         registry.refuse_own(methods)
         return on_ray(batch, spec.config, address)
     raise InputError(f"on is {on!r}; valid: here, ray, ray:<address of a cluster>")
