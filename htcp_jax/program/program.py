@@ -126,7 +126,7 @@ def _dips(law: Law, before: float, feed: float, names: tuple[str, ...]) -> list[
 
 def _is_ramp(limit: np.ndarray, share: np.ndarray) -> bool:
     """Whether a run from or to a stop has no other reason."""
-    return limit[0] < 0 and share.min() <= STANDS
+    return bool(limit[0] < 0 and share.min() <= STANDS)
 
 
 def _runs(which: np.ndarray, breaks: np.ndarray) -> list[np.ndarray]:
