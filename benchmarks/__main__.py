@@ -8,6 +8,8 @@
     python -m benchmarks peers             other planners on the same task (pip install -e '.[peers]')
     python -m benchmarks peers --motions   OMPL and Descartes, by executable targets
     python -m benchmarks paths DATA        public problems of full poses, by their own rules
+    python -m benchmarks programs RUN...    programs of whole runs: feed held, limits kept, CPU time
+    python -m benchmarks time-laws PLAN...  laws of time on one plan's ways, beside copp-py's and toppra's
     python -m benchmarks baseline-margin OUT.png
     python -m benchmarks seams OUT.png     the seams of the generated duct, drawn
     python -m benchmarks shape             of the source: sizes, depth of imports, docstrings; other checkouts beside it
@@ -27,6 +29,8 @@ CASES = (
     "cross",
     "peers",
     "paths",
+    "programs",
+    "time-laws",
     "baseline-margin",
     "seams",
     "shape",

@@ -1,19 +1,21 @@
 """How fast, and how fast found, laws of time are: this package's, copp-py's and toppra's, on the ways off the weld.
 
-    python -m benchmarks.time_laws out/plan [out/other ...]
+    pip install toppra copp-py
+    python -m benchmarks time-laws out/plan [out/other ...]
 
 Every law gets the same rounded curve on the same grid. toppra and copp-py's second order know no jerk; the others do.
-Whichever of the two is not installed is left out. A row a law and way: how long it takes, the median time to find it,
+Whichever of the two is not installed is said so. A row a law and way: how long it takes, the median time to find it,
 and the largest shares of velocity, acceleration and jerk on the timed curve, by finite differences at 1 ms.
 """
 
+import argparse
 import statistics
-import sys
 import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from benchmarks import hardware
 from htcp_jax.jobs.build import scene
 from htcp_jax.planner.motion import motion
 from htcp_jax.program.limits import Limits, joint_limits
@@ -138,10 +140,13 @@ def row(law: Callable, path: Path, limits: Limits) -> str:
     return f"{duration:.3f} | {1e3 * statistics.median(taken):.1f} | {shares}"
 
 
-def main(folders: list[str]) -> None:
+def main() -> None:
     """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folders", nargs="+", help="that htcp plan wrote")
+    print(hardware.line())
     print("| way | law | duration s | found in ms | of v | of a | of j |\n|---|---|---|---|---|---|---|")
-    for folder in folders:
+    for folder in parser.parse_args().folders:
         for name, path, limits in paths(folder):
             for title, law in LAWS.items():
                 try:
@@ -153,4 +158,4 @@ def main(folders: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

@@ -23,8 +23,10 @@ from htcp_jax.program.curve import FARTHEST, Curve
 from htcp_jax.program.limits import joint_limits
 from htcp_jax.program.nudge import arm_at, nudge_bound
 from htcp_jax.program.of_plan import feed_of
+from htcp_jax.program.path import path_of
 from htcp_jax.program.program import program
-from htcp_jax.program.stretches import SHARE, Spare, spare
+from htcp_jax.program.stretches import SHARE, Spare, Stretch, spare
+from htcp_jax.program.time_law import law_of
 from htcp_jax.scene.kinematics import capsules_and_tcp
 from htcp_jax.scene.robot_file import GP50, load_robot
 from htcp_jax.status import Kind
@@ -284,6 +286,18 @@ def test_a_corner_with_room_is_passed_faster_than_one_that_is_as_good_as_a_stop(
         program(robot, motion, room(motion, clearance=c), joint_limits(robot), 0.02).duration_s for c in (1e-4, 1.0)
     )
     assert wide < 0.8 * tight
+
+
+@pytest.mark.parametrize("off", [1e-9, 1e-7, 1e-6, 3e-6])
+def test_corners_that_all_but_touch_do_not_slow_the_tool_down(off):
+    """However little is between two corners that are as wide as they can be."""
+    robot, line, durations = made_once.robot(), weld(count=6, length=0.025, rough=1e-4), []
+    for more in (0.0, off):
+        u = np.cumsum([0.0, 0.005, 0.005, 0.005 + more, 0.005, 0.005])
+        reach = np.array([0.0, 0.0025, 0.0025, 0.0025, 0.0025, 0.0])
+        path = path_of(robot, Stretch(Curve(u, line, reach), np.arange(1, 6), True))
+        durations.append(law_of(path, joint_limits(robot), 0.3).speed.duration_s)
+    assert durations[1] == pytest.approx(durations[0], rel=0.05)
 
 
 def test_the_arms_own_accelerations_count_where_it_has_any():

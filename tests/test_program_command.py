@@ -3,7 +3,10 @@ wrong."""
 
 import csv
 import json
+import shutil
+from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from made_plan import made_plan
@@ -13,6 +16,8 @@ from htcp_jax.program.limits import joint_limits
 from htcp_jax.program.of_plan import program_of
 from htcp_jax.program.writers import FORMATS
 from htcp_jax.runs.open import open_plans
+from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY, write_json
+from htcp_jax.scene.kinematics import capsules_and_tcp, tcp_pose
 from htcp_jax.scene.robot_file import gp50
 from htcp_jax.status import Kind
 from htcp_jax.validation.timed_check import check_timed
@@ -103,6 +108,99 @@ def test_a_motion_that_leaves_its_path_or_goes_through_the_wall_is_refuted(plans
     assert found.leaves[timed.kind == Kind.FEED].all() and not found.leaves[timed.kind != Kind.FEED].any()
     down = timed._replace(x=timed.x + np.array([0, 0.3, 0, 0, 0, 0]))
     assert check_timed(plans / "good", down, "roadmap").touches.any()
+
+
+def changed(plans, folder, **sections) -> Path:
+    """The plan with other sections in the job on record."""
+    shutil.copytree(plans / "good", folder)
+    record = json.loads((folder / SUMMARY).read_text())
+    for name, section in sections.items():
+        record["config"][name] = {**record["config"][name], **section} if isinstance(section, dict) else section
+    write_json(folder / SUMMARY, record)
+    return folder
+
+
+def tool_axis(plans) -> list[float]:
+    """Where the tool points as it comes to the weld."""
+    x = open_plans(plans / "good").plans("roadmap").x[0, -3]
+    return np.asarray(tcp_pose(gp50(), jnp.asarray(x)))[:3, 2].tolist()
+
+
+OFF = [
+    {"point": "link4", "on": "plane", "through_m": [9, 0, 0], "normal": [1, 0, 0]},
+    {"point": "link4", "on": "line", "through_m": [9, 0, 0], "direction": [0, 1, 0], "within_m": 1},
+    {"point": "link4", "on": [9, 0, 0], "axes": "xz"},
+    {"point": "tcp", "on": [9, 0, 0]},
+    {"point": "tcp", "on": "path", "axes": "z", "offset_m": [0, 0, 0.1]},
+    {"axis": "tcp.x", "towards": [0, 0, 1], "cone_deg": 5},
+    {"axis": "tcp.z", "looks_at_m": [0, 0, 0], "cone_deg": 5},
+    {"axis": "tcp.z", "looks_at_m": [0, 0, 0]},
+    {"orientation": [1, 0, 0, 0]},
+    {"orientation": [1, 0, 0, 0], "within_deg": 5},
+]
+
+
+@pytest.mark.parametrize("row", OFF, ids=lambda row: " ".join(map(str, row.values())))
+def test_every_kind_of_row_is_looked_at_every_millisecond_of_the_path(plans, here, row):
+    """A plan of the TCP alone, with a row on record that it does not hold."""
+    timed = program_of(open_plans(plans / "good"), 0.02, retract=False).program.timed(0.02)
+    folder = changed(plans, here / "other", task=[{"point": "tcp", "on": "path"}, row])
+    found = check_timed(folder, timed, "roadmap")
+    np.testing.assert_array_equal(found.breaks, timed.kind == Kind.FEED)
+    assert found.refuted == found.breaks.sum() > 0
+
+
+def test_rows_that_hold_are_not_refuted(plans, here):
+    timed = program_of(open_plans(plans / "good"), 0.02, retract=False).program.timed(0.02)
+    tool = tool_axis(plans)
+    task = [{"point": "tcp", "on": "path"}, {"axis": "tcp.z", "towards": tool, "cone_deg": 20}]
+    task.append({"point": "tcp", "on": "path", "axes": "xz", "within_m": 0.002})
+    assert check_timed(changed(plans, here / "other", task=task), timed, "roadmap").refuted == 0
+
+
+def test_a_tool_that_goes_back_along_its_path_is_refuted(plans):
+    timed = program_of(open_plans(plans / "good"), 0.02, retract=False).program.timed(STEP_S)
+    feeding = np.flatnonzero(timed.kind == Kind.FEED)
+    x, target = timed.x.copy(), timed.target.copy()
+    part = feeding[100:200]
+    x[part], target[part] = x[part[::-1]], target[part[::-1]]
+    found = check_timed(plans / "good", timed._replace(x=x, target=target), "roadmap")
+    assert found.turns_back[part[1:]].all() and not found.leaves.any()
+    assert not found.turns_back[: part[0]].any() and found.turns_back.sum() <= 101
+
+
+def test_a_bare_tip_that_passes_through_a_wall_is_refuted_where_the_job_guards_it(plans, here):
+    """The arm reaches on until its tip is in the wall, and its bodies are not."""
+    timed = program_of(open_plans(plans / "good"), 0.02, retract=False).program.timed(0.02)
+    on = timed._replace(x=timed.x + np.array([0, 0.04, 0, 0, 0, 0]))
+    free = check_timed(plans / "good", on, "roadmap")
+    guarded = check_timed(changed(plans, here / "other", workpiece={"tip_contact_m": 0.01}), on, "roadmap")
+    assert guarded.clearance_min_m == free.clearance_min_m > 0
+    assert not free.touches.any() and guarded.touches.any() and not guarded.touches[0]
+
+
+def test_an_arm_that_heeds_itself_is_rounded_by_half_for_two_bodies_may_move_towards_each_other(plans, here):
+    """The record says that little is proven clear, so that corners are as wide as that allows."""
+    little, farthest = 2e-4, []
+    for heeds in (False, True):
+        folder = changed(plans, here / str(heeds), cell={"self_collision": heeds})
+        with np.load(folder / TRAJECTORY) as file:
+            arrays = dict(file)
+        arrays["way_clearance"] = np.full_like(arrays["way_clearance"], little)
+        np.savez(folder / TRAJECTORY, **arrays)
+        made = program_of(open_plans(folder), 0.02, retract=False)
+        farthest.append(max(from_polyline(each.curve) for each in made.program.stretches))
+    assert 0.25 * little < farthest[0] <= 0.5 * little
+    assert 0.125 * little < farthest[1] <= 0.25 * little
+
+
+def from_polyline(curve) -> float:
+    """How far any body's end is from where it is on the straight joint paths between the knots [m]."""
+    u = curve.grid(9, 3)
+    straight = np.stack([np.interp(u, curve.u, joint) for joint in curve.x.T], axis=1)
+    rounded, straight = (capsules_and_tcp(gp50(), jnp.asarray(x)) for x in (curve.at(u).x, straight))
+    ends = [(rounded.p, straight.p), (rounded.q, straight.q)]
+    return max(float(np.linalg.norm(np.asarray(a) - np.asarray(b), axis=2).max()) for a, b in ends)
 
 
 def test_check_looks_at_all_of_it_by_mujoco_and_says_what_it_found(plans, here, capsys):

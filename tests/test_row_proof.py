@@ -19,11 +19,13 @@ from htcp_jax.scene.scenario import make_scenario
 from htcp_jax.scene.task import Task
 from htcp_jax.scene.task_list import TaskRow
 from htcp_jax.scene.workpiece import Workpiece
+from htcp_jax.settings import Settings
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.task_check import Place, hold_between
 
 WAYS, PLACES, INTERVALS = 32, 1000, 128
 TOLERANCE_M, TOLERANCE_RAD = 1e-3, 2e-3
+SETTINGS = Settings(tolerance_m=TOLERANCE_M, tolerance_rad=TOLERANCE_RAD)
 NOWHERE = jnp.zeros(3)
 
 
@@ -121,7 +123,7 @@ def by_mujoco(way: int, share: np.ndarray) -> np.ndarray:
     points = [np.full(len(share), t) for t in (way, way + 1)]
     places = [Place(np.eye(3), np.zeros(3), part, point) for point in points]
     x = a + share[:, None] * (b - a)
-    return hold_between(rows(), arm(), x, *places, TOLERANCE_M, TOLERANCE_RAD)
+    return hold_between(rows(), arm(), x, *places, SETTINGS)
 
 
 def test_a_row_that_is_proven_to_hold_does_so_at_a_thousand_places_and_one_that_is_broken_does_not():

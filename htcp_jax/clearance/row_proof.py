@@ -10,6 +10,9 @@ What a row asks for on the way lies between what it asks for at the target befor
 w is the band and the tolerance of lengths more; the limit is the half angle, half way at least half the turn from 0 to
 1, and the tolerance of angles more.
 
+What is left of a row is by how much the point [m] or the vectors, as a chord, may yet be elsewhere: no more is asked of
+a motion that stays that close to the joint path, see `program.rows_left`.
+
 Where |g''| <= B within h of the middle m, g is within B h^2 / 2 of g(m) + (s - m) g'(m), the ends of which bound every
 convex function of it. Angles are compared as chords, which are lengths of vectors: |a - d| = 2 sin(angle / 2), and of
 rotation matrices sqrt(2) times that. Where the hinges turn by S in all per unit of s, |a''| <= S^2; of the direction
@@ -60,6 +63,14 @@ class Look(NamedTuple):
 Between = Slabs | Chords | Look | None
 
 
+class Left(NamedTuple):
+    """Of a part, or of each of P: on an interval of a joint path."""
+
+    left: Float[Array, "*P"]  # what its features' vectors may be off the path, and it holds; negative: it may be broken
+    broken: Bool[Array, "*P"]  # whether it is at the middle
+    apart: Float[Array, "*P"]  # how far the place that an axis looks at is, at least [m]; inf: it looks at none
+
+
 def between(task: Task, goals: Float[Array, "2 G"]) -> tuple[Between, ...]:
     """What every part of a task asks for between two targets of these goals; None of a TCP that is held at a place."""
     return tuple(
@@ -68,13 +79,26 @@ def between(task: Task, goals: Float[Array, "2 G"]) -> tuple[Between, ...]:
     )
 
 
+def heeded(parts: tuple[Row, ...]) -> tuple[Row, ...]:
+    """Those of a task's parts that `rows_left` speaks of."""
+    return tuple(part for part in parts if part != HELD_ELSEWHERE)
+
+
+def rows_left(
+    robot: Robot, parts: tuple[Row, ...], asked: tuple[Between, ...], x: Joints, rates: Joints, half: Scalar
+) -> Left:
+    """What is left of each of `heeded` parts on the joint path x + s `rates` [rad or m] with |s| <= half."""
+    given = [(part, own) for part, own in zip(parts, asked, strict=True) if own is not None]
+    found = [_LEFT[type(own)](robot, part.features, own, x, rates, half) for part, own in given]
+    return Left(*(jnp.stack(each) for each in zip(*found, strict=True)))
+
+
 def rows_hold(
     robot: Robot, parts: tuple[Row, ...], asked: tuple[Between, ...], x: Joints, rates: Joints, half: Scalar
 ) -> tuple[Bool[Array, "P"], Bool[Array, "P"]]:
-    """Which parts surely hold on the joint path x + s `rates` [rad or m] with |s| <= half; which are broken at x."""
-    given = [(part, own) for part, own in zip(parts, asked, strict=True) if own is not None]
-    found = [_HOLD[type(own)](robot, part.features, own, x, rates, half) for part, own in given]
-    return tuple(jnp.stack(each) for each in zip(*found, strict=True))
+    """Which parts surely hold on such a joint path; which are broken at x."""
+    found = rows_left(robot, parts, asked, x, rates, half)
+    return found.left >= 0, found.broken
 
 
 # What is asked
@@ -125,30 +149,35 @@ def _chord(half_angle: Float[Array, "*n"]) -> Float[Array, "*n"]:
     return jnp.where(half_angle < np.pi, 2 * jnp.sin(0.5 * half_angle), jnp.inf)
 
 
-# Whether it holds
+# What is left of it
 
 
-def _in_slabs(robot: Robot, features: tuple[Feature], own: Slabs, x: Joints, rates: Joints, half: Scalar):
+def _in_slabs(robot: Robot, features: tuple[Feature], own: Slabs, x: Joints, rates: Joints, half: Scalar) -> Left:
     [feature] = features
     point, speed = _moving(robot, x, rates, feature)
     bend = _bend(robot, x, rates, half, feature, point)
     slack = half * jnp.abs(_along(own, speed)) + 0.5 * half * half * bend
     off, within = _along(own, point) - own.offset, own.within[:, None]
-    inside = jnp.any(off + slack + ROUNDING_M <= within, axis=0) & jnp.any(off - slack - ROUNDING_M >= -within, axis=0)
+    above, below = within - (off + slack + ROUNDING_M), (off - slack - ROUNDING_M) + within
+    left = jnp.minimum(jnp.max(above, axis=0), jnp.max(below, axis=0))
     broken = jnp.all(off > within, axis=0) | jnp.all(off < -within, axis=0)
-    return jnp.all(inside), jnp.any(broken)
+    return Left(jnp.min(left), jnp.any(broken), jnp.inf)
 
 
-def _in_chords(robot: Robot, features: tuple[Feature, ...], own: Chords, x: Joints, rates: Joints, half: Scalar):
+def _in_chords(
+    robot: Robot, features: tuple[Feature, ...], own: Chords, x: Joints, rates: Joints, half: Scalar
+) -> Left:
     moving = [_moving(robot, x, rates, feature) for feature in features]
     now, ahead = (jnp.concatenate(each) for each in zip(*moving, strict=True))
     bend = np.sqrt(len(features)) * _turning(robot, rates) ** 2
     off = now[None] - own.vectors
     most = _farthest(off, half * ahead) + 0.5 * half * half * bend + ROUNDING
-    return jnp.any(most <= own.radius), jnp.all(safe_norm(off) > own.radius)
+    return Left(jnp.max(own.radius - most), jnp.all(safe_norm(off) > own.radius), jnp.inf)
 
 
-def _in_look(robot: Robot, features: tuple[Feature, Feature], own: Look, x: Joints, rates: Joints, half: Scalar):
+def _in_look(
+    robot: Robot, features: tuple[Feature, Feature], own: Look, x: Joints, rates: Joints, half: Scalar
+) -> Left:
     axis, eye = features
 
     def off(x):
@@ -163,11 +192,12 @@ def _in_look(robot: Robot, features: tuple[Feature, Feature], own: Look, x: Join
     apart = jnp.maximum(nearest, 1e-12)
     bend = _turning(robot, rates) ** 2 + bend / apart + 2 / np.sqrt(3) * (fastest / apart) ** 2
     most = _farthest(here[None], half * rate)[0] + 0.5 * half * half * bend + ROUNDING
-    inside = (nearest > 0) & (most <= own.radius)
-    return inside | ~jnp.isfinite(own.radius), safe_norm(here) > own.radius
+    left = jnp.where(nearest > 0, own.radius - most, -1.0)
+    left = jnp.where(jnp.isfinite(own.radius), left, jnp.inf)
+    return Left(left, safe_norm(here) > own.radius, nearest)
 
 
-_HOLD = {Slabs: _in_slabs, Chords: _in_chords, Look: _in_look}
+_LEFT = {Slabs: _in_slabs, Chords: _in_chords, Look: _in_look}
 
 
 def _moving(robot: Robot, x: Joints, rates: Joints, feature: Feature) -> tuple[Vector3, Vector3]:

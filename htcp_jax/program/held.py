@@ -1,44 +1,28 @@
-"""What the rows of a task leave beside the legs of a motion, where they ask for more than the TCP on the path.
+"""What the task of a plan's job leaves beside the legs of its motion, where it asks for more than the TCP's place."""
 
-Where a corner is rounded, every point of the arm moves by at most a length m, and every direction turns by at most an
-angle w. Angles count as lengths, by their tolerances, as in `scene.task`: a row's error changes by m + w c at most. At
-targets equalities and bands hold to within the tolerance; between targets the proof has bands and cones widened by it.
-"""
-
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.planner.motion import Motion
+from htcp_jax.program.rows_left import rows_beside
 from htcp_jax.program.stretches import Spare
 from htcp_jax.scene.robot import Robot
-from htcp_jax.scene.task import Task
 from htcp_jax.status import Kind
 
 
 def with_rows(left: Spare, job: PlanConfig, robot: Robot, motion: Motion) -> Spare:
-    """What is left, with that of the job's task beside each leg; infinite before the path and on the way back.
+    """What is left, with that of the job's task beside each leg; all there is before the path and on the way back.
+    Where the task does not hold the TCP at a place, the TCP has no tube.
 
     robot: with the job's tool. Raises InputError for a scene that cannot be read.
     """
     if not job.task:
         return left
     task = task_of_job(job, robot)
-    on = np.isin(motion.kind, (Kind.FEED, Kind.DWELL))
-    goals = scene(job)[2].aims[motion.target]
-    rest, room = (np.where(on, part, np.inf) for part in _left(task, robot, motion.x, goals))
-    rows, cones = (np.minimum(part[:-1], part[1:]) for part in (rest, np.maximum(room + task.tolerance_m, 0.0)))
-    tube = left.tube if task.holds_tcp else np.full_like(left.tube, np.inf)
-    return left._replace(tube=tube, rows=rows, cones=cones, length_per_rad=task.tolerance_m / task.tolerance_rad)
-
-
-def _left(task: Task, robot: Robot, x: np.ndarray, goals: np.ndarray) -> tuple[jax.Array, jax.Array]:
-    """What is left of the tolerance of the equalities, and the least room in bands and cones [m]."""
-
-    def at(x, goal):
-        value = task.value(robot, x)
-        return task.tolerance_m - jnp.linalg.norm(task.error(value, goal)), task.room(value, goal)
-
-    return jax.vmap(at)(jnp.asarray(x), jnp.asarray(goals))
+    target, kind = motion.target[1:], motion.kind[1:]
+    before = np.where(kind == Kind.DWELL, target, np.maximum(target - 1, 0))
+    aims = scene(job)[2].aims
+    on = np.isin(kind, (Kind.FEED, Kind.DWELL))
+    rows = rows_beside(task, robot, motion.x, np.stack([aims[before], aims[target]], axis=1), on)
+    return left._replace(tube=left.tube if task.holds_tcp else np.full_like(left.tube, np.inf), rows=rows)

@@ -6,9 +6,11 @@ derivative by joint i no larger than l_max(i, j), 0 for two slides. So the point
 
     sum_j l_j n_j    and    |J(x) n| + sum_ij l_max(i, j) (w_i + n_i / 2) n_j.
 
-The second one sees that joints undo each other's motion, as they do at a tool that keeps to its path.
+The second one sees that joints undo each other's motion, as they do at a tool that keeps to its path. Both hold for a
+direction that is fixed to a link, too: hinges move its end as a point's, r_j = |z_j x direction|, and slides leave it.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -19,27 +21,53 @@ from jaxtyping import Bool, Float
 
 from htcp_jax.scene.kinematics import capsule_segments, jacobian, joint_levers, point_jacobians, tcp_position
 from htcp_jax.scene.robot import Robot
+from htcp_jax.scene.task import feature_at
+from htcp_jax.scene.task_rows import Feature
 
 ROWS = 256  # postures are padded to this times a power of two, so that few programs are compiled
 
 
 class Arm(NamedTuple):
-    """An arm at k postures: both ends of each of its K bodies and, last, the TCP; P = 2 K + 1 points."""
+    """An arm at k postures: both ends of each of its K bodies, the TCP and F features of a task, which may be
+    directions; P = 2 K + 1 + F points."""
 
     levers: Float[np.ndarray, "k P N"]  # to each joint's axis; 0 of a joint that does not move the point [m]
     jacobian: Float[np.ndarray, "k P 3 N"]
     tcp: Float[np.ndarray, "k 3"]  # world [m]
     hinge: Bool[np.ndarray, "N"]
+    features: int = 0  # F
+
+    def only(self, which: np.ndarray | slice) -> "Arm":
+        """At some of the postures."""
+        return self._replace(levers=self.levers[which], jacobian=self.jacobian[which], tcp=self.tcp[which])
+
+    def moved(self, bounds: Float[np.ndarray, "*S P"]) -> "Moved":
+        """What bounds of the points say of bodies, TCP and features."""
+        tcp = self.levers.shape[-2] - 1 - self.features
+        return Moved(bounds[..., :tcp].max(axis=-1), bounds[..., tcp], bounds[..., tcp + 1 :])
 
 
-def arm_at(robot: Robot, x: Float[np.ndarray, "k N"]) -> Arm:
+class Moved(NamedTuple):
+    """How far at most."""
+
+    bodies: Float[np.ndarray, "*S"]  # any point of any body [m]
+    tcp: Float[np.ndarray, "*S"]  # [m]
+    features: Float[np.ndarray, "*S F"]  # points [m]; directions, as a chord
+
+
+def arm_at(robot: Robot, x: Float[np.ndarray, "k N"], features: tuple[Feature, ...] = ()) -> Arm:
     """The arm at postures [rad or m]."""
-    return Arm(*_padded(_points, robot, x), ~np.array(robot.slides))
+    levers, slopes, tcp = padded(_points, robot, x)
+    if features:
+        more = padded(partial(_features, features), robot, x)[0]
+        levers = np.concatenate([levers, np.linalg.norm(more, axis=2)], axis=1)
+        slopes = np.concatenate([slopes, more], axis=1)
+    return Arm(levers, slopes, tcp, ~np.array(robot.slides), len(features))
 
 
 def tcp_at(robot: Robot, x: Float[np.ndarray, "k N"]) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3 N"]]:
     """The TCP at postures, world [m], and its Jacobian."""
-    return _padded(_tcp, robot, x)
+    return padded(_tcp, robot, x)
 
 
 def nudge_bound(
@@ -77,11 +105,12 @@ def _second(arm: Arm, lever: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.nda
     return (lever * pairs[..., None, :]).sum(-1)
 
 
-def _padded(function, robot: Robot, x: np.ndarray) -> tuple[np.ndarray, ...]:
-    """A function of many postures, a few sizes of which are compiled."""
-    short = ROWS * 2 ** max(0, int(np.ceil(np.log2(len(x) / ROWS)))) - len(x)
-    found = function(robot, np.concatenate([x, np.repeat(x[-1:], short, axis=0)]))
-    return tuple(np.asarray(part)[: len(x)] for part in found)
+def padded(function: Callable, robot: Robot, *tables: Float[np.ndarray, "k ..."]) -> tuple[np.ndarray, ...]:
+    """A function of many postures, row by row of tables; a few sizes of it are compiled."""
+    rows = len(tables[0])
+    short = ROWS * 2 ** max(0, int(np.ceil(np.log2(rows / ROWS)))) - rows
+    filled = (np.concatenate([table, np.repeat(table[-1:], short, axis=0)]) for table in tables)
+    return tuple(np.asarray(part)[:rows] for part in function(robot, *filled))
 
 
 @jax.jit
@@ -100,3 +129,9 @@ def _points(robot: Robot, x):
 @partial(jax.vmap, in_axes=(None, 0))
 def _tcp(robot: Robot, x):
     return tcp_position(robot, x), jacobian(robot, x)
+
+
+@partial(jax.jit, static_argnums=0)
+@partial(jax.vmap, in_axes=(None, None, 0))
+def _features(features: tuple[Feature, ...], robot: Robot, x):
+    return (jnp.stack([jax.jacfwd(partial(feature_at, robot, feature=feature))(x) for feature in features]),)

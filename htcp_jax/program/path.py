@@ -16,6 +16,7 @@ from htcp_jax.program.stretches import Stretch
 from htcp_jax.scene.robot import Robot
 
 FINE, HALVINGS = 13, 8  # places on a corner, and halvings between two corners
+CLOSE = 0.01  # of the step between places on a corner: what is closer is one place, or rounding is all that splines see
 
 
 class Path(NamedTuple):
@@ -49,8 +50,16 @@ def path_of(robot: Robot, stretch: Stretch) -> Path:
     ends = curve.u[:, None] + np.array([-1, 1]) * curve.reach[:, None]
     if not stretch.feeds:
         return Path(curve, u, ends, None)
+    u = _apart(curve, u)
     here = curve.at(u)
     rate = np.linalg.norm(np.einsum("nij,nj->ni", tcp_at(robot, here.x)[1], here.first), axis=1)
     length = CubicSpline(u, rate).antiderivative()
     place = length(u)
     return Path(curve, place, length(ends), CubicSpline(place, u))
+
+
+def _apart(curve: Curve, u: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k"]:
+    """Places without those that are next to nothing from the one before, as where two corners all but touch."""
+    leg = curve.leg(u)
+    corner = leg + (2 * (u - curve.u[leg]) > np.diff(curve.u)[leg])
+    return u[np.diff(u, prepend=-np.inf) > CLOSE * 2 / (FINE - 1) * curve.reach[corner]]

@@ -114,14 +114,19 @@ def _dips(law: Law, before: float, feed: float, names: tuple[str, ...]) -> list[
     slow, found = np.flatnonzero(speed < HELD * feed), []
     limit = law.limit_at(place)
     for part in _runs(slow, np.diff(slow) > 1):
-        stops = speed[part].min() <= STANDS * feed
-        for piece in _runs(part, np.diff(limit[part] >= 0)) if stops else [part]:
-            least = piece[speed[piece].argmin()]
+        ramps = [run for run in _runs(part, np.diff(limit[part] >= 0)) if _is_ramp(limit[run], speed[run] / feed)]
+        stands = np.isin(part, np.concatenate([part[:0], *ramps]))
+        for piece in _runs(part, np.diff(stands)):
             known = piece[limit[piece] >= 0]
             reason = _named(int(limit[known[speed[known].argmin()]]), names) if len(known) else "stop"
-            ends = before + place[piece[[0, -1]]]
-            found.append(Dip(float(ends[0]), float(ends[1]), float(speed[least]), reason))
+            ends, least = before + place[piece[[0, -1]]], speed[piece].min()
+            found.append(Dip(float(ends[0]), float(ends[1]), float(least), reason))
     return found
+
+
+def _is_ramp(limit: np.ndarray, share: np.ndarray) -> bool:
+    """Whether a run from or to a stop has no other reason."""
+    return bool(limit[0] < 0 and share.min() <= STANDS)
 
 
 def _runs(which: np.ndarray, breaks: np.ndarray) -> list[np.ndarray]:

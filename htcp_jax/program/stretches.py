@@ -14,7 +14,8 @@ from htcp_jax.planner.motion import ONE_POINT_M, Motion
 from htcp_jax.planner.plans import Plans
 from htcp_jax.program.curve import FARTHEST, Curve
 from htcp_jax.program.limits import Limits
-from htcp_jax.program.nudge import Arm, arm_at, bend_bound, nudge_bound, tcp_at
+from htcp_jax.program.nudge import Arm, Moved, arm_at, bend_bound, nudge_bound, tcp_at
+from htcp_jax.program.rows_left import RowsLeft
 from htcp_jax.scene.robot import Robot
 from htcp_jax.status import Kind
 
@@ -31,16 +32,11 @@ class Spare(NamedTuple):
 
     clearance: Float[np.ndarray, "m"]  # proven of the straight joint path [m]
     tube: Float[np.ndarray, "m"]  # how far the TCP may be from the line between the postures' TCPs [m]; inf: anywhere
-    # Of a task that asks for more, see `held`: by how much errors of rows may grow, and the room in bands and cones
-    # shrink near by [m], and the length that an angle counts as [m/rad]; 0 where there is none.
-    rows: Float[np.ndarray, "m"] | float = np.inf
-    cones: Float[np.ndarray, "m"] | float = np.inf
-    length_per_rad: float = 0.0
+    rows: RowsLeft | None = None  # of a task that asks for more than the TCP at a place
 
     def only(self, which: Int[np.ndarray, "k"]) -> "Spare":
         """Beside some of the legs."""
-        parts = (np.broadcast_to(part, self.clearance.shape)[which] for part in self[:4])
-        return Spare(*parts, self.length_per_rad)
+        return Spare(self.clearance[which], self.tube[which], self.rows and self.rows.only(which))
 
 
 class Stretch(NamedTuple):
@@ -105,7 +101,8 @@ def _moving(robot: Robot, motion: Motion, left: Spare) -> _Way:
     kept = np.flatnonzero(np.append(True, np.any(np.diff(motion.x, axis=0) != 0, axis=1)))
     row = kept[1:]
     group = np.maximum(motion.kind[row], Kind.APPROACH).astype(int)
-    return _Way(motion.x[kept], row, group, left.only(row - 1), arm_at(robot, motion.x[kept]))
+    features = left.rows.features if left.rows else ()
+    return _Way(motion.x[kept], row, group, left.only(row - 1), arm_at(robot, motion.x[kept], features))
 
 
 def _merged(way: _Way, limits: Limits) -> _Way:
@@ -119,29 +116,32 @@ def _merged(way: _Way, limits: Limits) -> _Way:
     for k in goes[::-1]:
         to[k] = to[k + 1]
     before, nudge = goes - 1, way.x[to[goes]] - way.x[goes]
-    arm = way.arm._replace(levers=way.arm.levers[goes], jacobian=way.arm.jacobian[goes])
-    moved = nudge_bound(arm, np.abs(way.x[goes] - way.x[before]), nudge)
+    arm = way.arm.only(goes)
+    moved = arm.moved(nudge_bound(arm, np.abs(way.x[goes] - way.x[before]), nudge))
     off = np.linalg.norm(way.arm.tcp[to[goes]] - way.arm.tcp[goes], axis=1)
-    changed = _changed(arm, way.left, moved, nudge)
-    taken = moved[:, :-1].max(axis=1), moved[:, -1] + off, changed, changed
-    left, fits = way.left, np.ones(len(goes), bool)
-    for name, by in zip(Spare._fields[:4], taken, strict=True):
-        rest = getattr(left, name).copy()
-        rest[before] -= by
-        fits &= rest[before] >= SHARE * getattr(left, name)[before]
-        left = left._replace(**{name: rest})
+    left, fits = _less(way.left, before, moved._replace(tcp=moved.tcp + off))
     gone = np.zeros(len(way.x), bool)
     for k, fit in zip(goes[::-1], fits[::-1], strict=True):
         gone[k] = fit and (gone[k + 1] or to[k] == k + 1)  # all up to the one that stands for it
     kept = np.flatnonzero(~gone)
-    last, first = kept[1:] - 1, kept[:-1]  # of the legs that become one
-    arm = way.arm._replace(levers=way.arm.levers[kept], jacobian=way.arm.jacobian[kept], tcp=way.arm.tcp[kept])
-    return _Way(way.x[kept], way.row[last], way.group[last], left.only(first), arm)
+    last, first = kept[1:] - 1, kept[:-1]  # of the legs that become one; on the path it is beside the first one's line
+    row = np.where(way.group[first] == Kind.FEED, way.row[first], way.row[last])
+    return _Way(way.x[kept], row, way.group[last], left.only(first), way.arm.only(kept))
 
 
-def _changed(arm: Arm, left: Spare, moved: np.ndarray, turned: np.ndarray) -> Float[np.ndarray, "*S k"]:
-    """How much the rows of a task change at most where points move and joints turn by so much [m]."""
-    return moved.max(axis=-1) + left.length_per_rad * (np.abs(turned) * arm.hinge).sum(axis=-1)
+def _less(left: Spare, legs: Int[np.ndarray, "k"], by: Moved) -> tuple[Spare, Bool[np.ndarray, "k"]]:
+    """What is left when some legs are nudged, and at which of them enough is."""
+    whole = left.only(legs)
+    rest = Spare(whole.clearance - by.bodies, whole.tube - by.tcp)
+    fits = (rest.clearance >= SHARE * whole.clearance) & (rest.tube >= SHARE * whole.tube)
+    clearance, tube, rows = left.clearance.copy(), left.tube.copy(), left.rows
+    clearance[legs], tube[legs] = rest.clearance, rest.tube
+    if rows:
+        own = whole.rows.left - whole.rows.taken(by.features)
+        fits &= (own >= SHARE * whole.rows.left).all(axis=1)
+        rows = rows._replace(left=rows.left.copy())
+        rows.left[legs] = own
+    return Spare(clearance, tube, rows), fits
 
 
 def _duration(x: np.ndarray, limits: Limits) -> Float[np.ndarray, "m"]:
@@ -174,13 +174,12 @@ def _reach(robot: Robot, way: _Way, curve: Curve, wanted: np.ndarray) -> Float[n
     slopes = np.abs(curve.slopes)
     beside = np.maximum(np.append(slopes[:1], slopes, axis=0), np.append(slopes, slopes[-1:], axis=0))
     around, nudge = tries[..., None] * beside, FARTHEST * tries[..., None] * curve.turns
-    moved = nudge_bound(arm, around, nudge)
-    bodies, tcp = moved[..., :-1].max(axis=-1), moved[..., -1]
+    moved = arm.moved(nudge_bound(arm, around, nudge))
     tube = left.tube - _sag(robot, arm, curve, np.isfinite(left.tube))
-    fits = (bodies <= SHARE * _beside(left.clearance)) & (tcp <= SHARE * _beside(tube))
-    if left.length_per_rad:
-        fits &= _changed(arm, left, moved, nudge) <= SHARE * _beside(left.rows)
-        fits &= left.length_per_rad * ((around + np.abs(nudge)) * arm.hinge).sum(axis=-1) <= _beside(left.cones)
+    fits = (moved.bodies <= SHARE * _beside(left.clearance)) & (moved.tcp <= SHARE * _beside(tube))
+    if left.rows:
+        rows = left.rows.beside()
+        fits &= (rows.taken(moved.features) <= SHARE * rows.left).all(axis=-1)
     fits[-1] = True
     return tries[np.argmax(fits, axis=0), np.arange(len(wanted))]
 
@@ -204,7 +203,7 @@ def _sag(robot: Robot, arm: Arm, curve: Curve, which: np.ndarray) -> Float[np.nd
     along = (b - a) / np.maximum(np.linalg.norm(b - a, axis=-1, keepdims=True), 1e-300)
     away = tcp - a
     away = np.linalg.norm(away - (away * along).sum(-1, keepdims=True) * along, axis=-1).max(axis=1)
-    here = arm._replace(levers=arm.levers[legs, -1:], jacobian=arm.jacobian[legs, -1:])
-    bend = bend_bound(here, np.abs(step), step)[:, 0]
+    here = arm.only(legs)
+    bend = here.moved(bend_bound(here, np.abs(step), step)).tcp
     found[legs] = away + bend / (8 * PIECES**2)
     return found

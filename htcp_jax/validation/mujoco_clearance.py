@@ -128,7 +128,7 @@ class CheckedScene:
         postures = self.arm.postures(x)
         pieces = _whole_axes(self.arm, len(x))
         samples = _centres(postures, pieces)
-        distance = self.wall.tree.query(self._local(samples), workers=-1)[0]
+        distance = self.wall.tree.query(self.local(samples), workers=-1)[0]
         upper = _least(np.full(len(x), np.inf), pieces, distance - self.arm.radius[pieces.capsule])
         kept = pieces.only(self._may_hold(pieces, distance, upper))
         clearance = np.minimum(self._measured(x, postures, kept, upper), self.beside(x, postures))
@@ -162,7 +162,7 @@ class CheckedScene:
 
     def tip_goes_through(self, postures: Postures, contact_m: float) -> Bool[np.ndarray, "n"]:
         """Whether the stretch from the last body to the TCP, but for its last `contact_m`, goes through a triangle."""
-        first, tcp = self._local(self.arm.tip_start(postures)), self._local(postures.tcp)
+        first, tcp = self.local(self.arm.tip_start(postures)), self.local(postures.tcp)
         length = np.linalg.norm(tcp - first, axis=1)
         last = tcp + (first - tcp) * np.minimum(1.0, contact_m / np.maximum(length, contact_m + 1e-12))[:, None]
         reach = np.linalg.norm(last - first, axis=1) / 2 + self.wall.grain + ROOM_M
@@ -178,7 +178,7 @@ class CheckedScene:
         row, capsule, point = self._candidates(postures, pieces, upper)
         clearance = np.full(len(x), np.inf)
         if self.wall.triangles is not None:
-            axis = (self._local(ends[row, capsule]) for ends in (postures.p, postures.q))
+            axis = (self.local(ends[row, capsule]) for ends in (postures.p, postures.q))
             found = axis_distances(*axis, self.wall.triangles[point]) - self.arm.radius[capsule]
             np.minimum.at(clearance, row, found)
             return clearance
@@ -196,7 +196,7 @@ class CheckedScene:
             return np.empty((3, 0), int)
         while len(pieces.row):
             reach = self._reach(pieces, upper)
-            centres = self._local(_centres(postures, pieces))
+            centres = self.local(_centres(postures, pieces))
             distance = self.wall.tree.query(centres, distance_upper_bound=reach.max() + ROOM_M)[0]
             upper = _least(upper, pieces, distance - radius[pieces.capsule])
             kept = self._may_hold(pieces, distance, upper)
@@ -224,10 +224,11 @@ class CheckedScene:
 
     def _outside(self, ends: np.ndarray, asked: np.ndarray) -> np.ndarray:
         found = np.full(asked.shape, np.nan)
-        found[asked] = self.wall.outside(self._local(ends[asked]))
+        found[asked] = self.wall.outside(self.local(ends[asked]))
         return found
 
-    def _local(self, points: np.ndarray) -> np.ndarray:
+    def local(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+        """World points in the workpiece's frame [m]."""
         return (points - self.translate) @ self.rotate
 
 

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from htcp_jax.scene.task_list import TaskRow
 from htcp_jax.scene.workpiece import Workpiece
+from htcp_jax.settings import Settings
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.result import ROUNDING_M
 
@@ -77,19 +78,22 @@ def hold_between(
     x: Float[np.ndarray, "n N"],
     before: Place,
     here: Place,
-    tolerance_m: float,
-    tolerance_rad: float,
+    settings: Settings,
 ) -> Bool[np.ndarray, "R n"]:
     """Whether every row holds at configurations x on the way from one point of the path to the next: what is asked for
-    there is between what is asked for at both. A TCP that is held at a place counts as held; `track` looks at it."""
+    there is between what is asked for at both. A TCP that is held on the path counts as held; `from_line` looks at it.
+    One that is held at another place may be as far off as on a path."""
     good = np.ones((len(rows), len(x)), bool)
     for own, row in zip(good, rows, strict=True):
-        if row.point is not None and not _is_tcp_at_place(row):
-            point, most = _point(row, arm, x), (row.within_m or 0.0) + tolerance_m + ROUNDING_M
+        if row.point is None:
+            own[:] = _turned_between(row, arm, x, (before, here), settings.tolerance_rad + ROUNDING_M)
+        elif not _is_tcp_at_place(row):
+            point, most = _point(row, arm, x), (row.within_m or 0.0) + settings.tolerance_m + ROUNDING_M
             off = [_off_place(row, point, place) for place in (before, here)]
             own[:] = ((np.minimum(*off) <= most) & (np.maximum(*off) >= -most)).all(axis=1)
-        elif row.point is None:
-            own[:] = _turned_between(row, arm, x, (before, here), tolerance_rad + ROUNDING_M)
+        elif row.on != "path":
+            off = _off_place(row, _point(row, arm, x), here)
+            own[:] = np.linalg.norm(off, axis=1) <= settings.tube_m + ROUNDING_M
     return good
 
 

@@ -1,17 +1,22 @@
-"""A motion with time, looked at by MuJoCo alone: is every posture of it clear, and the tool on its path?
+"""A motion with time, looked at by MuJoCo alone: is every posture of it clear, and does the task hold on its path?
 
 Nothing is asked of the curve, its bounds or its law: postures as they are written are put where MuJoCo's kinematics has
-them, and measured to the plan's scene, as `htcp validate` does.
+them, and measured to the plan's scene and to the rows of its task, as `htcp validate` does. Of a cloud the wall that
+the bare tip must not pass through is the discs that the planner has for it; a mesh's triangles are read again.
 """
 
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
+from htcp_jax.clearance.tip_guard import make_tip_guard
+from htcp_jax.planner.motion import ONE_POINT_M
 from htcp_jax.program.timed import Timed
+from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.status import Kind
+from htcp_jax.validation.mujoco_arm import Postures
 from htcp_jax.validation.mujoco_clearance import CheckedScene
 from htcp_jax.validation.records import read_results
 from htcp_jax.validation.result import ROUNDING_M
@@ -25,8 +30,10 @@ AT_ONCE = 256  # postures; what is near them all is in memory
 class TimedCheck(NamedTuple):
     """What was found at n postures."""
 
-    touches: Bool[np.ndarray, "n"]
-    leaves: Bool[np.ndarray, "n"]  # the TCP is further from its path than the tolerance, or an axis out of its cone
+    touches: Bool[np.ndarray, "n"]  # a body, or the bare tip passes through a wall
+    leaves: Bool[np.ndarray, "n"]  # the TCP is further from its path than the tolerance
+    turns_back: Bool[np.ndarray, "n"]  # it has moved against its path since the posture before
+    breaks: Bool[np.ndarray, "n"]  # a row of the task does not hold, but for the TCP's place
     beyond: Bool[np.ndarray, "n"]  # a joint is outside its limits
     clearance_min_m: float
     off_max_m: float  # of the TCP, from the lines between the targets; 0 where the task does not hold it
@@ -34,7 +41,17 @@ class TimedCheck(NamedTuple):
     @property
     def refuted(self) -> int:
         """How many of the postures do not stand."""
-        return int((self.touches | self.leaves | self.beyond).sum())
+        return int(np.any(self[:5], axis=0).sum())
+
+
+class _Held(NamedTuple):
+    """The postures at which the task holds, by their rows, and the targets before and after each."""
+
+    rows: Int[np.ndarray, "m"]
+    x: Float[np.ndarray, "m N"]
+    tcp: Float[np.ndarray, "m 3"]
+    before: Int[np.ndarray, "m"]
+    to: Int[np.ndarray, "m"]
 
 
 def check_timed(folder: str | Path, timed: Timed, method: str, scenario: int = 0) -> TimedCheck:
@@ -43,27 +60,57 @@ def check_timed(folder: str | Path, timed: Timed, method: str, scenario: int = 0
     track = next(one for one in results.tracks if (one.method, one.scenario) == (method, scenario))
     arm, wall, beside = parts_of(results, track)
     scene, targets, on_path = scene_of(results, arm, wall, beside, track)
-    clearance, tcp = _at(scene, timed.x)
-    settings = track.config.settings
-    leaves, off = np.zeros(len(timed.x), bool), np.zeros(len(timed.x))
-    held = np.flatnonzero(np.isin(timed.kind, (Kind.FEED, Kind.DWELL)))
-    if len(held):
-        to = timed.target[held]
-        before = np.where(timed.kind[held] == Kind.DWELL, to, to - 1)
-        if holds_tcp(track.config.task):
-            off[held] = from_line(tcp[held], targets[before], targets[to])
-            leaves[held] = off[held] > settings.tube_m + ROUNDING_M
-        if track.config.task:
-            part = results.workpiece(track.config)
-            ends = [Place(scene.rotate, scene.translate, part, end - on_path) for end in (before, to)]
-            cones = [row for row in track.config.task if row.axis is not None and row.limit_deg is not None]
-            inside = hold_between(cones, arm, timed.x[held], *ends, settings.tolerance_m, settings.tolerance_rad)
-            leaves[held] |= ~inside.all(axis=0)
+    part, settings, task = results.workpiece(track.config), track.config.settings, track.config.task
+    clearance, tcp, through = _at(scene, timed.x, part)
+    off, (turns_back, breaks) = np.zeros(len(timed.x)), np.zeros((2, len(timed.x)), bool)
+    held = _held(timed, tcp)
+    if holds_tcp(task):
+        off[held.rows] = from_line(held.tcp, targets[held.before], targets[held.to])
+        turns_back[held.rows] = _turns_back(held, targets)
+    if task:
+        ends = [Place(scene.rotate, scene.translate, part, end - on_path) for end in (held.before, held.to)]
+        inside = hold_between(task, arm, held.x, *ends, settings)
+        breaks[held.rows] = ~inside.all(axis=0)
     beyond = ((timed.x < arm.lower - ROUNDING_M) | (timed.x > arm.upper + ROUNDING_M)).any(axis=1)
-    return TimedCheck(clearance <= 0, leaves, beyond, float(clearance.min()), float(off.max()))
+    leaves = off > settings.tube_m + ROUNDING_M
+    touches = (clearance <= 0) | through
+    return TimedCheck(touches, leaves, turns_back, breaks, beyond, float(clearance.min()), float(off.max()))
 
 
-def _at(scene: CheckedScene, x: Float[np.ndarray, "n N"]) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
-    """Clearance and TCP at postures [m], some at a time."""
+def _held(timed: Timed, tcp: np.ndarray) -> _Held:
+    """Those on the path. During a dwell the arm stays at its target."""
+    rows = np.flatnonzero(np.isin(timed.kind, (Kind.FEED, Kind.DWELL)))
+    to = timed.target[rows]
+    before = np.where(timed.kind[rows] == Kind.DWELL, to, to - 1)
+    return _Held(rows, timed.x[rows], tcp[rows], before, to)
+
+
+def _turns_back(held: _Held, targets: Float[np.ndarray, "T 3"]) -> Bool[np.ndarray, "m"]:
+    """Whether the TCP moves against its line: against that of the posture before as against its own, for between two
+    postures it may pass a corner. It may move any way where its line is a point."""
+    line = targets[held.to] - targets[held.before]
+    length = np.linalg.norm(line, axis=1, keepdims=True)
+    forwards = line / np.maximum(length, ONE_POINT_M)
+    moved = np.diff(held.tcp, axis=0)
+    ahead = np.maximum(*((moved * part).sum(axis=1) for part in (forwards[:-1], forwards[1:])))
+    bound = (np.diff(held.rows) == 1) & (length[1:, 0] >= ONE_POINT_M) & (length[:-1, 0] >= ONE_POINT_M)
+    return np.append(False, bound & (ahead < -ROUNDING_M))[: len(held.rows)]
+
+
+def _at(scene: CheckedScene, x: Float[np.ndarray, "n N"], part: Workpiece) -> tuple[np.ndarray, ...]:
+    """Of postures, some at a time: the clearance [m], the TCP, and whether the bare tip passes through a wall."""
     found = [scene.at(x[first : first + AT_ONCE]) for first in range(0, len(x), AT_ONCE)]
-    return np.concatenate([one.clearance for one in found]), np.concatenate([one.postures.tcp for one in found])
+    through = [_through(scene, one.postures, part) for one in found]
+    return (
+        np.concatenate([one.clearance for one in found]),
+        np.concatenate([one.postures.tcp for one in found]),
+        np.concatenate(through),
+    )
+
+
+def _through(scene: CheckedScene, postures: Postures, part: Workpiece) -> Bool[np.ndarray, "n"]:
+    if part.tip_contact_m is None:
+        return np.zeros(len(postures.tcp), bool)
+    if scene.wall.triangles is not None:
+        return scene.tip_goes_through(postures, part.tip_contact_m)
+    return make_tip_guard(part).passes(scene.local(scene.arm.tip_start(postures)), scene.local(postures.tcp))

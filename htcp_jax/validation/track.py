@@ -165,8 +165,7 @@ def _refuted_between(
     x = paths.a[path] + np.tile(share, len(own))[:, None] * (paths.b[path] - paths.a[path])
     part = results.workpiece(track.config)
     places = [RowPlace(scene.rotate, scene.translate, part, paths.target[path] - on_path - k) for k in (1, 0)]
-    settings = track.config.settings
-    good = hold_between(task, arm, x, *places, settings.tolerance_m, settings.tolerance_rad)
+    good = hold_between(task, arm, x, *places, track.config.settings)
     found = []
     for target in np.unique(paths.target[path[~good.all(axis=0)]]).tolist():
         number = int(np.argmin(good[:, paths.target[path] == target].all(axis=1)))

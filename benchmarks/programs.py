@@ -1,0 +1,112 @@
+"""Programs of whole runs: on how many executable scenarios the feed is held, within which limits, and how soon.
+
+    htcp sweep sweeps/workpiece.yaml --methods roadmap --out out/workpiece
+    htcp sweep sweeps/robot.yaml --methods roadmap --out out/robot
+    python -m benchmarks programs out/workpiece out/robot [--feed 20mm/s] [--checked N]
+
+A row a run: of the scenarios whose motion leads to the last target how many hold the feed within 1 % over 99 % of the
+path; the largest share of any limit by finite differences of the CSV's postures at 1 ms; the median CPU time of a
+program, without reading the plan, and of writing its postures; and how many postures of the first N scenarios MuJoCo
+refutes, a millisecond apart.
+"""
+
+import argparse
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from benchmarks import hardware
+from htcp_jax.program.figures import Figures, figures
+from htcp_jax.program.held import with_rows
+from htcp_jax.program.of_plan import OfPlan, feed_of, program_of
+from htcp_jax.program.program import program
+from htcp_jax.program.stretches import Spare, spare
+from htcp_jax.runs.open import open_plans
+from htcp_jax.validation.timed_check import check_timed
+
+HELD, STEP_S = 0.99, 1e-3
+
+
+class Found(NamedTuple):
+    """Of one scenario."""
+
+    scenario: int
+    figures: Figures
+    largest: float  # share of any limit
+    made_ms: float
+    written_ms: float
+    refuted: int | None  # of its postures
+    postures: int
+
+
+def main() -> None:
+    """Print the table, and below it why the others do not hold the feed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folders", nargs="+", help="that htcp sweep or htcp plan wrote")
+    parser.add_argument("--feed", default="20mm/s")
+    parser.add_argument("--checked", type=int, default=1, help="how many scenarios MuJoCo looks at")
+    chosen = parser.parse_args()
+    print(hardware.line())
+    print("| run | executable | hold the feed | largest share of a limit | CPU ms | postures ms | refuted by MuJoCo |")
+    print("|---|---|---|---|---|---|---|")
+    for folder in chosen.folders:
+        found = list(of_run(folder, feed_of(chosen.feed), chosen.checked))
+        print(row(folder, found), flush=True)
+        for one in found:
+            if one.figures.held_share < HELD:
+                reasons = ", ".join(sorted({dip.reason for dip in one.figures.dips}))
+                print(f"    scenario {one.scenario}: {100 * one.figures.held_share:.2f} %: {reasons}")
+
+
+def of_run(folder: str, feed_m_s: float, checked: int) -> Iterator[Found]:
+    """Of every scenario of a run whose motion leads to its last target, by the run's first method."""
+    opened = open_plans(folder)
+    plans = opened.plans(opened.methods[0])
+    driven = [k for k in range(len(plans.status)) if plans.outcome(k).can_be_driven]
+    for count, scenario in enumerate(driven):
+        made = program_of(opened, feed_m_s, scenario=scenario)
+        left = spare(plans, scenario, made.program.motion, made.job.settings.tube_m)
+        left = with_rows(left, made.job, made.robot, made.program.motion)
+        _, made_ms = timed(lambda made=made, left=left: program(made.robot, *made_of(made, left)))
+        postures, written_ms = timed(lambda made=made: made.program.timed(STEP_S))
+        refuted = check_timed(folder, postures, made.method, scenario).refuted if count < checked else None
+        found = figures(made.program, made.limits)
+        yield Found(scenario, found, largest(postures.x, made), made_ms, written_ms, refuted, len(postures.x))
+
+
+def made_of(made: OfPlan, left: Spare) -> tuple:
+    """What `program` is given after the robot."""
+    return made.program.motion, left, made.limits, made.program.feed_m_s
+
+
+def timed(function: Callable) -> tuple[Any, float]:
+    """What a function returns, and its CPU time [ms]."""
+    begin = time.process_time()
+    found = function()
+    return found, 1e3 * (time.process_time() - begin)
+
+
+def largest(x: Float[np.ndarray, "n N"], made: OfPlan) -> float:
+    """The largest share of any limit, by finite differences."""
+    rates = (np.diff(x, n=n, axis=0) / STEP_S**n for n in (1, 2, 3))
+    return max(float((np.abs(rate) / limit).max()) for rate, limit in zip(rates, made.limits, strict=True))
+
+
+def row(folder: str, found: list[Found]) -> str:
+    """A row of the table."""
+    if not found:
+        return f"| {folder} | 0 | | | | | |"
+    held = sum(one.figures.held_share >= HELD for one in found)
+    most = max(one.largest for one in found)
+    made, written = (statistics.median(getattr(one, name) for one in found) for name in ("made_ms", "written_ms"))
+    looked = [one for one in found if one.refuted is not None]
+    refuted = f"{sum(one.refuted for one in looked)} of {sum(one.postures for one in looked):,}"
+    return f"| {folder} | {len(found)} | {held} | {most:.3f} | {made:.0f} | {written:.0f} | {refuted} |"
+
+
+if __name__ == "__main__":
+    main()
