@@ -78,3 +78,11 @@ class Curve(NamedTuple):
         corners = self.u[:, None] + np.linspace(-1, 1, on_corner) * self.reach[:, None]
         places = np.unique(np.concatenate([legs.ravel(), corners.ravel()]))
         return places[np.diff(places, prepend=-np.inf) > 1e-9 * self.u[-1]]
+
+
+class Stretch(NamedTuple):
+    """A curve from stop to stop, and of each of its legs the row of the motion that it leads to."""
+
+    curve: Curve  # over the TCP's way [m] where it feeds; else over the time at full speed [s]
+    row: Int[np.ndarray, "m"]
+    feeds: bool

@@ -10,9 +10,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
-from htcp_jax.program.curve import Curve, Derivatives
+from htcp_jax.program.curve import Curve, Derivatives, Stretch
 from htcp_jax.program.nudge import tcp_at
-from htcp_jax.program.stretches import Stretch
 from htcp_jax.scene.robot import Robot
 
 FINE, HALVINGS = 13, 8  # places on a corner, and halvings between two corners

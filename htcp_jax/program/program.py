@@ -13,9 +13,10 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.planner.motion import Motion
+from htcp_jax.program.curve import Stretch
 from htcp_jax.program.limits import KINDS, Limits
 from htcp_jax.program.path import path_of
-from htcp_jax.program.stretches import Spare, Stretch, stretches
+from htcp_jax.program.stretches import Spare, stretches
 from htcp_jax.program.time_law import Law, instants, law_of
 from htcp_jax.program.timed import Timed
 from htcp_jax.scene.robot import Robot

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from htcp_jax.planner.motion import ONE_POINT_M, Motion
 from htcp_jax.planner.plans import Plans
-from htcp_jax.program.curve import FARTHEST, Curve
+from htcp_jax.program.curve import FARTHEST, Curve, Stretch
 from htcp_jax.program.limits import Limits
 from htcp_jax.program.nudge import Arm, Moved, arm_at, bend_bound, nudge_bound, tcp_at
 from htcp_jax.program.rows_left import RowsLeft
@@ -37,14 +37,6 @@ class Spare(NamedTuple):
     def only(self, which: Int[np.ndarray, "k"]) -> "Spare":
         """Beside some of the legs."""
         return Spare(self.clearance[which], self.tube[which], self.rows and self.rows.only(which))
-
-
-class Stretch(NamedTuple):
-    """A curve from stop to stop, and of each of its legs the row of the motion that it leads to."""
-
-    curve: Curve  # over the TCP's way [m] where it feeds; else over the time at full speed [s]
-    row: Int[np.ndarray, "m"]
-    feeds: bool
 
 
 def spare(plans: Plans, scenario: int, motion: Motion, tube_m: float) -> Spare:
