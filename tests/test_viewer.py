@@ -277,7 +277,7 @@ def test_ctrl_c_before_the_page_is_up_ends_like_one_after_it(folder, capsys, mon
     def interrupt(_):
         raise KeyboardInterrupt
 
-    for place in ("htcp_jax.cli.view.open_replays", "htcp_jax.viewer.browser.Viewer.wait"):
+    for place in ("htcp_jax.cli.view.open_plans", "htcp_jax.viewer.browser.Viewer.wait"):
         with monkeypatch.context() as patch:
             patch.setattr(place, interrupt)
             assert main(["view", str(folder), "--port", "0"]) == 0

@@ -4,7 +4,7 @@ The arm's capsules are bodies that are put where the plan has them; the cloud, c
 is one mesh of small discs; the targets are beads in the colours of what became of them.
 """
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -27,8 +27,9 @@ from htcp_jax.viewer.colours import (
     rgb,
     target_styles,
 )
+from htcp_jax.viewer.movie import HELD, Film
 from htcp_jax.viewer.offscreen import Camera
-from htcp_jax.viewer.playback import Posture, at, way
+from htcp_jax.viewer.playback import Posture, at, together, way
 from htcp_jax.viewer.replay import Replay
 
 BEAD_M, FAILED_M, TIP_M = 0.008, 0.018, 0.007  # radii of the targets, the failed one, the tool's bare tip
@@ -67,17 +68,27 @@ class Studio:
     def __exit__(self, *_) -> None:
         self._camera.__exit__()
 
+    @property
+    def width(self) -> int:
+        """Of a frame [pixels]."""
+        return self._model.vis.global_.offwidth
+
     def still(self, target: int) -> UInt8[np.ndarray, "H W 3"]:
         """The arm at a target, all targets in their colours."""
-        return self._frame(at(self._replay, target), self._view(slice(target, target + 1)), len(self._beads))
+        posture = at(self._replay, target)
+        return self._frame(posture, self._view([posture]), len(self._beads))
 
-    def movie(self) -> Iterator[UInt8[np.ndarray, "H W 3"]]:
-        """The way along the targets up to the last that is tracked, through all postures that the arm passes; targets
-        take their colours as they are met, and the cube at a dwell is lit while the arm turns there."""
-        postures, view = way(self._replay), self._view(slice(None))
-        for posture in postures:
-            yield self._frame(posture, view, posture.target + 1)
-        yield self._frame(postures[-1], view, len(self._beads))
+    def movie(self) -> Film:
+        """The way along the targets up to the last that is tracked, through all postures that the arm passes."""
+        postures = way(self._replay)
+        return self.film([*postures, postures[-1]], HELD)
+
+    def film(self, postures: Sequence[Posture], held: int = 0) -> Film:
+        """A frame a posture; targets take their colours as they are met, in the last frame all, and the cube at a dwell
+        is lit while the arm turns there."""
+        met, view = np.maximum.accumulate([posture.target + 1 for posture in postures]), self._view(postures)
+        met[-1] = len(self._beads)
+        return Film(len(postures), lambda k: self._frame(postures[k], view, met[k]), held)
 
     def _frame(self, posture: Posture, view: mujoco.MjvCamera, met: int) -> UInt8[np.ndarray, "H W 3"]:
         ends = posture.arm.axes()
@@ -96,10 +107,12 @@ class Studio:
         mujoco.mj_camlight(self._model, self._data)
         return self._camera.shoot(self._data, view)
 
-    def _view(self, targets: slice) -> mujoco.MjvCamera:
+    def _view(self, postures: Sequence[Posture]) -> mujoco.MjvCamera:
+        """From where they are seen whole; from close up, at the targets alone: home may be far away."""
         size = self._model.vis.global_
         aspect = size.offwidth / size.offheight
-        eye, look_at = sight(self._replay, targets, np.radians(FOVY_DEG), aspect, self._close)
+        arms = self._replay.shape if self._close and len(postures) > 1 else together(postures)
+        eye, look_at = sight(self._replay, arms, np.radians(FOVY_DEG), aspect, self._close)
         ahead = look_at - eye
         camera = mujoco.MjvCamera()
         camera.lookat[:], camera.distance = look_at, np.linalg.norm(ahead)
