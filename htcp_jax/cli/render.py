@@ -35,7 +35,8 @@ Movie = Annotated[
     str | None, typer.Option(metavar="KIND", help=f"One of {', '.join(KINDS)}, none; by default {KINDS[0]}.")
 ]
 Speed = Annotated[
-    float | None, typer.Option(metavar="X", help="How many times as fast as it is run the program is shown.")
+    float | None,
+    typer.Option(metavar="X", help="Times real time that the program is shown at; 1 where nothing is said."),
 ]
 Close = Annotated[bool, typer.Option("--close", help="Look at the workpiece, not at the whole arm.")]
 Width = Annotated[int, typer.Option(metavar="PIXELS", help="Of the picture; the movie has half of it.")]

@@ -72,6 +72,11 @@ class Viewer:
         return self._target
 
     @property
+    def place(self) -> float:
+        """What the slider counts; of a program its time [s]."""
+        return self._place
+
+    @property
     def shown(self) -> tuple[int, str]:
         """The scenario's number and the method."""
         return self._replay.number, self._replay.method

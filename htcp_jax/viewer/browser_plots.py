@@ -55,7 +55,7 @@ class Plots:
         self._shown.append(
             self._gui.add_uplot(
                 data, series, height=HEIGHT, order=self._next(), scales={"x": {"time": False}} | scales,
-                legend={"show": False}, title=title, axes=axes, padding=(4, 12, 0, 0),
+                legend={"show": False}, title=title, axes=axes, padding=(8, 12, 0, 0),
             )
         )  # fmt: skip
         return self._shown[-1]

@@ -58,7 +58,7 @@ class ByTime:
     """A program at its own time; places are seconds. What the machine has no time to show is left out."""
 
     name, step, begin = "Time [s]", 0.01, 0.0
-    rate_name, rates, usual_rate = "Times as fast as it is run", ("0.25", "1", "4", "16"), "1"
+    rate_name, rates, usual_rate = "Times real time", ("0.25", "1", "4", "16"), "1"
 
     def __init__(self, made: OfPlan):
         self._made, self.curves = made, Curves.of(made)

@@ -4,7 +4,7 @@ A film draws each of its frames when it is asked for, so that a long one needs n
 """
 
 import subprocess
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +21,8 @@ KINDS = "gif", "mp4"
 Frame = UInt8[np.ndarray, "H W 3"]
 
 
-class Film(Sequence[Frame]):
-    """`count` frames; draw(k) is the k-th. held: how often the last one is shown beyond the first time."""
+class Film:
+    """`count` frames, of which draw(k) is the k-th. held: how many times more the last one is shown."""
 
     def __init__(self, count: int, draw: Callable[[int], Frame], held: int = HELD):
         self._count, self._draw, self.held = count, draw, held

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from jaxtyping import UInt8
 
-from htcp_jax.scene.surface import discs
+from htcp_jax.scene.surface import CORNERS, discs
 from htcp_jax.viewer.camera import kept, open_side, sight
 from htcp_jax.viewer.colours import (
     DWELL,
@@ -38,6 +38,7 @@ NEEDLE_M = 0.0012  # radius of a normal
 DWELL_M = 0.011  # half the side of the cube at a target where the arm changes its posture
 FLOOR, EDGE, SKY = (0.95, 0.955, 0.96), (0.85, 0.87, 0.89), (0.92, 0.935, 0.95)
 FOVY_DEG = 32.0
+FEW_CORNERS = 4  # of a disc in a movie: half of the triangles, which is where the time goes
 UNTOUCHED = {"contype": 0, "conaffinity": 0}  # nothing collides: the plan is what it is
 
 _Geom = mujoco.mjtGeom
@@ -87,7 +88,7 @@ class Studio:
         """A frame a posture; targets take their colours as they are met, in the last frame all, and the cube at a dwell
         is lit while the arm turns there."""
         met, view = np.maximum.accumulate([posture.target + 1 for posture in postures]), self._view(postures)
-        met[-1] = len(self._beads)
+        met = [*met.tolist()[:-1], len(self._beads)]
         return Film(len(postures), lambda k: self._frame(postures[k], view, met[k]), held)
 
     def _frame(self, posture: Posture, view: mujoco.MjvCamera, met: int) -> UInt8[np.ndarray, "H W 3"]:
@@ -144,7 +145,7 @@ def _model(replay: Replay, width: int, height: int, fine: bool) -> mujoco.MjMode
         ball = {"type": _Geom.mjGEOM_SPHERE, "size": [MARK_M, 0, 0], "pos": replay.obstruction.point}
         spec.worldbody.add_geom(name="in the way", **ball, material="bead", rgba=NOWHERE, **UNTOUCHED)
     _add_marks(spec, replay)
-    _add_cloud(spec, replay)
+    _add_cloud(spec, replay, CORNERS if fine else FEW_CORNERS)
     _add_fixtures(spec, replay)
     low = min(0.0, replay.cloud[:, 2].min(), (np.minimum(replay.p, replay.q)[..., 2] - radius[:-1]).min())
     _add_room(spec, replay, low, fine)
@@ -174,11 +175,11 @@ def _in_the_way(replay: Replay, model: mujoco.MjModel) -> list[tuple[int, list[f
     return [(geom, colour, model.geom_rgba[geom].copy()) for geom, colour in zip(geoms, colours, strict=True)]
 
 
-def _add_cloud(spec: mujoco.MjSpec, replay: Replay) -> None:
+def _add_cloud(spec: mujoco.MjSpec, replay: Replay, corners: int) -> None:
     """The half of the cloud that the side view shows, as discs: lighter inside than outside."""
     surface = replay.surface.only(kept(replay))
     for name, side, colour in (("inside", 1, WALL[1]), ("outside", -1, OUTSIDE)):
-        mesh = discs(surface, side)
+        mesh = discs(surface, side, corners)
         arrays = {"uservert": mesh.vertices, "usernormal": mesh.normals, "userface": mesh.faces}
         shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # a solid's volume would be nothing
         spec.add_mesh(name=name, inertia=shell, **{key: array.ravel() for key, array in arrays.items()})

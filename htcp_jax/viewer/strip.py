@@ -10,7 +10,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from htcp_jax.program.of_plan import OfPlan
 from htcp_jax.status import Kind
 from htcp_jax.viewer.colours import INK, KINDS, PAPER, QUIET, RULE, joint_colour
-from htcp_jax.viewer.movie import RATE, Film
+from htcp_jax.viewer.movie import Film
 from htcp_jax.viewer.plotted import BOUNDS, Curves
 from htcp_jax.viewer.render import Studio
 from htcp_jax.viewer.timed_play import Played, arms_of, frame_times, played
@@ -23,7 +23,7 @@ EDGE = 0.25  # of a pixel, so that rounding loses none
 class Strip:
     """Drawn once; then only the line and the words move.
 
-    play: the instants of the frames; width: in pixels; speed: how many times as fast as it is run the program is shown.
+    play: the instants of the frames; width: in pixels; speed: how many times as fast as it runs the program is shown.
     """
 
     def __init__(self, made: OfPlan, play: Played, width: int, speed: float = 1.0):
@@ -57,13 +57,13 @@ class Strip:
 
 def timed_film(studio: Studio, made: OfPlan, speed: float = 1.0) -> Film:
     """A program at true speed, or `speed` times as fast as that, over its plots."""
-    play = played(made, frame_times(made.program.duration_s, RATE, speed))
+    play = played(made, frame_times(made.program.duration_s, speed))
     return studio.film(arms_of(made, play)).over(Strip(made, play, studio.width, speed).at)
 
 
 def shown_as(speed: float) -> str:
     """How fast a program is shown, in words."""
-    return "in real time" if speed == 1 else f"{speed:g} times as fast as it is run"
+    return "in real time" if speed == 1 else f"at {speed:g} times real time"
 
 
 def in_words(play: Played, k: int) -> str:

@@ -7,11 +7,10 @@ from jaxtyping import Float, Int, Int8
 
 from htcp_jax.program.nudge import tcp_at
 from htcp_jax.program.of_plan import OfPlan
-from htcp_jax.program.timed import Timed
+from htcp_jax.program.program import Program
 from htcp_jax.status import Kind
+from htcp_jax.viewer.movie import RATE
 from htcp_jax.viewer.playback import Posture, postures
-
-LEADS = Kind.TRANSFER, Kind.APPROACH, Kind.FEED  # on these legs the target that they lead to is still to come
 
 
 class Played(NamedTuple):
@@ -31,7 +30,7 @@ def played(made: OfPlan, time_s: Float[np.ndarray, "n"]) -> Played:
     _, jacobian = tcp_at(made.robot, timed.x)
     tcp = np.linalg.norm(np.einsum("nij,nj->ni", jacobian, timed.velocity), axis=1)
     share = np.abs(timed.velocity) / made.limits.velocity
-    return Played(time_s, timed.x, timed.kind, _come_to(timed, made.program.duration_s), tcp, share)
+    return Played(time_s, timed.x, timed.kind, _come_to(made.program, time_s), tcp, share)
 
 
 def arms_of(made: OfPlan, play: Played) -> list[Posture]:
@@ -39,12 +38,17 @@ def arms_of(made: OfPlan, play: Played) -> list[Posture]:
     return postures(made.robot, play.x, play.target, play.kind == Kind.DWELL)
 
 
-def frame_times(duration_s: float, rate: float, speed: float = 1.0) -> Float[np.ndarray, "n"]:
-    """When the frames of a movie are taken [s], `rate` a second, of a program that is shown `speed` times as fast as it
-    is run: so many that the movie takes its time over `speed`, to within a frame."""
-    return np.arange(int(duration_s * rate / speed) + 1) * speed / rate
+def frame_times(duration_s: float, speed: float = 1.0) -> Float[np.ndarray, "n"]:
+    """When the frames of a movie are taken [s], RATE a second, of a program that is shown at `speed` times real time.
+    The movie takes the program's duration over `speed`, to within a frame."""
+    return np.arange(int(duration_s * RATE / speed) + 1) * speed / RATE
 
 
-def _come_to(timed: Timed, duration_s: float) -> Int[np.ndarray, "n"]:
-    coming = np.isin(timed.kind, LEADS) & (timed.time_s < duration_s)
-    return timed.target - coming
+def _come_to(program: Program, time_s: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+    """By the postures that are passed: on the way there the last one of those that lead to a target is at it; on the
+    way back each is at or behind its own."""
+    passed = program.at_postures()
+    back = passed.kind == Kind.RETRACT
+    leads = passed.target + (passed.kind == Kind.DWELL)
+    there = np.append((np.diff(leads) != 0) | back[1:], True) | back
+    return (leads - ~there)[np.searchsorted(passed.time_s, time_s, side="right") - 1]
