@@ -18,11 +18,10 @@ from htcp_jax.status import Kind
 from htcp_jax.viewer import offscreen
 from htcp_jax.viewer.course import ByTarget, ByTime
 from htcp_jax.viewer.movie import RATE
-from htcp_jax.viewer.plotted import Curves
 from htcp_jax.viewer.render import Studio
 from htcp_jax.viewer.replay import open_replays
-from htcp_jax.viewer.strip import Strip, timed_film
-from htcp_jax.viewer.timed_play import arms_of, frame_times, played
+from htcp_jax.viewer.strip import Strip
+from htcp_jax.viewer.timed_play import Curves, arms_of, frame_times, played
 
 FEED, SIZE = "200mm/s", (320, 220)
 DARK, STEP_S = 90, 1e-5  # of a line's pixels; between postures of a difference
@@ -130,12 +129,16 @@ def test_the_picture_says_at_which_speed_it_is_shown(made):
 
 def test_the_film_is_the_scene_over_the_strip_and_sees_all_of_the_arm(made, folder, screenless):
     replay = open_replays(folder).replay(0, "baseline")
+    play = played(made, frame_times(made.program.duration_s, 4.0))
     with Studio(replay, *SIZE, fine=False) as studio:
-        film = timed_film(studio, made, 4.0)
-        first, last = film[0], film[len(film) - 1]
-        alone = studio.film(arms_of(made, played(made, frame_times(made.program.duration_s, 4.0))))
-        np.testing.assert_array_equal(first[: SIZE[1]], alone[0])
-    assert len(film) == int(made.program.duration_s * RATE / 4) + 1 and film.held == 0
+        alone = studio.film(arms_of(made, play))
+        film = alone.over(Strip(made, play, studio.width, 4.0).at)
+        first, last, scene = film[0], film[len(film) - 1], alone[0]
+    np.testing.assert_array_equal(first[: SIZE[1]], scene)
+    edges = np.concatenate([scene[0], scene[:, 0], scene[:, -1]]).astype(int)
+    grey = np.abs(edges - edges.mean(axis=1, keepdims=True)).max(axis=1) < 12
+    assert grey.all()  # sky and floor, no part of the arm
+    assert len(film) == len(play.time_s) and film.held == 0
     assert first.shape == last.shape and first.shape[0] > SIZE[1] and first.shape[1] == SIZE[0]
     with pytest.raises(IndexError):
         film[len(film)]

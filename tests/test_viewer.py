@@ -25,14 +25,15 @@ from htcp_jax.scene.kinematics import capsules_and_tcp
 from htcp_jax.status import Way
 from htcp_jax.viewer.colours import FAILED
 from htcp_jax.viewer.playback import way
-from htcp_jax.viewer.plotted import Curves
 from htcp_jax.viewer.replay import Replays
 from htcp_jax.viewer.sides import View
+from htcp_jax.viewer.timed_play import Curves
 from htcp_jax.viewer.workcell import GivenCell, Workcell
 
 pytest.importorskip("viser", reason="the extra `view` is not installed")
 
-from htcp_jax.viewer.browser import Viewer, grazing
+from htcp_jax.viewer.browser import Viewer
+from htcp_jax.viewer.browser_looks import grazing
 from htcp_jax.viewer.browser_scene import lit, side_by_side, turned_to
 
 BROWSERS = "chromium", "chromium-browser", "chromium-headless-shell", "google-chrome"
@@ -231,7 +232,7 @@ def test_a_program_is_played_at_its_own_time_over_plots_of_its_speeds(browser, t
     arm = capsules_and_tcp(made.robot, made.program.at(np.array([viewer.place])).x)
     middle = (np.asarray(arm.p) + np.asarray(arm.q))[0] / 2
     np.testing.assert_allclose(viewer.stage.arm_positions[: len(middle)], middle, atol=1e-6)
-    page.get_by_text(f"{viewer.place:.2f} s", exact=True).wait_for()
+    page.get_by_text(f"{viewer.place:.2f} s: feed, TCP").wait_for()
     began, from_s = time.monotonic(), viewer.place
     page.get_by_role("button", name="Play").click()
     until(lambda: viewer.place >= made.program.duration_s)

@@ -14,10 +14,11 @@ from htcp_jax.program.of_plan import OfPlan, program_of
 from htcp_jax.runs.open import open_plans
 from htcp_jax.runs.plan_folder import written_whole
 from htcp_jax.viewer import offscreen
-from htcp_jax.viewer.movie import KINDS, check_kind, write_movie
+from htcp_jax.viewer.movie import KINDS, Film, check_kind, write_movie
 from htcp_jax.viewer.render import Studio
 from htcp_jax.viewer.replay import Replay, recorded_replays
-from htcp_jax.viewer.strip import shown_as, timed_film
+from htcp_jax.viewer.strip import Strip, shown_as
+from htcp_jax.viewer.timed_play import arms_of, frame_times, played
 
 LEAST, MOST = 160, 3840  # pixels across
 ASPECT = 11 / 16
@@ -115,7 +116,7 @@ def render(
         if files.movie:
             half = 2 * (width // 4)
             with Studio(replay, half, _height(half), close, fine=False) as studio, progress_bar("frames") as told:
-                film = studio.movie() if made is None else timed_film(studio, made, speed or 1.0)
+                film = studio.movie() if made is None else _film(studio, made, speed or 1.0)
                 write_movie(folder / files.movie, film, told)
     _print(replay, shown, files.names, made, speed or 1.0, as_json)
     return 0
@@ -129,6 +130,12 @@ def _files(out: Path, movie: str | None, name: str) -> _Files:
         check_kind(kind)
         return _Files(out.parent, None, out.name)
     return _Files(out, f"{name}.png", None if movie == "none" else f"{name}.{movie or KINDS[0]}")
+
+
+def _film(studio: Studio, made: OfPlan, speed: float) -> Film:
+    """A program at so many times real time, over its plots."""
+    play = played(made, frame_times(made.program.duration_s, speed))
+    return studio.film(arms_of(made, play)).over(Strip(made, play, studio.width, speed).at)
 
 
 def _height(width: int) -> int:

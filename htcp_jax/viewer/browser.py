@@ -10,25 +10,19 @@ import threading
 import time
 from collections.abc import Callable
 
-import numpy as np
 import viser
-from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.program.of_plan import OfPlan
+from htcp_jax.viewer.browser_looks import Looks
 from htcp_jax.viewer.browser_plots import Plots
 from htcp_jax.viewer.browser_scene import Stage
 from htcp_jax.viewer.browser_words import describe, facts, name_of
-from htcp_jax.viewer.camera import open_side, sight
 from htcp_jax.viewer.course import ByTarget, ByTime, Course
-from htcp_jax.viewer.playback import together
+from htcp_jax.viewer.posture import together
 from htcp_jax.viewer.replay import Replay, Replays
-from htcp_jax.viewer.sides import View
 
-FOVY_RAD, ASPECT = np.radians(40.0), 1.05  # of the first sight
-CLOSER_M = 0.25  # how far away the smallest distance is looked at from
 WAITING_S = 0.1  # between looks at the play button
-SIDES = "open side", "above", "front", "nothing"  # that the workpiece is cut from
 
 
 Programs = Callable[[int, str], OfPlan]  # by the number of a scenario and a method
@@ -111,31 +105,11 @@ class Viewer:
         self._playing = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
         self._rate = None
         self._plots = Plots(gui, self._playing.order + 0.2)
-        self._build_looks()
+        self._looks = Looks(self._server, self._stage, self._lock)
         self._method.on_update(lambda _: self._pick_method())
         self._scenario.on_update(lambda _: self._pick_scenario())
         self._playing.on_click(lambda _: self._toggle())
         self._running = False
-
-    def _build_looks(self) -> None:
-        gui = self._server.gui
-        closer = gui.add_button("Look at the smallest distance", icon=viser.Icon.ZOOM_IN)
-        closer.on_click(self._look_closer)
-        back = gui.add_button("Look at everything", icon=viser.Icon.ZOOM_OUT)
-        back.on_click(self._look_back)
-        with gui.add_folder("Workpiece"):
-            self._side = gui.add_dropdown("Cut from", SIDES, initial_value=SIDES[0])
-            self._share = gui.add_slider("Cut off [%]", 0, 100, 1, 50)
-            self._size = gui.add_slider("Point size [mm]", 1.0, 20.0, 0.5, 7.0)
-        for element in (self._side, self._share, self._size):
-            element.on_update(lambda _: self._cut())
-        with gui.add_folder("Arm"):
-            self._opacity = gui.add_slider("Opacity [%]", 5, 100, 5, 100)
-            self._pair = gui.add_checkbox("Smallest distance", True)
-            self._marks = gui.add_checkbox("Dwells, tightest place", True)
-        self._opacity.on_update(lambda _: self._stage.fade(self._opacity.value / 100))
-        self._marks.on_update(lambda _: self._stage.show_marks(self._marks.value))
-        self._pair.on_update(lambda _: self._stage.show_smallest_distance(self._pair.value))
 
     def _names(self, method: str) -> dict[str, int]:
         """The scenarios as the picker lists them, failed first, with their numbers."""
@@ -170,12 +144,8 @@ class Viewer:
         with self._lock, self._server.atomic():
             self._replay, self._course, self._target = replay, course, -1
             self._running, self._playing.label = False, "Play"
-            self._stage.show(replay, self._opacity.value / 100)
-            self._stage.show_smallest_distance(self._pair.value)
-            self._stage.show_marks(self._marks.value)
-            self._cut()
+            self._looks.show(replay, together(course.passed))
             self._plots.show(replay, course.curves)
-            self._aim()
             self._show_course()
             self.go_to(0)
 
@@ -211,12 +181,6 @@ class Viewer:
             self._facts.content = "\n\n".join(filter(None, (told, facts(self._replay, target))))
             self._slider.value = self._course.on_slider(self._place)
 
-    def _cut(self) -> None:
-        with self._lock:
-            directions = {"open side": None, "above": np.array([0.0, 0, 1]), "front": -ahead(self._replay)}
-            share = 0.0 if self._side.value == "nothing" else self._share.value / 100
-            self._stage.cut(share, directions.get(self._side.value), self._size.value / 1e3)
-
     def _toggle(self) -> None:
         with self._lock:
             self._running = not self._running
@@ -242,42 +206,6 @@ class Viewer:
             self.go_to(self._course.after(self._place, passed, rate))
         return self._course.pause_s(self._place, rate)
 
-    # The camera
-
-    def _aim(self) -> None:
-        """Let new browsers, and everyone's reset of the view, see all of the arm and the workpiece."""
-        eye, look_at = sight(self._replay, together(self._course.passed), FOVY_RAD, ASPECT)
-        camera = self._server.initial_camera
-        camera.position, camera.look_at, camera.fov = eye, look_at, FOVY_RAD
-
-    def _look_closer(self, event: viser.GuiEvent) -> None:
-        with self._lock:
-            arm, cloud = self._replay.witness.arm[self._target], self._replay.witness.cloud[self._target]
-            side = open_side(self._replay)
-        _stand(event, cloud + CLOSER_M * grazing(arm - cloud, side), cloud)
-
-    def _look_back(self, event: viser.GuiEvent) -> None:
-        _stand(event, self._server.initial_camera.position, self._server.initial_camera.look_at)
-
-
-def _stand(event: viser.GuiEvent, position: np.ndarray, look_at: np.ndarray) -> None:
-    """Put the camera of the browser that asked; viser lets a new position take what is looked at along."""
-    if event.client is not None:
-        with event.client.atomic():
-            event.client.camera.position = position
-            event.client.camera.look_at = look_at
-
-
-def grazing(gap: Float[np.ndarray, "3"], side: View) -> Float[np.ndarray, "3"]:
-    """The unit direction square to a gap, so that it is seen from beside, that is nearest to the open side."""
-    length = np.linalg.norm(gap)
-    across = gap / length if length > 0 else side.up
-    for wish in (side.near, side.up):
-        direction = wish - (wish @ across) * across
-        if np.linalg.norm(direction) > 0.1:
-            break
-    return direction / np.linalg.norm(direction)
-
 
 def _serve(host: str, port: int) -> viser.ViserServer:
     """A server on that very port: viser alone would take the next one that is free."""
@@ -291,12 +219,6 @@ def _serve(host: str, port: int) -> viser.ViserServer:
         raise InputError(f"cannot listen on {host}, port {port}: {reason}; choose another with --port") from None
     with _silent():
         return viser.ViserServer(host=host, port=port, verbose=False)
-
-
-def ahead(replay: Replay) -> np.ndarray:
-    """To the side of what is seen from the open side."""
-    side = open_side(replay)
-    return np.cross(side.near, side.up) * -1
 
 
 def _silent():

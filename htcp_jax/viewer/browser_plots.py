@@ -6,8 +6,8 @@ from viser import uplot
 
 from htcp_jax.viewer.browser_scene import HERE
 from htcp_jax.viewer.colours import INK, KINDS, TargetStyle, joint_colour, target_styles
-from htcp_jax.viewer.plotted import BOUNDS, Curves
 from htcp_jax.viewer.replay import Replay
+from htcp_jax.viewer.timed_play import BOUNDS, Curves
 
 Columns = tuple[np.ndarray, ...]
 LOG, HEIGHT = 3, 210

@@ -1,9 +1,8 @@
-"""What the page says in words: of scenarios, of targets, of an instant of a program."""
+"""What the page says in words: of scenarios and of targets."""
 
 from htcp_jax.planner.plans import Outcome
-from htcp_jax.status import Kind, Status, Way
+from htcp_jax.status import Status, Way
 from htcp_jax.viewer.replay import Replay, Replays
-from htcp_jax.viewer.timed_play import Played
 
 
 def describe(outcome: Outcome, replays: Replays) -> str:
@@ -39,11 +38,3 @@ def _motion(replay: Replay, target: int) -> str:
     tightest = " It is the tightest of the proof." if target == replay.summary.tightest else ""
     dwells = " **The arm changes its posture here.**" if target in replay.summary.dwells else ""
     return f"{text}.{tightest}{dwells}"
-
-
-def instant(play: Played, names: tuple[str, ...]) -> str:
-    """What is done at one instant, and how fast; names: of the joints."""
-    fastest = int(play.share[0].argmax())
-    joint = f"{names[fastest]} at {100 * play.share[0, fastest]:.2g} % of its limit"
-    what = Kind(int(play.kind[0])).words
-    return f"**{play.time_s[0]:.2f} s** {what}: TCP **{1e3 * play.tcp_m_s[0]:.1f} mm/s**, fastest {joint}."

@@ -6,11 +6,10 @@ A place is a number on the slider, or between two numbers.
 import numpy as np
 
 from htcp_jax.program.of_plan import OfPlan
-from htcp_jax.viewer.browser_words import instant
-from htcp_jax.viewer.playback import Posture, at, way
-from htcp_jax.viewer.plotted import Curves
+from htcp_jax.viewer.playback import at, way
+from htcp_jax.viewer.posture import Posture
 from htcp_jax.viewer.replay import Replay
-from htcp_jax.viewer.timed_play import arms_of, played
+from htcp_jax.viewer.timed_play import Curves, arms_of, played
 
 MOST_BETWEEN = 4  # postures that share the time of a target; where there are more, as in a dwell, it takes longer
 TICK_S = 0.05  # between postures of a program
@@ -68,7 +67,7 @@ class ByTime:
     def look(self, place: float) -> tuple[Posture, str]:
         """The arm at a time, and what it does then."""
         play = played(self._made, np.array([float(place)]))
-        return arms_of(self._made, play)[0], instant(play, self._made.robot.joint_names)
+        return arms_of(self._made, play)[0], f"**{play.words(0)}**"
 
     def on_slider(self, place: float) -> float:
         """Where the slider stands."""

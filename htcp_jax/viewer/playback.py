@@ -1,26 +1,14 @@
 """A plan as it is played: the arm at the targets and on the ways between them, through the postures that it passes."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
-
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
-from htcp_jax.scene.kinematics import ArmShape, capsules_and_tcp
-from htcp_jax.scene.robot import Robot
+from htcp_jax.scene.kinematics import ArmShape
 from htcp_jax.status import Kind
+from htcp_jax.viewer.posture import Posture, arms_at, postures
 from htcp_jax.viewer.replay import Replay
 
 STRIDE_M = 0.04  # nothing moves further from one posture to the next
-
-
-class Posture(NamedTuple):
-    """The arm in one frame, the last target it has come to, -1 before the first, and whether it dwells there."""
-
-    arm: ArmShape
-    target: int
-    dwells: bool = False
 
 
 def at(replay: Replay, target: int) -> Posture:
@@ -47,24 +35,6 @@ def way(replay: Replay) -> list[Posture]:
     reached[np.cumsum(counts)] = come[1:]
     dwells = np.append(False, np.repeat(turns[1:], counts))
     return postures(replay.robot, x, reached, dwells)
-
-
-def postures(
-    robot: Robot, x: Float[np.ndarray, "n N"], reached: Int[np.ndarray, "n"], dwells: Bool[np.ndarray, "n"]
-) -> list[Posture]:
-    """The arm at n joint vectors, with the targets that it has come to and whether it dwells there."""
-    arms = (ArmShape(*arm) for arm in zip(*arms_at(robot, x), strict=True))
-    return [Posture(*frame) for frame in zip(arms, reached.tolist(), dwells.tolist(), strict=True)]
-
-
-def together(row: Sequence[Posture]) -> ArmShape:
-    """The arms of n postures in arrays."""
-    return ArmShape(*map(np.stack, zip(*(posture.arm for posture in row), strict=True)))
-
-
-def arms_at(robot: Robot, x: Float[np.ndarray, "n N"]) -> ArmShape:
-    """The arm at n joint vectors."""
-    return ArmShape(*map(np.asarray, capsules_and_tcp(robot, jnp.asarray(x))))
 
 
 def _points(shape: ArmShape) -> Float[np.ndarray, "n P 3"]:

@@ -29,7 +29,8 @@ from htcp_jax.viewer.colours import (
 )
 from htcp_jax.viewer.movie import HELD, Film
 from htcp_jax.viewer.offscreen import Camera
-from htcp_jax.viewer.playback import Posture, at, together, way
+from htcp_jax.viewer.playback import at, way
+from htcp_jax.viewer.posture import Posture, together
 from htcp_jax.viewer.replay import Replay
 
 BEAD_M, FAILED_M, TIP_M = 0.008, 0.018, 0.007  # radii of the targets, the failed one, the tool's bare tip

@@ -8,12 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from htcp_jax.program.of_plan import OfPlan
-from htcp_jax.status import Kind
 from htcp_jax.viewer.colours import INK, KINDS, PAPER, QUIET, RULE, joint_colour
-from htcp_jax.viewer.movie import Film
-from htcp_jax.viewer.plotted import BOUNDS, Curves
-from htcp_jax.viewer.render import Studio
-from htcp_jax.viewer.timed_play import Played, arms_of, frame_times, played
+from htcp_jax.viewer.timed_play import BOUNDS, Curves, Played
 
 INCHES, ASPECT = 6.4, 0.38  # of the strip, however many pixels it has
 SMALL, WORDS = 7, 8.5  # points
@@ -47,7 +43,7 @@ class Strip:
     def at(self, frame: int) -> UInt8[np.ndarray, "H W 3"]:
         """The strip beneath a frame."""
         self._canvas.restore_region(self._empty)
-        self._now.set_text(in_words(self._play, frame))
+        self._now.set_text(self._play.words(frame))
         self.figure.draw_artist(self._now)
         for line in self._lines:
             line.set_xdata([self._play.time_s[frame]] * 2)
@@ -55,21 +51,9 @@ class Strip:
         return np.array(self._canvas.buffer_rgba())[..., :3]
 
 
-def timed_film(studio: Studio, made: OfPlan, speed: float = 1.0) -> Film:
-    """A program at true speed, or `speed` times as fast as that, over its plots."""
-    play = played(made, frame_times(made.program.duration_s, speed))
-    return studio.film(arms_of(made, play)).over(Strip(made, play, studio.width, speed).at)
-
-
 def shown_as(speed: float) -> str:
     """How fast a program is shown, in words."""
     return "in real time" if speed == 1 else f"at {speed:g} times real time"
-
-
-def in_words(play: Played, k: int) -> str:
-    """What is done at an instant, and how fast."""
-    what = Kind(int(play.kind[k])).words
-    return f"{play.time_s[k]:.2f} s   {what}   TCP {1e3 * play.tcp_m_s[k]:.1f} mm/s"
 
 
 def _draw_feed(axes: Axes, curves: Curves) -> None:

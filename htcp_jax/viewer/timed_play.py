@@ -1,4 +1,4 @@
-"""A program as it is played: at each instant what the arm does, and how fast the tool and the joints are."""
+"""A program as it is played, and what is plotted of it: what the arm does, how fast the tool and the joints are."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,11 @@ from htcp_jax.program.of_plan import OfPlan
 from htcp_jax.program.program import Program
 from htcp_jax.status import Kind
 from htcp_jax.viewer.movie import RATE
-from htcp_jax.viewer.playback import Posture, postures
+from htcp_jax.viewer.posture import Posture, postures
+
+INSTANTS = 600
+BOUNDS = 0.1, 100.0  # of a joint's limit [%]: on the path joints are slow by two powers of ten
+ROOM = 1.5  # over the feed that was asked for; off the path the TCP is faster, and its curve leaves the plot
 
 
 class Played(NamedTuple):
@@ -22,6 +26,34 @@ class Played(NamedTuple):
     target: Int[np.ndarray, "n"]  # the last one that the arm has come to, -1 before the first
     tcp_m_s: Float[np.ndarray, "n"]  # how fast the TCP is
     share: Float[np.ndarray, "n N"]  # how fast each joint is, of its limit [1]
+
+    def words(self, k: int) -> str:
+        """What is done at the k-th instant, and how fast."""
+        return f"{self.time_s[k]:.2f} s: {Kind(int(self.kind[k])).words}, TCP {1e3 * self.tcp_m_s[k]:.1f} mm/s"
+
+
+class Curves(NamedTuple):
+    """n instants, evenly apart, from the first posture to the last."""
+
+    time_s: Float[np.ndarray, "n"]
+    tcp_mm_s: dict[Kind, Float[np.ndarray, "n"]]  # by what the arm does; NaN where it does something else
+    feed_mm_s: float  # asked for
+    share_percent: dict[str, Float[np.ndarray, "n"]]  # by the joint: its speed, of its limit
+
+    @classmethod
+    def of(cls, made: OfPlan, instants: int = INSTANTS) -> "Curves":
+        """Those of a program."""
+        play = played(made, np.linspace(0, made.program.duration_s, instants))
+        tcp = {
+            kind: np.where(play.kind == kind, 1e3 * play.tcp_m_s, np.nan) for kind in Kind if (play.kind == kind).any()
+        }
+        share = dict(zip(made.robot.joint_names, 100 * play.share.T, strict=True))
+        return cls(play.time_s, tcp, 1e3 * made.program.feed_m_s, share)
+
+    @property
+    def top_mm_s(self) -> float:
+        """How far up the TCP's speed is shown."""
+        return ROOM * self.feed_mm_s
 
 
 def played(made: OfPlan, time_s: Float[np.ndarray, "n"]) -> Played:
