@@ -118,7 +118,7 @@ def render(
             with Studio(replay, half, _height(half), close, fine=False) as studio, progress_bar("frames") as told:
                 film = studio.movie() if made is None else _film(studio, made, speed or 1.0)
                 write_movie(folder / files.movie, film, told)
-    _print(replay, shown, files.names, made, speed or 1.0, as_json)
+    _print(replay, shown if files.picture else None, files.names, made, speed or 1.0, as_json)
     return 0
 
 
@@ -142,7 +142,9 @@ def _height(width: int) -> int:
     return 2 * round(width * ASPECT / 2)
 
 
-def _print(replay: Replay, shown: int, files: list[str], made: OfPlan | None, speed: float, as_json: bool) -> None:
+def _print(
+    replay: Replay, shown: int | None, files: list[str], made: OfPlan | None, speed: float, as_json: bool
+) -> None:
     tracked = f"{replay.tracked} of {len(replay.target)}"
     if as_json:
         record = {"scenario": replay.number, "method": replay.method, "tracked": replay.tracked}
@@ -151,7 +153,9 @@ def _print(replay: Replay, shown: int, files: list[str], made: OfPlan | None, sp
             record["program"] = {**_lasts(made), "speed": speed}
         print_json({**record, "motion": replay.summary.record(), "files": files})
         return
-    facts = {"targets tracked": tracked, **replay.summary.facts(), "the arm is at": f"target {shown}"}
+    facts = {"targets tracked": tracked, **replay.summary.facts()}
+    if shown is not None:
+        facts["the arm is at"] = f"target {shown}"
     if replay.failed is not None:
         facts["failed at"] = f"target {replay.failed}"
     if replay.obstruction is not None:
