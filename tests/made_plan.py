@@ -56,3 +56,10 @@ def with_a_dwell(plans: Plans) -> Plans:
     clear = np.where(way == Way.PROVEN, np.where(target == 5, 2e-4, 3e-3), np.nan)
     knots = Knots.of([(s, 5, x) for s, x in enumerate(turning)], 6)
     return plans._replace(way=way, way_clearance=clear, knots=knots)
+
+
+def driven(plans: Plans) -> Plans:
+    """The same as motions to their last targets, as far as they are tracked."""
+    way = np.where(plans.tracked, Way.PROVEN, Way.UNKNOWN).astype(np.int8)
+    clear = np.where(plans.tracked, 3e-3, np.nan)
+    return plans._replace(way=way, way_clearance=clear, residual=np.where(plans.tracked, 1e-4, np.nan))

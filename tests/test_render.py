@@ -20,7 +20,7 @@ from htcp_jax.status import Kind
 from htcp_jax.viewer import offscreen
 from htcp_jax.viewer.camera import fitted, kept, open_side
 from htcp_jax.viewer.colours import DWELL, FAILED, NEAREST, TargetStyle, rgb, target_styles
-from htcp_jax.viewer.movie import HELD, RATE, write_movie
+from htcp_jax.viewer.movie import HELD, RATE, Film, write_movie
 from htcp_jax.viewer.playback import STRIDE_M, way
 from htcp_jax.viewer.render import Studio
 from htcp_jax.viewer.replay import replays_of
@@ -55,7 +55,12 @@ def screenless():
 def frames(replay, screenless):
     """The frames of a small movie."""
     with Studio(replay, *SIZE, fine=False) as studio:
-        return list(studio.movie())
+        movie = studio.movie()
+        return [movie[k] for k in range(len(movie))]
+
+
+def film_of(frames: list[np.ndarray]) -> Film:
+    return Film(len(frames), frames.__getitem__)
 
 
 def near(frame: np.ndarray, colour: str) -> int:
@@ -171,7 +176,7 @@ def test_every_sphere_is_seen_whole_and_one_touches_the_edge(spheres, azimuth, a
 
 
 def test_a_gif_holds_all_frames_and_runs_for_ever(frames, tmp_path):
-    write_movie(tmp_path / "a.gif", iter(frames))
+    write_movie(tmp_path / "a.gif", film_of(frames))
     with Image.open(tmp_path / "a.gif") as gif:
         assert (gif.n_frames, gif.size, gif.info["loop"]) == (len(frames), SIZE, 0)
         gif.seek(gif.n_frames - 1)
@@ -185,7 +190,7 @@ def test_a_gif_keeps_a_colour_that_its_last_frame_has_lost(tmp_path):
     noise = np.random.default_rng(0).integers(60, 200, (24, 32, 3), dtype=np.uint8)
     blue = noise.copy()
     blue[8:16] = 30, 60, 250
-    write_movie(tmp_path / "a.gif", iter([blue, blue, blue, noise]))
+    write_movie(tmp_path / "a.gif", film_of([blue, blue, blue, noise]))
     with Image.open(tmp_path / "a.gif") as gif:
         shown = np.asarray(gif.convert("RGB"), int)
     assert np.abs(shown[8:16] - (30, 60, 250)).max() < 30
@@ -193,7 +198,7 @@ def test_a_gif_keeps_a_colour_that_its_last_frame_has_lost(tmp_path):
 
 def test_an_mp4_can_be_read_again(frames, tmp_path):
     ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the extra `movie` is not installed")
-    write_movie(tmp_path / "a.mp4", iter(frames))
+    write_movie(tmp_path / "a.mp4", film_of(frames))
     decode = [ffmpeg.get_ffmpeg_exe(), "-i", tmp_path / "a.mp4", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
     pixels = np.frombuffer(subprocess.run(decode, capture_output=True, check=True).stdout, np.uint8)
     film = pixels.reshape(-1, SIZE[1], SIZE[0], 3).astype(int)

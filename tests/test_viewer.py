@@ -16,20 +16,24 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from made_plan import STATUSES, made_plan, made_plans, with_a_dwell
+from made_plan import STATUSES, driven, made_plan, made_plans, with_a_dwell
 from PIL import Image
 
 from htcp_jax.cli.main import main
+from htcp_jax.program.of_plan import program_of_plans
+from htcp_jax.scene.kinematics import capsules_and_tcp
 from htcp_jax.status import Way
 from htcp_jax.viewer.colours import FAILED
 from htcp_jax.viewer.playback import way
 from htcp_jax.viewer.replay import Replays
 from htcp_jax.viewer.sides import View
+from htcp_jax.viewer.timed_play import Curves
 from htcp_jax.viewer.workcell import GivenCell, Workcell
 
 pytest.importorskip("viser", reason="the extra `view` is not installed")
 
-from htcp_jax.viewer.browser import Viewer, grazing
+from htcp_jax.viewer.browser import Viewer
+from htcp_jax.viewer.browser_looks import grazing
 from htcp_jax.viewer.browser_scene import lit, side_by_side, turned_to
 
 BROWSERS = "chromium", "chromium-browser", "chromium-headless-shell", "google-chrome"
@@ -79,7 +83,15 @@ def browser():
 
 @pytest.fixture
 def page(browser, viewer):
-    """The viewer's page, drawn; what it complains of fails the test, and so does asking another machine."""
+    """The viewer's page."""
+    page, problems = opened(browser, viewer)
+    yield page
+    page.close()
+    assert not problems
+
+
+def opened(browser, viewer):
+    """The page, drawn, and a list of what it complains of, as of asking another machine."""
     page, problems = browser.new_page(viewport={"width": 900, "height": 560}), []
     page.set_default_timeout(180_000)  # a busy machine without a GPU draws slowly
     page.on("pageerror", lambda error: problems.append(str(error)))
@@ -88,9 +100,7 @@ def page(browser, viewer):
     page.goto(viewer.address)
     page.get_by_role("slider").first.wait_for()
     until(lambda: spread(seen(page)) > 15)
-    yield page
-    page.close()
-    assert not problems
+    return page, problems
 
 
 def until(done: Callable[[], bool], seconds: float = 180.0) -> None:
@@ -197,6 +207,63 @@ def test_play_passes_the_postures_between_targets(page, viewer):
     assert turning and all(np.abs(np.array(seen_at) - tcp).max(axis=1).min() < 1e-12 for tcp in turning)
 
 
+@pytest.fixture(scope="module")
+def timed(tmp_path_factory):
+    """Two scenarios, of which the second fails, with the programs of those that do not."""
+    plan = made_plan(tmp_path_factory.mktemp("timed"))
+    plans = driven(made_plans(plan.scenario.targets, STATUSES[::-1]))
+    cell = GivenCell(Workcell(plan.job, plan.robot, plan.workpiece), plan.scenario)
+    replays = Replays("timed", ("baseline",), lambda _: plans, cell)
+    return replays, lambda number, method: program_of_plans("timed", plans, number, plan.job, 0.2, method)
+
+
+def test_a_program_is_played_at_its_own_time_over_plots_of_its_speeds(browser, timed):
+    replays, programs = timed
+    made = programs(0, "baseline")
+    viewer = Viewer(replays, port=0, programs=programs)
+    page, problems = opened(browser, viewer)
+    slider = page.get_by_role("slider").first
+    assert viewer.shown == (0, "baseline") and page.get_by_text("Time [s]").first.is_visible()
+    until(lambda: page.locator(".uplot canvas").count() == 3)
+    slider.focus()
+    for _ in range(30):
+        page.keyboard.press("ArrowRight")
+    until(lambda: viewer.place == 0.3 and slider.get_attribute("aria-valuenow") == f"{viewer.place:g}")
+    arm = capsules_and_tcp(made.robot, made.program.at(np.array([viewer.place])).x)
+    middle = (np.asarray(arm.p) + np.asarray(arm.q))[0] / 2
+    np.testing.assert_allclose(viewer.stage.arm_positions[: len(middle)], middle, atol=1e-6)
+    page.get_by_text("0.30 s: approach, TCP").wait_for()
+    began, from_s = time.monotonic(), viewer.place
+    page.get_by_role("button", name="Play").click()
+    until(lambda: viewer.place >= made.program.duration_s)
+    assert time.monotonic() - began >= made.program.duration_s - from_s  # never faster than it is run
+    page.get_by_role("button", name="Play").wait_for()
+    page.get_by_role("combobox").nth(1).click()
+    page.get_by_role("option", name="1: failed at 8 of 10").click()
+    page.get_by_text("Not timed: timed: a motion leads to 8 of 10 targets").wait_for()
+    until(lambda: page.locator(".uplot canvas").count() == 1)
+    page.close()
+    viewer.stop()
+    assert not problems
+
+
+def test_the_page_holds_the_times_and_the_speeds_of_the_program(timed):
+    replays, programs = timed
+    viewer, made = Viewer(replays, port=0, programs=programs), programs(0, "baseline")
+    curves, tcp, joints = Curves.of(made), viewer._plots.tcp, viewer._plots.joints
+    viewer.go_to(1.5)
+    assert tcp.data[0][0] == 0 and tcp.data[0][-1] == pytest.approx(made.program.duration_s)
+    for plot, own in ((tcp, curves.tcp_mm_s.values()), (joints, curves.share_percent.values())):
+        first = len(plot.data) - 1 - len(own)
+        for column, row in zip(plot.data[first:-1], own, strict=True):
+            np.testing.assert_allclose(column, np.maximum(row, 0.1) if plot is joints else row)
+        line = np.flatnonzero(~np.isnan(plot.data[-1]))
+        np.testing.assert_allclose(plot.data[0][line], 1.5, atol=made.program.duration_s / 500)
+        assert len(plot.series) == len(plot.data)
+    assert (tcp.data[1] == 200).all()  # asked for
+    viewer.stop()
+
+
 def test_dwells_side_by_side_share_a_label():
     assert side_by_side(()) == [] and side_by_side((3, 5, 9, 30, 40, 41)) == [[3, 5, 9], [30], [40, 41]]
 
@@ -277,7 +344,7 @@ def test_ctrl_c_before_the_page_is_up_ends_like_one_after_it(folder, capsys, mon
     def interrupt(_):
         raise KeyboardInterrupt
 
-    for place in ("htcp_jax.cli.view.open_replays", "htcp_jax.viewer.browser.Viewer.wait"):
+    for place in ("htcp_jax.cli.view.open_plans", "htcp_jax.viewer.browser.Viewer.wait"):
         with monkeypatch.context() as patch:
             patch.setattr(place, interrupt)
             assert main(["view", str(folder), "--port", "0"]) == 0

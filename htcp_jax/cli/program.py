@@ -5,12 +5,13 @@ from typing import Annotated
 
 import typer
 
+from htcp_jax.cli.feed import Feed, OneWay, ProgramKeys
 from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, stdout
 from htcp_jax.errors import InputError
 from htcp_jax.program.figures import Figures, figures
 from htcp_jax.program.loads import Load
-from htcp_jax.program.of_plan import UNITS, OfPlan, feed_of, program_of
+from htcp_jax.program.of_plan import OfPlan, feed_of, program_of
 from htcp_jax.program.writers import FORMATS, format_of
 from htcp_jax.report.document import Column, Table
 from htcp_jax.runs.open import open_plans
@@ -30,19 +31,14 @@ COLUMNS = (
 )
 
 Run = Annotated[Path, typer.Argument(metavar="RUN", help="The folder that htcp plan or htcp sweep wrote.")]
-Feed = Annotated[str, typer.Option(metavar="SPEED", help=f"Of the TCP on the path, 20mm/s say; in {', '.join(UNITS)}.")]
 Format = Annotated[str, typer.Option(metavar="NAME", help=f"One of {', '.join(FORMATS)}.")]
 Out = Annotated[Path, typer.Option(metavar="FILE", help="The file to write; its stem is the program's name.")]
 Scenario = Annotated[int, typer.Option(metavar="K", help="Its number, as in the tables; a plan has only 0.")]
 Method = Annotated[
     str | None, typer.Option(metavar="NAME", help="By default the run's first.", autocompletion=complete_method)
 ]
-OneWay = Annotated[bool, typer.Option("--one-way", help="End at the last target, without the way back.")]
 Check = Annotated[bool, typer.Option("--check", help="Look at every millisecond by MuJoCo alone, which takes longer.")]
 Step = Annotated[float | None, typer.Option(metavar="MS", help="Between postures; by default the format's own.")]
-Overrides = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key of program; may be repeated.")
-]
 
 
 def program(
@@ -55,7 +51,7 @@ def program(
     one_way: OneWay = False,
     check: Check = False,
     step_ms: Step = None,
-    overrides: Overrides = None,
+    overrides: ProgramKeys = None,
     as_json: Json = False,
 ) -> int:
     """Give the motion of a plan its time, and write it as a controller takes it.

@@ -1,24 +1,28 @@
 """`htcp render`: a picture and a movie of one plan, without a screen."""
 
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 from PIL import Image
 
+from htcp_jax.cli.feed import OneWay, PlayedFeed, ProgramKeys, played_feed
 from htcp_jax.cli.methods import complete_method
-from htcp_jax.cli.output import Json, print_facts, print_json, progress_bars
+from htcp_jax.cli.output import Json, print_facts, print_json, progress_bar
 from htcp_jax.errors import InputError
+from htcp_jax.program.of_plan import OfPlan, program_of
+from htcp_jax.runs.open import open_plans
 from htcp_jax.runs.plan_folder import written_whole
 from htcp_jax.viewer import offscreen
-from htcp_jax.viewer.movie import KINDS, check_kind, write_movie
-from htcp_jax.viewer.playback import way
+from htcp_jax.viewer.movie import KINDS, Film, check_kind, write_movie
 from htcp_jax.viewer.render import Studio
-from htcp_jax.viewer.replay import Replay, open_replays
+from htcp_jax.viewer.replay import Replay, recorded_replays
+from htcp_jax.viewer.strip import Strip, shown_as
+from htcp_jax.viewer.timed_play import arms_of, frame_times, played
 
 LEAST, MOST = 160, 3840  # pixels across
 ASPECT = 11 / 16
+SLOWEST, FASTEST = 0.1, 100.0
 
 Run = Annotated[Path, typer.Argument(metavar="RUN", help="The folder that htcp sweep or htcp plan wrote.")]
 Scenario = Annotated[int, typer.Option(metavar="K", help="Its number, as in the tables; a plan has only 0.")]
@@ -28,10 +32,31 @@ Method = Annotated[
 Target = Annotated[
     int | None, typer.Option(metavar="T", help="Where the arm is in the picture; by default the last tracked.")
 ]
-Movie = Annotated[str, typer.Option(metavar="KIND", help=f"One of {', '.join(KINDS)}, none.")]
+Movie = Annotated[
+    str | None, typer.Option(metavar="KIND", help=f"One of {', '.join(KINDS)}, none; by default {KINDS[0]}.")
+]
+Speed = Annotated[
+    float | None,
+    typer.Option(metavar="X", help="Times real time that the program is shown at; 1 where nothing is said."),
+]
 Close = Annotated[bool, typer.Option("--close", help="Look at the workpiece, not at the whole arm.")]
 Width = Annotated[int, typer.Option(metavar="PIXELS", help="Of the picture; the movie has half of it.")]
-Out = Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.")]
+Out = Annotated[
+    Path,
+    typer.Option(metavar="DIR", help="Where the files go; or the movie's own name, weld.mp4 say, without a picture."),
+]
+
+
+class _Files(NamedTuple):
+    """What is written into a folder."""
+
+    folder: Path
+    picture: str | None
+    movie: str | None
+
+    @property
+    def names(self) -> list[str]:
+        return [str(self.folder / name) for name in (self.picture, self.movie) if name]
 
 
 def render(
@@ -39,68 +64,108 @@ def render(
     scenario: Scenario = 0,
     method: Method = None,
     target: Target = None,
-    movie: Movie = "gif",
+    movie: Movie = None,
     close: Close = False,
     width: Width = 1280,
     out: Out = Path("out/render"),
+    feed: PlayedFeed = None,
+    speed: Speed = None,
+    one_way: OneWay = False,
+    overrides: ProgramKeys = None,
     as_json: Json = False,
 ) -> int:
-    """Draw one plan by MuJoCo, without a screen: a picture, and a movie along the targets.
+    """Draw one plan by MuJoCo, without a screen: a picture, and a movie along the targets or, with --feed, in time.
 
     The workpiece is cut open. Targets are blue where they are tracked, orange after an escape, red where the plan
     failed, grey beyond; a green cube is a target at which the arm changes its posture, a purple ball the place where
-    the least clearance is proven. Needs EGL or OSMesa of the system. Exits with 2 on bad input, and where both are
-    missing.
+    the least clearance is proven. With --feed the movie takes as long as the program of htcp program, with the speeds
+    of the TCP and of the joints beneath. Needs EGL or OSMesa of the system. Exits with 2 on bad input, and where both
+    are missing.
 
     \b
     htcp render out/plan                                         the plan of htcp plan
     htcp render out/workpiece --scenario 24 --method nspace-sqp  one of a sweep
     htcp render out/plan --movie mp4 --close --width 1920        needs the extra "movie"
+    htcp render out/plan --feed 20mm/s --out weld.mp4            the movie alone, at true speed
     """
-    if movie != "none":
+    if movie not in (None, "none"):
         check_kind(movie)
+    feed_m_s = played_feed(feed, speed=speed is not None, one_way=one_way, set=overrides)
+    if speed is not None and not SLOWEST <= speed <= FASTEST:
+        raise InputError(f"--speed is {speed:g}; from {SLOWEST:g} to {FASTEST:g} are possible")
+    if feed_m_s is not None and movie == "none":
+        raise InputError("--feed gives a movie its time; --movie none makes none")
     if not LEAST <= width <= MOST:
         raise InputError(f"--width is {width}; from {LEAST} to {MOST} pixels are possible")
     offscreen.platform()  # before anything is read
-    replays = open_replays(run)
+    found = open_plans(run)
+    replays = recorded_replays(found)
     replay = replays.replay(scenario, method or replays.methods[0])
     last = len(replay.target) - 1
     if target is not None and not 0 <= target <= last:
         raise InputError(f"scenario {scenario} has no target {target}; it has 0 to {last}")
     shown = max(replay.tracked - 1, 0) if target is None else target
-    name = f"scenario-{scenario}-{replay.method}"
-    files = [f"{name}.png", *([f"{name}.{movie}"] if movie != "none" else [])]
-    with written_whole(out) as folder:
-        with Studio(replay, width, _height(width), close) as studio:
-            Image.fromarray(studio.still(shown)).save(folder / files[0], optimize=True)
-        for file in files[1:]:
+    made = None
+    if feed_m_s is not None:
+        made = program_of(found, feed_m_s, replay.method, scenario, retract=not one_way, overrides=overrides or ())
+    files = _files(out, movie, f"scenario-{scenario}-{replay.method}")
+    with written_whole(files.folder) as folder:
+        if files.picture:
+            with Studio(replay, width, _height(width), close) as studio:
+                Image.fromarray(studio.still(shown)).save(folder / files.picture, optimize=True)
+        if files.movie:
             half = 2 * (width // 4)
-            with Studio(replay, half, _height(half), close, fine=False) as studio:
-                write_movie(folder / file, _frames(studio, replay))
-    _print(replay, shown, [str(out / file) for file in files], as_json)
+            with Studio(replay, half, _height(half), close, fine=False) as studio, progress_bar("frames") as told:
+                film = studio.movie() if made is None else _film(studio, made, speed or 1.0)
+                write_movie(folder / files.movie, film, told)
+    _print(replay, shown if files.picture else None, files.names, made, speed or 1.0, as_json)
     return 0
+
+
+def _files(out: Path, movie: str | None, name: str) -> _Files:
+    """Raises InputError for a movie whose name is of another kind."""
+    if (kind := out.suffix[1:].lower()) in KINDS:
+        if movie not in (None, kind):
+            raise InputError(f"--out {out} is the name of one {kind}, --movie {movie} asks for something else")
+        check_kind(kind)
+        return _Files(out.parent, None, out.name)
+    return _Files(out, f"{name}.png", None if movie == "none" else f"{name}.{movie or KINDS[0]}")
+
+
+def _film(studio: Studio, made: OfPlan, speed: float) -> Film:
+    """A program at so many times real time, over its plots."""
+    play = played(made, frame_times(made.program.duration_s, speed))
+    return studio.film(arms_of(made, play)).over(Strip(made, play, studio.width, speed).at)
 
 
 def _height(width: int) -> int:
     return 2 * round(width * ASPECT / 2)
 
 
-def _frames(studio: Studio, replay: Replay) -> Iterator:
-    """The frames, with a bar on a terminal."""
-    with progress_bars() as bars:
-        yield from bars.track(studio.movie(), total=len(way(replay)) + 1, description="frames")
-
-
-def _print(replay: Replay, shown: int, files: list[str], as_json: bool) -> None:
+def _print(
+    replay: Replay, shown: int | None, files: list[str], made: OfPlan | None, speed: float, as_json: bool
+) -> None:
     tracked = f"{replay.tracked} of {len(replay.target)}"
     if as_json:
         record = {"scenario": replay.number, "method": replay.method, "tracked": replay.tracked}
         record |= {"targets": len(replay.target), "failed": replay.failed, "shown": shown}
+        if made is not None:
+            record["program"] = {**_lasts(made), "speed": speed}
         print_json({**record, "motion": replay.summary.record(), "files": files})
         return
-    facts = {"targets tracked": tracked, **replay.summary.facts(), "the arm is at": f"target {shown}"}
+    facts = {"targets tracked": tracked, **replay.summary.facts()}
+    if shown is not None:
+        facts["the arm is at"] = f"target {shown}"
     if replay.failed is not None:
         facts["failed at"] = f"target {replay.failed}"
     if replay.obstruction is not None:
         facts["in the way"] = replay.obstruction.description
+    if made is not None:
+        facts["program"] = "{duration_s:.2f} s at {feed_mm_s:g} mm/s, shown {how}".format(
+            **_lasts(made), how=shown_as(speed)
+        )
     print_facts(f"{replay.method}, scenario {replay.label}", facts | {"files": ", ".join(files)})
+
+
+def _lasts(made: OfPlan) -> dict[str, float]:
+    return {"duration_s": made.program.duration_s, "feed_mm_s": 1e3 * made.program.feed_m_s}

@@ -2,17 +2,21 @@
 
 import contextlib
 import importlib.util
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.text import Text
 
+from htcp_jax.cli.feed import OneWay, PlayedFeed, played_feed
 from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Overrides, stdout
 from htcp_jax.cli.plan import plan_with_progress
 from htcp_jax.errors import InputError
-from htcp_jax.viewer.replay import Replays, open_replays, replays_of
+from htcp_jax.program.of_plan import OfPlan, program_of, program_of_plans
+from htcp_jax.runs.open import open_plans
+from htcp_jax.viewer.replay import Replays, recorded_replays, replays_of
 
 What = Annotated[
     Path | None,
@@ -34,24 +38,30 @@ def view(
     overrides: Overrides = None,
     host: Host = "127.0.0.1",
     port: Port = 8080,
+    feed: PlayedFeed = None,
+    one_way: OneWay = False,
 ) -> int:
     """Look at plans in the browser: the arm with its capsules, the workpiece cut open, the targets, the clearance.
 
-    A run folder is shown as it is, failed scenarios first; a job is planned first. Only this machine can connect,
+    A run folder is shown as it is, failed scenarios first; a job is planned first. With --feed what is played is the
+    program of htcp program, in real time, with the speeds of the TCP and of the joints; --set then changes keys of
+    program of a plan on record, too. Only this machine can connect,
     unless --host says otherwise. Needs the extra "view". Ctrl-C ends it; exits with 2 on bad input.
 
     \b
     htcp view                                    the default job
     htcp view out/workpiece --method nspace-sqp  a sweep
     htcp view job.yaml --set margin_m=0.001 --port 8081
+    htcp view out/plan --feed 20mm/s             in real time
     """
     if importlib.util.find_spec("viser") is None:
         raise InputError("htcp view needs viser: pip install 'htcp_jax[view]'")
+    feed_m_s = played_feed(feed, one_way=one_way)
     with contextlib.suppress(KeyboardInterrupt):  # before the page is up as well as after
-        replays = _replays(what, method, overrides or [])
+        replays, programs = _looked_at(what, method, overrides or [], feed_m_s, not one_way)
         from htcp_jax.viewer.browser import Viewer  # viser is an extra
 
-        viewer = Viewer(replays, host, port, scenario, method)
+        viewer = Viewer(replays, host, port, scenario, method, programs if feed_m_s else None)
         try:
             stdout().print(Text.assemble(("viewer  ", "cyan"), viewer.address, ("  (Ctrl-C ends it)", "dim")))
             viewer.wait()
@@ -60,12 +70,17 @@ def view(
     return 0
 
 
-def _replays(what: Path | None, method: str | None, overrides: list[str]) -> Replays:
-    """What there is to look at; a job is planned."""
+def _looked_at(
+    what: Path | None, method: str | None, overrides: list[str], feed_m_s: float | None, retract: bool
+) -> tuple[Replays, Callable[[int, str], OfPlan]]:
+    """What there is to look at, and the program of a scenario by a method at that feed; a job is planned."""
     if what is not None and not what.exists():
         raise InputError(f"{what}: no such run folder, and no such job")
     if what is not None and what.is_dir():
-        if overrides:
+        if overrides and feed_m_s is None:
             raise InputError("--set changes a job; a run folder is shown as it is")
-        return open_replays(what)
-    return replays_of(str(what or "the default job"), plan_with_progress(what, overrides, method))
+        found, how = open_plans(what), {"retract": retract, "overrides": overrides}
+        return recorded_replays(found), lambda scenario, by: program_of(found, feed_m_s, by, scenario, **how)
+    name, plan = str(what or "the default job"), plan_with_progress(what, overrides, method)
+    of_job = name, plan.plans, 0, plan.job, feed_m_s
+    return replays_of(name, plan), lambda _, by: program_of_plans(*of_job, by, retract=retract)

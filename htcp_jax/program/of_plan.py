@@ -134,6 +134,17 @@ def program_of(
     method = found.methods[0] if method is None else method
     plans = _plans(found, method, scenario)
     job = _with(found.jobs[scenario], overrides)
+    return program_of_plans(str(found.folder), plans, scenario, job, feed_m_s, method, retract=retract)
+
+
+def program_of_plans(
+    name: str, plans: Plans, scenario: int, job: PlanConfig, feed_m_s: float, method: str, *, retract: bool = True
+) -> OfPlan:
+    """The same of plans in memory. name: of these; job: of the scenario. Raises InputError as `program_of` does."""
+    end = plans.outcome(scenario)
+    if not end.can_be_driven:
+        why = end.way.message if end.executable < end.tracked else "the next one is not tracked"
+        raise InputError(f"{name}: a motion leads to {end.executable} of {end.targets} targets; {why}")
     robot = lengthen_tool(robot_of(job.robot), job.robot.tool_extension_m)
     limits = joint_limits(robot, job.program)
     whole = motion(plans, scenario, job.on_path, retract=retract)
@@ -145,16 +156,12 @@ def program_of(
 
 
 def _plans(found: PlanSet, method: str, scenario: int) -> Plans:
-    """Those of a method. Raises InputError for a scenario that is not executable to its end."""
+    """Those of a method. Raises InputError for one without plans, and for a scenario that is not there."""
     if method not in found.methods:
         raise InputError(f"{found.folder} has no plans by {method!r}; there are {', '.join(found.methods)}")
     plans = found.plans(method)
     if not 0 <= scenario < len(plans.status):
         raise InputError(f"{found.folder} has no scenario {scenario}; there are 0 to {len(plans.status) - 1}")
-    end = plans.outcome(scenario)
-    if not end.can_be_driven:
-        why = end.way.message if end.executable < end.tracked else "the next one is not tracked"
-        raise InputError(f"{found.folder}: a motion leads to {end.executable} of {end.targets} targets; {why}")
     return plans
 
 

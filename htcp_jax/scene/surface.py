@@ -78,17 +78,18 @@ def _inwards(
     return normals * np.where(((middle - points) * normals).sum(axis=1) < 0, -1.0, 1.0)[:, None]
 
 
-def discs(surface: Surface, side: int = 1) -> Mesh:
-    """A hexagon for every point, seen from where its normal points, or with `side` -1 from where it does not."""
+def discs(surface: Surface, side: int = 1, corners: int = CORNERS) -> Mesh:
+    """A hexagon for every point, or with fewer corners, seen from where its normal points, or with `side` -1 from where
+    it does not."""
     normals = side * surface.normals
     first = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
     first *= (surface.radius / np.linalg.norm(first, axis=1))[:, None]
     second = np.cross(normals, first)
-    angle = 2 * np.pi * np.arange(CORNERS) / CORNERS
+    angle = 2 * np.pi * np.arange(corners) / corners
     around = np.cos(angle)[:, None] * first[:, None] + np.sin(angle)[:, None] * second[:, None]
-    fan = np.array([[0, k, k + 1] for k in range(1, CORNERS - 1)])
+    fan = np.array([[0, k, k + 1] for k in range(1, corners - 1)])
     return Mesh(
         vertices=(surface.points[:, None] + around).reshape(-1, 3),
-        normals=np.repeat(normals, CORNERS, axis=0),
-        faces=(CORNERS * np.arange(len(normals))[:, None, None] + fan).reshape(-1, 3),
+        normals=np.repeat(normals, corners, axis=0),
+        faces=(corners * np.arange(len(normals))[:, None, None] + fan).reshape(-1, 3),
     )

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from htcp_jax.planner.obstruction import Obstruction
 from htcp_jax.scene.kinematics import ArmShape
-from htcp_jax.viewer.camera import kept, open_side
+from htcp_jax.scene.surface import Surface
 from htcp_jax.viewer.colours import (
     DWELL,
     FAILED,
@@ -86,7 +86,7 @@ class Stage:
 
     def pose(self, target: int) -> None:
         """Move the arm, the mark of the target and the smallest distance."""
-        replay = self._replay
+        replay, self.target = self._replay, target
         with self._server.atomic():
             blocked = replay.obstruction if target == replay.failed else None
             self.move(replay.arm_at(target))
@@ -116,10 +116,8 @@ class Stage:
         """Where the capsules' middles are, and the tip's."""
         return np.array([node.position for node in self._arm])
 
-    def cut(self, share: float, direction: Vector | None, size_m: float) -> None:
-        """Show the cloud without a share of its extent, cut off along `direction` (None: from the open side)."""
-        surface = self._replay.surface.only(kept(self._replay, share, direction))
-        near = open_side(self._replay).near if direction is None else direction
+    def cut(self, surface: Surface, near: Vector, size_m: float) -> None:
+        """Show what is left of the cloud, as it is lit where it is looked at from `near`."""
         light = near + np.array([0, 0, LIGHT_UP])
         slope = np.abs(surface.normals @ (light / np.linalg.norm(light)))[:, None]
         inside = (surface.normals @ light > 0)[:, None]  # is what is seen of it from there

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from htcp_jax.scene.kinematics import ArmShape
 from htcp_jax.viewer.colours import is_tool
 from htcp_jax.viewer.replay import Replay
 from htcp_jax.viewer.sides import ABOVE_RAD, View, towards_camera
@@ -31,14 +32,14 @@ def kept(replay: Replay, share: float = 0.5, direction: Float[np.ndarray, "3"] |
     return depth <= depth.max() - share * np.ptp(depth)
 
 
-def sight(replay: Replay, shown: slice, fovy_rad: float, aspect: float, close: bool = False) -> Sight:
-    """From where the cloud, the targets and the arm at the targets shown are seen whole; close: of the targets only the
-    path, of the arm only the tool."""
+def sight(replay: Replay, arms: ArmShape, fovy_rad: float, aspect: float, close: bool = False) -> Sight:
+    """From where the cloud, the targets and n arms are seen whole; close: of the targets only the path, of the arms
+    only the tool."""
     toward = towards_camera(*replay.side, 0.0)
     azimuth = np.arctan2(-toward[1], -toward[0])
     on_tool = is_tool(replay.robot)
     bodies = on_tool if close else np.ones_like(on_tool)
-    ends = np.concatenate([replay.p[shown][:, bodies], replay.q[shown][:, bodies]])
+    ends = np.concatenate([arms.p[:, bodies], arms.q[:, bodies]])
     radii = np.broadcast_to(np.asarray(replay.robot.capsule_radius)[bodies], ends.shape[:2])
     points = np.concatenate([replay.cloud, replay.target[replay.path if close else 0 :]])
     centres = np.concatenate([points, ends.reshape(-1, 3)])

@@ -1,4 +1,4 @@
-"""What pictures of a plan share: how targets are told apart, and the colours of the arm and the wall."""
+"""What pictures of a plan share: how targets are told apart, and the colours of the arm, the wall and the curves."""
 
 from typing import NamedTuple
 
@@ -7,7 +7,7 @@ from jaxtyping import Bool, Int8
 
 from htcp_jax.planner.plans import is_tracked
 from htcp_jax.scene.robot import Robot
-from htcp_jax.status import Status
+from htcp_jax.status import Kind, Status
 
 LINKS, TOOL, INK, PAPER, FAILED = "#8d99a6", "#3c6e71", "#22303c", "#ffffff", "#c8102e"
 NEAREST, DWELL, HERE = "#b5179e", "#0b8f6a", "#f6c945"  # narrow places, changes of posture, what is shown
@@ -15,6 +15,15 @@ WALL = "#8a7a5f", "#d9cfba", "#efe9dc"  # at the cut, and lighter the deeper
 OUTSIDE = "#a3917a"  # of the wall
 FIXTURE = "#5b7fb4"  # what else stands there
 NORMAL = "#7a4fbf"  # of the path
+QUIET, RULE = "#5d6b77", "#dfe3e6"  # words beside a plot, lines behind it
+KINDS = {
+    Kind.TRANSFER: "#8d99a6",
+    Kind.APPROACH: "#b8860b",
+    Kind.FEED: "#1f6fb4",
+    Kind.DWELL: DWELL,
+    Kind.RETRACT: "#a0569c",
+}
+JOINTS = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7", "#999933", "#332288"  # one after the other
 
 
 class TargetStyle(NamedTuple):
@@ -41,6 +50,11 @@ def target_styles(status: Int8[np.ndarray, "T"]) -> list[TargetStyle]:
 def is_tool(robot: Robot) -> Bool[np.ndarray, "K"]:
     """Which capsules are the tool's."""
     return np.asarray(robot.on_tool).any(axis=1)
+
+
+def joint_colour(joint: int) -> str:
+    """Of the joint's curve; those of an arm of many joints come again."""
+    return JOINTS[joint % len(JOINTS)]
 
 
 def rgb(colour: str) -> tuple[int, int, int]:

@@ -1,8 +1,10 @@
-"""Frames to files: a GIF, which needs nothing more, or an MP4, which needs the extra `movie`."""
+"""Frames to files: a GIF, which needs nothing more, or an MP4, which needs the extra `movie`.
+
+A film draws each of its frames when it is asked for, so that a long one needs no memory.
+"""
 
 import subprocess
-from collections.abc import Iterator
-from itertools import chain
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +21,25 @@ KINDS = "gif", "mp4"
 Frame = UInt8[np.ndarray, "H W 3"]
 
 
+class Film:
+    """`count` frames, of which draw(k) is the k-th. held: how many times more the last one is shown."""
+
+    def __init__(self, count: int, draw: Callable[[int], Frame], held: int = HELD):
+        self._count, self._draw, self.held = count, draw, held
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, k: int) -> Frame:
+        if not 0 <= k < self._count:
+            raise IndexError(f"no frame {k}; there are {self._count}")
+        return self._draw(k)
+
+    def over(self, strip: Callable[[int], Frame]) -> "Film":
+        """The same with strip(k), which is as wide, beneath the k-th frame."""
+        return Film(self._count, lambda k: np.concatenate([self[k], strip(k)]), self.held)
+
+
 def check_kind(kind: str) -> None:
     """Raise InputError for an unknown kind, and for an MP4 where its encoder is missing."""
     if kind not in KINDS:
@@ -30,38 +51,42 @@ def check_kind(kind: str) -> None:
             raise InputError("an MP4 needs imageio-ffmpeg: pip install 'htcp_jax[movie]'; a GIF does not") from None
 
 
-def write_movie(file: Path, frames: Iterator[Frame]) -> None:
-    """Write the frames, the kind by the ending of the name; both sides of an MP4's frames are even."""
-    (_write_gif if file.suffix == ".gif" else _write_mp4)(file, frames)
+def write_movie(file: Path, film: Film, told: Callable[[int, int], None] = lambda done, count: None) -> None:
+    """Write a film, the kind by the ending of the name; both sides of an MP4's frames are even. told(done, count) after
+    each frame."""
+    (_write_gif if file.suffix.lower() == ".gif" else _write_mp4)(file, film, _one_by_one(film, told))
 
 
-def _write_gif(file: Path, frames: Iterator[Frame]) -> None:
+def _one_by_one(film: Film, told: Callable[[int, int], None]) -> Iterator[Frame]:
+    for done, frame in enumerate(film, 1):
+        yield frame
+        told(done, len(film))
+
+
+def _write_gif(file: Path, film: Film, frames: Iterator[Frame]) -> None:
     """All frames share the colours of a few, so that what stands still does not flicker. The last alone would not do:
     in it the tool may hide what is blue before. An octree keeps the colours of small marks; a median cut would spend
     them on the shades of the arm."""
-    frames = list(frames)
-    images = [Image.fromarray(frame) for frame in frames]
-    few = np.linspace(0, len(frames) - 1, PALETTE_FRAMES).round().astype(int)
-    mosaic = Image.fromarray(np.concatenate([frames[k] for k in few]))
+    few = np.unique(np.linspace(0, len(film) - 1, PALETTE_FRAMES).round().astype(int))
+    mosaic = Image.fromarray(np.concatenate([film[k] for k in few.tolist()]))
     palette = mosaic.quantize(COLOURS, method=Image.Quantize.FASTOCTREE)
-    first, *others = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-    lasts = [1000 // RATE] * len(others) + [HELD * 1000 // RATE]
-    first.save(file, save_all=True, append_images=others, duration=lasts, loop=0, optimize=False)
+    images = (Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
+    lasts = [1000 // RATE] * (len(film) - 1) + [max(film.held, 1) * 1000 // RATE]
+    next(images).save(file, save_all=True, append_images=images, duration=lasts, loop=0, optimize=False)
 
 
-def _write_mp4(file: Path, frames: Iterator[Frame]) -> None:
+def _write_mp4(file: Path, film: Film, frames: Iterator[Frame]) -> None:
     """By the ffmpeg that imageio-ffmpeg brings; called without that package's fork, which JAX's threads forbid."""
     from imageio_ffmpeg import get_ffmpeg_exe
 
-    first = next(frames)
-    height, width = first.shape[:2]
+    height, width = film[0].shape[:2]
     raw = "-f rawvideo -pix_fmt rgb24".split()
-    film = "-c:v libx264 -crf 20 -pix_fmt yuv420p -movflags +faststart".split()
+    codec = "-c:v libx264 -crf 20 -pix_fmt yuv420p -movflags +faststart".split()
     command = [get_ffmpeg_exe(), "-v", "error", "-y", *raw, "-s", f"{width}x{height}", "-r", str(RATE), "-i", "-"]
-    with subprocess.Popen([*command, *film, file], stdin=subprocess.PIPE, stderr=subprocess.PIPE) as ffmpeg:
-        for frame in chain([first], frames):
+    with subprocess.Popen([*command, *codec, file], stdin=subprocess.PIPE, stderr=subprocess.PIPE) as ffmpeg:
+        for frame in frames:
             ffmpeg.stdin.write(frame.tobytes())
-        ffmpeg.stdin.write(HELD * frame.tobytes())
+        ffmpeg.stdin.write(film.held * frame.tobytes())
         _, said = ffmpeg.communicate()
     if ffmpeg.returncode:
         raise OSError(ffmpeg.returncode, said.decode(errors="replace").strip() or "ffmpeg failed")

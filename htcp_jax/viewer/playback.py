@@ -1,50 +1,14 @@
 """A plan as it is played: the arm at the targets and on the ways between them, through the postures that it passes."""
 
-from collections import deque
-from typing import NamedTuple
-
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.scene.kinematics import ArmShape, capsules_and_tcp
-from htcp_jax.scene.robot import Robot
+from htcp_jax.scene.kinematics import ArmShape
 from htcp_jax.status import Kind
+from htcp_jax.viewer.posture import Posture, arms_at, postures
 from htcp_jax.viewer.replay import Replay
 
-AT_MOST_BETWEEN = 4
 STRIDE_M = 0.04  # nothing moves further from one posture to the next
-
-
-class Posture(NamedTuple):
-    """The arm in one frame, the last target it has come to, -1 before the first, and whether it dwells there."""
-
-    arm: ArmShape
-    target: int
-    dwells: bool = False
-
-
-class Playback:
-    """What is still to be shown of the way from one target to the next."""
-
-    def __init__(self, replay: Replay):
-        self._postures, self._coming = way(replay), deque[Posture]()
-        self.between = (
-            0  # postures that share the time of a target; where there are more, as in a dwell, it takes longer
-        )
-
-    def stand(self, target: int) -> None:
-        """Be at a target."""
-        self._coming = deque([posture for posture in self._postures if posture.target == target][1:])
-        self.between = min(len(self._coming), AT_MOST_BETWEEN)
-
-    def begin(self) -> None:
-        """Be at the start, which may be elsewhere than the first target."""
-        self._coming = deque(posture for posture in self._postures if posture.target <= 0)
-
-    def next(self) -> ArmShape | None:
-        """The arm a little further on; None where the next target comes next."""
-        return self._coming.popleft().arm if self._coming else None
 
 
 def at(replay: Replay, target: int) -> Posture:
@@ -62,20 +26,15 @@ def way(replay: Replay) -> list[Posture]:
     come = np.where(np.append(np.diff(leads) != 0, True), leads, leads - 1)  # the last row of a way is at its target
     first = int(len(motion.x) > 1 and (motion.x[0] == motion.x[1]).all() and come[1] == 0)  # it starts at target 0
     x, come, turns = motion.x[first:], come[first:], motion.kind[first:] == Kind.DWELL
-    points = _points(_shape(replay.robot, x))
+    points = _points(arms_at(replay.robot, x))
     moved = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1, initial=0.0)
     counts = np.maximum(1, np.ceil(moved / STRIDE_M)).astype(int)
     legs = zip(x, x[1:], counts, strict=False)
-    shape = _shape(replay.robot, np.concatenate([x[:1], *(np.linspace(a, b, n + 1)[1:] for a, b, n in legs)]))
+    x = np.concatenate([x[:1], *(np.linspace(a, b, n + 1)[1:] for a, b, n in legs)])
     reached = np.concatenate([come[:1], np.repeat(come[:-1], counts)])
     reached[np.cumsum(counts)] = come[1:]
     dwells = np.append(False, np.repeat(turns[1:], counts))
-    arms = (ArmShape(*arm) for arm in zip(*shape, strict=True))
-    return [Posture(*frame) for frame in zip(arms, reached.tolist(), dwells.tolist(), strict=True)]
-
-
-def _shape(robot: Robot, x: Float[np.ndarray, "n N"]) -> ArmShape:
-    return ArmShape(*map(np.asarray, capsules_and_tcp(robot, jnp.asarray(x))))
+    return postures(replay.robot, x, reached, dwells)
 
 
 def _points(shape: ArmShape) -> Float[np.ndarray, "n P 3"]:

@@ -4,13 +4,13 @@ The arm's capsules are bodies that are put where the plan has them; the cloud, c
 is one mesh of small discs; the targets are beads in the colours of what became of them.
 """
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 from jaxtyping import UInt8
 
-from htcp_jax.scene.surface import discs
+from htcp_jax.scene.surface import CORNERS, discs
 from htcp_jax.viewer.camera import kept, open_side, sight
 from htcp_jax.viewer.colours import (
     DWELL,
@@ -27,8 +27,10 @@ from htcp_jax.viewer.colours import (
     rgb,
     target_styles,
 )
+from htcp_jax.viewer.movie import HELD, Film
 from htcp_jax.viewer.offscreen import Camera
-from htcp_jax.viewer.playback import Posture, at, way
+from htcp_jax.viewer.playback import at, way
+from htcp_jax.viewer.posture import Posture, together
 from htcp_jax.viewer.replay import Replay
 
 BEAD_M, FAILED_M, TIP_M = 0.008, 0.018, 0.007  # radii of the targets, the failed one, the tool's bare tip
@@ -37,6 +39,7 @@ NEEDLE_M = 0.0012  # radius of a normal
 DWELL_M = 0.011  # half the side of the cube at a target where the arm changes its posture
 FLOOR, EDGE, SKY = (0.95, 0.955, 0.96), (0.85, 0.87, 0.89), (0.92, 0.935, 0.95)
 FOVY_DEG = 32.0
+FEW_CORNERS = 4  # of a disc in a movie: half of the triangles, which is where the time goes
 UNTOUCHED = {"contype": 0, "conaffinity": 0}  # nothing collides: the plan is what it is
 
 _Geom = mujoco.mjtGeom
@@ -67,17 +70,27 @@ class Studio:
     def __exit__(self, *_) -> None:
         self._camera.__exit__()
 
+    @property
+    def width(self) -> int:
+        """Of a frame [pixels]."""
+        return self._model.vis.global_.offwidth
+
     def still(self, target: int) -> UInt8[np.ndarray, "H W 3"]:
         """The arm at a target, all targets in their colours."""
-        return self._frame(at(self._replay, target), self._view(slice(target, target + 1)), len(self._beads))
+        posture = at(self._replay, target)
+        return self._frame(posture, self._view([posture]), len(self._beads))
 
-    def movie(self) -> Iterator[UInt8[np.ndarray, "H W 3"]]:
-        """The way along the targets up to the last that is tracked, through all postures that the arm passes; targets
-        take their colours as they are met, and the cube at a dwell is lit while the arm turns there."""
-        postures, view = way(self._replay), self._view(slice(None))
-        for posture in postures:
-            yield self._frame(posture, view, posture.target + 1)
-        yield self._frame(postures[-1], view, len(self._beads))
+    def movie(self) -> Film:
+        """The way along the targets up to the last that is tracked, through all postures that the arm passes."""
+        postures = way(self._replay)
+        return self.film([*postures, postures[-1]], HELD)
+
+    def film(self, postures: Sequence[Posture], held: int = 0) -> Film:
+        """A frame a posture; targets take their colours as they are met, in the last frame all, and the cube at a dwell
+        is lit while the arm turns there."""
+        met, view = np.maximum.accumulate([posture.target + 1 for posture in postures]), self._view(postures)
+        met = [*met.tolist()[:-1], len(self._beads)]
+        return Film(len(postures), lambda k: self._frame(postures[k], view, met[k]), held)
 
     def _frame(self, posture: Posture, view: mujoco.MjvCamera, met: int) -> UInt8[np.ndarray, "H W 3"]:
         ends = posture.arm.axes()
@@ -96,10 +109,12 @@ class Studio:
         mujoco.mj_camlight(self._model, self._data)
         return self._camera.shoot(self._data, view)
 
-    def _view(self, targets: slice) -> mujoco.MjvCamera:
+    def _view(self, postures: Sequence[Posture]) -> mujoco.MjvCamera:
+        """From where they are seen whole; from close up, at the targets alone: home may be far away."""
         size = self._model.vis.global_
         aspect = size.offwidth / size.offheight
-        eye, look_at = sight(self._replay, targets, np.radians(FOVY_DEG), aspect, self._close)
+        arms = self._replay.shape if self._close and len(postures) > 1 else together(postures)
+        eye, look_at = sight(self._replay, arms, np.radians(FOVY_DEG), aspect, self._close)
         ahead = look_at - eye
         camera = mujoco.MjvCamera()
         camera.lookat[:], camera.distance = look_at, np.linalg.norm(ahead)
@@ -131,7 +146,7 @@ def _model(replay: Replay, width: int, height: int, fine: bool) -> mujoco.MjMode
         ball = {"type": _Geom.mjGEOM_SPHERE, "size": [MARK_M, 0, 0], "pos": replay.obstruction.point}
         spec.worldbody.add_geom(name="in the way", **ball, material="bead", rgba=NOWHERE, **UNTOUCHED)
     _add_marks(spec, replay)
-    _add_cloud(spec, replay)
+    _add_cloud(spec, replay, CORNERS if fine else FEW_CORNERS)
     _add_fixtures(spec, replay)
     low = min(0.0, replay.cloud[:, 2].min(), (np.minimum(replay.p, replay.q)[..., 2] - radius[:-1]).min())
     _add_room(spec, replay, low, fine)
@@ -161,11 +176,11 @@ def _in_the_way(replay: Replay, model: mujoco.MjModel) -> list[tuple[int, list[f
     return [(geom, colour, model.geom_rgba[geom].copy()) for geom, colour in zip(geoms, colours, strict=True)]
 
 
-def _add_cloud(spec: mujoco.MjSpec, replay: Replay) -> None:
+def _add_cloud(spec: mujoco.MjSpec, replay: Replay, corners: int) -> None:
     """The half of the cloud that the side view shows, as discs: lighter inside than outside."""
     surface = replay.surface.only(kept(replay))
     for name, side, colour in (("inside", 1, WALL[1]), ("outside", -1, OUTSIDE)):
-        mesh = discs(surface, side)
+        mesh = discs(surface, side, corners)
         arrays = {"uservert": mesh.vertices, "usernormal": mesh.normals, "userface": mesh.faces}
         shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # a solid's volume would be nothing
         spec.add_mesh(name=name, inertia=shell, **{key: array.ravel() for key, array in arrays.items()})

@@ -1,0 +1,30 @@
+"""What the commands share that give a plan its time."""
+
+from typing import Annotated
+
+import typer
+
+from htcp_jax.errors import InputError
+from htcp_jax.program.of_plan import UNITS, feed_of
+
+_OF_PATH = f"Of the TCP on the path, 20mm/s say; in {', '.join(UNITS)}."
+Feed = Annotated[str, typer.Option(metavar="SPEED", help=_OF_PATH)]
+PlayedFeed = Annotated[
+    str | None, typer.Option("--feed", metavar="SPEED", help=f"Play the program at its own time. {_OF_PATH}")
+]
+OneWay = Annotated[bool, typer.Option("--one-way", help="End at the last target, without the way back.")]
+ProgramKeys = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key of program; may be repeated.")
+]
+
+
+def played_feed(feed: str | None, **others: object) -> float | None:
+    """In m/s; None where a plan is played by its targets. others: options that were given, by their names.
+
+    Raises InputError as `feed_of` does, and for one of the others without a feed.
+    """
+    if feed is not None:
+        return feed_of(feed)
+    for name in (name for name, given in others.items() if given):
+        raise InputError(f"--{name.replace('_', '-')} is of a program, which --feed gives its time; there is no --feed")
+    return None

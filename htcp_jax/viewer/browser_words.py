@@ -1,0 +1,40 @@
+"""What the page says in words: of scenarios and of targets."""
+
+from htcp_jax.planner.plans import Outcome
+from htcp_jax.status import Status, Way
+from htcp_jax.viewer.replay import Replay, Replays
+
+
+def describe(outcome: Outcome, replays: Replays) -> str:
+    label = replays.label(outcome.scenario)
+    if outcome.complete:
+        return f"{label}: all {outcome.targets} tracked"
+    return f"{label}: failed at {outcome.tracked} of {outcome.targets}"
+
+
+def name_of(names: dict[str, int], number: int) -> str | None:
+    return next((name for name, known in names.items() if known == number), None)
+
+
+def facts(replay: Replay, target: int) -> str:
+    """What is known of a target, in a few lines."""
+    status = Status(int(replay.status[target]))
+    what = f"**Target {target}** {status.message}"
+    if target == replay.failed and replay.obstruction is not None:
+        return f"{what}.\n\nBrought there all the same, as shown: {replay.obstruction.description}."
+    if not status.tracked:
+        return f"{what}.\n\nThe arm is shown where it came to before."
+    clearance, error = 1e3 * replay.clearance[target], 1e3 * replay.residual[target]
+    here = f"Clearance **{clearance:.4g} mm** at {replay.witness.body[target]}, TCP error {error:.2f} mm."
+    return f"{what}.\n\n{here}\n\n{_motion(replay, target)}"
+
+
+def _motion(replay: Replay, target: int) -> str:
+    """What is known of the way to a target, and whether the arm dwells there."""
+    known = Way(int(replay.way[target]))
+    text = f"The way here: {known.message}"
+    if known == Way.PROVEN:
+        text = f"The way here is proven: {1e3 * replay.way_clearance[target]:.3g} mm clear at least"
+    tightest = " It is the tightest of the proof." if target == replay.summary.tightest else ""
+    dwells = " **The arm changes its posture here.**" if target in replay.summary.dwells else ""
+    return f"{text}.{tightest}{dwells}"

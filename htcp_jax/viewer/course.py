@@ -1,0 +1,86 @@
+"""What the slider of the page counts, and how play goes on along it: targets of a plan, or seconds of a program.
+
+A place is a number on the slider, or between two numbers.
+"""
+
+import numpy as np
+
+from htcp_jax.program.of_plan import OfPlan
+from htcp_jax.viewer.playback import at, way
+from htcp_jax.viewer.posture import Posture
+from htcp_jax.viewer.replay import Replay
+from htcp_jax.viewer.timed_play import Curves, arms_of, played
+
+MOST_BETWEEN = 4  # postures that share the time of a target; where there are more, as in a dwell, it takes longer
+TICK_S = 0.05  # between postures of a program
+SEEN = 60  # postures of one that the camera is to see
+
+
+class ByTarget:
+    """The postures of a plan, target by target; those on the way to the next target are at places between the two, and
+    those before the first at places below 0. None is left out."""
+
+    name, step, curves = "Target", 1, None
+    rate_name, rates, usual_rate = "Targets a second", ("5", "10", "20", "40"), "10"
+
+    def __init__(self, replay: Replay, note: str = ""):
+        self._note, row = note, way(replay)
+        row += [at(replay, target) for target in range(row[-1].target + 1, len(replay.target))]
+        targets = np.array([posture.target for posture in row])
+        first = np.searchsorted(targets, targets)
+        self._count = np.searchsorted(targets, targets, side="right") - first
+        self.passed, self._places = row, targets + (np.arange(len(row)) - first) / self._count
+        self.begin, self.last = float(self._places[0]), len(replay.target) - 1
+
+    def look(self, place: float) -> tuple[Posture, str]:
+        """The posture at a place, or the last before it, and what there is to say of it."""
+        return self.passed[self._row(place)], self._note
+
+    def on_slider(self, place: float) -> int:
+        """Where the slider stands: at the target that the arm came to last."""
+        return max(int(np.floor(place)), 0)
+
+    def after(self, place: float, passed_s: float, rate: float) -> float:
+        """The next place; however much time has passed, no posture is left out."""
+        del passed_s, rate
+        return float(self._places[min(self._row(place) + 1, len(self._places) - 1)])
+
+    def pause_s(self, place: float, rate: float) -> float:
+        """For how long the posture there is shown."""
+        return 1 / rate / min(self._count[self._row(place)], 1 + MOST_BETWEEN)
+
+    def _row(self, place: float) -> int:
+        return max(int(np.searchsorted(self._places, place, side="right")) - 1, 0)
+
+
+class ByTime:
+    """A program at its own time; places are seconds. What the machine has no time to show is left out."""
+
+    name, step, begin = "Time [s]", 0.01, 0.0
+    rate_name, rates, usual_rate = "Times real time", ("0.25", "1", "4", "16"), "1"
+
+    def __init__(self, made: OfPlan):
+        self._made, self.curves = made, Curves.of(made)
+        self.last = np.ceil(made.program.duration_s / self.step) * self.step
+        self.passed = arms_of(made, played(made, np.linspace(0, self.last, SEEN)))
+
+    def look(self, place: float) -> tuple[Posture, str]:
+        """The arm at a time, and what it does then."""
+        play = played(self._made, np.array([float(place)]))
+        return arms_of(self._made, play)[0], f"**{play.words(0)}**"
+
+    def on_slider(self, place: float) -> float:
+        """Where the slider stands."""
+        return round(place, 2)
+
+    def after(self, place: float, passed_s: float, rate: float) -> float:
+        """The place after some time."""
+        return min(place + rate * passed_s, self.last)
+
+    def pause_s(self, place: float, rate: float) -> float:
+        """Until the next look."""
+        del place, rate
+        return TICK_S
+
+
+Course = ByTarget | ByTime

@@ -1,0 +1,37 @@
+"""The arm as it is shown: in one frame of a movie, at one moment of the page."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from htcp_jax.scene.kinematics import ArmShape, capsules_and_tcp
+from htcp_jax.scene.robot import Robot
+
+
+class Posture(NamedTuple):
+    """The arm in one frame, the last target it has come to, -1 before the first, and whether it dwells there."""
+
+    arm: ArmShape
+    target: int
+    dwells: bool = False
+
+
+def postures(
+    robot: Robot, x: Float[np.ndarray, "n N"], reached: Int[np.ndarray, "n"], dwells: Bool[np.ndarray, "n"]
+) -> list[Posture]:
+    """The arm at n joint vectors, with the targets that it has come to and whether it dwells there."""
+    arms = (ArmShape(*arm) for arm in zip(*arms_at(robot, x), strict=True))
+    return [Posture(*frame) for frame in zip(arms, reached.tolist(), dwells.tolist(), strict=True)]
+
+
+def together(row: Sequence[Posture]) -> ArmShape:
+    """The arms of n postures in arrays."""
+    return ArmShape(*map(np.stack, zip(*(posture.arm for posture in row), strict=True)))
+
+
+def arms_at(robot: Robot, x: Float[np.ndarray, "n N"]) -> ArmShape:
+    """The arm at n joint vectors."""
+    return ArmShape(*map(np.asarray, capsules_and_tcp(robot, jnp.asarray(x))))
