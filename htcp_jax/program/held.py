@@ -8,8 +8,9 @@ targets equalities and bands hold to within the tolerance; between targets the p
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
-from htcp_jax.jobs.build import scene, task_of_job
+from htcp_jax.jobs.build import task_of_job
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.planner.motion import Motion
 from htcp_jax.program.stretches import Spare
@@ -18,16 +19,16 @@ from htcp_jax.scene.task import Task
 from htcp_jax.status import Kind
 
 
-def with_rows(left: Spare, job: PlanConfig, robot: Robot, motion: Motion) -> Spare:
+def with_rows(
+    left: Spare, job: PlanConfig, robot: Robot, motion: Motion, aims: Float[np.ndarray, "T G"]
+) -> Spare:
     """What is left, with that of the job's task beside each leg; infinite before the path and on the way back.
 
-    robot: with the job's tool. Raises InputError for a scene that cannot be read.
+    robot: with the job's tool; aims: what the task asks for at each target, see `Scenario`.
     """
-    if not job.task:
-        return left
     task = task_of_job(job, robot)
     on = np.isin(motion.kind, (Kind.FEED, Kind.DWELL))
-    goals = scene(job)[2].aims[motion.target]
+    goals = aims[motion.target]
     rest, room = (np.where(on, part, np.inf) for part in _left(task, robot, motion.x, goals))
     rows, cones = (np.minimum(part[:-1], part[1:]) for part in (rest, np.maximum(room + task.tolerance_m, 0.0)))
     tube = left.tube if task.holds_tcp else np.full_like(left.tube, np.inf)
