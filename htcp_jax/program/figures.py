@@ -81,7 +81,9 @@ def _reached(feeding: list[Law], dips: list[Dip]) -> dict[str, float | str | Non
         return {"reached_m_s": np.nan, "reason": None}
     ends = np.cumsum([law.path.place[-1] for law in feeding])
     looked_at = [law.speed.at(instants(law.speed))[:2] for law in feeding]
-    place = np.concatenate([own + end - law.path.place[-1] for (own, _), end, law in zip(looked_at, ends, feeding, strict=True)])
+    place = np.concatenate(
+        [own + end - law.path.place[-1] for (own, _), end, law in zip(looked_at, ends, feeding, strict=True)]
+    )
     speed = np.concatenate([own for _, own in looked_at])
     first, last = _top(speed), len(speed) - 1 - _top(speed[::-1])
     least = min(first, last) + int(speed[min(first, last) : max(first, last) + 1].argmin())

@@ -19,9 +19,7 @@ from htcp_jax.scene.task import Task
 from htcp_jax.status import Kind
 
 
-def with_rows(
-    left: Spare, job: PlanConfig, robot: Robot, motion: Motion, aims: Float[np.ndarray, "T G"]
-) -> Spare:
+def with_rows(left: Spare, job: PlanConfig, robot: Robot, motion: Motion, aims: Float[np.ndarray, "T G"]) -> Spare:
     """What is left, with that of the job's task beside each leg; infinite before the path and on the way back.
 
     robot: with the job's tool; aims: what the task asks for at each target, see `Scenario`.

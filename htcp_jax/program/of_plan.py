@@ -34,7 +34,7 @@ from htcp_jax.scene.robot import Robot, lengthen_tool
 
 SECTION = "program."
 
-__all__ = ["OfPlan", "feed_of", "asked_feed", "program_of", "timed_plan", "with_program"]
+__all__ = ["OfPlan", "asked_feed", "feed_of", "program_of", "timed_plan", "with_program"]
 
 
 class OfPlan(NamedTuple):

@@ -74,17 +74,23 @@ def time_run(
     many there are. workers: processes; None are as many as pay.
 
     Raises InputError for a feed that is none, a run without results, methods that it lacks, an arm without velocity
-    limits, files that have changed, and a folder that is in use or cannot be written; Interrupted on SIGINT and SIGTERM:
-    what is timed by then is kept.
+    limits, files that have changed, and a folder that is in use or cannot be written; Interrupted on SIGINT and
+    SIGTERM, after which what is timed is kept.
     """
     asked = _Asked(asked_feed(feed, with_program(run.config, overrides)), tuple(overrides))
     timer = _Timer(plans_of_run(run), asked)
     chosen = _chosen(timer.found, methods)
-    timer.check_limits()
+    check_limits(timer.jobs)
     with locked(run.folder), signals() as came, _processes(timer, chosen, workers) as pool:
         for method in chosen:
             _time_method(timer, method, pool, progress, came)
     return run
+
+
+def check_limits(jobs: Iterable[PlanConfig]) -> None:
+    """Raise InputError for an arm of these jobs without velocity limits, and for limits that are not its own."""
+    for job in {repr((arm_of(job), job.program)): job for job in jobs}.values():
+        joint_limits(robot_of(job.robot), job.program)
 
 
 def _chosen(found: RunPlans, methods: Sequence[str] | None) -> tuple[str, ...]:
@@ -115,11 +121,6 @@ class _Timer:
         """What the times are made with, without any rows."""
         program = with_program(self.found.config, self.asked.overrides).program.model_dump(mode="json")
         return Timing(self.asked.feed_m_s, {key: program[key] for key in LIMITS}, SCHEMA.empty_table())
-
-    def check_limits(self) -> None:
-        """Raise InputError for an arm without them."""
-        for job in {repr((arm_of(job), job.program)): job for job in self.jobs}.values():
-            joint_limits(self._arm(job), job.program)
 
     def known(self, method: str) -> Timing:
         """What is there already that was made with the same; a damaged file is as none."""
@@ -189,9 +190,7 @@ class _Timer:
         return self._parts[key]
 
 
-def _time_method(
-    timer: _Timer, method: str, pool: Executor | None, progress: Callable | None, came: list[int]
-) -> None:
+def _time_method(timer: _Timer, method: str, pool: Executor | None, progress: Callable | None, came: list[int]) -> None:
     """All that is missing, block by block; every block is written."""
     missing, known = timer.missing(method), timer.known(method)
     everything = len(missing) + len(known.rows)

@@ -5,8 +5,8 @@
     scenarios/<method>-<first>-<last>.parquet         see `tables` for the columns
     timing/<method>.parquet                           times of a method's scenarios, where asked for: see `timing_file`
 
-A file of a shard counts only if the manifest lists it and its size and SHA-256 are as listed. The manifest is written after
-the files of a shard, so a shard is in the run wholly or not at all, whenever the process dies.
+A shard's file counts only if the manifest lists it and its size and SHA-256 are as listed. The manifest is written
+after the files of a shard, so a shard is in the run wholly or not at all, whenever the process dies.
 """
 
 import hashlib
@@ -120,7 +120,7 @@ class Run:
         return self._read("targets", methods)
 
     def scenarios(self, *methods: str) -> pa.Table:
-        """One row per method and scenario, with their times where there are any, see `timing_file`. Raises InputError as
+        """One row per method and scenario, with its times where there are any, see `timing_file`. Raises InputError as
         `targets` does, and for times that are damaged."""
         return with_timing(self.folder, self.manifest, self._read("scenarios", methods))
 

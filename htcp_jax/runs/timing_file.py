@@ -1,17 +1,17 @@
 """What `htcp program --all` and `htcp sweep --feed` leave in a run's folder: timing/<method>.parquet, a row a scenario.
 
-    scenario               int32    its number
-    feed_m_s               double   that was asked for
-    cycle_time_s           double   from home over the path and back; null, as is all that follows, where no motion leads
-                                    to the last target
-    path_time_s            double   of it, from where the tool begins to follow the path to where it ends, dwells included
-    feed_held_share        double   of the path's length, where the feed is held within 1 %
-    feed_reached_m_s       double   the least feed between the path's run-up and its run-down; 0 where the arm stops between
-    feed_reason            string   what keeps it there: "stop", or a joint and which limit of it; null where it is held
-    velocity_share, velocity_joint, acceleration_share, acceleration_joint, jerk_share, jerk_joint
-                           double, string   the largest share of each limit while the tool goes along the path, and whose
-    torque_share, torque_joint    the same of the effort limits, of the whole program; null where the arm's model states no
-                                    inertias, or no limits
+    scenario            int32    its number
+    feed_m_s            double   that was asked for
+    cycle_time_s        double   from home over the path and back; null, as is all that follows, without a motion to the
+                                 last target
+    path_time_s         double   of it, from where the tool begins to follow the path to where it ends, with dwells
+    feed_held_share     double   of the path's length, where the feed is held within 1 %
+    feed_reached_m_s    double   the least feed between the path's run-up and its run-down; 0 where the arm stops there
+    feed_reason         string   what keeps it there: "stop", or which limit of which joint; null where it is held
+    <limit>_share       double   of velocity, acceleration, jerk: the largest share while the tool goes along the path
+    <limit>_joint       string   whose it is
+    torque_share, torque_joint   the same of the effort limits, all along; null where the arm's model states no inertias
+                                 or no limits
 
 The file's metadata say what it was made with, and of which results: rows of results that are not those of the run any
 more do not count.
