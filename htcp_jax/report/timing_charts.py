@@ -74,6 +74,8 @@ def over_map(
     outer_labels(panels, len(values), columns.label, rows.label)
     bar = figure.colorbar(image, ax=panels, fraction=0.02, pad=0.015, aspect=30)
     bar.outline.set_visible(False)
+    if measure.scale is not None:
+        bar.set_ticks([part * measure.scale[1] for part in (0, 0.5, 0.75, 0.9, 1)])
     bar.ax.tick_params(colors=QUIET, labelsize=9, length=0)
     return figure
 
