@@ -24,8 +24,8 @@ from htcp_jax.runs.sweep import sweep
 from htcp_jax.runs.timing_file import COLUMNS, timing_file
 
 WELD = "0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n0.195,-0.1739,0.1703\n"
-LOST = 3  # the scenario that has no motion
-GRID = {"grid": [{"workpiece.rotation_y_rad": [0.4, 0.41, 0.42, 1.3]}]}
+METHOD, LOST = "baseline", 3  # the scenario that has no motion
+GRID = {"grid": [{"workpiece.rotation_y_rad": [0.4, 0.41, 0.42, 3.0]}]}
 SLOW = "program.velocity=[1, 1, 1, 1, 1, 1]"
 
 
@@ -35,8 +35,8 @@ def untimed(tmp_path_factory):
     place = tmp_path_factory.mktemp("untimed")
     (place / "path.csv").write_text(WELD)
     job = {"workpiece": {"path": str(place / "path.csv")}}
-    run = sweep(GRID, "roadmap", place / "run", config=job, shard_scenarios=2)
-    assert (run.plans("roadmap").outcomes.executable == run.plans("roadmap").outcomes.targets).tolist() == [1, 1, 1, 0]
+    run = sweep(GRID, METHOD, place / "run", config=job, shard_scenarios=2)
+    assert (run.plans(METHOD).outcomes.executable == run.plans(METHOD).outcomes.targets).tolist() == [1, 1, 1, 0]
     return place / "run"
 
 
@@ -65,7 +65,7 @@ def rows(folder):
 
 
 def content(folder):
-    return timing_file(folder, "roadmap").read_bytes()
+    return timing_file(folder, METHOD).read_bytes()
 
 
 def test_the_columns_are_the_figures_of_the_single_programs(timed):
@@ -74,7 +74,7 @@ def test_the_columns_are_the_figures_of_the_single_programs(timed):
         if number == LOST:
             assert row["feed_m_s"] == 0.02 and not any(row[name] is not None for name in COLUMNS[1:])
             continue
-        made = program_of(plans, 0.02, "roadmap", number)
+        made = program_of(plans, 0.02, METHOD, number)
         found = figures(made.program, made.limits)
         assert row["cycle_time_s"] == found.duration_s and row["path_time_s"] == found.seconds["feed"]
         assert row["feed_held_share"] == found.held_share and row["feed_reached_m_s"] == found.reached_m_s
@@ -93,12 +93,13 @@ def test_a_run_that_is_not_timed_has_none_of_the_columns_and_its_report_is_quiet
 
 
 def test_a_sweep_with_a_feed_leaves_the_same_file_as_timing_it_afterwards(timed, untimed, tmp_path, capsys):
-    sweep_file, path = tmp_path / "grid.yaml", untimed.parent / "path.csv"
-    sweep_file.write_text(yaml.safe_dump(GRID | {"config": {"workpiece": {"path": str(path)}}}))
-    words = ["sweep", str(sweep_file), "--methods", "roadmap", "--shard", "2", "--out", str(tmp_path / "run"), "--json"]
+    sweep_file, path = tmp_path / "sweep.yaml", untimed.parent / "path.csv"
+    (tmp_path / "job.yaml").write_text(yaml.safe_dump({"workpiece": {"path": str(path)}}))
+    sweep_file.write_text(yaml.safe_dump(GRID | {"config": "job.yaml"}))
+    words = ["sweep", str(sweep_file), "--methods", METHOD, "--shard", "2", "--out", str(tmp_path / "run"), "--json"]
     assert main([*words, "--set", "program.feed=20mm/s"]) == 0
     assert content(tmp_path / "run") == content(timed)
-    record = json.loads(capsys.readouterr().out)["methods"]["roadmap"]["timing"]
+    record = json.loads(capsys.readouterr().out)["methods"][METHOD]["timing"]
     assert (record["feed_m_s"], record["timed"], record["scenarios"]) == (0.02, 3, 4)
     assert record["cycle_median_s"] == pytest.approx(np.median([r["cycle_time_s"] for r in rows(timed)[:LOST]]))
     assert main([*words[:-1], "--feed", "30mm/s"]) == 0
@@ -110,7 +111,7 @@ def test_a_sweep_with_a_feed_leaves_the_same_file_as_timing_it_afterwards(timed,
 def test_neither_the_number_of_processes_nor_what_is_timed_together_has_any_influence(timed, run, monkeypatch):
     monkeypatch.setattr(whole_run, "BLOCK", 2)
     time_run(open_run(run), "20mm/s", workers=2)
-    assert pq.read_table(timing_file(run, "roadmap")).equals(pq.read_table(timing_file(timed, "roadmap")))
+    assert pq.read_table(timing_file(run, METHOD)).equals(pq.read_table(timing_file(timed, METHOD)))
 
 
 def test_what_a_signal_leaves_is_whole_and_the_same_call_does_the_rest(timed, run, monkeypatch):
@@ -122,7 +123,7 @@ def test_what_a_signal_leaves_is_whole_and_the_same_call_does_the_rest(timed, ru
         if finished == 2:
             os.kill(os.getpid(), signal.SIGINT)
 
-    with pytest.raises(Interrupted, match="2 of 4 scenarios of roadmap are timed"):
+    with pytest.raises(Interrupted, match="2 of 4 scenarios of baseline are timed"):
         time_run(open_run(run), "20mm/s", progress=interrupt)
     assert [row["cycle_time_s"] is not None for row in rows(run)] == [True, True, False, False]
     done.clear()
@@ -132,9 +133,9 @@ def test_what_a_signal_leaves_is_whole_and_the_same_call_does_the_rest(timed, ru
 
 
 def test_the_same_again_does_nothing_and_another_feed_or_other_limits_replace_it(timed_copy):
-    before = timing_file(timed_copy, "roadmap").stat()
+    before = timing_file(timed_copy, METHOD).stat()
     time_run(open_run(timed_copy), "1.2m/min")  # which is 20 mm/s
-    assert timing_file(timed_copy, "roadmap").stat().st_mtime_ns == before.st_mtime_ns
+    assert timing_file(timed_copy, METHOD).stat().st_mtime_ns == before.st_mtime_ns
     first = rows(timed_copy)
     time_run(open_run(timed_copy), "10mm/s")
     second = rows(timed_copy)
@@ -142,19 +143,19 @@ def test_the_same_again_does_nothing_and_another_feed_or_other_limits_replace_it
     time_run(open_run(timed_copy), "10mm/s", overrides=[SLOW])
     third = rows(timed_copy)
     assert all(b["cycle_time_s"] > a["cycle_time_s"] for a, b in zip(second[:LOST], third[:LOST], strict=True))
-    assert "velocity by the job" in open_run(timed_copy).timing("roadmap").words
+    assert "velocity by the job" in open_run(timed_copy).timing(METHOD).words
 
 
 def test_times_of_results_that_are_not_the_runs_any_more_do_not_count(timed_copy):
-    rewrite(timed_copy, "roadmap", 2, lambda table: table.set_column(0, "method", table["method"]).combine_chunks())
-    rewrite(timed_copy, "roadmap", 2, lambda table: table.slice(0).replace_schema_metadata({"by": "somebody"}))
+    rewrite(timed_copy, METHOD, 2, lambda table: table.set_column(0, "method", table["method"]).combine_chunks())
+    rewrite(timed_copy, METHOD, 2, lambda table: table.slice(0).replace_schema_metadata({"by": "somebody"}))
     assert [row["feed_m_s"] for row in rows(timed_copy)] == [0.02, 0.02, None, None]
 
 
 def test_a_damaged_file_is_named_and_made_again(timed, timed_copy):
-    file = timing_file(timed_copy, "roadmap")
+    file = timing_file(timed_copy, METHOD)
     file.write_bytes(content(timed)[:-40])
-    with pytest.raises(InputError, match=r"roadmap\.parquet is damaged: .*htcp program --all makes it again"):
+    with pytest.raises(InputError, match=r"baseline\.parquet is damaged: .*htcp program --all makes it again"):
         open_run(timed_copy).scenarios()
     time_run(open_run(timed_copy), "20mm/s")
     assert content(timed_copy) == content(timed)
@@ -191,7 +192,7 @@ def verdict(run, baseline, capsys):
 
 def edited(baseline, tmp_path, change):
     raw = yaml.safe_load(baseline.read_text())
-    change(raw["methods"]["roadmap"]["times"])
+    change(raw["methods"][METHOD]["times"])
     (tmp_path / "edited.yaml").write_text(yaml.safe_dump(raw))
     return tmp_path / "edited.yaml"
 
@@ -239,7 +240,7 @@ WRONG = [
     (["--all"], "no feed: --feed 20mm/s gives one, or program.feed of the job"),
     (["--all", "--feed", "20mm/s", "--out", "x.csv"], "--out is of one program; --all times every scenario"),
     (["--all", "--feed", "20mm/s", "--one-way"], "--one-way is of one program"),
-    (["--all", "--feed", "20mm/s", "--method", "hybrid"], "has no plans by 'hybrid'; there are roadmap"),
+    (["--all", "--feed", "20mm/s", "--method", "hybrid"], "has no plans by 'hybrid'; there are baseline"),
     (["--all", "--feed", "20mm/s", "--set", "margin_m=0"], "keys of program.* alone can be changed"),
     (["--all", "--set", "program.feed=5"], "program.feed: feed '5' is no speed above 0 with a unit"),
     (
@@ -255,7 +256,7 @@ def test_what_is_wrong_is_one_line_exit_2_and_leaves_the_run_as_it_is(run, capsy
     assert main(["program", str(run), *words]) == 2
     output = capsys.readouterr()
     assert says in output.err and output.err.count("\n") == 1 and output.out == ""
-    assert not timing_file(run, "roadmap").exists()
+    assert not timing_file(run, METHOD).exists()
 
 
 def test_a_run_without_any_motion_to_the_end_says_so(planned, tmp_path, capsys):

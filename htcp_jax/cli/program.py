@@ -1,5 +1,6 @@
 """`htcp program`: a plan as a program that a controller takes."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -115,7 +116,7 @@ def program(
     return code
 
 
-def _time_all(folder: Path, feed: str | None, method: str | None, overrides: list[str], as_json: bool) -> int:
+def _time_all(folder: Path, feed: str | None, method: str | None, overrides: Sequence[str], as_json: bool) -> int:
     if (folder / SUMMARY).exists():
         raise InputError(f"{folder} holds one plan of htcp plan; --all is for a run of htcp sweep")
     run = open_run(folder)

@@ -131,7 +131,10 @@ class Run:
     def plans(self, method: str) -> Plans:
         """The plans of one method as arrays; S = `manifest.count`, row s is scenario s. Where scenarios are not
         planned yet, or have fewer targets than others, the status is NO_TARGET. Raises InputError as `targets` does."""
-        rows, seconds = (self.targets(method), self.scenarios(method)), self.manifest.seconds.get(method, Seconds())
+        rows, seconds = (
+            (self.targets(method), self._read("scenarios", (method,))),
+            self.manifest.seconds.get(method, Seconds()),
+        )
         try:
             return plans_of(*rows, self.manifest.count, self.manifest.joints, seconds.compile_s, seconds.run_s)
         except (IndexError, KeyError, ValueError) as error:
@@ -140,7 +143,7 @@ class Run:
     def labels(self) -> dict[int, str]:
         """What sets the scenarios apart that at least one method has planned, by number. Raises InputError as `targets`
         does."""
-        return labels_of(self.scenarios(*dict.fromkeys(shard.method for shard in self.manifest.shards)))
+        return labels_of(self._read("scenarios", tuple(dict.fromkeys(shard.method for shard in self.manifest.shards))))
 
     def result_files(self) -> dict[str, str]:
         """SHA-256 of the files with finished results, by their names in the folder."""

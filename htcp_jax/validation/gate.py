@@ -251,7 +251,7 @@ def _row(baseline: Baseline, found: RunSummary, method: str, changed: list[Chang
     )
 
 
-def _time_columns(was: Times | None, now: Times | None) -> dict[str, float | None]:
+def _time_columns(was: Times | None, now: Times | None) -> dict[str, int | float | None]:
     """Of a row; without any where the baseline has no times."""
     now = was and now
     return {
