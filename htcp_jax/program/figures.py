@@ -6,9 +6,11 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.program.limits import KINDS, Limits
-from htcp_jax.program.program import HELD, Dip, Program
+from htcp_jax.program.program import Dip, Program
 from htcp_jax.program.time_law import Law, instants
 from htcp_jax.status import Kind
+
+ROUNDING = 1e-9  # of a cap
 
 
 class Share(NamedTuple):
@@ -72,30 +74,31 @@ def _seconds(made: Program) -> dict[str, float]:
 
 
 def _reached(feeding: list[Law], dips: list[Dip]) -> dict[str, float | str | None]:
-    """The least feed, and what says so.
-
-    The run-up ends with the highest speed before the first fall by as much as a dip, the run-down begins with the
-    highest one behind the last.
-    """
+    """The least feed, and what says so. Between two stretches the arm stops."""
     if not feeding:
         return {"reached_m_s": np.nan, "reason": None}
-    ends = np.cumsum([law.path.place[-1] for law in feeding])
-    looked_at = [law.speed.at(instants(law.speed))[:2] for law in feeding]
-    place = np.concatenate(
-        [own + end - law.path.place[-1] for (own, _), end, law in zip(looked_at, ends, feeding, strict=True)]
-    )
-    speed = np.concatenate([own for _, own in looked_at])
-    first, last = _top(speed), len(speed) - 1 - _top(speed[::-1])
-    least = min(first, last) + int(speed[min(first, last) : max(first, last) + 1].argmin())
+    if feeding[1:]:
+        return {"reached_m_s": 0.0, "reason": "stop"}
+    place, speed = _between_ends(feeding[0])
+    least = int(speed.argmin())
     around = [dip for dip in dips if dip.begin_m <= place[least] <= dip.end_m]
     reason = min(around, key=lambda dip: dip.feed_m_s).reason if around else None
-    return {"reached_m_s": float(max(speed[least], 0.0)), "reason": reason}
+    return {"reached_m_s": float(speed[least]), "reason": reason}
 
 
-def _top(speed: Float[np.ndarray, "n"]) -> int:
-    """Where the speed is highest before it first falls by as much as a dip."""
-    fallen = np.flatnonzero(speed < HELD * np.maximum.accumulate(speed))
-    return int(speed[: fallen[0] if len(fallen) else len(speed)].argmax())
+def _between_ends(law: Law) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Places and speeds between run-up and run-down: from where the law without its mean first comes to a cap, and the
+    mean sees nothing else, to where it last does so. The fastest place alone where there is nothing between them."""
+    own, when = law.speed, instants(law.speed)
+    place, speed = own.at(when)[:2]
+    capped = np.flatnonzero(own.speed[1:-1] >= (1 - ROUNDING) * law.cap[1:-1]) + 1
+    if len(capped):
+        first, last = own.slower * (own.time[capped[0]] + own.window_s), own.slower * own.time[capped[-1]]
+        between = (when >= first) & (when <= last)
+        if between.any():
+            return place[between], speed[between]
+    fastest = [int(speed.argmax())]
+    return place[fastest], speed[fastest]
 
 
 def _looked_at(made: Program, limits: Limits) -> list[tuple[np.ndarray, list[np.ndarray]]]:
