@@ -30,7 +30,7 @@ def test_a_thousand_timed_scenarios_with_torques_stay_within_4_gib_and_each_is_a
     arm = tmp_path / "arm.xml"
     assert main(["robot", str(path_of("panda")), "--out", str(arm), "--tcp", MODELS["panda"].tcp]) == 0
     job, few = small_job(arm, tmp_path, MODELS["panda"].out), np.linspace(-0.002, 0.002, 10).tolist()
-    grid = [{f"workpiece.shift_m.{axis}": few for axis in "xyz"}]
+    grid = [{f"workpiece.shift_m.{axis}": few} for axis in "xyz"]
     sweep({"grid": grid}, "baseline", tmp_path / "run", config=job)
     out = subprocess.run([sys.executable, "-c", TIME_ALL, str(tmp_path / "run")], capture_output=True, check=True)
     peak = json.loads(out.stdout)["bytes"]

@@ -139,7 +139,7 @@ def timed_plan(
     retract: bool = True,
 ) -> OfPlan:
     """The program of a scenario that is executable to its end. robot: with the job's tool; aims: of its scenario, where
-    the job has a task. Raises InputError as `program` and `joint_limits` do."""
+    the job has a task [m, rad]. Raises InputError as `program` and `joint_limits` do."""
     limits = joint_limits(robot, job.program)
     whole = motion(plans, scenario, job.on_path, retract=retract)
     left = spare(plans, scenario, whole, job.settings.tube_m)
@@ -151,7 +151,7 @@ def timed_plan(
 
 
 def asked_feed(text: str | None, job: PlanConfig) -> float:
-    """The feed in m/s: as it is asked for, else the job's. Raises InputError where neither says any, and as `feed_of`
+    """The feed [m/s]: as it is asked for, else the job's. Raises InputError where neither says any, and as `feed_of`
     does."""
     text = job.program.feed if text is None else text
     if text is None:

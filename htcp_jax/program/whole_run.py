@@ -125,7 +125,7 @@ class _Timer:
     def known(self, method: str) -> Timing:
         """What is there already that was made with the same; a damaged file is as none."""
         try:
-            there = read_timing(self.found.folder, self.found.run.manifest, method)
+            there = read_timing(self.found.folder, self.found.run.manifest.shards, method)
         except InputError:
             there = None
         return there if there is not None and there[:2] == self.made_with[:2] else self.made_with
@@ -219,7 +219,7 @@ def _write(run: Run, method: str, timing: Timing) -> None:
         (run.folder / TIMING).mkdir(exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot write to {run.folder}: {error.strerror}") from None
-    write(run.folder, file, timing_bytes(timing, run.manifest, method))
+    write(run.folder, file, timing_bytes(timing, run.manifest.shards, method))
 
 
 def _row(number: int, feed_m_s: float, one: _OfScenario | None, load: Load | None) -> dict:

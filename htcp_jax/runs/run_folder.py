@@ -122,11 +122,11 @@ class Run:
     def scenarios(self, *methods: str) -> pa.Table:
         """One row per method and scenario, with its times where there are any, see `timing_file`. Raises InputError as
         `targets` does, and for times that are damaged."""
-        return with_timing(self.folder, self.manifest, self._read("scenarios", methods))
+        return with_timing(self.folder, self.manifest.shards, self._read("scenarios", methods))
 
     def timing(self, method: str) -> Timing | None:
         """The times of a method; None where there are none. Raises InputError for a damaged file."""
-        return read_timing(self.folder, self.manifest, method)
+        return read_timing(self.folder, self.manifest.shards, method)
 
     def plans(self, method: str) -> Plans:
         """The plans of one method as arrays; S = `manifest.count`, row s is scenario s. Where scenarios are not

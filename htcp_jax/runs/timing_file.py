@@ -18,8 +18,9 @@ more do not count.
 """
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import pyarrow as pa
@@ -27,7 +28,6 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from htcp_jax.errors import InputError
-from htcp_jax.runs.manifest import Manifest
 
 TIMING, MADE = "timing", b"htcp_jax"
 HELD_OVER = 0.99  # of the path's length: a scenario holds its feed
@@ -46,6 +46,15 @@ SCHEMA = pa.schema(
     ]
 )
 COLUMNS = tuple(SCHEMA.names[1:])
+
+
+class Shard(Protocol):
+    """What must be known of a shard of results, as a run's manifest has it."""
+
+    method: str
+    first: int
+    last: int
+    targets: Any  # with its SHA-256
 
 
 class Timing(NamedTuple):
@@ -86,7 +95,7 @@ def timing_file(folder: Path, method: str) -> Path:
     return folder / TIMING / f"{method}.parquet"
 
 
-def read_timing(folder: Path, manifest: Manifest, method: str) -> Timing | None:
+def read_timing(folder: Path, shards: Iterable[Shard], method: str) -> Timing | None:
     """The times of a method's results as they are; None where there are none. Raises InputError for a damaged file."""
     file = timing_file(folder, method)
     if not file.exists():
@@ -95,7 +104,7 @@ def read_timing(folder: Path, manifest: Manifest, method: str) -> Timing | None:
         rows = pq.read_table(file, page_checksum_verification=True)
         made = json.loads(rows.schema.metadata[MADE])
         rows = rows.cast(SCHEMA)
-        known = _of_results(manifest, method, made["results"])
+        known = _of_results(shards, method, made["results"])
         there = [number in known for number in rows["scenario"].to_pylist()]
         return Timing(float(made["feed_m_s"]), dict(made["limits"]), rows.filter(pa.array(there, pa.bool_())))
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
@@ -103,10 +112,10 @@ def read_timing(folder: Path, manifest: Manifest, method: str) -> Timing | None:
         raise InputError(f"{file} is damaged: {what}; without it, htcp program --all makes it again") from None
 
 
-def timing_bytes(timing: Timing, manifest: Manifest, method: str) -> bytes:
+def timing_bytes(timing: Timing, shards: Iterable[Shard], method: str) -> bytes:
     """The file's contents."""
     of = set(timing.rows["scenario"].to_pylist())
-    results = [s.targets.sha256 for s in manifest.shards if s.method == method and not of.isdisjoint(_numbers(s))]
+    results = [s.targets.sha256 for s in shards if s.method == method and not of.isdisjoint(_numbers(s))]
     made = {"feed_m_s": timing.feed_m_s, "limits": timing.limits, "results": results}
     rows = timing.rows.sort_by("scenario").replace_schema_metadata({MADE: json.dumps(made)})
     sink = pa.BufferOutputStream()
@@ -114,11 +123,11 @@ def timing_bytes(timing: Timing, manifest: Manifest, method: str) -> bytes:
     return sink.getvalue().to_pybytes()
 
 
-def with_timing(folder: Path, manifest: Manifest, scenarios: pa.Table) -> pa.Table:
+def with_timing(folder: Path, shards: Iterable[Shard], scenarios: pa.Table) -> pa.Table:
     """Rows of the table of scenarios, with their times where any of these methods has been timed. Raises InputError as
     `read_timing` does."""
     methods = dict.fromkeys(scenarios["method"].to_pylist())
-    found = {method: known for method in methods if (known := read_timing(folder, manifest, method)) is not None}
+    found = {method: known for method in methods if (known := read_timing(folder, shards, method)) is not None}
     if not found:
         return scenarios
     rows = pa.concat_tables(timing.rows for timing in found.values())
@@ -131,11 +140,11 @@ def with_timing(folder: Path, manifest: Manifest, scenarios: pa.Table) -> pa.Tab
     return scenarios
 
 
-def _of_results(manifest: Manifest, method: str, results: list[str]) -> set[int]:
+def _of_results(shards: Iterable[Shard], method: str, results: list[str]) -> set[int]:
     """The scenarios whose results are still those."""
-    kept = [s for s in manifest.shards if s.method == method and s.targets.sha256 in results]
+    kept = [s for s in shards if s.method == method and s.targets.sha256 in results]
     return {number for shard in kept for number in _numbers(shard)}
 
 
-def _numbers(shard) -> range:
+def _numbers(shard: Shard) -> range:
     return range(shard.first, shard.last + 1)
