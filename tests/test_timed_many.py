@@ -1,8 +1,8 @@
 """A thousand scenarios of an arm with inertias, timed in one go: what they take of memory; each is as it is alone."""
 
-import json
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,15 +17,17 @@ from htcp_jax.runs.sweep import sweep
 
 SCENARIOS, MOST_BYTES = 1000, 4 * 2**30
 TIME_ALL = """
-import json, resource, sys
+import sys
+from pathlib import Path
 from htcp_jax.program.whole_run import time_run
 from htcp_jax.runs.run_folder import open_run
 time_run(open_run(sys.argv[1]), "50mm/s")
-print(json.dumps({"bytes": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss}))
+print(next(line.split()[1] for line in Path("/proc/self/status").read_text().splitlines() if "VmHWM" in line))
 """
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak of memory is read from /proc")
 def test_a_thousand_timed_scenarios_with_torques_stay_within_4_gib_and_each_is_as_alone(tmp_path):
     arm = tmp_path / "arm.xml"
     assert main(["robot", str(path_of("panda")), "--out", str(arm), "--tcp", MODELS["panda"].tcp]) == 0
@@ -33,7 +35,7 @@ def test_a_thousand_timed_scenarios_with_torques_stay_within_4_gib_and_each_is_a
     grid = [{f"workpiece.shift_m.{axis}": few} for axis in "xyz"]
     sweep({"grid": grid}, "baseline", tmp_path / "run", config=job)
     out = subprocess.run([sys.executable, "-c", TIME_ALL, str(tmp_path / "run")], capture_output=True, check=True)
-    peak = json.loads(out.stdout)["bytes"]
+    peak = 1024 * int(out.stdout)  # what getrusage says counts the process that started it, too
     rows = open_run(tmp_path / "run").scenarios().to_pylist()
     timed = [row for row in rows if row["torque_share"] is not None]
     assert len(rows) == SCENARIOS and len(timed) > 0.5 * SCENARIOS
