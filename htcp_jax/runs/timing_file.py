@@ -20,7 +20,7 @@ more do not count.
 import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import pyarrow as pa
@@ -48,6 +48,7 @@ SCHEMA = pa.schema(
 COLUMNS = tuple(SCHEMA.names[1:])
 
 
+@runtime_checkable
 class Shard(Protocol):
     """What must be known of a shard of results, as a run's manifest has it."""
 
