@@ -6,6 +6,7 @@
     plan.frame(), plan.figure()                                          # a row a target, and the picture
     run = htcp_jax.sweep("sweeps/workpiece.yaml", "baseline,hybrid")     # a grid of jobs by several methods
     run.frame()                                                          # a row a method and scenario
+    htcp_jax.time_run(run, "20mm/s").frame()                             # and how long each takes at that feed
     report = htcp_jax.make_report(run)                                   # the paper's tables, and all charts
     report.frame("results"), report.figures["success"]
 
@@ -41,6 +42,7 @@ _HOME = {
     "sweep": "runs.sweep",
     "place": "placement.place",
     "open_run": "runs.run_folder",
+    "time_run": "program.whole_run",
     "make_report": "report.report",
     "methods": "api",
     "register": "planner.registry",
@@ -90,6 +92,7 @@ __all__ = [
     "sweep",
     "tcp_pose",
     "tcp_position",
+    "time_run",
 ]
 
 

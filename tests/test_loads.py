@@ -8,7 +8,7 @@ import pytest
 from published import path_of
 
 from htcp_jax.jobs.config import RobotConfig
-from htcp_jax.program.loads import load, model_of, torques
+from htcp_jax.program.loads import load, loads_of, model_of, torques
 from htcp_jax.program.timed import Timed
 
 ARM = """<mujoco model="arm"><compiler angle="radian"/><worldbody>
@@ -63,6 +63,23 @@ def test_without_inertias_in_the_file_there_are_no_loads(tmp_path):
     (tmp_path / "arm.xml").write_text(ARM.replace('<inertial pos="0.5 0 0" mass="1" diaginertia=".01 .01 .01"/>', ""))
     assert model_of(RobotConfig(model=str(tmp_path / "arm.xml"))) is None
     assert model_of(RobotConfig()) is None
+
+
+def test_a_torque_is_the_same_in_any_company_and_at_any_place(tmp_path):
+    """Motions of 1 to 1,500 postures: one by one, all at once, and in another order; by the bit."""
+    (tmp_path / "arm.xml").write_text(ARM)
+    torque, rng = torques(model_of(RobotConfig(model=str(tmp_path / "arm.xml")))), np.random.default_rng(3)
+    motions = []
+    for count in (1, 700, 3, 1500, 40):
+        kind = np.zeros(count, np.int8)
+        motions.append(
+            Timed(np.arange(count) * 0.01, *states(3, count, count), kind, kind.astype(int), ("a", "b", "c"))
+        )
+    effort = np.array([100.0, 50.0, 20.0])
+    alone = [load(each, torque(each.x, each.velocity, each.acceleration), effort) for each in motions]
+    assert loads_of(torque, motions, effort) == alone and len(set(alone)) == len(alone)
+    order = rng.permutation(len(motions))
+    assert loads_of(torque, [motions[k] for k in order], effort) == [alone[k] for k in order]
 
 
 def test_the_load_is_the_one_nearest_to_its_limit_else_the_largest():

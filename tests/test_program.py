@@ -20,6 +20,7 @@ from htcp_jax.jobs.config import ProgramConfig
 from htcp_jax.planner.motion import Motion
 from htcp_jax.planner.motion import motion as motion_of
 from htcp_jax.program.curve import FARTHEST, Curve
+from htcp_jax.program.figures import figures
 from htcp_jax.program.limits import joint_limits
 from htcp_jax.program.nudge import arm_at, nudge_bound
 from htcp_jax.program.of_plan import feed_of
@@ -188,6 +189,43 @@ def test_the_table_of_dips_names_the_joint_whose_limit_is_reached():
     dips = program(slow, motion, room(motion), joint_limits(slow), 0.05).dips()
     reasons = {dip.reason for dip in dips} - {"stop"}
     assert reasons and all(slow.joint_names[joint] in reason for reason in reasons)
+
+
+def test_the_feed_reached_is_the_least_speed_by_mujoco_between_run_up_and_run_down_and_the_joint_is_named():
+    """A weld alone, whose slowest joint may go at three quarters of what the feed asks for at its fastest place."""
+    x, robot, limits = weld(rough=0.0), made_once.robot(), joint_limits(made_once.robot())
+    motion = Motion(x, np.arange(len(x)), np.full(len(x), F, np.int8))
+    slopes = np.abs(np.diff(x, axis=0)).max(axis=0) / (0.3 / 39)
+    joint = int(slopes.argmax())
+    slow = replace(robot, speed=robot.speed.at[joint].set(0.75 * 0.05 * slopes[joint]))
+    held = figures(program(robot, motion, room(motion), limits, 0.05), limits)
+    assert held.reason is None and held.reached_m_s == pytest.approx(0.05, rel=0.01)
+    made = program(slow, motion, room(motion), joint_limits(slow), 0.05)
+    found = figures(made, joint_limits(slow))
+    speed = np.linalg.norm(np.diff(tcp_by_mujoco(made.timed(STEP_S).x), axis=0), axis=1) / STEP_S
+    middle = speed[len(speed) // 20 : -len(speed) // 20]
+    assert 0.03 < found.reached_m_s < 0.045
+    assert found.reached_m_s == pytest.approx(middle.min(), rel=2e-3)
+    assert found.reason == f"velocity of {slow.joint_names[joint]}"
+    assert found.held_share < held.held_share
+
+
+def test_a_dwell_is_a_stop_and_the_feed_reached_is_0():
+    found = figures(made(), joint_limits(made_once.robot()))
+    assert (found.reached_m_s, found.reason) == (0.0, "stop")
+    assert found.path_s == found.seconds["feed"] + found.seconds["dwell"]
+
+
+def test_shares_on_the_path_are_those_of_the_rows_that_feed():
+    one, limits = made(0.1), joint_limits(made_once.robot())
+    timed, found = one.timed(STEP_S), figures(one, limits)
+    feeding = timed.kind == F
+    for each, rates, limit in zip(found.path_shares, (timed.velocity, timed.acceleration), limits, strict=False):
+        share = np.abs(rates[feeding]) / limit
+        assert each.share == pytest.approx(share.max(), rel=0.02)
+        assert one.joint_names.index(each.joint) == share.max(axis=0).argmax()
+        assert timed.kind[np.searchsorted(timed.time_s, each.time_s)] == F
+    assert [each.limit for each in found.path_shares] == ["velocity", "acceleration", "jerk"]
 
 
 @pytest.mark.parametrize("tube", [1e-3, 5e-5])

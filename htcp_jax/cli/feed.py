@@ -8,7 +8,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.program.of_plan import UNITS, feed_of
 
 _OF_PATH = f"Of the TCP on the path, 20mm/s say; in {', '.join(UNITS)}."
-Feed = Annotated[str, typer.Option(metavar="SPEED", help=_OF_PATH)]
+Feed = Annotated[str | None, typer.Option(metavar="SPEED", help=f"{_OF_PATH} Else the job's.")]
 PlayedFeed = Annotated[
     str | None, typer.Option("--feed", metavar="SPEED", help=f"Play the program at its own time. {_OF_PATH}")
 ]

@@ -41,14 +41,21 @@ FIGURES = (
     Column("was_clearance_min_mm", "clearance", "before mm", ".3g"),
     Column("clearance_min_mm", "clearance", "now mm", ".3g"),
 )
+TIMES = (
+    Column("method", "method"),
+    Column("was_held", "feed held", "before", ",d"),
+    Column("held", "feed held", "now", ",d"),
+    Column("was_cycle_mean_s", "cycle time", "before s", ".3f"),
+    Column("cycle_mean_s", "cycle time", "now s", ".3f"),
+)
 
 
 def gate(run: RunFolder, baseline: File, bless: Bless = False, as_json: Json = False) -> int:
     """Hold a run against a baseline: targets tracked, scenarios that flipped, the share of what is reachable, and, by
-    MuJoCo alone, the TCP and the clearance of every tracked target.
+    MuJoCo alone, the TCP and the clearance of every tracked target; where the baseline has them, cycle times and feeds.
 
-    A method, a scenario or a figure that is missing is a failure, and so is a run that cannot be read. Time never
-    counts. Exits with 0 when the run passes, with 1 when it does not, with 2 on bad input.
+    A method, a scenario or a figure that is missing is a failure, and so is a run that cannot be read. How long
+    planning takes never counts. Exits with 0 when the run passes, with 1 when it does not, with 2 on bad input.
 
     \b
     htcp gate out/workpiece --baseline sweeps/baselines/workpiece.yaml
@@ -95,7 +102,7 @@ def _print(run: Run, verdict: Verdict) -> None:
     console = stdout()
     labels = run.labels() if verdict.changed else {}
     console.print(Text(run.manifest.name, style="bold"))
-    for columns in (COUNTS, FIGURES):
+    for columns in (COUNTS, FIGURES, TIMES):
         known = [c for c in columns if any(getattr(row, c.key) is not None for row in verdict.rows)]
         if known[1:]:
             rows = tuple(tuple(getattr(row, column.key) for column in known) for row in verdict.rows)

@@ -1,21 +1,26 @@
 """`htcp program`: a plan as a program that a controller takes."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.text import Text
 
 from htcp_jax.cli.feed import Feed, OneWay, ProgramKeys
 from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, stdout
+from htcp_jax.cli.timing import print_timing, refuse_untimed, timed, timing_records
 from htcp_jax.errors import InputError
-from htcp_jax.program.figures import Figures, figures
+from htcp_jax.program.figures import Figures, Share, figures
 from htcp_jax.program.loads import Load
-from htcp_jax.program.of_plan import OfPlan, feed_of, program_of
+from htcp_jax.program.of_plan import OfPlan, asked_feed, program_of, with_program
 from htcp_jax.program.writers import FORMATS, format_of
 from htcp_jax.report.document import Column, Table
 from htcp_jax.runs.open import open_plans
-from htcp_jax.runs.plan_folder import made_folder, write_text
+from htcp_jax.runs.plan_folder import SUMMARY, made_folder, write_text
+from htcp_jax.runs.run_folder import open_run
+from htcp_jax.runs.timing_file import TIMING
 from htcp_jax.validation.timed_check import check_timed
 
 REFUTED = 1
@@ -31,9 +36,10 @@ COLUMNS = (
 )
 
 Run = Annotated[Path, typer.Argument(metavar="RUN", help="The folder that htcp plan or htcp sweep wrote.")]
-Format = Annotated[str, typer.Option(metavar="NAME", help=f"One of {', '.join(FORMATS)}.")]
-Out = Annotated[Path, typer.Option(metavar="FILE", help="The file to write; its stem is the program's name.")]
-Scenario = Annotated[int, typer.Option(metavar="K", help="Its number, as in the tables; a plan has only 0.")]
+Format = Annotated[str | None, typer.Option(metavar="NAME", help=f"One of {', '.join(FORMATS)}; csv by default.")]
+Out = Annotated[Path | None, typer.Option(metavar="FILE", help="The file to write; its stem is the program's name.")]
+All = Annotated[bool, typer.Option("--all", help="Time every scenario of a run, in place of one program.")]
+Scenario = Annotated[int | None, typer.Option(metavar="K", help="Its number, as in the tables; a plan has only 0.")]
 Method = Annotated[
     str | None, typer.Option(metavar="NAME", help="By default the run's first.", autocompletion=complete_method)
 ]
@@ -43,10 +49,11 @@ Step = Annotated[float | None, typer.Option(metavar="MS", help="Between postures
 
 def program(
     run: Run,
-    feed: Feed,
-    out: Out,
-    format: Format = "csv",
-    scenario: Scenario = 0,
+    feed: Feed = None,
+    out: Out = None,
+    all_: All = False,
+    format: Format = None,
+    scenario: Scenario = None,
     method: Method = None,
     one_way: OneWay = False,
     check: Check = False,
@@ -62,14 +69,29 @@ def program(
     in the job's section program. Exits with 1 when --check refutes a posture, with 2 on bad input, a plan that does not
     lead to its last target among it.
 
+    With --all every scenario of a sweep's run is timed: cycle time, feed and limits are columns of the run from then
+    on, which htcp report draws and htcp gate holds. With the same feed and limits only what is missing is timed.
+
     \b
     htcp program out/plan --feed 20mm/s --out weld.csv
     htcp program out/plan --feed 20mm/s --format ros --out weld.yaml
     htcp program out/workpiece --scenario 24 --feed 1.2m/min --out weld.csv --set program.full_speed_s=0.4
+    htcp program out/workpiece --all --feed 20mm/s
     """
+    if all_:
+        alone = {"--out": out, "--format": format, "--scenario": scenario, "--step-ms": step_ms}
+        given = [name for name, value in alone.items() if value is not None]
+        given += [name for name, is_set in {"--one-way": one_way, "--check": check}.items() if is_set]
+        if given:
+            raise InputError(f"{given[0]} is of one program; --all times every scenario, from home and back")
+        return _time_all(run, feed, method, overrides or (), as_json)
+    if out is None:
+        raise InputError("no --out: the file to write; or --all times every scenario of a run and writes none")
+    format, scenario = format or "csv", scenario or 0
     format_of(format)
-    feed_m_s, step_s = feed_of(feed), _seconds(step_ms)
-    made = program_of(open_plans(run), feed_m_s, method, scenario, retract=not one_way, overrides=overrides or ())
+    found, step_s = open_plans(run), _seconds(step_ms)
+    feed_m_s = asked_feed(feed, with_program(found.config, overrides or ()))
+    made = program_of(found, feed_m_s, method, scenario, retract=not one_way, overrides=overrides or ())
     load = made.load
     text, found = made.text(format, out.stem, step_s), figures(made.program, made.limits)
     with made_folder(out.parent):
@@ -77,7 +99,8 @@ def program(
     checked = _check(run, made, scenario) if check else {}
     dips, code = _table(found), REFUTED if checked.get("refuted") else 0
     if as_json:
-        record = {**found._asdict(), "dips": dips.records(), "shares": _shares(found)}
+        record = {**found._asdict(), "dips": dips.records(), "shares": _shares(found.shares)}
+        record["path_shares"] = _shares(found.path_shares)
         record["load"] = load and load._asdict()
         print_json({**record, "check": checked or None, "file": str(out)})
         return code
@@ -87,6 +110,22 @@ def program(
         stdout().print()
         print_table(stdout(), dips)
     return code
+
+
+def _time_all(folder: Path, feed: str | None, method: str | None, overrides: Sequence[str], as_json: bool) -> int:
+    if (folder / SUMMARY).exists():
+        raise InputError(f"{folder} holds one plan of htcp plan; --all is for a run of htcp sweep")
+    run = open_run(folder)
+    run = timed(run, feed, None if method is None else (method,), overrides)
+    methods = [name for name in run.methods if run.timing(name)] if method is None else [method]
+    refuse_untimed(run, methods)
+    if as_json:
+        print_json({"run": str(folder), "methods": timing_records(run, methods)})
+        return 0
+    stdout().print(Text(run.manifest.name, style="bold"))
+    print_timing(run, methods)
+    stdout().print(Text.assemble(("files  ", "cyan"), str(run.folder / TIMING)))
+    return 0
 
 
 def _check(run: Path, made: OfPlan, scenario: int) -> dict[str, int | float]:
@@ -107,8 +146,8 @@ def _table(found: Figures) -> Table:
     return Table("dips", COLUMNS, tuple(rows))
 
 
-def _shares(found: Figures) -> dict[str, dict]:
-    return {each.limit: {"share": each.share, "joint": each.joint, "time_s": each.time_s} for each in found.shares}
+def _shares(found: list[Share]) -> dict[str, dict]:
+    return {each.limit: {"share": each.share, "joint": each.joint, "time_s": each.time_s} for each in found}
 
 
 def _torque(load: Load | None) -> str:
@@ -121,6 +160,8 @@ def _torque(load: Load | None) -> str:
 def _facts(found: Figures) -> dict[str, str]:
     parts = ", ".join(f"{kind} {seconds:.2f} s" for kind, seconds in found.seconds.items())
     held = f"held within 1 % over {100 * found.held_share:.2f} % of {1e3 * found.path_m:.1f} mm"
+    if found.reason is not None:
+        held += f"; {1e3 * found.reached_m_s:.3g} mm/s reached all along, because of {found.reason}"
     facts = {"duration": f"{found.duration_s:.2f} s: {parts}", "feed": f"{1e3 * found.feed_m_s:g} mm/s, {held}"}
     for each in found.shares:
         facts[each.limit] = f"{100 * each.share:.1f} % of the limit at most, {each.joint} at {each.time_s:.2f} s"

@@ -19,7 +19,8 @@ def report(runs: Runs, out: Out = Path("out/report"), as_json: Json = False) -> 
     """Tell what runs came to: the paper's tables beside its own figures, what stopped each method, and charts.
 
     Writes report.html, one file with everything in it, report.md with its pictures, and a CSV file a table:
-    results, stops, joint-steps, times, scenarios. Exits with 2 on a folder that is no run and on a damaged file.
+    results, stops, joint-steps, times, scenarios; timing where the run is timed. Exits with 2 on a folder that is no
+    run and on a damaged file.
 
     \b
     htcp report out/workpiece                       one run
@@ -40,6 +41,9 @@ def report(runs: Runs, out: Out = Path("out/report"), as_json: Json = False) -> 
         print_table(console, tables["results"])
         if part.reachability is not None:
             print_table(console, tables["reachability"])
+        if tables["timing"].rows:
+            console.print()
+            print_table(console, tables["timing"])
         console.print()
     console.print(Text.assemble(("report  ", "cyan"), str(out / "report.html")))
     return 0

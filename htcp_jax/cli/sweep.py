@@ -10,6 +10,7 @@ import typer
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from htcp_jax.cli.feed import Feed
 from htcp_jax.cli.methods import complete_methods
 from htcp_jax.cli.output import (
     Config,
@@ -23,6 +24,8 @@ from htcp_jax.cli.output import (
     progress_bars,
     stdout,
 )
+from htcp_jax.cli.timing import check_feed, print_timing, timed, timing_records
+from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.report.document import Column, Table
 from htcp_jax.runs import sweep as sweeps
 from htcp_jax.runs.plan_folder import summary_record
@@ -50,6 +53,7 @@ def sweep(
     overrides: Overrides = None,
     on: On = "here",
     shard: Shard = None,
+    feed: Feed = None,
     device: Device = None,
     as_json: Json = False,
 ) -> int:
@@ -60,30 +64,37 @@ def sweep(
     --limit may grow. Exits with 0 when all is planned, with 1 when a cluster's workers are lost, with 2 on bad input,
     with 130 or 143 when a signal stopped it; what is finished by then is kept.
 
+    With --feed, or program.feed in the job, every plan whose motion leads to its last target is timed afterwards, as
+    htcp program does, and cycle time, feed and limits are columns, too.
+
     \b
     htcp sweep sweeps/robot.yaml                           125 starts by all methods
     htcp sweep sweeps/workpiece.yaml --methods baseline,nspace-sqp --config configs/paper.yaml
     htcp sweep sweeps/robot.yaml --limit 3 --set settings.alpha_rad=0.05 --out out/try
+    htcp sweep sweeps/workpiece.yaml --methods roadmap --feed 20mm/s
     htcp sweep sweeps/cross.yaml --on ray                  on all cores, or on the cluster that Ray knows of
     """
     if out is None:
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
-    running = RunningSummary()
+    running, chosen = RunningSummary(), sweeps.method_names(methods)
+    spec = load_sweep(file, config, sweeps.seeded(overrides or (), seed))
+    feed = spec.config.program.feed if feed is None else feed
+    if feed is not None:
+        check_feed(spec, feed)  # before anything is planned
     with _bars() as progress:
         run = sweeps.sweep(
-            file,
-            methods,
+            spec,
+            chosen,
             out,
-            config=config,
-            overrides=overrides or (),
             limit=limit,
-            seed=seed,
             progress=progress,
             finished=running.add,
             shard_scenarios=shard,
             on=on,
             device=device,
         )
+    if feed is not None:
+        timed(run, feed, chosen)
     if as_json:
         print_json(_record(run, running))
     else:
@@ -94,6 +105,8 @@ def sweep(
 def _record(run: Run, running: RunningSummary) -> dict:
     """What --json prints: where the results are, and the summary of every method that is finished."""
     found = {method: summary_record(summarise(running.plans(run, method))) for method in _finished(run)}
+    for method, record in timing_records(run, list(found)).items():
+        found[method]["timing"] = record
     known = {"run": str(run.folder), "name": run.manifest.name, "complete": run.complete}
     return {**known, "unfinished": run.unfinished(), "methods": found}
 
@@ -169,6 +182,7 @@ def _print_table(run: Run, running: RunningSummary) -> None:
     for columns, rows in ((COUNTS, counts), (FIGURES, figures)):
         print_table(console, Table("sweep", columns, tuple(rows)))
         console.print()
+    print_timing(run, list(plans))
     console.print(Text("Executable: tracked, and led to from the given start by a proven motion.", style="dim"))
     if plans:
         asked = _margins(running.margins_m(run, *plans))

@@ -12,6 +12,7 @@ from pydantic import Field, PlainSerializer, WrapValidator, field_validator
 
 from htcp_jax.errors import InputError
 from htcp_jax.formats.strict_model import Section
+from htcp_jax.jobs.feed import feed_of
 from htcp_jax.planner.registry import NAME
 from htcp_jax.scene.duct import INTERIOR_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
 from htcp_jax.scene.task_list import TaskRow
@@ -128,6 +129,7 @@ class PulsesConfig(Section):
 class ProgramConfig(Section):
     """The section `program` of a job; it has no influence on plans."""
 
+    feed: str | None = None  # of the TCP on the path, with its unit: 20mm/s
     velocity: Rates | None = None  # [rad/s or m/s]; None: the model's
     acceleration: Rates | None = None  # [rad/s2 or m/s2]; None: the model's, or full speed in full_speed_s
     jerk: Rates | None = None  # [rad/s3 or m/s3]; None: full acceleration in full_acceleration_s
@@ -137,6 +139,13 @@ class ProgramConfig(Section):
     user_frame: UserFrameConfig | None = None
     pulses: PulsesConfig | None = None
     control_step_s: Moment = 0.002  # of the controller
+
+    @field_validator("feed", mode="before")
+    @classmethod
+    def _is_a_speed(cls, feed: Any) -> Any:
+        if feed is not None:
+            feed_of(str(feed))
+        return feed
 
 
 class RayConfig(Section):

@@ -6,7 +6,7 @@ where the model has them. MJX computes many postures at once; it is held to MuJo
 """
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -24,9 +24,10 @@ from htcp_jax.scene.robot_model import compile_spec, no_log
 from htcp_jax.scene.tool import ZERO, pose
 
 GRAVITY_M_S2 = 9.81
-AT_ONCE = 1024  # postures; more take memory and no less time
+AT_ONCE = 1024  # postures; more take memory and no less time. A row's torque is the same in any company
 LOOKED_AT_S = 0.01  # between the postures looked at
-QUICK = {"xla_llvm_disable_expensive_passes": True}  # compiles in a third of the time
+# XLA's own fusion for CPUs computes the pose of each link anew for everything that hangs on it: 10,000 times the work.
+PLAIN = {"xla_cpu_use_fusion_emitters": False}
 _OFF = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
 
 
@@ -62,7 +63,7 @@ def torques(model: mujoco.MjModel) -> Callable[..., Float[np.ndarray, "n N"]]:
     device = mjx.put_model(model)
     blank = mjx.make_data(device)
 
-    @partial(jax.jit, compiler_options=QUICK)
+    @partial(jax.jit, compiler_options=PLAIN)
     @jax.vmap
     def at(x, v, a):
         data = mjx.com_vel(device, mjx.com_pos(device, mjx.kinematics(device, blank.replace(qpos=x, qvel=v, qacc=a))))
@@ -86,3 +87,12 @@ def load(timed: Timed, torque: Float[np.ndarray, "n N"], effort: Float[np.ndarra
     share = size / effort
     row, joint = np.unravel_index((share if share.any() else size).argmax(), size.shape)
     return Load(float(torque[row, joint]), float(share[row, joint]), timed.joint_names[joint], float(timed.time_s[row]))
+
+
+def loads_of(
+    torque: Callable[..., Float[np.ndarray, "n N"]], motions: Sequence[Timed], effort: Float[np.ndarray, "N"]
+) -> list[Load]:
+    """Of many motions of one arm: the postures of all of them, AT_ONCE at a time. torque: see `torques`."""
+    rows = [np.concatenate([getattr(each, name) for each in motions]) for name in ("x", "velocity", "acceleration")]
+    ends = np.cumsum([len(each.x) for each in motions])
+    return [load(each, own, effort) for each, own in zip(motions, np.split(torque(*rows), ends[:-1]), strict=True)]

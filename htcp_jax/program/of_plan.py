@@ -4,18 +4,19 @@ made = program_of(open_plans("out/plan"), feed_of("20mm/s"))
 made.text("jbi-pulses", "WELD")
 """
 
-import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.formats.strict_model import validate
 from htcp_jax.jobs.build import robot_of, scene
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.config_file import parse_override, put
+from htcp_jax.jobs.feed import feed_of
 from htcp_jax.planner.motion import motion
 from htcp_jax.planner.plans import Plans
 from htcp_jax.program.beside import Beside, Pulses, UserFrame
@@ -31,9 +32,9 @@ from htcp_jax.runs.open import PlanSet
 from htcp_jax.scene.kinematics import tcp_pose
 from htcp_jax.scene.robot import Robot, lengthen_tool
 
-UNITS = {"mm/s": 1e-3, "m/s": 1.0, "mm/min": 1e-3 / 60, "m/min": 1 / 60}  # in m/s
 SECTION = "program."
-_FEED = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*(\S+)\s*", re.IGNORECASE)
+
+__all__ = ["OfPlan", "asked_feed", "feed_of", "program_of", "timed_plan", "with_program"]
 
 
 class OfPlan(NamedTuple):
@@ -103,19 +104,6 @@ class OfPlan(NamedTuple):
         return Pulses(per_rad, np.zeros(len(per_rad)) if zero is None else zero, asked.source)
 
 
-def feed_of(text: str) -> float:
-    """A feed in words, "20mm/s", in m/s. Raises InputError for one that is not above 0, or without a unit."""
-    found = _FEED.fullmatch(text)
-    unit = UNITS.get(found[2]) if found else None
-    try:
-        feed = float(found[1]) * unit if unit else 0.0
-    except ValueError:
-        feed = 0.0
-    if not 0 < feed < np.inf:
-        raise InputError(f"feed {text!r} is no speed above 0 with a unit, as 20mm/s is; units: {', '.join(UNITS)}")
-    return feed
-
-
 def program_of(
     found: PlanSet,
     feed_m_s: float,
@@ -133,7 +121,7 @@ def program_of(
     """
     method = found.methods[0] if method is None else method
     plans = _plans(found, method, scenario)
-    job = _with(found.jobs[scenario], overrides)
+    job = with_program(found.jobs[scenario], overrides)
     return program_of_plans(str(found.folder), plans, scenario, job, feed_m_s, method, retract=retract)
 
 
@@ -146,13 +134,40 @@ def program_of_plans(
         why = end.way.message if end.executable < end.tracked else "the next one is not tracked"
         raise InputError(f"{name}: a motion leads to {end.executable} of {end.targets} targets; {why}")
     robot = lengthen_tool(robot_of(job.robot), job.robot.tool_extension_m)
+    aims = scene(job)[2].aims if job.task else None
+    return timed_plan(plans, scenario, job, robot, aims, feed_m_s, method, retract=retract)
+
+
+def timed_plan(
+    plans: Plans,
+    scenario: int,
+    job: PlanConfig,
+    robot: Robot,
+    aims: Float[np.ndarray, "T G"] | None,
+    feed_m_s: float,
+    method: str,
+    *,
+    retract: bool = True,
+) -> OfPlan:
+    """The program of a scenario that is executable to its end. robot: with the job's tool; aims: of its scenario, where
+    the job has a task [m, rad]. Raises InputError as `program` and `joint_limits` do."""
     limits = joint_limits(robot, job.program)
     whole = motion(plans, scenario, job.on_path, retract=retract)
     left = spare(plans, scenario, whole, job.settings.tube_m)
     if job.cell.self_collision:
         left = left._replace(clearance=0.5 * left.clearance)  # two bodies may move towards each other
-    left = with_rows(left, job, robot, whole)
+    if aims is not None:
+        left = with_rows(left, job, robot, whole, aims)
     return OfPlan(program(robot, whole, left, limits, feed_m_s), robot, job, limits, method)
+
+
+def asked_feed(text: str | None, job: PlanConfig) -> float:
+    """The feed [m/s]: as it is asked for, else the job's. Raises InputError where neither says any, and as `feed_of`
+    does."""
+    text = job.program.feed if text is None else text
+    if text is None:
+        raise InputError("no feed: --feed 20mm/s gives one, or program.feed of the job")
+    return feed_of(text)
 
 
 def _plans(found: PlanSet, method: str, scenario: int) -> Plans:
@@ -165,8 +180,8 @@ def _plans(found: PlanSet, method: str, scenario: int) -> Plans:
     return plans
 
 
-def _with(job: PlanConfig, overrides: Sequence[str]) -> PlanConfig:
-    """The job with another program. Raises InputError for keys that are none of a program's."""
+def with_program(job: PlanConfig, overrides: Sequence[str]) -> PlanConfig:
+    """The job with another section `program`. Raises InputError for keys that are none of a program's."""
     raw = {"program": job.program.model_dump()}
     for override in overrides:
         key, value = parse_override(override)

@@ -9,7 +9,7 @@ made.dips()         # where along the weld the feed is not held, how far, and wh
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError
 from htcp_jax.planner.motion import Motion
@@ -60,13 +60,17 @@ class Program(NamedTuple):
     def at_postures(self) -> Timed:
         """The postures that the motion is made of, at the times at which their corners are passed: straight joint paths
         between them are what was proven."""
+        time, row = self.passes()
+        x = np.concatenate([self.stretches[0].curve.x[:1], *(each.curve.x[1:] for each in self.stretches)])
+        return self.at(time)._replace(x=x, kind=self.motion.kind[row], target=self.motion.target[row])
+
+    def passes(self) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
+        """When the postures are passed that the motion is made of [s], and their rows in it."""
         starts = np.append(0.0, self.ends_s[:-1])
         parts = zip(starts.tolist(), self.stretches, self.laws, strict=True)
         times = [start + law.passes(stretch.curve.u) for start, stretch, law in parts]
-        found = self.at(np.concatenate([times[0][:1], *(each[1:] for each in times)]))
-        x = np.concatenate([self.stretches[0].curve.x[:1], *(each.curve.x[1:] for each in self.stretches)])
         row = np.concatenate([self.stretches[0].row[:1], *(each.row for each in self.stretches)])
-        return found._replace(x=x, kind=self.motion.kind[row], target=self.motion.target[row])
+        return np.concatenate([times[0][:1], *(each[1:] for each in times)]), row
 
     def at(self, time: Float[np.ndarray, "n"]) -> Timed:
         """At times that rise from 0; from `duration_s` on the arm stands."""

@@ -58,12 +58,10 @@ class Speed(NamedTuple):
         t, last = time - self.time[k], self.time[-1]
         s, z, a = self.place[k], self.speed[k], push[k]
         raw = [self.integral[k] + t * (s + t * (z / 2 + t * a / 6)), s + t * (z + t * a / 2), z + t * a, a]
-        before, after = time < 0, time >= last
-        for part, at_end in zip(
-            raw, (self.integral[-1] + (time - last) * self.place[-1], self.place[-1], 0, 0), strict=True
-        ):
-            part[before] = 0.0
-            part[after] = np.broadcast_to(at_end, time.shape)[after]
+        before, after = time < 0, np.flatnonzero(time >= last)
+        for part, at_end in zip(raw, (0.0, self.place[-1], 0.0, 0.0), strict=True):
+            part[before], part[after] = 0.0, at_end
+        raw[0][after] = self.integral[-1] + (time[after] - last) * self.place[-1]
         return tuple(raw)
 
 

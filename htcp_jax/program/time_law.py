@@ -44,6 +44,7 @@ class Law(NamedTuple):
     speed: Speed
     limit: Int[np.ndarray, "m"]  # on the path's grid, what keeps the speed low: -1 the feed, k + 3 j of joint j the
     # velocity, acceleration or jerk, k = 0, 1, 2
+    cap: Float[np.ndarray, "m"]  # on the path's grid, that is kept to by the law before its mean is taken
 
     def at(self, time: Float[np.ndarray, "n"]) -> tuple[Float[np.ndarray, "n"], Derivatives]:
         """Places, and joints with their derivatives by time [rad or m, and s], at times from 0 to its duration."""
@@ -75,7 +76,7 @@ def law_of(path: Path, limits: Limits, feed: float = np.inf) -> Law:
     caps = _caps(path, limits, feed)
     caps = caps._replace(speed=_held(path, caps.speed, window))
     for _ in range(ROUNDS):
-        law = Law(path, fastest(path.place, caps.speed, caps.push, window), caps.limit)
+        law = Law(path, fastest(path.place, caps.speed, caps.push, window), caps.limit, caps.speed.copy())
         time = instants(law.speed)
         _, found = law.at(time)
         shares = limits.shares(*found[1:])

@@ -15,6 +15,7 @@ from htcp_jax.report.best import best, best_of_all
 from htcp_jax.report.document import Block, Heading, Picture, Table
 from htcp_jax.report.groups import Part
 from htcp_jax.report.motions import meaning, motions
+from htcp_jax.report.timing import timing, timing_section
 from htcp_jax.report.validation import validation_section, verdict
 
 MOST_SLICES = 9  # maps in a row
@@ -32,6 +33,7 @@ TABLES = (
     best,
     tables.reachability,
     motions,
+    timing,
     tables.stops,
     tables.steps,
     tables.times,
@@ -59,6 +61,7 @@ def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list
         Heading(level, "Motions"),
         made["motions"],
         meaning(part),
+        *timing_section(part, made["timing"], prefix, level, label),
         Heading(level, "Failures"),
         *_ends(part, made["stops"], prefix),
         Heading(level, "Clearance and joint motion"),

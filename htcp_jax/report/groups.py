@@ -44,6 +44,10 @@ class Part:
     parameters: dict[str, np.ndarray]  # columns of the scenario table that a grid may vary, (S,) each
     plans: dict[str, Plans]  # by method that has begun; the status is -1 where it has not planned a scenario yet
     motions: dict[str, MotionFigures]  # by method; NaN where they are not known
+    timing: dict[
+        str, pa.Table | None
+    ]  # by method, rows of its scenarios as `timing_file` has them; None where not timed
+    timed_with: dict[str, str]  # by method that is timed: its feed and limits, in words
     reachability: np.ndarray | None  # (S,) targets in a row that are known to be reachable
     not_excluded: np.ndarray | None  # (S,) that are not proven unreachable
     step_s: dict[str, float]  # run time by attempted targets, over the whole run
@@ -107,6 +111,7 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
     plans = {method: each.widened(longest) for method, each in plans.items()}
     parameters = {name: column_of(table[name]) for name in parameter_names(table)}
     motions = {method: _motions(run, method) for method in methods}
+    timing = {method: run.timing(method) for method in methods}
     numbers, reachability = table["scenario"].to_numpy(), read_reachability(run)
     groups = np.array([group or "" for group in table["group"].to_pylist()])
     shared = {
@@ -115,6 +120,7 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
         "joints": run.manifest.joints,
         "run": run,
         "run_labels": labels_of(whole),
+        "timed_with": {method: each.words for method, each in timing.items() if each is not None},
         "validation": read_validation(run),
         "scene": scene_of(run, plans),
     }
@@ -129,6 +135,7 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
                 parameters={key: values[here] for key, values in parameters.items()},
                 plans={method: each for method, each in own.items() if each.exists.any()},
                 motions={method: MotionFigures(*(c[numbers[here]] for c in each)) for method, each in motions.items()},
+                timing={m: each and _rows(each.rows, numbers[here]) for m, each in timing.items() if m in own},
                 reachability=None if reachability is None else reachability.prefix[numbers[here]],
                 not_excluded=None
                 if reachability is None or reachability.most is None
@@ -137,6 +144,11 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
             )
         )
     return parts
+
+
+def _rows(rows: pa.Table, numbers: np.ndarray) -> pa.Table:
+    """Those of some scenarios."""
+    return rows.filter(pa.array(np.isin(rows["scenario"].to_numpy(), numbers)))
 
 
 def _motions(run: Run, method: str) -> MotionFigures:

@@ -192,6 +192,12 @@ def _map(
             text = _brief(value) if more == value else f"{_brief(value)}\n({_brief(more)})"
             style["fontsize"] = 8 if more == value else 7
             axes.annotate(text, (column, row), fontweight="bold" if value == targets else "normal", **style)
+    frame_map(axes, rows, columns)
+    return image
+
+
+def frame_map(axes: Axes, rows: Axis, columns: Axis) -> None:
+    """Names beside the rows and the columns of a map, white lines between them."""
     for axis, given in ((axes.xaxis, columns), (axes.yaxis, rows)):
         every = -(-len(given.values) // MOST_NAMES)
         axis.set_ticks(range(0, len(given.values), every), given.names[::every])
@@ -201,7 +207,6 @@ def _map(
     axes.grid(which="minor", color=PAPER, linewidth=1.5)
     axes.tick_params(which="minor", length=0)
     axes.spines[:].set_visible(False)
-    return image
 
 
 def _scale(figure: Figure, image, panels, targets: int) -> None:

@@ -15,6 +15,7 @@ from htcp_jax.planner.motion import MotionFigures
 from htcp_jax.planner.plans import NO_TARGET, Plans
 from htcp_jax.report.document import Column, Table
 from htcp_jax.report.groups import Part
+from htcp_jax.runs.timing_file import COLUMNS
 from htcp_jax.status import Status
 
 RESULTS = (
@@ -192,7 +193,9 @@ def scenarios(part: Part) -> Table:
     columns += [Column("method", "method"), Column("tracked", "tracked", "", "d"), Column("targets", "of", "", "d")]
     columns += [Column("executable", "executable", "", "d")]
     columns += [Column(name, name) for name in MotionFigures._fields]
+    columns += [Column(name, name) for name in COLUMNS if any(part.timing.values())]
     columns += [Column("end", "end"), Column("in_the_way", "in the way"), Column("reachable", "reachable", "", "d")]
+    times = {method: {row["scenario"]: row for row in rows.to_pylist()} for method, rows in part.timing.items() if rows}
     rows = []
     for s, number in enumerate(part.numbers.tolist()):
         given = {name: values[s].item() for name, values in part.parameters.items()}
@@ -208,7 +211,7 @@ def scenarios(part: Part) -> Table:
                     "reachable": reachable,
                 }
                 figures = {name: values[s].item() for name, values in part.motions[method]._asdict().items()}
-                rows.append({**row, **figures, **what})
+                rows.append({**times.get(method, {}).get(number, {}), **row, **figures, **what})
     return _table("scenarios", columns, rows)
 
 

@@ -10,11 +10,12 @@ import numpy as np
 import pyarrow as pa
 
 from htcp_jax.planner.motion import MotionFigures
+from htcp_jax.runs.timing_file import COLUMNS
 
 RESULTS = (
     "method", "scenario", "group", "targets", "tracked", "complete", "failed_target", "failure", "reason",
     "after_escape", "blocked_paths", "clearance_min_m", "residual_max_m", "joint_motion_rad", "executable",
-    *MotionFigures._fields,
+    *MotionFigures._fields, *COLUMNS,
 )  # fmt: skip
 SHORT = {
     "rotation_x": "tilt x",

@@ -3,9 +3,10 @@
     manifest.json                                     what was asked for, what computed it, what is there
     targets/<method>-<first>-<last>.parquet           rows of the scenarios <first> to <last>: a shard
     scenarios/<method>-<first>-<last>.parquet         see `tables` for the columns
+    timing/<method>.parquet                           times of a method's scenarios, where asked for: see `timing_file`
 
-A file counts only if the manifest lists it and its size and SHA-256 are as listed. The manifest is written after
-the files of a shard, so a shard is in the run wholly or not at all, whenever the process dies.
+A shard's file counts only if the manifest lists it and its size and SHA-256 are as listed. The manifest is written
+after the files of a shard, so a shard is in the run wholly or not at all, whenever the process dies.
 """
 
 import hashlib
@@ -30,6 +31,7 @@ from htcp_jax.runs.manifest import MANIFEST, TABLES, FileRecord, Manifest, Secon
 from htcp_jax.runs.plan_folder import SUMMARY
 from htcp_jax.runs.summary import summarise
 from htcp_jax.runs.tables import LATER, empty_tables, frame_of, plans_of
+from htcp_jax.runs.timing_file import Timing, read_timing, with_timing
 
 if TYPE_CHECKING:
     import pandas
@@ -118,13 +120,21 @@ class Run:
         return self._read("targets", methods)
 
     def scenarios(self, *methods: str) -> pa.Table:
-        """One row per method and scenario. Raises InputError as `targets` does."""
-        return self._read("scenarios", methods)
+        """One row per method and scenario, with its times where there are any, see `timing_file`. Raises InputError as
+        `targets` does, and for times that are damaged."""
+        return with_timing(self.folder, self.manifest.shards, self._read("scenarios", methods))
+
+    def timing(self, method: str) -> Timing | None:
+        """The times of a method; None where there are none. Raises InputError for a damaged file."""
+        return read_timing(self.folder, self.manifest.shards, method)
 
     def plans(self, method: str) -> Plans:
         """The plans of one method as arrays; S = `manifest.count`, row s is scenario s. Where scenarios are not
         planned yet, or have fewer targets than others, the status is NO_TARGET. Raises InputError as `targets` does."""
-        rows, seconds = (self.targets(method), self.scenarios(method)), self.manifest.seconds.get(method, Seconds())
+        rows, seconds = (
+            (self.targets(method), self._read("scenarios", (method,))),
+            self.manifest.seconds.get(method, Seconds()),
+        )
         try:
             return plans_of(*rows, self.manifest.count, self.manifest.joints, seconds.compile_s, seconds.run_s)
         except (IndexError, KeyError, ValueError) as error:
@@ -133,7 +143,7 @@ class Run:
     def labels(self) -> dict[int, str]:
         """What sets the scenarios apart that at least one method has planned, by number. Raises InputError as `targets`
         does."""
-        return labels_of(self.scenarios(*dict.fromkeys(shard.method for shard in self.manifest.shards)))
+        return labels_of(self._read("scenarios", tuple(dict.fromkeys(shard.method for shard in self.manifest.shards))))
 
     def result_files(self) -> dict[str, str]:
         """SHA-256 of the files with finished results, by their names in the folder."""

@@ -87,7 +87,7 @@ def sweep(
         if config is not None or overrides or seed is not None:
             raise InputError("config, overrides and seed belong to load_sweep when the sweep is loaded already")
     else:
-        spec = load_sweep(spec, config, _seeded(overrides, seed))
+        spec = load_sweep(spec, config, seeded(overrides, seed))
     for name, value in (("limit", limit), ("shard_scenarios", shard_scenarios)):
         if value is not None and value < 1:
             raise InputError(f"{name} is {value}; it must be 1 or more")
@@ -133,7 +133,8 @@ def keep_plans(spec: Sweep, method: str, plans: Plans, out: str | Path) -> Run:
     return run
 
 
-def _seeded(overrides: Sequence[str] | Mapping[str, Any], seed: int | None) -> Sequence[str] | Mapping[str, Any]:
+def seeded(overrides: Sequence[str] | Mapping[str, Any], seed: int | None) -> Sequence[str] | Mapping[str, Any]:
+    """Overrides with the seed, which is a key of the job, too."""
     if seed is None:
         return overrides
     if isinstance(overrides, Mapping):

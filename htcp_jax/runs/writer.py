@@ -116,7 +116,7 @@ def _with_shards(run: Run, shards: tuple[ShardRecord, ...]) -> Run:
 
 
 def _saved(run: Run) -> Run:
-    _write(run.folder, run.folder / MANIFEST, (run.manifest.model_dump_json(indent=2) + "\n").encode())
+    write(run.folder, run.folder / MANIFEST, (run.manifest.model_dump_json(indent=2) + "\n").encode())
     return run
 
 
@@ -131,12 +131,12 @@ def _write_parquet(folder: Path, table: str, name: str, rows: pa.Table) -> FileR
         use_byte_stream_split=doubles,
     )
     data = sink.getvalue().to_pybytes()
-    _write(folder, folder / table / name, data)
+    write(folder, folder / table / name, data)
     return FileRecord(rows=len(rows), bytes=len(data), sha256=hashlib.sha256(data).hexdigest())
 
 
-def _write(folder: Path, file: Path, data: bytes) -> None:
-    """Write aside, then move into place."""
+def write(folder: Path, file: Path, data: bytes) -> None:
+    """Write a file of a run's folder aside, then move it into place. Raises InputError when it cannot be written."""
     part = folder / f"{PART}{file.name}"
     try:
         with part.open("wb") as stream:

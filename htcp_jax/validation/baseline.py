@@ -60,6 +60,15 @@ def _read_end(text: Any) -> End:
     return End(int(count), status)
 
 
+class Times(Section):
+    """How long the programs of one method take, and at what feed; see `htcp program --all`."""
+
+    feed_m_s: float
+    limits: dict[str, Any]  # keys of `program`
+    held: Count  # scenarios that hold their feed
+    cycle_time_s: dict[Count, Annotated[float, Field(gt=0)]]  # of those with a motion to their last target
+
+
 class Scores(Section):
     """What one method came to."""
 
@@ -69,6 +78,7 @@ class Scores(Section):
     complete: Count  # scenarios
     tcp_error_max_mm: float | None  # over the tracked targets, as is the next; None where there are none
     clearance_min_mm: float | None
+    times: Times | None = None  # where the run is timed
     scenarios: dict[Count, str]  # an `End` each, by the scenario's number
 
     @property
@@ -105,6 +115,7 @@ class Allowance(Section):
 
     targets: Count = 0  # fewer tracked in all
     scenarios: Count = 0  # that end earlier
+    cycle_time_percent: Annotated[float, Field(ge=0)] = 1.0  # that a scenario may take longer
     tcp_error_mm: Millimetres = 0.05
     clearance_mm: Millimetres = 0.05
 
@@ -257,8 +268,18 @@ def _scores(run: Run, method: str, check: MethodCheck | None) -> Scores:
         complete=int(found.complete.sum()),
         tcp_error_max_mm=_rounded(check and check.tcp_error_max_mm),
         clearance_min_mm=_rounded(check and check.clearance_min_mm),
+        times=_times(run, method),
         scenarios={number: str(_end(end)) for number, end in ends.items()},
     )
+
+
+def _times(run: Run, method: str) -> Times | None:
+    if (found := run.timing(method)) is None:
+        return None
+    timed = found.timed
+    cycle = zip(timed["scenario"].to_pylist(), timed["cycle_time_s"].to_pylist(), strict=True)
+    cycle_time_s = {number: round(seconds, DIGITS) for number, seconds in sorted(cycle)}
+    return Times(feed_m_s=found.feed_m_s, limits=found.limits, held=found.held, cycle_time_s=cycle_time_s)
 
 
 def _end(found: Outcome) -> End:

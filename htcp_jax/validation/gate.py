@@ -5,6 +5,8 @@ A method fails when
 - it tracks fewer targets in all, or more of its scenarios end earlier, than the baseline's `allow` permits;
 - it tracks a smaller share of the targets that are known to be reachable;
 - MuJoCo refutes a tracked target: the TCP is off by more than the tolerance, the arm touches, the record is wrong;
+- where the baseline has times, at the same feed and limits: fewer of its scenarios hold their feed or have a time, or
+  more of them take longer than is allowed;
 - its largest TCP error or its smallest clearance is worse than the baseline's by more than is allowed;
 - the run lacks it, one of its scenarios, or one of these figures.
 
@@ -18,7 +20,17 @@ from htcp_jax.errors import InputError
 from htcp_jax.runs.identity import differences
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.status import Status
-from htcp_jax.validation.baseline import COMPLETE, Allowance, Baseline, End, RunSummary, Scores, planned, summarise_run
+from htcp_jax.validation.baseline import (
+    COMPLETE,
+    Allowance,
+    Baseline,
+    End,
+    RunSummary,
+    Scores,
+    Times,
+    planned,
+    summarise_run,
+)
 
 ROUNDING = 1e-9  # of percentages and millimetres
 
@@ -66,6 +78,10 @@ class Row(NamedTuple):
     tcp_error_max_mm: float | None
     was_clearance_min_mm: float | None
     clearance_min_mm: float | None
+    was_held: int | None  # scenarios that hold their feed
+    held: int | None
+    was_cycle_mean_s: float | None  # over the scenarios that have a time
+    cycle_mean_s: float | None
     verdict: str
 
 
@@ -157,7 +173,30 @@ def _shortfalls(
     if refuted := [one for one in found.refuted if one.method == method]:
         first = f"the first in scenario {refuted[0].scenario} at target {refuted[0].target}: {refuted[0].reason}"
         wrong.append(f"{len(refuted)} tracked targets are refuted by MuJoCo, {first}")
-    return wrong + _bounds_broken(was, now, allow)
+    return wrong + _times_broken(was.times, now.times, allow) + _bounds_broken(was, now, allow)
+
+
+def _times_broken(was: Times | None, now: Times | None, allow: Allowance) -> list[str]:
+    if was is None:
+        return []
+    if now is None:
+        return ["its times are missing; htcp program --all writes them into the run's folder"]
+    if (was.feed_m_s, was.limits) != (now.feed_m_s, now.limits):
+        return ["timed with another feed or other limits than the baseline's; not to be compared"]
+    wrong, may = [], 1 + allow.cycle_time_percent / 100
+    if (fewer := was.held - now.held) > allow.scenarios:
+        wrong.append(f"{fewer} scenarios fewer hold their feed, {now.held} of {len(now.cycle_time_s)}")
+    if len(lost := sorted(was.cycle_time_s.keys() - now.cycle_time_s.keys())) > allow.scenarios:
+        wrong.append(f"{len(lost)} scenarios have no time any more, {lost[0]} the first")
+    both = was.cycle_time_s.keys() & now.cycle_time_s.keys()
+    slower = {number: now.cycle_time_s[number] / was.cycle_time_s[number] for number in sorted(both)}
+    slower = {number: by for number, by in slower.items() if by > may + ROUNDING}
+    if len(slower) > allow.scenarios:
+        worst = max(slower, key=lambda number: slower[number])
+        seconds = f"{now.cycle_time_s[worst]:.4g} s, {was.cycle_time_s[worst]:.4g} s before"
+        text = f"{len(slower)} scenarios take over {allow.cycle_time_percent:g} % longer, {worst} the most: {seconds}"
+        wrong.append(text)
+    return wrong
 
 
 def _bounds_broken(was: Scores, now: Scores, allow: Allowance) -> list[str]:
@@ -207,8 +246,24 @@ def _row(baseline: Baseline, found: RunSummary, method: str, changed: list[Chang
         tcp_error_max_mm=now and now.tcp_error_max_mm,
         was_clearance_min_mm=was.clearance_min_mm,
         clearance_min_mm=now and now.clearance_min_mm,
+        **_time_columns(was.times, now and now.times),
         verdict=verdict,
     )
+
+
+def _time_columns(was: Times | None, now: Times | None) -> dict[str, int | float | None]:
+    """Of a row; without any where the baseline has no times."""
+    now = was and now
+    return {
+        "was_held": was and was.held,
+        "held": now and now.held,
+        "was_cycle_mean_s": was and _mean(was),
+        "cycle_mean_s": now and _mean(now),
+    }
+
+
+def _mean(times: Times) -> float | None:
+    return sum(times.cycle_time_s.values()) / len(times.cycle_time_s) if times.cycle_time_s else None
 
 
 def _reachability_row(baseline: Baseline, found: RunSummary, verdict: str) -> Row:

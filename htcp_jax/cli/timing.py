@@ -1,0 +1,68 @@
+"""What `htcp sweep --feed` and `htcp program --all` share: a run's scenarios are timed, and what that comes to."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+from rich.text import Text
+
+from htcp_jax.cli.output import print_table, progress_bars, stdout
+from htcp_jax.errors import InputError
+from htcp_jax.jobs.feed import feed_of
+from htcp_jax.jobs.grid import Sweep
+from htcp_jax.program.whole_run import check_limits, time_run
+from htcp_jax.report.timing import MEANING, timing_row, timing_table
+from htcp_jax.runs.run_folder import Run
+
+
+def timed(run: Run, feed: str | None, methods: Sequence[str] | None, overrides: Sequence[str] = ()) -> Run:
+    """The run, timed, with a bar a method on a terminal. Raises InputError as `time_run` does."""
+    with _bars() as progress:
+        return time_run(run, feed, methods, overrides=overrides, progress=progress, workers=None)
+
+
+@contextmanager
+def _bars() -> Iterator[Callable[[str, int, int], None]]:
+    with progress_bars() as bars:
+        tasks: dict[str, int] = {}
+
+        def show(method: str, done: int, of: int) -> None:
+            if method not in tasks:
+                tasks[method] = bars.add_task(f"times of {method}", total=of)
+            bars.update(tasks[method], completed=done, total=of)
+
+        yield show
+
+
+def check_feed(spec: Sweep, feed: str) -> None:
+    """Raise InputError for a feed that is none, and for an arm of the sweep without velocity limits."""
+    feed_of(feed)
+    check_limits(point.config for point in spec.points())
+
+
+def timing_records(run: Run, methods: Sequence[str]) -> dict[str, dict]:
+    """What the times of each method come to, for --json; nothing of one without times."""
+    known = {method: timing for method in methods if (timing := run.timing(method)) is not None}
+    return {
+        method: {"feed_m_s": timing.feed_m_s, "limits": timing.limits} | timing_row(method, timing.rows)
+        for method, timing in known.items()
+    }
+
+
+def print_timing(run: Run, methods: Sequence[str]) -> None:
+    """The same as a table, and with what it was made."""
+    known = {method: timing for method in methods if (timing := run.timing(method)) is not None}
+    if not known:
+        return
+    rows = [timing_row(method, timing.rows) for method, timing in known.items()]
+    print_table(stdout(), timing_table(rows))
+    stdout().print()
+    for words in dict.fromkeys(timing.words for timing in known.values()):
+        stdout().print(Text(f"Timed at {words}. {MEANING}", style="dim"))
+
+
+def refuse_untimed(run: Run, methods: Sequence[str]) -> None:
+    """Raise InputError where nothing can be timed."""
+    known = [timing for method in methods if (timing := run.timing(method)) is not None]
+    if not any(len(timing.timed) for timing in known):
+        what = f"no motion leads to the last target of any scenario by {', '.join(methods)}"
+        raise InputError(f"{run.folder}: {what}; there is nothing to time")

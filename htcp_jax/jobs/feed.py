@@ -1,0 +1,23 @@
+"""A feed as a person writes it: 20mm/s."""
+
+import re
+
+import numpy as np
+
+from htcp_jax.errors import InputError
+
+UNITS = {"mm/s": 1e-3, "m/s": 1.0, "mm/min": 1e-3 / 60, "m/min": 1 / 60}  # in m/s
+_FEED = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*(\S+)\s*", re.IGNORECASE)
+
+
+def feed_of(text: str) -> float:
+    """A feed in words, "20mm/s", in m/s. Raises InputError for one that is not above 0, or without a unit."""
+    found = _FEED.fullmatch(text)
+    unit = UNITS.get(found[2]) if found else None
+    try:
+        feed = float(found[1]) * unit if unit else 0.0
+    except ValueError:
+        feed = 0.0
+    if not 0 < feed < np.inf:
+        raise InputError(f"feed {text!r} is no speed above 0 with a unit, as 20mm/s is; units: {', '.join(UNITS)}")
+    return feed

@@ -1,0 +1,138 @@
+"""How long the programs of a part's scenarios take, and at what feed: a table, and charts; nothing where not timed."""
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pyarrow as pa
+
+from htcp_jax.report.document import Block, Column, Heading, Picture, Table, unknown
+from htcp_jax.report.groups import Part
+from htcp_jax.report.success_charts import Axis
+from htcp_jax.report.timing_charts import Measure, over_line, over_map
+from htcp_jax.runs.timing_file import HELD_OVER, LIMITS, column
+
+COLUMNS = (
+    Column("method", "method"),
+    Column("timed", "timed", "scenarios", ",d"),
+    Column("scenarios", "of", "", ",d"),
+    Column("cycle_min_s", "cycle time", "min s", ".2f"),
+    Column("cycle_median_s", "cycle time", "median s", ".2f"),
+    Column("cycle_max_s", "cycle time", "max s", ".2f"),
+    Column("held", "feed held", "scenarios", ",d"),
+    Column("held_min_percent", "feed held", "least %", ".2f"),
+    Column("reached_min_mm_s", "feed reached", "least mm/s", ".2f"),
+    Column("velocity_percent", "velocity", "most %", ".1f"),
+    Column("acceleration_percent", "acceleration", "most %", ".1f"),
+    Column("jerk_percent", "jerk", "most %", ".1f"),
+    Column("torque_percent", "torque", "most %", ".1f"),
+)
+SHARES = *LIMITS, "torque"
+MEANING = (
+    "Cycle time is from home over the path and back, of the scenarios with a motion to their last target. Feed held: "
+    f"within 1 % over {100 * HELD_OVER:g} % of the path's length. Feed reached: the least between the path's run-up "
+    "and its run-down, 0 where the arm stops between. Velocity, acceleration, jerk: of the limits, on the path; "
+    "torque: of the efforts, all along."
+)
+CYCLE = Measure(
+    "Cycle time", "s", "{:.1f}", "From home over the path and back, in seconds; blank where no motion leads to the end."
+)
+HELD = Measure(
+    "Feed held", "%", "{:.1f}", "Share of the path's length where the feed is held within 1 %.", (0.0, 100.0)
+)
+
+
+def timing(part: Part) -> Table:
+    """What the times of each method's scenarios come to; without rows where there are none."""
+    rows = [timing_row(method, rows) for method, rows in part.timing.items() if rows is not None]
+    return timing_table(rows)
+
+
+def timing_table(rows: Sequence[dict]) -> Table:
+    """Rows as `timing_row` makes them, without columns that none knows."""
+    known = tuple(c for c in COLUMNS if not all(unknown(row[c.key]) for row in rows))
+    return Table("timing", known, tuple(tuple(row[c.key] for c in known) for row in rows))
+
+
+def timing_row(method: str, rows: pa.Table) -> dict:
+    """One method's."""
+    timed = rows.filter(pa.array(~np.isnan(column(rows, "cycle_time_s"))))
+    cycle, held = column(timed, "cycle_time_s"), column(timed, "feed_held_share")
+    most = {name: 100 * _over(np.max, timed, f"{name}_share") for name in SHARES}
+    return {
+        "method": method,
+        "timed": len(timed),
+        "scenarios": len(rows),
+        "cycle_min_s": _over(np.min, timed, "cycle_time_s"),
+        "cycle_median_s": float(np.median(cycle)) if len(cycle) else math.nan,
+        "cycle_max_s": _over(np.max, timed, "cycle_time_s"),
+        "held": int((held >= HELD_OVER).sum()),
+        "held_min_percent": 100 * _over(np.min, timed, "feed_held_share"),
+        "reached_min_mm_s": 1e3 * _over(np.min, timed, "feed_reached_m_s"),
+        **{f"{name}_percent": value for name, value in most.items()},
+    }
+
+
+def timing_section(part: Part, made: Table, prefix: str, level: int, label: Callable[[str], str]) -> list[Block]:
+    """The table, what keeps feeds low, and cycle time and feed held over the grid; nothing without times."""
+    if not made.rows:
+        return []
+    return [
+        Heading(level, "Cycle time and feed"),
+        f"Timed at {' and '.join(dict.fromkeys(part.timed_with.values()))}. {MEANING}",
+        made,
+        *_reasons(part),
+        *_charts(part, prefix, label),
+    ]
+
+
+def _reasons(part: Part) -> list[str]:
+    """What keeps feeds low, the commonest first."""
+    reasons: dict[str, int] = {}
+    for rows in filter(None, part.timing.values()):
+        for reason in filter(None, rows["feed_reason"].to_pylist()):
+            reasons[reason] = reasons.get(reason, 0) + 1
+    if not reasons:
+        return []
+    told = sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
+    return [f"Where the feed is not reached, it is because of {', '.join(f'{name} ({n})' for name, n in told)}."]
+
+
+def _charts(part: Part, prefix: str, label: Callable[[str], str]) -> list[Picture]:
+    if not part.axes:
+        return []
+    axes = {name: Axis(label(name), values.tolist()) for name, values in part.axes.items()}
+    return [
+        _chart(part, axes, measure, values, f"{prefix}{name}")
+        for measure, name, values in (
+            (CYCLE, "cycle-time", _values(part, "cycle_time_s")),
+            (HELD, "feed-held", {m: 100 * v for m, v in _values(part, "feed_held_share").items()}),
+        )
+    ]
+
+
+def _chart(part: Part, axes: dict[str, Axis], measure: Measure, values: dict[str, np.ndarray], name: str) -> Picture:
+    """A line over one axis; maps over two, of three and more over the first two with means over the others."""
+    chosen = list(axes)[:2]
+    given = {method: part.cells(own, chosen) for method, own in values.items()}
+    alt = f"{measure.title} of the scenarios over the grid, by method"
+    if len(axes) == 1:
+        return Picture(name, over_line(given, axes[chosen[0]], measure), alt)
+    note = "Means over the other axes." if len(axes) > 2 else ""
+    return Picture(name, over_map(given, axes[chosen[0]], axes[chosen[1]], measure, note), alt)
+
+
+def _values(part: Part, name: str) -> dict[str, np.ndarray]:
+    """A column of each method that is timed, (S,) as the part's scenarios are."""
+    found = {}
+    for method, rows in part.timing.items():
+        if rows is not None:
+            known = dict(zip(rows["scenario"].to_pylist(), column(rows, name).tolist(), strict=True))
+            found[method] = np.array([known.get(number, math.nan) for number in part.numbers.tolist()])
+    return found
+
+
+def _over(reduce, rows: pa.Table, name: str) -> float:
+    values = column(rows, name)
+    values = values[~np.isnan(values)]
+    return float(reduce(values)) if values.size else math.nan

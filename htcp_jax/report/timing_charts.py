@@ -1,0 +1,99 @@
+"""Charts of a number of every scenario over its grid, where executable: a line a method, or a map a method."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize, PowerNorm
+from matplotlib.figure import Figure
+
+from htcp_jax.report.chart_style import (
+    INK,
+    PAPER,
+    QUIET,
+    WIDTH,
+    blank_the_rest,
+    heading,
+    line_of,
+    name_lines,
+    new_figure,
+    outer_labels,
+    plain_axes,
+)
+from htcp_jax.report.success_charts import CONTRAST, MOST_NUMBERS, TRACKED, Axis, frame_map
+
+DARK = 0.62  # of the scale, from which numbers are light
+
+
+class Measure(NamedTuple):
+    """What is drawn."""
+
+    title: str
+    unit: str
+    form: str  # of a number
+    note: str
+    scale: tuple[float, float] | None = None  # of the colours; None: as it comes
+
+
+def over_line(values: Mapping[str, Float[np.ndarray, "C"]], axis: Axis, measure: Measure) -> Figure:
+    """Over an axis of a grid, a line a method; NaN where there is no number."""
+    figure = new_figure(4.2, measure.title, measure.note)
+    axes = figure.subplots()
+    words = isinstance(axis.values[0], str)
+    at = range(len(axis.values)) if words else axis.values
+    if words:
+        axes.set_xticks(at, axis.names)
+    for method, own in values.items():
+        colour, style = line_of(method)
+        axes.plot(at, own, color=colour, linestyle=style, marker="o", markersize=4, linewidth=1.8)
+    axes.set_xlabel(axis.label)
+    axes.set_ylabel(f"{measure.title.lower()} [{measure.unit}]")
+    known = {method: own[np.isfinite(own)] for method, own in values.items()}
+    name_lines(axes, {m: own[-1] for m, own in known.items() if own.size}, at[-1], measure.form)
+    plain_axes(axes)
+    return figure
+
+
+def over_map(
+    values: Mapping[str, Float[np.ndarray, "R C"]], rows: Axis, columns: Axis, measure: Measure, note: str = ""
+) -> Figure:
+    """A small map a method, rows down and columns across; blank where there is no number."""
+    across = min(3, len(values))
+    down = -(-len(values) // across)
+    side = min(WIDTH / across - 0.5, 0.6 * len(columns.values) + 0.7) * len(rows.values) / len(columns.values)
+    figure = new_figure(down * (side + 0.4) + 1.3, measure.title, f"{measure.note} {note}".strip())
+    panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+    scale = _scale(values, measure)
+    for axes, (method, own) in zip(panels.flat, values.items(), strict=False):
+        image = _map(axes, own, rows, columns, scale, measure)
+        mean = own[np.isfinite(own)]
+        heading(axes, method, f"mean {measure.form.format(mean.mean())} {measure.unit}" if mean.size else "none timed")
+    blank_the_rest(panels, len(values))
+    outer_labels(panels, len(values), columns.label, rows.label)
+    bar = figure.colorbar(image, ax=panels, fraction=0.02, pad=0.015, aspect=30)
+    bar.outline.set_visible(False)
+    if measure.scale is not None:
+        bar.set_ticks([part * measure.scale[1] for part in (0, 0.5, 0.75, 0.9, 1)])
+    bar.ax.tick_params(colors=QUIET, labelsize=9, length=0)
+    return figure
+
+
+def _scale(values: Mapping[str, np.ndarray], measure: Measure) -> Normalize:
+    """Of the colours; at least a tenth of the largest number wide, so that next to nothing looks so."""
+    if measure.scale is not None:
+        return PowerNorm(CONTRAST, *measure.scale)
+    known = np.concatenate([own[np.isfinite(own)] for own in values.values()])
+    return Normalize(min(known.min(), 0.9 * known.max()), known.max()) if known.size else Normalize(0.0, 1.0)
+
+
+def _map(axes: Axes, values: np.ndarray, rows: Axis, columns: Axis, scale: Normalize, measure: Measure):
+    image = axes.imshow(values, cmap=TRACKED, norm=scale, aspect="equal")
+    for (row, column), value in np.ndenumerate(values):
+        if np.isfinite(value) and max(values.shape) <= MOST_NUMBERS:
+            colour = PAPER if scale(value) > DARK else INK
+            place = {"ha": "center", "va": "center", "fontsize": 7.5}
+            axes.annotate(measure.form.format(value), (column, row), color=colour, **place)
+    frame_map(axes, rows, columns)
+    return image

@@ -1,0 +1,151 @@
+"""What `htcp program --all` and `htcp sweep --feed` leave in a run's folder: timing/<method>.parquet, a row a scenario.
+
+    scenario            int32    its number
+    feed_m_s            double   that was asked for
+    cycle_time_s        double   from home over the path and back; null, as is all that follows, without a motion to the
+                                 last target
+    path_time_s         double   of it, from where the tool begins to follow the path to where it ends, with dwells
+    feed_held_share     double   of the path's length, where the feed is held within 1 %
+    feed_reached_m_s    double   the least feed between the path's run-up and its run-down; 0 where the arm stops there
+    feed_reason         string   what keeps it there: "stop", or which limit of which joint; null where it is held
+    <limit>_share       double   of velocity, acceleration, jerk: the largest share while the tool goes along the path
+    <limit>_joint       string   whose it is
+    torque_share, torque_joint   the same of the effort limits, all along; null where the arm's model states no inertias
+                                 or no limits
+
+The file's metadata say what it was made with, and of which results: rows of results that are not those of the run any
+more do not count.
+"""
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from htcp_jax.errors import InputError
+
+TIMING, MADE = "timing", b"htcp_jax"
+HELD_OVER = 0.99  # of the path's length: a scenario holds its feed
+LIMITS = "velocity", "acceleration", "jerk"
+SCHEMA = pa.schema(
+    [
+        ("scenario", pa.int32()),
+        *((name, pa.float64()) for name in ("feed_m_s", "cycle_time_s", "path_time_s")),
+        *((name, pa.float64()) for name in ("feed_held_share", "feed_reached_m_s")),
+        ("feed_reason", pa.string()),
+        *(
+            (f"{limit}_{what}", kind)
+            for limit in (*LIMITS, "torque")
+            for what, kind in (("share", pa.float64()), ("joint", pa.string()))
+        ),
+    ]
+)
+COLUMNS = tuple(SCHEMA.names[1:])
+
+
+@runtime_checkable
+class Shard(Protocol):
+    """What must be known of a shard of results, as a run's manifest has it."""
+
+    method: str
+    first: int
+    last: int
+    targets: Any  # with its SHA-256
+
+
+class Timing(NamedTuple):
+    """The times of one method's scenarios."""
+
+    feed_m_s: float
+    limits: dict[str, Any]  # what the job says of them: keys of `program`
+    rows: pa.Table  # in the order of the scenarios that are timed, or cannot be
+
+    @property
+    def words(self) -> str:
+        """What it was made with: "20 mm/s; limits of the model, full speed in 0.2 s, full acceleration in 0.1 s"."""
+        own = [name for name in LIMITS if self.limits.get(name) is not None]
+        given = f"{', '.join(own)} by the job" if own else ""
+        model = "" if "velocity" in own else "velocity by the model"
+        rest = [f"full {name} in {self.limits[f'full_{name}_s']:g} s" for name in ("speed", "acceleration")]
+        kept = [text for text, by in zip(rest, LIMITS[1:], strict=True) if by not in own]
+        return f"{1e3 * self.feed_m_s:g} mm/s; limits: {', '.join(filter(None, (given, model, *kept)))}"
+
+    @property
+    def timed(self) -> pa.Table:
+        """The rows of scenarios with a motion to their last target."""
+        return self.rows.filter(pc.is_valid(self.rows["cycle_time_s"]))
+
+    @property
+    def held(self) -> int:
+        """Scenarios that hold their feed over HELD_OVER of their path."""
+        return int((column(self.timed, "feed_held_share") >= HELD_OVER).sum())
+
+
+def column(rows: pa.Table, name: str) -> np.ndarray:
+    """Numbers of a column, NaN where there are none."""
+    return rows[name].to_numpy().astype(float)
+
+
+def timing_file(folder: Path, method: str) -> Path:
+    """Where the times of a method are."""
+    return folder / TIMING / f"{method}.parquet"
+
+
+def read_timing(folder: Path, shards: Iterable[Shard], method: str) -> Timing | None:
+    """The times of a method's results as they are; None where there are none. Raises InputError for a damaged file."""
+    file = timing_file(folder, method)
+    if not file.exists():
+        return None
+    try:
+        rows = pq.read_table(file, page_checksum_verification=True)
+        made = json.loads(rows.schema.metadata[MADE])
+        rows = rows.cast(SCHEMA)
+        known = _of_results(shards, method, made["results"])
+        there = [number in known for number in rows["scenario"].to_pylist()]
+        return Timing(float(made["feed_m_s"]), dict(made["limits"]), rows.filter(pa.array(there, pa.bool_())))
+    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
+        what = " ".join(str(error).split())
+        raise InputError(f"{file} is damaged: {what}; without it, htcp program --all makes it again") from None
+
+
+def timing_bytes(timing: Timing, shards: Iterable[Shard], method: str) -> bytes:
+    """The file's contents."""
+    of = set(timing.rows["scenario"].to_pylist())
+    results = [s.targets.sha256 for s in shards if s.method == method and not of.isdisjoint(_numbers(s))]
+    made = {"feed_m_s": timing.feed_m_s, "limits": timing.limits, "results": results}
+    rows = timing.rows.sort_by("scenario").replace_schema_metadata({MADE: json.dumps(made)})
+    sink = pa.BufferOutputStream()
+    pq.write_table(rows, sink, compression="zstd", write_page_checksum=True)
+    return sink.getvalue().to_pybytes()
+
+
+def with_timing(folder: Path, shards: Iterable[Shard], scenarios: pa.Table) -> pa.Table:
+    """Rows of the table of scenarios, with their times where any of these methods has been timed. Raises InputError as
+    `read_timing` does."""
+    methods = dict.fromkeys(scenarios["method"].to_pylist())
+    found = {method: known for method in methods if (known := read_timing(folder, shards, method)) is not None}
+    if not found:
+        return scenarios
+    rows = pa.concat_tables(timing.rows for timing in found.values())
+    names = [method for method, timing in found.items() for _ in range(len(timing.rows))]
+    places = {key: k for k, key in enumerate(zip(names, rows["scenario"].to_pylist(), strict=True))}
+    keys = zip(scenarios["method"].to_pylist(), scenarios["scenario"].to_pylist(), strict=True)
+    rows = rows.take(pa.array([places.get(key) for key in keys], pa.int64()))
+    for name in COLUMNS:
+        scenarios = scenarios.append_column(SCHEMA.field(name), rows[name])
+    return scenarios
+
+
+def _of_results(shards: Iterable[Shard], method: str, results: list[str]) -> set[int]:
+    """The scenarios whose results are still those."""
+    kept = [s for s in shards if s.method == method and s.targets.sha256 in results]
+    return {number for shard in kept for number in _numbers(shard)}
+
+
+def _numbers(shard: Shard) -> range:
+    return range(shard.first, shard.last + 1)

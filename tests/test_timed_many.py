@@ -1,0 +1,47 @@
+"""A thousand scenarios of an arm with inertias, timed in one go: what they take of memory; each is as it is alone."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from published import MODELS, path_of
+from small_cell import small_job
+
+from htcp_jax.cli.main import main
+from htcp_jax.program.of_plan import program_of
+from htcp_jax.runs.open import open_plans
+from htcp_jax.runs.run_folder import open_run
+from htcp_jax.runs.sweep import sweep
+
+SCENARIOS, MOST_BYTES = 1000, 4 * 2**30
+TIME_ALL = """
+import sys
+from pathlib import Path
+from htcp_jax.program.whole_run import time_run
+from htcp_jax.runs.run_folder import open_run
+time_run(open_run(sys.argv[1]), "50mm/s")
+print(next(line.split()[1] for line in Path("/proc/self/status").read_text().splitlines() if "VmHWM" in line))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak of memory is read from /proc")
+def test_a_thousand_timed_scenarios_with_torques_stay_within_4_gib_and_each_is_as_alone(tmp_path):
+    arm = tmp_path / "arm.xml"
+    assert main(["robot", str(path_of("panda")), "--out", str(arm), "--tcp", MODELS["panda"].tcp]) == 0
+    job, few = small_job(arm, tmp_path, MODELS["panda"].out), np.linspace(-0.002, 0.002, 10).tolist()
+    grid = [{f"workpiece.shift_m.{axis}": few} for axis in "xyz"]
+    sweep({"grid": grid}, "baseline", tmp_path / "run", config=job)
+    out = subprocess.run([sys.executable, "-c", TIME_ALL, str(tmp_path / "run")], capture_output=True, check=True)
+    peak = 1024 * int(out.stdout)  # what getrusage says counts the process that started it, too
+    rows = open_run(tmp_path / "run").scenarios().to_pylist()
+    timed = [row for row in rows if row["torque_share"] is not None]
+    assert len(rows) == SCENARIOS and len(timed) > 0.5 * SCENARIOS
+    assert peak < MOST_BYTES, f"{peak / 2**30:.2f} GiB"
+    plans = open_plans(tmp_path / "run")
+    for row in timed[:: len(timed) // 5]:
+        made = program_of(plans, 0.05, "baseline", row["scenario"])
+        assert (row["torque_share"], row["torque_joint"]) == (made.load.share, made.load.joint)
+        assert row["cycle_time_s"] == made.program.duration_s
