@@ -5,6 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+RANKED, MOUNTINGS = "ranked.json", "mountings.parquet"  # of a search's folder, see `placed`
+UNITS = {"clearance": ("mm", 1e3), "cycle time": ("s", -1.0), "joint motion": ("rad", -1.0)}  # as a person reads them
+
 
 class Tolerance(NamedTuple):
     """Of one mounting."""
