@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from htcp_jax.placement.mounting import UNITS
 from htcp_jax.report.cell import RunScene
+from htcp_jax.report.chart_style import INK
 from htcp_jax.report.place_charts import place_front, place_map
 from htcp_jax.report.place_tables import Searched, read_search
 from htcp_jax.runs.open import MOTIONS, plans_of_run
@@ -48,6 +49,7 @@ def best(folder: Path, found: Searched) -> dict[int, Figure]:
         number = min(seams, key=lambda scenario: float(way[scenario]))
         figure = scene.picture(number, method, _title(found, rank, list(found.seams)[number - seams.start]))
         if figure is not None:
+            figure.supxlabel(_given(found, rank), color=INK, fontsize=12, x=0.015, ha="left")
             figures[rank] = figure
     return figures
 
@@ -78,16 +80,16 @@ def _blocking(run: Run, mountings: Int[np.ndarray, "m"], k: int) -> list[str]:
 
 
 def _title(found: Searched, rank: int, seam: str) -> str:
-    given = (
-        f"{one.name} {value:.4g} {one.unit}".strip()
-        for one, value in zip(found.parameters, found.ranked[rank - 1], strict=False)
-    )
-    left = (
-        f"{name} {value:.3g} {UNITS[name][0]}"
-        for name, value in zip(found.aims, found.spare[rank - 1].tolist(), strict=True)
-    )
-    at = f", at the seam {seam}" if len(found.seams) > 1 else ""
-    return f"Rank {rank}: {', '.join(left)}{at}\n{', '.join(given)}"
+    left = [
+        f"{name} {spare:.3g} {UNITS[name][0]}" + (f", {off:.3g} when off" if np.isfinite(off) else "")
+        for name, spare, off in zip(found.aims, found.spare[rank - 1], found.off[rank - 1], strict=True)
+    ]
+    return f"Rank {rank}: {'; '.join(left)}" + (f"; at the seam {seam}" if len(found.seams) > 1 else "")
+
+
+def _given(found: Searched, rank: int) -> str:
+    values = found.ranked[rank - 1].tolist()
+    return ",  ".join(f"{one.name} {v:.4g} {one.unit}".strip() for one, v in zip(found.parameters, values, strict=True))
 
 
 def _saved(file: Path, figure: Figure) -> Path:
