@@ -21,6 +21,7 @@ from htcp_jax.report.chart_style import INK, PAPER, QUIET, RULE, new_figure, pla
 from htcp_jax.report.place_tables import Parameter, Searched
 
 SPARE = LinearSegmentedColormap.from_list("spare", ["#a9d6c9", "#3f9fae", "#1f6396", "#12305e"])
+SHARE = LinearSegmentedColormap.from_list("share", ["#dfe3e6", "#c3cad0", "#6f7c88"])
 NEARLY, LOST, RANK = "#e69f00", "#b9c0c6", "#c2185b"
 NEAR = 0.9  # of the targets: nearly everything works
 HOLLOW = "hollow"
@@ -79,11 +80,11 @@ def place_front(found: Searched) -> Figure:
 
 
 def _note(found: Searched) -> str:
-    told = (
-        f"A dot: one of {len(found.values):,} mountings that were judged. Ringed: proven motions; a number is the rank."
-    )
+    told = f"{len(found.values):,} mountings; of those that are lost, the darker the more targets are tracked."
+    if len(found.ranked):
+        told += " Ringed: proven motions; number: the rank."
     more = len(found.parameters) - MOST_PARAMETERS
-    return told if more <= 0 else f"{told} The last {more} parameters are not drawn."
+    return told if more <= 0 else f"{told} {more} more parameters."
 
 
 def _panel(axes: Axes, found: Searched, column: int, row: int | None) -> None:
@@ -96,7 +97,8 @@ def _panel(axes: Axes, found: Searched, column: int, row: int | None) -> None:
     nearly = _nearly(found)
     for reason, mark in _marks(found).items():
         which = np.array([words == reason for words in found.lost]) & ~nearly
-        axes.scatter(*points[which].T, color=LOST, marker=mark, s=size, linewidths=0.7, zorder=1)
+        look = {"c": found.done[which], "cmap": SHARE, "norm": Normalize(0, NEAR), "marker": mark}
+        axes.scatter(*points[which].T, **look, s=size, linewidths=0.8, zorder=1)
     axes.scatter(*points[nearly].T, facecolors="none", edgecolors=NEARLY, s=size, linewidths=0.8, zorder=2)
     order = np.flatnonzero(found.complete)[np.argsort(found.left[found.complete, 0], kind="stable")]
     axes.scatter(
@@ -126,6 +128,8 @@ def _axis(axes: Axes, below: Parameter, left: Parameter | None, lowest: bool, fi
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(ticks))
     axes.margins(0.04)
+    for label in (axes.xaxis.label, axes.yaxis.label):
+        label.set_size(10 if ticks > 3 else 9)
     axes.set_xlabel(below.label if lowest else "")
     axes.set_ylabel(("targets [%]" if left is None else left.label) if first else "")
 
@@ -141,11 +145,17 @@ def _beside(figure: Figure, place: SubplotSpec, found: Searched, in_the_way: Map
     inner = place.subgridspec(len(lists) + 1, 1, height_ratios=(*(len(each) + 0.6 for each in lists.values()), 0.35))
     for number, (head, endings) in enumerate(lists.items()):
         _bars(figure.add_subplot(inner[number]), head, endings)
-    scale = figure.add_subplot(inner[len(lists)])
-    bar = figure.colorbar(ScalarMappable(_norm(found), SPARE), cax=scale, orientation="horizontal")
+    _scale(figure, figure.add_subplot(inner[len(lists)]), found)
+
+
+def _scale(figure: Figure, axes: Axes, found: Searched) -> None:
+    """Of what is spare where anything works; else of the share of the targets."""
+    works = found.complete.any()
+    colours = ScalarMappable(_norm(found), SPARE) if works else ScalarMappable(Normalize(0, 100 * NEAR), SHARE)
+    bar = figure.colorbar(colours, cax=axes, orientation="horizontal")
     bar.outline.set_visible(False)
-    scale.tick_params(colors=QUIET, labelsize=8.5, length=0)
-    scale.set_xlabel(f"{found.aim(0)} to spare, where everything works", color=QUIET, fontsize=9)
+    axes.tick_params(colors=QUIET, labelsize=8.5, length=0)
+    axes.set_xlabel(found.aim(0) if works else "targets [%]", color=QUIET, fontsize=9)
 
 
 def _bars(axes: Axes, head: str, endings: Sequence[Ending]) -> None:
