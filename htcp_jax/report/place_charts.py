@@ -21,6 +21,7 @@ from htcp_jax.report.chart_style import INK, PAPER, QUIET, RULE, new_figure, pla
 from htcp_jax.report.place_tables import Parameter, Searched
 
 SPARE = LinearSegmentedColormap.from_list("spare", ["#a9d6c9", "#3f9fae", "#1f6396", "#12305e"])
+SPARE = SPARE.with_extremes(bad=SPARE(0.6))  # of what is not known, as the cycle time of what is no motion yet
 SHARE = LinearSegmentedColormap.from_list("share", ["#dfe3e6", "#c3cad0", "#6f7c88"])
 NEARLY, LOST, RANK = "#e69f00", "#b9c0c6", "#c2185b"
 NEAR = 0.9  # of the targets: nearly everything works
