@@ -86,6 +86,7 @@ __all__ = [
     "null_basis",
     "null_space_objective",
     "open_run",
+    "place",
     "plan",
     "reanchor",
     "register",

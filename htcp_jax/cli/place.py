@@ -12,10 +12,12 @@ from rich.text import Text
 
 from htcp_jax.cli.output import Device, Json, print_facts, print_json, print_table, progress_bars, stdout
 from htcp_jax.errors import InputError
+from htcp_jax.placement.mounting import UNITS
 from htcp_jax.placement.place import PlaceProgress
 from htcp_jax.placement.place import place as search_places
-from htcp_jax.placement.placed import UNITS, Placed
+from htcp_jax.placement.placed import Placed
 from htcp_jax.report.document import Column, Table
+from htcp_jax.report.place_pictures import draw_search
 
 NONE_FOUND = 3
 File = Annotated[Path, typer.Argument(metavar="PLACE.yaml", help="Ranges, seams, and what is to be spare.")]
@@ -50,7 +52,7 @@ def place(
     \b
     htcp place configs/place/duct.yaml                     the mountings of the weld in the generated duct
     htcp place configs/place/duct.yaml --scenarios 500 --out out/try
-    htcp view out/duct/ranked                           the first of them; the others as scenarios 1, 2, ...
+    htcp view out/duct                                     the ranked ones in the browser
     """
     changes: dict[str, Any] = {} if seed is None else {"seed": seed}
     if scenarios is not None and seconds is not None:
@@ -68,6 +70,7 @@ def place(
             device=device,
             progress=progress,
         )
+    draw_search(found.folder)
     if as_json:
         print_json(found.record())
     else:
@@ -113,6 +116,7 @@ def _print(found: Placed) -> None:
         console.print()
         text = f"When off: the least of it while every parameter is off by up to {off.mm:g} mm and {off.deg:g}°."
         console.print(Text(text, style="dim"))
+    console.print(Text.assemble(("map    ", "cyan"), str(found.folder / "map.png")))
     console.print(Text.assemble(("files  ", "cyan"), str(found.folder)))
 
 

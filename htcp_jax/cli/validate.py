@@ -10,6 +10,7 @@ from htcp_jax.cli.output import Json, print_json, print_table, progress_bar, std
 from htcp_jax.report.validation import notes, scenarios_named, validation_tables
 from htcp_jax.runs.labels import named
 from htcp_jax.runs.manifest import MANIFEST
+from htcp_jax.runs.open import run_folder
 from htcp_jax.runs.plan_folder import VALIDATION
 from htcp_jax.runs.run_folder import open_run
 from htcp_jax.validation.result import Validation
@@ -37,6 +38,7 @@ def validate(run: Run, between: Between = 20, feed_mm_s: Feed = 10.0, as_json: J
     htcp validate out/plan --feed-mm-s 50       one plan, ground at 50 mm/s
     htcp validate out/robot --between 0 --json  the targets alone, for another program
     """
+    run = run_folder(run)
     with progress_bar("plans", time_left=True) as progress:
         found = check(run, between=between, feed_mm_s=feed_mm_s, progress=progress)
     write_validation(run, found)

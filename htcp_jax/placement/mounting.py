@@ -5,11 +5,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+RANKED, MOUNTINGS = "ranked.json", "mountings.parquet"  # of a search's folder, see `placed`
+UNITS = {"clearance": ("mm", 1e3), "cycle time": ("s", -1.0), "joint motion": ("rad", -1.0)}  # as a person reads them
+
 
 class Tolerance(NamedTuple):
     """Of one mounting."""
 
-    together: float  # how often `off` all parameters may be off at once; 0: not even the least that was tried
+    together: float  # [1] how often `off` all parameters may be off at once; 0: not even the least that was tried
     alone: Float[np.ndarray, "d"]  # by how much each one may be, with the others as they are, in its own unit
 
 
@@ -17,9 +20,9 @@ class Mounting(NamedTuple):
     """One that does the whole work, as a proven motion."""
 
     row: int  # of `confirmed`
-    values: Float[np.ndarray, "d"]  # of the parameters, in the job's own units
-    spare: Float[np.ndarray, "A"]  # of each aim, larger is better
-    worst: Float[np.ndarray, "A"]  # the same at the worst of the disturbed mountings; -inf where one is lost
-    held: float  # share of the disturbed mountings that are complete
+    values: Float[np.ndarray, "d"]  # of the parameters, each in its unit in the job
+    spare: Float[np.ndarray, "A"]  # of each aim, larger is better [m, or less than 0 s or rad]
+    worst: Float[np.ndarray, "A"]  # the same unit; of the worst of the disturbed mountings, -inf where one is lost
+    held: float  # [1] share of the disturbed mountings that are complete
     front: bool  # whether none of the others is better in every aim
     tolerance: Tolerance | None  # of the first few

@@ -31,6 +31,7 @@ from htcp_jax.planner.batch import start_clearance
 from htcp_jax.planner.plans import Plans
 from htcp_jax.runs import sweep as sweeps
 from htcp_jax.runs.lock import locked
+from htcp_jax.runs.open import MOTIONS
 from htcp_jax.runs.plan_folder import made_folder
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.status import AT_HOME, Status
@@ -222,4 +223,4 @@ def _motions(search: Search, confirmed: Judged, mountings: Sequence[Mounting], f
     scenarios = (rows[:, None] * confirmed.seams + np.arange(confirmed.seams)).ravel()
     plans: Plans = confirmed.plans.rows(scenarios)
     spec = sweep_of(search, confirmed.values[rows], margins)
-    return sweeps.keep_plans(spec, confirmed.method, plans, folder / "ranked").folder
+    return sweeps.keep_plans(spec, confirmed.method, plans, folder / MOTIONS).folder

@@ -16,15 +16,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from htcp_jax.errors import InputError
-from htcp_jax.placement.mounting import Mounting
+from htcp_jax.placement.mounting import MOUNTINGS, RANKED, Mounting
 from htcp_jax.placement.place_file import Search
+from htcp_jax.runs.open import SEARCH
 from htcp_jax.runs.plan_folder import write_json
 
 if TYPE_CHECKING:
     from htcp_jax.placement.judge import Judged
-
-ASKED, RANKED, MOUNTINGS, MOTIONS = "place.json", "ranked.json", "mountings.parquet", "ranked"
-UNITS = {"clearance": ("mm", 1e3), "cycle time": ("s", -1.0), "joint motion": ("rad", -1.0)}  # as a person reads them
 
 
 class Placed(NamedTuple):
@@ -92,7 +90,7 @@ def begin(folder: Path, search: Search) -> None:
         "overrides": list(search.overrides),
         "seams": list(search.seams),
     }
-    file = folder / ASKED
+    file = folder / SEARCH
     if not file.exists():
         write_json(file, asked)
         return

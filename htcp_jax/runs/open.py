@@ -7,6 +7,7 @@
 Who looks at plans and who checks them read the same record; what they make of it is their own.
 """
 
+import json
 from functools import cached_property
 from pathlib import Path
 
@@ -23,6 +24,8 @@ from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.parameters import Parameters
 from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY, PlanRecord, read_plan
 from htcp_jax.runs.run_folder import Run, open_run
+
+SEARCH, MOTIONS = "place.json", "ranked"  # of a search for mountings: what was asked for, and the run of the best
 
 
 class RunPlans:
@@ -60,6 +63,22 @@ class RunPlans:
         return self.run.labels()
 
 
+class RankedPlans(RunPlans):
+    """The plans of the mountings that a search ranked: k scenarios each, one a seam, the best mounting first."""
+
+    def __init__(self, run: Run, seams: int):
+        super().__init__(run)
+        self._seams = seams
+
+    @cached_property
+    def labels(self) -> dict[int, str]:
+        """How the scenarios differ, after the rank of their mounting. Raises InputError for damaged files."""
+        told = self.run.labels()
+        return {
+            number: f"rank {number // self._seams + 1}" + (f", {text}" if text else "") for number, text in told.items()
+        }
+
+
 class FolderPlan:
     """The plan of one folder, which is scenario 0; it is asked as `RunPlans` is.
 
@@ -90,10 +109,10 @@ PlanSet = RunPlans | FolderPlan
 
 
 def open_plans(folder: str | Path) -> PlanSet:
-    """The plans in a folder of `htcp sweep` or `htcp plan`.
+    """The plans in a folder of `htcp sweep` or `htcp plan`, or the ranked ones of `htcp place`.
 
-    Raises InputError for any other folder, for a run without results, for damaged files, and for a cloud, path or
-    model that has changed since they were planned.
+    Raises InputError for any other folder, for a run without results, a search without a mounting, for damaged files,
+    and for a cloud, path or model that has changed since they were planned.
     """
     folder = Path(folder)
     if (folder / MANIFEST).exists():
@@ -102,15 +121,42 @@ def open_plans(folder: str | Path) -> PlanSet:
         record = read_plan(folder)
         refuse_changed(record.files, folder)
         return FolderPlan(folder, record)
+    if (folder / SEARCH).exists():
+        return _ranked(folder)
     raise InputError(f"{folder} holds neither a run of htcp sweep ({MANIFEST}) nor a plan of htcp plan ({SUMMARY})")
+
+
+def run_folder(folder: Path) -> Path:
+    """Where the plans lie: the folder itself, or the run of the best in that of a search. Raises InputError for a
+    search that has ranked no mounting."""
+    if (folder / MANIFEST).exists() or not (folder / SEARCH).exists():
+        return folder
+    if not (folder / MOTIONS / MANIFEST).exists():
+        raise InputError(f"{folder} is a search of htcp place that has not ranked any mounting")
+    return folder / MOTIONS
 
 
 def plans_of_run(run: Run) -> RunPlans:
     """The plans of an open run. Raises InputError as `open_plans` does."""
+    _refuse_unfit(run)
+    return RunPlans(run)
+
+
+def _refuse_unfit(run: Run) -> None:
     refuse_changed(run.manifest.files, run.folder)
     if not run.manifest.shards:
         raise InputError(f"{run.folder} has no finished shard yet")
-    return RunPlans(run)
+
+
+def _ranked(folder: Path) -> RankedPlans:
+    """Those of a search. Raises InputError where it has ranked nothing, and for a damaged file."""
+    run = open_run(run_folder(folder))
+    try:
+        seams = json.loads((folder / SEARCH).read_text(encoding="utf-8"))["seams"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{folder / SEARCH} is damaged: {error!r}") from None
+    _refuse_unfit(run)
+    return RankedPlans(run, max(1, len(seams)))
 
 
 def _knots(file: Path, record: PlanRecord, joints: int) -> Knots:

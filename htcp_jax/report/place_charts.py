@@ -1,0 +1,198 @@
+"""Charts of a search for mountings: the map of its ranges, and the front of two aims. See `charts` for the style.
+
+place_map(read_search("out/duct"))
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator
+
+from htcp_jax.report.chart_style import INK, PAPER, QUIET, RULE, new_figure, plain_axes
+from htcp_jax.report.place_tables import Parameter, Searched
+
+SPARE = LinearSegmentedColormap.from_list("spare", ["#a9d6c9", "#3f9fae", "#1f6396", "#12305e"])
+SPARE = SPARE.with_extremes(bad=SPARE(0.6))  # of what is not known, as the cycle time of what is no motion yet
+SHARE = LinearSegmentedColormap.from_list("share", ["#dfe3e6", "#c3cad0", "#6f7c88"])
+NEARLY, LOST, RANK = "#e69f00", "#b9c0c6", "#c2185b"
+NEAR = 0.9  # of the targets: nearly everything works
+HOLLOW = "hollow"
+MARKS = "x", "+", "1", "2", "3", "4"  # of what blocks, the most frequent first
+MOST_PARAMETERS, MOST_NUMBERS = 8, 9
+
+APART = 0.1  # of a panel's width, numbers of ranked mountings; the better one keeps its own
+
+
+class Ending(NamedTuple):
+    """What became of some mountings."""
+
+    words: str
+    count: int
+    mark: str
+    colour: str | tuple
+
+
+def place_map(found: Searched, in_the_way: Mapping[str, int] | None = None) -> Figure:
+    """Every judged mounting in every pair of parameters, or of the first eight: where everything works, where it nearly
+    does, and what blocks elsewhere; the ranked ones are numbered. in_the_way: bodies, and how often each is what is in
+    the way in a sample of those that are lost."""
+    shown = found.parameters[:MOST_PARAMETERS]
+    d, m = len(shown), max(1, min(len(shown), MOST_PARAMETERS) - 1)
+    wide, half = (2, 1) if m == 1 else (m, m // 2)
+    figure = new_figure(5.2 if m == 1 else 8.8, f"Where to mount it: {found.name}", _note(found))
+    grid = figure.add_gridspec(m, wide)
+    ticks = 3 if m > 3 else 5
+    for row in range(m):
+        for column in range(row + 1):
+            axes = figure.add_subplot(grid[row, column])
+            _panel(axes, found, column, row + 1 if d > 1 else None)
+            _axis(axes, shown[column], shown[row + 1] if d > 1 else None, row == m - 1, column == 0, ticks)
+    _beside(figure, grid[0, 1] if m == 1 else grid[:half, half:], found, in_the_way)
+    return figure
+
+
+def place_front(found: Searched) -> Figure:
+    """The ranked mountings by two aims, numbered, and the front: those that none of the others beats in both."""
+    note = "Numbers: the rank. Line: the front; no other mounting is better in both. Bars: when off by up to "
+    figure = new_figure(5.2, f"Two aims: {found.name}", f"{note}{found.disturbed}.")
+    axes = figure.subplots()
+    x, y = found.spare.T
+    for start, end in zip(found.spare, found.off, strict=True):
+        if np.isfinite(end).all():
+            axes.plot([start[0], end[0]], [start[1], end[1]], color=RULE, linewidth=1.4, zorder=1)
+    axes.scatter(x[~found.front], y[~found.front], color=LOST, s=46, zorder=3)
+    order = np.flatnonzero(found.front)[np.argsort(x[found.front], kind="stable")]
+    axes.plot(x[order], y[order], color=RANK, linewidth=1.5, marker="o", markersize=7, zorder=4)
+    for number, at in enumerate(found.spare, 1):
+        bold = "bold" if found.front[number - 1] else "normal"
+        axes.annotate(str(number), at, (6, 5), textcoords="offset points", color=INK, fontsize=9, fontweight=bold)
+    axes.set(xlabel=found.aim(0), ylabel=found.aim(1))
+    plain_axes(axes, grid="both")
+    return figure
+
+
+def _note(found: Searched) -> str:
+    told = f"{len(found.values):,} mountings; of those that are lost, the darker the more targets are tracked."
+    if len(found.ranked):
+        told += " Ringed: proven motions; number: the rank."
+    more = len(found.parameters) - MOST_PARAMETERS
+    return told if more <= 0 else f"{told} {more} more parameters."
+
+
+def _panel(axes: Axes, found: Searched, column: int, row: int | None) -> None:
+    """The mountings over two parameters; over one, the share of the targets stands in the place of the other."""
+    points = found.values[:, [column, column if row is None else row]].copy()
+    ranked = found.ranked[:, [column, column if row is None else row]].copy()
+    if row is None:
+        points[:, 1], ranked[:, 1] = 100 * found.done, 100
+    size = float(np.clip(9000 / len(points), 3, 26))
+    nearly = _nearly(found)
+    for reason, mark in _marks(found).items():
+        which = np.array([words == reason for words in found.lost]) & ~nearly
+        look = {"c": found.done[which], "cmap": SHARE, "norm": Normalize(0, NEAR), "marker": mark}
+        axes.scatter(*points[which].T, **look, s=size, linewidths=0.8, zorder=1)
+    axes.scatter(*points[nearly].T, facecolors="none", edgecolors=NEARLY, s=size, linewidths=0.8, zorder=2)
+    order = np.flatnonzero(found.complete)[np.argsort(found.left[found.complete, 0], kind="stable")]
+    axes.scatter(
+        *points[order].T, c=found.left[order, 0], cmap=SPARE, norm=_norm(found), s=size, linewidths=0, zorder=3
+    )
+    axes.scatter(*ranked.T, facecolors="none", edgecolors=RANK, s=2.2 * size + 8, linewidths=1.0, zorder=4)
+    _number(axes, ranked, points)
+
+
+def _number(axes: Axes, ranked: Float[np.ndarray, "r 2"], points: Float[np.ndarray, "n 2"]) -> None:
+    """The first ranks beside their mountings, but for those that would cover a better one's."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    width = np.where(high > low, high - low, 1.0)
+    taken: list[np.ndarray] = []
+    for number, at in enumerate(ranked[:MOST_NUMBERS], 1):
+        place = (at - low) / width
+        if all(np.abs(place - other).max() >= APART for other in taken):
+            taken.append(place)
+            look = {"color": RANK, "fontsize": 8, "fontweight": "bold", "zorder": 6}
+            text = axes.annotate(str(number), at, (4.5, 3), textcoords="offset points", **look)
+            text.set_path_effects([withStroke(linewidth=2.5, foreground=PAPER)])
+
+
+def _axis(axes: Axes, below: Parameter, left: Parameter | None, lowest: bool, first: bool, ticks: int) -> None:
+    plain_axes(axes, grid="both")
+    axes.tick_params(labelsize=8.5, colors=QUIET, labelbottom=lowest, labelleft=first)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(ticks))
+    axes.margins(0.04)
+    for label in (axes.xaxis.label, axes.yaxis.label):
+        label.set_size(10 if ticks > 3 else 9)
+    axes.set_xlabel(below.label if lowest else "")
+    axes.set_ylabel(("targets [%]" if left is None else left.label) if first else "")
+
+
+def _beside(figure: Figure, place: SubplotSpec, found: Searched, in_the_way: Mapping[str, int] | None) -> None:
+    """How many end how, which seams are done and what is in the way, and the scale of the colours."""
+    lists = {"mountings": _ends(found)}
+    if len(found.seams) > 1:
+        lists["each seam alone"] = [Ending(name, count, "s", SPARE(0.6)) for name, count in found.seams.items()]
+    if in_the_way:
+        told = f"in the way, in {sum(in_the_way.values())} of the lost"
+        lists[told] = [Ending(body, count, "s", LOST) for body, count in in_the_way.items()]
+    inner = place.subgridspec(len(lists) + 1, 1, height_ratios=(*(len(each) + 0.6 for each in lists.values()), 0.35))
+    for number, (head, endings) in enumerate(lists.items()):
+        _bars(figure.add_subplot(inner[number]), head, endings)
+    _scale(figure, figure.add_subplot(inner[len(lists)]), found)
+
+
+def _scale(figure: Figure, axes: Axes, found: Searched) -> None:
+    """Of what is spare where anything works; else of the share of the targets."""
+    works = found.complete.any()
+    colours = ScalarMappable(_norm(found), SPARE) if works else ScalarMappable(Normalize(0, 100 * NEAR), SHARE)
+    bar = figure.colorbar(colours, cax=axes, orientation="horizontal")
+    bar.outline.set_visible(False)
+    axes.tick_params(colors=QUIET, labelsize=8.5, length=0)
+    axes.set_xlabel(found.aim(0) if works else "targets [%]", color=QUIET, fontsize=9)
+
+
+def _bars(axes: Axes, head: str, endings: Sequence[Ending]) -> None:
+    largest = max(1, *(each.count for each in endings))
+    for y, (_, count, mark, colour) in enumerate(endings):
+        axes.barh(y, count, height=0.6, color=colour, linewidth=0)
+        look = {"facecolors": "none", "edgecolors": colour} if mark == HOLLOW else {"color": colour, "marker": mark}
+        axes.scatter(-0.05 * largest, y, s=26, clip_on=False, linewidths=1.0, **look)
+        axes.annotate(f" {count:,}", (count, y), va="center", color=INK, fontsize=8.5)
+    axes.set_title(head, loc="left", color=INK, fontsize=9.5, fontweight="bold")
+    axes.set_yticks(range(len(endings)), [each.words for each in endings])
+    axes.set(xlim=(0, 1.15 * largest), ylim=(len(endings) - 0.5, -0.5), xticks=[])
+    axes.spines[:].set_visible(False)
+    axes.tick_params(colors=INK, labelsize=8.5, length=0, pad=16)
+
+
+def _ends(found: Searched) -> list[Ending]:
+    """How many do it all, nearly do it, and are lost to what."""
+    nearly = _nearly(found)
+    ends = [Ending("everything works", int(found.complete.sum()), "o", SPARE(0.6))]
+    ends.append(Ending(f"nearly: {100 * NEAR:.0f} % of the targets", int(nearly.sum()), HOLLOW, NEARLY))
+    counts = Counter(words for words, near in zip(found.lost, nearly.tolist(), strict=True) if words and not near)
+    return ends + [Ending(words, counts[words], mark, LOST) for words, mark in _marks(found).items() if counts[words]]
+
+
+def _marks(found: Searched) -> dict[str, str]:
+    """A mark for each reason why mountings are lost, the most frequent first; the rare ones share the last."""
+    reasons = [words for words, _ in Counter(filter(None, found.lost)).most_common()]
+    return {words: MARKS[min(k, len(MARKS) - 1)] for k, words in enumerate(reasons)}
+
+
+def _nearly(found: Searched) -> Bool[np.ndarray, "n"]:
+    return ~found.complete & (found.done >= NEAR)
+
+
+def _norm(found: Searched) -> Normalize:
+    known = found.left[found.complete, 0]
+    known = known[np.isfinite(known)]
+    return Normalize(known.min(), known.max()) if known.size else Normalize(0, 1)

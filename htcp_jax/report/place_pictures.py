@@ -1,0 +1,99 @@
+"""The pictures of a search, drawn from its folder into it: map.png, front.png of two aims, and the best as best-1.png.
+
+draw_search("out/duct")
+"""
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int
+from matplotlib.figure import Figure
+
+from htcp_jax.placement.mounting import UNITS
+from htcp_jax.report.cell import RunScene
+from htcp_jax.report.chart_style import INK
+from htcp_jax.report.place_charts import place_front, place_map
+from htcp_jax.report.place_tables import Searched, read_search
+from htcp_jax.runs.open import MOTIONS, plans_of_run
+from htcp_jax.runs.run_folder import Run, open_run
+from htcp_jax.viewer.replay import recorded_replays
+
+BEST = 3  # mountings of which there are pictures
+SAMPLE = 64  # lost mountings, of which is looked at what is in the way
+SHORT = "none: the arm is too short"
+
+
+def draw_search(folder: str | Path) -> list[Path]:
+    """Draw what a search came to; the files. Raises InputError as `read_search` does, and for damaged runs."""
+    folder = Path(folder)
+    found = read_search(folder)
+    figures = {"map": place_map(found, in_the_way(folder, found))}
+    if len(found.aims) > 1 and len(found.ranked):
+        figures["front"] = place_front(found)
+    figures |= {f"best-{rank}": figure for rank, figure in best(folder, found).items()}
+    return [_saved(folder / f"{name}.png", figure) for name, figure in figures.items()]
+
+
+def best(folder: Path, found: Searched) -> dict[int, Figure]:
+    """The first mountings by rank, each at the seam where it is tightest; none where their files have changed."""
+    if not len(found.ranked):
+        return {}
+    run = open_run(folder / MOTIONS)
+    (method,) = run.methods
+    plans, k = run.plans(method), len(found.seams)
+    scene, figures = RunScene(run, {method: plans}), {}
+    way = np.where(plans.executable, plans.way_clearance, np.inf).min(axis=1)
+    for rank in range(1, min(BEST, len(found.ranked)) + 1):
+        seams = range((rank - 1) * k, rank * k)
+        number = min(seams, key=lambda scenario: float(way[scenario]))
+        figure = scene.picture(number, method, _title(found, rank, list(found.seams)[number - seams.start]))
+        if figure is not None:
+            figure.supxlabel(_given(found, rank), color=INK, fontsize=12, x=0.015, ha="left")
+            figures[rank] = figure
+    return figures
+
+
+def in_the_way(folder: Path, found: Searched) -> dict[str, int]:
+    """Which bodies are in the way in an even sample of the lost mountings, the most frequent first."""
+    lost = np.flatnonzero(~found.complete)
+    picked = lost[np.linspace(0, len(lost) - 1, min(SAMPLE, len(lost))).round().astype(int)]
+    k, first, counts = len(found.seams), 0, Counter[str]()
+    for each in sorted((folder / "rounds").iterdir()):
+        run = open_run(each)
+        last = first + run.manifest.count // k
+        own = picked[(picked >= first) & (picked < last)] - first
+        if len(own):
+            counts.update(_blocking(run, own, k))
+        first = last
+    return dict(counts.most_common())
+
+
+def _blocking(run: Run, mountings: Int[np.ndarray, "m"], k: int) -> list[str]:
+    """What is in the way in some mountings of a round, each at the first seam that it loses."""
+    (method,) = run.methods
+    plans = run.plans(method)
+    complete = plans.outcomes.complete.reshape(-1, k)
+    rows = (mountings * k + complete[mountings].argmin(axis=1)).tolist()
+    found = recorded_replays(plans_of_run(run), {method: plans}.__getitem__).obstructions(method, rows)
+    return [each.body if each.reached else SHORT for each in found.values()]
+
+
+def _title(found: Searched, rank: int, seam: str) -> str:
+    left = [
+        f"{name} {spare:.3g} {UNITS[name][0]}" + (f", {off:.3g} when off" if np.isfinite(off) else "")
+        for name, spare, off in zip(found.aims, found.spare[rank - 1], found.off[rank - 1], strict=True)
+    ]
+    return f"Rank {rank}: {'; '.join(left)}" + (f"; at the seam {seam}" if len(found.seams) > 1 else "")
+
+
+def _given(found: Searched, rank: int) -> str:
+    values = found.ranked[rank - 1].tolist()
+    return ",  ".join(f"{one.name} {v:.4g} {one.unit}".strip() for one, v in zip(found.parameters, values, strict=True))
+
+
+def _saved(file: Path, figure: Figure) -> Path:
+    part = file.with_name(f".part-{file.name}")
+    figure.savefig(part)
+    part.replace(file)
+    return file

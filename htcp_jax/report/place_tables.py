@@ -1,0 +1,119 @@
+"""A search of `htcp place` as tables, read from its folder alone: every mounting that was judged, and the ranked ones.
+
+found = read_search("out/duct")
+found.values, found.done, found.lost         # a row a mounting
+"""
+
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from jaxtyping import Bool, Float
+
+from htcp_jax.errors import InputError
+from htcp_jax.placement.mounting import MOUNTINGS, RANKED
+from htcp_jax.placement.mounting import UNITS as AIMS
+from htcp_jax.placement.ranges import UNITS
+from htcp_jax.runs.open import SEARCH
+
+
+class Parameter(NamedTuple):
+    """One that varies, as a person reads it."""
+
+    column: str  # of mountings.parquet
+    name: str  # shift x
+    unit: str  # mm, °, or nothing
+    scale: float  # by which the column's numbers are multiplied
+
+    @property
+    def label(self) -> str:
+        """With its unit, for an axis."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+
+class Searched(NamedTuple):
+    """n mountings of d parameters that were judged by A aims, and r that are ranked, the best first."""
+
+    name: str
+    scenarios: int
+    parameters: tuple[Parameter, ...]
+    values: Float[np.ndarray, "n d"]  # in the units of the parameters
+    done: Float[np.ndarray, "n"]  # share of the targets, over all seams
+    complete: Bool[np.ndarray, "n"]
+    lost: tuple[str, ...]  # why it is not complete, in words
+    aims: tuple[str, ...]
+    left: Float[np.ndarray, "n A"]  # what is left of each aim in the units of `AIMS`; NaN where it is not known
+    ranked: Float[np.ndarray, "r d"]
+    spare: Float[np.ndarray, "r A"]  # as `left`, of the proven motions
+    off: Float[np.ndarray, "r A"]  # the least of it while they are off; NaN where one of these is lost
+    front: Bool[np.ndarray, "r"]
+    seams: dict[str, int]  # in how many mountings each is complete
+    disturbed: str  # by how much they are off: 3 mm and 0.5°
+
+    def aim(self, k: int) -> str:
+        """An aim with its unit, for an axis."""
+        return f"{self.aims[k]} [{AIMS[self.aims[k]][0]}]"
+
+
+def read_search(folder: str | Path) -> Searched:
+    """The search in `folder`. Raises InputError for a folder that holds none, for one that has not come to its end, and
+    for damaged files."""
+    folder = Path(folder)
+    if not (folder / SEARCH).exists():
+        raise InputError(f"{folder} holds no search of htcp place ({SEARCH})")
+    if not (folder / RANKED).exists():
+        raise InputError(f"{folder}: the search has not come to its end; the same htcp place goes on with it")
+    try:
+        asked, told = (json.loads((folder / name).read_text(encoding="utf-8")) for name in (SEARCH, RANKED))
+        return _searched(asked, told, pq.read_table(folder / MOUNTINGS))
+    except (OSError, ValueError, KeyError, TypeError, pa.ArrowException) as error:
+        raise InputError(f"{folder} holds a damaged search: {error!r}") from None
+
+
+def _searched(asked: dict[str, Any], told: dict[str, Any], table: pa.Table) -> Searched:
+    names = table.column_names
+    parameters = tuple(map(parameter, names[1 : names.index("done")]))
+    aims, rows = tuple(told["spare"]), told["ranked"]
+    scale = np.array([one.scale for one in parameters])
+    values = np.stack([table[one.column].to_numpy() for one in parameters], axis=1) * scale
+    left = [AIMS[name][1] * table[name.replace(" ", "_")].to_numpy().astype(float) for name in aims]
+    ranked = np.array([[row["parameters"][one.column] for one in parameters] for row in rows])
+    return Searched(
+        name=told["name"],
+        scenarios=told["scenarios"],
+        parameters=parameters,
+        values=values,
+        done=table["done"].to_numpy(),
+        complete=table["complete"].to_numpy(zero_copy_only=False),
+        lost=tuple(words or "" for words in table["lost"].to_pylist()),
+        aims=aims,
+        left=np.stack(left, axis=1),
+        ranked=ranked.reshape(-1, len(parameters)) * scale,
+        spare=_aims(rows, "spare", aims),
+        off=_aims(rows, "spare_when_off", aims),
+        front=np.array([row["front"] for row in rows], bool),
+        seams={name: seam["complete"] for name, seam in told["seams"].items()},
+        disturbed=f"{asked['off']['mm']:g} mm and {asked['off']['deg']:g}°",
+    )
+
+
+def _aims(rows: list[dict[str, Any]], which: str, aims: tuple[str, ...]) -> Float[np.ndarray, "r A"]:
+    found = [
+        [AIMS[name][1] * (np.nan if row[which][name] is None else row[which][name]) for name in aims] for row in rows
+    ]
+    found = np.array(found, float).reshape(-1, len(aims))
+    return np.where(np.isfinite(found), found, np.nan)
+
+
+def parameter(column: str) -> Parameter:
+    """Of workpiece.shift_m.x: shift x, in mm."""
+    parts, (unit, scale) = column.split("."), ("", 1.0)
+    for k, part in enumerate(parts):
+        for ending, told in UNITS.items():
+            if part.endswith(ending):
+                parts[k], (unit, scale) = part.removesuffix(ending), told
+    parts = parts[1:] if parts[0] in ("workpiece", "robot") else parts
+    return Parameter(column, " ".join(parts).replace("_", " "), unit, scale)

@@ -1,0 +1,141 @@
+"""What people see of a search: the map has every mounting, the front what none beats, and the folder opens."""
+
+import json
+import shutil
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from htcp_jax.cli.main import main
+from htcp_jax.errors import InputError
+from htcp_jax.report.place_charts import MARKS, place_front, place_map
+from htcp_jax.report.place_tables import parameter, read_search
+from htcp_jax.runs.open import open_plans
+
+NAMES = [
+    *("workpiece.rotation_y_rad", "workpiece.shift_m.x", "workpiece.shift_m.y", "robot.tool_extension_m"),
+    *("robot.base_m.x", "robot.base_m.y", "robot.base_m.z", "task.2.cone_deg", "cell.1.height_m"),
+]
+LOST = ["iteration limit"] * 20 + ["QP infeasible"] * 10 + ["path blocked"] * 5
+COMPLETE, NEARLY = 25, 4
+
+
+def write_search(folder, d, aims=("clearance",), ranked=3, complete=COMPLETE):
+    """A folder as a search leaves it: `complete` mountings that do it all, NEARLY of the others almost."""
+    rng, n = np.random.default_rng(d), complete + len(LOST)
+    values = rng.random((n, d))
+    columns = {"round": np.zeros(n, int)} | {name: values[:, k] for k, name in enumerate(NAMES[:d])}
+    columns["done"] = np.concatenate([np.ones(complete), np.full(NEARLY, 0.95), np.full(n - complete - NEARLY, 0.4)])
+    columns["complete"] = np.arange(n) < complete
+    for aim in aims:
+        columns[aim.replace(" ", "_")] = pa.array(rng.random(n) * 1e-2, mask=np.arange(n) >= complete)
+    columns["lost"] = [None] * complete + LOST
+    folder.mkdir()
+    pq.write_table(pa.table(columns), folder / "mountings.parquet")
+    rows = [
+        {
+            "parameters": dict(zip(NAMES, values[k].tolist(), strict=False)),
+            "spare": {aim: (k + 1) * (-1) ** j for j, aim in enumerate(aims)},
+            "spare_when_off": dict.fromkeys(aims),
+            "front": k != 1,
+        }
+        for k in range(ranked)
+    ]
+    seams = {"weld": {"complete": complete, "in_the_best": 1.0}}
+    told = {"name": "made", "scenarios": n, "complete": complete, "seams": seams, "spare": list(aims), "ranked": rows}
+    (folder / "ranked.json").write_text(json.dumps(told))
+    (folder / "place.json").write_text(json.dumps({"seams": [], "off": {"mm": 3.0, "deg": 0.5}}))
+    return folder
+
+
+def written(axes) -> list[str]:
+    return [text.get_text() for text in axes.texts]
+
+
+@pytest.mark.parametrize(("d", "panels"), [(1, 1), (2, 1), (3, 3), (6, 15), (9, 28)])
+def test_each_panel_of_the_map_shows_every_mounting_once(tmp_path, d, panels):
+    found = read_search(write_search(tmp_path / "made", d))
+    figure = place_map(found)
+    figure.canvas.draw()
+    maps = [axes for axes in figure.axes if len(axes.collections) == len(set(LOST)) + 3]
+    assert len(maps) == panels
+    for axes in maps:
+        *judged, ranked = [len(dots.get_offsets()) for dots in axes.collections]
+        assert sum(judged) == COMPLETE + len(LOST) and ranked == 3 and written(axes)[0] == "1"
+
+
+def test_the_map_counts_what_works_what_nearly_does_and_what_blocks_elsewhere(tmp_path):
+    figure = place_map(read_search(write_search(tmp_path / "made", 3)), {"forearm": 7, "tool": 2})
+    bars = {axes.get_title(loc="left"): axes for axes in figure.axes if axes.patches}
+    words = [label.get_text() for label in bars["mountings"].get_yticklabels()]
+    counts = [int(text) for text in written(bars["mountings"])]
+    assert words == [
+        "everything works",
+        "nearly: 90 % of the targets",
+        "iteration limit",
+        "QP infeasible",
+        "path blocked",
+    ]
+    assert counts == [COMPLETE, NEARLY, 20 - NEARLY, 10, 5]
+    assert [int(text) for text in written(bars["in the way, in 9 of the lost"])] == [7, 2]
+
+
+def test_the_map_is_drawn_where_nothing_works(tmp_path):
+    found = read_search(write_search(tmp_path / "made", 2, ranked=0, complete=0))
+    figure = place_map(found)
+    figure.canvas.draw()
+    assert len(found.ranked) == 0 and len(figure.axes[0].collections) == len(set(LOST)) + 3
+
+
+def test_more_reasons_than_marks_share_the_last(tmp_path):
+    found = read_search(write_search(tmp_path / "made", 2))
+    many = found._replace(lost=tuple(f"reason {k}" if words else "" for k, words in enumerate(found.lost)))
+    place_map(many).canvas.draw()
+    assert len(set(filter(None, many.lost))) > len(MARKS)
+
+
+def test_the_front_joins_what_none_beats_and_every_axis_has_its_unit(tmp_path):
+    found = read_search(write_search(tmp_path / "made", 2, ("clearance", "joint motion")))
+    (axes,) = place_front(found).axes
+    (line,) = [line for line in axes.lines if line.get_marker() == "o"]
+    assert line.get_xydata().tolist() == [
+        [1000.0, 1.0],
+        [3000.0, 3.0],
+    ]  # as a person reads them: mm, and rad from below
+    assert written(axes) == ["1", "2", "3"]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("clearance [mm]", "joint motion [rad]")
+
+
+def test_parameters_are_told_as_a_person_reads_them():
+    told = [parameter(name).label for name in NAMES]
+    assert told[:2] == ["rotation y [°]", "shift x [mm]"] and told[3] == "tool extension [mm]"
+    assert told[7:] == ["task 2 cone [°]", "cell 1 height [mm]"]
+    assert np.isclose(parameter(NAMES[0]).scale, 180 / np.pi) and parameter(NAMES[1]).scale == 1000
+
+
+def test_what_is_no_search_is_refused_in_a_line(tmp_path):
+    folder = write_search(tmp_path / "made", 2)
+    with pytest.raises(InputError, match="holds no search of htcp place"):
+        read_search(tmp_path)
+    (folder / "mountings.parquet").write_bytes(b"no table")
+    with pytest.raises(InputError, match="damaged search"):
+        read_search(folder)
+    (folder / "ranked.json").unlink()
+    with pytest.raises(InputError, match="has not come to its end"):
+        read_search(folder)
+    with pytest.raises(InputError, match="has not ranked any mounting"):
+        open_plans(folder)
+    assert main(["render", str(folder), "--out", str(tmp_path / "out")]) == 2
+
+
+def test_a_search_opens_as_the_run_of_its_best_and_says_their_rank(tmp_path, planned):
+    folder = write_search(tmp_path / "made", 2)
+    shutil.copytree(planned / "run", folder / "ranked")
+    plain, found = open_plans(folder / "ranked"), open_plans(folder)
+    assert found.count == plain.count and found.files == plain.files
+    assert found.labels == {number: f"rank {number + 1}, {text}" for number, text in plain.labels.items()}
+    (folder / "place.json").write_text(json.dumps({"seams": ["left", "right"]}))
+    ranks = [text.partition(",")[0] for text in open_plans(folder).labels.values()]
+    assert ranks == ["rank 1", "rank 1", "rank 2", "rank 2"]
