@@ -24,6 +24,7 @@ from htcp_jax.jobs.grid_axes import FILE_KEYS, absolute
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.placement.ranges import Ranges, read_ranges
 from htcp_jax.planner import registry
+from htcp_jax.program.of_plan import feed_of
 
 AIMS = "clearance", "cycle time", "joint motion"
 
@@ -74,6 +75,12 @@ class PlaceFile(Section):
                 raise InputError(f"unknown spare {name!r}; valid: {', '.join(AIMS)}")
         return tuple(names)
 
+    @field_validator("feed")
+    @classmethod
+    def _is_a_speed(cls, text: str) -> str:
+        feed_of(text)
+        return text
+
     @field_validator("screen", "confirm")
     @classmethod
     def _is_a_method(cls, name: str) -> str:
@@ -119,4 +126,6 @@ def load_search(
             raise InputError(f"{path}: seams: there is no file {name}")
     if len(set(seams)) < len(seams):
         raise InputError(f"{path}: seams: one stands there twice")
+    if file.within.scenarios is not None and file.within.scenarios < len(seams):
+        raise InputError(f"{path}: within: {file.within.scenarios} scenarios are fewer than the {len(seams)} seams")
     return Search(path.stem, file, None if config is None else str(config), tuple(overrides), job, ranges, seams)
