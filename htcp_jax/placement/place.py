@@ -30,6 +30,7 @@ from htcp_jax.placement.search import EVEN, FROM, POPULATION, ROUND, Evolution, 
 from htcp_jax.placement.tolerance import disturbed, tolerances
 from htcp_jax.planner.batch import start_clearance
 from htcp_jax.planner.plans import Plans
+from htcp_jax.program.of_plan import feed_of
 from htcp_jax.runs import sweep as sweeps
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.status import AT_HOME, Status
@@ -70,7 +71,7 @@ def place(
     folder.
     """
     search, folder = load_search(spec, config, overrides, changes), Path(out)
-    sweep_of(search, search.ranges.values(np.array([[0.0], [1.0]]) + np.zeros(len(search.ranges.axes)))).batch()
+    _refuse(search)
     with searching(folder, search):
         tell = _Teller(search, progress)
 
@@ -83,6 +84,13 @@ def place(
         tell.stage = "tolerance"
         mountings = _ranked(search, confirmed, folder, plan)
         return write(folder, search, judged, mountings, _motions(search, confirmed, mountings, folder))
+
+
+def _refuse(search: Search) -> None:
+    """Raise InputError for a feed that is none, and for ranges whose ends the job refuses, before anything is done."""
+    feed_of(search.file.feed)
+    ends = np.repeat([[0.0], [1.0]], len(search.ranges.axes), axis=1)
+    sweep_of(search, search.ranges.values(ends)).batch()
 
 
 class _Teller:

@@ -24,7 +24,6 @@ from htcp_jax.jobs.grid_axes import FILE_KEYS, absolute
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.placement.ranges import Ranges, read_ranges
 from htcp_jax.planner import registry
-from htcp_jax.program.of_plan import feed_of
 
 AIMS = "clearance", "cycle time", "joint motion"
 
@@ -74,12 +73,6 @@ class PlaceFile(Section):
             if name not in AIMS:
                 raise InputError(f"unknown spare {name!r}; valid: {', '.join(AIMS)}")
         return tuple(names)
-
-    @field_validator("feed")
-    @classmethod
-    def _is_a_speed(cls, text: str) -> str:
-        feed_of(text)
-        return text
 
     @field_validator("screen", "confirm")
     @classmethod
