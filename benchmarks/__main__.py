@@ -9,6 +9,7 @@
     python -m benchmarks peers --motions   OMPL and Descartes, by executable targets
     python -m benchmarks paths DATA        public problems of full poses, by their own rules
     python -m benchmarks baseline-margin OUT.png
+    python -m benchmarks mountings         found by a grid, random draws, htcp place and differential evolution
     python -m benchmarks seams OUT.png     the seams of the generated duct, drawn
     python -m benchmarks shape             of the source: sizes, depth of imports, docstrings; other checkouts beside it
 
@@ -28,6 +29,7 @@ CASES = (
     "peers",
     "paths",
     "baseline-margin",
+    "mountings",
     "seams",
     "shape",
 )
