@@ -9,7 +9,7 @@ and then about what is best, `confirmed` plans the best of them as proven motion
 it goes on from what is there.
 """
 
-import time
+import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
@@ -20,19 +20,20 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
+from htcp_jax.jobs.feed import feed_of
 from htcp_jax.jobs.grid import Sweep
+from htcp_jax.placement.clock import Clock
 from htcp_jax.placement.judge import Judged, Planner, judge, sweep_of
 from htcp_jax.placement.mounting import Mounting
-from htcp_jax.placement.place_file import Search, load_search
-from htcp_jax.placement.placed import Placed, begin, write
+from htcp_jax.placement.place_file import CYCLE_TIME, Search, load_search
+from htcp_jax.placement.placed import Placed, searching, write
 from htcp_jax.placement.search import EVEN, FROM, POPULATION, ROUND, Evolution, Known, best_apart, even, score
 from htcp_jax.placement.tolerance import disturbed, tolerances
 from htcp_jax.planner.batch import start_clearance
 from htcp_jax.planner.plans import Plans
+from htcp_jax.program.whole_run import time_run
 from htcp_jax.runs import sweep as sweeps
-from htcp_jax.runs.lock import locked
 from htcp_jax.runs.open import MOTIONS
-from htcp_jax.runs.plan_folder import made_folder
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.status import AT_HOME, Status
 
@@ -67,16 +68,18 @@ def place(
 
     config, overrides, changes: see `load_search`. on, device, threads: as of `runs.sweep.sweep`; no result hangs on
     them. out: the folder; one that holds a part of the same search is gone on with.
-    Raises InputError for bad input, for a folder that holds another search or is in use, and where every start
-    collides; Interrupted and Lost as a sweep does, with what is finished in the folder.
+    Raises InputError for bad input, ranges whose ends the job refuses among it, for a folder that holds another search
+    or is in use, and where every start collides; Interrupted and Lost as a sweep does, with what is finished in the
+    folder.
     """
     search, folder = load_search(spec, config, overrides, changes), Path(out)
-    with made_folder(folder), locked(folder):
-        begin(folder, search)
+    _refuse(search)
+    with searching(folder, search):
         tell = _Teller(search, progress)
 
         def plan(grid: Sweep, method: str, into: Path) -> Run:
-            return sweeps.sweep(grid, [method], into, progress=tell.sweep, on=on, device=device, threads=threads)
+            run = sweeps.sweep(grid, [method], into, progress=tell.sweep, on=on, device=device, threads=threads)
+            return time_run(run, search.file.feed, (method,)) if CYCLE_TIME in search.file.spare else run
 
         judged = list(_rounds(search, folder / "rounds", plan, tell))
         tell.stage = "confirm"
@@ -84,6 +87,13 @@ def place(
         tell.stage = "tolerance"
         mountings = _ranked(search, confirmed, folder, plan)
         return write(folder, search, judged, mountings, _motions(search, confirmed, mountings, folder))
+
+
+def _refuse(search: Search) -> None:
+    """Raise InputError for a feed that is none, and for ranges whose ends the job refuses, before anything is done."""
+    feed_of(search.file.feed)
+    ends = np.repeat([[0.0], [1.0]], len(search.ranges.axes), axis=1)
+    sweep_of(search, search.ranges.values(ends)).batch()
 
 
 class _Teller:
@@ -105,38 +115,36 @@ class _Teller:
 
 def _rounds(search: Search, folder: Path, plan: Planner, tell: _Teller) -> Iterator[Judged]:
     """The mountings of all rounds, judged."""
-    began, known, number = time.monotonic(), None, 0
-    budget, seconds = search.file.within.scenarios, search.file.within.seconds
+    known, number = None, 0
+    budget, clock = search.file.within.scenarios, Clock(folder, search.file.within.seconds)
     mountings = None if budget is None else max(1, budget // max(1, len(search.seams)))
     evolved = 0 if mountings is None else int((1 - EVEN) * mountings) // (FROM * POPULATION)
     spread = None if mountings is None else mountings - evolved * FROM * POPULATION
     d, seed = len(search.ranges.axes), search.file.seed
     evolution: Evolution | None = None
 
-    def used() -> float:
-        return 0.0 if seconds is None else (time.monotonic() - began) / seconds
-
-    while used() < 1 and (mountings is None or known is None or len(known.u) < mountings):
+    while clock.used(number) < 1 and (mountings is None or known is None or len(known.u) < mountings):
         here = 0 if known is None else len(known.u)
-        if evolution is None and (here < spread if spread is not None else used() < EVEN or known is None):
+        if evolution is None and (here < spread if spread is not None else clock.used(number) < EVEN):
             u = even(d, here, ROUND if spread is None else min(ROUND, spread - here), seed)
         else:
             evolution = Evolution(known, len(search.file.spare), seed) if evolution is None else evolution
             u = evolution.ask()
         found = judge(search, plan, search.ranges.values(u), search.file.screen, folder / f"{number:03d}")
         if not number:
-            _refuse_collision(search, found)
+            _refuse_collision(search, found, folder)
         own = Known(u, found.done.mean(axis=1), found.complete, found.spare)
         if evolution is not None:
             evolution.tell(own)
         known = own if known is None else Known(*map(np.concatenate, zip(known, own, strict=True)))
         number += 1
+        clock.finished(number)
         tell.judged(found)
         yield found
 
 
-def _refuse_collision(search: Search, found: Judged) -> None:
-    """Raise InputError where every start of the first round collides, naming the body."""
+def _refuse_collision(search: Search, found: Judged, folder: Path) -> None:
+    """Raise InputError where every start of the first round collides, naming the body; the round is kept no more."""
     first = found.plans.status[:, 0]
     if not np.isin(first, (Status.START_IN_COLLISION, *AT_HOME)).all():
         return
@@ -146,7 +154,8 @@ def _refuse_collision(search: Search, found: Judged) -> None:
     if Status(int(first[0])) in (Status.START_IN_COLLISION, Status.HOME_IN_COLLISION):
         depth, body, other = start_clearance(cell.robot, cell.workpiece, scenario, scenario.x_home, cell.obstacles)
         why = f"{body} is {-1e3 * depth:.3g} mm inside {other} in the first of them" if depth <= 0 else why
-    raise InputError(f"{search.name}: in all of {len(first):,} mountings nothing can begin: {why}")
+    shutil.rmtree(folder)
+    raise InputError(f"{search.name}: in all of {len(found.values):,} mountings nothing can begin: {why}")
 
 
 def _confirmed(search: Search, judged: Sequence[Judged], folder: Path, plan: Planner) -> Judged | None:

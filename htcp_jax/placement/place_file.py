@@ -25,7 +25,8 @@ from htcp_jax.jobs.load_config import load_config
 from htcp_jax.placement.ranges import Ranges, read_ranges
 from htcp_jax.planner import registry
 
-AIMS = "clearance", "cycle time", "joint motion"
+CYCLE_TIME = "cycle time"
+AIMS = "clearance", CYCLE_TIME, "joint motion"
 
 
 class Within(Section):
@@ -119,4 +120,6 @@ def load_search(
             raise InputError(f"{path}: seams: there is no file {name}")
     if len(set(seams)) < len(seams):
         raise InputError(f"{path}: seams: one stands there twice")
+    if file.within.scenarios is not None and file.within.scenarios < len(seams):
+        raise InputError(f"{path}: within: {file.within.scenarios} scenarios are fewer than the {len(seams)} seams")
     return Search(path.stem, file, None if config is None else str(config), tuple(overrides), job, ranges, seams)

@@ -6,8 +6,11 @@ mountings.parquet     every mounting that was judged: parameters, share of the t
 ranked/               a run: the motions of the ranked mountings, scenario by scenario
 """
 
+import contextlib
 import json
-from collections.abc import Sequence
+import shutil
+import signal
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -15,14 +18,17 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.placement.mounting import MOUNTINGS, RANKED, Mounting
 from htcp_jax.placement.place_file import Search
+from htcp_jax.runs.lock import locked
 from htcp_jax.runs.open import SEARCH
-from htcp_jax.runs.plan_folder import write_json
+from htcp_jax.runs.plan_folder import made_folder, write_json
 
 if TYPE_CHECKING:
     from htcp_jax.placement.judge import Judged
+
+NOTHING = "nothing was finished, nothing was written"
 
 
 class Placed(NamedTuple):
@@ -49,7 +55,11 @@ class Placed(NamedTuple):
         names = self.search.seams or (self.search.job.workpiece.path,)
         done = np.concatenate([each.done for each in self.judged])
         best = done[np.lexsort((done.mean(axis=1), (done == 1).sum(axis=1)))[-1]]
-        return {Path(name).stem: (int((done[:, k] == 1).sum()), float(best[k])) for k, name in enumerate(names)}
+        alike = len({Path(name).stem for name in names}) < len(names)
+        return {
+            name if alike else Path(name).stem: (int((done[:, k] == 1).sum()), float(best[k]))
+            for k, name in enumerate(names)
+        }
 
     def record(self) -> dict[str, Any]:
         """For JSON."""
@@ -82,7 +92,30 @@ class Placed(NamedTuple):
         }
 
 
-def begin(folder: Path, search: Search) -> None:
+@contextlib.contextmanager
+def searching(folder: Path, search: Search) -> Iterator[None]:
+    """The search's folder, locked. One in which nothing was finished is as it was before. Raises InputError where it
+    holds another search, is in use or cannot be written, Interrupted in place of Ctrl-C."""
+    with made_folder(folder) as is_new, locked(folder):
+        _begin(folder, search)
+        try:
+            yield
+        except (Interrupted, KeyboardInterrupt) as stop:
+            code = stop.code - 128 if isinstance(stop, Interrupted) else signal.SIGINT
+            words = f"what is finished is in {folder}; the same command goes on from there"
+            raise Interrupted(f"stopped; {words if _holds_any(folder) else NOTHING}", code) from None
+        finally:
+            if not _holds_any(folder):
+                (folder / SEARCH).unlink(missing_ok=True)
+                if is_new:
+                    shutil.rmtree(folder, ignore_errors=True)
+
+
+def _holds_any(folder: Path) -> bool:
+    return any(folder.glob("rounds/*/*/*.parquet"))
+
+
+def _begin(folder: Path, search: Search) -> None:
     """Write down what is asked for. Raises InputError where the folder holds another search."""
     asked = {
         **search.file.model_dump(mode="json"),

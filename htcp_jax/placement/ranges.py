@@ -69,17 +69,16 @@ class Ranges(NamedTuple):
 
     def values(self, u: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
         """Mountings in the job's own units."""
-        return self.low + u * self.width
+        return np.clip(self.low + u * self.width, self.low, [axis.high for axis in self.axes])  # rounding stays inside
 
     def columns(self, values: Float[np.ndarray, "n d"]) -> dict[str, list]:
         """One axis of a grid: the values of every key, mounting by mounting."""
-        found: dict[str, list] = {}
+        found: dict[str, list] = {key: [list(row) for _ in values] for key, row in self.fixed.items()}
         for k, axis in enumerate(self.axes):
             if axis.element is None:
                 found[axis.key] = values[:, k].tolist()
                 continue
-            rows = found.setdefault(axis.key, [list(self.fixed[axis.key]) for _ in values])
-            for row, value in zip(rows, values[:, k].tolist(), strict=True):
+            for row, value in zip(found[axis.key], values[:, k].tolist(), strict=True):
                 row[axis.element] = value
         return found
 
@@ -141,6 +140,8 @@ def _range(where: str, key: str, element: int | None, value: Any) -> Range:
     if not low < high:
         kind = "empty" if low == high else "reversed"
         raise InputError(f"{where}: {name}: the range [{low:g}, {high:g}] is {kind}")
+    if not math.isfinite(high - low):
+        raise InputError(f"{where}: {name}: the range [{low:g}, {high:g}] is wider than a number can be")
     return Range(key, element, low, high)
 
 

@@ -37,13 +37,13 @@ def even(dimensions: int, first: int, count: int, seed: int) -> Float[np.ndarray
 
 def score(known: Known, weights: Float[np.ndarray, "A"]) -> Float[np.ndarray, "n"]:
     """What evolution makes small: below 0 where a mounting is complete, the better the lower; else the share that it
-    lacks. Aims are weighed between their worst and best so far."""
-    spare = np.where(np.isfinite(known.spare), known.spare, np.nan)
-    if not np.isfinite(spare).any():
-        return 1 - known.done
-    low, high = np.nanmin(spare, axis=0), np.nanmax(spare, axis=0)
-    scaled = (spare - low) / np.maximum(high - low, 1e-12)
-    whole = np.where(np.isnan(scaled).any(axis=1), -1e-6, -1e-6 - (scaled * weights).sum(axis=1))
+    lacks. Aims are weighed between their worst and best so far; one of which
+    nothing is known counts as the worst."""
+    told = np.isfinite(known.spare)
+    low, high = (np.where(told, known.spare, none) for none in (np.inf, -np.inf))
+    low, high = low.min(axis=0), high.max(axis=0)
+    scaled = np.divide(known.spare - low, np.maximum(high - low, 1e-12), where=told, out=np.zeros_like(known.spare))
+    whole = -1e-6 - (scaled * weights).sum(axis=1)
     return np.where(known.complete, whole, 1 - known.done + 1e-6)
 
 
@@ -69,7 +69,7 @@ class Evolution:
     def ask(self) -> Float[np.ndarray, "n d"]:
         """The mountings of the next round."""
         self._asked = [np.array(run.ask()) for run in self._runs]
-        return np.clip(np.concatenate(self._asked), 0.0, 1.0)
+        return np.clip(np.concatenate(self._asked)[:, : self._known.u.shape[1]], 0.0, 1.0)
 
     def tell(self, found: Known) -> None:
         """What they came to."""
@@ -90,7 +90,7 @@ class Evolution:
         start = u[chosen[-1]] if len(chosen) > taken else self._rng.random(u.shape[1])
         self._begun.append(start)
         return cma.CMAEvolutionStrategy(
-            start,
+            start if len(start) > 1 else np.append(start, 0.5),  # it knows no line; the second number says nothing
             SIGMA,
             {
                 "bounds": [0.0, 1.0],

@@ -1,0 +1,172 @@
+"""How mountings are found: a grid, random draws, `htcp place`'s search and differential evolution, on one budget.
+
+    python -m benchmarks mountings [PLACE.yaml] [--scenarios 2000] [--seeds 5] [--threads N] [--out out/mountings]
+
+Every way asks for mountings of the same ranges, which the same quick planner judges; each has a run of `--seeds` seeds
+(the grid has one). Counted are the mountings that do the whole work, and the best clearance at their targets. Every
+round is a sweep under `--out`, so the same command goes on where it was stopped. Writes mountings.csv and mountings.png
+there, and prints a table.
+"""
+
+import argparse
+import csv
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import differential_evolution
+
+from benchmarks import hardware
+from htcp_jax.jobs.grid import Sweep
+from htcp_jax.placement.judge import judge
+from htcp_jax.placement.place_file import Search, load_search
+from htcp_jax.placement.search import EVEN, FROM, POPULATION, Evolution, Known, even
+from htcp_jax.planner import compile_cache
+from htcp_jax.report.chart_style import new_figure
+from htcp_jax.runs.run_folder import Run
+from htcp_jax.runs.sweep import sweep
+
+Judge = Callable[[Float[np.ndarray, "n d"]], Known]  # mountings in the unit cube, judged
+Way = Callable[[Judge, int, int, int], None]  # with so many dimensions, on such a budget, by a seed
+
+
+class Found(NamedTuple):
+    """What one way came to by one seed."""
+
+    way: str
+    seed: int
+    best_m: Float[np.ndarray, "n"]  # least clearance of the best so far, mounting by mounting; NaN: none yet
+    complete: Float[np.ndarray, "n"]  # how many so far
+
+
+def grid(judged: Judge, d: int, budget: int, seed: int) -> None:
+    """As many points an axis as there may be, at the middles of equal parts; the axes that vary first have one more."""
+    counts = np.full(d, int(budget ** (1 / d) + 1e-9))
+    for k in range(d):
+        if np.prod(counts) // counts[k] * (counts[k] + 1) <= budget:
+            counts[k] += 1
+    parts = np.meshgrid(*((np.arange(n) + 0.5) / n for n in counts), indexing="ij")
+    judged(np.stack([part.ravel() for part in parts], axis=1))
+
+
+def draws(judged: Judge, d: int, budget: int, seed: int) -> None:
+    """Uniform and independent."""
+    judged(np.random.default_rng([seed, 2]).random((budget, d)))
+
+
+def search(judged: Judge, d: int, budget: int, seed: int) -> None:
+    """As `htcp place` looks: evenly, and then about the best."""
+    rounds = int((1 - EVEN) * budget) // (FROM * POPULATION)
+    evolution = Evolution(judged(even(d, 0, budget - rounds * FROM * POPULATION, seed)), 1, seed)
+    for _ in range(rounds):
+        evolution.tell(judged(evolution.ask()))
+
+
+def differential(judged: Judge, d: int, budget: int, seed: int) -> None:
+    """SciPy's differential evolution with its defaults, generation by generation, on the same score."""
+    parents = max(5, min(15 * d, budget // 4))
+    known: list[Known] = []
+
+    def energies(u: Float[np.ndarray, "d n"]) -> Float[np.ndarray, "n"]:
+        known.append(judged(u.T))
+        return _fixed_score(known[-1])
+
+    first = even(d, 0, parents, seed)
+    generations = budget // parents - 1
+    differential_evolution(energies, [(0, 1)] * d, init=first, maxiter=generations, seed=seed, tol=0, polish=False,
+                           updating="deferred", vectorized=True)  # fmt: skip
+
+
+def _fixed_score(known: Known) -> Float[np.ndarray, "n"]:
+    """The order of `search.score`, but the same for a mounting in every generation."""
+    return np.where(known.complete, -1.0 - known.spare[:, 0], 1.0 - known.done)
+
+
+WAYS: dict[str, Way] = {
+    "grid": grid,
+    "random draws": draws,
+    "htcp place": search,
+    "differential evolution": differential,
+}
+
+
+def run(asked: Search, way: str, seed: int, budget: int, folder: Path, threads: int | None) -> Found:
+    """One way by one seed."""
+    rounds: list[Known] = []
+
+    def plan(spec: Sweep, method: str, into: Path) -> Run:
+        return sweep(spec, [method], into, threads=threads)
+
+    def judged(u: Float[np.ndarray, "n d"]) -> Known:
+        u = u[: budget - sum(len(each.u) for each in rounds)]
+        one = judge(asked, plan, asked.ranges.values(u), asked.file.screen, folder / f"{len(rounds):03d}")
+        rounds.append(Known(u, one.done.mean(axis=1), one.complete, one.spare))
+        return rounds[-1]
+
+    WAYS[way](judged, len(asked.ranges.axes), budget, seed)
+    spare = np.concatenate([each.spare[:, 0] for each in rounds])
+    best = np.maximum.accumulate(spare)
+    complete = np.cumsum(np.concatenate([each.complete for each in rounds]))
+    return Found(way, seed, np.where(np.isfinite(best), best, np.nan), complete)
+
+
+def results(asked: Search, seeds: int, budget: int, out: Path, threads: int | None) -> Iterator[Found]:
+    """Every way by every seed."""
+    for way in WAYS:
+        one = partial(run, asked, way, budget=budget, threads=threads)
+        for seed in range(1 if way == "grid" else seeds):
+            yield one(seed=seed, folder=out / way.replace(" ", "-") / f"{budget}-{seed}")
+
+
+def draw(found: list[Found]):
+    """The figure: complete mountings and best clearance over the budget; a line a seed."""
+    figure = new_figure(3.8, "Mountings found on the same budget", "a line a seed; judged by the same quick planner")
+    left, right = figure.subplots(1, 2)
+    for k, way in enumerate(WAYS):
+        for number, each in enumerate(one for one in found if one.way == way):
+            how = {"color": f"C{k}", "linewidth": 1.2, "label": None if number else way}
+            left.plot(np.arange(1, len(each.complete) + 1), each.complete, **how)
+            right.plot(np.arange(1, len(each.best_m) + 1), 1e3 * each.best_m, **how)
+    left.set_ylabel("mountings that do the whole work")
+    right.set_ylabel("best clearance at the targets [mm]")
+    for axes in (left, right):
+        axes.set_xlabel("mountings judged")
+    left.legend(frameon=False)
+    return figure
+
+
+def main() -> None:
+    """Search, print, write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("file", type=Path, nargs="?", default=Path("configs/place/duct.yaml"), metavar="PLACE.yaml")
+    parser.add_argument("--scenarios", type=int, default=2000, help="Mountings that each way may judge by each seed.")
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--threads", type=int)
+    parser.add_argument("--out", type=Path, default=Path("out/mountings"))
+    asked = parser.parse_args()
+    compile_cache.enable()
+    print(hardware.line())
+    found = []
+    spec = load_search(asked.file, changes={"spare": "clearance"})
+    for each in results(spec, asked.seeds, asked.scenarios, asked.out, asked.threads):
+        found.append(each)
+        print(f"{each.way}, seed {each.seed}: {each.complete[-1]:,} of {len(each.complete):,} complete, best "
+              f"{1e3 * each.best_m[-1]:.2f} mm", flush=True)  # fmt: skip
+    with (asked.out / "mountings.csv").open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(["way", "seed", "judged", "complete", "best_mm"])
+        rows.writerows([e.way, e.seed, len(e.complete), e.complete[-1], f"{1e3 * e.best_m[-1]:.3f}"] for e in found)
+    draw(found).savefig(asked.out / "mountings.png", dpi=150)
+    print("\n| | complete, by seed | best clearance, by seed [mm] |\n|---|---|---|")
+    for way in WAYS:
+        own = [each for each in found if each.way == way]
+        counts, best = (", ".join(words) for words in zip(
+            *((f"{each.complete[-1]:,}", f"{1e3 * each.best_m[-1]:.1f}") for each in own), strict=True))  # fmt: skip
+        print(f"| {way} | {counts} | {best} |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,43 @@
+"""How long a search of so many seconds has gone on, also when it was stopped and goes on in another process.
+
+What round comes next hangs on the time, so the time at the end of every round is kept beside the rounds: gone on with,
+the search repeats the rounds that are there, and adds to them.
+"""
+
+import json
+import time
+from pathlib import Path
+
+from htcp_jax.errors import InputError
+from htcp_jax.runs.plan_folder import write_json
+
+FILE = "seconds.json"
+
+
+class Clock:
+    """seconds: the search's; None: it has all the time, and nothing is kept."""
+
+    def __init__(self, folder: Path, seconds: float | None):
+        self._file, self._seconds, self._last = folder / FILE, seconds, time.monotonic()
+        self._ends = [] if seconds is None else _read(self._file)
+
+    def used(self, rounds: int) -> float:
+        """Share of the time that had gone by after so many rounds."""
+        return 0.0 if self._seconds is None or not rounds else self._ends[rounds - 1] / self._seconds
+
+    def finished(self, rounds: int) -> None:
+        """So many rounds are finished. Raises InputError where that cannot be written."""
+        now = time.monotonic()
+        if self._seconds is not None and rounds > len(self._ends):
+            self._ends.append(sum(self._ends[-1:]) + now - self._last)
+            write_json(self._file, {"ends_s": self._ends})
+        self._last = now
+
+
+def _read(file: Path) -> list[float]:
+    if not file.exists():
+        return []
+    try:
+        return [float(end) for end in json.loads(file.read_text(encoding="utf-8"))["ends_s"]]
+    except (OSError, ValueError, TypeError, LookupError) as error:
+        raise InputError(f"{file} is damaged: {error}") from None

@@ -1,0 +1,272 @@
+"""Searches of a small part by real planners: what is ranked holds when it is planned alone, off or measured by MuJoCo,
+and neither threads nor kills have any influence on it. The part is a plate behind a path of two points, moved towards
+the arm until nothing fits."""
+
+import json
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from sweep_process import JOB, environment, make_sweep
+
+import htcp_jax
+from htcp_jax.cli.main import main
+from htcp_jax.errors import Interrupted
+from htcp_jax.placement.judge import Judged, sweep_of
+from htcp_jax.placement.place import place
+from htcp_jax.placement.placed import Placed
+from htcp_jax.program.of_plan import program_of
+from htcp_jax.runs.open import open_plans
+from htcp_jax.runs.run_folder import open_run
+from htcp_jax.runs.sweep import sweep
+
+FILE = """
+config: job.yaml
+place:
+  workpiece.rotation_y_rad: [0.3, 0.5]
+  workpiece.shift_m: [[-1.25, -0.8], 0.02, 0.0]
+spare: [clearance, joint motion]
+within: {scenarios: 12}
+off: {mm: 20, deg: 1}
+best: 4
+"""
+RESULTS = "ranked.json", "mountings.parquet", "ranked/manifest.json"
+KILLS = 20
+
+
+def make(folder: Path) -> Path:
+    make_sweep(folder)
+    (folder / "job.yaml").write_text(JOB + "  approach_to_inlet: 1\n  approach_to_path: 1\n")  # fewer targets
+    (folder / "place.yaml").write_text(FILE)
+    return folder
+
+
+def results(folder: Path) -> dict[str, bytes]:
+    """What a search leaves, and the rows of all its stages."""
+    rows = {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*/*.parquet")}
+    return {name: (folder / name).read_bytes() for name in RESULTS[:2]} | rows
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory) -> Placed:
+    """An undisturbed search."""
+    folder = make(tmp_path_factory.mktemp("placed"))
+    return place(folder / "place.yaml", folder / "out")
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return make(tmp_path)
+
+
+def start(folder: Path, out: str) -> subprocess.Popen:
+    """The command as a process of its own."""
+    code = "from htcp_jax.cli.main import main; raise SystemExit(main())"
+    words = [sys.executable, "-c", code, "place", "place.yaml", "--out", out]
+    pipe = subprocess.PIPE
+    return subprocess.Popen(words, cwd=folder, env=environment(), stdout=pipe, stderr=pipe, text=True)
+
+
+def killed_somewhere(folder: Path, out: str, files: int, later_s: float) -> None:
+    """Begin, and kill it a while after so many files of rows are written."""
+    with start(folder, out) as process:
+        while process.poll() is None and len(list((folder / out).rglob("*.parquet"))) < files:
+            time.sleep(0.002)
+        time.sleep(later_s)
+        process.kill()
+    assert process.returncode in (-signal.SIGKILL, 0)
+
+
+def test_some_mountings_are_complete_and_some_are_not_and_the_table_has_them_all(found):
+    table = pq.read_table(found.folder / "mountings.parquet").to_pydict()
+    assert len(table["complete"]) == 12 == found.scenarios and 0 < sum(table["complete"]) < 12
+    assert [words is None for words in table["lost"]] == table["complete"]
+    assert [share == 1 for share in table["done"]] == table["complete"]
+    assert set(table["workpiece.rotation_y_rad"]) == set(np.concatenate([e.values for e in found.judged])[:, 0])
+
+
+def test_a_driver_killed_goes_on_to_the_same_bytes_with_another_number_of_threads(found, here):
+    killed_somewhere(here, "out", 3, 0.02)
+    assert not (here / "out" / "ranked.json").exists()
+    place("place.yaml", "out", threads=1)
+    assert results(here / "out") == results(found.folder)
+
+
+def test_every_ranked_mounting_planned_alone_is_the_motion_that_the_table_says(found):
+    assert found.mountings
+    numbers = []
+    for rank, one in enumerate(found.mountings):
+        names = [axis.name for axis in found.search.ranges.axes]
+        values = dict(zip(names, one.values.tolist(), strict=True))
+        margin = open_plans(found.folder / "ranked").jobs[rank].margin_m
+        fixed = {"workpiece.shift_m": [values.pop("workpiece.shift_m.x"), 0.02, 0.0], "margin_m": margin}
+        plan = htcp_jax.plan(found.folder.parent / "job.yaml", {**values, **fixed}, method="roadmap")
+        plans = plan.plans
+        assert plans.outcomes.complete.all() and plans.executable.all()
+        assert open_run(found.folder / "ranked").plans("roadmap").way_clearance[rank].min() == one.spare[0]
+        if not one.row:  # the random numbers of the others are those of their place among what was confirmed
+            assert plans.way_clearance[0].min() == one.spare[0]
+            numbers.append(rank)
+    assert numbers
+
+
+def test_the_aims_are_those_of_the_programs_and_plans(found):
+    for judged in found.judged:
+        told = judged.spare[judged.complete]
+        plans = judged.plans.rows(np.flatnonzero(judged.complete))
+        np.testing.assert_array_equal(told[:, 0], plans.clearance.min(axis=1))
+        steps = np.diff(np.concatenate([plans.start[:, None], plans.x], axis=1), axis=1)
+        np.testing.assert_allclose(-told[:, 1], np.linalg.norm(steps, axis=2).sum(axis=1), rtol=1e-9)
+
+
+def test_cycle_time_is_that_of_the_program_and_unknown_where_there_is_no_motion(found):
+    search = found.search._replace(file=found.search.file.model_copy(update={"spare": ("cycle time",)}))
+    ranked = open_run(found.folder / "ranked")
+    times = Judged(search, ranked, "roadmap", np.array([one.values for one in found.mountings])).spare[:, 0]
+    told = [program_of(open_plans(ranked.folder), 0.02, "roadmap", k).program.duration_s for k in range(len(times))]
+    assert times.tolist() == [-seconds for seconds in told]
+    (judged,) = found.judged
+    screened = Judged(search, judged.run, judged.method, judged.values)
+    assert np.isneginf(screened.spare[~screened.complete]).all()
+
+
+def test_the_ranking_is_by_what_is_left_when_off_and_the_best_of_either_aim_are_on_the_front(found):
+    spare = np.array([one.spare for one in found.mountings])
+    order = [(-one.held, -one.worst[0], -one.spare[0]) for one in found.mountings]
+    assert order == sorted(order)
+    for aim in range(2):
+        assert found.mountings[int(spare[:, aim].argmax())].front
+    assert all((one.worst <= one.spare).all() for one in found.mountings)
+
+
+def disturbances_hold(found: Placed, folder: Path, count: int, seed: int) -> None:
+    """So many mountings within the stated tolerance of the first, planned anew, are complete."""
+    first, axes, off = found.mountings[0], found.search.ranges.axes, found.search.file.off
+    half = np.array([axis.disturbed(1e-3 * off.mm, off.deg) for axis in axes]) * first.tolerance.together
+    assert (half > 0).all()
+    shifts = np.random.default_rng(seed).uniform(-1, 1, (count, len(axes))) * half
+    run = sweep(sweep_of(found.search, first.values + shifts), [found.search.file.screen], folder)
+    assert run.plans(found.search.file.screen).outcomes.complete.all()
+
+
+def test_a_few_disturbances_within_the_stated_tolerance_are_complete(found, tmp_path):
+    disturbances_hold(found, tmp_path / "off", 20, 5)
+
+
+@pytest.mark.slow
+def test_1000_disturbances_within_the_stated_tolerance_are_complete(found, tmp_path):
+    disturbances_hold(found, tmp_path / "off", 1000, 6)
+
+
+def test_mujoco_refutes_none_of_the_ranked_motions(found, capsys):
+    assert main(["validate", str(found.folder / "ranked")]) == 0
+
+
+def test_the_numbers_in_the_files_are_json_and_ranked_in_their_order(found):
+    told = json.loads((found.folder / "ranked.json").read_text(), parse_constant=pytest.fail)
+    assert [row["parameters"]["workpiece.rotation_y_rad"] for row in told["ranked"]] == [
+        one.values[0] for one in found.mountings
+    ]
+    assert told["complete"] == found.complete
+
+
+# Slow
+
+
+@pytest.mark.slow
+def test_the_same_seed_gives_the_same_bytes_on_ray_and_another_seed_others(found, here):
+    pytest.importorskip("ray", reason="Ray is an extra: pip install 'htcp_jax[ray]'")
+    place("place.yaml", "ray", on="ray")
+    assert results(here / "ray") == results(found.folder)
+    place("place.yaml", "other", changes={"seed": 1})
+    other = results(here / "other")
+    assert all(other[name] != results(found.folder)[name] for name in RESULTS[:2])
+
+
+@pytest.mark.slow
+def test_20_kills_lose_nothing(found, here):
+    draw, undisturbed = random.Random(0), results(found.folder)
+    for kill in range(KILLS):
+        killed_somewhere(here, f"out{kill}", draw.randrange(len(undisturbed)), draw.uniform(0, 0.3))
+        place("place.yaml", f"out{kill}")
+        assert results(here / f"out{kill}") == undisturbed
+
+
+@pytest.mark.slow
+def test_one_search_killed_again_and_again_comes_to_the_same(found, here):
+    draw = random.Random(1)
+    for _ in range(6):
+        done = len(list((here / "out").rglob("*.parquet")))
+        killed_somewhere(here, "out", done + draw.randrange(3), draw.uniform(0, 0.3))
+    place("place.yaml", "out")
+    assert results(here / "out") == results(found.folder)
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_it_with_130_and_one_line_how_to_go_on(found, here):
+    with start(here, "out") as process:
+        while process.poll() is None and len(list((here / "out").rglob("*.parquet"))) < 4:
+            time.sleep(0.002)
+        process.send_signal(signal.SIGINT)
+        output, errors = process.communicate()
+    assert (process.returncode, output) == (130, "")
+    assert errors.strip().splitlines()[-1] == (
+        "htcp: stopped; what is finished is in out; the same command goes on from there"
+    )
+    place("place.yaml", "out")
+    assert results(here / "out") == results(found.folder)
+
+
+@pytest.mark.slow
+def test_a_search_by_time_that_was_stopped_repeats_its_rounds_and_goes_on(here):
+    def stop(now) -> None:
+        if now.scenarios > 600:
+            raise KeyboardInterrupt
+
+    changes = {"within": {"seconds": 20}, "best": 1, "spare": "clearance"}
+    with pytest.raises(Interrupted, match="what is finished is in out"):
+        place("place.yaml", "out", changes=changes, progress=stop)
+    rounds = sorted((here / "out" / "rounds").glob("[0-9]*"))
+    found = place("place.yaml", "out", changes=changes)
+    assert len(found.judged) > len(rounds) > 1
+    again = place("place.yaml", "out", changes=changes)
+    assert again.record() == found.record() and len(again.judged) == len(found.judged)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("within", [1, 2, 5])
+def test_a_budget_of_a_few_scenarios_is_kept_to(here, within):
+    found = place("place.yaml", "out", changes={"within": {"scenarios": within}, "spare": "joint motion"})
+    assert found.scenarios == within and len(found.mountings) <= within
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "ranges",
+    [
+        {"workpiece.rotation_y_rad": [0.3, 0.5]},
+        {"robot.base_m": [[-0.05, 0.05], [-0.05, 0.05], 0.0]},
+        {"start_rad.3": [0.4, 0.6]},
+    ],
+)
+def test_what_may_vary_is_searched(here, ranges):
+    changes = {"place": ranges, "best": 1, "within": {"scenarios": 6}, "spare": "clearance"}
+    found = place("place.yaml", "out", changes=changes)
+    assert found.mountings and len(found.mountings[0].values) == len(found.search.ranges.axes)
+
+
+@pytest.mark.slow
+def test_several_seams_are_done_only_where_all_of_them_are(here):
+    (here / "behind.csv").write_text("0.6,-0.1737,0.1708\n0.61,-0.1738,0.1705\n")
+    changes = {"seams": ["path.csv", "behind.csv"], "confirm": "keep-clear", "spare": "clearance"}
+    found = place("place.yaml", "out", changes=changes)
+    assert found.scenarios == 12 and found.complete == 0 and not found.mountings
+    seams = found.seams()
+    assert seams["path"][0] > 0 and seams["behind"][0] == 0 and seams["path"][1] == 1 and seams["behind"][1] < 1

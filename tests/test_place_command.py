@@ -1,0 +1,87 @@
+"""`htcp place` from the command line: bad input is one line, code 2 and nothing written; no mounting is code 3."""
+
+import json
+
+import numpy as np
+import pytest
+from sweep_process import JOB, make_sweep
+
+from htcp_jax.cli.main import main
+
+HEAD = "config: job.yaml\nwithin: {scenarios: 4}\n"
+PLACE = "place: {workpiece.shift_m: [[-1.25, -0.8], 0.02, 0.0]}\n"
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A plate behind a path of two points; the folder is the working folder."""
+    make_sweep(tmp_path)
+    (tmp_path / "job.yaml").write_text(JOB + "  approach_to_inlet: 1\n  approach_to_path: 1\n")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def place(text: str, *words: str) -> int:
+    with open("place.yaml", "w", encoding="utf-8") as file:
+        file.write(HEAD + text)
+    return main(["place", "place.yaml", "--out", "out", *words])
+
+
+@pytest.mark.parametrize(
+    ("text", "words", "says"),
+    [
+        ("place: {workpiece.rotation_y_rad: [1, 0]}", (), "the range [1, 0] is reversed"),
+        ("place: {workpiece.rotation_y: [0, 1]}", (), "unknown parameter workpiece.rotation_y; did you mean"),
+        ("place: {method: [0, 1]}", (), "method cannot vary in a search"),
+        ("place: {task.1.cone_deg: [10, 40]}", (), "task.1.cone_deg: the task has 0 rows"),
+        ("place: {cell.shift_m.z: [0, 1]}", (), "cell.shift_m is given, and no cell.model"),
+        (PLACE, ("--scenarios", "4", "--seconds", "5"), "--scenarios and --seconds say the same; leave out one"),
+        (PLACE, ("--scenarios", "0"), "within.scenarios is 0"),
+        (PLACE, ("--on", "moon"), "on is 'moon'; valid: here, ray"),
+        (PLACE + "feed: '20'", (), "feed '20' is no speed above 0 with a unit"),
+        (PLACE + "seams: [path.csv, nowhere.csv]", (), "seams: there is no file nowhere.csv"),
+        (PLACE + "seams: [path.csv, ./path.csv]", (), "seams: one stands there twice"),
+        (PLACE + "seams: [path.csv, empty.csv]", (), "empty.csv: the tool path is empty"),
+        (PLACE + "seams: [helix]", (), "a cloud needs a tool path of its own"),
+        (PLACE + "spare: speed", (), "unknown spare 'speed'; valid: clearance, cycle time, joint motion"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(here, capsys, text, words, says):
+    (here / "empty.csv").write_text("x,y,z\n")
+    assert place(text, *words) == 2
+    output = capsys.readouterr()
+    assert says in output.err and output.err.count("\n") == 1 and not output.out
+    assert not (here / "out").exists()
+
+
+def test_where_every_start_collides_the_body_is_named_and_nothing_is_left(here, capsys):
+    points = np.random.default_rng(0).uniform((-0.3, -0.3, 0.2), (0.3, 0.3, 1.0), (20_000, 3))  # where the arm stands
+    np.savetxt(here / "plate.xyz", points)
+    job = JOB + "  pivot_m: [0, 0, 0]\n  neutral_translation_m: [0, 0, 0]\n"
+    lines = [line for line in job.splitlines() if not line.startswith(("  pivot_m: [1", "  neutral_translation_m: [1"))]
+    (here / "job.yaml").write_text("\n".join(lines))
+    assert place("place: {workpiece.shift_m.x: [-0.02, 0.02]}") == 2
+    output = capsys.readouterr()
+    assert "in all of 4 mountings nothing can begin: " in output.err and " mm inside the workpiece" in output.err
+    assert output.err.count("\n") == 1 and not (here / "out").exists()
+
+
+def test_without_a_mounting_it_exits_with_3_and_says_which_seam_prevents_the_best(here, capsys):
+    (here / "behind.csv").write_text("0.6,-0.1737,0.1708\n0.61,-0.1738,0.1705\n")
+    text = "place: {workpiece.shift_m.x: [-0.1, 0.1]}\nseams: [path.csv, behind.csv]\nconfirm: keep-clear"
+    assert place(text) == 3
+    output = " ".join(capsys.readouterr().out.split())
+    assert "1 of 2 seams; prevented by behind (" in output and "path 2, behind 0" in output
+    assert place(text, "--json") == 3
+    told = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert told["ranked"] == [] and told["seams"]["path"] == {"complete": 2, "in_the_best": 1.0}
+
+
+def test_another_search_is_kept_out_of_a_folder(here, capsys):
+    assert place("place: {workpiece.shift_m.x: [5, 6]}\nbest: 1") == 3
+    capsys.readouterr()
+    before = {file: file.read_bytes() for file in (here / "out").rglob("*") if file.is_file() and file.name != ".lock"}
+    assert place("place: {workpiece.shift_m.x: [5, 7]}\nbest: 1") == 2
+    output = capsys.readouterr()
+    assert "out holds another search: place is " in output.err and output.err.count("\n") == 1
+    assert all(file.read_bytes() == data for file, data in before.items())

@@ -1,0 +1,204 @@
+"""Ranges of mountings and where to look in them: pure functions, held to brute force and to themselves."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from htcp_jax.errors import InputError
+from htcp_jax.jobs.grid import load_sweep
+from htcp_jax.jobs.load_config import load_config
+from htcp_jax.placement.place import _front
+from htcp_jax.placement.place_file import load_search
+from htcp_jax.placement.ranges import Ranges, read_ranges
+from htcp_jax.placement.search import APART, FROM, POPULATION, Evolution, Known, best_apart, even, score
+
+JOINTS = tuple(f"joint{k}" for k in range(1, 7))
+NUMBER = st.floats(-1e3, 1e3)
+
+
+def ranges(raw: dict, **changes) -> Ranges:
+    return read_ranges("place", raw, JOINTS, load_config(None, changes).model_dump())
+
+
+@given(NUMBER, NUMBER, st.lists(st.floats(0, 1), min_size=1, max_size=5))
+def test_every_point_of_the_unit_cube_is_a_value_within_the_range_and_leads_back(a, b, u):
+    low, high = sorted((a, b))
+    if not low < high:
+        return
+    found = ranges({"workpiece.shift_m.y": [low, high]})
+    values = found.values(np.array(u)[:, None])
+    assert (values >= low).all() and (values <= high).all()
+    back = (values - found.low) / found.width
+    np.testing.assert_allclose(back[:, 0], u, atol=1e-12 * max(1, abs(low), abs(high)) / (high - low))
+
+
+def test_elements_vary_and_numbers_stay_and_the_rest_of_a_vector_is_the_jobs():
+    raw = {"workpiece.shift_m": [0.1, [0, 1], -0.2], "start_rad.3": [0.4, 0.6], "robot.base_m.z": [0, 0.5]}
+    found = ranges(raw, **{"robot.base_m": [1, 2, 3]})
+    assert [axis.name for axis in found.axes] == ["workpiece.shift_m.y", "start_rad.3", "robot.base_m.z"]
+    columns = found.columns(found.values(np.array([[0.5, 0.5, 0.5], [1, 1, 1]])))
+    assert columns["workpiece.shift_m"] == [[0.1, 0.5, -0.2], [0.1, 1.0, -0.2]]
+    assert columns["start_rad"] == [[0.0, -2.3, 0.5, 0.0, 0.5, -2.0], [0.0, -2.3, 0.6, 0.0, 0.5, -2.0]]
+    assert columns["robot.base_m"] == [[1, 2, 0.25], [1, 2, 0.5]]
+
+
+def test_a_vector_in_which_every_number_stays_is_heeded_too():
+    found = ranges({"workpiece.rotation_y_rad": [0, 1], "workpiece.shift_m": [0.1, 0.2, 0.3]})
+    (jobs,) = [load_sweep({"grid": [found.columns(np.array([[0.25]]))]}).batch().points]
+    assert jobs[0].config.workpiece.shift_m == (0.1, 0.2, 0.3) and jobs[0].config.workpiece.rotation_y_rad == 0.25
+
+
+def test_the_grid_of_mountings_holds_the_same_jobs_as_the_values_say():
+    rows = [{"point": "tcp", "on": "path"}, {"axis": "tcp.z", "towards": "path.tangent", "cone_deg": 90}]
+    raw = {"robot.base_m": [[-0.1, 0.1], 0.0, [0, 0.2]], "task.2.cone_deg": [60, 120], "start_rad.joint3": [0.4, 0.6]}
+    values = ranges(raw, task=rows).values(even(4, 0, 5, 0))
+    jobs = load_sweep({"grid": [ranges(raw, task=rows).columns(values)]}, None, {"task": rows}).batch().points
+    told = [(*p.config.robot.base_m, p.config.task[1].cone_deg, p.config.start_rad[2]) for p in jobs]
+    assert told == [(x, 0.0, z, cone, joint) for x, z, cone, joint in values.tolist()]
+
+
+@pytest.mark.parametrize(
+    ("raw", "says"),
+    [
+        ({}, "place is empty; it needs at least one range"),
+        ({"workpiece.rotation_y_rad": [1, 1]}, r"workpiece.rotation_y_rad: the range \[1, 1\] is empty"),
+        ({"workpiece.shift_m": [[1, 0], 0, 0]}, r"workpiece.shift_m.x: the range \[1, 0\] is reversed"),
+        ({"workpiece.shift_m.x": [-1e308, 1e308]}, "is wider than a number can be"),
+        ({"workpiece.shift_m.x": [0, math.nan]}, r"a range is \[smallest, largest\]"),
+        ({"workpiece.shift_m.x": 3}, r"workpiece.shift_m.x is 3; a range is \[smallest, largest\]"),
+        ({"workpiece.shift_m": [0, 1]}, "workpiece.shift_m has 3 elements; each is a range or a number"),
+        ({"workpiece.shift_m": [0, 1, 2]}, "place has no range, only numbers"),
+        ({"workpiece.shift_m": [[0, 1], 0, 0], "workpiece.shift_m.x": [0, 1]}, "stands in it twice"),
+        ({"start_rad.3": [0, 1], "start_rad.joint3": [0, 1]}, "stands in it twice"),
+        ({"method": ["a", "b"]}, "method cannot vary in a search; the workpiece's pose"),
+        ({"settings.alpha_rad": [0, 1]}, "settings.alpha_rad cannot vary in a search"),
+        ({"margin_m": [0, 1]}, "margin_m cannot vary in a search"),
+        ({"workpiece.cloud": [0, 1]}, "workpiece.cloud cannot vary in a search: it is no number"),
+        ({"start_rad": [[0, 1]] * 6}, "start_rad cannot vary in a search"),
+        ({"workpiece.rotation_y": [0, 1]}, "unknown parameter workpiece.rotation_y; did you mean workpiece.rotation_y"),
+    ],
+)
+def test_what_is_no_range_is_refused_in_one_line(raw, says):
+    with pytest.raises(InputError, match=says) as refused:
+        ranges(raw)
+    assert "\n" not in str(refused.value)
+
+
+def test_an_element_that_the_job_does_not_have_is_refused():
+    with pytest.raises(InputError, match=r"start_rad\.3: the job gives start_rad no such element"):
+        ranges({"start_rad.3": [0, 1]}, start_rad="auto")
+
+
+RANGE = {"place": {"workpiece.rotation_y_rad": [0, 1]}}
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        ({"within": {"scenarios": 0}}, "within.scenarios is 0"),
+        ({"within": {"seconds": 0}}, "within.seconds is 0"),
+        ({"within": {"scenarios": 1, "seconds": 1}}, "scenarios: N. or .seconds: S., one of them"),
+        ({"seams": ["left", "right"], "within": {"scenarios": 1}}, "1 scenarios are fewer than the 2 seams"),
+        ({"seams": ["left", "nowhere.csv"]}, "seams: there is no file nowhere.csv"),
+        ({"seams": ["left", "left"]}, "seams: one stands there twice"),
+        ({"spare": "speed"}, "unknown spare 'speed'; valid: clearance, cycle time, joint motion"),
+        ({"spare": ["clearance", "clearance"]}, "it is one aim, or a list of two"),
+        ({"spare": []}, "it is one aim, or a list of two"),
+        ({"screen": "fast"}, "unknown method 'fast'; valid: baseline"),
+        ({"confirm": "fast"}, "unknown method 'fast'; valid: baseline"),
+        ({"off": {"mm": 0}}, "off.mm is 0"),
+        ({"best": 0}, "best is 0"),
+        ({"sead": 1}, "sead"),
+    ],
+)
+def test_what_is_wrong_with_the_file_is_refused_in_one_line(more, says):
+    with pytest.raises(InputError, match=says) as refused:
+        load_search({**RANGE, **more})
+    assert "\n" not in str(refused.value)
+
+
+# Where to look
+
+
+def known(u, spare, complete=None, done=None) -> Known:
+    spare = np.array(spare, float).reshape(len(u), -1)
+    complete = np.ones(len(u), bool) if complete is None else np.array(complete)
+    return Known(np.asarray(u, float), np.ones(len(u)) if done is None else np.array(done), complete, spare)
+
+
+def bowl(u) -> Known:
+    """Best at 0.3 in every parameter; only what is near to it is complete."""
+    off = np.abs(np.asarray(u) - 0.3).max(axis=1)
+    complete = off < 0.2
+    return known(u, np.where(complete, -off, -np.inf), complete, np.where(complete, 1.0, 1 - off))
+
+
+@pytest.mark.parametrize("d", [1, 2, 6])
+def test_evolution_is_a_pure_function_of_answers_and_seed_and_betters_the_best(d):
+    def rounds(seed: int) -> list[np.ndarray]:
+        evolution, asked = Evolution(bowl(even(d, 0, 60, 0)), 1, seed), []
+        for _ in range(12):
+            asked.append(evolution.ask())
+            evolution.tell(bowl(asked[-1]))
+        return asked
+
+    first, again, other = rounds(0), rounds(0), rounds(1)
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+    assert all(u.shape == (FROM * POPULATION, d) and u.min() >= 0 and u.max() <= 1 for u in first)
+    best = bowl(even(d, 0, 60, 0)).spare.max()
+    assert bowl(np.concatenate(first)).spare.max() > (0.7 * best if np.isfinite(best) else best)
+
+
+def test_even_mountings_come_in_one_sequence_however_it_is_cut():
+    whole = even(3, 0, 50, 7)
+    np.testing.assert_array_equal(np.concatenate([even(3, 0, 20, 7), even(3, 20, 30, 7)]), whole)
+    assert not np.array_equal(even(3, 0, 50, 8), whole)
+
+
+@given(
+    st.lists(
+        st.tuples(st.booleans(), st.integers(0, 20), st.one_of(st.none(), st.floats(-1e3, 1e3))),
+        min_size=1,
+        max_size=12,
+    )
+)
+def test_what_is_complete_scores_before_what_is_not_then_by_spare_or_by_the_share_done(rows):
+    complete = np.array([c for c, _, _ in rows])
+    done = np.array([1.0 if c else share / 21 for c, share, _ in rows])
+    spare = np.array([-np.inf if v is None or not c else v for c, _, v in rows])
+    found = score(known(np.zeros((len(rows), 1)), spare, complete, done), np.ones(1))
+    assert np.isfinite(found).all()
+    for i in range(len(rows)):
+        for j in range(len(rows)):
+            if complete[i] and not complete[j]:
+                assert found[i] < found[j]
+            elif complete[i] and complete[j] and np.isfinite(spare[[i, j]]).all() and spare[i] > spare[j]:
+                assert found[i] <= found[j]
+            elif not complete[i] and not complete[j] and done[i] > done[j]:
+                assert found[i] < found[j]
+
+
+def test_an_aim_of_which_nothing_is_known_does_not_hide_the_other():
+    found = score(known([[0.0], [0.1]], [[1.0, -np.inf], [2.0, -np.inf]]), np.array([0.5, 0.5]))
+    assert found[1] < found[0]
+
+
+@given(st.lists(st.lists(st.floats(0, 1), min_size=2, max_size=2), min_size=1, max_size=20), st.integers(1, 6))
+def test_chosen_mountings_keep_apart_and_none_that_could_be_chosen_is_passed_over(points, count):
+    u, order = np.array(points), np.random.default_rng(0).permutation(len(points))
+    chosen = best_apart(u, order, count)
+    far = np.abs(u[:, None] - u[None]).max(axis=2) >= APART
+    assert all(far[a, b] for a in chosen for b in chosen if a != b) and len(chosen) <= count
+    for k in order.tolist():
+        if k not in chosen and len(chosen) < count:
+            assert not far[k, chosen].all()
+
+
+@given(st.lists(st.tuples(st.integers(0, 4), st.integers(0, 4)), min_size=1, max_size=12))
+def test_the_front_is_what_no_other_beats(spare):
+    beaten = [any(a >= x and b >= y and (a, b) != (x, y) for a, b in spare) for x, y in spare]
+    assert _front(np.array(spare, float)).tolist() == [not b for b in beaten]
