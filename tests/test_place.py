@@ -22,6 +22,7 @@ from htcp_jax.placement.judge import Judged, sweep_of
 from htcp_jax.placement.place import place
 from htcp_jax.placement.placed import Placed
 from htcp_jax.program.of_plan import program_of
+from htcp_jax.program.whole_run import time_run
 from htcp_jax.runs.open import open_plans
 from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.sweep import sweep
@@ -128,12 +129,12 @@ def test_the_aims_are_those_of_the_programs_and_plans(found):
 
 def test_cycle_time_is_that_of_the_program_and_unknown_where_there_is_no_motion(found):
     search = found.search._replace(file=found.search.file.model_copy(update={"spare": ("cycle time",)}))
-    ranked = open_run(found.folder / "ranked")
+    ranked = time_run(open_run(found.folder / "ranked"), "20mm/s")
     times = Judged(search, ranked, "roadmap", np.array([one.values for one in found.mountings])).spare[:, 0]
     told = [program_of(open_plans(ranked.folder), 0.02, "roadmap", k).program.duration_s for k in range(len(times))]
     assert times.tolist() == [-seconds for seconds in told]
     (judged,) = found.judged
-    screened = Judged(search, judged.run, judged.method, judged.values)
+    screened = Judged(search, time_run(judged.run, "20mm/s"), judged.method, judged.values)
     assert np.isneginf(screened.spare[~screened.complete]).all()
 
 

@@ -17,13 +17,13 @@ from test_joint_path import rail
 from htcp_jax import api
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.config import ProgramConfig
+from htcp_jax.jobs.feed import feed_of
 from htcp_jax.planner.motion import Motion
 from htcp_jax.planner.motion import motion as motion_of
 from htcp_jax.program.curve import FARTHEST, Curve
 from htcp_jax.program.figures import figures
 from htcp_jax.program.limits import joint_limits
 from htcp_jax.program.nudge import arm_at, nudge_bound
-from htcp_jax.program.of_plan import feed_of
 from htcp_jax.program.path import path_of
 from htcp_jax.program.program import program
 from htcp_jax.program.stretches import SHARE, Spare, Stretch, spare

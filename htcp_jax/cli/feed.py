@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from htcp_jax.errors import InputError
-from htcp_jax.program.of_plan import UNITS, feed_of
+from htcp_jax.jobs.feed import UNITS, feed_of
 
 _OF_PATH = f"Of the TCP on the path, 20mm/s say; in {', '.join(UNITS)}."
 Feed = Annotated[str | None, typer.Option(metavar="SPEED", help=f"{_OF_PATH} Else the job's.")]
