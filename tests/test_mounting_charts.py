@@ -89,6 +89,14 @@ def test_the_map_is_drawn_where_nothing_works(tmp_path):
     assert len(found.ranked) == 0 and len(figure.axes[0].collections) == len(set(LOST)) + 3
 
 
+def test_mountings_are_drawn_of_which_nobody_knows_yet_what_is_spare(tmp_path):
+    found = read_search(write_search(tmp_path / "made", 2))
+    (axes, *_) = place_map(found._replace(left=np.full_like(found.left, np.nan))).axes
+    works = axes.collections[-2]
+    axes.figure.canvas.draw()
+    assert len(works.get_offsets()) == COMPLETE and (works.get_facecolors()[:, 3] == 1).all()
+
+
 def test_more_reasons_than_marks_share_the_last(tmp_path):
     found = read_search(write_search(tmp_path / "made", 2))
     many = found._replace(lost=tuple(f"reason {k}" if words else "" for k, words in enumerate(found.lost)))

@@ -17,7 +17,7 @@ from matplotlib.gridspec import SubplotSpec
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
-from htcp_jax.report.chart_style import INK, PAPER, QUIET, RULE, new_figure, plain_axes
+from htcp_jax.report.chart_style import INK, PAPER, QUIET, new_figure, plain_axes
 from htcp_jax.report.place_tables import Parameter, Searched
 
 SPARE = LinearSegmentedColormap.from_list("spare", ["#a9d6c9", "#3f9fae", "#1f6396", "#12305e"])
@@ -62,13 +62,13 @@ def place_map(found: Searched, in_the_way: Mapping[str, int] | None = None) -> F
 
 def place_front(found: Searched) -> Figure:
     """The ranked mountings by two aims, numbered, and the front: those that none of the others beats in both."""
-    note = "Numbers: the rank. Line: the front; no other mounting is better in both. Bars: when off by up to "
+    note = "Numbers: the rank. Line: the front; no other mounting is better in both. Tails: when off by up to "
     figure = new_figure(5.2, f"Two aims: {found.name}", f"{note}{found.disturbed}.")
     axes = figure.subplots()
     x, y = found.spare.T
     for start, end in zip(found.spare, found.off, strict=True):
         if np.isfinite(end).all():
-            axes.plot([start[0], end[0]], [start[1], end[1]], color=RULE, linewidth=1.4, zorder=1)
+            axes.plot([start[0], end[0]], [start[1], end[1]], color=LOST, linewidth=1.2, alpha=0.7, zorder=1)
     axes.scatter(x[~found.front], y[~found.front], color=LOST, s=46, zorder=3)
     order = np.flatnonzero(found.front)[np.argsort(x[found.front], kind="stable")]
     axes.plot(x[order], y[order], color=RANK, linewidth=1.5, marker="o", markersize=7, zorder=4)
@@ -102,9 +102,8 @@ def _panel(axes: Axes, found: Searched, column: int, row: int | None) -> None:
         axes.scatter(*points[which].T, **look, s=size, linewidths=0.8, zorder=1)
     axes.scatter(*points[nearly].T, facecolors="none", edgecolors=NEARLY, s=size, linewidths=0.8, zorder=2)
     order = np.flatnonzero(found.complete)[np.argsort(found.left[found.complete, 0], kind="stable")]
-    axes.scatter(
-        *points[order].T, c=found.left[order, 0], cmap=SPARE, norm=_norm(found), s=size, linewidths=0, zorder=3
-    )
+    look = {"c": found.left[order, 0], "cmap": SPARE, "norm": _norm(found), "plotnonfinite": True}
+    axes.scatter(*points[order].T, **look, s=size, linewidths=0, zorder=3)
     axes.scatter(*ranked.T, facecolors="none", edgecolors=RANK, s=2.2 * size + 8, linewidths=1.0, zorder=4)
     _number(axes, ranked, points)
 
@@ -152,6 +151,9 @@ def _beside(figure: Figure, place: SubplotSpec, found: Searched, in_the_way: Map
 def _scale(figure: Figure, axes: Axes, found: Searched) -> None:
     """Of what is spare where anything works; else of the share of the targets."""
     works = found.complete.any()
+    if works and not np.isfinite(found.left[:, 0]).any():
+        axes.axis("off")
+        return
     colours = ScalarMappable(_norm(found), SPARE) if works else ScalarMappable(Normalize(0, 100 * NEAR), SHARE)
     bar = figure.colorbar(colours, cax=axes, orientation="horizontal")
     bar.outline.set_visible(False)
