@@ -91,11 +91,6 @@ WAYS: dict[str, Way] = {
     "htcp place": search,
     "differential evolution": differential,
 }
-    "grid": grid,
-    "random draws": draws,
-    "htcp place": search,
-    "differential evolution": differential,
-}
 
 
 def run(asked: Search, way: str, seed: int, budget: int, folder: Path, threads: int | None) -> Found:
