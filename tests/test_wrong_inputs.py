@@ -318,7 +318,7 @@ COMMANDS = [
     Wrong(["render", "nowhere"], "nowhere holds neither a run of htcp sweep"),
     Wrong(["render", LONG], "File name too long"),
     Wrong(["program"], "RUN"),
-    Wrong(["program", "nowhere", "--out", "a.csv"], "--feed"),
+    Wrong(["program", "nowhere", "--out", "a.csv"], "nowhere holds neither a run of htcp sweep"),
     Wrong(["program", "nowhere", "--feed", "20mm/s"], "--out"),
     Wrong(["program", "nowhere", "--feed", "20mm/s", "--out", "a.csv"], "nowhere holds neither a run of htcp sweep"),
     Wrong(["program", "nowhere", "--feed", "0mm/s", "--out", "a.csv"], "feed '0mm/s' is no speed above 0 with a unit"),

@@ -12,6 +12,7 @@ from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, stdout
 from htcp_jax.cli.timing import print_timing, refuse_untimed, timed, timing_records
 from htcp_jax.errors import InputError
+from htcp_jax.jobs.feed import feed_of
 from htcp_jax.program.figures import Figures, Share, figures
 from htcp_jax.program.loads import Load
 from htcp_jax.program.of_plan import OfPlan, asked_feed, program_of, with_program
@@ -89,6 +90,8 @@ def program(
         raise InputError("no --out: the file to write; or --all times every scenario of a run and writes none")
     format, scenario = format or "csv", scenario or 0
     format_of(format)
+    if feed is not None:
+        feed_of(feed)  # before anything is opened
     found, step_s = open_plans(run), _seconds(step_ms)
     feed_m_s = asked_feed(feed, with_program(found.config, overrides or ()))
     made = program_of(found, feed_m_s, method, scenario, retract=not one_way, overrides=overrides or ())
