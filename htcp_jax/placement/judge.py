@@ -19,10 +19,8 @@ from htcp_jax.runs.run_folder import Run
 from htcp_jax.status import Status
 
 MARGIN = "margin_m"
-
-
-Planner = Callable[[Sweep, str, Path], Run]  # plans a grid by a method into a folder, or goes on with it; and gives it
-# time, where the cycle time is an aim
+# Plans a grid by a method into a folder, or goes on with it, and gives it time where the cycle time is an aim.
+Planner = Callable[[Sweep, str, Path], Run]
 
 
 class Judged:
@@ -31,19 +29,11 @@ class Judged:
     def __init__(self, search: Search, run: Run, method: str, values: Float[np.ndarray, "n d"]):
         self.search, self.run, self.method, self.values = search, run, method, values
         self.seams = max(1, len(search.seams))
-        self.first, self.margin_m = 0, None  # scenario of the run; that was asked for, mounting by mounting [m]
 
     @cached_property
     def plans(self) -> Plans:
         """A row a mounting and seam, the seam moving fastest."""
         return self.run.plans(self.method)
-
-    def part(self, which: slice) -> "Judged":
-        """Some of the mountings."""
-        own = Judged(self.search, self.run, self.method, self.values[which])
-        rows = slice(which.start * self.seams, which.stop * self.seams)
-        own.first, own.plans = rows.start, self.plans.rows(rows)
-        return own
 
     @cached_property
     def done(self) -> Float[np.ndarray, "n k"]:
@@ -100,9 +90,7 @@ def judge(
     margin_m: Float[np.ndarray, "n"] | None = None,
 ) -> Judged:
     """Plan mountings, or go on with it, or read them. Raises InputError and Interrupted as `runs.sweep` does."""
-    found = Judged(search, plan(sweep_of(search, values, margin_m), method, folder), method, values)
-    found.margin_m = margin_m
-    return found
+    return Judged(search, plan(sweep_of(search, values, margin_m), method, folder), method, values)
 
 
 def _clearance(judged: Judged) -> np.ndarray:
@@ -120,12 +108,10 @@ def _is_confirmed(judged: Judged) -> bool:
 
 def _cycle_time(judged: Judged) -> np.ndarray:
     """The program's, less than 0 [s]; -inf where there is no motion to give time to."""
-    times = np.full(judged.first + len(judged.plans.status), -np.inf)
     rows = judged.run.timing(judged.method).timed
-    number = rows["scenario"].to_numpy()
-    here = number < len(times)
-    times[number[here]] = -rows["cycle_time_s"].to_numpy()[here]
-    return times[judged.first :]
+    times = np.full(len(judged.plans.status), -np.inf)
+    times[rows["scenario"].to_numpy()] = -rows["cycle_time_s"].to_numpy()
+    return times
 
 
 def _joint_motion(judged: Judged) -> np.ndarray:

@@ -3,10 +3,17 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 RANKED, MOUNTINGS = "ranked.json", "mountings.parquet"  # of a search's folder, see `placed`
 UNITS = {"clearance": ("mm", 1e3), "cycle time": ("s", -1.0), "joint motion": ("rad", -1.0)}  # as a person reads them
+
+
+class Answer(NamedTuple):
+    """What n mountings come to."""
+
+    complete: Bool[np.ndarray, "n"]  # whether every seam is done
+    spare: Float[np.ndarray, "n A"]  # of each aim, larger is better; -inf where a mounting is not complete
 
 
 class Tolerance(NamedTuple):

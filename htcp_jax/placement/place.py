@@ -1,7 +1,7 @@
 """The public call of a search: ranges of mountings in, mountings ranked out.
 
     found = htcp_jax.place("place.yaml", out="out/place")
-    found.table()                                # a row a mounting, the best first
+    found.mountings[0].spare, found.motions      # ranked, the best first; and the run that holds their motions
 
 Every stage is a sweep or several, in folders of their own: `rounds` judge mountings by a quick planner, first evenly
 and then about what is best, `confirmed` plans the best of them as proven motions with as much clearance as there is,
@@ -11,6 +11,7 @@ it goes on from what is there.
 
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,7 +25,7 @@ from htcp_jax.jobs.feed import feed_of
 from htcp_jax.jobs.grid import Sweep
 from htcp_jax.placement.clock import Clock
 from htcp_jax.placement.judge import Judged, Planner, judge, sweep_of
-from htcp_jax.placement.mounting import Mounting
+from htcp_jax.placement.mounting import Answer, Mounting
 from htcp_jax.placement.place_file import CYCLE_TIME, Search, load_search
 from htcp_jax.placement.placed import Placed, searching, write
 from htcp_jax.placement.search import EVEN, FROM, POPULATION, ROUND, Evolution, Known, best_apart, even, score
@@ -158,8 +159,8 @@ def _refuse_collision(search: Search, found: Judged, folder: Path) -> None:
     raise InputError(f"{search.name}: in all of {len(found.values):,} mountings nothing can begin: {why}")
 
 
-def _confirmed(search: Search, judged: Sequence[Judged], folder: Path, plan: Planner) -> Judged | None:
-    """The best mountings, some way apart, each planned with several margins; the plans of those that are motions."""
+def _confirmed(search: Search, judged: Sequence[Judged], folder: Path, plan: Planner) -> Judged:
+    """The best mountings, some way apart, each planned with several margins."""
     values = np.concatenate([each.values for each in judged])
     known = Known(
         (values - search.ranges.low) / search.ranges.width,
@@ -188,11 +189,7 @@ def _ranked(search: Search, confirmed: Judged, folder: Path, plan: Planner) -> l
     rows = _best_rows(confirmed)
     if not rows:
         return []
-    values = confirmed.values[rows]
-
-    def anew(values: Float[np.ndarray, "n d"], into: Path) -> Judged:
-        return judge(search, plan, values, search.file.screen, into)
-
+    values, anew = confirmed.values[rows], partial(_anew, search, plan)
     off = disturbed(search, values, folder / "disturbed", anew)
     worst = np.array([one.spare.min(axis=0) for one in off])
     worst = np.minimum(worst, confirmed.spare[rows])  # quick plans know their targets alone
@@ -205,6 +202,17 @@ def _ranked(search: Search, confirmed: Judged, folder: Path, plan: Planner) -> l
         Mounting(rows[k], values[k], confirmed.spare[rows[k]], worst[k], float(held[k]), bool(front[k]), known.get(k))
         for k in order
     ]
+
+
+def _anew(search: Search, plan: Planner, values: Float[np.ndarray, "n d"], folder: Path) -> Answer:
+    """What mountings come to: by the quick planner and, where that does not do everything, by the other one."""
+    quick = judge(search, plan, values, search.file.screen, folder)
+    found = Answer(quick.complete.copy(), quick.spare.copy())
+    if len(lost := np.flatnonzero(~found.complete)):
+        again = judge(search, plan, values[lost], search.file.confirm, folder.with_name(f"{folder.name}-again"))
+        found.complete[lost] = again.driven
+        found.spare[lost] = np.where(again.driven[:, None], again.spare, -np.inf)
+    return found
 
 
 def _best_rows(confirmed: Judged) -> list[int]:
@@ -228,7 +236,7 @@ def _motions(search: Search, confirmed: Judged, mountings: Sequence[Mounting], f
     if not mountings:
         return None
     rows = np.array([one.row for one in mountings])
-    margins = np.array([confirmed.margin_m[row] for row in rows])
+    margins = confirmed.run.scenarios(confirmed.method)["margin_m"].to_numpy()[rows * confirmed.seams]
     scenarios = (rows[:, None] * confirmed.seams + np.arange(confirmed.seams)).ravel()
     plans: Plans = confirmed.plans.rows(scenarios)
     spec = sweep_of(search, confirmed.values[rows], margins)

@@ -39,7 +39,7 @@ class Range(NamedTuple):
     @property
     def unit(self) -> tuple[str, float]:
         """How it is told to a person, and by what it is multiplied for that."""
-        return next((unit for ending, unit in UNITS.items() if self.key.partition(".x")[0].endswith(ending)), ("", 1.0))
+        return next((unit for ending, unit in UNITS.items() if self.key.endswith(ending)), ("", 1.0))
 
     @property
     def is_angle(self) -> bool:
@@ -47,7 +47,10 @@ class Range(NamedTuple):
         return self.unit[0] == "°"
 
     def disturbed(self, off_m: float, off_deg: float) -> float:
-        """Half the width of a box in which it may be off, in its own unit: by a length, or by an angle."""
+        """Half the width of a box in which it may be off, in its own unit: by a length, or by an angle. What the task
+        asks for is never off."""
+        if self.key.startswith("task."):
+            return 0.0
         return off_deg / self.unit[1] if self.is_angle else off_m
 
 

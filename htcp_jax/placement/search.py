@@ -37,8 +37,7 @@ def even(dimensions: int, first: int, count: int, seed: int) -> Float[np.ndarray
 
 def score(known: Known, weights: Float[np.ndarray, "A"]) -> Float[np.ndarray, "n"]:
     """What evolution makes small: below 0 where a mounting is complete, the better the lower; else the share that it
-    lacks. Aims are weighed between their worst and best so far; one of which
-    nothing is known counts as the worst."""
+    lacks. Aims are weighed between their worst and best so far; one of which nothing is known counts as the worst."""
     told = np.isfinite(known.spare)
     low, high = (np.where(told, known.spare, none) for none in (np.inf, -np.inf))
     low, high = low.min(axis=0), high.max(axis=0)
@@ -48,7 +47,7 @@ def score(known: Known, weights: Float[np.ndarray, "A"]) -> Float[np.ndarray, "n
 
 
 def best_apart(u: Float[np.ndarray, "n d"], order: np.ndarray, count: int) -> list[int]:
-    """The first `count` in an order that are not as good as the same as one before."""
+    """The first `count` in an order of which each differs from all before it, see APART."""
     chosen: list[int] = []
     for k in order.tolist():
         if all(np.abs(u[k] - u[other]).max() >= APART for other in chosen):

@@ -6,25 +6,20 @@ tolerance is stated where every disturbed mounting that was tried in a box a fif
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.placement.mounting import Tolerance
+from htcp_jax.placement.mounting import Answer, Tolerance
 from htcp_jax.placement.place_file import Search
 from htcp_jax.placement.search import even
-
-if TYPE_CHECKING:
-    from htcp_jax.placement.judge import Judged
 
 TRIED = 32  # disturbed mountings about each of the confirmed
 LEVELS = 0.5, 1.0, 2.0, 4.0  # of what a mounting may be off, that are looked at
 MORE = 96  # disturbed mountings a level
 WIDER = 1.2  # than what is stated
 
-
-Judge = Callable[[Float[np.ndarray, "n d"], Path], "Judged"]  # plans mountings anew into a folder
+Judge = Callable[[Float[np.ndarray, "n d"], Path], Answer]  # plans mountings anew into a folder
 
 
 def box(search: Search) -> Float[np.ndarray, "d"]:
@@ -33,7 +28,7 @@ def box(search: Search) -> Float[np.ndarray, "d"]:
     return np.array([axis.disturbed(1e-3 * off.mm, off.deg) for axis in search.ranges.axes])
 
 
-def disturbed(search: Search, values: Float[np.ndarray, "n d"], folder: Path, judge: Judge) -> list["Judged"]:
+def disturbed(search: Search, values: Float[np.ndarray, "n d"], folder: Path, judge: Judge) -> list[Answer]:
     """What mountings come to when they are off by up to `off`, one by one."""
     shifts = _shifts(search, TRIED, 1) * box(search)
     return _judged(search, values, shifts, folder, judge)
@@ -71,8 +66,8 @@ def _shifts(search: Search, count: int, key: int) -> Float[np.ndarray, "n d"]:
 
 def _judged(
     search: Search, values: Float[np.ndarray, "n d"], shifts: Float[np.ndarray, "m d"], folder: Path, judge: Judge
-) -> list["Judged"]:
+) -> list[Answer]:
     """Each mounting with every shift: all in one sweep."""
     every = (values[:, None] + shifts).reshape(-1, values.shape[1])
-    whole = judge(every, folder)
-    return [whole.part(slice(k * len(shifts), (k + 1) * len(shifts))) for k in range(len(values))]
+    parts = (np.split(part, len(values)) for part in judge(every, folder))
+    return [Answer(*part) for part in zip(*parts, strict=True)]
