@@ -205,14 +205,9 @@ def _ranked(search: Search, confirmed: Judged, folder: Path, plan: Planner) -> l
 
 
 def _anew(search: Search, plan: Planner, values: Float[np.ndarray, "n d"], folder: Path) -> Answer:
-    """What mountings come to: by the quick planner and, where that does not do everything, by the other one."""
+    """What mountings come to by the quick planner."""
     quick = judge(search, plan, values, search.file.screen, folder)
-    found = Answer(quick.complete.copy(), quick.spare.copy())
-    if len(lost := np.flatnonzero(~found.complete)):
-        again = judge(search, plan, values[lost], search.file.confirm, folder.with_name(f"{folder.name}-again"))
-        found.complete[lost] = again.driven
-        found.spare[lost] = np.where(again.driven[:, None], again.spare, -np.inf)
-    return found
+    return Answer(quick.complete, quick.spare)
 
 
 def _best_rows(confirmed: Judged) -> list[int]:
