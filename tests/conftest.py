@@ -6,6 +6,7 @@ import hypothesis
 import jax
 import pytest
 
+from htcp_jax.errors import InputError
 from htcp_jax.planner import compile_cache
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -29,3 +30,14 @@ def planned(tmp_path_factory):
     from small_run import plan_small_run  # here, because what is imported before the tests has unchecked annotations
 
     return plan_small_run(tmp_path_factory.mktemp("planned"))
+
+
+@pytest.fixture(scope="session")
+def screenless():
+    """Skips a test where OpenGL is missing."""
+    from htcp_jax.viewer import offscreen  # here, as few tests draw
+
+    try:
+        offscreen.platform()
+    except InputError as missing:
+        pytest.skip(str(missing))

@@ -43,15 +43,6 @@ def replay(made):
 
 
 @pytest.fixture(scope="module")
-def screenless():
-    """Skips a test where OpenGL is missing."""
-    try:
-        offscreen.platform()
-    except InputError as missing:
-        pytest.skip(str(missing))
-
-
-@pytest.fixture(scope="module")
 def frames(replay, screenless):
     """The frames of a small movie."""
     with Studio(replay, *SIZE, fine=False) as studio:

@@ -10,12 +10,10 @@ from made_plan import STATUSES, driven, made_plan, made_plans
 from PIL import Image
 
 from htcp_jax.cli.main import main
-from htcp_jax.errors import InputError
 from htcp_jax.program.of_plan import program_of
 from htcp_jax.runs.open import open_plans
 from htcp_jax.scene.kinematics import capsules_and_tcp
 from htcp_jax.status import Kind
-from htcp_jax.viewer import offscreen
 from htcp_jax.viewer.course import ByTarget, ByTime
 from htcp_jax.viewer.movie import RATE
 from htcp_jax.viewer.render import Studio
@@ -40,15 +38,6 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def made(folder):
     return program_of(open_plans(folder), 0.2)
-
-
-@pytest.fixture(scope="module")
-def screenless():
-    """Skips a test where OpenGL is missing."""
-    try:
-        offscreen.platform()
-    except InputError as missing:
-        pytest.skip(str(missing))
 
 
 @pytest.mark.parametrize("speed", [1.0, 4.0, 0.3])

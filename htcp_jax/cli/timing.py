@@ -12,6 +12,7 @@ from htcp_jax.jobs.grid import Sweep
 from htcp_jax.program.whole_run import check_limits, time_run
 from htcp_jax.report.timing import MEANING, timing_row, timing_table
 from htcp_jax.runs.run_folder import Run
+from htcp_jax.runs.timing_file import Timing
 
 
 def timed(run: Run, feed: str | None, methods: Sequence[str] | None, overrides: Sequence[str] = ()) -> Run:
@@ -41,7 +42,7 @@ def check_feed(spec: Sweep, feed: str) -> None:
 
 def timing_records(run: Run, methods: Sequence[str]) -> dict[str, dict]:
     """What the times of each method come to, for --json; nothing of one without times."""
-    known = {method: timing for method in methods if (timing := run.timing(method)) is not None}
+    known = _known(run, methods)
     return {
         method: {"feed_m_s": timing.feed_m_s, "limits": timing.limits} | timing_row(method, timing.rows)
         for method, timing in known.items()
@@ -50,7 +51,7 @@ def timing_records(run: Run, methods: Sequence[str]) -> dict[str, dict]:
 
 def print_timing(run: Run, methods: Sequence[str]) -> None:
     """The same as a table, and with what it was made."""
-    known = {method: timing for method in methods if (timing := run.timing(method)) is not None}
+    known = _known(run, methods)
     if not known:
         return
     rows = [timing_row(method, timing.rows) for method, timing in known.items()]
@@ -62,7 +63,11 @@ def print_timing(run: Run, methods: Sequence[str]) -> None:
 
 def refuse_untimed(run: Run, methods: Sequence[str]) -> None:
     """Raise InputError where nothing can be timed."""
-    known = [timing for method in methods if (timing := run.timing(method)) is not None]
-    if not any(len(timing.timed) for timing in known):
+    if not any(len(timing.timed) for timing in _known(run, methods).values()):
         what = f"no motion leads to the last target of any scenario by {', '.join(methods)}"
         raise InputError(f"{run.folder}: {what}; there is nothing to time")
+
+
+def _known(run: Run, methods: Sequence[str]) -> dict[str, Timing]:
+    """The times of those that have any."""
+    return {method: timing for method in methods if (timing := run.timing(method)) is not None}

@@ -49,8 +49,7 @@ class Judged:
     @cached_property
     def driven(self) -> Bool[np.ndarray, "n"]:
         """Whether a proven motion leads along the whole of every seam."""
-        ends = self.plans.outcomes
-        return (ends.planned & (ends.executable == ends.targets)).reshape(-1, self.seams).all(axis=1)
+        return self.plans.outcomes.can_be_driven.reshape(-1, self.seams).all(axis=1)
 
     @cached_property
     def spare(self) -> Float[np.ndarray, "n A"]:
@@ -61,8 +60,7 @@ class Judged:
     @cached_property
     def clearance(self) -> Float[np.ndarray, "n"]:
         """The least clearance at a target that is tracked, over all seams [m]."""
-        plans = self.plans
-        return np.where(plans.tracked, plans.clearance, np.inf).min(axis=1).reshape(-1, self.seams).min(axis=1)
+        return _at_targets(self.plans).reshape(-1, self.seams).min(axis=1)
 
     def lost(self) -> list[str]:
         """Why each mounting is not complete, in words, by its worst seam; empty where it is."""
@@ -95,15 +93,14 @@ def judge(
 
 def _clearance(judged: Judged) -> np.ndarray:
     """The least that is proven all along; of a plan that is no motion the least at its targets [m]."""
-    plans = judged.plans
-    at_targets = np.where(plans.tracked, plans.clearance, np.inf).min(axis=1)
-    ends = plans.outcomes
+    plans, is_confirmed = judged.plans, judged.method == judged.search.file.confirm
     proven = np.where(plans.executable, plans.way_clearance, np.inf).min(axis=1)
-    return np.where((ends.executable == ends.targets) & _is_confirmed(judged), proven, at_targets)
+    return np.where(plans.outcomes.can_be_driven & is_confirmed, proven, _at_targets(plans))
 
 
-def _is_confirmed(judged: Judged) -> bool:
-    return judged.method == judged.search.file.confirm
+def _at_targets(plans: Plans) -> np.ndarray:
+    """The least clearance of each plan at a target that is tracked [m]; inf where none is."""
+    return np.where(plans.tracked, plans.clearance, np.inf).min(axis=1)
 
 
 def _cycle_time(judged: Judged) -> np.ndarray:

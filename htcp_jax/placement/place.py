@@ -24,7 +24,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.jobs.feed import feed_of
 from htcp_jax.jobs.grid import Sweep
 from htcp_jax.placement.clock import Clock
-from htcp_jax.placement.judge import Judged, Planner, judge, sweep_of
+from htcp_jax.placement.judge import MARGIN, Judged, Planner, judge, sweep_of
 from htcp_jax.placement.mounting import Answer, Mounting
 from htcp_jax.placement.place_file import CYCLE_TIME, Search, load_search
 from htcp_jax.placement.placed import Placed, searching, write
@@ -231,7 +231,7 @@ def _motions(search: Search, confirmed: Judged, mountings: Sequence[Mounting], f
     if not mountings:
         return None
     rows = np.array([one.row for one in mountings])
-    margins = confirmed.run.scenarios(confirmed.method)["margin_m"].to_numpy()[rows * confirmed.seams]
+    margins = confirmed.run.scenarios(confirmed.method)[MARGIN].to_numpy()[rows * confirmed.seams]
     scenarios = (rows[:, None] * confirmed.seams + np.arange(confirmed.seams)).ravel()
     plans: Plans = confirmed.plans.rows(scenarios)
     spec = sweep_of(search, confirmed.values[rows], margins)

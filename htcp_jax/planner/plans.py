@@ -65,6 +65,11 @@ class Outcomes(NamedTuple):
         """Which scenarios are planned with every target tracked."""
         return self.planned & (self.failed < 0)
 
+    @property
+    def can_be_driven(self) -> Bool[np.ndarray, "S"]:
+        """To the last target of which scenarios a proven motion leads."""
+        return self.planned & (self.executable == self.targets)
+
     def of(self, scenario: int) -> Outcome:
         """That of one row."""
         targets, tracked, executable, failed, status, blocked, way = (int(column[scenario]) for column in self)

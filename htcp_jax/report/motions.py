@@ -68,8 +68,7 @@ def _row(part: Part, method: str, common: np.ndarray) -> dict:
 
 
 def _whole(part: Part, method: str) -> np.ndarray:
-    ends = part.plans[method].outcomes
-    return ends.planned & (ends.executable == ends.targets)
+    return part.plans[method].outcomes.can_be_driven
 
 
 def _geometric_mean(values: np.ndarray) -> float:
