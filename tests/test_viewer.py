@@ -367,6 +367,28 @@ def test_the_smallest_distance_is_looked_at_from_beside(gap):
     assert max(direction @ side.near, direction @ side.up) > 0.5
 
 
+def test_what_plays_shows_nothing_once_it_is_stopped(replays):
+    """Rough: the thread that plays went on with a server that was gone, and died of it."""
+    viewer, stopped, late = Viewer(replays, port=0), threading.Event(), threading.Event()
+    move, shown = viewer.stage.move, threading.Event()
+
+    def slow(arm):
+        shown.set()
+        time.sleep(0.5)
+        move(arm)
+        if stopped.is_set():
+            late.set()
+
+    viewer.stage.move = slow
+    viewer._toggle()
+    shown.clear()
+    assert shown.wait(60)
+    viewer.stop()
+    stopped.set()
+    time.sleep(1.5)
+    assert not late.is_set()
+
+
 def test_nothing_is_left_running(replays):
     before = {thread.name for thread in threading.enumerate() if thread.name.startswith("htcp")}
     Viewer(replays, port=0).stop()

@@ -85,8 +85,9 @@ class Viewer:
         self._ended.wait()
 
     def stop(self) -> None:
-        """End the server."""
-        self._ended.set()
+        """End the server; what plays shows its posture first, and no other."""
+        with self._lock:
+            self._ended.set()
         with _silent():
             self._server.stop()
 
@@ -194,7 +195,8 @@ class Viewer:
         pause = 0.0
         while not self._ended.wait(pause):
             with self._lock:
-                pause = self._move_on() if self._running else WAITING_S
+                if not self._ended.is_set():
+                    pause = self._move_on() if self._running else WAITING_S
 
     def _move_on(self) -> float:
         """Show the next place; returns for how long [s]."""
