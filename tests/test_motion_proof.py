@@ -152,11 +152,11 @@ def test_nothing_is_left_open_but_what_grazes():
 
 
 def test_with_fewer_halvings_what_needs_more_is_open_and_nothing_else_changes():
-    few, opened = jax.jit(partial(prove, deepest=2)), 0
+    few, opened = jax.jit(partial(prove, deepest=1)), 0
     for (where, a, b, around), proof in zip(motions(), proofs(), strict=True):
         again = Proof(*(leaf.item() for leaf in few(Scene(*made_once.scene()), where, a, b, around)))
-        assert again.depth <= 2 and again.queries <= 7
-        assert again == proof if proof.depth <= 2 else again.verdict == Verdict.OPEN
+        assert again.depth <= 1 and again.queries <= 3
+        assert again == proof if proof.depth <= 1 else again.verdict == Verdict.OPEN
         opened += again.verdict == Verdict.OPEN
     assert 5 < opened < 95
 

@@ -48,7 +48,7 @@ def spread(segments: Segments, axes: int) -> Segments:
     return jax.tree.map(lambda a: a.reshape(*a.shape, *[1] * axes), segments)
 
 
-def _arm(segment: Segments, points):
+def arm(segment: Segments, points):
     """From the closest point of the segment to each point (3, ...)."""
     a = [points[i] - segment.p[i] for i in range(3)]
     s = jnp.clip(sum(a[i] * segment.d[i] for i in range(3)) * segment.inverse, 0, 1)
@@ -57,13 +57,13 @@ def _arm(segment: Segments, points):
 
 def squared_distance(segment: Segments, points):
     """Of points (3, ...) to a segment [m^2]."""
-    a = _arm(segment, points)
+    a = arm(segment, points)
     return a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
 
 
 def disc_bounds(segment: Segments, bound):
     """Lower and upper bounds of the distance to discs (8, ...) [m]."""
-    a = _arm(segment, bound)
+    a = arm(segment, bound)
     square = a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
     distance = jnp.sqrt(square)
     along = a[0] * bound[3] + a[1] * bound[4] + a[2] * bound[5]  # |c - m| (v.n), up to its sign

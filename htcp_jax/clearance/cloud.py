@@ -12,8 +12,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from htcp_jax.clearance.cloud_sweep import clear_along
 from htcp_jax.clearance.cloud_tree import CloudIndex, build_index, nearest_body, nearest_rows
-from htcp_jax.clearance.obstacle import Bodies, Contacts, Posed, Rows, in_workpiece
+from htcp_jax.clearance.motion_bound import Sweep
+from htcp_jax.clearance.obstacle import Bodies, Contacts, Posed, Rows, Wanted, in_workpiece
 from htcp_jax.numerics import product, safe_divide, safe_norm, segment_parameter
 from htcp_jax.pytree import register_pytree
 from htcp_jax.scene.robot import Robot
@@ -71,6 +73,14 @@ class Cloud:
     def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "K"]:
         """The distance itself."""
         return self.contacts(robot, where, bodies).distance
+
+    def clear_along(
+        self, robot: Robot, where: Posed, bodies: Bodies, sweep: Sweep, asked: Bool[jax.Array, "K"], wanted: Wanted
+    ) -> Float[jax.Array, "K"]:
+        """To second order: see `cloud_sweep`."""
+        rotate, reach = where.T_world_workpiece[:3, :3], robot.capsule_radius + self.cover
+        own = sweep._replace(p=product(sweep.p, rotate), q=product(sweep.q, rotate))
+        return clear_along(self.index, bodies.p_workpiece, bodies.q_workpiece, own, reach, asked, wanted)
 
     def holds(
         self,

@@ -58,14 +58,30 @@ def point_motion_bound(
     return _bounds(robot, x, jnp.zeros_like(x), turns, points, links).moved
 
 
-def travel_bound(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "K"]:
-    """How far any point of each body is from where it is at x, at most, on the joint path x + s `rates` [rad or m] with
-    |s| <= half [m]."""
+class Sweep(NamedTuple):
+    """How K bodies move about where they are, while a joint path goes `half` its way back and forth."""
+
+    p: Float[Array, "K 3"]  # how far the first end of each axis goes along its velocity, either way [m]
+    q: Float[Array, "K 3"]  # and the second
+    bend: Float[Array, "K"]  # how far from there any point of the axis is, at most [m]
+    travel: Float[Array, "K"]  # and from where it was
+
+
+def sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Sweep:
+    """How the bodies move on the joint path x + s `rates` [rad or m] with |s| <= half."""
     segments, velocities = jax.jvp(partial(capsule_segments, robot), (x,), (rates,))
     ends, links = _ends(robot, segments)
     within = _bounds(robot, x, rates, half * jnp.abs(rates), ends, links)
-    along = half * safe_norm(jnp.concatenate(velocities)) + 0.5 * half * half * within.bend
-    return jnp.minimum(_larger(along), _larger(within.moved))
+    off = 0.5 * half * half * within.bend
+    along = half * safe_norm(jnp.concatenate(velocities)) + off
+    travel = jnp.minimum(_larger(along), _larger(within.moved))
+    return Sweep(half * velocities[0], half * velocities[1], _larger(off), travel)
+
+
+def travel_bound(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "K"]:
+    """How far any point of each body is from where it is at x, at most, on the joint path x + s `rates` [rad or m] with
+    |s| <= half [m]."""
+    return sweep(robot, x, rates, half).travel
 
 
 def tcp_bend_bound(robot: Robot, x: Joints, rates: Joints, turns: Joints) -> Scalar:

@@ -20,12 +20,12 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.typing import ArrayLike
 
-from htcp_jax.clearance.motion_bound import ROUNDING_M, tcp_bend_bound, travel_bound
-from htcp_jax.clearance.obstacle import Posed, Rows
-from htcp_jax.clearance.obstacles import all_clear, room
+from htcp_jax.clearance.interval import on_interval
+from htcp_jax.clearance.motion_bound import ROUNDING_M, tcp_bend_bound
+from htcp_jax.clearance.obstacle import Posed
+from htcp_jax.clearance.obstacles import all_clear
 from htcp_jax.clearance.row_proof import between, rows_hold
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.numerics import product, safe_norm, segment_parameter
@@ -101,25 +101,23 @@ def prove(
         half = 0.5 * jnp.ldexp(1.0, -depth)
         place = (2 * index + 1) * half
         x = a + place * (b - a)
-        turns = half * jnp.abs(b - a)
-        left = room(scene.robot, scene.obstacles, where, x)
-        spare = jnp.min(left - row_travel_bound(scene.robot, scene.rows, x, b - a, half))
-        is_kept = (spare >= kept * jnp.min(left)) | (depth >= KEPT_DEPTH)
-        proven, verdict = (spare >= -resolution_m) & is_kept, jnp.full((), int(Verdict.PROVEN), jnp.int32)
+        stays, broken = jnp.full((), True), jnp.full((), int(Verdict.PROVEN), jnp.int32)
         if tube is not None:
-            inside, verdict = _in_tube(scene, tube, forwards, x, b - a, turns, half)
-            proven &= inside
+            stays, broken = _in_tube(scene, tube, forwards, x, b - a, half * jnp.abs(b - a), half)
         if asked is not None:
-            inside, broken = rows_hold(scene.robot, scene.task.parts, asked, x, b - a, half)
-            proven &= jnp.all(inside) | ~tube.held
-            broken = jnp.any(broken) & tube.held
-            verdict = jnp.where((verdict == Verdict.PROVEN) & broken, int(Verdict.LEAVES), verdict)
-        verdict = jnp.where(jnp.min(left) <= 0, int(Verdict.COLLIDES), verdict)
+            inside, out = rows_hold(scene.robot, scene.task.parts, asked, x, b - a, half)
+            stays &= jnp.all(inside) | ~tube.held
+            out = jnp.any(out) & tube.held
+            broken = jnp.where((broken == Verdict.PROVEN) & out, int(Verdict.LEAVES), broken)
+        keeps, going_on = depth < KEPT_DEPTH, stays & (broken == Verdict.PROVEN)
+        there = on_interval(scene, where, x, b - a, half, -resolution_m, kept, keeps, going_on)
+        proven = stays & there.proven
+        verdict = jnp.where(there.middle <= 0, int(Verdict.COLLIDES), broken)
         verdict = jnp.where((verdict == Verdict.PROVEN) & ~proven & (depth >= deepest), int(Verdict.OPEN), verdict)
         found = Proof(
             verdict,
             jnp.where(verdict == Verdict.PROVEN, 1.0, place),
-            jnp.where(proven, jnp.minimum(proof.clearance, spare), proof.clearance),
+            jnp.where(proven, jnp.minimum(proof.clearance, there.clear), proof.clearance),
             proof.queries + 1,
             jnp.maximum(proof.depth, depth.astype(jnp.int32)),
         )
@@ -145,19 +143,6 @@ def path_clear(scene: Scene, settings: Settings, where: Posed, a: Joints, b: Joi
 def proven_clear(scene: Scene, where: Posed, a: Joints, b: Joints) -> Bool[jax.Array, ""]:
     """Whether D > 0 wherever bisection looks, and D > -RESOLUTION_M for certain everywhere else on the path."""
     return prove(scene, where, a, b, resolution_m=RESOLUTION_M).verdict == Verdict.PROVEN
-
-
-def row_travel_bound(robot: Robot, rows: Rows, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "R"]:
-    """`travel_bound` of each row's body, as seen from the link of the row's other, before it in the chain [m]: with all
-    joints up to that link at rest."""
-    if rows == Rows.of_bodies(robot):
-        return travel_bound(robot, x, rates, half)
-    if any(0 <= other >= robot.capsule_link[body] for body, other in zip(*rows, strict=True)):
-        raise ValueError("the body of a row must lie beyond the link of its other")
-    seen_from = sorted(set(rows.other))
-    moving = np.arange(len(robot.slides))[None, :] > np.array(seen_from)[:, None]
-    found = jax.vmap(lambda moving: travel_bound(robot, x, jnp.where(moving, rates, 0.0), half))(moving)
-    return found[np.array([seen_from.index(other) for other in rows.other]), np.array(rows.body)]
 
 
 def _in_tube(scene: Scene, tube: Tube, forwards: Vector3, x: Joints, rates: Joints, turns: Joints, half: Scalar):

@@ -10,6 +10,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 
+from htcp_jax.clearance.motion_bound import Sweep
 from htcp_jax.numerics import product
 from htcp_jax.scene.kinematics import capsule_segments, point_jacobians
 from htcp_jax.scene.robot import Robot
@@ -110,6 +111,25 @@ class Surroundings(Obstacle, Protocol):
         self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
     ) -> Bool[jax.Array, ""]:
         """Whether one body touches at any of S postures that are asked about; `bodies` are those at all of them."""
+        ...
+
+
+class Wanted(NamedTuple):
+    """How clear bodies are to stay [m]."""
+
+    least: Scalar  # less will not do
+    enough: Scalar  # more need not be found out
+
+
+@runtime_checkable
+class Sweepable(Surroundings, Protocol):
+    """One that knows more of bodies that move than that they come no nearer than they travel."""
+
+    def clear_along(
+        self, robot: Robot, where: Posed, bodies: Bodies, sweep: Sweep, asked: Bool[jax.Array, "K"], wanted: Wanted
+    ) -> Float[jax.Array, "K"]:
+        """How clear each body stays while it sweeps, at least, of those that are asked about. Once one does not stay
+        clear by the least that will do, the others need not be looked at: any numbers will do for them."""
         ...
 
 

@@ -17,7 +17,8 @@ from scipy.spatial import ConvexHull
 
 from htcp_jax.clearance.cloud import Cloud, cloud_of
 from htcp_jax.clearance.fixtures import fixtures
-from htcp_jax.clearance.obstacle import Bodies, Contacts, Obstacles, Posed, Rows
+from htcp_jax.clearance.motion_bound import Sweep
+from htcp_jax.clearance.obstacle import Bodies, Contacts, Obstacles, Posed, Rows, Wanted
 from htcp_jax.clearance.solids import Box, Cylinder, HalfSpace, Piece, Rod, Solid
 from htcp_jax.numerics import product
 from htcp_jax.pytree import register_pytree
@@ -67,6 +68,12 @@ class PlacedCloud:
     def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "K"]:
         """The distance itself."""
         return self.cloud.room(*self._seen(robot, bodies))
+
+    def clear_along(
+        self, robot: Robot, where: Posed, bodies: Bodies, sweep: Sweep, asked: Bool[jax.Array, "K"], wanted: Wanted
+    ) -> Float[jax.Array, "K"]:
+        """To second order."""
+        return self.cloud.clear_along(*self._seen(robot, bodies), sweep, asked, wanted)
 
     def touches_along(
         self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]

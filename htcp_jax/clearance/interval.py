@@ -1,0 +1,89 @@
+"""How clear the arm stays on an interval of a straight joint path, seen from its middle.
+
+First by how far every body moves, whichever way. Where that is too much, by what a kind of obstacle itself knows of
+bodies that move (`obstacle.Sweepable`), if it does.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+
+from htcp_jax.clearance.motion_bound import Sweep, sweep, travel_bound
+from htcp_jax.clearance.obstacle import Bodies, Obstacle, Posed, Rows, Sweepable, Wanted, bodies_at, grouped
+from htcp_jax.clearance.scene import Scene
+from htcp_jax.scene.robot import Robot
+from htcp_jax.types import Array, Bool, Float, Joints, Scalar
+
+
+class Interval(NamedTuple):
+    """Of an interval of a joint path."""
+
+    middle: Scalar  # D in its middle, or less [m]
+    clear: Scalar  # D on all of it, at least [m]
+    proven: Bool[Array, ""]  # whether that is what was wanted
+
+
+def on_interval(
+    scene: Scene,
+    where: Posed,
+    x: Joints,
+    rates: Joints,
+    half: Scalar,
+    least: Float[ArrayLike, ""],
+    kept: Float[ArrayLike, ""],
+    keeps: Bool[Array, ""],
+    asked: Bool[Array, ""],
+) -> Interval:
+    """D on the joint path x + s `rates` [rad or m] with |s| <= half.
+
+    least: what is wanted of it [m]; where it `keeps`, the share `kept` of D in the middle, too. Where it is not asked
+    for, the bodies' travel alone is looked at.
+    """
+    robot, bodies, moves = scene.robot, bodies_at(scene.robot, where, x), sweep(scene.robot, x, rates, half)
+    kinds = [each for own in grouped(scene.obstacles) for each in own]
+    room = [each.room(robot, where, bodies) for each in kinds]
+    middle = jnp.min(jnp.concatenate(room))
+    enough = jnp.maximum(kept * middle, least)
+    wanted = Wanted(jnp.where(keeps, enough, least), enough)
+    clear = []
+    for each, own in zip(kinds, room, strict=True):
+        rows = each.rows(robot)
+        travel = moves.travel if rows == Rows.of_bodies(robot) else row_travel_bound(robot, rows, x, rates, half)
+        sees_more = isinstance(each, Sweepable)
+        clear.append(_closer(each, robot, where, bodies, moves, own, wanted, asked) if sees_more else own - travel)
+    clear = jnp.min(jnp.concatenate(clear))
+    return Interval(middle, clear, clear >= wanted.least)
+
+
+def _closer(
+    kind: Obstacle,
+    robot: Robot,
+    where: Posed,
+    bodies: Bodies,
+    moves: Sweep,
+    room: Float[Array, "K"],
+    wanted: Wanted,
+    asked: Bool[Array, ""],
+) -> Float[Array, "K"]:
+    """How clear bodies stay of a kind that is asked about those whose travel is too much; not where one of them comes
+    too near even if it moved along the obstacle and only bent towards it."""
+    by_travel = room - moves.travel
+    open_ = by_travel < wanted.enough
+    asked &= jnp.all(~open_ | (room - moves.bend >= wanted.least))
+    return jnp.where(open_ & asked, kind.clear_along(robot, where, bodies, moves, open_ & asked, wanted), by_travel)
+
+
+def row_travel_bound(robot: Robot, rows: Rows, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "R"]:
+    """`travel_bound` of each row's body, as seen from the link of the row's other, before it in the chain [m]: with all
+    joints up to that link at rest."""
+    if rows == Rows.of_bodies(robot):
+        return travel_bound(robot, x, rates, half)
+    if any(0 <= other >= robot.capsule_link[body] for body, other in zip(*rows, strict=True)):
+        raise ValueError("the body of a row must lie beyond the link of its other")
+    seen_from = sorted(set(rows.other))
+    moving = np.arange(len(robot.slides))[None, :] > np.array(seen_from)[:, None]
+    found = jax.vmap(lambda moving: travel_bound(robot, x, jnp.where(moving, rates, 0.0), half))(moving)
+    return found[np.array([seen_from.index(other) for other in rows.other]), np.array(rows.body)]

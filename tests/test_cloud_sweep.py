@@ -1,0 +1,123 @@
+"""A body that moves past points stays as clear as is said of it, and one that slides along them is found to be clear."""
+
+import jax
+import jax.numpy as jnp
+import made_once
+import numpy as np
+import pytest
+from sphere_references import Where
+from test_motion_proof import motions
+
+from htcp_jax.clearance import interval
+from htcp_jax.clearance.cloud import cloud_of
+from htcp_jax.clearance.cloud_sweep import clear_along
+from htcp_jax.clearance.cloud_tree import build_index
+from htcp_jax.clearance.interval import on_interval
+from htcp_jax.clearance.motion_bound import Sweep, travel_bound
+from htcp_jax.clearance.motion_proof import Verdict, prove
+from htcp_jax.clearance.obstacle import Wanted
+from htcp_jax.clearance.obstacles import clearance
+from htcp_jax.clearance.scene import Scene
+
+BODIES = 6
+STEP = 0.005  # between points on a circle [rad]
+_FOUND = jax.jit(clear_along)
+
+
+def swept(rng, points):
+    """Bodies among the points, and how they sweep: (p, q, sweep, reach)."""
+    centre = points[rng.integers(len(points), size=BODIES)] + rng.normal(0, 0.05, (BODIES, 3))
+    half = rng.normal(0, 0.1, (BODIES, 3)) * rng.choice([0.0, 1e-3, 1.0], (BODIES, 1))
+    moves = rng.normal(0, 1, (2, BODIES, 3)) * 10.0 ** rng.uniform(-4, -1, (BODIES, 1))
+    bend = 0.3 * np.linalg.norm(moves, axis=2).max(axis=0) * rng.uniform(0, 1, BODIES)
+    travel = np.linalg.norm(moves, axis=2).max(axis=0) + bend
+    return centre - half, centre + half, Sweep(*moves, bend, travel), rng.uniform(0.01, 0.05, BODIES)
+
+
+def by_hand(points, p, q, sweep, reach):
+    """The bound in the module's words, of all points."""
+    d = (q - p)[:, None]
+    s = np.einsum("kpi,kpi->kp", points[None] - p[:, None], np.broadcast_to(d, (len(p), len(points), 3)))
+    s = np.clip(s / np.maximum(np.einsum("kpi,kpi->kp", d, d), 1e-30), 0, 1)
+    away = p[:, None] + s[..., None] * d - points[None]
+    far = np.linalg.norm(away, axis=2)
+    n = away / far[..., None]
+    ends = [
+        np.einsum("kpi,kpi->kp", n, end[:, None] - points[None]) - np.abs(np.einsum("kpi,ki->kp", n, moves))
+        for end, moves in ((p, sweep.p), (q, sweep.q))
+    ]
+    stays = np.maximum(np.minimum(*ends) - sweep.bend[:, None], far - sweep.travel[:, None])
+    return stays.min(axis=1) - reach
+
+
+@pytest.mark.parametrize("size", [7, 3000])
+def test_the_search_finds_what_a_look_at_every_point_does(size):
+    rng = np.random.default_rng(size)
+    points = rng.uniform(-0.5, 0.5, (size, 3)) * [1, 1, 0.1]
+    index, all_ = build_index(points), jnp.ones(BODIES, bool)
+    for _ in range(20):
+        p, q, sweep, reach = swept(rng, points)
+        found = np.asarray(_FOUND(index, p, q, sweep, reach, all_, Wanted(-jnp.inf, jnp.array(0.02))))
+        np.testing.assert_allclose(found, np.minimum(by_hand(points, p, q, sweep, reach), 0.02), atol=1e-12)
+
+
+def test_the_search_ends_at_the_first_body_that_will_not_do_and_leaves_out_what_is_not_asked_about():
+    rng = np.random.default_rng(1)
+    points, verdicts = rng.uniform(-0.5, 0.5, (3000, 3)) * [1, 1, 0.1], []
+    index = build_index(points)
+    for _ in range(40):
+        p, q, sweep, reach = swept(rng, points)
+        asked, wanted = rng.uniform(size=BODIES) < 0.5, Wanted(jnp.array(-0.01), jnp.array(0.01))
+        found = np.asarray(_FOUND(index, p, q, sweep, reach, asked, wanted))
+        by_points = by_hand(points, p, q, sweep, reach)
+        will_do = (by_points[asked] >= -0.01).all()
+        assert (found[asked] >= -0.01).all() == will_do and (found[~asked] == 0.01).all()
+        if will_do:
+            np.testing.assert_allclose(found[asked], np.minimum(by_points[asked], 0.01), atol=1e-12)
+        verdicts.append(will_do)
+    assert 5 < sum(verdicts) < 35
+
+
+def test_the_arm_is_as_clear_on_an_interval_as_is_said_and_clearer_than_travel_alone_says():
+    """At 200 places of joint paths from recorded configurations, of all lengths."""
+    scene, gained = Scene(*made_once.scene()), 0
+    look, travel = jax.jit(on_interval), jax.jit(travel_bound)
+    everywhere = jax.jit(lambda where, xs: jax.lax.map(lambda x: clearance(*scene[:2], where, x), xs))
+    for where, a, b, _ in motions():
+        x, rates = (a + b) / 2, b - a
+        near = float(look(scene, where, x, rates, 0.0, 0.0, 0.5, jnp.array(True), jnp.array(False)).middle)
+        if near <= 0:
+            continue
+        reached = near / float(travel(scene.robot, x, rates, 1.0).max())  # where travel is about all the room there is
+        for half in (0.3 * reached, 0.6 * reached, 1.2 * reached):
+            there, by_travel = (
+                look(scene, where, x, rates, half, 0.0, 0.5, jnp.array(True), jnp.array(asked)) for asked in (True, False)
+            )
+            assert there.middle == by_travel.middle and (there.proven or not by_travel.proven)
+            if there.proven:
+                places = np.asarray(x) + np.linspace(-half, half, 200)[:, None] * np.asarray(rates)[None]
+                assert np.asarray(everywhere(where, places)).min() >= float(there.clear) >= 0.5 * float(there.middle)
+            gained += bool(there.proven & ~by_travel.proven)
+    assert gained > 10
+
+
+def floor_below(robot, where, x, gap_m):
+    """A floor of points on circles about the first joint's axis, so far below the arm as it turns from one to the next."""
+    radius, angle = (each.ravel() for each in np.meshgrid(np.arange(0.6, 2.0, 0.01), np.arange(-0.5, 1.0, STEP)))
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(len(angle), -2.0)], axis=1)
+    turned = x[None] + jnp.linspace(0, STEP, 21)[:, None] * jnp.eye(6)[:1]
+    least = jax.jit(lambda floor: jnp.min(jax.lax.map(lambda x: clearance(robot, (floor,), where, x), turned)))
+    for _ in range(6):  # what is nearest is not straight below
+        points[:, 2] += float(least(cloud_of(points, 0.0))) - gap_m
+    return cloud_of(points, 0.0)
+
+
+def test_a_way_along_a_wall_takes_few_looks(monkeypatch):
+    """A turn about the vertical, a micrometre above a floor: by travel alone it takes thousands."""
+    robot, where, x = made_once.robot(), Where(jnp.eye(4), jnp.zeros(4)), jnp.array([0.0, 0.6, -0.3, 0.0, -0.6, 0.0])
+    scene, turned = Scene(robot, (floor_below(robot, where, x, 1e-6),)), x.at[0].set(0.02)
+    proof = jax.jit(prove)(scene, where, x, turned)
+    assert proof.verdict == Verdict.PROVEN and proof.queries < 100
+    monkeypatch.setattr(interval, "_closer", lambda kind, *about: about[4] - about[3].travel)
+    again = jax.jit(lambda a, b: prove(scene, where, a, b))(x, turned)
+    assert again.verdict == Verdict.PROVEN and again.queries > 20 * proof.queries
