@@ -1,4 +1,4 @@
-"""A body that moves past points stays as clear as is said of it, and one that slides along them is found to be clear."""
+"""A body that moves past points stays as clear as is said of it, and one that slides along them is found clear."""
 
 import jax
 import jax.numpy as jnp
@@ -13,11 +13,11 @@ from htcp_jax.clearance.cloud import cloud_of
 from htcp_jax.clearance.cloud_sweep import clear_along
 from htcp_jax.clearance.cloud_tree import build_index
 from htcp_jax.clearance.interval import on_interval
-from htcp_jax.clearance.motion_bound import Sweep, travel_bound
+from htcp_jax.clearance.motion_bound import travel_bound
 from htcp_jax.clearance.motion_proof import Verdict, prove
-from htcp_jax.clearance.obstacle import Wanted
 from htcp_jax.clearance.obstacles import clearance
 from htcp_jax.clearance.scene import Scene
+from htcp_jax.clearance.sweep import Sweep, Wanted
 
 BODIES = 6
 STEP = 0.005  # between points on a circle [rad]
@@ -85,14 +85,13 @@ def test_the_arm_is_as_clear_on_an_interval_as_is_said_and_clearer_than_travel_a
     everywhere = jax.jit(lambda where, xs: jax.lax.map(lambda x: clearance(*scene[:2], where, x), xs))
     for where, a, b, _ in motions():
         x, rates = (a + b) / 2, b - a
-        near = float(look(scene, where, x, rates, 0.0, 0.0, 0.5, jnp.array(True), jnp.array(False)).middle)
+        near = float(look(*scene[:2], where, x, rates, 0.0, 0.0, 0.5, jnp.array(True), jnp.array(False)).middle)
         if near <= 0:
             continue
         reached = near / float(travel(scene.robot, x, rates, 1.0).max())  # where travel is about all the room there is
         for half in (0.3 * reached, 0.6 * reached, 1.2 * reached):
-            there, by_travel = (
-                look(scene, where, x, rates, half, 0.0, 0.5, jnp.array(True), jnp.array(asked)) for asked in (True, False)
-            )
+            asked = *scene[:2], where, x, rates, half, 0.0, 0.5, jnp.array(True)
+            there, by_travel = (look(*asked, jnp.array(closely)) for closely in (True, False))
             assert there.middle == by_travel.middle and (there.proven or not by_travel.proven)
             if there.proven:
                 places = np.asarray(x) + np.linspace(-half, half, 200)[:, None] * np.asarray(rates)[None]
@@ -102,7 +101,7 @@ def test_the_arm_is_as_clear_on_an_interval_as_is_said_and_clearer_than_travel_a
 
 
 def floor_below(robot, where, x, gap_m):
-    """A floor of points on circles about the first joint's axis, so far below the arm as it turns from one to the next."""
+    """A floor of points on circles about the first joint's axis, so far below the arm as it turns past them."""
     radius, angle = (each.ravel() for each in np.meshgrid(np.arange(0.6, 2.0, 0.01), np.arange(-0.5, 1.0, STEP)))
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(len(angle), -2.0)], axis=1)
     turned = x[None] + jnp.linspace(0, STEP, 21)[:, None] * jnp.eye(6)[:1]

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from test_joint_path import rail
 
-from htcp_jax.clearance.motion_bound import travel_bound
 from htcp_jax.clearance.interval import row_travel_bound
+from htcp_jax.clearance.motion_bound import travel_bound
 from htcp_jax.clearance.motion_proof import Verdict, prove
 from htcp_jax.clearance.obstacles import clearance_rows, clearances
 from htcp_jax.clearance.scene import Scene

@@ -14,8 +14,8 @@ import numpy as np
 
 from htcp_jax.clearance.cloud_sweep import clear_along
 from htcp_jax.clearance.cloud_tree import CloudIndex, build_index, nearest_body, nearest_rows
-from htcp_jax.clearance.motion_bound import Sweep
-from htcp_jax.clearance.obstacle import Bodies, Contacts, Posed, Rows, Wanted, in_workpiece
+from htcp_jax.clearance.obstacle import Bodies, Contacts, Posed, Rows, in_workpiece
+from htcp_jax.clearance.sweep import Sweep, Wanted
 from htcp_jax.numerics import product, safe_divide, safe_norm, segment_parameter
 from htcp_jax.pytree import register_pytree
 from htcp_jax.scene.robot import Robot

@@ -1,13 +1,15 @@
 """How clear a capsule stays of a cloud while it moves, to second order.
 
 Let the ends of its axis move by p(s) = p + s p' and less than b beside that, for |s| <= h, and let n be the unit vector
-from a point w of the cloud to the nearest point of the axis at the middle. Any plane normal to n keeps the axis from w
-by at least as much as the lower of its two ends, so that on all of the way
+from a point w of the cloud to the nearest point of the axis at the middle (Ericson, Real-Time Collision Detection,
+section 5.1.2). The plane through w normal to n keeps the axis from w by at least as much as the lower of its two ends,
+so that on all of the way
 
     distance >= min(n.(p - w) - h |n.p'|, n.(q - w) - h |n.q'|) - b.
 
-Motion along a wall costs nothing by this, where a bound on how far a body moves has to have that much room. Points that
-are further away than the body moves are passed over, and found to be so by the bounds of their clusters.
+Only motion towards the point counts, as in the directed bounds of conservative advancement (Tang, Kim and Manocha, C2A,
+ICRA 2009): motion along a wall costs nothing, where a bound on how far a body moves has to have that much room. Points
+that are further away than the body moves are passed over, and found to be so by the bounds of their clusters.
 """
 
 from functools import partial
@@ -17,9 +19,8 @@ import jax.numpy as jnp
 
 from htcp_jax.clearance import branch_and_bound
 from htcp_jax.clearance.bounding_discs import Segments, arm, as_segments, disc_bounds, single, spread
-from htcp_jax.clearance.cloud_tree import ONE_BODY, SIDE_BY_SIDE, CloudIndex
-from htcp_jax.clearance.motion_bound import Sweep
-from htcp_jax.clearance.obstacle import Wanted
+from htcp_jax.clearance.cloud_index import ONE_BODY, SIDE_BY_SIDE, CloudIndex, levels_of
+from htcp_jax.clearance.sweep import Sweep, Wanted
 from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Bool, Float
 
@@ -44,12 +45,12 @@ def _clear_along(index: CloudIndex, p, q, p_moves, q_moves, bend, travel, reach,
     segments, ends = as_segments(p, q), tuple(a.T for a in (p, q, p_moves, q_moves))
     beside = jnp.stack([bend, travel, reach])
     start = jnp.broadcast_to(enough, reach.shape)
-    if jax.default_backend() != "cpu":
-        levels = index.branches.transpose(1, 0, 2).reshape(1, 8, -1), index.leaves
+    backend = jax.default_backend()
+    levels, numbers = levels_of(index, backend), jnp.arange(len(reach))
+    if backend != "cpu":
         limit = jnp.where(asked, start, -jnp.inf)
         found = _descend(levels, index.points, segments, ends, beside, least, limit, SIDE_BY_SIDE)
         return jnp.where(asked, found, enough)
-    levels, numbers = (index.roots, index.branches, index.leaves), jnp.arange(len(reach))
 
     def search_one(state):
         left, found = state

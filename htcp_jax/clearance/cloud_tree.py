@@ -28,22 +28,10 @@ from htcp_jax.clearance.bounding_discs import (
     squared_distance,
 )
 from htcp_jax.clearance.branch_and_bound import FAN
+from htcp_jax.clearance.cloud_index import ONE_BODY, SIDE_BY_SIDE, CloudIndex, levels_of
 from htcp_jax.clearance.cloud_tree_gpu import HAS_KERNEL, nearest_leaves
 from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Float, Int
-
-ONE_BODY = 1, 1, 4  # roots, branches and leaves that a CPU takes at a time: leaves wait for square roots
-SIDE_BY_SIDE = 8, 8  # branches and leaves that other devices take at a time, for each body
-
-
-class CloudIndex(NamedTuple):
-    """A cloud and its tree. Rows of a bound: medoid xyz, normal xyz, half thickness, radius [m]."""
-
-    roots: Float[Array, "1 8 roots"]
-    branches: Float[Array, "roots 8 branches"]
-    leaves: Float[Array, "all_branches 8 leaves"]
-    points: Float[Array, "all_leaves 3 points"]
-    rows: Int[Array, "all_leaves points"]  # row of the cloud that each point came from
 
 
 def build_index(points: Float[np.ndarray, "P 3"]) -> CloudIndex:
@@ -128,16 +116,14 @@ def _search(index: CloudIndex, p, q, radius, limit, shared: bool):
     elif backend == "gpu" and HAS_KERNEL:
         leaf = nearest_leaves(index, p, q, radius, limit, shared)
     else:
-        # Without the roots: they would be a loop more.
-        levels = index.branches.transpose(1, 0, 2).reshape(1, 8, -1), index.leaves
-        _, leaf = _descend(levels, index.points, segments, radius, limit, shared, SIDE_BY_SIDE)
+        _, leaf = _descend(levels_of(index, backend), index.points, segments, radius, limit, shared, SIDE_BY_SIDE)
     square = squared_distance(spread(segments, 1), index.points[leaf].transpose(1, 0, 2))
     return jnp.where(leaf < 0, -1, index.rows[leaf, jnp.argmin(square, axis=1)])
 
 
 def _in_turn(index: CloudIndex, segments: Segments, radius, limit, shared: bool):
     """The leaf of each body's nearest point, -1 for none: one body after the other, the most promising first."""
-    levels, bodies = (index.roots, index.branches, index.leaves), radius.shape[0]
+    levels, bodies = levels_of(index, "cpu"), radius.shape[0]
     _, upper = disc_bounds(single(spread(segments, 1)), index.roots[0, :, None, :])
     promise = jnp.min(upper, axis=1) - radius
 

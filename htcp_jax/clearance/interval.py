@@ -1,7 +1,8 @@
 """How clear the arm stays on an interval of a straight joint path, seen from its middle.
 
 First by how far every body moves, whichever way. Where that is too much, by what a kind of obstacle itself knows of
-bodies that move (`obstacle.Sweepable`), if it does.
+bodies that move (`obstacle.Sweepable`), if it does. Adaptive bisection by such bounds is Schwarzer, Saha and Latombe's
+(Adaptive Dynamic Collision Checking for Single and Multiple Articulated Robots, T-RO 2005).
 """
 
 from typing import NamedTuple
@@ -11,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from htcp_jax.clearance.motion_bound import Sweep, sweep, travel_bound
-from htcp_jax.clearance.obstacle import Bodies, Obstacle, Posed, Rows, Sweepable, Wanted, bodies_at, grouped
-from htcp_jax.clearance.scene import Scene
+from htcp_jax.clearance.motion_bound import sweep, travel_bound
+from htcp_jax.clearance.obstacle import Bodies, Obstacle, Obstacles, Posed, Rows, Sweepable, bodies_at
+from htcp_jax.clearance.sweep import Sweep, Wanted
 from htcp_jax.scene.robot import Robot
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar
 
@@ -27,7 +28,8 @@ class Interval(NamedTuple):
 
 
 def on_interval(
-    scene: Scene,
+    robot: Robot,
+    obstacles: Obstacles,
     where: Posed,
     x: Joints,
     rates: Joints,
@@ -42,18 +44,18 @@ def on_interval(
     least: what is wanted of it [m]; where it `keeps`, the share `kept` of D in the middle, too. Where it is not asked
     for, the bodies' travel alone is looked at.
     """
-    robot, bodies, moves = scene.robot, bodies_at(scene.robot, where, x), sweep(scene.robot, x, rates, half)
-    kinds = [each for own in grouped(scene.obstacles) for each in own]
-    room = [each.room(robot, where, bodies) for each in kinds]
+    bodies, moves = bodies_at(robot, where, x), sweep(robot, x, rates, half)
+    room = [each.room(robot, where, bodies) for each in obstacles]
     middle = jnp.min(jnp.concatenate(room))
-    enough = jnp.maximum(kept * middle, least)
-    wanted = Wanted(jnp.where(keeps, enough, least), enough)
+    good = jnp.maximum(kept * middle, least)
+    # More is found out than has to be: it goes on record.
+    wanted = Wanted(jnp.where(keeps, good, least), jnp.maximum(jnp.sqrt(kept) * middle, least))
     clear = []
-    for each, own in zip(kinds, room, strict=True):
+    for each, own in zip(obstacles, room, strict=True):
         rows = each.rows(robot)
         travel = moves.travel if rows == Rows.of_bodies(robot) else row_travel_bound(robot, rows, x, rates, half)
-        sees_more = isinstance(each, Sweepable)
-        clear.append(_closer(each, robot, where, bodies, moves, own, wanted, asked) if sees_more else own - travel)
+        closer = isinstance(each, Sweepable)
+        clear.append(_closer(each, robot, where, bodies, moves, own, good, wanted, asked) if closer else own - travel)
     clear = jnp.min(jnp.concatenate(clear))
     return Interval(middle, clear, clear >= wanted.least)
 
@@ -65,13 +67,14 @@ def _closer(
     bodies: Bodies,
     moves: Sweep,
     room: Float[Array, "K"],
+    good: Scalar,
     wanted: Wanted,
     asked: Bool[Array, ""],
 ) -> Float[Array, "K"]:
-    """How clear bodies stay of a kind that is asked about those whose travel is too much; not where one of them comes
-    too near even if it moved along the obstacle and only bent towards it."""
+    """How clear bodies stay of a kind that is asked about those that travel too far; not where one of them comes too
+    near even if it moves along the obstacle and only bends towards it."""
     by_travel = room - moves.travel
-    open_ = by_travel < wanted.enough
+    open_ = by_travel < good
     asked &= jnp.all(~open_ | (room - moves.bend >= wanted.least))
     return jnp.where(open_ & asked, kind.clear_along(robot, where, bodies, moves, open_ & asked, wanted), by_travel)
 

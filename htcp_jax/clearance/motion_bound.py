@@ -30,6 +30,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from htcp_jax.clearance.sweep import Sweep
 from htcp_jax.numerics import safe_norm
 from htcp_jax.scene.kinematics import capsule_segments, joint_levers, tcp_position
 from htcp_jax.scene.robot import Robot
@@ -56,15 +57,6 @@ def point_motion_bound(
 ) -> Float[Array, "P"]:
     """The same of points at x, world [m], that are fixed to links, -1 for the world."""
     return _bounds(robot, x, jnp.zeros_like(x), turns, points, links).moved
-
-
-class Sweep(NamedTuple):
-    """How K bodies move about where they are, while a joint path goes `half` its way back and forth."""
-
-    p: Float[Array, "K 3"]  # how far the first end of each axis goes along its velocity, either way [m]
-    q: Float[Array, "K 3"]  # and the second
-    bend: Float[Array, "K"]  # how far from there any point of the axis is, at most [m]
-    travel: Float[Array, "K"]  # and from where it was
 
 
 def sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Sweep:

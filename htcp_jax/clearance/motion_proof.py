@@ -30,7 +30,6 @@ from htcp_jax.clearance.row_proof import between, rows_hold
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.numerics import product, safe_norm, segment_parameter
 from htcp_jax.scene.kinematics import jacobian, tcp_position
-from htcp_jax.scene.robot import Robot
 from htcp_jax.settings import Settings
 from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
 
@@ -110,7 +109,7 @@ def prove(
             out = jnp.any(out) & tube.held
             broken = jnp.where((broken == Verdict.PROVEN) & out, int(Verdict.LEAVES), broken)
         keeps, going_on = depth < KEPT_DEPTH, stays & (broken == Verdict.PROVEN)
-        there = on_interval(scene, where, x, b - a, half, -resolution_m, kept, keeps, going_on)
+        there = on_interval(scene.robot, scene.obstacles, where, x, b - a, half, -resolution_m, kept, keeps, going_on)
         proven = stays & there.proven
         verdict = jnp.where(there.middle <= 0, int(Verdict.COLLIDES), broken)
         verdict = jnp.where((verdict == Verdict.PROVEN) & ~proven & (depth >= deepest), int(Verdict.OPEN), verdict)

@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.motion_bound import Sweep
+from htcp_jax.clearance.sweep import Sweep, Wanted
 from htcp_jax.numerics import product
 from htcp_jax.scene.kinematics import capsule_segments, point_jacobians
 from htcp_jax.scene.robot import Robot
@@ -112,13 +112,6 @@ class Surroundings(Obstacle, Protocol):
     ) -> Bool[jax.Array, ""]:
         """Whether one body touches at any of S postures that are asked about; `bodies` are those at all of them."""
         ...
-
-
-class Wanted(NamedTuple):
-    """How clear bodies are to stay [m]."""
-
-    least: Scalar  # less will not do
-    enough: Scalar  # more need not be found out
 
 
 @runtime_checkable

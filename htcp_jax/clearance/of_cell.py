@@ -17,9 +17,9 @@ from scipy.spatial import ConvexHull
 
 from htcp_jax.clearance.cloud import Cloud, cloud_of
 from htcp_jax.clearance.fixtures import fixtures
-from htcp_jax.clearance.motion_bound import Sweep
-from htcp_jax.clearance.obstacle import Bodies, Contacts, Obstacles, Posed, Rows, Wanted
+from htcp_jax.clearance.obstacle import Bodies, Contacts, Obstacles, Posed, Rows
 from htcp_jax.clearance.solids import Box, Cylinder, HalfSpace, Piece, Rod, Solid
+from htcp_jax.clearance.sweep import Sweep, Wanted
 from htcp_jax.numerics import product
 from htcp_jax.pytree import register_pytree
 from htcp_jax.scene.fixture import Fixture
