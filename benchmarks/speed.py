@@ -23,6 +23,7 @@ Exit code: 1 where the two checkouts count differently or a case fails here; 2 o
 import argparse
 import hashlib
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -33,6 +34,7 @@ from benchmarks.speed_cases import CASES, Asked, Broken, Checkout, lacking
 from benchmarks.speed_table import Measured, counts_differ, head, medians, rows, sources
 from htcp_jax.errors import InputError
 from htcp_jax.formats.strict_yaml import read_yaml
+from htcp_jax.jobs.load_config import load_config
 from htcp_jax.planner import registry
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -46,6 +48,7 @@ def main() -> int:
     try:
         asked = _arguments()
         here = Checkout("here", ROOT, part_of(asked.config), tuple(asked.changes))
+        load_config(overrides=here.overrides)
         there = _other(asked)
         return measure(asked, here, there)
     except InputError as error:
@@ -115,6 +118,8 @@ def commit(root: Path) -> str:
     def git(*words: str) -> str:
         return subprocess.run(["git", "-C", root, *words], capture_output=True, text=True).stdout.strip()
 
+    if shutil.which("git") is None:
+        return "no commit"
     changed = git("status", "--porcelain", "--", ".", *OF_NO_FIGURE)
     return (git("rev-parse", "--short", "HEAD") or "no commit") + (" and changes" if changed else "")
 
@@ -152,9 +157,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--peers", action="store_true", help="the peers' case, too, with those that are installed")
     parser.add_argument("--methods", metavar="A,B", help="of the tables and the cross sweep")
-    parser.add_argument(
-        "--warm", action="store_true", help="time the second run of a method, less what only the first does"
-    )
+    parser.add_argument("--warm", action="store_true", help="time each method's second run: its first one also traces")
     parser.add_argument("--device", metavar="gpu[:N]", help="of cross-gpu")
     parser.add_argument("--config", type=Path, metavar="FILE")
     parser.add_argument("--against-config", type=Path, metavar="FILE")

@@ -53,10 +53,14 @@ class Checkout:
     changes: tuple[str, ...] = ()  # KEY=VALUE
 
     @property
+    def overrides(self) -> list[str]:
+        """What turns any job of this checkout into the one asked for, KEY=VALUE each."""
+        return [*(f"workpiece.{key}={json.dumps(value)}" for key, value in self.part.items()), *self.changes]
+
+    @property
     def sets(self) -> list[str]:
-        """What turns any job of this checkout into the one asked for."""
-        pairs = [f"workpiece.{key}={json.dumps(value)}" for key, value in self.part.items()]
-        return [word for pair in (*pairs, *self.changes) for word in ("--set", pair)]
+        """The same as options."""
+        return [word for pair in self.overrides for word in ("--set", pair)]
 
     def python(self, *words: str, one_core: bool = False, expected: Iterable[int] = (0,), **environment: str) -> str:
         """What a fresh interpreter prints that imports from this tree alone. Raises Broken."""
@@ -125,7 +129,7 @@ def tables(*more: str, quick: int = EVERY, methods: str = SIX) -> Callable[[Chec
 
 def cross_gpu(checkout: Checkout, asked: Asked) -> list[Figure]:
     """The cross sweep on the GPUs."""
-    device = ["--device", asked.device or "gpu"]
+    device = ["--device", asked.device] if asked.device else []
     case = tables("--sweeps", "cross", *DEVICE_QP, *device, quick=EVERY_CROSS)
     return case(checkout, asked, JAX_PLATFORMS=os.environ.get("JAX_PLATFORMS", ""))
 

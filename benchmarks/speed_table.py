@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from benchmarks.figures import Entry, Figure
 
+# Names and widths; behind the last ratio there is room for a star.
 COLUMNS = {"": 38, "here": 11, "there": 11, "ratio": 5, "of pairs": 12, "committed": 11, "ratio ": 6, "count": 8}
 OF_PAIRS = "there", "ratio", "of pairs"
 
@@ -42,11 +43,11 @@ def rows(found: Measured, old: Entry | None, machine: str, pairs: bool) -> Itera
     for name, one in here.items():
         cells = {"": f"  {name}", "here": _spelt(one), "count": "" if one.count is None else f"{one.count:,}"}
         if other := there.get(name):
-            ratios = [a / b for a, b in zip(values(found.here, name), values(found.there, name), strict=True)]
-            cells |= {"there": _spelt(other), "ratio": f"{one.value / other.value:.2f}"}
+            ratios = [_ratio(*pair) for pair in zip(values(found.here, name), values(found.there, name), strict=True)]
+            cells |= {"there": _spelt(other), "ratio": f"{_ratio(one.value, other.value):.2f}"}
             cells |= {"of pairs": f"{min(ratios):.2f} to {max(ratios):.2f}"}
         if before := committed.get(name):
-            cells |= {"committed": _spelt(before), "ratio ": f"{one.value / before.value:.2f}{star}"}
+            cells |= {"committed": _spelt(before), "ratio ": f"{_ratio(one.value, before.value):.2f}{star}"}
         yield _line(cells, pairs)
 
 
@@ -74,6 +75,10 @@ def sources(compared: Iterable[tuple[str, Measured, Entry | None]], machine: str
         changed = [one for one in old.figures if one.name in now and one.count != now[one.name].count]
         counts += [f"{case}, {one.name}: {now[one.name].count} here, {one.count} committed" for one in changed]
     return [f"committed {', '.join(cases)}: {source}" for source, cases in lines.items()] + counts
+
+
+def _ratio(now: float, before: float) -> float:
+    return now / before if before else float("inf")
 
 
 def _spelt(one: Figure) -> str:
