@@ -3,15 +3,15 @@
     python -m benchmarks speed [--against CHECKOUT] [--pairs N] [--only CASE,...] [--quick] [--peers] [--record]
 
 Every run of a case is a process of its own that imports one tree's package and that tree's own benchmarks, in this
-Python's environment, on the CPU but for cross-gpu. With --against a case runs alternately here and there, N times each:
-"ratio" is that of the medians, "of pairs" the smallest and the largest of a pair. Cases:
+Python's environment. With --against a case runs alternately here and there, N times each: "ratio" is that of the
+medians, "of pairs" the smallest and the largest of a pair. Cases, on the CPU unless they name GPUs:
 
 CASES
 
-A row is a method's seconds without compilation, and how many targets it tracked. Proofs of motions are part of `tables`
-in trees that have them, so a tree that has none is compared by `tables-engines`, which leaves them and the checks of
-joint paths out in both. All cases run unless --only names some: cross-gpu where there is a GPU, peers, which run here
-alone, where their extra is installed. --quick takes few scenarios and two methods, to see that all works.
+A row of a table or sweep is a method's seconds without compilation, and how many targets it tracked. Proofs of motions
+are part of it in trees that have them; "engines alone" leaves them and the checks of joint paths out, and so compares
+with a tree that has none. All cases run unless --only names some: those on GPUs where there are any, peers, which run
+here alone, where their extra is installed. --quick takes few scenarios and two methods, to see that all works.
 
 --config FILE: the section `workpiece` of a job file in place of the generated duct; --against-config FILE where the
 other checkout knows other keys. --record writes what was measured into figures.yaml beside this file: all of it, or
@@ -158,7 +158,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--peers", action="store_true", help="the peers' case, too, with those that are installed")
     parser.add_argument("--methods", metavar="A,B", help="of the tables and the cross sweep")
     parser.add_argument("--warm", action="store_true", help="time each method's second run: its first one also traces")
-    parser.add_argument("--device", metavar="gpu[:N]", help="of cross-gpu")
+    parser.add_argument("--device", metavar="gpu[:N]", help="of the cases on GPUs")
     parser.add_argument("--config", type=Path, metavar="FILE")
     parser.add_argument("--against-config", type=Path, metavar="FILE")
     parser.add_argument("--set", action="append", default=[], dest="changes", metavar="KEY=VALUE", help="in every job")
@@ -190,14 +190,13 @@ def _other(asked: argparse.Namespace) -> Checkout | None:
 def _cases(asked: argparse.Namespace, gpus: int) -> list[str]:
     """The cases to run; says why peers are left out. Raises InputError."""
     names = list(asked.only or CASES)
-    if asked.only and "cross-gpu" in names and not gpus:
-        raise InputError("--only cross-gpu: JAX finds no GPU here")
+    on_gpus = {name for name in names if CASES[name].gpus and not gpus}
+    if asked.only and on_gpus:
+        raise InputError(f"--only {min(on_gpus)}: JAX finds no GPU here")
     if asked.peers and "peers" not in names:
         names.append("peers")
     lost = lacking() if "peers" in names else []
     if lost:
         print(f"peers lack {', '.join(lost)}: pip install -e '.[peers]'", file=sys.stderr)
-    left_out = {"cross-gpu"} if not gpus else set()
-    if lost and not asked.peers and not asked.only:
-        left_out.add("peers")
-    return [name for name in names if name not in left_out]
+    left_out = {"peers"} if lost and not asked.peers and not asked.only else set()
+    return [name for name in names if name not in on_gpus | left_out]

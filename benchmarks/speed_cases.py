@@ -24,6 +24,7 @@ FEW = "baseline,nspace-sqp"
 EVERY, EVERY_CROSS, LIMIT = 25, 250, 5  # of a quick case: every N-th scenario, and the first ones
 PEERS = {"mink": "mink", "tesseract_robotics": "tesseract-robotics"}  # modules and packages
 DEVICE_QP = "--set", "settings.qp=device"
+ON_CPU = {"JAX_PLATFORMS": "cpu"}
 TEXT = {  # rows that a benchmark prints
     "tables": re.compile(r"^(\S+) +(\S+) +([\d,]+) of [\d,]+ +[\d.]+ +[\d.]+ +([\d.]+) +\d+$", re.M),
     "clearance": re.compile(r"^ *([\d,]+) +([\d.]+) us +([\d.]+) us +([\d.]+) us +\d+ us +\d+$", re.M),
@@ -95,6 +96,9 @@ class Checkout:
         return self.python("-c", f"import sys; from {module} import {function}; sys.exit({function}())", *words, **how)
 
 
+Run = Callable[[Checkout, Asked], list[Figure]]
+
+
 def _pin() -> None:
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 
@@ -113,30 +117,29 @@ def of_text(name: str, text: str) -> list[Figure]:
     ]
 
 
-def tables(*more: str, quick: int = EVERY, methods: str = SIX) -> Callable[[Checkout, Asked], list[Figure]]:
-    """A case of `benchmarks.tables` on the CPU: run seconds and tracked targets by method, and the seconds in all."""
+def tables(*more: str, methods: str = SIX, quick: int = EVERY, gpus: bool = False) -> Run:
+    """A case of `benchmarks.tables`: run seconds and tracked targets by method, and the seconds in all."""
 
-    def run(checkout: Checkout, asked: Asked, **how: Any) -> list[Figure]:
+    def run(checkout: Checkout, asked: Asked) -> list[Figure]:
         chosen = asked.methods or (FEW if asked.quick else methods)
         how_often = [] if asked.warm else ["--once"]
         every = ["--every", str(quick)] if asked.quick else []
-        words = "--methods", chosen, *how_often, *every, *more, *checkout.sets
-        found = checkout.benchmark("tables", *words, **{"JAX_PLATFORMS": "cpu", **how})
+        device = ["--device", asked.device] if gpus and asked.device else []
+        words = "--methods", chosen, *how_often, *every, *device, *more, *checkout.sets
+        found = checkout.benchmark("tables", *words, **({} if gpus else ON_CPU))
         return [*found, Figure("in all", sum(one.value for one in found), "s")]
 
     return run
 
 
-def cross_gpu(checkout: Checkout, asked: Asked) -> list[Figure]:
-    """The cross sweep on the GPUs."""
-    device = ["--device", asked.device] if asked.device else []
-    case = tables("--sweeps", "cross", *DEVICE_QP, *device, quick=EVERY_CROSS)
-    return case(checkout, asked, JAX_PLATFORMS=os.environ.get("JAX_PLATFORMS", ""))
+def cross(*more: str, methods: str = SIX, gpus: bool = False) -> Run:
+    """The cross sweep."""
+    return tables("--sweeps", "cross", *more, methods=methods, quick=EVERY_CROSS, gpus=gpus)
 
 
 def clearance(checkout: Checkout, asked: Asked) -> list[Figure]:
     """A query on one core."""
-    return checkout.benchmark("clearance", *checkout.sets, one_core=True, JAX_PLATFORMS="cpu")
+    return checkout.benchmark("clearance", *checkout.sets, one_core=True, **ON_CPU)
 
 
 def first_plan(checkout: Checkout, asked: Asked) -> list[Figure]:
@@ -146,7 +149,7 @@ def first_plan(checkout: Checkout, asked: Asked) -> list[Figure]:
         with tempfile.TemporaryDirectory() as cache, tempfile.TemporaryDirectory() as out:
             words = "plan", "--json", "--out", f"{out}/plan", *method, *checkout.sets
             began = _clocks()
-            record = json.loads(checkout.htcp(*words, expected=(0, 3), HTCP_CACHE=cache, JAX_PLATFORMS="cpu"))
+            record = json.loads(checkout.htcp(*words, expected=(0, 3), HTCP_CACHE=cache, **ON_CPU))
             whole, cpu = (now - then for now, then in zip(_clocks(), began, strict=True))
         name = record["method"] if method else f"by default, {record['method']}"
         found += [Figure(f"{name}: compiling", record["compile_s"], "s", record["tracked"])]
@@ -167,8 +170,8 @@ def programs(checkout: Checkout, asked: Asked) -> list[Figure]:
     limit = ["--limit", str(LIMIT)] if asked.quick else []
     with tempfile.TemporaryDirectory() as folder:
         words = "sweeps/robot.yaml", "--methods", "nspace-sqp", "--out", f"{folder}/robot", *limit, *checkout.sets
-        checkout.htcp("sweep", *words, JAX_PLATFORMS="cpu")
-        return checkout.benchmark("programs", f"{folder}/robot", "--checked", "0", JAX_PLATFORMS="cpu")
+        checkout.htcp("sweep", *words, **ON_CPU)
+        return checkout.benchmark("programs", f"{folder}/robot", "--checked", "0", **ON_CPU)
 
 
 def peers(checkout: Checkout, asked: Asked) -> list[Figure]:
@@ -176,7 +179,7 @@ def peers(checkout: Checkout, asked: Asked) -> list[Figure]:
     part = [checkout.part.get(key) for key in ("cloud", "path", "inlet_m")]
     real = ["--real", *part[:2], *map(str, part[2])] if all(part) else []
     scenarios = ["--scenarios", "1"] if asked.quick else []
-    return checkout.benchmark("peers", *scenarios, *real, JAX_PLATFORMS="cpu")
+    return checkout.benchmark("peers", *scenarios, *real, **ON_CPU)
 
 
 def lacking() -> list[str]:
@@ -188,7 +191,8 @@ class Case(NamedTuple):
     """What `--only` names."""
 
     about: str
-    run: Callable[[Checkout, Asked], list[Figure]]
+    run: Run
+    gpus: bool = False  # whether it needs some
 
 
 CASES = {
@@ -196,8 +200,12 @@ CASES = {
     "tables-engines": Case("both tables, Clarabel, engines alone", tables("--no-paths")),
     "tables-device": Case("both tables, qp: device, with joint paths and proofs", tables(*DEVICE_QP)),
     "tables-device-engines": Case("both tables, qp: device, engines alone", tables(*DEVICE_QP, "--no-paths")),
-    "cross": Case("125 starts x 49 poses, Clarabel", tables("--sweeps", "cross", quick=EVERY_CROSS, methods=FEW)),
-    "cross-gpu": Case("the same by six methods on GPUs, qp: device", cross_gpu),
+    "cross": Case("125 starts x 49 poses, Clarabel, with joint paths and proofs", cross(methods=FEW)),
+    "cross-engines": Case("125 starts x 49 poses, Clarabel, engines alone", cross("--no-paths", methods=FEW)),
+    "cross-gpu": Case("125 starts x 49 poses, GPUs, with joint paths and proofs", cross(*DEVICE_QP, gpus=True), True),
+    "cross-gpu-engines": Case(
+        "125 starts x 49 poses, GPUs, engines alone", cross(*DEVICE_QP, "--no-paths", gpus=True), True
+    ),
     "clearance": Case("one exact query, one core", clearance),
     "plan": Case("a first htcp plan, nothing compiled before", first_plan),
     "programs": Case("CPU time of a program, and of its postures", programs),

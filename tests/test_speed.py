@@ -15,6 +15,7 @@ from benchmarks import figures, speed, speed_cases
 from benchmarks.clearance import row
 from benchmarks.figures import Entry, Figure
 from benchmarks.speed_table import Measured, counts_differ, head, rows
+from htcp_jax.errors import InputError
 
 ROOT = Path(__file__).parents[1]
 
@@ -139,6 +140,15 @@ def test_a_job_is_told_by_what_its_files_hold_and_not_by_where_they_are(tmp_path
 def test_bad_input_is_one_line_and_exit_code_2(ran, words, message):
     code, lines = ran(*words)
     assert code == 2 and len(lines) == 1 and lines[0].startswith(message)
+
+
+def test_cases_on_gpus_need_some():
+    def cases(gpus, *only):
+        return speed._cases(argparse.Namespace(only=only, peers=False), gpus)
+
+    assert {*cases(1)} - {*cases(0)} == {"cross-gpu", "cross-gpu-engines"} and cases(1, "cross-gpu") == ["cross-gpu"]
+    with pytest.raises(InputError, match=r"^--only cross-gpu: JAX finds no GPU here$"):
+        cases(0, "clearance", "cross-gpu")
 
 
 def test_what_fails_in_a_checkout_is_told_by_its_last_line(tmp_path):
