@@ -157,9 +157,9 @@ def test_what_fails_in_a_checkout_is_told_by_its_last_line(tmp_path):
 
 
 @pytest.mark.slow
-def test_every_other_case_runs_too(ran, tmp_path):
-    code, lines = ran("--quick", "--only", "plan,programs,peers,clearance", "--figures", tmp_path / "none.yaml")
+def test_programs_peers_and_clearance_run_too(ran, tmp_path):
+    code, lines = ran("--quick", "--only", "programs,peers,clearance", "--figures", tmp_path / "none.yaml")
     assert code == 0, lines[-1]
     names = [line[:36].strip() for line in lines if line.startswith("  ")]
-    assert {"nspace-sqp: compiling", "robot, program", "htcp_jax baseline, CPU a step"} <= set(names)
+    assert {"robot, program", "htcp_jax baseline, CPU a step"} <= set(names)
     assert sum(name.startswith("500,000 points") for name in names) == 3
