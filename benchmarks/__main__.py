@@ -13,6 +13,7 @@
     python -m benchmarks baseline-margin OUT.png
     python -m benchmarks mountings         found by a grid, random draws, htcp place and differential evolution
     python -m benchmarks seams OUT.png     the seams of the generated duct, drawn
+    python -m benchmarks speed             what is timed, beside committed figures, or in pairs with another checkout
     python -m benchmarks shape             of the source: sizes, depth of imports, docstrings; other checkouts beside it
 
 Options follow the case: --help shows them. Nothing else should run on the machine while times are taken. RESULTS.md
@@ -35,6 +36,7 @@ CASES = (
     "baseline-margin",
     "mountings",
     "seams",
+    "speed",
     "shape",
 )
 
@@ -48,8 +50,7 @@ def main() -> int:
     if case == "cross":
         sys.argv[1:1] = ["--sweeps", "cross", "--methods", "baseline,nspace-sqp"]
         case = "tables"
-    importlib.import_module(f"benchmarks.{case.replace('-', '_')}").main()
-    return 0
+    return importlib.import_module(f"benchmarks.{case.replace('-', '_')}").main() or 0
 
 
 sys.exit(main())

@@ -1,6 +1,6 @@
 """An exact clearance query with its gradient, through the index and by brute force, on growing clouds.
 
-    python -m benchmarks clearance [--set KEY=VALUE]...
+    python -m benchmarks clearance [--set KEY=VALUE]... [--json FILE]
 
 Configurations lie about the nominal plan. Brute force is what one writes first, jitted and vectorised:
 all distances and the smallest of every body, here even without a gradient.
@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks import hardware
+from benchmarks.figures import Figure, save
 from htcp_jax.clearance.cloud_tree import build_index
 from htcp_jax.clearance.linearisation import linearise
 from htcp_jax.clearance.obstacle import Obstacles
@@ -30,14 +31,17 @@ from htcp_jax.scene.kinematics import capsule_segments
 ROOT = Path(__file__).resolve().parents[1]
 CLOUDS = (5_000, 50_000, 500_000)
 QUERIES = 1024
+NAMES = "gradient", "alone", "path of 20"  # of what is timed, as RESULTS.md has it
 
 
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="the times once more, for a machine")
+    chosen = parser.parse_args()
     compile_cache.enable()
-    job = load_config(ROOT / "configs/duct.yaml", parser.parse_args().overrides)
+    job = load_config(ROOT / "configs/duct.yaml", chosen.overrides)
     robot, workpiece, where = scene(job)
     random = np.random.default_rng(0)
     tracked = plan(robot, workpiece, where, "nspace-sqp", job.settings, check_paths=False).x[0]
@@ -48,6 +52,7 @@ def main() -> None:
 
     print(hardware.line())
     print("  points  D of all bodies, gradient  D alone  path of 20  brute force, D  ratio")
+    rows = []
     for size in CLOUDS:
         points = _cloud(np.asarray(workpiece.cloud), size, random)
         obstacle = (replace(cloud, points=jnp.asarray(points), index=build_index(points)), *others)
@@ -55,7 +60,15 @@ def main() -> None:
         alone = _time(lambda q, o=obstacle: clearance(robot, o, where, q), x)
         path = _time(lambda q, o=obstacle: _path(robot, o, where, q), x)
         brute = _time(lambda q, o=obstacle: _brute_force(robot, o, where, q), x[: max(8, QUERIES * 500 // size)])
-        print(f"{size:8,} {ours:23.1f} us {alone:5.1f} us {path:8.1f} us {brute:12.0f} us {brute / ours:6.0f}")
+        print(row(size, ours, alone, path, brute))
+        times = zip(NAMES, (ours, alone, path), strict=True)
+        rows += [Figure(f"{size:,} points, {name}", us, "us") for name, us in times]
+    save(chosen.json, rows)
+
+
+def row(size: int, ours: float, alone: float, path: float, brute: float) -> str:
+    """A row of the table: points, and microseconds."""
+    return f"{size:8,} {ours:23.1f} us {alone:5.1f} us {path:8.1f} us {brute:12.0f} us {brute / ours:6.0f}"
 
 
 def _cloud(points: np.ndarray, size: int, random) -> np.ndarray:

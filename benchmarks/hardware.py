@@ -1,20 +1,42 @@
 """What a figure was measured on."""
 
+import json
 import os
 import platform
+from importlib.metadata import PackageNotFoundError
+from importlib.metadata import version as version_of
 from pathlib import Path
 
 import jax
 
 from htcp_jax.planner.devices import choose, default_threads
 
+PACKAGES = "jax", "jaxlib", "numpy", "clarabel", "mujoco"
 
-def line() -> str:
-    """Processor, cores that this process may use, accelerators, versions."""
+
+def machine() -> dict[str, str | int]:
+    """Processor, cores that this process may use, accelerators."""
     info = Path("/proc/cpuinfo")
     names = [row.split(":")[1].strip() for row in info.read_text().splitlines() if row.startswith("model name")] or [""]
     devices = [device.device_kind for device in choose() if device.platform != "cpu"]
     cores = default_threads(jax.devices("cpu"), "clarabel")
     gpus = f", {len(devices)} x {devices[0]}" if devices else ""
-    versions = f"Python {platform.python_version()}, jax {jax.__version__}"
-    return f"{cores} of {os.cpu_count()} cores, {names[0]}{gpus}; {versions}"
+    return {"machine": f"{cores} of {os.cpu_count()} cores, {names[0]}{gpus}", "gpus": len(devices)}
+
+
+def line() -> str:
+    """Processor, cores that this process may use, accelerators, versions."""
+    return f"{machine()['machine']}; Python {platform.python_version()}, jax {jax.__version__}"
+
+
+def version(package: str) -> str:
+    """A package with its version, or that there is none."""
+    try:
+        return f"{package} {version_of(package)}"
+    except PackageNotFoundError:
+        return f"no {package}"
+
+
+if __name__ == "__main__":  # for a process that must not take the accelerators itself
+    versions = f"Python {platform.python_version()}, {', '.join(map(version, PACKAGES))}"
+    print(json.dumps({**machine(), "versions": versions}))

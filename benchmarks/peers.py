@@ -1,6 +1,6 @@
 """The same task by other planners, side by side: robot, path, workpiece and poses of sweeps/workpiece.yaml.
 
-    python -m benchmarks peers [--scenarios N] [--real CLOUD PATH X Y Z]
+    python -m benchmarks peers [--scenarios N] [--real CLOUD PATH X Y Z] [--json FILE]
     python -m benchmarks peers --motions [--planners A,B] [--limit-s S] ...
 
 Only the tool's position is asked for. All run on one thread, one scenario after the other, but for htcp_jax, which
@@ -13,7 +13,7 @@ is less than "ms a step" where others use the processor.
 - mink: differential inverse kinematics, the obstacle a moving sphere on the nearest point of each capsule.
 - TrajOpt of tesseract-robotics, on all points.
 
-A target is passed when MuJoCo's own kinematics and distances (htcp_jax/validate*.py) find the tool within the
+A target is passed when MuJoCo's own kinematics and distances (`htcp_jax.validation`) find the tool within the
 tolerance, the arm clear and inside its limits, and all targets before it passed.
 
 With --motions others are compared, by executable targets, see `peer_motions`: three methods of htcp_jax, OMPL's
@@ -24,7 +24,6 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,6 +32,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from benchmarks import hardware, peer_motions, peer_planners, peer_trajopt
+from benchmarks.figures import Figure, save
 from benchmarks.peer_planners import Advance, Task
 from htcp_jax.jobs.grid import Batch, load_sweep
 from htcp_jax.planner import compile_cache
@@ -133,7 +133,7 @@ def passed(batch: Batch, arm: Arm, wall: Wall, found: list[np.ndarray]) -> int:
         rotate, translate = turned_and_moved(part, pose)
         inlet = None if batch.workpiece.inlet is None else rotate @ batch.workpiece.inlet + translate
         start_tcp = arm.postures(pose.start[None]).tcp[0]
-        targets = targets_of(part, start_tcp, inlet, batch.workpiece.path @ rotate.T + translate)
+        targets = targets_of(config, start_tcp, inlet, batch.workpiece.path @ rotate.T + translate)
         if len(x):
             at = CheckedScene(arm, wall, rotate, translate, part.interior_depth_m).at(x)
             error = np.linalg.norm(at.postures.tcp - targets[: len(x)], axis=1)
@@ -163,6 +163,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenarios", type=int, default=9, choices=range(1, POSES + 1), metavar="N", help="poses")
     parser.add_argument("--real", nargs=5, metavar=("CLOUD", "PATH", "X", "Y", "Z"), help="files; the inlet's centre")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="CPU times and counts once more; not of --motions")
     parser.add_argument("--motions", action="store_true", help="by executable targets")
     parser.add_argument("--planners", default=",".join(peer_motions.NAMES), help="of --motions; by default all of them")
     parser.add_argument("--limit-s", type=float, default=30.0, help="of OMPL's processor time for a pose")
@@ -173,7 +174,7 @@ def main() -> None:
     batch = chosen_scenarios(asked.scenarios, asked.real)
     targets = int(batch.scenarios.count.sum())
     packages = MOTION_PACKAGES if asked.motions else PACKAGES
-    print(f"{hardware.line()}, {', '.join(_version(package) for package in packages)}")
+    print(f"{hardware.line()}, {', '.join(map(hardware.version, packages))}")
     points = f"{len(batch.workpiece.cloud):,} points"
     print(f"{batch.workpiece.name}, {points}; {asked.scenarios} of {POSES} poses, {targets:,} targets")
     if asked.motions:
@@ -186,6 +187,7 @@ def main() -> None:
     part, arm = batch.points[0].config.workpiece, Arm(GP50, limits=batch.points[0].config.robot.limits)
     wall, tree = Wall(batch.workpiece.cloud, part.interior), cKDTree(batch.workpiece.cloud)
     print(ROW.format("planner", "passed", "%", "attempted", "ms a step", "cpu ms", "setup s", "notes"), flush=True)
+    rows = []
     for name, run in PLANNERS.items():
         if sys.stderr.isatty():
             print(f"{name} ...", end="\r", file=sys.stderr, flush=True)
@@ -200,13 +202,8 @@ def main() -> None:
         times = (f"{1e3 * spent / outcome.attempted:.2f}" for spent in (outcome.run_s, outcome.cpu_s))
         share, setup = f"{100 * good / targets:.1f}", f"{outcome.setup_s:.1f}"
         print(ROW.format(name, good, share, outcome.attempted, *times, setup, note), flush=True)
-
-
-def _version(package: str) -> str:
-    try:
-        return f"{package} {version(package)}"
-    except PackageNotFoundError:
-        return f"no {package}"
+        rows.append(Figure(f"{name}, CPU a step", 1e3 * outcome.cpu_s / outcome.attempted, "ms", good))
+    save(asked.json, rows)
 
 
 if __name__ == "__main__":

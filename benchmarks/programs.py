@@ -2,7 +2,7 @@
 
     htcp sweep sweeps/workpiece.yaml --methods roadmap --out out/workpiece
     htcp sweep sweeps/robot.yaml --methods roadmap --out out/robot
-    python -m benchmarks programs out/workpiece out/robot [--feed 20mm/s] [--checked N]
+    python -m benchmarks programs out/workpiece out/robot [--feed 20mm/s] [--checked N] [--json FILE]
 
 A row a run: of the scenarios whose motion leads to the last target how many hold the feed within 1 % over 99 % of the
 path; the largest share of any limit by finite differences of the CSV's postures at 1 ms; the median CPU time of a
@@ -14,12 +14,15 @@ import argparse
 import statistics
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from benchmarks import hardware
+from benchmarks.figures import Figure, save
+from htcp_jax.jobs.build import scene
 from htcp_jax.program.figures import Figures, figures
 from htcp_jax.program.held import with_rows
 from htcp_jax.program.of_plan import OfPlan, feed_of, program_of
@@ -49,17 +52,24 @@ def main() -> None:
     parser.add_argument("folders", nargs="+", help="that htcp sweep or htcp plan wrote")
     parser.add_argument("--feed", default="20mm/s")
     parser.add_argument("--checked", type=int, default=1, help="how many scenarios MuJoCo looks at")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="the times and counts once more, for a machine")
     chosen = parser.parse_args()
     print(hardware.line())
     print("| run | executable | hold the feed | largest share of a limit | CPU ms | postures ms | refuted by MuJoCo |")
     print("|---|---|---|---|---|---|---|")
+    rows = []
     for folder in chosen.folders:
         found = list(of_run(folder, feed_of(chosen.feed), chosen.checked))
         print(row(folder, found), flush=True)
+        if found:
+            made_ms, written_ms = medians(found)
+            rows += [Figure(f"{Path(folder).name}, program", made_ms, "ms", len(found))]
+            rows += [Figure(f"{Path(folder).name}, postures", written_ms, "ms")]
         for one in found:
             if one.figures.held_share < HELD:
                 reasons = ", ".join(sorted({dip.reason for dip in one.figures.dips}))
                 print(f"    scenario {one.scenario}: {100 * one.figures.held_share:.2f} %: {reasons}")
+    save(chosen.json, rows)
 
 
 def of_run(folder: str, feed_m_s: float, checked: int) -> Iterator[Found]:
@@ -70,7 +80,8 @@ def of_run(folder: str, feed_m_s: float, checked: int) -> Iterator[Found]:
     for count, scenario in enumerate(driven):
         made = program_of(opened, feed_m_s, scenario=scenario)
         left = spare(plans, scenario, made.program.motion, made.job.settings.tube_m)
-        left = with_rows(left, made.job, made.robot, made.program.motion)
+        if made.job.task:
+            left = with_rows(left, made.job, made.robot, made.program.motion, scene(made.job)[2].aims)
         _, made_ms = timed(lambda made=made, left=left: program(made.robot, *made_of(made, left)))
         postures, written_ms = timed(lambda made=made: made.program.timed(STEP_S))
         refuted = check_timed(folder, postures, made.method, scenario).refuted if count < checked else None
@@ -96,13 +107,18 @@ def largest(x: Float[np.ndarray, "n N"], made: OfPlan) -> float:
     return max(float((np.abs(rate) / limit).max()) for rate, limit in zip(rates, made.limits, strict=True))
 
 
+def medians(found: list[Found]) -> tuple[float, float]:
+    """CPU times [ms] of a program and of its postures."""
+    return statistics.median(one.made_ms for one in found), statistics.median(one.written_ms for one in found)
+
+
 def row(folder: str, found: list[Found]) -> str:
     """A row of the table."""
     if not found:
         return f"| {folder} | 0 | | | | | |"
     held = sum(one.figures.held_share >= HELD for one in found)
     most = max(one.largest for one in found)
-    made, written = (statistics.median(getattr(one, name) for one in found) for name in ("made_ms", "written_ms"))
+    made, written = medians(found)
     looked = [one for one in found if one.refuted is not None]
     refuted = f"{sum(one.refuted for one in looked)} of {sum(one.postures for one in looked):,}"
     return f"| {folder} | {len(found)} | {held} | {most:.3f} | {made:.0f} | {written:.0f} | {refuted} |"

@@ -1,7 +1,7 @@
 """Sweeps under configs/paper.yaml, timed: by default both of the paper's tables by its six planners.
 
     python -m benchmarks tables [--sweeps robot,workpiece] [--methods A,B] [--every N] [--device cpu|gpu[:N]]
-        [--config FILE] [--profile] [--no-paths] [--set KEY=VALUE]...
+        [--config FILE] [--profile] [--no-paths] [--set KEY=VALUE]... [--json FILE]
 
 Every method runs twice: the first run compiles, the second is timed, joint-path checks of all accepted steps included.
 """
@@ -15,6 +15,7 @@ import jax
 import numpy as np
 
 from benchmarks import hardware
+from benchmarks.figures import Figure, save
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.planner import compile_cache
 from htcp_jax.planner.batch import plan
@@ -40,6 +41,7 @@ def main() -> None:
     parser.add_argument("--no-paths", action="store_true", help="leave the joint-path checks out")
     parser.add_argument("--once", action="store_true", help="time the first run, less its compilation")
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="the seconds and counts once more, for a machine")
     chosen = parser.parse_args()
     compile_cache.enable()
     choose(chosen.device)  # before anything is computed
@@ -47,7 +49,7 @@ def main() -> None:
     print(hardware.line())
     head = f"{'sweep':10} {'method':14} {'tracked':>20} {'%':>6} {'compile s':>9} {'run s':>8} {'us a step':>9}"
     print(head, flush=True)
-    total = 0.0
+    total, rows = 0.0, []
     for sweep in chosen.sweeps.split(","):
         spec = load_sweep(ROOT / f"sweeps/{sweep}.yaml", chosen.config, chosen.overrides)
         batch = spec.batch()
@@ -66,6 +68,7 @@ def main() -> None:
                 plans = run()
             found = summarise(plans)
             total += plans.run_s
+            rows.append(Figure(f"{sweep} {method}", plans.run_s, "s", found.tracked))
             tracked = f"{found.tracked:,} of {found.targets:,}"
             step = 1e6 * plans.run_s / max(found.tracked, 1)
             rate = 100 * found.success_rate
@@ -76,6 +79,7 @@ def main() -> None:
                 print(f"    {name:12} {seconds:8.2f} s {calls:8,} calls {lanes:10,} lanes {each:9.1f} us a lane")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     print(f"run in all {total:.1f} s; largest memory {peak:.1f} GiB")
+    save(chosen.json, rows)
 
 
 def _watch() -> dict[str, tuple[float, int, int]]:

@@ -1,0 +1,202 @@
+"""The speed of this checkout beside the committed figures, and in pairs beside another checkout.
+
+    python -m benchmarks speed [--against CHECKOUT] [--pairs N] [--only CASE,...] [--quick] [--peers] [--record]
+
+Every run of a case is a process of its own that imports one tree's package and that tree's own benchmarks, in this
+Python's environment. With --against a case runs alternately here and there, N times each: "ratio" is that of the
+medians, "of pairs" the smallest and the largest of a pair. Cases, on the CPU unless they name GPUs:
+
+CASES
+
+A row of a table or sweep is a method's seconds without compilation, and how many targets it tracked. Proofs of motions
+are part of it in trees that have them; "engines alone" leaves them and the checks of joint paths out, and so compares
+with a tree that has none. All cases run unless --only names some: those on GPUs where there are any, peers, which run
+here alone, where their extra is installed. --quick takes few scenarios and two methods, to see that all works.
+
+--config FILE: the section `workpiece` of a job file in place of the generated duct; --against-config FILE where the
+other checkout knows other keys. --record writes what was measured into figures.yaml beside this file: all of it, or
+nothing where a case failed. Nothing else should run on the machine.
+
+Exit code: 1 where the two checkouts count differently or a case fails here; 2 on bad input.
+"""
+
+import argparse
+import hashlib
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from benchmarks.figures import COMMITTED, Entry, committed, nearest, record
+from benchmarks.speed_cases import CASES, Asked, Broken, Checkout, lacking
+from benchmarks.speed_table import Measured, counts_differ, head, medians, rows, sources
+from htcp_jax.errors import InputError
+from htcp_jax.formats.strict_yaml import read_yaml
+from htcp_jax.jobs.load_config import load_config
+from htcp_jax.planner import registry
+
+ROOT = Path(__file__).resolve().parents[1]
+NEEDED = "htcp_jax/__init__.py", "benchmarks/tables.py", "sweeps/cross.yaml", "pyproject.toml"  # of a checkout
+OF_NO_FIGURE = ":!*.md", ":!benchmarks/figures.yaml"  # changes there count for nothing
+FILES = "cloud", "path"  # keys of a workpiece
+
+
+def main() -> int:
+    """Measure, print, record."""
+    try:
+        asked = _arguments()
+        here = Checkout("here", ROOT, part_of(asked.config), tuple(asked.changes))
+        load_config(overrides=here.overrides)
+        there = _other(asked)
+        return measure(asked, here, there)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2
+
+
+def measure(asked: argparse.Namespace, here: Checkout, there: Checkout | None) -> int:
+    """All cases one after the other, a part of the table each. Raises InputError."""
+    facts = json.loads(here.python("-m", "benchmarks.hardware"))
+    names, job, machine = _cases(asked, facts["gpus"]), job_of(here.part, asked), facts["machine"]
+    known, now = committed(asked.figures), commit(ROOT)
+    print(f"{machine}; {facts['versions']}\nhere: {now}")
+    if there:
+        print(f"there: {commit(there.root)}, {there.root}")
+    print(f"{job}\n\n{head(pairs=there is not None)}", flush=True)
+    compared, new, notes, wrong = [], [], [], []
+    for name in names:
+        try:
+            found = _alternately(name, here, None if name == "peers" else there, asked, notes)
+        except Broken as error:
+            wrong.append(f"{name} failed here: {error}")
+            continue
+        old = nearest(known, name, job, machine)
+        print(f"{name}: {CASES[name].about}", *rows(found, old, machine, there is not None), sep="\n", flush=True)
+        compared.append((name, found, old))
+        wrong += counts_differ(name, found)
+        kept = tuple(one._replace(value=float(f"{one.value:.4g}")) for one in medians(found.here).values())
+        new.append(Entry(name, job, machine, now, facts["versions"], kept))
+    if asked.record:
+        notes.append(_recorded(asked.figures, new, names))
+    print("", *sources(compared, machine), *notes, *wrong, sep="\n")
+    return 1 if wrong else 0
+
+
+def part_of(file: Path | None) -> dict[str, Any]:
+    """The section `workpiece` of a job file, names of files made absolute; empty without one. Raises InputError."""
+    if file is None:
+        return {}
+    part = read_yaml(file).get("workpiece")
+    if not isinstance(part, dict):
+        raise InputError(f"{file}: no section workpiece")
+    files = {key: file.resolve().parent / str(part[key]) for key in FILES if key in part}
+    return part | {key: str(path) for key, path in files.items() if path.is_file()}
+
+
+def job_of(part: dict[str, Any], asked: argparse.Namespace) -> str:
+    """What is planned, in words that tell jobs apart: files by their contents."""
+    told = [f"{key}={value}".encode() if key not in FILES else _contents(value) for key, value in sorted(part.items())]
+    words = ["generated duct"]
+    if part:
+        digest = hashlib.sha256(b"\n".join(told)).hexdigest()
+        words = [f"{Path(part.get('cloud', 'duct')).name} {digest[:8]}"]
+    words += ["--quick"] * asked.quick + ["--warm"] * asked.warm
+    words += [f"--{key} {value}" for key in ("methods", "device") if (value := getattr(asked, key))]
+    return ", ".join(words + asked.changes)
+
+
+def _contents(value: str) -> bytes:
+    """Of a file, or the word for a built-in part."""
+    return Path(value).read_bytes() if Path(value).is_file() else value.encode()
+
+
+def commit(root: Path) -> str:
+    """Of a checkout, and whether its files differ from it."""
+
+    def git(*words: str) -> str:
+        return subprocess.run(["git", "-C", root, *words], capture_output=True, text=True).stdout.strip()
+
+    if shutil.which("git") is None:
+        return "no commit"
+    changed = git("status", "--porcelain", "--", ".", *OF_NO_FIGURE)
+    return (git("rev-parse", "--short", "HEAD") or "no commit") + (" and changes" if changed else "")
+
+
+def _alternately(name: str, here: Checkout, there: Checkout | None, asked, notes: list[str]) -> Measured:
+    """The runs of a case, here and there by turns. Raises Broken where one fails here."""
+    case, how, found = CASES[name].run, Asked(asked.quick, asked.methods, asked.device, asked.warm), Measured([], [])
+    for _ in range(asked.pairs or (3 if there else 1)):
+        found.here.append(case(here, how))
+        try:
+            found.there.extend([case(there, how)] if there else [])
+        except Broken as error:
+            notes.append(f"{name} is not compared, it failed there: {error}")
+            found.there.clear()
+            there = None
+    return found
+
+
+def _recorded(file: Path, new: list[Entry], names: list[str]) -> str:
+    """What became of the figures."""
+    if len(new) < len(names):
+        return "nothing recorded, as a case failed"
+    record(file, new)
+    return f"recorded in {file}"
+
+
+def _arguments() -> argparse.Namespace:
+    """What was asked for. Raises InputError for what no case can do."""
+    about = __doc__.replace("CASES\n", "\n".join(f"    {name:22} {case.about}" for name, case in CASES.items()) + "\n")
+    formatter = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser("python -m benchmarks speed", description=about, formatter_class=formatter)
+    parser.add_argument("--against", type=Path, metavar="CHECKOUT")
+    parser.add_argument("--pairs", type=int, metavar="N", help="runs of a case: 3 with --against, else 1")
+    parser.add_argument("--only", type=lambda text: text.split(","), metavar="CASE,...")
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--peers", action="store_true", help="the peers' case, too, with those that are installed")
+    parser.add_argument("--methods", metavar="A,B", help="of the tables and the cross sweep")
+    parser.add_argument("--warm", action="store_true", help="time each method's second run: its first one also traces")
+    parser.add_argument("--device", metavar="gpu[:N]", help="of the cases on GPUs")
+    parser.add_argument("--config", type=Path, metavar="FILE")
+    parser.add_argument("--against-config", type=Path, metavar="FILE")
+    parser.add_argument("--set", action="append", default=[], dest="changes", metavar="KEY=VALUE", help="in every job")
+    parser.add_argument("--record", action="store_true")
+    parser.add_argument("--figures", type=Path, default=COMMITTED, metavar="FILE", help="other than the committed ones")
+    asked = parser.parse_args()
+    _refuse("--only", "case", asked.only or [], list(CASES))
+    _refuse("--methods", "method", (asked.methods or "baseline").split(","), registry.names())
+    if asked.pairs is not None and asked.pairs < 1:
+        raise InputError(f"--pairs {asked.pairs}: at least 1")
+    return asked
+
+
+def _refuse(option: str, kind: str, given: list[str], valid: list[str]) -> None:
+    if unknown := [name for name in given if name not in valid]:
+        raise InputError(f"{option} {unknown[0]}: no {kind}; valid: {', '.join(valid)}")
+
+
+def _other(asked: argparse.Namespace) -> Checkout | None:
+    """The checkout to compare with. Raises InputError for a folder that is none."""
+    if asked.against is None:
+        return None
+    if lost := [name for name in NEEDED if not (asked.against / name).is_file()]:
+        raise InputError(f"--against {asked.against}: no checkout of this project, it has no {lost[0]}")
+    part = part_of(asked.against_config or asked.config)
+    return Checkout("there", asked.against.resolve(), part, tuple(asked.changes))
+
+
+def _cases(asked: argparse.Namespace, gpus: int) -> list[str]:
+    """The cases to run; says why peers are left out. Raises InputError."""
+    names = list(asked.only or CASES)
+    on_gpus = {name for name in names if CASES[name].gpus and not gpus}
+    if asked.only and on_gpus:
+        raise InputError(f"--only {min(on_gpus)}: JAX finds no GPU here")
+    if asked.peers and "peers" not in names:
+        names.append("peers")
+    lost = lacking() if "peers" in names else []
+    if lost:
+        print(f"peers lack {', '.join(lost)}: pip install -e '.[peers]'", file=sys.stderr)
+    left_out = {"peers"} if lost and not asked.peers and not asked.only else set()
+    return [name for name in names if name not in on_gpus | left_out]

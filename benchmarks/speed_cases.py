@@ -1,0 +1,213 @@
+"""What `benchmarks.speed` measures: the cases, and how each runs in a checkout.
+
+A case is a function of a checkout and of what was asked: it starts fresh processes there and returns their figures.
+"""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from benchmarks.figures import Figure, load
+
+SIX = "baseline,cspace-sample,nspace-sample,nspace-sqp,nspace-ip,nspace-cmaes"
+FEW = "baseline,nspace-sqp"
+EVERY, EVERY_CROSS, LIMIT = 25, 250, 5  # of a quick case: every N-th scenario, and the first ones
+PEERS = {"mink": "mink", "tesseract_robotics": "tesseract-robotics"}  # modules and packages
+DEVICE_QP = "--set", "settings.qp=device"
+ON_CPU = {"JAX_PLATFORMS": "cpu"}
+TEXT = {  # rows that a benchmark prints
+    "tables": re.compile(r"^(\S+) +(\S+) +([\d,]+) of [\d,]+ +[\d.]+ +[\d.]+ +([\d.]+) +\d+$", re.M),
+    "clearance": re.compile(r"^ *([\d,]+) +([\d.]+) us +([\d.]+) us +([\d.]+) us +\d+ us +\d+$", re.M),
+}
+
+
+class Broken(Exception):
+    """A process failed; the message is its last line."""
+
+
+class Asked(NamedTuple):
+    """What the command line says of every case."""
+
+    quick: bool = False
+    methods: str | None = None  # of tables and the cross sweep
+    device: str | None = None  # of the cross sweep on GPUs
+    warm: bool = False  # the second run of every method in its process, in place of the first one
+
+
+@dataclass(frozen=True)
+class Checkout:
+    """A tree of the project, and the part that it plans for."""
+
+    name: str
+    root: Path
+    part: dict[str, Any]  # the section `workpiece` of a job; empty for the generated duct
+    changes: tuple[str, ...] = ()  # KEY=VALUE
+
+    @property
+    def overrides(self) -> list[str]:
+        """What turns any job of this checkout into the one asked for, KEY=VALUE each."""
+        return [*(f"workpiece.{key}={json.dumps(value)}" for key, value in self.part.items()), *self.changes]
+
+    @property
+    def sets(self) -> list[str]:
+        """The same as options."""
+        return [word for pair in self.overrides for word in ("--set", pair)]
+
+    def python(self, *words: str, one_core: bool = False, expected: Iterable[int] = (0,), **environment: str) -> str:
+        """What a fresh interpreter prints that imports from this tree alone. Raises Broken."""
+        known = {key: value for key, value in os.environ.items() if key != "JAX_COMPILATION_CACHE_DIR"}
+        pin = _pin if one_core and hasattr(os, "sched_setaffinity") else None
+        done = subprocess.run(
+            [sys.executable, *words],
+            cwd=self.root,
+            env=known | {"PYTHONPATH": str(self.root)} | environment,
+            preexec_fn=pin,
+            capture_output=True,
+            text=True,
+        )
+        if done.returncode not in expected:
+            raise Broken((done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1])
+        return done.stdout
+
+    def benchmark(self, name: str, *words: str, **how: Any) -> list[Figure]:
+        """The figures of this tree's own benchmark: as JSON, or read off the table where it writes none."""
+        begin = "-m", "benchmarks", name
+        if "--json" not in (self.root / f"benchmarks/{name}.py").read_text(encoding="utf-8"):
+            return of_text(name, self.python(*begin, *words, **how))
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "figures.json"
+            self.python(*begin, *words, "--json", str(file), **how)
+            return load(file)
+
+    def htcp(self, *words: str, **how: Any) -> str:
+        """What this tree's command prints."""
+        scripts = tomllib.loads((self.root / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]
+        module, _, function = scripts["htcp"].partition(":")
+        return self.python("-c", f"import sys; from {module} import {function}; sys.exit({function}())", *words, **how)
+
+
+Run = Callable[[Checkout, Asked], list[Figure]]
+
+
+def _pin() -> None:
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+
+
+def of_text(name: str, text: str) -> list[Figure]:
+    """The figures in a printed table. Raises Broken where there are none."""
+    if name not in TEXT or not (rows := TEXT[name].findall(text)):
+        raise Broken(f"`python -m benchmarks {name}` of this checkout has no figures that can be read")
+    if name == "tables":
+        return [Figure(f"{row[0]} {row[1]}", float(row[3]), "s", int(row[2].replace(",", ""))) for row in rows]
+    names = "gradient", "alone", "path of 20"
+    return [
+        Figure(f"{size} points, {name}", float(us), "us")
+        for size, *times in rows
+        for name, us in zip(names, times, strict=True)
+    ]
+
+
+def tables(*more: str, methods: str = SIX, quick: int = EVERY, gpus: bool = False) -> Run:
+    """A case of `benchmarks.tables`: run seconds and tracked targets by method, and the seconds in all."""
+
+    def run(checkout: Checkout, asked: Asked) -> list[Figure]:
+        chosen = asked.methods or (FEW if asked.quick else methods)
+        how_often = [] if asked.warm else ["--once"]
+        every = ["--every", str(quick)] if asked.quick else []
+        device = ["--device", asked.device] if gpus and asked.device else []
+        words = "--methods", chosen, *how_often, *every, *device, *more, *checkout.sets
+        found = checkout.benchmark("tables", *words, **({} if gpus else ON_CPU))
+        return [*found, Figure("in all", sum(one.value for one in found), "s")]
+
+    return run
+
+
+def cross(*more: str, methods: str = SIX, gpus: bool = False) -> Run:
+    """The cross sweep."""
+    return tables("--sweeps", "cross", *more, methods=methods, quick=EVERY_CROSS, gpus=gpus)
+
+
+def clearance(checkout: Checkout, asked: Asked) -> list[Figure]:
+    """A query on one core."""
+    return checkout.benchmark("clearance", *checkout.sets, one_core=True, **ON_CPU)
+
+
+def first_plan(checkout: Checkout, asked: Asked) -> list[Figure]:
+    """Compilation in a first `htcp plan` by N-space SQP and by the default method, and the whole command."""
+    found = []
+    for method in (["--method", "nspace-sqp"], []):
+        with tempfile.TemporaryDirectory() as cache, tempfile.TemporaryDirectory() as out:
+            words = "plan", "--json", "--out", f"{out}/plan", *method, *checkout.sets
+            began = _clocks()
+            record = json.loads(checkout.htcp(*words, expected=(0, 3), HTCP_CACHE=cache, **ON_CPU))
+            whole, cpu = (now - then for now, then in zip(_clocks(), began, strict=True))
+        name = record["method"] if method else f"by default, {record['method']}"
+        found += [Figure(f"{name}: compiling", record["compile_s"], "s", record["tracked"])]
+        found += [Figure(f"{name}: the command", whole, "s"), Figure(f"{name}: its CPU time", cpu, "s")]
+    return found
+
+
+def _clocks() -> tuple[float, float]:
+    """Now, and the processor time of all processes started here that have ended [s]."""
+    spent = os.times()
+    return time.perf_counter(), spent.children_user + spent.children_system
+
+
+def programs(checkout: Checkout, asked: Asked) -> list[Figure]:
+    """CPU time of a program, the median of the starts that N-space SQP brings to the last target."""
+    if not (checkout.root / "benchmarks/programs.py").is_file():
+        raise Broken("this checkout writes no programs")
+    limit = ["--limit", str(LIMIT)] if asked.quick else []
+    with tempfile.TemporaryDirectory() as folder:
+        words = "sweeps/robot.yaml", "--methods", "nspace-sqp", "--out", f"{folder}/robot", *limit, *checkout.sets
+        checkout.htcp("sweep", *words, **ON_CPU)
+        return checkout.benchmark("programs", f"{folder}/robot", "--checked", "0", **ON_CPU)
+
+
+def peers(checkout: Checkout, asked: Asked) -> list[Figure]:
+    """Other planners beside two of ours, by targets that MuJoCo finds passed."""
+    part = [checkout.part.get(key) for key in ("cloud", "path", "inlet_m")]
+    real = ["--real", *part[:2], *map(str, part[2])] if all(part) else []
+    scenarios = ["--scenarios", "1"] if asked.quick else []
+    return checkout.benchmark("peers", *scenarios, *real, **ON_CPU)
+
+
+def lacking() -> list[str]:
+    """Packages of the peers that are not installed."""
+    return [package for module, package in PEERS.items() if find_spec(module) is None]
+
+
+class Case(NamedTuple):
+    """What `--only` names."""
+
+    about: str
+    run: Run
+    gpus: bool = False  # whether it needs some
+
+
+CASES = {
+    "tables": Case("both tables, Clarabel, with joint paths and proofs", tables()),
+    "tables-engines": Case("both tables, Clarabel, engines alone", tables("--no-paths")),
+    "tables-device": Case("both tables, qp: device, with joint paths and proofs", tables(*DEVICE_QP)),
+    "tables-device-engines": Case("both tables, qp: device, engines alone", tables(*DEVICE_QP, "--no-paths")),
+    "cross": Case("125 starts x 49 poses, Clarabel, with joint paths and proofs", cross(methods=FEW)),
+    "cross-engines": Case("125 starts x 49 poses, Clarabel, engines alone", cross("--no-paths", methods=FEW)),
+    "cross-gpu": Case("125 starts x 49 poses, GPUs, with joint paths and proofs", cross(*DEVICE_QP, gpus=True), True),
+    "cross-gpu-engines": Case(
+        "125 starts x 49 poses, GPUs, engines alone", cross(*DEVICE_QP, "--no-paths", gpus=True), True
+    ),
+    "clearance": Case("one exact query, one core", clearance),
+    "plan": Case("a first htcp plan, nothing compiled before", first_plan),
+    "programs": Case("CPU time of a program, and of its postures", programs),
+    "peers": Case("other planners on nine poses, CPU time a step", peers),
+}
