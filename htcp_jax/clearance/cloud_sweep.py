@@ -12,14 +12,12 @@ ICRA 2009): motion along a wall costs nothing, where a bound on how far a body m
 that are further away than the body moves are passed over, and found to be so by the bounds of their clusters.
 """
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance import branch_and_bound
-from htcp_jax.clearance.bounding_discs import Segments, arm, as_segments, disc_bounds, single, spread
-from htcp_jax.clearance.cloud_index import ONE_BODY, SIDE_BY_SIDE, CloudIndex, levels_of
+from htcp_jax.clearance.bounding_discs import Segments, arm, as_segments, single, spread
+from htcp_jax.clearance.cloud_index import CloudIndex
+from htcp_jax.clearance.cloud_tree_walk import Lists, empty_lists, for_each_leaf, in_reach
 from htcp_jax.clearance.sweep import Sweep, Wanted
 from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Bool, Float
@@ -43,69 +41,36 @@ def clear_along(
 @one_by_one
 def _clear_along(index: CloudIndex, p, q, p_moves, q_moves, bend, travel, reach, asked, least, enough):
     segments, ends = as_segments(p, q), tuple(a.T for a in (p, q, p_moves, q_moves))
-    beside = jnp.stack([bend, travel, reach])
-    start = jnp.broadcast_to(enough, reach.shape)
-    backend = jax.default_backend()
-    levels, numbers = levels_of(index, backend), jnp.arange(len(reach))
-    if backend != "cpu":
-        limit = jnp.where(asked, start, -jnp.inf)
-        found = _descend(levels, index.points, segments, ends, beside, least, limit, SIDE_BY_SIDE)
-        return jnp.where(asked, found, enough)
+    seen = jnp.where(asked, enough + travel + reach, -1.0)
+    top = in_reach(spread(single(segments), 1), index.levels[0][0][:, None, :], seen[:, None])
 
-    def search_one(state):
-        left, found = state
-        body = jnp.argmax(left)
-        one = jax.tree.map(lambda a: jax.lax.dynamic_slice_in_dim(a, body, 1, axis=-1), (segments, ends, beside))
-        clear = _descend(levels, index.points, *one, least, jnp.reshape(enough, (1,)), ONE_BODY)
-        found = jnp.where(numbers == body, clear, found)
-        return left & (numbers != body) & (clear >= least), found
+    def look(k, state):
+        clear, lists = state
+        one = jax.tree.map(lambda a: a[..., k], (segments, ends, bend, travel, reach))
+        beyond = jnp.all(clear >= least)  # nothing is in reach of a body that need not be looked at
+        found, lists = _clear_of(
+            index, *one, jnp.where(beyond, seen[k], -1.0), jnp.where(beyond, top[k], 0), enough, lists
+        )
+        return clear.at[k].set(found), lists
 
-    return jax.lax.while_loop(lambda state: jnp.any(state[0]), search_one, (asked, start))[1]
+    start = jnp.broadcast_to(enough, reach.shape), empty_lists(index)
+    return jax.lax.fori_loop(0, len(reach), look, start)[0]
 
 
-def _descend(levels, points, segments: Segments, ends, beside, least, clear, widths):
-    """What K bodies are clear by at least, lowered from `clear`: the bodies search side by side, each so many clusters
-    of its own at a time as `widths` says for the level."""
-    segments32, bodies = single(segments), len(clear)
-    bend, travel, reach = beside
-    ends = jax.tree.map(lambda a: a[:, :, None, None], ends)
+def _clear_of(index: CloudIndex, segment: Segments, ends, bend, travel, reach, seen, top, enough, lists: Lists):
+    """How clear one body stays, by all points that it may see, and the lists."""
+    p, q, p_moves, q_moves = (end[:, None] for end in ends)
 
-    def pruned(keys, clear):
-        """Without the clusters that are so far away that they cannot be nearer than what was found."""
-        return branch_and_bound.prune(keys, jnp.where(clear < least, -1.0, clear + travel + reach))
-
-    def search(level, parent, clear):
-        """The clusters inside of each body's parents (K, width), in the order of their bounds."""
-        bound = jnp.moveaxis(levels[level][parent], 2, 0)
-        fan = bound.shape[-1]
-        lower = disc_bounds(spread(segments32, 2), bound)[0].reshape(bodies, -1)
-        keys = pruned(branch_and_bound.order_keys(lower, widths[level]), clear)
-
-        def take(state):
-            picked, keys, clear = state
-            local = branch_and_bound.number(picked, parent.shape[1] * fan)
-            child = jnp.take_along_axis(parent, local // fan, axis=1) * fan + local % fan
-            deeper = measure if level + 1 == len(levels) else partial(search, level + 1)
-            clear = deeper(child, clear)
-            keys = pruned(branch_and_bound.without(keys, picked), clear)
-            return branch_and_bound.best(keys), keys, clear
-
-        start = branch_and_bound.best(keys), keys, clear
-        return jax.lax.while_loop(lambda state: branch_and_bound.any_left(state[0]), take, start)[2]
-
-    def measure(child, clear):
-        """The points of leaves (K, width)."""
-        w = jnp.moveaxis(points[child], 2, 0)
-        towards = [-a for a in arm(spread(segments, 2), w)]
+    def measure(leaf, clear):
+        w = index.points[leaf]
+        towards = [-a for a in arm(spread(segment, 1), w)]
         distance = jnp.sqrt(sum(a * a for a in towards))
         n = [a / jnp.maximum(distance, 1e-300) for a in towards]
-        p, q, p_moves, q_moves = ends
         first, second = (
             sum(n[i] * (end[i] - w[i]) for i in range(3)) - jnp.abs(sum(n[i] * moves[i] for i in range(3)))
             for end, moves in ((p, p_moves), (q, q_moves))
         )
-        by_plane = jnp.minimum(first, second) - bend[:, None, None]
-        stays = jnp.maximum(by_plane, distance - travel[:, None, None])
-        return jnp.minimum(clear, jnp.min(stays, axis=(1, 2)) - reach)
+        stays = jnp.maximum(jnp.minimum(first, second) - bend, distance - travel)
+        return jnp.minimum(clear, jnp.min(stays) - reach)
 
-    return search(0, jnp.zeros((bodies, 1), jnp.int32), clear)
+    return for_each_leaf(index, segment, seen, top, measure, enough, lists)

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 from jax.experimental import pallas as pl
 
-from htcp_jax.clearance.bounding_discs import Segments, disc_bounds, single, squared_distance
-from htcp_jax.clearance.branch_and_bound import FAN, NONE_LEFT, index_bits
+from htcp_jax.clearance.bounding_discs import Segments, lower_bounds, single, squared_distance
+from htcp_jax.clearance.branch_and_bound import FAN, NONE_LEFT, least_number, number_mask, order_keys
 from htcp_jax.types import Array, Int
 
 try:
@@ -26,7 +26,7 @@ def nearest_leaves(index, p, q, radius, limit, shared: bool, interpret: bool = F
     """The leaf of each body's nearest point, -1 for none below the body's limit; with a shared limit, for the nearest
     body only."""
     bodies = p.shape[0]
-    branches = index.branches.transpose(1, 0, 2).reshape(8, -1)
+    branches = index.levels[-2].transpose(1, 0, 2).reshape(8, -1)
     size = 1 << (branches.shape[1] - 1).bit_length()
     padded = jnp.pad(branches, ((0, 0), (0, size - branches.shape[1])), mode="edge")
     return pl.pallas_call(
@@ -35,7 +35,7 @@ def nearest_leaves(index, p, q, radius, limit, shared: bool, interpret: bool = F
         grid=(1 if shared else bodies,),
         compiler_params=triton.CompilerParams(num_warps=1),
         interpret=interpret,
-    )(p, q, radius, limit, padded, index.leaves, index.points)
+    )(p, q, radius, limit, padded, index.levels[-1], index.points)
 
 
 def _walk(shared, branch_count, bodies, p, q, radius, limit, branches, leaves, points, out):
@@ -69,17 +69,13 @@ def _nearest_leaf(branch_count, p, q, radius, branches, leaves, points, body, li
         here = jnp.sqrt(jnp.min(squared_distance(segment, [points[leaf, i, :] for i in range(3)]))) - r
         return jnp.minimum(limit, here), jnp.where(here < limit, leaf, found)
 
-    def search(load, size, child, state):
+    def search(load, child, state):
         """Clusters in the order of their bounds; `child` goes on with the number of one."""
-        lower, upper = disc_bounds(single(segment), [load(i) for i in range(8)])
-        limit, found = state
-        limit = jnp.minimum(limit, jnp.min(upper).astype(limit.dtype) - r)
-        mask = (1 << index_bits(size)) - 1
-        bits = jax.lax.bitcast_convert_type(jnp.maximum(lower, 0.0), jnp.int32)
-        keys = (bits & ~mask) | jnp.arange(size, dtype=jnp.int32)
+        keys = order_keys(jnp.maximum(lower_bounds(single(segment), [load(i) for i in range(8)]), 0.0))
+        mask = number_mask(len(keys))
 
         def prune(keys, limit):
-            nearest = jnp.full(size, jnp.minimum((limit + r) * (1 + 1e-6), 1e30), jnp.float32)
+            nearest = jnp.full(len(keys), jnp.minimum((limit + r) * (1 + 1e-6), 1e30), jnp.float32)
             return jnp.where(keys <= (jax.lax.bitcast_convert_type(nearest, jnp.int32) | mask), keys, NONE_LEFT)
 
         def take(state):
@@ -88,11 +84,17 @@ def _nearest_leaf(branch_count, p, q, radius, branches, leaves, points, body, li
             keys = prune(jnp.where(keys == picked, NONE_LEFT, keys), limit)
             return jnp.min(keys), keys, limit, found
 
-        keys = prune(keys, limit)
-        return jax.lax.while_loop(lambda s: s[0] < NONE_LEFT, take, (jnp.min(keys), keys, limit, found))[2:]
+        keys = prune(keys, state[0])
+        return jax.lax.while_loop(lambda s: s[0] < NONE_LEFT, take, (jnp.min(keys), keys, *state))[2:]
 
     def descend(branch, state):
         branch = jnp.minimum(branch, branch_count - 1)
-        return search(lambda i: leaves[branch, i, :], FAN, lambda k, s: measure(branch * FAN + k, s), state)
+        return search(lambda i: leaves[branch, i, :], lambda k, s: measure(branch * FAN + k, s), state)
 
-    return search(lambda i: branches[i, :], branches.shape[1], descend, (limit, jnp.int32(-1)))
+    def nearest_middle(load):
+        return least_number(squared_distance(single(segment), [load(i) for i in range(3)]))
+
+    # Not from nothing: the leaf whose middle is nearest gives the first limit.
+    first = jnp.minimum(nearest_middle(lambda i: branches[i, :]), branch_count - 1)
+    start = measure(first * FAN + nearest_middle(lambda i: leaves[first, i, :]), (limit, jnp.int32(-1)))
+    return search(lambda i: branches[i, :], descend, start)

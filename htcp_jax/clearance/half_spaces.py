@@ -130,18 +130,19 @@ def _highest(hull: HalfSpaces, point, floor: float) -> _Highest:
 
     def prune(keys, best):
         """The clusters that may be higher. Keys are depths below `size`; above it, all are alike."""
-        return branch_and_bound.prune(keys, jnp.maximum(hull.size - best, 0.0)[None])
+        return branch_and_bound.prune(keys, jnp.maximum(hull.size - best, 0.0))
 
     def take(state):
         picked, keys, best, cluster = state
-        this = branch_and_bound.number(picked, hull.bound.shape[1])[0, 0]
+        this = picked & branch_and_bound.number_mask(len(keys))
         height = jnp.max(_heights(hull, this, point))
         keys = prune(branch_and_bound.without(keys, picked), jnp.maximum(best, height))
-        return branch_and_bound.best(keys), keys, jnp.maximum(best, height), jnp.where(height > best, this, cluster)
+        return jnp.min(keys), keys, jnp.maximum(best, height), jnp.where(height > best, this, cluster)
 
-    keys = prune(branch_and_bound.order_keys((hull.size - upper)[None].astype(jnp.float32), width=1), best)
-    start = branch_and_bound.best(keys), keys, best, jnp.full((), -1, jnp.int32)
-    _, _, best, cluster = jax.lax.while_loop(lambda state: branch_and_bound.any_left(state[0]), take, start)
+    depth = jnp.maximum(hull.size - upper, 0).astype(jnp.float32)
+    keys = prune(branch_and_bound.order_keys(depth), best)
+    start = jnp.min(keys), keys, best, jnp.full((), -1, jnp.int32)
+    _, _, best, cluster = jax.lax.while_loop(lambda state: state[0] < branch_and_bound.NONE_LEFT, take, start)
     facet = hull.facets[cluster, jnp.argmax(_heights(hull, cluster, point))]
     return _Highest(jnp.where(cluster < 0, -1, facet), best)
 

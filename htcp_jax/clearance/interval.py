@@ -71,11 +71,11 @@ def _closer(
     wanted: Wanted,
     asked: Bool[Array, ""],
 ) -> Float[Array, "K"]:
-    """How clear bodies stay of a kind that is asked about those that travel too far; not where one of them comes too
-    near even if it moves along the obstacle and only bends towards it."""
+    """How clear bodies stay of a kind that is asked about those that travel too far; not where one of them hardly can,
+    as it would come too near if it moved along a flat wall."""
     by_travel = room - moves.travel
-    open_ = by_travel < good
-    asked &= jnp.all(~open_ | (room - moves.bend >= wanted.least))
+    open_, nearer = by_travel < good, moves.travel**2 / (2 * robot.capsule_radius)  # of a point that it moves towards
+    asked &= jnp.all(~open_ | (room - moves.bend >= wanted.least) & (nearer <= 4 * room))
     return jnp.where(open_ & asked, kind.clear_along(robot, where, bodies, moves, open_ & asked, wanted), by_travel)
 
 
