@@ -8,7 +8,9 @@ import made_once
 import numpy as np
 import pytest
 
-from htcp_jax.clearance.cloud_tree import build_index, nearest_body, nearest_rows
+from htcp_jax.clearance.bounding_discs import as_segments, bounding_discs, lower_bounds, single, spread
+from htcp_jax.clearance.branch_and_bound import FAN
+from htcp_jax.clearance.cloud_tree import TOP, build_index, nearest_body, nearest_rows
 from htcp_jax.clearance.cloud_tree_gpu import HAS_KERNEL, nearest_leaves
 
 LANES = 8  # segments that a search takes side by side, as a configuration's capsules do
@@ -30,7 +32,7 @@ def smallest_distances(p, q, points):
 
 @cache
 def cloud(name: str) -> np.ndarray:
-    """Clouds of 1 to 50,015 points: ordinary ones, and those that a tree finds hard to cut."""
+    """Clouds of 1 to 127,000 points: ordinary ones, and those that a tree finds hard to cut."""
     rng = np.random.default_rng(len(name))
     made = {
         "one": lambda: rng.normal(size=(1, 3)),
@@ -43,6 +45,8 @@ def cloud(name: str) -> np.ndarray:
         "on a plane": lambda: rng.normal(size=(2000, 3)) * np.array([[1.0, 1.0, 0.0]]),
         "on a grid": lambda: np.stack(np.meshgrid(*[np.arange(9) / 8] * 3), axis=-1).reshape(-1, 3),
         "far apart": lambda: np.concatenate([rng.normal(size=(400, 3)) * 0.01 + c for c in ((9, 0, 0), (-9, 3, 1))]),
+        "as many as two levels take": lambda: rng.normal(size=(TOP * FAN**2, 3)),
+        "as few as take four levels": lambda: rng.normal(size=(TOP * FAN**3 + 1, 3)) * np.array([[1.0, 1.0, 0.01]]),
         "duct": lambda: made_once.duct().cloud,
     }
     return made[name]()
@@ -99,6 +103,26 @@ def check(points, count, seed):
 @pytest.mark.parametrize("name", SMALL)
 def test_the_nearest_point_is_the_nearest_of_all(name):
     check(cloud(name), 400, seed=1)
+
+
+@pytest.mark.parametrize(("name", "levels"), [("as many as two levels take", 2), ("as few as take four levels", 4)])
+def test_trees_of_other_depths_find_the_nearest_point(name, levels):
+    assert len(build_index(cloud(name)).levels) == levels
+    check(cloud(name), 80, seed=9)
+
+
+@pytest.mark.parametrize("name", ["three hundred", "all the same", "on a plane", "on a line", "duct"])
+def test_no_point_of_a_cluster_is_nearer_than_its_disc(name):
+    points = cloud(name)
+    groups = points[np.random.default_rng(1).integers(len(points), size=(60, 1))] + 0.02 * points[:48].reshape(1, -1, 3)
+    p, q = segments(groups.reshape(-1, 3), 64, seed=2)
+    bound = lower_bounds(
+        spread(single(as_segments(jnp.asarray(p), jnp.asarray(q))), 1),
+        jnp.asarray(bounding_discs(groups).T[:, None, :], jnp.float32),
+    )
+    exact = np.stack([smallest_distances(p, q, group) for group in groups], axis=1)
+    assert (np.asarray(bound) <= exact).all()
+    assert np.median(exact - np.asarray(bound)) < 0.05
 
 
 def test_the_nearest_point_of_the_duct_is_the_nearest_of_all():

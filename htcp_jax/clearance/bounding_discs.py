@@ -1,8 +1,8 @@
 """Flat discs that bound clusters of points, and their distance to a segment.
 
-A cluster is bounded by a disc: middle m, normal n, half thickness e, radius r. Let c be the point of the segment that
-is closest to m, and v the unit vector from m to c. Every point of the segment lies beyond the plane through c normal to
-v (c is the projection of m onto a convex set), and no point of the cluster lies further along v than
+A cluster is bounded by a disc: middle m, normal n, half thickness e, radius r. Let c be the point of the segment
+closest to m, and v the unit vector from m to c. Every point of the segment lies beyond the plane through c normal to v
+(c is the projection of m onto a convex set), and no point of the cluster lies further along v than
 |v.n| e + sqrt(1 - (v.n)^2) r. So
 
     distance(segment, cluster) >= |c - m| - |v.n| e - sqrt(1 - (v.n)^2) r,

@@ -44,18 +44,6 @@ def least_number(bound: Float[Array, "... n"]) -> Int[Array, "..."]:
     return jnp.min(order_keys(bound), axis=-1) & number_mask(bound.shape[-1])
 
 
-def prune(keys: Int[Array, "n"], limit: Float[Array, ""]) -> Int[Array, "n"]:
-    """The keys of all bounds below the limit, NONE_LEFT in place of the others."""
-    nearest = jnp.minimum(limit * (1 + 1e-6), 1e30).astype(jnp.float32)
-    above = jax.lax.bitcast_convert_type(nearest, jnp.int32) | number_mask(len(keys))
-    return jnp.where(keys <= above, keys, NONE_LEFT)  # a limit below 0 has a negative key, below all
-
-
-def without(keys: Int[Array, "n"], picked: Int[Array, ""]) -> Int[Array, "n"]:
-    """The keys without the one picked."""
-    return jnp.where(keys == picked, NONE_LEFT, keys)
-
-
 def number_mask(count: int) -> int:
     """The low bits of a key that its cluster's number takes."""
     return (1 << max(1, (count - 1).bit_length())) - 1

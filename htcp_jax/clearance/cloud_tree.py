@@ -103,4 +103,12 @@ def _search(index: CloudIndex, p, q, radius, limit, shared: bool):
     on_gpu = jax.default_backend() == "gpu" and HAS_KERNEL
     leaf = (cloud_tree_gpu if on_gpu else cloud_tree_walk).nearest_leaves(index, p, q, radius, limit, shared)
     square = squared_distance(spread(as_segments(p, q), 1), index.points[leaf].transpose(1, 0, 2))
-    return jnp.where(leaf < 0, -1, index.rows[leaf, jnp.argmin(square, axis=1)])
+    return jnp.where(leaf < 0, -1, _row_of_least(square, index.rows[leaf]))
+
+
+def _row_of_least(square: Float[Array, "K FAN"], rows: Int[Array, "K FAN"]) -> Int[Array, "K"]:
+    """By halves: an argmin goes through them one by one, and takes three times as long."""
+    while square.shape[1] > 1:
+        (a, b), (row_a, row_b) = jnp.split(square, 2, axis=1), jnp.split(rows, 2, axis=1)
+        square, rows = jnp.minimum(a, b), jnp.where(a <= b, row_a, row_b)
+    return rows[:, 0]

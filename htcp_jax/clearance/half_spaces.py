@@ -1,14 +1,7 @@
 """Which facet of a convex hull a point has crossed, for the clearance's interior rule.
 
-Nearly always none. Most points lie inside a small polytope within the hull, its core, and are done. For the others the
-facet that a point is highest above (or least deep below) is found by branch and bound over clusters of 16 facets with
-similar normals: of a cluster with a facet (c, o), a point m and r = max |n_f - c| over its facets, none is higher below
-x than
-
-    c.(x - m) + r |x - m| - min (o_f - n_f.m),
-
-because n_f.x - o_f = n_f.(x - m) - (o_f - n_f.m). Bounds are 32-bit with room for their error, heights 64-bit. A GPU
-measures every facet instead: that costs it less than a loop.
+Nearly always none. Most points lie inside a small polytope within the hull, its core, and are done: that is asked in
+32-bit, with room for its error. The others, one in ten, are measured against every facet, in 64-bit.
 """
 
 from typing import NamedTuple
@@ -18,26 +11,23 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from htcp_jax.clearance import branch_and_bound
-from htcp_jax.clearance.branch_and_bound import FAN
 from htcp_jax.numerics import one_by_one, product
 from htcp_jax.types import Array, Bool, Float, Int
 
 ROOM = 1e-5  # [m]; a 32-bit height is wrong by less than this within 20 m of the origin
 CORE_VERTICES = 96  # at most
+FAN = 16  # facets in a row of the table: which is highest takes ten times as long to ask as how high the highest is
 
 
 class HalfSpaces(NamedTuple):
     """The convex set normal @ x <= offset, unit normals outwards, F facets; its core likewise, C facets; and the facets
-    in clusters. Rows of a bound: c xyz, m xyz, r, min (o_f - n_f.m), o."""
+    once more as a table, filled up with the last one: normal xyz, offset."""
 
     normal: Float[Array, "F 3"]
     offset: Float[Array, "F"]
     core_normal: Float[Array, "C 3"]
     core_offset: Float[Array, "C"]
-    bound: Float[Array, "9 clusters"]
-    facets: Int[Array, "clusters facets"]
-    size: Float[Array, ""]  # of the set, about [m]
+    table: Float[Array, "4 rows FAN"]
 
 
 def half_spaces(
@@ -45,23 +35,10 @@ def half_spaces(
 ) -> HalfSpaces:
     """The set with F facets, where `vertices` are points of it [m] that reach well into its corners."""
     core = _core(vertices) if len(offset) else np.zeros((0, 4))
-    groups = branch_and_bound.cut(normal, np.arange(len(offset)), -(-len(offset) // FAN)) if len(offset) else []
-    facets = np.stack([branch_and_bound.padded(group) for group in groups]) if groups else np.zeros((0, FAN), int)
-    bound = np.array([_bound(normal[own], offset[own], vertices) for own in facets]).reshape(-1, 9)
-    return HalfSpaces(
-        *(jnp.asarray(a) for a in (normal, offset, core[:, :3], -core[:, 3])),
-        bound=jnp.asarray(bound.T, jnp.float32),
-        facets=jnp.asarray(facets, jnp.int32),
-        size=jnp.asarray(np.linalg.norm(np.ptp(vertices, axis=0)), float),
-    )
-
-
-def _bound(normal, offset, vertices):
-    """The module's bound of one cluster, about its most central facet and the vertex furthest in that direction."""
-    middle = np.argmax(normal @ normal.sum(axis=0))
-    m = vertices[np.argmax(vertices @ normal[middle])]
-    r = np.linalg.norm(normal - normal[middle], axis=1).max()
-    return [*normal[middle], *m, r, (offset - normal @ m).min(), offset[middle]]
+    facets = np.column_stack([normal, offset])
+    filled = np.concatenate([facets, np.repeat(facets[-1:], -len(facets) % FAN, axis=0)])
+    table = filled.T.reshape(4, -1, FAN)
+    return HalfSpaces(*(jnp.asarray(a) for a in (normal, offset, core[:, :3], -core[:, 3], table)))
 
 
 def _core(vertices: np.ndarray) -> Float[np.ndarray, "C 4"]:
@@ -91,15 +68,20 @@ def _crossed(hull: HalfSpaces, points, asked):
     if jax.default_backend() != "cpu":
         height = product(points, hull.normal.T) - hull.offset[None, :]
         return jnp.where(asked & (jnp.max(height, axis=1) > 0), jnp.argmax(height, axis=1).astype(jnp.int32), -1)
-    left = asked & (_top32(hull.core_normal, hull.core_offset, points.T) > -ROOM)
+    left = asked & jnp.any(_core_heights(hull, points) > -ROOM, axis=1)
     nothing = jnp.full(points.shape[0], -1, jnp.int32)
-    return _one_at_a_time(lambda point: _highest(hull, point, 0.0).facet, left, points, nothing)
+
+    def crossed(point):
+        facet, height = _highest(hull, point)
+        return jnp.where(height > 0, facet, -1)
+
+    return _one_at_a_time(crossed, left, points, nothing)
 
 
 @one_by_one
 def _depths(hull: HalfSpaces, points, asked):
-    core = -_top32(hull.core_normal, hull.core_offset, points.T).astype(float) - ROOM
-    exact = _one_at_a_time(lambda point: -_highest(hull, point, -1e9).height, asked & (core <= 0), points, core)
+    core = -jnp.max(_core_heights(hull, points), axis=1).astype(float) - ROOM
+    exact = _one_at_a_time(lambda point: -_highest(hull, point).height, asked & (core <= 0), points, core)
     return jnp.maximum(exact, 0.0)
 
 
@@ -117,53 +99,25 @@ def _one_at_a_time(measure, left, points, results):
 
 
 class _Highest(NamedTuple):
-    """The facet that a point is highest above, -1 for none above the floor, and how high [m]."""
+    """The facet that a point is highest above, or least deep below, and how high [m]."""
 
     facet: Int[Array, ""]
     height: Float[Array, ""]
 
 
-def _highest(hull: HalfSpaces, point, floor: float) -> _Highest:
-    """The highest facet, if it is above the floor."""
-    upper, lower = _heights32(hull.bound, point)
-    best = jnp.maximum(jnp.max(lower).astype(float), floor)
-
-    def prune(keys, best):
-        """The clusters that may be higher. Keys are depths below `size`; above it, all are alike."""
-        return branch_and_bound.prune(keys, jnp.maximum(hull.size - best, 0.0))
-
-    def take(state):
-        picked, keys, best, cluster = state
-        this = picked & branch_and_bound.number_mask(len(keys))
-        height = jnp.max(_heights(hull, this, point))
-        keys = prune(branch_and_bound.without(keys, picked), jnp.maximum(best, height))
-        return jnp.min(keys), keys, jnp.maximum(best, height), jnp.where(height > best, this, cluster)
-
-    depth = jnp.maximum(hull.size - upper, 0).astype(jnp.float32)
-    keys = prune(branch_and_bound.order_keys(depth), best)
-    start = jnp.min(keys), keys, best, jnp.full((), -1, jnp.int32)
-    _, _, best, cluster = jax.lax.while_loop(lambda state: state[0] < branch_and_bound.NONE_LEFT, take, start)
-    facet = hull.facets[cluster, jnp.argmax(_heights(hull, cluster, point))]
-    return _Highest(jnp.where(cluster < 0, -1, facet), best)
+def _highest(hull: HalfSpaces, point) -> _Highest:
+    row = jnp.argmax(jnp.max(_heights(hull.table, point), axis=1))
+    heights = _heights(hull.table[:, row], point)
+    facet = jnp.minimum(row * FAN + jnp.argmax(heights), hull.offset.shape[0] - 1)
+    return _Highest(facet.astype(jnp.int32), jnp.max(heights))
 
 
-def _heights(hull: HalfSpaces, cluster, point):
-    facets = hull.facets[cluster]
-    return product(hull.normal[facets], point) - hull.offset[facets]
+def _heights(facets, point):
+    return facets[0] * point[0] + facets[1] * point[1] + facets[2] * point[2] - facets[3]
 
 
-def _heights32(bound, point):
-    """The module's bounds, and the heights above one facet of each cluster, rounded outwards."""
-    point = point.astype(jnp.float32)
-    c, arm = bound[:3], point[:, None] - bound[3:6]
-    reach = jnp.sqrt(arm[0] * arm[0] + arm[1] * arm[1] + arm[2] * arm[2])
-    upper = c[0] * arm[0] + c[1] * arm[1] + c[2] * arm[2] + bound[6] * reach - bound[7]
-    lower = c[0] * point[0] + c[1] * point[1] + c[2] * point[2] - bound[8]
-    return upper + jnp.float32(ROOM), lower - jnp.float32(ROOM)
-
-
-def _top32(normal, offset, points):
-    """The largest height of each of the points (3, n) over all facets, 32-bit."""
-    normal, offset, points = (a.astype(jnp.float32) for a in (normal.T, offset, points[:, :, None]))
-    height = points[0] * normal[0][None, :] + points[1] * normal[1][None, :] + points[2] * normal[2][None, :]
-    return jnp.max(height - offset[None, :], axis=1)
+def _core_heights(hull: HalfSpaces, points):
+    """Of the points above each facet of the core, 32-bit (n, C)."""
+    x, y, z = (a.astype(jnp.float32)[:, None] for a in points.T)
+    core = [a.astype(jnp.float32)[None] for a in (*hull.core_normal.T, hull.core_offset)]
+    return _heights(core, (x, y, z))
