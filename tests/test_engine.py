@@ -14,7 +14,7 @@ from htcp_jax.planner import step_qps
 from htcp_jax.planner.batch import plan
 from htcp_jax.planner.candidates import nearest
 from htcp_jax.planner.kernel import STEP, Kernel
-from htcp_jax.planner.kernels import ADVANCE, CHECK_PATH, PREPARE
+from htcp_jax.planner.kernels import ADVANCE, ADVANCE_SMALLEST, CHECK_PATH, PREPARE
 from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.programs import PROGRAMS, Kernels, Programs
 from htcp_jax.planner.stages import ENTER
@@ -197,7 +197,7 @@ def test_programs_can_be_given_back(scene, scenarios):
 def test_on_a_cpu_a_kernel_is_one_native_function(planned):
     """A library call in a loop, to LAPACK say, would have XLA dispatch its parts one by one: nothing else would
     fail, and everything take twice the time. Those that every method needs, and the walks' way in."""
-    programs = PROGRAMS.of(PREPARE, ADVANCE, CHECK_PATH, ENTER)
+    programs = PROGRAMS.of(PREPARE, ADVANCE, ADVANCE_SMALLEST, CHECK_PATH, ENTER)
     assert {kernel.name for kernel, _ in programs} >= {"prepare", "advance", "check_path"}
     for kernel, program in programs:
         assert " while(" not in program.as_text().partition("\nENTRY ")[2], kernel.name
