@@ -1,6 +1,7 @@
 """The engine: who else is in the batch has no influence, nothing compiles twice, one broken QP breaks one scenario."""
 
 import itertools
+import threading
 from dataclasses import replace
 
 import jax
@@ -13,11 +14,13 @@ from htcp_jax.clearance.scene import Scene
 from htcp_jax.planner import step_qps
 from htcp_jax.planner.batch import plan
 from htcp_jax.planner.candidates import nearest
+from htcp_jax.planner.engine import Engine
 from htcp_jax.planner.kernel import STEP, Kernel
-from htcp_jax.planner.kernels import ADVANCE, CHECK_PATH, PREPARE
+from htcp_jax.planner.kernels import ADVANCE, ADVANCE_SMALLEST, CHECK_PATH, PREPARE
 from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.programs import PROGRAMS, Kernels, Programs
 from htcp_jax.planner.stages import ENTER
+from htcp_jax.planner.work import Work
 from htcp_jax.scene.robot_file import gp50
 from htcp_jax.scene.scenario import make_scenario, stack
 from htcp_jax.scene.workpiece_file import load_workpiece
@@ -123,6 +126,33 @@ def test_a_scenario_is_planned_the_same_to_the_last_bit_alone_in_a_batch_and_on_
     same(plan(*scene, scenarios[::-1], method, PAPER, threads=1), together, slice(None, None, -1), slice(None))
 
 
+@pytest.mark.parametrize("method", ["nspace-sqp", "cspace-sample"])
+def test_an_engine_without_work_goes_on_with_lanes_of_another(method, scene, scenarios, monkeypatch):
+    """Whatever these are in the middle of."""
+    alone = plan(*scene, scenarios, method, PAPER, threads=1)
+    left, leave = [], Work.leave
+    monkeypatch.setattr(Work, "leave", lambda self, lanes: left.append(lanes) or leave(self, lanes))
+    same(alone, plan(*scene, scenarios, method, PAPER, threads=4), slice(None), slice(None))
+    assert sum(lanes.size for lanes in left) > 0
+    if method == "cspace-sample":
+        assert any((lanes.candidate >= 0).any() for lanes in left)
+
+
+def test_an_engine_that_breaks_lets_the_others_end(scene, scenarios, monkeypatch):
+    """They wait for lanes that it might leave."""
+    broken, advance = threading.Event(), Engine._advance
+
+    def breaking(self, phase, lanes):
+        if not broken.is_set():
+            broken.set()
+            raise ArithmeticError("broken")
+        advance(self, phase, lanes)
+
+    monkeypatch.setattr(Engine, "_advance", breaking)
+    with pytest.raises(ArithmeticError, match="broken"):
+        plan(*scene, scenarios, "baseline", PAPER, threads=3)
+
+
 def test_every_tracked_target_is_reached_and_clear_and_nothing_follows_a_failure(planned):
     _, plans = planned
     tracked = plans.status <= Status.TRACKED_AFTER_ESCAPE
@@ -197,7 +227,7 @@ def test_programs_can_be_given_back(scene, scenarios):
 def test_on_a_cpu_a_kernel_is_one_native_function(planned):
     """A library call in a loop, to LAPACK say, would have XLA dispatch its parts one by one: nothing else would
     fail, and everything take twice the time. Those that every method needs, and the walks' way in."""
-    programs = PROGRAMS.of(PREPARE, ADVANCE, CHECK_PATH, ENTER)
+    programs = PROGRAMS.of(PREPARE, ADVANCE, ADVANCE_SMALLEST, CHECK_PATH, ENTER)
     assert {kernel.name for kernel, _ in programs} >= {"prepare", "advance", "check_path"}
     for kernel, program in programs:
         assert " while(" not in program.as_text().partition("\nENTRY ")[2], kernel.name

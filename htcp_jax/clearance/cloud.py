@@ -40,9 +40,19 @@ class Cloud:
 
     def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
         """The nearest point of every body."""
+        rows = nearest_rows(self.index, bodies.p_workpiece, bodies.q_workpiece)
+        return self._contacts(robot, where, bodies, self.points[rows])
+
+    def closest(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
+        """Every body against the point that is nearest of all to any of them: one search, as in `smallest`."""
+        reach = robot.capsule_radius + self.cover
+        row = nearest_body(self.index, bodies.p_workpiece, bodies.q_workpiece, reach).row
+        return self._contacts(robot, where, bodies, self.points[jnp.broadcast_to(row, reach.shape)])
+
+    def _contacts(self, robot: Robot, where: Posed, bodies: Bodies, witness: Float[jax.Array, "K 3"]) -> Contacts:
+        """Every body against a point of its own."""
         rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
         p, q = bodies.p_workpiece, bodies.q_workpiece
-        witness = self.points[nearest_rows(self.index, p, q)]
         s = segment_parameter(p, q, witness)[:, None]
         point = p + s * (q - p)
         arm = point - witness

@@ -23,11 +23,14 @@ class Linearisation(NamedTuple):
     clearance: ClearanceRows
 
 
-def linearise(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, task: Task = TCP_POSITION) -> Linearisation:
+def linearise(
+    robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, task: Task = TCP_POSITION, smallest: bool = False
+) -> Linearisation:
     """Task and clearance at x [rad or m], with their Jacobian and gradients; `where` is a scenario, or another `Posed`.
 
     Equation (7) and the clearance rows of CFS (section on workspace inequality constraints). The default task is the
-    TCP's position. Raises InputError for an x of another shape.
+    TCP's position. smallest: of the clearance only the row of the smallest distance has to be right, any other may be
+    further from what is nearest to it, which costs less. Raises InputError for an x of another shape.
     """
     rows = TaskRows(task.value(robot, x), task.jacobian(robot, x))
-    return Linearisation(rows, clearance_rows(robot, obstacles, where, x))
+    return Linearisation(rows, clearance_rows(robot, obstacles, where, x, smallest))

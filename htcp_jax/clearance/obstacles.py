@@ -33,11 +33,14 @@ class ClearanceRows(NamedTuple):
     gradient: Float[jax.Array, "R N"]  # [m/rad]
 
 
-@jax.jit
-def contacts(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Contacts:
-    """What is nearest in every row at configuration x [rad]; the robot's tool is the scenario's."""
+@partial(jax.jit, static_argnames="smallest")
+def contacts(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, smallest: bool = False) -> Contacts:
+    """What is nearest in every row at configuration x [rad]; the robot's tool is the scenario's. smallest: only the row
+    of the smallest distance has to be right, any other may be further from what is nearest to it: kinds with a method
+    `closest` answer that for less."""
     bodies = bodies_at(robot, where, x)
-    groups = [[each.contacts(robot, where, bodies) for each in own] for own in grouped(obstacles)]
+    ask = lambda each: getattr(each, "closest", each.contacts) if smallest else each.contacts  # noqa: E731
+    groups = [[ask(each)(robot, where, bodies) for each in own] for own in grouped(obstacles)]
     return _one_after_another([_nearest(own) for own in groups])
 
 
@@ -96,9 +99,12 @@ def room(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Float[j
     return _one_after_another([_together(jnp.minimum, own) for own in groups])
 
 
-def clearance_rows(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> ClearanceRows:
-    """Distances and their gradients at x [rad]: n' (J_body - J_other), at the points that are nearest."""
-    touch, rows = contacts(robot, obstacles, where, x), rows_of(robot, obstacles)
+def clearance_rows(
+    robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, smallest: bool = False
+) -> ClearanceRows:
+    """Distances and their gradients at x [rad]: n' (J_body - J_other), at the points that are nearest. smallest: only
+    the row of the smallest distance has to be right, see `contacts`."""
+    touch, rows = contacts(robot, obstacles, where, x, smallest), rows_of(robot, obstacles)
     return ClearanceRows(touch.distance, slopes(robot, x, rows, touch.normal, touch.point, touch.witness))
 
 

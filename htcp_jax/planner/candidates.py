@@ -1,6 +1,7 @@
 """Candidates: a sampling stage proposes configurations for a stuck scenario, which waits while the step QPs track its
 target from each of them. Of those that reach it, the nearest by a clear joint path is where the scenario goes on."""
 
+import threading
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -24,6 +25,14 @@ class PendingCandidates:
     ends: list[Measured] = field(default_factory=list)  # where those are
 
 
+@dataclass
+class Waiting:
+    """The scenarios that wait for their candidates; these may be tracked by any engine."""
+
+    of: dict[int, PendingCandidates] = field(default_factory=dict)  # by scenario
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+
 class Arrived(NamedTuple):
     """Lanes that a stage has brought to their target."""
 
@@ -42,11 +51,11 @@ class Outcome(NamedTuple):
 
 
 class CandidateSearch:
-    """The scenarios of one engine that wait for their candidates."""
+    """One engine's part in the scenarios that wait for their candidates."""
 
-    def __init__(self, checks: LaneChecks, escapes: Escapes):
+    def __init__(self, checks: LaneChecks, escapes: Escapes, waiting: Waiting):
         self._checks, self._kernels = checks, [stage.kernel(k) for k, stage in enumerate(escapes.stages)]
-        self._pending: dict[int, PendingCandidates] = {}
+        self._waiting = waiting
 
     def sample(self, lanes: Lanes, stage: int) -> Outcome:
         """Propose candidates for every lane. Where some are done as they are, take the best of them; elsewhere try."""
@@ -74,7 +83,7 @@ class CandidateSearch:
         """Have the target of each lane tracked from its valid configurations, x (lanes, C, N), while the lane waits."""
         left = valid.sum(axis=1)
         for k in np.flatnonzero(left):
-            self._pending[int(lanes.scenario[k])] = PendingCandidates(gather(lanes, [k]), int(left[k]))
+            self._waiting.of[int(lanes.scenario[k])] = PendingCandidates(gather(lanes, [k]), int(left[k]))
         owner, number = np.nonzero(valid)
         spent = gather(lanes, left == 0)
         if not len(owner):
@@ -92,16 +101,17 @@ class CandidateSearch:
         decided = decided[np.argsort(lanes.scenario[decided], kind="stable")]
         ready = []
         for rows in np.split(decided, np.flatnonzero(np.diff(lanes.scenario[decided])) + 1):
-            scenario = int(lanes.scenario[rows[0]])
-            pending = self._pending[scenario]
-            pending.left -= len(rows)
-            pending.qps += int(lanes.iteration[rows].sum())
-            if reached[rows].any():
+            with self._waiting.lock:
+                scenario = int(lanes.scenario[rows[0]])
+                pending = self._waiting.of[scenario]
+                pending.left -= len(rows)
+                pending.qps += int(lanes.iteration[rows].sum())
                 good = rows[reached[rows]]
-                pending.numbers.append(lanes.candidate[good])
-                pending.ends.append(gather(now, good))
-            if not pending.left:
-                ready.append(self._pending.pop(scenario))
+                if len(good):
+                    pending.numbers.append(lanes.candidate[good])
+                    pending.ends.append(gather(now, good))
+                if not pending.left:
+                    ready.append(self._waiting.of.pop(scenario))
         stages = sorted({int(pending.lane.phase[0]) for pending in ready})
         return [self._choose([each for each in ready if each.lane.phase[0] == stage], stage) for stage in stages]
 

@@ -17,13 +17,13 @@ Everything here is bookkeeping on numpy tables (`lanes`). The mathematics is in 
 `programs`.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 
 from htcp_jax.planner.backwards import BackwardPlans, Replanned
-from htcp_jax.planner.candidates import CandidateSearch, Outcome
-from htcp_jax.planner.kernels import ADVANCE, PREPARE, TRACK_BURST, Measured
+from htcp_jax.planner.candidates import CandidateSearch, Outcome, Waiting
+from htcp_jax.planner.kernels import PREPARE, TRACK_BURST, Measured
 from htcp_jax.planner.lane_checks import LaneChecks
 from htcp_jax.planner.lane_table import LaneTable
 from htcp_jax.planner.lanes import BACKWARDS, ENTERING, MAIN, NEW, TRACK, Lanes, concatenate, gather, scatter
@@ -32,6 +32,7 @@ from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.record import Record
 from htcp_jax.planner.stages import ASCEND, ENTER, Escapes, NullSpace
 from htcp_jax.planner.tip_check import TipCheck
+from htcp_jax.planner.work import Work
 from htcp_jax.scene.scenario import Scenario
 from htcp_jax.settings import Settings
 from htcp_jax.solvers.step_qp import QPSolver, QPStatus
@@ -40,8 +41,8 @@ from htcp_jax.status import Status
 
 class Engine:
     """Plans the scenarios that an iterator hands out, writing into `plans`; one engine per thread. Without a solver the
-    step QPs are solved on the device. It takes at most `share` new scenarios at a time. With `tip`, no target counts at
-    which the tool's bare tip passes through a wall."""
+    step QPs are solved on the device. work, waiting: shared by all engines. With `tip`, no target counts at which the
+    tool's bare tip passes through a wall."""
 
     def __init__(
         self,
@@ -51,23 +52,24 @@ class Engine:
         settings: Settings,
         scenarios: Scenario,
         plans: Plans,
-        share: int,
+        work: Work,
+        waiting: Waiting,
         tip: TipCheck | None = None,
     ):
         self._kernels, self._solver, self._escapes = kernels, solver, escapes
         self._settings, self._counts = settings, scenarios.count
-        self._table = LaneTable(kernels, scenarios, share)
+        self._table = LaneTable(kernels, scenarios, work)
         self._checks = LaneChecks(kernels, scenarios, settings, escapes.check_paths, tip)
         self._record = Record(plans)
-        self._candidates = CandidateSearch(self._checks, escapes)
+        self._candidates = CandidateSearch(self._checks, escapes, waiting)
         self._backwards = BackwardPlans(self._checks, self._record, escapes, settings, scenarios.x_start)
         # Without a null space, the stages in it have nothing to do.
         self._possible = [kernels.freedom > 0 or not stage.in_null_space for stage in escapes.stages]
         self._walks = [stage.kernel(k) for k, stage in enumerate(escapes.stages)]
 
-    def run(self, scenarios: Iterator[int], progress: Callable[[int, int], None]) -> None:
-        """Plan until the iterator is empty; progress(targets newly tracked, scenarios newly finished) every round."""
-        while self._table.fill(scenarios):
+    def run(self, progress: Callable[[int, int], None]) -> None:
+        """Plan until no work is left; progress(targets newly tracked, scenarios newly finished) every round."""
+        while self._table.fill():
             self._record.tracked = self._record.finished = 0
             for phase, lanes in self._table.turn():
                 self._advance(phase, lanes)
@@ -88,12 +90,16 @@ class Engine:
     # Tracking by step QPs
 
     def _linearise(self, lanes: Lanes) -> None:
-        """Linearise new lanes where they are. A scenario whose start is in collision is over."""
-        now = self._checks.measured(lanes, lanes.x_ref)
-        lanes = lanes._replace(x_ref=now.x, linear=now.linear, phase=np.full_like(lanes.phase, TRACK))
-        collides = (lanes.candidate == MAIN) & (now.clearance <= 0)
+        """Linearise new scenarios where they are. One whose start is in collision is over."""
+        lanes, clearance = self._linearised(lanes)
+        collides = clearance <= 0
         self._record.collide(gather(lanes, collides))
         self._table.keep(gather(lanes, ~collides))
+
+    def _linearised(self, lanes: Lanes) -> tuple[Lanes, np.ndarray]:
+        """New lanes as they are tracked, and their clearance."""
+        now = self._checks.measured(lanes, lanes.x_ref)
+        return lanes._replace(x_ref=now.x, linear=now.linear, phase=np.full_like(lanes.phase, TRACK)), now.clearance
 
     def _track(self, lanes: Lanes) -> None:
         """One step QP for every lane, or on the device a burst of them."""
@@ -119,10 +125,9 @@ class Engine:
             self._come_to(outcome)
 
     def _step(self, lanes: Lanes) -> tuple[Measured, np.ndarray, np.ndarray]:
-        inputs = self._checks.inputs(lanes)
-        qps = self._kernels(PREPARE, inputs, lanes.x_ref, lanes.x_previous, lanes.linear)
+        qps = self._kernels(PREPARE, self._checks.inputs(lanes), lanes.x_ref, lanes.x_previous, lanes.linear)
         y, verdict = self._solver.solve(qps)
-        return self._kernels(ADVANCE, inputs, lanes.x_ref, y), lanes.iteration + 1, verdict
+        return self._checks.advanced(lanes, y), lanes.iteration + 1, verdict
 
     def _burst(self, lanes: Lanes) -> tuple[Measured, np.ndarray, np.ndarray]:
         state = lanes.x_ref, lanes.x_previous, lanes.linear, lanes.iteration
@@ -226,7 +231,7 @@ class Engine:
     def _come_to(self, outcome: Outcome) -> None:
         """What a sampling stage has come to."""
         if outcome.candidates is not None:
-            self._table.queue(outcome.candidates)
+            self._table.queue(self._linearised(outcome.candidates)[0])
         if outcome.arrived is not None:
             self._escaped(*outcome.arrived, outcome.stage)
         self._enter(outcome.spent, outcome.stage + 1, Status.ESCAPE_EXHAUSTED)

@@ -55,14 +55,19 @@ def prepare(
     )
 
 
-def advance(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, y) -> Measured:
+def advance(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, y, smallest: bool = False) -> Measured:
     """The lane after a step y: inside the limits to the last bit, linearised as equation (7) has it, and measured
-    against its target."""
+    against its target. smallest: see `linearise`."""
     scene = own_scene(scene, lane.tool_extension_m)
     x = jnp.clip(x_ref + y, scene.robot.lower, scene.robot.upper)
-    linear = linearise(scene.robot, scene.obstacles, lane, x, scene.task)
+    linear = linearise(scene.robot, scene.obstacles, lane, x, scene.task, smallest)
     residual = scene.task.residual(linear.task.value, lane.target)
     return Measured(x, linear, jnp.min(linear.clearance.distance), residual, tcp_position(scene.robot, x))
+
+
+def advance_smallest(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, y) -> Measured:
+    """`advance` for step QPs that look at the smallest clearance alone."""
+    return advance(settings, scene, lane, x_ref, y, smallest=True)
 
 
 def measured(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Measured:
@@ -93,7 +98,7 @@ def track(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, x_previous,
         tracked, count = state
         step_qp = prepare(settings, scene, lane, tracked.now.x, x_previous, tracked.now.linear)
         found = solve_step(step_qp, settings.qp_tolerance)
-        now = advance(settings, scene, lane, tracked.now.x, found.y)
+        now = advance(settings, scene, lane, tracked.now.x, found.y, settings.clearance_rows == "smallest")
         return Tracked(now, tracked.iteration + 1, found.status), count + 1
 
     # At a new target, and in a candidate's first burst, nothing is reached before the first step QP.
@@ -131,6 +136,7 @@ _STEP_QP = ("q_weights", "cost_about", "clearance_rows", "aim_above_m")
 
 PREPARE = Kernel("prepare", prepare, STEP, _STEP_QP)
 ADVANCE = Kernel("advance", advance, STEP)
+ADVANCE_SMALLEST = Kernel("advance", advance_smallest, STEP)
 TRACK_BURST = Kernel("track", track, STEP, (*_STEP_QP, "max_step_qps", "qp_tolerance"))
 CHECK_PATH = Kernel("check_path", check_path, DEEP, ("path_test", "path_steps"))
 PROVE = Kernel("prove", prove_way, DEEP)

@@ -4,7 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from htcp_jax.planner.kernels import ADVANCE, CHECK_PATH, Measured
+from htcp_jax.planner.kernels import ADVANCE, ADVANCE_SMALLEST, CHECK_PATH, Measured
 from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.planner.lanes import Lanes, gather
 from htcp_jax.planner.null_space import Anchored
@@ -24,6 +24,7 @@ class LaneChecks:
     ):
         self.kernels = kernels
         self._scenarios, self._settings, self._tip = scenarios, settings, tip
+        self._advance = ADVANCE_SMALLEST if settings.clearance_rows == "smallest" else ADVANCE
         self.of_steps = check_paths or settings.path_check == "all"  # whether joint paths are checked
         self.of_escapes = self.of_steps or settings.path_check == "escapes"
 
@@ -31,9 +32,13 @@ class LaneChecks:
         """What the kernels are told about the lanes. round_: of draws."""
         return lane_inputs(self._scenarios, lanes.scenario, lanes.target, seed=self._settings.seed, round_=round_)
 
+    def advanced(self, lanes: Lanes, y: np.ndarray) -> Measured:
+        """The lanes after steps y (lanes, N)."""
+        return self.kernels(self._advance, self.inputs(lanes), lanes.x_ref, y)
+
     def measured(self, lanes: Lanes, x: np.ndarray) -> Measured:
         """The lanes at configurations x (lanes, N)."""
-        return self.kernels(ADVANCE, self.inputs(lanes), x, np.zeros_like(x))
+        return self.kernels(self._advance, self.inputs(lanes), x, np.zeros_like(x))
 
     def keeps_margin(self, lanes: Lanes, here: Measured | Anchored) -> np.ndarray:
         """Which lanes are on their target with the margin asked for."""

@@ -55,7 +55,11 @@ def new_lanes(sizes: tuple[int, int], scenario, target, x_previous, x_ref, candi
 
 
 def gather(tables: Tables, rows) -> Tables:
-    """Some of the rows."""
+    """Some of the rows: the tables themselves where a mask leaves none out."""
+    if isinstance(rows, np.ndarray) and rows.dtype == bool:
+        if rows.all():
+            return tables
+        rows = np.flatnonzero(rows)  # counted once, not for every table
     return jax.tree.map(lambda table: table[rows], tables)
 
 

@@ -128,23 +128,30 @@ class Kernels:
     def _run(self, kernel: Kernel, tables):
         lanes = len(jax.tree.leaves(tables)[0])
         capacity, width = kernel.load.on(self.device)
-        padded = jax.tree.map(lambda t: _pad(np.asarray(t), capacity), tables)
-        chunks = np.int32(-(-lanes // width))
-        result = self._program(kernel, chunks, padded)(self._scene, chunks, *padded)
+        chunks = -(-lanes // width)
+        padded = jax.tree.map(lambda t: _pad(np.asarray(t), capacity, chunks * width), tables)
+        arguments = self._scene, np.int32(chunks), *padded
+        result = self._program(kernel, arguments)(*arguments)
         # Waiting for an array holds the interpreter's lock, which other engines need; this does not.
         jax.block_until_ready(result)
         if self.device.platform != "cpu":
             result = jax.device_get(result)  # all copies at once
         return jax.tree.map(lambda r: np.asarray(r)[:lanes], result)
 
-    def _program(self, kernel: Kernel, chunks, tables) -> jax.stages.Compiled:
+    def _program(self, kernel: Kernel, arguments: tuple) -> jax.stages.Compiled:
         if kernel not in self._own:
-            arguments = (self._scene, chunks, *tables)
             self._own[kernel], seconds = self._programs.get(kernel, self._settings, self.device, arguments)
             self.compile_s += seconds
         return self._own[kernel]
 
 
-def _pad(table: np.ndarray, capacity: int) -> np.ndarray:
-    """The table with its first row repeated up to the capacity: real numbers, so that padding never goes astray."""
-    return np.concatenate([table, np.repeat(table[:1], capacity - len(table), axis=0)])
+def _pad(table: np.ndarray, capacity: int, filled: int) -> np.ndarray:
+    """The table with its first row repeated up to `filled`: real numbers, so that padding never goes astray. What lies
+    beyond, up to the capacity, is never read."""
+    lanes = len(table)
+    if lanes == capacity:
+        return table
+    padded = np.empty((capacity, *table.shape[1:]), table.dtype)
+    padded[:lanes] = table
+    padded[lanes:filled] = table[0]
+    return padded

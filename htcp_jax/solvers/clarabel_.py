@@ -12,10 +12,10 @@ from scipy import sparse
 from htcp_jax.solvers.step_qp import QPSolution, QPStatus, StepQP
 
 _VERDICT = {
-    "Solved": QPStatus.SOLVED,
-    "AlmostSolved": QPStatus.SOLVED,
-    "PrimalInfeasible": QPStatus.INFEASIBLE,
-    "AlmostPrimalInfeasible": QPStatus.INFEASIBLE,
+    clarabel.SolverStatus.Solved: QPStatus.SOLVED,
+    clarabel.SolverStatus.AlmostSolved: QPStatus.SOLVED,
+    clarabel.SolverStatus.PrimalInfeasible: QPStatus.INFEASIBLE,
+    clarabel.SolverStatus.AlmostPrimalInfeasible: QPStatus.INFEASIBLE,
 }
 
 
@@ -57,28 +57,28 @@ class ClarabelSolver:
         free = np.isposinf(limits)
         signs = np.where(free, 0.0, np.array([1.0, -1.0]))
         limits = np.where(free, 1.0, limits).transpose(0, 2, 1).reshape(batch, -1)
-        values = np.ascontiguousarray(np.concatenate([columns, signs], axis=2).reshape(batch, -1))
+        values = np.concatenate([columns, signs], axis=2).reshape(batch, -1)
         bounds = np.concatenate([qps.b, h, limits], axis=1)
-        y = np.zeros((batch, n))
-        status = np.full(batch, QPStatus.FAILED, np.int32)
-        for k in range(batch):
-            y[k], status[k] = self._solve_one(qps.q[k], values[k], bounds[k])
+        # As lists: Clarabel takes numbers one by one, and those of an array it has made into objects first.
+        rows = zip(qps.q.tolist(), values.tolist(), bounds.tolist(), strict=True)
+        found = [self._solve_one(*row) for row in rows]
+        y = np.array([step or [0.0] * n for step, _ in found]).reshape(batch, n)
+        status = np.array([verdict for _, verdict in found], np.int32)
+        lost = ~np.isfinite(y).all(axis=1)
+        y[lost], status[lost] = 0.0, QPStatus.FAILED
         return QPSolution(y, status)
 
-    def _solve_one(self, q, values, bounds) -> tuple[np.ndarray | float, QPStatus]:
+    def _solve_one(self, q: list, values: list, bounds: list) -> tuple[list | None, QPStatus]:
         try:
             self._solver.update(q=q, A=values, b=bounds)
             solution = self._solver.solve()
         except Exception:
-            return 0.0, QPStatus.FAILED
+            return None, QPStatus.FAILED
         except BaseException as panic:
             # A panic of the Rust core arrives outside Exception and leaves the solver in an unknown state.
             if type(panic).__name__ != "PanicException":
                 raise
             self._solver = self._build()
-            return 0.0, QPStatus.FAILED
-        verdict = _VERDICT.get(str(solution.status), QPStatus.FAILED)
-        if verdict != QPStatus.SOLVED:
-            return 0.0, verdict
-        x = np.asarray(solution.x)
-        return (x, verdict) if np.isfinite(x).all() else (0.0, QPStatus.FAILED)
+            return None, QPStatus.FAILED
+        verdict = _VERDICT.get(solution.status, QPStatus.FAILED)
+        return solution.x if verdict == QPStatus.SOLVED else None, verdict
