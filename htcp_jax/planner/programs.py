@@ -15,6 +15,11 @@ from htcp_jax.scene.task import Task
 from htcp_jax.settings import Settings
 
 
+# What does not change in a loop is taken out of it before equal parts are found, and these look different then: an arm's
+# posture is computed up to seven times over. On a CPU that costs more than it saves; on a GPU every launch counts.
+COMPILER = {"cpu": {"xla_disable_hlo_passes": "while-loop-invariant-code-motion"}}
+
+
 class Programs:
     """Compiled programs: one for each kernel, values of the settings that it reads, device, and shapes."""
 
@@ -40,7 +45,8 @@ class Programs:
             if key in self._compiled:
                 return self._compiled[key], 0.0
             began = time.perf_counter()
-            self._compiled[key] = chunked(kernel.of(settings), kernel.load.on(device).width).lower(*arguments).compile()
+            lowered = chunked(kernel.of(settings), kernel.load.on(device).width).lower(*arguments)
+            self._compiled[key] = lowered.compile(COMPILER.get(device.platform))
             return self._compiled[key], time.perf_counter() - began
 
     def of(self, *kernels: Kernel) -> list[tuple[Kernel, jax.stages.Compiled]]:
