@@ -9,6 +9,7 @@ import numpy as np
 
 from htcp_jax.errors import InputError
 from htcp_jax.planner.engine import Engine
+from htcp_jax.planner.first_calls import first_calls
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.stages import Escapes
@@ -42,6 +43,8 @@ class StepQPs(Escapes):
         handed_out = _Shared(order)
         kernels = problem.kernels  # made here, before there are threads
         tips = tip_checks(kernels, problem.tip_guard)
+        for each in kernels if order else ():
+            each.prepare(first_calls(problem))
 
         def work(number: int) -> None:
             robot, settings = problem.robot, problem.settings
