@@ -52,13 +52,15 @@ class Roadmap:
     description: str
     smooth = True  # unless the settings say otherwise
 
+    def first_calls(self, problem: Problem) -> list[tuple]:
+        """See `Kernels.prepare`."""
+        return _calls(problem)
+
     def plan(self, problem: Problem) -> Plans:
         """Plan all scenarios; threads take them in turn, and write into different rows."""
         plans = problem.empty_plans()
         kernels = problem.kernels  # made here, before there are threads
         tips = tip_checks(kernels, problem.tip_guard)
-        for each in kernels if len(problem.to_plan) else ():
-            each.prepare(_calls(problem))
 
         def work(number: int) -> list[tuple[int, int, np.ndarray]]:
             own = number % len(kernels)

@@ -28,6 +28,10 @@ class StepQPs(Escapes):
     title: str
     description: str  # what it does, in words
 
+    def first_calls(self, problem: Problem) -> list[tuple]:
+        """See `Kernels.prepare`."""
+        return first_calls(problem)
+
     def plan(self, problem: Problem) -> Plans:
         """Plan all scenarios. Raises InputError for a QP solver that is not there.
 
@@ -43,8 +47,6 @@ class StepQPs(Escapes):
         handed_out = _Shared(order)
         kernels = problem.kernels  # made here, before there are threads
         tips = tip_checks(kernels, problem.tip_guard)
-        for each in kernels if order else ():
-            each.prepare(first_calls(problem))
 
         def work(number: int) -> None:
             robot, settings = problem.robot, problem.settings
