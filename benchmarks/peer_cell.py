@@ -10,11 +10,11 @@ import numpy as np
 from htcp_jax.clearance.obstacles import clearance
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.planner.kernel import DEEP, Kernel
-from htcp_jax.planner.kernels import PROVE
 from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.planner.motion_check import tubes
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
+from htcp_jax.planner.proofs import proofs_of
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.kinematics import tcp_position
 from htcp_jax.settings import Settings
@@ -79,7 +79,7 @@ class Cell:
         problem = self.problem
         scenario = np.full(len(a), self.scenario)
         tube = tubes(problem.scenarios, problem.task, problem.settings.tube_m, scenario, target, turns)
-        return problem.kernels[0](PROVE, self._lanes(target), a, b, tube).verdict == Way.PROVEN
+        return proofs_of(problem.kernels[0], self._lanes(target), a, b, tube).verdict == Way.PROVEN
 
     def uniform(self, draw: np.random.Generator, count: int) -> np.ndarray:
         """Postures drawn within the joint limits."""

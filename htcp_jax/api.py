@@ -223,8 +223,7 @@ def plan(
     registry.find(job.method)
     robot, workpiece, scenario = scene(job)
     obstacles, task = obstacles_of(job.cell, robot), task_of_job(job, robot)
-    batch.check_start(robot, workpiece, scenario, obstacles)
-    how = {"progress": progress, "device": device, "obstacles": obstacles, "task": task}
+    how = {"progress": progress, "device": device, "obstacles": obstacles, "task": task, "check_starts": True}
     plans = batch.plan(robot, workpiece, scenario, job.method, job.settings, **how)
     robot, scenario = with_own_tool(robot, scenario)
     return Plan(job, robot, workpiece, scenario, plans, obstacles)

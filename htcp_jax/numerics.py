@@ -125,9 +125,10 @@ def solve_spd(a: Float[Array, "n n"], b: Float[Array, "n"], floor: float = 1e-30
 
 def fold_keys(key: jax.Array, *data) -> jax.Array:
     """The random key of one (scenario, target, ...): folded one by one, so it depends on nothing else."""
-    for value in data:
-        key = jax.random.fold_in(key, value)
-    return key
+    values = jnp.stack([jnp.asarray(value).astype(jnp.uint32) for value in data])
+    # One loop in place of a program for each, but on a GPU, where every turn is a launch.
+    unroll = 1 if jax.default_backend() == "cpu" else len(data)
+    return jax.lax.scan(lambda key, value: (jax.random.fold_in(key, value), None), key, values, unroll=unroll)[0]
 
 
 def one_by_one(function: Callable) -> Callable:

@@ -16,9 +16,9 @@ from htcp_jax.clearance.scene import Scene
 from htcp_jax.clearance.tip_guard import make_tip_guard
 from htcp_jax.errors import InputError
 from htcp_jax.planner.joint_search import join
-from htcp_jax.planner.kernels import PROVE
 from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.programs import Kernels
+from htcp_jax.planner.proofs import proofs_of
 from htcp_jax.planner.tip_check import TipCheck
 from htcp_jax.scene.robot import GP50
 from htcp_jax.scene.robot_file import load_robot
@@ -83,7 +83,7 @@ def ways(knots=None):
 def verdicts(s, a, b):
     nowhere, which = np.zeros((len(a), 3)), np.full(len(a), s)
     tube = Tube(nowhere, nowhere, np.full(len(a), np.inf))
-    return kernels()(PROVE, lane_inputs(scenarios(), which, np.zeros_like(which)), a, b, tube, np.zeros(len(a))).verdict
+    return proofs_of(kernels(), lane_inputs(scenarios(), which, np.zeros_like(which)), a, b, tube).verdict
 
 
 def length(way):

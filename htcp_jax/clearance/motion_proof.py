@@ -75,7 +75,7 @@ def prove(
     a: Joints,
     b: Joints,
     tube: Tube | None = None,
-    resolution_m: float = -ROUNDING_M,
+    resolution_m: Float[ArrayLike, ""] = -ROUNDING_M,
     deepest: Int[ArrayLike, ""] = DEEPEST,
     kept: Float[ArrayLike, ""] = 0.0,
 ) -> Proof:

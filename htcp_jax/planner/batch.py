@@ -16,9 +16,10 @@ from htcp_jax.clearance.of_workpiece import all_obstacles
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.errors import InputError
 from htcp_jax.planner.devices import choose, default_threads
+from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem, ignore
-from htcp_jax.planner.registry import find
+from htcp_jax.planner.registry import Method, find
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import NOT_REFUSED, Scenario, stack
 from htcp_jax.scene.task import Task
@@ -48,6 +49,7 @@ def plan(
     check_paths: bool = True,
     task: Task | None = None,
     obstacles: Obstacles = (),
+    check_starts: bool = False,
 ) -> Plans:
     """Plan every scenario with one method (its name, see `registry`).
 
@@ -56,9 +58,11 @@ def plan(
     results do not depend on it. check_paths: afterwards measure, for every accepted step that the method did not check
     itself, whether its straight joint path is clear (`Plans.path_clear`), judge which ways are motions, and smooth
     these where `settings.smooth` or the method asks for it. task: what the arm holds at every target, by default the
-    TCP's position within `tolerance_m`. obstacles: further ones, see `clearance.obstacle`.
+    TCP's position within `tolerance_m`. obstacles: further ones, see `clearance.obstacle`. check_starts: refuse a start
+    in collision, which otherwise is a status.
     Raises InputError for an unknown method, device or setting, for weights of the wrong length, for no scenarios,
-    and for a task of more rows than joints, or other ones than the targets have.
+    for a task of more rows than joints, or other ones than the targets have, and for starts to be checked that are in
+    collision.
     """
     chosen, settings = find(method), settings_of(settings)
     joints = len(robot.joint_names)
@@ -96,6 +100,9 @@ def plan(
     from htcp_jax.planner.lane_checks import check_remaining_paths
     from htcp_jax.planner.motion_check import judge_motions, tighten
 
+    _prepare(problem, chosen)
+    if check_starts:
+        _check_starts(problem, obstacles)
     ways = leave_home(problem)
     plans = _of_these(chosen.plan(problem), problem, method)
     if check_paths:
@@ -135,15 +142,39 @@ def start_clearance(
 def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario, obstacles: Obstacles = ()) -> None:
     """Raise InputError when the home or the start is in collision, naming the body, what it is in, and the depth.
     obstacles: besides the workpiece."""
-    if scenario.begins_anywhere:
-        return
-    postures = {"start": scenario.x_start}
-    if scenario.auto_start or (scenario.x_home != scenario.x_start).any():
-        postures = {"home": scenario.x_home} | ({} if scenario.auto_start else postures)
-    for what, x in postures.items():
+    for what, x in _begins_at(scenario).items():
         D, body, other = start_clearance(robot, workpiece, scenario, x, obstacles)
         if D <= 0:
             raise InputError(f"{what} is in collision: {body} is {-1e3 * D:.3f} mm inside {other}")
+
+
+def _begins_at(scenario: Scenario) -> dict[str, Float[np.ndarray, "N"]]:
+    """The postures in which an arm has to be clear before anything is planned, by name."""
+    if scenario.begins_anywhere:
+        return {}
+    start = {"start": scenario.x_start}
+    if scenario.auto_start or (scenario.x_home != scenario.x_start).any():
+        return {"home": scenario.x_home} | ({} if scenario.auto_start else start)
+    return start
+
+
+def _prepare(problem: Problem, method: Method) -> None:
+    """Compile what a method says that it will call first."""
+    calls = getattr(method, "first_calls", None)
+    for each in problem.kernels if calls is not None and len(problem.to_plan) else ():
+        each.prepare(calls(problem))
+
+
+def _check_starts(problem: Problem, obstacles: Obstacles) -> None:
+    """`check_start` of every scenario, by a program that planning needs anyhow."""
+    from htcp_jax.planner.kernels import ADVANCE
+
+    for s in problem.to_plan.tolist():
+        one = jax.tree.map(lambda leaf, s=s: leaf[s], problem.scenarios)
+        inputs = lane_inputs(problem.scenarios, np.array([s]), np.zeros(1, int))
+        for x in _begins_at(one).values():
+            if problem.kernels[0](ADVANCE, inputs, x[None], np.zeros_like(x)[None]).clearance[0] <= 0:
+                check_start(problem.robot, problem.workpiece, one, obstacles)
 
 
 def _check_task(task: Task, robot: Robot, scenarios: Scenario) -> None:

@@ -20,16 +20,14 @@ from collections.abc import Generator
 from itertools import islice
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.motion_proof import DEEPEST, Verdict, prove
-from htcp_jax.clearance.scene import Scene, own_scene
-from htcp_jax.planner.kernel import DEEP, Kernel
-from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
+from htcp_jax.clearance.motion_proof import DEEPEST
+from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.lanes import gather
 from htcp_jax.planner.programs import Kernels
+from htcp_jax.planner.proofs import clear_paths
 from htcp_jax.planner.tip_check import TipCheck
 from htcp_jax.scene.scenario import Scenario
 from htcp_jax.settings import Settings
@@ -51,15 +49,6 @@ class JointPaths(NamedTuple):
 
 Joining = Generator[JointPaths, Bool[np.ndarray, "m"], Any]  # asks, and is sent which of them are proven
 Limits = tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]
-
-
-def prove_clear(settings: Settings, scene: Scene, lane: LaneInputs, a, b, deepest) -> Bool[jax.Array, ""]:
-    """Whether the straight joint path from a to b is proven clear, with so many halvings at most."""
-    proof = prove(own_scene(scene, lane.tool_extension_m), lane, a, b, deepest=deepest)
-    return proof.verdict == Verdict.PROVEN
-
-
-PROVE_CLEAR = Kernel("prove_clear", prove_clear, DEEP)
 
 
 def join(
@@ -121,7 +110,7 @@ def _told(
     own = np.repeat(scenario[list(asked)], counts)
     a, b, deepest = (np.concatenate(column) for column in zip(*asked.values(), strict=True))
     inputs = lane_inputs(scenarios, own, np.zeros_like(own))
-    clear = kernels(PROVE_CLEAR, inputs, a, b, deepest).copy()
+    clear = clear_paths(kernels, inputs, a, b, deepest=deepest)
     if tip is not None and clear.any():
         pick = gather((inputs, a, b), clear)
         clear[clear] = ~(tip.at(*pick[:2]) | tip.at(pick[0], pick[2]) | tip.along(*pick))

@@ -26,8 +26,7 @@ class Table(NamedTuple):
 
 class Load(NamedTuple):
     """The tables of a kind of kernels, one for any number of lanes: another one would round in its own way. A CPU gains
-    from a few lanes side by side, and nothing where a kernel has loops of its own; a GPU from thousands, fewer where
-    each lane has hundreds of samples."""
+    nothing from lanes side by side; a GPU from thousands, fewer where each lane has hundreds of samples."""
 
     cpu: Table
     gpu: Table
@@ -37,9 +36,10 @@ class Load(NamedTuple):
         return self.cpu if device.platform == "cpu" else self.gpu
 
 
-STEP = Load(cpu=Table(128, 4), gpu=Table(4096, 4096))  # what every lane needs all the time
-DEEP = Load(cpu=Table(128, 1), gpu=Table(2048, 512))  # what few lanes need, or what has loops of its own to vectorise
-SAMPLED = Load(cpu=Table(128, 1), gpu=Table(256, 32))  # with hundreds of configurations a lane
+ALONE = Table(128, 1)
+STEP = Load(cpu=ALONE, gpu=Table(4096, 4096))  # what every lane needs all the time
+DEEP = Load(cpu=ALONE, gpu=Table(2048, 512))  # what few lanes need, or what has loops of its own to vectorise
+SAMPLED = Load(cpu=ALONE, gpu=Table(256, 32))  # with hundreds of configurations a lane
 
 
 @dataclass(frozen=True)
@@ -82,10 +82,14 @@ class _NamedSettings(Settings):
 
 def chunked(kernel: Callable, width: int) -> Callable:
     """`kernel(scene, *one lane)` over tables with a leading axis of capacity C: run(scene, chunks, *tables) computes
-    the first chunks x width lanes; the rest of the result is zeros."""
+    the first chunks x width lanes; the rest of the result is zeros. One lane at a time is not batched: loops then ask
+    for no lane but their own, and the program is a fifth shorter."""
 
     def run(scene, chunks, *tables):
         def one_chunk(start):
+            if width == 1:
+                lane = jax.tree.map(lambda t: jax.lax.dynamic_index_in_dim(t, start, keepdims=False), tables)
+                return jax.tree.map(lambda r: jnp.asarray(r)[None], kernel(scene, *lane))
             part = jax.tree.map(lambda t: jax.lax.dynamic_slice_in_dim(t, start, width), tables)
             return jax.vmap(partial(kernel, scene))(*part)
 

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance.linearisation import Linearisation, linearise
-from htcp_jax.clearance.motion_proof import Proof, Tube, path_clear, prove
+from htcp_jax.clearance.motion_proof import path_clear
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.planner.kernel import DEEP, STEP, Kernel
 from htcp_jax.planner.lane_inputs import LaneInputs
@@ -114,11 +114,6 @@ def check_path(settings: Settings, scene: Scene, lane: LaneInputs, a, b):
     return path_clear(scene, settings, lane, a, b)
 
 
-def prove_way(settings: Settings, scene: Scene, lane: LaneInputs, a, b, tube: Tube, kept) -> Proof:
-    """Whether the straight joint path from a to b is a motion. kept: see `prove`."""
-    return prove(own_scene(scene, lane.tool_extension_m), lane, a, b, tube, kept=kept)
-
-
 def settle(settings: Settings, scene: Scene, lane: LaneInputs, x):
     """The posture at x, brought onto its target, ten times closer than inverse kinematics is asked for elsewhere."""
     scene = own_scene(scene, lane.tool_extension_m)
@@ -139,6 +134,10 @@ ADVANCE = Kernel("advance", advance, STEP)
 ADVANCE_SMALLEST = Kernel("advance", advance_smallest, STEP)
 TRACK_BURST = Kernel("track", track, STEP, (*_STEP_QP, "max_step_qps", "qp_tolerance"))
 CHECK_PATH = Kernel("check_path", check_path, DEEP, ("path_test", "path_steps"))
-PROVE = Kernel("prove", prove_way, DEEP)
 SETTLE = Kernel("settle", settle, STEP)
 HOLD = Kernel("hold", hold, STEP)
+
+
+def advance_of(settings: Settings) -> Kernel:
+    """What an engine measures its lanes by."""
+    return ADVANCE_SMALLEST if settings.clearance_rows == "smallest" else ADVANCE

@@ -4,13 +4,15 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from htcp_jax.planner.kernels import ADVANCE, ADVANCE_SMALLEST, CHECK_PATH, Measured
+from htcp_jax.clearance.motion_proof import RESOLUTION_M
+from htcp_jax.planner.kernels import CHECK_PATH, Measured, advance_of
 from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.planner.lanes import Lanes, gather
 from htcp_jax.planner.null_space import Anchored
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
+from htcp_jax.planner.proofs import clear_paths
 from htcp_jax.planner.tip_check import TipCheck, tip_checks
 from htcp_jax.scene.scenario import Scenario
 from htcp_jax.settings import Settings
@@ -24,7 +26,7 @@ class LaneChecks:
     ):
         self.kernels = kernels
         self._scenarios, self._settings, self._tip = scenarios, settings, tip
-        self._advance = ADVANCE_SMALLEST if settings.clearance_rows == "smallest" else ADVANCE
+        self._advance = advance_of(settings)
         self.of_steps = check_paths or settings.path_check == "all"  # whether joint paths are checked
         self.of_escapes = self.of_steps or settings.path_check == "escapes"
 
@@ -62,7 +64,7 @@ class LaneChecks:
         if not (asked and len(x)):
             return np.full(len(x), -1, np.int8)
         inputs = self.inputs(lanes)
-        clear = self.kernels(CHECK_PATH, inputs, lanes.x_previous, x)
+        clear = _clear(self.kernels, self._settings, inputs, lanes.x_previous, x)
         if self._tip is not None:
             clear = clear & ~self._tip.along(inputs, lanes.x_previous, x)
         return clear.astype(np.int8)
@@ -82,8 +84,16 @@ def check_remaining_paths(problem: Problem, plans: Plans) -> None:
         pick = gather((inputs, before, plans.x[s, t]), part)
         if len(part):
             own = number % len(kernels)
-            clear = kernels[own](CHECK_PATH, *pick)
+            clear = _clear(kernels[own], problem.settings, *pick)
             plans.path_clear[s[part], t[part]] = clear if tips[own] is None else clear & ~tips[own].along(*pick)
 
     with ThreadPoolExecutor(problem.threads) as pool:
         list(pool.map(check, range(problem.threads)))
+
+
+def _clear(kernels: Kernels, settings: Settings, inputs: LaneInputs, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Whether joint paths are clear by the test of `settings.path_test`. By proof it is the program for motions that
+    tells, with `motion_proof.proven_clear`'s resolution: there is none to compile besides."""
+    if settings.path_test == "bisection":
+        return clear_paths(kernels, inputs, a, b, RESOLUTION_M)
+    return kernels(CHECK_PATH, inputs, a, b)

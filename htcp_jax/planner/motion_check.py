@@ -12,13 +12,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.clearance.motion_proof import Proof, Tube
-from htcp_jax.planner.kernels import PROVE
 from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.lanes import concatenate, gather
 from htcp_jax.planner.motion import ONE_POINT_M
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
+from htcp_jax.planner.proofs import proofs_of
 from htcp_jax.planner.tip_check import TipCheck, tip_checks
 from htcp_jax.scene.scenario import Scenario
 from htcp_jax.scene.task import TCP_POSITION, Task
@@ -121,7 +121,7 @@ def prove_segments(
     inputs = lane_inputs(problem.scenarios, segments.scenario, segments.target)
     radius = problem.settings.tube_m
     tube = tubes(problem.scenarios, problem.task, radius, segments.scenario, segments.target, segments.turns)
-    proof = kernels(PROVE, inputs, segments.a, segments.b, tube, np.full(len(inputs.row), kept))
+    proof = proofs_of(kernels, inputs, segments.a, segments.b, tube, kept)
     if tip is not None:
         through = (proof.verdict == Way.PROVEN) & tip.along(inputs, segments.a, segments.b)
         proof = proof._replace(verdict=np.where(through, int(Way.COLLIDES), proof.verdict))

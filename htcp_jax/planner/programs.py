@@ -14,6 +14,10 @@ from htcp_jax.planner.kernel import STEP, Kernel, chunked
 from htcp_jax.scene.task import Task
 from htcp_jax.settings import Settings
 
+# What does not change in a loop is taken out of it before equal parts are found, which look different then: the arm's
+# links are computed up to seven times over. On a CPU that costs more than it saves; on a GPU every launch counts.
+COMPILER = {"cpu": {"xla_disable_hlo_passes": "while-loop-invariant-code-motion"}}
+
 
 class Programs:
     """Compiled programs: one for each kernel, values of the settings that it reads, device, and shapes."""
@@ -21,6 +25,7 @@ class Programs:
     def __init__(self):
         self._compiled: dict[tuple, jax.stages.Compiled] = {}
         self._compiling: dict[tuple, threading.Lock] = {}  # of each program: others may be compiled meanwhile
+        self._tracing = threading.Lock()
 
     def __len__(self) -> int:
         return len(self._compiled)
@@ -32,7 +37,8 @@ class Programs:
     def get(
         self, kernel: Kernel, settings: Settings, device: jax.Device, arguments: tuple
     ) -> tuple[jax.stages.Compiled, float]:
-        """The program for arguments of these shapes, and the seconds that it took to compile it just now."""
+        """The program for arguments of these shapes, and the seconds that it took to compile it just now. Python traces
+        one at a time, and the others are compiled meanwhile."""
         leaves, structure = jax.tree.flatten(arguments)
         shapes = tuple((x.shape, x.dtype) for x in leaves)
         key = (kernel, kernel.values(settings), device, structure, shapes)
@@ -40,7 +46,9 @@ class Programs:
             if key in self._compiled:
                 return self._compiled[key], 0.0
             began = time.perf_counter()
-            self._compiled[key] = chunked(kernel.of(settings), kernel.load.on(device).width).lower(*arguments).compile()
+            with self._tracing:
+                lowered = chunked(kernel.of(settings), kernel.load.on(device).width).lower(*arguments)
+            self._compiled[key] = lowered.compile(COMPILER.get(device.platform))
             return self._compiled[key], time.perf_counter() - began
 
     def of(self, *kernels: Kernel) -> list[tuple[Kernel, jax.stages.Compiled]]:
@@ -117,26 +125,30 @@ class Kernels:
         return parts[0] if len(parts) == 1 else jax.tree.map(lambda *p: np.concatenate(p), *parts)
 
     def prepare(self, calls: Sequence[tuple]) -> None:
-        """Compile side by side what would be compiled one after the other. calls: (kernel, tables) as they will be
-        made, with any numbers; what comes of them is forgotten."""
+        """Compile side by side what would be compiled one after the other, the largest first. calls: (kernel, tables)
+        as they will be made, with any numbers and of any number of lanes."""
         began, before = time.perf_counter(), self.compile_s
         with ThreadPoolExecutor(len(calls)) as pool:
-            list(pool.map(lambda call: self(*call), calls))
+            list(pool.map(lambda call: self._program(call[0], self._arguments(call[0], call[1:])), calls))
         if self.compile_s > before:
             self.compile_s = before + time.perf_counter() - began
 
     def _run(self, kernel: Kernel, tables):
         lanes = len(jax.tree.leaves(tables)[0])
-        capacity, width = kernel.load.on(self.device)
-        chunks = -(-lanes // width)
-        padded = jax.tree.map(lambda t: _pad(np.asarray(t), capacity, chunks * width), tables)
-        arguments = self._scene, np.int32(chunks), *padded
+        arguments = self._arguments(kernel, tables)
         result = self._program(kernel, arguments)(*arguments)
         # Waiting for an array holds the interpreter's lock, which other engines need; this does not.
         jax.block_until_ready(result)
         if self.device.platform != "cpu":
             result = jax.device_get(result)  # all copies at once
         return jax.tree.map(lambda r: np.asarray(r)[:lanes], result)
+
+    def _arguments(self, kernel: Kernel, tables) -> tuple:
+        """The scene, how many chunks there are to compute, and the tables, padded."""
+        capacity, width = kernel.load.on(self.device)
+        chunks = -(-len(jax.tree.leaves(tables)[0]) // width)
+        padded = jax.tree.map(lambda t: _pad(np.asarray(t), capacity, chunks * width), tables)
+        return self._scene, np.int32(chunks), *padded
 
     def _program(self, kernel: Kernel, arguments: tuple) -> jax.stages.Compiled:
         if kernel not in self._own:

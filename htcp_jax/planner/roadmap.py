@@ -23,7 +23,7 @@ import numpy as np
 
 from htcp_jax.clearance.motion_proof import Tube
 from htcp_jax.planner.front import Node, best_first, dispersed
-from htcp_jax.planner.kernels import ADVANCE, PROVE, SETTLE
+from htcp_jax.planner.kernels import ADVANCE, SETTLE
 from htcp_jax.planner.knots import Knots
 from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.planner.lanes import gather
@@ -31,6 +31,7 @@ from htcp_jax.planner.motion_check import tubes
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
+from htcp_jax.planner.proofs import proofs_of, prove_call
 from htcp_jax.planner.roadmap_kernels import FEED, WALK
 from htcp_jax.planner.tip_check import TipCheck, out_of_walls, tip_checks
 from htcp_jax.planner.transfers import joined, other_postures
@@ -51,13 +52,15 @@ class Roadmap:
     description: str
     smooth = True  # unless the settings say otherwise
 
+    def first_calls(self, problem: Problem) -> list[tuple]:
+        """See `Kernels.prepare`."""
+        return _calls(problem)
+
     def plan(self, problem: Problem) -> Plans:
         """Plan all scenarios; threads take them in turn, and write into different rows."""
         plans = problem.empty_plans()
         kernels = problem.kernels  # made here, before there are threads
         tips = tip_checks(kernels, problem.tip_guard)
-        for each in kernels if len(problem.to_plan) else ():
-            each.prepare(_calls(problem))
 
         def work(number: int) -> list[tuple[int, int, np.ndarray]]:
             own = number % len(kernels)
@@ -75,7 +78,7 @@ def _calls(problem: Problem) -> list[tuple]:
     x, turns = problem.scenarios.x_start[one], np.zeros(1, bool)
     inputs = lane_inputs(problem.scenarios, one, zero)
     tube = tubes(problem.scenarios, problem.task, problem.settings.tube_m, one, zero, turns)
-    calls = [(FEED, inputs, x), (PROVE, inputs, x, x, tube, np.zeros(1))]
+    calls = [(FEED, inputs, x), prove_call(inputs, x, x, tube)]
     if problem.kernels[0].freedom:
         calls.append((WALK, inputs, x, zero.astype(np.int32)))
     return calls if problem.settings.smooth is False else [*calls, (ADVANCE, inputs, x, x), (SETTLE, inputs, x)]
@@ -278,7 +281,7 @@ class Growing:
         """Which straight joint paths from a to b are motions. along: whether to look at the bare tip, too."""
         if not len(a):
             return np.zeros(0, bool)
-        good = self._kernels(PROVE, inputs, a, b, tube, np.zeros(len(a))).verdict == Way.PROVEN
+        good = proofs_of(self._kernels, inputs, a, b, tube).verdict == Way.PROVEN
         if along and self._tip is not None and good.any():
             good[good] = ~self._tip.along(*gather((inputs, a, b), good))
         return good

@@ -1,6 +1,6 @@
 """What the roadmap asks of a device: to feed a posture on to the next target, and to walk on in the null space of one.
 
-Pure functions of one lane, as in `kernels`. Whether what they find is a motion is for `kernels.PROVE` to say, for many
+Pure functions of one lane, as in `kernels`. Whether what they find is a motion is for `proofs` to say, for many
 lanes' ways at once.
 """
 

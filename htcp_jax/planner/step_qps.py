@@ -9,6 +9,7 @@ import numpy as np
 from htcp_jax.errors import InputError
 from htcp_jax.planner.candidates import Waiting
 from htcp_jax.planner.engine import Engine
+from htcp_jax.planner.first_calls import first_calls
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.stages import Escapes
@@ -27,6 +28,10 @@ class StepQPs(Escapes):
     name: str  # in files and on the command line
     title: str
     description: str  # what it does, in words
+
+    def first_calls(self, problem: Problem) -> list[tuple]:
+        """See `Kernels.prepare`."""
+        return first_calls(problem)
 
     def plan(self, problem: Problem) -> Plans:
         """Plan all scenarios. Raises InputError for a QP solver that is not there.

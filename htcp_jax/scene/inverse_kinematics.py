@@ -31,21 +31,25 @@ def reanchor(
     x, target = configuration(robot, x), of_shape(target, (task.numbers,), "target")
     off, slopes = partial(_off, robot, task, target), partial(_slopes, robot, task, target)
 
+    def look(x):
+        return x, off(x), slopes(x)
+
     def step(state):
-        x, error, count = state
-        jac = slopes(x)
+        (x, error, jac), count = state
         # A joint at its limit that the step would push further out takes no part.
         push = product(jac.T, _weighted(jac, error))
         blocked = ((x <= robot.lower) & (push < 0)) | ((x >= robot.upper) & (push > 0))
         jac = jnp.where(blocked[None, :], 0.0, jac)
-        x = jnp.clip(x + product(jac.T, _weighted(jac, error)), robot.lower, robot.upper)
-        return x, off(x), count + 1
+        stepped = jnp.clip(x + product(jac.T, _weighted(jac, error)), robot.lower, robot.upper)
+        return look(jnp.where(count < 0, x, stepped)), count + 1
 
     def going(state):
-        _, error, count = state
-        return (safe_norm(error) > tolerance_m) & (count < iterations)
+        (_, error, _), count = state
+        return (count < 0) | (safe_norm(error) > tolerance_m) & (count < iterations)
 
-    x, error, _ = jax.lax.while_loop(going, step, (x, off(x), jnp.zeros((), jnp.int32)))
+    # The first turn looks where it is: the arm is in the program once.
+    blank = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(look, x))
+    (x, error, _), _ = jax.lax.while_loop(going, step, ((x, *blank[1:]), jnp.full((), -1, jnp.int32)))
     return x, task.off(robot, x, target) if task.bands else safe_norm(error)
 
 

@@ -164,11 +164,14 @@ def _link_frames(robot: Robot, x: Joints) -> _Frames:
     slides = np.array(robot.slides)
     turn, slide = jnp.where(slides, 0.0, x), jnp.where(slides, x, 0.0)
     steps = _Frames(product(fixed.rotation, turned(robot.axis, turn)), _to_world(fixed, slide[:, None] * robot.axis))
-    links = [_row(steps, 0)]
-    for i in range(1, len(robot.slides)):
-        rotation, origin = _row(steps, i)
-        links.append(_Frames(product(links[-1].rotation, rotation), _to_world(links[-1], origin)))
-    return _Frames(*(jnp.stack(parts) for parts in zip(*links, strict=True)))
+
+    def then(last: _Frames, step: _Frames):
+        link = _Frames(product(last.rotation, step.rotation), _to_world(last, step.origin))
+        return link, link
+
+    world = _Frames(jnp.eye(3, dtype=x.dtype), jnp.zeros(3, x.dtype))
+    # A loop where that costs next to nothing: the arm is in every program, several times.
+    return jax.lax.scan(then, world, steps, unroll=1 if jax.default_backend() == "cpu" else len(slides))[1]
 
 
 def _frames_of(robot: Robot, x: Joints, links: tuple[int, ...]) -> _Frames:

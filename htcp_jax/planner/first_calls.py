@@ -1,0 +1,22 @@
+"""The kernels that engines will surely ask for, so that they are compiled side by side, see `Kernels.prepare`."""
+
+import numpy as np
+
+from htcp_jax.planner.kernels import PREPARE, TRACK_BURST, advance_of
+from htcp_jax.planner.lane_inputs import lane_inputs
+from htcp_jax.planner.lanes import new_lanes
+from htcp_jax.planner.problem import Problem
+from htcp_jax.planner.proofs import free_tubes, prove_call
+
+
+def first_calls(problem: Problem) -> list[tuple]:
+    """One of each kernel, the largest first."""
+    kernels, one, zero = problem.kernels[0], problem.to_plan[:1], np.zeros(1, int)
+    x, inputs = problem.scenarios.x_start[one], lane_inputs(problem.scenarios, one, zero)
+    lanes = new_lanes(kernels.sizes, one, zero, x, x)
+    state = inputs, lanes.x_ref, lanes.x_previous, lanes.linear
+    tracking = (PREPARE, *state)
+    if problem.settings.qp == "device":
+        tracking = (TRACK_BURST, *state, lanes.iteration)
+    proof = [prove_call(inputs, x, x, free_tubes(problem.task, inputs))] if problem.check_paths else []
+    return [*proof, (advance_of(problem.settings), inputs, x, x), tracking]

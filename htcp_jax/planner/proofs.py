@@ -1,0 +1,81 @@
+"""Straight joint paths, put to one kernel that proves them: motions on the way between targets, and free paths alike.
+
+What is asked of a path is data, so that one program serves all who ask.
+"""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from htcp_jax.clearance.motion_bound import ROUNDING_M
+from htcp_jax.clearance.motion_proof import DEEPEST, Proof, Tube, prove
+from htcp_jax.clearance.scene import Scene, own_scene
+from htcp_jax.planner.kernel import DEEP, Kernel
+from htcp_jax.planner.lane_inputs import LaneInputs
+from htcp_jax.planner.programs import Kernels
+from htcp_jax.scene.task import TCP_POSITION, Task
+from htcp_jax.settings import Settings
+from htcp_jax.status import Way
+
+Postures = Float[np.ndarray, "n N"]
+
+
+class Closely(NamedTuple):
+    """How closely a proof looks, see `prove`."""
+
+    kept: Float[jax.Array, ""]
+    resolution_m: Float[jax.Array, ""]  # [m]
+    deepest: Int[jax.Array, ""]
+
+
+def prove_way(settings: Settings, scene: Scene, lane: LaneInputs, a, b, tube: Tube, closely: Closely) -> Proof:
+    """Whether the straight joint path from a to b is a motion."""
+    own = own_scene(scene, lane.tool_extension_m)
+    return prove(own, lane, a, b, tube, closely.resolution_m, closely.deepest, closely.kept)
+
+
+PROVE = Kernel("prove", prove_way, DEEP)
+
+
+def proofs_of(
+    kernels: Kernels,
+    inputs: LaneInputs,
+    a: Postures,
+    b: Postures,
+    tube: Tube,
+    kept: float = 0.0,
+    resolution_m: float = -ROUNDING_M,
+    deepest: int | Int[np.ndarray, "n"] = DEEPEST,
+) -> Proof:
+    """Of each lane's straight joint path from a to b [rad or m]."""
+    return kernels(*prove_call(inputs, a, b, tube, kept, resolution_m, deepest))
+
+
+def prove_call(inputs: LaneInputs, a, b, tube: Tube, kept=0.0, resolution_m=-ROUNDING_M, deepest=DEEPEST) -> tuple:
+    """The kernel and its tables for these, see `Kernels.prepare`."""
+    closely = Closely(*(np.broadcast_to(value, len(a)) for value in (kept, resolution_m, np.asarray(deepest, int))))
+    return PROVE, inputs, a, b, tube, closely
+
+
+def clear_paths(
+    kernels: Kernels,
+    inputs: LaneInputs,
+    a: Postures,
+    b: Postures,
+    resolution_m: float = -ROUNDING_M,
+    deepest: int | Int[np.ndarray, "n"] = DEEPEST,
+) -> Bool[np.ndarray, "n"]:
+    """Which of the straight joint paths are proven clear, wherever the TCP goes on them."""
+    tube = free_tubes(kernels.task, inputs)
+    return proofs_of(kernels, inputs, a, b, tube, 0.0, resolution_m, deepest).verdict == Way.PROVEN
+
+
+def free_tubes(task: Task, inputs: LaneInputs) -> Tube:
+    """Tubes in which the TCP may be anywhere, and nothing of the task is asked."""
+    count = len(inputs.row)
+    rows = ()
+    if task.parts != TCP_POSITION.parts:
+        rows = np.stack([inputs.target, inputs.target], axis=1), np.zeros(count, bool)
+    return Tube(np.zeros((count, 3)), np.zeros((count, 3)), np.full(count, np.inf), *rows)
