@@ -1,0 +1,59 @@
+"""What is compiled: once, side by side, nothing besides, and the same whichever way it comes to be."""
+
+import jax
+import jax.numpy as jnp
+import made_once
+import numpy as np
+
+from htcp_jax.clearance.motion_proof import RESOLUTION_M, proven_clear
+from htcp_jax.numerics import fold_keys
+from htcp_jax.planner.kernel import chunked
+from htcp_jax.planner.lane_inputs import lane_inputs
+from htcp_jax.planner.programs import Kernels, Programs
+from htcp_jax.planner.proofs import PROVE, clear_paths, free_tubes, prove_call
+from htcp_jax.scene.scenario import stack
+from htcp_jax.settings import Settings
+
+
+def asked(count):
+    """Lanes of the nominal scenario, and joint paths from about its start, of which some are not clear."""
+    scenarios = jax.tree.map(np.asarray, stack([made_once.nominal()]))
+    a = made_once.configurations_near(np.array(made_once.START), count, 0.3)
+    b = a + 1.5 * np.random.default_rng(1).standard_normal(a.shape)
+    return lane_inputs(scenarios, np.zeros(count, int), np.zeros(count, int)), a, b
+
+
+def test_what_is_prepared_is_what_is_called():
+    programs = Programs()
+    kernels = Kernels(made_once.scene(), Settings(), programs=programs)
+    inputs, a, b = asked(20)
+    kernels.prepare([prove_call(inputs, a, b, free_tubes(kernels.task, inputs))])
+    assert len(programs) == 1 and kernels.compile_s > 0
+    before = kernels.compile_s
+    clear = clear_paths(kernels, inputs, a, b, RESOLUTION_M)
+    assert len(programs) == 1 and kernels.compile_s == before and programs.of(PROVE)
+    one = jax.jit(lambda a, b: proven_clear(made_once.scene(), made_once.nominal(), a, b))
+    assert clear.tolist() == [bool(one(*way)) for way in zip(a, b, strict=True)]
+    assert clear.any() and not clear.all()
+
+
+def test_lanes_one_by_one_are_lanes_side_by_side():
+    """A loop whose length differs from lane to lane, and an integer beside a float."""
+
+    def kernel(scene, x, n):
+        return jax.lax.fori_loop(0, n, lambda k, x: x + scene * k, x), n + 1
+
+    x, n, done = np.arange(16.0).reshape(8, 2), np.arange(8, dtype=np.int32), np.arange(8) < 6
+    alone, together = (chunked(kernel, width)(jnp.asarray(0.5), np.int32(6 // width), x, n) for width in (1, 2))
+    for found in (alone, together):
+        np.testing.assert_array_equal(found[0], np.where(done[:, None], x + (0.25 * n * (n - 1))[:, None], 0.0))
+        np.testing.assert_array_equal(found[1], np.where(done, n + 1, 0))
+
+
+def test_a_key_is_folded_number_by_number():
+    for key in (jax.random.PRNGKey(3), jax.random.key(4)):
+        one_by_one = key
+        for value in (7, jnp.int32(-5), jnp.int64(2**40 + 3)):
+            one_by_one = jax.random.fold_in(one_by_one, value)
+        both = (jax.random.bits(each) for each in (one_by_one, fold_keys(key, 7, jnp.int32(-5), jnp.int64(2**40 + 3))))
+        assert len({int(bits) for bits in both}) == 1
