@@ -91,15 +91,10 @@ class Engine:
 
     def _linearise(self, lanes: Lanes) -> None:
         """Linearise new scenarios where they are. One whose start is in collision is over."""
-        lanes, clearance = self._linearised(lanes)
+        lanes, clearance = self._checks.linearised(lanes)
         collides = clearance <= 0
         self._record.collide(gather(lanes, collides))
         self._table.keep(gather(lanes, ~collides))
-
-    def _linearised(self, lanes: Lanes) -> tuple[Lanes, np.ndarray]:
-        """New lanes as they are tracked, and their clearance."""
-        now = self._checks.measured(lanes, lanes.x_ref)
-        return lanes._replace(x_ref=now.x, linear=now.linear, phase=np.full_like(lanes.phase, TRACK)), now.clearance
 
     def _track(self, lanes: Lanes) -> None:
         """One step QP for every lane, or on the device a burst of them."""
@@ -231,7 +226,7 @@ class Engine:
     def _come_to(self, outcome: Outcome) -> None:
         """What a sampling stage has come to."""
         if outcome.candidates is not None:
-            self._table.queue(self._linearised(outcome.candidates)[0])
+            self._table.queue(self._checks.linearised(outcome.candidates)[0])
         if outcome.arrived is not None:
             self._escaped(*outcome.arrived, outcome.stage)
         self._enter(outcome.spent, outcome.stage + 1, Status.ESCAPE_EXHAUSTED)

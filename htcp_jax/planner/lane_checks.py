@@ -7,7 +7,7 @@ import numpy as np
 from htcp_jax.clearance.motion_proof import RESOLUTION_M
 from htcp_jax.planner.kernels import CHECK_PATH, Measured, advance_of
 from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
-from htcp_jax.planner.lanes import Lanes, gather
+from htcp_jax.planner.lanes import TRACK, Lanes, gather
 from htcp_jax.planner.null_space import Anchored
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
@@ -41,6 +41,11 @@ class LaneChecks:
     def measured(self, lanes: Lanes, x: np.ndarray) -> Measured:
         """The lanes at configurations x (lanes, N)."""
         return self.kernels(self._advance, self.inputs(lanes), x, np.zeros_like(x))
+
+    def linearised(self, lanes: Lanes) -> tuple[Lanes, np.ndarray]:
+        """New lanes as they are tracked, and their clearance."""
+        now = self.measured(lanes, lanes.x_ref)
+        return lanes._replace(x_ref=now.x, linear=now.linear, phase=np.full_like(lanes.phase, TRACK)), now.clearance
 
     def keeps_margin(self, lanes: Lanes, here: Measured | Anchored) -> np.ndarray:
         """Which lanes are on their target with the margin asked for."""
