@@ -2,6 +2,7 @@
 
 import itertools
 import threading
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 
 import jax
@@ -138,9 +139,10 @@ def test_an_engine_without_work_goes_on_with_lanes_of_another(method, scene, sce
         assert any((lanes.candidate >= 0).any() for lanes in left)
 
 
-def test_an_engine_that_breaks_lets_the_others_end(scene, scenarios, monkeypatch):
-    """They wait for lanes that it might leave."""
-    broken, advance = threading.Event(), Engine._advance
+@pytest.mark.parametrize("before_others_begin", [False, True])
+def test_an_engine_that_breaks_lets_the_others_end(before_others_begin, scene, scenarios, monkeypatch):
+    """They wait for lanes that it might leave; and it may break while none of them has begun."""
+    broken, advance, begun = threading.Event(), Engine._advance, ThreadPoolExecutor.submit
 
     def breaking(self, phase, lanes):
         if not broken.is_set():
@@ -148,7 +150,14 @@ def test_an_engine_that_breaks_lets_the_others_end(scene, scenarios, monkeypatch
             raise ArithmeticError("broken")
         advance(self, phase, lanes)
 
+    def after_the_first(self, *call):
+        future = begun(self, *call)
+        if before_others_begin and not broken.is_set():
+            wait([future])
+        return future
+
     monkeypatch.setattr(Engine, "_advance", breaking)
+    monkeypatch.setattr(ThreadPoolExecutor, "submit", after_the_first)
     with pytest.raises(ArithmeticError, match="broken"):
         plan(*scene, scenarios, "baseline", PAPER, threads=3)
 

@@ -61,7 +61,9 @@ class StepQPs(Escapes):
             run(0)
             return plans
         with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(run, range(threads)))
+            # Not `map`: where one breaks it cancels those that have not begun, and the others would wait for them.
+            for engine in [pool.submit(run, number) for number in range(threads)]:
+                engine.result()
         return plans
 
 
