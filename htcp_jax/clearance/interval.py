@@ -82,8 +82,6 @@ def _closer(
 def row_travel_bound(robot: Robot, rows: Rows, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "R"]:
     """`travel_bound` of each row's body, as seen from the link of the row's other, before it in the chain [m]: with all
     joints up to that link at rest."""
-    if rows == Rows.of_bodies(robot):
-        return travel_bound(robot, x, rates, half)
     if any(0 <= other >= robot.capsule_link[body] for body, other in zip(*rows, strict=True)):
         raise ValueError("the body of a row must lie beyond the link of its other")
     seen_from = sorted(set(rows.other))
