@@ -81,7 +81,11 @@ def _crossed(hull: HalfSpaces, points, asked):
 @one_by_one
 def _depths(hull: HalfSpaces, points, asked):
     core = -jnp.max(_core_heights(hull, points), axis=1).astype(float) - ROOM
-    exact = _one_at_a_time(lambda point: -_highest(hull, point).height, asked & (core <= 0), points, core)
+    left = asked & (core <= 0)
+    if jax.default_backend() != "cpu":
+        height = jnp.max(_heights(hull.table.reshape(4, 1, -1), points.T[:, :, None]), axis=1)
+        return jnp.maximum(jnp.where(left, -height, core), 0.0)
+    exact = _one_at_a_time(lambda point: -_highest(hull, point).height, left, points, core)
     return jnp.maximum(exact, 0.0)
 
 
