@@ -115,6 +115,21 @@ def test_the_kernel_for_gpus_finds_the_same(name, as_on_a_gpu, monkeypatch):
     ).all()
 
 
+@pytest.mark.skipif(not cloud_tree_gpu.HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
+def test_a_proof_as_on_a_gpu_is_the_same_proof(as_on_a_gpu, monkeypatch):
+    """Lanes side by side, searched by the kernels for GPUs, with all that is outside the hull or inside it."""
+    ways = jax.tree.map(lambda *leaves: jnp.stack(leaves), *motions()[:40])
+    scene = Scene(*made_once.scene())
+    proof = partial(prove, scene, kept=0.5)
+    found = jax.jit(jax.vmap(proof))(*ways)
+    monkeypatch.undo()
+    expected = jax.jit(lambda ways: jax.lax.map(lambda way: proof(*way), ways))(ways)
+    for name in ("verdict", "place", "queries", "depth"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), name)
+    np.testing.assert_allclose(found.clearance, expected.clearance, rtol=0, atol=1e-12)
+    assert len(np.unique(found.verdict)) > 3
+
+
 def test_the_arm_is_as_clear_on_an_interval_as_is_said_and_clearer_than_travel_alone_says():
     """At 200 places of joint paths from recorded configurations, of all lengths."""
     scene, gained = Scene(*made_once.scene()), 0

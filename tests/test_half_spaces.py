@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 
-from htcp_jax.clearance.half_spaces import ROOM, crossed_facets, half_spaces
+from htcp_jax.clearance.half_spaces import ROOM, crossed_facets, depths, half_spaces
 from htcp_jax.scene.convex_hull import convex_hull
 
 RNG = np.random.default_rng(0)
@@ -114,3 +114,16 @@ def test_a_batch_equals_one_after_the_other():
     asked = jnp.asarray(RNG.random((10, 8)) < 0.7)
     together = jax.vmap(crossed_facets, in_axes=(None, 0, 0))(hull, points, asked)
     np.testing.assert_array_equal(together, [crossed_facets(hull, *each) for each in zip(points, asked, strict=True)])
+
+
+def test_a_depth_is_never_more_than_the_true_one_and_the_same_on_a_gpu(monkeypatch):
+    """Where all points are measured at once, whether they need it or not."""
+    normal, offset = duct_hull()
+    hull = half_spaces(normal, offset, made_once.duct().hull_vertices)
+    points = points_about(normal, offset, 500)
+    asked = RNG.random(len(points)) < 0.7
+    found = np.asarray(jax.jit(depths)(hull, points, asked))
+    true = np.maximum(-(points @ normal.T - offset).max(1), 0)
+    assert (found[asked] <= true[asked] + 1e-15).all() and (found[asked] >= true[asked] - 0.1).all()
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    np.testing.assert_array_equal(jax.jit(lambda *of: depths(*of))(hull, points, asked)[asked], found[asked])

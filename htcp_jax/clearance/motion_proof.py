@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 
 from htcp_jax.clearance.interval import on_interval
@@ -36,6 +37,9 @@ from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
 RESOLUTION_M = 1e-5  # what `path_clear` may touch unnoticed: grazing paths take many halvings to prove
 KEPT_DEPTH = 6  # halvings for the sake of a clearance that means something
 DEEPEST = 30  # halvings; a joint turns by less than 1e-8 rad then
+WHOLE_DEPTH = 52  # places on a path are numbers of its 2^-52
+WHOLE = 1 << WHOLE_DEPTH
+UNENDING = np.int32(2**31 - 1)  # looks
 
 
 class Verdict(enum.IntEnum):
@@ -60,13 +64,39 @@ class Tube(NamedTuple):
 
 
 class Proof(NamedTuple):
-    """What bisection found on a joint path."""
+    """What bisection found on a joint path, or on a stretch of one."""
 
     verdict: Int[Array, ""]
     place: Scalar  # 0 to 1: the middle of the interval that is refuted or open; 1 where all are proven
     clearance: Scalar  # D all along what is proven, at least [m]
     queries: Int[Array, ""]  # places looked at
     depth: Int[Array, ""]  # halvings of the shortest interval
+
+
+class Bisection(NamedTuple):
+    """How far the proof of a stretch of a joint path has come: up to interval number `index` of those of length
+    2^-depth, which is next. It ends at `end`, of WHOLE."""
+
+    index: Int[Array, "*n"]
+    depth: Int[Array, "*n"]
+    end: Int[Array, "*n"]
+    proof: Proof
+
+    @property
+    def place(self) -> Int[ArrayLike, "*n"]:
+        """Where the next interval begins, of WHOLE."""
+        return self.index << (WHOLE_DEPTH - self.depth)
+
+    @property
+    def going(self) -> Bool[ArrayLike, "*n"]:
+        """Whether there is more to look at."""
+        return (self.proof.verdict == Verdict.PROVEN) & (self.place < self.end)
+
+
+def begun() -> Bisection:
+    """Of a whole path of which nothing is known."""
+    proof = Proof(np.int32(Verdict.PROVEN), np.float64(1), np.float64(np.inf), np.int32(0), np.int32(0))
+    return Bisection(np.int64(0), np.int64(0), np.int64(WHOLE), proof)
 
 
 def prove(
@@ -86,17 +116,32 @@ def prove(
     over all of an interval; else it is halved further, up to KEPT_DEPTH times. Without, the clearance of a proof may be
     next to nothing where D is not.
     """
+    return prove_on(scene, where, a, b, tube, resolution_m, deepest, kept, begun(), UNENDING).proof
+
+
+def prove_on(
+    scene: Scene,
+    where: Posed,
+    a: Joints,
+    b: Joints,
+    tube: Tube | None,
+    resolution_m: Float[ArrayLike, ""],
+    deepest: Int[ArrayLike, ""],
+    kept: Float[ArrayLike, ""],
+    far: Bisection,
+    looks: Int[ArrayLike, ""],
+) -> Bisection:
+    """`prove` from where bisection has come so far, until it has had so many looks in all, or is done."""
     line = jnp.zeros(3) if tube is None else tube.end - tube.start
     length = safe_norm(line)
     forwards = line / jnp.where(length > 0, length, 1.0)
     asked = None if tube is None or tube.goals is None else between(scene.task, tube.goals)
 
-    def going(state):
-        index, depth, proof = state
-        return (proof.verdict == Verdict.PROVEN) & ~((depth == 0) & (index == 1))
+    def going(far: Bisection):
+        return far.going & (far.proof.queries < looks)
 
-    def look(state):
-        index, depth, proof = state
+    def look(far: Bisection):
+        index, depth, end, proof = far
         half = 0.5 * jnp.ldexp(1.0, -depth)
         place = (2 * index + 1) * half
         x = a + place * (b - a)
@@ -121,11 +166,9 @@ def prove(
             jnp.maximum(proof.depth, depth.astype(jnp.int32)),
         )
         index, depth = jax.tree.map(partial(jnp.where, proven), _next_interval(index, depth), (2 * index, depth + 1))
-        return index, depth, found
+        return Bisection(index, depth, end, found)
 
-    zero, none = jnp.zeros((), jnp.int64), jnp.zeros((), jnp.int32)
-    start = Proof(none + int(Verdict.PROVEN), jnp.ones(()), jnp.full((), jnp.inf), none, none)
-    return jax.lax.while_loop(going, look, (zero, zero, start))[2]
+    return jax.lax.while_loop(going, look, far)
 
 
 def path_clear(scene: Scene, settings: Settings, where: Posed, a: Joints, b: Joints) -> Bool[jax.Array, ""]:
