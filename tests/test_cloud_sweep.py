@@ -11,10 +11,11 @@ from sphere_references import Where
 from test_cloud_index import cloud
 from test_motion_proof import motions
 
-from htcp_jax.clearance import cloud_sweep, cloud_tree_gpu, interval
+from htcp_jax.clearance import cloud_sweep, cloud_tree_gpu, half_spaces, interval
 from htcp_jax.clearance.cloud import cloud_of
 from htcp_jax.clearance.cloud_sweep import clear_along
 from htcp_jax.clearance.cloud_tree import build_index
+from htcp_jax.clearance.gpu_kernel import HAS_KERNEL
 from htcp_jax.clearance.interval import on_interval
 from htcp_jax.clearance.motion_bound import travel_bound
 from htcp_jax.clearance.motion_proof import Verdict, prove
@@ -84,12 +85,13 @@ def test_the_search_ends_at_the_first_body_that_will_not_do_and_leaves_out_what_
 @pytest.fixture
 def as_on_a_gpu(monkeypatch):
     """The kernels for GPUs, interpreted here, where there is none."""
-    for module, kernel in ((cloud_sweep, "least_in_reach"), (cloud_tree_gpu, "nearest_leaves")):
-        monkeypatch.setattr(module, kernel, partial(getattr(cloud_tree_gpu, kernel), interpret=True))
+    places = (cloud_sweep, "least_in_reach"), (cloud_tree_gpu, "nearest_leaves"), (half_spaces, "highest")
+    for module, kernel in places:
+        monkeypatch.setattr(module, kernel, partial(getattr(module, kernel), interpret=True))
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
 
 
-@pytest.mark.skipif(not cloud_tree_gpu.HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
+@pytest.mark.skipif(not HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
 @pytest.mark.parametrize("name", ["one", "seventeen", "three hundred", "on a plane", "as few as take four levels"])
 def test_the_kernel_for_gpus_finds_the_same(name, as_on_a_gpu, monkeypatch):
     """Lanes side by side, of which each asks about some of its bodies; and whether they will do, where they may not."""
@@ -115,7 +117,7 @@ def test_the_kernel_for_gpus_finds_the_same(name, as_on_a_gpu, monkeypatch):
     ).all()
 
 
-@pytest.mark.skipif(not cloud_tree_gpu.HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
+@pytest.mark.skipif(not HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
 def test_a_proof_as_on_a_gpu_is_the_same_proof(as_on_a_gpu, monkeypatch):
     """Lanes side by side, searched by the kernels for GPUs, with all that is outside the hull or inside it."""
     ways = jax.tree.map(lambda *leaves: jnp.stack(leaves), *motions()[:40])

@@ -1,9 +1,8 @@
 """The searches of `cloud_tree` and `cloud_sweep` as GPU kernels: a program for each body, or for each configuration,
 walks the tree.
 
-As a series of XLA loops every turn would be a launch, and a turn would read and write the keys of all bodies. The
-kernels are written in Pallas for its Triton backend; with `interpret=True` they run on any machine. A program takes the
-tree as two levels, however many it has: the clusters of 16 leaves, its branches, and these leaves.
+As a series of XLA loops every turn would be a launch, and a turn would read and write the keys of all bodies. A program
+takes the tree as two levels, however many it has: the clusters of 16 leaves, its branches, and these leaves.
 """
 
 from collections.abc import Callable
@@ -17,14 +16,8 @@ from jax.experimental import pallas as pl
 from htcp_jax.clearance.bounding_discs import Segments, lower_bounds, single, squared_distance
 from htcp_jax.clearance.branch_and_bound import FAN, NONE_LEFT, least_number, number_mask, order_keys
 from htcp_jax.clearance.cloud_index import CloudIndex
+from htcp_jax.clearance.gpu_kernel import kernel
 from htcp_jax.types import Array, Float, Int
-
-try:
-    from jax.experimental.pallas import triton
-except ImportError:  # JAX means to take it out
-    triton = None
-
-HAS_KERNEL = triton is not None
 
 
 def nearest_leaves(index, p, q, radius, limit, shared: bool, interpret: bool = False) -> Int[Array, "K"]:
@@ -33,7 +26,8 @@ def nearest_leaves(index, p, q, radius, limit, shared: bool, interpret: bool = F
     bodies, count = p.shape[0], _branch_count(index)
     walk = partial(_walk, shared, count, bodies)
     tables = p, q, radius, limit, _branches(index), index.levels[-1], index.points
-    return _kernel(walk, bodies, jnp.int32, 1 if shared else bodies, interpret)(*tables)
+    out = jax.ShapeDtypeStruct((bodies,), jnp.int32)
+    return kernel(walk, out, 1 if shared else bodies, interpret)(*tables)
 
 
 def least_in_reach(
@@ -44,18 +38,7 @@ def least_in_reach(
     (K,), or (K, 3), of which a body's row is a list."""
     least = partial(_least, measure, _branch_count(index), len(rows))
     tables = p, q, reach, start, *rows, _branches(index), index.points
-    return _kernel(least, p.shape[0], start.dtype, p.shape[0], interpret)(*tables)
-
-
-def _kernel(program: Callable, bodies: int, dtype, programs: int, interpret: bool) -> Callable:
-    """So many programs of one warp, which fill a table with a number a body."""
-    return pl.pallas_call(
-        program,
-        out_shape=jax.ShapeDtypeStruct((bodies,), dtype),
-        grid=(programs,),
-        compiler_params=triton.CompilerParams(num_warps=1),
-        interpret=interpret,
-    )
+    return kernel(least, jax.ShapeDtypeStruct(start.shape, start.dtype), start.shape[0], interpret)(*tables)
 
 
 def _branch_count(index: CloudIndex) -> int:
