@@ -12,9 +12,9 @@ from test_motion_proof import motions
 from htcp_jax.clearance.motion_proof import Tube
 from htcp_jax.planner import stretches
 from htcp_jax.planner.lane_inputs import lane_inputs
-from htcp_jax.planner.lanes import gather
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.proofs import proofs_of
+from htcp_jax.planner.tables import gather
 from htcp_jax.scene.scenario import stack
 from htcp_jax.settings import Settings
 from htcp_jax.status import Way

@@ -9,14 +9,15 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from htcp_jax.clearance.bisection import UNENDING, Bisection, Proof
 from htcp_jax.clearance.motion_bound import ROUNDING_M
-from htcp_jax.clearance.motion_proof import DEEPEST, UNENDING, Bisection, Proof, Tube, prove_on
+from htcp_jax.clearance.motion_proof import DEEPEST, Tube, prove_on
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.planner.kernel import STEP, Kernel
 from htcp_jax.planner.lane_inputs import LaneInputs
-from htcp_jax.planner.lanes import gather
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.stretches import Stretches, proven_by_stretches, whole_paths
+from htcp_jax.planner.tables import gather
 from htcp_jax.scene.task import TCP_POSITION, Task
 from htcp_jax.settings import Settings
 from htcp_jax.status import Way

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from htcp_jax.clearance.motion_proof import WHOLE, WHOLE_DEPTH, Bisection, Proof, begun
-from htcp_jax.planner.lanes import concatenate, gather
+from htcp_jax.clearance.bisection import WHOLE, WHOLE_DEPTH, Bisection, Proof, begun
+from htcp_jax.planner.tables import concatenate, gather
 from htcp_jax.status import Way
 from htcp_jax.types import Int
 
