@@ -65,12 +65,11 @@ def _clear_of(index: CloudIndex, segment: Segments, ends, bend, travel, reach, s
         w = index.points[leaf]
         towards = [-a for a in arm(spread(segment, 1), w)]
         distance = jnp.sqrt(sum(a * a for a in towards))
-        n = [a / jnp.maximum(distance, 1e-300) for a in towards]
         first, second = (
-            sum(n[i] * (end[i] - w[i]) for i in range(3)) - jnp.abs(sum(n[i] * moves[i] for i in range(3)))
+            sum(towards[i] * (end[i] - w[i]) for i in range(3)) - jnp.abs(sum(towards[i] * moves[i] for i in range(3)))
             for end, moves in ((p, p_moves), (q, q_moves))
         )
-        stays = jnp.maximum(jnp.minimum(first, second) - bend, distance - travel)
+        stays = jnp.maximum(jnp.minimum(first, second) / jnp.maximum(distance, 1e-300) - bend, distance - travel)
         return jnp.minimum(clear, jnp.min(stays) - reach)
 
     return for_each_leaf(index, segment, seen, top, measure, enough, lists)

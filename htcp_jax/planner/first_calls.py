@@ -1,4 +1,4 @@
-"""The kernels that engines will surely ask for, so that they are compiled side by side, see `Kernels.prepare`."""
+"""The kernels that engines will surely ask for, so that they are compiled side by side, see `Kernels.preparing`."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from htcp_jax.planner.proofs import free_tubes, prove_call
 
 
 def first_calls(problem: Problem) -> list[tuple]:
-    """One of each kernel, the largest first."""
+    """One of each kernel, in the order in which they are waited for."""
     kernels, one, zero = problem.kernels[0], problem.to_plan[:1], np.zeros(1, int)
     x, inputs = problem.scenarios.x_start[one], lane_inputs(problem.scenarios, one, zero)
     lanes = new_lanes(kernels.sizes, one, zero, x, x)
@@ -19,4 +19,4 @@ def first_calls(problem: Problem) -> list[tuple]:
     if problem.settings.qp == "device":
         tracking = (TRACK_BURST, *state, lanes.iteration)
     proof = [prove_call(inputs, x, x, free_tubes(problem.task, inputs))] if problem.check_paths else []
-    return [*proof, (advance_of(problem.settings), inputs, x, x), tracking]
+    return [(advance_of(problem.settings), inputs, x, x), tracking, *proof]
