@@ -10,7 +10,7 @@ from htcp_jax.planner.backwards import BackwardPlans
 from htcp_jax.planner.batch import plan
 from htcp_jax.planner.kernels import Measured
 from htcp_jax.planner.lane_checks import LaneChecks
-from htcp_jax.planner.lanes import Lanes, concatenate, gather, new_lanes
+from htcp_jax.planner.lanes import Lanes, new_lanes
 from htcp_jax.planner.methods import BUILT_IN
 from htcp_jax.planner.motion import transfers
 from htcp_jax.planner.null_space import Anchored
@@ -18,6 +18,7 @@ from htcp_jax.planner.plans import Plans, is_tracked
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.record import Record
 from htcp_jax.planner.stages import Escapes
+from htcp_jax.planner.tables import concatenate, gather
 from htcp_jax.scene.scenario import make_scenario
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status

@@ -1,17 +1,21 @@
 """A body that moves past points stays as clear as is said of it, and one that slides along them is found clear."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
 from sphere_references import Where
+from test_cloud_index import cloud
 from test_motion_proof import motions
 
-from htcp_jax.clearance import interval
+from htcp_jax.clearance import cloud_sweep, cloud_tree_gpu, half_spaces, interval
 from htcp_jax.clearance.cloud import cloud_of
 from htcp_jax.clearance.cloud_sweep import clear_along
 from htcp_jax.clearance.cloud_tree import build_index
+from htcp_jax.clearance.gpu_kernel import HAS_KERNEL
 from htcp_jax.clearance.interval import on_interval
 from htcp_jax.clearance.motion_bound import travel_bound
 from htcp_jax.clearance.motion_proof import Verdict, prove
@@ -76,6 +80,56 @@ def test_the_search_ends_at_the_first_body_that_will_not_do_and_leaves_out_what_
             np.testing.assert_allclose(found[asked], np.minimum(by_points[asked], 0.01), atol=1e-12)
         verdicts.append(will_do)
     assert 5 < sum(verdicts) < 35
+
+
+@pytest.fixture
+def as_on_a_gpu(monkeypatch):
+    """The kernels for GPUs, interpreted here, where there is none."""
+    places = (cloud_sweep, "least_in_reach"), (cloud_tree_gpu, "nearest_leaves"), (half_spaces, "highest")
+    for module, kernel in places:
+        monkeypatch.setattr(module, kernel, partial(getattr(module, kernel), interpret=True))
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+
+
+@pytest.mark.skipif(not HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
+@pytest.mark.parametrize("name", ["one", "seventeen", "three hundred", "on a plane", "as few as take four levels"])
+def test_the_kernel_for_gpus_finds_the_same(name, as_on_a_gpu, monkeypatch):
+    """Lanes side by side, of which each asks about some of its bodies; and whether they will do, where they may not."""
+    rng, points = np.random.default_rng(2), cloud(name)
+    index, lanes = build_index(points), []
+    for _ in range(10):
+        p, q, sweep, reach = swept(rng, points)
+        lanes.append((p, q, sweep, reach, rng.uniform(size=BODIES) < 0.7, 10.0 ** rng.uniform(-2, 0)))
+    p, q, sweep, reach, asked, enough = jax.tree.map(lambda *each: np.stack(each), *lanes)
+
+    def clear(least):
+        found = jax.jit(jax.vmap(lambda *lane: clear_along(index, *lane[:-1], Wanted(jnp.asarray(least), lane[-1]))))
+        return np.asarray(found(p, q, sweep, reach, asked, enough))
+
+    found, ended = clear(-jnp.inf), clear(0.01)
+    np.testing.assert_array_equal(found, ended)  # none ends early
+    monkeypatch.undo()
+    np.testing.assert_allclose(found, clear(-jnp.inf), rtol=0, atol=1e-13)
+    will_do = (clear(0.01) >= 0.01).all(axis=1)
+    np.testing.assert_array_equal((ended >= 0.01).all(axis=1), will_do)
+    assert (found < enough[:, None]).any() and (
+        found[~asked] == enough.repeat(BODIES).reshape(-1, BODIES)[~asked]
+    ).all()
+
+
+@pytest.mark.skipif(not HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
+def test_a_proof_as_on_a_gpu_is_the_same_proof(as_on_a_gpu, monkeypatch):
+    """Lanes side by side, searched by the kernels for GPUs, with all that is outside the hull or inside it."""
+    ways = jax.tree.map(lambda *leaves: jnp.stack(leaves), *motions()[:40])
+    scene = Scene(*made_once.scene())
+    proof = partial(prove, scene, kept=0.5)
+    found = jax.jit(jax.vmap(proof))(*ways)
+    monkeypatch.undo()
+    expected = jax.jit(lambda ways: jax.lax.map(lambda way: proof(*way), ways))(ways)
+    for name in ("verdict", "place", "queries", "depth"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), name)
+    np.testing.assert_allclose(found.clearance, expected.clearance, rtol=0, atol=1e-12)
+    assert len(np.unique(found.verdict)) > 3
 
 
 def test_the_arm_is_as_clear_on_an_interval_as_is_said_and_clearer_than_travel_alone_says():

@@ -1,11 +1,18 @@
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import made_once
 import numpy as np
+import pytest
 
-from htcp_jax.clearance.half_spaces import ROOM, crossed_facets, half_spaces
+from htcp_jax.clearance import half_spaces as module
+from htcp_jax.clearance.gpu_kernel import HAS_KERNEL
+from htcp_jax.clearance.half_spaces import ROOM, crossed_facets, depths, half_spaces
+from htcp_jax.clearance.half_spaces_gpu import highest
 from htcp_jax.scene.convex_hull import convex_hull
 
+NEEDS_KERNEL = pytest.mark.skipif(not HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
 RNG = np.random.default_rng(0)
 
 
@@ -114,3 +121,28 @@ def test_a_batch_equals_one_after_the_other():
     asked = jnp.asarray(RNG.random((10, 8)) < 0.7)
     together = jax.vmap(crossed_facets, in_axes=(None, 0, 0))(hull, points, asked)
     np.testing.assert_array_equal(together, [crossed_facets(hull, *each) for each in zip(points, asked, strict=True)])
+
+
+def test_a_depth_is_never_more_than_the_true_one():
+    normal, offset = duct_hull()
+    hull = half_spaces(normal, offset, made_once.duct().hull_vertices)
+    points = points_about(normal, offset, 500)
+    found = np.asarray(jax.jit(depths)(hull, points, np.ones(len(points), bool)))
+    true = np.maximum(-(points @ normal.T - offset).max(1), 0)
+    assert (found <= true + 1e-15).all() and (found > 0).sum() > 0.9 * (true > 0).sum()
+
+
+@pytest.mark.parametrize("kernel", [pytest.param(True, marks=NEEDS_KERNEL), False])
+@pytest.mark.parametrize("ask", [crossed_facets, depths])
+def test_a_gpu_finds_the_same_with_a_kernel_and_without(ask, kernel, monkeypatch):
+    """Of many points side by side, some of them asked about; the kernel is interpreted, as there is no GPU here."""
+    normal, offset = duct_hull()
+    hull = half_spaces(normal, offset, made_once.duct().hull_vertices)
+    points = jnp.asarray(points_about(normal, offset, 200)).reshape(25, 16, 3)
+    asked = jnp.asarray(RNG.random((25, 16)) < 0.7)
+    find = jax.vmap(ask, in_axes=(None, 0, 0))
+    expected = find(hull, points, asked)
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(module, "has_gpu", lambda: kernel)
+    monkeypatch.setattr(module, "highest", partial(highest, interpret=True))
+    np.testing.assert_allclose(find(hull, points, asked), expected, rtol=0, atol=1e-7)  # what a core knows is 32-bit

@@ -17,7 +17,9 @@ import jax.numpy as jnp
 
 from htcp_jax.clearance.bounding_discs import Segments, arm, as_segments, single, spread
 from htcp_jax.clearance.cloud_index import CloudIndex
-from htcp_jax.clearance.cloud_tree_walk import Lists, empty_lists, for_each_leaf, in_reach
+from htcp_jax.clearance.cloud_tree_gpu import least_in_reach
+from htcp_jax.clearance.cloud_tree_walk import empty_lists, for_each_leaf, in_reach
+from htcp_jax.clearance.gpu_kernel import has_gpu
 from htcp_jax.clearance.sweep import Sweep, Wanted
 from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Bool, Float
@@ -40,37 +42,35 @@ def clear_along(
 
 @one_by_one
 def _clear_along(index: CloudIndex, p, q, p_moves, q_moves, bend, travel, reach, asked, least, enough):
-    segments, ends = as_segments(p, q), tuple(a.T for a in (p, q, p_moves, q_moves))
-    seen = jnp.where(asked, enough + travel + reach, -1.0)
+    seen, moving = jnp.where(asked, enough + travel + reach, -1.0), (p, q, p_moves, q_moves, bend, travel, reach)
+    if has_gpu():  # where none waits for what another one finds
+        return least_in_reach(index, p, q, seen, jnp.broadcast_to(enough, reach.shape), _stays_clear, *moving)
+    segments, moving = as_segments(p, q), tuple(a.T for a in moving)
     top = in_reach(spread(single(segments), 1), index.levels[0][0][:, None, :], seen[:, None])
 
     def look(k, state):
         clear, lists = state
-        one = jax.tree.map(lambda a: a[..., k], (segments, ends, bend, travel, reach))
+        segment, own = jax.tree.map(lambda a: a[..., k], (segments, moving))
         beyond = jnp.all(clear >= least)  # nothing is in reach of a body that need not be looked at
-        found, lists = _clear_of(
-            index, *one, jnp.where(beyond, seen[k], -1.0), jnp.where(beyond, top[k], 0), enough, lists
-        )
+
+        def measure(leaf, clear):
+            return jnp.minimum(clear, _stays_clear(segment, *own, index.points[leaf]))
+
+        near = jnp.where(beyond, seen[k], -1.0), jnp.where(beyond, top[k], 0)
+        found, lists = for_each_leaf(index, segment, *near, measure, enough, lists)
         return clear.at[k].set(found), lists
 
     start = jnp.broadcast_to(enough, reach.shape), empty_lists(index)
     return jax.lax.fori_loop(0, len(reach), look, start)[0]
 
 
-def _clear_of(index: CloudIndex, segment: Segments, ends, bend, travel, reach, seen, top, enough, lists: Lists):
-    """How clear one body stays, by all points that it may see, and the lists."""
-    p, q, p_moves, q_moves = (end[:, None] for end in ends)
-
-    def measure(leaf, clear):
-        w = index.points[leaf]
-        towards = [-a for a in arm(spread(segment, 1), w)]
-        distance = jnp.sqrt(sum(a * a for a in towards))
-        n = [a / jnp.maximum(distance, 1e-300) for a in towards]
-        first, second = (
-            sum(n[i] * (end[i] - w[i]) for i in range(3)) - jnp.abs(sum(n[i] * moves[i] for i in range(3)))
-            for end, moves in ((p, p_moves), (q, q_moves))
-        )
-        stays = jnp.maximum(jnp.minimum(first, second) - bend, distance - travel)
-        return jnp.minimum(clear, jnp.min(stays) - reach)
-
-    return for_each_leaf(index, segment, seen, top, measure, enough, lists)
+def _stays_clear(segment: Segments, p, q, p_moves, q_moves, bend, travel, reach, points):
+    """How clear one body stays of points (3, n), by the plane between each of them and the body, or by its travel."""
+    towards = [-a for a in arm(segment, points)]
+    distance = jnp.sqrt(sum(a * a for a in towards))
+    n = [a / jnp.maximum(distance, 1e-300) for a in towards]
+    first, second = (
+        sum(n[i] * (end[i] - points[i]) for i in range(3)) - jnp.abs(sum(n[i] * moves[i] for i in range(3)))
+        for end, moves in ((p, p_moves), (q, q_moves))
+    )
+    return jnp.min(jnp.maximum(jnp.minimum(first, second) - bend, distance - travel)) - reach

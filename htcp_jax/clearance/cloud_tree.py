@@ -16,7 +16,7 @@ from htcp_jax.clearance import branch_and_bound, cloud_tree_gpu, cloud_tree_walk
 from htcp_jax.clearance.bounding_discs import as_segments, bounding_discs, spread, squared_distance
 from htcp_jax.clearance.branch_and_bound import FAN
 from htcp_jax.clearance.cloud_index import CloudIndex
-from htcp_jax.clearance.cloud_tree_gpu import HAS_KERNEL
+from htcp_jax.clearance.gpu_kernel import has_gpu
 from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Float, Int
 
@@ -100,8 +100,7 @@ def _nearest_body(index: CloudIndex, p, q, radius, below):
 def _search(index: CloudIndex, p, q, radius, limit, shared: bool):
     """Row of the nearest point of each of K bodies, -1 where none has distance - radius below its limit; with a shared
     limit only the body that is nearest of all gets a row."""
-    on_gpu = jax.default_backend() == "gpu" and HAS_KERNEL
-    leaf = (cloud_tree_gpu if on_gpu else cloud_tree_walk).nearest_leaves(index, p, q, radius, limit, shared)
+    leaf = (cloud_tree_gpu if has_gpu() else cloud_tree_walk).nearest_leaves(index, p, q, radius, limit, shared)
     square = squared_distance(spread(as_segments(p, q), 1), index.points[leaf].transpose(1, 0, 2))
     return jnp.where(leaf < 0, -1, _row_of_least(square, index.rows[leaf]))
 

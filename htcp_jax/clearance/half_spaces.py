@@ -1,9 +1,11 @@
 """Which facet of a convex hull a point has crossed, for the clearance's interior rule.
 
 Nearly always none. Most points lie inside a small polytope within the hull, its core, and are done: that is asked in
-32-bit, with room for its error. The others, one in ten, are measured against every facet, in 64-bit.
+32-bit, with room for its error. The others, one in ten, are measured against every facet, in 64-bit: one after another
+on a CPU, side by side on a GPU (`half_spaces_gpu`).
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -11,7 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from htcp_jax.numerics import one_by_one, product
+from htcp_jax.clearance.gpu_kernel import has_gpu
+from htcp_jax.clearance.half_spaces_gpu import highest
+from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Bool, Float, Int
 
 ROOM = 1e-5  # [m]; a 32-bit height is wrong by less than this within 20 m of the origin
@@ -65,35 +69,31 @@ def depths(hull: HalfSpaces, points: Float[Array, "n 3"], asked: Bool[Array, "n"
 
 @one_by_one
 def _crossed(hull: HalfSpaces, points, asked):
-    if jax.default_backend() != "cpu":
-        height = product(points, hull.normal.T) - hull.offset[None, :]
-        return jnp.where(asked & (jnp.max(height, axis=1) > 0), jnp.argmax(height, axis=1).astype(jnp.int32), -1)
     left = asked & jnp.any(_core_heights(hull, points) > -ROOM, axis=1)
     nothing = jnp.full(points.shape[0], -1, jnp.int32)
-
-    def crossed(point):
-        facet, height = _highest(hull, point)
-        return jnp.where(height > 0, facet, -1)
-
-    return _one_at_a_time(crossed, left, points, nothing)
+    return _measured(hull, lambda found: jnp.where(found.height > 0, found.facet, -1), left, points, nothing)
 
 
 @one_by_one
 def _depths(hull: HalfSpaces, points, asked):
     core = -jnp.max(_core_heights(hull, points), axis=1).astype(float) - ROOM
-    exact = _one_at_a_time(lambda point: -_highest(hull, point).height, asked & (core <= 0), points, core)
+    exact = _measured(hull, lambda found: -found.height, asked & (core <= 0), points, core)
     return jnp.maximum(exact, 0.0)
 
 
-def _one_at_a_time(measure, left, points, results):
-    """The results, with measure(point) in place of those that are left."""
+def _measured(hull: HalfSpaces, take, left, points, results):
+    """The results, with what is taken from each point's highest facet in place of those that are left."""
+    if has_gpu():
+        return jnp.where(left, take(_Highest(*highest(hull.table, points, left))), results)
+    if jax.default_backend() != "cpu":
+        return jnp.where(left, take(jax.vmap(partial(_highest, hull))(points)), results)
     number = jnp.arange(left.shape[0])
 
     def step(state):
         left, results = state
         first = jnp.argmax(left)
         this = number == first
-        return left & ~this, jnp.where(this, measure(points[first]), results)
+        return left & ~this, jnp.where(this, take(_highest(hull, points[first])), results)
 
     return jax.lax.while_loop(lambda state: jnp.any(state[0]), step, (left, results))[1]
 

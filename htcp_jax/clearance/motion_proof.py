@@ -14,7 +14,6 @@ and as the distance to a line is convex, the ends of the straight piece p(m) +- 
 What else the task asks for is bounded in the same way, see `row_proof`.
 """
 
-import enum
 from functools import partial
 from typing import NamedTuple
 
@@ -22,6 +21,7 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
+from htcp_jax.clearance.bisection import UNENDING, Bisection, Proof, Verdict, begun
 from htcp_jax.clearance.interval import on_interval
 from htcp_jax.clearance.motion_bound import ROUNDING_M, tcp_bend_bound
 from htcp_jax.clearance.obstacle import Posed
@@ -38,16 +38,6 @@ KEPT_DEPTH = 6  # halvings for the sake of a clearance that means something
 DEEPEST = 30  # halvings; a joint turns by less than 1e-8 rad then
 
 
-class Verdict(enum.IntEnum):
-    """What is known of a joint path; the numbers of `status.Way`, where they have words."""
-
-    PROVEN = 0
-    COLLIDES = 1  # refuted: a body touches
-    LEAVES = 2  # refuted: the TCP leaves its tube, or a row of the task is broken
-    TURNS_BACK = 3  # refuted: the TCP moves against its line
-    OPEN = 4  # neither proven nor refuted
-
-
 class Tube(NamedTuple):
     """Where the TCP may be: within `radius` of the line from `start` to `end`, along which it only advances. Where the
     two are one point it may move any way; with an infinite radius it may be anywhere. And what the task asks for."""
@@ -57,16 +47,6 @@ class Tube(NamedTuple):
     radius: Scalar  # [m]
     goals: Float[Array, "2 G"] | None = None  # of the task, at the target before and at this one; None: the paper's
     held: Bool[Array, ""] | None = None  # whether these hold on the way
-
-
-class Proof(NamedTuple):
-    """What bisection found on a joint path."""
-
-    verdict: Int[Array, ""]
-    place: Scalar  # 0 to 1: the middle of the interval that is refuted or open; 1 where all are proven
-    clearance: Scalar  # D all along what is proven, at least [m]
-    queries: Int[Array, ""]  # places looked at
-    depth: Int[Array, ""]  # halvings of the shortest interval
 
 
 def prove(
@@ -86,17 +66,32 @@ def prove(
     over all of an interval; else it is halved further, up to KEPT_DEPTH times. Without, the clearance of a proof may be
     next to nothing where D is not.
     """
+    return prove_on(scene, where, a, b, tube, resolution_m, deepest, kept, begun(), UNENDING).proof
+
+
+def prove_on(
+    scene: Scene,
+    where: Posed,
+    a: Joints,
+    b: Joints,
+    tube: Tube | None,
+    resolution_m: Float[ArrayLike, ""],
+    deepest: Int[ArrayLike, ""],
+    kept: Float[ArrayLike, ""],
+    far: Bisection,
+    looks: Int[ArrayLike, ""],
+) -> Bisection:
+    """`prove` from where bisection has come so far, until it has had so many looks in all, or is done."""
     line = jnp.zeros(3) if tube is None else tube.end - tube.start
     length = safe_norm(line)
     forwards = line / jnp.where(length > 0, length, 1.0)
     asked = None if tube is None or tube.goals is None else between(scene.task, tube.goals)
 
-    def going(state):
-        index, depth, proof = state
-        return (proof.verdict == Verdict.PROVEN) & ~((depth == 0) & (index == 1))
+    def going(far: Bisection):
+        return far.going & (far.proof.queries < looks)
 
-    def look(state):
-        index, depth, proof = state
+    def look(far: Bisection):
+        index, depth, end, proof = far
         half = 0.5 * jnp.ldexp(1.0, -depth)
         place = (2 * index + 1) * half
         x = a + place * (b - a)
@@ -121,11 +116,9 @@ def prove(
             jnp.maximum(proof.depth, depth.astype(jnp.int32)),
         )
         index, depth = jax.tree.map(partial(jnp.where, proven), _next_interval(index, depth), (2 * index, depth + 1))
-        return index, depth, found
+        return Bisection(index, depth, end, found)
 
-    zero, none = jnp.zeros((), jnp.int64), jnp.zeros((), jnp.int32)
-    start = Proof(none + int(Verdict.PROVEN), jnp.ones(()), jnp.full((), jnp.inf), none, none)
-    return jax.lax.while_loop(going, look, (zero, zero, start))[2]
+    return jax.lax.while_loop(going, look, far)
 
 
 def path_clear(scene: Scene, settings: Settings, where: Posed, a: Joints, b: Joints) -> Bool[jax.Array, ""]:

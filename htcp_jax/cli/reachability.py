@@ -22,8 +22,8 @@ from htcp_jax.cli.output import (
 )
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.grid import Batch, load_sweep
-from htcp_jax.planner.lanes import concatenate, gather
 from htcp_jax.planner.reachability import PROOF_CELLS, RESOLUTION_RAD, Reachability, reachable_prefixes
+from htcp_jax.planner.tables import concatenate, gather
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.plan_folder import write_json, written_whole
 from htcp_jax.runs.run_folder import Run, open_run

@@ -17,9 +17,10 @@ from jaxtyping import Float
 
 from htcp_jax.planner.kernels import Measured
 from htcp_jax.planner.lane_checks import LaneChecks
-from htcp_jax.planner.lanes import CHECKING, DRAWING, PUSHING, Lanes, gather
+from htcp_jax.planner.lanes import CHECKING, DRAWING, PUSHING, Lanes
 from htcp_jax.planner.record import Record
 from htcp_jax.planner.stages import DRAW, PUSH, Escapes
+from htcp_jax.planner.tables import gather
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 

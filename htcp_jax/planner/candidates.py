@@ -9,9 +9,10 @@ import numpy as np
 
 from htcp_jax.planner.kernels import Measured
 from htcp_jax.planner.lane_checks import LaneChecks
-from htcp_jax.planner.lanes import Lanes, concatenate, gather, new_lanes
+from htcp_jax.planner.lanes import Lanes, new_lanes
 from htcp_jax.planner.sampling import Candidates
 from htcp_jax.planner.stages import Escapes
+from htcp_jax.planner.tables import concatenate, gather
 
 
 @dataclass

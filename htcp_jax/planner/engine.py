@@ -26,11 +26,12 @@ from htcp_jax.planner.candidates import CandidateSearch, Outcome, Waiting
 from htcp_jax.planner.kernels import PREPARE, TRACK_BURST, Measured
 from htcp_jax.planner.lane_checks import LaneChecks
 from htcp_jax.planner.lane_table import LaneTable
-from htcp_jax.planner.lanes import BACKWARDS, ENTERING, MAIN, NEW, TRACK, Lanes, concatenate, gather, scatter
+from htcp_jax.planner.lanes import BACKWARDS, ENTERING, MAIN, NEW, TRACK, Lanes
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.record import Record
 from htcp_jax.planner.stages import ASCEND, ENTER, Escapes, NullSpace
+from htcp_jax.planner.tables import concatenate, gather, scatter
 from htcp_jax.planner.tip_check import TipCheck
 from htcp_jax.planner.work import Work
 from htcp_jax.scene.scenario import Scenario

@@ -25,9 +25,9 @@ from jaxtyping import Bool, Float, Int
 
 from htcp_jax.clearance.motion_proof import DEEPEST
 from htcp_jax.planner.lane_inputs import lane_inputs
-from htcp_jax.planner.lanes import gather
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.proofs import clear_paths
+from htcp_jax.planner.tables import gather
 from htcp_jax.planner.tip_check import TipCheck
 from htcp_jax.scene.scenario import Scenario
 from htcp_jax.settings import Settings

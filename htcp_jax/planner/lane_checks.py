@@ -7,12 +7,13 @@ import numpy as np
 from htcp_jax.clearance.motion_proof import RESOLUTION_M
 from htcp_jax.planner.kernels import CHECK_PATH, Measured, advance_of
 from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
-from htcp_jax.planner.lanes import TRACK, Lanes, gather
+from htcp_jax.planner.lanes import TRACK, Lanes
 from htcp_jax.planner.null_space import Anchored
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.proofs import clear_paths
+from htcp_jax.planner.tables import gather
 from htcp_jax.planner.tip_check import TipCheck, tip_checks
 from htcp_jax.scene.scenario import Scenario
 from htcp_jax.settings import Settings

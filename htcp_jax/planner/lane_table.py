@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from htcp_jax.planner.lanes import NEW, Lanes, concatenate, gather, new_lanes
+from htcp_jax.planner.lanes import NEW, Lanes, new_lanes
 from htcp_jax.planner.programs import Kernels
+from htcp_jax.planner.tables import concatenate, gather
 from htcp_jax.planner.work import Work
 from htcp_jax.scene.scenario import Scenario
 

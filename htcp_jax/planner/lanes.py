@@ -1,9 +1,7 @@
-"""The engine's table: a lane a row, every column a numpy array. What holds for lanes holds for any tree of tables."""
+"""The engine's table: a lane a row, every column a numpy array."""
 
-from collections.abc import Sequence
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from htcp_jax.clearance.linearisation import Linearisation, TaskRows
@@ -16,7 +14,6 @@ NEW, TRACK, DRAWING, PUSHING, CHECKING = -2, -1, -3, -4, -5
 BACKWARDS = DRAWING, PUSHING, CHECKING
 ENTERING = -1  # `walked` of a lane that is not in the null space yet
 KINDS = TaskRows, ClearanceRows
-Tables = TypeVar("Tables")
 
 
 class Lanes(NamedTuple):
@@ -52,28 +49,3 @@ def new_lanes(sizes: tuple[int, int], scenario, target, x_previous, x_ref, candi
         column(scenario), column(target), column(candidate), column(NEW), column(0), column(0),
         np.array(x_previous), np.array(x_ref), linear,
     )  # fmt: skip
-
-
-def gather(tables: Tables, rows) -> Tables:
-    """Some of the rows: the tables themselves where a mask leaves none out."""
-    if isinstance(rows, np.ndarray) and rows.dtype == bool:
-        if rows.all():
-            return tables
-        rows = np.flatnonzero(rows)  # counted once, not for every table
-    return jax.tree.map(lambda table: table[rows], tables)
-
-
-def concatenate(parts: Sequence[Tables]) -> Tables:
-    """The rows of all parts, one or more."""
-    return parts[0] if len(parts) == 1 else jax.tree.map(lambda *tables: np.concatenate(tables), *parts)
-
-
-def scatter(tables: Tables, rows, new: Tables) -> Tables:
-    """Copies of the tables with new rows in place of some."""
-
-    def replaced(table, part):
-        table = table.copy()
-        table[rows] = part
-        return table
-
-    return jax.tree.map(replaced, tables, new)

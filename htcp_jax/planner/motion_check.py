@@ -11,14 +11,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.motion_proof import Proof, Tube
+from htcp_jax.clearance.bisection import Proof
+from htcp_jax.clearance.motion_proof import Tube
 from htcp_jax.planner.lane_inputs import lane_inputs
-from htcp_jax.planner.lanes import concatenate, gather
 from htcp_jax.planner.motion import ONE_POINT_M
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.proofs import proofs_of
+from htcp_jax.planner.tables import concatenate, gather
 from htcp_jax.planner.tip_check import TipCheck, tip_checks
 from htcp_jax.scene.scenario import Scenario
 from htcp_jax.scene.task import TCP_POSITION, Task

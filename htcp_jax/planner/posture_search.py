@@ -27,10 +27,10 @@ from htcp_jax.numerics import product, safe_norm, solve_spd
 from htcp_jax.planner.kernel import Kernel
 from htcp_jax.planner.kernels import ADVANCE, SETTLE
 from htcp_jax.planner.lane_inputs import LaneInputs
-from htcp_jax.planner.lanes import gather
 from htcp_jax.planner.null_space import Anchored
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.stages import PUSH
+from htcp_jax.planner.tables import gather
 from htcp_jax.planner.tool_cells import MANY, Cells, tool_cells
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.kinematics import jacobian, link_poses, tcp_position

@@ -9,12 +9,15 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from htcp_jax.clearance.bisection import UNENDING, Bisection, Proof
 from htcp_jax.clearance.motion_bound import ROUNDING_M
-from htcp_jax.clearance.motion_proof import DEEPEST, Proof, Tube, prove
+from htcp_jax.clearance.motion_proof import DEEPEST, Tube, prove_on
 from htcp_jax.clearance.scene import Scene, own_scene
-from htcp_jax.planner.kernel import DEEP, Kernel
+from htcp_jax.planner.kernel import STEP, Kernel
 from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.planner.programs import Kernels
+from htcp_jax.planner.stretches import Stretches, proven_by_stretches, whole_paths
+from htcp_jax.planner.tables import gather
 from htcp_jax.scene.task import TCP_POSITION, Task
 from htcp_jax.settings import Settings
 from htcp_jax.status import Way
@@ -30,13 +33,15 @@ class Closely(NamedTuple):
     deepest: Int[jax.Array, ""]
 
 
-def prove_way(settings: Settings, scene: Scene, lane: LaneInputs, a, b, tube: Tube, closely: Closely) -> Proof:
-    """Whether the straight joint path from a to b is a motion."""
+def prove_way(
+    settings: Settings, scene: Scene, lane: LaneInputs, a, b, tube: Tube, closely: Closely, far: Bisection, looks
+) -> Bisection:
+    """Whether the straight joint path from a to b is a motion, or a stretch of it."""
     own = own_scene(scene, lane.tool_extension_m)
-    return prove(own, lane, a, b, tube, closely.resolution_m, closely.deepest, closely.kept)
+    return prove_on(own, lane, a, b, tube, closely.resolution_m, closely.deepest, closely.kept, far, looks)
 
 
-PROVE = Kernel("prove", prove_way, DEEP)
+PROVE = Kernel("prove", prove_way, STEP)
 
 
 def proofs_of(
@@ -45,18 +50,26 @@ def proofs_of(
     a: Postures,
     b: Postures,
     tube: Tube,
-    kept: float = 0.0,
-    resolution_m: float = -ROUNDING_M,
+    kept: float | Float[np.ndarray, "n"] = 0.0,
+    resolution_m: float | Float[np.ndarray, "n"] = -ROUNDING_M,
     deepest: int | Int[np.ndarray, "n"] = DEEPEST,
 ) -> Proof:
     """Of each lane's straight joint path from a to b [rad or m]."""
-    return kernels(*prove_call(inputs, a, b, tube, kept, resolution_m, deepest))
+    prove, *ways, _, _ = call = prove_call(inputs, a, b, tube, kept, resolution_m, deepest)
+    if kernels.pays_by_lane:
+        return kernels(*call).proof
+
+    def look(stretches: Stretches, looks: int) -> Bisection:
+        far = stretches.far
+        return kernels(prove, *gather(tuple(ways), stretches.path), far, far.proof.queries + np.int32(looks))
+
+    return proven_by_stretches(look, len(a), prove.load.on(kernels.device).capacity)
 
 
 def prove_call(inputs: LaneInputs, a, b, tube: Tube, kept=0.0, resolution_m=-ROUNDING_M, deepest=DEEPEST) -> tuple:
     """The kernel and its tables for these, see `Kernels.prepare`."""
     closely = Closely(*(np.broadcast_to(value, len(a)) for value in (kept, resolution_m, np.asarray(deepest, int))))
-    return PROVE, inputs, a, b, tube, closely
+    return PROVE, inputs, a, b, tube, closely, whole_paths(len(a)).far, np.full(len(a), UNENDING)
 
 
 def clear_paths(
@@ -64,7 +77,7 @@ def clear_paths(
     inputs: LaneInputs,
     a: Postures,
     b: Postures,
-    resolution_m: float = -ROUNDING_M,
+    resolution_m: float | Float[np.ndarray, "n"] = -ROUNDING_M,
     deepest: int | Int[np.ndarray, "n"] = DEEPEST,
 ) -> Bool[np.ndarray, "n"]:
     """Which of the straight joint paths are proven clear, wherever the TCP goes on them."""

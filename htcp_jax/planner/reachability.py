@@ -26,11 +26,11 @@ from htcp_jax.clearance.tip_guard import make_tip_guard
 from htcp_jax.planner.devices import default_threads
 from htcp_jax.planner.front import farthest_first
 from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
-from htcp_jax.planner.lanes import concatenate, gather
 from htcp_jax.planner.null_space import Anchored
 from htcp_jax.planner.posture_search import APART_RAD, PUSHED, KnownPostures, known_postures, search
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.stages import PUSH
+from htcp_jax.planner.tables import concatenate, gather
 from htcp_jax.planner.tip_check import TipCheck, tip_checks
 from htcp_jax.planner.tool_cells import excluded
 from htcp_jax.scene.robot import Robot

@@ -26,13 +26,13 @@ from htcp_jax.planner.front import Node, best_first, dispersed
 from htcp_jax.planner.kernels import ADVANCE, SETTLE
 from htcp_jax.planner.knots import Knots
 from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
-from htcp_jax.planner.lanes import gather
 from htcp_jax.planner.motion_check import tubes
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.proofs import proofs_of, prove_call
 from htcp_jax.planner.roadmap_kernels import FEED, WALK
+from htcp_jax.planner.tables import gather
 from htcp_jax.planner.tip_check import TipCheck, out_of_walls, tip_checks
 from htcp_jax.planner.transfers import joined, other_postures
 from htcp_jax.settings import Settings

@@ -20,11 +20,11 @@ from htcp_jax.clearance.linearisation import Linearisation
 from htcp_jax.planner.kernels import ADVANCE, HOLD, SETTLE, Measured
 from htcp_jax.planner.knots import Knots
 from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
-from htcp_jax.planner.lanes import concatenate, gather
 from htcp_jax.planner.motion_check import Segments, prove_segments
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
+from htcp_jax.planner.tables import concatenate, gather
 from htcp_jax.planner.tip_check import TipCheck, out_of_walls, tip_checks
 from htcp_jax.solvers.path_qp import PathQP, path_cost, solve_path_qp
 from htcp_jax.status import Way

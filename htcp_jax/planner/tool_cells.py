@@ -22,8 +22,8 @@ from htcp_jax.clearance.exclusion import rotation
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.planner.kernel import Kernel, Load, Table
 from htcp_jax.planner.lane_inputs import LaneInputs
-from htcp_jax.planner.lanes import concatenate, gather
 from htcp_jax.planner.programs import Kernels
+from htcp_jax.planner.tables import concatenate, gather
 from htcp_jax.scene.robot import Robot
 from htcp_jax.settings import Settings
 

@@ -1,0 +1,42 @@
+"""The facet of a hull that a point is highest above, as a GPU kernel: a program for each point, over at once where the
+point need not be measured.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax.experimental import pallas as pl
+
+from htcp_jax.clearance.gpu_kernel import kernel
+from htcp_jax.types import Array, Bool, Float, Int
+
+BLOCK = 256  # facets at a time
+
+
+def highest(
+    table: Float[Array, "4 rows FAN"], points: Float[Array, "n 3"], left: Bool[Array, "n"], interpret: bool = False
+) -> tuple[Int[Array, "n"], Float[Array, "n"]]:
+    """Of each point that is left: the first of the facets that it is highest above, and how high [m]. The table repeats
+    its last facet."""
+    facets = table.reshape(4, -1)
+    blocks = -(-facets.shape[1] // BLOCK)
+    filled = jnp.pad(facets, ((0, 0), (0, blocks * BLOCK - facets.shape[1])), mode="edge")
+    out = [jax.ShapeDtypeStruct(left.shape, dtype) for dtype in (jnp.int32, points.dtype)]
+    own_blocks = jnp.where(left, jnp.int32(blocks), jnp.int32(0))
+    return tuple(kernel(_highest, out, len(left), interpret)(points, own_blocks, filled))
+
+
+def _highest(points, blocks, table, facet, height):
+    k = pl.program_id(0)
+    x, y, z = (points[k, i] for i in range(3))
+    number = jax.lax.broadcasted_iota(jnp.int32, (BLOCK,), 0)
+
+    def step(block, state):
+        top, best = state
+        a, b, c, offset = (table[i, pl.ds(block * BLOCK, BLOCK)] for i in range(4))
+        here = a * x + b * y + c * z - offset
+        return jnp.maximum(top, here), jnp.where(here > top, block * BLOCK + number, best)
+
+    start = jnp.full(BLOCK, -jnp.inf, points.dtype), number
+    top, best = jax.lax.fori_loop(0, blocks[k], step, start)
+    height[k] = jnp.max(top)
+    facet[k] = jnp.min(jnp.where(top == jnp.max(top), best, table.shape[1]))

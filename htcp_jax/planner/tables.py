@@ -1,0 +1,34 @@
+"""Tables with a row a lane, in any tree of numpy arrays."""
+
+from collections.abc import Sequence
+from typing import TypeVar
+
+import jax
+import numpy as np
+
+Tables = TypeVar("Tables")
+
+
+def gather(tables: Tables, rows) -> Tables:
+    """Some of the rows: the tables themselves where a mask leaves none out."""
+    if isinstance(rows, np.ndarray) and rows.dtype == bool:
+        if rows.all():
+            return tables
+        rows = np.flatnonzero(rows)  # counted once, not for every table
+    return jax.tree.map(lambda table: table[rows], tables)
+
+
+def concatenate(parts: Sequence[Tables]) -> Tables:
+    """The rows of all parts, one or more."""
+    return parts[0] if len(parts) == 1 else jax.tree.map(lambda *tables: np.concatenate(tables), *parts)
+
+
+def scatter(tables: Tables, rows, new: Tables) -> Tables:
+    """Copies of the tables with new rows in place of some."""
+
+    def replaced(table, part):
+        table = table.copy()
+        table[rows] = part
+        return table
+
+    return jax.tree.map(replaced, tables, new)

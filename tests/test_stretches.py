@@ -1,0 +1,61 @@
+"""Paths that are proven in stretches, side by side, come out as if each had been looked at from end to end."""
+
+from dataclasses import replace
+from functools import cache
+
+import jax
+import made_once
+import numpy as np
+import pytest
+from test_motion_proof import motions
+
+from htcp_jax.clearance.motion_proof import Tube
+from htcp_jax.planner import stretches
+from htcp_jax.planner.lane_inputs import lane_inputs
+from htcp_jax.planner.programs import Kernels
+from htcp_jax.planner.proofs import proofs_of
+from htcp_jax.planner.tables import gather
+from htcp_jax.scene.scenario import stack
+from htcp_jax.settings import Settings
+from htcp_jax.status import Way
+
+
+@cache
+def kernels():
+    return Kernels(made_once.scene(), Settings())
+
+
+@cache
+def asked():
+    """Of each motion's path, with its tube and without: (inputs, a, b, tube, kept, resolution_m, deepest)."""
+    nominal = jax.tree.map(np.asarray, made_once.nominal())
+    ways, a, b, tubes = zip(*motions(), strict=True)
+    poses = [replace(nominal, **jax.tree.map(np.asarray, where)._asdict()) for where in ways]
+    which = np.tile(np.arange(len(poses)), 2)
+    inputs = lane_inputs(stack(poses), which, np.zeros_like(which))
+    free = [Tube(np.zeros(3), np.zeros(3), np.array(np.inf))] * len(poses)
+    tube = jax.tree.map(lambda *leaves: np.stack(leaves), *tubes, *free)
+    rng = np.random.default_rng(0)
+    kept, deepest = rng.choice([0.0, 0.5, 0.99], len(which)), rng.choice([3, 20, 30], len(which))
+    resolution_m = rng.choice([-1e-9, 1e-5], len(which))
+    return inputs, np.stack(a + a), np.stack(b + b), tube, kept, resolution_m, deepest
+
+
+@cache
+def unbroken():
+    return proofs_of(kernels(), *asked())
+
+
+@pytest.mark.parametrize("looks", [1, 3, 8])
+def test_proofs_in_stretches_are_unbroken_ones(looks, monkeypatch):
+    """To the last bit: verdicts, places, clearances, and how many places were looked at how closely; whatever other
+    paths there are."""
+    monkeypatch.setattr(Kernels, "pays_by_lane", False)
+    monkeypatch.setattr(stretches, "LOOKS", looks)
+    expected = unbroken()
+    assert np.unique(expected.verdict).tolist() == [Way.PROVEN, Way.COLLIDES, Way.LEAVES, Way.TURNS_BACK, Way.OPEN]
+    for rows in (slice(None), slice(7, None, 20), [int(np.argmax(expected.queries))]):
+        found, own = proofs_of(kernels(), *gather(asked(), rows)), gather(expected, rows)
+        for name, value in found._asdict().items():
+            np.testing.assert_array_equal(value, getattr(own, name), name)
+            assert value.dtype == getattr(own, name).dtype
