@@ -105,7 +105,12 @@ def solve_spd(a: Float[Array, "n n"], b: Float[Array, "n"], floor: float = 1e-30
     Batched LAPACK calls cost microseconds per 3 x 3 system under vmap; the unrolled form fuses. A pivot below
     `floor` is lifted to it, so that a singular matrix gives a large, finite answer and not NaN.
     """
-    n = a.shape[0]
+    return jnp.stack(solve_spd_scalars(a, b, floor))
+
+
+def solve_spd_scalars(a, b, floor: float) -> list[Scalar]:
+    """`solve_spd` of whatever a[i, j], of which j <= i is read, and b[i] are scalars."""
+    n = len(b)
     factor = [[None] * n for _ in range(n)]
     for j in range(n):
         pivot = a[j, j] - sum((factor[j][k] ** 2 for k in range(j)), start=jnp.zeros(()))
@@ -120,7 +125,7 @@ def solve_spd(a: Float[Array, "n n"], b: Float[Array, "n"], floor: float = 1e-30
     for i in reversed(range(n)):
         dot = sum((factor[k][i] * x[k] for k in range(i + 1, n)), start=jnp.zeros(()))
         x[i] = (y[i] - dot) / factor[i][i]
-    return jnp.stack(x)
+    return x
 
 
 def fold_keys(key: jax.Array, *data) -> jax.Array:

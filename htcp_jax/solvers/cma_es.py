@@ -10,6 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from htcp_jax.numerics import product
+from htcp_jax.solvers import square_roots_gpu
 from htcp_jax.types import Array, Float, Scalar
 
 
@@ -68,7 +70,7 @@ def ask(distribution: Distribution, key: jax.Array, population: int) -> Float[Ar
     n = distribution.mean.shape[0]
     axes, _ = _square_roots(distribution.C)
     normal = jax.random.normal(key, (population, n), distribution.mean.dtype)
-    return distribution.mean[None, :] + distribution.sigma * normal @ axes.T
+    return distribution.mean[None, :] + _times(distribution.sigma * normal, axes.T)
 
 
 def tell(
@@ -78,18 +80,17 @@ def tell(
     n = distribution.mean.shape[0]
     best = samples[jnp.argsort(cost)[: len(r.weights)]]
     steps = (best - distribution.mean[None, :]) / distribution.sigma
-    step = r.weights @ steps
+    step = _times(r.weights, steps)
     _, whiten = _square_roots(distribution.C)
-    path_sigma = (1 - r.c_sigma) * distribution.path_sigma + np.sqrt(
-        r.c_sigma * (2 - r.c_sigma) * r.mu_eff
-    ) * whiten @ step
+    gain = np.sqrt(r.c_sigma * (2 - r.c_sigma) * r.mu_eff)
+    path_sigma = (1 - r.c_sigma) * distribution.path_sigma + _times(gain * whiten, step)
     length = jnp.linalg.norm(path_sigma)
     generation = distribution.generation + 1
     fair = length / jnp.sqrt(1 - (1 - r.c_sigma) ** (2 * generation))
     moving = jnp.where(fair < (1.4 + 2 / (n + 1)) * r.chi_n, 1.0, 0.0)
     path_C = (1 - r.c_c) * distribution.path_C + moving * np.sqrt(r.c_c * (2 - r.c_c) * r.mu_eff) * step
     stalled = (1 - moving) * r.c_c * (2 - r.c_c)
-    rank_mu = jnp.einsum("p,pi,pj->ij", r.weights, steps, steps)
+    rank_mu = _scatter(r.weights, steps)
     C = (1 + r.c_1 * stalled - r.c_1 - r.c_mu) * distribution.C
     C = C + r.c_1 * path_C[:, None] * path_C[None, :] + r.c_mu * rank_mu
     sigma = distribution.sigma * jnp.exp(r.c_sigma / r.d_sigma * (length / r.chi_n - 1))
@@ -98,6 +99,23 @@ def tell(
 
 def _square_roots(C):
     """B D with B D^2 B' = C, and C^(-1/2)."""
+    if jax.default_backend() == "gpu" and square_roots_gpu.HAS_KERNEL:
+        return square_roots_gpu.square_roots(C)
     square, B = jnp.linalg.eigh(C)
     D = jnp.sqrt(jnp.maximum(square, 1e-20))
     return B * D[None, :], (B / D[None, :]) @ B.T
+
+
+# On a GPU a product proper is a call into a library, apart from what is around it; on a CPU the two round otherwise.
+
+
+def _times(a, b):
+    """a @ b."""
+    return product(a, b) if jax.default_backend() == "gpu" else a @ b
+
+
+def _scatter(weights, steps):
+    """Sum of weight * step step'."""
+    if jax.default_backend() == "gpu":
+        return product((weights[:, None] * steps).T, steps)
+    return jnp.einsum("p,pi,pj->ij", weights, steps, steps)

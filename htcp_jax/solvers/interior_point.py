@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.numerics import product, solve_spd
+from htcp_jax.solvers import interior_point_gpu
 from htcp_jax.types import Array, Float, Int, Scalar
 
 
@@ -41,6 +42,8 @@ def solve_dense(
     iterations: int = 30,
 ) -> DenseSolution:
     """Solve one QP, H positive semidefinite and G of full column rank. Mehrotra (1992); Wright (1997), ch. 14."""
+    if jax.default_backend() == "gpu" and interior_point_gpu.HAS_KERNEL:
+        return DenseSolution(*interior_point_gpu.solve(H, c, G, h, tolerance, iterations))
     m = len(h)
 
     def step_length(value, change):

@@ -259,7 +259,8 @@ def _epigraph(values, mu):
         slope = jnp.sum(mu / gap**2)
         return t + (1 - total) * total / slope
 
-    return jax.lax.fori_loop(0, 8, newton, low)
+    # On a GPU every turn of a loop is a launch or more, and the host waits for each.
+    return jax.lax.fori_loop(0, 8, newton, low, unroll=None if jax.default_backend() == "cpu" else 8)
 
 
 def adam(sphere: Sphere, seen: Held, iterations: int = 40, rate: float = 0.15) -> Best:

@@ -1,0 +1,104 @@
+"""`interior_point.solve_dense` as one GPU kernel: a program solves a QP from start to end, its rows side by side.
+
+As XLA code every iteration is some twenty launches, and the host looks after each whether another is wanted; QPs that
+are solved one after the other within loops wait for little else. The same formulas in the same order: sums over rows
+alone round otherwise. Written in Pallas for its Triton backend; with `interpret=True` it runs on any machine.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jax.experimental import pallas as pl
+
+from htcp_jax.numerics import solve_spd_scalars
+
+try:
+    from jax.experimental.pallas import triton
+except ImportError:  # JAX means to take it out
+    triton = None
+
+HAS_KERNEL = triton is not None
+
+ROWS_OF_A_WARP = 64  # two rows a thread: fewer threads wait for each other less, and divide more
+
+
+def solve(H, c, G, h, tolerance: float, iterations: int, interpret: bool = False):
+    """(y, multipliers, error) as `solve_dense` has them.
+
+    Arrays have 2^k rows in Triton: the rest are 0 y <= 1 with multiplier 0, which stay what they are."""
+    m, n = G.shape
+    size = max(16, 1 << (m - 1).bit_length())
+    rows = jnp.pad(G.T, ((0, 0), (0, size - m)))
+    limits = jnp.pad(h, (0, size - m), constant_values=1.0)
+    y, multipliers, error = pl.pallas_call(
+        partial(_solve, m, tolerance, iterations),
+        out_shape=[jax.ShapeDtypeStruct((k,), c.dtype) for k in (n, size, 1)],
+        compiler_params=triton.CompilerParams(num_warps=max(1, size // ROWS_OF_A_WARP)),
+        interpret=interpret,
+    )(H, c, rows, limits)
+    return y, multipliers[:m], error[0]
+
+
+def _solve(m, tolerance, iterations, H, c, G, h, out_y, out_multipliers, out_error):
+    """Numbers of the n unknowns are scalars in lists, those of the rows are vectors."""
+    n = c.shape[0]
+    unknowns = range(n)
+    H, c = [[H[i, j] for j in unknowns] for i in unknowns], [c[i] for i in unknowns]
+    G, h = [G[i, :] for i in unknowns], h[...]
+    real = jnp.arange(len(h)) < m
+
+    def across(y):
+        return sum((G[i] * y[i] for i in unknowns[1:]), start=G[0] * y[0])
+
+    def along(row_values):
+        return [jnp.sum(G[i] * row_values) for i in unknowns]
+
+    def residuals(y, slack, multipliers):
+        pull = along(multipliers)
+        curve = [sum((H[i][j] * y[j] for j in unknowns[1:]), start=H[i][0] * y[0]) for i in unknowns]
+        return [curve[i] + c[i] + pull[i] for i in unknowns], across(y) + slack - h
+
+    def step_length(value, change):
+        return jnp.minimum(jnp.min(jnp.where(change < 0, -value / jnp.where(change < 0, change, -1.0), 1.0)), 1.0)
+
+    def body(state):
+        y, slack, multipliers, dual, primal, best, count = state
+        weight = multipliers / slack
+        weighted = [weight * row for row in G]
+        normal = {(i, j): H[i][j] + jnp.sum(G[i] * weighted[j]) for i in unknowns for j in range(i + 1)}
+
+        def direction(complement):
+            pull = along(weight * primal - complement / slack)
+            dy = solve_spd_scalars(normal, [-dual[i] - pull[i] for i in unknowns], 1e-30)
+            dslack = -primal - across(dy)
+            return dy, dslack, -(complement + multipliers * dslack) / slack
+
+        mu = jnp.sum(slack * multipliers) / m
+        _, ds, dm = direction(slack * multipliers)
+        step = jnp.minimum(step_length(slack, ds), step_length(multipliers, dm))
+        mu_affine = jnp.sum((slack + step * ds) * (multipliers + step * dm)) / m
+        ratio = mu_affine / mu
+        centre = ratio * ratio * ratio * mu
+        dy, ds, dm = direction(jnp.where(real, slack * multipliers + ds * dm - centre, 0.0))
+        step = 0.995 * jnp.minimum(step_length(slack, ds), step_length(multipliers, dm))
+        y = [y[i] + step * dy[i] for i in unknowns]
+        slack, multipliers = slack + step * ds, multipliers + step * dm
+        dual, primal = residuals(y, slack, multipliers)
+        error = jnp.max(jnp.abs(primal))
+        for residual in dual:
+            error = jnp.maximum(error, jnp.abs(residual))
+        error = jnp.maximum(error, jnp.sum(slack * multipliers) / m)
+        better = error < best[-1]
+        best = jax.tree.map(lambda new, old: jnp.where(better, new, old), (y, multipliers, error), best)
+        count = jnp.where(error < 1e2 * best[-1], count + 1, iterations)
+        return y, slack, multipliers, dual, primal, best, count
+
+    y = [jnp.zeros((), h.dtype)] * n
+    slack, multipliers = jnp.maximum(h, 0.1), jnp.where(real, 0.1, 0.0)
+    nothing = y, jnp.zeros_like(h), jnp.full((), jnp.inf, h.dtype)
+    start = (y, slack, multipliers, *residuals(y, slack, multipliers), nothing, jnp.int32(0))
+    going = jax.lax.while_loop(lambda s: (s[5][-1] > tolerance) & (s[6] < iterations), body, start)
+    y, out_multipliers[...], out_error[0] = going[5]
+    for i in unknowns:
+        out_y[i] = y[i]

@@ -1,0 +1,98 @@
+"""The square roots of a small symmetric matrix as one GPU kernel, for `cma_es`: a program takes one matrix.
+
+An eigendecomposition is a call into a library there, which stands between launches that could go out together. Jacobi's
+cyclic method (Golub and Van Loan, Matrix Computations, section 8.5) wants nothing but rotations of two rows, written
+out. Written in Pallas for its Triton backend; with `interpret=True` it runs on any machine.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax.experimental import pallas as pl
+
+try:
+    from jax.experimental.pallas import triton
+except ImportError:  # JAX means to take it out
+    triton = None
+
+HAS_KERNEL = triton is not None
+
+SWEEPS = 8  # they converge quadratically: matrices of 3 x 3 take four, of 7 x 7 six
+
+
+def square_roots(C, interpret: bool = False):
+    """B D with B D^2 B' = C, and C^(-1/2); eigenvalues in ascending order, each axis positive where it is longest."""
+    shape = jax.ShapeDtypeStruct(C.shape, C.dtype)
+    return pl.pallas_call(
+        _square_roots,
+        out_shape=(shape, shape),
+        compiler_params=triton.CompilerParams(num_warps=1),
+        interpret=interpret,
+    )(C)
+
+
+def _square_roots(C, axes, whiten):
+    n = C.shape[0]
+    square, B = _ordered(*_eigen([[C[i, j] for j in range(n)] for i in range(n)]))
+    D = [jnp.sqrt(jnp.maximum(value, 1e-20)) for value in square]
+    for i in range(n):
+        for j in range(n):
+            axes[i, j] = B[j][i] * D[j]
+            whiten[i, j] = sum(B[k][i] * B[k][j] / D[k] for k in range(n))
+
+
+def _eigen(C):
+    """Eigenvalues of a symmetric matrix, and unit eigenvectors; all in lists, of scalars."""
+    n = len(C)
+
+    def sweep(_, state):
+        A, B = state
+        for p in range(n):
+            for q in range(p + 1, n):
+                A, B = _rotate(A, B, p, q)
+        return A, B
+
+    one, zero = jnp.ones((), C[0][0].dtype), jnp.zeros((), C[0][0].dtype)
+    unit = [[one if i == j else zero for j in range(n)] for i in range(n)]
+    A, B = jax.lax.fori_loop(0, SWEEPS, sweep, (C, unit))
+    return [A[i][i] for i in range(n)], B
+
+
+def _rotate(A, B, p, q):
+    """A after the rotation that makes A[p][q] zero; B's rows, the eigenvectors to be, go along."""
+    off = A[p][q]
+    # The smaller of two rotations, by its tangent; none where there is nothing to do.
+    ratio = (A[q][q] - A[p][p]) / (2 * jnp.where(off == 0, 1.0, off))
+    tangent = 1 / (jnp.abs(ratio) + jnp.sqrt(1 + ratio * ratio))
+    tangent = jnp.where(off == 0, 0.0, jnp.where(ratio < 0, -tangent, tangent))
+    cosine = 1 / jnp.sqrt(1 + tangent * tangent)
+    sine = tangent * cosine
+    A, B = [list(row) for row in A], [list(row) for row in B]
+    A[p][p], A[q][q] = A[p][p] - tangent * off, A[q][q] + tangent * off
+    A[p][q] = A[q][p] = off - off  # a loop in Triton carries no literal
+    for i in range(len(A)):
+        if i not in (p, q):
+            A[i][p], A[i][q] = cosine * A[i][p] - sine * A[i][q], sine * A[i][p] + cosine * A[i][q]
+            A[p][i], A[q][i] = A[i][p], A[i][q]
+        B[p][i], B[q][i] = cosine * B[p][i] - sine * B[q][i], sine * B[p][i] + cosine * B[q][i]
+    return A, B
+
+
+def _ordered(square, B):
+    """Eigenvalues from low to high and their vectors, by exchanges of neighbours; signs by the longest component."""
+    n = len(square)
+    pairs = [(square[i], *_positive(B[i])) for i in range(n)]
+    for last in reversed(range(n)):
+        for i in range(last):
+            low, high = pairs[i], pairs[i + 1]
+            swap = low[0] > high[0]
+            pairs[i] = tuple(jnp.where(swap, b, a) for a, b in zip(low, high, strict=True))
+            pairs[i + 1] = tuple(jnp.where(swap, a, b) for a, b in zip(low, high, strict=True))
+    return [pair[0] for pair in pairs], [pair[1:] for pair in pairs]
+
+
+def _positive(v):
+    """v or -v: its longest component, the first of equals, is positive."""
+    longest = v[0]
+    for component in v[1:]:
+        longest = jnp.where(jnp.abs(component) > jnp.abs(longest), component, longest)
+    return [jnp.where(longest < 0, -component, component) for component in v]
