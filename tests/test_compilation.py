@@ -1,15 +1,20 @@
 """What is compiled: once, side by side, nothing besides, and the same whichever way it comes to be."""
 
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+
 import jax
 import jax.numpy as jnp
 import made_once
 import numpy as np
+import pytest
 
 from htcp_jax.clearance.motion_proof import RESOLUTION_M, proven_clear
 from htcp_jax.numerics import fold_keys
-from htcp_jax.planner.kernel import chunked
+from htcp_jax.planner.kernel import STEP, Kernel, chunked
 from htcp_jax.planner.lane_inputs import lane_inputs
-from htcp_jax.planner.programs import Kernels, Programs
+from htcp_jax.planner.programs import Kernels, Programs, Waiting
 from htcp_jax.planner.proofs import PROVE, clear_paths, free_tubes, prove_call
 from htcp_jax.scene.scenario import stack
 from htcp_jax.settings import Settings
@@ -24,17 +29,46 @@ def asked(count):
 
 
 def test_what_is_prepared_is_what_is_called():
+    """And is compiled once, whoever comes first; who calls waits for it, and nobody does for what is there."""
     programs = Programs()
     kernels = Kernels(made_once.scene(), Settings(), programs=programs)
     inputs, a, b = asked(20)
-    kernels.prepare([prove_call(inputs, a, b, free_tubes(kernels.task, inputs))])
-    assert len(programs) == 1 and kernels.compile_s > 0
+    tubes = free_tubes(kernels.task, inputs)
+    with kernels.preparing([prove_call(inputs, a, b, tubes)]):
+        clear = clear_paths(kernels, inputs, a, b, RESOLUTION_M)
+        assert len(programs) == 1 and kernels.compile_s > 0 and programs.of(PROVE)
     before = kernels.compile_s
-    clear = clear_paths(kernels, inputs, a, b, RESOLUTION_M)
-    assert len(programs) == 1 and kernels.compile_s == before and programs.of(PROVE)
+    assert clear_paths(kernels, inputs, a, b, RESOLUTION_M).tolist() == clear.tolist()
+    assert len(programs) == 1 and kernels.compile_s == before
     one = jax.jit(lambda a, b: proven_clear(made_once.scene(), made_once.nominal(), a, b))
     assert clear.tolist() == [bool(one(*way)) for way in zip(a, b, strict=True)]
     assert clear.any() and not clear.all()
+
+
+def test_what_is_prepared_is_there_in_the_end_and_a_fault_of_it_is_told():
+    programs = Programs()
+    kernels = Kernels(made_once.scene(), Settings(), programs=programs)
+    inputs, a, b = asked(2)
+    with kernels.preparing([prove_call(inputs, a, b, free_tubes(kernels.task, inputs))]):
+        pass
+    assert programs.of(PROVE)
+    faulty = Kernel("faulty", lambda settings, scene, x: x + settings.samples, STEP)
+    with pytest.raises(AttributeError, match="samples"), kernels.preparing([(faulty, a)]):
+        pass
+
+
+def test_a_clock_goes_while_anybody_waits():
+    """Two who wait at a time are one wait: what is left of the wall time is what was computed in."""
+    waiting, both, began = Waiting(), threading.Barrier(2), time.perf_counter()
+
+    def wait():
+        with waiting:
+            both.wait()
+            time.sleep(0.05)
+
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(lambda _: wait(), range(2)))
+    assert 0.05 <= waiting.seconds <= time.perf_counter() - began
 
 
 def test_lanes_one_by_one_are_lanes_side_by_side():

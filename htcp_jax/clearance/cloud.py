@@ -114,4 +114,5 @@ class Cloud:
 
 def cloud_of(points: Float[np.ndarray, "P 3"], covering_radius_m: float) -> Cloud:
     """The obstacle. The order of its points does not change any distance."""
-    return Cloud(jnp.asarray(points), build_index(np.asarray(points)), jnp.asarray(covering_radius_m, float))
+    points = np.asarray(points)
+    return Cloud(jax.device_put(points), build_index(points), jax.device_put(np.asarray(covering_radius_m, float)))

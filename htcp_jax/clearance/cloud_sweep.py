@@ -68,9 +68,9 @@ def _stays_clear(segment: Segments, p, q, p_moves, q_moves, bend, travel, reach,
     """How clear one body stays of points (3, n), by the plane between each of them and the body, or by its travel."""
     towards = [-a for a in arm(segment, points)]
     distance = jnp.sqrt(sum(a * a for a in towards))
-    n = [a / jnp.maximum(distance, 1e-300) for a in towards]
     first, second = (
-        sum(n[i] * (end[i] - points[i]) for i in range(3)) - jnp.abs(sum(n[i] * moves[i] for i in range(3)))
+        sum(towards[i] * (end[i] - points[i]) for i in range(3)) - jnp.abs(sum(towards[i] * moves[i] for i in range(3)))
         for end, moves in ((p, p_moves), (q, q_moves))
     )
-    return jnp.min(jnp.maximum(jnp.minimum(first, second) - bend, distance - travel)) - reach
+    by_plane = jnp.minimum(first, second) / jnp.maximum(distance, 1e-300) - bend
+    return jnp.min(jnp.maximum(by_plane, distance - travel)) - reach

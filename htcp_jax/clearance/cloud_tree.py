@@ -34,11 +34,12 @@ def build_index(points: Float[np.ndarray, "P 3"]) -> CloudIndex:
     bounds = [bounding_discs(points[rows.reshape(count, -1)]) for count in counts]
     levels = [b.reshape(parents, -1, 8).transpose(0, 2, 1) for b, parents in zip(bounds, [1, *counts], strict=False)]
     leaves = rows.reshape(-1, FAN)
-    return CloudIndex(
-        levels=tuple(jnp.asarray(level, jnp.float32) for level in levels),
-        points=jnp.asarray(points[leaves].transpose(0, 2, 1)),
-        rows=jnp.asarray(leaves, jnp.int32),
+    index = CloudIndex(
+        levels=tuple(level.astype(np.float32) for level in levels),
+        points=points[leaves].transpose(0, 2, 1),
+        rows=leaves.astype(np.int32),
     )
+    return jax.device_put(index)  # as it is: JAX would compile a program for every array that it is to convert
 
 
 def _tree(points, rows, parts: int, levels: int):

@@ -42,7 +42,7 @@ def half_spaces(
     facets = np.column_stack([normal, offset])
     filled = np.concatenate([facets, np.repeat(facets[-1:], -len(facets) % FAN, axis=0)])
     table = filled.T.reshape(4, -1, FAN)
-    return HalfSpaces(*(jnp.asarray(a) for a in (normal, offset, core[:, :3], -core[:, 3], table)))
+    return jax.device_put(HalfSpaces(*map(np.asarray, (normal, offset, core[:, :3], -core[:, 3], table))))
 
 
 def _core(vertices: np.ndarray) -> Float[np.ndarray, "C 4"]:

@@ -23,7 +23,6 @@ which sees that joints undo each other's motion, as they do near a tool that har
 Seen from a link before it in the chain, a body moves by the joints beyond that link alone: as if the others rested.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -32,16 +31,25 @@ import numpy as np
 
 from htcp_jax.clearance.sweep import Sweep
 from htcp_jax.numerics import safe_norm
-from htcp_jax.scene.kinematics import capsule_segments, joint_levers, tcp_position
+from htcp_jax.scene.kinematics import capsule_segments, point_jacobians, tcp_position
 from htcp_jax.scene.robot import Robot
-from htcp_jax.types import Array, Float, Int, Joints, Scalar
+from htcp_jax.types import Array, Float, Int, Joints, Scalar, Vector3
 
 ROUNDING_M = 1e-9  # more than that of any position: what is proven is proven with so much to spare
+
+
+class TcpSweep(NamedTuple):
+    """How the TCP moves about where it is."""
+
+    position: Vector3  # world [m]
+    velocity: Vector3
+    bend: Scalar  # how large its |p''| is at most
 
 
 class _Bounds(NamedTuple):
     """Of P points that are fixed to links."""
 
+    velocity: Float[Array, "P 3"]
     moved: Float[Array, "P"]  # how far each is from where it was, at most [m]
     bend: Float[Array, "P"]  # and how large its |p''| is
 
@@ -61,13 +69,18 @@ def point_motion_bound(
 
 def sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Sweep:
     """How the bodies move on the joint path x + s `rates` [rad or m] with |s| <= half."""
-    segments, velocities = jax.jvp(partial(capsule_segments, robot), (x,), (rates,))
-    ends, links = _ends(robot, segments)
-    within = _bounds(robot, x, rates, half * jnp.abs(rates), ends, links)
+    within = jax.tree.map(lambda bounds: bounds[:-1], _of_arm(robot, x, rates, half)[1])
     off = 0.5 * half * half * within.bend
-    along = half * safe_norm(jnp.concatenate(velocities)) + off
+    along = half * safe_norm(within.velocity) + off
     travel = jnp.minimum(_larger(along), _larger(within.moved))
-    return Sweep(half * velocities[0], half * velocities[1], _larger(off), travel)
+    p, q = half * within.velocity.reshape(2, -1, 3)
+    return Sweep(p, q, _larger(off), travel)
+
+
+def tcp_sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> TcpSweep:
+    """How the TCP moves on that path. In a program that asks for both, it costs next to nothing."""
+    points, within = _of_arm(robot, x, rates, half)
+    return TcpSweep(points[-1], within.velocity[-1], within.bend[-1])
 
 
 def travel_bound(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "K"]:
@@ -90,6 +103,15 @@ def point_bend_bound(
     return _bounds(robot, x, rates, turns, points, links).bend
 
 
+@jax.jit
+def _of_arm(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> tuple[Float[Array, "P 3"], _Bounds]:
+    """The ends of the bodies' axes and, last, the TCP, and their bounds: in one, as programs then have it once."""
+    ends, links = _ends(robot, capsule_segments(robot, x))
+    points = jnp.concatenate([ends, tcp_position(robot, x)[None]])
+    links = jnp.append(links, len(robot.slides) - 1)
+    return points, _bounds(robot, x, rates, half * jnp.abs(rates), points, links)
+
+
 def _ends(robot: Robot, segments: tuple[Float[Array, "K 3"], Float[Array, "K 3"]]):
     """Both ends of every body's axis, the first ones first, and their links."""
     return jnp.concatenate(segments), jnp.tile(jnp.asarray(robot.capsule_link), 2)
@@ -104,11 +126,12 @@ def _bounds(
     robot: Robot, x: Joints, rates: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Array, "P"]
 ) -> _Bounds:
     """Of points at x, while every joint stays within `turns` of x, and moves by `rates`."""
-    levers, rates, slides = joint_levers(robot, x, points), jnp.abs(rates), robot.slides
+    columns, slides = point_jacobians(robot, x, points, links).swapaxes(1, 2), robot.slides
+    levers, speeds = safe_norm(columns), jnp.abs(rates)
     moved, bend = jnp.zeros(len(points)), jnp.zeros(len(points))
     for j in reversed(range(len(slides))):
         lever = jnp.where(links >= j, 1.0 if slides[j] else levers[:, j] + moved, 0.0)
-        turned = 2 * jnp.sum(rates[:j], where=~np.array(slides[:j], bool))
-        bend = bend + rates[j] * lever * (turned + (0.0 if slides[j] else rates[j]))
+        turned = 2 * jnp.sum(speeds[:j], where=~np.array(slides[:j], bool))
+        bend = bend + speeds[j] * lever * (turned + (0.0 if slides[j] else speeds[j]))
         moved = moved + turns[j] * lever
-    return _Bounds(moved, bend)
+    return _Bounds(jnp.sum(columns * rates[None, :, None], axis=1), moved, bend)

@@ -23,13 +23,12 @@ from jax.typing import ArrayLike
 
 from htcp_jax.clearance.bisection import UNENDING, Bisection, Proof, Verdict, begun
 from htcp_jax.clearance.interval import on_interval
-from htcp_jax.clearance.motion_bound import ROUNDING_M, tcp_bend_bound
+from htcp_jax.clearance.motion_bound import ROUNDING_M, tcp_sweep
 from htcp_jax.clearance.obstacle import Posed
 from htcp_jax.clearance.obstacles import all_clear
 from htcp_jax.clearance.row_proof import between, rows_hold
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.numerics import product, safe_norm, segment_parameter
-from htcp_jax.scene.kinematics import jacobian, tcp_position
 from htcp_jax.settings import Settings
 from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
 
@@ -97,7 +96,7 @@ def prove_on(
         x = a + place * (b - a)
         stays, broken = jnp.full((), True), jnp.full((), int(Verdict.PROVEN), jnp.int32)
         if tube is not None:
-            stays, broken = _in_tube(scene, tube, forwards, x, b - a, half * jnp.abs(b - a), half)
+            stays, broken = _in_tube(scene, tube, forwards, x, b - a, half)
         if asked is not None:
             inside, out = rows_hold(scene.robot, scene.task.parts, asked, x, b - a, half)
             stays &= jnp.all(inside) | ~tube.held
@@ -137,11 +136,10 @@ def proven_clear(scene: Scene, where: Posed, a: Joints, b: Joints) -> Bool[jax.A
     return prove(scene, where, a, b, resolution_m=RESOLUTION_M).verdict == Verdict.PROVEN
 
 
-def _in_tube(scene: Scene, tube: Tube, forwards: Vector3, x: Joints, rates: Joints, turns: Joints, half: Scalar):
+def _in_tube(scene: Scene, tube: Tube, forwards: Vector3, x: Joints, rates: Joints, half: Scalar):
     """Whether the TCP surely stays in the tube on an interval about x, and what is wrong at x itself."""
-    robot = scene.robot
-    p, v = tcp_position(robot, x), product(jacobian(robot, x), rates)
-    bend = tcp_bend_bound(robot, x, rates, turns) * half
+    p, v, bend = tcp_sweep(scene.robot, x, rates, half)
+    bend = bend * half
     off, before, after = _off_line(tube, jnp.stack([p, p - half * v, p + half * v]))
     stays = jnp.maximum(before, after) + 0.5 * bend * half + ROUNDING_M <= tube.radius
     speed, is_line = product(forwards, v), jnp.any(forwards != 0)

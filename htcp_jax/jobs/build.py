@@ -56,8 +56,8 @@ def robot_of(arm: RobotConfig) -> Robot:
 def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
     """The workpiece, without its pose: that belongs to the scenario. Points on a mesh are as close as the robot's
     thinnest body needs; where that body fits between the points of a cloud, a UserWarning says so."""
-    thinnest = int(np.argmin(robot.capsule_radius))
-    radius = float(robot.capsule_radius[thinnest])
+    radii = np.asarray(robot.capsule_radius)
+    thinnest, radius = int(radii.argmin()), float(radii.min())
     workpiece = load_workpiece(
         None if part.cloud == "duct" else part.cloud,
         part.path,

@@ -2,7 +2,8 @@
 
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from typing import Any, NamedTuple
 
 import jax
@@ -100,24 +101,24 @@ def plan(
     from htcp_jax.planner.lane_checks import check_remaining_paths
     from htcp_jax.planner.motion_check import judge_motions, tighten
 
-    _prepare(problem, chosen)
-    if check_starts:
-        _check_starts(problem, obstacles)
-    ways = leave_home(problem)
-    plans = _of_these(chosen.plan(problem), problem, method)
-    if check_paths:
-        check_remaining_paths(problem, plans)
-    plans = begin_at_home(problem, plans, ways)
-    if check_paths:
-        judge_motions(problem, plans)
-        if getattr(chosen, "smooth", False) if settings.smooth is None else settings.smooth:
-            from htcp_jax.planner.smoothing import smooth
-
-            plans = smooth(problem, plans)
+    with _preparing(problem, chosen):
+        if check_starts:
+            _check_starts(problem, obstacles)
+        ways = leave_home(problem)
+        plans = _of_these(chosen.plan(problem), problem, method)
+        if check_paths:
+            check_remaining_paths(problem, plans)
+        plans = begin_at_home(problem, plans, ways)
+        if check_paths:
             judge_motions(problem, plans)
-            tighten(problem, plans)
+            if getattr(chosen, "smooth", False) if settings.smooth is None else settings.smooth:
+                from htcp_jax.planner.smoothing import smooth
+
+                plans = smooth(problem, plans)
+                judge_motions(problem, plans)
+                tighten(problem, plans)
     spent = time.perf_counter() - began
-    compile_s = plans.compile_s + sum(each.compile_s for each in problem.kernels)
+    compile_s = plans.compile_s + max(each.compile_s for each in problem.kernels)
     return plans._replace(compile_s=compile_s, run_s=spent - compile_s)
 
 
@@ -158,11 +159,14 @@ def _begins_at(scenario: Scenario) -> dict[str, Float[np.ndarray, "N"]]:
     return start
 
 
-def _prepare(problem: Problem, method: Method) -> None:
-    """Compile what a method says that it will call first."""
+@contextmanager
+def _preparing(problem: Problem, method: Method) -> Iterator[None]:
+    """Meanwhile compile what a method says that it will call."""
     calls = getattr(method, "first_calls", None)
-    for each in problem.kernels if calls is not None and len(problem.to_plan) else ():
-        each.prepare(calls(problem))
+    with ExitStack() as stack:
+        for each in problem.kernels if calls is not None and len(problem.to_plan) else ():
+            stack.enter_context(each.preparing(calls(problem)))
+        yield
 
 
 def _check_starts(problem: Problem, obstacles: Obstacles) -> None:

@@ -29,7 +29,11 @@ def choose(name: str | None = None) -> list[jax.Device]:
 def default_threads(devices: list[jax.Device], qp: str) -> int:
     """Engines that share the scenarios. On a CPU one a core. On GPUs one each, for the largest batches; more where
     the host solves the step QPs."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if devices[0].platform == "cpu":
-        return cores
-    return len(devices) if qp == "device" else max(cores, 2 * len(devices))
+        return cores()
+    return len(devices) if qp == "device" else max(cores(), 2 * len(devices))
+
+
+def cores() -> int:
+    """Of the CPU, that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

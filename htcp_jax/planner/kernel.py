@@ -85,24 +85,27 @@ def chunked(kernel: Callable, width: int) -> Callable:
     the first chunks x width lanes; the rest of the result is zeros. One lane at a time is not batched: loops then ask
     for no lane but their own, and the program is a fifth shorter."""
 
-    def run(scene, chunks, *tables):
-        def one_chunk(start):
-            if width == 1:
-                lane = jax.tree.map(lambda t: jax.lax.dynamic_index_in_dim(t, start, keepdims=False), tables)
-                return jax.tree.map(lambda r: jnp.asarray(r)[None], kernel(scene, *lane))
-            part = jax.tree.map(lambda t: jax.lax.dynamic_slice_in_dim(t, start, width), tables)
-            return jax.vmap(partial(kernel, scene))(*part)
+    @jax.jit  # so that Python traces it once, for the shapes of its results as for the loop
+    def one_chunk(scene, tables, start):
+        if width == 1:
+            lane = jax.tree.map(lambda t: jax.lax.dynamic_index_in_dim(t, start, keepdims=False), tables)
+            return jax.tree.map(lambda r: jnp.asarray(r)[None], kernel(scene, *lane))
+        part = jax.tree.map(lambda t: jax.lax.dynamic_slice_in_dim(t, start, width), tables)
+        return jax.vmap(partial(kernel, scene))(*part)
 
+    def run(scene, chunks, *tables):
         def body(i, results):
             start = i * width
             return jax.tree.map(
-                lambda all_, part: jax.lax.dynamic_update_slice_in_dim(all_, part, start, 0), results, one_chunk(start)
+                lambda all_, part: jax.lax.dynamic_update_slice_in_dim(all_, part, start, 0),
+                results,
+                one_chunk(scene, tables, start),
             )
 
         capacity = jax.tree.leaves(tables)[0].shape[0]
         if width == capacity:
-            return one_chunk(0)
-        shapes = jax.eval_shape(one_chunk, 0)
+            return one_chunk(scene, tables, 0)
+        shapes = jax.eval_shape(one_chunk, scene, tables, chunks)
         empty = jax.tree.map(lambda s: jnp.zeros((capacity, *s.shape[1:]), s.dtype), shapes)
         return jax.lax.fori_loop(0, chunks, body, empty)
 

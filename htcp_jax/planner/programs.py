@@ -2,14 +2,16 @@
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
 
 import jax
 import numpy as np
 
 from htcp_jax.clearance.scene import Scene
+from htcp_jax.planner.devices import cores
 from htcp_jax.planner.kernel import STEP, Kernel, chunked
 from htcp_jax.scene.task import Task
 from htcp_jax.settings import Settings
@@ -17,6 +19,9 @@ from htcp_jax.settings import Settings
 # What does not change in a loop is taken out of it before equal parts are found, which look different then: the arm's
 # links are computed up to seven times over. On a CPU that costs more than it saves; on a GPU every launch counts.
 COMPILER = {"cpu": {"xla_disable_hlo_passes": "while-loop-invariant-code-motion"}}
+
+
+NOBODY = nullcontext()  # waits
 
 
 class Programs:
@@ -35,21 +40,25 @@ class Programs:
         self._compiled.clear()
 
     def get(
-        self, kernel: Kernel, settings: Settings, device: jax.Device, arguments: tuple
-    ) -> tuple[jax.stages.Compiled, float]:
-        """The program for arguments of these shapes, and the seconds that it took to compile it just now. Python traces
-        one at a time, and the others are compiled meanwhile."""
+        self,
+        kernel: Kernel,
+        settings: Settings,
+        device: jax.Device,
+        arguments: tuple,
+        waiting: AbstractContextManager = NOBODY,
+    ) -> jax.stages.Compiled:
+        """The program for arguments of these shapes, compiled if there is none; `waiting` goes on meanwhile. Python
+        traces one at a time, and the others are compiled meanwhile."""
         leaves, structure = jax.tree.flatten(arguments)
         shapes = tuple((x.shape, x.dtype) for x in leaves)
         key = (kernel, kernel.values(settings), device, structure, shapes)
-        with self._compiling.setdefault(key, threading.Lock()):
-            if key in self._compiled:
-                return self._compiled[key], 0.0
-            began = time.perf_counter()
-            with self._tracing:
-                lowered = chunked(kernel.of(settings), kernel.load.on(device).width).lower(*arguments)
-            self._compiled[key] = lowered.compile(COMPILER.get(device.platform))
-            return self._compiled[key], time.perf_counter() - began
+        if key not in self._compiled:
+            with waiting, self._compiling.setdefault(key, threading.Lock()):
+                if key not in self._compiled:
+                    with self._tracing:
+                        lowered = chunked(kernel.of(settings), kernel.load.on(device).width).lower(*arguments)
+                    self._compiled[key] = lowered.compile(COMPILER.get(device.platform))
+        return self._compiled[key]
 
     def of(self, *kernels: Kernel) -> list[tuple[Kernel, jax.stages.Compiled]]:
         """The programs of some kernels."""
@@ -62,9 +71,29 @@ PROGRAMS = Programs()  # of this process
 FEW = 4  # lanes, which are not worth sharing out
 
 
+class Waiting:
+    """A clock that goes while any thread is in it."""
+
+    def __init__(self):
+        self.seconds = 0.0
+        self._inside, self._began, self._lock = 0, 0.0, threading.Lock()
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if not self._inside:
+                self._began = time.perf_counter()
+            self._inside += 1
+
+    def __exit__(self, *_) -> None:
+        with self._lock:
+            self._inside -= 1
+            if not self._inside:
+                self.seconds += time.perf_counter() - self._began
+
+
 class Kernels:
-    """Runs kernels on one scene and one device. Compiles on first use, once for any number of scenarios, and knows the
-    seconds that took.
+    """Runs kernels on one scene and one device. Compiles on first use, once for any number of scenarios, and knows for
+    how long somebody waited for that.
 
     threads: among which a call's lanes are shared out, on a CPU; each is computed by itself, so none comes out
     otherwise.
@@ -83,7 +112,12 @@ class Kernels:
         self._programs, self._own = programs, {}
         self._pool = ThreadPoolExecutor(threads) if threads > 1 and self.pays_by_lane else None
         self._threads = threads if self._pool else 1
-        self.compile_s = 0.0
+        self._waiting = Waiting()
+
+    @property
+    def compile_s(self) -> float:
+        """Wall time in which programs were waited for [s]."""
+        return self._waiting.seconds
 
     @property
     def lanes(self) -> int:
@@ -124,14 +158,23 @@ class Kernels:
         parts = list(mapped(lambda share: self._run(kernel, share), shares))
         return parts[0] if len(parts) == 1 else jax.tree.map(lambda *p: np.concatenate(p), *parts)
 
-    def prepare(self, calls: Sequence[tuple]) -> None:
-        """Compile side by side what would be compiled one after the other, the largest first. calls: (kernel, tables)
-        as they will be made, with any numbers and of any number of lanes."""
-        began, before = time.perf_counter(), self.compile_s
-        with ThreadPoolExecutor(len(calls)) as pool:
-            list(pool.map(lambda call: self._program(call[0], self._arguments(call[0], call[1:])), calls))
-        if self.compile_s > before:
-            self.compile_s = before + time.perf_counter() - began
+    @contextmanager
+    def preparing(self, calls: Sequence[tuple]) -> Iterator[None]:
+        """Compile on all cores what will be called, in this order, while whoever calls goes on, and waits for no more
+        than he needs. calls: (kernel, tables) as they will be made, with any numbers and of any number of lanes."""
+        with ThreadPoolExecutor(cores()) as pool:
+            begun = [pool.submit(self._ready, kernel, tables) for kernel, *tables in calls]
+            try:
+                yield
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+            for each in begun:
+                with NOBODY if each.done() else self._waiting:
+                    each.result()
+
+    def _ready(self, kernel: Kernel, tables) -> None:
+        self._programs.get(kernel, self._settings, self.device, self._arguments(kernel, tables))
 
     def _run(self, kernel: Kernel, tables):
         lanes = len(jax.tree.leaves(tables)[0])
@@ -152,8 +195,7 @@ class Kernels:
 
     def _program(self, kernel: Kernel, arguments: tuple) -> jax.stages.Compiled:
         if kernel not in self._own:
-            self._own[kernel], seconds = self._programs.get(kernel, self._settings, self.device, arguments)
-            self.compile_s += seconds
+            self._own[kernel] = self._programs.get(kernel, self._settings, self.device, arguments, self._waiting)
         return self._own[kernel]
 
 

@@ -67,7 +67,7 @@ def proofs_of(
 
 
 def prove_call(inputs: LaneInputs, a, b, tube: Tube, kept=0.0, resolution_m=-ROUNDING_M, deepest=DEEPEST) -> tuple:
-    """The kernel and its tables for these, see `Kernels.prepare`."""
+    """The kernel and its tables for these, see `Kernels.preparing`."""
     closely = Closely(*(np.broadcast_to(value, len(a)) for value in (kept, resolution_m, np.asarray(deepest, int))))
     return PROVE, inputs, a, b, tube, closely, whole_paths(len(a)).far, np.full(len(a), UNENDING)
 

@@ -30,7 +30,7 @@ NAME = re.compile(r"[a-z0-9-]+")  # it stands in names of files and folders
 @runtime_checkable
 class Method(Protocol):
     """A planner. One whose motions are to be smoothed unless the settings say otherwise has `smooth = True`; one that
-    knows which kernels it will call has `first_calls(problem)`, see `Kernels.prepare`."""
+    knows which kernels it will call has `first_calls(problem)`, see `Kernels.preparing`."""
 
     @property
     def name(self) -> str:

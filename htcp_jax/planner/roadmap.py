@@ -53,7 +53,7 @@ class Roadmap:
     smooth = True  # unless the settings say otherwise
 
     def first_calls(self, problem: Problem) -> list[tuple]:
-        """See `Kernels.prepare`."""
+        """See `Kernels.preparing`."""
         return _calls(problem)
 
     def plan(self, problem: Problem) -> Plans:
@@ -73,15 +73,14 @@ class Roadmap:
 
 
 def _calls(problem: Problem) -> list[tuple]:
-    """One of each kernel that will be called, see `Kernels.prepare`."""
+    """One of each kernel that will be called, in the order in which they are waited for, see `Kernels.preparing`."""
     one, zero = problem.to_plan[:1], np.zeros(1, int)
     x, turns = problem.scenarios.x_start[one], np.zeros(1, bool)
     inputs = lane_inputs(problem.scenarios, one, zero)
     tube = tubes(problem.scenarios, problem.task, problem.settings.tube_m, one, zero, turns)
-    calls = [(FEED, inputs, x), prove_call(inputs, x, x, tube)]
-    if problem.kernels[0].freedom:
-        calls.append((WALK, inputs, x, zero.astype(np.int32)))
-    return calls if problem.settings.smooth is False else [*calls, (ADVANCE, inputs, x, x), (SETTLE, inputs, x)]
+    walks = [(WALK, inputs, x, zero.astype(np.int32))] if problem.kernels[0].freedom else []
+    smooths = [] if problem.settings.smooth is False else [(SETTLE, inputs, x)]
+    return [(ADVANCE, inputs, x, x), (FEED, inputs, x), prove_call(inputs, x, x, tube), *walks, *smooths]
 
 
 @dataclass(eq=False)

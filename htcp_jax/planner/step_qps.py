@@ -30,7 +30,7 @@ class StepQPs(Escapes):
     description: str  # what it does, in words
 
     def first_calls(self, problem: Problem) -> list[tuple]:
-        """See `Kernels.prepare`."""
+        """See `Kernels.preparing`."""
         return first_calls(problem)
 
     def plan(self, problem: Problem) -> Plans:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-import jax.numpy as jnp
+import jax
 
 from htcp_jax.scene.robot import GP50, Robot
 from htcp_jax.scene.robot_model import read_robot_file
@@ -38,8 +38,7 @@ def load_robot(
     that the model does not have, and a body of the tool that is called as one of the model.
     """
     fields = read_robot_file(Path(path), tcp_site, limits, pose(base_m, base_rpy_rad), tool)
-    arrays = {key: jnp.array(value) for key, value in fields.arrays.items()}
-    return Robot(**arrays, **fields.facts)
+    return Robot(**jax.device_put(fields.arrays), **fields.facts)
 
 
 def gp50(limits: str = "simulation") -> Robot:

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.errors import InputError
@@ -98,12 +97,12 @@ def make_scenario(
     Raises InputError for a start or home of the wrong length or outside the joint limits, and OutOfReach, which is one.
     """
     x_start, x_home = _begins(robot, start, home)
-    longer = lengthen_tool(robot, tool_extension_m)
+    longer = _LONGER(robot, float(tool_extension_m))
     T_world_workpiece = workpiece.T_world(*rotation, shift=shift, wx=rotation_x_rad)
     rotate, translate = T_world_workpiece[:3, :3], T_world_workpiece[:3, 3]
     path = workpiece.path @ rotate.T + translate
     if follows is None:
-        follows = np.asarray(_TCP(longer, jnp.asarray(x_start)))
+        follows = np.asarray(_TCP(longer, x_start))
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
     first, steps = (path[0], (0, 0)) if start is None else (follows, approach)
     targets = path_targets(first, inlet, path, steps)
@@ -156,7 +155,7 @@ def interior_rule(workpiece: Workpiece, scenario: Scenario) -> str:
 def with_own_tool(robot: Robot, scenario: Scenario) -> tuple[Robot, Scenario]:
     """The robot with the tool of one scenario, and the scenario that adds nothing to it: together what they were."""
     own = replace(scenario, tool_extension_m=np.zeros_like(scenario.tool_extension_m))
-    return lengthen_tool(robot, float(scenario.tool_extension_m)), own
+    return _LONGER(robot, float(scenario.tool_extension_m)), own
 
 
 def stack(scenarios: Sequence[Scenario]) -> Scenario:
@@ -176,7 +175,7 @@ def stack(scenarios: Sequence[Scenario]) -> Scenario:
     return jax.tree.map(lambda *leaves: np.stack(leaves), *padded)
 
 
-_TCP = jax.jit(tcp_position)
+_TCP, _LONGER = jax.jit(tcp_position), jax.jit(lengthen_tool)
 
 
 def _begins(robot: Robot, start: Sequence[float] | Anywhere | None, home: Sequence[float] | Anywhere | None):

@@ -37,7 +37,7 @@ def check_extent(robot: Robot, part: Float[np.ndarray, "P 3"], path: Float[np.nd
 def check_tool(robot: Robot, extension_m: float = 0.0) -> None:
     """Raise InputError for a tool that is longer than all the links of its arm, and for a body that is thicker."""
     tip = float(np.linalg.norm(np.asarray(robot.T_link_tcp)[:3, 3]))
-    links, length, thickest = reach(robot) - tip, tip + abs(extension_m), float(np.max(robot.capsule_radius))
+    links, length, thickest = reach(robot) - tip, tip + abs(extension_m), float(np.asarray(robot.capsule_radius).max())
     measured = f"the links of {robot.name} measure {links:.3g} m"
     if length > links:
         raise InputError(f"{measured}, and the TCP lies {length:.3g} m beyond the last joint; metres are needed")
