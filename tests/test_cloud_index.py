@@ -12,7 +12,7 @@ from htcp_jax.clearance.bounding_discs import as_segments, bounding_discs, lower
 from htcp_jax.clearance.branch_and_bound import FAN
 from htcp_jax.clearance.cloud_tree import TOP, build_index, nearest_body, nearest_rows
 from htcp_jax.clearance.cloud_tree_gpu import nearest_leaves
-from htcp_jax.clearance.gpu_kernel import HAS_KERNEL
+from htcp_jax.gpu_kernel import HAS_KERNEL
 
 LANES = 8  # segments that a search takes side by side, as a configuration's capsules do
 EPS = np.finfo(float).eps

@@ -15,13 +15,13 @@ from htcp_jax.clearance import cloud_sweep, cloud_tree_gpu, half_spaces, interva
 from htcp_jax.clearance.cloud import cloud_of
 from htcp_jax.clearance.cloud_sweep import clear_along
 from htcp_jax.clearance.cloud_tree import build_index
-from htcp_jax.clearance.gpu_kernel import HAS_KERNEL
 from htcp_jax.clearance.interval import on_interval
 from htcp_jax.clearance.motion_bound import travel_bound
 from htcp_jax.clearance.motion_proof import Verdict, prove
 from htcp_jax.clearance.obstacles import clearance
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.clearance.sweep import Sweep, Wanted
+from htcp_jax.gpu_kernel import HAS_KERNEL
 
 BODIES = 6
 STEP = 0.005  # between points on a circle [rad]

@@ -13,10 +13,11 @@ import pytest
 import qpsolvers
 from test_qp import ORACLE, dense_answer
 
+from htcp_jax.gpu_kernel import HAS_KERNEL
 from htcp_jax.solvers import cma_es, interior_point_gpu, square_roots_gpu
 from htcp_jax.solvers.interior_point import DenseSolution, solve_dense
 
-pytestmark = pytest.mark.skipif(not interior_point_gpu.HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
+pytestmark = pytest.mark.skipif(not HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
 
 
 def one_by_kernel(H, c, G, h, tolerance=1e-11, iterations=30) -> DenseSolution:

@@ -17,7 +17,8 @@ ROOMS = [
     *("formats", "scene", "solvers", "clearance", "planner", "jobs", "runs", "program", "placement"),
     *("validation", "viewer", "report", "cli"),
 ]
-EVERYWHERE = {"errors", "notebook", "numerics", "pytree", "settings", "status", "types"}  # modules for every room
+# Modules for every room.
+EVERYWHERE = {"errors", "gpu_kernel", "notebook", "numerics", "pytree", "settings", "status", "types"}
 PUBLIC = {"api": "viewer"}  # at the root for its name's sake; stands behind this room
 
 

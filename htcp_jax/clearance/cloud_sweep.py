@@ -19,8 +19,8 @@ from htcp_jax.clearance.bounding_discs import Segments, arm, as_segments, single
 from htcp_jax.clearance.cloud_index import CloudIndex
 from htcp_jax.clearance.cloud_tree_gpu import least_in_reach
 from htcp_jax.clearance.cloud_tree_walk import empty_lists, for_each_leaf, in_reach
-from htcp_jax.clearance.gpu_kernel import has_gpu
 from htcp_jax.clearance.sweep import Sweep, Wanted
+from htcp_jax.gpu_kernel import has_gpu
 from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Bool, Float
 

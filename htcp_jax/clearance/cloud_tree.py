@@ -16,7 +16,7 @@ from htcp_jax.clearance import branch_and_bound, cloud_tree_gpu, cloud_tree_walk
 from htcp_jax.clearance.bounding_discs import as_segments, bounding_discs, spread, squared_distance
 from htcp_jax.clearance.branch_and_bound import FAN
 from htcp_jax.clearance.cloud_index import CloudIndex
-from htcp_jax.clearance.gpu_kernel import has_gpu
+from htcp_jax.gpu_kernel import has_gpu
 from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Float, Int
 

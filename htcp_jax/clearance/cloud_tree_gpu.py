@@ -16,7 +16,7 @@ from jax.experimental import pallas as pl
 from htcp_jax.clearance.bounding_discs import Segments, lower_bounds, single, squared_distance
 from htcp_jax.clearance.branch_and_bound import FAN, NONE_LEFT, least_number, number_mask, order_keys
 from htcp_jax.clearance.cloud_index import CloudIndex
-from htcp_jax.clearance.gpu_kernel import kernel
+from htcp_jax.gpu_kernel import kernel
 from htcp_jax.types import Array, Float, Int
 
 

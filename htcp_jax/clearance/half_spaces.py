@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from htcp_jax.clearance.gpu_kernel import has_gpu
 from htcp_jax.clearance.half_spaces_gpu import highest
+from htcp_jax.gpu_kernel import has_gpu
 from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Bool, Float, Int
 

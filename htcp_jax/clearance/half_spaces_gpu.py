@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax.experimental import pallas as pl
 
-from htcp_jax.clearance.gpu_kernel import kernel
+from htcp_jax.gpu_kernel import kernel
 from htcp_jax.types import Array, Bool, Float, Int
 
 BLOCK = 256  # facets at a time

@@ -39,7 +39,7 @@ class Load(NamedTuple):
 ALONE = Table(128, 1)
 STEP = Load(cpu=ALONE, gpu=Table(4096, 4096))  # what every lane needs all the time
 DEEP = Load(cpu=ALONE, gpu=Table(2048, 512))  # what few lanes need, or what has loops of its own to vectorise
-SAMPLED = Load(cpu=ALONE, gpu=Table(256, 32))  # with hundreds of configurations a lane
+SAMPLED = Load(cpu=ALONE, gpu=Table(256, 128))  # with hundreds of configurations a lane
 
 
 @dataclass(frozen=True)

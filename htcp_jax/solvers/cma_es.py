@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from htcp_jax.gpu_kernel import has_gpu
 from htcp_jax.numerics import product
 from htcp_jax.solvers import square_roots_gpu
 from htcp_jax.types import Array, Float, Scalar
@@ -99,7 +100,7 @@ def tell(
 
 def _square_roots(C):
     """B D with B D^2 B' = C, and C^(-1/2)."""
-    if jax.default_backend() == "gpu" and square_roots_gpu.HAS_KERNEL:
+    if has_gpu():
         return square_roots_gpu.square_roots(C)
     square, B = jnp.linalg.eigh(C)
     D = jnp.sqrt(jnp.maximum(square, 1e-20))

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from htcp_jax.gpu_kernel import has_gpu
 from htcp_jax.numerics import product, solve_spd
 from htcp_jax.solvers import interior_point_gpu
 from htcp_jax.types import Array, Float, Int, Scalar
@@ -42,7 +43,7 @@ def solve_dense(
     iterations: int = 30,
 ) -> DenseSolution:
     """Solve one QP, H positive semidefinite and G of full column rank. Mehrotra (1992); Wright (1997), ch. 14."""
-    if jax.default_backend() == "gpu" and interior_point_gpu.HAS_KERNEL:
+    if has_gpu():
         return DenseSolution(*interior_point_gpu.solve(H, c, G, h, tolerance, iterations))
     m = len(h)
 

@@ -2,23 +2,16 @@
 
 As XLA code every iteration is some twenty launches, and the host looks after each whether another is wanted; QPs that
 are solved one after the other within loops wait for little else. The same formulas in the same order: sums over rows
-alone round otherwise. Written in Pallas for its Triton backend; with `interpret=True` it runs on any machine.
+alone round otherwise.
 """
 
 from functools import partial
 
 import jax
 import jax.numpy as jnp
-from jax.experimental import pallas as pl
 
+from htcp_jax.gpu_kernel import kernel
 from htcp_jax.numerics import solve_spd_scalars
-
-try:
-    from jax.experimental.pallas import triton
-except ImportError:  # JAX means to take it out
-    triton = None
-
-HAS_KERNEL = triton is not None
 
 ROWS_OF_A_WARP = 64  # two rows a thread: fewer threads wait for each other less, and divide more
 
@@ -31,12 +24,9 @@ def solve(H, c, G, h, tolerance: float, iterations: int, interpret: bool = False
     size = max(16, 1 << (m - 1).bit_length())
     rows = jnp.pad(G.T, ((0, 0), (0, size - m)))
     limits = jnp.pad(h, (0, size - m), constant_values=1.0)
-    y, multipliers, error = pl.pallas_call(
-        partial(_solve, m, tolerance, iterations),
-        out_shape=[jax.ShapeDtypeStruct((k,), c.dtype) for k in (n, size, 1)],
-        compiler_params=triton.CompilerParams(num_warps=max(1, size // ROWS_OF_A_WARP)),
-        interpret=interpret,
-    )(H, c, rows, limits)
+    out = [jax.ShapeDtypeStruct((k,), c.dtype) for k in (n, size, 1)]
+    run = kernel(partial(_solve, m, tolerance, iterations), out, 1, interpret, max(1, size // ROWS_OF_A_WARP))
+    y, multipliers, error = run(H, c, rows, limits)
     return y, multipliers[:m], error[0]
 
 

@@ -2,19 +2,13 @@
 
 An eigendecomposition is a call into a library there, which stands between launches that could go out together. Jacobi's
 cyclic method (Golub and Van Loan, Matrix Computations, section 8.5) wants nothing but rotations of two rows, written
-out. Written in Pallas for its Triton backend; with `interpret=True` it runs on any machine.
+out.
 """
 
 import jax
 import jax.numpy as jnp
-from jax.experimental import pallas as pl
 
-try:
-    from jax.experimental.pallas import triton
-except ImportError:  # JAX means to take it out
-    triton = None
-
-HAS_KERNEL = triton is not None
+from htcp_jax.gpu_kernel import kernel
 
 SWEEPS = 8  # they converge quadratically: matrices of 3 x 3 take four, of 7 x 7 six
 
@@ -22,12 +16,7 @@ SWEEPS = 8  # they converge quadratically: matrices of 3 x 3 take four, of 7 x 7
 def square_roots(C, interpret: bool = False):
     """B D with B D^2 B' = C, and C^(-1/2); eigenvalues in ascending order, each axis positive where it is longest."""
     shape = jax.ShapeDtypeStruct(C.shape, C.dtype)
-    return pl.pallas_call(
-        _square_roots,
-        out_shape=(shape, shape),
-        compiler_params=triton.CompilerParams(num_warps=1),
-        interpret=interpret,
-    )(C)
+    return kernel(_square_roots, (shape, shape), 1, interpret)(C)
 
 
 def _square_roots(C, axes, whiten):

@@ -1,4 +1,4 @@
-"""GPU kernels of our own, for searches that XLA would make loops of: every turn of such a loop is a launch.
+"""GPU kernels of our own, for what XLA would make loops of: every turn of such a loop is some launches.
 
 They are written in Pallas for its Triton backend; with `interpret` they run on any machine.
 """
@@ -21,12 +21,12 @@ def has_gpu() -> bool:
     return jax.default_backend() == "gpu" and HAS_KERNEL
 
 
-def kernel(program: Callable, out, programs: int, interpret: bool) -> Callable:
-    """A function of tables that so many programs of one warp fill other ones by, of the shapes `out`."""
+def kernel(program: Callable, out, programs: int, interpret: bool, warps: int = 1) -> Callable:
+    """A function of tables that so many programs fill other ones by, of the shapes `out`."""
     return pl.pallas_call(
         program,
         out_shape=out,
         grid=(programs,),
-        compiler_params=triton.CompilerParams(num_warps=1),
+        compiler_params=triton.CompilerParams(num_warps=warps),
         interpret=interpret,
     )
