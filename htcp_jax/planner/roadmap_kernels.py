@@ -57,7 +57,8 @@ def feed(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Fed:
     robot, task = own_scene(scene, lane.tool_extension_m).robot, scene.task
     above = jnp.array([settings.front_aim_m, settings.aim_above_m])
     aims, enough = lane.margin_m + above, lane.margin_m + ENOUGH * above
-    measured = partial(advance, settings, scene, lane)
+    look = jax.jit(partial(advance, settings))  # so that Python traces it once, for what it returns as for the loop
+    measured = partial(look, scene, lane)
 
     def going(state):
         here, aim, count = state
