@@ -1,7 +1,7 @@
 """Sweeps under configs/paper.yaml, timed: by default both of the paper's tables by its six planners.
 
     python -m benchmarks tables [--sweeps robot,workpiece] [--methods A,B] [--every N] [--device cpu|gpu[:N]]
-        [--config FILE] [--profile] [--no-paths] [--set KEY=VALUE]... [--json FILE]
+        [--config FILE] [--profile] [--processes N] [--no-paths] [--set KEY=VALUE]... [--json FILE]
 
 Every method runs twice: the first run compiles, the second is timed, joint-path checks of all accepted steps included.
 """
@@ -36,6 +36,7 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1, help="only every N-th scenario")
     parser.add_argument("--copies", type=int, default=1, help="every scenario so many times, to see the memory")
     parser.add_argument("--device")
+    parser.add_argument("--processes", type=int, help="as many share the scenarios; by default as many as pay")
     parser.add_argument("--config", type=Path, default=ROOT / "configs/paper.yaml")
     parser.add_argument("--profile", action="store_true", help="seconds and lanes by kernel")
     parser.add_argument("--no-paths", action="store_true", help="leave the joint-path checks out")
@@ -57,10 +58,9 @@ def main() -> None:
         for method in chosen.methods.split(","):
 
             def run(method=method, batch=batch, scenarios=scenarios, settings=spec.config.settings):
-                paths = not chosen.no_paths
-                return plan(
-                    batch.robot, batch.workpiece, scenarios, method, settings, check_paths=paths, device=chosen.device
-                )
+                how = {"check_paths": not chosen.no_paths, "device": chosen.device}
+                how["processes"] = 1 if chosen.profile else chosen.processes  # what others spend is not seen here
+                return plan(batch.robot, batch.workpiece, scenarios, method, settings, **how)
 
             plans = first = run()
             if not chosen.once:

@@ -4,6 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -16,10 +17,12 @@ from htcp_jax.clearance.obstacles import clearances, nearest_to
 from htcp_jax.clearance.of_workpiece import all_obstacles
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.errors import InputError
+from htcp_jax.planner import registry
 from htcp_jax.planner.devices import choose, default_threads
 from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem, ignore
+from htcp_jax.planner.processes import portable, shares, spread, that_pay
 from htcp_jax.planner.registry import Method, find
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import NOT_REFUSED, Scenario, stack
@@ -51,19 +54,22 @@ def plan(
     task: Task | None = None,
     obstacles: Obstacles = (),
     check_starts: bool = False,
+    processes: int | None = None,
 ) -> Plans:
     """Plan every scenario with one method (its name, see `registry`).
 
     scenarios: from `make_scenario`, one or many, or stacked already. settings: a mapping, {"alpha_rad": 0.05}, changes
-    the defaults. device: see `devices.choose`. threads: engines that share the scenarios, by default one a core;
-    results do not depend on it. check_paths: afterwards measure, for every accepted step that the method did not check
-    itself, whether its straight joint path is clear (`Plans.path_clear`), judge which ways are motions, and smooth
-    these where `settings.smooth` or the method asks for it. task: what the arm holds at every target, by default the
-    TCP's position within `tolerance_m`. obstacles: further ones, see `clearance.obstacle`. check_starts: refuse a start
-    in collision, which otherwise is a status.
+    the defaults. device: see `devices.choose`. processes: that share the scenarios on a CPU, by default as many as pay
+    (`processes.that_pay`); what no other process could import, say a method or an obstacle of a notebook, is planned in
+    this one. threads: engines of each, one unless it is given; of this process alone, one a core. Threads without
+    processes are of this one. Results depend on neither. check_paths: afterwards measure, for every accepted step that
+    the method did not check itself, whether its straight joint path is clear (`Plans.path_clear`), judge which ways are
+    motions, and smooth these where `settings.smooth` or the method asks for it. task: what the arm holds at every
+    target, by default the TCP's position within `tolerance_m`. obstacles: further ones, see `clearance.obstacle`.
+    check_starts: refuse a start in collision, which otherwise is a status.
     Raises InputError for an unknown method, device or setting, for weights of the wrong length, for no scenarios,
-    for a task of more rows than joints, or other ones than the targets have, and for starts to be checked that are in
-    collision.
+    for a task of more rows than joints, or other ones than the targets have, for no process, and for starts to be
+    checked that are in collision; Lost where a process is ended from outside.
     """
     chosen, settings = find(method), settings_of(settings)
     joints = len(robot.joint_names)
@@ -83,6 +89,18 @@ def plan(
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
     _check_task(task, robot, scenarios)
     devices = choose(device)
+    cores = default_threads(devices, settings.qp)
+    if processes is None:
+        targets = int(scenarios.count.sum())
+        processes = 1 if threads else that_pay(cores, len(scenarios.number), targets)
+    if processes < 1:
+        raise InputError(f"processes is {processes}; it must be 1 or more")
+    if processes > 1 and devices[0].platform == "cpu" and not registry.is_own(method):
+        how = {"method": method, "settings": settings, "threads": threads or 1, "task": task}
+        how |= {"check_paths": check_paths, "check_starts": check_starts}
+        shared = portable(robot, workpiece, tuple(obstacles))
+        if shared and portable(how):
+            return _spread(processes, how, shared, scenarios, progress)
     began = time.perf_counter()
     problem = Problem(
         robot,
@@ -92,7 +110,7 @@ def plan(
         task,
         all_obstacles(workpiece, obstacles),
         devices,
-        threads or default_threads(devices, settings.qp),
+        threads or cores,
         check_paths,
         _counter(scenarios, progress),
     )
@@ -120,6 +138,34 @@ def plan(
     spent = time.perf_counter() - began
     compile_s = plans.compile_s + max(each.compile_s for each in problem.kernels)
     return plans._replace(compile_s=compile_s, run_s=spent - compile_s)
+
+
+def _spread(processes: int, how: dict, shared: bytes, scenarios: Scenario, progress: Callable | None) -> Plans:
+    """`plan`, by other processes. compile_s: until they were ready, and what each spent on compilation on average."""
+    began = time.perf_counter()
+    rows = shares(len(scenarios.number), processes)
+    parts = [jax.tree.map(lambda leaf, own=own: leaf[own], scenarios) for own in rows]
+
+    def report(told: np.ndarray) -> None:
+        done, tracked = told.sum(axis=0).tolist()
+        progress(Progress(done, len(scenarios.number), tracked, int(scenarios.count.sum())))
+
+    found, start_s = spread(processes, partial(_part, how), shared, parts, progress and report)
+    plans = Plans.concatenate(found).rows(np.argsort(np.concatenate(rows)))
+    compile_s = start_s + plans.compile_s / min(processes, len(parts))
+    return plans._replace(compile_s=compile_s, run_s=time.perf_counter() - began - compile_s)
+
+
+def _part(
+    how: dict, tell: Callable, robot: Robot, workpiece: Workpiece, obstacles: Obstacles, scenarios: Scenario
+) -> Plans:
+    """What another process does: the plans of some scenarios."""
+    tell(int((scenarios.refused != NOT_REFUSED).sum()), 0)
+
+    def progress(now: Progress) -> None:
+        tell(now.scenarios_done, now.targets_tracked)
+
+    return plan(robot, workpiece, scenarios, obstacles=obstacles, progress=progress, processes=1, **how)
 
 
 def start_clearance(

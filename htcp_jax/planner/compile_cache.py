@@ -1,10 +1,17 @@
 """Compiled programs kept between runs: the first run compiles for seconds, later ones load them."""
 
+import contextlib
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax
+
+try:
+    import fcntl
+except ImportError:  # no POSIX system: there, processes that begin together compile the same
+    fcntl = None
 
 
 def enable() -> Path | None:
@@ -28,6 +35,19 @@ def enable() -> Path | None:
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     return folder
+
+
+@contextlib.contextmanager
+def alone(program: str) -> Iterator[None]:
+    """No other process compiles a program of that name meanwhile, if it keeps programs in the same folder: it waits,
+    and finds it there. A lock that cannot be had is done without."""
+    with contextlib.ExitStack() as held:
+        with contextlib.suppress(OSError):
+            if fcntl is not None and jax.config.jax_compilation_cache_dir:
+                name = Path(jax.config.jax_compilation_cache_dir, f"{program.replace(' ', '-')}.lock")
+                handle = held.enter_context(open(name, "w"))
+                fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
 
 
 def _user_cache() -> Path:

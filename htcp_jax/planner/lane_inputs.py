@@ -37,6 +37,6 @@ def lane_inputs(
         number=scenarios.number[scenario],
         target=scenarios.aims[scenario, row],
         row=row,
-        round=np.broadcast_to(np.asarray(round_, np.int32), row.shape),
+        round=np.full(row.shape, round_, np.int32),
         seed=np.full(row.shape, seed, np.int64),
     )

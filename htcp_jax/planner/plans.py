@@ -98,7 +98,7 @@ class Plans(NamedTuple):
     way: Int8[np.ndarray, "S T"]  # `status.Way`: whether the way from the row before is a proven motion
     way_clearance: Float[np.ndarray, "S T"]  # D all along that way, at least [m]; NaN where it is not proven
     knots: Knots  # postures on ways that are no straight joint path
-    compile_s: float  # wall time in which somebody waited for compilation [s]
+    compile_s: float  # wall time in which somebody waited for compilation, or for processes to start [s]
     run_s: float  # wall time spent planning, compilation apart [s]
 
     @classmethod

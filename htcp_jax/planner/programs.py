@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from htcp_jax.clearance.scene import Scene
+from htcp_jax.planner import compile_cache
 from htcp_jax.planner.devices import cores
 from htcp_jax.planner.kernel import STEP, Kernel, chunked
 from htcp_jax.scene.task import Task
@@ -57,7 +58,8 @@ class Programs:
                 if key not in self._compiled:
                     with self._tracing:
                         lowered = chunked(kernel.of(settings), kernel.load.on(device).width).lower(*arguments)
-                    self._compiled[key] = lowered.compile(COMPILER.get(device.platform))
+                    with compile_cache.alone(kernel.name):
+                        self._compiled[key] = lowered.compile(COMPILER.get(device.platform))
         return self._compiled[key]
 
     def of(self, *kernels: Kernel) -> list[tuple[Kernel, jax.stages.Compiled]]:
@@ -153,10 +155,11 @@ class Kernels:
         """Run a kernel over tables of n >= 1 lanes; numpy tables of n lanes come back."""
         lanes = len(jax.tree.leaves(tables)[0])
         most = min(kernel.load.on(self.device).capacity, max(FEW, -(-lanes // self._threads)))
+        if lanes <= most:
+            return self._run(kernel, tables)
         shares = [jax.tree.map(lambda t, s=start: t[s : s + most], tables) for start in range(0, lanes, most)]
-        mapped = self._pool.map if self._pool and len(shares) > 1 else map
-        parts = list(mapped(lambda share: self._run(kernel, share), shares))
-        return parts[0] if len(parts) == 1 else jax.tree.map(lambda *p: np.concatenate(p), *parts)
+        parts = list((self._pool.map if self._pool else map)(lambda share: self._run(kernel, share), shares))
+        return jax.tree.map(lambda *p: np.concatenate(p), *parts)
 
     @contextmanager
     def preparing(self, calls: Sequence[tuple]) -> Iterator[None]:

@@ -107,10 +107,15 @@ def all_methods() -> dict[str, Method]:
     return found
 
 
+def is_own(name: str) -> bool:
+    """Whether the method is one that other processes cannot know."""
+    return name in _own
+
+
 def refuse_own(chosen: Iterable[str]) -> None:
     """Raise InputError for a method that other processes cannot know."""
     for name in chosen:
-        if name in _own:
+        if is_own(name):
             raise InputError(
                 f"method {name!r} is registered in this process alone; workers elsewhere know those of installed "
                 f"packages, by the entry point group {GROUP}"

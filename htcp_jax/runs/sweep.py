@@ -73,13 +73,13 @@ def sweep(
     methods: "all", names with commas in between, or a list of names. out: the run folder; without one, a temporary
     folder that vanishes with the run. config, overrides, seed: see `load_sweep`; the seed is `settings.seed`.
     limit: plan only the first scenarios of the grid. shard_scenarios: so many make a shard; a run folder keeps its
-    first choice. finished: called with every shard that is written. on: "here" plans in this process, with `threads`
-    engines; "ray" or "ray:<address>" sends the shards to Ray's workers, see `ray_`. device: of this
-    process, see `planner.devices`.
+    first choice. finished: called with every shard that is written. on: "here" plans on this machine, in processes if
+    they pay or with `threads` engines of this one, see `batch.plan`; "ray" or "ray:<address>" sends the shards to Ray's
+    workers, see `ray_`. device: of this process, see `planner.devices`.
 
     Raises InputError for bad input, for a folder that holds another sweep, is in use or cannot be written;
-    Interrupted on SIGINT and SIGTERM, and Lost when Ray's workers are, after which the finished shards are in the
-    folder and the rest is not.
+    Interrupted on SIGINT and SIGTERM, and Lost when workers are, after which the finished shards are in the folder
+    and the rest is not.
     """
     choose(device)  # before anything is computed
     chosen = method_names(methods)
