@@ -14,7 +14,7 @@ from htcp_jax.clearance.motion_proof import RESOLUTION_M, proven_clear
 from htcp_jax.numerics import fold_keys
 from htcp_jax.planner.kernel import STEP, Kernel, chunked
 from htcp_jax.planner.lane_inputs import lane_inputs
-from htcp_jax.planner.programs import Kernels, Programs, Waiting
+from htcp_jax.planner.programs import Kernels, Programs, Stopwatch
 from htcp_jax.planner.proofs import PROVE, clear_paths, free_tubes, prove_call
 from htcp_jax.scene.scenario import stack
 from htcp_jax.settings import Settings
@@ -59,7 +59,7 @@ def test_what_is_prepared_is_there_in_the_end_and_a_fault_of_it_is_told():
 
 def test_a_clock_goes_while_anybody_waits():
     """Two who wait at a time are one wait: what is left of the wall time is what was computed in."""
-    waiting, both, began = Waiting(), threading.Barrier(2), time.perf_counter()
+    waiting, both, began = Stopwatch(), threading.Barrier(2), time.perf_counter()
 
     def wait():
         with waiting:

@@ -10,7 +10,7 @@ import pytest
 from sphere_references import Where, place
 from test_joint_path import rail
 
-from htcp_jax.clearance.motion_bound import tcp_bend_bound
+from htcp_jax.clearance.motion_bound import tcp_sweep
 from htcp_jax.clearance.motion_proof import ROUNDING_M, Proof, Tube, Verdict, prove
 from htcp_jax.clearance.obstacles import clearance
 from htcp_jax.clearance.scene import Scene
@@ -89,29 +89,29 @@ def those(*verdicts):
 
 @pytest.mark.parametrize("model", ["gp50", "rail"])
 def test_the_tcp_bends_no_more_than_the_bound(model, tmp_path):
-    """At random places within the turns, by automatic differentiation along the joint path; hinges, and a slide."""
+    """At random places on the interval, by automatic differentiation along the joint path; hinges, and a slide."""
     robot = made_once.robot() if model == "gp50" else load_robot(rail(tmp_path), limits="model")
     n, rng = len(robot.slides), np.random.default_rng(2)
     along = lambda x, rates: jax.jacfwd(jax.jacfwd(lambda s: tcp_position(robot, x + s * rates)))(0.0)  # noqa: E731
-    second, bound = jax.jit(along), jax.jit(tcp_bend_bound)
+    second, sweep = jax.jit(along), jax.jit(tcp_sweep)
     tightest, alone = 0.0, 0.0
     for _ in range(300):
-        x, turns = rng.uniform(-2, 2, n), rng.uniform(0, 0.5, n) * rng.integers(0, 2)
+        x, half = rng.uniform(-2, 2, n), rng.uniform(0, 0.5) * rng.integers(0, 2)
         rates = rng.normal(size=n) * rng.integers(0, 2, n)
-        most = float(bound(robot, jnp.asarray(x), jnp.asarray(rates), jnp.asarray(turns)))
-        there = x + turns * rng.uniform(-1, 1, n)
+        most = float(sweep(robot, jnp.asarray(x), jnp.asarray(rates), half).bend)
+        there = x + half * rates * rng.uniform(-1, 1)
         bend = float(np.linalg.norm(second(jnp.asarray(there), jnp.asarray(rates))))
         assert bend <= most + 1e-9
         part = bend / max(most, 1e-9)
         tightest = max(tightest, part)
-        alone = max(alone, part if np.count_nonzero(rates) > 1 and turns.any() else 0.0)
+        alone = max(alone, part if np.count_nonzero(rates) > 1 and half else 0.0)
     assert tightest > 0.99 and alone > 0.5  # one hinge alone bends it as much as is said, at the posture itself
 
 
 def test_a_slide_does_not_bend_the_way_of_the_tcp(tmp_path):
     """Alone it does not, and before a hinge it adds nothing to what that one does."""
-    robot, bound = load_robot(rail(tmp_path), limits="model"), jax.jit(tcp_bend_bound)
-    of = lambda *rates: float(bound(robot, jnp.zeros(3), jnp.array(rates), jnp.full(3, 0.3)))  # noqa: E731
+    robot, sweep = load_robot(rail(tmp_path), limits="model"), jax.jit(tcp_sweep)
+    of = lambda *rates: float(sweep(robot, jnp.zeros(3), jnp.array(rates), 0.3).bend)  # noqa: E731
     assert of(1.0, 0.0, 0.0) == 0.0 and of(1.0, 0.5, 0.2) == of(0.0, 0.5, 0.2) > 0
 
 

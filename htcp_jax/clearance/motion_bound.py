@@ -43,7 +43,7 @@ class TcpSweep(NamedTuple):
 
     position: Vector3  # world [m]
     velocity: Vector3
-    bend: Scalar  # how large its |p''| is at most
+    bend: Scalar  # how large its second derivative |p''| is at most [m]
 
 
 class _Bounds(NamedTuple):
@@ -89,17 +89,11 @@ def travel_bound(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Float[
     return sweep(robot, x, rates, half).travel
 
 
-def tcp_bend_bound(robot: Robot, x: Joints, rates: Joints, turns: Joints) -> Scalar:
-    """How large the TCP's second derivative |p''| is at most on a straight joint path of x' = `rates` [rad or m],
-    while every joint stays within `turns` of x [m]."""
-    tcp, last = tcp_position(robot, x)[None], jnp.array([len(robot.slides) - 1])
-    return point_bend_bound(robot, x, rates, turns, tcp, last)[0]
-
-
 def point_bend_bound(
     robot: Robot, x: Joints, rates: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Array, "P"]
 ) -> Float[Array, "P"]:
-    """The same of points at x, world [m], that are fixed to links."""
+    """How large the second derivative |p''| of points fixed to links, at x in the world [m], is at most on a straight
+    joint path of x' = `rates` [rad or m], while every joint stays within `turns` of x [m]."""
     return _bounds(robot, x, rates, turns, points, links).bend
 
 

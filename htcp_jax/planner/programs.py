@@ -73,7 +73,7 @@ PROGRAMS = Programs()  # of this process
 FEW = 4  # lanes, which are not worth sharing out
 
 
-class Waiting:
+class Stopwatch:
     """A clock that goes while any thread is in it."""
 
     def __init__(self):
@@ -114,7 +114,7 @@ class Kernels:
         self._programs, self._own = programs, {}
         self._pool = ThreadPoolExecutor(threads) if threads > 1 and self.pays_by_lane else None
         self._threads = threads if self._pool else 1
-        self._waiting = Waiting()
+        self._waiting = Stopwatch()
 
     @property
     def compile_s(self) -> float:
