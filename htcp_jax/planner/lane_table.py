@@ -14,13 +14,13 @@ class LaneTable:
 
     def __init__(self, kernels: Kernels, scenarios: Scenario, work: Work):
         self._kernels, self._starts, self._work = kernels, scenarios.x_start, work
-        self._lanes: Lanes | None = None
+        self._kept: list[Lanes] = []  # in flight
         self._queue: list[Lanes] = []
 
     def keep(self, lanes: Lanes) -> None:
         """Put lanes that go on back into the table."""
         if lanes.size:
-            self._lanes = lanes if self._lanes is None else concatenate([self._lanes, lanes])
+            self._kept.append(lanes)
 
     def queue(self, lanes: Lanes) -> None:
         """Lanes for when there is room."""
@@ -45,34 +45,32 @@ class LaneTable:
             self._work.leave(gather(block, slice(0, None, 2)))
             if block.size > 1:
                 self._queue.append(gather(block, slice(1, None, 2)))
-        elif self._lanes is not None:
-            movable = np.flatnonzero(self._lanes.phase >= NEW)[1::2]
+        elif self._kept:
+            lanes = concatenate(self._kept)
+            movable = np.flatnonzero(lanes.phase >= NEW)[1::2]
             if len(movable):
-                self._work.leave(gather(self._lanes, movable))
-                self._lanes = gather(self._lanes, ~np.isin(np.arange(self._lanes.size), movable))
+                self._work.leave(gather(lanes, movable))
+                self._kept = [gather(lanes, ~np.isin(np.arange(lanes.size), movable))]
 
     def _top_up(self) -> bool:
         """From the queue, then with new scenarios. False where there is nothing."""
-        parts, free = [], self._kernels.lanes
-        if self._lanes is not None:
-            parts, free = [self._lanes], free - self._lanes.size
+        free = self._kernels.lanes - sum(lanes.size for lanes in self._kept)
         while free > 0 and self._queue:
             block = self._queue.pop(0)
             if block.size > free:
                 self._queue.insert(0, gather(block, slice(free, None)))
                 block = gather(block, slice(0, free))
-            parts.append(block)
+            self._kept.append(block)
             free -= block.size
         if new := self._work.take(free):
             starts = self._starts[new]
-            parts.append(new_lanes(self._kernels.sizes, np.array(new), np.zeros(len(new), int), starts, starts))
-        self._lanes = concatenate(parts) if parts else None
-        return self._lanes is not None
+            self._kept.append(new_lanes(self._kernels.sizes, np.array(new), np.zeros(len(new), int), starts, starts))
+        return bool(self._kept)
 
     def turn(self) -> list[tuple[int, Lanes]]:
         """Take the lanes whose turn it is out of the table, by phase. Where a call takes its time however few lanes
         there are, it is the turn of the phase that has most: the others grow meanwhile."""
-        lanes, self._lanes = self._lanes, None
+        lanes, self._kept = concatenate(self._kept), []
         phases, counts = np.unique(lanes.phase, return_counts=True)
         if not self._kernels.pays_by_lane:
             phases = phases[[np.argmax(counts)]]
