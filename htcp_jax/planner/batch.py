@@ -24,6 +24,7 @@ from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem, ignore
 from htcp_jax.planner.processes import portable, shares, spread, that_pay
 from htcp_jax.planner.registry import Method, find
+from htcp_jax.planner.tables import gather
 from htcp_jax.scene.robot import Robot
 from htcp_jax.scene.scenario import NOT_REFUSED, Scenario, stack
 from htcp_jax.scene.task import Task
@@ -144,7 +145,7 @@ def _spread(processes: int, how: dict, shared: bytes, scenarios: Scenario, progr
     """`plan`, by other processes. compile_s: until they were ready, and what each spent on compilation on average."""
     began = time.perf_counter()
     rows = shares(len(scenarios.number), processes)
-    parts = [jax.tree.map(lambda leaf, own=own: leaf[own], scenarios) for own in rows]
+    parts = [gather(scenarios, own) for own in rows]
 
     def report(told: np.ndarray) -> None:
         done, tracked = told.sum(axis=0).tolist()

@@ -14,6 +14,7 @@ from htcp_jax.clearance.scene import Scene
 from htcp_jax.planner import compile_cache
 from htcp_jax.planner.devices import cores
 from htcp_jax.planner.kernel import STEP, Kernel, chunked
+from htcp_jax.planner.tables import concatenate, gather
 from htcp_jax.scene.task import Task
 from htcp_jax.settings import Settings
 
@@ -157,9 +158,9 @@ class Kernels:
         most = min(kernel.load.on(self.device).capacity, max(FEW, -(-lanes // self._threads)))
         if lanes <= most:
             return self._run(kernel, tables)
-        shares = [jax.tree.map(lambda t, s=start: t[s : s + most], tables) for start in range(0, lanes, most)]
-        parts = list((self._pool.map if self._pool else map)(lambda share: self._run(kernel, share), shares))
-        return jax.tree.map(lambda *p: np.concatenate(p), *parts)
+        shares = [gather(tables, slice(start, start + most)) for start in range(0, lanes, most)]
+        mapped = self._pool.map if self._pool else map
+        return concatenate(list(mapped(lambda share: self._run(kernel, share), shares)))
 
     @contextmanager
     def preparing(self, calls: Sequence[tuple]) -> Iterator[None]:

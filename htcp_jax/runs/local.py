@@ -4,13 +4,13 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Int
 
 from htcp_jax.jobs.grid import Batch, Cell
 from htcp_jax.planner import batch
 from htcp_jax.planner.plans import Plans
+from htcp_jax.planner.tables import gather
 from htcp_jax.runs.manifest import Span
 from htcp_jax.runs.provenance import planned_by
 from htcp_jax.scene.scenario import Scenario
@@ -45,7 +45,7 @@ def plan_here(
 def scenarios_of(batch: Batch, span: Span) -> tuple[Int[np.ndarray, "S"], Scenario]:
     """The cells and the stacked scenarios of a block."""
     rows = slice(span.first, span.last + 1)
-    return batch.cell[rows], _rows(batch.scenarios, rows)
+    return batch.cell[rows], gather(batch.scenarios, rows)
 
 
 def plan_cells(
@@ -68,7 +68,7 @@ def plan_cells(
         plans = batch.plan(
             robot,
             workpiece,
-            scenarios if whole else _rows(scenarios, rows),
+            scenarios if whole else gather(scenarios, rows),
             method,
             settings,
             progress=report and partial(_add_up, report, method, [done for _, done in parts], *everything),
@@ -82,10 +82,6 @@ def plan_cells(
         parts.append((rows, plans))
     order = np.argsort(np.concatenate([rows for rows, _ in parts]))
     return Plans.concatenate([plans for _, plans in parts]).rows(order)
-
-
-def _rows(scenarios: Scenario, rows: slice | np.ndarray) -> Scenario:
-    return jax.tree.map(lambda leaf: leaf[rows], scenarios)
 
 
 def _add_up(
