@@ -12,7 +12,8 @@ import pytest
 
 from htcp_jax.clearance.motion_proof import RESOLUTION_M, proven_clear
 from htcp_jax.numerics import fold_keys
-from htcp_jax.planner.kernel import STEP, Kernel, chunked
+from htcp_jax.planner.batching import Loop, chunked, refilled
+from htcp_jax.planner.kernel import STEP, Kernel
 from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.programs import Kernels, Programs, Stopwatch
 from htcp_jax.planner.proofs import PROVE, clear_paths, free_tubes, prove_call
@@ -78,10 +79,28 @@ def test_lanes_one_by_one_are_lanes_side_by_side():
         return jax.lax.fori_loop(0, n, lambda k, x: x + scene * k, x), n + 1
 
     x, n, done = np.arange(16.0).reshape(8, 2), np.arange(8, dtype=np.int32), np.arange(8) < 6
-    alone, together = (chunked(kernel, width)(jnp.asarray(0.5), np.int32(6 // width), x, n) for width in (1, 2))
+    alone, together = (chunked(kernel, width)(jnp.asarray(0.5), np.int32(6), x, n) for width in (1, 2))
     for found in (alone, together):
         np.testing.assert_array_equal(found[0], np.where(done[:, None], x + (0.25 * n * (n - 1))[:, None], 0.0))
         np.testing.assert_array_equal(found[1], np.where(done, n + 1, 0))
+
+
+def test_lanes_that_leave_their_slot_to_others_are_lanes_one_by_one():
+    """Loops of 0 to 40 steps in fewer slots than lanes, as many, and more: each lane is computed as by itself, written
+    to its own row, and nothing is written for rows that were not asked for."""
+
+    def kernel(scene, x, n):
+        return Loop((x, jnp.zeros((), jnp.int32)), lambda s: s[1] < n, lambda s: (s[0] * scene + n, s[1] + 1))
+
+    rng = np.random.default_rng(0)
+    x, n = rng.normal(size=(64, 2)), rng.integers(0, 41, 64).astype(np.int32)
+    for lanes in (1, 7, 50, 64):
+        alone = chunked(kernel, 1)(jnp.asarray(0.9), np.int32(lanes), x, n)
+        for width in (4, 8, 64):
+            together = refilled(kernel, width)(jnp.asarray(0.9), np.int32(lanes), x, n)
+            for one, other in zip(alone, together, strict=True):
+                np.testing.assert_array_equal(one[:lanes], other[:lanes])
+                assert not np.asarray(other)[lanes:].any()
 
 
 def test_a_key_is_folded_number_by_number():

@@ -190,21 +190,22 @@ class Engine:
             self._continue(self._backwards.begin(lanes))
 
     def _walk(self, lanes: Lanes, stage: int) -> None:
-        """One null-space step for every lane; one that enters is brought onto its target first."""
+        """A burst of null-space steps for every lane; one that enters is brought onto its target first."""
         entering = lanes.walked == ENTERING
         if entering.any():
             new = gather(lanes, entering)
             now = self._kernels(ENTER, self._checks.inputs(new), new.x_previous)
-            lanes = concatenate([gather(lanes, ~entering), self._arrived(new, now, stage)])
+            new = self._arrived(new._replace(walked=np.zeros_like(new.walked)), now, stage)
+            lanes = concatenate([gather(lanes, ~entering), new])
         if lanes.size:
-            kernel = self._walks[stage]
-            now = self._kernels(kernel, self._checks.inputs(lanes), lanes.x_previous, lanes.x_ref, lanes.walked)
-            self._table.keep(self._arrived(lanes, now, stage))
+            state = lanes.x_previous, lanes.x_ref, lanes.walked
+            now, walked = self._kernels(self._walks[stage], self._checks.inputs(lanes), *state)
+            self._table.keep(self._arrived(lanes._replace(walked=walked), now, stage))
 
     def _arrived(self, lanes: Lanes, now: Measured, stage: int) -> Lanes:
-        """Lanes after one more step in the null space: those that are out of it, or at the end of it, leave; the others
-        come back."""
-        lanes = lanes._replace(x_ref=now.x, walked=lanes.walked + 1)
+        """Lanes that have come some way in the null space: those that are out of it, or at the end of it, leave; the
+        others come back."""
+        lanes = lanes._replace(x_ref=now.x)
         out = self._checks.at_target(lanes, now)
         spent = ~out & (lanes.walked >= self._settings.max_null_space_steps)
         reason = np.where(self._checks.keeps_margin(lanes, now), Status.TIP_BLOCKED, Status.ESCAPE_EXHAUSTED)

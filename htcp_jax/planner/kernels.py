@@ -11,7 +11,8 @@ import jax.numpy as jnp
 from htcp_jax.clearance.linearisation import Linearisation, linearise
 from htcp_jax.clearance.motion_proof import path_clear
 from htcp_jax.clearance.scene import Scene, own_scene
-from htcp_jax.planner.kernel import DEEP, STEP, Kernel
+from htcp_jax.planner.batching import Loop
+from htcp_jax.planner.kernel import DEEP, STEP, TRACKED, Kernel
 from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.kinematics import tcp_position
@@ -20,7 +21,7 @@ from htcp_jax.settings import Settings
 from htcp_jax.solvers import step_qp
 from htcp_jax.solvers.active_set import solve_step
 
-STEPS_A_BURST = 5  # step QPs that `track` takes before the engine looks at the lanes again
+STEPS_A_BURST = 5  # step QPs, or null-space steps, before the engine looks at the lanes again
 
 
 class Measured(NamedTuple):
@@ -83,29 +84,26 @@ class Tracked(NamedTuple):
     verdict: jax.Array
 
 
-def track(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, x_previous, linear, iteration) -> Tracked:
+def track(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, x_previous, linear, iteration) -> Loop:
     """Step QPs solved on the device, one after the other, until the target is reached, the lane is stuck, or the burst
-    is over."""
+    is over: the loop's state is `Tracked`."""
+    most = jnp.minimum(iteration + STEPS_A_BURST, settings.max_step_qps)
 
-    def going(state: tuple[Tracked, jax.Array]):
-        tracked, count = state
+    def going(tracked: Tracked):
         here = scene.task.counts(tracked.now.clearance, tracked.now.residual, lane.margin_m)
         reached = here & (tracked.iteration > 0)
-        solved = tracked.verdict == step_qp.QPStatus.SOLVED
-        return ~reached & solved & (tracked.iteration < settings.max_step_qps) & (count < STEPS_A_BURST)
+        return ~reached & (tracked.verdict == step_qp.QPStatus.SOLVED) & (tracked.iteration < most)
 
-    def step(state: tuple[Tracked, jax.Array]):
-        tracked, count = state
+    def step(tracked: Tracked) -> Tracked:
         step_qp = prepare(settings, scene, lane, tracked.now.x, x_previous, tracked.now.linear)
         found = solve_step(step_qp, settings.qp_tolerance)
         now = advance(settings, scene, lane, tracked.now.x, found.y, settings.clearance_rows == "smallest")
-        return Tracked(now, tracked.iteration + 1, found.status), count + 1
+        return Tracked(now, tracked.iteration + 1, found.status)
 
     # At a new target, and in a candidate's first burst, nothing is reached before the first step QP.
     nowhere = jnp.zeros(3)  # the TCP is not recorded before
     known = Measured(x_ref, linear, jnp.full((), -jnp.inf), jnp.full((), jnp.inf), nowhere)
-    start = Tracked(known, iteration, jnp.full((), int(step_qp.QPStatus.SOLVED), jnp.int32))
-    return jax.lax.while_loop(going, step, (start, jnp.zeros((), jnp.int32)))[0]
+    return Loop(Tracked(known, iteration, jnp.full((), int(step_qp.QPStatus.SOLVED), jnp.int32)), going, step)
 
 
 def check_path(settings: Settings, scene: Scene, lane: LaneInputs, a, b):
@@ -132,7 +130,7 @@ _STEP_QP = ("q_weights", "cost_about", "clearance_rows", "aim_above_m")
 PREPARE = Kernel("prepare", prepare, STEP, _STEP_QP)
 ADVANCE = Kernel("advance", advance, STEP)
 ADVANCE_SMALLEST = Kernel("advance", advance_smallest, STEP)
-TRACK_BURST = Kernel("track", track, STEP, (*_STEP_QP, "max_step_qps", "qp_tolerance"))
+TRACK_BURST = Kernel("track", track, TRACKED, (*_STEP_QP, "max_step_qps", "qp_tolerance"))
 CHECK_PATH = Kernel("check_path", check_path, DEEP, ("path_test", "path_steps"))
 SETTLE = Kernel("settle", settle, STEP)
 HOLD = Kernel("hold", hold, STEP)

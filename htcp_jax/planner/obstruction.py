@@ -17,7 +17,8 @@ from htcp_jax.clearance.obstacle import Obstacles
 from htcp_jax.clearance.obstacles import contacts, nearest_to
 from htcp_jax.clearance.of_workpiece import all_obstacles
 from htcp_jax.clearance.scene import Scene, own_scene
-from htcp_jax.planner.kernel import DEEP, chunked
+from htcp_jax.planner.batching import chunked
+from htcp_jax.planner.kernel import DEEP
 from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.plans import Plans
 from htcp_jax.scene.inverse_kinematics import reanchor
@@ -95,8 +96,7 @@ def obstructions(
     for first in range(0, len(x_last), capacity):
         count = min(capacity, len(x_last) - first)
         rows = first + np.arange(capacity) % count
-        chunks = np.int32(-(-count // width))
-        found = look(scene, chunks, *jax.tree.map(lambda leaf, rows=rows: np.asarray(leaf)[rows], lanes))
+        found = look(scene, np.int32(count), *jax.tree.map(lambda leaf, rows=rows: np.asarray(leaf)[rows], lanes))
         measured += zip(*(np.asarray(leaf)[:count] for leaf in found), strict=True)
     found = []
     for k, (row, point, depth, off, x) in enumerate(measured):

@@ -13,7 +13,7 @@ import numpy as np
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.planner import compile_cache
 from htcp_jax.planner.devices import cores
-from htcp_jax.planner.kernel import STEP, Kernel, chunked
+from htcp_jax.planner.kernel import TRACKED, Kernel
 from htcp_jax.planner.tables import concatenate, gather
 from htcp_jax.scene.task import Task
 from htcp_jax.settings import Settings
@@ -58,7 +58,7 @@ class Programs:
             with waiting, self._compiling.setdefault(key, threading.Lock()):
                 if key not in self._compiled:
                     with self._tracing:
-                        lowered = chunked(kernel.of(settings), kernel.load.on(device).width).lower(*arguments)
+                        lowered = kernel.program(settings, device).lower(*arguments)
                     with compile_cache.alone(kernel.name):
                         self._compiled[key] = lowered.compile(COMPILER.get(device.platform))
         return self._compiled[key]
@@ -125,7 +125,7 @@ class Kernels:
     @property
     def lanes(self) -> int:
         """Lanes that an engine keeps in flight."""
-        return STEP.on(self.device).capacity
+        return TRACKED.on(self.device).capacity
 
     @property
     def pays_by_lane(self) -> bool:
@@ -183,7 +183,7 @@ class Kernels:
     def _run(self, kernel: Kernel, tables):
         lanes = len(jax.tree.leaves(tables)[0])
         arguments = self._arguments(kernel, tables)
-        result = self._program(kernel, arguments)(*arguments)
+        result = self._program(kernel, lanes, arguments)(*arguments)
         # Waiting for an array holds the interpreter's lock, which other engines need; this does not.
         jax.block_until_ready(result)
         if self.device.platform != "cpu":
@@ -191,16 +191,17 @@ class Kernels:
         return jax.tree.map(lambda r: np.asarray(r)[:lanes], result)
 
     def _arguments(self, kernel: Kernel, tables) -> tuple:
-        """The scene, how many chunks there are to compute, and the tables, padded."""
-        capacity, width = kernel.load.on(self.device)
-        chunks = -(-len(jax.tree.leaves(tables)[0]) // width)
-        padded = jax.tree.map(lambda t: _pad(np.asarray(t), capacity, chunks * width), tables)
-        return self._scene, np.int32(chunks), *padded
+        """The scene, how many lanes there are to compute, and the tables, padded."""
+        table, lanes = kernel.load.on(self.device), len(jax.tree.leaves(tables)[0])
+        filled = -(-lanes // table.width) * table.width
+        padded = jax.tree.map(lambda t: _pad(np.asarray(t), table.length(lanes), filled), tables)
+        return self._scene, np.int32(lanes), *padded
 
-    def _program(self, kernel: Kernel, arguments: tuple) -> jax.stages.Compiled:
-        if kernel not in self._own:
-            self._own[kernel] = self._programs.get(kernel, self._settings, self.device, arguments, self._waiting)
-        return self._own[kernel]
+    def _program(self, kernel: Kernel, lanes: int, arguments: tuple) -> jax.stages.Compiled:
+        key = kernel, kernel.load.on(self.device).length(lanes)
+        if key not in self._own:
+            self._own[key] = self._programs.get(kernel, self._settings, self.device, arguments, self._waiting)
+        return self._own[key]
 
 
 def _pad(table: np.ndarray, capacity: int, filled: int) -> np.ndarray:

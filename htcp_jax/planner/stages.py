@@ -1,12 +1,16 @@
 """What a method made of step QPs does when these are stuck: stages tried in turn, each with a kernel of its own."""
 
 from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance.scene import Scene, own_scene
-from htcp_jax.planner.kernel import DEEP, SAMPLED, Kernel
-from htcp_jax.planner.kernels import Measured, measured
+from htcp_jax.planner.batching import Loop
+from htcp_jax.planner.kernel import DEEP, SAMPLED, WALKED, Kernel
+from htcp_jax.planner.kernels import STEPS_A_BURST, Measured, measured
 from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.planner.null_space import (
     READS,
@@ -36,8 +40,9 @@ class NullSpace:
     in_null_space = True
 
     def kernel(self, index: int) -> Kernel:
-        """One step of the walk, as stage `index` of a method."""
-        return Kernel(f"walk {index}", walk_null_space, DEEP, (*READS, *self.settings), (self.minimise, index))
+        """A burst of the walk, as stage `index` of a method."""
+        reads = (*READS, "max_null_space_steps", *self.settings)
+        return Kernel(f"walk {index}", walk_null_space, WALKED, reads, (self.minimise, index))
 
 
 @dataclass(frozen=True)
@@ -68,13 +73,32 @@ class Escapes:
         return len(self.stages) + 1
 
 
+class Walked(NamedTuple):
+    """A lane after a burst of null-space steps: where it is, and how many there were so far."""
+
+    now: Measured
+    walked: jax.Array
+
+
 def walk_null_space(
-    minimise: Minimise, index: int, settings: Settings, scene: Scene, lane: LaneInputs, x_previous, x_ref, count
-) -> Measured:
-    """One step of a null-space stage, the method's stage `index`."""
-    stuck = stuck_at(lane, x_previous, index)
-    there = null_space_step(minimise, own_scene(scene, lane.tool_extension_m), settings, lane, stuck, x_ref, count)
-    return measured(settings, scene, lane, there.x)
+    minimise: Minimise, index: int, settings: Settings, scene: Scene, lane: LaneInputs, x_previous, x_ref, walked
+) -> Loop:
+    """Steps of a null-space stage, the method's stage `index`, until the target is kept with the margin, there have
+    been as many as there may be, or the burst is over: the loop's state is `Walked`."""
+    stuck, own = stuck_at(lane, x_previous, index), own_scene(scene, lane.tool_extension_m)
+    most = jnp.minimum(walked + STEPS_A_BURST, settings.max_null_space_steps)
+
+    def going(there: Walked):
+        here = scene.task.counts(there.now.clearance, there.now.residual, lane.margin_m)
+        return ~(here & (there.walked > walked)) & (there.walked < most)
+
+    def step(there: Walked) -> Walked:
+        new = null_space_step(minimise, own, settings, lane, stuck, there.now.x, there.walked)
+        return Walked(measured(settings, scene, lane, new.x), there.walked + 1)
+
+    known = jax.eval_shape(partial(measured, settings, scene, lane), x_ref)  # nothing but x before the first step
+    known = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), known)._replace(x=x_ref)
+    return Loop(Walked(known, walked), going, step)
 
 
 def propose(
