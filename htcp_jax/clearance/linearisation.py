@@ -2,6 +2,8 @@
 
 from typing import NamedTuple
 
+import jax.numpy as jnp
+
 from htcp_jax.clearance.obstacle import Obstacles, Posed
 from htcp_jax.clearance.obstacles import ClearanceRows, clearance_rows
 from htcp_jax.scene.robot import Robot
@@ -20,7 +22,7 @@ class Linearisation(NamedTuple):
     """Task and clearance at one configuration, to first order."""
 
     task: TaskRows
-    clearance: ClearanceRows
+    clearance: ClearanceRows  # all rows, or the one of the smallest distance
 
 
 def linearise(
@@ -29,8 +31,12 @@ def linearise(
     """Task and clearance at x [rad or m], with their Jacobian and gradients; `where` is a scenario, or another `Posed`.
 
     Equation (7) and the clearance rows of CFS (section on workspace inequality constraints). The default task is the
-    TCP's position. smallest: of the clearance only the row of the smallest distance has to be right, any other may be
-    further from what is nearest to it, which costs less. Raises InputError for an x of another shape.
+    TCP's position. smallest: of the clearance only the row of the smallest distance, which costs less. Raises
+    InputError for an x of another shape.
     """
-    rows = TaskRows(task.value(robot, x), task.jacobian(robot, x))
-    return Linearisation(rows, clearance_rows(robot, obstacles, where, x, smallest))
+    held = TaskRows(task.value(robot, x), task.jacobian(robot, x))
+    rows = clearance_rows(robot, obstacles, where, x, smallest)
+    if smallest:
+        body = jnp.argmin(rows.distance)
+        rows = ClearanceRows(rows.distance[body][None], rows.gradient[body][None])
+    return Linearisation(held, rows)

@@ -12,18 +12,26 @@ from htcp_jax.planner.lane_checks import LaneChecks
 from htcp_jax.planner.lanes import Lanes, new_lanes
 from htcp_jax.planner.sampling import Candidates
 from htcp_jax.planner.stages import Escapes
-from htcp_jax.planner.tables import concatenate, gather
+from htcp_jax.planner.tables import gather, gather_from
+
+
+class Ends(NamedTuple):
+    """Candidates that reached their target, and where they are."""
+
+    number: np.ndarray
+    now: Measured
 
 
 @dataclass
 class PendingCandidates:
-    """A stuck scenario whose candidates are being tracked."""
+    """A stuck scenario whose candidates are being tracked. Rows stay in the tables that they came in until they are
+    asked for."""
 
-    lane: Lanes  # the one lane that is stuck
+    lane: tuple[Lanes, np.ndarray]  # the table and the row of the one lane that is stuck
+    stage: int  # in which it is
     left: int  # candidates not decided yet
     qps: int = 0  # step QPs that the candidates took
-    numbers: list[np.ndarray] = field(default_factory=list)  # of the candidates that reached the target
-    ends: list[Measured] = field(default_factory=list)  # where those are
+    ends: list[tuple["Ends", np.ndarray]] = field(default_factory=list)  # the rows of those that reached the target
 
 
 @dataclass
@@ -84,7 +92,8 @@ class CandidateSearch:
         """Have the target of each lane tracked from its valid configurations, x (lanes, C, N), while the lane waits."""
         left = valid.sum(axis=1)
         for k in np.flatnonzero(left):
-            self._waiting.of[int(lanes.scenario[k])] = PendingCandidates(gather(lanes, [k]), int(left[k]))
+            pending = PendingCandidates((lanes, np.array([k])), stage, int(left[k]))
+            self._waiting.of[int(lanes.scenario[k])] = pending
         owner, number = np.nonzero(valid)
         spent = gather(lanes, left == 0)
         if not len(owner):
@@ -100,33 +109,37 @@ class CandidateSearch:
         if not len(decided):
             return []
         decided = decided[np.argsort(lanes.scenario[decided], kind="stable")]
+        first = np.flatnonzero(np.diff(lanes.scenario[decided], prepend=-1))
+        qps = np.add.reduceat(lanes.iteration[decided], first)
+        good = np.concatenate([[0], np.cumsum(reached[decided])])  # before each of the decided, and in the end
+        rows = decided[reached[decided]]
+        ends = Ends(lanes.candidate[rows], gather(now, rows))
         ready = []
-        for rows in np.split(decided, np.flatnonzero(np.diff(lanes.scenario[decided])) + 1):
-            with self._waiting.lock:
-                scenario = int(lanes.scenario[rows[0]])
+        with self._waiting.lock:
+            for k, (start, end) in enumerate(zip(first, [*first[1:], len(decided)], strict=True)):
+                scenario = int(lanes.scenario[decided[start]])
                 pending = self._waiting.of[scenario]
-                pending.left -= len(rows)
-                pending.qps += int(lanes.iteration[rows].sum())
-                good = rows[reached[rows]]
-                if len(good):
-                    pending.numbers.append(lanes.candidate[good])
-                    pending.ends.append(gather(now, good))
+                pending.left -= int(end - start)
+                pending.qps += int(qps[k])
+                if good[end] > good[start]:
+                    pending.ends.append((ends, np.arange(good[start], good[end])))
                 if not pending.left:
                     ready.append(self._waiting.of.pop(scenario))
-        stages = sorted({int(pending.lane.phase[0]) for pending in ready})
-        return [self._choose([each for each in ready if each.lane.phase[0] == stage], stage) for stage in stages]
+        stages = sorted({pending.stage for pending in ready})
+        return [self._choose([each for each in ready if each.stage == stage], stage) for stage in stages]
 
     def _choose(self, ready: list[PendingCandidates], stage: int) -> Outcome:
         """The best of the candidates that reached the target."""
-        lanes = concatenate([each.lane._replace(iteration=each.lane.iteration + each.qps) for each in ready])
-        found = np.array([bool(each.numbers) for each in ready])
+        lanes = gather_from([each.lane for each in ready])
+        lanes = lanes._replace(iteration=lanes.iteration + np.array([each.qps for each in ready], np.int32))
+        found = np.array([bool(each.ends) for each in ready])
         spent = gather(lanes, ~found)
         if not found.any():
             return Outcome(stage, spent)
-        ready, lanes = [each for each in ready if each.numbers], gather(lanes, found)
-        owner = np.repeat(np.arange(len(ready)), [sum(map(len, each.numbers)) for each in ready])
-        number = np.concatenate([part for each in ready for part in each.numbers])
-        now = concatenate([part for each in ready for part in each.ends])
+        ready, lanes = [each for each in ready if each.ends], gather(lanes, found)
+        places = [place for each in ready for place in each.ends]
+        number, now = gather_from(places)
+        owner = np.repeat(np.arange(len(ready)), [sum(len(rows) for _, rows in each.ends) for each in ready])
         best, clear = self._best(lanes, owner, number, now.x)
         return Outcome(stage, spent, Arrived(lanes, gather(now, best), clear))
 

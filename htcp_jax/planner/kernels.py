@@ -72,8 +72,8 @@ def advance_smallest(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, 
 
 
 def measured(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Measured:
-    """The lane at x."""
-    return advance(settings, scene, lane, x, jnp.zeros_like(x))
+    """The lane at x, as its step QP looks at it."""
+    return advance(settings, scene, lane, x, jnp.zeros_like(x), settings.clearance_rows == "smallest")
 
 
 class Tracked(NamedTuple):
@@ -125,13 +125,14 @@ def hold(settings: Settings, scene: Scene, lane: LaneInputs, linear: Linearisati
 
 # The kernels by name, each with the settings that it reads
 
+MEASURED = ("clearance_rows",)  # by `measured`
 _STEP_QP = ("q_weights", "cost_about", "clearance_rows", "aim_above_m")
 
 PREPARE = Kernel("prepare", prepare, STEP, _STEP_QP)
 ADVANCE = Kernel("advance", advance, STEP)
 ADVANCE_SMALLEST = Kernel("advance", advance_smallest, STEP)
 TRACK_BURST = Kernel("track", track, TRACKED, (*_STEP_QP, "max_step_qps", "qp_tolerance"))
-CHECK_PATH = Kernel("check_path", check_path, DEEP, ("path_test", "path_steps"))
+CHECK_PATH = Kernel("check_path", check_path, STEP, ("path_test", "path_steps"))
 SETTLE = Kernel("settle", settle, STEP)
 HOLD = Kernel("hold", hold, STEP)
 

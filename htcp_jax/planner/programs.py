@@ -149,8 +149,8 @@ class Kernels:
 
     @property
     def sizes(self) -> tuple[int, int]:
-        """Values that the task looks at, and rows of the clearance."""
-        return self.task.values, len(self._scene.rows.body)
+        """Values that the task looks at, and rows of the clearance that a lane brings along."""
+        return self.task.values, 1 if self._settings.clearance_rows == "smallest" else len(self._scene.rows.body)
 
     def __call__(self, kernel: Kernel, *tables) -> Any:
         """Run a kernel over tables of n >= 1 lanes; numpy tables of n lanes come back."""

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.planner.batching import Loop
 from htcp_jax.planner.kernel import DEEP, SAMPLED, WALKED, Kernel
-from htcp_jax.planner.kernels import STEPS_A_BURST, Measured, measured
+from htcp_jax.planner.kernels import MEASURED, STEPS_A_BURST, Measured, measured
 from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.planner.null_space import (
     READS,
@@ -41,7 +41,7 @@ class NullSpace:
 
     def kernel(self, index: int) -> Kernel:
         """A burst of the walk, as stage `index` of a method."""
-        reads = (*READS, "max_null_space_steps", *self.settings)
+        reads = (*READS, *MEASURED, "max_null_space_steps", *self.settings)
         return Kernel(f"walk {index}", walk_null_space, WALKED, reads, (self.minimise, index))
 
 
@@ -134,7 +134,7 @@ def ascend(settings: Settings, scene: Scene, lane: LaneInputs, x):
     return keep_clear_ascent(scene, settings, lane, x, lane.target)
 
 
-ENTER = Kernel("enter", enter_null_space, DEEP)
+ENTER = Kernel("enter", enter_null_space, DEEP, MEASURED)
 ASCEND = Kernel("ascend", ascend, DEEP, (*READS, "keep_clear_m", "keep_clear_steps"))
 PUSH = Kernel("push", push, DEEP, READS)
 DRAW = Kernel("draw", draw, SAMPLED, READS)

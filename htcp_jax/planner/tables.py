@@ -25,6 +25,19 @@ def concatenate(parts: Sequence[Tables]) -> Tables:
     return parts[0] if len(parts) == 1 else jax.tree.map(lambda *tables: np.concatenate(tables), *parts)
 
 
+def gather_from(places: Sequence[tuple[Tables, np.ndarray]]) -> Tables:
+    """The rows of many places, one or more, in their order: of which tables, and which of its rows. Each of the tables
+    is looked up once, however many places are in it."""
+    found: dict[int, tuple[Tables, list[int]]] = {}
+    for place, (tables, _) in enumerate(places):
+        found.setdefault(id(tables), (tables, []))[1].append(place)
+    parts = [gather(tables, np.concatenate([places[place][1] for place in own])) for tables, own in found.values()]
+    lengths = np.array([len(rows) for _, rows in places])
+    ends = np.cumsum(lengths)
+    order = [np.arange(ends[place] - lengths[place], ends[place]) for _, own in found.values() for place in own]
+    return gather(concatenate(parts), np.argsort(np.concatenate(order)))
+
+
 def scatter(tables: Tables, rows, new: Tables) -> Tables:
     """Copies of the tables with new rows in place of some."""
 
