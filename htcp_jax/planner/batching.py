@@ -87,7 +87,8 @@ def refilled(function: Callable, width: int) -> Callable:
             lane = jax.tree.map(lambda t: t[jnp.where(new, row, 0)], tables)
             lane, state = _where(new, (lane, begin(lane)), (slots.lane, slots.state))
             row = jnp.where(new, row, jnp.where(free, capacity, slots.row))
-            return Slots(row, lane, state, is_going(lane, state) & (row < capacity)), first + jnp.sum(new, dtype=jnp.int32)
+            going = is_going(lane, state) & (row < capacity)
+            return Slots(row, lane, state, going), first + jnp.sum(new, dtype=jnp.int32)
 
         def advance(slots: Slots) -> Slots:
             state = _where(slots.going, step(slots.lane, slots.state), slots.state)

@@ -23,7 +23,7 @@ import numpy as np
 
 from htcp_jax.planner.backwards import BackwardPlans, Replanned
 from htcp_jax.planner.candidates import CandidateSearch, Outcome, Waiting
-from htcp_jax.planner.kernels import PREPARE, TRACK_BURST, Measured
+from htcp_jax.planner.kernels import PREPARE, STEPS_A_BURST, TRACK_BURST, Measured
 from htcp_jax.planner.lane_checks import LaneChecks
 from htcp_jax.planner.lane_table import LaneTable
 from htcp_jax.planner.lanes import BACKWARDS, ENTERING, MAIN, NEW, TRACK, Lanes
@@ -198,7 +198,8 @@ class Engine:
             new = self._arrived(new._replace(walked=np.zeros_like(new.walked)), now, stage)
             lanes = concatenate([gather(lanes, ~entering), new])
         if lanes.size:
-            state = lanes.x_previous, lanes.x_ref, lanes.walked
+            most = np.minimum(lanes.walked + STEPS_A_BURST, self._settings.max_null_space_steps).astype(np.int32)
+            state = lanes.x_previous, lanes.x_ref, lanes.walked, most
             now, walked = self._kernels(self._walks[stage], self._checks.inputs(lanes), *state)
             self._table.keep(self._arrived(lanes._replace(walked=walked), now, stage))
 

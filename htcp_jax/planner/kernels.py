@@ -12,7 +12,7 @@ from htcp_jax.clearance.linearisation import Linearisation, linearise
 from htcp_jax.clearance.motion_proof import path_clear
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.planner.batching import Loop
-from htcp_jax.planner.kernel import DEEP, STEP, TRACKED, Kernel
+from htcp_jax.planner.kernel import STEP, TRACKED, Kernel
 from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.kinematics import tcp_position

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.planner.batching import Loop
 from htcp_jax.planner.kernel import DEEP, SAMPLED, WALKED, Kernel
-from htcp_jax.planner.kernels import MEASURED, STEPS_A_BURST, Measured, measured
+from htcp_jax.planner.kernels import MEASURED, Measured, measured
 from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.planner.null_space import (
     READS,
@@ -41,7 +41,7 @@ class NullSpace:
 
     def kernel(self, index: int) -> Kernel:
         """A burst of the walk, as stage `index` of a method."""
-        reads = (*READS, *MEASURED, "max_null_space_steps", *self.settings)
+        reads = (*READS, *MEASURED, *self.settings)
         return Kernel(f"walk {index}", walk_null_space, WALKED, reads, (self.minimise, index))
 
 
@@ -81,12 +81,11 @@ class Walked(NamedTuple):
 
 
 def walk_null_space(
-    minimise: Minimise, index: int, settings: Settings, scene: Scene, lane: LaneInputs, x_previous, x_ref, walked
+    minimise: Minimise, index: int, settings: Settings, scene: Scene, lane: LaneInputs, x_previous, x_ref, walked, most
 ) -> Loop:
-    """Steps of a null-space stage, the method's stage `index`, until the target is kept with the margin, there have
-    been as many as there may be, or the burst is over: the loop's state is `Walked`."""
+    """Steps of a null-space stage, the method's stage `index`, after those `walked` until the target is kept with the
+    margin, or there have been as many as there may be, `most`: the loop's state is `Walked`."""
     stuck, own = stuck_at(lane, x_previous, index), own_scene(scene, lane.tool_extension_m)
-    most = jnp.minimum(walked + STEPS_A_BURST, settings.max_null_space_steps)
 
     def going(there: Walked):
         here = scene.task.counts(there.now.clearance, there.now.residual, lane.margin_m)
