@@ -1,4 +1,4 @@
-"""The engine: a scenario is a small state machine, and the engine advances every unfinished one by one step at a time.
+"""The engine: a scenario is a small state machine, and the engine advances every unfinished one a few steps at a time.
 
     prepare   (device)  lane -> step QP             linearised task, clearance rows, limits about x_ref
     solve     (host)    step QPs -> steps, verdicts Clarabel
@@ -7,14 +7,14 @@
 or, when the step QPs are solved on the device too (`qp: device`), a burst of these rounds at a time.
 
 A lane tracks one target by step QPs until it is reached, then the next one; or it is stuck and in a stage of its
-escape, which walks the null space one step at a time or samples; or it is one of many candidates of a sampling stage,
-tracking the stuck target on behalf of a scenario that waits (`candidates`); or its target is lost and a way there is
-planned backwards (`backwards`). Each lane has its own target, phase and count; finished ones leave, new scenarios take
-their place. Lanes in the same phase go through one kernel together. Which lanes those happen to be has no influence on
-any of them: a scenario's result is the same alone, in any batch, in any order and on any thread.
+escape, which walks the null space a few steps at a time or samples; or it is one of many candidates of a sampling
+stage, tracking the stuck target on behalf of a scenario that waits (`candidates`); or its target is lost and a way
+there is planned backwards (`backwards`). Each lane has its own target, phase and count; finished ones leave, new
+scenarios take their place. Lanes in the same phase go through one kernel together. Which lanes those happen to be has
+no influence on any of them: a scenario's result is the same alone, in any batch, in any order and on any thread.
 
-Everything here is bookkeeping on numpy tables (`lanes`). The mathematics is in `kernels` and below; batching is in
-`programs`.
+Everything here is bookkeeping on numpy tables (`lanes`). The mathematics is in `kernels` and below; `batching` runs it
+over tables.
 """
 
 from collections.abc import Callable
