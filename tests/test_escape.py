@@ -11,6 +11,7 @@ import pytest
 from sphere_references import place
 
 from htcp_jax.clearance.obstacles import clearance, clearances, contacts, is_clear
+from htcp_jax.planner.batching import finished
 from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.planner.methods import BUILT_IN
 from htcp_jax.planner.null_space import (
@@ -253,9 +254,12 @@ def test_every_stage_gives_what_its_kind_promises(name):
     where, x, target = next(stuck_places(1))
     lane = LaneInputs(*where, margin_m=0.0, tool_extension_m=0.0, number=0, target=target, row=0, round=0, seed=0)
     walks = isinstance(STAGES[name], NullSpace)
-    found = jax.jit(kernel.of(QUICK))(made_once.scene(), lane, x, *([x, 0] if walks else []))
+    step = jax.jit(lambda *lane: finished(kernel.of(QUICK)(*lane)))
+    found = step(made_once.scene(), lane, x, *([x, 0, 1] if walks else []))
     robot = made_once.robot()
     if walks:
+        found, walked = found
+        assert walked == 1
         assert found.residual <= QUICK.tolerance_m and not np.array_equal(found.x, x)
         assert ((found.x >= robot.lower) & (found.x <= robot.upper)).all()
         return
