@@ -88,14 +88,14 @@ def obstructions(
 ) -> list[Obstruction]:
     """The same for S scenarios at once. where: stacked, what `Posed` asks for and `tool_extension_m`;
     goals: of the task, one a scenario; of the TCP's position the target, world [m]."""
-    capacity, width = DEEP.on(jax.local_devices()[0])
+    table = DEEP.on(jax.local_devices()[0])
     lanes = (where, np.asarray(x_last, float), np.asarray(goals, float))
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
-    look, scene = _program(width), Scene(robot, obstacles, task)
+    look, scene = _program(table.width), Scene(robot, obstacles, task)
     measured = []
-    for first in range(0, len(x_last), capacity):
-        count = min(capacity, len(x_last) - first)
-        rows = first + np.arange(capacity) % count
+    for first in range(0, len(x_last), table.capacity):
+        count = min(table.capacity, len(x_last) - first)
+        rows = first + np.arange(table.capacity) % count
         found = look(scene, np.int32(count), *jax.tree.map(lambda leaf, rows=rows: np.asarray(leaf)[rows], lanes))
         measured += zip(*(np.asarray(leaf)[:count] for leaf in found), strict=True)
     found = []
