@@ -21,6 +21,7 @@ from htcp_jax.planner.kernels import ADVANCE, ADVANCE_SMALLEST, CHECK_PATH, PREP
 from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.programs import PROGRAMS, Kernels, Programs
 from htcp_jax.planner.stages import ENTER
+from htcp_jax.planner.tables import gather_from
 from htcp_jax.planner.work import Work
 from htcp_jax.scene.robot_file import gp50
 from htcp_jax.scene.scenario import make_scenario, stack
@@ -284,3 +285,13 @@ def test_a_hundred_starts_in_one_call_are_planned_as_each_is_alone(scene, method
     together = plan(*scene, stack(many), method, PAPER, check_paths=False)
     for k, one in enumerate(many):
         same(plan(*scene, [one], method, PAPER, check_paths=False), together, [0], [k])
+
+
+def test_rows_of_many_places_come_in_their_order():
+    """Of two tables in turn, some places empty, each row as it would be taken by itself."""
+    rng = np.random.default_rng(0)
+    tables = [(rng.normal(size=(9, 2)), rng.integers(0, 99, 9)) for _ in range(2)]
+    places = [(tables[k % 2], rng.integers(0, 9, k % 4)) for k in range(1, 12)]
+    found = gather_from(places)
+    for column, own in enumerate(found):
+        np.testing.assert_array_equal(own, np.concatenate([table[column][rows] for table, rows in places]))

@@ -31,7 +31,7 @@ class PendingCandidates:
     stage: int  # in which it is
     left: int  # candidates not decided yet
     qps: int = 0  # step QPs that the candidates took
-    ends: list[tuple["Ends", np.ndarray]] = field(default_factory=list)  # the rows of those that reached the target
+    ends: list[tuple[Ends, np.ndarray]] = field(default_factory=list)  # the rows of those that reached the target
 
 
 @dataclass
