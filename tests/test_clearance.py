@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from htcp_jax.clearance.linearisation import linearise
-from htcp_jax.clearance.obstacles import all_clear, clearance, clearances, contacts, is_clear
+from htcp_jax.clearance.obstacles import all_clear, clearance, clearance_rows, clearances, contacts, is_clear
 from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.scene.kinematics import capsule_segments
 from htcp_jax.scene.robot import GP50, lengthen_tool
@@ -102,17 +102,22 @@ def test_all_forms_of_D_agree():
     assert 50 < np.sum(signs) < len(signs) - 50
 
 
-def test_where_only_the_smallest_row_is_asked_for_it_is_the_one():
+def test_where_only_the_smallest_row_is_asked_for_it_is_right_and_no_other_is_nearer():
+    """A linearisation then is that row alone."""
     robot, obstacle = made_once.scene()[:2]
     where, x = posed(made_once.duct()), postures()
 
-    def rows(smallest):
-        return jax.jit(jax.vmap(lambda x: linearise(robot, obstacle, where, x, smallest=smallest).clearance))(x)
+    def rows(look, smallest):
+        return jax.jit(jax.vmap(lambda x: look(robot, obstacle, where, x, smallest=smallest)))(x)
 
-    every, few = rows(False), rows(True)
+    every, few = rows(clearance_rows, False), rows(clearance_rows, True)
     lowest = np.arange(len(x)), np.argmin(every.distance, axis=1)
-    np.testing.assert_allclose(few.distance[:, 0], every.distance[lowest], rtol=0, atol=1e-15)
-    np.testing.assert_allclose(few.gradient[:, 0], every.gradient[lowest], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(few.distance[lowest], every.distance[lowest], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(few.gradient[lowest], every.gradient[lowest], rtol=0, atol=1e-12)
+    assert (few.distance >= every.distance - 1e-15).all() and (few.distance > every.distance + 1e-3).any()
+    alone = rows(linearise, True).clearance
+    np.testing.assert_allclose(alone.distance, few.distance[lowest][:, None], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(alone.gradient, few.gradient[lowest][:, None], rtol=0, atol=1e-12)
 
 
 def test_contacts_lie_where_they_say():

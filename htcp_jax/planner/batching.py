@@ -51,8 +51,7 @@ def chunked(function: Callable, width: int) -> Callable:
         capacity = jax.tree.leaves(tables)[0].shape[0]
         if width == capacity:
             return one_chunk(scene, tables, 0)
-        shapes = jax.eval_shape(one_chunk, scene, tables, lanes)
-        empty = jax.tree.map(lambda s: jnp.zeros((capacity, *s.shape[1:]), s.dtype), shapes)
+        empty = _empty(jax.eval_shape(one_chunk, scene, tables, lanes), capacity)
         return jax.lax.fori_loop(0, (lanes + width - 1) // width, body, empty)
 
     return jax.jit(run)
@@ -109,10 +108,14 @@ def refilled(function: Callable, width: int) -> Callable:
         lane = jax.tree.map(lambda t: jnp.broadcast_to(t[0], (width, *t.shape[1:])), tables)
         state = begin(lane)
         slots = Slots(jnp.full(width, capacity, jnp.int32), lane, state, jnp.zeros(width, bool))
-        empty = jax.tree.map(lambda s: jnp.zeros((capacity, *s.shape[1:]), s.dtype), state)
-        return jax.lax.while_loop(more, turn, (slots, jnp.zeros((), jnp.int32), empty))[2]
+        return jax.lax.while_loop(more, turn, (slots, jnp.zeros((), jnp.int32), _empty(state, capacity)))[2]
 
     return jax.jit(run)
+
+
+def _empty(few: Any, capacity: int) -> Any:
+    """Tables of as many rows, each row like those of some."""
+    return jax.tree.map(lambda table: jnp.zeros((capacity, *table.shape[1:]), table.dtype), few)
 
 
 def _where(rows: Bool[jax.Array, "width"], yes: Any, no: Any) -> Any:

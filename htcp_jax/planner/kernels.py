@@ -3,7 +3,8 @@
 A kernel takes what all lanes share and one lane's arguments; `programs` runs it over tables of them.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -74,6 +75,11 @@ def advance_smallest(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, 
 def measured(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Measured:
     """The lane at x, as its step QP looks at it."""
     return advance(settings, scene, lane, x, jnp.zeros_like(x), settings.clearance_rows == "smallest")
+
+
+def nothing_known(look: Callable, *arguments) -> Any:
+    """What a function of these would return, all zeros: of a lane at which nobody has looked yet."""
+    return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(look, *arguments))
 
 
 class Tracked(NamedTuple):

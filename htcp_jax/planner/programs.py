@@ -183,7 +183,7 @@ class Kernels:
     def _run(self, kernel: Kernel, tables):
         lanes = len(jax.tree.leaves(tables)[0])
         arguments = self._arguments(kernel, tables)
-        result = self._program(kernel, lanes, arguments)(*arguments)
+        result = self._program(kernel, arguments)(*arguments)
         # Waiting for an array holds the interpreter's lock, which other engines need; this does not.
         jax.block_until_ready(result)
         if self.device.platform != "cpu":
@@ -197,8 +197,8 @@ class Kernels:
         padded = jax.tree.map(lambda t: _pad(np.asarray(t), table.length(lanes), filled), tables)
         return self._scene, np.int32(lanes), *padded
 
-    def _program(self, kernel: Kernel, lanes: int, arguments: tuple) -> jax.stages.Compiled:
-        key = kernel, kernel.load.on(self.device).length(lanes)
+    def _program(self, kernel: Kernel, arguments: tuple) -> jax.stages.Compiled:
+        key = kernel, len(jax.tree.leaves(arguments)[-1])  # of the tables: some kernels have a short one, too
         if key not in self._own:
             self._own[key] = self._programs.get(kernel, self._settings, self.device, arguments, self._waiting)
         return self._own[key]

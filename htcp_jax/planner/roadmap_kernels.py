@@ -14,7 +14,7 @@ from htcp_jax.clearance.obstacles import clearance
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.numerics import fold_keys, null_basis, product, safe_norm
 from htcp_jax.planner.kernel import DEEP, Kernel
-from htcp_jax.planner.kernels import advance
+from htcp_jax.planner.kernels import advance, nothing_known
 from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.kinematics import tcp_position
@@ -81,8 +81,7 @@ def feed(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Fed:
 
     straight, _ = reanchor(robot, x, lane.target, task.fine_m, task=task)
     zero = jnp.zeros((), jnp.int32)
-    nowhere = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(measured, x, x))
-    start = nowhere._replace(x=x, residual=jnp.full((), jnp.inf))
+    start = nothing_known(measured, x, x)._replace(x=x, residual=jnp.full((), jnp.inf))
     here, _, count = jax.lax.while_loop(going, step, (start, zero, zero - 1))
     posture = Posture(here.x, here.clearance, here.residual, here.tcp)
     return Fed(posture, task.counts(here.clearance, here.residual, lane.margin_m), jnp.maximum(count - 1, 0))

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.planner.batching import Loop
 from htcp_jax.planner.kernel import DEEP, SAMPLED, WALKED, Kernel
-from htcp_jax.planner.kernels import MEASURED, Measured, measured
+from htcp_jax.planner.kernels import MEASURED, Measured, measured, nothing_known
 from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.planner.null_space import (
     READS,
@@ -95,9 +95,8 @@ def walk_null_space(
         new = null_space_step(minimise, own, settings, lane, stuck, there.now.x, there.walked)
         return Walked(measured(settings, scene, lane, new.x), there.walked + 1)
 
-    known = jax.eval_shape(partial(measured, settings, scene, lane), x_ref)  # nothing but x before the first step
-    known = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), known)._replace(x=x_ref)
-    return Loop(Walked(known, walked), going, step)
+    now = nothing_known(partial(measured, settings, scene, lane), x_ref)._replace(x=x_ref)
+    return Loop(Walked(now, walked), going, step)
 
 
 def propose(
