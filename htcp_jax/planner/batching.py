@@ -4,6 +4,7 @@ lane's result does not depend on how many others there are.
 
 from collections.abc import Callable
 from functools import partial
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import jax
@@ -14,16 +15,20 @@ from htcp_jax.types import Bool, Int
 
 class Loop(NamedTuple):
     """What a function of one lane returns in place of its result, so that lanes of any number of steps fill a GPU: the
-    result is the state after all steps, taken as long as it is going. Which lane it is, is known to both."""
+    result is that of the state after all steps, taken as long as it is going. Which lane it is, is known to all. What
+    a step needs that is not in the state is computed in every step."""
 
     state: Any
     going: Callable[[Any], jax.Array]
     step: Callable[[Any], Any]
+    result: Callable[[Any], Any] = lambda state: state
 
 
 def finished(found: Any) -> Any:
     """The result of one lane."""
-    return jax.lax.while_loop(found.going, found.step, found.state) if isinstance(found, Loop) else found
+    if not isinstance(found, Loop):
+        return found
+    return found.result(jax.lax.while_loop(found.going, found.step, found.state))
 
 
 def chunked(function: Callable, width: int) -> Callable:
@@ -76,7 +81,7 @@ def refilled(function: Callable, width: int) -> Callable:
         def of(part: Callable) -> Callable:
             return jax.vmap(lambda lane, state: part(function(scene, *lane))(state))
 
-        is_going, step = of(lambda loop: loop.going), of(lambda loop: loop.step)
+        is_going, step, result = (of(attrgetter(part)) for part in ("going", "step", "result"))
         begin = jax.vmap(lambda lane: jax.tree.map(jnp.asarray, function(scene, *lane).state))
 
         def let_in(slots: Slots, first) -> tuple[Slots, jax.Array]:
@@ -99,7 +104,7 @@ def refilled(function: Callable, width: int) -> Callable:
             enough = jnp.where(first < lanes, width - max(1, width // 8), 0)
             slots = jax.lax.while_loop(lambda slots: jnp.sum(slots.going) > enough, advance, slots)
             write = partial(jax.tree.map, lambda all_, own: all_.at[slots.row].set(own, mode="drop"))
-            return slots, first, write(results, slots.state)
+            return slots, first, write(results, result(slots.lane, slots.state))
 
         def more(now) -> jax.Array:
             slots, first, _ = now
@@ -108,7 +113,8 @@ def refilled(function: Callable, width: int) -> Callable:
         lane = jax.tree.map(lambda t: jnp.broadcast_to(t[0], (width, *t.shape[1:])), tables)
         state = begin(lane)
         slots = Slots(jnp.full(width, capacity, jnp.int32), lane, state, jnp.zeros(width, bool))
-        return jax.lax.while_loop(more, turn, (slots, jnp.zeros((), jnp.int32), _empty(state, capacity)))[2]
+        results = _empty(jax.eval_shape(result, lane, state), capacity)
+        return jax.lax.while_loop(more, turn, (slots, jnp.zeros((), jnp.int32), results))[2]
 
     return jax.jit(run)
 

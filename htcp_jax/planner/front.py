@@ -1,64 +1,63 @@
-"""The postures that a roadmap keeps at one target: clear, on target, each connected to the start, and far apart."""
-
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+"""What a roadmap keeps of the postures that arrive at a target: the best of close ones, and those far apart. For many
+searches at once: rows with the same number are of one search, and no other has any influence on what is kept of them.
+"""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+
+from htcp_jax.planner.posture_tree import Nodes
 
 
-@dataclass(slots=True, eq=False)
-class Node:
-    """A posture, and the way there from its parent. The nodes of a scenario are a tree; those that lead nowhere are
-    forgotten with their last child."""
-
-    x: Float[np.ndarray, "N"]
-    clearance: float  # [m]
-    residual: float  # [m]
-    tcp: Float[np.ndarray, "3"]  # world [m]
-    target: int
-    parent: "Node | None" = None
-    walked: Float[np.ndarray, "k N"] | None = None  # postures passed after the parent's; None where it was fed
-    step_qps: int = 0
-    dwells: int = field(default=0)  # changes of posture on the path so far
-    cost: float = field(default=0.0)  # of the way so far, equation (3): the sum of |x_{t+1} - x_t|^2 [rad2]
-
-    def __post_init__(self):
-        if (parent := self.parent) is not None:
-            steps = np.diff([parent.x, self.x] if self.walked is None else [parent.x, *self.walked], axis=0)
-            self.dwells += parent.dwells
-            self.cost = parent.cost + float((steps * steps).sum())
-
-    def ancestors(self) -> "Iterator[Node]":
-        """Itself, its parent, and so on."""
-        node: Node | None = self
-        while node is not None:
-            yield node
-            node = node.parent
-
-    @property
-    def root(self) -> "Node":
-        """The first of its ancestors."""
-        return list(self.ancestors())[-1]
+def best_first(nodes: Nodes, search: Int[np.ndarray, "n"] | int = 0) -> Int[np.ndarray, "n"]:
+    """All places, search by search: fewest dwells first, then least cost; of equals the one found first."""
+    return np.lexsort((nodes.cost, nodes.dwells, np.broadcast_to(search, nodes.cost.shape)))
 
 
-def best_first(nodes: Iterable[Node]) -> list[Node]:
-    """Fewest dwells first, then least cost; of equals the one found first."""
-    return sorted(nodes, key=lambda node: (node.dwells, node.cost))
+def dispersed(
+    x: Float[np.ndarray, "n N"],
+    search: Int[np.ndarray, "n"],
+    most: int,
+    apart: float,
+    known: tuple[Float[np.ndarray, "m N"], Int[np.ndarray, "m"]] | None = None,
+) -> Int[np.ndarray, "k"]:
+    """The places of up to `most` of each search's postures, all further than `apart` [rad] from each other and from
+    those known: of close ones the first, and where there are more than that, those that are far from each other
+    (farthest-point selection). They come search by search, the best first, and are found in that order.
+
+    search: the number of each row's, 0 or more. known: postures, and whose they are."""
+    count, every, number = 0, x, search
+    if known is not None:
+        count, every, number = len(known[1]), np.concatenate([known[0], x]), np.concatenate([known[1], search])
+    order = np.argsort(number, kind="stable")  # of every search those known, and then the others
+    kept = np.empty(len(every), bool)
+    kept[order] = _apart(every[order], number[order], order < count, apart)
+    places = order[kept[order] & (order >= count)] - count
+    first = np.flatnonzero(np.diff(search[places], prepend=-1))
+    many = [rows for rows in np.split(places, first[1:]) if len(rows) > most]
+    for rows in many:
+        far = rows[farthest_first(x[rows], 0, most, apart)]
+        places = places[~np.isin(places, rows) | np.isin(places, far)]
+    return places
 
 
-def dispersed(nodes: Sequence[Node], most: int, apart: float, known: Sequence[Node] = ()) -> list[Node]:
-    """Up to `most` of the nodes, all further than `apart` [rad] from each other and from those known: of close ones the
-    best, and where there are more than that, those that are far from each other (farthest-point selection)."""
-    chosen: list[Node] = []
-    near = [node.x for node in known]
-    for node in best_first(nodes):
-        if not near or np.min(np.linalg.norm(np.array(near) - node.x, axis=1)) >= apart:
-            chosen.append(node)
-            near.append(node.x)
-    if len(chosen) <= most:
-        return chosen
-    return [chosen[k] for k in sorted(farthest_first(np.array([node.x for node in chosen]), 0, most, apart))]
+def _apart(x: Float[np.ndarray, "n N"], search: Int[np.ndarray, "n"], known: np.ndarray, apart: float) -> np.ndarray:
+    """Which rows, sorted by search, are kept one after the other: those known, and what is near to none that is kept.
+    The k-th row of every search is looked at together; searches with many rows stand first."""
+    first = np.flatnonzero(np.diff(search, prepend=-1))
+    count = np.diff(np.append(first, len(x)))
+    by_count = np.argsort(-count, kind="stable")
+    first, count = first[by_count], count[by_count]
+    row = first[:, None] + np.arange(count.max(initial=0))  # of the k-th of every search
+    row = np.minimum(row, len(x) - 1)
+    table, kept = x[row], known[row]
+    for k in range(row.shape[1]):
+        own = slice(np.searchsorted(-count, -k, side="left"))  # searches that have as many
+        away = np.linalg.norm(table[own, :k] - table[own, k : k + 1], axis=2)
+        kept[own, k] |= ~((away < apart) & kept[own, :k]).any(axis=1)
+    found = np.zeros(len(x), bool)
+    there = np.arange(row.shape[1]) < count[:, None]
+    found[row[there]] = kept[there]
+    return found
 
 
 def farthest_first(x: Float[np.ndarray, "n N"], first: int, most: int, apart: float) -> list[int]:

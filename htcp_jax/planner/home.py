@@ -108,9 +108,9 @@ class Leaving:
 
     def _drawn(self, s: int, round_: int) -> list[Trial]:
         """Postures at the first target, the clearest first."""
-        nodes = other_postures(self._problem, self._kernels, self._tip, s, FIRST_ROUND + round_)
-        nodes = sorted(nodes, key=lambda node: -node.clearance)[:MOST_TRIED]
-        return [Trial(s, PAIR + round_ * MOST_TRIED + k, node.x) for k, node in enumerate(nodes)]
+        found = other_postures(self._problem, self._kernels, self._tip, s, FIRST_ROUND + round_)
+        clearest = found.x[np.argsort(-found.clearance, kind="stable")[:MOST_TRIED]]
+        return [Trial(s, PAIR + round_ * MOST_TRIED + k, x) for k, x in enumerate(clearest)]
 
     def _joined(self, trials: dict[int, list[Trial]]) -> Ways:
         """Of each scenario the way to that of its trials which is joined soonest, which becomes its start."""

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 from htcp_jax.clearance.obstacles import clearance
 from htcp_jax.clearance.scene import Scene, own_scene
 from htcp_jax.numerics import fold_keys, null_basis, product, safe_norm
-from htcp_jax.planner.kernel import DEEP, Kernel
+from htcp_jax.planner.batching import Loop
+from htcp_jax.planner.kernel import TRACKED, Kernel
 from htcp_jax.planner.kernels import advance, nothing_known
 from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.scene.inverse_kinematics import reanchor
@@ -51,9 +52,9 @@ class Walked(NamedTuple):
     steps: jax.Array
 
 
-def feed(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Fed:
+def feed(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Loop:
     """From x at the target before: by inverse kinematics where that keeps clear of everything by `front_aim_m`, and
-    else by step QPs, which aim as high at first, and in the end at what must be kept."""
+    else by step QPs, which aim as high at first, and in the end at what must be kept. The loop's result is `Fed`."""
     robot, task = own_scene(scene, lane.tool_extension_m).robot, scene.task
     above = jnp.array([settings.front_aim_m, settings.aim_above_m])
     aims, enough = lane.margin_m + above, lane.margin_m + ENOUGH * above
@@ -61,12 +62,12 @@ def feed(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Fed:
     measured = partial(look, scene, lane)
 
     def going(state):
-        here, aim, count = state
+        here, _, aim, count = state
         there = (here.residual <= task.fine_m) & (here.clearance >= enough[jnp.minimum(aim, 1)])
         return ~there & (aim < 2) & (count <= settings.max_step_qps)
 
     def step(state):
-        here, aim, count = state
+        here, straight, aim, count = state
         rows, held = here.linear.clearance, task.linear(*here.linear.task, lane.target)
         qp = assemble(
             settings, here.x, x, held.error, held.jacobian,
@@ -77,19 +78,23 @@ def feed(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Fed:
         # First it looks where the inverse kinematics leads, then at x; step QPs lead on from there.
         goes_to = jnp.where(count < 0, straight, x)
         y = jnp.where(stuck | (count < 1), goes_to - here.x, found.y)
-        return measured(here.x, y), jnp.where(stuck & (count > 0), aim + 1, aim), count + 1
+        return measured(here.x, y), straight, jnp.where(stuck & (count > 0), aim + 1, aim), count + 1
+
+    def fed(state) -> Fed:
+        here, *_, count = state
+        posture = Posture(here.x, here.clearance, here.residual, here.tcp)
+        return Fed(posture, task.counts(here.clearance, here.residual, lane.margin_m), jnp.maximum(count - 1, 0))
 
     straight, _ = reanchor(robot, x, lane.target, task.fine_m, task=task)
     zero = jnp.zeros((), jnp.int32)
     start = nothing_known(measured, x, x)._replace(x=x, residual=jnp.full((), jnp.inf))
-    here, _, count = jax.lax.while_loop(going, step, (start, zero, zero - 1))
-    posture = Posture(here.x, here.clearance, here.residual, here.tcp)
-    return Fed(posture, task.counts(here.clearance, here.residual, lane.margin_m), jnp.maximum(count - 1, 0))
+    return Loop((start, straight, zero, zero - 1), going, step, fed)
 
 
-def walk(settings: Settings, scene: Scene, lane: LaneInputs, x, walker) -> Walked:
+def walk(settings: Settings, scene: Scene, lane: LaneInputs, x, walker) -> Loop:
     """From x, on its target, along a random direction of the null space, which is carried along by projection, for a
-    random number of steps, as far as every posture counts. walker: tells the walks of one round from each other."""
+    random number of steps, as far as every posture counts. walker: tells the walks of one round from each other. The
+    loop's result is `Walked`."""
     scene = own_scene(scene, lane.tool_extension_m)
     robot, task = scene.robot, scene.task
     key = fold_keys(jax.random.PRNGKey(lane.seed), lane.number, lane.row, lane.round, walker)
@@ -120,12 +125,11 @@ def walk(settings: Settings, scene: Scene, lane: LaneInputs, x, walker) -> Walke
     # The first direction is drawn in the null space; there is room for it among the joints.
     first = jax.random.normal(towards, x.shape)
     start = (jnp.full((), True), x, first, path, jnp.zeros((), jnp.int32))
-    *_, path, steps = jax.lax.while_loop(going, step, start)
-    return Walked(path, steps)
+    return Loop(start, going, step, lambda state: Walked(*state[3:]))
 
 
 FEED = Kernel(
-    "feed", feed, DEEP,
+    "feed", feed, TRACKED,
     ("q_weights", "cost_about", "clearance_rows", "aim_above_m", "max_step_qps", "qp_tolerance", "front_aim_m"),
 )  # fmt: skip
-WALK = Kernel("walk", walk, DEEP, ("walk_steps", "walk_step_rad"))
+WALK = Kernel("walk", walk, TRACKED, ("walk_steps", "walk_step_rad"))

@@ -8,12 +8,14 @@ another posture there by any joint path that is proven clear.
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.planner.front import Node, dispersed
+from htcp_jax.planner.front import dispersed
 from htcp_jax.planner.joint_search import Limits, join
 from htcp_jax.planner.kernels import ADVANCE, SETTLE
 from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
+from htcp_jax.planner.roadmap_kernels import Posture
+from htcp_jax.planner.tables import gather
 from htcp_jax.planner.tip_check import TipCheck, out_of_walls
 
 DRAWS = 512  # of postures at the first target
@@ -23,7 +25,7 @@ MOST_ROOTS = 16  # that are tried to be joined
 
 def other_postures(
     problem: Problem, kernels: Kernels, tip: TipCheck | None, s: int, round_: int, target: int = 0
-) -> list[Node]:
+) -> Posture:
     """Postures of scenario s at a target that count, drawn uniformly within the joint limits and far apart, others in
     every round; how the arm gets there is not asked. Of turns that are the same posture, those next to home."""
     scenarios, settings = problem.scenarios, problem.settings
@@ -35,8 +37,9 @@ def other_postures(
     here = kernels(ADVANCE, inputs, x, np.zeros_like(x))
     good = problem.task.counts(here.clearance, here.residual, scenarios.margin_m[s])
     good = out_of_walls(tip, inputs, x, good)
-    nodes = [Node(x[k], here.clearance[k], here.residual[k], here.tcp[k], target) for k in np.flatnonzero(good)]
-    return dispersed(nodes, settings.front, settings.front_apart_rad)
+    found = gather(Posture(x, here.clearance, here.residual, here.tcp), good)
+    one = np.zeros(len(found.x), int)
+    return gather(found, dispersed(found.x, one, settings.front, settings.front_apart_rad))
 
 
 def _drawn(
@@ -57,14 +60,11 @@ def _unwound(x: Float[np.ndarray, "n N"], limits: Limits, about: Float[np.ndarra
 
 
 def joined(
-    problem: Problem, kernels: Kernels, tip: TipCheck | None, s: int, start: np.ndarray, leaves: list[Node]
-) -> tuple[Node, np.ndarray] | None:
-    """The first of the leaves whose root is the one that is joined soonest to a posture of scenario s, `start`, and the
-    knots on the way there; None where none can be."""
-    roots = list(dict.fromkeys(leaf.root for leaf in leaves))[:MOST_ROOTS]
-    scenario = np.full(len(roots), s)
-    to, pair = np.stack([root.x for root in roots]), np.arange(len(roots))
-    starts, scenarios = np.broadcast_to(start, to.shape), problem.scenarios
-    ways = join(kernels, tip, scenarios, scenario, pair, starts, to, problem.settings, soonest=True)
-    known = dict(zip(roots, ways, strict=True))
-    return next(((leaf, way) for leaf in leaves if (way := known.get(leaf.root)) is not None), None)
+    problem: Problem, kernels: Kernels, tip: TipCheck | None, s: int, start: np.ndarray, to: Float[np.ndarray, "n N"]
+) -> list[Float[np.ndarray, "_ N"] | None]:
+    """The knots on the way from a posture of scenario s, `start`, to that of some others which is joined soonest; None
+    for the rest of them, and for all where none can be. Only the first MOST_ROOTS are tried."""
+    to = to[:MOST_ROOTS]
+    scenario, pair = np.full(len(to), s), np.arange(len(to))
+    starts = np.broadcast_to(start, to.shape)
+    return join(kernels, tip, problem.scenarios, scenario, pair, starts, to, problem.settings, soonest=True)
