@@ -3,74 +3,84 @@
 from itertools import pairwise
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from htcp_jax.planner.front import Node, best_first, dispersed
+from htcp_jax.planner.front import best_first, dispersed
+from htcp_jax.planner.posture_tree import LEAST, Nodes, Posture, Tree
 
-PLACE = np.zeros(3)
 numbers = st.floats(-1, 1)
 postures = st.lists(st.tuples(numbers, numbers), min_size=1, max_size=20)
-DWELLS = 3
+EACH = 3  # searches
 
 
-def node(x, cost=0.0, dwells=0, parent=None, walked=None):
-    """At posture x, of this cost; or, with a parent, of what the way from there costs."""
-    walked = None if walked is None else np.array(walked, float)
-    return Node(np.array(x, float), 1e-3, 0.0, PLACE, 0, parent, walked, dwells=dwells, cost=cost)
+def array(places) -> np.ndarray:
+    return np.array(list(places), float).reshape(-1, 2)
+
+
+def at(x) -> Posture:
+    x = array(x)
+    return Posture(x, x[:, 0], x[:, 1], np.zeros((len(x), 3)))
 
 
 @st.composite
-def some_nodes(draw):
-    """Of different costs and dwells, some of them alike, in any order."""
-    found = [node(x, draw(st.sampled_from([0.0, 0.5, 2.0])), draw(st.integers(0, DWELLS))) for x in draw(postures)]
-    return draw(st.permutations(found))
+def of_searches(draw, least=0):
+    """Postures, and of which search each is, search by search."""
+    parts = [draw(st.lists(st.tuples(numbers, numbers), min_size=least, max_size=12)) for _ in range(EACH)]
+    return array(x for part in parts for x in part), np.repeat(np.arange(EACH), [len(part) for part in parts])
 
 
-def away(one, others):
-    return min((float(np.linalg.norm(one.x - other.x)) for other in others), default=np.inf)
+def away(x, others):
+    return np.linalg.norm(others - x, axis=1).min(initial=np.inf)
 
 
-def is_better(one, other, among):
-    return (one.dwells, one.cost, among.index(one)) < (other.dwells, other.cost, among.index(other))
+@given(st.lists(st.tuples(st.integers(0, 2), st.sampled_from([0.0, 0.5, 2.0]), st.integers(0, EACH - 1)), min_size=1))
+def test_the_best_has_the_fewest_dwells_and_then_the_least_cost(ranks):
+    dwells, cost, search = (np.array(column) for column in zip(*ranks, strict=True))
+    zero = np.zeros_like(dwells)
+    order = best_first(Nodes(at([(0, 0)] * len(zero)), zero, zero, zero > 0, zero, dwells, cost), search)
+    assert sorted(order) == list(range(len(ranks)))
+    ranked = [(search[k], dwells[k], cost[k], k) for k in order]
+    assert ranked == sorted(ranked)  # of equals the one found first
 
 
-@given(some_nodes())
-def test_the_best_has_the_fewest_dwells_and_then_the_least_cost(nodes):
-    ranked = best_first(iter(nodes))
-    assert len(ranked) == len(nodes) and {id(one) for one in ranked} == {id(one) for one in nodes}
-    for one, other in pairwise(ranked):
-        assert is_better(one, other, nodes)  # of equals the one found first
+@given(of_searches(), st.floats(0.01, 1.0), of_searches())
+def test_of_close_postures_the_first_is_kept_and_all_that_are_kept_are_apart(given_, apart, known):
+    """Search by search, with room for all: one after the other, as one would by hand."""
+    x, search = given_
+    kept = dispersed(x, search, len(x), apart, known)
+    expected = []
+    for number in range(EACH):
+        near = list(known[0][known[1] == number])
+        for k in np.flatnonzero(search == number):
+            if away(x[k], array(near)) >= apart:
+                near.append(x[k])
+                expected.append(k)
+    assert kept.tolist() == expected
 
 
-@given(some_nodes(), st.floats(0.01, 1.0), some_nodes())
-def test_of_close_postures_the_best_is_kept_and_all_that_are_kept_are_apart(nodes, apart, known):
-    """With room for all: whoever is not kept is close to a better one that is, or to one that is known."""
-    kept = dispersed(nodes, len(nodes), apart, known)
-    for one in kept:
-        assert one in nodes and away(one, [other for other in kept if other is not one] + known) >= apart
-    for one in nodes:
-        better = [other for other in kept if other is one or is_better(other, one, nodes)]
-        assert one in kept or away(one, better + known) < apart
-
-
-@given(some_nodes(), st.floats(0.01, 0.5), st.integers(1, 6))
-def test_where_there_are_too_many_those_far_from_each_other_are_kept(nodes, apart, most):
+@given(of_searches(least=1), st.floats(0.01, 0.5), st.integers(1, 6))
+def test_where_there_are_too_many_those_far_from_each_other_are_kept(given_, apart, most):
     """Farthest-point selection: none that is left out is further from those kept than these are from each other. The
     best is among them."""
-    every, kept = dispersed(nodes, len(nodes), apart), dispersed(nodes, most, apart)
-    assert len(kept) == min(most, len(every)) and kept[0] is best_first(nodes)[0]
-    assert [one for one in every if one in kept] == kept
-    closest = min((away(one, [other for other in kept if other is not one]) for one in kept), default=np.inf)
-    for one in every:
-        assert one in kept or away(one, kept) <= closest
+    x, search = given_
+    every, kept = dispersed(x, search, len(x), apart), dispersed(x, search, most, apart)
+    assert [k for k in every if k in kept] == kept.tolist()
+    for number in range(EACH):
+        own, all_ = kept[search[kept] == number], every[search[every] == number]
+        assert len(own) == min(most, len(all_)) and own[0] == np.flatnonzero(search == number)[0]
+        closest = min((away(x[k], x[own[own != k]]) for k in own), default=np.inf)
+        assert all(k in own or away(x[k], x[own]) <= closest for k in all_)
 
 
 def test_nothing_is_kept_of_what_is_known_already():
-    nodes = [node((0.0, 0.0)), node((1.0, 0.0))]
-    assert dispersed(nodes, 5, 0.1, known=nodes) == [] == dispersed([], 5, 0.1)
-    assert dispersed(nodes, 5, 0.1, known=nodes[:1]) == nodes[1:]
-    assert dispersed(nodes, 1, 0.1, known=[node((0.5, 0.0))]) == nodes[:1]
+    x, one = array([(0, 0), (1, 0)]), np.zeros(2, int)
+    none = x[:0], one[:0]
+    assert dispersed(x, one, 5, 0.1, (x, one)).size == 0 == dispersed(*none, 5, 0.1).size
+    assert dispersed(x, one, 5, 0.1, (x[:1], one[:1])).tolist() == [1]
+    assert dispersed(x, one, 5, 0.1, (x, one + 1)).tolist() == [0, 1]  # of another search
+    assert dispersed(x, one, 1, 0.1, (array([(0.5, 0)]), one[:1])).tolist() == [0]
 
 
 legs = st.lists(st.tuples(st.booleans(), postures), min_size=1, max_size=6)
@@ -79,14 +89,41 @@ legs = st.lists(st.tuples(st.booleans(), postures), min_size=1, max_size=6)
 @given(st.tuples(numbers, numbers), legs)
 def test_a_way_costs_the_squares_of_its_steps_and_has_the_dwells_of_its_parts(start, legs):
     """Of a leg that is walked every posture is a step, of one that is fed its end alone."""
-    here, passed, dwells = node(start), [start], 0
+    tree, passed, dwells = Tree(2), [start], 0
+    here = tree.plant(at([start]), -1)
     for is_walked, leg in legs:
-        here = node(leg[-1], dwells=int(is_walked), parent=here, walked=leg if is_walked else None)
-        passed += leg if is_walked else leg[-1:]
+        leg = leg if is_walked else leg[-1:]
+        for k, x in enumerate(leg):
+            here = tree.grow(here, at([x]), 0, walked=is_walked, dwells=int(is_walked and k == 0))
+        passed += leg
         dwells += is_walked
-        steps = np.diff(np.array(passed), axis=0)
-        np.testing.assert_allclose(here.cost, (steps**2).sum(), rtol=1e-12, atol=1e-300)
-        assert here.dwells == dwells
-    chain = list(here.ancestors())
-    assert len(chain) == len(legs) + 1 and chain[0] is here and chain[-1].parent is None
-    assert all(child.parent is parent for child, parent in pairwise(chain))
+        steps, now = np.diff(np.array(passed), axis=0), tree.nodes(here)
+        np.testing.assert_allclose(now.cost, (steps**2).sum(), rtol=1e-12, atol=1e-300)
+        assert now.dwells == dwells
+    path = tree.path(int(here[0]))
+    np.testing.assert_array_equal(tree.x[path], passed)
+    assert all(tree.nodes(path).parent[k] == before for k, (before, _) in enumerate(pairwise(path), start=1))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_pruned_tree_has_every_way_that_is_asked_for_and_no_other_posture(seed):
+    rng = np.random.default_rng(seed)
+    tree = Tree(2)
+    rows = tree.plant(at(rng.standard_normal((5, 2))), -1)
+    while not tree.is_overgrown:
+        parent = rng.choice(rows, 400)
+        rows = tree.grow(parent, at(rng.standard_normal((400, 2))), tree.target[parent] + 1, step_qps=2)
+    assert len(tree) > 2 * LEAST
+    kept = rng.choice(rows, 20)
+    before = [tree.nodes(tree.path(int(row))) for row in kept]
+    alive = {int(row) for leaf in kept for row in tree.path(int(leaf))}
+    moved = tree.prune(kept)
+    assert len(tree) == len(alive) and not tree.is_overgrown
+    for nodes, row in zip(before, moved[kept], strict=True):
+        now = tree.nodes(tree.path(int(row)))
+        for one, other in zip(nodes.at, now.at, strict=True):
+            np.testing.assert_array_equal(one, other)
+        for name in ("target", "walked", "step_qps", "dwells", "cost"):
+            np.testing.assert_array_equal(getattr(nodes, name), getattr(now, name))
+    grown = tree.grow(moved[kept], at(np.zeros((20, 2))), 0)
+    assert grown.tolist() == list(range(len(alive), len(alive) + 20))

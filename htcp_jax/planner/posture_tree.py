@@ -6,11 +6,19 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.planner.roadmap_kernels import Posture
 from htcp_jax.planner.tables import gather
 
 NO_PARENT = -1
 LEAST = 4096  # rows that a table has room for
+
+
+class Posture(NamedTuple):
+    """Where a lane is, and how it stands to its target; or many of them, a row each."""
+
+    x: jax.Array  # [rad or m]
+    clearance: jax.Array  # [m]
+    residual: jax.Array  # [m]
+    tcp: jax.Array  # world [m]
 
 
 class Nodes(NamedTuple):

@@ -28,11 +28,11 @@ from htcp_jax.planner.knots import Knots
 from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.planner.motion_check import tubes
 from htcp_jax.planner.plans import Plans
-from htcp_jax.planner.posture_tree import Nodes, Tree
+from htcp_jax.planner.posture_tree import Nodes, Posture, Tree
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.proofs import proofs_of, prove_call
-from htcp_jax.planner.roadmap_kernels import FEED, WALK, Posture
+from htcp_jax.planner.roadmap_kernels import FEED, WALK
 from htcp_jax.planner.roadmap_searches import NONE, Members, Searches
 from htcp_jax.planner.tables import gather
 from htcp_jax.planner.tip_check import TipCheck, out_of_walls, tip_checks
@@ -63,14 +63,16 @@ class Roadmap:
         plans = problem.empty_plans()
         kernels = problem.kernels  # made here, before there are threads
         tips = tip_checks(kernels, problem.tip_guard)
+        # Two a GPU: while it computes for one, the other makes its tables.
+        threads = problem.threads if kernels[0].pays_by_lane else max(problem.threads, 2 * len(kernels))
 
         def work(number: int) -> list[Knotted]:
             own = number % len(kernels)
             growing = Growing(problem, plans, kernels[own], tips[own])
-            return growing.run(iter(problem.to_plan.tolist()[number :: problem.threads]))
+            return growing.run(iter(problem.to_plan.tolist()[number::threads]))
 
-        with ThreadPoolExecutor(problem.threads) as pool:
-            ways = [way for part in pool.map(work, range(problem.threads)) for way in part]
+        with ThreadPoolExecutor(threads) as pool:
+            ways = [way for part in pool.map(work, range(threads)) for way in part]
         return plans._replace(knots=Knots.of(ways, plans.x.shape[2]))
 
 
@@ -107,8 +109,8 @@ class Growing:
             tracked, target = searches.tracked - before, searches.columns.target
             finished = [search for search in searches.take_ended() if not self._begin_elsewhere(search)]
             for last in finished:
-                search, leaf, transfer = self._chosen(last)
-                ways += self._record(search, leaf, transfer)
+                search, *path = self._chosen(last)
+                ways += self._record(search, *path)
                 tracked += int(target[search] - target[searches.chain(last)[-1]])
                 searches.forget(searches.chain(last))
             searches.prune()
@@ -219,23 +221,19 @@ class Growing:
             leaves = searches.front_of(search)
             if search == chain[-1] or scenarios.begins_anywhere[s]:
                 return search, leaves[0], None
-            roots = {leaf: self._root(leaf) for leaf in leaves}
+            roots = {leaf: int(self._tree.path(leaf)[0]) for leaf in leaves}
             start = self._tree.x[self._row_0(chain[-1])] if self._is_approach(search) else scenarios.x_start[s]
             distinct = list(dict.fromkeys(roots.values()))
             ways = joined(self._problem, self._kernels, self._tip, s, start, self._tree.x[distinct])
-            known = dict(zip(distinct, ways, strict=False))
-            for leaf in leaves:
-                if (way := known.get(roots[leaf])) is not None:
-                    return search, leaf, way
+            known = {root: way for root, way in zip(distinct, ways, strict=False) if way is not None}
+            if found := [leaf for leaf in leaves if roots[leaf] in known]:
+                return search, found[0], known[roots[found[0]]]
         raise AssertionError("the first search begins at the start, and needs no transfer")
-
-    def _root(self, row: int) -> int:
-        return int(self._tree.path(row)[0])
 
     def _is_approach(self, search: int) -> bool:
         """Whether it begins at the path's first point, and not at the first target."""
-        later = self._searches.columns.earlier[search] != NONE
-        return bool(later and self._tree.target[self._root(self._searches.front_of(search)[0])] > 0)
+        is_first = self._searches.columns.earlier[search] == NONE
+        return not is_first and self._tree.target[self._tree.path(self._searches.front_of(search)[0])[0]] > 0
 
     def _row_0(self, first: int) -> int:
         """The posture at the first target, from the start, of the best that the first search has come to."""

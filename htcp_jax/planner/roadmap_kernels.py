@@ -17,6 +17,7 @@ from htcp_jax.planner.batching import Loop
 from htcp_jax.planner.kernel import TRACKED, Kernel
 from htcp_jax.planner.kernels import advance, nothing_known
 from htcp_jax.planner.lane_inputs import LaneInputs
+from htcp_jax.planner.posture_tree import Posture
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.kinematics import tcp_position
 from htcp_jax.settings import Settings
@@ -26,15 +27,6 @@ from htcp_jax.solvers.step_qp import QPStatus, assemble
 ENOUGH = 0.9  # of what is aimed at above the margin
 PATIENCE = 6  # step QPs that aim high, before they aim low
 LEAST_STEP = 0.3  # of a walk's step; a shorter one is held by the joint limits
-
-
-class Posture(NamedTuple):
-    """Where a lane is, and how it stands to its target."""
-
-    x: jax.Array
-    clearance: jax.Array  # [m]
-    residual: jax.Array  # [m]
-    tcp: jax.Array  # world [m]
 
 
 class Fed(NamedTuple):

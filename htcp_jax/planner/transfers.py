@@ -12,9 +12,9 @@ from htcp_jax.planner.front import dispersed
 from htcp_jax.planner.joint_search import Limits, join
 from htcp_jax.planner.kernels import ADVANCE, SETTLE
 from htcp_jax.planner.lane_inputs import lane_inputs
+from htcp_jax.planner.posture_tree import Posture
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
-from htcp_jax.planner.roadmap_kernels import Posture
 from htcp_jax.planner.tables import gather
 from htcp_jax.planner.tip_check import TipCheck, out_of_walls
 
