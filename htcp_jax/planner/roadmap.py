@@ -232,8 +232,8 @@ class Growing:
 
     def _is_approach(self, search: int) -> bool:
         """Whether it begins at the path's first point, and not at the first target."""
-        is_first = self._searches.columns.earlier[search] == NONE
-        return not is_first and self._tree.target[self._tree.path(self._searches.front_of(search)[0])[0]] > 0
+        root = self._tree.path(self._searches.front_of(search)[0])[0]
+        return bool(self._searches.columns.earlier[search] != NONE and self._tree.target[root] > 0)
 
     def _row_0(self, first: int) -> int:
         """The posture at the first target, from the start, of the best that the first search has come to."""
