@@ -71,9 +71,9 @@ class Leaving:
     def run(self, rows: list[int]) -> Ways:
         """The ways that there are; of the other scenarios it is written down why there is none."""
         scenarios, ways = self._problem.scenarios, Ways()
-        anywhere = [s for s in rows if scenarios.begins_anywhere[s]]
-        self._begin(anywhere)
-        rows = [s for s in rows if s not in anywhere]
+        anywhere = scenarios.begins_anywhere
+        self._begin([s for s in rows if anywhere[s]])
+        rows = [s for s in rows if not anywhere[s]]
         rows = self._clear(rows, scenarios.x_home, Status.HOME_IN_COLLISION)
         chosen = [s for s in rows if scenarios.auto_start[s]]
         given = self._clear([s for s in rows if s not in chosen], scenarios.x_start, Status.START_IN_COLLISION)

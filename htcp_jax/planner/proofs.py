@@ -17,7 +17,7 @@ from htcp_jax.planner.kernel import STEP, Kernel
 from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.stretches import Stretches, proven_by_stretches, whole_paths
-from htcp_jax.planner.tables import gather
+from htcp_jax.planner.tables import concatenate, gather
 from htcp_jax.scene.task import TCP_POSITION, Task
 from htcp_jax.settings import Settings
 from htcp_jax.status import Way
@@ -53,23 +53,40 @@ def proofs_of(
     kept: float | Float[np.ndarray, "n"] = 0.0,
     resolution_m: float | Float[np.ndarray, "n"] = -ROUNDING_M,
     deepest: int | Int[np.ndarray, "n"] = DEEPEST,
+    lane: Int[np.ndarray, "n"] | None = None,
 ) -> Proof:
-    """Of each lane's straight joint path from a to b [rad or m]."""
-    prove, *ways, _, _ = call = prove_call(inputs, a, b, tube, kept, resolution_m, deepest)
+    """Of straight joint paths from a to b [rad or m], one a lane; or, with `lane`, several of each."""
+    count = len(a)
+    lane = np.arange(count) if lane is None else lane
     if kernels.pays_by_lane:
-        return kernels(*call).proof
+        inputs, tube = gather((inputs, tube), lane)
+        return kernels(*prove_call(inputs, a, b, tube, kept, resolution_m, deepest)).proof
+    closely = _closely(count, kept, resolution_m, deepest)
+    room = PROVE.load.on(kernels.device).capacity
+
+    def few(path: np.ndarray, far: Bisection, looks: int) -> Bisection:
+        own_inputs, own_tube = gather((inputs, tube), lane[path])
+        ways = (own_inputs, *gather((a, b), path), own_tube, gather(closely, path))
+        return kernels(PROVE, *ways, far, far.proof.queries + np.int32(looks))
 
     def look(stretches: Stretches, looks: int) -> Bisection:
-        far = stretches.far
-        return kernels(prove, *gather(tuple(ways), stretches.path), far, far.proof.queries + np.int32(looks))
+        """Call by call: tables of all would be copied through memory, those of a call stay near the core."""
+        calls = [slice(first, first + room) for first in range(0, len(stretches.path), room)]
+        return concatenate([few(*gather((stretches.path, stretches.far), call), looks) for call in calls])
 
-    return proven_by_stretches(look, len(a), prove.load.on(kernels.device).capacity)
+    return proven_by_stretches(look, count, room)
 
 
 def prove_call(inputs: LaneInputs, a, b, tube: Tube, kept=0.0, resolution_m=-ROUNDING_M, deepest=DEEPEST) -> tuple:
     """The kernel and its tables for these, see `Kernels.preparing`."""
-    closely = Closely(*(np.broadcast_to(value, len(a)) for value in (kept, resolution_m, np.asarray(deepest, int))))
-    return PROVE, inputs, a, b, tube, closely, whole_paths(len(a)).far, np.full(len(a), UNENDING)
+    count = len(a)
+    closely = _closely(count, kept, resolution_m, deepest)
+    return PROVE, inputs, a, b, tube, closely, whole_paths(count).far, np.full(count, UNENDING)
+
+
+def _closely(count: int, kept, resolution_m, deepest) -> Closely:
+    """One of each path's own, or one for all of them."""
+    return Closely(*(np.broadcast_to(value, count) for value in (kept, resolution_m, np.asarray(deepest, int))))
 
 
 def clear_paths(

@@ -17,7 +17,7 @@ scenarios are planned together.
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import islice, pairwise
+from itertools import islice
 
 import jax
 import numpy as np
@@ -28,20 +28,19 @@ from htcp_jax.planner.knots import Knots
 from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.planner.motion_check import tubes
 from htcp_jax.planner.plans import Plans
-from htcp_jax.planner.posture_tree import Nodes, Posture, Tree
+from htcp_jax.planner.posture_tree import Posture, Tree
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.proofs import proofs_of, prove_call
 from htcp_jax.planner.roadmap_kernels import FEED, WALK
+from htcp_jax.planner.roadmap_record import Knotted, RoadmapRecord
 from htcp_jax.planner.roadmap_searches import NONE, Members, Searches
 from htcp_jax.planner.tables import gather
 from htcp_jax.planner.tip_check import TipCheck, out_of_walls, tip_checks
-from htcp_jax.planner.transfers import joined, other_postures
+from htcp_jax.planner.transfers import other_postures
 from htcp_jax.status import Status, Way
 
 MOST_TRANSFERS = 3  # searches from other postures, each from others
-TRANSFERRED = 1  # the escape of a first target that is reached by a transfer
-Knotted = tuple[int, int, np.ndarray]  # a way that is no straight joint path: (scenario, target, postures)
 IN_FLIGHT = 4  # scenarios are planned together, a quarter as many as a table has lanes
 
 
@@ -91,17 +90,18 @@ class Growing:
     """Plans scenarios, many at a time, in dense batches of all their postures."""
 
     def __init__(self, problem: Problem, plans: Plans, kernels: Kernels, tip: TipCheck | None):
-        self._problem, self._plans, self._kernels, self._tip = problem, plans, kernels, tip
+        self._problem, self._kernels, self._tip = problem, kernels, tip
+        self._anywhere = problem.scenarios.begins_anywhere  # looks at all of them
         self._tree = Tree(plans.x.shape[2])
         self._searches = Searches(problem.settings, self._tree, kernels.freedom > 0)
+        self._record = RoadmapRecord(problem, plans, kernels, tip, self._searches)
 
     def run(self, scenarios: Iterator[int]) -> list[Knotted]:
         """Plan until the iterator is empty."""
         ways, searches, most = [], self._searches, max(1, self._kernels.lanes // IN_FLIGHT)
         while True:
             before = searches.tracked
-            for scenario in islice(scenarios, most - int(searches.going.sum())):
-                self._begin(scenario)
+            self._begin(list(islice(scenarios, most - int(searches.going.sum()))))
             if not searches.going.any():
                 return ways
             self._feed()
@@ -109,34 +109,37 @@ class Growing:
             tracked, target = searches.tracked - before, searches.columns.target
             finished = [search for search in searches.take_ended() if not self._begin_elsewhere(search)]
             for last in finished:
-                search, *path = self._chosen(last)
-                ways += self._record(search, *path)
+                search, *path = self._record.chosen(last)
+                ways += self._record.write(search, *path)
                 tracked += int(target[search] - target[searches.chain(last)[-1]])
                 searches.forget(searches.chain(last))
             searches.prune()
             self._problem.progress(tracked, len(finished))
 
-    def _begin(self, s: int) -> None:
-        scenarios = self._problem.scenarios
-        roots = self._other_postures(s, 0, 0) if scenarios.begins_anywhere[s] else np.zeros(0, int)
-        if not len(roots):
-            unknown = np.full((1, 3), np.nan)
-            roots = self._tree.plant(Posture(scenarios.x_start[s][None], *unknown[:, :2].T, unknown), -1)
-        self._searches.begin(s, int(scenarios.count[s]), roots)
+    def _begin(self, new: list[int]) -> None:
+        """Searches from the starts of some scenarios; or, where one may begin anywhere, from what is found there."""
+        if not new:
+            return
+        start, unknown = self._problem.scenarios.x_start[new], np.full((len(new), 3), np.nan)
+        roots = list(self._tree.plant(Posture(start, *unknown[:, :2].T, unknown), -1)[:, None])
+        for k in np.flatnonzero(self._anywhere[new]).tolist():
+            others = self._other_postures(new[k], 0, 0)
+            roots[k] = others if len(others) else roots[k]
+        self._searches.begin(new, self._problem.scenarios.count[new].tolist(), roots)
 
     def _begin_elsewhere(self, search: int) -> bool:
         """Where the start's own part is exhausted: a search from other postures, at the path's first point where
         nothing comes to the path, else at the first target, if it may be. Whether there is one."""
         columns, chain = self._searches.columns, self._searches.chain(search)
         s, scenarios, first = int(columns.scenario[search]), self._problem.scenarios, int(columns.target[chain[-1]])
-        on_path, anywhere = int(scenarios.on_path[s]), bool(scenarios.begins_anywhere[s])
+        on_path, anywhere = int(scenarios.on_path[s]), bool(self._anywhere[s])
         off_path = 0 <= first < on_path and not anywhere
         may = off_path or self._problem.settings.transfers or (scenarios.auto_start[s] and not anywhere)
         if columns.status[search] == NONE or not may or len(chain) > MOST_TRANSFERS:
             return False
         roots = self._other_postures(s, len(chain) - 1 + anywhere, on_path if off_path else 0)
         if len(roots):
-            self._searches.begin(s, int(scenarios.count[s]), roots, search)
+            self._searches.begin([s], [int(scenarios.count[s])], [roots], search)
         return len(roots) > 0
 
     def _other_postures(self, s: int, round_: int, target: int) -> np.ndarray:
@@ -153,7 +156,7 @@ class Growing:
         fed = self._kernels(FEED, inputs, x)
         good = out_of_walls(self._tip, inputs, fed.at.x, fed.reached)
         proven = good.copy()
-        proven[good] = self._proven(*gather((inputs, x, fed.at.x, tube), good), along=True)
+        proven[good] = self._proven(*gather((inputs, x, fed.at.x, tube), good))
         new = self._tree.grow(*gather((unfed.node, fed.at, target, fed.step_qps), proven))
         arrived = Members(unfed.search[proven], new)
         self._say_why(searches.has(unfed), searches.has(arrived), searches.has(gather(unfed, good)))
@@ -170,10 +173,8 @@ class Growing:
         walked = self._kernels(WALK, inputs, x, walker.astype(np.int32))
         lane, step = np.nonzero(np.arange(walked.path.x.shape[1]) < walked.steps[:, None])
         before = np.concatenate([x[:, None], walked.path.x], axis=1)
-        segments = gather((inputs, tube), lane)
-        a, b = before[lane, step], before[lane, step + 1]
         proven = np.zeros(walked.path.clearance.shape, bool)
-        proven[lane, step] = self._proven(segments[0], a, b, segments[1])
+        proven[lane, step] = self._proven(inputs, before[lane, step], before[lane, step + 1], tube, lane)
         steps = np.logical_and.accumulate(proven, axis=1).sum(axis=1)
         last = walked.path.x[np.arange(len(x)), np.maximum(steps - 1, 0)]
         good = out_of_walls(self._tip, inputs, last, steps > 0)
@@ -184,12 +185,15 @@ class Growing:
             node[on] = self._tree.grow(node[on], at, target[on], walked=True, dwells=dwells[on] * (k == 0))
         searches.take_walked(walkers, Members(walkers.search[good], node[good]))
 
-    def _proven(self, inputs: LaneInputs, a: np.ndarray, b: np.ndarray, tube: Tube, along: bool = False) -> np.ndarray:
-        """Which straight joint paths from a to b are motions. along: whether to look at the bare tip, too."""
+    def _proven(
+        self, inputs: LaneInputs, a: np.ndarray, b: np.ndarray, tube: Tube, lane: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Which straight joint paths from a to b are motions, one a lane, with the bare tip out of the walls all along;
+        or, with `lane`, the steps of its walk, whose tip is looked at where it ends."""
         if not len(a):
             return np.zeros(0, bool)
-        good = proofs_of(self._kernels, inputs, a, b, tube).verdict == Way.PROVEN
-        if along and self._tip is not None and good.any():
+        good = proofs_of(self._kernels, inputs, a, b, tube, lane=lane).verdict == Way.PROVEN
+        if lane is None and self._tip is not None and good.any():
             good[good] = ~self._tip.along(*gather((inputs, a, b), good))
         return good
 
@@ -211,77 +215,3 @@ class Growing:
         inputs = lane_inputs(problem.scenarios, scenario, target, seed=problem.settings.seed, round_=draws)
         towards, which = target + turns, np.full(len(target), turns)
         return inputs, tubes(problem.scenarios, problem.task, problem.settings.tube_m, scenario, towards, which)
-
-    def _chosen(self, last: int) -> tuple[int, int, np.ndarray | None]:
-        """What to write down of a scenario whose last search has ended: the search that came furthest, the leaf of its
-        best path, and the knots of the transfer to it."""
-        searches, scenarios = self._searches, self._problem.scenarios
-        s, chain = int(searches.columns.scenario[last]), searches.chain(last)
-        for search in sorted(chain[::-1], key=lambda one: -searches.columns.target[one]):
-            leaves = searches.front_of(search)
-            if search == chain[-1] or scenarios.begins_anywhere[s]:
-                return search, leaves[0], None
-            roots = {leaf: int(self._tree.path(leaf)[0]) for leaf in leaves}
-            start = self._tree.x[self._row_0(chain[-1])] if self._is_approach(search) else scenarios.x_start[s]
-            distinct = list(dict.fromkeys(roots.values()))
-            ways = joined(self._problem, self._kernels, self._tip, s, start, self._tree.x[distinct])
-            known = {root: way for root, way in zip(distinct, ways, strict=False) if way is not None}
-            if found := [leaf for leaf in leaves if roots[leaf] in known]:
-                return search, found[0], known[roots[found[0]]]
-        raise AssertionError("the first search begins at the start, and needs no transfer")
-
-    def _is_approach(self, search: int) -> bool:
-        """Whether it begins at the path's first point, and not at the first target."""
-        root = self._tree.path(self._searches.front_of(search)[0])[0]
-        return bool(self._searches.columns.earlier[search] != NONE and self._tree.target[root] > 0)
-
-    def _row_0(self, first: int) -> int:
-        """The posture at the first target, from the start, of the best that the first search has come to."""
-        path = self._tree.path(self._searches.front_of(first)[0])
-        nodes = self._tree.nodes(path)
-        return int(path[(nodes.target == 0) & ~nodes.walked][0])
-
-    def _record(self, search: int, leaf: int, transfer: np.ndarray | None) -> list[Knotted]:
-        """Write down the path to a leaf, and how the search ended; returns the knots of its ways."""
-        columns, plans, path = self._searches.columns, self._plans, self._tree.path(leaf)
-        s, nodes = int(columns.scenario[search]), self._tree.nodes(path)
-        ways, fed = [], np.flatnonzero(~nodes.walked)
-        for before, row in pairwise(fed.tolist()):
-            plans.joint_step[s, nodes.target[row]] = np.linalg.norm(nodes.at.x[row] - nodes.at.x[before])
-            if row > before + 1:
-                ways.append((s, int(nodes.target[row]), nodes.at.x[before + 1 : row]))
-        self._write(s, nodes.target[fed], gather(nodes, fed))
-        if self._problem.scenarios.begins_anywhere[s]:
-            plans.start[s], plans.joint_step[s, 0] = plans.x[s, 0], 0.0
-        if transfer is not None:
-            ways.append((s, self._write_joined(search, int(path[0])), transfer))
-        if columns.status[search] != NONE:
-            plans.status[s, columns.target[search] + 1] = columns.status[search]
-        return ways
-
-    def _write(self, s: int, target: np.ndarray, nodes: Nodes) -> None:
-        """Rows, at targets; the start is none. A node that is written to several stays where it is."""
-        plans, (target, nodes) = self._plans, gather((target, nodes), target >= 0)
-        plans.x[s, target], plans.tcp[s, target] = nodes.at.x, nodes.at.tcp
-        plans.clearance[s, target], plans.residual[s, target] = nodes.at.clearance, nodes.at.residual
-        plans.status[s, target], plans.iterations[s, target] = Status.TRACKED, nodes.step_qps
-        plans.path_clear[s, target] = 1
-
-    def _write_joined(self, search: int, root: int) -> int:
-        """How the arm gets to the posture in which a search begins; returns the target to which that leads. An approach
-        leaves its lines: all of its targets but the first are the path's first point."""
-        s, plans, x = int(self._searches.columns.scenario[search]), self._plans, self._tree.x
-        if not self._is_approach(search):
-            plans.joint_step[s, 0] = np.linalg.norm(x[root] - plans.start[s])
-            plans.status[s, 0], plans.escape[s, 0] = Status.TRACKED_AFTER_ESCAPE, TRANSFERRED
-            return 0
-        on_path, row_0 = int(self._problem.scenarios.on_path[s]), self._row_0(self._searches.chain(search)[-1])
-        for table in (self._problem.scenarios.targets, self._problem.scenarios.aims):
-            table[s, 1:on_path] = table[s, on_path]
-        stays = np.arange(1, on_path)
-        self._write(s, stays, self._tree.nodes(np.full(len(stays), root)))
-        self._write(s, np.zeros(1, int), self._tree.nodes(np.array([row_0])))
-        plans.joint_step[s, 0] = np.linalg.norm(x[row_0] - plans.start[s])
-        plans.joint_step[s, 1] = np.linalg.norm(x[root] - x[row_0])
-        plans.joint_step[s, 2 : on_path + 1] = 0.0
-        return 1

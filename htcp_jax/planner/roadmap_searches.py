@@ -59,13 +59,19 @@ class Searches:
         self.front = self.unfed = self.arrived = Members.none()
         self._ended: dict[int, np.ndarray] = {}  # the fronts of searches that are over
 
-    def begin(self, scenario: int, targets: int, roots: Int[np.ndarray, "m"], earlier: int = NONE) -> None:
-        """A new search from these roots, which are all at one target."""
-        draws = 0 if earlier == NONE else self.columns.draws[earlier]
-        new = Columns(scenario, int(self.tree.target[roots[0]]), targets, earlier, 0, draws, NONE, NONE)
-        self.columns = Columns(*(np.append(column, value) for column, value in zip(self.columns, new, strict=True)))
-        self.going = np.append(self.going, True)
-        held = Members(np.full(len(roots), len(self.going) - 1), roots)
+    def begin(self, scenario: list[int], targets: list[int], roots: list[np.ndarray], earlier: int = NONE) -> None:
+        """New searches, each of a scenario and from its own roots, one or more, which are all at one target."""
+        count, draws = len(scenario), 0 if earlier == NONE else self.columns.draws[earlier]
+        first = len(self.going)
+        held = Members(np.repeat(np.arange(first, first + count), [len(own) for own in roots]), np.concatenate(roots))
+        target = self.tree.target[[own[0] for own in roots]]
+        new = Columns(
+            np.array(scenario),
+            target,
+            np.array(targets),
+            *(np.full(count, value) for value in (earlier, 0, draws, NONE, NONE)),
+        )
+        self.columns, self.going = concatenate([self.columns, new]), np.append(self.going, np.ones(count, bool))
         self.front, self.unfed = concatenate([self.front, held]), concatenate([self.unfed, held])
 
     def has(self, members: Members) -> Bool[np.ndarray, "searches"]:
