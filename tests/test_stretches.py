@@ -46,6 +46,20 @@ def unbroken():
     return proofs_of(kernels(), *asked())
 
 
+@pytest.mark.parametrize("by_lane", [True, False])
+def test_several_paths_of_a_lane_are_proven_as_those_of_as_many_lanes(by_lane, monkeypatch):
+    monkeypatch.setattr(Kernels, "pays_by_lane", by_lane)
+    inputs, a, b, tube, *closely = asked()
+    lane, few = np.repeat([3, 0, 3], 10), slice(30)
+    ways, closely = gather((a, b), few), gather(closely, few)
+    own_inputs, own_tube = gather((inputs, tube), lane)
+    apart = proofs_of(kernels(), own_inputs, *ways, own_tube, *closely)
+    found = proofs_of(kernels(), inputs, *ways, tube, *closely, lane=lane)
+    assert len(np.unique(found.verdict)) > 1
+    for one, other in zip(apart, found, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 @pytest.mark.parametrize("looks", [1, 3, 8])
 def test_proofs_in_stretches_are_unbroken_ones(looks, monkeypatch):
     """To the last bit: verdicts, places, clearances, and how many places were looked at how closely; whatever other

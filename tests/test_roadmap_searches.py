@@ -1,0 +1,108 @@
+"""How the roadmap's searches go on: each by itself, from what has come to its next target, until it ends."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from htcp_jax.planner.posture_tree import Posture, Tree
+from htcp_jax.planner.roadmap_searches import NONE, Members, Searches
+from htcp_jax.settings import Settings
+from htcp_jax.status import Status
+
+FEW = replace(Settings(), thin_front=2, walks=3, walk_rounds=2, front=8, front_apart_rad=0.1)
+
+
+def at(x) -> Posture:
+    x = np.asarray(x, float).reshape(-1, 2)
+    return Posture(x, x[:, 0], x[:, 1], np.zeros((len(x), 3)))
+
+
+def begun(targets, settings=FEW, can_walk=True) -> Searches:
+    """A search for each of these counts of targets, from one start."""
+    searches = Searches(settings, Tree(2), can_walk)
+    roots = searches.tree.plant(at(np.zeros((len(targets), 2))), -1)
+    searches.begin(list(range(len(targets))), list(targets), list(roots[:, None]))
+    return searches
+
+
+def fed(searches, counts) -> None:
+    """Of every search so many postures arrive at its next target, all far apart."""
+    first = {int(s): int(node) for s, node in zip(*searches.unfed, strict=True)}
+    search = np.repeat(list(first), [counts[s] for s in first])
+    parent = np.array([first[int(s)] for s in search], int)
+    x = np.arange(2 * len(search)).reshape(-1, 2) + searches.tree.x[parent]
+    node = searches.tree.grow(parent, at(x), searches.tree.target[parent] + 1)
+    searches.columns.failure[list(first)] = Status.PATH_BLOCKED
+    searches.take_fed(Members(search, node))
+
+
+def test_a_search_that_has_ended_is_fed_and_walked_no_more():
+    """One comes to its last target, one goes on, and to one nothing comes from the start."""
+    searches = begun([2, 4, 4])
+    fed(searches, [3, 3, 0])
+    assert searches.take_ended() == [2] and searches.columns.status.tolist() == [NONE, NONE, Status.PATH_BLOCKED]
+    fed(searches, [3, 3, None])
+    assert searches.take_ended() == [0]
+    for held in (searches.unfed, searches.front):
+        assert set(held.search.tolist()) == {1}
+    assert not len(searches.walkers()[0].node)
+    assert searches.columns.target.tolist() == [1, 1, -1] and searches.tracked == 2
+    assert len(searches.front_of(0)) == 3 and searches.tree.target[searches.front_of(0)].tolist() == [1, 1, 1]
+
+
+def test_a_thin_front_is_spread_once_and_goes_on_with_what_was_found_and_what_was_not():
+    """The walks begin from what has arrived; of a search with a full front none does."""
+    searches = begun([4, 4])
+    fed(searches, [1, 3])
+    walkers, number = searches.walkers()
+    assert walkers.search.tolist() == [0, 0, 0] and number.tolist() == [0, 1, 2]
+    assert (searches.tree.target[walkers.node] == 0).all()
+    searches.take_walked(walkers, Members.none())
+    assert searches.columns.target.tolist() == [0, 0] and np.bincount(searches.unfed.search).tolist() == [1, 3]
+    assert searches.columns.rounds.tolist() == [0, 0] and searches.columns.draws.tolist() == [1, 0]
+
+
+def test_a_dead_end_is_walked_from_in_turn_until_the_rounds_are_over():
+    """What walks find is fed in its turn, but for what the front has already."""
+    searches = begun([4])
+    fed(searches, [4])
+    front = searches.front.node.tolist()
+    fed(searches, [0])
+    walkers, _ = searches.walkers()
+    assert walkers.node.tolist() == front[:3]
+    new = searches.tree.x[front[0]] + np.array([[0.01, 0.0], [0.5, 0.0]])  # one that is known, one that is not
+    found = searches.tree.grow(walkers.node[:2], at(new), 0, walked=True, dwells=1)
+    searches.take_walked(walkers, Members(np.zeros(2, int), found))
+    assert searches.unfed.node.tolist() == [found[1]] and searches.front.node.tolist() == [*front, found[1]]
+    fed(searches, [0])
+    walkers, _ = searches.walkers()
+    assert walkers.node.tolist() == [front[3], found[1], front[0]]  # on from where the last round ended
+    assert searches.columns.status.tolist() == [NONE]
+    searches.take_walked(walkers, Members.none())
+    assert searches.columns.status.tolist() == [Status.PATH_BLOCKED] and searches.take_ended() == [0]
+
+
+@pytest.mark.parametrize("last", [False, True])
+def test_without_a_null_space_nobody_walks(last):
+    searches = begun([4], can_walk=False)
+    fed(searches, [1])
+    assert searches.columns.target.tolist() == [0] and not len(searches.walkers()[0].node)
+    fed(searches, [int(last)])
+    assert (searches.columns.status[0] == NONE) == last
+
+
+def test_forgotten_postures_change_nothing_of_what_searches_hold():
+    searches = begun([4000, 4000, 2])
+    while not searches.tree.is_overgrown:
+        fed(searches, [8, 5, 8])
+        searches.take_ended()
+    before = [searches.tree.x[rows] for rows in (searches.front.node, searches.unfed.node, searches.front_of(2))]
+    count = len(searches.tree)
+    searches.prune()
+    assert len(searches.tree) < count
+    now = [searches.tree.x[rows] for rows in (searches.front.node, searches.unfed.node, searches.front_of(2))]
+    for one, other in zip(before, now, strict=True):
+        np.testing.assert_array_equal(one, other)
+    fed(searches, [8, 5, None])
+    assert searches.tree.target[searches.front.node].min() > 100
