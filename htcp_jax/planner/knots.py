@@ -46,4 +46,5 @@ class Knots(NamedTuple):
 
     def on_the_way(self, scenario: int, target: int) -> Float[np.ndarray, "k N"]:
         """Those on the way to one target."""
-        return self.x[(self.scenario == scenario) & (self.target == target)]
+        first, last = np.searchsorted(self.scenario, np.array([scenario, scenario + 1], self.scenario.dtype))
+        return self.x[first:last][self.target[first:last] == target]

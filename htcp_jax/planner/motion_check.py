@@ -101,18 +101,17 @@ def tighten(problem: Problem, plans: Plans) -> None:
 
 
 def _segments(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> Segments:
-    """What the ways to some rows are made of."""
+    """What the ways to some rows are made of: from knot to knot, and from the last one to the row."""
     s, t = np.nonzero(rows)
-    if not len(plans.knots.scenario):
-        return Segments(s, t, plans.before(s, t), plans.x[s, t], np.zeros(len(s), bool))
-    parts = []
-    for scenario, target in zip(s.tolist(), t.tolist(), strict=True):
-        knots = plans.knots.on_the_way(scenario, target)
-        way = np.concatenate([plans.before(scenario, target)[None], knots, plans.x[scenario, target][None]])
-        count = len(way) - 1
-        turns = np.arange(count) < count - 1
-        parts.append(Segments(np.full(count, scenario), np.full(count, target), way[:-1], way[1:], turns))
-    return concatenate(parts)
+    knots = gather(plans.knots, rows[plans.knots.scenario, plans.knots.target])
+    turns = np.arange(len(knots.x) + len(s)) < len(knots.x)
+    columns = (knots.scenario, s), (knots.target, t), (knots.x, plans.x[s, t])
+    scenario, target, b = (np.concatenate(both) for both in columns)
+    order = np.lexsort((~turns, target, scenario))  # knots as they are passed, and then the row
+    scenario, target, b, turns = gather((scenario, target, b, turns), order)
+    a = plans.before(scenario, target)
+    a[1:][turns[:-1]] = b[:-1][turns[:-1]]
+    return Segments(scenario, target, a, b, turns)
 
 
 def prove_segments(

@@ -21,7 +21,7 @@ from htcp_jax.planner.kernels import ADVANCE, HOLD, SETTLE, Measured
 from htcp_jax.planner.knots import Knots
 from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.planner.motion_check import Segments, prove_segments
-from htcp_jax.planner.plans import Plans
+from htcp_jax.planner.plans import Outcome, Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.tables import concatenate, gather
@@ -52,20 +52,19 @@ class Path:
     rounds: int = 0
 
     @classmethod
-    def of(cls, problem: Problem, plans: Plans, s: int) -> "Path":
+    def of(cls, problem: Problem, plans: Plans, end: Outcome, begins_anywhere: bool) -> "Path":
         """As far as the scenario is executable; its last posture stays where tracked targets follow, and a start that
         was given does between home and the first target."""
-        executable = np.flatnonzero(plans.executable[s]).tolist()
-        ways = [(t, [*plans.knots.on_the_way(s, t), plans.x[s, t]]) for t in executable]
+        s = end.scenario
+        ways = [(t, [*plans.knots.on_the_way(s, t), plans.x[s, t]]) for t in range(end.executable)]
         x = np.array([plans.start[s], *(posture for _, way in ways for posture in way)])
         target = np.repeat([t for t, _ in ways], [len(way) for _, way in ways])
         on_way = np.append(target[1:] == target[:-1], False)
         radius = np.full(len(target), TRUST)
-        if len(ways) < plans.tracked[s].sum():
+        if end.executable < end.tracked:
             radius[-1] = 0.0
         radius[(target == 0) & on_way & _is_given_start(problem, s, x[1:])] = 0.0
-        anywhere = bool(problem.scenarios.begins_anywhere[s])
-        return cls(s, x, target, on_way, int(problem.scenarios.on_path[s]), radius, anywhere)
+        return cls(s, x, target, on_way, int(problem.scenarios.on_path[s]), radius, begins_anywhere)
 
     @property
     def held(self) -> Bool[np.ndarray, "P"]:
@@ -102,7 +101,9 @@ def smooth(problem: Problem, plans: Plans) -> Plans:
     """The plans with their motions smoothed, as far as these reach; `way` and `way_clearance` are to be judged anew."""
     kernels = problem.kernels  # made here, before there are threads
     tips = tip_checks(kernels, problem.tip_guard)
-    paths = [Path.of(problem, plans, s) for s in np.flatnonzero(plans.executable[:, 0]).tolist()]
+    ends, anywhere = plans.outcomes, problem.scenarios.begins_anywhere.tolist()  # of all scenarios at once
+    going = np.flatnonzero(ends.executable).tolist()
+    paths = [Path.of(problem, plans, ends.of(s), anywhere[s]) for s in going]
 
     def work(number: int) -> None:
         own, mine = number % len(kernels), paths[number :: problem.threads]
