@@ -1,10 +1,13 @@
 """Knots: the postures on ways that are no straight joint path stay with their scenario and target, in their order."""
 
+from itertools import pairwise
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
 from htcp_jax.planner.knots import Knots
+from htcp_jax.planner.motion_check import segments_of
 from htcp_jax.planner.plans import Plans
 
 SCENARIOS, TARGETS, JOINTS = 4, 5, 2
@@ -111,3 +114,17 @@ def test_plans_of_different_lengths_keep_their_knots_when_they_are_put_together(
     whole = Plans.concatenate([plans_along(knots_of(short), 1, 2), plans_along(knots_of(long), 2)])
     same(ways_in(whole.knots, 3), short | {(s + 1, t): x for (s, t), x in long.items()})
     assert len(whole.without_postures().knots.x) == 0
+
+
+@given(some_ways(), st.lists(st.booleans(), min_size=SCENARIOS * TARGETS, max_size=SCENARIOS * TARGETS))
+def test_ways_are_taken_apart_from_posture_to_posture(ways, wanted):
+    """Those to the rows that are asked for, in their order; the arm turns on the way to every knot."""
+    plans, rows = plans_along(knots_of(ways)), np.reshape(wanted, (SCENARIOS, TARGETS))
+    plans.x[:] = -1.0 - np.arange(plans.x.size).reshape(plans.x.shape)
+    expected = []
+    for s, t in zip(*np.nonzero(rows), strict=True):
+        way = [plans.before(s, t), *ways.get((s, t), []), plans.x[s, t]]
+        expected += [(s, t, *a, *b, k < len(way) - 2) for k, (a, b) in enumerate(pairwise(way))]
+    found = segments_of(plans, rows)
+    columns = [found.scenario[:, None], found.target[:, None], found.a, found.b, found.turns[:, None]]
+    np.testing.assert_array_equal(np.hstack(columns), np.array(expected).reshape(-1, 3 + 2 * JOINTS))

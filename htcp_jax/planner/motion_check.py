@@ -78,7 +78,7 @@ def judge_motions(problem: Problem, plans: Plans) -> None:
         block &= np.logical_and.accumulate(plans.tracked, axis=1)
         if not block.any():
             break
-        segments = _segments(plans, block)
+        segments = segments_of(plans, block)
         _record(plans, segments, _proofs(problem, segments))
         last = min(first + ROWS_AT_ONCE, plans.status.shape[1]) - 1
         going = going[plans.executable[going, last]]
@@ -93,14 +93,14 @@ def tighten(problem: Problem, plans: Plans) -> None:
     loose = plans.executable & (plans.way_clearance < TIGHT * clear[:, None])
     if not loose.any():
         return
-    segments = _segments(plans, loose)
+    segments = segments_of(plans, loose)
     proofs = _proofs(problem, segments, TIGHT)
     found = np.full_like(plans.way_clearance, np.inf)
     np.minimum.at(found, (segments.scenario, segments.target), proofs.clearance)
     plans.way_clearance[loose] = np.maximum(plans.way_clearance, found)[loose]
 
 
-def _segments(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> Segments:
+def segments_of(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> Segments:
     """What the ways to some rows are made of: from knot to knot, and from the last one to the row."""
     s, t = np.nonzero(rows)
     knots = gather(plans.knots, rows[plans.knots.scenario, plans.knots.target])
