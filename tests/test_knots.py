@@ -122,7 +122,7 @@ def test_ways_are_taken_apart_from_posture_to_posture(ways, wanted):
     plans, rows = plans_along(knots_of(ways)), np.reshape(wanted, (SCENARIOS, TARGETS))
     plans.x[:] = -1.0 - np.arange(plans.x.size).reshape(plans.x.shape)
     expected = []
-    for s, t in zip(*np.nonzero(rows), strict=True):
+    for s, t in np.argwhere(rows).tolist():
         way = [plans.before(s, t), *ways.get((s, t), []), plans.x[s, t]]
         expected += [(s, t, *a, *b, k < len(way) - 2) for k, (a, b) in enumerate(pairwise(way))]
     found = segments_of(plans, rows)
