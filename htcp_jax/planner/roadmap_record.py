@@ -44,6 +44,24 @@ class RoadmapRecord:
                 return search, found[0], known[roots[found[0]]]
         raise AssertionError("the first search begins at the start, and needs no transfer")
 
+    def write(self, search: int, leaf: int, transfer: np.ndarray | None) -> list[Knotted]:
+        """Write down the path to a leaf, and how the search ended; returns the knots of its ways."""
+        columns, plans, path = self._searches.columns, self._plans, self._tree.path(leaf)
+        s, nodes = int(columns.scenario[search]), self._tree.nodes(path)
+        ways, fed = [], np.flatnonzero(~nodes.walked)
+        for before, row in pairwise(fed.tolist()):
+            plans.joint_step[s, nodes.target[row]] = np.linalg.norm(nodes.at.x[row] - nodes.at.x[before])
+            if row > before + 1:
+                ways.append((s, int(nodes.target[row]), nodes.at.x[before + 1 : row]))
+        self._write_rows(s, nodes.target[fed], gather(nodes, fed))
+        if self._anywhere[s]:
+            plans.start[s], plans.joint_step[s, 0] = plans.x[s, 0], 0.0
+        if transfer is not None:
+            ways.append((s, self._write_joined(search, int(path[0])), transfer))
+        if columns.status[search] != NONE:
+            plans.status[s, columns.target[search] + 1] = columns.status[search]
+        return ways
+
     def _is_approach(self, search: int) -> bool:
         """Whether it begins at the path's first point, and not at the first target."""
         root = self._tree.path(self._searches.front_of(search)[0])[0]
@@ -55,33 +73,15 @@ class RoadmapRecord:
         nodes = self._tree.nodes(path)
         return int(path[(nodes.target == 0) & ~nodes.walked][0])
 
-    def write(self, search: int, leaf: int, transfer: np.ndarray | None) -> list[Knotted]:
-        """Write down the path to a leaf, and how the search ended; returns the knots of its ways."""
-        columns, plans, path = self._searches.columns, self._plans, self._tree.path(leaf)
-        s, nodes = int(columns.scenario[search]), self._tree.nodes(path)
-        ways, fed = [], np.flatnonzero(~nodes.walked)
-        for before, row in pairwise(fed.tolist()):
-            plans.joint_step[s, nodes.target[row]] = np.linalg.norm(nodes.at.x[row] - nodes.at.x[before])
-            if row > before + 1:
-                ways.append((s, int(nodes.target[row]), nodes.at.x[before + 1 : row]))
-        self._row(s, nodes.target[fed], gather(nodes, fed))
-        if self._anywhere[s]:
-            plans.start[s], plans.joint_step[s, 0] = plans.x[s, 0], 0.0
-        if transfer is not None:
-            ways.append((s, self._joined(search, int(path[0])), transfer))
-        if columns.status[search] != NONE:
-            plans.status[s, columns.target[search] + 1] = columns.status[search]
-        return ways
-
-    def _row(self, s: int, target: np.ndarray, nodes: Nodes) -> None:
-        """Rows, at targets; the start is none. A node that is written to several stays where it is."""
+    def _write_rows(self, s: int, target: np.ndarray, nodes: Nodes) -> None:
+        """A row a node, at its target; the start has none."""
         plans, (target, nodes) = self._plans, gather((target, nodes), target >= 0)
         plans.x[s, target], plans.tcp[s, target] = nodes.at.x, nodes.at.tcp
         plans.clearance[s, target], plans.residual[s, target] = nodes.at.clearance, nodes.at.residual
         plans.status[s, target], plans.iterations[s, target] = Status.TRACKED, nodes.step_qps
         plans.path_clear[s, target] = 1
 
-    def _joined(self, search: int, root: int) -> int:
+    def _write_joined(self, search: int, root: int) -> int:
         """How the arm gets to the posture in which a search begins; returns the target to which that leads. An approach
         leaves its lines: all of its targets but the first are the path's first point."""
         s, plans, x = int(self._searches.columns.scenario[search]), self._plans, self._tree.x
@@ -93,8 +93,8 @@ class RoadmapRecord:
         for table in (self._problem.scenarios.targets, self._problem.scenarios.aims):
             table[s, 1:on_path] = table[s, on_path]
         stays = np.arange(1, on_path)
-        self._row(s, stays, self._tree.nodes(np.full(len(stays), root)))
-        self._row(s, np.zeros(1, int), self._tree.nodes(np.array([row_0])))
+        self._write_rows(s, stays, self._tree.nodes(np.full(len(stays), root)))
+        self._write_rows(s, np.zeros(1, int), self._tree.nodes(np.array([row_0])))
         plans.joint_step[s, 0] = np.linalg.norm(x[row_0] - plans.start[s])
         plans.joint_step[s, 1] = np.linalg.norm(x[root] - x[row_0])
         plans.joint_step[s, 2 : on_path + 1] = 0.0
