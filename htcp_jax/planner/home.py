@@ -71,7 +71,7 @@ class Leaving:
     def run(self, rows: list[int]) -> Ways:
         """The ways that there are; of the other scenarios it is written down why there is none."""
         scenarios, ways = self._problem.scenarios, Ways()
-        anywhere = scenarios.begins_anywhere
+        anywhere = self._problem.begins_anywhere
         self._begin([s for s in rows if anywhere[s]])
         rows = [s for s in rows if not anywhere[s]]
         rows = self._clear(rows, scenarios.x_home, Status.HOME_IN_COLLISION)

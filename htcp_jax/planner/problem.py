@@ -6,7 +6,7 @@ from functools import cached_property
 
 import jax
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from htcp_jax.clearance.obstacle import Obstacles
 from htcp_jax.clearance.scene import Scene
@@ -49,6 +49,11 @@ class Problem:
         scene = Scene(self.robot, self.obstacles, self.task)
         spare = max(1, self.threads // max(1, len(self.to_plan)))  # threads that no scenario of its own keeps busy
         return [Kernels(scene, self.settings, device, threads=spare) for device in self.devices]
+
+    @cached_property
+    def begins_anywhere(self) -> Bool[np.ndarray, "S"]:
+        """`Scenario.begins_anywhere` of all, once: whoever asks for one scenario after the other looks it up here."""
+        return self.scenarios.begins_anywhere
 
     @cached_property
     def tip_guard(self) -> TipGuard | None:

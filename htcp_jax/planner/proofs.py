@@ -57,15 +57,14 @@ def proofs_of(
 ) -> Proof:
     """Of straight joint paths from a to b [rad or m], one a lane; or, with `lane`, several of each."""
     count = len(a)
-    lane = np.arange(count) if lane is None else lane
     if kernels.pays_by_lane:
-        inputs, tube = gather((inputs, tube), lane)
+        inputs, tube = (inputs, tube) if lane is None else gather((inputs, tube), lane)
         return kernels(*prove_call(inputs, a, b, tube, kept, resolution_m, deepest)).proof
     closely = _closely(count, kept, resolution_m, deepest)
     room = PROVE.load.on(kernels.device).capacity
 
     def few(path: np.ndarray, far: Bisection, looks: int) -> Bisection:
-        own_inputs, own_tube = gather((inputs, tube), lane[path])
+        own_inputs, own_tube = gather((inputs, tube), path if lane is None else lane[path])
         ways = (own_inputs, *gather((a, b), path), own_tube, gather(closely, path))
         return kernels(PROVE, *ways, far, far.proof.queries + np.int32(looks))
 

@@ -91,7 +91,6 @@ class Growing:
 
     def __init__(self, problem: Problem, plans: Plans, kernels: Kernels, tip: TipCheck | None):
         self._problem, self._kernels, self._tip = problem, kernels, tip
-        self._anywhere = problem.scenarios.begins_anywhere  # looks at all of them
         self._tree = Tree(plans.x.shape[2])
         self._searches = Searches(problem.settings, self._tree, kernels.freedom > 0)
         self._record = RoadmapRecord(problem, plans, kernels, tip, self._searches)
@@ -122,7 +121,7 @@ class Growing:
             return
         start, unknown = self._problem.scenarios.x_start[new], np.full((len(new), 3), np.nan)
         roots = list(self._tree.plant(Posture(start, *unknown[:, :2].T, unknown), -1)[:, None])
-        for k in np.flatnonzero(self._anywhere[new]).tolist():
+        for k in np.flatnonzero(self._problem.begins_anywhere[new]).tolist():
             others = self._other_postures(new[k], 0, 0)
             roots[k] = others if len(others) else roots[k]
         self._searches.begin(new, self._problem.scenarios.count[new].tolist(), roots)
@@ -132,7 +131,7 @@ class Growing:
         nothing comes to the path, else at the first target, if it may be. Whether there is one."""
         columns, chain = self._searches.columns, self._searches.chain(search)
         s, scenarios, first = int(columns.scenario[search]), self._problem.scenarios, int(columns.target[chain[-1]])
-        on_path, anywhere = int(scenarios.on_path[s]), bool(self._anywhere[s])
+        on_path, anywhere = int(scenarios.on_path[s]), bool(self._problem.begins_anywhere[s])
         off_path = 0 <= first < on_path and not anywhere
         may = off_path or self._problem.settings.transfers or (scenarios.auto_start[s] and not anywhere)
         if columns.status[search] == NONE or not may or len(chain) > MOST_TRANSFERS:

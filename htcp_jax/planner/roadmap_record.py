@@ -24,7 +24,6 @@ class RoadmapRecord:
     def __init__(self, problem: Problem, plans: Plans, kernels: Kernels, tip: TipCheck | None, searches: Searches):
         self._problem, self._plans, self._kernels, self._tip = problem, plans, kernels, tip
         self._searches, self._tree = searches, searches.tree
-        self._anywhere = problem.scenarios.begins_anywhere  # looks at all of them
 
     def chosen(self, last: int) -> tuple[int, int, np.ndarray | None]:
         """What to write down of a scenario whose last search has ended: the search that came furthest, the leaf of its
@@ -33,7 +32,7 @@ class RoadmapRecord:
         s, chain = int(searches.columns.scenario[last]), searches.chain(last)
         for search in sorted(chain[::-1], key=lambda one: -searches.columns.target[one]):
             leaves = searches.front_of(search)
-            if search == chain[-1] or self._anywhere[s]:
+            if search == chain[-1] or self._problem.begins_anywhere[s]:
                 return search, leaves[0], None
             roots = {leaf: int(self._tree.path(leaf)[0]) for leaf in leaves}
             start = self._tree.x[self._row_0(chain[-1])] if self._is_approach(search) else scenarios.x_start[s]
@@ -54,7 +53,7 @@ class RoadmapRecord:
             if row > before + 1:
                 ways.append((s, int(nodes.target[row]), nodes.at.x[before + 1 : row]))
         self._write_rows(s, nodes.target[fed], gather(nodes, fed))
-        if self._anywhere[s]:
+        if self._problem.begins_anywhere[s]:
             plans.start[s], plans.joint_step[s, 0] = plans.x[s, 0], 0.0
         if transfer is not None:
             ways.append((s, self._write_joined(search, int(path[0])), transfer))

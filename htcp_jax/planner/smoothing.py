@@ -52,7 +52,7 @@ class Path:
     rounds: int = 0
 
     @classmethod
-    def of(cls, problem: Problem, plans: Plans, end: Outcome, begins_anywhere: bool) -> "Path":
+    def of(cls, problem: Problem, plans: Plans, end: Outcome) -> "Path":
         """As far as the scenario is executable; its last posture stays where tracked targets follow, and a start that
         was given does between home and the first target."""
         s = end.scenario
@@ -64,7 +64,8 @@ class Path:
         if end.executable < end.tracked:
             radius[-1] = 0.0
         radius[(target == 0) & on_way & _is_given_start(problem, s, x[1:])] = 0.0
-        return cls(s, x, target, on_way, int(problem.scenarios.on_path[s]), radius, begins_anywhere)
+        anywhere = bool(problem.begins_anywhere[s])
+        return cls(s, x, target, on_way, int(problem.scenarios.on_path[s]), radius, anywhere)
 
     @property
     def held(self) -> Bool[np.ndarray, "P"]:
@@ -101,9 +102,9 @@ def smooth(problem: Problem, plans: Plans) -> Plans:
     """The plans with their motions smoothed, as far as these reach; `way` and `way_clearance` are to be judged anew."""
     kernels = problem.kernels  # made here, before there are threads
     tips = tip_checks(kernels, problem.tip_guard)
-    ends, anywhere = plans.outcomes, problem.scenarios.begins_anywhere.tolist()  # of all scenarios at once
+    ends = plans.outcomes  # of all scenarios at once
     going = np.flatnonzero(ends.executable).tolist()
-    paths = [Path.of(problem, plans, ends.of(s), anywhere[s]) for s in going]
+    paths = [Path.of(problem, plans, ends.of(s)) for s in going]
 
     def work(number: int) -> None:
         own, mine = number % len(kernels), paths[number :: problem.threads]

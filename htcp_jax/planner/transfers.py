@@ -31,8 +31,7 @@ def other_postures(
     scenarios, settings = problem.scenarios, problem.settings
     rng = np.random.default_rng([settings.seed, int(scenarios.number[s]), STREAM + round_])
     inputs = lane_inputs(scenarios, np.full(DRAWS, s), np.full(DRAWS, target))
-    home = scenarios.x_home[s]
-    about = scenarios.x_start[s] if np.isnan(home).any() else home  # where the motion begins, if that is known
+    about = scenarios.x_start[s] if problem.begins_anywhere[s] else scenarios.x_home[s]
     x = kernels(SETTLE, inputs, _drawn(problem.robot.slides, kernels.limits, about, rng))
     x = _unwound(x, kernels.limits, about)
     here = kernels(ADVANCE, inputs, x, np.zeros_like(x))
