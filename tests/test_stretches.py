@@ -10,9 +10,9 @@ import pytest
 from test_motion_proof import motions
 
 from htcp_jax.clearance.motion_proof import Tube
-from htcp_jax.planner import stretches
+from htcp_jax.planner.kernel import Load, Table
 from htcp_jax.planner.lane_inputs import lane_inputs
-from htcp_jax.planner.programs import Kernels
+from htcp_jax.planner.programs import Kernels, Programs
 from htcp_jax.planner.proofs import proofs_of
 from htcp_jax.planner.tables import gather
 from htcp_jax.scene.scenario import stack
@@ -46,9 +46,7 @@ def unbroken():
     return proofs_of(kernels(), *asked())
 
 
-@pytest.mark.parametrize("by_lane", [True, False])
-def test_several_paths_of_a_lane_are_proven_as_those_of_as_many_lanes(by_lane, monkeypatch):
-    monkeypatch.setattr(Kernels, "pays_by_lane", by_lane)
+def test_several_paths_of_a_lane_are_proven_as_those_of_as_many_lanes():
     inputs, a, b, tube, *closely = asked()
     lane, few = np.repeat([3, 0, 3], 10), slice(30)
     ways, closely = gather((a, b), few), gather(closely, few)
@@ -60,16 +58,23 @@ def test_several_paths_of_a_lane_are_proven_as_those_of_as_many_lanes(by_lane, m
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("looks", [1, 3, 8])
-def test_proofs_in_stretches_are_unbroken_ones(looks, monkeypatch):
-    """To the last bit: verdicts, places, clearances, and how many places were looked at how closely; whatever other
-    paths there are."""
-    monkeypatch.setattr(Kernels, "pays_by_lane", False)
-    monkeypatch.setattr(stretches, "LOOKS", looks)
+@pytest.mark.parametrize("table", [Table(16, 1, True), Table(64, 8, True), Table(512, 300, True)])
+def test_proofs_in_stretches_are_unbroken_ones(table, monkeypatch):
+    """Verdicts, places, and how many places were looked at how closely; clearances but for what rounds otherwise where
+    lanes are computed side by side. Whatever other paths there are, and however many slots."""
     expected = unbroken()
     assert np.unique(expected.verdict).tolist() == [Way.PROVEN, Way.COLLIDES, Way.LEAVES, Way.TURNS_BACK, Way.OPEN]
+    monkeypatch.setattr(Load, "on", lambda load, device: table)
+    in_stretches = Kernels(made_once.scene(), Settings(), programs=Programs())
     for rows in (slice(None), slice(7, None, 20), [int(np.argmax(expected.queries))]):
-        found, own = proofs_of(kernels(), *gather(asked(), rows)), gather(expected, rows)
+        found, own = proofs_of(in_stretches, *gather(asked(), rows)), gather(expected, rows)
         for name, value in found._asdict().items():
-            np.testing.assert_array_equal(value, getattr(own, name), name)
+            np.testing.assert_allclose(value, getattr(own, name), atol=1e-14 * (name == "clearance"), err_msg=name)
             assert value.dtype == getattr(own, name).dtype
+
+
+def test_of_a_path_that_is_not_proven_nothing_else_is_told():
+    """What was looked at before it was refuted depends on the order."""
+    found = gather(unbroken(), unbroken().verdict != Way.PROVEN)
+    assert not found.queries.any() and not found.depth.any() and np.isinf(found.clearance).all()
+    assert (found.place < 1).all()

@@ -1,8 +1,11 @@
 """How far the bisection of a joint path has come, see `motion_proof`; and what it found."""
 
 import enum
+from functools import partial
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
@@ -10,7 +13,6 @@ from htcp_jax.types import Array, Bool, Int, Scalar
 
 WHOLE_DEPTH = 52  # places on a path are numbers of its 2^-52
 WHOLE = 1 << WHOLE_DEPTH
-UNENDING = np.int32(2**31 - 1)  # looks
 
 
 class Verdict(enum.IntEnum):
@@ -57,3 +59,11 @@ def begun() -> Bisection:
     """Of a whole path of which nothing is known."""
     proof = Proof(np.int32(Verdict.PROVEN), np.float64(1), np.float64(np.inf), np.int32(0), np.int32(0))
     return Bisection(np.int64(0), np.int64(0), np.int64(WHOLE), proof)
+
+
+def of_proven(proof: Proof) -> Proof:
+    """The same, of a path that is not proven its verdict and place alone: what was looked at besides depends on the
+    order."""
+    proven = proof.verdict == Verdict.PROVEN
+    told = jax.tree.map(partial(jnp.where, proven), proof, begun().proof)
+    return told._replace(verdict=proof.verdict, place=proof.place)

@@ -14,6 +14,7 @@ and as the distance to a line is convex, the ends of the straight piece p(m) +- 
 What else the task asks for is bounded in the same way, see `row_proof`.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -21,7 +22,7 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from htcp_jax.clearance.bisection import UNENDING, Bisection, Proof, Verdict, begun
+from htcp_jax.clearance.bisection import Bisection, Proof, Verdict, begun
 from htcp_jax.clearance.interval import on_interval
 from htcp_jax.clearance.motion_bound import ROUNDING_M, tcp_sweep
 from htcp_jax.clearance.obstacle import Posed
@@ -65,10 +66,11 @@ def prove(
     over all of an interval; else it is halved further, up to KEPT_DEPTH times. Without, the clearance of a proof may be
     next to nothing where D is not.
     """
-    return prove_on(scene, where, a, b, tube, resolution_m, deepest, kept, begun(), UNENDING).proof
+    look = look_on(scene, where, a, b, tube, resolution_m, deepest, kept)
+    return jax.lax.while_loop(lambda far: far.going, look, begun()).proof
 
 
-def prove_on(
+def look_on(
     scene: Scene,
     where: Posed,
     a: Joints,
@@ -77,19 +79,14 @@ def prove_on(
     resolution_m: Float[ArrayLike, ""],
     deepest: Int[ArrayLike, ""],
     kept: Float[ArrayLike, ""],
-    far: Bisection,
-    looks: Int[ArrayLike, ""],
-) -> Bisection:
-    """`prove` from where bisection has come so far, until it has had so many looks in all, or is done."""
+) -> Callable[[Bisection], Bisection]:
+    """A step of `prove`: a look at the interval that bisection has come to."""
     line = jnp.zeros(3) if tube is None else tube.end - tube.start
     length = safe_norm(line)
     forwards = line / jnp.where(length > 0, length, 1.0)
     asked = None if tube is None or tube.goals is None else between(scene.task, tube.goals)
 
-    def going(far: Bisection):
-        return far.going & (far.proof.queries < looks)
-
-    def look(far: Bisection):
+    def look(far: Bisection) -> Bisection:
         index, depth, end, proof = far
         half = 0.5 * jnp.ldexp(1.0, -depth)
         place = (2 * index + 1) * half
@@ -117,7 +114,7 @@ def prove_on(
         index, depth = jax.tree.map(partial(jnp.where, proven), _next_interval(index, depth), (2 * index, depth + 1))
         return Bisection(index, depth, end, found)
 
-    return jax.lax.while_loop(going, look, far)
+    return look
 
 
 def path_clear(scene: Scene, settings: Settings, where: Posed, a: Joints, b: Joints) -> Bool[jax.Array, ""]:

@@ -59,6 +59,7 @@ class Kernel:
     load: Load
     settings: tuple[str, ...] = ()
     parts: tuple = ()  # hashable; what tells this kernel from others of the same function
+    refill: Callable = refilled  # how others are let into slots, where the table refills
 
     def values(self, settings: Settings) -> tuple:
         """Of the settings that it reads."""
@@ -71,7 +72,7 @@ class Kernel:
     def program(self, settings: Settings, device: jax.Device) -> Callable:
         """What is compiled for that device: of (scene, count of lanes, tables...)."""
         table = self.load.on(device)
-        return (refilled if table.refills else chunked)(self.of(settings), table.width)
+        return (self.refill if table.refills else chunked)(self.of(settings), table.width)
 
 
 class _NamedSettings(Settings):

@@ -6,18 +6,20 @@ What is asked of a path is data, so that one program serves all who ask.
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.bisection import UNENDING, Bisection, Proof
+from htcp_jax.clearance.bisection import Proof, begun, of_proven
 from htcp_jax.clearance.motion_bound import ROUNDING_M
-from htcp_jax.clearance.motion_proof import DEEPEST, Tube, prove_on
+from htcp_jax.clearance.motion_proof import DEEPEST, Tube, look_on
 from htcp_jax.clearance.scene import Scene, own_scene
-from htcp_jax.planner.kernel import STEP, Kernel
+from htcp_jax.planner.batching import Loop
+from htcp_jax.planner.kernel import TRACKED, Kernel
 from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.planner.programs import Kernels
-from htcp_jax.planner.stretches import Stretches, proven_by_stretches, whole_paths
-from htcp_jax.planner.tables import concatenate, gather
+from htcp_jax.planner.stretches import by_stretches
+from htcp_jax.planner.tables import gather
 from htcp_jax.scene.task import TCP_POSITION, Task
 from htcp_jax.settings import Settings
 from htcp_jax.status import Way
@@ -33,15 +35,14 @@ class Closely(NamedTuple):
     deepest: Int[jax.Array, ""]
 
 
-def prove_way(
-    settings: Settings, scene: Scene, lane: LaneInputs, a, b, tube: Tube, closely: Closely, far: Bisection, looks
-) -> Bisection:
-    """Whether the straight joint path from a to b is a motion, or a stretch of it."""
+def prove_way(settings: Settings, scene: Scene, lane: LaneInputs, a, b, tube: Tube, closely: Closely) -> Loop:
+    """Whether the straight joint path from a to b is a motion. The loop's result is a `Proof`, see `of_proven`."""
     own = own_scene(scene, lane.tool_extension_m)
-    return prove_on(own, lane, a, b, tube, closely.resolution_m, closely.deepest, closely.kept, far, looks)
+    look = look_on(own, lane, a, b, tube, closely.resolution_m, closely.deepest, closely.kept)
+    return Loop(jax.tree.map(jnp.asarray, begun()), lambda far: far.going, look, lambda far: of_proven(far.proof))
 
 
-PROVE = Kernel("prove", prove_way, STEP)
+PROVE = Kernel("prove", prove_way, TRACKED, refill=by_stretches)
 
 
 def proofs_of(
@@ -56,36 +57,15 @@ def proofs_of(
     lane: Int[np.ndarray, "n"] | None = None,
 ) -> Proof:
     """Of straight joint paths from a to b [rad or m], one a lane; or, with `lane`, several of each."""
-    count = len(a)
-    if kernels.pays_by_lane:
-        inputs, tube = (inputs, tube) if lane is None else gather((inputs, tube), lane)
-        return kernels(*prove_call(inputs, a, b, tube, kept, resolution_m, deepest)).proof
-    closely = _closely(count, kept, resolution_m, deepest)
-    room = PROVE.load.on(kernels.device).capacity
-
-    def few(path: np.ndarray, far: Bisection, looks: int) -> Bisection:
-        own_inputs, own_tube = gather((inputs, tube), path if lane is None else lane[path])
-        ways = (own_inputs, *gather((a, b), path), own_tube, gather(closely, path))
-        return kernels(PROVE, *ways, far, far.proof.queries + np.int32(looks))
-
-    def look(stretches: Stretches, looks: int) -> Bisection:
-        """Call by call: tables of all would be copied through memory, those of a call stay near the core."""
-        calls = [slice(first, first + room) for first in range(0, len(stretches.path), room)]
-        return concatenate([few(*gather((stretches.path, stretches.far), call), looks) for call in calls])
-
-    return proven_by_stretches(look, count, room)
+    if lane is not None:
+        inputs, tube = gather((inputs, tube), lane)
+    return kernels(*prove_call(inputs, a, b, tube, kept, resolution_m, deepest))
 
 
 def prove_call(inputs: LaneInputs, a, b, tube: Tube, kept=0.0, resolution_m=-ROUNDING_M, deepest=DEEPEST) -> tuple:
     """The kernel and its tables for these, see `Kernels.preparing`."""
-    count = len(a)
-    closely = _closely(count, kept, resolution_m, deepest)
-    return PROVE, inputs, a, b, tube, closely, whole_paths(count).far, np.full(count, UNENDING)
-
-
-def _closely(count: int, kept, resolution_m, deepest) -> Closely:
-    """One of each path's own, or one for all of them."""
-    return Closely(*(np.broadcast_to(value, count) for value in (kept, resolution_m, np.asarray(deepest, int))))
+    closely = Closely(*(np.broadcast_to(value, len(a)) for value in (kept, resolution_m, np.asarray(deepest, int))))
+    return PROVE, inputs, a, b, tube, closely
 
 
 def clear_paths(

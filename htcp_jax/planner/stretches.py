@@ -1,84 +1,117 @@
 """Joint paths that are proven in stretches side by side, for machines that compute many lanes in the time of one.
 
-Most proofs take a look or two, a few take thousands, and all would wait for those. So a call looks at a few intervals
-of every stretch. What is not done then gives away its far end, the longest interval that bisection has yet to come to,
-as long as there are lanes with nothing to do. What bisection finds of an interval does not depend on those before it:
-put together again, all is as if each path had been looked at from its one end to the other. What lies behind a place
-where a path is refuted is forgotten.
+Most proofs take a look or two, a few take thousands, and all would wait for those. So each slot looks at a stretch of a
+path. One that is through lets in the next path; when none is left it takes over the far end of another one's stretch,
+the longest interval that bisection has yet to come to there. What bisection finds of an interval does not depend on
+those before it: put together again, all is as if each path had been looked at from its one end to the other. What lies
+behind a place where a path is refuted is forgotten.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
-import numpy as np
+import jax.numpy as jnp
 
-from htcp_jax.clearance.bisection import WHOLE, WHOLE_DEPTH, Bisection, Proof, begun
-from htcp_jax.planner.tables import concatenate, gather
-from htcp_jax.status import Way
-from htcp_jax.types import Int
-
-LOOKS = 8  # at a stretch in a call, after the first, which looks once: most paths need no more
+from htcp_jax.clearance.bisection import WHOLE, WHOLE_DEPTH, Bisection, Proof, Verdict, begun, of_proven
+from htcp_jax.types import Bool, Int
 
 
-class Stretches(NamedTuple):
-    """Stretches of paths, and how far their proofs have come."""
+class Slots(NamedTuple):
+    """Stretches side by side, each in a slot, and how far their proofs have come."""
 
-    path: Int[np.ndarray, "n"]
-    start: Int[np.ndarray, "n"]  # of WHOLE
+    row: Int[jax.Array, "width"]  # of the path in the tables; their length where a slot has nothing to do
     far: Bisection
 
 
-def whole_paths(count: int) -> Stretches:
-    """As many, of which nothing is known."""
-    far = jax.tree.map(lambda value: np.full(count, value), begun())
-    return Stretches(np.arange(count), np.zeros(count, np.int64), far)
+class Known(NamedTuple):
+    """Of every path, put together from its stretches."""
+
+    refuted: Int[jax.Array, "capacity"]  # the first place where it is, or is open, of WHOLE
+    proof: Proof
 
 
-def proven_by_stretches(look: Callable[[Stretches, int], Bisection], count: int, room: int) -> Proof:
-    """What there is to find of so many paths. look: at so many intervals of each of some stretches, in the time of
-    `room` of them however few they are."""
-    going, looks, done = whole_paths(count), 1, []
-    refuted = np.full(count, WHOLE)  # where, of WHOLE
-    while len(going.path):
-        going = going._replace(far=look(going, looks))
-        fails = going.far.proof.verdict != Way.PROVEN
-        np.minimum.at(refuted, going.path[fails], going.start[fails])
-        done.append(gather(going, ~going.far.going))
-        going = gather(going, going.far.going & (going.start < refuted[going.path]))
-        going, looks = shared_out(going, room), LOOKS
-    done = concatenate(done)
-    return _together(gather(done, done.start <= refuted[done.path]), count)
+def by_stretches(function: Callable, width: int) -> Callable:
+    """`batching.refilled` for a function whose loop is a bisection that results in `of_proven`."""
+
+    def run(scene, lanes, *tables) -> Proof:
+        capacity = jax.tree.leaves(tables)[0].shape[0]
+
+        @jax.vmap
+        def look(row, far: Bisection) -> Bisection:
+            lane = jax.tree.map(lambda table: table[row], tables)
+            return function(scene, *lane).step(far)
+
+        def turn(now):
+            slots, first, known = now
+            slots, first = _let_in(slots, first, lanes, capacity)
+            slots = _shared_out(slots, capacity)
+            far = look(jnp.where(slots.row < capacity, slots.row, 0), slots.far)
+            slots, known = _put_together(slots._replace(far=far), known, capacity)
+            return slots, first, known
+
+        def more(now) -> jax.Array:
+            slots, first, _ = now
+            return (first < lanes) | jnp.any(slots.row < capacity)
+
+        slots = Slots(jnp.full(width, capacity, jnp.int32), _table(begun(), width))
+        known = Known(jnp.full(capacity, WHOLE), _table(begun().proof, capacity))
+        *_, known = jax.lax.while_loop(more, turn, (slots, jnp.zeros((), jnp.int32), known))
+        return jax.vmap(of_proven)(known.proof)
+
+    return jax.jit(run)
 
 
-def shared_out(going: Stretches, room: int) -> Stretches:
-    """The same as up to `room` stretches: each gives away its far end, and again what is its far end then."""
-    parts = [going]
-    while True:
-        far = going.far
-        rest = far.end - far.place - (1 << (WHOLE_DEPTH - far.depth))  # behind the interval that is next
-        gives = rest > 0
-        room -= len(parts[-1].path)
-        gives &= np.cumsum(gives) <= room
-        if not gives.any():
-            return concatenate([going, *parts[1:]])
-        # The longest interval at the end that bisection comes to: as long as the largest power of two in the rest.
-        level = np.frexp(rest[gives].astype(float))[1].astype(int) - 1
-        end, start = far.end[gives], far.end[gives] - (1 << level)
-        new = Stretches(going.path[gives], start, whole_paths(len(start)).far)
-        parts.append(new._replace(far=new.far._replace(index=start >> level, depth=WHOLE_DEPTH - level, end=end)))
-        left = far.end.copy()
-        left[gives] = start
-        going = going._replace(far=far._replace(end=left))
+def _let_in(slots: Slots, first: jax.Array, lanes: jax.Array, capacity: int) -> tuple[Slots, jax.Array]:
+    """The next paths, as many as there are free slots."""
+    free = slots.row == capacity
+    row = first + jnp.cumsum(free, dtype=jnp.int32) - 1
+    new = free & (row < lanes)
+    far = jax.tree.map(lambda fresh, own: jnp.where(new, fresh, own), begun(), slots.far)
+    return Slots(jnp.where(new, row, slots.row), far), first + jnp.sum(new, dtype=jnp.int32)
 
 
-def _together(done: Stretches, count: int) -> Proof:
-    """The proofs of whole paths from those of their stretches, of which the last is refuted or open, if any."""
-    path, (verdict, place, clearance, queries, depth) = done.path, done.far.proof
-    whole = whole_paths(count).far.proof
-    last = verdict != Way.PROVEN
-    whole.verdict[path[last]], whole.place[path[last]] = verdict[last], place[last]
-    np.minimum.at(whole.clearance, path, clearance)
-    np.add.at(whole.queries, path, queries)
-    np.maximum.at(whole.depth, path, depth)
-    return whole
+def _shared_out(slots: Slots, capacity: int) -> Slots:
+    """Every free slot takes over the far end of another one's stretch, as long as there are such ends."""
+    row, far = slots
+    rest = far.end - far.place - (1 << (WHOLE_DEPTH - far.depth))  # behind the interval that is next
+    free, gives = row == capacity, (row < capacity) & (rest > 0)
+    nth_free, nth_giver = (jnp.cumsum(which, dtype=jnp.int32) - 1 for which in (free, gives))
+    gives &= nth_giver < jnp.sum(free)
+    takes = free & (nth_free < jnp.sum(gives))
+    giver = jnp.nonzero(gives, size=len(row), fill_value=0)[0][jnp.where(takes, nth_free, 0)]
+    # The longest interval at the end that bisection comes to: as long as the largest power of two in the rest.
+    level = 63 - jax.lax.clz(jnp.maximum(rest, 1))
+    start = far.end - (1 << level)
+    new = begun()._replace(index=start[giver] >> level[giver], depth=WHOLE_DEPTH - level[giver], end=far.end[giver])
+    left = far._replace(end=jnp.where(gives, start, far.end))
+    far = jax.tree.map(lambda fresh, own: jnp.where(takes, fresh, own), new, left)
+    return Slots(jnp.where(takes, row[giver], row), far)
+
+
+def _put_together(slots: Slots, known: Known, capacity: int) -> tuple[Slots, Known]:
+    """What is known after a look, and the slots that go on."""
+    row, far = slots
+    whole, found = known.proof, far.proof
+
+    def where(which: Bool[jax.Array, "width"]) -> jax.Array:
+        return jnp.where(which, row, capacity)  # what is written there is dropped
+
+    fails = (row < capacity) & (found.verdict != Verdict.PROVEN)
+    refuted = known.refuted.at[where(fails)].min(far.place, mode="drop")
+    first = fails & (far.place == refuted[jnp.minimum(row, capacity - 1)])
+    goes_on = far.going & (far.place < refuted[jnp.minimum(row, capacity - 1)])
+    through = where(~goes_on)
+    whole = Proof(
+        whole.verdict.at[where(first)].set(found.verdict, mode="drop"),
+        whole.place.at[where(first)].set(found.place, mode="drop"),
+        whole.clearance.at[through].min(found.clearance, mode="drop"),
+        whole.queries.at[through].add(found.queries, mode="drop"),
+        whole.depth.at[through].max(found.depth, mode="drop"),
+    )
+    return Slots(where(goes_on), far), Known(refuted, whole)
+
+
+def _table(one: Any, length: int) -> Any:
+    """Of as many rows, all the same."""
+    return jax.tree.map(lambda value: jnp.full(length, value), one)
