@@ -26,6 +26,7 @@ from htcp_jax.runs.local import Planned, Shard, plan_cells, scenarios_of
 from htcp_jax.runs.provenance import planned_by
 from htcp_jax.scene.scenario import Scenario
 
+HERE = "local"  # the address of a Ray that is started on this machine, and gets no other
 LOOK_S = 0.5  # how often a waiting sweep looks for a signal
 GPU_SHARE = 0.75  # of a GPU's memory that JAX takes for itself unless told
 
@@ -35,8 +36,8 @@ def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]
     """Connects to the cluster at `address`, without one to the cluster that Ray knows of or to a new one of this
     machine, and hands out plan(shards, report), see `local.plan_here`.
 
-    Raises InputError where Ray is not installed or not there; plan raises Lost when a shard's workers died more
-    often than `config.ray.retries` allows, or the cluster did.
+    Raises InputError where Ray is not installed, not there, or this machine has not the GPUs of a shard; plan raises
+    Lost when a shard's workers died more often than `config.ray.retries` allows, or the cluster did.
     """
     try:
         import ray  # here, because it is an extra
@@ -52,6 +53,8 @@ def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]
     except Exception as error:  # of many kinds, plain Exception among them
         raise InputError(f"cannot reach Ray at {address or 'this machine'}: {' '.join(str(error).split())}") from None
     try:
+        if address == HERE and (has := ray.cluster_resources().get("GPU", 0)) < config.ray.num_gpus:
+            raise InputError(f"ray.num_gpus is {config.ray.num_gpus:g}; this machine has {has:g}")  # and never will
         yield lambda shards, report: _plan(ray, batch, config, shards, report)
     except Lost:
         ours = False  # Ray may end this process over a node that is gone, and what is to be told is not told yet

@@ -17,6 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 import pyarrow as pa
 
@@ -75,13 +76,13 @@ def sweep(
     limit: plan only the first scenarios of the grid. shard_scenarios: so many make a shard; a run folder keeps its
     first choice. finished: called with every shard that is written. on: "here" plans on this machine, in processes if
     they pay or with `threads` engines of this one, see `batch.plan`; "ray" or "ray:<address>" sends the shards to Ray's
-    workers, see `ray_`. device: of this process, see `planner.devices`.
+    workers, see `ray_`. device: see `choose_device`.
 
     Raises InputError for bad input, for a folder that holds another sweep, is in use or cannot be written;
     Interrupted on SIGINT and SIGTERM, and Lost when workers are, after which the finished shards are in the folder
     and the rest is not.
     """
-    choose(device)  # before anything is computed
+    choose_device(on, device)  # before anything is computed
     chosen = method_names(methods)
     if isinstance(spec, Sweep):
         if config is not None or overrides or seed is not None:
@@ -118,6 +119,17 @@ def sweep(
         except Lost as lost:
             raise Lost(f"{lost}; {_how_to_go_on(run)}") from None
         return run
+
+
+def choose_device(on: str, device: str | None) -> None:
+    """What this process computes on, see `planner.devices`; with Ray the CPU, as GPUs are its workers'. Raises
+    InputError for a device that is not here, and for one beside Ray."""
+    if on == "here":
+        choose(device)
+    elif device is not None:
+        raise InputError(f"device is {device!r}; that of Ray's workers is said by ray.num_gpus")
+    else:
+        jax.config.update("jax_platforms", "cpu")  # if nothing was computed yet
 
 
 def keep_plans(spec: Sweep, method: str, plans: Plans, out: str | Path) -> Run:
