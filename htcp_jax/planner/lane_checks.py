@@ -13,7 +13,7 @@ from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.proofs import clear_paths
-from htcp_jax.planner.tables import gather
+from htcp_jax.planner.tables import gather, portions
 from htcp_jax.planner.tip_check import TipCheck, tip_checks
 from htcp_jax.scene.scenario import Scenario
 from htcp_jax.settings import Settings
@@ -81,17 +81,15 @@ def check_remaining_paths(problem: Problem, plans: Plans) -> None:
     s, t = np.nonzero(plans.tracked & (plans.path_clear < 0))
     if not len(s):
         return
-    before, inputs = plans.before(s, t), lane_inputs(problem.scenarios, s, t)
     kernels = problem.kernels  # made here, before there are threads
     tips = tip_checks(kernels, problem.tip_guard)
 
     def check(number: int) -> None:
-        part = np.arange(len(s))[number :: problem.threads]
-        pick = gather((inputs, before, plans.x[s, t]), part)
-        if len(part):
-            own = number % len(kernels)
-            clear = _clear(kernels[own], problem.settings, *pick)
-            plans.path_clear[s[part], t[part]] = clear if tips[own] is None else clear & ~tips[own].along(*pick)
+        own, mine = number % len(kernels), slice(number, None, problem.threads)
+        for row, at in portions((s[mine], t[mine])):
+            ways = lane_inputs(problem.scenarios, row, at), plans.before(row, at), plans.x[row, at]
+            clear = _clear(kernels[own], problem.settings, *ways)
+            plans.path_clear[row, at] = clear if tips[own] is None else clear & ~tips[own].along(*ways)
 
     with ThreadPoolExecutor(problem.threads) as pool:
         list(pool.map(check, range(problem.threads)))

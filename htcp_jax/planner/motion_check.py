@@ -19,7 +19,7 @@ from htcp_jax.planner.plans import Plans
 from htcp_jax.planner.problem import Problem
 from htcp_jax.planner.programs import Kernels
 from htcp_jax.planner.proofs import proofs_of
-from htcp_jax.planner.tables import concatenate, gather
+from htcp_jax.planner.tables import concatenate, gather, portions
 from htcp_jax.planner.tip_check import TipCheck, tip_checks
 from htcp_jax.scene.scenario import Scenario
 from htcp_jax.scene.task import TCP_POSITION, Task
@@ -135,9 +135,9 @@ def _proofs(problem: Problem, segments: Segments, kept: float = KEPT) -> Proof:
     count, threads = len(segments.target), min(problem.threads, len(segments.target))
 
     def look(number: int) -> Proof:
-        own = number % len(kernels)
-        part = gather(segments, np.arange(number, count, threads))
-        return prove_segments(problem, kernels[own], tips[own], part, kept)
+        own, mine = number % len(kernels), gather(segments, slice(number, None, threads))
+        proven = [prove_segments(problem, kernels[own], tips[own], part, kept) for part in portions(mine)]
+        return concatenate(proven)
 
     with ThreadPoolExecutor(threads) as pool:
         proofs = concatenate(list(pool.map(look, range(threads))))

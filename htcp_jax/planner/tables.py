@@ -1,12 +1,14 @@
 """Tables with a row a lane, in any tree of numpy arrays."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TypeVar
 
 import jax
 import numpy as np
 
 Tables = TypeVar("Tables")
+
+PORTION = 16384  # rows, as many as the largest table of a kernel
 
 
 def gather(tables: Tables, rows) -> Tables:
@@ -18,6 +20,12 @@ def gather(tables: Tables, rows) -> Tables:
             return tables
         rows = np.flatnonzero(rows)  # counted once, not for every table
     return jax.tree.map(lambda table: table.take(rows, axis=0), tables)  # in half the time of table[rows]
+
+
+def portions(tables: Tables) -> Iterator[Tables]:
+    """All rows, so many at a time that what is made of them stays small."""
+    for first in range(0, len(jax.tree.leaves(tables)[0]), PORTION):
+        yield gather(tables, slice(first, first + PORTION))
 
 
 def concatenate(parts: Sequence[Tables]) -> Tables:
