@@ -55,9 +55,7 @@ def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]
     try:
         # A cluster may grow, and is waited for.
         if address == HERE and (has := ray.cluster_resources().get("GPU", 0)) < config.ray.num_gpus:
-            raise InputError(
-                f"ray.num_gpus is {config.ray.num_gpus:g}; this machine has {has:g} GPUs"
-            )  # and never will
+            raise InputError(f"ray.num_gpus is {config.ray.num_gpus:g}; this machine has {has:g} GPUs")
         yield lambda shards, report: _plan(ray, batch, config, shards, report)
     except Lost:
         ours = False  # Ray may end this process over a node that is gone, and what is to be told is not told yet
