@@ -4,16 +4,20 @@ from dataclasses import replace
 from functools import cache
 
 import jax
+import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
 from test_motion_proof import motions
 
-from htcp_jax.clearance.motion_proof import Tube
+from htcp_jax.clearance.bisection import Bisection, Proof, Verdict, begun, of_proven
+from htcp_jax.clearance.motion_proof import Tube, _next_interval
+from htcp_jax.planner.batching import Loop, chunked
 from htcp_jax.planner.kernel import Load, Table
 from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.programs import Kernels, Programs
 from htcp_jax.planner.proofs import proofs_of
+from htcp_jax.planner.stretches import by_stretches
 from htcp_jax.planner.tables import gather
 from htcp_jax.scene.scenario import stack
 from htcp_jax.settings import Settings
@@ -78,3 +82,46 @@ def test_of_a_path_that_is_not_proven_nothing_else_is_told():
     found = gather(unbroken(), unbroken().verdict != Way.PROVEN)
     assert not found.queries.any() and not found.depth.any() and np.isinf(found.clearance).all()
     assert (found.place < 1).all()
+
+
+def made_up(scene, room, place, bad, kind) -> Loop:
+    """A bisection that needs no arm: an interval holds that is shorter than there is room at its middle; a middle near
+    one of the bad places is refuted, whether its interval holds or not."""
+
+    def look(far: Bisection) -> Bisection:
+        half = 0.5 * jnp.ldexp(1.0, -far.depth)
+        middle = (2 * far.index + 1) * half
+        left = room + jnp.abs(middle - place) - 2 * half
+        verdict = jnp.where(jnp.min(jnp.abs(middle - bad)) < 0.02, kind, int(Verdict.PROVEN))
+        is_open = (verdict == Verdict.PROVEN) & (left < 0) & (far.depth >= 14)
+        verdict = jnp.where(is_open, int(Verdict.OPEN), verdict).astype(jnp.int32)
+        proof = Proof(
+            verdict,
+            jnp.where(verdict == Verdict.PROVEN, 1.0, middle),
+            jnp.where(left >= 0, jnp.minimum(far.proof.clearance, left), far.proof.clearance),
+            far.proof.queries + 1,
+            jnp.maximum(far.proof.depth, far.depth.astype(jnp.int32)),
+        )
+        moved = _next_interval(far.index, far.depth), (2 * far.index, far.depth + 1)
+        index, depth = jax.tree.map(lambda *way: jnp.where(left >= 0, *way), *moved)
+        return Bisection(index, depth, far.end, proof)
+
+    begin = jax.tree.map(jnp.asarray, begun())
+    return Loop(begin, lambda far: far.going, look, lambda far: of_proven(far.proof))
+
+
+@pytest.mark.parametrize(("capacity", "width"), [(300, 16), (64, 64), (40, 100), (5, 3), (1, 8)])
+def test_made_up_paths_come_out_as_from_end_to_end(capacity, width):
+    """To the last bit, of any number of paths and slots; also where two refute each other's path at once, and where a
+    look that refutes has moved on."""
+    rng = np.random.default_rng([capacity, width])
+    room, place = 10.0 ** rng.uniform(-5, 0, capacity), rng.uniform(0, 1, capacity)
+    bad = rng.uniform(-4, 1, (capacity, 3))
+    room[::3], place[::3], bad[::3, :2] = 0.2, 0.9, (0.25, 0.75)  # both halves are refuted, and the first one holds
+    paths = room, place, bad, rng.integers(1, 4, capacity)
+    for lanes in {1, capacity // 2 + 1, capacity}:
+        expected = gather(chunked(made_up, 1)(None, lanes, *paths), slice(lanes))
+        found = gather(by_stretches(made_up, width)(None, lanes, *paths), slice(lanes))
+        for name, value in found._asdict().items():
+            np.testing.assert_array_equal(value, getattr(expected, name), name)
+    assert capacity < 300 or np.unique(expected.verdict).tolist() == list(Verdict)

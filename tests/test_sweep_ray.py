@@ -8,7 +8,6 @@ import warnings
 from collections.abc import Collection
 from pathlib import Path
 
-import jax
 import numpy as np
 import pytest
 import trimesh
@@ -18,7 +17,7 @@ from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.runs.provenance import planned_by
 from htcp_jax.runs.run_folder import open_run
-from htcp_jax.runs.sweep import choose_device, sweep
+from htcp_jax.runs.sweep import device_of, sweep
 
 ray = pytest.importorskip("ray", reason="Ray is an extra: pip install 'htcp_jax[ray]'")
 WORKING = "ray::_plan_shard"
@@ -115,20 +114,21 @@ def test_a_place_that_is_none_is_one_line(here, capsys, on, line):
 def test_a_device_beside_ray_and_gpus_that_this_machine_has_not_are_one_line(here, capsys, one_worker):
     """GPUs are the workers'; on a Ray of this machine nobody waits for one that never comes."""
     for words, line in (
-        (("--device", "cpu"), "device is 'cpu'; that of Ray's workers is said by ray.num_gpus"),
+        (
+            ("--device", "gpu"),
+            "device is 'gpu'; with Ray it can be cpu alone, and ray.num_gpus says what its workers get",
+        ),
         (("--set", "ray.num_gpus=0.5"), "ray.num_gpus is 0.5; this machine has 0 GPUs"),
     ):
-        assert main(["sweep", "grid.yaml", "--on", "ray:local", "--out", "run", *words]) == 2
+        assert main(["sweep", "grid.yaml", "--on", "ray", "--out", "run", *words]) == 2
         assert capsys.readouterr().err == f"htcp: {line}\n"
         assert not (here / "run").exists()
 
 
-def test_with_ray_the_process_that_was_called_leaves_gpus_to_the_workers(monkeypatch):
+def test_with_ray_the_command_leaves_gpus_to_the_workers():
     """It would take three quarters of a GPU's memory, which the worker beside it needs."""
-    monkeypatch.setattr(jax.config, "update", lambda *what: told.append(what))
-    told = []
-    choose_device("ray", None)
-    assert told == [("jax_platforms", "cpu")]
+    assert device_of("ray", None) == device_of("ray:local", "cpu") == "cpu"
+    assert device_of("here", None) is None and device_of("here", "gpu:2") == "gpu:2"
 
 
 def test_what_a_shard_asks_of_the_cluster_is_no_part_of_a_runs_identity(here):

@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 
 from htcp_jax.types import Array, Bool, Int, Scalar
 
-WHOLE_DEPTH = 52  # places on a path are numbers of its 2^-52
+WHOLE_DEPTH = 52  # places on a path are numbers of its 2^-52; nothing may be halved as often
 WHOLE = 1 << WHOLE_DEPTH
 
 
@@ -62,8 +62,8 @@ def begun() -> Bisection:
 
 
 def of_proven(proof: Proof) -> Proof:
-    """The same, of a path that is not proven its verdict and place alone: what was looked at besides depends on the
-    order."""
+    """The same; of a path that is not proven its verdict and place alone, and nothing known of the rest, which depends
+    on the order of looks."""
     proven = proof.verdict == Verdict.PROVEN
     told = jax.tree.map(partial(jnp.where, proven), proof, begun().proof)
     return told._replace(verdict=proof.verdict, place=proof.place)

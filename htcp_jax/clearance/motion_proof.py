@@ -80,7 +80,7 @@ def look_on(
     deepest: Int[ArrayLike, ""],
     kept: Float[ArrayLike, ""],
 ) -> Callable[[Bisection], Bisection]:
-    """A step of `prove`: a look at the interval that bisection has come to."""
+    """What `prove` repeats: a look at the interval that bisection has come to."""
     line = jnp.zeros(3) if tube is None else tube.end - tube.start
     length = safe_norm(line)
     forwards = line / jnp.where(length > 0, length, 1.0)

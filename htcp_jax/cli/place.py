@@ -16,8 +16,10 @@ from htcp_jax.placement.mounting import UNITS
 from htcp_jax.placement.place import PlaceProgress
 from htcp_jax.placement.place import place as search_places
 from htcp_jax.placement.placed import Placed
+from htcp_jax.planner.devices import choose
 from htcp_jax.report.document import Column, Table
 from htcp_jax.report.place_pictures import draw_search
+from htcp_jax.runs import sweep as sweeps
 
 NONE_FOUND = 3
 File = Annotated[Path, typer.Argument(metavar="PLACE.yaml", help="Ranges, seams, and what is to be spare.")]
@@ -54,6 +56,7 @@ def place(
     htcp place configs/place/duct.yaml --scenarios 500 --out out/try
     htcp view out/duct                                     the ranked ones in the browser
     """
+    choose(sweeps.device_of(on, device))  # before anything is read
     changes: dict[str, Any] = {} if seed is None else {"seed": seed}
     if scenarios is not None and seconds is not None:
         raise InputError("--scenarios and --seconds say the same; leave out one")

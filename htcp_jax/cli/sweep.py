@@ -26,6 +26,7 @@ from htcp_jax.cli.output import (
 )
 from htcp_jax.cli.timing import check_feed, print_timing, timed, timing_records
 from htcp_jax.jobs.grid import load_sweep
+from htcp_jax.planner.devices import choose
 from htcp_jax.report.document import Column, Table
 from htcp_jax.runs import sweep as sweeps
 from htcp_jax.runs.plan_folder import summary_record
@@ -77,7 +78,7 @@ def sweep(
     if out is None:
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
     running, chosen = RunningSummary(), sweeps.method_names(methods)
-    sweeps.choose_device(on, device)  # before anything is read
+    choose(sweeps.device_of(on, device))  # before anything is read
     spec = load_sweep(file, config, sweeps.seeded(overrides or (), seed))
     feed = spec.config.program.feed if feed is None else feed
     if feed is not None:

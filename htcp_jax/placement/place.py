@@ -73,7 +73,6 @@ def place(
     or is in use, and where every start collides; Interrupted and Lost as a sweep does, with what is finished in the
     folder.
     """
-    sweeps.choose_device(on, device)  # before anything is computed
     search, folder = load_search(spec, config, overrides, changes), Path(out)
     _refuse(search)
     with searching(folder, search):

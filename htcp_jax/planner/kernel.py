@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import jax
 
 from htcp_jax.planner.batching import chunked, refilled
+from htcp_jax.planner.tables import PORTION
 from htcp_jax.settings import Settings
 
 _SETTINGS = frozenset(field.name for field in fields(Settings))
@@ -15,7 +16,7 @@ _SETTINGS = frozenset(field.name for field in fields(Settings))
 
 class Table(NamedTuple):
     """Size of the table that a program is compiled for, and how many of its lanes it computes side by side. One that
-    refills lets others in where lanes are through, see `batching.refilled`; calls of few lanes get a short one then."""
+    refills lets others in where lanes are through, see `Kernel.refill`; calls of few lanes get a short one then."""
 
     capacity: int
     width: int
@@ -41,7 +42,7 @@ class Load(NamedTuple):
 ALONE = Table(128, 1)
 STEP = Load(cpu=ALONE, gpu=Table(4096, 4096))  # what every lane needs all the time
 DEEP = Load(cpu=ALONE, gpu=Table(2048, 512))  # what few lanes need, or what has loops of its own to vectorise
-TRACKED = Load(cpu=ALONE, gpu=Table(16384, 4096, refills=True))  # loops of some steps, in the longest calls of all
+TRACKED = Load(cpu=ALONE, gpu=Table(PORTION, 4096, refills=True))  # loops of some steps, in the longest calls of all
 WALKED = Load(cpu=ALONE, gpu=Table(2048, 512, refills=True))  # the same of what is DEEP
 SAMPLED = Load(cpu=ALONE, gpu=Table(256, 128))  # with hundreds of configurations a lane
 

@@ -20,19 +20,20 @@ from htcp_jax.types import Bool, Int
 class Slots(NamedTuple):
     """Stretches side by side, each in a slot, and how far their proofs have come."""
 
-    row: Int[jax.Array, "width"]  # of the path in the tables; their length where a slot has nothing to do
+    row: Int[jax.Array, "width"]  # of the path in the tables; their length where the slot is free
     far: Bisection
 
 
 class Known(NamedTuple):
     """Of every path, put together from its stretches."""
 
-    refuted: Int[jax.Array, "capacity"]  # the first place where it is, or is open, of WHOLE
+    ends: Int[jax.Array, "capacity"]  # where the first interval begins that is refuted or open, of WHOLE
     proof: Proof
 
 
 def by_stretches(function: Callable, width: int) -> Callable:
-    """`batching.refilled` for a function whose loop is a bisection that results in `of_proven`."""
+    """`batching.refilled` for a function whose loop is a bisection: its state is a `Bisection` that has begun nowhere
+    yet, every step a look, and its result `of_proven`."""
 
     def run(scene, lanes, *tables) -> Proof:
         capacity = jax.tree.leaves(tables)[0].shape[0]
@@ -43,16 +44,16 @@ def by_stretches(function: Callable, width: int) -> Callable:
             return function(scene, *lane).step(far)
 
         def turn(now):
-            slots, first, known = now
-            slots, first = _let_in(slots, first, lanes, capacity)
+            slots, following, known = now
+            slots, following = _let_in(slots, following, lanes, capacity)
             slots = _shared_out(slots, capacity)
             far = look(jnp.where(slots.row < capacity, slots.row, 0), slots.far)
-            slots, known = _put_together(slots._replace(far=far), known, capacity)
-            return slots, first, known
+            slots, known = _put_together(slots, far, known, capacity)
+            return slots, following, known
 
         def more(now) -> jax.Array:
-            slots, first, _ = now
-            return (first < lanes) | jnp.any(slots.row < capacity)
+            slots, following, _ = now
+            return (following < lanes) | jnp.any(slots.row < capacity)
 
         slots = Slots(jnp.full(width, capacity, jnp.int32), _table(begun(), width))
         known = Known(jnp.full(capacity, WHOLE), _table(begun().proof, capacity))
@@ -62,17 +63,17 @@ def by_stretches(function: Callable, width: int) -> Callable:
     return jax.jit(run)
 
 
-def _let_in(slots: Slots, first: jax.Array, lanes: jax.Array, capacity: int) -> tuple[Slots, jax.Array]:
-    """The next paths, as many as there are free slots."""
+def _let_in(slots: Slots, following: jax.Array, lanes: jax.Array, capacity: int) -> tuple[Slots, jax.Array]:
+    """The paths that are next, as many as there are free slots."""
     free = slots.row == capacity
-    row = first + jnp.cumsum(free, dtype=jnp.int32) - 1
+    row = following + jnp.cumsum(free, dtype=jnp.int32) - 1
     new = free & (row < lanes)
     far = jax.tree.map(lambda fresh, own: jnp.where(new, fresh, own), begun(), slots.far)
-    return Slots(jnp.where(new, row, slots.row), far), first + jnp.sum(new, dtype=jnp.int32)
+    return Slots(jnp.where(new, row, slots.row), far), following + jnp.sum(new, dtype=jnp.int32)
 
 
 def _shared_out(slots: Slots, capacity: int) -> Slots:
-    """Every free slot takes over the far end of another one's stretch, as long as there are such ends."""
+    """Free slots take over the far ends of others' stretches, one of each."""
     row, far = slots
     rest = far.end - far.place - (1 << (WHOLE_DEPTH - far.depth))  # behind the interval that is next
     free, gives = row == capacity, (row < capacity) & (rest > 0)
@@ -89,27 +90,28 @@ def _shared_out(slots: Slots, capacity: int) -> Slots:
     return Slots(jnp.where(takes, row[giver], row), far)
 
 
-def _put_together(slots: Slots, known: Known, capacity: int) -> tuple[Slots, Known]:
+def _put_together(slots: Slots, looked: Bisection, known: Known, capacity: int) -> tuple[Slots, Known]:
     """What is known after a look, and the slots that go on."""
-    row, far = slots
-    whole, found = known.proof, far.proof
+    row, here = slots.row, slots.far.place  # where the interval that was looked at begins
+    whole, found = known.proof, looked.proof
 
-    def where(which: Bool[jax.Array, "width"]) -> jax.Array:
+    def rows(which: Bool[jax.Array, "width"]) -> jax.Array:
         return jnp.where(which, row, capacity)  # what is written there is dropped
 
     fails = (row < capacity) & (found.verdict != Verdict.PROVEN)
-    refuted = known.refuted.at[where(fails)].min(far.place, mode="drop")
-    first = fails & (far.place == refuted[jnp.minimum(row, capacity - 1)])
-    goes_on = far.going & (far.place < refuted[jnp.minimum(row, capacity - 1)])
-    through = where(~goes_on)
+    ends = known.ends.at[rows(fails)].min(here, mode="drop")
+    end = ends[jnp.minimum(row, capacity - 1)]
+    foremost, goes_on = rows(fails & (here == end)), looked.going & (looked.place < end)
+    through = rows(~goes_on)
     whole = Proof(
-        whole.verdict.at[where(first)].set(found.verdict, mode="drop"),
-        whole.place.at[where(first)].set(found.place, mode="drop"),
+        whole.verdict.at[foremost].set(found.verdict, mode="drop"),
+        whole.place.at[foremost].set(found.place, mode="drop"),
         whole.clearance.at[through].min(found.clearance, mode="drop"),
         whole.queries.at[through].add(found.queries, mode="drop"),
         whole.depth.at[through].max(found.depth, mode="drop"),
     )
-    return Slots(where(goes_on), far), Known(refuted, whole)
+    far = jax.tree.map(lambda fresh, own: jnp.where(goes_on, own, fresh), begun(), looked)
+    return Slots(rows(goes_on), far), Known(ends, whole)
 
 
 def _table(one: Any, length: int) -> Any:

@@ -8,7 +8,7 @@ import numpy as np
 
 Tables = TypeVar("Tables")
 
-PORTION = 16384  # rows, as many as the largest table of a kernel
+PORTION = 16384  # rows, as many as the largest table of a kernel has
 
 
 def gather(tables: Tables, rows) -> Tables:

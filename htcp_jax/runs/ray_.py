@@ -2,7 +2,8 @@
 
 Every shard is a task. A worker needs this package and nothing else: the arm, the workpiece and the scenarios travel to
 it, plans travel back, and the process that was called writes them. A task whose worker or node dies is given to
-another one. Results do not depend on who planned a shard: they are those of `local` on equal hardware.
+another one. Results do not depend on who planned a shard: they are those of `local` on equal CPUs; on GPUs they are to
+rounding, as the process that was called makes on a CPU what it hands out.
 """
 
 import contextlib
@@ -26,7 +27,6 @@ from htcp_jax.runs.local import Planned, Shard, plan_cells, scenarios_of
 from htcp_jax.runs.provenance import planned_by
 from htcp_jax.scene.scenario import Scenario
 
-HERE = "local"  # the address of a Ray that is started on this machine, and gets no other
 LOOK_S = 0.5  # how often a waiting sweep looks for a signal
 GPU_SHARE = 0.75  # of a GPU's memory that JAX takes for itself unless told
 
@@ -53,9 +53,7 @@ def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]
     except Exception as error:  # of many kinds, plain Exception among them
         raise InputError(f"cannot reach Ray at {address or 'this machine'}: {' '.join(str(error).split())}") from None
     try:
-        # A cluster may grow, and is waited for.
-        if address == HERE and (has := ray.cluster_resources().get("GPU", 0)) < config.ray.num_gpus:
-            raise InputError(f"ray.num_gpus is {config.ray.num_gpus:g}; this machine has {has:g} GPUs")
+        _refuse_missing_gpus(ray, config.ray)
         yield lambda shards, report: _plan(ray, batch, config, shards, report)
     except Lost:
         ours = False  # Ray may end this process over a node that is gone, and what is to be told is not told yet
@@ -111,6 +109,14 @@ def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], report
         with contextlib.suppress(Exception):
             for ref in running:
                 ray.cancel(ref, force=True)
+
+
+def _refuse_missing_gpus(ray, share: RayConfig) -> None:
+    """Raise InputError for GPUs that never come: a Ray that this process has begun is of this machine alone. A cluster
+    may grow, and is waited for."""
+    node = ray._private.worker.global_worker.node
+    if node is not None and node.is_head() and (has := ray.cluster_resources().get("GPU", 0)) < share.num_gpus:
+        raise InputError(f"ray.num_gpus is {share.num_gpus:g}; this machine has {has:g} GPUs")
 
 
 def _own_node_answers(ray) -> bool:

@@ -17,7 +17,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 import pyarrow as pa
 
@@ -76,13 +75,14 @@ def sweep(
     limit: plan only the first scenarios of the grid. shard_scenarios: so many make a shard; a run folder keeps its
     first choice. finished: called with every shard that is written. on: "here" plans on this machine, in processes if
     they pay or with `threads` engines of this one, see `batch.plan`; "ray" or "ray:<address>" sends the shards to Ray's
-    workers, see `ray_`. device: see `choose_device`.
+    workers, see `ray_`. device: of this process, see `device_of`.
 
     Raises InputError for bad input, for a folder that holds another sweep, is in use or cannot be written;
     Interrupted on SIGINT and SIGTERM, and Lost when workers are, after which the finished shards are in the folder
     and the rest is not.
     """
-    choose_device(on, device)  # before anything is computed
+    device_of(on, device)
+    choose(device)  # before anything is computed
     chosen = method_names(methods)
     if isinstance(spec, Sweep):
         if config is not None or overrides or seed is not None:
@@ -121,15 +121,18 @@ def sweep(
         return run
 
 
-def choose_device(on: str, device: str | None) -> None:
-    """What this process computes on, see `planner.devices`; with Ray the CPU, as GPUs are its workers'. Raises
-    InputError for a device that is not here, and for one beside Ray."""
+def device_of(on: str, device: str | None) -> str | None:
+    """What a command computes on, see `planner.devices`: with Ray on the CPU, where it takes no GPU's memory from the
+    worker beside it. Raises InputError for a place that is none, and for another device beside Ray."""
     if on == "here":
-        choose(device)
-    elif device is not None:
-        raise InputError(f"device is {device!r}; that of Ray's workers is said by ray.num_gpus")
-    else:
-        jax.config.update("jax_platforms", "cpu")  # if nothing was computed yet
+        return device
+    if on.partition(":")[0] != "ray":
+        raise InputError(f"on is {on!r}; valid: here, ray, ray:<address of a cluster>")
+    if device not in (None, "cpu"):
+        raise InputError(
+            f"device is {device!r}; with Ray it can be cpu alone, and ray.num_gpus says what its workers get"
+        )
+    return "cpu"
 
 
 def keep_plans(spec: Sweep, method: str, plans: Plans, out: str | Path) -> Run:
@@ -218,15 +221,12 @@ def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | 
 
 def _planner(on: str, methods: tuple[str, ...], batch: Batch, spec: Sweep, threads: int | None, device: str | None):
     """Hands out what plans shards, while it is there: plan(shards, report) yields (shard, plans, what planned it)."""
-    where, _, address = on.partition(":")
     if on == "here":
         return contextlib.nullcontext(partial(plan_here, batch, threads, device))
-    if where == "ray":
-        from htcp_jax.runs.ray_ import on_ray  # here, because it is an extra
+    from htcp_jax.runs.ray_ import on_ray  # here, because it is an extra
 
-        registry.refuse_own(methods)
-        return on_ray(batch, spec.config, address)
-    raise InputError(f"on is {on!r}; valid: here, ray, ray:<address of a cluster>")
+    registry.refuse_own(methods)
+    return on_ray(batch, spec.config, on.partition(":")[2])
 
 
 def _progress(manifest: Manifest, method: str, shard: ShardProgress | None) -> SweepProgress:
