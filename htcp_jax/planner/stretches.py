@@ -18,7 +18,7 @@ from htcp_jax.types import Bool, Int
 
 
 class Slots(NamedTuple):
-    """Stretches side by side, each in a slot, and how far their proofs have come."""
+    """Stretches side by side, each in a slot, and how far their proofs have come; in a free one nothing has begun."""
 
     row: Int[jax.Array, "width"]  # of the path in the tables; their length where the slot is free
     far: Bisection
@@ -68,8 +68,7 @@ def _let_in(slots: Slots, following: jax.Array, lanes: jax.Array, capacity: int)
     free = slots.row == capacity
     row = following + jnp.cumsum(free, dtype=jnp.int32) - 1
     new = free & (row < lanes)
-    far = jax.tree.map(lambda fresh, own: jnp.where(new, fresh, own), begun(), slots.far)
-    return Slots(jnp.where(new, row, slots.row), far), following + jnp.sum(new, dtype=jnp.int32)
+    return slots._replace(row=jnp.where(new, row, slots.row)), following + jnp.sum(new, dtype=jnp.int32)
 
 
 def _shared_out(slots: Slots, capacity: int) -> Slots:
