@@ -5,7 +5,8 @@ import difflib
 import reprlib
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
-from typing import Any, get_args, get_origin
+from functools import cache
+from typing import Any, NamedTuple, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -34,34 +35,54 @@ def refuse_unknown(raw: dict, model: type, source: str, prefix: str = "") -> Non
     """Raise InputError for the first key of `raw` that `model`, a pydantic model or a dataclass, lacks.
 
     A model may have a static method `with_new_names(mapping, source)`, for keys that have been renamed."""
+    keys = _keys_of(model)
+    if (with_new_names := getattr(model, "with_new_names", None)) is not None:
+        new = with_new_names(raw, source)
+        raw.clear()
+        raw.update(new)
+    for name, value in list(raw.items()):
+        key = keys.get(name)
+        if key is None:
+            close = difflib.get_close_matches(str(name), keys, n=1, cutoff=0.5)
+            hint = f"did you mean {prefix}{close[0]}?" if close else f"valid: {', '.join(keys)}"
+            raise InputError(f"{source}: unknown key {prefix}{name}; {hint}")
+        if value is None and key.is_section:
+            del raw[name]  # a section whose lines are all commented out
+            continue
+        for section in key.sections:
+            items = enumerate(value, int(name == "task")) if isinstance(value, list) else [(None, value)]
+            if key.is_mapping and isinstance(value, dict):
+                items = value.items()
+            for k, item in items:
+                if isinstance(item, dict):
+                    refuse_unknown(item, section, source, f"{prefix}{name}." + ("" if k is None else f"{k}."))
+        if not key.sections and not key.is_truth and any(isinstance(item, bool) for item in _items(value)):
+            raise InputError(f"{source}: {prefix}{name} is {reprlib.repr(value)}: true and false are no numbers")
+
+
+class _Key(NamedTuple):
+    """What a model says of one of its keys."""
+
+    is_section: bool
+    sections: tuple[type, ...]  # of which its values, or the items of its values, may be one
+    is_mapping: bool  # of such items
+    is_truth: bool  # whether true and false are among its values
+
+
+@cache
+def _keys_of(model: type) -> dict[str, _Key]:
     kinds = (
         {field.name: field.type for field in fields(model)}
         if is_dataclass(model)
         else {name: field.annotation for name, field in model.model_fields.items()}
     )
-    if (with_new_names := getattr(model, "with_new_names", None)) is not None:
-        new = with_new_names(raw, source)
-        raw.clear()
-        raw.update(new)
-    for key, value in list(raw.items()):
-        if key not in kinds:
-            close = difflib.get_close_matches(str(key), kinds, n=1, cutoff=0.5)
-            hint = f"did you mean {prefix}{close[0]}?" if close else f"valid: {', '.join(kinds)}"
-            raise InputError(f"{source}: unknown key {prefix}{key}; {hint}")
-        if value is None and _is_section(kinds[key]):
-            del raw[key]  # a section whose lines are all commented out
-            continue
-        sections = [kind for kind in (kinds[key], *get_args(kinds[key])) if _is_section(kind)]
-        for section in sections:
-            items = enumerate(value, int(key == "task")) if isinstance(value, list) else [(None, value)]
-            if get_origin(kinds[key]) is dict and isinstance(value, dict):
-                items = value.items()
-            for k, item in items:
-                if isinstance(item, dict):
-                    refuse_unknown(item, section, source, f"{prefix}{key}." + ("" if k is None else f"{k}."))
-        is_bool = bool in (kinds[key], *get_args(kinds[key]))
-        if not sections and not is_bool and any(isinstance(item, bool) for item in _items(value)):
-            raise InputError(f"{source}: {prefix}{key} is {reprlib.repr(value)}: true and false are no numbers")
+    return {name: _key(kind) for name, kind in kinds.items()}
+
+
+def _key(kind: Any) -> _Key:
+    parts = kind, *get_args(kind)
+    sections = tuple(part for part in parts if _is_section(part))
+    return _Key(_is_section(kind), sections, get_origin(kind) is dict, bool in parts)
 
 
 def _is_section(kind: Any) -> bool:

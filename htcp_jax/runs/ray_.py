@@ -21,7 +21,7 @@ from jaxtyping import Int
 from htcp_jax.errors import InputError, Lost
 from htcp_jax.jobs.config import PlanConfig, RayConfig
 from htcp_jax.jobs.grid import Batch, Cell
-from htcp_jax.planner import compile_cache
+from htcp_jax.planner import compile_cache, registry
 from htcp_jax.planner.plans import Plans
 from htcp_jax.runs.local import Planned, Shard, plan_cells, scenarios_of
 from htcp_jax.runs.provenance import planned_by
@@ -70,14 +70,16 @@ def _on_host(cell: Cell) -> Cell:
 
 
 def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], report: Callable) -> Iterator[Planned]:
-    """Keeps more tasks waiting than the cluster has room for: it never idles, and one that can grow does."""
+    """Keeps more tasks waiting than the cluster has room for: it never idles, and one that can grow does. The methods
+    that last longest, which `registry.names` has last, begin first: none is left for one worker at the end."""
     task = ray.remote(_plan_shard).options(
         num_cpus=config.ray.num_cpus,
         num_gpus=config.ray.num_gpus,
         max_retries=config.ray.retries,
         runtime_env={"env_vars": _environment(config.ray)},
     )
-    left, running = iter(shards), {}
+    names = registry.names()
+    left, running = iter(sorted(shards, key=lambda shard: -names.index(shard.method))), {}
     try:
         cells = [ray.put(_on_host(cell)) for cell in batch.cells]
         while True:

@@ -97,7 +97,7 @@ def make_scenario(
     Raises InputError for a start or home of the wrong length or outside the joint limits, and OutOfReach, which is one.
     """
     x_start, x_home = _begins(robot, start, home)
-    longer = _LONGER(robot, float(tool_extension_m))
+    longer = _LONGER(robot, float(tool_extension_m)) if tool_extension_m else robot
     T_world_workpiece = workpiece.T_world(*rotation, shift=shift, wx=rotation_x_rad)
     rotate, translate = T_world_workpiece[:3, :3], T_world_workpiece[:3, 3]
     path = workpiece.path @ rotate.T + translate
