@@ -15,7 +15,7 @@ from htcp_jax.numerics import fold_keys
 from htcp_jax.planner.batching import Loop, chunked, refilled
 from htcp_jax.planner.kernel import STEP, Kernel
 from htcp_jax.planner.lane_inputs import lane_inputs
-from htcp_jax.planner.programs import Kernels, Programs, Stopwatch
+from htcp_jax.planner.programs import COMPILER, Kernels, Programs, Stopwatch
 from htcp_jax.planner.proofs import PROVE, clear_paths, free_tubes, prove_call
 from htcp_jax.scene.scenario import stack
 from htcp_jax.settings import Settings
@@ -110,3 +110,10 @@ def test_a_key_is_folded_number_by_number():
             one_by_one = jax.random.fold_in(one_by_one, value)
         both = (jax.random.bits(each) for each in (one_by_one, fold_keys(key, 7, jnp.int32(-5), jnp.int64(2**40 + 3))))
         assert len({int(bits) for bits in both}) == 1
+
+
+@pytest.mark.parametrize("platform", COMPILER)
+def test_what_the_compiler_is_told_it_understands(platform):
+    """An option that it has no more would stop every plan on that platform."""
+    compiled = jax.jit(jnp.sin).lower(1.0).compile(COMPILER[platform])
+    assert compiled(1.0) == pytest.approx(np.sin(1.0))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from htcp_jax.errors import InputError
+from htcp_jax.jobs.build import scene
 from htcp_jax.jobs.grid import load_sweep
 
 SWEEPS = Path(__file__).parents[1] / "sweeps"
@@ -86,6 +87,24 @@ def test_scenarios_of_one_batch_may_differ_in_path_tool_and_pose(tmp_path):
     np.testing.assert_allclose(
         batch.scenarios.T_world_workpiece[1, 2, 3] - batch.scenarios.T_world_workpiece[0, 2, 3], 0.01
     )
+
+
+def test_scenarios_with_one_start_begin_where_their_own_arm_tool_and_task_have_them_begin(tmp_path):
+    """What several scenarios share is looked up once: each is what it would be alone."""
+    file = written(
+        tmp_path,
+        "grid:\n"
+        "  - workpiece.rotation_z_rad: [0.1, -0.1]\n"
+        "  - robot.tool_extension_m: [0.0, 0.02]\n"
+        "  - robot.base_m.z: [0.0, 0.05]\n"
+        "  - task.1.offset_m: [[0.01, 0, 0], [0.02, 0, 0]]\n"
+        "  - start_rad.3: [0.5, 0.4]\n",
+    )
+    batch = load_sweep(file, {"task": [{"point": "tcp", "on": "path"}]}).batch()
+    assert len({row.tobytes() for row in batch.scenarios.targets[:, 0]}) == 16  # of 32, in two poses
+    for point in batch.points:
+        _, _, alone = scene(point.config)
+        np.testing.assert_array_equal(batch.scenarios.targets[point.number], alone.targets)
 
 
 def test_a_limit_takes_the_first_scenarios():

@@ -88,9 +88,11 @@ def scenario_of(
     workpiece: Workpiece,
     number: int = 0,
     beyond_reach: Literal["raise", "record"] = "raise",
+    follows: Float[np.ndarray, "3"] | None = None,
 ) -> Scenario:
     """Start, pose, targets, margin and tool of a configuration; `number` is its identity for the random keys;
-    beyond_reach: see `make_scenario`."""
+    beyond_reach: see `make_scenario`. follows: where the point that follows the path is at the start, world [m], by
+    those who know it."""
     part, task = job.workpiece, task_of_job(job, robot)
     scenario = make_scenario(
         robot,
@@ -105,7 +107,7 @@ def scenario_of(
         tool_extension_m=job.robot.tool_extension_m,
         number=number,
         beyond_reach=beyond_reach,
-        follows=_follower_at_start(job, robot),
+        follows=_follower_at_start(job, robot) if follows is None else follows,
     )
     return with_goals(scenario, job.task, task, robot, workpiece)
 

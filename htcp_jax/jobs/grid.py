@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from htcp_jax.clearance.obstacle import Obstacles
 from htcp_jax.errors import InputError
@@ -116,6 +116,7 @@ class Sweep:
         arms = {arm_of(self.config): self.robot}
         parts: dict[tuple[RobotConfig, WorkpieceConfig], Workpiece] = {}
         obstacles: dict[tuple[RobotConfig, CellConfig], Obstacles] = {}
+        follows: dict[tuple, Float[np.ndarray, "3"]] = {}  # where it is at a start, see `make_scenario`
         cells: dict[tuple, tuple[int, Cell]] = {}
         scenarios, whose = [], []
         for point in points:
@@ -129,7 +130,9 @@ class Sweep:
                 obstacles[arm, beside] = obstacles_of(beside, arms[arm])
             own = len(cells), Cell(arms[arm], parts[arm, part], settings, task, obstacles[arm, beside])
             whose.append(cells.setdefault((arm, shape_of(part), settings, task, beside), own)[0])
-            scenarios.append(_scenario(point, arms[arm], parts[arm, part]))
+            begins = arm, point.config.robot.tool_extension_m, point.config.start, point.config.task
+            scenarios.append(_scenario(point, arms[arm], parts[arm, part], follows.get(begins)))
+            follows[begins] = scenarios[-1].targets[0]
             _check_alike(point, task, next(iter(cells.values()))[1].task)
         return Batch(tuple(cell for _, cell in cells.values()), np.array(whose, int), stack(scenarios), points)
 
@@ -217,8 +220,8 @@ def _check_alike(point: Point, task: Task, first: Task) -> None:
         )
 
 
-def _scenario(point: Point, robot: Robot, workpiece: Workpiece) -> Scenario:
+def _scenario(point: Point, robot: Robot, workpiece: Workpiece, follows: Float[np.ndarray, "3"] | None) -> Scenario:
     try:
-        return scenario_of(point.config, robot, workpiece, point.number, beyond_reach="record")
+        return scenario_of(point.config, robot, workpiece, point.number, "record", follows)
     except InputError as error:
         raise InputError(f"scenario {point.number}: {error}") from None

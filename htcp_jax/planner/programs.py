@@ -20,7 +20,12 @@ from htcp_jax.settings import Settings
 
 # What does not change in a loop is taken out of it before equal parts are found, which look different then: the arm's
 # links are computed up to seven times over. On a CPU that costs more than it saves; on a GPU every launch counts.
-COMPILER = {"cpu": {"xla_disable_hlo_passes": "while-loop-invariant-code-motion"}}
+# There, XLA is not to try out which of several programs is the fastest: which one wins is another one whenever it
+# compiles, and rounds in another way.
+COMPILER = {
+    "cpu": {"xla_disable_hlo_passes": "while-loop-invariant-code-motion"},
+    "gpu": {"xla_gpu_autotune_level": 0},
+}
 
 
 NOBODY = nullcontext()  # waits
