@@ -89,6 +89,14 @@ def test_ray_plans_the_same_bytes_as_one_process(here, undisturbed, one_worker):
     assert by == planned_by()
 
 
+def test_the_methods_that_last_longest_begin_first(here, one_worker):
+    """Whatever their order in the command: none is left for one worker at the end."""
+    began = []
+    methods = "baseline,nspace-sample,cspace-sample"
+    sweep("grid.yaml", methods, limit=1, on="ray", finished=lambda shard: began.append(shard.method))
+    assert began == ["nspace-sample", "cspace-sample", "baseline"]
+
+
 @pytest.mark.slow
 def test_the_command_on_ray_prints_what_it_prints_without_and_nothing_else(here, undisturbed):
     """On a new Ray of this machine, by the command; it prints what it prints without Ray, and nothing else."""
