@@ -103,4 +103,12 @@ def _message(error: dict) -> str:
     if error["type"] == "missing" and isinstance(error["loc"][-1], int):  # of a list, which is too short
         key = ".".join(str(part) for part in error["loc"][:-1])
         return f"{key} is {reprlib.repr(error['input'])}: {error['loc'][-1] + 1} values or more are needed"
-    return f"{where} is {reprlib.repr(error['input'])}: {error['msg'][0].lower()}{error['msg'][1:]}"
+    needed = _NEEDED.get(error["type"]) or error["msg"][0].lower() + error["msg"][1:]
+    return f"{where} is {reprlib.repr(error['input'])}: {needed}"
+
+
+_LIST, _SECTION = "a list is needed", "a section is needed, keys with their values"
+_NEEDED = {  # where Python's words for it would not help
+    "tuple_type": _LIST, "list_type": _LIST, "dict_type": _SECTION, "dataclass_type": _SECTION,
+    "model_type": _SECTION, "model_attributes_type": _SECTION,
+}  # fmt: skip
