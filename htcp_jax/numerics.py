@@ -5,7 +5,9 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.custom_batching import custom_vmap
+from jax.custom_derivatives import SymbolicZero
 from jax.typing import ArrayLike
 
 from htcp_jax.errors import InputError
@@ -70,8 +72,17 @@ def capsule_point_distance(
     ```
     """
     p, q, point = (_points(value, name) for value, name in ((p, "p"), (q, "q"), (point, "point")))
-    s = segment_parameter(p, q, point)
-    return safe_norm(p + s[..., None] * (q - p) - point) - jnp.asarray(radius, float)
+    s = jax.lax.stop_gradient(segment_parameter(p, q, point))  # the distance is stationary in s: envelope theorem
+    return safe_norm(point - (p + s[..., None] * (q - p))) - jnp.asarray(radius, float)
+
+
+def axis_contact(
+    p: Float[Array, "K 3"], q: Float[Array, "K 3"], point: Float[Array, "K 3"]
+) -> tuple[Float[Array, "K 3"], Float[Array, "K 3"]]:
+    """Return where the segments p q are closest to their points [m], and the unit vectors from the points to there."""
+    nearest = p + segment_parameter(p, q, point)[:, None] * (q - p)
+    arm = nearest - point
+    return nearest, safe_divide(arm, jnp.broadcast_to(safe_norm(arm)[:, None], arm.shape))
 
 
 def _points(value: object, name: str) -> Float[Array, "*batch 3"]:
@@ -82,6 +93,38 @@ def _points(value: object, name: str) -> Float[Array, "*batch 3"]:
     if array.shape[-1:] != (3,):
         raise InputError(f"{name} has the shape {array.shape}, (..., 3) is needed")
     return array
+
+
+def with_gradient(value: Callable, closed_form: Callable) -> Callable:
+    """Return the function value(x, *data) with the derivative in x that closed_form(x, *data) -> (value, gradient)
+    gives: `jax.grad`, `jax.jvp` and `jax.jacfwd` evaluate the closed form and trace nothing else.
+
+    value: (R,) or (); gradient: (R, N) or (N,). Derivatives in the data are those of autodiff through the value.
+    """
+    differentiable = jax.custom_jvp(value)
+
+    def rule(primals, tangents):
+        (x, *data), (dx, *d_data) = primals, tangents
+        found, gradient = closed_form(x, *data)
+        change = jnp.zeros_like(found) if isinstance(dx, SymbolicZero) else product(gradient, dx)
+        if not all(isinstance(leaf, SymbolicZero) for leaf in jax.tree.leaves(d_data)):
+            d_data = jax.tree.map(lambda d: np.zeros(d.shape, d.dtype) if isinstance(d, SymbolicZero) else d, d_data)
+            change = change + jax.jvp(partial(value, x), data, d_data)[1]
+        return found, change
+
+    differentiable.defjvp(rule, symbolic_zeros=True)
+    return differentiable
+
+
+def value_and_jacobian(function: Callable, x: Float[Array, "N"]) -> tuple[Float[Array, "R"], Float[Array, "R N"]]:
+    """Return function(x) and its Jacobian by forward-mode autodiff, from one evaluation."""
+
+    def twice(x):
+        value = function(x)
+        return value, value
+
+    jacobian, value = jax.jacfwd(twice, has_aux=True)(x)
+    return value, jacobian
 
 
 @jax.jit

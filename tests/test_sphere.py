@@ -160,7 +160,7 @@ def planes_problem(a, b, G=None, h=None):
     problem = sphere.Sphere(
         observe=lambda w: (a @ w + b, (a, b)),
         measure=lambda w: jnp.min(a @ w + b),
-        predict=lambda w, seen: (seen[0] @ w + seen[1], seen[0]),
+        predict=lambda w, seen: seen[0] @ w + seen[1],
         curvature=jnp.zeros((dimension, dimension)),
         G=G,
         h=h,

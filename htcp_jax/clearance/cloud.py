@@ -16,7 +16,7 @@ from htcp_jax.clearance.cloud_sweep import clear_along
 from htcp_jax.clearance.cloud_tree import CloudIndex, build_index, nearest_body, nearest_rows
 from htcp_jax.clearance.obstacle import Bodies, Contacts, Posed, Rows, in_workpiece
 from htcp_jax.clearance.sweep import Sweep, Wanted
-from htcp_jax.numerics import product, safe_divide, safe_norm, segment_parameter
+from htcp_jax.numerics import axis_contact, capsule_point_distance, product
 from htcp_jax.pytree import register_pytree
 from htcp_jax.scene.robot import Robot
 from htcp_jax.types import Bool, Float, Int, Scalar
@@ -53,27 +53,22 @@ class Cloud:
         """Every body against a point of its own."""
         rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
         p, q = bodies.p_workpiece, bodies.q_workpiece
-        s = segment_parameter(p, q, witness)[:, None]
-        point = p + s * (q - p)
-        arm = point - witness
-        length = safe_norm(arm)
         reach = robot.capsule_radius + self.cover
-        normal = safe_divide(arm, jnp.broadcast_to(length[:, None], arm.shape))
+        point, normal = axis_contact(p, q, witness)
         return Contacts(
-            distance=length - reach,
+            distance=capsule_point_distance(p, q, reach, witness),
             point=product(point, rotate.T) + translate[None, :],
             normal=product(normal, rotate.T),
             reach=reach,
-            plane=jnp.zeros(length.shape, bool),
+            plane=jnp.zeros(reach.shape, bool),
         )
 
     def smallest(self, robot: Robot, where: Posed, bodies: Bodies) -> Scalar:
         """One search for all bodies, cheaper than every body's own."""
         reach = robot.capsule_radius + self.cover
         body, row = nearest_body(self.index, bodies.p_workpiece, bodies.q_workpiece, reach)
-        p, q, witness = bodies.p_workpiece[body], bodies.q_workpiece[body], self.points[row]
-        arm = p + segment_parameter(p, q, witness) * (q - p) - witness
-        return safe_norm(arm) - reach[body]
+        p, q = bodies.p_workpiece[body], bodies.q_workpiece[body]
+        return capsule_point_distance(p, q, reach[body], self.points[row])
 
     def touches(self, robot: Robot, where: Posed, bodies: Bodies) -> Bool[jax.Array, ""]:
         """Cheaper still, because the search passes over all points beyond the capsules' radii."""

@@ -29,7 +29,7 @@ from htcp_jax.clearance.obstacle import Posed
 from htcp_jax.clearance.obstacles import all_clear
 from htcp_jax.clearance.row_proof import between, rows_hold
 from htcp_jax.clearance.scene import Scene
-from htcp_jax.numerics import product, safe_norm, segment_parameter
+from htcp_jax.numerics import capsule_point_distance, product, safe_norm
 from htcp_jax.settings import Settings
 from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
 
@@ -149,7 +149,7 @@ def _in_tube(scene: Scene, tube: Tube, forwards: Vector3, x: Joints, rates: Join
 
 def _off_line(tube: Tube, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
     start, end = (jnp.broadcast_to(point, points.shape) for point in (tube.start, tube.end))
-    return safe_norm(start + segment_parameter(start, end, points)[:, None] * (end - start) - points)
+    return capsule_point_distance(start, end, 0.0, points)
 
 
 def _next_interval(index, depth):

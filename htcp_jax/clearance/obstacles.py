@@ -21,7 +21,8 @@ from htcp_jax.clearance.obstacle import (
     rows_of,
     slopes,
 )
-from htcp_jax.numerics import safe_norm
+from htcp_jax.numerics import safe_norm, value_and_jacobian, with_gradient
+from htcp_jax.scene.kinematics import configuration
 from htcp_jax.scene.robot import Robot
 from htcp_jax.types import Bool, Float, Joints, Scalar
 
@@ -44,16 +45,19 @@ def contacts(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, smalle
     return _one_after_another([_nearest(own) for own in groups])
 
 
-def clearances(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Float[jax.Array, "R"]:
-    """D per row [m]; its autodiff gradient, through what is held, is what `clearance_rows` gives in closed form."""
-    return contacts(robot, obstacles, where, x).distance
+def clearances(
+    robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, smallest: bool = False
+) -> Float[jax.Array, "R"]:
+    """D per row [m]. Its derivative in x [m/rad] is n' (J_body - J_other) at the points that are nearest, which are
+    held (envelope theorem). smallest: only the row of the smallest distance has to be right, see `contacts`."""
+    distance = lambda x, *scene: contacts(*scene, x, smallest).distance  # noqa: E731
+    return with_gradient(distance, partial(_rows, smallest))(configuration(robot, x), robot, obstacles, where)
 
 
 @jax.jit
 def clearance(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Scalar:
-    """D(x, O) [m], the smallest over all rows, exact: cheaper than `clearances`."""
-    bodies = bodies_at(robot, where, x)
-    return _together(jnp.minimum, [each.smallest(robot, where, bodies) for each in obstacles])
+    """D(x, O) [m], the smallest over all rows, exact: cheaper than `clearances`. Its derivative is that row's."""
+    return _smallest(configuration(robot, x), robot, obstacles, where)
 
 
 def is_clear(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Bool[jax.Array, ""]:
@@ -102,8 +106,27 @@ def room(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Float[j
 def clearance_rows(
     robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, smallest: bool = False
 ) -> ClearanceRows:
-    """Distances and their gradients at x [rad]: n' (J_body - J_other), at the points that are nearest. smallest: only
-    the row of the smallest distance has to be right, see `contacts`."""
+    """Distances and their gradients at x [rad]: `clearances` and its autodiff Jacobian, from one evaluation."""
+    return ClearanceRows(*value_and_jacobian(lambda x: clearances(robot, obstacles, where, x, smallest), x))
+
+
+def _distance(x: Joints, robot: Robot, obstacles: Obstacles, where: Posed) -> Scalar:
+    bodies = bodies_at(robot, where, x)
+    return _together(jnp.minimum, [each.smallest(robot, where, bodies) for each in obstacles])
+
+
+def _distance_and_gradient(x: Joints, robot: Robot, obstacles: Obstacles, where: Posed) -> tuple[Scalar, Joints]:
+    """The smallest distance and, in closed form, its gradient."""
+    rows = _rows(True, x, robot, obstacles, where)
+    lowest = jnp.argmin(rows.distance)
+    return rows.distance[lowest], rows.gradient[lowest]
+
+
+_smallest = with_gradient(_distance, _distance_and_gradient)
+
+
+def _rows(smallest: bool, x: Joints, robot: Robot, obstacles: Obstacles, where: Posed) -> ClearanceRows:
+    """The distances and, in closed form, their gradients."""
     touch, rows = contacts(robot, obstacles, where, x, smallest), rows_of(robot, obstacles)
     return ClearanceRows(touch.distance, slopes(robot, x, rows, touch.normal, touch.point, touch.witness))
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from htcp_jax.clearance.contact_model import HeldContacts, hold_contacts, predict_distances
 from htcp_jax.clearance.obstacle import Obstacles, Posed
-from htcp_jax.clearance.obstacles import clearance, contacts
+from htcp_jax.clearance.obstacles import clearance, clearances, contacts
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.errors import InputError
 from htcp_jax.numerics import fold_keys, null_basis, of_shape, product
@@ -70,15 +70,15 @@ def sphere_problem(
         return touch.distance + far - product(w, product(half, w)), hold_contacts(robot, x, rows, touch)
 
     def measure(w):
+        x, j1 = x_ref + product(step_basis, w), product(w, product(half, w))
         if not settings.include_proximal_bodies:
-            return jnp.min(observe(w)[0])
-        return clearance(robot, obstacles, where, x_ref + product(step_basis, w)) - product(w, product(half, w))
+            return jnp.min(clearances(robot, obstacles, where, x) + far) - j1
+        return clearance(robot, obstacles, where, x) - j1
 
     def predict(w, held):
-        value, gradient = predict_distances(robot, x_ref + product(step_basis, w), rows, held)
+        value = predict_distances(robot, x_ref + product(step_basis, w), rows, held)
         rounds = value.shape[0] // far.shape[0]
-        value = value + jnp.concatenate([far] * rounds) - product(w, product(half, w))
-        return value, product(gradient, step_basis) - 2 * product(half, w)[None, :]
+        return value + jnp.concatenate([far] * rounds) - product(w, product(half, w))
 
     G = jnp.concatenate([step_basis, -step_basis])
     h = jnp.concatenate([robot.upper - x_ref, x_ref - robot.lower])

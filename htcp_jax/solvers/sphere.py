@@ -17,7 +17,7 @@ import numpy as np
 import optax
 from jaxtyping import PyTree
 
-from htcp_jax.numerics import null_basis, product, safe_norm, solve_spd
+from htcp_jax.numerics import null_basis, product, safe_norm, solve_spd, value_and_jacobian
 from htcp_jax.solvers import cma_es
 from htcp_jax.solvers.interior_point import solve_dense
 from htcp_jax.types import Array, Bool, Float, Int, Scalar
@@ -27,15 +27,19 @@ Held = PyTree[Array]  # contacts: leaves have a leading axis R, of all rows, or 
 
 
 class Sphere(NamedTuple):
-    """The problem above. J1(w) = 1/2 w' curvature w is already inside the values that observe and predict return.
-    Those are the f_k [m] and their gradients; w and with it G and h have no unit."""
+    """The problem above. J1(w) = 1/2 w' curvature w is already inside the f_k [m] that observe, measure and predict
+    return, which are differentiable in w; w and with it G and h have no unit."""
 
     observe: Callable[[Direction], tuple[Float[Array, "K"], Held]]
     measure: Callable[[Direction], Scalar]  # min_k f_k(w) alone: cheaper than observe
-    predict: Callable[[Direction, Held], tuple[Float[Array, "R"], Float[Array, "R D"]]]
+    predict: Callable[[Direction, Held], Float[Array, "R"]]
     curvature: Float[Array, "D D"]
     G: Float[Array, "m D"]
     h: Float[Array, "m"]
+
+    def predict_with_gradient(self, w: Direction, seen: Held) -> tuple[Float[Array, "R"], Float[Array, "R D"]]:
+        """What `predict` returns [m], and its gradient by autodiff."""
+        return value_and_jacobian(lambda w: self.predict(w, seen), w)
 
 
 class Best(NamedTuple):
@@ -64,7 +68,7 @@ def _merit(sphere: Sphere, w: Direction, value: Scalar) -> Scalar:
 def first_guess(sphere: Sphere, seen: Held, count: int = 64) -> Direction:
     """Best of `count` spread directions by the contacts at hand: costs no observation."""
     directions = jnp.asarray(spread_directions(count, sphere.curvature.shape[0]))
-    merit = jax.vmap(lambda w: _merit(sphere, w, jnp.min(sphere.predict(w, seen)[0])))(directions)
+    merit = jax.vmap(lambda w: _merit(sphere, w, jnp.min(sphere.predict(w, seen))))(directions)
     return directions[jnp.argmax(merit)]
 
 
@@ -134,7 +138,7 @@ def _climb(sphere: Sphere, w: Direction, seen: Held, steps: int = 12) -> _Climb:
     def body(climb):
         step, multipliers, gain = _tangent_step(sphere, climb)
         w = _unit(climb.w + step)
-        value, gradient = sphere.predict(w, seen)
+        value, gradient = sphere.predict_with_gradient(w, seen)
         merit = _merit(sphere, w, jnp.min(value))
         # A step that gains too little was too long: the next is a quarter of it. A QP that hopes for nothing ends it.
         shorter = 0.25 * jnp.max(jnp.abs(step))
@@ -144,7 +148,7 @@ def _climb(sphere: Sphere, w: Direction, seen: Held, steps: int = 12) -> _Climb:
         higher = jax.tree.map(lambda new, old: jnp.where(merit > climb.merit, new, old), there, here)
         return _Climb(*higher, multipliers, radius, climb.steps + 1)
 
-    value, gradient = sphere.predict(w, seen)
+    value, gradient = sphere.predict_with_gradient(w, seen)
     lowest = jax.nn.one_hot(jnp.argmin(value), value.shape[0])
     merit = _merit(sphere, w, jnp.min(value))
     start = _Climb(w, value, gradient, merit, lowest, jnp.full((), 0.5), jnp.zeros((), jnp.int32))
@@ -182,7 +186,7 @@ def max_min_step(sphere: Sphere, seen: Held, longest: Scalar) -> Direction:
 
     The epigraph at first order with a trace of damping, so that a flat optimum gives the shortest step."""
     dimension = sphere.curvature.shape[0]
-    value, gradient = sphere.predict(jnp.zeros(dimension), seen)
+    value, gradient = sphere.predict_with_gradient(jnp.zeros(dimension), seen)
     up = jnp.eye(dimension + 1)[-1]
     box = jnp.eye(dimension + 1)[:-1]
     lift = jnp.concatenate([-gradient, jnp.ones((*value.shape, 1))], axis=1)
@@ -228,7 +232,7 @@ def interior_point(sphere: Sphere, seen: Held, iterations: int = 24) -> Best:
     def body(count, state):
         w, values, seen, scale, best, best_merit = state
         mu = 1e-2 * 0.35 ** (count // 2)
-        _, gradient = sphere.predict(w, seen)
+        _, gradient = sphere.predict_with_gradient(w, seen)
         w_new = _unit(w + scale * newton(w, values, gradient, mu))
         new_values, new_seen = sphere.observe(w_new)
         up = (barrier(w_new, new_values, mu) > barrier(w, values, mu)) & jnp.all(product(sphere.G, w_new) < sphere.h)
@@ -264,22 +268,21 @@ def _epigraph(values, mu):
 
 
 def adam(sphere: Sphere, seen: Held, iterations: int = 40, rate: float = 0.15) -> Best:
-    """Adam (optax) on the subgradient of the smallest f_k, projected onto the sphere after every step.
+    """Adam (optax) on the gradient of J2 by autodiff, projected onto the sphere after every step.
     rate: of the first step, no unit; it falls to 0 by a cosine."""
     schedule = optax.cosine_decay_schedule(rate, iterations)
     optimiser = optax.adam(schedule)
 
     def body(_, state):
         w, momentum, best, best_merit = state
-        values, seen = sphere.observe(w)
-        merit = _merit(sphere, w, jnp.min(values))
+        value, gradient = jax.value_and_grad(sphere.measure)(w)
+        merit = _merit(sphere, w, value)
         better = merit > best_merit
         best, best_merit = jnp.where(better, w, best), jnp.maximum(merit, best_merit)
-        value, gradient = sphere.predict(w, seen)
         over = product(sphere.G, w) - sphere.h
         worst = jnp.argmax(over)
         # Minus the merit's subgradient, in the tangent plane.
-        descent = -gradient[jnp.argmin(value)] + jnp.where(over[worst] > 0, 10.0, 0.0) * sphere.G[worst]
+        descent = -gradient + jnp.where(over[worst] > 0, 10.0, 0.0) * sphere.G[worst]
         descent = descent - product(descent, w) * w
         update, momentum = optimiser.update(descent, momentum, w)
         return _unit(w + update), momentum, best, best_merit
