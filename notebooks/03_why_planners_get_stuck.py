@@ -109,9 +109,9 @@ all_bodies = np.asarray(all_clearances(scene, scenario, here.x + sphere.reshape(
 all_bodies = all_bodies.reshape(*sphere.shape[:2], -1)
 
 # %% [markdown]
-# What each optimiser returns, as a mark on that map. All have the same objective. CMA-ES samples the whole sphere and
-# finds its summit; the others climb from the direction that looks best by the contacts known so far, and end on the
-# summit next to it.
+# What each optimiser returns, as a mark on that map. All have the same objective, and by default all start from the
+# best of 64 directions by the contacts known so far (`first_direction: best_of_64`). SQP, interior point and Adam climb
+# to the maximum next to it. CMA-ES samples half a sphere about it and keeps the best direction that it measured.
 
 # %%
 OPTIMISERS = {

@@ -63,7 +63,7 @@ def _compiled(settings: Settings):
 
     def begin(scene, where, x_ref):
         problem, seen, reach = sphere_problem(scene, settings, where, x_ref)
-        return problem.G, problem.h, sphere.first_guess(problem, seen), reach
+        return problem.G, problem.h, sphere.first_direction(problem, seen), reach
 
     return jax.jit(exact), jax.jit(begin)
 

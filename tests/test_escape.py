@@ -131,7 +131,7 @@ def test_contacts_seen_predict_the_truth_where_they_were_seen_and_never_less_els
 
 
 def _best_guess(problem, seen, key, settings):
-    w = sphere.first_guess(problem, seen)
+    w = sphere.first_direction(problem, seen)
     return sphere.Best(w, problem.measure(w))
 
 

@@ -103,20 +103,30 @@ def test_the_papers_choices_are_those_of_the_shipped_configuration(request):
     assert presets()["paper.yaml"] == shipped
 
 
-def test_the_results_hold_the_counts_behind_each_percentage_and_the_papers_figures(folder):
+def test_the_results_hold_the_counts_behind_each_percentage(folder):
     rows = rows_of(tables.results(part_of(folder, "poses")))
     lost = sum(k % 4 for k in range(49))
     base = rows["baseline"]
     assert (base["tracked"], base["targets"], base["complete"], base["scenarios"]) == (5145 - lost, 5145, 13, 49)
     assert base["success_percent"] == pytest.approx(100 * (5145 - lost) / 5145)
     assert base["clearance_min_mm"] == pytest.approx(1.0)
-    assert base["paper_success_percent"] == 39.16 and base["paper_step_ms"] == pytest.approx(278.9)
-    assert rows["hybrid"]["success_percent"] == 100 and rows["hybrid"]["paper_success_percent"] is None
+    assert rows["hybrid"]["success_percent"] == 100
     attempted = 5145 - lost + 36  # the failed targets, one a scenario
     assert base["step_ms"] == pytest.approx(1e3 / attempted)
 
 
-def test_the_papers_tables_stand_beside_its_own_grids_alone(folder):
+def test_the_papers_four_columns_stand_next_to_ours_for_its_methods_on_its_grids_alone(folder):
+    (row,) = tables.paper(part_of(folder, "poses")).records()
+    theirs = {key: value for key, value in row.items() if key.startswith("paper_")}
+    assert theirs == pytest.approx(
+        {
+            "paper_success_percent": 39.16, "paper_step_ms": 278.9, "paper_tcp_distance_mm": 0.4831,
+            "paper_safe_distance_mm": 12.0973,
+        }
+    )  # fmt: skip
+    ours = rows_of(tables.results(part_of(folder, "poses")))[row["method"]]
+    assert row["method"] == "baseline" and all(row[key] == ours[key] for key in row.keys() & ours.keys())
+    assert not tables.paper(part_of(folder, "one")).rows
     found = {name: part_of(folder, name).paper_table for name in ("poses", "starts", "measuring", "one")}
     assert found == {"poses": paper.WORKPIECE, "starts": paper.ROBOT, "measuring": None, "one": None}
 
@@ -306,7 +316,7 @@ def test_the_reachability_is_compared_with_and_what_beats_it_is_named(folder, tm
 def test_the_command_prints_the_table_and_writes_a_report_that_stands_alone(folder, tmp_path, capsys):
     assert main(["report", str(folder / "poses"), "--out", str(tmp_path / "report")]) == 0
     output = capsys.readouterr()
-    assert re.search(r"baseline +98\.60 +39\.16 +5,073 +5,145 +49 +0\.95 +13 +49", output.out) and output.err == ""
+    assert re.search(r"baseline +98\.60 +5,073 +5,145 +49 +0\.95 +13 +49", output.out) and output.err == ""
     page = (tmp_path / "report" / "report.html").read_text()
     assert page.count("data:image/png;base64,") == 8
     assert not re.search(r"<script|src=\"(?!data:)|href=|url\(|@import", page)
@@ -316,9 +326,9 @@ def test_the_command_prints_the_table_and_writes_a_report_that_stands_alone(fold
     assert str(folder) not in page + text
     with open(tmp_path / "report" / "results.csv", newline="") as stream:
         (base, hybrid) = csv.DictReader(stream)
-    assert float(base["success_percent"]) == 100 * 5073 / 5145 and hybrid["paper_success_percent"] == ""
+    assert float(base["success_percent"]) == 100 * 5073 / 5145 and float(hybrid["success_percent"]) == 100
     assert sorted(file.name for file in (tmp_path / "report").glob("*.csv")) == [
-        "best.csv", "joint-steps.csv", "motions.csv", "results.csv", "scenarios.csv", "stops.csv", "times.csv",
+        "best.csv", "joint-steps.csv", "motions.csv", "paper.csv", "results.csv", "scenarios.csv", "stops.csv", "times.csv",
     ]  # fmt: skip
 
 

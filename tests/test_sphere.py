@@ -211,13 +211,13 @@ def test_the_step_of_keep_clear_is_that_of_its_linear_programme():
         assert in_box / np.sqrt(3) - 1e-4 <= gained <= in_box + 1e-9
 
 
-def test_the_first_guess_is_the_best_of_its_directions_by_what_was_seen():
+def test_the_first_direction_is_the_best_of_its_directions_by_what_was_seen():
     a, b = np.random.default_rng(2).normal(size=(5, 3)), np.zeros(5)
     problem, seen = planes_problem(a, b)
     directions = sphere.spread_directions(64, 3)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, atol=1e-15)
     np.testing.assert_array_equal(directions[:3], np.eye(3))
-    guess = np.asarray(sphere.first_guess(problem, seen))
+    guess = np.asarray(sphere.first_direction(problem, seen))
     np.testing.assert_array_equal(guess, directions[np.argmax((directions @ a.T + b).min(1))])
 
 

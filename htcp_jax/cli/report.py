@@ -39,11 +39,10 @@ def report(runs: Runs, out: Out = Path("out/report"), as_json: Json = False) -> 
         for line in facts(part):
             console.print(Text(line, style="dim"))
         print_table(console, tables["results"])
-        if part.reachability is not None:
-            print_table(console, tables["reachability"])
-        if tables["timing"].rows:
-            console.print()
-            print_table(console, tables["timing"])
+        for name in ("paper", "reachability", "timing"):
+            if tables[name].rows:
+                console.print()
+                print_table(console, tables[name])
         console.print()
     console.print(Text.assemble(("report  ", "cyan"), str(out / "report.html")))
     return 0

@@ -1,12 +1,23 @@
 """The built-in methods: step QPs, by what each does when these are stuck and between targets; and the roadmap."""
 
+import jax
+
 from htcp_jax.planner.roadmap import Roadmap
 from htcp_jax.planner.sampling import best_nspace_samples, cspace_samples, nspace_samples
 from htcp_jax.planner.stages import NullSpace, Sample
 from htcp_jax.planner.step_qps import StepQPs
+from htcp_jax.settings import Settings
 from htcp_jax.solvers import sphere
 
-_SQP = NullSpace(lambda problem, seen, key, settings: sphere.sqp(problem, seen))
+
+def _start_key(settings: Settings, key: jax.Array, cmaes: bool = False) -> jax.Array | None:
+    """Key of a random first direction; None for the best of 64."""
+    random = settings.first_direction == "random" or (cmaes and settings.first_direction == "random_for_cmaes")
+    return jax.random.split(key)[1] if random else None
+
+
+_FIRST = ("first_direction",)
+_SQP = NullSpace(lambda problem, seen, key, s: sphere.sqp(problem, seen, start_key=_start_key(s, key)), _FIRST)
 _SPREAD = (0.005, 0.01, 0.02, 0.04)
 _WALKED = ("samples", "sample_steps", "max_sample_distance_rad")
 
@@ -34,7 +45,12 @@ BUILT_IN = (
         "nspace-ip",
         "N-Space Interior Point",
         "null-space steps by a barrier method on the sphere",
-        stages=(NullSpace(lambda problem, seen, key, settings: sphere.interior_point(problem, seen)),),
+        stages=(
+            NullSpace(
+                lambda problem, seen, key, s: sphere.interior_point(problem, seen, start_key=_start_key(s, key)),
+                _FIRST,
+            ),
+        ),
     ),
     StepQPs(
         "nspace-cmaes",
@@ -42,8 +58,10 @@ BUILT_IN = (
         "null-space steps by CMA-ES",
         stages=(
             NullSpace(
-                lambda problem, seen, key, s: sphere.cmaes(problem, seen, key, s.population, s.generations),
-                ("population", "generations"),
+                lambda problem, seen, key, s: sphere.cmaes(
+                    problem, seen, key, s.population, s.generations, start_key=_start_key(s, key, cmaes=True)
+                ),
+                ("population", "generations", *_FIRST),
             ),
         ),
     ),
@@ -51,7 +69,9 @@ BUILT_IN = (
         "nspace-adam",
         "N-Space Adam",
         "null-space steps by Adam, projected on the sphere",
-        stages=(NullSpace(lambda problem, seen, key, settings: sphere.adam(problem, seen)),),
+        stages=(
+            NullSpace(lambda problem, seen, key, s: sphere.adam(problem, seen, start_key=_start_key(s, key)), _FIRST),
+        ),
     ),
     StepQPs(
         "keep-clear", "Keep clear", "null-space ascent of the clearance after every target, no escape", keep_clear=True

@@ -64,7 +64,7 @@ class Picture(NamedTuple):
 
 
 class Heading(NamedTuple):
-    """A heading of level 1 to 3."""
+    """A heading of level 1 to 4."""
 
     level: int
     text: str

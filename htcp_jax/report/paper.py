@@ -17,11 +17,13 @@ CHOICES = {
     "margin_m": 0.0,
     "method": "nspace-sqp",
     "settings": {
+        "q_weights": (1.0,) * 6,
         "cost_about": "previous",
         "clearance_rows": "smallest",
         "aim_above_m": 0.0,
         "qp_tolerance": 1e-8,
         "j1_weight": 1.0,
+        "first_direction": "random_for_cmaes",
         "after_escape": "accept",
         "path_check": "none",
         "path_test": "samples",

@@ -137,7 +137,7 @@ def _compared(ran: dict[str, PlanConfig], beside: dict[str, PlanConfig]) -> list
     """The runs' configurations beside each other, and beside the ones that ship where these have the same scene."""
     if not beside and len(ran) < 2:
         return []
-    others = " and the two configurations that ship" if beside else ""
+    others = f" and {', '.join(beside)}" if beside else ""
     return [
         f"Keys of the configuration in which the runs{others} are not all the same.",
         configuration(ran, beside),

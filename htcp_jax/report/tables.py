@@ -21,7 +21,6 @@ from htcp_jax.status import Status
 RESULTS = (
     Column("method", "method"),
     Column("success_percent", "success", "%", ".2f"),
-    Column("paper_success_percent", "paper", "%", ".2f", quiet=True),
     Column("tracked", "tracked", "targets", ",d"),
     Column("targets", "of", "", ",d"),
     Column("executable", "executable", "targets", ",d"),
@@ -29,11 +28,19 @@ RESULTS = (
     Column("complete", "complete", "scenarios", ",d"),
     Column("scenarios", "of", "", ",d"),
     Column("step_ms", "time/step", "ms", ".2f"),
+    Column("tcp_distance_mean_mm", "TCP distance", "mm", ".4f"),
+    Column("clearance_min_mm", "clearance min", "mm", ".2g"),
+    Column("clearance_mean_mm", "mean", "mm", ".2f"),
+)
+PAPER = (
+    Column("method", "method"),
+    Column("success_percent", "success", "%", ".2f"),
+    Column("paper_success_percent", "paper", "%", ".2f", quiet=True),
+    Column("step_ms", "time/step", "ms", ".2f"),
     Column("paper_step_ms", "paper", "ms", ".0f", quiet=True),
     Column("tcp_distance_mean_mm", "TCP distance", "mm", ".4f"),
     Column("paper_tcp_distance_mm", "paper", "mm", ".4f", quiet=True),
-    Column("clearance_min_mm", "clearance min", "mm", ".2g"),
-    Column("clearance_mean_mm", "mean", "mm", ".2f"),
+    Column("clearance_mean_mm", "safe distance", "mm", ".4f"),
     Column("paper_safe_distance_mm", "paper", "mm", ".4f", quiet=True),
 )
 REACHABILITY = (
@@ -76,17 +83,34 @@ TIMES = (
 
 
 def results(part: Part) -> Table:
-    """The paper's table with the counts behind each percentage; beside ours the paper's figures, where its grid is the
-    same."""
-    table = _table("results", RESULTS, [_result(part, method) for method in part.plans])
-    return _without_empty(table)
+    """Return the counts behind each method's percentage, its times, TCP distance and clearance."""
+    return _table("results", RESULTS, [_result(part, method) for method in part.plans])
+
+
+def paper(part: Part) -> Table:
+    """Return the paper's four columns next to ours, for its six methods; without rows where its grid is another."""
+    table = part.paper_table
+    if table is None:
+        return Table("paper", PAPER, ())
+    rows = [
+        _result(part, method)
+        | {
+            "paper_success_percent": theirs.success_percent,
+            "paper_step_ms": 1e3 * theirs.step_s,
+            "paper_tcp_distance_mm": theirs.tcp_distance_mm,
+            "paper_safe_distance_mm": theirs.safe_distance_mm,
+        }
+        for method, theirs in table.rows.items()
+        if method in part.plans
+    ]
+    return _table("paper", PAPER, rows)
 
 
 def _result(part: Part, method: str) -> dict:
-    plans, paper = part.plans[method], part.paper_table
+    plans = part.plans[method]
     good, ends = plans.tracked, plans.outcomes
     tracked, targets, executable = (int(column.sum()) for column in (ends.tracked, ends.targets, ends.executable))
-    row = {
+    return {
         "method": method,
         "success_percent": percent(tracked, targets),
         "tracked": tracked,
@@ -100,15 +124,6 @@ def _result(part: Part, method: str) -> dict:
         "clearance_min_mm": _over(np.min, 1e3 * plans.clearance[good]),
         "clearance_mean_mm": _over(np.mean, 1e3 * plans.clearance[good]),
     }
-    if paper is not None and method in paper.rows:
-        theirs = paper.rows[method]
-        row |= {
-            "paper_success_percent": theirs.success_percent,
-            "paper_step_ms": 1e3 * theirs.step_s,
-            "paper_tcp_distance_mm": theirs.tcp_distance_mm,
-            "paper_safe_distance_mm": theirs.safe_distance_mm,
-        }
-    return row
 
 
 def reachability(part: Part) -> Table:

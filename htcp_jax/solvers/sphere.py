@@ -65,8 +65,11 @@ def _merit(sphere: Sphere, w: Direction, value: Scalar) -> Scalar:
     return value - 10.0 * jnp.max(jnp.maximum(product(sphere.G, w) - sphere.h, 0.0), initial=0.0)
 
 
-def first_guess(sphere: Sphere, seen: Held, count: int = 64) -> Direction:
-    """Best of `count` spread directions by the contacts at hand: costs no observation."""
+def first_direction(sphere: Sphere, seen: Held, key: jax.Array | None = None, count: int = 64) -> Direction:
+    """Return where a minimiser starts: the best of `count` spread directions by the contacts at hand, which costs no
+    observation, or with a key a random one, uniform on the sphere."""
+    if key is not None:
+        return _unit(jax.random.normal(key, sphere.curvature.shape[:1]))
     directions = jnp.asarray(spread_directions(count, sphere.curvature.shape[0]))
     merit = jax.vmap(lambda w: _merit(sphere, w, jnp.min(sphere.predict(w, seen))))(directions)
     return directions[jnp.argmax(merit)]
@@ -79,7 +82,9 @@ def _better_of_two(sphere: Sphere) -> Best:
     return Best(directions[jnp.argmax(merit)], jnp.max(merit))
 
 
-def sqp(sphere: Sphere, seen: Held, observations: int = 12, memory: int = 8) -> Best:
+def sqp(
+    sphere: Sphere, seen: Held, observations: int = 12, memory: int = 8, start_key: jax.Array | None = None
+) -> Best:
     """Sequential quadratic programming on the epigraph: maximise t with t <= the distance to every contact seen.
 
     An outer approximation: climb on what the contacts seen predict, observe where that leads, and so on from the best
@@ -99,7 +104,7 @@ def sqp(sphere: Sphere, seen: Held, observations: int = 12, memory: int = 8) -> 
         more = ~climb.ended | (climb.merit > best.value + 1e-9)
         return _Search(best, climb.w, store, more, search.count + 1)
 
-    w = first_guess(sphere, seen)
+    w = first_direction(sphere, seen, start_key)
     store = jax.tree.map(lambda leaf: jnp.concatenate([leaf] * memory), seen)
     start = _Search(Best(w, jnp.full((), -jnp.inf)), w, store, jnp.full((), True), jnp.zeros((), jnp.int32))
     return jax.lax.while_loop(lambda search: search.more & (search.count < observations), body, start).best
@@ -197,7 +202,7 @@ def max_min_step(sphere: Sphere, seen: Held, longest: Scalar) -> Direction:
     return w * jnp.minimum(1.0, longest / jnp.maximum(safe_norm(w), 1e-12))
 
 
-def interior_point(sphere: Sphere, seen: Held, iterations: int = 24) -> Best:
+def interior_point(sphere: Sphere, seen: Held, iterations: int = 24, start_key: jax.Array | None = None) -> Best:
     """Log barrier on the sphere: maximise t + mu (sum log(f_k(w) - t) + sum log(h - G w)), mu falling to 1e-7 m.
 
     t is eliminated (its optimum solves sum mu / (f_k - t) = 1), which leaves a smooth minimum of the bodies, pushed
@@ -244,7 +249,7 @@ def interior_point(sphere: Sphere, seen: Held, iterations: int = 24) -> Best:
         scale = jnp.where(up, jnp.minimum(2 * scale, 1.0), 0.4 * scale)
         return w, values, seen, scale, jnp.where(better, w, best), jnp.maximum(merit, best_merit)
 
-    w = first_guess(sphere, seen)
+    w = first_direction(sphere, seen, start_key)
     values, seen = sphere.observe(w)
     merit = _merit(sphere, w, jnp.min(values))
     start = (w, values, seen, jnp.ones(()), w, merit)
@@ -267,7 +272,9 @@ def _epigraph(values, mu):
     return jax.lax.fori_loop(0, 8, newton, low, unroll=None if jax.default_backend() == "cpu" else 8)
 
 
-def adam(sphere: Sphere, seen: Held, iterations: int = 40, rate: float = 0.15) -> Best:
+def adam(
+    sphere: Sphere, seen: Held, iterations: int = 40, rate: float = 0.15, start_key: jax.Array | None = None
+) -> Best:
     """Adam (optax) on the gradient of J2 by autodiff, projected onto the sphere after every step.
     rate: of the first step, no unit; it falls to 0 by a cosine."""
     schedule = optax.cosine_decay_schedule(rate, iterations)
@@ -287,14 +294,20 @@ def adam(sphere: Sphere, seen: Held, iterations: int = 40, rate: float = 0.15) -
         update, momentum = optimiser.update(descent, momentum, w)
         return _unit(w + update), momentum, best, best_merit
 
-    w = first_guess(sphere, seen)
+    w = first_direction(sphere, seen, start_key)
     start = (w, optimiser.init(w), w, jnp.full((), -jnp.inf))
     *_, w, merit = jax.lax.fori_loop(0, iterations, body, start)
     return Best(w, merit)
 
 
 def cmaes(
-    sphere: Sphere, seen: Held, key: jax.Array, population: int = 100, generations: int = 5, sigma: float = 0.5
+    sphere: Sphere,
+    seen: Held,
+    key: jax.Array,
+    population: int = 100,
+    generations: int = 5,
+    sigma: float = 0.5,
+    start_key: jax.Array | None = None,
 ) -> Best:
     """CMA-ES over directions: samples are normalised before they are measured; the best one ever measured is kept.
 
@@ -313,7 +326,7 @@ def cmaes(
         best = jnp.where(better, directions[top], best)
         return cma_es.tell(distribution, samples, -merit, strategy), best, jnp.maximum(merit[top], best_merit)
 
-    w = first_guess(sphere, seen)
+    w = first_direction(sphere, seen, start_key)
     state = (cma_es.start(w, sigma), w, jnp.full((), -jnp.inf))
     _, w, merit = jax.lax.fori_loop(0, generations, body, state)
     return Best(w, merit)
