@@ -109,7 +109,7 @@ Advance = Callable[[np.ndarray, np.ndarray], np.ndarray]  # from x_{t-1} and tar
 
 
 def step_qps(task: Task) -> Advance:
-    """Equation (8), a row a capsule, up to 20 times a target; a Clarabel solver each."""
+    """Equation (9), a row a capsule, up to 20 times a target; a Clarabel solver each."""
     n, cost = len(task.start), sparse.csc_matrix(np.diag(2 * np.array(task.settings.q_weights)))
     quiet = clarabel.DefaultSettings()
     quiet.verbose = False

@@ -207,7 +207,7 @@ def one_by_one(function: Callable) -> Callable:
 
 @jax.jit
 def null_basis(task_jacobian: Float[Array, "M N"]) -> Float[Array, "N D"]:
-    """Orthonormal basis of the null space of a task Jacobian of full rank M; D = N - M columns, none where D = 0.
+    """Orthonormal basis of the null space (10) of a task Jacobian of full rank M; D = N - M columns, none where D = 0.
 
     (The paper prints its shape as M x (N - M); N x (N - M) is meant.) Gram-Schmidt on the rows, then on the unit
     vectors, each time the one that sticks out furthest (the first of equals), positive along it: unlike a singular

@@ -30,10 +30,10 @@ class Settings:
     Raises InputError for a value outside its range.
     """
 
-    # Step QP, equation (8)
+    # Step QP, equation (9)
     q_weights: tuple[float, ...] = (5.0, 5.0, 2.0, 1.0, 5.0, 10.0)  # diagonal of Q, one weight a joint
-    cost_about: Literal["reference", "previous"] = "reference"  # J1 about x_ref (8) or about x_{t-1} (4)
-    clearance_rows: Literal["per-body", "smallest"] = "per-body"  # a row a body, or that of the smallest
+    cost_about: Literal["reference", "previous"] = "reference"  # J1 about x_ref (9) or about x_{t-1} (4)
+    clearance_rows: Literal["per-body", "smallest"] = "per-body"  # a row a body (8), or that of the smallest D (9)
     aim_above_m: float = 5e-4  # how far above the margin that must be kept the step QP's clearance rows aim
     max_step_qps: int = 20  # step QPs at one target before it counts as stuck
     tolerance_m: float = 1e-3  # a target is reached at this TCP error or less; also xi of the re-anchoring
@@ -42,8 +42,8 @@ class Settings:
     qp_tolerance: float = 1e-8  # of Clarabel's residuals and gap, no unit; at margin 0 it decides what gets stuck
 
     # Null space, equations (10) and (11)
-    alpha_rad: float = 0.1  # length of a null-space step
-    j1_weight: float = 0.0  # weight of J1 in J2 = -D + J1
+    alpha_rad: float = 0.1  # length of a null-space step, alpha in (11c)
+    j1_weight: float = 0.0  # weight of J1 in J2 = -D + J1, (5a) and (11a); the paper's is 1
     max_null_space_steps: int = 20  # null-space steps of one escape
     include_proximal_bodies: bool = True  # whether J2 sees the capsules far from the workpiece
     # Where the optimisers start on the sphere; random_for_cmaes: CMA-ES alone at random, as the paper has it

@@ -53,9 +53,9 @@ plan.figure()
 # %% [markdown]
 # ## The null space there
 #
-# From the last posture that was clear, inverse kinematics puts the tip onto the lost target: $x_{ref}$. Now $D < 0$,
-# something collides. All directions $N w$ with $|w| = 1$ keep the tip in place to first order. They are a sphere, the
-# null space having $6 - 3 = 3$ dimensions.
+# From the last posture that was clear, inverse kinematics (5b) puts the tip onto the lost target: $x_{ref}$. Now
+# $D < 0$, something collides. All directions $N w$ with $|w| = 1$ keep the tip in place to first order, equation (10).
+# They are a sphere, the null space having $6 - 3 = 3$ dimensions.
 
 # %%
 settings, robot = plan.job.settings, plan.robot

@@ -24,9 +24,9 @@ from htcp_jax.planner.null_space import (
     stuck_key,
 )
 from htcp_jax.planner.sampling import cspace_samples, nspace_samples
-from htcp_jax.planner.stages import NullSpace
+from htcp_jax.planner.stages import ENTER, NullSpace
 from htcp_jax.planner.step_qps import StepQPs
-from htcp_jax.scene.kinematics import tcp_position
+from htcp_jax.scene.kinematics import jacobian, tcp_position
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import sphere
 
@@ -139,7 +139,7 @@ _STEP = partial(null_space_step, _best_guess)
 
 
 def test_a_null_space_step_ends_on_the_target_and_says_how_clear_it_is():
-    """Algorithm 1, lines 11 to 14: a step of about alpha, re-anchored where it is off by more than the tolerance."""
+    """Algorithm 1, lines 11 to 13: a step of about alpha, re-anchored where it is off by more than the tolerance."""
     better = []
     for where, x_ref, target in stuck_places(10):
         here = run(_STEP, where, Stuck(x_ref, target, jax.random.key(0)), x_ref, 0)
@@ -149,6 +149,19 @@ def test_a_null_space_step_ends_on_the_target_and_says_how_clear_it_is():
         assert 0.5 * SETTINGS.alpha_rad < np.linalg.norm(here.x - x_ref) < 1.5 * SETTINGS.alpha_rad
         better.append(here.clearance - D(where, x_ref))
     assert np.mean(np.array(better) > 0) >= 0.8
+
+
+def test_an_escape_begins_on_its_target_next_to_the_configuration_before():
+    """Algorithm 1, line 9: by the shortest joint motion, to first order, whatever is in the way."""
+    enter, robot = jax.jit(ENTER.of(SETTINGS)), made_once.robot()
+    for where, x, target in stuck_places(4):
+        ahead = target + jnp.array([0.0, 3e-3, 0.0])
+        lane = LaneInputs(*where, margin_m=0.0, tool_extension_m=0.0, number=0, target=ahead, row=0, round=0, seed=0)
+        here = enter(made_once.scene(), lane, x)
+        assert np.linalg.norm(tcp(here.x) - ahead) <= 0.1 * SETTINGS.tolerance_m
+        shortest = np.linalg.pinv(jacobian(robot, x)) @ (ahead - target)
+        np.testing.assert_allclose(here.x - x, shortest, atol=3e-4)
+        np.testing.assert_allclose(here.clearance, D(where, here.x), atol=1e-14)
 
 
 def test_an_anchor_moves_only_what_is_off_by_more_than_the_tolerance():

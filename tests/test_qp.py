@@ -208,7 +208,7 @@ def test_a_panic_of_the_core_fails_one_qp_and_the_solver_is_built_anew():
 
 @pytest.mark.parametrize("rows", ["per-body", "smallest"])
 @pytest.mark.parametrize("cost_about", ["reference", "previous"])
-def test_the_step_qp_is_equation_8_row_by_row(rows, cost_about):
+def test_the_step_qp_is_equation_9_row_by_row(rows, cost_about):
     """In x: |x - about|_Q^2, Jac (x - x_ref) = C_next - C_ref, D_k + grad D_k (x - x_ref) >= margin, limits."""
     rng = np.random.default_rng(0)
     bodies, margin = 8, 5e-4

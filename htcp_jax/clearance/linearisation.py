@@ -30,8 +30,8 @@ def linearise(
 ) -> Linearisation:
     """Task and clearance at x [rad or m], with their Jacobian and gradients; `where` is a scenario, or another `Posed`.
 
-    Equation (7) and the clearance rows of CFS (section on workspace inequality constraints). The default task is the
-    TCP's position. smallest: of the clearance only the row of the smallest distance, which costs less. Raises
+    Equations (6) and (7) for the task, (8), the convex feasible set, for the clearance. The default task is the TCP's
+    position. smallest: of the clearance only the row of the smallest distance, which costs less. Raises
     InputError for an x of another shape.
     """
     held = TaskRows(task.value(robot, x), task.jacobian(robot, x))

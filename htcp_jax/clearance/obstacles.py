@@ -1,4 +1,4 @@
-"""The paper's D(x, O): the smallest distance between the arm and its obstacles, and where it is attained.
+"""The paper's D(x, O), equation (2): the smallest distance between the arm and its obstacles, and where it is attained.
 
 O is a tuple of obstacles, see `obstacle`; a workpiece's are its points and, where it has one, the interior rule. Their
 rows are put together here: those of the bodies first, each the nearest of all kinds that have one a body, then every

@@ -38,7 +38,7 @@ class Measured(NamedTuple):
 def prepare(
     settings: Settings, scene: Scene, lane: LaneInputs, x_ref, x_previous, linear: Linearisation
 ) -> step_qp.StepQP:
-    """The step QP of one lane, equation (8)."""
+    """The step QP of one lane, equation (9)."""
     scene = own_scene(scene, lane.tool_extension_m)
     robot, task = scene.robot, scene.task.linear(*linear.task, lane.target)
     return step_qp.assemble(
@@ -58,7 +58,7 @@ def prepare(
 
 
 def advance(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, y, smallest: bool = False) -> Measured:
-    """The lane after a step y: inside the limits to the last bit, linearised as equation (7) has it, and measured
+    """The lane after a step y: inside the limits to the last bit, linearised by equations (6) to (8), and measured
     against its target. smallest: see `linearise`."""
     scene = own_scene(scene, lane.tool_extension_m)
     x = jnp.clip(x_ref + y, scene.robot.lower, scene.robot.upper)
@@ -91,8 +91,8 @@ class Tracked(NamedTuple):
 
 
 def track(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, x_previous, linear, iteration) -> Loop:
-    """Step QPs solved on the device, one after the other, until the target is reached, the lane is stuck, or the burst
-    is over: the loop's state is `Tracked`."""
+    """Algorithm 1, line 7: step QPs (9) on the device, one after the other, until the target is reached, the lane is
+    stuck, or the burst is over. The loop's state is `Tracked`."""
     most = jnp.minimum(iteration + STEPS_A_BURST, settings.max_step_qps)
 
     def going(tracked: Tracked):

@@ -22,7 +22,7 @@ _SPREAD = (0.005, 0.01, 0.02, 0.04)
 _WALKED = ("samples", "sample_steps", "max_sample_distance_rad")
 
 BUILT_IN = (
-    StepQPs("baseline", "Baseline planner", "iterative convex optimisation alone, equation (8)"),
+    StepQPs("baseline", "Baseline planner", "iterative convex optimisation alone, equation (9)"),
     StepQPs(
         "cspace-sample",
         "C-Space sample",

@@ -97,7 +97,7 @@ def null_space_objective(
     w: Float[Array, "D"],
     settings: Settings | Mapping[str, Any] | None = None,
 ) -> Scalar:
-    """J2 of equation (5) along the null space: -D(x, O) + J1(x, x_ref) [m] at (11)'s x = x_ref + alpha N(x_ref) w.
+    """J2 of equation (11a): -D(x, O) + J1(x, x_ref) [m] at x = x_ref + alpha N(x_ref) w of (11c).
 
     The smaller, the clearer: the planners minimise it over |w| = 1, within the joint limits, which it does not look at.
     robot: with its tool, as a plan's is. where: a scenario, or whatever else is `Posed`. w: D = N - 3 numbers.
@@ -150,7 +150,7 @@ class Anchored(NamedTuple):
 
 
 def anchor(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Float[Array, "G"]) -> Anchored:
-    """Re-anchor x where its TCP error exceeds the tolerance xi, equation (10b) and Algorithm 1; then measure it."""
+    """Re-anchor x, (5b), where it is off the target [m] by more than xi, Algorithm 1, line 13; then measure it."""
     robot, obstacles, task = scene
     off = task.off(robot, x, target)
     anchored, _ = reanchor(robot, x, target, task.fine_m, task=task)
@@ -164,7 +164,7 @@ Minimise = Callable[[sphere.Sphere, HeldContacts, jax.Array, Settings], sphere.B
 def null_space_step(
     minimise: Minimise, scene: Scene, settings: Settings, where: Posed, stuck: Stuck, x_ref: Joints, count
 ) -> Anchored:
-    """One round of Algorithm 1's null-space loop: minimise J2 on the sphere, x = x_ref + alpha N w, re-anchor."""
+    """Algorithm 1, lines 11 to 13: minimise J2 on the sphere, x = x_ref + alpha N w, re-anchor."""
     problem, held, step_basis = sphere_problem(scene, settings, where, x_ref, stuck.target)
     best = minimise(problem, held, jax.random.fold_in(stuck.key, count), settings)
     x = jnp.clip(x_ref + product(step_basis, best.w), scene.robot.lower, scene.robot.upper)

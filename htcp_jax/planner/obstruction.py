@@ -1,7 +1,7 @@
 """What is in the way at a target that a plan did not reach: which body, where, and how deep.
 
 From the last posture that was tracked, inverse kinematics brings the tool onto the failed target all the same, inside
-the joint limits but through whatever is there, equation (10b). The body with the smallest clearance there is the one
+the joint limits but through whatever is there, equation (5b). The body with the smallest clearance there is the one
 in the way. That is one posture of many: an escape may have looked at others, and found none that is clear.
 """
 

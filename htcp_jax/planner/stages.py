@@ -83,8 +83,8 @@ class Walked(NamedTuple):
 def walk_null_space(
     minimise: Minimise, index: int, settings: Settings, scene: Scene, lane: LaneInputs, x_previous, x_ref, walked, most
 ) -> Loop:
-    """Steps of a null-space stage, the method's stage `index`, after those `walked` until the target is kept with the
-    margin, or there have been as many as there may be, `most`: the loop's state is `Walked`."""
+    """Algorithm 1, lines 10 to 14: null-space steps of the method's stage `index`, after those `walked`, until the
+    target is kept with the margin, or there have been as many as there may be, `most`. The loop's state is `Walked`."""
     stuck, own = stuck_at(lane, x_previous, index), own_scene(scene, lane.tool_extension_m)
 
     def going(there: Walked):
@@ -108,7 +108,7 @@ def propose(
 
 
 def enter_null_space(settings: Settings, scene: Scene, lane: LaneInputs, x_previous) -> Measured:
-    """Algorithm 1, line 9: inverse kinematics of the stuck target from x_{t-1}."""
+    """Algorithm 1, line 9: inverse kinematics (5b) of the stuck target from x_{t-1}."""
     own = own_scene(scene, lane.tool_extension_m)
     x, _ = reanchor(own.robot, x_previous, lane.target, own.task.fine_m, task=own.task)
     return measured(settings, scene, lane, anchor(own, settings, lane, x, lane.target).x)

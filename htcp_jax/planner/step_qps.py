@@ -23,7 +23,7 @@ from htcp_jax.solvers.step_qp import QPSolver, row_count
 
 @dataclass(frozen=True)
 class StepQPs(Escapes):
-    """Step QPs along the path, equation (8), with these escapes. A `registry.Method`."""
+    """Step QPs along the path, equation (9), with these escapes. A `registry.Method`."""
 
     name: str  # in files and on the command line
     title: str

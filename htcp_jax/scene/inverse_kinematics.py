@@ -21,7 +21,7 @@ def reanchor(
     iterations: int = 20,
     task: Task = TCP_POSITION,
 ) -> tuple[Joints, Scalar]:
-    """Damped Newton inverse kinematics inside the joint limits: (x, residual [m]), equation (10b).
+    """Damped Newton inverse kinematics inside the joint limits: (x, residual [m]), equation (5b).
 
     target: the task's goal, of its kinds of rows. Stops at tolerance_m or after `iterations`. The damping
     (1e-3 m/rad)^2 keeps singular postures bounded and costs 1e-6 of a Newton step elsewhere; a joint at its limit is

@@ -31,7 +31,7 @@ def tcp_pose(robot: Robot, x: Joints) -> Pose:
 
 
 def tcp_position(robot: Robot, x: Joints) -> Vector3:
-    """The tool centre point in the world [m]; the paper's Gamma_j(x)."""
+    """The tool centre point in the world [m]; the paper's Gamma_j(x), equation (1)."""
     return _to_world(_row(_link_frames(robot, x), -1), robot.T_link_tcp[:3, 3])
 
 
@@ -77,7 +77,7 @@ def capsules_and_tcp(robot: Robot, x: Float[Array, "W N"]) -> ArmShape:
 
 
 def jacobian(robot: Robot, x: Joints) -> Float[Array, "3 N"]:
-    """Geometric Jacobian of the TCP's position, d tcp_position / dx [m/rad or m/m]; the paper's Jac(x)."""
+    """Geometric Jacobian of the TCP's position, d tcp_position / dx [m/rad or m/m]; the paper's Jac(x) of (7)."""
     links = _link_frames(robot, x)
     tcp = _to_world(_row(links, -1), robot.T_link_tcp[:3, 3])
     return _velocities(robot, links, tcp[None])[0].T

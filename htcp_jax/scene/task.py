@@ -1,4 +1,4 @@
-"""The task: M equations that hold the arm where the path wants it, equation (7), and B inequalities beside them.
+"""The task: M equations that hold the arm where the path wants it, equation (1), and B inequalities beside them.
 
     error(x) = 0        M rows, with the Jacobian -d error / dx, M x N; the paper's are target - Gamma(x) of the TCP
     room(x) >= 0        B rows: cones and bands
@@ -131,7 +131,7 @@ class Task:
         return self.linear(self.value(robot, x), self.jacobian(robot, x), goal)
 
     def error(self, value: Float[Array, "V"], goal: Float[Array, "G"]) -> Float[Array, "M"]:
-        """Delta C = C_next - C_ref of equation (7) [m]."""
+        """Delta C = C_next - C_ref of equation (9) [m]."""
         return goal - value if self.is_points else self._together("error", value, goal)
 
     def room(self, value: Float[Array, "V"], goal: Float[Array, "G"]) -> Scalar:

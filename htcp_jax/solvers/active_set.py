@@ -34,7 +34,7 @@ class _Active(NamedTuple):
 
 
 def solve_step(qp: StepQP, tolerance: float = 1e-8) -> QPSolution:
-    """Solution of one step QP; a row counts as violated beyond `tolerance`, in its own unit.
+    """Solution of one step QP, equation (9); a row counts as violated beyond `tolerance`, in its own unit.
 
     Infinite limits are no rows. FAILED where numbers are not finite or the method does not end.
     """

@@ -20,8 +20,8 @@ _VERDICT = {
 
 
 class ClarabelSolver:
-    """Step QPs with `rows` clearance rows, `task_rows` of the task and the cost diag(P), one after the other, on the
-    caller's thread.
+    """Step QPs, equation (9), with `rows` clearance rows, `task_rows` of the task and the cost diag(P), one after the
+    other, on the caller's thread.
 
     The lock of the interpreter is released while a QP is solved: give every thread its own solver.
     """

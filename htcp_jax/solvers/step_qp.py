@@ -1,8 +1,8 @@
-"""The step QP, equation (8), in the step y = x - x_ref, and the seam behind which its solvers stand.
+"""The step QP, equation (9), in the step y = x - x_ref, and the seam behind which its solvers stand.
 
     minimise    1/2 y' diag(P) y + q' y
     subject to  A y = b          the task, linearised (7) with sigma = 0
-                G y <= h         the clearance rows (CFS), then the task's bands and cones
+                G y <= h         the clearance rows (8), then the task's bands and cones
                 lb <= y <= ub
 
 A solver takes a batch of them on the host and gives back steps and verdicts. Infeasible is a normal answer: it means
@@ -67,9 +67,9 @@ def assemble(
     room: Float[Array, "B"] | None = None,
     room_gradient: Float[Array, "B N"] | None = None,
 ) -> StepQP:
-    """Equation (8) about x_ref: `to_target` is Delta C = C_next - C_ref [m]; see `Settings` for the two options.
+    """Equation (9) about x_ref: `to_target` is Delta C = C_next - C_ref [m]; see `Settings` for the two options.
 
-    cost_about: J1 about x_ref (8), or about x_{t-1} (4). clearance_rows: all, or the one of the smallest clearance.
+    cost_about: J1 about x_ref (9), or about x_{t-1} (4). clearance_rows: all (8), or that of the smallest D (9).
     room: in the task's bands and cones [m], if there are any.
     """
     weights = jnp.asarray(settings.q_weights)

@@ -1,0 +1,48 @@
+"""docs/equations.md: each equation of the paper has its row, and what a row names exists."""
+
+import re
+from pathlib import Path
+from pkgutil import resolve_name
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+# As LaTeX numbers the paper's source; letters are the lines of subequations.
+NUMBERS = "1 2 3 4 4a 4b 4c 4d 5 5a 5b 5c 6 7 8 9 10 11 11a 11b 11c".split()
+PAGE = (ROOT / "docs/equations.md").read_text(encoding="utf-8")
+TABLE = PAGE[PAGE.index("| equation |") : PAGE.index("## Readings")]
+ROWS = [[cell.strip() for cell in line.split(" | ")] for line in TABLE.splitlines()[2:] if line]
+FUNCTIONS = sorted(set(re.findall(r"\]\[htcp_jax\.([\w.]+)\]", PAGE)))
+TESTS = sorted(set(re.findall(r"`(test_\w+\.py)::(test_\w+)`", PAGE)))
+CITED = re.compile(r"[Ee]quations? \(?(\d+[a-d]?)\b(?:\)? (?:and|to) \(?(\d+[a-d]?)\b)?")
+OTHER_BOOKS = {"cma_es.py", "test_cma_es.py"}  # the tutorial on CMA-ES
+
+
+def test_the_table_has_the_papers_equations_in_their_order():
+    assert re.findall(r"^\| \[\((\d+[a-d]?)\)\]", TABLE, re.MULTILINE) == NUMBERS
+
+
+def test_every_row_names_a_function_and_a_test():
+    assert len(ROWS) > len(NUMBERS)
+    for _, _, functions, tests in ROWS:
+        assert "][htcp_jax." in functions and "`test_" in tests
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_a_function_of_the_page_exists(name):
+    resolve_name(f"htcp_jax.{name}")
+
+
+@pytest.mark.parametrize(("file", "test"), TESTS)
+def test_a_test_of_the_page_exists(file, test):
+    assert re.search(rf"^def {test}\(", (ROOT / "tests" / file).read_text(encoding="utf-8"), re.MULTILINE)
+
+
+def test_no_file_cites_an_equation_that_the_paper_does_not_have():
+    folders = "htcp_jax", "docs", "configs", "notebooks", "tests", "benchmarks"
+    files, cited = [file for folder in folders for file in (ROOT / folder).rglob("*.*")], {}
+    for file in files:
+        if file.suffix in (".py", ".md", ".yaml") and file.name not in OTHER_BOOKS:
+            numbers = sum(CITED.findall(file.read_text(encoding="utf-8")), ())
+            cited |= {number: file.name for number in numbers if number}
+    assert len(cited) > 8 and not cited.keys() - set(NUMBERS), cited
