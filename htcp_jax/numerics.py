@@ -72,8 +72,8 @@ def capsule_point_distance(
     ```
     """
     p, q, point = (_points(value, name) for value, name in ((p, "p"), (q, "q"), (point, "point")))
-    s = jax.lax.stop_gradient(segment_parameter(p, q, point))  # the distance is stationary in s: envelope theorem
-    return safe_norm(point - (p + s[..., None] * (q - p))) - jnp.asarray(radius, float)
+    s = segment_parameter(p, q, point)
+    return safe_norm(p + s[..., None] * (q - p) - point) - jnp.asarray(radius, float)
 
 
 def axis_contact(

@@ -112,10 +112,10 @@ def test_the_clearance_is_a_bound_on_that_to_the_triangles(car):
         assert D == np.min(touch.distance)
         rows = rows_of(robot, obstacle)
         held = hold_contacts(robot, jnp.asarray(x), rows, touch)
-        values = predict_distances(robot, jnp.asarray(x), rows, held)
+        values, _ = predict_distances(robot, jnp.asarray(x), rows, held)
         np.testing.assert_allclose(values, touch.distance, atol=1e-12)
         near = jnp.asarray(x + 0.01)
-        assert (predict_distances(robot, near, rows, held)
+        assert (predict_distances(robot, near, rows, held)[0]
                 >= clearances(robot, obstacle, where, near) - 1e-12)[inside].all()  # fmt: skip
 
 

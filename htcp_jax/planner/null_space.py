@@ -14,7 +14,7 @@ from htcp_jax.clearance.obstacle import Obstacles, Posed
 from htcp_jax.clearance.obstacles import clearance, clearances, contacts
 from htcp_jax.clearance.scene import Scene
 from htcp_jax.errors import InputError
-from htcp_jax.numerics import fold_keys, null_basis, of_shape, product
+from htcp_jax.numerics import fold_keys, null_basis, of_shape, product, with_gradient
 from htcp_jax.planner.lane_inputs import LaneInputs
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.kinematics import configuration
@@ -75,16 +75,18 @@ def sphere_problem(
             return jnp.min(clearances(robot, obstacles, where, x) + far) - j1
         return clearance(robot, obstacles, where, x) - j1
 
-    def predict(w, held):
-        value = predict_distances(robot, x_ref + product(step_basis, w), rows, held)
+    def predicted(w, held):
+        value, gradient = predict_distances(robot, x_ref + product(step_basis, w), rows, held)
         rounds = value.shape[0] // far.shape[0]
-        return value + jnp.concatenate([far] * rounds) - product(w, product(half, w))
+        value = value + jnp.concatenate([far] * rounds) - product(w, product(half, w))
+        return value, product(gradient, step_basis) - 2 * product(half, w)[None, :]
 
     G = jnp.concatenate([step_basis, -step_basis])
     h = jnp.concatenate([robot.upper - x_ref, x_ref - robot.lower])
     if task.bands:
         G = jnp.concatenate([G, -product(held.gradient, step_basis)])
         h = jnp.concatenate([h, jnp.maximum(held.room, 0.0)])
+    predict = with_gradient(lambda w, held: predicted(w, held)[0], predicted)
     problem = sphere.Sphere(observe, measure, predict, 2 * half, G, jnp.minimum(h, 1e3))
     return problem, hold_contacts(robot, x_ref, rows, contacts(robot, obstacles, where, x_ref)), step_basis
 
