@@ -35,7 +35,9 @@ RUNS = build/gate
 GATE = $(VENV)/bin/htcp gate $(RUNS)/$$sweep --baseline sweeps/baselines/$$sweep.yaml
 
 gate: gate-runs  ## plan the gated sweeps and hold them to their baselines
-	@failed=0; for sweep in $(GATED); do $(GATE) || failed=1; done; exit $$failed
+	@failed=0; for sweep in $(GATED); do \
+		$(GATE) --junit $(RUNS)/$$sweep.xml --markdown "$${GITHUB_STEP_SUMMARY:-$(RUNS)/gate.md}" || failed=1; \
+	done; exit $$failed
 
 bless: gate-runs  ## plan the gated sweeps and make them the new baselines
 	@set -e; for sweep in $(GATED); do $(GATE) --bless; done
