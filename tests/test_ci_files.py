@@ -35,7 +35,8 @@ def test_every_make_target_of_the_workflow_is_in_the_makefile(target):
 
 
 def test_the_workflow_calls_every_make_target_of_ci_run():
-    assert set(targets((ROOT / ".ci" / "run").read_text().splitlines())) <= set(targets(commands(WORKFLOW)))
+    called = targets((ROOT / ".ci" / "run").read_text().splitlines())
+    assert set(called) - {"install"} <= set(targets(commands(WORKFLOW)))  # each target installs what it needs
 
 
 def test_the_documented_workflow_is_short_and_its_commands_have_these_options():

@@ -33,6 +33,7 @@ class Column(NamedTuple):
 
     @property
     def title(self) -> str:
+        """Heading of the column, with its unit."""
         return f"{self.head} [{self.unit}]" if self.unit else self.head
 
     def text(self, value: Any) -> str:

@@ -84,6 +84,7 @@ class Scores(Section):
 
     @property
     def ends(self) -> dict[int, End]:
+        """End of each scenario by its number."""
         return {number: _read_end(text) for number, text in self.scenarios.items()}
 
     @model_validator(mode="after")

@@ -74,10 +74,12 @@ class ChangedOutcome(NamedTuple):
 
     @property
     def worse(self) -> bool:
+        """True if fewer targets are tracked than before."""
         return self.now.tracked < self.was.tracked
 
     @property
     def better(self) -> bool:
+        """True if more targets are tracked than before."""
         return self.now.tracked > self.was.tracked
 
     @property
