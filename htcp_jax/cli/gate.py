@@ -81,7 +81,7 @@ def gate(
     \b
     htcp gate out/workpiece --baseline sweeps/baselines/workpiece.yaml
     htcp gate out/workpiece --baseline sweeps/baselines/workpiece.yaml --bless    the run is the new baseline
-    htcp gate out/workpiece --baseline sweeps/baselines/workpiece.yaml --junit out/gate.xml --markdown out/gate.md
+    htcp gate out/workpiece --baseline workpiece.yaml --junit gate.xml --markdown gate.md    for CI
     """
     files = [file for file in (junit_file, markdown_file) if file]
     if bless:
