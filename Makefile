@@ -5,17 +5,39 @@ PYTHON ?= $(firstword $(foreach p,python3 python3.14 python3.13 python3.12 pytho
 	$(shell $(p) -c 'import sys; sys.version_info >= (3, 11) and print("$(p)")' 2>/dev/null)) no-python-3.11-found)
 INSTALL = $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable
 
-.PHONY: demo test test-slow notebooks docs gate bless gate-runs faults fuzz lock clean
+# As many processes as there are cores share the tests. WHOLE=1 executes the annotations of the whole package, and not
+# only of the modules that pyproject.toml names.
+PYTEST = $(VENV)/bin/python -m pytest --numprocesses logical --dist worksteal \
+	$(if $(WHOLE),--jaxtyping-packages=htcp_jax$(COMMA)beartype.beartype)
+COMMA := ,
+# What `make check` runs: the mathematics; a small plan and bad inputs by the command.
+CHECKED = $(patsubst %,tests/test_%.py,lint mathematics numerics kinematics sphere qp cma_es cli)
+
+.PHONY: demo install lint check test test-slow notebooks docs gate bless gate-runs gate-faults faults fuzz lock clean
 
 demo: $(VENV)/.installed  ## plan the default job
 	$(VENV)/bin/htcp plan
 
-test: $(VENV)/.installed-test  ## lint and the quick tests
+lint: $(VENV)/.installed-test  ## style, imports, docstrings, shape annotations
 	$(VENV)/bin/ruff check .
-	$(VENV)/bin/python -m pytest
+	$(VENV)/bin/python tests/lint.py
 
-test-slow: $(VENV)/.installed-test  ## every test
-	$(VENV)/bin/python -m pytest -m "slow or not slow"
+check: lint  ## a first answer: lint, a self-test, the mathematics, a small plan, bad inputs
+	@echo "A first answer: less than two minutes on two cores"
+	$(VENV)/bin/htcp doctor
+	$(PYTEST) $(CHECKED)
+
+test: lint  ## lint and the quick tests
+	@echo "The quick tests: about 9 minutes on two cores, 6 once programs are compiled"
+	$(PYTEST)
+
+test-slow: WHOLE = 1
+test-slow: lint  ## every test
+	@echo "Every test: about an hour on two cores"
+	$(PYTEST) -m "slow or not slow"
+
+gate-faults: $(VENV)/.installed-test  ## the tests that the gate notices a fault in each part of a plan
+	$(PYTEST) -m slow tests/test_gate_faults.py
 
 notebooks: $(VENV)/.installed-notebooks  ## execute the notebooks; build/notebooks/*.html
 	mkdir -p build/notebooks
@@ -35,7 +57,9 @@ RUNS = build/gate
 GATE = $(VENV)/bin/htcp gate $(RUNS)/$$sweep --baseline sweeps/baselines/$$sweep.yaml
 
 gate: gate-runs  ## plan the gated sweeps and hold them to their baselines
-	@failed=0; for sweep in $(GATED); do $(GATE) || failed=1; done; exit $$failed
+	@failed=0; for sweep in $(GATED); do \
+		$(GATE) --junit $(RUNS)/$$sweep.xml --markdown "$${GITHUB_STEP_SUMMARY:-$(RUNS)/gate.md}" || failed=1; \
+	done; exit $$failed
 
 bless: gate-runs  ## plan the gated sweeps and make them the new baselines
 	@set -e; for sweep in $(GATED); do $(GATE) --bless; done
@@ -63,6 +87,11 @@ $(VENV)/.installed-test: pyproject.toml requirements.lock | $(VENV)/bin/python
 	@echo "Installing htcp_jax and its test tools into $(VENV) (a few minutes the first time)"
 	$(INSTALL) '.[test]'
 	touch $@ $(VENV)/.installed
+
+install: pyproject.toml requirements.lock | $(VENV)/bin/python  ## install in one go what all these commands need
+	@echo "Installing htcp_jax and all its tools into $(VENV) (a few minutes the first time)"
+	$(INSTALL) '.[test,notebooks,docs]'
+	touch $(VENV)/.installed $(VENV)/.installed-test $(VENV)/.installed-notebooks $(VENV)/.installed-docs
 
 $(VENV)/.installed-notebooks: pyproject.toml requirements.lock | $(VENV)/bin/python
 	@echo "Installing htcp_jax and what executes notebooks into $(VENV)"

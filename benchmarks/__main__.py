@@ -14,7 +14,7 @@
     python -m benchmarks mountings         found by a grid, random draws, htcp place and differential evolution
     python -m benchmarks seams OUT.png     the seams of the generated duct, drawn
     python -m benchmarks speed             what is timed, beside committed figures, or in pairs with another checkout
-    python -m benchmarks shape             of the source: sizes, depth of imports, docstrings; other checkouts beside it
+    python -m benchmarks shape             sizes and depth of imports of the source, next to other checkouts
 
 Options follow the case: --help shows them. Nothing else should run on the machine while times are taken. RESULTS.md
 beside this file has the numbers measured so far.

@@ -16,7 +16,6 @@ Every number comes from the syntax tree and the tokens of the package's *.py fil
   the number of modules in the longest chain of imports.
 - A folder's arrow leads to each other folder that any of its modules imports from, modules beside `__init__` left out.
   An arrow runs back where it is part of a circle of folders. A circle of modules: all that import one another.
-- Docstrings that are not complete: see `benchmarks.docstrings`.
 """
 
 import ast
@@ -30,8 +29,6 @@ from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
-
-from benchmarks.docstrings import incomplete
 
 PACKAGE = "htcp_jax"
 ROOT = Path(__file__).resolve().parents[1]
@@ -236,7 +233,6 @@ def rows(tree: Tree) -> dict[str, str]:
     """The table's column of one checkout."""
     sources, functions = tree.sources.values(), tree.functions
     largest, size = max(tree.classes.items(), key=lambda item: item[1])
-    public = incomplete(tree.root)
     return {
         "files": f"{len(sources)}",
         "lines": f"{sum(source.lines for source in sources):,}",
@@ -251,13 +247,11 @@ def rows(tree: Tree) -> dict[str, str]:
         "folders' arrows": f"{len(tree.arrows)}",
         "of them back": f"{tree.arrows_back}",
         "circles of modules": "none" if not tree.circles else " > ".join(tree.circles),
-        "public names": f"{len(public)}",
-        "docstrings not complete": f"{sum(bool(why) for why in public.values())}",
     }
 
 
 def main() -> None:
-    """Print a column a checkout, then the longest chain and what is missing in docstrings of the last one."""
+    """Print a column a checkout, then the longest chain of imports in the last one."""
     given = [Path(word) for word in sys.argv[1:]] or [ROOT]
     trees = [Tree(path.resolve().name, path.resolve()) for path in given]
     columns = [rows(tree) for tree in trees]
@@ -268,6 +262,3 @@ def main() -> None:
         cells = (column[name].rjust(width) for column, width in zip(columns, widths, strict=True))
         print(name.ljust(first), *cells, sep="  ")
     print("\nthe longest chain:", " > ".join(trees[-1].chain))
-    for name, why in incomplete(trees[-1].root).items():
-        if why:
-            print(f"{name}: {'; '.join(why)}")

@@ -7,7 +7,7 @@ A block may have a comment before it, `<!-- runs: HOW -->`:
     slow, two scenarios      by a slow test, with --limit 2: it would take longer than all other tests together
     slow, in a fresh copy    by a slow test, in a copy of the repository without a virtual environment
     in CI                    by .ci/run, which is made of such commands
-    slow suite               it is the slow tests themselves
+    suite                    it is a part of the tests itself
 
 Commands within sentences are held to what there is: commands and their options, targets of make, extras. Those that
 name files run as well, in a slow test.
@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
 QUICK, SLOW, TWO, COPY = "quick", "slow", "slow, two scenarios", "slow, in a fresh copy"
-CI, SUITE = "in CI", "slow suite"
+CI, SUITE = "in CI", "suite"
 WAYS = QUICK, SLOW, TWO, COPY, CI, SUITE
 FENCE = re.compile(
     r"(?:^<!-- runs: (?P<how>[^\n]*?) -->\n)?^```(?P<kind>[^\n`]*)\n(?P<text>.*?)^```$", re.DOTALL | re.MULTILINE

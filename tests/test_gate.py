@@ -67,8 +67,11 @@ def edit_manifest(run, change) -> None:
 def test_a_run_passes_its_own_baseline_and_the_table_lines_up(run, baseline, capsys):
     assert gate(run, baseline) == PASSED
     output = capsys.readouterr()
-    counts, figures, passed = output.out.split("\n\n")
-    title, head, units, *rows = counts.splitlines()
+    origins, counts, figures, passed = output.out.split("\n\n")
+    title, *origins = origins.splitlines()
+    named = [line.split()[:2] for line in origins if not line.startswith(" ")]
+    assert named == [["baseline", "commit"], ["run", "commit"]]
+    head, units, *rows = counts.splitlines()
     assert (title, passed, output.err) == ("grid", "passed\n", "")
     assert [row.split()[0] for row in rows] == ["baseline", "cspace-sample", "reachability"]
     assert all(row.index("ok") == head.index("verdict") for row in rows) and len(units) <= len(head)
@@ -104,8 +107,8 @@ def test_a_scenario_that_ends_earlier_fails_and_is_named_with_target_and_reason(
     label = f"tilt y 0.4 rad, tool {LONGER} m"
     line = f"baseline, scenario 2 ({label}): first at target 12, {TARGETS} tracked before, 12 now"
     assert f"{line}; {Status.QP_INFEASIBLE.message}" in told.splitlines() and told.endswith("FAILED\n")
-    assert "failed  baseline: 7 targets fewer are tracked, 69 of 76; 0 may be lost" in told
-    assert "failed  baseline: 1 scenarios end earlier; 0 may" in told
+    assert "failed  baseline: 7 targets fewer tracked, 69 of 76; 0 may be lost" in told
+    assert "failed  baseline: 1 scenario ended earlier; 0 may" in told
     assert "failed  baseline: 90.79 % of the reachable targets are tracked, 100.00 % before" in told
 
 
@@ -181,7 +184,7 @@ def test_a_method_that_the_baseline_lacks_is_told_and_passes(run, baseline, caps
 def test_missing_scenarios_fail(run, baseline, capsys):
     edit_manifest(run, lambda manifest: manifest["shards"].pop(1))
     verdict = outcome(run, baseline, capsys)
-    assert "baseline: 2 of 4 scenarios are missing, 2 the first" in verdict["failures"]
+    assert "baseline: 2 of 4 scenarios missing, 2 the first" in verdict["failures"]
 
 
 def test_a_sweep_that_died_before_its_first_shard_fails(run, baseline, capsys):
@@ -215,14 +218,14 @@ def test_a_missing_reachability_and_one_of_another_search_fail(run, baseline, ca
 def test_a_lower_reachability_fails(run, baseline, capsys):
     (run / REACHABILITY).write_text(json.dumps({"prefix": [TARGETS, TARGETS, TARGETS, 4], "draws": 8, "seed": 0}))
     verdict = outcome(run, baseline, capsys)
-    assert verdict["failures"] == ["reachability: 15 targets fewer are reachable; 0 may be lost"]
+    assert verdict["failures"] == ["reachability: 15 targets fewer reachable; 0 may be lost"]
 
 
 def test_what_mujoco_refutes_fails_though_every_count_is_as_it_was(run, baseline, capsys):
     spoil(run, 1, 7, joint2_rad=-1.5)
     verdict = outcome(run, baseline, capsys)
     assert not verdict["passed"] and verdict["changed"] == []
-    line = "baseline: 1 tracked targets are refuted by MuJoCo, the first in scenario 1 at target 7: the TCP is"
+    line = "baseline: 1 tracked target refuted by MuJoCo, the first in scenario 1 at target 7: the TCP is"
     assert any(failure.startswith(line) for failure in verdict["failures"])
 
 
@@ -318,7 +321,7 @@ def test_what_may_not_be_blessed_leaves_the_baseline_as_it_was(run, baseline, ca
 def test_a_refuted_run_and_a_damaged_one_are_not_blessed(run, tmp_path, capsys):
     spoil(run, 1, 7, joint2_rad=-1.5)
     assert gate(run, tmp_path / "b.yaml", "--bless") == BAD_INPUT
-    assert "1 tracked targets are refuted" in capsys.readouterr().err
+    assert "1 tracked target refuted" in capsys.readouterr().err
     (run / "targets" / "baseline-000000-000001.parquet").write_bytes(b"")
     assert gate(run, tmp_path / "b.yaml", "--bless") == BAD_INPUT and not (tmp_path / "b.yaml").exists()
 

@@ -226,9 +226,9 @@ def test_a_run_that_takes_longer_holds_its_feed_less_or_has_fewer_times_fails(ti
         times["cycle_time_s"][LOST] = 1.0
 
     for change, says in (
-        (faster, "1 scenarios take over 1 % longer, 1 the most"),
-        (more_held, "1 scenarios fewer hold their feed, 0 of 3"),
-        (one_more, "1 scenarios have no time any more, 3 the first"),
+        (faster, "1 scenario over 1 % longer, 1 the most"),
+        (more_held, "1 scenario fewer with the feed held, 0 of 3"),
+        (one_more, "1 scenario without a time, 3 the first"),
     ):
         (failure,) = verdict(timed, edited(baseline, tmp_path, change), capsys)["failures"]
         assert says in failure

@@ -73,7 +73,7 @@ def _descend(index: CloudIndex, segments: Segments):
 
     top = squared_distance(segments32, index.levels[0][0, :3, None, :])
     first = least_number(top)
-    second = least_number(jnp.where(jnp.arange(top.shape[1])[None] == first[:, None], jnp.inf, top))
+    second = least_number(jnp.where(jnp.arange(top.shape[1], dtype=first.dtype)[None] == first[:, None], jnp.inf, top))
     distance, leaf = jax.vmap(descent)(jnp.stack([first, second]))
     return jnp.min(distance, axis=0), jnp.where(distance[0] <= distance[1], *leaf)
 
@@ -109,7 +109,7 @@ def for_each_leaf(
             return _Opened(
                 jax.lax.dynamic_update_index_in_dim(found.group, group, found.count, 0),
                 jax.lax.dynamic_update_index_in_dim(found.bits, bits, found.count, 0),
-                found.count + (bits != 0),
+                found.count + (bits != 0).astype(jnp.int32),
             )
 
         opened = _for_each(opened, above.shape[2], open_group, room._replace(count=jnp.int32(0)))
@@ -126,7 +126,7 @@ def _for_each(opened: _Opened, fan: int, take: Callable, state):
         lowest = jax.lax.population_count((bits & -bits) - 1)
         state = take(opened.group[entry] * fan + lowest, state)
         rest = bits & (bits - 1)
-        entry = entry + (rest == 0)
+        entry = entry + (rest == 0).astype(jnp.int32)
         return entry, jnp.where(rest == 0, opened.bits[entry], rest), state
 
     start = jnp.int32(0), opened.bits[0], state

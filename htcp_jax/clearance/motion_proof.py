@@ -89,7 +89,7 @@ def look_on(
     def look(far: Bisection) -> Bisection:
         index, depth, end, proof = far
         half = 0.5 * jnp.ldexp(1.0, -depth)
-        place = (2 * index + 1) * half
+        place = (2 * index + 1).astype(half.dtype) * half
         x = a + place * (b - a)
         stays, broken = jnp.full((), True), jnp.full((), int(Verdict.PROVEN), jnp.int32)
         if tube is not None:

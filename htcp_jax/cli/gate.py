@@ -1,27 +1,40 @@
 """`htcp gate`: does a run still reach what a baseline says it reached?"""
 
+import os
+import sys
+import textwrap
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.text import Text
 
-from htcp_jax.cli.output import Json, print_json, print_table, progress_bar, stdout
+from htcp_jax.cli.output import LEAST_TEXT, Json, print_json, print_table, progress_bar, stdout, width
 from htcp_jax.errors import InputError
 from htcp_jax.report.document import Column, Table
-from htcp_jax.runs.labels import named
+from htcp_jax.report.gate import annotations, junit, named_origins, summary
+from htcp_jax.runs.labels import counted
 from htcp_jax.runs.manifest import MANIFEST
-from htcp_jax.runs.run_folder import Run, open_run
+from htcp_jax.runs.plan_folder import append_text, part_of, writable_file, write_text
+from htcp_jax.runs.run_folder import open_run
+from htcp_jax.validation.baseline import Baseline, read_baseline
 from htcp_jax.validation.baseline import bless as write_baseline
-from htcp_jax.validation.baseline import read_baseline
-from htcp_jax.validation.gate import ChangedOutcome, Verdict, judge
+from htcp_jax.validation.gate import ChangedOutcome, Verdict, judge, unreadable
 
 PASSED, REGRESSION = 0, 1
-LISTED = 20  # scenarios on the terminal
+LISTED, INDENT = 20, 12  # scenarios, and columns for a name, on the terminal
 
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="The folder that htcp sweep wrote.")]
 File = Annotated[Path, typer.Option(metavar="FILE", help="The baseline, sweeps/baselines/workpiece.yaml for example.")]
 Bless = Annotated[bool, typer.Option("--bless", help="Write RUN into FILE as the new baseline.")]
+Junit = Annotated[
+    Path | None, typer.Option("--junit", metavar="FILE", help="Write JUnit XML: a test case per method and check.")
+]
+Markdown = Annotated[
+    Path | None,
+    typer.Option("--markdown", metavar="FILE", help="Append tables in Markdown, to $GITHUB_STEP_SUMMARY for example."),
+]
 
 COUNTS = (
     Column("method", "method"),
@@ -50,58 +63,84 @@ TIMES = (
 )
 
 
-def gate(run: RunFolder, baseline: File, bless: Bless = False, as_json: Json = False) -> int:
+def gate(
+    run: RunFolder,
+    baseline: File,
+    bless: Bless = False,
+    junit_file: Junit = None,
+    markdown_file: Markdown = None,
+    as_json: Json = False,
+) -> int:
     """Hold a run against a baseline: targets tracked, scenarios that flipped, the share of what is reachable, and, by
     MuJoCo alone, the TCP and the clearance of every tracked target; where the baseline has them, cycle times and feeds.
 
     A method, a scenario or a figure that is missing is a failure, and so is a run that cannot be read. How long
-    planning takes never counts. Exits with 0 when the run passes, with 1 when it does not, with 2 on bad input.
+    planning takes never counts. Exits with 0 when the run passes, with 1 when it does not, with 2 on bad input. On
+    GitHub Actions each method that fails becomes an annotation.
 
     \b
     htcp gate out/workpiece --baseline sweeps/baselines/workpiece.yaml
     htcp gate out/workpiece --baseline sweeps/baselines/workpiece.yaml --bless    the run is the new baseline
+    htcp gate out/workpiece --baseline workpiece.yaml --junit gate.xml --markdown gate.md    for CI
     """
+    files = [file for file in (junit_file, markdown_file) if file]
     if bless:
+        if files:
+            raise InputError(f"--bless compares nothing that {files[0]} could hold; leave one of them out")
         with progress_bar("plans", time_left=True) as progress:
             write_baseline(open_run(run), baseline, progress)
         print_json({"baseline": str(baseline)}) if as_json else print(f"{run} is the baseline now: {baseline}")
         return PASSED
     known = read_baseline(baseline)
-    try:
-        there = open_run(run)
-    except InputError as error:
-        if not (run / MANIFEST).exists():
-            raise
-        _print_unreadable(str(error), as_json)
-        return REGRESSION
-    with progress_bar("plans", time_left=True) as progress:
-        verdict = judge(there, known, progress)
-    if as_json:
-        print_json(_record(verdict))
-    else:
-        _print(there, verdict)
+    taken = [*map(os.path.realpath, (baseline, *files))]
+    if twice := [file for file, place in zip(files, taken[1:], strict=True) if taken.count(place) > 1]:
+        raise InputError(f"{twice[-1]} is named twice; the baseline, --junit and --markdown are different files")
+    with ExitStack() as reserved:
+        for file in (*files, *(part_of(file) for file in files if file is junit_file)):
+            reserved.enter_context(writable_file(file))
+        verdict = _judge(run, known)
+        if junit_file:
+            write_text(junit_file, junit(verdict))
+        if markdown_file:
+            append_text(markdown_file, summary(verdict))
+    print_json(_record(verdict)) if as_json else _print(verdict)
+    if os.environ.get("GITHUB_ACTIONS") == "true":
+        for line in annotations(verdict):
+            print(line, file=sys.stderr if as_json else sys.stdout)
     return PASSED if verdict.passed else REGRESSION
 
 
-def _print_unreadable(reason: str, as_json: bool) -> None:
-    if as_json:
-        print_json({"passed": False, "failures": [reason]})
-    else:
-        stdout().print(Text.assemble(("failed  ", "bold red"), reason))
+def _judge(folder: Path, baseline: Baseline) -> Verdict:
+    try:
+        run = open_run(folder)
+    except InputError as error:
+        if not (folder / MANIFEST).exists():
+            raise
+        return unreadable(baseline, str(error))
+    with progress_bar("plans", time_left=True) as progress:
+        return judge(run, baseline, progress)
 
 
 def _record(verdict: Verdict) -> dict:
     changed = [one._asdict() | {"target": one.target, "reason": one.reason} for one in verdict.changed]
     changed = [one | {"was": one["was"]._asdict(), "now": one["now"]._asdict()} for one in changed]
     rows = [row._asdict() for row in verdict.rows]
+    origins = {"baseline": verdict.baseline._asdict(), "run": [one._asdict() for one in verdict.run]}
+    checks = [check._asdict() for check in verdict.checks]
     before = {"flips": changed, "news": verdict.improvements}  # what two keys were called; for one version more
-    return verdict._asdict() | {"allow": verdict.allow.model_dump(), "rows": rows, "changed": changed} | before
+    now = origins | {"allow": verdict.allow.model_dump(), "rows": rows, "checks": checks, "changed": changed}
+    return verdict._asdict() | now | before
 
 
-def _print(run: Run, verdict: Verdict) -> None:
+def _print(verdict: Verdict) -> None:
     console = stdout()
-    labels = run.labels() if verdict.changed else {}
-    console.print(Text(run.manifest.name, style="bold"))
+    console.print(Text(verdict.sweep, style="bold"))
+    for name, origin in named_origins(verdict):
+        first, *others = textwrap.wrap(str(origin), max(LEAST_TEXT, width() - INDENT))
+        console.print(Text.assemble((f"{name:<{INDENT}}", "cyan"), first))
+        for line in others:
+            console.print(" " * INDENT + line)
+    console.print()
     for columns in (COUNTS, FIGURES, TIMES):
         known = [c for c in columns if any(getattr(row, c.key) is not None for row in verdict.rows)]
         if known[1:]:
@@ -109,23 +148,20 @@ def _print(run: Run, verdict: Verdict) -> None:
             print_table(console, Table("gate", tuple(known), rows))
             console.print()
     for changed in verdict.changed[:LISTED]:
-        console.print(_describe(changed, labels))
-    if len(verdict.changed) > LISTED:
-        console.print(f"and {len(verdict.changed) - LISTED:,} more scenarios that flipped")
+        console.print(_describe(changed))
+    if (more := len(verdict.changed) - LISTED) > 0:
+        console.print(f"and {counted(more, 'scenario')} more that flipped")
     if verdict.elsewhere:
         console.print(Text("On another device or with other versions than the baseline: see allow.elsewhere.", "dim"))
     for line in verdict.improvements:
         console.print(Text.assemble(("better  ", "green"), line))
     for line in verdict.failures[:LISTED]:
         console.print(Text.assemble(("failed  ", "bold red"), line))
-    if len(verdict.failures) > LISTED:
-        console.print(f"and {len(verdict.failures) - LISTED:,} more failures")
+    if (more := len(verdict.failures) - LISTED) > 0:
+        console.print(f"and {counted(more, 'failure')} more")
     console.print(Text("passed", "bold green") if verdict.passed else Text("FAILED", "bold red"))
 
 
-def _describe(changed: ChangedOutcome, labels: dict[int, str]) -> Text:
-    style = "red" if changed.worse else "green" if changed.better else "dim"
-    where = f"{changed.method}, scenario {named(changed.scenario, labels)}: first at target {changed.target}, "
-    return Text.assemble(
-        (where, style), f"{changed.was.tracked} tracked before, {changed.now.tracked} now; {changed.reason}"
-    )
+def _describe(changed: ChangedOutcome) -> Text:
+    where, rest = str(changed).split(": first", 1)
+    return Text.assemble((where, "red" if changed.worse else "green" if changed.better else "dim"), f": first{rest}")

@@ -74,6 +74,7 @@ def step(file: Path) -> dict[str, np.ndarray]:
 
 
 def main(kind: str, file: str, folder: str, memory: str) -> None:
+    """Parse `file` with at most `memory` bytes and write its arrays or its error into `folder`."""
     with contextlib.suppress(ImportError, OSError, ValueError):  # Linux alone limits the memory of a process
         import resource
 

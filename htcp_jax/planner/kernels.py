@@ -21,6 +21,7 @@ from htcp_jax.scene.task import TaskLinear
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import step_qp
 from htcp_jax.solvers.active_set import solve_step
+from htcp_jax.types import Joints
 
 STEPS_A_BURST = 5  # step QPs, or null-space steps, before the engine looks at the lanes again
 
@@ -57,7 +58,9 @@ def prepare(
     )
 
 
-def advance(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, y, smallest: bool = False) -> Measured:
+def advance(
+    settings: Settings, scene: Scene, lane: LaneInputs, x_ref: Joints, y: Joints, smallest: bool = False
+) -> Measured:
     """The lane after a step y: inside the limits to the last bit, linearised by equations (6) to (8), and measured
     against its target. smallest: see `linearise`."""
     scene = own_scene(scene, lane.tool_extension_m)

@@ -21,7 +21,7 @@ from htcp_jax.scene.kinematics import configuration
 from htcp_jax.scene.robot import Robot
 from htcp_jax.settings import Settings, settings_of
 from htcp_jax.solvers import sphere
-from htcp_jax.types import Array, Float, Joints, Scalar
+from htcp_jax.types import Array, Float, Int, Joints, Scalar
 
 READS = ("alpha_rad", "include_proximal_bodies", "j1_weight", "q_weights")  # settings, by any step in the null space
 DRAWS, PUSHED, PUSHES = 256, 6, 60  # of `draw_clear`: draws, how many are pushed clear, null-space steps of a push
@@ -164,7 +164,13 @@ Minimise = Callable[[sphere.Sphere, HeldContacts, jax.Array, Settings], sphere.B
 
 
 def null_space_step(
-    minimise: Minimise, scene: Scene, settings: Settings, where: Posed, stuck: Stuck, x_ref: Joints, count
+    minimise: Minimise,
+    scene: Scene,
+    settings: Settings,
+    where: Posed,
+    stuck: Stuck,
+    x_ref: Joints,
+    count: Int[Array, ""],
 ) -> Anchored:
     """Algorithm 1, lines 11 to 13: minimise J2 on the sphere, x = x_ref + alpha N w, re-anchor."""
     problem, held, step_basis = sphere_problem(scene, settings, where, x_ref, stuck.target)

@@ -91,7 +91,7 @@ def walk(settings: Settings, scene: Scene, lane: LaneInputs, x, walker) -> Loop:
     robot, task = scene.robot, scene.task
     key = fold_keys(jax.random.PRNGKey(lane.seed), lane.number, lane.row, lane.round, walker)
     towards, length = jax.random.split(key)
-    longest = jax.random.randint(length, (), 1, settings.walk_steps + 1)
+    longest = jax.random.randint(length, (), 1, settings.walk_steps + 1).astype(jnp.int32)
 
     def going(state):
         good, *_, steps = state
@@ -110,7 +110,7 @@ def walk(settings: Settings, scene: Scene, lane: LaneInputs, x, walker) -> Loop:
         good &= safe_norm(there - x) >= LEAST_STEP * settings.walk_step_rad
         here = Posture(there, D, residual, tcp_position(robot, there))
         path = jax.tree.map(lambda all_, new: all_.at[steps].set(jnp.where(good, new, all_[steps])), path, here)
-        return good, there, direction, path, steps + good
+        return good, there, direction, path, steps + good.astype(jnp.int32)
 
     n, most = len(x), settings.walk_steps
     path = Posture(*(jnp.zeros((most, *shape)) for shape in ((n,), (), (), (3,))))

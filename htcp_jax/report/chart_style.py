@@ -60,6 +60,7 @@ def new_figure(height: float, title: str, note: str) -> Figure:
 
 
 def plain_axes(axes: Axes, grid: str = "y") -> None:
+    """Style axes with grid lines along one axis and no box."""
     axes.grid(axis=grid, color=RULE, linewidth=0.8)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
@@ -70,11 +71,13 @@ def plain_axes(axes: Axes, grid: str = "y") -> None:
 
 
 def heading(axes: Axes, name: str, figure_of_merit: str) -> None:
+    """Write a name above the left end of a panel and its figure of merit above the right end."""
     axes.set_title(name, loc="left", color=INK, fontsize=10.5, fontweight="bold")
     axes.set_title(figure_of_merit, loc="right", color=QUIET, fontsize=10)
 
 
 def blank_the_rest(panels, used: int) -> None:
+    """Hide the axes of all panels after the first `used` ones."""
     for axes in panels.flat[used:]:
         axes.axis("off")
 

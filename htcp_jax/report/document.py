@@ -4,6 +4,7 @@ import base64
 import csv
 import io
 import math
+import re
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
@@ -12,6 +13,8 @@ from typing import Any, NamedTuple
 from matplotlib.figure import Figure
 
 NOTHING = "-"
+MARKS = re.compile(r"[\\`*<>|~$&]|\](?=[\[(:])|(?<![0-9A-Za-z])_|_(?![0-9A-Za-z])")  # Markdown's own
+UNPRINTABLE = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # no characters of XML
 
 
 def unknown(value: Any) -> bool:
@@ -30,6 +33,7 @@ class Column(NamedTuple):
 
     @property
     def title(self) -> str:
+        """Heading of the column, with its unit."""
         return f"{self.head} [{self.unit}]" if self.unit else self.head
 
     def text(self, value: Any) -> str:
@@ -85,6 +89,16 @@ def html(blocks: Sequence[Block], pictures: dict[str, bytes]) -> str:
     return _PAGE.format(title=escape(title), style=_STYLE, body=body)
 
 
+def printable(text: str) -> str:
+    """The text without control characters and halves of surrogate pairs, which neither XML nor UTF-8 can hold."""
+    return UNPRINTABLE.sub("\N{REPLACEMENT CHARACTER}", text)
+
+
+def escaped(text: str) -> str:
+    """The text for Markdown, on one line, that reads as it is."""
+    return MARKS.sub(r"\\\g<0>", " ".join(printable(text).splitlines()))
+
+
 def write_csv(file: Path, table: Table) -> None:
     """The table with numbers that read back exactly; what is not known is an empty cell."""
     with file.open("w", newline="", encoding="utf-8") as stream:
@@ -115,7 +129,7 @@ def _markdown(block: Block) -> str:
 def _markdown_table(table: Table) -> str:
     """Aligned in the source too, so that it reads well in an editor."""
     lines = [[column.title for column in table.columns], *_texts(table)]
-    lines = [[cell.replace("|", "\\|") for cell in line] for line in lines]
+    lines = [[escaped(cell) for cell in line] for line in lines]
     widths = [max(3, *map(len, cells)) for cells in zip(*lines, strict=True)]
     rule = ["-" * (w - 1) + ":" if c.form else "-" * w for c, w in zip(table.columns, widths, strict=True)]
     padded = [

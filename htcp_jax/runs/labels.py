@@ -46,6 +46,11 @@ def named(number: int, labels: dict[int, str]) -> str:
     return f"{number} ({labels[number]})" if labels.get(number) else str(number)
 
 
+def counted(number: int, noun: str) -> str:
+    """A number with its noun: 1 target, 2 targets."""
+    return f"{number:,} {noun}{'s' * (number != 1)}"
+
+
 def parameter_names(table: pa.Table) -> list[str]:
     """The columns of a scenario table that a grid may vary."""
     return [name for name in table.column_names if name not in RESULTS]

@@ -164,10 +164,48 @@ def json_text(record: Any) -> str:
     return json.dumps(_plain(record), indent=2, allow_nan=False)
 
 
+@contextlib.contextmanager
+def writable_file(file: Path) -> Iterator[None]:
+    """Make the folder of a file that is written at the end of the block; it vanishes again if it is empty then.
+
+    Raises InputError at once, and leaves all as it was, if the file cannot be written.
+    """
+    with made_folder(file.parent):
+        try:
+            there = os.path.lexists(file)
+            if file.exists() and not (file.is_file() or file.is_dir()):
+                raise InputError(f"cannot write to {file}: not a regular file")
+            file.open("ab").close()
+            if not there:
+                file.unlink()
+        except OSError as error:
+            raise _unwritable(file, error) from None
+        yield
+
+
+def append_text(file: Path, text: str) -> None:
+    """Append to a file in UTF-8, after an empty line if it holds something. Raises InputError when it cannot be
+    written; what was there is then as before."""
+    before = 0
+    try:
+        before = file.stat().st_size if file.exists() else None
+        with file.open("ab") as stream:
+            stream.write(f"{chr(10) if before else ''}{text}".encode())
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            file.unlink() if before is None else os.truncate(file, before)
+        raise _unwritable(file, error) from None
+
+
+def part_of(file: Path) -> Path:
+    """Name of a file while `write_text` writes it."""
+    return file.with_name(f".part-{file.name}")
+
+
 def write_text(file: Path, text: str) -> None:
     """A file in UTF-8, written aside and moved into place. Raises InputError when it cannot be written; what was there
     is then as before."""
-    part = file.with_name(f".part-{file.name}")
+    part = part_of(file)
     try:
         part.write_text(text, encoding="utf-8")
         os.replace(part, file)

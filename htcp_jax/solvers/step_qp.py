@@ -50,7 +50,8 @@ class QPSolution(NamedTuple):
 class QPSolver(Protocol):
     """Solves a batch of step QPs given as numpy arrays with a leading axis B; results must not depend on the batch."""
 
-    def solve(self, qps: StepQP) -> QPSolution: ...
+    def solve(self, qps: StepQP) -> QPSolution:
+        """Solutions of the batch, as numpy arrays with the same leading axis B."""
 
 
 def assemble(

@@ -26,6 +26,7 @@ from htcp_jax.formats.strict_model import Section, validate
 from htcp_jax.formats.strict_yaml import read_yaml
 from htcp_jax.planner.plans import Outcome
 from htcp_jax.runs.identity import config_hash, identity
+from htcp_jax.runs.labels import counted
 from htcp_jax.runs.manifest import Manifest, MethodName
 from htcp_jax.runs.plan_folder import write_text
 from htcp_jax.runs.reachability_file import read_reachability
@@ -83,6 +84,7 @@ class Scores(Section):
 
     @property
     def ends(self) -> dict[int, End]:
+        """End of each scenario by its number."""
         return {number: _read_end(text) for number, text in self.scenarios.items()}
 
     @model_validator(mode="after")
@@ -213,8 +215,8 @@ def bless(run: Run, file: Path, progress: Callable[[int, int], None] | None = No
         raise InputError(f"{run.folder} is not blessed: {reason}")
     found = summarise_run(run, progress)
     if found.problems or found.refuted:
-        reason = found.problems[0] if found.problems else f"{len(found.refuted)} tracked targets are refuted"
-        raise InputError(f"{run.folder} is not blessed: {reason}")
+        refuted = f"{counted(len(found.refuted), 'tracked target')} refuted by MuJoCo"
+        raise InputError(f"{run.folder} is not blessed: {found.problems[0] if found.problems else refuted}")
     manifest, (origin,) = run.manifest, run.manifest.planned_by
     blessed = Baseline(
         sweep=manifest.name,
@@ -241,7 +243,7 @@ def planned(manifest: Manifest) -> dict:
 def _not_to_be_blessed(run: Run, old: Baseline | None) -> str | None:
     manifest = run.manifest
     if manifest.count < manifest.full:
-        return f"it is limited to {manifest.count} of {manifest.full} scenarios"
+        return f"it is limited to {manifest.count} of {counted(manifest.full, 'scenario')}"
     if not run.complete:
         return f"it is not complete, {_unplanned(run)}"
     if len(manifest.planned_by) != 1:
@@ -255,7 +257,7 @@ def _not_to_be_blessed(run: Run, old: Baseline | None) -> str | None:
 
 def _unplanned(run: Run) -> str:
     left = {method: sum(span.last - span.first + 1 for span in run.missing(method)) for method in run.methods}
-    return "; ".join(f"{method} lacks {count} scenarios" for method, count in left.items() if count)
+    return "; ".join(f"{method} lacks {counted(count, 'scenario')}" for method, count in left.items() if count)
 
 
 def _scores(run: Run, method: str, check: MethodCheck | None) -> Scores:

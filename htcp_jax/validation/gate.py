@@ -10,7 +10,7 @@ A method fails when
 - its largest TCP error or its smallest clearance is worse than the baseline's by more than is allowed;
 - the run lacks it, one of its scenarios, or one of these figures.
 
-What is better passes and is listed, so that somebody blesses it.
+What is better passes and is listed, so that somebody blesses it. Each of these is a `Check` of its own.
 """
 
 from collections.abc import Callable
@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 from htcp_jax.errors import InputError
 from htcp_jax.runs.identity import differences
+from htcp_jax.runs.labels import counted, named
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.status import Status
 from htcp_jax.validation.baseline import (
@@ -33,6 +34,33 @@ from htcp_jax.validation.baseline import (
 )
 
 ROUNDING = 1e-9  # of percentages and millimetres
+RUN, REACHABILITY = "run", "reachability"  # in place of a method's name
+SCENARIOS, TRACKED, EXECUTABLE, ENDS, SHARE, MUJOCO, TIMES, TCP_ERROR, CLEARANCE = CHECKS = (
+    *("scenarios present", "tracked targets", "executable targets", "scenarios ending earlier", "reachable share"),
+    *("validation by MuJoCo", "times", "largest TCP error", "smallest clearance"),
+)
+
+
+class Origin(NamedTuple):
+    """Commit, device and versions that planned a run."""
+
+    commit: str | None
+    device: str | None
+    versions: dict[str, str | None]
+
+    def __str__(self) -> str:
+        commit, sign, changes = (self.commit or "unknown").partition("+")
+        known = [f"{name} {version}" for name, version in self.versions.items() if version]
+        return f"{', '.join([f'commit {commit[:12]}{sign}{changes}', *known])}; {self.device}"
+
+
+class Check(NamedTuple):
+    """One comparison for one method."""
+
+    method: str
+    name: str  # of CHECKS, for a method
+    failures: tuple[str, ...] = ()  # sentences
+    compared: bool = True  # False where the baseline or the run has nothing to compare
 
 
 class ChangedOutcome(NamedTuple):
@@ -42,13 +70,16 @@ class ChangedOutcome(NamedTuple):
     scenario: int
     was: End
     now: End
+    label: str  # number of the scenario and what sets it apart
 
     @property
     def worse(self) -> bool:
+        """True if fewer targets are tracked than before."""
         return self.now.tracked < self.was.tracked
 
     @property
     def better(self) -> bool:
+        """True if more targets are tracked than before."""
         return self.now.tracked > self.was.tracked
 
     @property
@@ -61,6 +92,10 @@ class ChangedOutcome(NamedTuple):
         """What became of that target, in the run or, where that got further, in the baseline."""
         status = self.was.status if self.better else self.now.status
         return Status[status].message if status != COMPLETE else COMPLETE
+
+    def __str__(self) -> str:
+        where = f"{self.method}, scenario {self.label}: first at target {self.target}"
+        return f"{where}, {self.was.tracked} tracked before, {self.now.tracked} now; {self.reason}"
 
 
 class Row(NamedTuple):
@@ -89,9 +124,13 @@ class Verdict(NamedTuple):
     """The outcome. `failures` and `improvements` are sentences."""
 
     passed: bool
+    sweep: str
+    baseline: Origin
+    run: tuple[Origin, ...]  # several where a run was planned in parts
     elsewhere: bool  # whether the run was planned on another device, or with other versions, than the baseline
     allow: Allowance
     rows: tuple[Row, ...]
+    checks: tuple[Check, ...]
     changed: tuple[ChangedOutcome, ...]  # the worse ones first
     failures: tuple[str, ...]
     improvements: tuple[str, ...]  # what is better or not in the baseline; it passes
@@ -108,38 +147,54 @@ def judge(run: Run, baseline: Baseline, progress: Callable[[int, int], None] | N
             f"{run.folder} was not planned as the baseline was: {differing[0]}{more}; "
             "where that is meant, --bless a new one"
         )
-    elsewhere = _elsewhere(run, baseline)
-    allow = baseline.allow.elsewhere if elsewhere else baseline.allow.here
     found = summarise_run(run, progress)
-    failures, improvements = list(found.problems), []
-    rows, changed = [], []
-    for method, was in baseline.methods.items():
-        own = [] if (now := found.methods.get(method)) is None else _changed(method, was, now)
-        wrong = ["missing"] if now is None else _shortfalls(baseline, found, method, own, allow)
-        failures += [f"{method}: {line}" for line in wrong]
+    verdict = _compare(baseline, found, tuple(map(_origin, run.manifest.planned_by)))
+    labels = run.labels() if verdict.changed else {}
+    changed = (one._replace(label=named(one.scenario, labels)) for one in verdict.changed)
+    return verdict._replace(sweep=run.manifest.name, changed=tuple(changed))
+
+
+def unreadable(baseline: Baseline, reason: str) -> Verdict:
+    """Verdict on a run that cannot be read: each method is missing."""
+    return _compare(baseline, RunSummary({}, {}, (), None, (reason,)), ())
+
+
+def _compare(baseline: Baseline, found: RunSummary, run: tuple[Origin, ...]) -> Verdict:
+    was = Origin(baseline.commit, baseline.device, baseline.versions)
+    elsewhere = any(_machine(one) != _machine(was) for one in run)
+    allow = baseline.allow.elsewhere if elsewhere else baseline.allow.here
+    checks, rows, changed = [Check(RUN, "files", found.problems)], [], []
+    for method, scores in baseline.methods.items():
+        own = [] if (now := found.methods.get(method)) is None else _changed(method, scores, now)
+        lines = _lines(baseline, found, method, own, allow)
+        checks += [Check(method, name, tuple(lines[name] or ()), lines[name] is not None) for name in CHECKS]
+        verdict = "FAILED" if any(lines.values()) else "better" if _better(own) else "ok"
         changed += own
-        rows.append(_row(baseline, found, method, own, "FAILED" if wrong else "better" if _better(own) else "ok"))
+        rows.append(_row(baseline, found, method, own, verdict))
     if baseline.reachability is not None:
         wrong = _reachability_shortfall(baseline, found, allow)
-        failures += wrong
+        checks.append(Check(REACHABILITY, "reachable targets", tuple(wrong)))
         rows.append(_reachability_row(baseline, found, "FAILED" if wrong else "ok"))
-    improvements += [f"{method} is not in the baseline" for method in found.methods if method not in baseline.methods]
-    improvements += [f"{row.method} tracks {row.tracked - row.was_tracked} targets more" for row in rows if _more(row)]
+    failures = [f"{check.method}: {line}" for check in checks for line in check.failures]
+    better = [f"{method} is not in the baseline" for method in found.methods if method not in baseline.methods]
+    gains = {row.method: row.tracked - row.was_tracked for row in rows if _more(row)}
+    better += [f"{method} tracks {counted(gain, 'target')} more" for method, gain in gains.items()]
     changed.sort(key=lambda one: (not one.worse, one.better))
-    return Verdict(not failures, elsewhere, allow, tuple(rows), tuple(changed), tuple(failures), tuple(improvements))
+    groups = map(tuple, (rows, checks, changed, failures, better))
+    return Verdict(not failures, baseline.sweep, was, run, elsewhere, allow, *groups)
 
 
-def _elsewhere(run: Run, baseline: Baseline) -> bool:
-    def origin(device: str, versions: dict) -> tuple:
-        return device, {name: version for name, version in versions.items() if name != "htcp_jax"}
+def _origin(planned_by: dict) -> Origin:
+    return Origin(planned_by.get("commit"), planned_by.get("device"), planned_by.get("versions") or {})
 
-    here = origin(baseline.device, baseline.versions)
-    return any(origin(one.get("device"), one.get("versions") or {}) != here for one in run.manifest.planned_by)
+
+def _machine(origin: Origin) -> tuple:
+    return origin.device, {name: version for name, version in origin.versions.items() if name != "htcp_jax"}
 
 
 def _changed(method: str, was: Scores, now: Scores) -> list[ChangedOutcome]:
     both = ((number, end, now.ends.get(number)) for number, end in was.ends.items())
-    return [ChangedOutcome(method, number, a, b) for number, a, b in both if b is not None and a != b]
+    return [ChangedOutcome(method, number, a, b, str(number)) for number, a, b in both if b is not None and a != b]
 
 
 def _better(changed: list[ChangedOutcome]) -> bool:
@@ -150,80 +205,79 @@ def _more(row: Row) -> bool:
     return None not in (row.tracked, row.was_tracked) and row.tracked > row.was_tracked
 
 
-def _shortfalls(
+def _lines(
     baseline: Baseline, found: RunSummary, method: str, changed: list[ChangedOutcome], allow: Allowance
-) -> list[str]:
-    """In words, what a method fails by."""
-    was, now = baseline.methods[method], found.methods[method]
-    wrong = []
+) -> dict[str, list[str] | None]:
+    """Sentences on what a method fails by, for each of CHECKS; None where there is nothing to compare."""
+    was, now = baseline.methods[method], found.methods.get(method)
+    if now is None:
+        return dict.fromkeys(CHECKS) | {SCENARIOS: ["missing"]}
+    lines: dict[str, list[str] | None] = {name: [] for name in CHECKS}
     if lost := [number for number in was.scenarios if number not in now.scenarios]:
-        wrong.append(f"{len(lost)} of {len(was.scenarios)} scenarios are missing, {lost[0]} the first")
-    if (fewer := was.tracked - now.tracked) > allow.targets:
-        wrong.append(f"{fewer} targets fewer are tracked, {now.tracked} of {was.targets}; {allow.targets} may be lost")
-    if was.executable is not None and (fewer := was.executable - (now.executable or 0)) > allow.targets:
-        wrong.append(
-            f"{fewer} targets fewer are executable, {now.executable} of {was.targets}; {allow.targets} may be lost"
-        )
+        lines[SCENARIOS] = [f"{len(lost)} of {counted(len(was.scenarios), 'scenario')} missing, {lost[0]} the first"]
+    for name, before, after in (
+        (TRACKED, was.tracked, now.tracked),
+        (EXECUTABLE, was.executable, now.executable or 0),
+    ):
+        if before is None:
+            lines[name] = None
+        elif (fewer := before - after) > allow.targets:
+            what = f"{counted(fewer, 'target')} fewer {name.split()[0]}"
+            lines[name] = [f"{what}, {after} of {was.targets}; {allow.targets} may be lost"]
     if (worse := sum(one.worse for one in changed)) > allow.scenarios:
-        wrong.append(f"{worse} scenarios end earlier; {allow.scenarios} may")
+        lines[ENDS] = [f"{counted(worse, 'scenario')} ended earlier; {allow.scenarios} may"]
     was_share, share = _share(was, baseline.reachability), _share(now, found.reachability)
-    if was_share is not None and share is not None:
-        if share < was_share - 100 * allow.targets / baseline.reachability.reachable - ROUNDING:
-            wrong.append(f"{share:.2f} % of the reachable targets are tracked, {was_share:.2f} % before")
+    if was_share is None or share is None:
+        lines[SHARE] = None
+    elif share < was_share - 100 * allow.targets / baseline.reachability.reachable - ROUNDING:
+        lines[SHARE] = [f"{share:.2f} % of the reachable targets are tracked, {was_share:.2f} % before"]
     if refuted := [one for one in found.refuted if one.method == method]:
         first = f"the first in scenario {refuted[0].scenario} at target {refuted[0].target}: {refuted[0].reason}"
-        wrong.append(f"{len(refuted)} tracked targets are refuted by MuJoCo, {first}")
-    return wrong + _times_broken(was.times, now.times, allow) + _bounds_broken(was, now, allow)
+        lines[MUJOCO] = [f"{counted(len(refuted), 'tracked target')} refuted by MuJoCo, {first}"]
+    lines[TIMES] = None if was.times is None else _times_broken(was.times, now.times, allow)
+    bounds = (
+        (TCP_ERROR, was.tcp_error_max_mm, now.tcp_error_max_mm, 1, allow.tcp_error_mm),
+        (CLEARANCE, was.clearance_min_mm, now.clearance_min_mm, -1, allow.clearance_mm),
+    )
+    for name, before, after, sign, room in bounds:
+        if before is None:
+            lines[name] = None
+        elif after is None:
+            lines[name] = [f"the {name} is missing"]
+        elif sign * (after - before) > room + ROUNDING:
+            lines[name] = [f"the {name} is {after:.4g} mm, {before:.4g} mm before; it may move by {room:g} mm"]
+    return lines
 
 
-def _times_broken(was: Times | None, now: Times | None, allow: Allowance) -> list[str]:
-    if was is None:
-        return []
+def _times_broken(was: Times, now: Times | None, allow: Allowance) -> list[str]:
     if now is None:
         return ["its times are missing; htcp program --all writes them into the run's folder"]
     if (was.feed_m_s, was.limits) != (now.feed_m_s, now.limits):
         return ["timed with another feed or other limits than the baseline's; not to be compared"]
     wrong, may = [], 1 + allow.cycle_time_percent / 100
     if (fewer := was.held - now.held) > allow.scenarios:
-        wrong.append(f"{fewer} scenarios fewer hold their feed, {now.held} of {len(now.cycle_time_s)}")
+        wrong.append(f"{counted(fewer, 'scenario')} fewer with the feed held, {now.held} of {len(now.cycle_time_s)}")
     if len(lost := sorted(was.cycle_time_s.keys() - now.cycle_time_s.keys())) > allow.scenarios:
-        wrong.append(f"{len(lost)} scenarios have no time any more, {lost[0]} the first")
+        wrong.append(f"{counted(len(lost), 'scenario')} without a time, {lost[0]} the first")
     both = was.cycle_time_s.keys() & now.cycle_time_s.keys()
     slower = {number: now.cycle_time_s[number] / was.cycle_time_s[number] for number in sorted(both)}
     slower = {number: by for number, by in slower.items() if by > may + ROUNDING}
     if len(slower) > allow.scenarios:
         worst = max(slower, key=lambda number: slower[number])
         seconds = f"{now.cycle_time_s[worst]:.4g} s, {was.cycle_time_s[worst]:.4g} s before"
-        text = f"{len(slower)} scenarios take over {allow.cycle_time_percent:g} % longer, {worst} the most: {seconds}"
-        wrong.append(text)
-    return wrong
-
-
-def _bounds_broken(was: Scores, now: Scores, allow: Allowance) -> list[str]:
-    bounds = (
-        ("tcp_error_max_mm", "largest TCP error", 1, allow.tcp_error_mm),
-        ("clearance_min_mm", "smallest clearance", -1, allow.clearance_mm),
-    )
-    wrong = []
-    for name, words, sign, room in bounds:
-        before, after = getattr(was, name), getattr(now, name)
-        if before is not None and after is None:
-            wrong.append(f"the {words} is missing")
-        elif before is not None and sign * (after - before) > room + ROUNDING:
-            wrong.append(f"the {words} is {after:.4g} mm, {before:.4g} mm before; it may move by {room:g} mm")
+        longer = f"{counted(len(slower), 'scenario')} over {allow.cycle_time_percent:g} % longer"
+        wrong.append(f"{longer}, {worst} the most: {seconds}")
     return wrong
 
 
 def _reachability_shortfall(baseline: Baseline, found: RunSummary, allow: Allowance) -> list[str]:
     was, now = baseline.reachability, found.reachability
     if now is None:
-        return ["reachability: missing; htcp reachability writes it into the run's folder"]
+        return ["missing; htcp reachability writes it into the run's folder"]
     if now.searched != was.searched:
-        return [f"reachability: searched with {now.searched}, the baseline's with {was.searched}; not to be compared"]
-    if was.reachable - now.reachable > allow.targets:
-        return [
-            f"reachability: {was.reachable - now.reachable} targets fewer are reachable; {allow.targets} may be lost"
-        ]
+        return [f"searched with {now.searched}, the baseline's with {was.searched}; not to be compared"]
+    if (fewer := was.reachable - now.reachable) > allow.targets:
+        return [f"{counted(fewer, 'target')} fewer reachable; {allow.targets} may be lost"]
     return []
 
 
@@ -271,4 +325,4 @@ def _reachability_row(baseline: Baseline, found: RunSummary, verdict: str) -> Ro
     reachable = found.reachability and found.reachability.reachable
     targets = next(iter(baseline.methods.values())).targets
     counts = {"was_tracked": baseline.reachability.reachable, "tracked": reachable, "targets": targets}
-    return Row(**(nothing | {"method": "reachability", **counts, "verdict": verdict}))
+    return Row(**(nothing | {"method": REACHABILITY, **counts, "verdict": verdict}))

@@ -6,6 +6,7 @@ from htcp_jax.viewer.replay import Replay, Replays
 
 
 def describe(outcome: Outcome, replays: Replays) -> str:
+    """Label of a scenario with the number of targets tracked."""
     label = replays.label(outcome.scenario)
     if outcome.complete:
         return f"{label}: all {outcome.targets} tracked"
@@ -13,6 +14,7 @@ def describe(outcome: Outcome, replays: Replays) -> str:
 
 
 def name_of(names: dict[str, int], number: int) -> str | None:
+    """Name of a number; None if no name has it."""
     return next((name for name, known in names.items() if known == number), None)
 
 

@@ -28,6 +28,7 @@ class View(NamedTuple):
     near: Float[np.ndarray, "3"]
 
     def flat(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
+        """Points projected along the view [m]."""
         return np.stack([points @ self.right, points @ self.up], axis=-1)
 
 

@@ -1,29 +1,38 @@
-"""Which public names have a docstring that is not complete, by the syntax tree alone.
+"""Style checks that ruff has no rule for: `python tests/lint.py` prints a line a fault and ends with 1 if there is one.
 
-Public is every function and class in `htcp_jax.__all__`, and every one without an underscore that a page under docs
-shows: `::: htcp_jax.x.y` shows y or, where y is a module, all of it but for what `members` leaves out.
+**Imports.** A package imports from itself and from the packages before it in PACKAGES, at the top of a file or inside a
+function; no modules import one another in a circle. Each folder is one of these packages.
 
-A function is complete when
+**Docstrings and shapes of public names.** Public is every function and class in `htcp_jax.__all__`, and every one
+without an underscore that a page under docs shows: `::: htcp_jax.x.y` shows y or, if y is a module, all of it except
+what `members` excludes. A function is complete when
 
-- it has a docstring;
+- it has a docstring, and each of its arguments a type;
 - the shape of every array stands in its annotation, or behind the argument's name in the docstring, "x (N,)";
-- its numbers have a unit: a name that ends in one (margin_m), a type that is always in one (`types`, a Pose), or one in
-  brackets in the docstring, [m], or there it says in words what unit there is; counts and shares need none (COUNTED);
+- its numbers have a unit: a name that ends in one (margin_m), a type that always has one (`types`, a Pose), or one in
+  brackets in the docstring, [m], or the docstring names the unit in words; counts and shares need none (COUNTED);
 - it says "InputError" if it raises one, by itself or by a function with an underscore in the same module;
-- where it is mathematics, which docs/equations.md and docs/reference/mathematics.md show, it or its module names the
+- if it is mathematics, which docs/equations.md and docs/reference/mathematics.md show, it or its module names the
   source: an equation, an algorithm, a section, a book.
 
-A class is complete when it has a docstring, and the same holds for its fields: shape by annotation, unit by name, type,
-or in brackets behind the field or in the docstring.
+A class is complete when it has a docstring, and its fields have shapes and units by annotation, name, type, or in
+brackets behind the field or in the docstring.
 """
 
 import ast
 import re
+import sys
 from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
 
 PACKAGE = "htcp_jax"
+PACKAGES = [  # from the bottom up
+    *("formats", "scene", "solvers", "clearance", "planner", "jobs", "runs", "program", "placement"),
+    *("validation", "viewer", "report", "cli"),
+]
+ABOVE = {"api": "viewer", "__main__": "cli"}  # modules at the root that import from this package and those before it
 FUNCTIONS = ast.FunctionDef, ast.AsyncFunctionDef
 MATHEMATICS = "equations", "mathematics"  # pages
 SHOWN = re.compile(r"^::: htcp_jax\.(\S+)\n((?: +.*\n?)*)", re.MULTILINE)
@@ -38,6 +47,51 @@ ARRAYS = re.compile(r"\b(np\.ndarray|jax\.Array|Array)\b")
 NUMBERS = re.compile(r"\b(Float|float)\b")
 
 
+def faults(root: Path) -> list[str]:
+    """Faults of a checkout, a line each."""
+    incomplete_names = (f"{name}: {'; '.join(why)}" for name, why in incomplete(root).items() if why)
+    return [*import_faults(root / PACKAGE), *incomplete_names]
+
+
+def import_faults(package: Path) -> Iterator[str]:
+    """Imports of a package's files that run upwards or in a circle, and folders that PACKAGES does not name."""
+    files = {_dotted(file.relative_to(package)): file for file in sorted(package.rglob("*.py"))}
+    graph = {name: _imported(file, files.keys()) - {name} for name, file in files.items()}
+    for folder in sorted({name.partition(".")[0] for name in files if "." in name} - set(PACKAGES)):
+        yield f"{folder}: no package in PACKAGES of {Path(__file__).name}"
+    for name, others in graph.items():
+        above = sorted(other for other in others if _level(other) > _level(name))
+        yield from (f"{name} imports {other}, which lies above it" for other in above)
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        yield f"imports run in a circle: {' > '.join(error.args[1])}"
+
+
+def _dotted(file: Path) -> str:
+    """Dotted name of a module within the package; a folder's own is the folder's name."""
+    return ".".join(file.with_suffix("").parts).removesuffix(".__init__")
+
+
+def _imported(file: Path, known: set[str]) -> set[str]:
+    """Those of the `known` modules that a file imports."""
+    found = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            found |= {f"{node.module}.{alias.name}" for alias in node.names} | {str(node.module)}
+    return {name.removeprefix(f"{PACKAGE}.") for name in found if name.startswith(f"{PACKAGE}.")} & known
+
+
+def _level(module: str) -> float:
+    """Position of a module's package; 0 for the other modules at the root, which every package may import."""
+    package = module.partition(".")[0]
+    if package in ABOVE:
+        return PACKAGES.index(ABOVE[package]) + 1.5
+    return PACKAGES.index(package) + 1 if package in PACKAGES else 0
+
+
 class Public(NamedTuple):
     """A public function or class, and the module that it stands in."""
 
@@ -48,7 +102,7 @@ class Public(NamedTuple):
 
 
 def incomplete(root: Path) -> dict[str, list[str]]:
-    """Of every public name of a checkout what its docstring lacks; an empty list where it is complete."""
+    """What each public name of a checkout lacks; an empty list if it is complete."""
     lost = {name: ["is not where a page or `__all__` says"] for name in _named(root).keys() - public(root).keys()}
     return lost | {name: list(_lacks(one)) for name, one in public(root).items()}
 
@@ -131,7 +185,11 @@ def _class_lacks(node: ast.ClassDef, text: str, lines: list[str]) -> Iterator[st
 
 
 def _value_lacks(name: str, annotation: ast.expr | None, text: str) -> Iterator[str]:
-    kind = "" if annotation is None else ast.unparse(annotation)
+    if annotation is None:
+        if name not in ("self", "cls"):
+            yield f"{name} has no type"
+        return
+    kind = ast.unparse(annotation)
     bare = re.sub(r"\b(Float|Int|Int8|Bool)\[[^\[\]]*\]", "", kind)
     if ARRAYS.search(bare) and name != RANDOM_KEY and not re.search(rf"\b{name}\b[^.;]*\(\w[^)]*,", text):
         yield f"{name} has no shape"
@@ -151,3 +209,9 @@ def _raises(node: ast.AST, module: ast.Module, seen: set[str]) -> bool:
             if callee is not None and name not in seen and _raises(callee, module, seen | {name}):
                 return True
     return False
+
+
+if __name__ == "__main__":
+    found = faults(Path(__file__).resolve().parents[1])
+    print(*found, sep="\n", end="\n" if found else "")
+    sys.exit(bool(found))

@@ -1,0 +1,155 @@
+"""A verdict of the regression gate as CI takes it: JUnit XML, Markdown, and annotations of GitHub Actions.
+
+JUnit is written by the standard library: what a library for it would add is reading.
+"""
+
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+
+from htcp_jax.report.document import Block, Column, Heading, Table, escaped, markdown, printable
+from htcp_jax.runs.labels import counted
+from htcp_jax.validation.gate import ENDS, Check, Origin, Row, Verdict
+
+LISTED = 100  # scenarios, and failures; a job summary holds 1 MiB
+FIGURES = (  # fields of a Row, after "was_" in the baseline; with a name, a unit and a form
+    ("share", "reachable targets tracked", "%", ".2f"),
+    ("tcp_error_max_mm", "largest TCP error", "mm", ".3f"),
+    ("clearance_min_mm", "smallest clearance", "mm", ".3f"),
+    ("held", "scenarios with the feed held", "", ",d"),
+    ("cycle_mean_s", "mean cycle time", "s", ".3f"),
+)
+COUNTS = (
+    Column("method", "method"),
+    Column("verdict", "verdict"),
+    Column("was_tracked", "baseline", "", ",d"),
+    Column("tracked", "now", "", ",d"),
+    Column("difference", "difference", "", "+,d"),
+    Column("targets", "of", "", ",d"),
+    Column("worse", "scenarios earlier", "", ",d"),
+    Column("better", "scenarios further", "", ",d"),
+)
+DIFFERENCES = tuple(
+    Column(name, name, form=form)
+    for name, form in (("method", ""), ("figure", ""), ("baseline", ">"), ("now", ">"), ("difference", ">"))
+)
+CHANGED = (
+    Column("method", "method"),
+    Column("scenario", "scenario"),
+    Column("was", "baseline", "", ",d"),
+    Column("now", "now", "", ",d"),
+    Column("difference", "difference", "", "+,d"),
+    Column("target", "first at target", "", "d"),
+    Column("reason", "reason"),
+)
+
+
+def junit(verdict: Verdict) -> str:
+    """JUnit XML: one test case per method and check; skipped where there is nothing to compare."""
+    checks = verdict.checks
+    failed, skipped = sum(bool(check.failures) for check in checks), sum(not check.compared for check in checks)
+    counts = {"tests": len(checks), "failures": failed, "errors": 0, "skipped": skipped}
+    root = _element(None, "testsuites", name="htcp gate", **counts)
+    suite = _element(root, "testsuite", name=verdict.sweep, **counts)
+    properties = _element(suite, "properties")
+    for name, value in _properties(verdict):
+        _element(properties, "property", name=name, value=value)
+    for check in checks:
+        case = _element(suite, "testcase", classname=f"{verdict.sweep}.{check.method}", name=check.name)
+        if check.failures:
+            failure = _element(case, "failure", type="regression", message="; ".join(check.failures))
+            failure.text = printable("\n".join((*check.failures, *_scenarios(verdict, check))))
+        elif not check.compared:
+            _element(case, "skipped", message="the baseline or the run has nothing to compare")
+    ET.indent(root)
+    return ET.tostring(root, "utf-8", xml_declaration=True).decode() + "\n"
+
+
+def summary(verdict: Verdict) -> str:
+    """Markdown for a job summary: counts of each method, figures and scenarios that differ, and what failed."""
+    return markdown([*_blocks(verdict)])
+
+
+def annotations(verdict: Verdict) -> list[str]:
+    """Commands of GitHub Actions: an error for each method that fails."""
+    lines: dict[str, list[str]] = {}
+    for check in verdict.checks:
+        lines.setdefault(check.method, []).extend(check.failures)
+    return [
+        f"::error title={_escaped(f'htcp gate {verdict.sweep}: {method}', ':,')}::{_escaped(chr(10).join(failures))}"
+        for method, failures in lines.items()
+        if failures
+    ]
+
+
+def _escaped(text: str, more: str = "") -> str:
+    """As a command of GitHub Actions needs it: %0A for a newline. more: characters that end a property."""
+    return re.sub(f"[%\r\n{more}]", lambda found: f"%{ord(found[0]):02X}", printable(text))
+
+
+def _element(parent: ET.Element | None, tag: str, **attributes: str | int) -> ET.Element:
+    texts = {name: printable(str(value)) for name, value in attributes.items()}
+    return ET.Element(tag, texts) if parent is None else ET.SubElement(parent, tag, texts)
+
+
+def _properties(verdict: Verdict) -> Iterator[tuple[str, str]]:
+    for name, origin in named_origins(verdict):
+        yield f"{name}.commit", origin.commit or "unknown"
+        yield f"{name}.device", str(origin.device)
+        for package, version in origin.versions.items():
+            yield f"{name}.{package}", version or "unknown"
+
+
+def named_origins(verdict: Verdict) -> list[tuple[str, Origin]]:
+    """Baseline and run, each part of it, by name."""
+    parts = [f"run part {number}" for number in range(1, len(verdict.run) + 1)]
+    return [("baseline", verdict.baseline), *zip(parts if parts[1:] else ["run"], verdict.run, strict=False)]
+
+
+def _scenarios(verdict: Verdict, check: Check) -> list[str]:
+    return [str(one) for one in verdict.changed if check.name == ENDS and one.method == check.method and one.worse]
+
+
+def _blocks(verdict: Verdict) -> Iterator[Block]:
+    yield Heading(2, f"htcp gate: {escaped(verdict.sweep)} {'passed' if verdict.passed else 'FAILED'}")
+    yield "\n".join(f"- {name}: {escaped(str(origin))}" for name, origin in named_origins(verdict))
+    if verdict.elsewhere:
+        yield "On another device or with other versions than the baseline: `allow.elsewhere` holds."
+    counts = tuple(tuple(_count(row, column.key) for column in COUNTS) for row in verdict.rows)
+    yield Table("counts", COUNTS, counts, "Tracked targets")
+    if differing := tuple(line for row in verdict.rows for line in _differences(row)):
+        yield Table("figures", DIFFERENCES, differing, "Other figures that changed")
+    for title, lines in (("Failures", verdict.failures), ("Better", verdict.improvements)):
+        if lines:
+            yield f"**{title}**"
+            yield "\n".join(f"- {escaped(line)}" for line in lines[:LISTED])
+            yield from _more(lines)
+    if verdict.changed:
+        rows = (
+            (one.method, one.label, was := one.was.tracked, now := one.now.tracked, now - was, one.target, one.reason)
+            for one in verdict.changed[:LISTED]
+        )
+        title = f"{counted(len(verdict.changed), 'scenario')} that changed, in tracked targets"
+        yield Table("changed", CHANGED, tuple(rows), title)
+        yield from _more(verdict.changed)
+
+
+def _more(listed: tuple) -> Iterator[str]:
+    if len(listed) > LISTED:
+        yield f"and {len(listed) - LISTED:,} more"
+
+
+def _count(row: Row, key: str) -> str | int | None:
+    if key == "difference":
+        return None if row.tracked is None else row.tracked - row.was_tracked
+    return getattr(row, key)
+
+
+def _differences(row: Row) -> Iterator[tuple[str, str, str, str, str]]:
+    """The figures of a method that differ as far as they are shown."""
+    for key, name, unit, form in FIGURES:
+        column = Column(key, name, unit, form)
+        was, now = getattr(row, f"was_{key}"), getattr(row, key)
+        if (before := column.text(was)) != (after := column.text(now)):
+            difference = column._replace(form=f"+{form}").text(None if None in (was, now) else now - was)
+            yield row.method, column.title, before, after, difference

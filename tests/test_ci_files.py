@@ -1,0 +1,46 @@
+"""The workflow of GitHub Actions calls what there is, and so does the one that the documentation hands out."""
+
+import re
+import shlex
+import subprocess
+
+import pytest
+import yaml
+from documented import ROOT
+
+from htcp_jax.cli.main import main
+
+WORKFLOW = (ROOT / ".github" / "workflows" / "ci.yml").read_text()
+DOCUMENTED = re.search(r"^```yaml\n(name: gate\n.*?)^```$", (ROOT / "docs" / "gate.md").read_text(), re.M | re.S)[1]
+
+
+def commands(workflow: str) -> list[str]:
+    """The lines of all steps, those of a matrix once for each target."""
+    found = []
+    for job in yaml.safe_load(workflow)["jobs"].values():
+        for target in job.get("strategy", {}).get("matrix", {}).get("target", [""]):
+            lines = [line for step in job["steps"] for line in step.get("run", "").splitlines()]
+            found += [line.replace("${{ matrix.target }}", target) for line in lines]
+    return found
+
+
+def targets(lines: list[str]) -> list[str]:
+    return [words[1] for words in map(str.split, lines) if words[:1] == ["make"]]
+
+
+@pytest.mark.parametrize("target", targets(commands(WORKFLOW)))
+def test_every_make_target_of_the_workflow_is_in_the_makefile(target):
+    known = subprocess.run(["make", "--dry-run", target], cwd=ROOT, capture_output=True, text=True)
+    assert known.returncode == 0, known.stderr
+
+
+def test_the_workflow_calls_every_make_target_of_ci_run():
+    called = targets((ROOT / ".ci" / "run").read_text().splitlines())
+    assert set(called) - {"install"} <= set(targets(commands(WORKFLOW)))  # each target installs what it needs
+
+
+def test_the_documented_workflow_is_short_and_its_commands_have_these_options():
+    assert len(DOCUMENTED.splitlines()) <= 30
+    lines = [line for line in commands(DOCUMENTED) if line.startswith("htcp ")]
+    assert [line.split()[1] for line in lines] == ["sweep", "gate"]
+    assert all(main([*shlex.split(line)[1:], "--help"]) == 0 for line in lines)
