@@ -19,7 +19,7 @@ ROOMS = [
 ]
 # Modules for every room.
 EVERYWHERE = {"errors", "gpu_kernel", "notebook", "numerics", "pytree", "settings", "status", "types"}
-PUBLIC = {"api": "viewer"}  # at the root for its name's sake; stands behind this room
+PUBLIC = {"api": "viewer", "__main__": "cli"}  # at the root for its name's sake; stands behind this room
 
 
 def modules() -> dict[str, Path]:

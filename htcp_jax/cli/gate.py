@@ -20,7 +20,7 @@ PASSED, REGRESSION = 0, 1
 LISTED = 20  # scenarios on the terminal
 
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="The folder that htcp sweep wrote.")]
-File = Annotated[Path, typer.Option(metavar="FILE", help="The baseline, sweeps/baselines/workpiece.yaml for example.")]
+File = Annotated[Path, typer.Option(metavar="FILE", help="The baseline.")]
 Bless = Annotated[bool, typer.Option("--bless", help="Write RUN into FILE as the new baseline.")]
 
 COUNTS = (
@@ -58,8 +58,9 @@ def gate(run: RunFolder, baseline: File, bless: Bless = False, as_json: Json = F
     planning takes never counts. Exits with 0 when the run passes, with 1 when it does not, with 2 on bad input.
 
     \b
-    htcp gate out/workpiece --baseline sweeps/baselines/workpiece.yaml
-    htcp gate out/workpiece --baseline sweeps/baselines/workpiece.yaml --bless    the run is the new baseline
+    htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
+    htcp gate out/workpiece --baseline workpiece.yaml --bless    the run is the new baseline
+    htcp gate out/workpiece --baseline workpiece.yaml            later runs are held to it
     """
     if bless:
         with progress_bar("plans", time_left=True) as progress:
