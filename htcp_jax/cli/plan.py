@@ -15,9 +15,7 @@ from htcp_jax.runs.plan_folder import written_whole
 COMPLETE, INCOMPLETE = 0, 3
 
 
-Config = Annotated[
-    Path | None, typer.Argument(metavar="CONFIG.yaml", help="The job, a file or an example; else the default.")
-]
+Config = Annotated[Path | None, typer.Argument(metavar="CONFIG.yaml", help="The job or an example; else the default.")]
 Method = Annotated[
     str | None,
     typer.Option(metavar="NAME", help="A method; htcp methods lists them.", autocompletion=complete_method),
