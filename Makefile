@@ -5,7 +5,7 @@ PYTHON ?= $(firstword $(foreach p,python3 python3.14 python3.13 python3.12 pytho
 	$(shell $(p) -c 'import sys; sys.version_info >= (3, 11) and print("$(p)")' 2>/dev/null)) no-python-3.11-found)
 INSTALL = $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable
 
-.PHONY: demo test test-slow notebooks docs gate bless gate-runs faults fuzz lock clean
+.PHONY: demo test test-slow test-oldest notebooks docs gate bless gate-runs faults fuzz lock clean
 
 demo: $(VENV)/.installed  ## plan the default job
 	$(VENV)/bin/htcp plan
@@ -16,6 +16,13 @@ test: $(VENV)/.installed-test  ## lint and the quick tests
 
 test-slow: $(VENV)/.installed-test  ## every test
 	$(VENV)/bin/python -m pytest -m "slow or not slow"
+
+OLDEST = build/venv-oldest/bin
+test-oldest:  ## the quick tests, or TESTS="FILES", with the oldest allowed versions of the direct dependencies
+	$(PYTHON) -m venv build/venv-oldest
+	$(OLDEST)/python -m pip install --quiet --disable-pip-version-check uv
+	$(OLDEST)/uv pip install --quiet --python $(OLDEST)/python --resolution lowest-direct --editable '.[test]'
+	$(OLDEST)/python -m pytest $(TESTS)
 
 notebooks: $(VENV)/.installed-notebooks  ## execute the notebooks; build/notebooks/*.html
 	mkdir -p build/notebooks

@@ -94,6 +94,7 @@ def htcp(
       htcp plan --method baseline                the same without a way out where it gets stuck
       htcp plan pipe --set margin_m=0.001        an example, one key changed; htcp example lists them
       htcp example pipe mine                     its files, as the beginning of a job of your own: mine/job.yaml
+
     \b
     Many plans at once:
       htcp sweep sweeps/workpiece --methods baseline,hybrid    49 poses; results in out/workpiece
@@ -101,9 +102,11 @@ def htcp(
       htcp validate out/workpiece                every tracked target again, by MuJoCo alone
       htcp view out/workpiece                    look at them in the browser, failed ones first
       htcp render out/workpiece --scenario 24    a picture and a movie of one of them
+
     \b
     A robot of your own:
       htcp robot mine/arm.xml --out mine/capsules.xml    its model, URDF or MJCF, as an arm of capsules
+
     \b
     Good to know:
       htcp methods                               what --method may name
