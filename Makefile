@@ -13,7 +13,7 @@ COMMA := ,
 # What `make check` runs: the mathematics; a small plan and bad inputs by the command.
 CHECKED = $(patsubst %,tests/test_%.py,lint mathematics numerics kinematics sphere qp cma_es cli)
 
-.PHONY: demo install lint check test test-slow notebooks docs gate bless gate-runs gate-faults faults fuzz lock clean
+.PHONY: demo install lint check test test-slow test-oldest notebooks docs gate bless gate-runs gate-faults faults fuzz lock clean
 
 demo: $(VENV)/.installed  ## plan the default job
 	$(VENV)/bin/htcp plan
@@ -38,6 +38,13 @@ test-slow: lint  ## every test
 
 gate-faults: $(VENV)/.installed-test  ## the tests that the gate notices a fault in each part of a plan
 	$(PYTEST) -m slow tests/test_gate_faults.py
+
+OLDEST = build/venv-oldest/bin
+test-oldest:  ## the quick tests, or TESTS="FILES", with the oldest allowed versions of the direct dependencies
+	$(PYTHON) -m venv build/venv-oldest
+	$(OLDEST)/python -m pip install --quiet --disable-pip-version-check uv
+	$(OLDEST)/uv pip install --quiet --python $(OLDEST)/python --resolution lowest-direct --editable '.[test]'
+	$(OLDEST)/python -m pytest $(TESTS)
 
 notebooks: $(VENV)/.installed-notebooks  ## execute the notebooks; build/notebooks/*.html
 	mkdir -p build/notebooks

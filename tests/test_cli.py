@@ -109,4 +109,4 @@ def test_ctrl_c_leaves_nothing_behind(here, capsys, monkeypatch):
 def test_help_and_version_are_answers(capsys):
     for arguments in ([], ["--help"], ["plan", "--help"], ["--version"]):
         assert main(arguments) == 0
-    assert "configs/duct.yaml" in capsys.readouterr().out
+    assert "htcp plan pipe" in capsys.readouterr().out

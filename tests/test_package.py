@@ -16,13 +16,6 @@ PACKAGE = Path(htcp_jax.__file__).parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 
-def test_every_file_that_is_no_module_is_installed():
-    data = PROJECT["tool"]["setuptools"]["package-data"]
-    installed = {file for name, patterns in data.items() for p in patterns for file in _folder(name).glob(p)}
-    others = {file for file in PACKAGE.rglob("*.*") if file.is_file() and file.suffix not in (".py", ".pyc")}
-    assert installed == others and PACKAGE / "scene/models/gp50.xml" in installed
-
-
 def test_the_command_is_where_the_project_says():
     module, _, function = PROJECT["project"]["scripts"]["htcp"].partition(":")
     assert callable(getattr(importlib.import_module(module), function))
@@ -42,10 +35,6 @@ def test_a_run_records_whether_anything_of_the_package_was_edited(edited, tmp_pa
     assert clean == _git(tmp_path, "rev-parse", "HEAD").strip()
     (copy / edited).write_text((copy / edited).read_text() + "\n")
     assert commit() == f"{clean}+changes"
-
-
-def _folder(package: str) -> Path:
-    return ROOT.joinpath(*package.split("."))
 
 
 def _git(folder: Path, *words: str) -> str:

@@ -26,7 +26,7 @@ PASSED, REGRESSION = 0, 1
 LISTED, INDENT = 20, 12  # scenarios, and columns for a name, on the terminal
 
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="The folder that htcp sweep wrote.")]
-File = Annotated[Path, typer.Option(metavar="FILE", help="The baseline, sweeps/baselines/workpiece.yaml for example.")]
+File = Annotated[Path, typer.Option(metavar="FILE", help="The baseline.")]
 Bless = Annotated[bool, typer.Option("--bless", help="Write RUN into FILE as the new baseline.")]
 Junit = Annotated[
     Path | None, typer.Option("--junit", metavar="FILE", help="Write JUnit XML: a test case per method and check.")
@@ -79,8 +79,9 @@ def gate(
     GitHub Actions each method that fails becomes an annotation.
 
     \b
-    htcp gate out/workpiece --baseline sweeps/baselines/workpiece.yaml
-    htcp gate out/workpiece --baseline sweeps/baselines/workpiece.yaml --bless    the run is the new baseline
+    htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
+    htcp gate out/workpiece --baseline workpiece.yaml --bless    the run is the new baseline
+    htcp gate out/workpiece --baseline workpiece.yaml            later runs are held to it
     htcp gate out/workpiece --baseline workpiece.yaml --junit gate.xml --markdown gate.md    for CI
     """
     files = [file for file in (junit_file, markdown_file) if file]

@@ -37,6 +37,7 @@ COMMANDS = {
     "reachability": "How much is reachable at all, whatever the method.",
     "gate": "Hold a sweep to a baseline: does it still reach what it did?",
     "methods": "List the planners and what each does.",
+    "example": "List the jobs and sweeps that ship, or write one to a folder.",
     "doctor": "Look at this installation and test it in 2 s.",
 }
 
@@ -91,17 +92,21 @@ def htcp(
     First steps:
       htcp plan                                  plan the default job; look at out/plan/plan.png
       htcp plan --method baseline                the same without a way out where it gets stuck
-      htcp plan job.yaml --set margin_m=0.001    a job of your own, one key changed
+      htcp plan pipe --set margin_m=0.001        an example, one key changed; htcp example lists them
+      htcp example pipe mine                     its files, as the beginning of a job of your own: mine/job.yaml
+
     \b
     Many plans at once:
-      htcp sweep sweeps/workpiece.yaml --methods baseline,hybrid    49 poses; results in out/workpiece
+      htcp sweep sweeps/workpiece --methods baseline,hybrid    49 poses; results in out/workpiece
       htcp report out/workpiece                  tables and charts: out/report/report.html
       htcp validate out/workpiece                every tracked target again, by MuJoCo alone
       htcp view out/workpiece                    look at them in the browser, failed ones first
       htcp render out/workpiece --scenario 24    a picture and a movie of one of them
+
     \b
     A robot of your own:
-      htcp robot panda.urdf --tcp panda_hand --out panda.xml    its model as an arm of capsules
+      htcp robot mine/arm.xml --out mine/capsules.xml    its model, URDF or MJCF, as an arm of capsules
+
     \b
     Good to know:
       htcp methods                               what --method may name

@@ -34,9 +34,9 @@ Device = Annotated[str | None, typer.Option(metavar="cpu|gpu[:N]", help="Where t
 Json = Annotated[bool, typer.Option("--json", help="Print JSON, and nothing else, in place of the table.")]
 
 # And those of the commands that plan.
-SweepFile = Annotated[Path, typer.Argument(metavar="SWEEP.yaml", help="The grid, sweeps/robot.yaml for example.")]
+SweepFile = Annotated[Path, typer.Argument(metavar="SWEEP.yaml", help="The grid; a file or an example.")]
 Limit = Annotated[int | None, typer.Option(metavar="N", help="Plan only the first N scenarios.")]
-Config = Annotated[Path | None, typer.Option(metavar="CONFIG.yaml", help="In place of the sweep file's own.")]
+Config = Annotated[Path | None, typer.Option(metavar="CONFIG.yaml", help="In place of the sweep file's own job.")]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key; may be repeated.")
 ]

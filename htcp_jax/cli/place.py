@@ -52,8 +52,8 @@ def place(
     stopped. Exits with 0 when a mounting is found, with 3 when none is, with 2 on bad input.
 
     \b
-    htcp place configs/place/duct.yaml                     the mountings of the weld in the generated duct
-    htcp place configs/place/duct.yaml --scenarios 500 --out out/try
+    htcp place place/duct                                  the mountings of the weld in the generated duct
+    htcp place place/duct --scenarios 500 --out out/try
     htcp view out/duct                                     the ranked ones in the browser
     """
     choose(sweeps.device_of(on, device))  # before anything is read

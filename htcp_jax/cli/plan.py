@@ -15,7 +15,7 @@ from htcp_jax.runs.plan_folder import written_whole
 COMPLETE, INCOMPLETE = 0, 3
 
 
-Config = Annotated[Path | None, typer.Argument(metavar="CONFIG.yaml", help="The job; else the default.")]
+Config = Annotated[Path | None, typer.Argument(metavar="CONFIG.yaml", help="The job or an example; else the default.")]
 Method = Annotated[
     str | None,
     typer.Option(metavar="NAME", help="A method; htcp methods lists them.", autocompletion=complete_method),
@@ -40,8 +40,9 @@ def plan(
     input.
 
     \b
-    htcp plan                                 the default job, which is configs/duct.yaml
-    htcp plan job.yaml --method baseline      a job of your own by another method
+    htcp plan                                 the default job, which is the example duct
+    htcp plan pipe                            another example; htcp example lists them
+    htcp plan cone --method hybrid            a third one, by another method
     htcp plan --set settings.alpha_rad=0.05 --set "start_rad=[0, -2.3, 0.5, 0, 0.5, 0]"
     """
     with written_whole(out) as folder:

@@ -74,8 +74,10 @@ def program(
     on, which htcp report draws and htcp gate holds. With the same feed and limits only what is missing is timed.
 
     \b
+    htcp plan
     htcp program out/plan --feed 20mm/s --out weld.csv
     htcp program out/plan --feed 20mm/s --format ros --out weld.yaml
+    htcp sweep sweeps/workpiece --methods roadmap
     htcp program out/workpiece --scenario 24 --feed 1.2m/min --out weld.csv --set program.full_speed_s=0.4
     htcp program out/workpiece --all --feed 20mm/s
     """

@@ -55,8 +55,8 @@ def reachability(
     into the run folder, where `htcp report` finds it, and names every method of that folder that gets further.
 
     \b
-    htcp reachability sweeps/workpiece.yaml                     into out/workpiece, where the sweep writes
-    htcp reachability sweeps/workpiece.yaml --resolution 0.06
+    htcp reachability sweeps/workpiece                     into out/workpiece, where the sweep writes
+    htcp reachability sweeps/workpiece --resolution 0.06
     """
     if out is None:
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")

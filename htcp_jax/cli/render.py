@@ -83,10 +83,12 @@ def render(
     are missing.
 
     \b
+    htcp plan
     htcp render out/plan                                         the plan of htcp plan
-    htcp render out/workpiece --scenario 24 --method nspace-sqp  one of a sweep
     htcp render out/plan --movie mp4 --close --width 1920        needs the extra "movie"
-    htcp render out/plan --feed 20mm/s --out weld.mp4            the movie alone, at true speed
+    htcp render out/plan --feed 200mm/s --out weld.mp4           the movie alone, at true speed
+    htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
+    htcp render out/workpiece --scenario 24 --method nspace-sqp  one of a sweep
     """
     if movie not in (None, "none"):
         check_kind(movie)

@@ -23,9 +23,11 @@ def report(runs: Runs, out: Out = Path("out/report"), as_json: Json = False) -> 
     run and on a damaged file.
 
     \b
+    htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
     htcp report out/workpiece                       one run
-    htcp report out/robot out/robot-paper           several, beside each other
     htcp report out/workpiece --json                its tables for another program
+    htcp sweep sweeps/workpiece --methods nspace-sqp --config paper
+    htcp report out/workpiece out/workpiece-paper   several runs
     """
     made = make_report(runs)
     with written_whole(out) as folder:

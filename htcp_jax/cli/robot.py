@@ -48,8 +48,9 @@ def robot(
     Exits with 2 on bad input, and where ARM.xml is there already.
 
     \b
-    htcp robot ur10e.urdf --out arm.xml
-    htcp robot panda.urdf --tcp panda_hand --out panda.xml
+    htcp example pipe pipe                                 one with a model to try: pipe/arm.xml
+    htcp robot pipe/arm.xml --out arm.xml
+    htcp robot pipe/arm.xml --tcp link7 --most 5 --out flange.xml
     """
     if out.suffix.lower() != ".xml":
         raise InputError(f"--out is {out}; an arm is an MJCF file and ends in .xml")

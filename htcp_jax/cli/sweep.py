@@ -69,11 +69,11 @@ def sweep(
     htcp program does, and cycle time, feed and limits are columns, too.
 
     \b
-    htcp sweep sweeps/robot.yaml                           125 starts by all methods
-    htcp sweep sweeps/workpiece.yaml --methods baseline,nspace-sqp --config configs/paper.yaml
-    htcp sweep sweeps/robot.yaml --limit 3 --set settings.alpha_rad=0.05 --out out/try
-    htcp sweep sweeps/workpiece.yaml --methods roadmap --feed 20mm/s
-    htcp sweep sweeps/cross.yaml --on ray                  on all cores, or on the cluster that Ray knows of
+    htcp sweep sweeps/robot                                125 starts by all methods; htcp example lists more
+    htcp sweep sweeps/workpiece --methods baseline,nspace-sqp --config paper
+    htcp sweep sweeps/robot --limit 3 --set settings.alpha_rad=0.05 --out out/try
+    htcp sweep sweeps/workpiece --methods roadmap --feed 20mm/s
+    htcp sweep sweeps/cross --methods baseline --on ray    on all cores, or on the cluster that Ray knows of
     """
     if out is None:
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")

@@ -34,9 +34,11 @@ def validate(run: Run, between: Between = 20, feed_mm_s: Feed = 10.0, as_json: J
     joint paths stays. Exits with 0 when no target is refuted, with 1 when one is, with 2 on bad input.
 
     \b
-    htcp validate out/workpiece                 every method of a sweep
+    htcp plan
     htcp validate out/plan --feed-mm-s 50       one plan, ground at 50 mm/s
-    htcp validate out/robot --between 0 --json  the targets alone, for another program
+    htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
+    htcp validate out/workpiece                 every method of a sweep
+    htcp validate out/workpiece --between 0 --json  the targets alone, for another program
     """
     run = run_folder(run)
     with progress_bar("plans", time_left=True) as progress:

@@ -14,13 +14,14 @@ from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Overrides, stdout
 from htcp_jax.cli.plan import plan_with_progress
 from htcp_jax.errors import InputError
+from htcp_jax.jobs.examples import example_or_path
 from htcp_jax.program.of_plan import OfPlan, program_of, program_of_plans
 from htcp_jax.runs.open import open_plans
 from htcp_jax.viewer.replay import Replays, recorded_replays, replays_of
 
 What = Annotated[
     Path | None,
-    typer.Argument(metavar="RUN|CONFIG.yaml", help="A folder of htcp sweep or htcp plan, or a job; else the default."),
+    typer.Argument(metavar="RUN|CONFIG.yaml", help="A folder of htcp sweep or htcp plan, or a job as of htcp plan."),
 ]
 Scenario = Annotated[int | None, typer.Option(metavar="K", help="The first shown; by default one that failed.")]
 Method = Annotated[
@@ -50,9 +51,11 @@ def view(
 
     \b
     htcp view                                    the default job
-    htcp view out/workpiece --method nspace-sqp  a sweep
-    htcp view job.yaml --set margin_m=0.001 --port 8081
+    htcp view pipe --set margin_m=0.001 --port 8081
+    htcp plan
     htcp view out/plan --feed 20mm/s             in real time
+    htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
+    htcp view out/workpiece --method nspace-sqp  a sweep
     """
     if importlib.util.find_spec("viser") is None:
         raise InputError("htcp view needs viser: pip install 'htcp_jax[view]'")
@@ -74,6 +77,7 @@ def _looked_at(
     what: Path | None, method: str | None, overrides: list[str], feed_m_s: float | None, retract: bool
 ) -> tuple[Replays, Callable[[int, str], OfPlan]]:
     """What there is to look at, and the program of a scenario by a method at that feed; a job is planned."""
+    what = what and example_or_path(what)
     if what is not None and not what.exists():
         raise InputError(f"{what}: no such run folder, and no such job")
     if what is not None and what.is_dir():

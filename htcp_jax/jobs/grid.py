@@ -39,6 +39,7 @@ from htcp_jax.jobs.build import (
 from htcp_jax.jobs.config import DEPENDENT, CellConfig, PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.jobs.config_file import put
 from htcp_jax.jobs.defaults import fill_in, is_other, keys_of
+from htcp_jax.jobs.examples import example_or_path
 from htcp_jax.jobs.grid_axes import FILE_KEYS, KEYS, MOST, Group, Point, read_grid
 from htcp_jax.jobs.grid_points import points_of
 from htcp_jax.jobs.load_config import read_config
@@ -142,13 +143,14 @@ def load_sweep(
     config: str | Path | Mapping[str, Any] | None = None,
     overrides: Sequence[str] | Mapping[str, Any] = (),
 ) -> Sweep:
-    """The sweep file at the path `spec`, or the sweep that `spec` spells as a file would, {"grid": [...]}, whose files
-    are then relative to the working folder. `config` takes the place of its own; `overrides`, see `load_config`,
-    change the configuration before the axes do.
+    """The sweep at the path `spec`, or the example of that name, or the sweep that `spec` spells as a file would,
+    {"grid": [...]}, whose files are then relative to the working folder. `config` takes the place of its own;
+    `overrides`, see `load_config`, change the configuration before the axes do.
 
     Raises InputError for what is wrong with either file, for an unknown parameter and for an empty grid.
     """
-    path, raw = (Path("sweep"), dict(spec)) if isinstance(spec, Mapping) else (Path(spec), read_yaml(spec))
+    path = Path("sweep") if isinstance(spec, Mapping) else example_or_path(spec)
+    raw = dict(spec) if isinstance(spec, Mapping) else read_yaml(path)
     file: SweepFile = validate(raw, SweepFile, str(path))
     if config is None and file.config is not None:
         config = path.parent / file.config

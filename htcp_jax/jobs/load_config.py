@@ -14,13 +14,14 @@ from htcp_jax.formats.strict_model import refuse_unknown, validate
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.config_file import layers, layers_of, merged, parse_override, put
 from htcp_jax.jobs.defaults import fill_in, keys_of
+from htcp_jax.jobs.examples import example_or_path
 
 
 def load_config(
     config: str | Path | Mapping[str, Any] | None = None, overrides: Sequence[str] | Mapping[str, Any] = ()
 ) -> PlanConfig:
-    """The default job, changed by `config`, a YAML file or a mapping that spells one, then by `overrides`:
-    "dotted.key=value" each, or a mapping. Files in a mapping are relative to the working folder.
+    """The default job, changed by `config`, then by `overrides`: "dotted.key=value" each, or a mapping. `config` is a
+    YAML file, the name of an example or a mapping that spells a file, whose files are relative to the working folder.
 
     Raises InputError for a file that cannot be read, is no YAML mapping or repeats a key, for files that build on each
     other in a circle, for an unknown key, for a value of the wrong type or outside its range, and for a robot other
@@ -41,7 +42,7 @@ def read_config(
         found = layers_of(config, source)
     elif config is not None:
         source = str(config)
-        found = layers(Path(config))
+        found = layers(example_or_path(config))
     for name, raw in found:
         refuse_unknown(raw, PlanConfig, name)
     raw = merged(raw for _, raw in found)

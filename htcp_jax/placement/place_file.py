@@ -20,6 +20,7 @@ from htcp_jax.formats.strict_model import Section, validate
 from htcp_jax.formats.strict_yaml import read_yaml
 from htcp_jax.jobs.build import robot_of
 from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.jobs.examples import example_or_path
 from htcp_jax.jobs.grid_axes import FILE_KEYS, absolute
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.placement.ranges import Ranges, read_ranges
@@ -101,12 +102,14 @@ def load_search(
     overrides: Sequence[str] = (),
     changes: Mapping[str, Any] | None = None,
 ) -> Search:
-    """The search at the path `spec`, or the one that a mapping spells; its files are then relative to the working
-    folder. config takes the place of its own; overrides change the job, changes the file's own keys.
+    """The search at the path `spec`, or the example of that name, or the one that a mapping spells; its files are then
+    relative to the working folder. config takes the place of its own; overrides change the job, changes the file's own
+    keys.
 
     Raises InputError for what is wrong with either file, and for a seam that is missing.
     """
-    path, raw = (Path("place"), dict(spec)) if isinstance(spec, Mapping) else (Path(spec), read_yaml(spec))
+    path = Path("place") if isinstance(spec, Mapping) else example_or_path(spec)
+    raw = dict(spec) if isinstance(spec, Mapping) else read_yaml(path)
     file: PlaceFile = validate({**raw, **(changes or {})}, PlaceFile, str(path))
     if config is None and file.config is not None:
         config = path.parent / file.config

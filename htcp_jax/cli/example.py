@@ -1,0 +1,69 @@
+"""`htcp example`: the jobs, sweeps and placements that ship, listed or written to a folder."""
+
+import os
+import shlex
+import shutil
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from htcp_jax.cli.output import Json, print_facts, print_json, print_table, stdout
+from htcp_jax.errors import InputError
+from htcp_jax.jobs.examples import command, description, examples, files_of
+from htcp_jax.report.document import Column, Table
+from htcp_jax.runs.plan_folder import written_whole
+
+COLUMNS = Column("name", "name"), Column("command", "run by"), Column("description", "what it is")
+
+
+def complete_example(start: str) -> list[str]:
+    """Names of examples that begin with `start`."""
+    return [name for name in examples() if name.startswith(start)]
+
+
+Name = Annotated[
+    str | None,
+    typer.Argument(metavar="NAME", help="An example; without one, all are listed.", autocompletion=complete_example),
+]
+Folder = Annotated[Path | None, typer.Argument(metavar="DIR", help="A new or empty folder to write it to.")]
+
+
+def example(name: Name = None, folder: Folder = None, as_json: Json = False) -> int:
+    """List the jobs, sweeps and placements that ship with htcp, or write one to a folder.
+
+    The files that an example refers to are written, too. A command that reads such a file takes the name of an example
+    as well. Exits with 2 on an unknown name and if DIR is not empty.
+
+    \b
+    htcp example                              the list
+    htcp example pipe my-job                  the files of one example, as the beginning of a job of your own
+    htcp plan my-job/job.yaml --set margin_m=0.001
+    htcp plan pipe                            the example as it is
+    """
+    known = examples()
+    if name is None:
+        rows = tuple((each, command(each), description(file)) for each, file in known.items())
+        table = Table("examples", COLUMNS, rows)
+        print_json(table.records()) if as_json else print_table(stdout(), table)
+        return 0
+    if name not in known:
+        raise InputError(f"unknown example {name!r}; valid: {', '.join(known)}")
+    if folder is None:
+        raise InputError(f"a folder to write to is missing: htcp example {name} DIR")
+    if folder.is_dir() and any(folder.iterdir()):
+        raise InputError(f"{folder} is not empty; an example is written to a new or an empty folder")
+    files = sorted(files_of(known[name]))
+    root = os.path.commonpath([file.parent for file in files])
+    with written_whole(folder) as scratch:
+        for file in files:
+            copy = scratch / file.relative_to(root)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(file, copy)
+    written = [str(folder / file.relative_to(root)) for file in files]
+    main = str(folder / known[name].relative_to(root))
+    if as_json:
+        print_json({"example": name, "file": main, "files": written})
+    else:
+        print_facts(name, {"files": ", ".join(written), "run it by": f"{command(name)} {shlex.quote(main)}"})
+    return 0

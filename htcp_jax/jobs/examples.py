@@ -1,0 +1,41 @@
+"""The jobs, sweeps and placements that ship with the package, by name."""
+
+import os
+import re
+from pathlib import Path
+
+_PACKAGE = Path(__file__).parents[1]
+ROOT = _PACKAGE / "examples" if (_PACKAGE / "examples").is_dir() else _PACKAGE.parent  # of a wheel, or of a checkout
+
+
+def examples() -> dict[str, Path]:
+    """Return the YAML file of every example: `cone`, `pipe`, `place/duct`, `sweeps/robot`, ..."""
+    files = *(ROOT / "configs").rglob("*.yaml"), *(ROOT / "sweeps").glob("*.yaml")
+    names = (file.relative_to(ROOT).with_suffix("").as_posix() for file in files)
+    short = (name.removeprefix("configs/").removesuffix("/job") for name in names)
+    return dict(sorted(zip(short, files, strict=True)))
+
+
+def command(name: str) -> str:
+    """Return the command that runs the example."""
+    return {"place": "htcp place", "sweeps": "htcp sweep"}.get(name.partition("/")[0], "htcp plan")
+
+
+def example_or_path(path: str | Path) -> Path:
+    """Return the file of the example that `path` names, or `path` if it exists or names none."""
+    return Path(path) if os.path.exists(path) else examples().get(str(path), Path(path))
+
+
+def description(file: Path) -> str:
+    """Return the first sentence of the file's first comment."""
+    comment = re.match(r"(# ?.*\n)+", file.read_text(encoding="utf-8"))[0]
+    return " ".join(comment.replace("#", " ").split()).split(". ")[0].rstrip(".")
+
+
+def files_of(file: Path) -> set[Path]:
+    """Return the file with its baseline and all files that it refers to, those of its base configuration among them."""
+    found = {file, *file.parent.glob(f"baselines/{file.name}")}
+    for name in re.findall(r"[\w./-]+\.\w+", re.sub("#.*", "", file.read_text(encoding="utf-8"))):
+        if (other := Path(os.path.normpath(file.parent / name))).is_file():
+            found |= files_of(other)
+    return found

@@ -1,0 +1,77 @@
+"""`htcp example`, and the names of examples in place of files."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from htcp_jax.cli.main import main
+from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.jobs.config_file import named_files
+from htcp_jax.jobs.examples import ROOT, command, description, examples
+from htcp_jax.jobs.grid import load_sweep
+from htcp_jax.jobs.load_config import load_config
+from htcp_jax.placement.place_file import Search, load_search
+
+LOAD = {"htcp plan": load_config, "htcp sweep": load_sweep, "htcp place": load_search}
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """An empty working folder."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_every_yaml_file_that_ships_is_an_example_or_a_baseline_of_one():
+    shipped = {file for folder in ("configs", "sweeps") for file in (ROOT / folder).rglob("*.yaml")}
+    known = set(examples().values())
+    assert {file.parent.parent / file.name for file in shipped - known} < known
+    assert {"pipe", "place/duct", "sweeps/cone"} < set(examples())
+
+
+def test_the_list_has_the_first_sentence_of_every_example(capsys):
+    assert main(["example", "--json"]) == 0
+    rows = {row["name"]: row["description"] for row in json.loads(capsys.readouterr().out)}
+    assert rows == {name: description(file) for name, file in examples().items()}
+    assert rows["sweeps/robot"] == "The paper's first sweep: 125 starts"
+
+
+@pytest.mark.parametrize("name", examples())
+def test_an_example_is_written_with_all_that_it_refers_to(here, capsys, name):
+    (here / "empty").mkdir()
+    assert main(["example", name, "empty", "--json"]) == 0
+    written = json.loads(capsys.readouterr().out)
+    assert {*written["files"]} == {str(file) for file in Path("empty").rglob("*") if file.is_file()}
+    loaded = LOAD[command(name)](written["file"])  # refuses a file that refers to a missing one
+    job = loaded if isinstance(loaded, PlanConfig) else loaded.job if isinstance(loaded, Search) else loaded.config
+    for key, section, word in named_files(job.model_dump()):
+        assert Path(section[word]).is_relative_to("empty") and Path(section[word]).is_file(), key
+
+
+def test_a_gated_sweep_comes_with_its_baseline(here):
+    assert main(["example", "sweeps/workpiece", "new"]) == 0
+    name = "baselines/workpiece.yaml"
+    assert (here / "new" / name).read_bytes() == (ROOT / "sweeps" / name).read_bytes()
+
+
+def test_a_file_comes_before_the_example_of_its_name(here):
+    (here / "cone").write_text("margin_m: 0.002\n")
+    assert load_config("cone").margin_m == 0.002
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["pip", "new"], "unknown example 'pip'; valid: cone, duct, paper, pipe, place/duct, "),
+        (["pipe"], "a folder to write to is missing: htcp example pipe DIR"),
+        (["pipe", "."], ". is not empty; an example is written to a new or an empty folder"),
+        (["pipe", "file"], "cannot write to file"),
+    ],
+)
+def test_a_wrong_example_or_folder_is_one_line_and_nothing_is_written(here, capsys, words, line):
+    (here / "file").write_text("")
+    assert main(["example", *words]) == 2
+    output = capsys.readouterr()
+    assert output.err.startswith(f"htcp: {line}") and output.err.count("\n") == 1 and output.out == ""
+    assert [file.name for file in here.iterdir()] == ["file"]
