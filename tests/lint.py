@@ -42,7 +42,7 @@ UNIT_TOLD = re.compile(r"\[[^\]]*\b(m|mm|rad|s|ms|m2|1|%)\b[^\]]*\]|\b(unit|perc
 WITH_UNIT = {"Joints", "Pose", "Vector3"}  # of types: [rad or m]; a frame in [m]; a point in [m]
 COUNTED = re.compile(r"^(num_.*|.*weights?|tracked|executable|population)$")
 SOURCE = re.compile(r"equation|Eq\.|section|Algorithm|paper|constraints\)|Rodrigues|Ericson", re.IGNORECASE)
-RANDOM_KEY = "key"  # of JAX: an array without a shape
+RANDOM_KEY = "key"  # how names of JAX's random keys end: arrays without a shape
 ARRAYS = re.compile(r"\b(np\.ndarray|jax\.Array|Array)\b")
 NUMBERS = re.compile(r"\b(Float|float)\b")
 
@@ -191,7 +191,7 @@ def _value_lacks(name: str, annotation: ast.expr | None, text: str) -> Iterator[
         return
     kind = ast.unparse(annotation)
     bare = re.sub(r"\b(Float|Int|Int8|Bool)\[[^\[\]]*\]", "", kind)
-    if ARRAYS.search(bare) and name != RANDOM_KEY and not re.search(rf"\b{name}\b[^.;]*\(\w[^)]*,", text):
+    if ARRAYS.search(bare) and not name.endswith(RANDOM_KEY) and not re.search(rf"\b{name}\b[^.;]*\(\w[^)]*,", text):
         yield f"{name} has no shape"
     has_unit = UNIT_IN_NAME.search(name) or COUNTED.match(name) or any(alias in kind for alias in WITH_UNIT)
     if NUMBERS.search(kind) and not has_unit and not UNIT_TOLD.search(text):

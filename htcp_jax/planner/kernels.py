@@ -21,7 +21,7 @@ from htcp_jax.scene.task import TaskLinear
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import step_qp
 from htcp_jax.solvers.active_set import solve_step
-from htcp_jax.types import Joints
+from htcp_jax.types import Int, Joints
 
 STEPS_A_BURST = 5  # step QPs, or null-space steps, before the engine looks at the lanes again
 
@@ -93,7 +93,15 @@ class Tracked(NamedTuple):
     verdict: jax.Array
 
 
-def track(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, x_previous, linear, iteration) -> Loop:
+def track(
+    settings: Settings,
+    scene: Scene,
+    lane: LaneInputs,
+    x_ref: Joints,
+    x_previous: Joints,
+    linear: Linearisation,
+    iteration: Int[jax.Array, ""],
+) -> Loop:
     """Algorithm 1, line 7: step QPs (9) on the device, one after the other, until the target is reached, the lane is
     stuck, or the burst is over. The loop's state is `Tracked`."""
     most = jnp.minimum(iteration + STEPS_A_BURST, settings.max_step_qps)

@@ -25,6 +25,7 @@ from htcp_jax.planner.null_space import (
 from htcp_jax.planner.sampling import Candidates, Propose, draw_clear
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.settings import Settings
+from htcp_jax.types import Int, Joints
 
 SPREAD_EVERY = 3  # rounds of draws: in every third any of the better draws are pushed clear, not the clearest alone
 DRAW_STAGE = 99  # random keys of draws lie apart from those of the stages
@@ -81,7 +82,15 @@ class Walked(NamedTuple):
 
 
 def walk_null_space(
-    minimise: Minimise, index: int, settings: Settings, scene: Scene, lane: LaneInputs, x_previous, x_ref, walked, most
+    minimise: Minimise,
+    index: int,
+    settings: Settings,
+    scene: Scene,
+    lane: LaneInputs,
+    x_previous: Joints,
+    x_ref: Joints,
+    walked: Int[jax.Array, ""],
+    most: Int[jax.Array, ""],
 ) -> Loop:
     """Algorithm 1, lines 10 to 14: null-space steps of the method's stage `index`, after those `walked`, until the
     target is kept with the margin, or there have been as many as there may be, `most`. The loop's state is `Walked`."""
@@ -107,7 +116,7 @@ def propose(
     return proposed(scene, settings, lane, stuck_at(lane, x_previous, index))
 
 
-def enter_null_space(settings: Settings, scene: Scene, lane: LaneInputs, x_previous) -> Measured:
+def enter_null_space(settings: Settings, scene: Scene, lane: LaneInputs, x_previous: Joints) -> Measured:
     """Algorithm 1, line 9: inverse kinematics (5b) of the stuck target from x_{t-1}."""
     own = own_scene(scene, lane.tool_extension_m)
     x, _ = reanchor(own.robot, x_previous, lane.target, own.task.fine_m, task=own.task)

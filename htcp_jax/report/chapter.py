@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from htcp_jax.formats.strict_model import validate
 from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.jobs.examples import examples
+from htcp_jax.jobs.load_config import load_config
 from htcp_jax.planner.plans import Plans
 from htcp_jax.report import charts, paper, tables
 from htcp_jax.report.best import best, best_of_all
@@ -135,8 +136,8 @@ def fits_presets(part: Part) -> bool:
 
 
 def presets() -> dict[str, PlanConfig]:
-    """The configurations that ship, by name."""
-    return {"duct.yaml": PlanConfig(), "paper.yaml": validate(dict(paper.CHOICES), PlanConfig, "paper.yaml")}
+    """The configurations of the default scene that ship, by name."""
+    return {f"{name}.yaml": load_config(examples()[name]) for name in ("duct", "paper", "port")}
 
 
 def label(name: str) -> str:

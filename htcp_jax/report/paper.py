@@ -1,4 +1,4 @@
-"""The paper's two result tables as data, the grids behind them, and the choices of `configs/paper.yaml`.
+"""The paper's two result tables as data, and the grids behind them.
 
 Source: Y. Sun, W. Zhao, C. Liu, "Hybrid Task Constrained Planner for Robot Manipulator in Confined Environment",
 tables 1 and 2. Its times are of MATLAB 2022 on a 2.5 GHz Intel Core i9.
@@ -11,24 +11,6 @@ SOURCE = "Sun, Zhao, Liu: Hybrid Task Constrained Planner for Robot Manipulator 
 MACHINE = "MATLAB 2022, 2.5 GHz Intel Core i9"
 TARGETS = 105  # of one scenario
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # the middle of the starts, as we read the paper, which does not give it
-
-# What differs from the default job: `configs/paper.yaml`, here for the report, which says what was run.
-CHOICES = {
-    "margin_m": 0.0,
-    "method": "nspace-sqp",
-    "settings": {
-        "q_weights": (1.0,) * 6,
-        "cost_about": "previous",
-        "clearance_rows": "smallest",
-        "aim_above_m": 0.0,
-        "qp_tolerance": 1e-8,
-        "j1_weight": 1.0,
-        "first_direction": "random_for_cmaes",
-        "after_escape": "accept",
-        "path_check": "none",
-        "path_test": "samples",
-    },
-}
 
 
 class Figures(NamedTuple):
