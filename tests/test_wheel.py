@@ -48,7 +48,7 @@ def pip(*words: str | Path) -> None:
 
 def run(line: str, shell: dict[str, str], folder: Path) -> str:
     """The output of a line that is typed into a shell and succeeds. Ctrl-C ends `htcp view`, once it serves."""
-    if not line.startswith("htcp view"):
+    if not line.startswith("htcp view") or "--help" in line:
         done = subprocess.run(["bash", "-c", f"{line}; exit"], env=shell, cwd=folder, capture_output=True, text=True)
         assert done.returncode == 0, f"{line}: {done.returncode}: {done.stdout}{done.stderr}"
         return done.stdout
