@@ -16,7 +16,13 @@ from htcp_jax.cli.main import COMMANDS
 from htcp_jax.planner import compile_cache
 
 # What would take longer than all other tests together is done in part.
-PART = {"sweep sweeps/robot": "--limit 2", "sweep sweeps/cross": "--limit 2", "place place/duct": "--scenarios 100"}
+PART = {
+    "sweep sweeps/robot": "--limit 2",
+    "sweep sweeps/cross": "--limit 2",
+    "sweep sweeps/workpiece": "--limit 25",  # scenario 24 is the last
+    "reachability sweeps/workpiece": "--limit 2",
+    "place place/duct": "--scenarios 100",
+}
 pytestmark = pytest.mark.slow
 
 
