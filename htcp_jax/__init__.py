@@ -4,7 +4,7 @@
 
     plan = htcp_jax.plan()                                               # one job: the default one, or a YAML file
     plan.frame(), plan.figure()                                          # a row a target, and the picture
-    run = htcp_jax.sweep("sweeps/workpiece.yaml", "baseline,hybrid")     # a grid of jobs by several methods
+    run = htcp_jax.sweep("sweeps/workpiece", "baseline,hybrid")          # a grid of jobs by several methods
     run.frame()                                                          # a row a method and scenario
     htcp_jax.time_run(run, "20mm/s").frame()                             # and how long each takes at that feed
     report = htcp_jax.make_report(run)                                   # the paper's tables, and all charts

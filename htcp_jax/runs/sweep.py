@@ -1,6 +1,6 @@
 """The public call of a sweep: every scenario of a grid by several methods, shard by shard into a run folder.
 
-    run = htcp_jax.sweep("sweeps/robot.yaml", methods="baseline,nspace-sqp", out="out/robot")
+    run = htcp_jax.sweep("sweeps/robot", methods="baseline,nspace-sqp", out="out/robot")
     run.frame()
 
 A shard is one method on a block of scenarios, which advance together. How the grid is cut and where a shard is planned
