@@ -84,46 +84,6 @@ gate-runs: $(VENV)/.installed
 	$(SWEEP) sweeps/workpiece.yaml --config configs/port.yaml --methods nspace-sqp --out $(RUNS)/port-workpiece
 	$(VENV)/bin/htcp reachability sweeps/workpiece.yaml --out $(RUNS)/workpiece
 
-faults: $(VENV)/.installed-test  ## the tests that the gate notices a fault in each part of a plan
-	$(PYTEST) -m slow tests/test_gate_faults.py
-
-OLDEST = build/venv-oldest/bin
-test-oldest:  ## the quick tests, or TESTS="FILES", with the oldest allowed versions of the direct dependencies
-	$(PYTHON) -m venv build/venv-oldest
-	$(OLDEST)/python -m pip install --quiet --disable-pip-version-check uv
-	$(OLDEST)/uv pip install --quiet --python $(OLDEST)/python --resolution lowest-direct --editable '.[test]'
-	$(OLDEST)/python -m pytest $(TESTS)
-
-notebooks: $(VENV)/.installed-notebooks  ## execute the notebooks; build/notebooks/*.html
-	mkdir -p build/notebooks
-	set -e; for name in $(basename $(notdir $(wildcard notebooks/*.py))); do \
-		echo "$$name"; \
-		$(VENV)/bin/jupytext --quiet --to ipynb --output build/notebooks/$$name.ipynb \
-			--execute --run-path $(CURDIR)/notebooks notebooks/$$name.py; \
-	done
-	$(VENV)/bin/jupyter-nbconvert --log-level ERROR --to html build/notebooks/*.ipynb
-
-docs: $(VENV)/.installed-docs  ## build the documentation into build/site, warnings are errors
-	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict
-
-# The sweeps that `htcp gate` holds to sweeps/baselines/, planned by every method, and the folder of their runs.
-GATED = workpiece robot-third seams-part
-RUNS = build/gate
-GATE = $(VENV)/bin/htcp gate $(RUNS)/$$sweep --baseline sweeps/baselines/$$sweep.yaml
-
-gate: gate-runs  ## plan the gated sweeps and hold them to their baselines
-	@failed=0; for sweep in $(GATED); do \
-		$(GATE) --junit $(RUNS)/$$sweep.xml --markdown "$${GITHUB_STEP_SUMMARY:-$(RUNS)/gate.md}" || failed=1; \
-	done; exit $$failed
-
-bless: gate-runs  ## plan the gated sweeps and make them the new baselines
-	@set -e; for sweep in $(GATED); do $(GATE) --bless; done
-
-gate-runs: $(VENV)/.installed
-	rm -rf $(RUNS)
-	@set -e; for sweep in $(GATED); do $(VENV)/bin/htcp sweep sweeps/$$sweep.yaml --out $(RUNS)/$$sweep; done
-	$(VENV)/bin/htcp reachability sweeps/workpiece.yaml --out $(RUNS)/workpiece
-
 faults: $(VENV)/.installed-test  ## kill drivers, workers and nodes, fill disks, and compare bytes: a quarter of an hour
 	$(VENV)/bin/python -m pytest -m "slow or not slow" -v tests/test_faults.py tests/test_sweep_ray.py
 
