@@ -90,7 +90,8 @@ def test_lanes_that_leave_their_slot_to_others_are_lanes_one_by_one():
     to its own row, and nothing is written for rows that were not asked for."""
 
     def kernel(scene, x, n):
-        return Loop((x, jnp.zeros((), jnp.int32)), lambda s: s[1] < n, lambda s: (s[0] * scene + n.astype(float), s[1] + 1))
+        each = n.astype(float)
+        return Loop((x, jnp.zeros((), jnp.int32)), lambda s: s[1] < n, lambda s: (s[0] * scene + each, s[1] + 1))
 
     rng = np.random.default_rng(0)
     x, n = rng.normal(size=(64, 2)), rng.integers(0, 41, 64).astype(np.int32)
