@@ -5,11 +5,11 @@ PYTHON ?= $(firstword $(foreach p,python3 python3.14 python3.13 python3.12 pytho
 	$(shell $(p) -c 'import sys; sys.version_info >= (3, 11) and print("$(p)")' 2>/dev/null)) no-python-3.11-found)
 INSTALL = $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable
 
+COMMA := ,
 # As many processes as there are cores share the tests. WHOLE=1 executes the annotations of the whole package, and not
 # only of the modules that pyproject.toml names.
 PYTEST = $(VENV)/bin/python -m pytest --numprocesses logical --dist worksteal \
 	$(if $(WHOLE),--jaxtyping-packages=htcp_jax$(COMMA)beartype.beartype)
-COMMA := ,
 # What `make check` runs: the mathematics; a small plan and bad inputs by the command.
 CHECKED = $(patsubst %,tests/test_%.py,lint mathematics numerics kinematics sphere qp cma_es cli)
 
@@ -28,12 +28,11 @@ check: lint  ## a first answer: lint, a self-test, the mathematics, a small plan
 	$(PYTEST) $(CHECKED)
 
 test: lint  ## lint and the quick tests
-	@echo "The quick tests: about 9 minutes on two cores, 6 once programs are compiled"
+	@echo "The quick tests: up to 10 minutes on two cores, fewer once programs are compiled"
 	$(PYTEST)
 
 test-slow: WHOLE = 1
 test-slow: lint  ## every test
-	@echo "Every test: about an hour on two cores"
 	$(PYTEST) -m "slow or not slow"
 
 gate-faults: $(VENV)/.installed-test  ## the tests that the gate notices a fault in each part of a plan

@@ -175,8 +175,12 @@ def test_the_derivative_of_D_is_that_of_autodiff_through_what_is_nearest_and_of_
     assert hull > 20
 
 
+FEW = 50  # points: as many in all tests, so that one compiled program serves them
+
+
 def few_points(cloud) -> Workpiece:
     """A workpiece that is just these points, in the world's frame."""
+    cloud = np.resize(cloud, (FEW, 3))
     home = (0.0, 0.0, 0.0)
     return Workpiece("points", cloud, np.zeros((1, 3)), pivot=home, neutral_translation=home, interior="none")
 
@@ -190,14 +194,14 @@ def test_the_gradient_is_finite_where_a_point_lies_on_a_capsules_axis():
     obstacle, where = make_obstacle(few_points(cloud)), Where(jnp.eye(4), jnp.array([1.0, 0, 0, 100.0]))
     for gradient in gradients(robot, obstacle, where, x)[:3]:
         assert np.isfinite(gradient).all()
-    np.testing.assert_allclose(clearances(robot, obstacle, where, x), -robot.capsule_radius, atol=1e-15)
-    assert not is_clear(robot, obstacle, where, x)
+    np.testing.assert_allclose(jitted(clearances)(robot, obstacle, where, x), -robot.capsule_radius, atol=1e-15)
+    assert not jitted(is_clear)(robot, obstacle, where, x)
 
 
 def test_without_an_interior_only_the_points_count():
     """A workpiece without a hull calls nothing outside, however deep the arm reaches."""
     robot, rng = made_once.robot(), np.random.default_rng(0)
-    workpiece = few_points(rng.normal((1.5, 0.0, 1.0), 1.0, (50, 3)))
+    workpiece = few_points(rng.normal((1.5, 0.0, 1.0), 1.0, (FEW, 3)))
     obstacle = make_obstacle(workpiece)
     where = Where(jnp.eye(4), jnp.array([1.0, 0, 0, -100.0]))
     for x in postures()[:20]:
@@ -234,7 +238,7 @@ def test_the_gate_is_a_plane_and_only_ends_beyond_it_must_be_inside(direction):
 def test_mujocos_own_geometry_measures_the_same():
     """Every capsule of the model against tiny spheres, through MuJoCo's collision functions and kinematics."""
     rng = np.random.default_rng(1)
-    cloud = rng.normal((1.2, 0.0, 1.2), 0.6, (40, 3))
+    cloud = rng.normal((1.2, 0.0, 1.2), 0.6, (FEW, 3))
     radius = 1e-4
     spec = mujoco.MjSpec.from_file(str(GP50))
     for k, point in enumerate(cloud):
@@ -252,7 +256,7 @@ def test_mujocos_own_geometry_measures_the_same():
             min(mujoco.mj_geomDistance(model, data, geom, sphere, 100.0, None) for sphere in spheres) + radius
             for geom in geoms
         ]
-        ours = clearances(robot, obstacle, where, jnp.asarray(x))
+        ours = jitted(clearances)(robot, obstacle, where, jnp.asarray(x))
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
 
 
@@ -292,11 +296,13 @@ def test_what_other_devices_compute_is_the_same(monkeypatch):
     x = postures()[::3]
     paths = x[:, None] + np.linspace(0, 0.05, 5)[:, None] * np.ones(x.shape[1])
 
+    def look(x, path):
+        here = robot, obstacle, where
+        return contacts(*here, x).distance, clearance(*here, x), all_clear(*here, path)
+
     def measure():
         jax.clear_caches()
-        touch = jax.jit(jax.vmap(partial(contacts, robot, obstacle, where)))(x)
-        smallest = jax.jit(jax.vmap(partial(clearance, robot, obstacle, where)))(x)
-        return touch.distance, smallest, jax.jit(jax.vmap(partial(all_clear, robot, obstacle, where)))(paths)
+        return jax.jit(jax.vmap(look))(x, paths)
 
     here = measure()
     monkeypatch.setattr(jax, "default_backend", lambda: "another")

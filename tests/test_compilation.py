@@ -76,7 +76,7 @@ def test_lanes_one_by_one_are_lanes_side_by_side():
     """A loop whose length differs from lane to lane, and an integer beside a float."""
 
     def kernel(scene, x, n):
-        return jax.lax.fori_loop(0, n, lambda k, x: x + scene * k, x), n + 1
+        return jax.lax.fori_loop(0, n, lambda k, x: x + scene * k.astype(float), x), n + 1
 
     x, n, done = np.arange(16.0).reshape(8, 2), np.arange(8, dtype=np.int32), np.arange(8) < 6
     alone, together = (chunked(kernel, width)(jnp.asarray(0.5), np.int32(6), x, n) for width in (1, 2))
@@ -90,7 +90,8 @@ def test_lanes_that_leave_their_slot_to_others_are_lanes_one_by_one():
     to its own row, and nothing is written for rows that were not asked for."""
 
     def kernel(scene, x, n):
-        return Loop((x, jnp.zeros((), jnp.int32)), lambda s: s[1] < n, lambda s: (s[0] * scene + n, s[1] + 1))
+        each = n.astype(float)
+        return Loop((x, jnp.zeros((), jnp.int32)), lambda s: s[1] < n, lambda s: (s[0] * scene + each, s[1] + 1))
 
     rng = np.random.default_rng(0)
     x, n = rng.normal(size=(64, 2)), rng.integers(0, 41, 64).astype(np.int32)

@@ -103,6 +103,8 @@ def place(tmp_path_factory):
     (place / "grid.yaml").write_text(GRID)
     for method in dict.fromkeys(PLANNED_BY.values()):
         assert main(["gate", str(plan(place, method, method)), *baseline(place, method), "--bless"]) == 0
+        file = place / f"{method}.yaml"
+        file.write_text(file.read_text().replace("    more_targets: null\n", "    more_targets: 0\n"))
     return place
 
 

@@ -53,7 +53,7 @@ def same(a, b):
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("count", [2, 3])
+@pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_the_number_of_processes_has_no_influence(count):
     """All arrays to the last bit, and all knots of motions: beside one process with one engine, and with two."""
     here = plan(*scene(), poses(), "cspace-sample", PAPER, threads=2)

@@ -91,7 +91,7 @@ def made_up(scene, room, place, bad, kind) -> Loop:
 
     def look(far: Bisection) -> Bisection:
         half = 0.5 * jnp.ldexp(1.0, -far.depth)
-        middle = (2 * far.index + 1) * half
+        middle = (2 * far.index + 1).astype(float) * half
         left = room + jnp.abs(middle - place) - 2 * half
         verdict = jnp.where(jnp.min(jnp.abs(middle - bad)) < 0.02, kind, int(Verdict.PROVEN))
         is_open = (verdict == Verdict.PROVEN) & (left < 0) & (far.depth >= 14)

@@ -77,8 +77,8 @@ def _shared_out(slots: Slots, capacity: int) -> Slots:
     rest = far.end - far.place - (1 << (WHOLE_DEPTH - far.depth))  # behind the interval that is next
     free, gives = row == capacity, (row < capacity) & (rest > 0)
     nth_free, nth_giver = (jnp.cumsum(which, dtype=jnp.int32) - 1 for which in (free, gives))
-    gives &= nth_giver < jnp.sum(free)
-    takes = free & (nth_free < jnp.sum(gives))
+    gives &= nth_giver < jnp.sum(free, dtype=jnp.int32)
+    takes = free & (nth_free < jnp.sum(gives, dtype=jnp.int32))
     giver = jnp.nonzero(gives, size=len(row), fill_value=0)[0][jnp.where(takes, nth_free, 0)]
     # The longest interval at the end that bisection comes to: as long as the largest power of two in the rest.
     level = 63 - jax.lax.clz(jnp.maximum(rest, 1))

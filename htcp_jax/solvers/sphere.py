@@ -291,7 +291,8 @@ def adam(
         # Minus the merit's subgradient, in the tangent plane.
         descent = -gradient + jnp.where(over[worst] > 0, 10.0, 0.0) * sphere.G[worst]
         descent = descent - product(descent, w) * w
-        update, momentum = optimiser.update(descent, momentum, w)
+        with jax.numpy_dtype_promotion("standard"):  # optax raises a float to the power of its int32 count
+            update, momentum = optimiser.update(descent, momentum, w)
         return _unit(w + update), momentum, best, best_merit
 
     w = first_direction(sphere, seen, start_key)

@@ -113,9 +113,10 @@ class Reachability(Section):
 
 
 class Allowance(Section):
-    """How much worse each method may be than in the baseline."""
+    """How far each method may be from the baseline."""
 
     targets: Count = 0  # fewer tracked in all
+    more_targets: Count | None = None  # more tracked in all; None: any number
     scenarios: Count = 0  # that end earlier
     cycle_time_percent: Annotated[float, Field(ge=0)] = 1.0  # that a scenario may take longer
     tcp_error_mm: Millimetres = 0.05

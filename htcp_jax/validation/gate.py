@@ -2,7 +2,8 @@
 
 A method fails when
 
-- it tracks fewer targets in all, or more of its scenarios end earlier, than the baseline's `allow` permits;
+- it tracks fewer targets in all, or more of its scenarios end earlier, than the baseline's `allow` permits; or more
+  targets, where `allow.more_targets` bounds them, as for figures that are to be reproduced;
 - it tracks a smaller share of the targets that are known to be reachable;
 - MuJoCo refutes a tracked target: the TCP is off by more than the tolerance, the arm touches, the record is wrong;
 - where the baseline has times, at the same feed and limits: fewer of its scenarios hold their feed or have a time, or
@@ -224,6 +225,9 @@ def _lines(
         elif (fewer := before - after) > allow.targets:
             what = f"{counted(fewer, 'target')} fewer {name.split()[0]}"
             lines[name] = [f"{what}, {after} of {was.targets}; {allow.targets} may be lost"]
+    if allow.more_targets is not None and (more := now.tracked - was.tracked) > allow.more_targets:
+        gained = f"{counted(more, 'target')} more tracked, {now.tracked} of {was.targets}"
+        lines[TRACKED] = [f"{gained}; {allow.more_targets} may be gained"]
     if (worse := sum(one.worse for one in changed)) > allow.scenarios:
         lines[ENDS] = [f"{counted(worse, 'scenario')} ended earlier; {allow.scenarios} may"]
     was_share, share = _share(was, baseline.reachability), _share(now, found.reachability)
