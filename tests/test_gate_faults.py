@@ -62,7 +62,8 @@ from types import SimpleNamespace
 from htcp_jax.solvers import step_qp
 assemble = step_qp.assemble
 def wrong(settings, *rest):
-    return assemble(SimpleNamespace(q_weights=settings.q_weights[::-1], cost_about=settings.cost_about), *rest)
+    read = {name: getattr(settings, name) for name in ("cost_about", "clearance_rows")}
+    return assemble(SimpleNamespace(q_weights=settings.q_weights[::-1], **read), *rest)
 step_qp.assemble = wrong
 """,
     "J1's weight": """
@@ -77,8 +78,8 @@ null_space.sphere_problem = wrong
     "escape": """
 from htcp_jax.solvers import sphere
 sqp = sphere.sqp
-def wrong(*arguments):
-    best = sqp(*arguments)
+def wrong(*arguments, **start):
+    best = sqp(*arguments, **start)
     return best._replace(w=-best.w)
 sphere.sqp = wrong
 """,
