@@ -81,7 +81,7 @@ def rows_beside(
 @partial(jax.vmap, in_axes=(None, None, 0, 0, 0))
 def _left(task: Task, robot: Robot, a, b, goals):
     asked, half = between(task, goals), jnp.asarray(0.5 / PIECES)
-    places = (jnp.arange(PIECES) + 0.5) / PIECES
+    places = (jnp.arange(PIECES, dtype=float) + 0.5) / PIECES
     found = jax.vmap(lambda place: rows_left(robot, task.parts, asked, a + place * (b - a), b - a, half))(places)
     return jnp.min(found.left, axis=0), jnp.min(found.apart, axis=0)
 
