@@ -1,6 +1,6 @@
 """Mutation testing: which of 60 small faults in the mathematics and the planners the tests notice.
 
-    python -m benchmarks mutants [--only N,...] [--jobs 1] [--record] [-- PYTEST ARGUMENT...]
+    python -m benchmarks mutants [--only N,...] [--jobs 1] [--cache DIR] [--record] [-- PYTEST ARGUMENT...]
     python -m benchmarks mutants --draw SEED     (pip install cosmic-ray==8.7.0)
 
 mutants.yaml next to this file lists them: a number, the file, the operator, the source lines before and after, the test
@@ -9,15 +9,17 @@ in another file of the package. The exit code is 1 if a mutant is unnoticed that
 result instead.
 
 Each mutant gets a temporary copy of the tree, in which `pytest -x` runs its test files at low priority. A failed test,
-a crash and a run over LIMIT_S count as noticed. The unmutated test files run first, from an empty compilation cache:
-they must pass, and a mutant's files together in half of LIMIT_S. The mutants start from copies of that cache.
+a crash and a run over LIMIT_S count as noticed. The unmutated test files run first, with the compiled programs in
+--cache or with none: they must pass, and a mutant's files together in half of LIMIT_S. Every mutant then starts from a
+copy of what they compiled.
 
 --draw replaces the list. The sites are all those of cosmic-ray's operators in MODULES, drawn without replacement by
 `random.Random(SEED)`; one of the site's mutations is then drawn. Excluded: annotations, decorators, imports, `raise`,
 f-strings, decorator removal (jax.jit changes no result), and operators of another family: arithmetic is replaced by
 arithmetic, bits by bits, a comparison by a comparison. The test files are those that import the mutant's module or, if
 there are none, those that import the nearest modules which import it: first the one named for the module, then by how
-often they use what they import from it, the most often first, at most TEST_FILES.
+often they use what they import from it, the most often first, at most TEST_FILES. Files with
+slow tests only are excluded: pytest's configuration deselects them.
 """
 
 import argparse
@@ -92,14 +94,18 @@ def run_tests(tests: list[str], cache: Path, extra: list[str], mutant: dict | No
         return Run(code, used.ru_utime + used.ru_stime, failures[-1] if failures else f"exit code {code}")
 
 
-def check(mutants: list[dict], jobs: int, extra: list[str]) -> list[bool]:
-    """Return for each mutant whether its test files notice it; print each result as soon as it is known."""
+def check(mutants: list[dict], jobs: int, start: Path | None, extra: list[str]) -> list[bool]:
+    """Return for each mutant whether its test files notice it; print each result as soon as it is known.
+
+    `start` is a folder with compiled programs to start from, None for none.
+    """
     for mutant in mutants:
         mutated(ROOT, mutant)  # is found before anything runs
     files, alone_s = sorted({file for mutant in mutants for file in mutant["tests"]}), {}
     noticed = []
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(jobs) as pool:
-        cache = Path(folder)
+        cache = Path(folder, "cache")
+        shutil.copytree(start, cache) if start else cache.mkdir()
         try:
             for file, run in zip(files, pool.map(lambda file: run_tests([file], cache, extra), files), strict=True):
                 print(f"unmutated: {run.cpu_s:4.0f} s, {file}", flush=True)
@@ -208,9 +214,16 @@ def _imported(file: Path) -> dict[str, int]:
     return uses
 
 
+def _has_quick_test(file: Path) -> bool:
+    """True if a test of the file is not marked slow."""
+    nodes = ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+    tests = [node for node in nodes if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")]
+    return any("pytest.mark.slow" not in map(ast.unparse, test.decorator_list) for test in tests)
+
+
 def _tests_of(path: str) -> list[str]:
     """The most direct test files of a module, at most TEST_FILES."""
-    tests = {file: _imported(file) for file in (ROOT / "tests").glob("test_*.py")}
+    tests = {file: _imported(file) for file in (ROOT / "tests").glob("test_*.py") if _has_quick_test(file)}
     package = {file: _imported(file) for file in (ROOT / "htcp_jax").rglob("*.py")}
     modules = seen = {path.removesuffix(".py").replace("/", ".")}
     while modules:
@@ -232,6 +245,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks mutants", description=__doc__.partition("\n")[0])
     parser.add_argument("--only", type=lambda text: {int(n) for n in text.split(",")}, metavar="N,...")
     parser.add_argument("--jobs", type=int, default=1, help="mutants that run at the same time")
+    parser.add_argument("--cache", type=Path, metavar="DIR", help="compiled programs, e.g. ~/.cache/htcp_jax")
     parser.add_argument("--record", action="store_true", help="store what is noticed in mutants.yaml")
     parser.add_argument("--draw", type=int, metavar="SEED", help="replace the list")
     chosen, extra = parser.parse_args(sys.argv[1:split]), sys.argv[split + 1 :]
@@ -241,7 +255,7 @@ def main() -> int:
     mutants = yaml.safe_load(LIST.read_text(encoding="utf-8"))
     run = [mutant for mutant in mutants if not chosen.only or mutant["number"] in chosen.only]
     before = [mutant.get("noticed") for mutant in run]
-    noticed = check(run, chosen.jobs, extra)
+    noticed = check(run, chosen.jobs, chosen.cache, extra)
     for mutant, found in zip(run, noticed, strict=True):
         mutant["noticed"] = found
     lost = [mutant["number"] for mutant, was, found in zip(run, before, noticed, strict=True) if was and not found]
