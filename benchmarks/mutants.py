@@ -18,8 +18,8 @@ copy of what they compiled.
 f-strings, decorator removal (jax.jit changes no result), and operators of another family: arithmetic is replaced by
 arithmetic, bits by bits, a comparison by a comparison. The test files are those that import the mutant's module or, if
 there are none, those that import the nearest modules which import it: first the one named for the module, then by how
-often they use what they import from it, the most often first, at most TEST_FILES. Files with
-slow tests only are excluded: pytest's configuration deselects them.
+often they use what they import from it, the most often first, at most TEST_FILES. Files with slow tests only are
+excluded: pytest's configuration deselects them.
 """
 
 import argparse
@@ -254,6 +254,8 @@ def main() -> int:
         return 0
     mutants = yaml.safe_load(LIST.read_text(encoding="utf-8"))
     run = [mutant for mutant in mutants if not chosen.only or mutant["number"] in chosen.only]
+    if unknown := (chosen.only or set()) - {mutant["number"] for mutant in run}:
+        parser.error(f"--only: no mutant {min(unknown)}; the numbers are 1 to {len(mutants)}")
     before = [mutant.get("noticed") for mutant in run]
     noticed = check(run, chosen.jobs, chosen.cache, extra)
     for mutant, found in zip(run, noticed, strict=True):
