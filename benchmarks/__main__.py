@@ -15,6 +15,7 @@
     python -m benchmarks seams OUT.png     the seams of the generated duct, drawn
     python -m benchmarks speed             what is timed, beside committed figures, or in pairs with another checkout
     python -m benchmarks shape             sizes and depth of imports of the source, next to other checkouts
+    python -m benchmarks mutants           60 small faults in the mathematics and the planners, noticed by tests or not
 
 Options follow the case: --help shows them. Nothing else should run on the machine while times are taken. RESULTS.md
 beside this file has the numbers measured so far.
@@ -38,6 +39,7 @@ CASES = (
     "seams",
     "speed",
     "shape",
+    "mutants",
 )
 
 
