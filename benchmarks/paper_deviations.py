@@ -3,7 +3,7 @@
     python -m benchmarks paper-deviations [--only NAME,...] [--cloud measured|generated]
 
 Prints Markdown tables of the success in % of all targets, poses / starts unless a column says otherwise. One experiment
-takes a minute or two; those with scipy's minimisers (`fmincon`) about half an hour.
+takes minutes, `jacobian`, `readings` and `fmincon` about ten each on two idle cores (estimated).
 """
 
 import argparse
@@ -156,7 +156,7 @@ def cmaes(runs: Runs) -> None:
 
     cases = [(sigma, is_random) for sigma in (0.1, 0.3, 0.5, 1.0) for is_random in (False, True)]
     cases += [(0.5, True, None, True), (1.0, True, None, True), (0.5, True, None, False, 1)]
-    cases += [(sigma, True, penalty) for sigma in (0.5, 1.0) for penalty in (0.1, 1.0, 10.0)]
+    cases += [(0.5, True, penalty) for penalty in (0.1, 1.0, 3.0, 10.0)]
     table(("sigma", "first direction", "norm of w", "result", "generations", "success"), (row(*case) for case in cases))
 
 
@@ -174,34 +174,24 @@ def starts(runs: Runs) -> None:
 
 def sample_step(runs: Runs) -> None:
     """N-Space sample: the length of its steps."""
-    lengths = (0.005, 0.01, 0.02, 0.05, 0.1)
+    lengths = (0.005, 0.01, 0.02, 0.03, 0.05, 0.1)
     found = (runs.success("nspace-sample", f"settings.sample_step_rad={length}") for length in lengths)
     table(("step [rad]", "nspace-sample"), ((str(length), each) for length, each in zip(lengths, found, strict=True)))
 
 
 def null_space(runs: Runs) -> None:
     """Settings of the null-space loop, for its three minimisers and Adam."""
-    cases = ["max_null_space_steps=20"]
-    cases += [f"max_null_space_steps={n}" for n in (1, 2, 3, 5, 10, 50)]
-    cases += [f"alpha_rad={a}" for a in (0.01, 0.02, 0.05, 0.2, 0.5)]
-    cases += ["include_proximal_bodies=false", "j1_weight=0", "path_check=escapes", "path_check=all"]
-    cases += ["qp=device", "qp_tolerance=1e-6", "qp_tolerance=1e-10", "max_step_qps=10", "max_step_qps=50"]
+    cases = ["max_null_space_steps=20", "max_null_space_steps=10", "max_null_space_steps=5", "max_null_space_steps=2"]
+    cases += [
+        "path_check=escapes",
+        "include_proximal_bodies=false",
+        "alpha_rad=0.02",
+        "alpha_rad=0.05",
+        "alpha_rad=0.2",
+    ]
     methods = (*OPTIMISERS, "nspace-adam")
     rows = ((case, *(runs.success(m, f"settings.{case}", sweeps=("workpiece",)) for m in methods)) for case in cases)
     table(("poses", *methods), rows)
-
-    def first_axis(minimise, problem, seen, key, settings):
-        with mock.patch.object(sphere, "first_guess", lambda problem, seen: jnp.eye(3)[0]):
-            return minimise(problem, seen)
-
-    def one(minimise):
-        with own_null_space(partial(first_axis, minimise)) as method:
-            return runs.success(method, sweeps=("workpiece",))
-
-    gradient = partial(sphere.adam, iterations=40)
-    few = partial(sphere.adam, iterations=5)
-    found = map(one, (sphere.sqp, sphere.interior_point, gradient, few))
-    table(("poses, first axis", "SQP", "interior point", "Adam", "Adam, 5 iterations"), [("", *found)])
 
 
 # The step QP's Jacobian in the authors' public code
@@ -314,6 +304,7 @@ def definitions(plans: Plans, clearances: np.ndarray, residuals: np.ndarray) -> 
     last = np.maximum(tracked.sum(axis=1) - 1, 0)
     D = np.where(tracked, 1e3 * plans.clearance, np.nan)
     off = np.where(tracked, 1e3 * plans.residual, np.nan)
+    escaped = plans.escape > 0
     return {
         "D, mean over tracked targets": np.nanmean(D),
         "D, median over tracked targets": np.nanmedian(D),
@@ -324,10 +315,12 @@ def definitions(plans: Plans, clearances: np.ndarray, residuals: np.ndarray) -> 
         "D, minimum": np.nanmin(D),
         "D, largest of the scenarios' minima": np.nanmax(np.nanmin(D, axis=1)),
         "D, mean over QP iterates": clearances.mean(),
+        "D, mean over targets tracked after an escape": D[escaped].mean() if escaped.any() else np.nan,
         "TCP, mean over tracked targets": np.nanmean(off),
         "TCP, median over tracked targets": np.nanmedian(off),
         "TCP, mean over scenarios of the maximum": np.nanmean(np.nanmax(off, axis=1)),
         "TCP, mean at the last tracked target": np.nanmean(off[rows, last]),
+        "TCP, mean over targets tracked after an escape": off[escaped].mean() if escaped.any() else np.nan,
         "TCP, mean over QP iterates below 1 mm": residuals[residuals < 1].mean(),
     }
 
@@ -459,15 +452,14 @@ def emulated(solver: str, first: str, iterations: int, counts: list, problem: tu
 def fmincon(runs: Runs) -> None:
     """scipy's SLSQP and trust-constr in place of SQP and interior point."""
 
-    def row(solver, first, iterations, sweeps=SWEEPS):
+    def row(solver, first, iterations):
         counts: list[int] = []
         with registered(OnHost("on-host", partial(emulated, solver, first, iterations, counts))) as method:
-            found = runs.success(method, sweeps=sweeps)
+            found = runs.success(method, sweeps=("workpiece",))
         return solver, first, str(iterations), found, f"{len(counts):,}", f"{np.mean(counts):.0f}"
 
-    cases = [("SLSQP", first, 400) for first in ("best of 64", "random", "first axis", "zero")]
-    cases += [("SLSQP", first, 10) for first in ("random", "zero")]
-    cases += [("trust-constr", first, 100) for first in ("best of 64", "random", "zero")]
+    firsts = "zero", "random", "first axis", "best of 64"
+    cases = [("SLSQP", first, 400) for first in firsts] + [("trust-constr", first, 100) for first in firsts]
     head = ("solver", "first direction", "iterations at most", "success", "minimisations", "evaluations each")
     table(head, (row(*case) for case in cases))
 
