@@ -11,6 +11,7 @@
     python -m benchmarks programs RUN...    programs of whole runs: feed held, limits kept, CPU time
     python -m benchmarks time-laws PLAN...  laws of time on one plan's ways, beside copp-py's and toppra's
     python -m benchmarks baseline-margin OUT.png
+    python -m benchmarks paper-deviations  experiments behind the deviations from the two tables
     python -m benchmarks mountings         found by a grid, random draws, htcp place and differential evolution
     python -m benchmarks seams OUT.png     the seams of the generated duct, drawn
     python -m benchmarks speed             what is timed, beside committed figures, or in pairs with another checkout
@@ -35,6 +36,7 @@ CASES = (
     "programs",
     "time-laws",
     "baseline-margin",
+    "paper-deviations",
     "mountings",
     "seams",
     "speed",
