@@ -208,11 +208,11 @@ def test_another_seed_compiles_nothing_and_draws_others(method, scene, scenarios
 
 
 def test_a_setting_compiles_the_kernels_that_read_it_and_no_others(scene, scenarios):
-    plan(*scene, scenarios[:2], "nspace-cmaes", replace(PAPER, population=8))
+    plan(*scene, scenarios[:2], "cspace-sample", replace(PAPER, samples=8))
     before = len(PROGRAMS)
-    plan(*scene, scenarios[:2], "nspace-cmaes", replace(PAPER, population=9))
-    assert len(PROGRAMS) == before + 1  # the walk
-    plan(*scene, scenarios[:2], "nspace-cmaes", replace(PAPER, population=9, max_null_space_steps=7, samples=9))
+    plan(*scene, scenarios[:2], "cspace-sample", replace(PAPER, samples=9))
+    assert len(PROGRAMS) == before + 1  # that of the samples
+    plan(*scene, scenarios[:2], "cspace-sample", replace(PAPER, samples=9, max_null_space_steps=7, population=9))
     assert len(PROGRAMS) == before + 1
 
 

@@ -103,7 +103,7 @@ def test_reanchoring_ends_inside_the_limits_and_on_the_target_or_says_that_it_di
         assert (x >= arm.lower).all() and (x <= arm.upper).all() and inside(arm, x)
         actual = np.linalg.norm(np.asarray(tcp_position(arm, x)) - target)
         np.testing.assert_allclose(error, actual, rtol=0, atol=1e-14)
-        on_target += error <= TOLERANCE_M
+        on_target += bool(error <= TOLERANCE_M)
         if k % 10 == 9:
             assert error > 1.0  # out of reach: it says so
         elif k < count // 2:

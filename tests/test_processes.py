@@ -62,9 +62,14 @@ def test_the_number_of_processes_has_no_influence(count):
     assert here.tracked.any() and len(small_motions.planned().knots.scenario)
 
 
+def again(progress=None):
+    """Plans by two processes, with the fewest programs that each has to compile."""
+    return plan(*scene(), poses(), "baseline", PAPER, progress=progress, processes=2, check_paths=False)
+
+
 def test_progress_counts_what_all_processes_have_done():
     heard = []
-    plans = plan(*scene(), poses(), "baseline", PAPER, progress=heard.append, processes=2, check_paths=False)
+    plans = again(heard.append)
     last = heard[-1]
     assert last.scenarios_done == last.scenarios == len(ROTATIONS)
     assert last.targets == 105 * len(ROTATIONS) and last.targets_tracked == plans.tracked.sum() > 0
@@ -83,8 +88,8 @@ def test_what_progress_raises_ends_the_work_and_the_next_plan_begins_anew():
         raise ArithmeticError("enough")
 
     with pytest.raises(ArithmeticError, match="enough"):
-        plan(*scene(), poses(), "baseline", PAPER, progress=stop, processes=2)
-    assert plan(*scene(), poses(), "baseline", PAPER, processes=2).tracked.any()
+        again(progress=stop)
+    assert again().tracked.any()
 
 
 def test_a_worker_that_is_killed_is_told_of():
@@ -96,8 +101,8 @@ def test_a_worker_that_is_killed_is_told_of():
                 os.kill(worker, signal.SIGKILL)
 
     with pytest.raises(Lost, match="a process that planned is gone"):
-        plan(*scene(), poses(), "baseline", PAPER, progress=kill, processes=2)
-    assert plan(*scene(), poses(), "baseline", PAPER, processes=2).tracked.any()
+        again(progress=kill)
+    assert again().tracked.any()
 
 
 class Here:

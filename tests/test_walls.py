@@ -95,7 +95,7 @@ def test_a_spindle_through_a_plate_is_never_clear(car):
     clear = jax.jit(partial(is_clear, robot, obstacle, where))
     x = near_the_rib(robot, where, 40)
     assert not any(clear(jnp.asarray(row)) for row in x)
-    assert not np.asarray(all_clear(robot, obstacle, where, jnp.asarray(x[:1])))
+    assert not jax.jit(partial(all_clear, robot, obstacle, where))(jnp.asarray(x[:1]))
 
 
 def test_the_clearance_is_a_bound_on_that_to_the_triangles(car):
