@@ -58,9 +58,9 @@ def gate(run: RunFolder, baseline: File, bless: Bless = False, as_json: Json = F
     planning takes never counts. Exits with 0 when the run passes, with 1 when it does not, with 2 on bad input.
 
     \b
-    htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
-    htcp gate out/workpiece --baseline workpiece.yaml --bless    the run is the new baseline
-    htcp gate out/workpiece --baseline workpiece.yaml            later runs are held to it
+    htcp sweep sweeps/seams-part --methods baseline,nspace-sqp
+    htcp gate out/seams-part --baseline mine.yaml --bless    the run is the new baseline
+    htcp gate out/seams-part --baseline mine.yaml            later runs are held to it
     """
     if bless:
         with progress_bar("plans", time_left=True) as progress:
