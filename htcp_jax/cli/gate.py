@@ -79,10 +79,10 @@ def gate(
     GitHub Actions each method that fails becomes an annotation.
 
     \b
-    htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
-    htcp gate out/workpiece --baseline workpiece.yaml --bless    the run is the new baseline
-    htcp gate out/workpiece --baseline workpiece.yaml            later runs are held to it
-    htcp gate out/workpiece --baseline workpiece.yaml --junit gate.xml --markdown gate.md    for CI
+    htcp sweep sweeps/seams-part --methods baseline,nspace-sqp
+    htcp gate out/seams-part --baseline mine.yaml --bless    the run is the new baseline
+    htcp gate out/seams-part --baseline mine.yaml            later runs are held to it
+    htcp gate out/seams-part --baseline mine.yaml --junit gate.xml --markdown gate.md    for CI
     """
     files = [file for file in (junit_file, markdown_file) if file]
     if bless:

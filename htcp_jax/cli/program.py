@@ -78,7 +78,7 @@ def program(
     htcp program out/plan --feed 20mm/s --out weld.csv
     htcp program out/plan --feed 20mm/s --format ros --out weld.yaml
     htcp sweep sweeps/workpiece --methods roadmap
-    htcp program out/workpiece --scenario 24 --feed 1.2m/min --out weld.csv --set program.full_speed_s=0.4
+    htcp program out/workpiece --scenario 17 --feed 1.2m/min --out pose.csv --set program.full_speed_s=0.4
     htcp program out/workpiece --all --feed 20mm/s
     """
     if all_:
