@@ -2,7 +2,11 @@
 
 import os
 import re
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
+
+from htcp_jax.formats.strict_yaml import read_yaml
 
 _PACKAGE = Path(__file__).parents[1]
 ROOT = _PACKAGE / "examples" if (_PACKAGE / "examples").is_dir() else _PACKAGE.parent  # of a wheel, or of a checkout
@@ -24,6 +28,15 @@ def command(name: str) -> str:
 def example_or_path(path: str | Path) -> Path:
     """Return the file of the example that `path` names, or `path` if it exists or names none."""
     return Path(path) if os.path.exists(path) else examples().get(str(path), Path(path))
+
+
+def read_spec(spec: str | Path | Mapping[str, Any], name: str) -> tuple[Path, dict[str, Any]]:
+    """Return the path and the content of a YAML file or an example, or of a mapping that spells a file, whose path is
+    then `name` in the working folder. Raises InputError for a file that cannot be read."""
+    if isinstance(spec, Mapping):
+        return Path(name), dict(spec)
+    path = example_or_path(spec)
+    return path, read_yaml(path)
 
 
 def description(file: Path) -> str:

@@ -25,7 +25,6 @@ from jaxtyping import Float, Int
 from htcp_jax.clearance.obstacle import Obstacles
 from htcp_jax.errors import InputError
 from htcp_jax.formats.strict_model import Section, validate
-from htcp_jax.formats.strict_yaml import read_yaml
 from htcp_jax.jobs.build import (
     arm_of,
     obstacles_of,
@@ -39,7 +38,7 @@ from htcp_jax.jobs.build import (
 from htcp_jax.jobs.config import DEPENDENT, CellConfig, PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.jobs.config_file import put
 from htcp_jax.jobs.defaults import fill_in, is_other, keys_of
-from htcp_jax.jobs.examples import example_or_path
+from htcp_jax.jobs.examples import read_spec
 from htcp_jax.jobs.grid_axes import FILE_KEYS, KEYS, MOST, Group, Point, read_grid
 from htcp_jax.jobs.grid_points import points_of
 from htcp_jax.jobs.load_config import read_config
@@ -149,8 +148,7 @@ def load_sweep(
 
     Raises InputError for what is wrong with either file, for an unknown parameter and for an empty grid.
     """
-    path = Path("sweep") if isinstance(spec, Mapping) else example_or_path(spec)
-    raw = dict(spec) if isinstance(spec, Mapping) else read_yaml(path)
+    path, raw = read_spec(spec, "sweep")
     file: SweepFile = validate(raw, SweepFile, str(path))
     if config is None and file.config is not None:
         config = path.parent / file.config

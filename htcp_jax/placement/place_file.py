@@ -17,10 +17,9 @@ from pydantic import Field, field_validator, model_validator
 
 from htcp_jax.errors import InputError
 from htcp_jax.formats.strict_model import Section, validate
-from htcp_jax.formats.strict_yaml import read_yaml
 from htcp_jax.jobs.build import robot_of
 from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.jobs.examples import example_or_path
+from htcp_jax.jobs.examples import read_spec
 from htcp_jax.jobs.grid_axes import FILE_KEYS, absolute
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.placement.ranges import Ranges, read_ranges
@@ -108,8 +107,7 @@ def load_search(
 
     Raises InputError for what is wrong with either file, and for a seam that is missing.
     """
-    path = Path("place") if isinstance(spec, Mapping) else example_or_path(spec)
-    raw = dict(spec) if isinstance(spec, Mapping) else read_yaml(path)
+    path, raw = read_spec(spec, "place")
     file: PlaceFile = validate({**raw, **(changes or {})}, PlaceFile, str(path))
     if config is None and file.config is not None:
         config = path.parent / file.config

@@ -38,7 +38,7 @@ class Sphere(NamedTuple):
     h: Float[Array, "m"]
 
     def predict_with_gradient(self, w: Direction, seen: Held) -> tuple[Float[Array, "R"], Float[Array, "R D"]]:
-        """What `predict` returns [m], and its gradient by autodiff."""
+        """Return the prediction [m] and its gradient by autodiff, from one evaluation."""
         return value_and_jacobian(lambda w: self.predict(w, seen), w)
 
 

@@ -113,7 +113,7 @@ class Reachability(Section):
 
 
 class Allowance(Section):
-    """How far each method may be from the baseline."""
+    """Largest differences from the baseline that a method may have."""
 
     targets: Count = 0  # fewer tracked in all
     more_targets: Count | None = None  # more tracked in all; None: any number
