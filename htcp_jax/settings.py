@@ -46,7 +46,7 @@ class Settings:
     j1_weight: float = 0.0  # weight of J1 in J2 = -D + J1, (5a) and (11a); the paper's is 1
     max_null_space_steps: int = 20  # null-space steps of one escape
     include_proximal_bodies: bool = True  # whether J2 sees the capsules far from the workpiece
-    # Where the optimisers start on the sphere; random_for_cmaes: CMA-ES alone at random, as the paper has it
+    # Where the optimisers start on the sphere; random_for_cmaes: CMA-ES alone at random, as in configs/paper.yaml
     first_direction: Literal["best_of_64", "random", "random_for_cmaes"] = "best_of_64"
     after_escape: Literal["accept", "track"] = "accept"  # Algorithm 1 accepts; the prose tracks again
 

@@ -2,6 +2,7 @@
 
 import math
 import re
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -135,6 +136,7 @@ def fits_presets(part: Part) -> bool:
     return all(name in BUILT_IN for name in names) or part.paper_table is not None
 
 
+@cache
 def presets() -> dict[str, PlanConfig]:
     """The configurations of the default scene that ship, by name."""
     return {f"{name}.yaml": load_config(examples()[name]) for name in ("duct", "paper", "port")}
@@ -258,7 +260,8 @@ def _next_to_the_paper(part: Part, table: Table, level: int) -> list[Block]:
         table,
         f"Columns named paper: {part.paper_table.source}; {paper.MACHINE}. Time per step: run time by attempted "
         "targets. TCP distance: mean over the tracked targets. Safe distance: here the mean of D over the tracked "
-        "targets. The paper defines neither distance; docs/reproduction.md compares other definitions.",
+        "targets. The paper does not say over what it averages, and leaves the start posture and the workpiece's pose "
+        "open; docs/reproduction.md compares other definitions.",
     ]
 
 
