@@ -1,6 +1,7 @@
 """Plans in the browser: a stage in three dimensions and a panel to find one's way, served by viser.
 
-Callbacks of the panel come in threads of their own; one lock lets them act one after another.
+Callbacks of the panel come in threads of their own; one lock lets them act one after another, and the properties wait for it,
+so that they describe what the page shows completely.
 """
 
 import contextlib
@@ -63,17 +64,20 @@ class Viewer:
     @property
     def target(self) -> int:
         """The target that is shown."""
-        return self._target
+        with self._lock:
+            return self._target
 
     @property
     def place(self) -> float:
         """What the slider counts; of a program its time [s]."""
-        return self._place
+        with self._lock:
+            return self._place
 
     @property
     def shown(self) -> tuple[int, str]:
         """The scenario's number and the method."""
-        return self._replay.number, self._replay.method
+        with self._lock:
+            return self._replay.number, self._replay.method
 
     @property
     def stage(self) -> Stage:
