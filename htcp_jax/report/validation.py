@@ -114,6 +114,8 @@ def scenarios_named(found: dict[str, Any], labels: dict[int, str]) -> list[str]:
 def notes(found: dict[str, Any]) -> list[str]:
     """What the tables' columns mean, as far as they are filled."""
     lines = []
+    if found.get("excluded"):
+        lines.append(f"Deepest overlap of two capsules that are not checked against each other: {found['excluded']}.")
     if found["between"]:
         lines.append(
             "Paths are the straight joint paths between tracked targets and from the start to the first, in at least "

@@ -20,6 +20,7 @@ from htcp_jax.jobs.config import CellConfig
 from htcp_jax.scene.point_cloud import load_geometry
 from htcp_jax.validation.mujoco_arm import FAR_M, Arm, Postures
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
+from htcp_jax.validation.own_pairs import OwnPairs, own_pairs, touch_m
 
 MOST_FACES = 400  # of a mesh that counts as convex
 _CAPSULE, _MESH = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_MESH
@@ -51,12 +52,12 @@ class Beside:
             R, t = _frame(cloud.base_m, cloud.base_rpy_rad)
             found = load_geometry(cloud.cloud)
             self._add_wall(moving, found.points, found.triangles, R, t)
-        drawn = plain.drawn
-        pairs = [(self._bodies[a], self._bodies[b]) for a, b in (arm.apart if cell.self_collision else ())]
-        self._pairs = [pair for pair, D in zip(pairs, self._distances(drawn, pairs).min(axis=0), strict=True) if D > 0]
+        self._own = own_pairs(plain, self._apart) if cell.self_collision else OwnPairs([], [], [])
+        self.deepest = 0.0, ""  # overlap of capsules that are not checked [m], and which
+        self._pairs = [(self._bodies[a], self._bodies[b]) for a, b in self._own.checked]
         heeded = [(body, g) for body, link in zip(self._bodies, arm.links, strict=True) for g in solids if link > 0]
         first = {self._bodies[k] for k in range(len(arm.links)) if arm.links[k] == 1}
-        at_zero = self._distances(Postures(*(part[:1] for part in drawn)), heeded).min(axis=0)
+        at_zero = self._distances(plain.postures(np.zeros((1, len(plain.joints)))), heeded).min(axis=0)
         self._pairs += [pair for pair, D in zip(heeded, at_zero, strict=True) if D > 0 or pair[0] not in first]
 
     def clearance(self, x: Float[np.ndarray, "n N"], postures: Postures) -> Float[np.ndarray, "n"]:
@@ -64,7 +65,23 @@ class Beside:
         found = self._distances(postures, self._pairs).min(axis=1, initial=np.inf)
         for wall in self.walls:
             found = np.minimum(found, wall.at(x).clearance)
+        return np.minimum(found, self._of_excluded(x, postures))
+
+    def _of_excluded(self, x: Float[np.ndarray, "n N"], postures: Postures) -> Float[np.ndarray, "n"]:
+        """Below zero where meshes touch in capsules that are not checked; elsewhere inf."""
+        pairs, found = [*self._own.by_mesh, *self._own.excluded], np.full(len(x), np.inf)
+        depth = -self._apart(postures, pairs)
+        if depth.size and depth.max() > self.deepest[0]:
+            a, b = pairs[int(depth.max(axis=0).argmax())]
+            self.deepest = float(depth.max()), f"{self._arm.names[a]} and {self._arm.names[b]}"
+        for k, pair in enumerate(self._own.by_mesh):
+            for row in np.flatnonzero(depth[:, k] > 0):
+                if (deep := touch_m(self._arm, pair, x[row])) > 0:
+                    found[row] = min(found[row], -deep)
         return found
+
+    def _apart(self, postures: Postures, pairs: Sequence[tuple[int, int]]) -> Float[np.ndarray, "n R"]:
+        return self._distances(postures, [(self._bodies[a], self._bodies[b]) for a, b in pairs])
 
     def _distances(self, postures: Postures, pairs: Sequence[tuple[int, int]]) -> Float[np.ndarray, "n R"]:
         found = np.full((len(postures.p), len(pairs)), np.inf)

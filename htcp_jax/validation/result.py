@@ -60,6 +60,7 @@ class Validation(NamedTuple):
     feed_mm_s: float
     seconds: float
     files: dict[str, str]  # SHA-256 of what was validated
+    excluded: str | None = None  # the capsules that overlap most of those that are not checked, and by how much
 
 
 ROUNDING_M = 1e-9  # two ways to compute a clearance differ by 1e-15; 0 and the tolerance are meant to this width

@@ -76,7 +76,9 @@ def validate(
     }
     refuted = tuple(one for each in checked for one in each.refuted)
     seconds = time.perf_counter() - began
-    return Validation(not refuted, methods, refuted, between, feed_mm_s, seconds, results.files)
+    depth, pair = max((each.deepest for each in besides.values()), default=(0.0, ""))
+    excluded = f"{pair}, {1e3 * depth:.3g} mm" if pair else None
+    return Validation(not refuted, methods, refuted, between, feed_mm_s, seconds, results.files, excluded)
 
 
 def record(found: Validation) -> dict[str, Any]:
