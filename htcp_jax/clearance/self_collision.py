@@ -21,7 +21,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.numerics import safe_divide, safe_norm
 from htcp_jax.pytree import register_pytree
 from htcp_jax.scene.link_meshes import TOUCHING_M, meshes_of
-from htcp_jax.scene.robot import Exclusion, Robot
+from htcp_jax.scene.robot import Exclusion, Robot, capsule_in_words
 from htcp_jax.types import Float, Int
 
 USUAL = 0.99  # of random configurations, in which an excluded pair is less deep than at a start
@@ -55,7 +55,7 @@ class SelfCollision(Exact):
 
     def hit(self, robot: Robot, row: int, p: Ends, q: Ends) -> str:
         """What the body of a row is nearest to, in words."""
-        return robot.describe_capsule(self.pairs[int(_nearest(self, robot, p, q)[row])][1])
+        return capsule_in_words(robot.capsule_names[self.pairs[int(_nearest(self, robot, p, q)[row])][1]])
 
     def described(self, robot: Robot) -> str:
         """How many pairs are kept apart, and how many are not, by which rule."""
@@ -87,7 +87,9 @@ def self_collision(robot: Robot) -> SelfCollision | None:
     known = candidates(robot)
     pairs = tuple(sorted(pair for pair in known if pair not in ours))
     if not pairs and robot.listed and any(each.rule == "a" for each in excluded):
-        raise InputError(f"{robot.file}: all {len(known)} pairs of capsules are excluded; nothing is left to check")
+        raise InputError(
+            f"robot {robot.name}: all {len(known)} pairs of capsules are excluded; nothing is left to check"
+        )
     if tool := [each for each in excluded if {each.first, each.second} & set(robot.mounted) and each.rule == "b"]:
         names = ", ".join(f"{robot.capsule_names[a]} and {robot.capsule_names[b]}" for a, b, *_ in tool)
         warnings.warn(

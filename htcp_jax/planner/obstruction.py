@@ -23,7 +23,7 @@ from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.plans import Plans
 from htcp_jax.scene.inverse_kinematics import reanchor
 from htcp_jax.scene.link_meshes import from_mesh
-from htcp_jax.scene.robot import Robot
+from htcp_jax.scene.robot import Robot, capsule_in_words
 from htcp_jax.scene.scenario import Scenario, stack
 from htcp_jax.scene.task import Task
 from htcp_jax.scene.workpiece import Workpiece
@@ -50,10 +50,11 @@ class Obstruction(NamedTuple):
         """What is in the way, for a person."""
         if not self.reached:
             return f"the arm comes only to within {_mm(self.residual_m)} of it"
+        body = capsule_in_words(self.body)
         where = f"at ({', '.join(f'{value:.2f}' for value in self.point)}) m there"
         if self.depth_m > 0:
-            return f"{self.body} is {_mm(self.depth_m)} inside {self.other} {where}{self.from_mesh}"
-        return f"{self.body} is nearest to {self.other}, {_mm(-self.depth_m)} clear of it {where}"
+            return f"{body} is {_mm(self.depth_m)} inside {self.other} {where}{self.from_mesh}"
+        return f"{body} is nearest to {self.other}, {_mm(-self.depth_m)} clear of it {where}"
 
     def record(self) -> dict[str, Any]:
         """What a file holds of it."""
@@ -105,7 +106,8 @@ def obstructions(
         here = jax.tree.map(lambda leaf, k=k: jnp.asarray(leaf[k]), where)
         other = nearest_to(own_scene(scene, here.tool_extension_m).robot, obstacles, here, jnp.asarray(x), int(row))
         number, reached = scene.rows.body[int(row)], bool(task.reached(np.asarray(off)))
-        body, note = robot.describe_capsule(number), from_mesh(robot, robot.capsule_names[number], x, surface)
+        body = robot.capsule_names[number]
+        note = from_mesh(robot, body, x, surface)
         found.append(Obstruction(body, point, float(depth), float(off), reached, x, other, note))
     return found
 

@@ -70,11 +70,6 @@ class Robot:
     file: str = dataclasses.field(default="", metadata=_STATIC)  # that it was read from
     frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=_STATIC)  # that a task may name
 
-    def describe_capsule(self, number: int) -> str:
-        """A capsule in a message: what collides is a capsule, and not yet the link in it."""
-        name = self.capsule_names[number]
-        return name if name.startswith("capsule") else f"capsule {name}"
-
     def _repr_html_(self) -> str:
         limits = zip(self.joint_names, self.lower.tolist(), self.upper.tolist(), self.slides, strict=True)
         radii = zip(self.capsule_names, self.capsule_radius.tolist(), strict=True)
@@ -83,6 +78,11 @@ class Robot:
         if self.ignored_geoms:
             facts["ignored geoms"] = ", ".join(self.ignored_geoms)
         return html_facts(f"{self.name}: {len(self.joint_names)} joints", facts)
+
+
+def capsule_in_words(name: str) -> str:
+    """A capsule in a message: what collides is the capsule, and not yet the link in it."""
+    return name if name.startswith("capsule") else f"capsule {name}"
 
 
 def lengthen_tool(robot: Robot, extension_m: float | Scalar) -> Robot:
