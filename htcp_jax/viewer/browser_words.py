@@ -1,5 +1,7 @@
 """What the page says in words: of scenarios and of targets."""
 
+import numpy as np
+
 from htcp_jax.markup import escaped
 from htcp_jax.planner.plans import Outcome
 from htcp_jax.status import Status, Way
@@ -29,8 +31,10 @@ def facts(replay: Replay, target: int) -> str:
         return f"{what}.\n\nThe arm is shown where it came to before."
     clearance, error = 1e3 * replay.clearance[target], 1e3 * replay.residual[target]
     here = f"Clearance at the target **{clearance:.4g} mm** ({escaped(replay.witness.body[target])}). "
-    here += f"TCP error {error:.2f} mm."
-    return f"{what}.\n\n{here}\n\n{_motion(replay, target)}"
+    here += f"TCP error {error:.2f} mm"
+    if not np.isnan(angle := replay.orientation_error[target]):
+        here += f", orientation error {np.rad2deg(angle):.3g} deg"
+    return f"{what}.\n\n{here}.\n\n{_motion(replay, target)}"
 
 
 def _motion(replay: Replay, target: int) -> str:
