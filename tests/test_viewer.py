@@ -7,7 +7,6 @@ import contextlib
 import http.server
 import io
 import re
-import shutil
 import signal
 import socket
 import subprocess
@@ -21,6 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import REBOUND
 from made_plan import STATUSES, driven, made_plan, made_plans, with_a_dwell
 from PIL import Image
 
@@ -46,11 +46,6 @@ from htcp_jax.viewer import access
 from htcp_jax.viewer.browser import Viewer
 from htcp_jax.viewer.browser_looks import grazing
 from htcp_jax.viewer.browser_scene import lit, side_by_side, turned_to
-
-BROWSERS = "chromium", "chromium-browser", "chromium-headless-shell", "google-chrome"
-REBOUND = "rebound.test"  # a name that the browser takes for this machine, as DNS may come to
-FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-FLAGS += [f"--host-resolver-rules=MAP {REBOUND} 127.0.0.1"]
 
 
 @pytest.fixture(scope="module")
@@ -79,19 +74,6 @@ def viewer(replays):
     viewer = Viewer(replays, port=0)
     yield viewer
     viewer.stop()
-
-
-@pytest.fixture(scope="module")
-def browser():
-    """A browser without a screen; skips the test where none is installed."""
-    driver = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed (extra `test`)")
-    found = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if found is None:
-        pytest.skip(f"no browser is installed (one of {', '.join(BROWSERS)})")
-    with driver.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=found, args=FLAGS)
-        yield browser
-        browser.close()
 
 
 @pytest.fixture
@@ -312,7 +294,7 @@ def test_the_cut_the_points_and_the_closer_look_change_the_picture(page):
     until(lambda: (np.abs(seen(page) - whole).max(axis=2) > 20).mean() > 0.1)
 
 
-HOSTILE = "<img src=x onerror=window.owned=1>", "[x](javascript:window.owned=1)", "![x](/etc/hostname)"
+HOSTILE = '<img src=x onerror="window.owned=1">', "[x](javascript:window.owned=1)", "![x](/etc/hostname)"
 HOSTILE += (
     "</span><script>window.owned=1</script>",
     "`<svg/onload=window.owned=1>`",

@@ -89,7 +89,7 @@ def literal(block: Block) -> Block:
         case Table():
             return block._replace(title=escaped(block.title))
         case Picture():
-            return block._replace(alt=escaped(block.alt))
+            return block._replace(alt=escaped(block.alt.replace("[", "(").replace("]", ")")))  # within brackets itself
     return escaped(block)
 
 
@@ -196,10 +196,10 @@ h2 { font-size: 1.4rem; margin: 3.2rem 0 .6rem; padding-top: 1rem; border-top: 2
 h3 { font-size: 1.1rem; margin: 2.2rem 0 .5rem; }
 p { max-width: 46rem; margin: .5rem 0 .9rem; }
 img { display: block; width: 100%; height: auto; margin: 1.2rem 0; }
-.wide { overflow-x: auto; margin: 1rem 0; }
+.wide { overflow-x: auto; margin: 1rem 0; width: max-content; max-width: calc(100vw - 2.5rem); }
 table { border-collapse: collapse; font-size: .86rem; font-variant-numeric: tabular-nums; }
 caption { text-align: left; font-weight: 600; padding-bottom: .4rem; }
-th, td { padding: .32rem .55rem; text-align: left; vertical-align: top; }
+th, td { padding: .32rem .42rem; text-align: left; vertical-align: top; }
 th { font-weight: 600; line-height: 1.25; vertical-align: bottom; border-bottom: 1.5px solid #22303c; }
 th small { font-weight: 400; color: #5d6b77; }
 td { border-bottom: 1px solid #e6e9ec; }
