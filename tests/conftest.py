@@ -1,5 +1,6 @@
 """Strict JAX for every test: no implicit promotion of ranks and dtypes; compiled programs are kept between runs."""
 
+import shutil
 import signal
 from pathlib import Path
 
@@ -18,6 +19,11 @@ hypothesis.settings.register_profile("patient", deadline=None)  # no test depend
 hypothesis.settings.load_profile("patient")
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # in the background of a script, whose children would inherit it
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+BROWSERS = "chromium", "chromium-browser", "chromium-headless-shell", "google-chrome"
+REBOUND = "rebound.test"  # a name that the browser takes for this machine, as DNS may come to
+FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+FLAGS += [f"--host-resolver-rules=MAP {REBOUND} 127.0.0.1"]
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -45,3 +51,16 @@ def screenless():
         offscreen.platform()
     except InputError as missing:
         pytest.skip(str(missing))
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A browser without a screen; skips the test where none is installed."""
+    driver = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed (extra `test`)")
+    found = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if found is None:
+        pytest.skip(f"no browser is installed (one of {', '.join(BROWSERS)})")
+    with driver.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=found, args=FLAGS)
+        yield browser
+        browser.close()

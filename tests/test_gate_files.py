@@ -14,7 +14,8 @@ from small_run import end_early
 
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
-from htcp_jax.report.document import Column, Table, markdown, printable
+from htcp_jax.markup import printable
+from htcp_jax.report.document import Column, Table, markdown
 from htcp_jax.report.gate import annotations, junit, summary
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.plan_folder import append_text

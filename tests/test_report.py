@@ -3,12 +3,14 @@
 import csv
 import json
 import re
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
 from hand_made import plans_with
+from markdown_it import MarkdownIt
 
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
@@ -22,7 +24,7 @@ from htcp_jax.report.chapter import chapter, choice, facts, label, tables_of
 from htcp_jax.report.document import Column, Heading, Table, html, markdown
 from htcp_jax.report.groups import read_parts
 from htcp_jax.report.motions import meaning, motions
-from htcp_jax.report.report import make_report, overview
+from htcp_jax.report.report import make_report, overview, write_report
 from htcp_jax.runs.reachability_file import REACHABILITY
 from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.sweep import sweep
@@ -81,6 +83,29 @@ def folder(tmp_path_factory):
             (place / f"{name}.yaml").write_text(f"config: {config}.yaml\n{text}\n")
             sweep(f"{name}.yaml", "baseline,hybrid", place / name)
     return place
+
+
+HOSTILE = '<img src=x onerror="owned=1">', "[x](https:x)", "![x](x)", "<script>owned=1<!", "`_*x*_` | &amp;"
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_no_script_in_the_name_of_a_run_runs_in_its_report(folder, tmp_path, browser, name):
+    """Rough: in the Markdown, headings and paragraphs held names as they were."""
+    shutil.copytree(folder / "one", tmp_path / name)
+    report = make_report(tmp_path / name)
+    write_report(report, tmp_path)
+    blocks = MarkdownIt().enable("table").parse((tmp_path / "report.md").read_text())
+    found = [token for block in blocks for token in (block, *(block.children or ()))]
+    assert not {token.type for token in found} & {"html_block", "html_inline", "link_open", "code_inline", "em_open"}
+    assert {token.attrs["src"] for token in found if token.type == "image"} == {
+        f"{each}.png" for each in report.figures
+    }
+    assert "".join(each.content for each in blocks[1].children) == f"Sweep report: {name}"
+    page = browser.new_page()
+    page.goto((tmp_path / "report.html").as_uri())
+    assert page.locator("h1").inner_text() == f"Sweep report: {name}"
+    assert page.locator("[src=x], [onerror], script, a").count() == 0 and page.evaluate("window.owned") is None
+    page.close()
 
 
 def part_of(folder, name: str):

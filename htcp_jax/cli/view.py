@@ -28,7 +28,9 @@ Method = Annotated[
     str | None,
     typer.Option(metavar="NAME", help="The first shown; of a job, the one that plans.", autocompletion=complete_method),
 ]
-Host = Annotated[str, typer.Option(metavar="ADDRESS", help="To listen on; 0.0.0.0 lets other machines look.")]
+Host = Annotated[
+    str, typer.Option(metavar="ADDRESS", help="To listen on; 0.0.0.0 lets other machines look, with a token.")
+]
 Port = Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="To listen on; 0 takes any that is free.")]
 
 
@@ -47,7 +49,8 @@ def view(
     A run folder is shown as it is, failed scenarios first; a job is planned first. With --feed what is played is the
     program of htcp program, in real time, with the speeds of the TCP and of the joints; --set then changes keys of
     program of a plan on record, too. Only this machine can connect,
-    unless --host says otherwise. Needs the extra "view". Ctrl-C ends it; exits with 2 on bad input.
+    unless --host says otherwise; then the page needs the token in the address that is printed. Needs the extra "view".
+    Ctrl-C ends it; exits with 2 on bad input.
 
     \b
     htcp view                                    the default job

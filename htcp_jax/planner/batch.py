@@ -123,6 +123,7 @@ def plan(
     from htcp_jax.planner.home import begin_at_home, leave_home
     from htcp_jax.planner.lane_checks import check_remaining_paths
     from htcp_jax.planner.motion_check import judge_motions, tighten
+    from htcp_jax.planner.record import with_separate_errors
 
     with _preparing(problem, chosen):
         if check_starts:
@@ -140,6 +141,7 @@ def plan(
                 plans = smooth(problem, plans)
                 judge_motions(problem, plans)
                 tighten(problem, plans)
+        plans = with_separate_errors(plans, problem)
     spent = time.perf_counter() - began
     compile_s = plans.compile_s + max(each.compile_s for each in problem.kernels)
     return plans._replace(compile_s=compile_s, run_s=spent - compile_s)

@@ -17,7 +17,7 @@ from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.planner.registry import all_methods
 from htcp_jax.report.cell import RunScene
 from htcp_jax.report.chapter import chapter, choice, fits_presets, presets, tables_of
-from htcp_jax.report.document import Block, Column, Heading, Picture, Table, html, markdown, png, write_csv
+from htcp_jax.report.document import Block, Column, Heading, Picture, Table, html, literal, markdown, png, write_csv
 from htcp_jax.report.groups import Part, read_parts
 from htcp_jax.report.tables import configuration
 from htcp_jax.report.validation import validated
@@ -80,7 +80,7 @@ def write_report(report: Report, folder: Path) -> None:
     pictures = {block.name: png(block.figure) for block in report.blocks if isinstance(block, Picture)}
     for name, data in pictures.items():
         (folder / f"{name}.png").write_bytes(data)
-    (folder / "report.md").write_text(markdown(report.blocks), encoding="utf-8")
+    (folder / "report.md").write_text(markdown(list(map(literal, report.blocks))), encoding="utf-8")
     (folder / "report.html").write_text(html(report.blocks, pictures), encoding="utf-8")
     for table in report.tables:
         write_csv(folder / f"{table.name}.csv", table)

@@ -15,6 +15,7 @@ from htcp_jax.planner.motion import MotionFigures
 from htcp_jax.planner.plans import NO_TARGET, Plans
 from htcp_jax.report.document import Column, Table
 from htcp_jax.report.groups import Part
+from htcp_jax.runs.summary import orientation_errors_deg
 from htcp_jax.runs.timing_file import COLUMNS
 from htcp_jax.status import Status
 
@@ -29,6 +30,7 @@ RESULTS = (
     Column("scenarios", "of", "", ",d"),
     Column("step_ms", "time/step", "ms", ".2f"),
     Column("tcp_distance_mean_mm", "TCP distance", "mm", ".4f"),
+    Column("orientation_error_mean_deg", "orientation error", "deg", ".4f"),
     Column("clearance_min_mm", "clearance min", "mm", ".2g"),
     Column("clearance_mean_mm", "mean", "mm", ".2f"),
 )
@@ -84,7 +86,7 @@ TIMES = (
 
 def results(part: Part) -> Table:
     """Return the counts behind each method's percentage, its times, TCP distance and clearance."""
-    return _table("results", RESULTS, [_result(part, method) for method in part.plans])
+    return without_empty(_table("results", RESULTS, [_result(part, method) for method in part.plans]))
 
 
 def paper(part: Part) -> Table:
@@ -121,6 +123,7 @@ def _result(part: Part, method: str) -> dict:
         "scenarios": int(ends.planned.sum()),
         "step_ms": 1e3 * part.step_s[method],
         "tcp_distance_mean_mm": _over(np.mean, 1e3 * plans.residual[good]),
+        "orientation_error_mean_deg": float(angle.mean()) if (angle := orientation_errors_deg(plans)).size else None,
         "clearance_min_mm": _over(np.min, 1e3 * plans.clearance[good]),
         "clearance_mean_mm": _over(np.mean, 1e3 * plans.clearance[good]),
     }
@@ -190,7 +193,7 @@ def stops(part: Part) -> Table:
                     "targets": _tally(at),
                 }
             )
-    return _without_empty(_table("stops", STOPS, rows))
+    return without_empty(_table("stops", STOPS, rows))
 
 
 def _bodies(part: Part, method: str, reason: Status, numbers: Sequence[int]) -> str | None:
@@ -296,7 +299,7 @@ def _table(name: str, columns: Sequence[Column], rows: Sequence[dict]) -> Table:
     return Table(name, tuple(columns), tuple(tuple(row.get(column.key) for column in columns) for row in rows))
 
 
-def _without_empty(table: Table) -> Table:
+def without_empty(table: Table) -> Table:
     """The table without the columns that no row knows anything of."""
     keep = [k for k in range(len(table.columns)) if any(row[k] is not None for row in table.rows)]
     rows = tuple(tuple(row[k] for k in keep) for row in table.rows)

@@ -23,7 +23,7 @@ from htcp_jax.runs.summary import Summary
 from htcp_jax.scene.robot import Robot
 from htcp_jax.status import Kind, Status, Way
 
-LATER = "start", "way", "way_clearance"
+LATER = "start", "way", "way_clearance", "orientation_error"
 SUMMARY, TRAJECTORY = "summary.json", "trajectory.npz"
 VALIDATION = "validation.json"  # of a plan and of a run, what `htcp validate` found
 
@@ -112,6 +112,7 @@ def write_trajectory_csv(file: Path, robot: Robot, plans: Plans, row: int = 0) -
     columns |= {
         "clearance_m": plans.clearance[row],
         "residual_m": plans.residual[row],
+        "orientation_error_rad": plans.orientation_error[row],
         "joint_step_rad": plans.joint_step[row],
         "iterations": plans.iterations[row],
         "escape": plans.escape[row],

@@ -9,6 +9,7 @@
     status         string   name of a htcp_jax.status.Status
     clearance_m    double   D, smallest over capsules and points; null where not tracked, as is all that follows of x
     residual_m     double   |TCP - target|
+    orientation_error_rad double    largest angle from what the task holds; null if it holds none
     iterations     int32    step QPs solved for the target; 0 where a plan made backwards pushed it there
     joint_step_rad double   |x_t - x_{t-1}|
     path_clear     bool     straight joint path from the row before; null where unknown
@@ -69,7 +70,7 @@ if TYPE_CHECKING:
     import pandas
 
 # Columns that runs of before do not have, in their order.
-LATER = "executable", *MotionFigures._fields, "way", "way_clearance_m", "knots"
+LATER = "executable", *MotionFigures._fields, "orientation_error_rad", "way", "way_clearance_m", "knots"
 STATUSES = {status.name: int(status) for status in Status}
 STATES: dict[str | None, int] = {None: int(Way.UNKNOWN)} | {way.name: int(way) for way in Way}
 XYZ = "xyz"
@@ -93,6 +94,7 @@ def target_table(method: str, numbers: np.ndarray, plans: Plans, joints: Sequenc
         "status": pa.array([Status(code).name for code in status.tolist()], pa.string()),
         "clearance_m": _doubles(plans.clearance[s, t]),
         "residual_m": _doubles(plans.residual[s, t]),
+        "orientation_error_rad": _doubles(plans.orientation_error[s, t]),
         "iterations": pa.array(plans.iterations[s, t], pa.int32()),
         "joint_step_rad": _doubles(plans.joint_step[s, t]),
         "path_clear": pa.array(path_clear == 1, pa.bool_(), mask=path_clear < 0),
@@ -179,10 +181,13 @@ def plans_of(
     return plans._replace(knots=Knots.of(knots, len(joints)))
 
 
-_READ = "clearance", "residual", "status", "iterations", "joint_step", "escape", "path_clear", "way_clearance"
+_READ = (
+    *("clearance", "residual", "orientation_error", "status", "iterations", "joint_step", "escape", "path_clear"),
+    "way_clearance",
+)
 _COLUMN = {
     "clearance": "clearance_m", "residual": "residual_m", "joint_step": "joint_step_rad",
-    "way_clearance": "way_clearance_m",
+    "orientation_error": "orientation_error_rad", "way_clearance": "way_clearance_m",
 }  # fmt: skip
 
 
