@@ -468,7 +468,7 @@ ARMS = [
     urdf('<child link="l3"/>', '<child link="l9"/>', "not a model that MuJoCo can read"),
     urdf('lower="-1" upper="1" velocity="1"', 'lower="2" upper="1" velocity="1"', "joint 'j1' has range 2 to 1"),
     setting("robot.model=none.urdf", "none.urdf: cannot read the model: No such file"),
-    setting("robot.model=.", "not a file; a model is an MJCF or URDF file"),
+    setting("robot.model=.", ".: not a regular file"),
 ]  # fmt: skip
 ON_PATH, CONE = "{point: tcp, on: path}", "{axis: tcp.z, towards: -path.normal, cone_deg: 60}"
 POINTS = "0.1857,-0.1737,0.1708", "0.19,-0.1738,0.1705"

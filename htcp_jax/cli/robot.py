@@ -8,7 +8,7 @@ import typer
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.errors import InputError
 from htcp_jax.report.document import Column, Table
-from htcp_jax.runs.plan_folder import written_whole
+from htcp_jax.runs.plan_folder import write_text, written_whole
 from htcp_jax.scene.capsule_fit import MOST
 from htcp_jax.scene.robot_file import load_robot
 from htcp_jax.scene.robot_import import ImportedArm, body_name, import_robot
@@ -64,7 +64,7 @@ def robot(
     from htcp_jax.viewer.arm_picture import draw_arm  # here, because bad input is refused before matplotlib is loaded
 
     with written_whole(out.parent) as folder:
-        (folder / out.name).write_text(text, encoding="utf-8")
+        write_text(folder / out.name, text)
         made = load_robot(folder / out.name)
         title = f"{made.name}: {len(made.joint_names)} joints, {len(made.capsule_names)} capsules; TCP {arm.tip.name}"
         draw_arm(arm, text, title).savefig(folder / picture.name)

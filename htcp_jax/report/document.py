@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 
+from htcp_jax.formats.files import write
+
 NOTHING = "-"
 MARKS = re.compile(r"[\\`*<>|~$&]|\](?=[\[(:])|(?<![0-9A-Za-z])_|_(?![0-9A-Za-z])")  # Markdown's own
 UNPRINTABLE = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # no characters of XML
@@ -101,11 +103,12 @@ def escaped(text: str) -> str:
 
 def write_csv(file: Path, table: Table) -> None:
     """The table with numbers that read back exactly; what is not known is an empty cell."""
-    with file.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow([column.key for column in table.columns])
-        for row in table.rows:
-            writer.writerow(["" if unknown(cell) else cell for cell in row])
+    stream = io.StringIO(newline="")
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow([column.key for column in table.columns])
+    for row in table.rows:
+        writer.writerow(["" if unknown(cell) else cell for cell in row])
+    write(file.parent, file.name, stream.getvalue().encode())
 
 
 def png(figure: Figure) -> bytes:

@@ -10,7 +10,6 @@ The same call again continues where the last one stopped.
 
 import contextlib
 import shutil
-import tempfile
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -21,6 +20,7 @@ import numpy as np
 import pyarrow as pa
 
 from htcp_jax.errors import InputError, Interrupted, Lost
+from htcp_jax.formats.files import scratch
 from htcp_jax.jobs.grid import Batch, Sweep, load_sweep
 from htcp_jax.jobs.grid_axes import FILE_KEYS, record
 from htcp_jax.planner import registry
@@ -250,8 +250,9 @@ class _Scratch:
     """A temporary folder that vanishes with it."""
 
     def __init__(self):
-        self.folder = Path(tempfile.mkdtemp(prefix="htcp-sweep-"))
-        weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
+        held = contextlib.ExitStack()
+        self.folder = held.enter_context(scratch())
+        weakref.finalize(self, held.close)
 
 
 @contextlib.contextmanager

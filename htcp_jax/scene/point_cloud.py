@@ -16,7 +16,7 @@ from jaxtyping import Float
 from htcp_jax.errors import InputError
 from htcp_jax.formats.arrays import LARGEST_COORDINATE, check_points
 from htcp_jax.formats.columns import Points
-from htcp_jax.formats.foreign import known_ending, one_line, quiet, read_bytes
+from htcp_jax.formats.files import known_ending, one_line, quiet, read_bytes
 from htcp_jax.formats.scan import PARTS, SCANS, read_part, read_scan
 from htcp_jax.formats.table import read_npy, read_table
 from htcp_jax.scene.mesh_points import cover
