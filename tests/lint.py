@@ -4,8 +4,8 @@
 function; no modules import one another in a circle. Each folder is one of these packages.
 
 **Files.** `formats/files.py` alone opens, reads and writes files: its readers take regular files of a bounded size and
-follow no link out of a folder, its writer replaces a file completely or not at all. Other modules make none of the calls
-in OPENS, except where OWN_FILES names them and says why.
+follow no link out of a folder, its writer replaces a file completely or not at all. Other modules make none of the
+calls in OPENS, except where OWN_FILES names them and says why.
 
 **Docstrings and shapes of public names.** Public is every function and class in `htcp_jax.__all__`, and every one
 without an underscore that a page under docs shows: `::: htcp_jax.x.y` shows y or, if y is a module, all of it except
