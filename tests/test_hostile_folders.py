@@ -2,7 +2,6 @@
 memory, and changes nothing outside of it."""
 
 import json
-import os
 import shutil
 import signal
 import subprocess
@@ -13,6 +12,7 @@ from pathlib import Path
 import pytest
 from hostile import KINDS, SHARD, commands
 from made_plan import made_plan
+from sweep_process import environment
 
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
@@ -91,7 +91,9 @@ def test_no_command_waits_fills_the_memory_or_writes_outside_of_a_strangers_fold
     before = contents(outside)
     (tmp_path / "lines.json").write_text(json.dumps(lines))
     words = [sys.executable, str(HERE / "hostile.py"), str(tmp_path / "lines.json")]
-    done = subprocess.run(words, capture_output=True, timeout=WAITS_FOR_EVER_S * len(lines), cwd=tmp_path)
+    done = subprocess.run(
+        words, capture_output=True, timeout=WAITS_FOR_EVER_S * len(lines), cwd=tmp_path, env=environment()
+    )
     assert done.returncode == 0, done.stderr.decode()
     found = json.loads(done.stdout)
     for command, (code, said) in found["found"].items():
@@ -114,7 +116,7 @@ def test_what_a_killed_process_left_is_removed_and_what_a_living_one_writes_is_n
     (tmp_path / "tmp").mkdir()
     (tmp_path / "run" / TIMING).mkdir(parents=True)
     words = [sys.executable, "-c", writer, str(tmp_path / "run")]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, env=os.environ | place) as process:
+    with subprocess.Popen(words, stdout=subprocess.PIPE, env=environment() | place) as process:
         assert process.stdout.readline() == b"made\n"
         (tmp_path / "run" / TIMING / ".part-0").write_bytes(b"half")
         with locked(tmp_path / "run"):
