@@ -120,7 +120,7 @@ def _check_ply_is_whole(path: Path, data: bytes, vertices: int, triangles: int, 
         raise InputError(f"{path}: damaged, it holds fewer vertices or faces than its header says")
     for faces in raw:  # of a binary file: numbers of corners and corners, a column for each list
         for name in getattr(getattr(faces, "dtype", None), "names", None) or ():
-            if (names := faces[name].dtype.names) == ("f0", "f1"):
+            if faces[name].dtype.names == ("f0", "f1"):
                 _check_corners(path, faces[name]["f0"], np.full(len(faces), faces[name]["f1"].shape[1]))
     header, _, body = data.partition(b"end_header")
     if b"format ascii" in header and PLY_LIST_FIRST.search(header):
