@@ -1,7 +1,7 @@
 """Folders of a run, a plan and a search as a stranger could prepare them, and what opens them.
 
-python hostile.py COMMANDS.json    runs these command lines one after the other; prints their exit codes, what they
-                                   said on stderr, and the peak of memory [bytes] as JSON
+python hostile.py WORDS...    runs this command line; prints its exit code, what it said on stderr, and the peak of
+                              memory [bytes] as JSON
 """
 
 import hashlib
@@ -19,6 +19,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from htcp_jax.runs.identity import config_hash, identity
+
 SHARD = "targets/baseline-000000-000001.parquet"
 TIMES, REACHABLE, CHECKED = "timing/baseline.parquet", "reachability.json", "validation.json"
 MIB = 2**20
@@ -30,6 +32,7 @@ class Kind(NamedTuple):
     of: str  # run, plan or search
     spoil: Callable[[Path, Path], None]  # of the folder, with another one that must stay as it is
     refused_by: tuple[str, ...]
+    named: str  # what their line must name
 
 
 def replaced(name: str, make: Callable[[Path, Path], None]) -> Callable[[Path, Path], None]:
@@ -132,6 +135,14 @@ def of_another_run(folder: Path, _: Path) -> None:
     (folder / "manifest.json").write_text(json.dumps(manifest))
 
 
+def device_named(folder: Path, _: Path) -> None:
+    """A device among the files of a run, which agrees with itself."""
+    record = json.loads((folder / "manifest.json").read_text())
+    record["files"]["/dev/zero"] = "0"
+    same = identity(record["config"], record["grid"], record["dtype"], record["files"])
+    (folder / "manifest.json").write_text(json.dumps(record | {"config_hash": config_hash(same)}))
+
+
 ANYTHING = {
     "pipe": lambda file, _: os.mkfifo(file),
     "device": lambda file, _: file.symlink_to("/dev/zero"),
@@ -144,35 +155,37 @@ JSONS = ANYTHING | {
     "infinite": text('{"a": 1e999}'),
     "wide": text('{"a": 36893488147419103232}'),
 }
+REPORT, MANIFEST = ("report",), "manifest.json"
 OPENS_RUN = "report", "gate", "validate", "view", "render", "program", "timing", "sweep"
+SUMMARY, ARRAYS, SEARCH = "summary.json", "trajectory.npz", "place.json"
 OPENS_PLAN = "validate", "view", "render", "program"
 READS_SHARD = "report", "gate", "validate", "view", "render", "program"
-KINDS = {
-    **{f"manifest {name}": Kind("run", replaced("manifest.json", make), OPENS_RUN) for name, make in JSONS.items()},
-    **{f"reachability {name}": Kind("run", replaced(REACHABLE, make), ("report",)) for name, make in JSONS.items()},
-    "reachability infinite prefix": Kind("run", changed("reachability.json", "prefix", 0, to="HUGE"), ("report",)),
-    "reachability wide seed": Kind("run", changed("reachability.json", "seed", to="WIDE"), ("report",)),
-    **{f"validation {name}": Kind("run", replaced(CHECKED, make), ("report",)) for name, make in JSONS.items()},
-    **{f"shard {name}": Kind("run", replaced(SHARD, make), READS_SHARD) for name, make in ANYTHING.items()},
-    **{f"times {name}": Kind("run", replaced(TIMES, make), ("report",)) for name, make in ANYTHING.items()},
-    "shard of zeros": Kind("run", listed(data=bytes(64 * MIB)), READS_SHARD),
-    "shard of too many rows": Kind("run", listed(promised=5_000_000), READS_SHARD),
-    "shard of long words": Kind("run", long_words, READS_SHARD),
-    "shard folder elsewhere": Kind("run", linked_folder("targets"), (*READS_SHARD, "sweep")),
-    "times elsewhere": Kind("run", linked_folder("timing"), ("timing",)),
-    "lock is a link": Kind("run", lambda folder, outside: link_lock(folder, outside), ("timing", "sweep")),
-    "lock is a pipe": Kind("run", replaced(".lock", lambda file, _: os.mkfifo(file)), ("timing", "sweep")),
-    "part is a link": Kind("run", lambda folder, outside: link_parts(folder, outside), ()),
-    "manifest of another run": Kind("run", of_another_run, READS_SHARD),
-    "file is a device": Kind("run", changed("manifest.json", "files", to={"/dev/zero": "0"}), READS_SHARD),
-    **{f"summary {name}": Kind("plan", replaced("summary.json", make), OPENS_PLAN) for name, make in JSONS.items()},
-    **{f"arrays {name}": Kind("plan", replaced("trajectory.npz", make), OPENS_PLAN) for name, make in ANYTHING.items()},
-    "arrays bomb": Kind("plan", replaced("trajectory.npz", archive(2048 * MIB)), OPENS_PLAN),
-    "arrays lie": Kind("plan", replaced("trajectory.npz", archive(MIB, "10**9")), OPENS_PLAN),
-    "plan's file is a device": Kind("plan", changed("summary.json", "files", to={"/dev/zero": "0"}), OPENS_PLAN),
-    "plan's file is a pipe": Kind("plan", lambda folder, outside: pipe_named(folder), OPENS_PLAN),
-    **{f"search {name}": Kind("search", replaced("place.json", make), ("place",)) for name, make in JSONS.items()},
-    "rounds elsewhere": Kind("search", linked_folder("rounds"), ("place",)),
+KINDS: dict[str, Kind] = {
+    **{f"manifest {name}": Kind("run", replaced(MANIFEST, make), OPENS_RUN, MANIFEST) for name, make in JSONS.items()},
+    **{f"reachability {n}": Kind("run", replaced(REACHABLE, make), REPORT, REACHABLE) for n, make in JSONS.items()},
+    "reachability infinite prefix": Kind("run", changed(REACHABLE, "prefix", 0, to="HUGE"), REPORT, REACHABLE),
+    "reachability wide seed": Kind("run", changed(REACHABLE, "seed", to="WIDE"), REPORT, REACHABLE),
+    **{f"validation {n}": Kind("run", replaced(CHECKED, make), REPORT, CHECKED) for n, make in JSONS.items()},
+    **{f"shard {name}": Kind("run", replaced(SHARD, make), READS_SHARD, SHARD) for name, make in ANYTHING.items()},
+    **{f"times {name}": Kind("run", replaced(TIMES, make), REPORT, TIMES) for name, make in ANYTHING.items()},
+    "shard of zeros": Kind("run", listed(data=bytes(64 * MIB)), READS_SHARD, SHARD),
+    "shard of too many rows": Kind("run", listed(promised=5_000_000), READS_SHARD, SHARD),
+    "shard of long words": Kind("run", long_words, READS_SHARD, SHARD),
+    "shard folder elsewhere": Kind("run", linked_folder("targets"), (*READS_SHARD, "sweep"), "targets"),
+    "times elsewhere": Kind("run", linked_folder("timing"), ("timing",), "timing"),
+    "lock is a link": Kind("run", lambda folder, outside: link_lock(folder, outside), ("timing", "sweep"), ".lock"),
+    "lock is a pipe": Kind("run", replaced(".lock", lambda file, _: os.mkfifo(file)), ("timing", "sweep"), ".lock"),
+    "part is a link": Kind("run", lambda folder, outside: link_parts(folder, outside), (), ""),
+    "manifest of another run": Kind("run", of_another_run, READS_SHARD, "baseline-000000"),
+    "file is a device": Kind("run", device_named, OPENS_PLAN, "/dev/zero"),
+    **{f"summary {name}": Kind("plan", replaced(SUMMARY, make), OPENS_PLAN, SUMMARY) for name, make in JSONS.items()},
+    **{f"arrays {name}": Kind("plan", replaced(ARRAYS, make), OPENS_PLAN, ARRAYS) for name, make in ANYTHING.items()},
+    "arrays bomb": Kind("plan", replaced(ARRAYS, archive(2048 * MIB)), OPENS_PLAN, ARRAYS),
+    "arrays lie": Kind("plan", replaced(ARRAYS, archive(MIB, "1000000000")), OPENS_PLAN, ARRAYS),
+    "plan's file is a device": Kind("plan", changed(SUMMARY, "files", to={"/dev/zero": "0"}), OPENS_PLAN, "/dev/zero"),
+    "plan's file is a pipe": Kind("plan", lambda folder, outside: pipe_named(folder), OPENS_PLAN, "pipe"),
+    **{f"search {name}": Kind("search", replaced(SEARCH, make), ("place",), SEARCH) for name, make in JSONS.items()},
+    "rounds elsewhere": Kind("search", linked_folder("rounds"), ("place",), "rounds"),
 }  # fmt: skip
 
 
@@ -199,7 +212,7 @@ def commands(kind: str, folder: Path, place: Path) -> dict[str, list[str]]:
     looks = {
         "validate": ["validate", name, "--between", "0"],
         "view": ["view", name, "--port", "0"],
-        "render": ["render", name, "--movie", "none", "--width", "64", "--out", str(out / "render")],
+        "render": ["render", name, "--movie", "none", "--width", "160", "--out", str(out / "render")],
         "program": ["program", name, "--feed", "20mm/s", "--out", str(out / "a.csv")],
     }
     return {
@@ -216,19 +229,16 @@ def commands(kind: str, folder: Path, place: Path) -> dict[str, list[str]]:
     }[kind]
 
 
-def run_all(lines: dict[str, list[str]]) -> dict:
-    """The exit code of each and what it said, and the peak of memory of them all [bytes]."""
+def run(words: list[str]) -> dict:
+    """The exit code of a command, what it said, and the peak of memory [bytes]."""
     from htcp_jax.cli.main import main
 
-    found = {}
-    for name, words in lines.items():
-        said = io.StringIO()
-        with redirect_stderr(said), redirect_stdout(io.StringIO()):
-            code = main(words)
-        found[name] = [code, said.getvalue()]
+    said = io.StringIO()
+    with redirect_stderr(said), redirect_stdout(io.StringIO()):
+        code = main(words)
     status = Path("/proc/self/status").read_text()  # what getrusage says counts the process that started it, too
-    return {"found": found, "peak": 1024 * int(status.partition("VmHWM:")[2].split()[0])}
+    return {"code": code, "said": said.getvalue(), "peak": 1024 * int(status.partition("VmHWM:")[2].split()[0])}
 
 
 if __name__ == "__main__":
-    print(json.dumps(run_all(json.loads(Path(sys.argv[1]).read_text()))))
+    print(json.dumps(run(sys.argv[1:])))

@@ -56,7 +56,7 @@ def check(kind: str, command: str, code: int, said: str) -> None:
     if command in KINDS[kind].refused_by:
         assert code == (1 if command == "gate" else 2), (command, code, said)
         lines = [line for line in said.splitlines() if not line.startswith(("htcp: warning: ", "htcp: note: "))]
-        assert len(lines) == (command != "gate"), said
+        assert len(lines) == (command != "gate") and all(KINDS[kind].named in line for line in lines), (command, said)
     else:
         assert code in (0, 1, 2, 3), (command, said)
     assert "Traceback" not in said
@@ -90,16 +90,13 @@ def test_no_command_waits_fills_the_memory_or_writes_outside_of_a_strangers_fold
     if "view" not in KINDS[kind].refused_by:
         lines.pop("view", None)  # it would serve the page for ever
     before = contents(outside)
-    (tmp_path / "lines.json").write_text(json.dumps(lines))
-    words = [sys.executable, str(HERE / "hostile.py"), str(tmp_path / "lines.json")]
-    done = subprocess.run(
-        words, capture_output=True, timeout=WAITS_FOR_EVER_S * len(lines), cwd=tmp_path, env=environment()
-    )
-    assert done.returncode == 0, done.stderr.decode()
-    found = json.loads(done.stdout)
-    for command, (code, said) in found["found"].items():
-        check(kind, command, code, said)
-    assert found["peak"] < PEAK
+    for command, words in lines.items():
+        own = [sys.executable, str(HERE / "hostile.py"), *words]
+        done = subprocess.run(own, capture_output=True, timeout=WAITS_FOR_EVER_S, cwd=tmp_path, env=environment())
+        assert done.returncode == 0, done.stderr.decode()
+        found = json.loads(done.stdout)
+        check(kind, command, found["code"], found["said"])
+        assert found["peak"] < PEAK or command not in KINDS[kind].refused_by, command  # a picture takes more
     assert contents(outside) == before
 
 
