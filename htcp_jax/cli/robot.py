@@ -15,7 +15,7 @@ from htcp_jax.clearance.self_exclusions import candidates, find_exclusions, samp
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.errors import InputError
 from htcp_jax.report.document import Column, Table
-from htcp_jax.runs.plan_folder import written_whole
+from htcp_jax.runs.plan_folder import write_text, written_whole
 from htcp_jax.scene.capsule_fit import MOST
 from htcp_jax.scene.link_meshes import LinkMeshes
 from htcp_jax.scene.robot import Robot
@@ -81,11 +81,11 @@ def robot(
     from htcp_jax.viewer.arm_picture import draw_arm  # here, because bad input is refused before matplotlib is loaded
 
     with written_whole(out.parent) as folder:
-        (folder / out.name).write_text(arm_xml(arm, source, disabled), encoding="utf-8")
+        write_text(folder / out.name, arm_xml(arm, source, disabled))
         with progress_bar("pairs of capsules") as progress:
             listed = _listed(arm, load_robot(folder / out.name), progress)
         text = arm_xml(arm, source, disabled, listed)
-        (folder / out.name).write_text(text, encoding="utf-8")
+        write_text(folder / out.name, text)
         made = load_robot(folder / out.name)
         own = self_collision(made)
         title = f"{made.name}: {len(made.joint_names)} joints, {len(made.capsule_names)} capsules; TCP {arm.tip.name}"

@@ -16,6 +16,7 @@ from xml.parsers import expat
 import mujoco
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.files import opened
 
 LARGEST_FILE = 10 * 2**20  # [bytes]
 MOST_ELEMENTS, DEEPEST = 50_000, 200
@@ -135,11 +136,8 @@ def unreadable(path: Path, error: Exception) -> InputError:
 def parse(path: Path) -> ElementTree.Element:
     """The root of an XML file. Raises InputError for one that cannot be read, is too large, or defines entities."""
     try:
-        if path.exists() and not path.is_file():
-            raise InputError(f"{path}: not a file; a model is an MJCF or URDF file")
-        if (size := path.stat().st_size) > LARGEST_FILE:
-            raise InputError(f"{path}: {size:,} bytes; a model has at most {LARGEST_FILE:,}")
-        return _tree(path.read_bytes(), _Builder(path))
+        with opened(path, largest=LARGEST_FILE) as stream:
+            return _tree(stream.read(), _Builder(path))
     except InputError:
         raise
     except OSError as error:

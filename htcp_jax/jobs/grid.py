@@ -104,6 +104,8 @@ class Sweep:
 
     def points(self, limit: int | None = None) -> tuple[Point, ...]:
         """The scenarios in order, the first `limit` of them. Raises InputError for a value out of its range."""
+        if limit is not None and not 1 <= limit <= MOST:
+            raise InputError(f"limit is {limit}; valid: 1 to {MOST:,}")
         return tuple(itertools.islice(points_of(self.name, self.config, self.groups, self.stated), limit))
 
     def batch(self, limit: int | None = None) -> Batch:

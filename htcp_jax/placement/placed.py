@@ -8,6 +8,7 @@ ranked/               a run: the motions of the ranked mountings, scenario by sc
 
 import contextlib
 import json
+import os
 import shutil
 import signal
 from collections.abc import Iterator, Sequence
@@ -16,9 +17,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from htcp_jax.errors import InputError, Interrupted
+from htcp_jax.formats import files
 from htcp_jax.placement.mounting import MOUNTINGS, RANKED, Mounting
 from htcp_jax.placement.place_file import Search
 from htcp_jax.runs.lock import locked
@@ -97,6 +98,9 @@ def searching(folder: Path, search: Search) -> Iterator[None]:
     """The search's folder, locked. One in which nothing was finished is as it was before. Raises InputError where it
     holds another search, is in use or cannot be written, Interrupted in place of Ctrl-C."""
     with made_folder(folder) as is_new, locked(folder):
+        for place, stages, _ in os.walk(folder):
+            for stage in stages:
+                files.inside(Path(place, stage), folder)  # no stage writes through a link
         _begin(folder, search)
         try:
             yield
@@ -128,8 +132,8 @@ def _begin(folder: Path, search: Search) -> None:
         write_json(file, asked)
         return
     try:
-        there = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        there = dict(files.read_json(file, folder))
+    except (OSError, ValueError, TypeError) as error:
         raise InputError(f"{file} is damaged: {error}") from None
     asked = json.loads(json.dumps(asked))
     differing = [key for key in {**there, **asked} if there.get(key) != asked.get(key) and key != "config"]
@@ -144,9 +148,7 @@ def write(
 ) -> Placed:
     """The tables."""
     found = Placed(folder, search, judged, mountings, motions)
-    part = folder / f".part-{MOUNTINGS}"
-    pq.write_table(_table(search, judged), part, compression="zstd")
-    part.replace(folder / MOUNTINGS)
+    files.write(folder, MOUNTINGS, files.parquet_bytes(_table(search, judged)))
     write_json(folder / RANKED, found.record())
     return found
 

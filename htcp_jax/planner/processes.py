@@ -10,7 +10,6 @@ import importlib
 import os
 import pickle
 import signal
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -25,6 +24,7 @@ import numpy as np
 from jaxtyping import Int
 
 from htcp_jax.errors import Lost
+from htcp_jax.formats.files import scratch
 
 LOOK_S = 0.1  # how often the one that waits looks how far the work has come
 IDLE_S = 300  # after which workers without work end
@@ -78,10 +78,10 @@ def spread(
 
     Raises what the first part to break raises, and Lost when a worker is gone.
     """
-    with tempfile.TemporaryDirectory(prefix="htcp-", ignore_cleanup_errors=True) as folder:
-        file = Path(folder, sha256(shared).hexdigest())
+    with scratch() as folder:
+        file = folder / sha256(shared).hexdigest()
         file.write_bytes(shared)
-        board = np.memmap(Path(folder, BOARD), np.int64, "w+", shape=(len(parts), 2))
+        board = np.memmap(folder / BOARD, np.int64, "w+", shape=(len(parts), 2))
         workers, began = _executor(processes), time.perf_counter()
         try:
             _watched([workers.submit(_ready) for _ in range(processes)], lambda: None)

@@ -20,6 +20,7 @@ import numpy as np
 import pyarrow as pa
 
 from htcp_jax.errors import InputError, Interrupted
+from htcp_jax.formats.files import make_folder, write
 from htcp_jax.jobs.build import arm_of, part_of, robot_of, scenario_of, workpiece_of
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.planner import compile_cache
@@ -33,7 +34,6 @@ from htcp_jax.runs.lock import locked, signals
 from htcp_jax.runs.open import RunPlans, plans_of_run
 from htcp_jax.runs.run_folder import Run, open_run
 from htcp_jax.runs.timing_file import SCHEMA, TIMING, Timing, read_timing, timing_bytes, timing_file
-from htcp_jax.runs.writer import write
 from htcp_jax.scene.robot import Robot, lengthen_tool
 from htcp_jax.scene.workpiece import Workpiece
 
@@ -214,12 +214,9 @@ def _stopped(timer: _Timer, method: str, done: int, of: int) -> str:
 
 
 def _write(run: Run, method: str, timing: Timing) -> None:
-    file = timing_file(run.folder, method)
-    try:
-        (run.folder / TIMING).mkdir(exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot write to {run.folder}: {error.strerror}") from None
-    write(run.folder, file, timing_bytes(timing, run.manifest.shards, method))
+    make_folder(run.folder, TIMING)
+    name = str(timing_file(run.folder, method).relative_to(run.folder))
+    write(run.folder, name, timing_bytes(timing, run.manifest.shards, method))
 
 
 def _row(number: int, feed_m_s: float, one: _OfScenario | None, load: Load | None) -> dict:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 
+from htcp_jax.formats.files import write
 from htcp_jax.markup import escaped
 
 NOTHING = "-"
@@ -102,11 +103,12 @@ def html(blocks: Sequence[Block], pictures: dict[str, bytes]) -> str:
 
 def write_csv(file: Path, table: Table) -> None:
     """The table with numbers that read back exactly; what is not known is an empty cell."""
-    with file.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow([column.key for column in table.columns])
-        for row in table.rows:
-            writer.writerow(["" if unknown(cell) else cell for cell in row])
+    stream = io.StringIO(newline="")
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow([column.key for column in table.columns])
+    for row in table.rows:
+        writer.writerow(["" if unknown(cell) else cell for cell in row])
+    write(file.parent, file.name, stream.getvalue().encode())
 
 
 def png(figure: Figure) -> bytes:

@@ -10,9 +10,11 @@ import numpy as np
 from jaxtyping import Int
 from matplotlib.figure import Figure
 
+from htcp_jax.formats.files import write
 from htcp_jax.placement.mounting import UNITS
 from htcp_jax.report.cell import RunScene
 from htcp_jax.report.chart_style import INK
+from htcp_jax.report.document import png
 from htcp_jax.report.place_charts import place_front, place_map
 from htcp_jax.report.place_tables import Searched, read_search
 from htcp_jax.runs.open import MOTIONS, plans_of_run
@@ -93,7 +95,5 @@ def _given(found: Searched, rank: int) -> str:
 
 
 def _saved(file: Path, figure: Figure) -> Path:
-    part = file.with_name(f".part-{file.name}")
-    figure.savefig(part)
-    part.replace(file)
+    write(file.parent, file.name, png(figure))
     return file

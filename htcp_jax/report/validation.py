@@ -1,10 +1,10 @@
 """What `htcp validate` found, as the report and the terminal tell it."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.files import read_json
 from htcp_jax.report.document import Block, Column, Heading, Table
 from htcp_jax.runs.plan_folder import VALIDATION
 from htcp_jax.runs.run_folder import Run
@@ -47,7 +47,7 @@ def read_validation(run: Run) -> dict[str, Any] | None:
     for a damaged file."""
     file = Path(run.folder) / VALIDATION
     try:
-        found = json.loads(file.read_text(encoding="utf-8"))
+        found = read_json(file, file.parent)
         if found["files"] != run.result_files():
             return None
         summary(found), validation_tables(found), notes(found)  # whatever else it lacks is of no use here

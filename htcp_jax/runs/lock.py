@@ -8,11 +8,13 @@ import contextlib
 import os
 import signal
 import socket
+import stat
 import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.files import NO_LINK, clear_all
 
 try:
     import fcntl
@@ -24,14 +26,20 @@ LOCK = ".lock"
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold the folder's lock. Raises InputError when another process holds it, saying which, and when the folder
-    cannot be written to."""
+    """Hold the folder's lock; what killed processes left in the folder is removed first. Raises InputError when another
+    process holds it, saying which, and when the folder cannot be written to."""
+    file = folder / LOCK
     try:
-        handle = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+        handle = os.open(file, os.O_RDWR | os.O_CREAT | NO_LINK, 0o644)
     except OSError as error:
-        raise InputError(f"cannot write to {folder}: {error.strerror}") from None
+        reason = f"{file} is a link" if file.is_symlink() else error.strerror
+        raise InputError(f"cannot write to {folder}: {reason}") from None
     try:
+        found = os.fstat(handle)
+        if not stat.S_ISREG(found.st_mode) or found.st_nlink > 1:
+            raise InputError(f"cannot write to {folder}: {file} is no regular file, or has another name, too")
         _take(handle, folder)
+        clear_all(folder)
         yield
     finally:
         os.close(handle)

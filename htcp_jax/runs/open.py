@@ -7,13 +7,13 @@
 Who looks at plans and who checks them read the same record; what they make of it is their own.
 """
 
-import json
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.files import read_json
 from htcp_jax.formats.strict_model import validate
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.planner.knots import Knots
@@ -152,7 +152,7 @@ def _ranked(folder: Path) -> RankedPlans:
     """Those of a search. Raises InputError where it has ranked nothing, and for a damaged file."""
     run = open_run(run_folder(folder))
     try:
-        seams = json.loads((folder / SEARCH).read_text(encoding="utf-8"))["seams"]
+        seams = read_json(folder / SEARCH, folder)["seams"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{folder / SEARCH} is damaged: {error!r}") from None
     _refuse_unfit(run)

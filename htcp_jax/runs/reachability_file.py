@@ -1,12 +1,12 @@
 """What `htcp reachability` leaves in a run's folder."""
 
-import json
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.files import read_json
 from htcp_jax.runs.run_folder import Run
 
 REACHABILITY, OLD_NAME = "reachability.json", "ceiling.json"  # the second in version 0.1; read for one version more
@@ -28,11 +28,10 @@ def read_reachability(run: Run) -> Reachable | None:
     files = [Path(run.folder) / name for name in (REACHABILITY, OLD_NAME)]
     file = files[0] if files[0].exists() else files[1]
     try:
-        record = json.loads(file.read_text(encoding="utf-8"))
-        found = _read(record)
+        found = _read(read_json(file, Path(run.folder)))
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
         raise InputError(f"{file} is damaged or no result of htcp reachability: {error}") from None
     if any(counts is not None and counts.shape != (run.manifest.count,) for counts in found[:2]):
         raise InputError(f"{file} holds {found.prefix.size} scenarios, the run has {run.manifest.count}")

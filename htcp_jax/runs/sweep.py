@@ -10,7 +10,6 @@ The same call again continues where the last one stopped.
 
 import contextlib
 import shutil
-import tempfile
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -21,8 +20,9 @@ import numpy as np
 import pyarrow as pa
 
 from htcp_jax.errors import InputError, Interrupted, Lost
+from htcp_jax.formats.files import scratch
 from htcp_jax.jobs.grid import Batch, Sweep, load_sweep
-from htcp_jax.jobs.grid_axes import FILE_KEYS, record
+from htcp_jax.jobs.grid_axes import FILE_KEYS, MOST, record
 from htcp_jax.planner import registry
 from htcp_jax.planner.batch import Progress as ShardProgress
 from htcp_jax.planner.devices import choose
@@ -90,8 +90,8 @@ def sweep(
     else:
         spec = load_sweep(spec, config, seeded(overrides, seed))
     for name, value in (("limit", limit), ("shard_scenarios", shard_scenarios)):
-        if value is not None and value < 1:
-            raise InputError(f"{name} is {value}; it must be 1 or more")
+        if value is not None and not 1 <= value <= MOST:
+            raise InputError(f"{name} is {value}; it must be 1 or more, and {MOST:,} at most")
     batch = spec.batch(limit)
     asked = _manifest(spec, batch, chosen, limit, shard_scenarios or SHARD_SCENARIOS)
     planned = _planner(on, chosen, batch, spec, threads, device)
@@ -250,8 +250,9 @@ class _Scratch:
     """A temporary folder that vanishes with it."""
 
     def __init__(self):
-        self.folder = Path(tempfile.mkdtemp(prefix="htcp-sweep-"))
-        weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
+        held = contextlib.ExitStack()
+        self.folder = held.enter_context(scratch())
+        weakref.finalize(self, held.close)
 
 
 @contextlib.contextmanager

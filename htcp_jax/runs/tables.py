@@ -58,6 +58,7 @@ import numpy as np
 import pyarrow as pa
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.files import GROWTH
 from htcp_jax.jobs.grid_axes import Point
 from htcp_jax.planner.knots import Knots
 from htcp_jax.planner.motion import MotionFigures, figures
@@ -74,6 +75,8 @@ LATER = "executable", *MotionFigures._fields, "orientation_error_rad", "way", "w
 STATUSES = {status.name: int(status) for status in Status}
 STATES: dict[str | None, int] = {None: int(Way.UNKNOWN)} | {way.name: int(way) for way in Way}
 XYZ = "xyz"
+
+LEAST_CELLS = 1_000_000  # scenarios times targets, that any rows may be opened as; more by GROWTH times the rows
 
 
 def joint_columns(robot: Robot) -> tuple[str, ...]:
@@ -169,6 +172,8 @@ def plans_of(
     s, t = targets["scenario"].to_numpy(), targets["target"].to_numpy()
     if min(s.min(initial=0), t.min(initial=0)) < 0 or t.max(initial=0) >= len(targets):
         raise IndexError("a row of no scenario or no target")
+    if count * (int(t.max(initial=-1)) + 1) > max(LEAST_CELLS, GROWTH * len(targets)):
+        raise IndexError(f"{len(targets):,} rows of {count:,} scenarios with {t.max() + 1:,} targets; too few to open")
     blank = np.full((count, int(t.max(initial=-1)) + 1, 3), EMPTY["target"])
     plans = Plans.empty(_starts(scenarios, count, joints), blank, 0)._replace(compile_s=compile_s, run_s=run_s)
     for name in _READ:

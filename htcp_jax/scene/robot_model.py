@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.arrays import LARGEST_COORDINATE
 from htcp_jax.formats.safe_xml import read_spec, unreadable
 from htcp_jax.scene.robot import ArmFrame, Exclusion
 from htcp_jax.scene.tool import Tool, pose
@@ -79,6 +80,8 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
     for name, numbers in arrays.items():
         if not np.isfinite(numbers).all():
             raise InputError(f"{path}: a number of the model is not finite ({name})")
+        if (largest := np.abs(numbers).max(initial=0.0)) > LARGEST_COORDINATE:
+            raise InputError(f"{path}: a number of the model is {largest:g} ({name}); at most {LARGEST_COORDINATE:g} m")
     arrays |= {"lower": lower, "upper": upper, "effort": _effort(model)}
     for name in ("speed", "acceleration"):
         arrays[name] = joint_numbers(model, path, name, default=math.inf)

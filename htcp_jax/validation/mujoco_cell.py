@@ -6,13 +6,14 @@ kinematics has these; distances are mj_geomDistance's. Of a mesh that is not con
 triangles are measured, as a workpiece's are.
 """
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import trimesh
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.formats.safe_xml import read_spec
@@ -60,12 +61,17 @@ class Beside:
         at_zero = self._distances(plain.postures(np.zeros((1, len(plain.joints)))), heeded).min(axis=0)
         self._pairs += [pair for pair, D in zip(heeded, at_zero, strict=True) if D > 0 or pair[0] not in first]
 
-    def clearance(self, x: Float[np.ndarray, "n N"], postures: Postures) -> Float[np.ndarray, "n"]:
-        """The least distance of all that must not touch; inf where there is nothing."""
-        found = self._distances(postures, self._pairs).min(axis=1, initial=np.inf)
-        for wall in self.walls:
-            found = np.minimum(found, wall.at(x).clearance)
-        return np.minimum(found, self._of_excluded(x, postures))
+    def distances(
+        self, x: Float[np.ndarray, "n N"], postures: Postures, may: Bool[np.ndarray, "n R"] | None = None
+    ) -> Float[np.ndarray, "n R"]:
+        """The distances of all that must not touch: of pairs of shapes, then to the walls; last below zero
+        where meshes touch in capsules that are not checked. inf where `may` is False."""
+        may = np.ones((len(x), len(self._pairs) + len(self.walls) + 1), bool) if may is None else may
+        to_walls = np.full((len(x), len(self.walls)), np.inf)
+        for column, rows, wall in zip(to_walls.T, may[:, len(self._pairs) : -1].T, self.walls, strict=True):
+            column[rows] = wall.at(x[rows]).clearance
+        excluded = self._of_excluded(x, postures)[:, None]  # always: meshes are measured nowhere else
+        return np.hstack([self._distances(postures, self._pairs, may[:, : len(self._pairs)]), to_walls, excluded])
 
     def _of_excluded(self, x: Float[np.ndarray, "n N"], postures: Postures) -> Float[np.ndarray, "n"]:
         """Below zero where meshes touch in capsules that are not checked; elsewhere inf."""
@@ -83,21 +89,27 @@ class Beside:
     def _apart(self, postures: Postures, pairs: Sequence[tuple[int, int]]) -> Float[np.ndarray, "n R"]:
         return self._distances(postures, [(self._bodies[a], self._bodies[b]) for a, b in pairs])
 
-    def _distances(self, postures: Postures, pairs: Sequence[tuple[int, int]]) -> Float[np.ndarray, "n R"]:
+    def _distances(
+        self, postures: Postures, pairs: Sequence[tuple[int, int]], may: Bool[np.ndarray, "n R"] | None = None
+    ) -> Float[np.ndarray, "n R"]:
         found = np.full((len(postures.p), len(pairs)), np.inf)
+        bodies = {geom: k for k, geom in enumerate(self._bodies)}
         for k, (p, q) in enumerate(zip(postures.p, postures.q, strict=True)):
-            self._pose(p, q)
-            found[k] = [mujoco.mj_geomDistance(self._model, self._data, a, b, FAR_M, None) for a, b in pairs]
+            own = range(len(pairs)) if may is None else np.flatnonzero(may[k]).tolist()
+            for geom in {geom for pair in own for geom in pairs[pair]} & bodies.keys():
+                self._pose(geom, p[bodies[geom]], q[bodies[geom]])
+            for pair in own:
+                found[k, pair] = mujoco.mj_geomDistance(self._model, self._data, *pairs[pair], FAR_M, None)
         return found
 
-    def _pose(self, p: Float[np.ndarray, "K 3"], q: Float[np.ndarray, "K 3"]) -> None:
-        """Put the bodies of the arm there."""
-        turn = np.empty(4)
-        for geom, a, b in zip(self._bodies, p, q, strict=True):
-            self._data.geom_xpos[geom], self._model.geom_size[geom, 1] = (a + b) / 2, np.linalg.norm(a - b) / 2
-            if (a != b).any():
-                mujoco.mju_quatZ2Vec(turn, (a - b) / np.linalg.norm(a - b))
-                mujoco.mju_quat2Mat(self._data.geom_xmat[geom], turn)
+    def _pose(self, geom: int, p: Float[np.ndarray, "3"], q: Float[np.ndarray, "3"]) -> None:
+        """Put a body of the arm there."""
+        axis, length = p - q, math.dist(p, q)
+        self._data.geom_xpos[geom], self._model.geom_size[geom, 1] = (p + q) / 2, length / 2
+        if length:
+            turn = np.empty(4)
+            mujoco.mju_quatZ2Vec(turn, axis / length)
+            mujoco.mju_quat2Mat(self._data.geom_xmat[geom], turn)
 
     def _is_hollow(self, geom: int) -> bool:
         """Whether a geom is a mesh that is not convex; it becomes a wall of triangles."""

@@ -12,7 +12,6 @@ in small steps. What is found there refutes a target only where the way to it is
 its line, a row of the task that does not hold. Else it is counted and recorded.
 """
 
-import json
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -24,6 +23,7 @@ import numpy as np
 import scipy
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.files import read_json
 from htcp_jax.jobs.build import arm_of, part_of, shape_of
 from htcp_jax.jobs.config import RobotConfig
 from htcp_jax.runs.plan_folder import SUMMARY, VALIDATION, write_json
@@ -113,14 +113,14 @@ def write_validation(folder: Path, found: Validation) -> None:
         write_json(folder / VALIDATION, recorded)
     summary = folder / SUMMARY
     if summary.exists():
-        write_json(summary, json.loads(summary.read_text(encoding="utf-8")) | {"validated": found.validated})
+        write_json(summary, read_json(summary, folder) | {"validated": found.validated})
 
 
 def _is_stronger(file: Path, recorded: dict[str, Any]) -> bool:
     """Whether the validation in `file` is of the same results, says the same of their targets, tells no less than
     `recorded`, and looked at more places between the targets."""
     try:
-        known = json.loads(file.read_text(encoding="utf-8"))
+        known = read_json(file, file.parent)
         same = all(known[key] == recorded[key] for key in ("files", "validated"))
         return same and known["between"] > recorded["between"] and _keys(known) >= _keys(recorded)
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
