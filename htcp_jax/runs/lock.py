@@ -57,15 +57,13 @@ class SignalCame(Exception):
 
 @contextlib.contextmanager
 def signals() -> Iterator[list[int]]:
-    """Hands out the list to which SIGINT and SIGTERM are added when they come. A second one ends the process."""
+    """Hands out the list to which the first SIGINT or SIGTERM is added when it comes; a second one is not caught."""
     came, handlers = [], {}
 
     def remember(number: int, _) -> None:
         came.append(number)
-        # print may be interrupted itself
-        os.write(2, b"\nstopping after the step at hand; once more to stop at once\n")
-        for each in handlers:
-            signal.signal(each, signal.SIG_DFL)
+        for each, handler in handlers.items():
+            signal.signal(each, handler)
 
     if threading.current_thread() is threading.main_thread():  # no other may set handlers
         handlers |= {each: signal.signal(each, remember) for each in (signal.SIGINT, signal.SIGTERM)}
