@@ -19,6 +19,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import FrameType
 from typing import NoReturn
 
 try:
@@ -36,6 +37,12 @@ INTERRUPTED = "interrupted; what was unfinished is removed"
 NO_MEMORY = "out of memory"
 
 _messages: list[Callable[[], str]] = []
+_watched: list["_Process"] = []
+
+
+def is_watched() -> bool:
+    """True in a process of the command line, which a second signal ends without its main thread."""
+    return bool(_watched)
 
 
 @contextlib.contextmanager
@@ -51,8 +58,8 @@ def stop_message(message: Callable[[], str]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def signals_blocked() -> Iterator[None]:
-    """A block whose new processes ignore SIGINT and SIGTERM from the first moment, as they are their parent's to heed: a
-    terminal and `timeout` send them to all. Those of this process go to another thread."""
+    """A block whose new processes ignore SIGINT and SIGTERM from the first moment: a terminal and `timeout` send them
+    to all, and the parent handles them. Those of this process go to another thread."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -100,12 +107,13 @@ class _Process:
 
     def __init__(self):
         self.number = 0  # of the first signal
-        self.leaving = False
+        self.raised = self.leaving = False
         self.made: list[str] = []  # temporary folders and unfinished files
         self.folders: list[str] = []
 
     def watch(self) -> None:
         """Handle signals from here on, but those that are ignored, as of a script's background."""
+        _watched.append(self)
         reading, writing = os.pipe()
         os.set_blocking(writing, False)
         signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
@@ -119,10 +127,14 @@ class _Process:
         # Of multiprocessing's resource tracker, which tidies up when this process is gone and says so.
         os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker:UserWarning")
 
-    def _raise(self, number: int, _) -> None:
-        is_first, self.number = not self.number, self.number or number
-        if is_first and not self.leaving:
-            raise KeyboardInterrupt
+    def _raise(self, number: int, frame: FrameType | None) -> None:
+        self.number = self.number or number
+        if self.raised or self.leaving:
+            return
+        self.raised = True
+        if _imports(frame):  # libraries print or replace what is raised there
+            self._end()
+        raise KeyboardInterrupt
 
     def _unless_signalled(self, hook: Callable) -> Callable:
         """What a signal breaks off in a destructor, a callback or a thread is no error."""
@@ -188,10 +200,17 @@ class _Process:
 
 
 def _print(line: str) -> None:
-    """One line on stderr, past its buffer; on a terminal it takes the place of a progress bar, which hides the cursor."""
+    """One line on stderr, past its buffer. On a terminal it replaces a progress bar, which hides the cursor."""
     begin = "\r\x1b[2K\x1b[?25h" if os.isatty(2) else ""
     with contextlib.suppress(OSError):
         os.write(2, f"{begin}htcp: {line}\n".encode(errors="replace"))
+
+
+def _imports(frame: FrameType | None) -> bool:
+    """True within an import."""
+    while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
+        frame = frame.f_back
+    return frame is not None
 
 
 def _kill_children() -> None:

