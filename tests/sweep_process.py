@@ -80,7 +80,7 @@ def finish(folder: Path, out: str, *more: str) -> subprocess.CompletedProcess:
 
 def without_progress(errors: str) -> list[str]:
     """Lines on stderr but those of progress, whose number depends on how busy the machine is."""
-    return [line for line in errors.splitlines() if not re.search(r" [-\d]+:[-\d]{2}(:\d\d)?$", line)]
+    return [line for line in errors.splitlines() if not re.search(r" [-\d]+:[-\d]{2}(:[-\d]{2})?$", line)]
 
 
 def rows(folder: Path) -> dict[str, bytes]:

@@ -1,5 +1,6 @@
 """How commands end: the exit code at once, one line after Ctrl-C or SIGTERM in every phase, and nothing unfinished."""
 
+import json
 import os
 import shutil
 import signal
@@ -11,10 +12,14 @@ from pathlib import Path
 
 import pytest
 import sweep_process
+from rich.progress import Progress
 from test_place import make
 
 from htcp_jax.cli import output
 from htcp_jax.cli.main import COMMANDS, main
+from htcp_jax.errors import Note
+from htcp_jax.runs.reachability_file import read_reachability
+from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.sweep import sweep
 from htcp_jax.scene.robot import GP50
 
@@ -178,6 +183,28 @@ def test_a_sweep_that_compiles_keeps_what_is_finished_and_says_how_to_go_on(here
     assert main(["report", str(here / "run"), "--out", str(here / "report")]) == 0
 
 
+def test_a_stopped_reachability_keeps_what_it_found_marked_as_incomplete(here, monkeypatch, capsys):
+    update = Progress.update
+
+    def interrupt(bars, task, **how) -> None:
+        update(bars, task, **how)
+        if how["completed"] == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.chdir(here)
+    words = ["reachability", "grid.yaml", "--out", "run"]
+    with monkeypatch.context() as patch:
+        patch.setattr(Progress, "update", interrupt)
+        assert main(words) == 130
+    assert capsys.readouterr().err == "htcp: stopped; run/reachability.json has what was found, and is incomplete\n"
+    record = json.loads(Path("run/reachability.json").read_text())
+    assert record["complete"] is False and 3 in record["prefix"]
+    with pytest.warns(Note, match="is incomplete and not used"):
+        assert read_reachability(open_run("run")) is None
+    assert main(words) == 0
+    assert read_reachability(open_run("run")).prefix.min() > 3
+
+
 def test_a_process_ends_with_its_code_while_a_thread_is_at_work():
     """As C++ threads of libraries are at the end, which the interpreter's own end makes abort."""
     code = (
@@ -238,7 +265,7 @@ def test_a_signal_in_any_phase_of_any_command_is_one_line(all_here, command, num
     interrupt(all_here, WORDS[command], imports, number)
     cache = str(all_here / "cache")
     interrupt(all_here, WORDS[command], lambda _: time.sleep(1.5 * took), number, HTCP_CACHE=cache)
-    for share in (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0):
+    for share in (0.4, 0.7, 0.9, 1.0):
         interrupt(all_here, WORDS[command], lambda _, share=share: time.sleep(share * took), number)
 
 
