@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import subprocess
 import time
 import warnings
@@ -111,12 +112,32 @@ def test_the_command_on_ray_prints_what_it_prints_without_and_nothing_else(here,
     [
         ("cluster", "on is 'cluster'; valid: here, ray, ray:<address of a cluster>"),
         ("ray:nowhere", "cannot reach Ray at nowhere: "),
+        ("ray:999.0.0.1:99999", "cannot reach Ray at 999.0.0.1:99999: "),
     ],
 )
 def test_a_place_that_is_none_is_one_line(here, capsys, on, line):
     assert main(["sweep", "grid.yaml", "--on", on, "--out", "run"]) == 2
     assert line in (errors := capsys.readouterr().err) and errors.count("\n") == 1
     assert not (here / "run").exists()
+
+
+def test_a_cluster_that_takes_connections_and_never_answers_is_one_line(here, capsys):
+    with socket.create_server(("", 0)) as silent:
+        port = silent.getsockname()[1]
+        assert main(["sweep", "grid.yaml", "--on", f"ray:127.0.0.1:{port}", "--out", "run"]) == 2
+    assert capsys.readouterr().err == f"htcp: cannot reach Ray at 127.0.0.1:{port}: timed out\n"
+    assert not (here / "run").exists()
+
+
+@pytest.mark.slow
+def test_a_cluster_that_is_started_here_listens_to_this_machine_alone_and_requires_a_token(here):
+    seen = []
+
+    def look(_) -> None:
+        seen.append((ray.nodes()[0]["NodeManagerAddress"], os.environ["RAY_AUTH_MODE"]))
+
+    sweep("grid.yaml", "baseline", on="ray:local", finished=look)
+    assert seen == [("127.0.0.1", "token")]
 
 
 def test_a_device_beside_ray_and_gpus_that_this_machine_has_not_are_one_line(here, capsys, one_worker):
