@@ -79,8 +79,8 @@ def run(command: Callable[[], int]) -> NoReturn:
         code = _code_of(command, process)
         process.leaving = True
     except KeyboardInterrupt:  # raised once in a process
+        process.leaving, code = True, SIGNALLED
         _print(INTERRUPTED)
-        code = SIGNALLED
     process.leave(code)
 
 
@@ -108,6 +108,7 @@ class _Process:
     def __init__(self):
         self.number = 0  # of the first signal
         self.raised = self.leaving = False
+        self._ends = threading.Lock()
         self.made: list[str] = []  # temporary folders and unfinished files
         self.folders: list[str] = []
 
@@ -163,6 +164,7 @@ class _Process:
 
     def _end(self) -> NoReturn:
         """End the process, whatever its main thread is at."""
+        self._ends.acquire()  # for good: the first thread here ends all
         line = INTERRUPTED
         with contextlib.suppress(Exception):
             line = _messages[0]() if _messages else INTERRUPTED
@@ -180,12 +182,13 @@ class _Process:
             last.start()
         with contextlib.suppress(BaseException):
             atexit._run_exitfuncs()
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(Exception):  # closed, full, or None
+                stream.flush()
         self._exit(code)
 
     def _exit(self, code: int) -> NoReturn:
-        for stream in (sys.stdout, sys.stderr):
-            with contextlib.suppress(Exception):
-                stream.flush()
+        """End at once; what is in a buffer is lost, as the main thread may hold it."""
         if self.number and code:
             code = SIGNALLED + self.number
         _kill_children()
