@@ -34,10 +34,18 @@ def forget_programs():
         jax.clear_caches()
 
 
+@pytest.fixture(autouse=True, scope="session")
+def no_lines_of_progress():
+    """What commands print does not depend on how busy the machine is."""
+    from htcp_jax.cli import output  # here, because what is imported before the tests has unchecked annotations
+
+    output.LINE_S = 3600.0
+
+
 @pytest.fixture(scope="session")
 def planned(tmp_path_factory):
     """The folder with a small real run, see small_run.py; not to be changed."""
-    from small_run import plan_small_run  # here, because what is imported before the tests has unchecked annotations
+    from small_run import plan_small_run
 
     return plan_small_run(tmp_path_factory.mktemp("planned"))
 

@@ -69,8 +69,7 @@ def here(tmp_path, monkeypatch):
 
 def start(folder: Path, out: str) -> subprocess.Popen:
     """The command as a process of its own."""
-    code = "from htcp_jax.cli.main import main; raise SystemExit(main())"
-    words = [sys.executable, "-c", code, "place", "place.yaml", "--out", out]
+    words = [sys.executable, "-m", "htcp_jax", "place", "place.yaml", "--out", out]
     pipe = subprocess.PIPE
     return subprocess.Popen(words, cwd=folder, env=environment(), stdout=pipe, stderr=pipe, text=True)
 

@@ -26,6 +26,7 @@ from PIL import Image
 
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
+from htcp_jax.process_exit import INTERRUPTED
 from htcp_jax.program.of_plan import program_of_plans
 from htcp_jax.scene.kinematics import capsules_and_tcp
 from htcp_jax.status import Way
@@ -517,18 +518,16 @@ def test_a_port_in_use_is_refused_and_not_replaced_by_another(folder, viewer, ca
 def test_the_command_serves_a_job_that_it_plans_until_it_is_told_to_stop(tmp_path):
     (tmp_path / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n")
     (tmp_path / "job.yaml").write_text("workpiece: {path: path.csv}\nmethod: baseline\n")
-    run = "from htcp_jax.cli.main import main; raise SystemExit(main())"
-    command = [sys.executable, "-c", run, "view", "job.yaml", "--port", "0"]
+    command = [sys.executable, "-m", "htcp_jax", "view", "job.yaml", "--port", "0"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         line = process.stdout.readline()
         assert urllib.request.urlopen(line.split()[1]).status == 200
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=60)
-    assert (process.returncode, out, err) == (0, "", "") and "Ctrl-C" in line
+    assert (process.returncode, out, err) == (130, "", f"htcp: {INTERRUPTED}\n") and "Ctrl-C" in line
 
 
 def test_ctrl_c_before_the_page_is_up_ends_like_one_after_it(folder, capsys, monkeypatch):
-    """Rough: it said that nothing was written, and ended with 130."""
 
     def interrupt(_):
         raise KeyboardInterrupt
@@ -536,8 +535,8 @@ def test_ctrl_c_before_the_page_is_up_ends_like_one_after_it(folder, capsys, mon
     for place in ("htcp_jax.cli.view.open_plans", "htcp_jax.viewer.browser.Viewer.wait"):
         with monkeypatch.context() as patch:
             patch.setattr(place, interrupt)
-            assert main(["view", str(folder), "--port", "0"]) == 0
-            assert capsys.readouterr().err == ""
+            assert main(["view", str(folder), "--port", "0"]) == 130
+            assert capsys.readouterr().err == f"htcp: {INTERRUPTED}\n"
 
 
 def test_capsules_are_turned_to_their_axes():

@@ -1,6 +1,5 @@
 """`htcp view`: plans in the browser."""
 
-import contextlib
 import importlib.util
 from collections.abc import Callable
 from pathlib import Path
@@ -63,16 +62,15 @@ def view(
     if importlib.util.find_spec("viser") is None:
         raise InputError("htcp view needs viser: pip install 'htcp_jax[view]'")
     feed_m_s = played_feed(feed, one_way=one_way)
-    with contextlib.suppress(KeyboardInterrupt):  # before the page is up as well as after
-        replays, programs = _looked_at(what, method, overrides or [], feed_m_s, not one_way)
-        from htcp_jax.viewer.browser import Viewer  # viser is an extra
+    replays, programs = _looked_at(what, method, overrides or [], feed_m_s, not one_way)
+    from htcp_jax.viewer.browser import Viewer  # viser is an extra
 
-        viewer = Viewer(replays, host, port, scenario, method, programs if feed_m_s else None)
-        try:
-            stdout().print(Text.assemble(("viewer  ", "cyan"), viewer.address, ("  (Ctrl-C ends it)", "dim")))
-            viewer.wait()
-        finally:
-            viewer.stop()
+    viewer = Viewer(replays, host, port, scenario, method, programs if feed_m_s else None)
+    try:
+        stdout().print(Text.assemble(("viewer  ", "cyan"), viewer.address, ("  (Ctrl-C ends it)", "dim")))
+        viewer.wait()
+    finally:
+        viewer.stop()
     return 0
 
 

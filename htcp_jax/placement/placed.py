@@ -22,6 +22,7 @@ from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.formats import files
 from htcp_jax.placement.mounting import MOUNTINGS, RANKED, Mounting
 from htcp_jax.placement.place_file import Search
+from htcp_jax.process_exit import stop_message
 from htcp_jax.runs.lock import locked
 from htcp_jax.runs.open import SEARCH
 from htcp_jax.runs.plan_folder import made_folder, write_json
@@ -103,16 +104,23 @@ def searching(folder: Path, search: Search) -> Iterator[None]:
                 files.inside(Path(place, stage), folder)  # no stage writes through a link
         _begin(folder, search)
         try:
-            yield
+            with stop_message(lambda: _stopped(folder, is_new)):
+                yield
         except (Interrupted, KeyboardInterrupt) as stop:
             code = stop.code - 128 if isinstance(stop, Interrupted) else signal.SIGINT
-            words = f"what is finished is in {folder}; the same command goes on from there"
-            raise Interrupted(f"stopped; {words if _holds_any(folder) else NOTHING}", code) from None
+            raise Interrupted(_stopped(folder, is_new), code) from None
         finally:
-            if not _holds_any(folder):
-                (folder / SEARCH).unlink(missing_ok=True)
-                if is_new:
-                    shutil.rmtree(folder, ignore_errors=True)
+            _stopped(folder, is_new)
+
+
+def _stopped(folder: Path, is_new: bool) -> str:
+    """Remove a search in which nothing is finished, and return how to go on."""
+    if _holds_any(folder):
+        return f"stopped; what is finished is in {folder}; the same command goes on from there"
+    (folder / SEARCH).unlink(missing_ok=True)
+    if is_new:
+        shutil.rmtree(folder, ignore_errors=True)
+    return f"stopped; {NOTHING}"
 
 
 def _holds_any(folder: Path) -> bool:

