@@ -303,6 +303,7 @@ def test_several_seams_are_done_only_where_all_of_them_are(here):
     (here / "behind.csv").write_text("0.6,-0.1737,0.1708\n0.61,-0.1738,0.1705\n")
     near = {"workpiece.shift_m.x": [-0.1, 0.1]}
     changes = {"place": near, "seams": ["path.csv", "behind.csv"], "confirm": "keep-clear", "spare": "clearance"}
+    changes["screen"] = "keep-clear"
     found = place("place.yaml", "out", changes=changes)
     assert found.scenarios == 12 and found.complete == 0 and not found.mountings
     seams = found.seams()

@@ -69,7 +69,7 @@ def test_where_every_start_collides_the_body_is_named_and_nothing_is_left(here, 
 
 def test_without_a_mounting_it_exits_with_3_and_says_which_seam_prevents_the_best(here, capsys):
     (here / "behind.csv").write_text("0.6,-0.1737,0.1708\n0.61,-0.1738,0.1705\n")
-    text = "place: {workpiece.shift_m.x: [-0.1, 0.1]}\nseams: [path.csv, behind.csv]\nconfirm: keep-clear"
+    text = "place: {workpiece.shift_m.x: [-0.1, 0.1]}\nseams: [path.csv, behind.csv]\nscreen: keep-clear\nconfirm: keep-clear"
     assert place(text) == 3
     output = " ".join(capsys.readouterr().out.split())
     assert "1 of 2 seams; prevented by behind (" in output and "path 2, behind 0" in output
@@ -80,7 +80,7 @@ def test_without_a_mounting_it_exits_with_3_and_says_which_seam_prevents_the_bes
 
 def test_the_number_of_plans_is_printed_first_and_the_command_that_plans_the_best_last(here, capsys):
     """Rough P4: 150 scenarios became 1,454 plans without a word. P2: the printed names are refused by `plan`."""
-    assert place("place: {workpiece.shift_m.x: [-0.1, 0.1]}\nbest: 1\nwithin: {scenarios: 2}") == 0
+    assert place("place: {workpiece.shift_m.x: [-0.1, 0.1]}\nbest: 1", "--scenarios", "2") == 0
     output = capsys.readouterr().out
     most = int(re.match(r"up to ([\d,]+) plans: 8 to search, 7 to confirm, ", output)[1].replace(",", ""))
     made = [json.loads(file.read_text())["shards"] for file in (here / "out").rglob("manifest.json")]
@@ -88,7 +88,7 @@ def test_the_number_of_plans_is_printed_first_and_the_command_that_plans_the_bes
     (command,) = (line.split()[1:] for line in output.splitlines() if line.startswith("plan "))
     clearance = re.search(r"\n +1 +\S+ +(\S+)", output)[1]
     assert main([*command[1:], "--json"]) == 0
-    assert clearance == f"{json.loads(capsys.readouterr().out)['motion']['clearance_mm']:.3g}"
+    assert clearance == f"{json.loads(capsys.readouterr().out)['motion']['clearance_m'] * 1e3:.3g}"
 
 
 def test_another_search_is_kept_out_of_a_folder(here, capsys):

@@ -228,7 +228,7 @@ def test_the_stops_say_which_bodies_are_in_the_way(folder):
 
 
 class _Found:
-    """The scene of a run in which one body is inside the workpiece at scenario 1's failed target, and clear elsewhere."""
+    """The scene of a run: a body is inside the workpiece at the failed target of scenario 1 alone."""
 
     problem = ""
 

@@ -20,7 +20,7 @@ from htcp_jax.validation.validate import record, write_validation
 from htcp_jax.validation.validate import validate as check
 
 VALIDATED, REFUTED = 0, 1
-WORTH_SAYING_S = 10  # a longer check is announced
+WORTH_SAYING_S = 60  # a longer check is announced
 LISTED = 10  # refuted configurations on the terminal
 
 Run = Annotated[Path, typer.Argument(metavar="RUN", help="The folder that htcp sweep or htcp plan wrote.")]

@@ -231,7 +231,7 @@ def _ranked(search: Search, confirmed: Judged, folder: Path, plan: Planner) -> I
     unknown = np.full(spare.shape, np.nan)
     yield mountings(np.argsort(-spare[:, 0], kind="stable"), unknown, unknown[:, 0], {}), False
     off = disturbed(search, values, folder / "disturbed", partial(_anew, search, plan, margin))
-    worst = np.minimum([one.spare.min(axis=0) for one in off], spare)  # quick plans are measured at their targets alone
+    worst = np.minimum([one.spare.min(axis=0) for one in off], spare)
     held = np.array([one.complete.mean() for one in off])
     order = np.lexsort((-spare[:, 0], -worst[:, 0], -held))
     first = order[:TOLERANCES]
@@ -252,7 +252,8 @@ def _anew(
     shares = LOWERED if with_clearance else ()
     margins = [] if margin_m is None else [s * np.repeat(margin_m, len(values) // len(margin_m)) for s in shares]
     quick = judge_lowered(search, plan, values, folder, margins)
-    return Answer(quick.complete, quick.spare)
+    proven = Judged(search, quick.run, quick.method, values, plans=quick.plans)  # clearance all along, at least
+    return Answer(proven.complete, proven.spare)
 
 
 def _margins(judged: Judged) -> Float[np.ndarray, "n"]:
