@@ -364,7 +364,7 @@ def test_the_command_prints_the_table_and_writes_a_report_that_stands_alone(fold
         (base, hybrid) = csv.DictReader(stream)
     assert float(base["success_percent"]) == 100 * 5073 / 5145 and float(hybrid["success_percent"]) == 100
     assert sorted(file.name for file in (tmp_path / "report").glob("*.csv")) == [
-        "best.csv", "joint-steps.csv", "motions.csv", "paper.csv", "results.csv", "scenarios.csv",
+        "best.csv", "joint-steps.csv", "motion-ends.csv", "motions.csv", "paper.csv", "results.csv", "scenarios.csv",
         "stops.csv", "times.csv",
     ]  # fmt: skip
 
