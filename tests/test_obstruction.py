@@ -97,6 +97,16 @@ def test_the_sentence_tells_how_deep_how_free_or_how_far_off(scenario, workpiece
     assert off.description == "the arm comes only to within 54 mm of it"
 
 
+def test_a_body_that_is_clear_of_everything_is_no_cause(scenario, workpiece):
+    """Rough P1: bodies were counted as in the way that are 41 to 75 mm clear."""
+    found = obstruction(robot(), workpiece, scenario, np.array(START), 80, SETTINGS)
+    known, ended = found._replace(body="spindle", reached=True), Status.QP_INFEASIBLE.ended
+    assert known._replace(depth_m=0.003).cause(ended) == "spindle"
+    assert known._replace(depth_m=-0.041).cause(ended) == "step QP infeasible"
+    assert known._replace(depth_m=-0.041).description.startswith("no body collides")
+    assert known._replace(depth_m=0.003, reached=False).cause(ended) == "out of reach"
+
+
 def test_a_target_out_of_reach_says_by_how_much(scenario, workpiece):
     far = scenario.targets.copy()
     far[5] = [0.0, 0.0, 9.0]

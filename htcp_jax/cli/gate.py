@@ -53,6 +53,7 @@ FIGURES = (
     Column("tcp_error_max_mm", "TCP error", "now mm", ".3f"),
     Column("was_clearance_min_mm", "clearance", "before mm", ".3g"),
     Column("clearance_min_mm", "clearance", "now mm", ".3g"),
+    Column("clearance_less_cover_min_mm", "less cover", "now mm", ".3g"),
 )
 TIMES = (
     Column("method", "method"),

@@ -1,8 +1,9 @@
-"""What is in the way at a target that a plan did not reach: which body, where, and how deep.
+"""The colliding body at a target that a plan did not reach: which body, where, and how deep.
 
 From the last posture that was tracked, inverse kinematics brings the tool onto the failed target all the same, inside
-the joint limits but through whatever is there, equation (5b). The body with the smallest clearance there is the one
-in the way. That is one posture of many: an escape may have looked at others, and found none that is clear.
+the joint limits but through whatever is there, equation (5b). The body with the smallest clearance there is the
+colliding one; if that clearance is above 0, no body collides and the search ended for another reason. That is one
+posture of many: an escape may have looked at others, and found none that is clear.
 """
 
 from functools import lru_cache
@@ -46,15 +47,24 @@ class Obstruction(NamedTuple):
     from_mesh: str = ""  # how far the capsule is from its mesh there, if the arm's file refers to meshes
 
     @property
+    def collides(self) -> bool:
+        """True if the tool is on the target there and the body inside of what is nearest to it."""
+        return self.reached and self.depth_m > 0
+
+    def cause(self, otherwise: str) -> str:
+        """The colliding body, "out of reach", or, if no body collides, `otherwise`."""
+        return self.body if self.collides else otherwise if self.reached else "out of reach"
+
+    @property
     def description(self) -> str:
-        """What is in the way, for a person."""
+        """The colliding body, for a person, or that there is none."""
         if not self.reached:
             return f"the arm comes only to within {_mm(self.residual_m)} of it"
         body = capsule_in_words(self.body)
         where = f"at ({', '.join(f'{value:.2f}' for value in self.point)}) m there"
         if self.depth_m > 0:
             return f"{body} is {_mm(self.depth_m)} inside {self.other} {where}{self.from_mesh}"
-        return f"{body} is nearest to {self.other}, {_mm(-self.depth_m)} clear of it {where}"
+        return f"no body collides; {body} is nearest to {self.other}, {_mm(-self.depth_m)} clear of it {where}"
 
     def record(self) -> dict[str, Any]:
         """What a file holds of it."""

@@ -43,6 +43,13 @@ class Outcome(NamedTuple):
         """Whether a proven motion leads to its last target."""
         return 0 < self.targets == self.executable
 
+    @property
+    def reason(self) -> str:
+        """What ended its motion, in words: the way to a tracked target, or the search; "complete" if nothing did."""
+        if self.executable < self.tracked:
+            return self.way.words
+        return "complete" if self.status is None else self.status.words
+
 
 class Outcomes(NamedTuple):
     """How S scenarios ended, a column each; see `Outcome`."""

@@ -51,6 +51,8 @@ class Searched(NamedTuple):
     front: Bool[np.ndarray, "r"]
     seams: dict[str, int]  # in how many mountings each is complete
     disturbed: str  # by how much they are off: 3 mm and 0.5°
+    margin: Float[np.ndarray, "r"]  # that the ranked ones are planned with [mm]; NaN where it is not known
+    is_final: bool  # False for a ranking that was written before mountings were disturbed
 
     def aim(self, k: int) -> str:
         """An aim with its unit, for an axis."""
@@ -99,6 +101,8 @@ def _searched(asked: dict[str, Any], told: dict[str, Any], table: pa.Table) -> S
         front=np.array([row["front"] for row in rows], bool),
         seams={name: seam["complete"] for name, seam in told["seams"].items()},
         disturbed=f"{asked['off']['mm']:g} mm and {asked['off']['deg']:g}°",
+        margin=1e3 * np.array([row.get("margin_m", np.nan) for row in rows], float),
+        is_final=told.get("finished", True),
     )
 
 

@@ -17,6 +17,7 @@ AT_TARGETS = (
     Column("tcp_error_max_mm", "TCP error", "max mm", ".3f"),
     Column("clearance_min_mm", "clearance", "min mm", ".3g"),
     Column("clearance_min_at", "scenario:", "target"),
+    Column("clearance_less_cover_min_mm", "less cover", "min mm", ".3g"),
     Column("clearance_off_max_mm", "off record", "max mm", ".1e"),
 )
 ON_THE_WAY = (
@@ -116,6 +117,11 @@ def notes(found: dict[str, Any]) -> list[str]:
     lines = []
     if found.get("excluded"):
         lines.append(f"Deepest overlap of two capsules that are not checked against each other: {found['excluded']}.")
+    if any(check.get("clearance_less_cover_min_mm") is not None for check in found["methods"].values()):
+        lines.append(
+            "Clearance is to the triangles of the mesh. Less cover: less the covering radius of the points that the "
+            "planner has on the mesh, which plans, sweeps and reports subtract from every clearance."
+        )
     if found["between"]:
         lines.append(
             "Paths are the straight joint paths between tracked targets and from the start to the first, in at least "

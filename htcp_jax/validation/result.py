@@ -32,6 +32,7 @@ class MethodCheck(NamedTuple):
     tcp_error_max_mm: float | None  # |site - target|
     clearance_min_mm: float | None
     clearance_min_at: Place | None
+    clearance_less_cover_min_mm: float | None  # less the covering radius of the mesh, as plans have it; None: no mesh
     clearance_off_max_mm: float | None  # |MuJoCo's - recorded|, so are the next two
     tcp_off_max_mm: float | None
     target_off_max_mm: float | None

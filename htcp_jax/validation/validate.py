@@ -197,6 +197,9 @@ def _sum_up(checked: Sequence[Checked], joints: Sequence[str], feed_mm_s: float)
         along = np.concatenate([clearance, all_of("clearance_between")])
         between_min, between_at = _worst(np.argmin, along, [*targets, *paths])
         deviation_max, deviation_at = _worst(np.argmax, all_of("deviation"), paths)
+    less_cover = None
+    if any(one.cover for one in checked):
+        less_cover, _ = _worst(np.argmin, np.concatenate([one.clearance - one.cover for one in checked]), targets)
     ratio = all_of("speed") * feed_mm_s / 1e3
     path, joint = np.unravel_index(ratio.argmax(), ratio.shape) if ratio.any() else (None, None)
     return MethodCheck(
@@ -205,6 +208,7 @@ def _sum_up(checked: Sequence[Checked], joints: Sequence[str], feed_mm_s: float)
         tcp_error_max_mm=_worst(np.argmax, all_of("tcp_error"), targets)[0],
         clearance_min_mm=clearance_min,
         clearance_min_at=clearance_at,
+        clearance_less_cover_min_mm=less_cover,
         clearance_off_max_mm=_worst(np.argmax, all_of("clearance_off"), targets)[0],
         tcp_off_max_mm=_worst(np.argmax, all_of("tcp_off"), targets)[0],
         target_off_max_mm=_worst(np.argmax, all_of("target_off"), targets)[0],
