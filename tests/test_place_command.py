@@ -69,7 +69,8 @@ def test_where_every_start_collides_the_body_is_named_and_nothing_is_left(here, 
 
 def test_without_a_mounting_it_exits_with_3_and_says_which_seam_prevents_the_best(here, capsys):
     (here / "behind.csv").write_text("0.6,-0.1737,0.1708\n0.61,-0.1738,0.1705\n")
-    text = "place: {workpiece.shift_m.x: [-0.1, 0.1]}\nseams: [path.csv, behind.csv]\nscreen: keep-clear\nconfirm: keep-clear"
+    planners = "screen: keep-clear\nconfirm: keep-clear"
+    text = f"place: {{workpiece.shift_m.x: [-0.1, 0.1]}}\nseams: [path.csv, behind.csv]\n{planners}"
     assert place(text) == 3
     output = " ".join(capsys.readouterr().out.split())
     assert "1 of 2 seams; prevented by behind (" in output and "path 2, behind 0" in output
