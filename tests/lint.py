@@ -43,8 +43,9 @@ OPENS = re.compile(  # calls by the end of their names, which reach a file by it
     r"|read_table|read_schema|write_table|ParquetFile|ParquetWriter|OSFile|memory_map)$"
     r"|^tempfile\.|^shutil\.(copy|copyfile|copy2|move)$|\.savefig$"
 )
-OWN_FILES = {"process_exit",   # modules that do it by themselves, and why that is safe
+OWN_FILES = {  # modules that do it by themselves, and why that is safe
     "formats.files": "the one",
+    "process_exit": "the processes of this one, in /proc",
     "formats.parsers": "a process of its own with limits, see formats.scan",
     "formats.scan": "reads what that process wrote into a folder that was made just now",
     "jobs.examples": "files that ship with the package",
