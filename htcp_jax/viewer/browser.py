@@ -1,7 +1,7 @@
 """Plans in the browser: a stage in three dimensions and a panel to find one's way, served by viser.
 
-Callbacks of the panel come in threads of their own; one lock lets them act one after another, and the properties wait for it,
-so that they describe what the page shows completely.
+Callbacks of the panel come in threads of their own; one lock lets them act one after another, and the properties wait
+for it, so that they describe what the page shows completely.
 """
 
 import contextlib
