@@ -226,13 +226,19 @@ def test_a_program_is_played_at_its_own_time_over_plots_of_its_speeds(browser, t
     assert viewer.shown == (0, "baseline") and page.get_by_text("Time [s]").first.is_visible()
     until(lambda: page.locator(".uplot canvas").count() == 3)
     slider.focus()
-    while viewer.place < 0.3:  # one by one: the server sets the slider, too, and presses in between are lost
-        page.keyboard.press("ArrowRight")
-        until(lambda: slider.get_attribute("aria-valuenow") == f"{viewer.place:g}")
+
+    def at_300_ms() -> bool:
+        """Press a key as often as it takes, one by one: the server sets the slider, too, and others are lost."""
+        settled = slider.get_attribute("aria-valuenow") == f"{viewer.place:g}"
+        if settled and viewer.place != 0.3:
+            page.keyboard.press("ArrowRight" if viewer.place < 0.3 else "ArrowLeft")
+        return settled and viewer.place == 0.3
+
+    until(at_300_ms)
     arm = capsules_and_tcp(made.robot, made.program.at(np.array([viewer.place])).x)
     middle = (np.asarray(arm.p) + np.asarray(arm.q))[0] / 2
     np.testing.assert_allclose(viewer.stage.arm_positions[: len(middle)], middle, atol=1e-6)
-    page.get_by_text(f"{viewer.place:.2f} s: approach, TCP").wait_for()
+    page.get_by_text("0.30 s: approach, TCP").wait_for()
     began, from_s = time.monotonic(), viewer.place
     page.get_by_role("button", name="Play").click()
     until(lambda: viewer.place >= made.program.duration_s)
