@@ -21,7 +21,7 @@ from scipy.optimize import differential_evolution
 
 from benchmarks import hardware
 from htcp_jax.jobs.grid import Sweep
-from htcp_jax.placement.judge import judge
+from htcp_jax.placement.judge import judge_raised
 from htcp_jax.placement.place_file import Search, load_search
 from htcp_jax.placement.search import EVEN, FROM, POPULATION, Evolution, Known, even
 from htcp_jax.planner import compile_cache
@@ -102,7 +102,7 @@ def run(asked: Search, way: str, seed: int, budget: int, folder: Path, threads: 
 
     def judged(u: Float[np.ndarray, "n d"]) -> Known:
         u = u[: budget - sum(len(each.u) for each in rounds)]
-        one = judge(asked, plan, asked.ranges.values(u), asked.file.screen, folder / f"{len(rounds):03d}")
+        one = judge_raised(asked, plan, asked.ranges.values(u), folder / f"{len(rounds):03d}", folder / "raised")
         rounds.append(Known(u, one.done.mean(axis=1), one.complete, one.spare))
         return rounds[-1]
 

@@ -20,6 +20,7 @@ programs (see `compile_cache`), as the command does, and lets a notebook show fi
 
 import importlib
 import os
+import sys
 
 # On a CPU, XLA compiles a loop of a program to a series of small kernels, which it hands one by one to threads of its
 # own, or to a library (YNNPACK). Our loops are made of hundreds of tiny ones: as one native function each they take
@@ -31,10 +32,11 @@ os.environ.setdefault(
     ",xla_cpu_disable_loop_unrolling=true --xla_cpu_experimental_ynn_fusion_type=",
 )
 
-import jax
-
-# Clearances of 0.1 mm decide results; 32-bit floats carry 0.1 um at 2 m, and the step QPs lose more. Once, here.
-jax.config.update("jax_enable_x64", True)
+# Clearances of 0.1 mm decide results; 32-bit floats carry 0.1 um at 2 m, and the step QPs lose more. Once, here. JAX
+# itself is imported later: the command handles signals before.
+os.environ["JAX_ENABLE_X64"] = "1"
+if "jax" in sys.modules:
+    sys.modules["jax"].config.update("jax_enable_x64", True)
 
 _HOME = {
     "plan": "api",

@@ -1,5 +1,21 @@
-"""`python -m htcp_jax`, which is the command `htcp`."""
+"""The command `htcp`, which is `python -m htcp_jax`. Signals are handled before anything large is imported."""
 
-from htcp_jax.cli.main import main
+import sys
+from typing import NoReturn
 
-raise SystemExit(main())
+from htcp_jax.process_exit import run
+
+
+def _command() -> int:
+    from htcp_jax.cli.main import main  # here, as it takes a second
+
+    return main()
+
+
+def main() -> NoReturn:
+    """Run the command line and end the process with its exit code."""
+    run(_command)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

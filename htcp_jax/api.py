@@ -112,8 +112,11 @@ class Plan:
         s, asked = self.summary, f"{1e3 * self.job.margin_m:g} mm asked for"
         if not s.tracked:
             return {"clearance": asked}
+        mean, largest = s.orientation_error_mean_deg, s.orientation_error_max_deg
+        held = {"orientation error": f"{mean:.3g} deg mean, {largest:.3g} deg largest"} if mean is not None else {}
         return {
             "TCP distance": f"{s.tcp_distance_mean_mm:.3g} mm mean, {s.tcp_distance_max_mm:.3g} mm largest",
+            **held,
             "clearance": f"{s.clearance_min_mm:.3g} mm smallest, {s.clearance_mean_mm:.3g} mm mean; {asked}",
         }
 

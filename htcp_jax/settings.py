@@ -150,6 +150,7 @@ def settings_of(values: Settings | Mapping[str, Any] | None) -> Settings:
         raise InputError(f"settings: {first.get('ctx', {}).get('error') or text}") from None
 
 
+SMALLEST = 1e-15  # of any number but 0
 MOST, LARGEST_SEED = 100_000, 2**63 - 1  # of whatever is counted; of the seed
 _MAY_BE_ZERO = {
     "aim_above_m", "j1_weight", "keep_clear_m", "seed", "restart_rounds", "front_aim_m", "search_shortcuts",
@@ -177,5 +178,7 @@ def _check(name: str, value, kind) -> None:
             if not math.isfinite(number) or number < 0 or (number == 0 and name not in _MAY_BE_ZERO):
                 least = "zero or more" if name in _MAY_BE_ZERO else "more than zero"
                 raise InputError(f"{name} must be {least} and finite, not {number}")
+            if 0 < number < SMALLEST:
+                raise InputError(f"{name} is {number}; at least {SMALLEST:g}")
             if number > (most := _AT_MOST.get(name, MOST)):
                 raise InputError(f"{name} is {number}; at most {most}")

@@ -34,6 +34,11 @@ class Status(enum.IntEnum):
         return self.name.replace("_", " ").lower().replace("qp", "QP")
 
     @property
+    def ended(self) -> str:
+        """What ended the search at a target at which no body collides, in a few words."""
+        return _ENDED.get(self, self.words)
+
+    @property
     def message(self) -> str:
         """One sentence for a person."""
         return _MESSAGES[self]
@@ -43,6 +48,13 @@ class Status(enum.IntEnum):
 AT_HOME = Status.HOME_IN_COLLISION, Status.HOME_NOT_JOINED, Status.NO_START
 NOT_TRIED = Status.START_IN_COLLISION, Status.OUT_OF_REACH, *AT_HOME
 
+_ENDED = {
+    Status.QP_INFEASIBLE: "step QP infeasible",
+    Status.ITERATION_LIMIT: "step QPs out of iterations",
+    Status.ESCAPE_EXHAUSTED: "no clear configuration found",
+    Status.PATH_BLOCKED: "no clear way found",
+    Status.QP_FAILED: "QP solver failed",
+}
 _MESSAGES = {
     Status.TRACKED: "tracked by step QPs",
     Status.TRACKED_AFTER_ESCAPE: "tracked after an escape",
@@ -74,11 +86,25 @@ class Way(enum.IntEnum):
     ELSEWHERE = 5
 
     @property
+    def words(self) -> str:
+        """The name of the result in tables."""
+        return _WAY_WORDS[self]
+
+    @property
     def message(self) -> str:
         """One sentence for a person."""
         return _WAYS[self]
 
 
+_WAY_WORDS = {
+    Way.UNKNOWN: "not checked",
+    Way.PROVEN: "proven",
+    Way.COLLIDES: "blocked",
+    Way.LEAVES: "off path",
+    Way.TURNS_BACK: "turns back",
+    Way.OPEN: "undecided",
+    Way.ELSEWHERE: "wrong start",
+}
 _WAYS = {
     Way.UNKNOWN: "nobody looked, because the motion ends before",
     Way.PROVEN: "the arm is clear all along, and the tool keeps to its path",

@@ -1,5 +1,6 @@
 """Strict JAX for every test: no implicit promotion of ranks and dtypes; compiled programs are kept between runs."""
 
+import shutil
 import signal
 from pathlib import Path
 
@@ -19,6 +20,11 @@ hypothesis.settings.load_profile("patient")
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # in the background of a script, whose children would inherit it
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+BROWSERS = "chromium", "chromium-browser", "chromium-headless-shell", "google-chrome"
+REBOUND = "rebound.test"  # a name that the browser takes for this machine, as DNS may come to
+FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+FLAGS += [f"--host-resolver-rules=MAP {REBOUND} 127.0.0.1"]
+
 
 @pytest.fixture(autouse=True, scope="module")
 def forget_programs():
@@ -28,10 +34,18 @@ def forget_programs():
         jax.clear_caches()
 
 
+@pytest.fixture(autouse=True, scope="session")
+def no_lines_of_progress():
+    """What commands print does not depend on how busy the machine is."""
+    from htcp_jax.cli import output  # here, because what is imported before the tests has unchecked annotations
+
+    output.LINE_S = 3600.0
+
+
 @pytest.fixture(scope="session")
 def planned(tmp_path_factory):
     """The folder with a small real run, see small_run.py; not to be changed."""
-    from small_run import plan_small_run  # here, because what is imported before the tests has unchecked annotations
+    from small_run import plan_small_run
 
     return plan_small_run(tmp_path_factory.mktemp("planned"))
 
@@ -45,3 +59,16 @@ def screenless():
         offscreen.platform()
     except InputError as missing:
         pytest.skip(str(missing))
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A browser without a screen; skips the test where none is installed."""
+    driver = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed (extra `test`)")
+    found = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if found is None:
+        pytest.skip(f"no browser is installed (one of {', '.join(BROWSERS)})")
+    with driver.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=found, args=FLAGS)
+        yield browser
+        browser.close()

@@ -20,6 +20,7 @@ def plans_with(status: list[list[Status]], joints: int = 2, run_s: float = 1.0) 
         target=np.zeros((*shape, 3)),
         clearance=clearance,
         residual=clearance / 2,
+        orientation_error=np.full(shape, np.nan),
         status=status,
         iterations=np.ones(shape, int),
         joint_step=np.where(tracked, 0.25, np.nan),

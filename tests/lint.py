@@ -3,6 +3,10 @@
 **Imports.** A package imports from itself and from the packages before it in PACKAGES, at the top of a file or inside a
 function; no modules import one another in a circle. Each folder is one of these packages.
 
+**Files.** `formats/files.py` alone opens, reads and writes files: its readers take regular files of a bounded size and
+follow no link out of a folder, its writer replaces a file completely or not at all. Other modules make none of the
+calls in OPENS, except where OWN_FILES names them and says why.
+
 **Docstrings and shapes of public names.** Public is every function and class in `htcp_jax.__all__`, and every one
 without an underscore that a page under docs shows: `::: htcp_jax.x.y` shows y or, if y is a module, all of it except
 what `members` excludes. A function is complete when
@@ -33,12 +37,36 @@ PACKAGES = [  # from the bottom up
     *("validation", "viewer", "report", "cli"),
 ]
 ABOVE = {"api": "viewer", "__main__": "cli"}  # modules at the root that import from this package and those before it
+OPENS = re.compile(  # calls by the end of their names, which reach a file by its path
+    r"(^|\.)open$|\.(read_text|write_text|read_bytes|write_bytes|touch)$"
+    r"|^(np|pq|pa|json|trimesh|pickle)\.(load|loadtxt|genfromtxt|fromfile|save|savez|savez_compressed|savetxt|memmap|dump"
+    r"|read_table|read_schema|write_table|ParquetFile|ParquetWriter|OSFile|memory_map)$"
+    r"|^tempfile\.|^shutil\.(copy|copyfile|copy2|move)$|\.savefig$"
+)
+OWN_FILES = {  # modules that do it by themselves, and why that is safe
+    "formats.files": "the one",
+    "process_exit": "the processes of this one, in /proc",
+    "formats.parsers": "a process of its own with limits, see formats.scan",
+    "formats.scan": "reads what that process wrote into a folder that was made just now",
+    "jobs.examples": "files that ship with the package",
+    "cli.example": "the same, copied into a folder that was made just now",
+    "runs.lock": "the lock's file, without following a link",
+    "runs.provenance": "/proc/cpuinfo",
+    "runs.plan_folder": "files that a person names for the gate, and bytes in memory",
+    "planner.compile_cache": "the user's own cache",
+    "planner.processes": "a folder that was made just now",
+    "cli.main": "os.devnull",
+    "report.document": "a picture in memory",
+    "validation.mesh_clearance": "a mesh in memory",
+    "cli.robot": "a picture into a folder that was made just now",
+    "api": "the same",
+}
 FUNCTIONS = ast.FunctionDef, ast.AsyncFunctionDef
 MATHEMATICS = "equations", "mathematics"  # pages
 SHOWN = re.compile(r"^::: htcp_jax\.(\S+)\n((?: +.*\n?)*)", re.MULTILINE)
 MEMBERS = re.compile(r"members: \[([^\]]*)\]")
-UNIT_IN_NAME = re.compile(r"_(m|mm|rad|s|ms|m2|mm_s|share|rate)$")
-UNIT_TOLD = re.compile(r"\[[^\]]*\b(m|mm|rad|s|ms|m2|1|%)\b[^\]]*\]|\b(unit|percent|radians|metres|seconds)\b")
+UNIT_IN_NAME = re.compile(r"_(m|mm|rad|deg|s|ms|m2|mm_s|share|rate)$")
+UNIT_TOLD = re.compile(r"\[[^\]]*\b(m|mm|rad|deg|s|ms|m2|1|%)\b[^\]]*\]|\b(unit|percent|radians|metres|seconds)\b")
 WITH_UNIT = {"Joints", "Pose", "Vector3"}  # of types: [rad or m]; a frame in [m]; a point in [m]
 COUNTED = re.compile(r"^(num_.*|.*weights?|tracked|executable|population)$")
 SOURCE = re.compile(r"equation|Eq\.|section|Algorithm|paper|constraints\)|Rodrigues|Ericson", re.IGNORECASE)
@@ -50,7 +78,16 @@ NUMBERS = re.compile(r"\b(Float|float)\b")
 def faults(root: Path) -> list[str]:
     """Faults of a checkout, a line each."""
     incomplete_names = (f"{name}: {'; '.join(why)}" for name, why in incomplete(root).items() if why)
-    return [*import_faults(root / PACKAGE), *incomplete_names]
+    return [*import_faults(root / PACKAGE), *file_faults(root / PACKAGE), *incomplete_names]
+
+
+def file_faults(package: Path) -> Iterator[str]:
+    """Calls in a package's files that open, read or write a file in any other way than by `formats/files.py`."""
+    for file in sorted(package.rglob("*.py")):
+        name = _dotted(file.relative_to(package))
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if name not in OWN_FILES else ():
+            if isinstance(node, ast.Call) and OPENS.search(call := ast.unparse(node.func)):
+                yield f"{name}, line {node.lineno}: {call}; formats/files.py has what is needed"
 
 
 def import_faults(package: Path) -> Iterator[str]:

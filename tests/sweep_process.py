@@ -1,6 +1,7 @@
 """`htcp sweep` as a process of its own, to be killed: its folder, its command, what it leaves behind."""
 
 import os
+import re
 import subprocess
 import sys
 import time
@@ -43,9 +44,8 @@ def make_sweep(folder: Path) -> None:
 
 def command(out: str, *more: str) -> list[str]:
     """The command line of the sweep into `out`, a shard a scenario."""
-    code = "from htcp_jax.cli.main import main; raise SystemExit(main())"
     options = ["--methods", "baseline", "--shard", "1", "--out", out]
-    return [sys.executable, "-c", code, "sweep", "grid.yaml", *options, *more]
+    return [sys.executable, "-m", "htcp_jax", "sweep", "grid.yaml", *options, *more]
 
 
 def environment() -> dict[str, str]:
@@ -76,6 +76,11 @@ def wait_for_work(process: subprocess.Popen, run: Path) -> None:
 def finish(folder: Path, out: str, *more: str) -> subprocess.CompletedProcess:
     """The sweep, ended by itself."""
     return subprocess.run(command(out, *more), cwd=folder, env=environment(), capture_output=True, text=True)
+
+
+def without_progress(errors: str) -> list[str]:
+    """Lines on stderr but those of progress, whose number depends on how busy the machine is."""
+    return [line for line in errors.splitlines() if not re.search(r" [-\d]+:[-\d]{2}(:[-\d]{2})?$", line)]
 
 
 def rows(folder: Path) -> dict[str, bytes]:

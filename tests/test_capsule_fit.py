@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as of_numpy
 
-from htcp_jax.scene.capsule_fit import GRID_M, Capsule, clip, cover, fit_capsule, hull_volume
+from htcp_jax.scene.capsule_fit import GRID_M, Capsule, Cut, clip, cover, fit_capsule, hull_volume
 
 SHIFTED = trimesh.transformations.translation_matrix((0.25, 0, 0.25))
 SOLIDS = {  # of convex parts
@@ -29,7 +29,7 @@ def triangles_of(name: str) -> np.ndarray:
 
 @cache
 def covered(name: str, most: int) -> list[Capsule]:
-    return cover(triangles_of(name), most)
+    return [piece.capsule for piece in cover(triangles_of(name), most)]
 
 
 @pytest.mark.parametrize(("name", "most"), [*((name, 1) for name in SOLIDS), ("slab", 3), ("elbow", 3)])
@@ -97,7 +97,8 @@ def test_capsules_are_tight(name, most, ratio):
 )
 def test_a_plane_leaves_nothing_out(triangles, normal, offset):
     """What is on either side of it adds up to the whole, and stays on its side."""
-    halves = clip(triangles, normal, offset), clip(triangles, -normal, -offset)
+    cuts = Cut(tuple(normal.tolist()), offset), Cut(tuple((-normal).tolist()), -offset)
+    halves = [clip(triangles, cut) for cut in cuts]
     for half, sign in zip(halves, (1, -1), strict=True):
         assert (sign * (half @ normal - offset) <= 1e-12).all()
     flat = (triangles @ normal == offset).all(axis=1)  # in the plane: on both sides

@@ -58,7 +58,7 @@ def test_an_arm_of_one_s_own_keeps_clear_of_itself_and_the_gp50_where_it_is_aske
     assert load_config({"cell.self_collision": True}).cell.self_collision
     assert not load_config(own | {"cell.self_collision": False}).cell.self_collision
     (found,) = obstacles_of(load_config(own).cell, htcp_jax.load_robot(tmp_path / "arm.xml"))
-    assert len(found.pairs) == 5 and not obstacles_of(load_config().cell, made_once.robot())
+    assert len(found.pairs) == 9 and not obstacles_of(load_config().cell, made_once.robot())
 
 
 @pytest.fixture

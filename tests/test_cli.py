@@ -8,6 +8,7 @@ import pytest
 
 from htcp_jax.cli.main import main
 from htcp_jax.planner import batch
+from htcp_jax.process_exit import INTERRUPTED
 
 SHORT = ["--set", "workpiece.path=path.csv"]
 
@@ -103,7 +104,7 @@ def test_ctrl_c_leaves_nothing_behind(here, capsys, monkeypatch):
 
     monkeypatch.setattr(batch, "plan", interrupt)
     assert main(["plan", *SHORT, "--out", "out"]) == 130
-    assert capsys.readouterr().err == "htcp: interrupted; nothing was written\n"
+    assert capsys.readouterr().err == f"htcp: {INTERRUPTED}\n"
     assert not (here / "out").exists()
 
 

@@ -97,6 +97,7 @@ def test_an_obj_opens_no_other_file(tmp_path, monkeypatch):
         return open(name, *args, **kwargs)
 
     monkeypatch.setattr(io, "open", note)
+    monkeypatch.setattr(os, "open", lambda name, *rest, own=os.open: opened.append(str(name)) or own(name, *rest))
     load_cloud(file, spacing=0.5)
     assert opened == [str(file)]
 

@@ -81,14 +81,13 @@ def run(words: list[str]) -> int:
 
 
 def serve(words: list[str]) -> int:
-    """The exit code of a command that goes on until Ctrl-C, which comes once it serves."""
-    code = "import sys; from htcp_jax.cli.main import main; raise SystemExit(main(sys.argv[1:]))"
-    command = [sys.executable, "-u", "-c", code, *words[1:], "--port", "0"]
+    """The exit code of a command that goes on until Ctrl-C, which comes once it serves; 0 if that ends it."""
+    command = [sys.executable, "-u", "-m", "htcp_jax", *words[1:], "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert "http://" in process.stdout.readline()
         process.send_signal(signal.SIGINT)
         process.stdout.read()
-    return process.returncode
+    return process.returncode - 130
 
 
 def test_every_command_has_a_way_to_be_run():

@@ -183,7 +183,7 @@ def test_a_model_has_no_document_type_and_so_no_entities(tmp_path, outside, name
         ("<worldbody>", '<custom><numeric name="n" size="2000000000"/></custom><worldbody>', "has a size over 1,000"),
         ("<worldbody>", "<worldbody>" + "<body/>" * 50_000, "more than 50,000 elements"),
         ("<worldbody>", "<worldbody>" + "<body>" * 2_000 + "</body>" * 2_000, "nested more than 200 deep"),
-        ("<worldbody>", f"<!--{'x' * 11_000_000}--><worldbody>", "bytes; a model has at most 10,485,760"),
+        ("<worldbody>", f"<!--{'x' * 11_000_000}--><worldbody>", "bytes; at most 10,485,760 are read"),
         ("<worldbody>", '<extension><plugin plugin="../evil.so"/></extension><worldbdy>', "mismatched tag"),
     ],
 )
@@ -219,7 +219,7 @@ def plan_folder(tmp_path: Path, **arrays) -> Path:
 
 def test_a_pickle_among_a_plans_arrays_is_never_run(tmp_path):
     folder = plan_folder(tmp_path, clearance=np.full(3, Bomb(), object))
-    refused("is damaged", read_results, folder)
+    refused("numbers are needed", read_results, folder)
 
 
 def test_a_mesh_that_names_a_file_outside_does_not_open_it(tmp_path, outside):

@@ -44,6 +44,17 @@ def test_an_import_that_runs_the_wrong_way_is_found(package, files, message):
 
 
 @pytest.mark.parametrize(
+    "call",
+    ["open('a')", "a.read_text()", "a.write_bytes(b'')", "np.load('a')", "pq.read_table('a')", "a.open('w')"],
+)
+def test_a_file_opened_by_other_means_than_the_one_reader_is_found(package, call):
+    (package / "htcp_jax/made.py").write_text('def f():\n    """Nothing."""\n')
+    (package / "htcp_jax/runs").mkdir()
+    (package / "htcp_jax/runs/a.py").write_text(f"def g(a):\n    return {call}\n")
+    assert [fault.startswith("runs.a, line 2: ") for fault in faults(package)] == [True]
+
+
+@pytest.mark.parametrize(
     ("source", "lacks"),
     [
         ("def f(length_m: float) -> int:\n    '''The count.'''", ""),

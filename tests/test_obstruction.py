@@ -88,10 +88,23 @@ def test_the_sentence_tells_how_deep_how_free_or_how_far_off(scenario, workpiece
     found = obstruction(robot(), workpiece, scenario, np.array(START), 80, SETTINGS)
     known = found._replace(body="spindle", point=np.array([0.81, 0.1, 0.42]), reached=True)
     inside = known._replace(depth_m=0.0032).description
-    assert inside == "spindle is 3.2 mm inside the workpiece at (0.81, 0.10, 0.42) m there"
-    assert "spindle is nearest to the workpiece, 3.2 mm clear of it at" in known._replace(depth_m=-0.0032).description
+    assert inside == "capsule spindle is 3.2 mm inside the workpiece at (0.81, 0.10, 0.42) m there"
+    assert (
+        "capsule spindle is nearest to the workpiece, 3.2 mm clear of it at"
+        in known._replace(depth_m=-0.0032).description
+    )
     off = known._replace(reached=False, residual_m=0.054)
     assert off.description == "the arm comes only to within 54 mm of it"
+
+
+def test_a_body_that_is_clear_of_everything_is_no_cause(scenario, workpiece):
+    """Rough P1: bodies were counted as in the way that are 41 to 75 mm clear."""
+    found = obstruction(robot(), workpiece, scenario, np.array(START), 80, SETTINGS)
+    known, ended = found._replace(body="spindle", reached=True), Status.QP_INFEASIBLE.ended
+    assert known._replace(depth_m=0.003).cause(ended) == "spindle"
+    assert known._replace(depth_m=-0.041).cause(ended) == "step QP infeasible"
+    assert known._replace(depth_m=-0.041).description.startswith("no body collides")
+    assert known._replace(depth_m=0.003, reached=False).cause(ended) == "out of reach"
 
 
 def test_a_target_out_of_reach_says_by_how_much(scenario, workpiece):

@@ -1,6 +1,7 @@
 """`htcp place` from the command line: bad input is one line, code 2 and nothing written; no mounting is code 3."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -68,13 +69,27 @@ def test_where_every_start_collides_the_body_is_named_and_nothing_is_left(here, 
 
 def test_without_a_mounting_it_exits_with_3_and_says_which_seam_prevents_the_best(here, capsys):
     (here / "behind.csv").write_text("0.6,-0.1737,0.1708\n0.61,-0.1738,0.1705\n")
-    text = "place: {workpiece.shift_m.x: [-0.1, 0.1]}\nseams: [path.csv, behind.csv]\nconfirm: keep-clear"
+    planners = "screen: keep-clear\nconfirm: keep-clear"
+    text = f"place: {{workpiece.shift_m.x: [-0.1, 0.1]}}\nseams: [path.csv, behind.csv]\n{planners}"
     assert place(text) == 3
     output = " ".join(capsys.readouterr().out.split())
     assert "1 of 2 seams; prevented by behind (" in output and "path 2, behind 0" in output
     assert place(text, "--json") == 3
     told = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert told["ranked"] == [] and told["seams"]["path"] == {"complete": 2, "in_the_best": 1.0}
+
+
+def test_the_number_of_plans_is_printed_first_and_the_command_that_plans_the_best_last(here, capsys):
+    """Rough P4: 150 scenarios became 1,454 plans without a word. P2: the printed names are refused by `plan`."""
+    assert place("place: {workpiece.shift_m.x: [-0.1, 0.1]}\nbest: 1", "--scenarios", "2") == 0
+    output = capsys.readouterr().out
+    most = int(re.match(r"up to ([\d,]+) plans: 8 to search, 7 to confirm, ", output)[1].replace(",", ""))
+    made = [json.loads(file.read_text())["shards"] for file in (here / "out").rglob("manifest.json")]
+    assert sum(shard["last"] - shard["first"] + 1 for shards in made for shard in shards) <= most + 1  # the ranked one
+    (command,) = (line.split()[1:] for line in output.splitlines() if line.startswith("plan "))
+    clearance = re.search(r"\n +1 +\S+ +(\S+)", output)[1]
+    assert main([*command[1:], "--json"]) == 0
+    assert clearance == f"{json.loads(capsys.readouterr().out)['motion']['clearance_m'] * 1e3:.3g}"
 
 
 def test_another_search_is_kept_out_of_a_folder(here, capsys):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from made_plan import made_plan
 
+import htcp_jax
 from htcp_jax.cli.main import main
 from htcp_jax.program.limits import joint_limits
 from htcp_jax.program.of_plan import program_of
@@ -20,7 +21,10 @@ from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY, write_json
 from htcp_jax.scene.kinematics import capsules_and_tcp, tcp_pose
 from htcp_jax.scene.robot_file import gp50
 from htcp_jax.status import Kind
+from htcp_jax.validation.records import read_results
 from htcp_jax.validation.timed_check import check_timed
+from htcp_jax.validation.track import scene_of
+from htcp_jax.validation.validate import parts_of
 
 STEP_S = 1e-3
 ROUNDING = 1e-6  # of a limit: third differences of doubles over 1 ms
@@ -274,3 +278,53 @@ def test_what_is_wrong_is_one_line_that_names_it_exit_2_and_no_file(plans, here,
 def test_a_plan_that_is_not_executable_says_how_far_it_is(plans, here, capsys):
     assert main(["program", str(plans / "bad"), "--feed", "20mm/s", "--out", "weld.csv"]) == 2
     assert "a motion leads to 0 of 10 targets" in capsys.readouterr().err and not list(here.iterdir())
+
+
+@pytest.mark.parametrize("self_collision", [False, True])
+def test_the_check_says_of_every_posture_what_measuring_each_says(plans, here, self_collision):
+    """T11: most postures are decided by how far the arm has moved; where it swings into the part and out of its limits,
+    too."""
+    folder = changed(plans, here / "other", cell={"self_collision": self_collision})
+    timed = program_of(open_plans(folder), 0.05).program.timed(2e-3)
+    swing = np.sin(np.linspace(0, 6 * np.pi, len(timed.x)))[:, None] * np.array([0.5, 0.2, 0.3, 0.4, 1.5, 0.5])
+    results = read_results(folder)
+    (track,) = results.tracks
+    scene = scene_of(results, *parts_of(results, track), track)[0]
+    touched = []
+    for share in (0.0, 0.02, 1.0):
+        moved = timed._replace(x=timed.x + share * swing)
+        found, each = check_timed(folder, moved, "roadmap"), scene.at(moved.x).clearance
+        assert found.clearance_min_m == pytest.approx(each.min(), abs=1e-12)
+        np.testing.assert_array_equal(found.touches, each <= 0)
+        touched.append(int(found.touches.sum()))
+    assert touched[0] == 0 < touched[2] < len(timed.x)
+
+
+WEAK = """<mujoco model="arm"><compiler angle="radian"/><worldbody>
+<body name="a"><joint name="j1" axis="0 1 0" range="-3 3" actuatorfrcrange="{0} {1}"/>
+<inertial pos=".3 0 0" mass="3" diaginertia=".1 .1 .1"/><geom type="capsule" size=".03" fromto="0 0 0 .6 0 0"/>
+<body name="b" pos=".6 0 0"><joint name="j2" axis="0 1 0" range="-3 3"/>
+<inertial pos=".2 0 0" mass="2" diaginertia=".1 .1 .1"/><geom type="capsule" size=".03" fromto="0 0 0 .5 0 0"/>
+<body name="c" pos=".5 0 0"><joint name="j3" axis="0 0 1" range="-3 3"/>
+<inertial pos=".05 0 0" mass="1" diaginertia=".1 .1 .1"/><geom type="capsule" size=".02" fromto="0 0 0 .1 0 0"/>
+<site name="tcp" pos=".1 0 0"/></body></body></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(("effort", "flags", "code"), [(1, [], 3), (1, ["--allow-effort"], 0), (1e3, [], 0)])
+def test_an_effort_beyond_its_limit_is_a_warning_and_exit_3_unless_it_is_allowed(here, capsys, effort, flags, code):
+    """T11: `torque 163.5 % of the effort limit` came with exit 0 and no warning."""
+    (here / "arm.xml").write_text(WEAK.format(-effort, effort))
+    start = [0.3, 0.6, 0.2]
+    robot = htcp_jax.load_robot(here / "arm.xml")
+    xs = np.array(start) + np.array([[0.0, 0, 0], [0.02, -0.02, 0.02], [0.04, -0.04, 0.04]])
+    path = np.array([np.asarray(tcp_pose(robot, jnp.asarray(x)))[:3, 3] for x in xs])
+    np.savetxt(here / "path.csv", path, delimiter=",")
+    job = {"robot": {"model": "arm.xml"}, "start_rad": start, "workpiece": {"cloud": "none", "path": "path.csv"}}
+    job |= {"program": {"velocity": [1, 1, 1]}}
+    (here / "job.yaml").write_text(json.dumps(job))
+    assert main(["plan", "job.yaml", "--out", "plan"]) == 0
+    capsys.readouterr()
+    assert main(["program", "plan", "--feed", "20mm/s", "--out", "a.csv", *flags]) == code
+    err = capsys.readouterr().err
+    assert (here / "a.csv").exists() and err.count("\n") == (effort == 1)
+    assert effort > 1 or ("of the effort limit" in err and "j1" in err)

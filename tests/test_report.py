@@ -3,18 +3,21 @@
 import csv
 import json
 import re
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
 from hand_made import plans_with
+from markdown_it import MarkdownIt
 
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.examples import examples
 from htcp_jax.planner import batch
 from htcp_jax.planner.motion import MotionFigures
+from htcp_jax.planner.obstruction import Obstruction
 from htcp_jax.report import paper, tables
 from htcp_jax.report.best import best
 from htcp_jax.report.cell import RunScene
@@ -22,7 +25,7 @@ from htcp_jax.report.chapter import chapter, choice, facts, label, tables_of
 from htcp_jax.report.document import Column, Heading, Table, html, markdown
 from htcp_jax.report.groups import read_parts
 from htcp_jax.report.motions import meaning, motions
-from htcp_jax.report.report import make_report, overview
+from htcp_jax.report.report import make_report, overview, write_report
 from htcp_jax.runs.reachability_file import REACHABILITY
 from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.sweep import sweep
@@ -81,6 +84,29 @@ def folder(tmp_path_factory):
             (place / f"{name}.yaml").write_text(f"config: {config}.yaml\n{text}\n")
             sweep(f"{name}.yaml", "baseline,hybrid", place / name)
     return place
+
+
+HOSTILE = '<img src=x onerror="owned=1">', "[x](https:x)", "![x](x)", "<script>owned=1<!", "`_*x*_` | &amp;"
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_no_script_in_the_name_of_a_run_runs_in_its_report(folder, tmp_path, browser, name):
+    """Rough: in the Markdown, headings and paragraphs held names as they were."""
+    shutil.copytree(folder / "one", tmp_path / name)
+    report = make_report(tmp_path / name)
+    write_report(report, tmp_path)
+    blocks = MarkdownIt().enable("table").parse((tmp_path / "report.md").read_text())
+    found = [token for block in blocks for token in (block, *(block.children or ()))]
+    assert not {token.type for token in found} & {"html_block", "html_inline", "link_open", "code_inline", "em_open"}
+    assert {token.attrs["src"] for token in found if token.type == "image"} == {
+        f"{each}.png" for each in report.figures
+    }
+    assert "".join(each.content for each in blocks[1].children) == f"Sweep report: {name}"
+    page = browser.new_page()
+    page.goto((tmp_path / "report.html").as_uri())
+    assert page.locator("h1").inner_text() == f"Sweep report: {name}"
+    assert page.locator("[src=x], [onerror], script, a").count() == 0 and page.evaluate("window.owned") is None
+    page.close()
 
 
 def part_of(folder, name: str):
@@ -226,6 +252,44 @@ def test_the_stops_say_which_bodies_are_in_the_way(folder):
     assert sum(counts) == row["scenarios"] and counts == sorted(counts, reverse=True)
 
 
+class _Found:
+    """The scene of a run: a body is inside the workpiece at the failed target of scenario 1 alone."""
+
+    problem = ""
+
+    def in_the_way(self, method):
+        one = Obstruction("spindle", np.zeros(3), 0.002, 0.0, True, np.zeros(6))
+        return {number: one if number == 1 else one._replace(depth_m=-0.041) for number in range(49)}
+
+    def picture(self, number, method, title):
+        return None
+
+
+def test_a_body_counts_as_colliding_only_where_it_collides_and_else_the_end_of_the_search_is_told(folder):
+    """Rough P1: `QP infeasible ... capsule_6b (5)`, which scenarios.csv called 41 to 75 mm clear."""
+    part = replace(part_of(folder, "poses"), scene=_Found())
+    (row,) = tables.stops(part).records()
+    assert row["in_the_way"] == f"none: step QPs out of iterations ({row['scenarios'] - 1}), spindle (1)"
+    told = [each["in_the_way"] for each in tables.scenarios(part).records()]
+    assert sum(text.startswith("no body collides") for text in told if text) == 2 * 48
+
+
+def test_tracked_targets_that_are_not_executable_are_counted_by_the_result_of_the_motion_check(folder):
+    """Rough P1: 426 tracked, 232 executable, and no word why."""
+    part = part_of(folder, "poses")
+    plans = part.plans["baseline"]
+    way = plans.way.copy()
+    way[0, 1], way[1, 1] = Way.TURNS_BACK, Way.OPEN
+    part = replace(part, plans={"baseline": plans._replace(way=way)})
+    table = tables.motion_ends(part)
+    rows = {row["reason"]: row for row in table.records()}
+    (result,) = tables.results(part).records()
+    assert set(rows) == {"blocked", "turns back", "undecided"}
+    assert rows["turns back"]["scenarios"] == rows["undecided"]["scenarios"] == 1
+    assert sum(row["targets"] for row in rows.values()) == result["tracked"] - result["executable"]
+    assert table in chapter(part, tables_of(part) | {table.name: table}, "", 2)
+
+
 def test_a_study_with_a_scene_of_its_own_is_not_compared_with_the_paper_s(folder):
     """Rough: 15 rows compared a study of another arm and part with duct.yaml and paper.yaml."""
     names = [block.name for block in make_report([folder / "one"]).blocks if isinstance(block, Table)]
@@ -325,7 +389,7 @@ def test_the_command_prints_the_table_and_writes_a_report_that_stands_alone(fold
         (base, hybrid) = csv.DictReader(stream)
     assert float(base["success_percent"]) == 100 * 5073 / 5145 and float(hybrid["success_percent"]) == 100
     assert sorted(file.name for file in (tmp_path / "report").glob("*.csv")) == [
-        "best.csv", "joint-steps.csv", "motions.csv", "paper.csv", "results.csv", "scenarios.csv",
+        "best.csv", "joint-steps.csv", "motion-ends.csv", "motions.csv", "paper.csv", "results.csv", "scenarios.csv",
         "stops.csv", "times.csv",
     ]  # fmt: skip
 

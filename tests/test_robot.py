@@ -413,7 +413,7 @@ def test_missing_file(tmp_path):
 
 
 def test_folder_instead_of_a_file(tmp_path):
-    with pytest.raises(InputError, match="not a file; a model is an MJCF or URDF file"):
+    with pytest.raises(InputError, match="not a regular file"):
         load_robot(tmp_path)
 
 

@@ -127,6 +127,18 @@ def test_a_step_part_is_a_mesh_like_any_other(tmp_path):
     assert len(points) > 1000 and np.abs(outside).max() < 5e-5
 
 
+@pytest.mark.parametrize(
+    ("old", "new"), [(b"COUNT 1 1 1", b"COUNT 1 1 1000000000"), (b"POINTS 40", b"POINTS 4000000000")]
+)
+def test_a_pcd_that_promises_more_than_it_can_hold_is_refused_before_it_is_laid_out(tmp_path, monkeypatch, old, new):
+    """T6: 200 bytes that promise 1e9 columns took 3.9 GB and 53 s."""
+    file = pcd(tmp_path / "scan.pcd")
+    assert old in file.read_bytes()
+    file.write_bytes(file.read_bytes().replace(old, new).replace(b"WIDTH 40", b"WIDTH 4000000000"))
+    monkeypatch.setattr(scan, "MEMORY", 2**30)
+    assert "do not fit into" in refusal(file)
+
+
 @pytest.mark.parametrize("ending", WRITE)
 def test_without_the_extra_one_line_says_how_to_get_it(tmp_path, monkeypatch, capsys, ending):
     """Rough: No STEP; scan formats: the extra is named, exit code 2."""

@@ -148,24 +148,45 @@ CHAIN = """<mujoco><worldbody>
   </body></body></body></body></worldbody>{more}</mujoco>"""
 
 
+RADIAN = '<compiler angle="radian"/>'  # else a joint turns by 2 degrees
+
+
+def named(robot, pairs) -> list[str]:
+    return ["".join(robot.capsule_names[k] for k in pair[:2]) for pair in pairs]
+
+
 @pytest.mark.parametrize(
-    ("size", "more", "pairs", "overlapping"),
+    ("size", "more", "pairs", "excluded"),
     [
-        (0.1, "", ["CA", "DA", "DB", "EA", "EB"], []),
-        (0.1, '<contact><exclude body1="d" body2="a"/></contact>', ["CA", "DB", "EB"], []),
-        (0.52, "", ["DA", "DB", "EA", "EB"], ["CA"]),
-        (0.1, '<keyframe><key qpos="0 0 0 2.9" ctrl="1"/></keyframe>', ["CA", "DA", "DB", "EA"], ["EB"]),
+        (0.1, "", "BA CA CB DA DB DC EA EB EC", {}),
+        (0.1, '<contact><exclude body1="d" body2="a"/></contact>', "BA CA CB DB DC EB EC", {"DA": "a", "EA": "a"}),
+        (0.25, "", "BA CA DA DB EA EB EC", {"CB": "b", "DC": "b"}),
+        (0.45, RADIAN, "BA CA DA DB EA EB", {"CB": "b", "DC": "b", "EC": "c"}),
+        (0.1, '<keyframe><key qpos="0 0 0 2.9" ctrl="1"/></keyframe>', "BA CA CB DA DB DC EA EB EC", {}),
     ],
 )
-def test_pairs_are_those_that_may_meet_and_are_not_drawn_as_one(size, more, pairs, overlapping, tmp_path):
-    """Not neighbours, not what the file excludes, not what overlaps at zero or a keyframe: there E comes back to B."""
+def test_pairs_are_checked_unless_the_model_excludes_them_or_they_nearly_always_overlap(
+    size, more, pairs, excluded, tmp_path
+):
+    """Overlap at zero or at a keyframe decides nothing: C of 0.45 m overlaps A where the chain is straight, and E comes
+    back to B in the keyframe."""
     file = tmp_path / "chain.xml"
     file.write_text(CHAIN.format(size=size, more=more))
     robot = load_robot(file)
     own = self_collision(robot)
-    named = [["".join(robot.capsule_names[k] for k in pair) for pair in each] for each in (own.pairs, own.overlapping)]
-    assert named == [pairs, overlapping]
-    assert own.described(robot).startswith(f"{len(pairs)} pairs of bodies")
+    assert named(robot, own.pairs) == pairs.split()
+    assert dict(zip(named(robot, own.excluded), [each.rule for each in own.excluded], strict=True)) == excluded
+    assert own.described(robot).startswith(f"{len(own.pairs)} pairs of bodies")
+
+
+def test_without_meshes_adjacent_links_that_overlap_in_some_configurations_are_not_checked(tmp_path):
+    """G overlaps A where joint 2 is folded far enough; the same capsule two links out is checked."""
+    folded = '<geom name="G" type="sphere" size="0.05" pos="0.25 0.05 0"/>'
+    own = CHAIN.replace('<body name="c"', folded + '<body name="c"').replace('range="-2 2"', 'range="-2.9 2.9"')
+    (tmp_path / "chain.xml").write_text(own.format(size=0.1, more=RADIAN))
+    robot = load_robot(tmp_path / "chain.xml")
+    rules = dict(zip(named(robot, self_collision(robot).excluded), self_collision(robot).excluded, strict=True))
+    assert rules["GA"].rule == "c" and 0 < rules["GA"].share < 0.5 and "EB" not in rules
 
 
 def test_of_several_bodies_on_a_link_the_nearest_decides(tmp_path):
@@ -174,7 +195,8 @@ def test_of_several_bodies_on_a_link_the_nearest_decides(tmp_path):
     more = [f'<geom name="{name}" type="sphere" size="0.1" pos="0 {y} 0"/>' for name, y in (("F", 0.3), ("G", -0.3))]
     (tmp_path / "chain.xml").write_text(CHAIN.format(size=0.1, more="").replace(first, "".join([first, *more])))
     robot, where = load_robot(tmp_path / "chain.xml"), made_once.nominal()
-    own, radius = self_collision(robot), np.asarray(robot.capsule_radius)
+    link, radius = robot.capsule_link, np.asarray(robot.capsule_radius)
+    own = SelfCollision(tuple(pair for pair in self_collision(robot).pairs if link[pair[0]] > link[pair[1]] + 1))
     rows = own.rows(robot)
     assert len(own.pairs) == 11 and len(rows.body) == 5 and set(rows.other) == {0, 1}
     for x in map(jnp.asarray, np.random.default_rng(0).uniform(-2, 2, (10, 4))):
@@ -184,22 +206,22 @@ def test_of_several_bodies_on_a_link_the_nearest_decides(tmp_path):
             others = [b for a, b in own.pairs if a == body and robot.capsule_link[b] == link]
             each = [np.linalg.norm(p[body] - p[b]) - radius[body] - radius[b] for b in others]
             np.testing.assert_allclose(found[row], min(each), atol=1e-12)
-            assert own.hit(robot, row, *ends) == robot.capsule_names[others[int(np.argmin(each))]]
+            assert own.hit(robot, row, *ends) == f"capsule {robot.capsule_names[others[int(np.argmin(each))]]}"
 
 
-def test_what_may_touch_and_how_it_is_drawn_is_handed_on_to_an_imported_arm(tmp_path):
-    more = '<contact><exclude body1="d" body2="a"/></contact><keyframe><key qpos="0 0.1 0 2.9"/></keyframe>'
+def test_what_a_model_excludes_is_handed_on_to_an_imported_arm(tmp_path):
+    more = '<contact><exclude body1="d" body2="a"/></contact>'
     (tmp_path / "chain.xml").write_text(CHAIN.format(size=0.1, more=more))
     (tmp_path / "arm.xml").write_text(arm_xml(import_robot(tmp_path / "chain.xml"), "chain.xml"))
     there, here = (load_robot(tmp_path / name) for name in ("chain.xml", "arm.xml"))
-    assert there.excluded == here.excluded == ((0, 3), (0, 4)) and there.keyframes == here.keyframes
+    assert named(there, there.exclusions) == named(here, here.exclusions) == ["DA", "EA"]
     assert self_collision(there) == self_collision(here)
 
 
 def test_an_arm_of_neighbours_alone_has_nothing_to_keep_apart(tmp_path):
     file = tmp_path / "short.xml"
     body = '<body pos="0 0 {}"><joint axis="0 1 0" range="-2 2"/>{}'
-    parts = [body.format(0, ""), body.format(0.2, '<geom type="sphere" size="0.05"/>'), body.format(0.2, "")]
-    end = '<geom type="sphere" size="0.05"/><site name="tcp"/>' + "</body>" * 3
+    parts = [body.format(0, ""), body.format(0.2, '<geom type="sphere" size="0.15"/>'), body.format(0.2, "")]
+    end = '<geom type="sphere" size="0.15"/><site name="tcp"/>' + "</body>" * 3
     file.write_text(f"<mujoco><worldbody>{''.join(parts)}{end}</worldbody></mujoco>")
     assert self_collision(load_robot(file)) is None

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import subprocess
 import time
 import warnings
@@ -11,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from sweep_process import COLD, HALF, SHARDS, finish, make_sweep, plan_half, rows, start
+from sweep_process import COLD, HALF, SHARDS, finish, make_sweep, plan_half, rows, start, without_progress
 
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
@@ -102,7 +103,7 @@ def test_the_command_on_ray_prints_what_it_prints_without_and_nothing_else(here,
     """On a new Ray of this machine, by the command; it prints what it prints without Ray, and nothing else."""
     done = finish(here, "run", "--on", "ray:local")
     assert done.returncode == 0, done.stderr
-    assert done.stderr == "" and done.stdout.splitlines()[0] == "grid"
+    assert without_progress(done.stderr) == [] and done.stdout.splitlines()[0] == "grid"
     assert rows(here / "run") == undisturbed
 
 
@@ -111,12 +112,32 @@ def test_the_command_on_ray_prints_what_it_prints_without_and_nothing_else(here,
     [
         ("cluster", "on is 'cluster'; valid: here, ray, ray:<address of a cluster>"),
         ("ray:nowhere", "cannot reach Ray at nowhere: "),
+        ("ray:999.0.0.1:99999", "cannot reach Ray at 999.0.0.1:99999: "),
     ],
 )
 def test_a_place_that_is_none_is_one_line(here, capsys, on, line):
     assert main(["sweep", "grid.yaml", "--on", on, "--out", "run"]) == 2
     assert line in (errors := capsys.readouterr().err) and errors.count("\n") == 1
     assert not (here / "run").exists()
+
+
+def test_a_cluster_that_takes_connections_and_never_answers_is_one_line(here, capsys):
+    with socket.create_server(("", 0)) as silent:
+        port = silent.getsockname()[1]
+        assert main(["sweep", "grid.yaml", "--on", f"ray:127.0.0.1:{port}", "--out", "run"]) == 2
+    assert capsys.readouterr().err == f"htcp: cannot reach Ray at 127.0.0.1:{port}: timed out\n"
+    assert not (here / "run").exists()
+
+
+@pytest.mark.slow
+def test_a_cluster_that_is_started_here_listens_to_this_machine_alone_and_requires_a_token(here):
+    seen = []
+
+    def look(_) -> None:
+        seen.append((ray.nodes()[0]["NodeManagerAddress"], os.environ["RAY_AUTH_MODE"]))
+
+    sweep("grid.yaml", "baseline", on="ray:local", finished=look)
+    assert seen == [("127.0.0.1", "token")]
 
 
 def test_a_device_beside_ray_and_gpus_that_this_machine_has_not_are_one_line(here, capsys, one_worker):

@@ -1,6 +1,7 @@
 """Validation: what is right validates, what is wrong is refuted and named, and no point is left out unmeasured."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -9,14 +10,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from small_run import LONGER, spoil
+from stranger_jobs import box_job
 
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
+from htcp_jax.jobs.build import part_of, robot_of, workpiece_of
+from htcp_jax.jobs.load_config import load_config
 from htcp_jax.report.document import markdown
 from htcp_jax.report.report import make_report
 from htcp_jax.report.validation import notes, read_validation, validated, verdict
 from htcp_jax.runs.plan_folder import VALIDATION
 from htcp_jax.runs.run_folder import open_run
+from htcp_jax.runs.sweep import sweep
 from htcp_jax.scene.kinematics import capsule_segments, tcp_position
 from htcp_jax.scene.robot import GP50, Robot, lengthen_tool
 from htcp_jax.scene.robot_file import gp50, load_robot
@@ -86,6 +91,21 @@ def test_a_run_validates_and_the_report_says_so(run, capsys):
     )
     told = f"Validated: MuJoCo refutes none of {checked} tracked targets; {touching} of the {paths} joint paths between"
     assert "## Validation" in text and told in text
+
+
+def test_a_mesh_has_both_distances_and_a_long_check_is_announced(tmp_path, monkeypatch, capsys):
+    """Rough P6: 6.99 mm by validate where sweep and report print 2 mm, and ten minutes without a word."""
+    job, run = box_job(tmp_path), tmp_path / "run"
+    sweep({"grid": [{"workpiece.shift_m": [[0, 0, 0.1], [0, 0, 0.12]]}]}, ["baseline"], run, config=job)
+    monkeypatch.setattr("htcp_jax.cli.validate.WORTH_SAYING_S", 0)
+    assert main(["validate", str(run), "--between", "0"]) == 0
+    output = capsys.readouterr()
+    assert "less cover" in output.out and re.match(r"about [\d,]+ s for 2 plans", output.err)
+    one = json.loads((run / VALIDATION).read_text())["methods"]["baseline"]
+    cover = 1e3 * workpiece_of(part_of(load_config(job)), robot_of(load_config(job).robot)).covering_radius_m
+    recorded = 1e3 * np.nanmin(open_run(run).plans("baseline").clearance)
+    np.testing.assert_allclose(one["clearance_less_cover_min_mm"], one["clearance_min_mm"] - cover)
+    assert one["clearance_less_cover_min_mm"] <= recorded + 1e-6 < one["clearance_min_mm"]
 
 
 def test_a_report_does_not_call_other_results_validated_than_those_that_were(run):

@@ -4,6 +4,7 @@ behind. Whoever finds another one adds it here."""
 import os
 import shlex
 import shutil
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -29,6 +30,10 @@ URDF = """<robot name="lifter"><link name="l0"><collision><geometry><sphere radi
 <joint name="j2" type="revolute"><parent link="l1"/><child link="l2"/><limit lower="-1" upper="1" velocity="2"/></joint>
 <joint name="j3" type="revolute"><parent link="l2"/><child link="l3"/><limit lower="-1" upper="1" velocity="3"/></joint>
 </robot>"""
+FACES = (
+    "ply\nformat {} 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
+)
 BASELINE = str(Path(__file__).parents[1] / "sweeps" / "baselines" / "workpiece.yaml")
 GRID = {"grid.yaml": "grid: [margin_m: [0]]"}
 HUGE = "grid: [" + ", ".join(f"start_rad.{k}: [" + ", ".join(["0"] * 11) + "]" for k in range(1, 7)) + "]"
@@ -127,6 +132,10 @@ RANGES = [
     setting("settings.j1_weight=1e9", "settings.j1_weight is 1000000000.0; at most"),
     setting("settings.q_weights=[1, 1, 1, 1, 1, 1e9]", "settings.q_weights is 1000000000.0; at most"),
     setting("settings.q_weights=[1, 1, 1, 1, 1, 0]", "settings.q_weights must be more than zero"),
+    setting("settings.q_weights=[1e-320, 1, 1, 1, 1, 1]", "settings.q_weights is 1e-320; at least 1e-15"),
+    setting(
+        "workpiece.mesh_spacing_m=1e-12", "workpiece.mesh_spacing_m is 1e-12: input should be greater than or equal"
+    ),
     setting("settings.q_weights=[]", "q_weights has 0 values, the robot gp50 has 6 joints"),
     setting("settings.q_weights=[1, 1]", "q_weights has 2 values, the robot gp50 has 6 joints"),
     setting("settings.path_weights=[1, 1]", "path_weights has 2 values, the robot gp50 has 6 joints"),
@@ -325,6 +334,28 @@ COMMANDS = [
     Wrong(["program", "nowhere", "--feed", "20", "--out", "a.csv"], "feed '20' is no speed above 0 with a unit, as 20"),
     Wrong(["program", "nowhere", "--feed", "infm/s", "--out", "a.csv"], "units: mm/s, m/s, mm/min, m/min"),
     Wrong(
+        ["program", "nowhere", "--feed", "1e308m/s", "--out", "a.csv"], "feed '1e308m/s' is 1e+308 m/s; valid: 1e-09"
+    ),
+    Wrong(
+        ["sweep", "grid.yaml", "--limit", "9" * 20], "limit is 99999999999999999999; it must be 1 or more, and", GRID
+    ),
+    Wrong(["reachability", "grid.yaml", "--limit", "9" * 20], "limit is 99999999999999999999; valid: 1 to 1,000", GRID),
+    Wrong(
+        ["plan", "job.yaml", "--method", "baseline"],
+        "job.yaml: method is '../../etc/passwd'; names are small letters, digits and hyphens",
+        {"job.yaml": "method: ../../etc/passwd"},
+    ),
+    Wrong(
+        ["place", "place.yaml", "--out", "out"],
+        "place: workpiece.shift_m.x: the range is [0, 1e+308]; valid: -1e+06 to 1e+06",
+        {"place.yaml": "place: {workpiece.shift_m.x: [0, 1e308]}"},
+    ),
+    Wrong(
+        ["plan", "--set", "robot.model=far.xml", "--set", "start_rad=[0, 0, 0]"],
+        "far.xml: a number of the model is 1e+308 (T_parent_joint); at most 1e+09 m",
+        {"far.xml": ARM.replace('pos="1 0 0"', 'pos="1e308 0 0"')},
+    ),
+    Wrong(
         ["program", "nowhere", "--feed", "20mm/s", "--out", "a.src", "--format", "krl"],
         "'krl' is no format of a program; valid: csv, ros, ros-json, jbi, jbi-pulses, urscript, keyframes",
     ),
@@ -403,6 +434,17 @@ CLOUDS = [
     cloud("a.npy", b"\x93NUMPY", ""),
     cloud("a.npy", b"no array at all", ""),
     cloud("a.ply", b"", ""),
+    cloud(
+        "a.ply",
+        FACES.format("ascii") + "0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n255 0 1 2\n",
+        "face 2 has 3 corners in place of 255",
+    ),
+    cloud(
+        "a.ply",
+        FACES.format("binary_little_endian").encode()
+        + struct.pack("<9fB3iB3i", 0, 0, 0, 1, 0, 0, 0, 1, 0, 3, 0, 1, 2, 255, 0, 1, 2),
+        "face 2 has 3 corners in place of 255",
+    ),
     cloud("a.ply", b"ply\nformat ascii 1.0\nend_header\n", ""),
     cloud("a.ply", b"ply\nformat ascii 1.0\nelement vertex 9\nproperty float x\n", ""),
     cloud("a.stl", b"", ""),
@@ -468,7 +510,7 @@ ARMS = [
     urdf('<child link="l3"/>', '<child link="l9"/>', "not a model that MuJoCo can read"),
     urdf('lower="-1" upper="1" velocity="1"', 'lower="2" upper="1" velocity="1"', "joint 'j1' has range 2 to 1"),
     setting("robot.model=none.urdf", "none.urdf: cannot read the model: No such file"),
-    setting("robot.model=.", "not a file; a model is an MJCF or URDF file"),
+    setting("robot.model=.", ".: not a regular file"),
 ]  # fmt: skip
 ON_PATH, CONE = "{point: tcp, on: path}", "{axis: tcp.z, towards: -path.normal, cone_deg: 60}"
 POINTS = "0.1857,-0.1737,0.1708", "0.19,-0.1738,0.1705"
@@ -503,8 +545,8 @@ PLAN = {"summary_json": '{"method": "baseline", "config": {}}', "trajectory_npz"
 FOLDERS = [
     folder("report", "run holds a plan of htcp plan, no run; htcp view, htcp render and htcp validate open it", **PLAN),
     folder("gate", "run holds a plan of htcp plan, no run; htcp view, htcp render and htcp validate open it", **PLAN),
-    folder("validate", "run: summary.json or trajectory.npz is damaged", **PLAN),
-    folder("view", "run: summary.json or trajectory.npz is damaged", **PLAN),
+    folder("validate", "run/trajectory.npz is damaged", **PLAN),
+    folder("view", "run/trajectory.npz is damaged", **PLAN),
     folder("validate", "trajectory.npz", summary_json=PLAN["summary_json"]),
     folder("validate", "summary.json", summary_json="{"),
     folder("validate", "summary.json", summary_json=b"\xff"),

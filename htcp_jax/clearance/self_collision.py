@@ -2,11 +2,13 @@
 
 A row is a body against those of one link before it, of which the nearest counts.
 
-Left out are pairs on one link and on neighbouring ones, which meet at their joint; those that the model excludes; and
-those that overlap at the model's zero or at a keyframe of it, where the arm stands as its maker drew it.
+Pairs that need no check are excluded, see self_exclusions.py.
 """
 
+import warnings
+from collections import Counter
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import jax
 import jax.numpy as jnp
@@ -14,13 +16,16 @@ import numpy as np
 
 from htcp_jax.clearance.obstacle import Bodies, Contacts, Exact, Posed, Rows
 from htcp_jax.clearance.segments import nearest_points
+from htcp_jax.clearance.self_exclusions import Pairs, candidates, distances, find_exclusions, samples
+from htcp_jax.errors import InputError
 from htcp_jax.numerics import safe_divide, safe_norm
 from htcp_jax.pytree import register_pytree
-from htcp_jax.scene.kinematics import capsule_segments
-from htcp_jax.scene.robot import Robot
+from htcp_jax.scene.link_meshes import TOUCHING_M, meshes_of
+from htcp_jax.scene.robot import Exclusion, Robot, capsule_in_words
 from htcp_jax.types import Float, Int
 
-Pairs = tuple[tuple[int, int], ...]
+USUAL = 0.99  # of random configurations, in which an excluded pair is less deep than at a start
+RULES = {"a": "by the model", "b": "that nearly always overlap", "c": "whose links do not touch where they overlap"}
 Ends = Float[jax.Array, "K 3"]
 
 
@@ -28,10 +33,10 @@ Ends = Float[jax.Array, "K 3"]
 @dataclass(frozen=True)
 class SelfCollision(Exact):
     """Pairs of bodies by their numbers, the one further out first: those that are kept apart, at least one, and those
-    that overlap where the model is drawn, which are not."""
+    that are not checked."""
 
     pairs: Pairs = field(metadata={"static": True})
-    overlapping: Pairs = field(default=(), metadata={"static": True})
+    excluded: tuple[Exclusion, ...] = field(default=(), metadata={"static": True})
 
     per_body = False
 
@@ -50,12 +55,13 @@ class SelfCollision(Exact):
 
     def hit(self, robot: Robot, row: int, p: Ends, q: Ends) -> str:
         """What the body of a row is nearest to, in words."""
-        return robot.capsule_names[self.pairs[int(_nearest(self, robot, p, q)[row])][1]]
+        return capsule_in_words(robot.capsule_names[self.pairs[int(_nearest(self, robot, p, q)[row])][1]])
 
     def described(self, robot: Robot) -> str:
-        """How many pairs are kept apart, and which are not."""
-        left_out = ", ".join(f"{robot.capsule_names[a]} and {robot.capsule_names[b]}" for a, b in self.overlapping)
-        return f"{len(self.pairs)} pairs of bodies" + (f"; not {left_out}, which overlap as drawn" if left_out else "")
+        """How many pairs are kept apart, and how many are not, by which rule."""
+        counts = Counter(each.rule for each in self.excluded)
+        excluded = ", ".join(f"{counts[rule]} {RULES[rule]}" for rule in RULES if counts[rule])
+        return f"{len(self.pairs)} pairs of bodies" + (f"; excluded: {excluded}" if excluded else "")
 
     def _rows(self, robot: Robot) -> dict[tuple[int, int], list[int]]:
         """Of every row the body, the link, and its pairs by their numbers."""
@@ -74,17 +80,68 @@ class SelfCollision(Exact):
 
 
 def self_collision(robot: Robot) -> SelfCollision | None:
-    """The robot's pairs, with the tool that it has; None where there are none to keep apart."""
-    link, bodies = robot.capsule_link, range(len(robot.capsule_link))
-    excluded = {frozenset(pair) for pair in robot.excluded}
-    apart = [(a, b) for a in bodies for b in bodies if link[a] > link[b] + 1 and {a, b} not in excluded]
-    pairs = tuple(sorted(apart))
+    """The robot's pairs, with the tool that it has; None where there are none to keep apart. A UserWarning names pairs
+    with the job's own tool that are excluded. Raises InputError for a model that excludes every pair."""
+    excluded = (*robot.exclusions, *_found(_Hashable(robot)))
+    ours = {(each.first, each.second) for each in excluded}
+    known = candidates(robot)
+    pairs = tuple(sorted(pair for pair in known if pair not in ours))
+    if not pairs and robot.listed and any(each.rule == "a" for each in excluded):
+        raise InputError(
+            f"robot {robot.name}: all {len(known)} pairs of capsules are excluded; nothing is left to check"
+        )
+    if tool := [each for each in excluded if {each.first, each.second} & set(robot.mounted) and each.rule == "b"]:
+        names = ", ".join(f"{robot.capsule_names[a]} and {robot.capsule_names[b]}" for a, b, *_ in tool)
+        warnings.warn(
+            f"not checked against each other, as they nearly always overlap: {names}", UserWarning, stacklevel=2
+        )
+    return SelfCollision(pairs, excluded) if pairs else None
+
+
+def refused_overlap(own: SelfCollision, robot: Robot, x: Float[np.ndarray, "N"]) -> str | None:
+    """Name an excluded pair that is in collision at a start x [rad or m] all the same, and its depth; None without one.
+
+    A pair of rule c, if the meshes in it touch. One of rule a or b, if its links are not adjacent and it is deeper than
+    in USUAL of the `samples`.
+    """
+    link, names = robot.capsule_link, robot.capsule_names
+    pairs = [each for each in own.excluded if link[each.first] != link[each.second]]
     if not pairs:
         return None
-    postures = np.array([(0.0,) * len(robot.slides), *robot.keyframes])
-    drawn = (_distances(robot, SelfCollision(pairs), postures) <= 0).any(axis=0)
-    kept = tuple(pair for pair, overlaps in zip(pairs, drawn, strict=True) if not overlaps)
-    return SelfCollision(kept, tuple(pair for pair in pairs if pair not in kept)) if kept else None
+    depth = -distances(robot, [(each.first, each.second) for each in pairs], np.vstack([samples(robot), x]))
+    meshes = (
+        meshes_of(robot) if any(each.rule == "c" and d > 0 for each, d in zip(pairs, depth[-1], strict=True)) else None
+    )
+    at = meshes.poses(x[None]) if meshes else None
+    for each, d, usual in zip(pairs, depth[-1], np.quantile(depth[:-1], USUAL, axis=0), strict=True):
+        pair = f"the capsules {names[each.first]} and {names[each.second]}"
+        if each.rule == "c" and meshes and d > 0:
+            touch_m = meshes.deepest_m(names[each.first], names[each.second], at)
+            if touch_m > TOUCHING_M:
+                return f"the meshes in {pair} touch by {1e3 * touch_m:.3g} mm"
+        elif each.rule != "c" and link[each.first] > link[each.second] + 1 and d > max(usual, 0.0):
+            return f"{pair} overlap by {1e3 * d:.3g} mm, more than in {USUAL:.0%} of random configurations"
+    return None
+
+
+class _Hashable:
+    """A robot that equals another one with the same numbers."""
+
+    def __init__(self, robot: Robot):
+        self.robot = robot
+        leaves, structure = jax.tree.flatten(robot)
+        self._key = structure, tuple(np.asarray(leaf).tobytes() for leaf in leaves)
+
+    def __eq__(self, other: "_Hashable") -> bool:
+        return self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+
+@lru_cache(maxsize=256)
+def _found(arm: _Hashable) -> tuple[Exclusion, ...]:
+    return find_exclusions(arm.robot)
 
 
 def _contacts(robot: Robot, pairs: Pairs, p: Ends, q: Ends) -> Contacts:
@@ -99,11 +156,3 @@ def _contacts(robot: Robot, pairs: Pairs, p: Ends, q: Ends) -> Contacts:
 @jax.jit
 def _nearest(own: SelfCollision, robot: Robot, p: Ends, q: Ends) -> Int[jax.Array, "R"]:
     return own._nearest(robot, p, q)[1]
-
-
-@jax.jit
-def _distances(robot: Robot, own: SelfCollision, postures: Float[jax.Array, "n N"]) -> Float[jax.Array, "n R"]:
-    def at(x):
-        return own.distances(robot, *capsule_segments(robot, x))
-
-    return jax.vmap(at)(postures)

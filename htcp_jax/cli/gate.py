@@ -16,7 +16,7 @@ from htcp_jax.report.document import Column, Table
 from htcp_jax.report.gate import annotations, junit, named_origins, summary
 from htcp_jax.runs.labels import counted
 from htcp_jax.runs.manifest import MANIFEST
-from htcp_jax.runs.plan_folder import append_text, part_of, writable_file, write_text
+from htcp_jax.runs.plan_folder import append_text, writable_file, write_text
 from htcp_jax.runs.run_folder import open_run
 from htcp_jax.validation.baseline import Baseline, read_baseline
 from htcp_jax.validation.baseline import bless as write_baseline
@@ -53,6 +53,7 @@ FIGURES = (
     Column("tcp_error_max_mm", "TCP error", "now mm", ".3f"),
     Column("was_clearance_min_mm", "clearance", "before mm", ".3g"),
     Column("clearance_min_mm", "clearance", "now mm", ".3g"),
+    Column("clearance_less_cover_min_mm", "less cover", "now mm", ".3g"),
 )
 TIMES = (
     Column("method", "method"),
@@ -97,7 +98,7 @@ def gate(
     if twice := [file for file, place in zip(files, taken[1:], strict=True) if taken.count(place) > 1]:
         raise InputError(f"{twice[-1]} is named twice; the baseline, --junit and --markdown are different files")
     with ExitStack() as reserved:
-        for file in (*files, *(part_of(file) for file in files if file is junit_file)):
+        for file in files:
             reserved.enter_context(writable_file(file))
         verdict = _judge(run, known)
         if junit_file:

@@ -20,6 +20,7 @@ from typer.core import TyperGroup
 
 from htcp_jax.errors import InputError, Interrupted, Lost, Note
 from htcp_jax.planner import compile_cache
+from htcp_jax.process_exit import INTERRUPTED as STOPPED
 
 # Without a home folder to write into, matplotlib says so when it is imported; its fonts go elsewhere then.
 logging.getLogger("matplotlib").setLevel(logging.ERROR)
@@ -114,8 +115,8 @@ def htcp(
       htcp COMMAND --help                        options and examples of one command
       htcp --install-completion                  let the shell complete commands, options and methods
 
-    A job is a YAML file that says what differs from the default one. Tables go to stdout, progress to stderr and only
-    onto a terminal; --json prints the same for another program; NO_COLOR is respected.
+    A job is a YAML file that says what differs from the default one. Tables go to stdout, progress to stderr, as a
+    line every ten seconds where that is no terminal; --json prints the same for another program; NO_COLOR is respected.
     """
 
 
@@ -162,7 +163,7 @@ def _run(words: list[str]) -> int:
         warnings.showwarning = _warn
         code = app(args=words, prog_name="htcp", standalone_mode=False)
     if code == INTERRUPTED:  # what typer makes of Ctrl-C
-        _print_line("interrupted; nothing was written")
+        _print_line(STOPPED)
     return int(code or 0)
 
 

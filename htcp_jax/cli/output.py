@@ -1,11 +1,15 @@
 """What several commands take, and what they print: a table for a person on stdout or, with --json, the same for a
 program, and nothing else.
 
-Progress and warnings go to stderr; the progress is on a terminal alone. NO_COLOR takes the colours away.
+Progress and warnings go to stderr; where that is no terminal, progress is a line every ten seconds. NO_COLOR takes the
+colours away.
 """
 
+import contextlib
 import shutil
+import sys
 import textwrap
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -27,6 +31,7 @@ from rich.text import Text
 from htcp_jax.report.document import Column, Table
 from htcp_jax.runs.plan_folder import json_text
 
+LINE_S = 10.0  # between lines of progress
 GAP, LEAST_TEXT = 2, 30  # between columns; what a last column of text is given at least
 TIED = "of", "at", "scenario:"  # heads of columns that belong to the one before them
 
@@ -63,12 +68,25 @@ def print_facts(title: str, facts: Mapping[str, str]) -> None:
 
 @contextmanager
 def progress_bars(*columns: ProgressColumn, **how: Any) -> Iterator[Progress]:
-    """Bars on a terminal and nothing elsewhere; they vanish at the end. columns: by default what, how much of how much,
-    and the time that it took so far."""
+    """Bars on a terminal, which vanish at the end; elsewhere one of them as a line every `LINE_S` seconds. columns: by
+    default what, how much of how much, and the time that it took so far."""
     columns = columns or (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    console = Console(stderr=True)
+    console, ended = Console(stderr=True), threading.Event()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal, **how) as bars:
-        yield bars
+        if not console.is_terminal:
+            threading.Thread(target=_print_lines, args=(bars, ended), daemon=True).start()
+        try:
+            yield bars
+        finally:
+            ended.set()
+
+
+def _print_lines(bars: Progress, ended: threading.Event) -> None:
+    while not ended.wait(LINE_S):
+        for task in [each for each in bars.tasks if not each.finished][:1] or bars.tasks[-1:]:
+            cells = [column(task) for column in bars.columns if not isinstance(column, BarColumn)]
+            with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
+                print(f"htcp: {' '.join(f'{cell}'.strip() for cell in cells)}", file=sys.stderr, flush=True)
 
 
 @contextmanager

@@ -16,6 +16,7 @@ from htcp_jax.placement.mounting import UNITS
 from htcp_jax.placement.place import PlaceProgress
 from htcp_jax.placement.place import place as search_places
 from htcp_jax.placement.placed import Placed
+from htcp_jax.placement.tolerance import LEVELS
 from htcp_jax.planner.devices import choose
 from htcp_jax.report.document import Column, Table
 from htcp_jax.report.place_pictures import draw_search
@@ -47,13 +48,15 @@ def place(
     """Find the mountings that do the whole seam, or several, with something to spare.
 
     Quick plans judge mountings all over the ranges and then about the best of them; the best are planned as proven
-    motions, and once more a little off. The folder gets ranked.json, every mounting that was judged, pictures, and the
-    motions as a run that view, render, validate and program open. The same command again goes on where the last one
-    stopped. Exits with 0 when a mounting is found, with 3 when none is, with 2 on bad input.
+    motions, and once more a little off. The folder gets ranked.json, a job file of each ranked mounting, every mounting
+    that was judged, pictures, and the motions as a run that view, render, validate and program open. A first ranking is
+    written before mountings are disturbed. The same command again goes on where the last one stopped. Exits with 0 when
+    a mounting is found, with 3 when none is, with 2 on bad input.
 
     \b
     htcp place place/duct                                  the mountings of the weld in the generated duct
     htcp place place/duct --scenarios 500 --out out/try
+    htcp plan out/duct/best-1.yaml                         the best one as a plan of its own
     htcp view out/duct                                     the ranked ones in the browser
     """
     choose(sweeps.device_of(on, device))  # before anything is read
@@ -62,7 +65,7 @@ def place(
         raise InputError("--scenarios and --seconds say the same; leave out one")
     if scenarios is not None or seconds is not None:
         changes["within"] = {"scenarios": scenarios} if seconds is None else {"seconds": seconds}
-    with _bar() as progress:
+    with _bar(said=as_json) as progress:
         found = search_places(
             file,
             Path("out", file.stem) if out is None else out,
@@ -82,13 +85,16 @@ def place(
 
 
 @contextmanager
-def _bar() -> Iterator[Callable[[PlaceProgress], None]]:
-    """One bar a stage on a terminal: scenarios, mountings that do it all, the best so far."""
+def _bar(said: bool) -> Iterator[Callable[[PlaceProgress], None]]:
+    """One bar a stage on a terminal: scenarios, mountings that do it all, the best so far. said: whether to leave out
+    the line with the number of plans."""
     columns = TextColumn("{task.description:<10}"), BarColumn(), TextColumn("{task.fields[text]}"), TimeElapsedColumn()
     with progress_bars(*columns) as bars:
         tasks: dict[str, Any] = {}
 
         def show(now: PlaceProgress) -> None:
+            if not (said or tasks):
+                print(_most(now.most), flush=True)
             if now.stage not in tasks:
                 tasks[now.stage] = bars.add_task(now.stage, total=None, text="")
             if now.stage == "search":
@@ -100,6 +106,16 @@ def _bar() -> Iterator[Callable[[PlaceProgress], None]]:
             bars.update(tasks[now.stage], completed=done, total=of, text=text)
 
         yield show
+
+
+def _most(most: dict[str, int | None]) -> str:
+    """The largest number of plans, in all and by stage."""
+    searched, *others = most.values()
+    first = "those of the search, as many as its time allows, and " if searched is None else ""
+    words = {"search": "to search", "confirm": "to confirm", "disturbed": "of disturbed mountings",
+             "tolerance": "for tolerances"}  # fmt: skip
+    parts = ", ".join(f"{count:,} {words[stage]}" for stage, count in most.items() if count)
+    return f"up to {first}{(searched or 0) + sum(others):,} plans: {parts}"
 
 
 def _print(found: Placed) -> None:
@@ -117,8 +133,13 @@ def _print(found: Placed) -> None:
     if found.mountings:
         print_table(console, _table(found))
         console.print()
-        text = f"When off: the least of it while every parameter is off by up to {off.mm:g} mm and {off.deg:g}°."
+        text = (
+            f"Margin: the clearance that a mounting is planned with; its job file, {found.jobs[0][0]} and on, has it. "
+            f"When off: the least while every parameter is off by up to {off.mm:g} mm and {off.deg:g}°. Tolerates: "
+            f"within this a motion to the end was found with a margin of {1e3 * search.job.margin_m:g} mm every time."
+        )
         console.print(Text(text, style="dim"))
+        console.print(Text.assemble(("plan   ", "cyan"), f"htcp plan {found.folder / found.jobs[0][0]}"))
     console.print(Text.assemble(("map    ", "cyan"), str(found.folder / "map.png")))
     console.print(Text.assemble(("files  ", "cyan"), str(found.folder)))
 
@@ -143,12 +164,13 @@ def _table(found: Placed) -> Table:
                        axis.unit[0], ".4g") for axis in axes]  # fmt: skip
     for name in aims:
         columns += [Column(name, name, UNITS[name][0], ".3g"), Column(f"{name} off", "when off", UNITS[name][0], ".3g")]
-    columns.append(Column("tolerates", "tolerates"))
+    columns += [Column("margin_mm", "margin", "mm", ".4g"), Column("tolerates", "tolerates")]
     rows = [
         (
             number,
             *(value * axis.unit[1] for axis, value in zip(axes, one.values.tolist(), strict=True)),
             *(_told(name, v) for name, a, b in zip(aims, one.spare, one.worst, strict=True) for v in (a, b)),
+            1e3 * one.margin_m,
             _tolerated(found, one),
         )
         for number, one in enumerate(found.mountings, 1)
@@ -168,4 +190,6 @@ def _tolerated(found: Placed, one) -> str:
     if one.tolerance is None:
         return f"{100 * one.held:.0f} % of those off do it" if one.held < 1 else ""
     off = found.search.file.off
+    if not one.tolerance.together:
+        return f"less than {LEVELS[0] * off.mm:g} mm and {LEVELS[0] * off.deg:g}°"
     return f"{one.tolerance.together * off.mm:g} mm and {one.tolerance.together * off.deg:g}°"

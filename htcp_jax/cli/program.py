@@ -1,5 +1,6 @@
 """`htcp program`: a plan as a program that a controller takes."""
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +10,7 @@ from rich.text import Text
 
 from htcp_jax.cli.feed import Feed, OneWay, ProgramKeys
 from htcp_jax.cli.methods import complete_method
-from htcp_jax.cli.output import Json, print_facts, print_json, print_table, stdout
+from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.cli.timing import print_timing, refuse_untimed, timed, timing_records
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.feed import feed_of
@@ -24,7 +25,7 @@ from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.timing_file import TIMING
 from htcp_jax.validation.timed_check import check_timed
 
-REFUTED = 1
+REFUTED, OVERLOADED = 1, 3  # exit codes
 CHECKED = (
     "{refuted} of {postures:,} postures refuted; clearance {clearance_min_mm:.3g} mm at least, "
     "TCP {off_max_mm:.3g} mm off its path at most"
@@ -45,6 +46,7 @@ Method = Annotated[
     str | None, typer.Option(metavar="NAME", help="By default the run's first.", autocompletion=complete_method)
 ]
 Check = Annotated[bool, typer.Option("--check", help="Look at every millisecond by MuJoCo alone, which takes longer.")]
+AllowEffort = Annotated[bool, typer.Option("--allow-effort", help="Exit with 0 if a joint's effort exceeds its limit.")]
 Step = Annotated[float | None, typer.Option(metavar="MS", help="Between postures; by default the format's own.")]
 
 
@@ -58,6 +60,7 @@ def program(
     method: Method = None,
     one_way: OneWay = False,
     check: Check = False,
+    allow_effort: AllowEffort = False,
     step_ms: Step = None,
     overrides: ProgramKeys = None,
     as_json: Json = False,
@@ -68,7 +71,8 @@ def program(
     is asked for, elsewhere the arm is as fast as its limits allow. Where a limit would be exceeded on the path the feed
     dips, and the table says where, how far and because of which joint. Limits and what a controller has to be told are
     in the job's section program. Exits with 1 when --check refutes a posture, with 2 on bad input, a plan that does not
-    lead to its last target among it.
+    lead to its last target among it, with 3 if a joint needs more than its effort limit; the file is written all the
+    same.
 
     With --all every scenario of a sweep's run is timed: cycle time, feed and limits are columns of the run from then
     on, which htcp report draws and htcp gate holds. With the same feed and limits only what is missing is timed.
@@ -84,7 +88,8 @@ def program(
     if all_:
         alone = {"--out": out, "--format": format, "--scenario": scenario, "--step-ms": step_ms}
         given = [name for name, value in alone.items() if value is not None]
-        given += [name for name, is_set in {"--one-way": one_way, "--check": check}.items() if is_set]
+        flags = {"--one-way": one_way, "--check": check, "--allow-effort": allow_effort}
+        given += [name for name, is_set in flags.items() if is_set]
         if given:
             raise InputError(f"{given[0]} is of one program; --all times every scenario, from home and back")
         return _time_all(run, feed, method, overrides or (), as_json)
@@ -102,7 +107,11 @@ def program(
     with made_folder(out.parent):
         write_text(out, text)
     checked = _check(run, made, scenario) if check else {}
+    if overloaded := load is not None and load.share > 1:
+        warnings.warn(f"torque is {_torque(load)}; --allow-effort accepts that", stacklevel=1)
     dips, code = _table(found), REFUTED if checked.get("refuted") else 0
+    if overloaded and not allow_effort:
+        code = code or OVERLOADED
     if as_json:
         record = {**found._asdict(), "dips": dips.records(), "shares": _shares(found.shares)}
         record["path_shares"] = _shares(found.path_shares)
@@ -135,7 +144,8 @@ def _time_all(folder: Path, feed: str | None, method: str | None, overrides: Seq
 
 def _check(run: Path, made: OfPlan, scenario: int) -> dict[str, int | float]:
     timed = made.program.timed()
-    found = check_timed(run, timed, made.method, scenario)
+    with progress_bar("postures") as progress:
+        found = check_timed(run, timed, made.method, scenario, progress=progress)
     lengths = {"clearance_min_mm": 1e3 * found.clearance_min_m, "off_max_mm": 1e3 * found.off_max_m}
     return {"postures": len(timed.x), "refuted": found.refuted, **lengths}
 

@@ -1,5 +1,7 @@
 """`htcp reachability`: how many targets of every scenario are reachable at all, beside what a run's methods tracked."""
 
+import signal
+from collections.abc import Sequence
 from operator import itemgetter
 from pathlib import Path
 from typing import Annotated
@@ -20,12 +22,20 @@ from htcp_jax.cli.output import (
     progress_bars,
     stdout,
 )
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.jobs.grid import Batch, load_sweep
-from htcp_jax.planner.reachability import PROOF_CELLS, RESOLUTION_RAD, Reachability, reachable_prefixes
+from htcp_jax.planner.reachability import (
+    PROOF_CELLS,
+    RESOLUTION_RAD,
+    Reachability,
+    Stopped,
+    nothing_found,
+    reachable_prefixes,
+)
 from htcp_jax.planner.tables import concatenate, gather
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.plan_folder import write_json, written_whole
+from htcp_jax.runs.reachability_file import REACHABILITY
 from htcp_jax.runs.run_folder import Run, open_run
 from htcp_jax.scene.scenario import Scenario
 
@@ -52,7 +62,8 @@ def reachability(
     """Look for any clear configuration at every target, scenario by scenario, and count the targets in a row.
 
     What is found is reachable; what is not found, and not proven to be out of reach, may be. Writes reachability.json
-    into the run folder, where `htcp report` finds it, and names every method of that folder that gets further.
+    into the run folder, where `htcp report` finds it, and names every method of that folder that gets further. Stopped
+    by a signal, it writes what was found until then, marked as incomplete, unless there is such a file already.
 
     \b
     htcp reachability sweeps/workpiece                     into out/workpiece, where the sweep writes
@@ -62,21 +73,32 @@ def reachability(
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
     batch = (spec := load_sweep(file, config, overrides or ())).batch(limit)
     run = open_run(out) if (out / MANIFEST).exists() else None
-    with written_whole(out) as folder:
-        found = _search(batch, resolution, proof_cells)
-        beaten = {} if run is None else _beaten(run, batch, found)
-        targets = int(batch.scenarios.count.sum())
-        record = {
+
+    def record_of(found: Reachability) -> dict:
+        return {
             "prefix": found.prefix.tolist(),
             "best_mm": [None if np.isnan(b) else 1e3 * b for b in found.best],
             "most": found.most.tolist(),
             "resolution_rad": _resolution(batch, found, resolution),
             "proof_cells": proof_cells,
             "seed": spec.config.settings.seed,
-            "targets": targets,
-            "beaten_by": beaten,
+            "targets": int(batch.scenarios.count.sum()),
+            "beaten_by": {} if run is None else _beaten(run, batch, found),
         }
-        write_json(folder / "reachability.json", record)
+
+    try:
+        with written_whole(out) as folder:
+            found = _search(batch, resolution, proof_cells)
+            record = record_of(found)
+            write_json(folder / REACHABILITY, record)
+    except Stopped as stop:
+        if not stop.found.prefix.any() or (out / REACHABILITY).exists():
+            raise
+        with written_whole(out) as folder:
+            write_json(folder / REACHABILITY, {"complete": False, **record_of(stop.found)})
+        raise Interrupted(
+            f"stopped; {out / REACHABILITY} has what was found, and is incomplete", signal.SIGINT
+        ) from None
     if as_json:
         print_json(record)
     else:
@@ -90,18 +112,27 @@ def _search(batch: Batch, resolution_rad: float, proof_cells: int) -> Reachabili
         for number, cell in enumerate(batch.cells):
             task = bars.add_task("targets", total=batch.scenarios.targets.shape[1])
             rows = np.flatnonzero(batch.cell == number)
-            found = reachable_prefixes(
-                cell.robot,
-                cell.workpiece,
-                jax.tree.map(itemgetter(rows), batch.scenarios),
-                cell.settings,
-                task=cell.task,
-                obstacles=cell.obstacles,
-                resolution_rad=resolution_rad,
-                proof_cells=proof_cells,
-                progress=lambda row, rows, task=task: bars.update(task, completed=row, total=rows),
-            )
+            try:
+                found = reachable_prefixes(
+                    cell.robot,
+                    cell.workpiece,
+                    jax.tree.map(itemgetter(rows), batch.scenarios),
+                    cell.settings,
+                    task=cell.task,
+                    obstacles=cell.obstacles,
+                    resolution_rad=resolution_rad,
+                    proof_cells=proof_cells,
+                    progress=lambda row, rows, task=task: bars.update(task, completed=row, total=rows),
+                )
+            except Stopped as stop:
+                left = np.flatnonzero(batch.cell > number)
+                later = nothing_found(jax.tree.map(itemgetter(left), batch.scenarios))
+                raise Stopped(_in_order([*parts, (rows, stop.found), (left, later)])) from None
             parts.append((rows, found))
+    return _in_order(parts)
+
+
+def _in_order(parts: Sequence[tuple[np.ndarray, Reachability]]) -> Reachability:
     order = np.argsort(np.concatenate([rows for rows, _ in parts]))
     return gather(concatenate([found for _, found in parts]), order)
 

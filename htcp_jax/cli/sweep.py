@@ -28,6 +28,7 @@ from htcp_jax.cli.timing import check_feed, print_timing, timed, timing_records
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.planner.devices import choose
 from htcp_jax.report.document import Column, Table
+from htcp_jax.report.tables import without_empty
 from htcp_jax.runs import sweep as sweeps
 from htcp_jax.runs.plan_folder import summary_record
 from htcp_jax.runs.run_folder import Run
@@ -156,6 +157,7 @@ FIGURES = (
     Column("method", "method"),
     Column("step_ms", "a step", "ms", ".2f"),
     Column("tcp", "TCP distance", "mean mm", ".3g"),
+    Column("orientation", "orientation error", "mean deg", ".3g"),
     Column("clearance_min", "clearance", "min mm", ".3g"),
     Column("clearance_mean", "clearance", "mean mm", ".3g"),
     Column("run_s", "run", "s", ".1f"),
@@ -178,11 +180,12 @@ def _print_table(run: Run, running: RunningSummary) -> None:
         for m, s in found.items()
     ]  # fmt: skip
     figures = [
-        (m, s.step_ms, s.tcp_distance_mean_mm, s.clearance_min_mm, s.clearance_mean_mm, s.run_s, s.compile_s)
+        (m, s.step_ms, s.tcp_distance_mean_mm, s.orientation_error_mean_deg, s.clearance_min_mm, s.clearance_mean_mm,
+         s.run_s, s.compile_s)
         for m, s in found.items()
-    ]
+    ]  # fmt: skip
     for columns, rows in ((COUNTS, counts), (FIGURES, figures)):
-        print_table(console, Table("sweep", columns, tuple(rows)))
+        print_table(console, without_empty(Table("sweep", columns, tuple(rows))))
         console.print()
     print_timing(run, list(plans))
     console.print(Text("Executable: tracked, and led to from the given start by a proven motion.", style="dim"))

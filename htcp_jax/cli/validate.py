@@ -1,5 +1,7 @@
 """`htcp validate`: the results of a sweep or of one plan, checked by MuJoCo alone."""
 
+import sys
+import time
 from pathlib import Path
 from typing import Annotated
 
@@ -18,6 +20,7 @@ from htcp_jax.validation.validate import record, write_validation
 from htcp_jax.validation.validate import validate as check
 
 VALIDATED, REFUTED = 0, 1
+WORTH_SAYING_S = 60  # a longer check is announced
 LISTED = 10  # refuted configurations on the terminal
 
 Run = Annotated[Path, typer.Argument(metavar="RUN", help="The folder that htcp sweep or htcp plan wrote.")]
@@ -41,8 +44,15 @@ def validate(run: Run, between: Between = 20, feed_mm_s: Feed = 10.0, as_json: J
     htcp validate out/workpiece --between 0 --json  the targets alone, for another program
     """
     run = run_folder(run)
+    began = time.perf_counter()
     with progress_bar("plans", time_left=True) as progress:
-        found = check(run, between=between, feed_mm_s=feed_mm_s, progress=progress)
+
+        def show(done: int, count: int) -> None:
+            if done == 1 and (seconds := (time.perf_counter() - began) * count) > WORTH_SAYING_S:
+                print(f"about {seconds:,.0f} s for {count:,} plans, as the first one took", file=sys.stderr, flush=True)
+            progress(done, count)
+
+        found = check(run, between=between, feed_mm_s=feed_mm_s, progress=show)
     write_validation(run, found)
     if as_json:
         print_json(record(found))

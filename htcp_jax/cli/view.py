@@ -1,6 +1,5 @@
 """`htcp view`: plans in the browser."""
 
-import contextlib
 import importlib.util
 from collections.abc import Callable
 from pathlib import Path
@@ -28,7 +27,9 @@ Method = Annotated[
     str | None,
     typer.Option(metavar="NAME", help="The first shown; of a job, the one that plans.", autocompletion=complete_method),
 ]
-Host = Annotated[str, typer.Option(metavar="ADDRESS", help="To listen on; 0.0.0.0 lets other machines look.")]
+Host = Annotated[
+    str, typer.Option(metavar="ADDRESS", help="To listen on; 0.0.0.0 lets other machines look, with a token.")
+]
 Port = Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="To listen on; 0 takes any that is free.")]
 
 
@@ -47,7 +48,8 @@ def view(
     A run folder is shown as it is, failed scenarios first; a job is planned first. With --feed what is played is the
     program of htcp program, in real time, with the speeds of the TCP and of the joints; --set then changes keys of
     program of a plan on record, too. Only this machine can connect,
-    unless --host says otherwise. Needs the extra "view". Ctrl-C ends it; exits with 2 on bad input.
+    unless --host says otherwise; then the page needs the token in the address that is printed. Needs the extra "view".
+    Ctrl-C ends it; exits with 2 on bad input.
 
     \b
     htcp view                                    the default job
@@ -60,16 +62,15 @@ def view(
     if importlib.util.find_spec("viser") is None:
         raise InputError("htcp view needs viser: pip install 'htcp_jax[view]'")
     feed_m_s = played_feed(feed, one_way=one_way)
-    with contextlib.suppress(KeyboardInterrupt):  # before the page is up as well as after
-        replays, programs = _looked_at(what, method, overrides or [], feed_m_s, not one_way)
-        from htcp_jax.viewer.browser import Viewer  # viser is an extra
+    replays, programs = _looked_at(what, method, overrides or [], feed_m_s, not one_way)
+    from htcp_jax.viewer.browser import Viewer  # viser is an extra
 
-        viewer = Viewer(replays, host, port, scenario, method, programs if feed_m_s else None)
-        try:
-            stdout().print(Text.assemble(("viewer  ", "cyan"), viewer.address, ("  (Ctrl-C ends it)", "dim")))
-            viewer.wait()
-        finally:
-            viewer.stop()
+    viewer = Viewer(replays, host, port, scenario, method, programs if feed_m_s else None)
+    try:
+        stdout().print(Text.assemble(("viewer  ", "cyan"), viewer.address, ("  (Ctrl-C ends it)", "dim")))
+        viewer.wait()
+    finally:
+        viewer.stop()
     return 0
 
 

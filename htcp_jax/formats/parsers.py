@@ -7,6 +7,7 @@ exception in FOLDER/error.txt. Nothing of the package is imported, so it starts 
 
 import contextlib
 import io
+import math
 import sys
 from pathlib import Path
 
@@ -14,12 +15,25 @@ import numpy as np
 
 SAG_MM = 0.05  # at most so far do the triangles of a curved STEP face leave it
 TURN_RAD = 0.2
+MOST_COLUMNS = 1000  # of a PCD cloud
+LEAST_ROOM, GROWTH = 2**26, 100  # that its points may take [bytes], and times the file's size; LZF reaches 88
 
 
 def pcd(file: Path) -> dict[str, np.ndarray]:
     """Points of a PCD cloud, in the order and the frame of the file, and normals where it has them."""
-    from pypcd4 import PointCloud
+    from pypcd4 import MetaData, PointCloud
 
+    lines = []
+    with file.open("rb") as stream:  # the header, as pypcd4 takes it, which would lay out whatever is promised
+        for line in stream:
+            if (words := line.decode().strip()) and not words.startswith("#"):
+                lines.append(words)
+            if words.startswith("DATA") or len(lines) == 10:
+                break
+    about, size = MetaData.parse_header(lines), file.stat().st_size
+    columns, row = sum(about.count), sum(map(math.prod, zip(about.size, about.count, strict=True)))
+    if columns > MOST_COLUMNS or about.points * row > max(LEAST_ROOM, GROWTH * size):
+        raise ValueError(f"{columns:,} columns and {about.points:,} points do not fit into {size:,} bytes")
     cloud = PointCloud.from_path(file)
     data = cloud.pc_data
     if len(data) != cloud.metadata.points:

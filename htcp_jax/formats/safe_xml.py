@@ -16,6 +16,7 @@ from xml.parsers import expat
 import mujoco
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.files import opened
 
 LARGEST_FILE = 10 * 2**20  # [bytes]
 MOST_ELEMENTS, DEEPEST = 50_000, 200
@@ -28,7 +29,8 @@ LEFT_OUT = {
     "visual",
 }  # fmt: skip
 MESHES = "asset", "mesh"  # what stays when meshes are asked for
-CONTACTS = "contact", "keyframe"  # and when it is asked what of the arm may touch: exclusions, and postures
+CONTACTS = "contact", "text", "tuple"  # and when pairs that need no check are read: exclusions, and an arm's own list
+OWN = re.compile(r"self_collision|made from|cuts of .*|excluded .*")  # the names of the texts and tuples of that list
 ONLY = {"asset": ("mesh",), "contact": ("exclude",)}  # what stays of some elements that stay
 # They make bodies and joints that do not stand in the file.
 REFUSED = {"attach", "composite", "flexcomp", "replicate"}
@@ -62,11 +64,11 @@ def read_spec(path: Path, *, meshes: bool = False, visual: bool = False, contact
     """MuJoCo's reading of an MJCF or URDF file, not compiled yet.
 
     meshes: keep those of an MJCF file, by name; a URDF's are kept anyway. visual: what a URDF draws becomes geoms, too.
-    contacts: keep what an MJCF file excludes from contact, and the postures of its keyframes.
+    contacts: keep what an MJCF file excludes from contact, and the list of an arm by `htcp robot`.
     Raises InputError for a file that cannot be read or is too large, and for one that includes a file outside its
     folder.
     """
-    root = _parse(path)
+    root = parse(path)
     _put_includes_in_place(root, path, {path.resolve()})
     if root.tag == "mujoco":
         kept = {*(MESHES if meshes else ()), *(CONTACTS if contacts else ())}
@@ -89,7 +91,7 @@ def read_spec(path: Path, *, meshes: bool = False, visual: bool = False, contact
 def files_of(path: Path) -> set[Path]:
     """A model file and those that it includes, absolute. Raises InputError as `read_spec` does."""
     seen = {path.resolve()}
-    _put_includes_in_place(_parse(path), path, seen)
+    _put_includes_in_place(parse(path), path, seen)
     return seen
 
 
@@ -131,13 +133,11 @@ def unreadable(path: Path, error: Exception) -> InputError:
     return InputError(f"{path}: not a model that MuJoCo can read: {reason}")
 
 
-def _parse(path: Path) -> ElementTree.Element:
+def parse(path: Path) -> ElementTree.Element:
+    """The root of an XML file. Raises InputError for one that cannot be read, is too large, or defines entities."""
     try:
-        if path.exists() and not path.is_file():
-            raise InputError(f"{path}: not a file; a model is an MJCF or URDF file")
-        if (size := path.stat().st_size) > LARGEST_FILE:
-            raise InputError(f"{path}: {size:,} bytes; a model has at most {LARGEST_FILE:,}")
-        return _tree(path.read_bytes(), _Builder(path))
+        with opened(path, largest=LARGEST_FILE) as stream:
+            return _tree(stream.read(), _Builder(path))
     except InputError:
         raise
     except OSError as error:
@@ -165,7 +165,7 @@ def _put_includes_in_place(root: ElementTree.Element, path: Path, seen: set[Path
             if file in seen:
                 raise InputError(f"{path}: {include.get('file')} is included twice")
             seen.add(file)
-            part = _parse(file)
+            part = parse(file)
             _put_includes_in_place(part, path, seen)
             at = list(parent).index(include)
             parent.remove(include)
@@ -191,8 +191,8 @@ def _leave_out(root: ElementTree.Element, path: Path, unwanted: set[str]) -> Non
                 raise InputError(f"{path}: <{child.tag}> is not read; write the bodies out")
             if child.tag in unwanted or child.tag not in ONLY.get(parent.tag, (child.tag,)):
                 parent.remove(child)
-            elif child.tag == "key":
-                child.attrib = {name: child.attrib[name] for name in ("name", "qpos") if name in child.attrib}
+            elif child.tag in ("text", "tuple") and not OWN.fullmatch(child.get("name", "")):
+                parent.remove(child)
         parent.attrib.pop("material", None)
     for numeric in root.iter("numeric"):
         if not numeric.get("size", "0").strip().isdigit() or int(numeric.get("size", "0")) > LARGEST_NUMERIC:

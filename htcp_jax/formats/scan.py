@@ -4,10 +4,10 @@ Each library is an extra. It runs in a process of its own, see `parsers`, with l
 """
 
 import importlib.util
+import os
 import signal
 import subprocess
 import sys
-import tempfile
 import warnings
 from pathlib import Path
 from typing import NamedTuple
@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
 from htcp_jax.formats.columns import Columns, Points
-from htcp_jax.formats.foreign import check_file
+from htcp_jax.formats.files import named, scratch
 
 
 class Kind(NamedTuple):
@@ -62,19 +62,20 @@ def parsed(path: Path, kind: Kind) -> dict[str, np.ndarray]:
     if any(importlib.util.find_spec(library) is None for library in kind.libraries):
         need = f"""reading {ending} needs the extra "{kind.extra}": pip install 'htcp_jax[{kind.extra}]'"""
         raise InputError(f"{path}: {need}")
-    check_file(path)
+    with named(path) as stream:
+        size = os.fstat(stream.fileno()).st_size
     script = Path(__file__).with_name("parsers.py")
-    with tempfile.TemporaryDirectory() as folder:
-        memory = str(MEMORY + 40 * path.stat().st_size)
+    with scratch() as folder:
+        memory = str(MEMORY + 40 * size)
         # -P: the modules beside the script are not to take the place of Python's own
-        command = [sys.executable, "-P", str(script), kind.parser, str(path), folder, memory]
+        command = [sys.executable, "-P", str(script), kind.parser, str(path), str(folder), memory]
         try:
             done = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, timeout=LONGEST_S)
         except subprocess.TimeoutExpired:
             raise InputError(f"{path}: not read within {LONGEST_S // 60} minutes") from None
         if done.returncode:
-            raise InputError(f"{path}: not a readable {ending} file ({_reason(done.returncode, Path(folder))})")
-        with np.load(Path(folder, "arrays.npz"), allow_pickle=False) as arrays:
+            raise InputError(f"{path}: not a readable {ending} file ({_reason(done.returncode, folder)})")
+        with np.load(folder / "arrays.npz", allow_pickle=False) as arrays:
             return dict(arrays)
 
 

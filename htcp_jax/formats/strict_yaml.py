@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import yaml
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.files import opened
 
 LARGEST_FILE = 2 * 2**20  # [bytes]; PyYAML reads some 150 kB a second
 DEEPEST = 50
@@ -20,16 +21,12 @@ DEEPEST = 50
 def read_yaml(path: str | Path) -> dict:
     """The mapping in a YAML file; {} for an empty one. Raises InputError."""
     try:
-        if Path(path).exists() and not Path(path).is_file():
-            raise InputError(f"cannot read {path}: not a regular file")
-        if (size := Path(path).stat().st_size) > LARGEST_FILE:
-            raise InputError(f"{path}: {size:,} bytes; at most {LARGEST_FILE:,} are read")
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        text = isinstance(error, UnicodeDecodeError)  # else a NUL byte in the name
-        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text" if text else str(error)
+        with opened(Path(path), largest=LARGEST_FILE) as stream:
+            text = stream.read().decode()
+    except InputError as error:
+        raise InputError(f"cannot read {error}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise InputError(f"cannot read {path}: {reason}") from None
     raw = parse_yaml(text, str(path))
     if raw is None:

@@ -1,6 +1,5 @@
 """Points from a table of numbers: text, and numpy's .npy files."""
 
-import io
 import math
 import re
 from collections.abc import Sequence
@@ -10,9 +9,8 @@ import numpy as np
 
 from htcp_jax.errors import InputError
 from htcp_jax.formats.columns import Columns, Points, columns_of, header_names, without_units
-from htcp_jax.formats.foreign import one_line, quiet, read_bytes
+from htcp_jax.formats.files import read_array, read_bytes
 
-NPY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 DECIMAL_COMMA = re.compile(r"[+-]?[\d.]*\d,\d+(?:[eE][+-]?\d+)?")
 
 
@@ -141,24 +139,12 @@ class _TableReader:
 
 def read_npy(path: Path) -> Points:
     """Points of a .npy file, an array of numbers (P, 3 or more). Raises InputError for any other; runs no pickle."""
-    data = read_bytes(path)
-    # numpy's reader believes the shape in the header and asks for that much memory before it looks at the
-    # data. Read the header alone, then take the bytes that are there. Object arrays (pickles) are refused.
-    try:
-        with quiet():
-            stream = io.BytesIO(data)
-            read_header = NPY_HEADERS[np.lib.format.read_magic(stream)]
-            shape, by_column, dtype = read_header(stream)
-    except Exception as error:  # a foreign parser on foreign bytes: whatever it raises, the file is bad
-        raise InputError(f"{path}: not a .npy array ({one_line(error)})") from None
-    if dtype.kind not in "fiu":
-        raise InputError(f"{path}: an array of {dtype.name}, numbers are needed")
-    if len(shape) != 2 or shape[1] < 3:
-        raise InputError(f"{path}: an array of shape {shape}, (points, 3 or more) is needed")
-    if shape[0] < 0 or len(data) - stream.tell() != shape[0] * shape[1] * dtype.itemsize:
-        raise InputError(f"{path}: damaged, its length is not that of its header's shape {shape}")
-    array = np.frombuffer(data, dtype, offset=stream.tell()).reshape(shape, order="F" if by_column else "C")
-    columns = columns_of(None, shape[1], str(path))
+    array = read_array(read_bytes(path), str(path))
+    if array.dtype.kind == "b":
+        raise InputError(f"{path}: an array of bool, numbers are needed")
+    if array.ndim != 2 or array.shape[1] < 3:
+        raise InputError(f"{path}: an array of shape {array.shape}, (points, 3 or more) is needed")
+    columns = columns_of(None, array.shape[1], str(path))
     xyz, *normals = (
         np.ascontiguousarray(array[:, which], dtype=np.float64)
         for which in (columns.xyz, columns.normals)

@@ -75,7 +75,7 @@ class WorkpieceConfig(Section):
     interior: Literal["hull", "none"] = "hull"  # what bounds the inside, deeper than interior_depth_m
     interior_depth_m: float = Field(INTERIOR_DEPTH_M, ge=0, le=LARGEST)
     inlet_direction: Point | Literal["world-x"] | None = "world-x"  # into the part; see `load_workpiece`
-    mesh_spacing_m: Annotated[float, Field(gt=0, le=LARGEST)] | None = None  # widest gap of the points on a mesh
+    mesh_spacing_m: Annotated[float, Field(ge=1e-5, le=LARGEST)] | None = None  # widest gap of the points on a mesh
     tip_contact_m: Annotated[float, Field(ge=0, le=LARGEST)] | None = None  # of the bare tip, from the TCP; null: all
     pivot_m: Point = PIVOT  # world point that the rotations turn about
     neutral_translation_m: Point = NEUTRAL_TRANSLATION  # of the workpiece frame, before they turn it

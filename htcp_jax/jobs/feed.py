@@ -7,6 +7,7 @@ import numpy as np
 from htcp_jax.errors import InputError
 
 UNITS = {"mm/s": 1e-3, "m/s": 1.0, "mm/min": 1e-3 / 60, "m/min": 1 / 60}  # in m/s
+SLOWEST_M_S, FASTEST_M_S = 1e-9, 100.0
 _FEED = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*(\S+)\s*", re.IGNORECASE)
 
 
@@ -20,4 +21,6 @@ def feed_of(text: str) -> float:
         feed = 0.0
     if not 0 < feed < np.inf:
         raise InputError(f"feed {text!r} is no speed above 0 with a unit, as 20mm/s is; units: {', '.join(UNITS)}")
+    if not SLOWEST_M_S <= feed <= FASTEST_M_S:
+        raise InputError(f"feed {text!r} is {feed:g} m/s; valid: {SLOWEST_M_S:g} to {FASTEST_M_S:g} m/s")
     return feed

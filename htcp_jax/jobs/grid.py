@@ -90,7 +90,8 @@ class Batch(NamedTuple):
 class Sweep:
     """A sweep file, read and checked, with the robot of its configuration.
 
-    stated: see `grid_points.points_of`.
+    stated: see `grid_points.points_of`. alone: whether every scenario draws the random numbers of a job that is planned
+    by itself, in place of those of its own number.
     """
 
     name: str
@@ -98,12 +99,15 @@ class Sweep:
     robot: Robot
     groups: tuple[Group, ...]
     stated: frozenset[str]
+    alone: bool = False
 
     def __len__(self) -> int:
         return sum(group.size for group in self.groups)
 
     def points(self, limit: int | None = None) -> tuple[Point, ...]:
         """The scenarios in order, the first `limit` of them. Raises InputError for a value out of its range."""
+        if limit is not None and not 1 <= limit <= MOST:
+            raise InputError(f"limit is {limit}; valid: 1 to {MOST:,}")
         return tuple(itertools.islice(points_of(self.name, self.config, self.groups, self.stated), limit))
 
     def batch(self, limit: int | None = None) -> Batch:
@@ -131,7 +135,8 @@ class Sweep:
             own = len(cells), Cell(arms[arm], parts[arm, part], settings, task, obstacles[arm, beside])
             whose.append(cells.setdefault((arm, shape_of(part), settings, task, beside), own)[0])
             begins = arm, point.config.robot.tool_extension_m, point.config.start, point.config.task
-            scenarios.append(_scenario(point, arms[arm], parts[arm, part], follows.get(begins)))
+            number = 0 if self.alone else point.number
+            scenarios.append(_scenario(point, arms[arm], parts[arm, part], follows.get(begins), number))
             follows[begins] = scenarios[-1].targets[0]
             _check_alike(point, task, next(iter(cells.values()))[1].task)
         return Batch(tuple(cell for _, cell in cells.values()), np.array(whose, int), stack(scenarios), points)
@@ -220,8 +225,10 @@ def _check_alike(point: Point, task: Task, first: Task) -> None:
         )
 
 
-def _scenario(point: Point, robot: Robot, workpiece: Workpiece, follows: Float[np.ndarray, "3"] | None) -> Scenario:
+def _scenario(
+    point: Point, robot: Robot, workpiece: Workpiece, follows: Float[np.ndarray, "3"] | None, number: int
+) -> Scenario:
     try:
-        return scenario_of(point.config, robot, workpiece, point.number, "record", follows)
+        return scenario_of(point.config, robot, workpiece, number, "record", follows)
     except InputError as error:
         raise InputError(f"scenario {point.number}: {error}") from None

@@ -10,11 +10,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from htcp_jax.errors import InputError
 from htcp_jax.formats.strict_model import refuse_unknown, validate
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.config_file import layers, layers_of, merged, parse_override, put
 from htcp_jax.jobs.defaults import fill_in, keys_of
 from htcp_jax.jobs.examples import example_or_path
+from htcp_jax.planner.registry import NAME
 
 
 def load_config(
@@ -46,6 +48,8 @@ def read_config(
     for name, raw in found:
         refuse_unknown(raw, PlanConfig, name)
     raw = merged(raw for _, raw in found)
+    if "method" in raw and not NAME.fullmatch(str(raw["method"])):  # also if an override replaces it
+        raise InputError(f"{source}: method is {raw['method']!r}; names are small letters, digits and hyphens")
     pairs = overrides.items() if isinstance(overrides, Mapping) else map(parse_override, overrides)
     for dotted, value in pairs:
         put(raw, dotted, value)

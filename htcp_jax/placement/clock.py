@@ -4,11 +4,11 @@ What round comes next hangs on the time, so the time at the end of every round i
 the search repeats the rounds that are there, and adds to them.
 """
 
-import json
 import time
 from pathlib import Path
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.files import read_json
 from htcp_jax.runs.plan_folder import write_json
 
 FILE = "seconds.json"
@@ -38,6 +38,6 @@ def _read(file: Path) -> list[float]:
     if not file.exists():
         return []
     try:
-        return [float(end) for end in json.loads(file.read_text(encoding="utf-8"))["ends_s"]]
+        return [float(end) for end in read_json(file, file.parent)["ends_s"]]
     except (OSError, ValueError, TypeError, LookupError) as error:
         raise InputError(f"{file} is damaged: {error}") from None

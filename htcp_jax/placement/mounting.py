@@ -12,7 +12,7 @@ UNITS = {"clearance": ("mm", 1e3), "cycle time": ("s", -1.0), "joint motion": ("
 class Answer(NamedTuple):
     """What n mountings come to."""
 
-    complete: Bool[np.ndarray, "n"]  # whether every seam is done
+    complete: Bool[np.ndarray, "n"]  # whether a proven motion leads to the end of every seam
     spare: Float[np.ndarray, "n A"]  # of each aim, larger is better; -inf where a mounting is not complete
 
 
@@ -28,8 +28,9 @@ class Mounting(NamedTuple):
 
     row: int  # of `confirmed`
     values: Float[np.ndarray, "d"]  # of the parameters, each in its unit in the job
+    margin_m: float  # that its motions are planned with
     spare: Float[np.ndarray, "A"]  # of each aim, larger is better [m, or less than 0 s or rad]
-    worst: Float[np.ndarray, "A"]  # the same unit; of the worst of the disturbed mountings, -inf where one is lost
-    held: float  # [1] share of the disturbed mountings that are complete
+    worst: Float[np.ndarray, "A"]  # the worst disturbed mounting's [m, s or rad]; -inf: one is lost, NaN: not known yet
+    held: float  # [1] share of the disturbed mountings that are complete; NaN: not known yet
     front: bool  # whether none of the others is better in every aim
     tolerance: Tolerance | None  # of the first few

@@ -3,10 +3,10 @@
     found = htcp_jax.place("place.yaml", out="out/place")
     found.mountings[0].spare, found.motions      # ranked, the best first; and the run that holds their motions
 
-Every stage is a sweep or several, in folders of their own: `rounds` judge mountings by a quick planner, first evenly
-and then about what is best, `confirmed` plans the best of them as proven motions with as much clearance as there is,
-`disturbed` and `tolerance` plan these anew, a little off, and `ranked` holds the motions in their order. Called again
-it goes on from what is there.
+Every stage is a sweep or several, in folders of their own: `rounds` and `raised` judge mountings by quick plans, first
+evenly and then about what is best, `confirmed` plans the best of them as proven motions with as much clearance as there
+is, `disturbed` and `tolerance` plan these anew, a little off, and `ranked` holds the motions in their order. A first
+ranking is written before mountings are disturbed. Called again it goes on from what is there.
 """
 
 import shutil
@@ -24,12 +24,21 @@ from htcp_jax.errors import InputError
 from htcp_jax.jobs.feed import feed_of
 from htcp_jax.jobs.grid import Sweep
 from htcp_jax.placement.clock import Clock
-from htcp_jax.placement.judge import MARGIN, Judged, Planner, judge, sweep_of
-from htcp_jax.placement.mounting import Answer, Mounting
-from htcp_jax.placement.place_file import CYCLE_TIME, Search, load_search
+from htcp_jax.placement.judge import (
+    MARGIN,
+    RAISED,
+    Judged,
+    Planner,
+    judge,
+    judge_lowered,
+    judge_raised,
+    sweep_of,
+)
+from htcp_jax.placement.mounting import Answer, Mounting, Tolerance
+from htcp_jax.placement.place_file import CLEARANCE, CYCLE_TIME, Search, load_search
 from htcp_jax.placement.placed import Placed, searching, write
 from htcp_jax.placement.search import EVEN, FROM, POPULATION, ROUND, Evolution, Known, best_apart, even, score
-from htcp_jax.placement.tolerance import disturbed, tolerances
+from htcp_jax.placement.tolerance import TRIED, disturbed, most_tried, tolerances
 from htcp_jax.planner.batch import start_clearance
 from htcp_jax.planner.plans import Plans
 from htcp_jax.program.whole_run import time_run
@@ -38,7 +47,8 @@ from htcp_jax.runs.open import MOTIONS
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.status import AT_HOME, Status
 
-MARGINS = 1.1, 0.985, 0.96, 0.8, 0.5  # of the clearance that the quick planner left, that a motion is asked for
+MARGINS = 1.7, 1.4, 1.2, 1.05, 0.95, 0.8, 0.5  # of the clearance of the quick plan, that a motion is planned with
+LOWERED = 0.8, 0.4  # of its margin, with which a disturbed mounting is planned before the job's own margin
 TOLERANCES = 3  # of so many mountings tolerances are worked out
 
 
@@ -51,6 +61,7 @@ class PlaceProgress(NamedTuple):
     complete: int  # mountings
     best: float  # of the first aim so far; -inf: none
     sweep: sweeps.SweepProgress | None = None  # the one at hand
+    most: dict[str, int] | None = None  # plans of each stage at most; of the first None where time decides
 
 
 def place(
@@ -86,8 +97,10 @@ def place(
         tell.stage = "confirm"
         confirmed = _confirmed(search, judged, folder / "confirmed", plan)
         tell.stage = "tolerance"
-        mountings = _ranked(search, confirmed, folder, plan)
-        return write(folder, search, judged, mountings, _motions(search, confirmed, mountings, folder))
+        for mountings, is_final in _ranked(search, confirmed, folder, plan):
+            motions = _motions(search, confirmed, mountings, folder)
+            found = write(folder, search, judged, mountings, motions, is_final)
+        return found
 
 
 def _refuse(search: Search) -> None:
@@ -97,12 +110,25 @@ def _refuse(search: Search) -> None:
     sweep_of(search, search.ranges.values(ends)).batch()
 
 
+def most_plans(search: Search) -> dict[str, int | None]:
+    """The largest number of plans that each stage makes; None where time decides."""
+    file, k = search.file, max(1, len(search.seams))
+    is_raised = CLEARANCE in file.spare
+    scenarios = file.within.scenarios
+    return {
+        "search": None if scenarios is None else scenarios // k * k * (1 + RAISED * is_raised),
+        "confirm": k * file.best * (len(MARGINS) if is_raised else 1),
+        "disturbed": k * file.best * TRIED * (1 + len(LOWERED) * is_raised),
+        "tolerance": k * min(TOLERANCES, file.best) * most_tried(len(search.ranges.axes)),
+    }
+
+
 class _Teller:
-    """What is told of the stages to whoever listens."""
+    """Reports the stages to whoever listens."""
 
     def __init__(self, search: Search, progress: Callable[[PlaceProgress], None] | None):
         self.stage, self._progress, self._of = "search", progress, search.file.within.scenarios
-        self._scenarios, self._complete, self._best = 0, 0, -np.inf
+        self._scenarios, self._complete, self._best, self._most = 0, 0, -np.inf, most_plans(search)
 
     def judged(self, found: Judged) -> None:
         self._scenarios += len(found.plans.status)
@@ -111,7 +137,8 @@ class _Teller:
 
     def sweep(self, now: sweeps.SweepProgress) -> None:
         if self._progress is not None:
-            self._progress(PlaceProgress(self.stage, self._scenarios, self._of, self._complete, self._best, now))
+            counts = self._scenarios, self._of, self._complete, self._best
+            self._progress(PlaceProgress(self.stage, *counts, now, self._most))
 
 
 def _rounds(search: Search, folder: Path, plan: Planner, tell: _Teller) -> Iterator[Judged]:
@@ -131,7 +158,8 @@ def _rounds(search: Search, folder: Path, plan: Planner, tell: _Teller) -> Itera
         else:
             evolution = Evolution(known, len(search.file.spare), seed) if evolution is None else evolution
             u = evolution.ask()
-        found = judge(search, plan, search.ranges.values(u), search.file.screen, folder / f"{number:03d}")
+        values = search.ranges.values(u)
+        found = judge_raised(search, plan, values, folder / f"{number:03d}", folder.with_name("raised"))
         if not number:
             _refuse_collision(search, found, folder)
         own = Known(u, found.done.mean(axis=1), found.complete, found.spare)
@@ -176,44 +204,67 @@ def _confirmed(search: Search, judged: Sequence[Judged], folder: Path, plan: Pla
     chosen = list(dict.fromkeys(chosen))
     clear = np.concatenate([each.clearance for each in judged])[chosen]
     least = search.job.margin_m
+    is_raised = CLEARANCE in search.file.spare
     margins = [
-        sorted({max(least, share * c) for share in MARGINS} if whole else {least}, reverse=True)
+        sorted({max(least, share * c) for share in MARGINS} if whole and is_raised else {least}, reverse=True)
         for c, whole in zip(clear.tolist(), known.complete[chosen].tolist(), strict=True)
     ]
     every = np.repeat(values[chosen], [len(own) for own in margins], axis=0)
     return judge(search, plan, every, search.file.confirm, folder, np.concatenate(margins))
 
 
-def _ranked(search: Search, confirmed: Judged, folder: Path, plan: Planner) -> list[Mounting]:
-    """Of each mounting the plan with the most to spare, in the order of what is left when they are off."""
+def _ranked(search: Search, confirmed: Judged, folder: Path, plan: Planner) -> Iterator[tuple[list[Mounting], bool]]:
+    """The plan with the most to spare of each mounting: first by that, then by what is left when they are off, with the
+    tolerances of the first; and whether that is the final ranking."""
     rows = _best_rows(confirmed)
     if not rows:
-        return []
-    values, anew = confirmed.values[rows], partial(_anew, search, plan)
-    off = disturbed(search, values, folder / "disturbed", anew)
-    worst = np.array([one.spare.min(axis=0) for one in off])
-    worst = np.minimum(worst, confirmed.spare[rows])  # quick plans know their targets alone
+        yield [], True
+        return
+    values, spare, front = confirmed.values[rows], confirmed.spare[rows], _front(confirmed.spare[rows])
+    margin = _margins(confirmed)[rows]
+
+    def mountings(order: np.ndarray, worst: np.ndarray, held: np.ndarray, known: Mapping[int, Tolerance]):
+        kept = zip(rows, values, margin.tolist(), spare, worst, held.tolist(), front.tolist(), strict=True)
+        found = [Mounting(*each, known.get(k)) for k, each in enumerate(kept)]
+        return [found[k] for k in order]
+
+    unknown = np.full(spare.shape, np.nan)
+    yield mountings(np.argsort(-spare[:, 0], kind="stable"), unknown, unknown[:, 0], {}), False
+    off = disturbed(search, values, folder / "disturbed", partial(_anew, search, plan, margin))
+    worst = np.minimum([one.spare.min(axis=0) for one in off], spare)
     held = np.array([one.complete.mean() for one in off])
-    order = np.lexsort((-confirmed.spare[rows, 0], -worst[:, 0], -held)).tolist()
+    order = np.lexsort((-spare[:, 0], -worst[:, 0], -held))
     first = order[:TOLERANCES]
-    known = dict(zip(first, tolerances(search, values[first], folder / "tolerance", anew), strict=True))
-    front = _front(confirmed.spare[rows])
-    return [
-        Mounting(rows[k], values[k], confirmed.spare[rows[k]], worst[k], float(held[k]), bool(front[k]), known.get(k))
-        for k in order
-    ]
+    known = tolerances(search, values[first], folder / "tolerance", partial(_anew, search, plan, None))
+    yield mountings(order, worst, held, dict(zip(first.tolist(), known, strict=True))), True
 
 
-def _anew(search: Search, plan: Planner, values: Float[np.ndarray, "n d"], folder: Path) -> Answer:
-    """What mountings come to by the quick planner."""
-    quick = judge(search, plan, values, search.file.screen, folder)
-    return Answer(quick.complete, quick.spare)
+def _anew(
+    search: Search,
+    plan: Planner,
+    margin_m: Float[np.ndarray, "m"] | None,
+    values: Float[np.ndarray, "n d"],
+    folder: Path,
+) -> Answer:
+    """What mountings come to by quick plans. margin_m: of m mountings, with which n / m each are planned if clearance
+    is an aim; None: whether they are complete is all that is asked."""
+    with_clearance = margin_m is not None and CLEARANCE in search.file.spare
+    shares = LOWERED if with_clearance else ()
+    margins = [] if margin_m is None else [s * np.repeat(margin_m, len(values) // len(margin_m)) for s in shares]
+    quick = judge_lowered(search, plan, values, folder, margins)
+    proven = Judged(search, quick.run, quick.method, values, plans=quick.plans)  # clearance all along, at least
+    return Answer(proven.complete, proven.spare)
+
+
+def _margins(judged: Judged) -> Float[np.ndarray, "n"]:
+    """The margin that each mounting was planned with [m]."""
+    return judged.run.scenarios(judged.method)[MARGIN].to_numpy()[:: judged.seams]
 
 
 def _best_rows(confirmed: Judged) -> list[int]:
     """Of the plans of each mounting the one that is a motion with the most to spare."""
     best: dict[bytes, int] = {}
-    for row in np.flatnonzero(confirmed.driven).tolist():
+    for row in np.flatnonzero(confirmed.complete).tolist():
         key = confirmed.values[row].tobytes()
         if key not in best or confirmed.spare[row, 0] > confirmed.spare[best[key], 0]:
             best[key] = row
@@ -231,7 +282,7 @@ def _motions(search: Search, confirmed: Judged, mountings: Sequence[Mounting], f
     if not mountings:
         return None
     rows = np.array([one.row for one in mountings])
-    margins = confirmed.run.scenarios(confirmed.method)[MARGIN].to_numpy()[rows * confirmed.seams]
+    margins = _margins(confirmed)[rows]
     scenarios = (rows[:, None] * confirmed.seams + np.arange(confirmed.seams)).ravel()
     plans: Plans = confirmed.plans.rows(scenarios)
     spec = sweep_of(search, confirmed.values[rows], margins)

@@ -25,8 +25,8 @@ from htcp_jax.jobs.load_config import load_config
 from htcp_jax.placement.ranges import Ranges, read_ranges
 from htcp_jax.planner import registry
 
-CYCLE_TIME = "cycle time"
-AIMS = "clearance", CYCLE_TIME, "joint motion"
+CLEARANCE, CYCLE_TIME = "clearance", "cycle time"
+AIMS = CLEARANCE, CYCLE_TIME, "joint motion"
 
 
 class Within(Section):
@@ -60,7 +60,7 @@ class PlaceFile(Section):
     within: Within = Within(scenarios=2000)
     off: Off = Off()
     best: int = Field(20, ge=1, le=1000)  # mountings that are confirmed as motions
-    screen: str = "keep-clear"  # the planner that judges
+    screen: str = "roadmap"  # the planner that judges, with the settings of `judge.QUICK`
     confirm: str = "roadmap"  # the planner that confirms
     seed: int = Field(0, ge=0)
 

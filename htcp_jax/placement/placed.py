@@ -4,10 +4,13 @@ place.json            what was asked for
 ranked.json           the mountings in their order, see `Mounting`
 mountings.parquet     every mounting that was judged: parameters, share of the targets, what is spare, why it ended
 ranked/               a run: the motions of the ranked mountings, scenario by scenario
+best-1.yaml           a job of each ranked mounting, of several seams best-1-1.yaml and on, from which `htcp plan` gives
+                      its motion
 """
 
 import contextlib
 import json
+import os
 import shutil
 import signal
 from collections.abc import Iterator, Sequence
@@ -16,14 +19,20 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
+import yaml
 
 from htcp_jax.errors import InputError, Interrupted
+from htcp_jax.formats import files
+from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.jobs.examples import example_or_path
+from htcp_jax.jobs.load_config import load_config
 from htcp_jax.placement.mounting import MOUNTINGS, RANKED, Mounting
 from htcp_jax.placement.place_file import Search
+from htcp_jax.process_exit import stop_message
 from htcp_jax.runs.lock import locked
 from htcp_jax.runs.open import SEARCH
-from htcp_jax.runs.plan_folder import made_folder, write_json
+from htcp_jax.runs.plan_folder import made_folder, write_json, write_text
+from htcp_jax.runs.run_folder import open_run
 
 if TYPE_CHECKING:
     from htcp_jax.placement.judge import Judged
@@ -39,6 +48,7 @@ class Placed(NamedTuple):
     judged: Sequence["Judged"]
     mountings: Sequence[Mounting]  # ranked
     motions: Path | None  # the run
+    is_final: bool = True  # False until disturbed mountings are planned and tolerances worked out
 
     @property
     def scenarios(self) -> int:
@@ -47,7 +57,7 @@ class Placed(NamedTuple):
 
     @property
     def complete(self) -> int:
-        """How many mountings the quick planner found that do the whole work."""
+        """Number of mountings in which a quick plan is a motion to the end of every seam."""
         return sum(int(each.complete.sum()) for each in self.judged)
 
     def seams(self) -> dict[str, tuple[int, float]]:
@@ -65,13 +75,24 @@ class Placed(NamedTuple):
         """For JSON."""
         return {
             "name": self.search.name,
+            "finished": self.is_final,
+            "margin_m": self.search.job.margin_m,  # of the quick plans, and of the tolerances
             "scenarios": self.scenarios,
             "mountings": sum(len(each.values) for each in self.judged),
             "complete": self.complete,
             "seams": {name: {"complete": n, "in_the_best": share} for name, (n, share) in self.seams().items()},
             "spare": list(self.search.file.spare),
-            "ranked": [self._row(one) for one in self.mountings],
+            "ranked": [self._row(one) | {"jobs": names} for one, names in zip(self.mountings, self.jobs, strict=True)],
         }
+
+    @property
+    def jobs(self) -> list[list[str]]:
+        """The names of the ranked mountings' job files in the folder, a list a mounting with one a seam."""
+        k = len(self.search.seams)
+        return [
+            [f"best-{rank}-{seam}.yaml" for seam in range(1, k + 1)] if k > 1 else [f"best-{rank}.yaml"]
+            for rank in range(1, len(self.mountings) + 1)
+        ]
 
     def _row(self, one: Mounting) -> dict[str, Any]:
         axes, aims, off = self.search.ranges.axes, self.search.file.spare, self.search.file.off
@@ -84,6 +105,7 @@ class Placed(NamedTuple):
         }  # fmt: skip
         return {
             "parameters": {axis.name: value for axis, value in zip(axes, one.values.tolist(), strict=True)},
+            "margin_m": one.margin_m,
             "spare": {name: v for name, v in zip(aims, one.spare.tolist(), strict=True)},
             "spare_when_off": {name: v for name, v in zip(aims, one.worst.tolist(), strict=True)},
             "complete_when_off": one.held,
@@ -97,18 +119,28 @@ def searching(folder: Path, search: Search) -> Iterator[None]:
     """The search's folder, locked. One in which nothing was finished is as it was before. Raises InputError where it
     holds another search, is in use or cannot be written, Interrupted in place of Ctrl-C."""
     with made_folder(folder) as is_new, locked(folder):
+        for place, stages, _ in os.walk(folder):
+            for stage in stages:
+                files.inside(Path(place, stage), folder)  # no stage writes through a link
         _begin(folder, search)
         try:
-            yield
+            with stop_message(lambda: _stopped(folder, is_new)):
+                yield
         except (Interrupted, KeyboardInterrupt) as stop:
             code = stop.code - 128 if isinstance(stop, Interrupted) else signal.SIGINT
-            words = f"what is finished is in {folder}; the same command goes on from there"
-            raise Interrupted(f"stopped; {words if _holds_any(folder) else NOTHING}", code) from None
+            raise Interrupted(_stopped(folder, is_new), code) from None
         finally:
-            if not _holds_any(folder):
-                (folder / SEARCH).unlink(missing_ok=True)
-                if is_new:
-                    shutil.rmtree(folder, ignore_errors=True)
+            _stopped(folder, is_new)
+
+
+def _stopped(folder: Path, is_new: bool) -> str:
+    """Remove a search in which nothing is finished, and return how to go on."""
+    if _holds_any(folder):
+        return f"stopped; what is finished is in {folder}; the same command goes on from there"
+    (folder / SEARCH).unlink(missing_ok=True)
+    if is_new:
+        shutil.rmtree(folder, ignore_errors=True)
+    return f"stopped; {NOTHING}"
 
 
 def _holds_any(folder: Path) -> bool:
@@ -128,8 +160,8 @@ def _begin(folder: Path, search: Search) -> None:
         write_json(file, asked)
         return
     try:
-        there = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        there = dict(files.read_json(file, folder))
+    except (OSError, ValueError, TypeError) as error:
         raise InputError(f"{file} is damaged: {error}") from None
     asked = json.loads(json.dumps(asked))
     differing = [key for key in {**there, **asked} if there.get(key) != asked.get(key) and key != "config"]
@@ -140,14 +172,43 @@ def _begin(folder: Path, search: Search) -> None:
 
 
 def write(
-    folder: Path, search: Search, judged: Sequence["Judged"], mountings: Sequence[Mounting], motions: Path | None
+    folder: Path,
+    search: Search,
+    judged: Sequence["Judged"],
+    mountings: Sequence[Mounting],
+    motions: Path | None,
+    is_final: bool,
 ) -> Placed:
-    """The tables."""
-    found = Placed(folder, search, judged, mountings, motions)
-    part = folder / f".part-{MOUNTINGS}"
-    pq.write_table(_table(search, judged), part, compression="zstd")
-    part.replace(folder / MOUNTINGS)
+    """Write the tables and the job files."""
+    found = Placed(folder, search, judged, mountings, motions, is_final)
+    if motions is not None:
+        _write_jobs(found, [point.config for point in open_run(motions).points()])
+    files.write(folder, MOUNTINGS, files.parquet_bytes(_table(search, judged)))
     write_json(folder / RANKED, found.record())
+    return found
+
+
+def _write_jobs(found: Placed, configs: Sequence[PlanConfig]) -> None:
+    """A job file of every ranked mounting and seam: the search's job and what differs from it."""
+    search, names = found.search, [name for own in found.jobs for name in own]
+    for old in found.folder.glob("best-*.yaml"):
+        old.unlink()
+    base = {} if search.config is None else {"config": str(example_or_path(search.config).resolve())}
+    plain = load_config(base.get("config")).model_dump(mode="json")
+    for name, config in zip(names, configs, strict=True):
+        own = _differences(config.model_dump(mode="json"), plain) | {"method": search.file.confirm}
+        text = f"# A mounting that htcp place ranked for {search.name}; htcp plan {name} gives its motion.\n"
+        write_text(found.folder / name, text + yaml.safe_dump(base | own, sort_keys=False))
+
+
+def _differences(config: dict[str, Any], plain: dict[str, Any]) -> dict[str, Any]:
+    """The keys of a configuration with other values than in the plain one, section by section."""
+    found = {}
+    for key, value in config.items():
+        if isinstance(value, dict) and isinstance(plain.get(key), dict):
+            value = _differences(value, plain[key]) or plain[key]
+        if value != plain.get(key):
+            found[key] = value
     return found
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
+from htcp_jax.jobs.config import LARGEST
 from htcp_jax.jobs.grid_axes import KEYS, NO_AXIS, XYZ, parameters
 
 PLANNERS_OWN = ("settings.", "margin_m", "workpiece.interior", "workpiece.mesh", "workpiece.tip_contact_m",
@@ -143,8 +144,8 @@ def _range(where: str, key: str, element: int | None, value: Any) -> Range:
     if not low < high:
         kind = "empty" if low == high else "reversed"
         raise InputError(f"{where}: {name}: the range [{low:g}, {high:g}] is {kind}")
-    if not math.isfinite(high - low):
-        raise InputError(f"{where}: {name}: the range [{low:g}, {high:g}] is wider than a number can be")
+    if not max(-low, high) <= LARGEST:
+        raise InputError(f"{where}: {name}: the range is [{low:g}, {high:g}]; valid: -{LARGEST:g} to {LARGEST:g}")
     return Range(key, element, low, high)
 
 

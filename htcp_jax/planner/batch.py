@@ -13,9 +13,10 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.clearance.obstacle import Obstacles
-from htcp_jax.clearance.obstacles import clearances, nearest_to
+from htcp_jax.clearance.obstacles import contacts, nearest_to
 from htcp_jax.clearance.of_workpiece import all_obstacles
 from htcp_jax.clearance.scene import Scene, own_scene
+from htcp_jax.clearance.self_collision import SelfCollision, refused_overlap
 from htcp_jax.errors import InputError
 from htcp_jax.planner import registry
 from htcp_jax.planner.devices import choose, default_threads
@@ -25,11 +26,13 @@ from htcp_jax.planner.problem import Problem, ignore
 from htcp_jax.planner.processes import portable, shares, spread, that_pay
 from htcp_jax.planner.registry import Method, find
 from htcp_jax.planner.tables import gather
-from htcp_jax.scene.robot import Robot
+from htcp_jax.scene.link_meshes import from_mesh
+from htcp_jax.scene.robot import Robot, capsule_in_words
 from htcp_jax.scene.scenario import NOT_REFUSED, Scenario, stack
 from htcp_jax.scene.task import Task
 from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.settings import Settings, settings_of
+from htcp_jax.status import Status
 
 
 class Progress(NamedTuple):
@@ -87,6 +90,7 @@ def plan(
     elif scenarios.x_start.ndim == 1:
         scenarios = stack([scenarios])
     scenarios = jax.tree.map(np.array, scenarios)  # a copy: starts may be chosen, and approaches leave their lines
+    _refuse_starts(robot, obstacles, scenarios, check_starts)
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
     _check_task(task, robot, scenarios)
     devices = choose(device)
@@ -119,6 +123,7 @@ def plan(
     from htcp_jax.planner.home import begin_at_home, leave_home
     from htcp_jax.planner.lane_checks import check_remaining_paths
     from htcp_jax.planner.motion_check import judge_motions, tighten
+    from htcp_jax.planner.record import with_separate_errors
 
     with _preparing(problem, chosen):
         if check_starts:
@@ -136,6 +141,7 @@ def plan(
                 plans = smooth(problem, plans)
                 judge_motions(problem, plans)
                 tighten(problem, plans)
+        plans = with_separate_errors(plans, problem)
     spent = time.perf_counter() - began
     compile_s = plans.compile_s + max(each.compile_s for each in problem.kernels)
     return plans._replace(compile_s=compile_s, run_s=spent - compile_s)
@@ -181,10 +187,13 @@ def start_clearance(
     scenario = jax.tree.map(jnp.asarray, scenario)
     x = scenario.x_start if x is None else jnp.asarray(x)
     scene = own_scene(Scene(robot, all_obstacles(workpiece, obstacles)), scenario.tool_extension_m)
-    D = np.asarray(jax.jit(clearances)(scene.robot, scene.obstacles, scenario, x))
-    row = int(D.argmin())
+    touch = jax.jit(contacts)(scene.robot, scene.obstacles, scenario, x)
+    row = int(touch.distance.argmin())
+    body = scene.rows.body[row]
+    surface = touch.point[row] - scene.robot.capsule_radius[body] * touch.normal[row]
     other = nearest_to(scene.robot, scene.obstacles, scenario, x, row)
-    return float(D.min()), robot.capsule_names[scene.rows.body[row]], other
+    note = from_mesh(robot, robot.capsule_names[body], np.asarray(x), np.asarray(surface))
+    return float(touch.distance[row]), capsule_in_words(robot.capsule_names[body]), other + note
 
 
 def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario, obstacles: Obstacles = ()) -> None:
@@ -226,6 +235,23 @@ def _check_starts(problem: Problem, obstacles: Obstacles) -> None:
         for x in _begins_at(one).values():
             if problem.kernels[0](ADVANCE, inputs, x[None], np.zeros_like(x)[None]).clearance[0] <= 0:
                 check_start(problem.robot, problem.workpiece, one, obstacles)
+
+
+def _refuse_starts(robot: Robot, obstacles: Obstacles, scenarios: Scenario, raises: bool) -> None:
+    """Refuse the scenarios that begin where capsules overlap which are not checked, see `refused_overlap`; or raise
+    InputError."""
+    for own in (each for each in obstacles if isinstance(each, SelfCollision)):
+        known: dict[bytes, str | None] = {}
+        for s in np.flatnonzero(scenarios.refused == NOT_REFUSED):
+            for what, x in _begins_at(jax.tree.map(lambda leaf, s=s: leaf[s], scenarios)).items():
+                if x.tobytes() not in known:
+                    known[x.tobytes()] = refused_overlap(own, robot, x)
+                if (reason := known[x.tobytes()]) is None:
+                    continue
+                if raises:
+                    raise InputError(f"{what} is in collision: {reason}")
+                home = what == "home"
+                scenarios.refused[s] = Status.HOME_IN_COLLISION if home else Status.START_IN_COLLISION
 
 
 def _check_task(task: Task, robot: Robot, scenarios: Scenario) -> None:

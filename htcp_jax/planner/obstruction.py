@@ -1,8 +1,9 @@
-"""What is in the way at a target that a plan did not reach: which body, where, and how deep.
+"""The colliding body at a target that a plan did not reach: which body, where, and how deep.
 
 From the last posture that was tracked, inverse kinematics brings the tool onto the failed target all the same, inside
-the joint limits but through whatever is there, equation (5b). The body with the smallest clearance there is the one
-in the way. That is one posture of many: an escape may have looked at others, and found none that is clear.
+the joint limits but through whatever is there, equation (5b). The body with the smallest clearance there is the
+colliding one; if that clearance is above 0, no body collides and the search ended for another reason. That is one
+posture of many: an escape may have looked at others, and found none that is clear.
 """
 
 from functools import lru_cache
@@ -22,7 +23,8 @@ from htcp_jax.planner.kernel import DEEP
 from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.plans import Plans
 from htcp_jax.scene.inverse_kinematics import reanchor
-from htcp_jax.scene.robot import Robot
+from htcp_jax.scene.link_meshes import from_mesh
+from htcp_jax.scene.robot import Robot, capsule_in_words
 from htcp_jax.scene.scenario import Scenario, stack
 from htcp_jax.scene.task import Task
 from htcp_jax.scene.workpiece import Workpiece
@@ -42,16 +44,27 @@ class Obstruction(NamedTuple):
     reached: bool  # whether that is within the tolerance
     x: Float[np.ndarray, "N"]  # the posture
     other: str = "the workpiece"  # what is nearest to the body
+    from_mesh: str = ""  # how far the capsule is from its mesh there, if the arm's file refers to meshes
+
+    @property
+    def collides(self) -> bool:
+        """True if the tool is on the target there and the body inside of what is nearest to it."""
+        return self.reached and self.depth_m > 0
+
+    def cause(self, otherwise: str) -> str:
+        """The colliding body, "out of reach", or, if no body collides, `otherwise`."""
+        return self.body if self.collides else otherwise if self.reached else "out of reach"
 
     @property
     def description(self) -> str:
-        """What is in the way, for a person."""
+        """The colliding body, for a person, or that there is none."""
         if not self.reached:
             return f"the arm comes only to within {_mm(self.residual_m)} of it"
+        body = capsule_in_words(self.body)
         where = f"at ({', '.join(f'{value:.2f}' for value in self.point)}) m there"
         if self.depth_m > 0:
-            return f"{self.body} is {_mm(self.depth_m)} inside {self.other} {where}"
-        return f"{self.body} is nearest to {self.other}, {_mm(-self.depth_m)} clear of it {where}"
+            return f"{body} is {_mm(self.depth_m)} inside {self.other} {where}{self.from_mesh}"
+        return f"no body collides; {body} is nearest to {self.other}, {_mm(-self.depth_m)} clear of it {where}"
 
     def record(self) -> dict[str, Any]:
         """What a file holds of it."""
@@ -99,11 +112,13 @@ def obstructions(
         found = look(scene, np.int32(count), *jax.tree.map(lambda leaf, rows=rows: np.asarray(leaf)[rows], lanes))
         measured += zip(*(np.asarray(leaf)[:count] for leaf in found), strict=True)
     found = []
-    for k, (row, point, depth, off, x) in enumerate(measured):
+    for k, (row, point, surface, depth, off, x) in enumerate(measured):
         here = jax.tree.map(lambda leaf, k=k: jnp.asarray(leaf[k]), where)
         other = nearest_to(own_scene(scene, here.tool_extension_m).robot, obstacles, here, jnp.asarray(x), int(row))
-        body, reached = robot.capsule_names[scene.rows.body[int(row)]], bool(task.reached(np.asarray(off)))
-        found.append(Obstruction(body, point, float(depth), float(off), reached, x, other))
+        number, reached = scene.rows.body[int(row)], bool(task.reached(np.asarray(off)))
+        body = robot.capsule_names[number]
+        note = from_mesh(robot, body, x, surface)
+        found.append(Obstruction(body, point, float(depth), float(off), reached, x, other, note))
     return found
 
 
@@ -120,12 +135,15 @@ def _program(width: int):
 
 
 def _brought_there(scene: Scene, where, x_last, goal):
-    """Row of clearance, point of the obstacle, depth [m], TCP error [m] and posture of one scenario."""
+    """Row of clearance, points of the obstacle and of the capsule's surface that faces it, depth [m], TCP error [m] and
+    configuration of one scenario."""
     robot, obstacles, task = own_scene(scene, where.tool_extension_m)
     x, residual = reanchor(robot, x_last, goal, task.fine_m, task=task)
     touch = contacts(robot, obstacles, where, x)
     row = jnp.argmin(touch.distance)
-    return row, touch.witness[row], -touch.distance[row], residual, x
+    radius = robot.capsule_radius[np.array(scene.rows.body)]
+    surface = touch.point[row] - radius[row] * touch.normal[row]
+    return row, touch.witness[row], surface, -touch.distance[row], residual, x
 
 
 def _mm(length_m: float) -> str:

@@ -43,6 +43,13 @@ class Outcome(NamedTuple):
         """Whether a proven motion leads to its last target."""
         return 0 < self.targets == self.executable
 
+    @property
+    def reason(self) -> str:
+        """What ended its motion, in words: the way to a tracked target, or the search; "complete" if nothing did."""
+        if self.executable < self.tracked:
+            return self.way.words
+        return "complete" if self.status is None else self.status.words
+
 
 class Outcomes(NamedTuple):
     """How S scenarios ended, a column each; see `Outcome`."""
@@ -80,8 +87,8 @@ class Outcomes(NamedTuple):
 class Plans(NamedTuple):
     """The plans of S scenarios with up to T targets each, for a robot of N joints; numpy arrays on the host.
 
-    Rows of targets that are not tracked hold NaN in `x`, `tcp`, `clearance`, `residual` and `joint_step`; those of
-    targets that a scenario does not have, the status NO_TARGET.
+    Rows of targets that are not tracked hold NaN in `x`, `tcp`, `clearance`, `residual`,
+    `orientation_error` and `joint_step`; those of targets that a scenario does not have, the status NO_TARGET.
     """
 
     start: Float[np.ndarray, "S N"]  # the posture that the plan starts from [rad or m]
@@ -89,7 +96,8 @@ class Plans(NamedTuple):
     tcp: Float[np.ndarray, "S T 3"]  # tool centre point, world [m]
     target: Float[np.ndarray, "S T M"]  # where the task's rows, the TCP's xyz, should be [m]; NaN where there is none
     clearance: Float[np.ndarray, "S T"]  # D(x, O), smallest over all rows [m]
-    residual: Float[np.ndarray, "S T"]  # of the task: |tcp - target| [m]
+    residual: Float[np.ndarray, "S T"]  # of the task's points: |tcp - target| [m]
+    orientation_error: Float[np.ndarray, "S T"]  # largest angle from what the task holds [rad]; NaN if it holds none
     status: Int8[np.ndarray, "S T"]  # htcp_jax.status.Status, or NO_TARGET
     iterations: Int[np.ndarray, "S T"]  # step QPs solved for the target; 0 where one was pushed there
     joint_step: Float[np.ndarray, "S T"]  # |x_t - x_{t-1}|, the start being x_{-1} [rad]
@@ -216,13 +224,14 @@ ARRAYS = tuple(name for name in Plans._fields if name not in ("knots", "compile_
 
 # What a row holds of a target that a scenario does not have; one that is not attempted has another status.
 EMPTY = {
-    "x": np.nan, "tcp": np.nan, "target": np.nan, "clearance": np.nan, "residual": np.nan, "status": NO_TARGET,
-    "iterations": 0, "joint_step": np.nan, "escape": 0, "path_clear": UNKNOWN, "way": int(Way.UNKNOWN),
-    "way_clearance": np.nan,
+    "x": np.nan, "tcp": np.nan, "target": np.nan, "clearance": np.nan, "residual": np.nan, "orientation_error": np.nan,
+    "status": NO_TARGET, "iterations": 0, "joint_step": np.nan, "escape": 0, "path_clear": UNKNOWN,
+    "way": int(Way.UNKNOWN), "way_clearance": np.nan,
 }  # fmt: skip
 _KINDS = {
-    "x": float, "clearance": float, "residual": float, "status": np.int8, "iterations": np.int32, "joint_step": float,
-    "escape": np.int8, "path_clear": np.int8, "way": np.int8, "way_clearance": float,
+    "x": float, "clearance": float, "residual": float, "orientation_error": float, "status": np.int8,
+    "iterations": np.int32, "joint_step": float, "escape": np.int8, "path_clear": np.int8, "way": np.int8,
+    "way_clearance": float,
 }  # fmt: skip
 
 

@@ -10,7 +10,6 @@ import importlib
 import os
 import pickle
 import signal
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -25,6 +24,8 @@ import numpy as np
 from jaxtyping import Int
 
 from htcp_jax.errors import Lost
+from htcp_jax.formats.files import scratch
+from htcp_jax.process_exit import signals_blocked
 
 LOOK_S = 0.1  # how often the one that waits looks how far the work has come
 IDLE_S = 300  # after which workers without work end
@@ -78,13 +79,15 @@ def spread(
 
     Raises what the first part to break raises, and Lost when a worker is gone.
     """
-    with tempfile.TemporaryDirectory(prefix="htcp-", ignore_cleanup_errors=True) as folder:
-        file = Path(folder, sha256(shared).hexdigest())
+    with scratch() as folder:
+        file = folder / sha256(shared).hexdigest()
         file.write_bytes(shared)
-        board = np.memmap(Path(folder, BOARD), np.int64, "w+", shape=(len(parts), 2))
-        workers, began = _executor(processes), time.perf_counter()
+        board = np.memmap(folder / BOARD, np.int64, "w+", shape=(len(parts), 2))
+        with signals_blocked():
+            workers, began = _executor(processes), time.perf_counter()
+            ready = [workers.submit(_ready) for _ in range(processes)]
         try:
-            _watched([workers.submit(_ready) for _ in range(processes)], lambda: None)
+            _watched(ready, lambda: None)
             start_s = time.perf_counter() - began
             asked = [workers.submit(_work, file, k, call, part) for k, part in enumerate(parts)]
             _watched(asked, lambda: report and report(np.array(board)))

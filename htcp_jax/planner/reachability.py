@@ -11,6 +11,7 @@ collide for sure, or breaks a row of the task (`tool_cells.excluded`), there is 
 before it: an upper bound. Between the two lies what is not known.
 """
 
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
@@ -57,6 +58,14 @@ class Reachability(NamedTuple):
     resolution_rad: np.ndarray
 
 
+class Stopped(KeyboardInterrupt):
+    """Raised in place of KeyboardInterrupt during a search; `found` is its result by then, with larger bounds."""
+
+    def __init__(self, found: Reachability):
+        super().__init__()
+        self.found = found
+
+
 def reachable_prefixes(
     robot: Robot,
     workpiece: Workpiece,
@@ -73,7 +82,7 @@ def reachable_prefixes(
     fails; proof_cells: see `tool_cells.excluded`, 0 for no proofs; from the settings count alpha_rad, tolerance_m and
     the seed. task: what the arm holds; None: the TCP's position; where it holds the TCP nowhere, there are no proofs.
     obstacles: besides the workpiece, which proofs leave out. Threads, one a core, share the scenarios.
-    progress(target, targets) is called after each target."""
+    progress(target, targets) is called after each target. Raises Stopped on Ctrl-C."""
     settings = settings or Settings()
     scenarios = jax.tree.map(np.array, scenarios)  # a copy: approaches leave their lines
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
@@ -82,26 +91,51 @@ def reachable_prefixes(
     [tip] = tip_checks([kernels], make_tip_guard(workpiece))
     known = known_postures(robot, scenarios.tool_extension_m)
     threads = default_threads([kernels.device], settings.qp)
+    parts = [nothing_found(gather(scenarios, slice(number, None, threads))) for number in range(threads)]
+    stop = threading.Event()
 
-    def work(number: int) -> Reachability:
+    def work(number: int) -> None:
         own = gather(scenarios, slice(number, None, threads))
-        told = progress if number == 0 else None
-        found = _prefixes(kernels, tip, known, own, settings.seed, resolution_rad, told)
-        return found._replace(most=_most(kernels, robot, own, found, proof_cells if task.holds_tcp else 0))
 
-    with ThreadPoolExecutor(threads) as pool:
-        parts = concatenate(list(pool.map(work, range(threads))))
-    order = np.concatenate([np.arange(len(scenarios.count))[number::threads] for number in range(threads)])
-    return gather(parts, np.argsort(order))
+        def report(row: int, rows: int) -> None:
+            if stop.is_set():
+                raise KeyboardInterrupt
+            if progress is not None and number == 0:
+                progress(row, rows)
+
+        found = parts[number]
+        _prefixes(kernels, tip, known, own, settings.seed, resolution_rad, found, report)
+        parts[number] = found._replace(most=_most(kernels, robot, own, found, proof_cells if task.holds_tcp else 0))
+
+    def in_order() -> Reachability:
+        order = np.concatenate([np.arange(len(scenarios.count))[number::threads] for number in range(threads)])
+        return gather(concatenate(parts), np.argsort(order))
+
+    pool = ThreadPoolExecutor(threads)
+    try:
+        list(pool.map(work, range(threads)))
+    except KeyboardInterrupt:
+        raise Stopped(in_order()) from None
+    finally:
+        stop.set()
+        pool.shutdown(wait=False, cancel_futures=True)
+    return in_order()
 
 
-def _prefixes(kernels, tip, known, scenarios: Scenario, seed: int, resolution_rad: float, progress) -> Reachability:
-    """What the search finds; `most` is not known yet."""
+def nothing_found(scenarios: Scenario) -> Reachability:
+    """The result before a search of S stacked scenarios, with arrays of its own."""
     count, rows = scenarios.targets.shape[:2]
-    found = Reachability(
-        np.zeros(count, int), scenarios.count, np.full(count, np.nan),
+    return Reachability(
+        np.zeros(count, int), np.array(scenarios.count), np.full(count, np.nan),
         np.full((count, rows, scenarios.x_start.shape[1]), np.nan), np.zeros(count),
     )  # fmt: skip
+
+
+def _prefixes(
+    kernels, tip, known, scenarios: Scenario, seed: int, resolution_rad: float, found: Reachability, progress: Callable
+) -> None:
+    """Search, and put into `found` what comes of it; `most` is not known yet."""
+    count, rows = scenarios.targets.shape[:2]
     front = [x[None] for x in scenarios.x_start]
     alive = np.arange(count)
     for row in range(rows):
@@ -120,9 +154,7 @@ def _prefixes(kernels, tip, known, scenarios: Scenario, seed: int, resolution_ra
             looked = looked[[not len(own) for own in clear]]
             looked = looked[_off_lines(scenarios, looked, row)]
         alive = alive[found.prefix[alive] > row]
-        if progress is not None:
-            progress(row + 1, rows)
-    return found
+        progress(row + 1, rows)
 
 
 def _looked_at(

@@ -1,10 +1,13 @@
 """What an engine writes down: targets that are tracked, and those that are lost."""
 
+import jax
 import numpy as np
 
 from htcp_jax.planner.kernels import Measured
 from htcp_jax.planner.lanes import Lanes
 from htcp_jax.planner.plans import Plans
+from htcp_jax.planner.problem import Problem
+from htcp_jax.scene.robot import lengthen_tool
 from htcp_jax.status import Status
 
 
@@ -35,3 +38,21 @@ class Record:
         """The lanes' scenarios are over before they began."""
         self._plans.status[lanes.scenario, lanes.target] = Status.START_IN_COLLISION
         self.finished += lanes.size
+
+
+def with_separate_errors(plans: Plans, problem: Problem) -> Plans:
+    """Return the plans with the residual split into a distance and an angle, if the task holds angles."""
+    if not problem.task.holds_angles:
+        return plans
+    residual, angle, scenarios = plans.residual.copy(), plans.orientation_error.copy(), problem.scenarios
+    for s in np.flatnonzero(plans.tracked.any(axis=1)).tolist():
+        found = _errors(problem.task, problem.robot, scenarios.tool_extension_m[s], plans.x[s], scenarios.goals[s])
+        for column, values in zip((residual, angle), found, strict=True):
+            column[s] = np.where(plans.tracked[s], values, np.nan)
+    return plans._replace(residual=residual, orientation_error=angle)
+
+
+@jax.jit
+def _errors(task, robot, tool_extension_m, x, goals):
+    own = lengthen_tool(robot, tool_extension_m)
+    return jax.vmap(lambda x, goal: task.errors(own, x, goal))(x, goals)

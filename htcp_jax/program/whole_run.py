@@ -20,10 +20,12 @@ import numpy as np
 import pyarrow as pa
 
 from htcp_jax.errors import InputError, Interrupted
+from htcp_jax.formats.files import make_folder, write
 from htcp_jax.jobs.build import arm_of, part_of, robot_of, scenario_of, workpiece_of
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.planner import compile_cache
 from htcp_jax.planner.plans import Plans
+from htcp_jax.process_exit import signals_blocked, stop_message
 from htcp_jax.program.figures import Figures, figures
 from htcp_jax.program.limits import joint_limits
 from htcp_jax.program.loads import LOOKED_AT_S, Load, loads_of, model_of, torques
@@ -33,7 +35,6 @@ from htcp_jax.runs.lock import locked, signals
 from htcp_jax.runs.open import RunPlans, plans_of_run
 from htcp_jax.runs.run_folder import Run, open_run
 from htcp_jax.runs.timing_file import SCHEMA, TIMING, Timing, read_timing, timing_bytes, timing_file
-from htcp_jax.runs.writer import write
 from htcp_jax.scene.robot import Robot, lengthen_tool
 from htcp_jax.scene.workpiece import Workpiece
 
@@ -81,9 +82,11 @@ def time_run(
     timer = _Timer(plans_of_run(run), asked)
     chosen = _chosen(timer.found, methods)
     check_limits(timer.jobs)
-    with locked(run.folder), signals() as came, _processes(timer, chosen, workers) as pool:
-        for method in chosen:
-            _time_method(timer, method, pool, progress, came)
+    stopped = f"stopped; what is timed is kept in {run.folder}; the same command goes on"
+    with stop_message(lambda: stopped), locked(run.folder), signals() as came:
+        with _processes(timer, chosen, workers) as pool:
+            for method in chosen:
+                _time_method(timer, method, pool, progress, came)
     return run
 
 
@@ -214,12 +217,9 @@ def _stopped(timer: _Timer, method: str, done: int, of: int) -> str:
 
 
 def _write(run: Run, method: str, timing: Timing) -> None:
-    file = timing_file(run.folder, method)
-    try:
-        (run.folder / TIMING).mkdir(exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot write to {run.folder}: {error.strerror}") from None
-    write(run.folder, file, timing_bytes(timing, run.manifest.shards, method))
+    make_folder(run.folder, TIMING)
+    name = str(timing_file(run.folder, method).relative_to(run.folder))
+    write(run.folder, name, timing_bytes(timing, run.manifest.shards, method))
 
 
 def _row(number: int, feed_m_s: float, one: _OfScenario | None, load: Load | None) -> dict:
@@ -256,6 +256,8 @@ def _processes(timer: _Timer, methods: Sequence[str], workers: int | None) -> It
         return
     given = timer.found.folder, timer.asked
     with ProcessPoolExecutor(workers, get_context("spawn"), _begin, given) as pool:
+        with signals_blocked():
+            pool.submit(int)  # starts all of them
         yield pool
 
 

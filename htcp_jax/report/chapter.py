@@ -19,6 +19,7 @@ from htcp_jax.report.groups import Part
 from htcp_jax.report.motions import meaning, motions
 from htcp_jax.report.timing import timing, timing_section
 from htcp_jax.report.validation import validation_section, verdict
+from htcp_jax.status import Way
 
 MOST_SLICES = 9  # maps in a row
 UNITS = "rad", "m"
@@ -36,6 +37,7 @@ TABLES = (
     best,
     tables.reachability,
     motions,
+    tables.motion_ends,
     timing,
     tables.stops,
     tables.steps,
@@ -65,6 +67,7 @@ def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list
         Heading(level, "Motions"),
         made["motions"],
         meaning(part),
+        *_motion_ends(made["motion-ends"]),
         *timing_section(part, made["timing"], prefix, level, label),
         Heading(level, "Failures"),
         *_ends(part, made["stops"], prefix),
@@ -224,6 +227,16 @@ def _ends(part: Part, table: Table, prefix: str) -> list[Block]:
         table,
         meaning,
     ]
+
+
+def _motion_ends(table: Table) -> list[Block]:
+    """Why tracked targets are not executable; nothing where all of them are."""
+    if not table.rows:
+        return []
+    shown = [way for way in Way if any(row["reason"] == way.words for row in table.records())]
+    meaning = "; ".join(f"{way.words}: {way.message}" for way in shown)
+    text = "Why tracked targets are not executable: the motion ends at one of them, and those behind it count with it"
+    return [table, f"{text}. {meaning[0].upper()}{meaning[1:]}."]
 
 
 def _clearance(part: Part, prefix: str) -> Picture:

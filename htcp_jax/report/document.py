@@ -4,7 +4,6 @@ import base64
 import csv
 import io
 import math
-import re
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
@@ -12,9 +11,10 @@ from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 
+from htcp_jax.formats.files import write
+from htcp_jax.markup import escaped
+
 NOTHING = "-"
-MARKS = re.compile(r"[\\`*<>|~$&]|\](?=[\[(:])|(?<![0-9A-Za-z])_|_(?![0-9A-Za-z])")  # Markdown's own
-UNPRINTABLE = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # no characters of XML
 
 
 def unknown(value: Any) -> bool:
@@ -82,6 +82,18 @@ def markdown(blocks: Sequence[Block]) -> str:
     return "\n\n".join(map(_markdown, blocks)) + "\n"
 
 
+def literal(block: Block) -> Block:
+    """Return the block with its text escaped for Markdown, as `html` does for HTML; a table's cells always are."""
+    match block:
+        case Heading(level, text):
+            return Heading(level, escaped(text))
+        case Table():
+            return block._replace(title=escaped(block.title))
+        case Picture():
+            return block._replace(alt=escaped(block.alt.replace("[", "(").replace("]", ")")))  # within brackets itself
+    return escaped(block)
+
+
 def html(blocks: Sequence[Block], pictures: dict[str, bytes]) -> str:
     """The blocks as one self-contained HTML file without scripts; `pictures` are PNG files by name."""
     title = next((block.text for block in blocks if isinstance(block, Heading)), "Report")
@@ -89,23 +101,14 @@ def html(blocks: Sequence[Block], pictures: dict[str, bytes]) -> str:
     return _PAGE.format(title=escape(title), style=_STYLE, body=body)
 
 
-def printable(text: str) -> str:
-    """The text without control characters and halves of surrogate pairs, which neither XML nor UTF-8 can hold."""
-    return UNPRINTABLE.sub("\N{REPLACEMENT CHARACTER}", text)
-
-
-def escaped(text: str) -> str:
-    """The text for Markdown, on one line, that reads as it is."""
-    return MARKS.sub(r"\\\g<0>", " ".join(printable(text).splitlines()))
-
-
 def write_csv(file: Path, table: Table) -> None:
     """The table with numbers that read back exactly; what is not known is an empty cell."""
-    with file.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow([column.key for column in table.columns])
-        for row in table.rows:
-            writer.writerow(["" if unknown(cell) else cell for cell in row])
+    stream = io.StringIO(newline="")
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow([column.key for column in table.columns])
+    for row in table.rows:
+        writer.writerow(["" if unknown(cell) else cell for cell in row])
+    write(file.parent, file.name, stream.getvalue().encode())
 
 
 def png(figure: Figure) -> bytes:
@@ -195,10 +198,10 @@ h2 { font-size: 1.4rem; margin: 3.2rem 0 .6rem; padding-top: 1rem; border-top: 2
 h3 { font-size: 1.1rem; margin: 2.2rem 0 .5rem; }
 p { max-width: 46rem; margin: .5rem 0 .9rem; }
 img { display: block; width: 100%; height: auto; margin: 1.2rem 0; }
-.wide { overflow-x: auto; margin: 1rem 0; }
+.wide { overflow-x: auto; margin: 1rem 0; width: max-content; max-width: calc(100vw - 2.5rem); }
 table { border-collapse: collapse; font-size: .86rem; font-variant-numeric: tabular-nums; }
 caption { text-align: left; font-weight: 600; padding-bottom: .4rem; }
-th, td { padding: .32rem .55rem; text-align: left; vertical-align: top; }
+th, td { padding: .32rem .42rem; text-align: left; vertical-align: top; }
 th { font-weight: 600; line-height: 1.25; vertical-align: bottom; border-bottom: 1.5px solid #22303c; }
 th small { font-weight: 400; color: #5d6b77; }
 td { border-bottom: 1px solid #e6e9ec; }

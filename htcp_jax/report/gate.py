@@ -7,7 +7,8 @@ import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 
-from htcp_jax.report.document import Block, Column, Heading, Table, escaped, markdown, printable
+from htcp_jax.markup import escaped, printable
+from htcp_jax.report.document import Block, Column, Heading, Table, markdown
 from htcp_jax.runs.labels import counted
 from htcp_jax.validation.gate import ENDS, Check, Origin, Row, Verdict
 

@@ -81,7 +81,7 @@ def place_front(found: Searched) -> Figure:
 
 
 def _note(found: Searched) -> str:
-    told = f"{len(found.values):,} mountings; of those that are lost, the darker the more targets are tracked."
+    told = f"{len(found.values):,} mountings; of those that are lost, the darker the more targets are executable."
     if len(found.ranked):
         told += " Ringed: proven motions; number: the rank."
     more = len(found.parameters) - MOST_PARAMETERS
@@ -140,7 +140,7 @@ def _beside(figure: Figure, place: SubplotSpec, found: Searched, in_the_way: Map
     if len(found.seams) > 1:
         lists["each seam alone"] = [Ending(name, count, "s", SPARE(0.6)) for name, count in found.seams.items()]
     if in_the_way:
-        told = f"in the way, in {sum(in_the_way.values())} of the lost"
+        told = f"colliding, in {sum(in_the_way.values())} of the lost"
         lists[told] = [Ending(body, count, "s", LOST) for body, count in in_the_way.items()]
     inner = place.subgridspec(len(lists) + 1, 1, height_ratios=(*(len(each) + 0.6 for each in lists.values()), 0.35))
     for number, (head, endings) in enumerate(lists.items()):

@@ -10,9 +10,11 @@ import numpy as np
 from jaxtyping import Int
 from matplotlib.figure import Figure
 
+from htcp_jax.formats.files import write
 from htcp_jax.placement.mounting import UNITS
 from htcp_jax.report.cell import RunScene
 from htcp_jax.report.chart_style import INK
+from htcp_jax.report.document import png
 from htcp_jax.report.place_charts import place_front, place_map
 from htcp_jax.report.place_tables import Searched, read_search
 from htcp_jax.runs.open import MOTIONS, plans_of_run
@@ -21,7 +23,6 @@ from htcp_jax.viewer.replay import recorded_replays
 
 BEST = 3  # mountings of which there are pictures
 SAMPLE = 64  # lost mountings, of which is looked at what is in the way
-SHORT = "none: the arm is too short"
 
 
 def draw_search(folder: str | Path) -> list[Path]:
@@ -73,10 +74,10 @@ def _blocking(run: Run, mountings: Int[np.ndarray, "m"], k: int) -> list[str]:
     """What is in the way in some mountings of a round, each at the first seam that it loses."""
     (method,) = run.methods
     plans = run.plans(method)
-    complete = plans.outcomes.complete.reshape(-1, k)
-    rows = (mountings * k + complete[mountings].argmin(axis=1)).tolist()
+    whole = plans.outcomes.can_be_driven.reshape(-1, k)
+    rows = (mountings * k + whole[mountings].argmin(axis=1)).tolist()
     found = recorded_replays(plans_of_run(run), {method: plans}.__getitem__).obstructions(method, rows)
-    return [each.body if each.reached else SHORT for each in found.values()]
+    return [each.cause("no body collides") for each in found.values()]
 
 
 def _title(found: Searched, rank: int, seam: str) -> str:
@@ -84,6 +85,8 @@ def _title(found: Searched, rank: int, seam: str) -> str:
         f"{name} {spare:.3g} {UNITS[name][0]}" + (f", {off:.3g} when off" if np.isfinite(off) else "")
         for name, spare, off in zip(found.aims, found.spare[rank - 1], found.off[rank - 1], strict=True)
     ]
+    if np.isfinite(found.margin[rank - 1]):
+        left.append(f"margin {found.margin[rank - 1]:.3g} mm")
     return f"Rank {rank}: {'; '.join(left)}" + (f"; at the seam {seam}" if len(found.seams) > 1 else "")
 
 
@@ -93,7 +96,5 @@ def _given(found: Searched, rank: int) -> str:
 
 
 def _saved(file: Path, figure: Figure) -> Path:
-    part = file.with_name(f".part-{file.name}")
-    figure.savefig(part)
-    part.replace(file)
+    write(file.parent, file.name, png(figure))
     return file

@@ -4,16 +4,15 @@ found = read_search("out/duct")
 found.values, found.done, found.lost         # a row a mounting
 """
 
-import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from jaxtyping import Bool, Float
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.files import LARGEST, opened, read_json, read_parquet
 from htcp_jax.placement.mounting import MOUNTINGS, RANKED
 from htcp_jax.placement.mounting import UNITS as AIMS
 from htcp_jax.placement.ranges import UNITS
@@ -52,6 +51,8 @@ class Searched(NamedTuple):
     front: Bool[np.ndarray, "r"]
     seams: dict[str, int]  # in how many mountings each is complete
     disturbed: str  # by how much they are off: 3 mm and 0.5°
+    margin: Float[np.ndarray, "r"]  # that the ranked ones are planned with [mm]; NaN where it is not known
+    is_final: bool  # False for a ranking that was written before mountings were disturbed
 
     def aim(self, k: int) -> str:
         """An aim with its unit, for an axis."""
@@ -67,10 +68,13 @@ def read_search(folder: str | Path) -> Searched:
     if not (folder / RANKED).exists():
         raise InputError(f"{folder}: the search has not come to its end; the same htcp place goes on with it")
     try:
-        asked, told = (json.loads((folder / name).read_text(encoding="utf-8")) for name in (SEARCH, RANKED))
-        return _searched(asked, told, pq.read_table(folder / MOUNTINGS))
-    except (OSError, ValueError, KeyError, TypeError, pa.ArrowException) as error:
-        raise InputError(f"{folder} holds a damaged search: {error!r}") from None
+        asked, told = (read_json(folder / name, folder) for name in (SEARCH, RANKED))
+        with opened(folder / MOUNTINGS, folder, LARGEST) as stream:
+            return _searched(asked, told, read_parquet(stream, folder / MOUNTINGS))
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, OverflowError, pa.ArrowException) as error:
+        raise InputError(
+            f"{folder} holds a damaged search: {error if isinstance(error, InputError) else repr(error)}"
+        ) from None
 
 
 def _searched(asked: dict[str, Any], told: dict[str, Any], table: pa.Table) -> Searched:
@@ -97,6 +101,8 @@ def _searched(asked: dict[str, Any], told: dict[str, Any], table: pa.Table) -> S
         front=np.array([row["front"] for row in rows], bool),
         seams={name: seam["complete"] for name, seam in told["seams"].items()},
         disturbed=f"{asked['off']['mm']:g} mm and {asked['off']['deg']:g}°",
+        margin=1e3 * np.array([row.get("margin_m", np.nan) for row in rows], float),
+        is_final=told.get("finished", True),
     )
 
 

@@ -13,11 +13,12 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.files import write
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.planner.registry import all_methods
 from htcp_jax.report.cell import RunScene
 from htcp_jax.report.chapter import chapter, choice, fits_presets, presets, tables_of
-from htcp_jax.report.document import Block, Column, Heading, Picture, Table, html, markdown, png, write_csv
+from htcp_jax.report.document import Block, Column, Heading, Picture, Table, html, literal, markdown, png, write_csv
 from htcp_jax.report.groups import Part, read_parts
 from htcp_jax.report.tables import configuration
 from htcp_jax.report.validation import validated
@@ -79,9 +80,9 @@ def write_report(report: Report, folder: Path) -> None:
     """report.md with its pictures, report.html with everything in one file, and a CSV file a table."""
     pictures = {block.name: png(block.figure) for block in report.blocks if isinstance(block, Picture)}
     for name, data in pictures.items():
-        (folder / f"{name}.png").write_bytes(data)
-    (folder / "report.md").write_text(markdown(report.blocks), encoding="utf-8")
-    (folder / "report.html").write_text(html(report.blocks, pictures), encoding="utf-8")
+        write(folder, f"{name}.png", data)
+    write(folder, "report.md", markdown(list(map(literal, report.blocks))).encode())
+    write(folder, "report.html", html(report.blocks, pictures).encode())
     for table in report.tables:
         write_csv(folder / f"{table.name}.csv", table)
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap, PowerNorm
+from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -25,7 +25,6 @@ from htcp_jax.report.chart_style import (
 )
 
 TRACKED = LinearSegmentedColormap.from_list("tracked", ["#fbf3e4", "#d8dfd6", "#8fb8cf", "#3f82b5", "#0d3f6e"])
-CONTRAST = 2.5  # exponent of the colour scale: most scenarios get far, so the upper end needs the most colours
 MOST_NUMBERS, MOST_NAMES = 15, 12  # along a side of a map
 
 
@@ -101,7 +100,7 @@ def success_map(
         heading(axes, method if len(share) < 10 else f"{method}\n", share)  # two shares take a line of their own
     blank_the_rest(panels, len(tracked))
     outer_labels(panels, len(tracked), columns.label, rows.label)
-    _scale(figure, image, panels, targets)
+    _scale(figure, image, panels, targets, _cut(tracked, shown))
     return figure
 
 
@@ -131,7 +130,7 @@ def success_slices(
         share = _shares(shown[method], cube, targets)
         line[0].set_ylabel(f"{method}\n{share}", color=INK, fontweight="bold", fontsize=10)
     figure.supxlabel(f"across: {columns.label};  down: {rows.label}", color=QUIET, fontsize=10)
-    _scale(figure, image, panels, targets)
+    _scale(figure, image, panels, targets, _cut(tracked, shown))
     return figure
 
 
@@ -184,7 +183,7 @@ def _map(
 ):
     """One map; the number stands in every cell, where there is room, and that of the whole in brackets where it is
     another."""
-    image = axes.imshow(values, cmap=TRACKED, norm=PowerNorm(CONTRAST, 0, targets), aspect="equal")
+    image = axes.imshow(values, cmap=TRACKED, norm=Normalize(0, targets), aspect="equal")
     for (row, column), value in np.ndenumerate(values):
         if np.isfinite(value) and max(values.shape) <= MOST_NUMBERS:
             style = {"color": PAPER if value > 0.82 * targets else INK, "ha": "center", "va": "center", "fontsize": 8}
@@ -209,10 +208,11 @@ def frame_map(axes: Axes, rows: Axis, columns: Axis) -> None:
     axes.spines[:].set_visible(False)
 
 
-def _scale(figure: Figure, image, panels, targets: int) -> None:
+def _scale(figure: Figure, image, panels, targets: int, cut: bool) -> None:
     bar = figure.colorbar(image, ax=panels, fraction=0.02, pad=0.015, aspect=30)
     bar.outline.set_visible(False)
-    bar.set_ticks([0, *(round(part * targets) for part in (0.5, 0.75, 0.9)), targets])
+    bar.set_ticks(sorted({round(part * targets) for part in (0, 0.25, 0.5, 0.75, 1)}))
+    bar.set_label("executable targets" if cut else "tracked targets", color=QUIET, fontsize=9)
     bar.ax.tick_params(colors=QUIET, labelsize=9, length=0)
 
 
@@ -244,7 +244,7 @@ def _share(values: Float[np.ndarray, "*n"], targets: int) -> str:
 
 
 def _success_note(paper: Mapping[str, float] | None, reachability: int | None, cut: bool) -> str:
-    parts = ["Pale: behind a blocked joint step."] if cut else []
+    parts = ["Pale: tracked, but not executable."] if cut else []
     parts += ["Diamond: the paper's figure."] if paper else []
     return " ".join([*parts, *_dashed(reachability)])
 

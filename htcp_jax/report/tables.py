@@ -15,8 +15,9 @@ from htcp_jax.planner.motion import MotionFigures
 from htcp_jax.planner.plans import NO_TARGET, Plans
 from htcp_jax.report.document import Column, Table
 from htcp_jax.report.groups import Part
+from htcp_jax.runs.summary import orientation_errors_deg
 from htcp_jax.runs.timing_file import COLUMNS
-from htcp_jax.status import Status
+from htcp_jax.status import Status, Way
 
 RESULTS = (
     Column("method", "method"),
@@ -29,6 +30,7 @@ RESULTS = (
     Column("scenarios", "of", "", ",d"),
     Column("step_ms", "time/step", "ms", ".2f"),
     Column("tcp_distance_mean_mm", "TCP distance", "mm", ".4f"),
+    Column("orientation_error_mean_deg", "orientation error", "deg", ".4f"),
     Column("clearance_min_mm", "clearance min", "mm", ".2g"),
     Column("clearance_mean_mm", "mean", "mm", ".2f"),
 )
@@ -72,8 +74,15 @@ STOPS = (
     Column("first_target", "first", "target", "d"),
     Column("median_target", "median", "target", ".0f"),
     Column("last_target", "last", "target", "d"),
-    Column("in_the_way", "in the way (how often)"),
+    Column("in_the_way", "colliding body (how often)"),
     Column("targets", "at targets (how many)"),
+)
+MOTION_ENDS = (
+    Column("method", "method"),
+    Column("reason", "motion ends"),
+    Column("scenarios", "scenarios", "", ",d"),
+    Column("median_target", "median", "target", ".0f"),
+    Column("targets", "not executable", "targets", ",d"),
 )
 TIMES = (
     Column("method", "method"),
@@ -84,7 +93,7 @@ TIMES = (
 
 def results(part: Part) -> Table:
     """Return the counts behind each method's percentage, its times, TCP distance and clearance."""
-    return _table("results", RESULTS, [_result(part, method) for method in part.plans])
+    return without_empty(_table("results", RESULTS, [_result(part, method) for method in part.plans]))
 
 
 def paper(part: Part) -> Table:
@@ -121,6 +130,7 @@ def _result(part: Part, method: str) -> dict:
         "scenarios": int(ends.planned.sum()),
         "step_ms": 1e3 * part.step_s[method],
         "tcp_distance_mean_mm": _over(np.mean, 1e3 * plans.residual[good]),
+        "orientation_error_mean_deg": float(angle.mean()) if (angle := orientation_errors_deg(plans)).size else None,
         "clearance_min_mm": _over(np.min, 1e3 * plans.clearance[good]),
         "clearance_mean_mm": _over(np.mean, 1e3 * plans.clearance[good]),
     }
@@ -171,7 +181,7 @@ def _step(part: Part, method: str) -> dict:
 
 
 def stops(part: Part) -> Table:
-    """What ended the scenarios that are not complete, at which targets, and which bodies are in the way there."""
+    """What ended the scenarios that are not complete, at which targets, and which bodies collide there."""
     rows = []
     for method, plans in part.plans.items():
         ends = plans.outcomes
@@ -190,16 +200,32 @@ def stops(part: Part) -> Table:
                     "targets": _tally(at),
                 }
             )
-    return _without_empty(_table("stops", STOPS, rows))
+    return without_empty(_table("stops", STOPS, rows))
 
 
 def _bodies(part: Part, method: str, reason: Status, numbers: Sequence[int]) -> str | None:
-    """The bodies in the way in these scenarios, the commonest first; None where that is not known."""
+    """The colliding bodies in these scenarios, the most frequent first, and what ended the search in those without one;
+    None if that is not known."""
     if reason == Status.TIP_BLOCKED:
         return f"bare tip ({len(numbers)})"
     found = [known for k in numbers if (known := part.scene.in_the_way(method).get(k)) is not None]
-    counts = Counter(each.body if each.reached else "out of reach" for each in found)
+    counts = Counter(each.cause(f"none: {reason.ended}") for each in found)
     return ", ".join(f"{body} ({count})" for body, count in counts.most_common()) or None
+
+
+def motion_ends(part: Part) -> Table:
+    """Why tracked targets are not executable: the result of the motion check where each motion ends, and how many
+    tracked targets that one and those behind it are."""
+    rows = []
+    for method, plans in part.plans.items():
+        ends = plans.outcomes
+        lost = ends.tracked - ends.executable
+        for way in map(Way, np.unique(ends.way[lost > 0]).tolist()):
+            here = (lost > 0) & (ends.way == way)
+            at = float(np.median(ends.executable[here]))
+            counts = {"scenarios": int(here.sum()), "median_target": at, "targets": int(lost[here].sum())}
+            rows.append({"method": method, "reason": way.words, **counts})
+    return _table("motion-ends", MOTION_ENDS, rows)
 
 
 def scenarios(part: Part) -> Table:
@@ -209,7 +235,8 @@ def scenarios(part: Part) -> Table:
     columns += [Column("executable", "executable", "", "d")]
     columns += [Column(name, name) for name in MotionFigures._fields]
     columns += [Column(name, name) for name in COLUMNS if any(part.timing.values())]
-    columns += [Column("end", "end"), Column("in_the_way", "in the way"), Column("reachable", "reachable", "", "d")]
+    columns += [Column("end", "end"), Column("motion_end", "motion ends"), Column("in_the_way", "colliding body")]
+    columns += [Column("reachable", "reachable", "", "d")]
     times = {method: {row["scenario"]: row for row in rows.to_pylist()} for method, rows in part.timing.items() if rows}
     rows = []
     for s, number in enumerate(part.numbers.tolist()):
@@ -222,6 +249,7 @@ def scenarios(part: Part) -> Table:
                 row = {"scenario": number, **given, "method": method, **count}
                 what = {
                     "end": "complete" if end.status is None else end.status.words,
+                    "motion_end": end.way.words if end.executable < end.tracked else None,
                     "in_the_way": blocked and blocked.description,
                     "reachable": reachable,
                 }
@@ -296,7 +324,7 @@ def _table(name: str, columns: Sequence[Column], rows: Sequence[dict]) -> Table:
     return Table(name, tuple(columns), tuple(tuple(row.get(column.key) for column in columns) for row in rows))
 
 
-def _without_empty(table: Table) -> Table:
+def without_empty(table: Table) -> Table:
     """The table without the columns that no row knows anything of."""
     keep = [k for k in range(len(table.columns)) if any(row[k] is not None for row in table.rows)]
     rows = tuple(tuple(row[k] for k in keep) for row in table.rows)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.colors import Normalize, PowerNorm
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from htcp_jax.report.chart_style import (
@@ -22,7 +22,7 @@ from htcp_jax.report.chart_style import (
     outer_labels,
     plain_axes,
 )
-from htcp_jax.report.success_charts import CONTRAST, MOST_NUMBERS, TRACKED, Axis, frame_map
+from htcp_jax.report.success_charts import MOST_NUMBERS, TRACKED, Axis, frame_map
 
 DARK = 0.62  # of the scale, from which numbers are light
 
@@ -75,7 +75,8 @@ def over_map(
     bar = figure.colorbar(image, ax=panels, fraction=0.02, pad=0.015, aspect=30)
     bar.outline.set_visible(False)
     if measure.scale is not None:
-        bar.set_ticks([part * measure.scale[1] for part in (0, 0.5, 0.75, 0.9, 1)])
+        bar.set_ticks([part * measure.scale[1] for part in (0, 0.25, 0.5, 0.75, 1)])
+    bar.set_label(measure.unit, color=QUIET, fontsize=9)
     bar.ax.tick_params(colors=QUIET, labelsize=9, length=0)
     return figure
 
@@ -83,7 +84,7 @@ def over_map(
 def _scale(values: Mapping[str, np.ndarray], measure: Measure) -> Normalize:
     """Of the colours; at least a tenth of the largest number wide, so that next to nothing looks so."""
     if measure.scale is not None:
-        return PowerNorm(CONTRAST, *measure.scale)
+        return Normalize(*measure.scale)
     known = np.concatenate([own[np.isfinite(own)] for own in values.values()])
     return Normalize(min(known.min(), 0.9 * known.max()), known.max()) if known.size else Normalize(0.0, 1.0)
 

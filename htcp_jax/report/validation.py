@@ -1,10 +1,10 @@
 """What `htcp validate` found, as the report and the terminal tell it."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.files import read_json
 from htcp_jax.report.document import Block, Column, Heading, Table
 from htcp_jax.runs.plan_folder import VALIDATION
 from htcp_jax.runs.run_folder import Run
@@ -17,6 +17,7 @@ AT_TARGETS = (
     Column("tcp_error_max_mm", "TCP error", "max mm", ".3f"),
     Column("clearance_min_mm", "clearance", "min mm", ".3g"),
     Column("clearance_min_at", "scenario:", "target"),
+    Column("clearance_less_cover_min_mm", "less cover", "min mm", ".3g"),
     Column("clearance_off_max_mm", "off record", "max mm", ".1e"),
 )
 ON_THE_WAY = (
@@ -47,7 +48,7 @@ def read_validation(run: Run) -> dict[str, Any] | None:
     for a damaged file."""
     file = Path(run.folder) / VALIDATION
     try:
-        found = json.loads(file.read_text(encoding="utf-8"))
+        found = read_json(file, file.parent)
         if found["files"] != run.result_files():
             return None
         summary(found), validation_tables(found), notes(found)  # whatever else it lacks is of no use here
@@ -114,6 +115,13 @@ def scenarios_named(found: dict[str, Any], labels: dict[int, str]) -> list[str]:
 def notes(found: dict[str, Any]) -> list[str]:
     """What the tables' columns mean, as far as they are filled."""
     lines = []
+    if found.get("excluded"):
+        lines.append(f"Deepest overlap of two capsules that are not checked against each other: {found['excluded']}.")
+    if any(check.get("clearance_less_cover_min_mm") is not None for check in found["methods"].values()):
+        lines.append(
+            "Clearance is to the triangles of the mesh. Less cover: less the covering radius of the points that the "
+            "planner has on the mesh, which plans, sweeps and reports subtract from every clearance."
+        )
     if found["between"]:
         lines.append(
             "Paths are the straight joint paths between tracked targets and from the start to the first, in at least "

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.files import opened
 from htcp_jax.jobs.config import PlanConfig
 
 # Of a configuration: a run has methods of its own, may be planned anywhere, and its programs are made afterwards.
@@ -17,7 +18,7 @@ NO_CELL = PlanConfig().cell.model_dump(mode="json")  # runs of before know no ce
 def file_hash(file: str | Path) -> str:
     """SHA-256 of a file's contents. Raises InputError."""
     try:
-        with open(file, "rb") as stream:
+        with opened(Path(file)) as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"cannot read {file}: {error.strerror}") from None

@@ -8,11 +8,14 @@ import contextlib
 import os
 import signal
 import socket
+import stat
 import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.files import NO_LINK, clear_all
+from htcp_jax.process_exit import is_watched
 
 try:
     import fcntl
@@ -24,14 +27,20 @@ LOCK = ".lock"
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold the folder's lock. Raises InputError when another process holds it, saying which, and when the folder
-    cannot be written to."""
+    """Hold the folder's lock; what killed processes left in the folder is removed first. Raises InputError when another
+    process holds it, saying which, and when the folder cannot be written to."""
+    file = folder / LOCK
     try:
-        handle = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+        handle = os.open(file, os.O_RDWR | os.O_CREAT | NO_LINK, 0o644)
     except OSError as error:
-        raise InputError(f"cannot write to {folder}: {error.strerror}") from None
+        reason = f"{file} is a link" if file.is_symlink() else error.strerror
+        raise InputError(f"cannot write to {folder}: {reason}") from None
     try:
+        found = os.fstat(handle)
+        if not stat.S_ISREG(found.st_mode) or found.st_nlink > 1:
+            raise InputError(f"cannot write to {folder}: {file} is no regular file, or has another name, too")
         _take(handle, folder)
+        clear_all(folder)
         yield
     finally:
         os.close(handle)
@@ -57,15 +66,13 @@ class SignalCame(Exception):
 
 @contextlib.contextmanager
 def signals() -> Iterator[list[int]]:
-    """Hands out the list to which SIGINT and SIGTERM are added when they come. A second one ends the process."""
+    """Hands out the list to which the first SIGINT or SIGTERM is added when it comes. A second one is not caught."""
     came, handlers = [], {}
 
     def remember(number: int, _) -> None:
         came.append(number)
-        # print may be interrupted itself
-        os.write(2, b"\nstopping after the step at hand; once more to stop at once\n")
-        for each in handlers:
-            signal.signal(each, signal.SIG_DFL)
+        for each, handler in () if is_watched() else handlers.items():
+            signal.signal(each, handler)
 
     if threading.current_thread() is threading.main_thread():  # no other may set handlers
         handlers |= {each: signal.signal(each, remember) for each in (signal.SIGINT, signal.SIGTERM)}

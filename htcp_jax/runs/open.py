@@ -7,13 +7,13 @@
 Who looks at plans and who checks them read the same record; what they make of it is their own.
 """
 
-import json
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.files import read_json
 from htcp_jax.formats.strict_model import validate
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.planner.knots import Knots
@@ -22,7 +22,7 @@ from htcp_jax.runs import parameters
 from htcp_jax.runs.identity import file_hash, refuse_changed
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.parameters import Parameters
-from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY, PlanRecord, read_plan
+from htcp_jax.runs.plan_folder import LATER, SUMMARY, TRAJECTORY, PlanRecord, read_plan
 from htcp_jax.runs.run_folder import Run, open_run
 
 SEARCH, MOTIONS = "place.json", "ranked"  # of a search for mountings: what was asked for, and the run of the best
@@ -92,7 +92,7 @@ class FolderPlan:
         self.files = {TRAJECTORY: file_hash(folder / TRAJECTORY)}
         # A plan of before `Plans.start` was written starts where its configuration says; nobody looked at its ways.
         start, joints = np.array(self.config.begins_rad, float), record.arrays["x"].shape[-1]
-        unknown = {name: np.full(record.arrays["status"].shape, EMPTY[name]) for name in ("way", "way_clearance")}
+        unknown = {name: np.full(record.arrays["status"].shape, EMPTY[name]) for name in LATER[1:]}
         arrays = {"start": start} | unknown | record.arrays
         _check_shapes(folder / TRAJECTORY, arrays, joints)
         knots = _knots(folder / TRAJECTORY, record, joints)
@@ -152,7 +152,7 @@ def _ranked(folder: Path) -> RankedPlans:
     """Those of a search. Raises InputError where it has ranked nothing, and for a damaged file."""
     run = open_run(run_folder(folder))
     try:
-        seams = json.loads((folder / SEARCH).read_text(encoding="utf-8"))["seams"]
+        seams = read_json(folder / SEARCH, folder)["seams"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{folder / SEARCH} is damaged: {error!r}") from None
     _refuse_unfit(run)

@@ -3,11 +3,10 @@
 import contextlib
 import csv
 import dataclasses
+import io
 import json
 import math
 import os
-import shutil
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,14 +15,14 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.foreign import one_line
+from htcp_jax.formats import files
 from htcp_jax.planner.motion import Motion
 from htcp_jax.planner.plans import ARRAYS, Plans
 from htcp_jax.runs.summary import Summary
 from htcp_jax.scene.robot import Robot
 from htcp_jax.status import Kind, Status, Way
 
-LATER = "start", "way", "way_clearance"
+LATER = "start", "way", "way_clearance", "orientation_error"
 SUMMARY, TRAJECTORY = "summary.json", "trajectory.npz"
 VALIDATION = "validation.json"  # of a plan and of a run, what `htcp validate` found
 
@@ -41,18 +40,19 @@ class PlanRecord(NamedTuple):
 def read_plan(folder: Path) -> PlanRecord:
     """The plan in `folder`. Raises InputError for files that are not there or damaged."""
     try:
-        summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+        summary = files.read_json(folder / SUMMARY, folder)
         method, config = str(summary["method"]), dict(summary["config"])
-        files = {str(name): str(known) for name, known in summary.get("files", {}).items()}
-        # np.load leaves a file that it opened itself open when it is no archive.
-        with (folder / TRAJECTORY).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            known = [name for name in ARRAYS if name in file or name not in LATER]
-            knots = (file["knot_target"], file["knot_x"]) if "knot_x" in file else None
-            return PlanRecord(method, config, files, {name: file[name] for name in known}, knots)
+        hashes = {str(name): str(known) for name, known in summary.get("files", {}).items()}
+        found = files.read_arrays(folder / TRAJECTORY, folder, leave=("joint_names",))
+        known = [name for name in ARRAYS if name in found or name not in LATER]
+        knots = (found["knot_target"], found["knot_x"]) if "knot_x" in found else None
+        return PlanRecord(method, config, hashes, {name: found[name] for name in known}, knots)
     except OSError as error:
         raise InputError(f"{folder} holds no plan: cannot read {error.filename}: {error.strerror}") from None
-    except Exception as error:  # foreign parsers on foreign bytes: whatever they raise, the files are bad
-        raise InputError(f"{folder}: {SUMMARY} or {TRAJECTORY} is damaged: {one_line(error)}") from None
+    except InputError:
+        raise
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        raise InputError(f"{folder}: {SUMMARY} or {TRAJECTORY} is damaged: {files.one_line(error)}") from None
 
 
 @contextlib.contextmanager
@@ -86,17 +86,12 @@ def written_whole(folder: Path) -> Iterator[Path]:
     """
     with made_folder(folder):
         try:
-            scratch = Path(tempfile.mkdtemp(prefix=".part-", dir=folder))
+            with files.scratch(folder) as scratch:
+                yield scratch
+                for file in sorted(scratch.iterdir()):
+                    os.replace(file, folder / file.name)
         except OSError as error:
             raise _unwritable(folder, error) from None
-        try:
-            yield scratch
-            for file in sorted(scratch.iterdir()):
-                os.replace(file, folder / file.name)
-        except OSError as error:
-            raise _unwritable(folder, error) from None
-        finally:
-            shutil.rmtree(scratch, ignore_errors=True)
 
 
 def _unwritable(folder: Path, error: OSError) -> InputError:
@@ -112,6 +107,7 @@ def write_trajectory_csv(file: Path, robot: Robot, plans: Plans, row: int = 0) -
     columns |= {
         "clearance_m": plans.clearance[row],
         "residual_m": plans.residual[row],
+        "orientation_error_rad": plans.orientation_error[row],
         "joint_step_rad": plans.joint_step[row],
         "iterations": plans.iterations[row],
         "escape": plans.escape[row],
@@ -138,11 +134,12 @@ def _joints(robot: Robot, x: Float[np.ndarray, "n N"]) -> dict[str, np.ndarray]:
 
 def _write_csv(file: Path, columns: Mapping[str, Iterable]) -> None:
     """Columns of one length, NaN as empty cells."""
-    with file.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(columns)
-        for cells in zip(*columns.values(), strict=True):
-            writer.writerow(["" if cell != cell else cell for cell in cells])
+    stream = io.StringIO(newline="")
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(columns)
+    for cells in zip(*columns.values(), strict=True):
+        writer.writerow(["" if cell != cell else cell for cell in cells])
+    write_text(file, stream.getvalue())
 
 
 def write_trajectory_npz(file: Path, robot: Robot, plans: Plans, row: int = 0) -> None:
@@ -151,7 +148,9 @@ def write_trajectory_npz(file: Path, robot: Robot, plans: Plans, row: int = 0) -
     arrays = {name: array[row] for name, array in plans.arrays().items()}
     knots = plans.knots.rows(np.array([row]))
     names = np.array(robot.joint_names)
-    np.savez_compressed(file, joint_names=names, knot_target=knots.target, knot_x=knots.x, **arrays)
+    stream = io.BytesIO()
+    np.savez_compressed(stream, joint_names=names, knot_target=knots.target, knot_x=knots.x, **arrays)
+    files.write(file.parent, file.name, stream.getvalue())
 
 
 def write_json(file: Path, record: dict) -> None:
@@ -197,22 +196,10 @@ def append_text(file: Path, text: str) -> None:
         raise _unwritable(file, error) from None
 
 
-def part_of(file: Path) -> Path:
-    """Name of a file while `write_text` writes it."""
-    return file.with_name(f".part-{file.name}")
-
-
 def write_text(file: Path, text: str) -> None:
     """A file in UTF-8, written aside and moved into place. Raises InputError when it cannot be written; what was there
     is then as before."""
-    part = part_of(file)
-    try:
-        part.write_text(text, encoding="utf-8")
-        os.replace(part, file)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
-        raise _unwritable(file.parent, error) from None
+    files.write(file.parent, file.name, text.encode())
 
 
 def summary_record(summary: Summary) -> dict:

@@ -27,6 +27,9 @@ from htcp_jax.runs.local import Planned, Shard, plan_cells, scenarios_of
 from htcp_jax.runs.provenance import planned_by
 from htcp_jax.scene.scenario import Scenario
 
+ANSWER_S = 5.0  # for a connection to a cluster, and for its first answer
+HTTP2 = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))  # how a gRPC client begins
+TRIES = 5  # a second each, to connect to a cluster that answers, but not as Ray
 LOOK_S = 0.5  # how often a waiting sweep looks for a signal
 GPU_SHARE = 0.75  # of a GPU's memory that JAX takes for itself unless told
 
@@ -39,17 +42,18 @@ def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]
     Raises InputError where Ray is not installed, not there, or this machine has not the GPUs of a shard; plan raises
     Lost when a shard's workers died more often than `config.ray.retries` allows, or the cluster did.
     """
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:
         import ray  # here, because it is an extra
     except ImportError:
         raise InputError("Ray is not installed; get it with: pip install 'htcp_jax[ray]'") from None
     logging.getLogger("ray").setLevel(logging.ERROR)
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     ours = not ray.is_initialized()
     try:
         if ours:
             warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)  # Ray starts programs so
-            ray.init(address or None, include_dashboard=False, log_to_driver=False, configure_logging=False)
+            with _constants(ray, **({"NUM_REDIS_GET_RETRIES": TRIES} if _is_there(address) else _own_cluster())):
+                ray.init(address or None, include_dashboard=False, log_to_driver=False, configure_logging=False)
     except Exception as error:  # of many kinds, plain Exception among them
         raise InputError(f"cannot reach Ray at {address or 'this machine'}: {' '.join(str(error).split())}") from None
     try:
@@ -62,6 +66,44 @@ def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]
         if ours:
             with contextlib.suppress(Exception):
                 ray.shutdown()
+
+
+def _is_there(address: str) -> bool:
+    """True for a cluster that answers, False where a new one is to be started. Raises OSError for one that does not
+    answer: Ray itself would go on trying for a minute, and print about it."""
+    from ray._private.services import canonicalize_bootstrap_address
+
+    if address.startswith("ray://"):  # Ray's client
+        place = address.removeprefix("ray://")
+    elif (place := canonicalize_bootstrap_address(address or None)) is None:
+        return False
+    host, _, port = place.rpartition(":")
+    with socket.create_connection((host.strip("[]"), int(port)), ANSWER_S) as connection:
+        connection.sendall(HTTP2)
+        if not connection.recv(1):
+            raise ConnectionError("closed the connection")
+    return True
+
+
+def _own_cluster() -> dict[str, bool]:
+    """Constants with which a cluster that is started listens to 127.0.0.1 alone; and it requires the user's token. Ray
+    takes another address for 127.0.0.1, unless its clusters are confined to one machine, as on Windows."""
+    from ray._private.authentication.authentication_token_setup import enable_token_auth_by_default
+
+    enable_token_auth_by_default()  # RAY_AUTH_MODE, if it is set, decides
+    return {"ENABLE_RAY_CLUSTER": False}
+
+
+@contextlib.contextmanager
+def _constants(ray, **values: int | bool) -> Iterator[None]:
+    """A block in which constants of Ray have other values."""
+    known = vars(ray._private.ray_constants)
+    before = {name: known[name] for name in values}
+    known.update(values)
+    try:
+        yield
+    finally:
+        known.update(before)
 
 
 def _on_host(cell: Cell) -> Cell:

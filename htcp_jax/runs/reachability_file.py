@@ -1,12 +1,13 @@
 """What `htcp reachability` leaves in a run's folder."""
 
-import json
+import warnings
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, Note
+from htcp_jax.formats.files import read_json
 from htcp_jax.runs.run_folder import Run
 
 REACHABILITY, OLD_NAME = "reachability.json", "ceiling.json"  # the second in version 0.1; read for one version more
@@ -23,16 +24,19 @@ class Reachable(NamedTuple):
 
 
 def read_reachability(run: Run) -> Reachable | None:
-    """What is reachable in the run; None where nobody looked. Raises InputError for a damaged file, and for one that is
-    of another number of scenarios."""
+    """What is reachable in the run; None without a search, or after one that was stopped. Raises
+    InputError for a damaged file, and for one that is of another number of scenarios."""
     files = [Path(run.folder) / name for name in (REACHABILITY, OLD_NAME)]
     file = files[0] if files[0].exists() else files[1]
     try:
-        record = json.loads(file.read_text(encoding="utf-8"))
+        record = read_json(file, Path(run.folder))
+        if not record.get("complete", True):
+            warnings.warn(f"{file} is incomplete and not used; htcp reachability makes it anew", Note, stacklevel=2)
+            return None
         found = _read(record)
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
         raise InputError(f"{file} is damaged or no result of htcp reachability: {error}") from None
     if any(counts is not None and counts.shape != (run.manifest.count,) for counts in found[:2]):
         raise InputError(f"{file} holds {found.prefix.size} scenarios, the run has {run.manifest.count}")

@@ -10,16 +10,17 @@ after the files of a shard, so a shard is in the run wholly or not at all, whene
 """
 
 import hashlib
+import os
 from collections.abc import Iterable
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 from pydantic import ValidationError
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.files import opened, read_json, read_parquet
 from htcp_jax.formats.strict_model import validate
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.grid_axes import Point, from_record, varied_keys
@@ -188,14 +189,17 @@ def open_run(folder: str | Path) -> Run:
     """The run in `folder`, also while it is being planned. Raises InputError for a folder that holds none."""
     folder = Path(folder)
     try:
-        text = (folder / MANIFEST).read_bytes()
+        raw = read_json(folder / MANIFEST, folder)
     except OSError as error:
         if isinstance(error, FileNotFoundError) and (folder / SUMMARY).exists():
             what = "holds a plan of htcp plan, no run; htcp view, htcp render and htcp validate open it"
             raise InputError(f"{folder} {what}") from None
         raise InputError(f"{folder} holds no run: cannot read {MANIFEST}: {error.strerror}") from None
+    except InputError as error:
+        what = str(error).removeprefix(f"{folder / MANIFEST}: ")
+        raise InputError(f"{folder / MANIFEST} is damaged or no manifest of a run: {what}") from None
     try:
-        return Run(folder, Manifest.model_validate_json(text))
+        return Run(folder, Manifest.model_validate(raw))
     except ValidationError as error:
         where = ".".join(map(str, error.errors()[0]["loc"]))
         what = f"{where}: " if where else ""
@@ -205,34 +209,29 @@ def open_run(folder: str | Path) -> Run:
 
 
 def fault(file: Path, record: FileRecord) -> str | None:
-    """What is wrong with a file; None when it is as recorded."""
+    """What is wrong with a file of a table; None when it is as recorded."""
     try:
-        return _fault_of(file.read_bytes(), record)
+        with opened(file, file.parents[1]) as stream:
+            return _fault_of(stream, record)
+    except InputError as error:
+        return str(error).removeprefix(f"{file}: ")
     except OSError as error:
         return f"cannot be read ({error.strerror})"
 
 
-def _fault_of(data: bytes, record: FileRecord) -> str | None:
-    if len(data) != record.bytes:
-        return f"has {len(data):,} bytes instead of {record.bytes:,}"
-    if hashlib.sha256(data).hexdigest() != record.sha256:
+def _fault_of(stream: BinaryIO, record: FileRecord) -> str | None:
+    if (size := os.fstat(stream.fileno()).st_size) != record.bytes:
+        return f"has {size:,} bytes instead of {record.bytes:,}"
+    if hashlib.file_digest(stream, "sha256").hexdigest() != record.sha256:
         return "has other contents than were written"
     return None
 
 
 def _read_parquet(file: Path, record: FileRecord, schema: pa.Schema) -> pa.Table:
-    try:
-        data = file.read_bytes()
-    except OSError as error:
-        problem = f"cannot be read ({error.strerror})"
-    else:
-        problem = _fault_of(data, record)
-    if problem:
+    if problem := fault(file, record):
         raise InputError(f"{file} {problem}; the same sweep plans its scenarios again")
-    try:
-        rows = pq.read_table(pa.BufferReader(data))
-    except (pa.ArrowException, OSError) as error:
-        raise InputError(f"{file} is no Parquet file: {' '.join(str(error).split())}") from None
+    with opened(file, file.parents[1]) as stream:
+        rows = read_parquet(stream, file, record.rows, exact=True)
     for name in LATER:
         if name in schema.names and name not in rows.column_names:
             place = schema.get_field_index(name)

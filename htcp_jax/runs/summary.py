@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from htcp_jax.planner.plans import Outcomes, Plans
 from htcp_jax.status import Status
@@ -35,6 +36,8 @@ class Summary(NamedTuple):
     run_s: float
     tcp_distance_mean_mm: float
     tcp_distance_max_mm: float
+    orientation_error_mean_deg: float | None  # None, as the next, if the task holds no orientation
+    orientation_error_max_deg: float | None
     clearance_min_mm: float
     clearance_mean_mm: float
     joint_motion_rad: float  # sum of |x_t - x_{t-1}|
@@ -45,6 +48,7 @@ def summarise(plans: Plans) -> Summary:
     """The summary of `plans`; only targets that exist count."""
     tracked, ends = plans.tracked, plans.outcomes
     residual_mm, clearance_mm = 1e3 * plans.residual[tracked], 1e3 * plans.clearance[tracked]
+    angle_deg = orientation_errors_deg(plans)
     return Summary(
         scenarios=int(ends.planned.sum()),
         complete=int(ends.complete.sum()),
@@ -59,11 +63,18 @@ def summarise(plans: Plans) -> Summary:
         run_s=float(plans.run_s),
         tcp_distance_mean_mm=_or_nan(np.mean, residual_mm),
         tcp_distance_max_mm=_or_nan(np.max, residual_mm),
+        orientation_error_mean_deg=float(angle_deg.mean()) if angle_deg.size else None,
+        orientation_error_max_deg=float(angle_deg.max()) if angle_deg.size else None,
         clearance_min_mm=_or_nan(np.min, clearance_mm),
         clearance_mean_mm=_or_nan(np.mean, clearance_mm),
         joint_motion_rad=float(plans.joint_step[tracked].sum()),
         failures=_failures(ends),
     )
+
+
+def orientation_errors_deg(plans: Plans) -> Float[np.ndarray, "n"]:
+    """The orientation errors that are known [deg]."""
+    return np.rad2deg(plans.orientation_error[~np.isnan(plans.orientation_error)])
 
 
 def _failures(ends: Outcomes) -> tuple[Failure, ...]:

@@ -10,7 +10,6 @@ The same call again continues where the last one stopped.
 
 import contextlib
 import shutil
-import tempfile
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -21,12 +20,14 @@ import numpy as np
 import pyarrow as pa
 
 from htcp_jax.errors import InputError, Interrupted, Lost
+from htcp_jax.formats.files import scratch
 from htcp_jax.jobs.grid import Batch, Sweep, load_sweep
-from htcp_jax.jobs.grid_axes import FILE_KEYS, record
+from htcp_jax.jobs.grid_axes import FILE_KEYS, MOST, record
 from htcp_jax.planner import registry
 from htcp_jax.planner.batch import Progress as ShardProgress
 from htcp_jax.planner.devices import choose
 from htcp_jax.planner.plans import Plans
+from htcp_jax.process_exit import stop_message
 from htcp_jax.runs import writer
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.runs.input_files import anchor_files, file_hashes
@@ -90,13 +91,17 @@ def sweep(
     else:
         spec = load_sweep(spec, config, seeded(overrides, seed))
     for name, value in (("limit", limit), ("shard_scenarios", shard_scenarios)):
-        if value is not None and value < 1:
-            raise InputError(f"{name} is {value}; it must be 1 or more")
+        if value is not None and not 1 <= value <= MOST:
+            raise InputError(f"{name} is {value}; it must be 1 or more, and {MOST:,} at most")
     batch = spec.batch(limit)
     asked = _manifest(spec, batch, chosen, limit, shard_scenarios or SHARD_SCENARIOS)
     planned = _planner(on, chosen, batch, spec, threads, device)
-    with _folder(out) as (folder, keep), locked(folder), planned as plan, signals() as came:
+    with _folder(out) as (folder, keep, discard), locked(folder), planned as plan, signals() as came:
         run = writer.begin(folder, asked, keep)
+
+        def stopped() -> str:
+            discard()
+            return _how_to_go_on(run)
 
         def report_progress(method: str, shard: ShardProgress | None = None) -> None:
             if came:
@@ -105,18 +110,21 @@ def sweep(
                 progress(_progress(run.manifest, method, shard))
 
         try:
-            shards = [Shard(method, span) for method in chosen for span in run.missing(method)]
-            for method in chosen:
-                report_progress(method)
-            for (method, span), plans, by in plan(shards, report_progress):
-                rows = tables(batch, method, span, plans)
-                run = writer.add(run, method, span, rows, plans, by)
-                if finished is not None:
-                    finished(FinishedShard(method, span, plans, rows["scenarios"]["margin_m"].to_numpy()))
-                report_progress(method)
+            with stop_message(stopped):
+                shards = [Shard(method, span) for method in chosen for span in run.missing(method)]
+                for method in chosen:
+                    report_progress(method)
+                for (method, span), plans, by in plan(shards, report_progress):
+                    rows = tables(batch, method, span, plans)
+                    run = writer.add(run, method, span, rows, plans, by)
+                    if finished is not None:
+                        finished(FinishedShard(method, span, plans, rows["scenarios"]["margin_m"].to_numpy()))
+                    report_progress(method)
         except SignalCame:
             raise Interrupted(_how_to_go_on(run), came[0]) from None
         except Lost as lost:
+            if came:  # the signal went to the workers, too
+                raise Interrupted(_how_to_go_on(run), came[0]) from None
             raise Lost(f"{lost}; {_how_to_go_on(run)}") from None
         return run
 
@@ -250,21 +258,27 @@ class _Scratch:
     """A temporary folder that vanishes with it."""
 
     def __init__(self):
-        self.folder = Path(tempfile.mkdtemp(prefix="htcp-sweep-"))
-        weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
+        held = contextlib.ExitStack()
+        self.folder = held.enter_context(scratch())
+        weakref.finalize(self, held.close)
 
 
 @contextlib.contextmanager
-def _folder(out: str | Path | None) -> Iterator[tuple[Path, Any]]:
-    """The run folder, and what must live as long as it. A folder made here vanishes when it has come to nothing."""
+def _folder(out: str | Path | None) -> Iterator[tuple[Path, Any, Callable[[], None]]]:
+    """The run folder, what must live as long as it, and what removes it. A folder made here vanishes when it has come
+    to nothing."""
     if out is None:
         scratch = _Scratch()
-        yield scratch.folder, scratch
+        yield scratch.folder, scratch, lambda: None
         return
     folder = Path(out)
     with made_folder(folder) as is_new:
-        try:
-            yield folder, None
-        finally:
+
+        def discard() -> None:
             if is_new and not any(folder.glob("*/*.parquet")):
                 shutil.rmtree(folder, ignore_errors=True)
+
+        try:
+            yield folder, None, discard
+        finally:
+            discard()

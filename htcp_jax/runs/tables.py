@@ -9,6 +9,7 @@
     status         string   name of a htcp_jax.status.Status
     clearance_m    double   D, smallest over capsules and points; null where not tracked, as is all that follows of x
     residual_m     double   |TCP - target|
+    orientation_error_rad double    largest angle from what the task holds; null if it holds none
     iterations     int32    step QPs solved for the target; 0 where a plan made backwards pushed it there
     joint_step_rad double   |x_t - x_{t-1}|
     path_clear     bool     straight joint path from the row before; null where unknown
@@ -57,6 +58,7 @@ import numpy as np
 import pyarrow as pa
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.files import GROWTH
 from htcp_jax.jobs.grid_axes import Point
 from htcp_jax.planner.knots import Knots
 from htcp_jax.planner.motion import MotionFigures, figures
@@ -69,10 +71,12 @@ if TYPE_CHECKING:
     import pandas
 
 # Columns that runs of before do not have, in their order.
-LATER = "executable", *MotionFigures._fields, "way", "way_clearance_m", "knots"
+LATER = "executable", *MotionFigures._fields, "orientation_error_rad", "way", "way_clearance_m", "knots"
 STATUSES = {status.name: int(status) for status in Status}
 STATES: dict[str | None, int] = {None: int(Way.UNKNOWN)} | {way.name: int(way) for way in Way}
 XYZ = "xyz"
+
+LEAST_CELLS = 1_000_000  # scenarios times targets, that any rows may be opened as; more by GROWTH times the rows
 
 
 def joint_columns(robot: Robot) -> tuple[str, ...]:
@@ -93,6 +97,7 @@ def target_table(method: str, numbers: np.ndarray, plans: Plans, joints: Sequenc
         "status": pa.array([Status(code).name for code in status.tolist()], pa.string()),
         "clearance_m": _doubles(plans.clearance[s, t]),
         "residual_m": _doubles(plans.residual[s, t]),
+        "orientation_error_rad": _doubles(plans.orientation_error[s, t]),
         "iterations": pa.array(plans.iterations[s, t], pa.int32()),
         "joint_step_rad": _doubles(plans.joint_step[s, t]),
         "path_clear": pa.array(path_clear == 1, pa.bool_(), mask=path_clear < 0),
@@ -167,6 +172,8 @@ def plans_of(
     s, t = targets["scenario"].to_numpy(), targets["target"].to_numpy()
     if min(s.min(initial=0), t.min(initial=0)) < 0 or t.max(initial=0) >= len(targets):
         raise IndexError("a row of no scenario or no target")
+    if count * (int(t.max(initial=-1)) + 1) > max(LEAST_CELLS, GROWTH * len(targets)):
+        raise IndexError(f"{len(targets):,} rows of {count:,} scenarios with {t.max() + 1:,} targets; too few to open")
     blank = np.full((count, int(t.max(initial=-1)) + 1, 3), EMPTY["target"])
     plans = Plans.empty(_starts(scenarios, count, joints), blank, 0)._replace(compile_s=compile_s, run_s=run_s)
     for name in _READ:
@@ -179,10 +186,13 @@ def plans_of(
     return plans._replace(knots=Knots.of(knots, len(joints)))
 
 
-_READ = "clearance", "residual", "status", "iterations", "joint_step", "escape", "path_clear", "way_clearance"
+_READ = (
+    *("clearance", "residual", "orientation_error", "status", "iterations", "joint_step", "escape", "path_clear"),
+    "way_clearance",
+)
 _COLUMN = {
     "clearance": "clearance_m", "residual": "residual_m", "joint_step": "joint_step_rad",
-    "way_clearance": "way_clearance_m",
+    "orientation_error": "orientation_error_rad", "way_clearance": "way_clearance_m",
 }  # fmt: skip
 
 

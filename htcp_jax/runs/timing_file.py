@@ -25,9 +25,9 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.files import LARGEST, opened, parquet_bytes, read_parquet
 
 TIMING, MADE = "timing", b"htcp_jax"
 HELD_OVER = 0.99  # of the path's length: a scenario holds its feed
@@ -102,7 +102,8 @@ def read_timing(folder: Path, shards: Iterable[Shard], method: str) -> Timing | 
     if not file.exists():
         return None
     try:
-        rows = pq.read_table(file, page_checksum_verification=True)
+        with opened(file, folder, LARGEST) as stream:
+            rows = read_parquet(stream, file)
         made = json.loads(rows.schema.metadata[MADE])
         rows = rows.cast(SCHEMA)
         known = _of_results(shards, method, made["results"])
@@ -119,9 +120,7 @@ def timing_bytes(timing: Timing, shards: Iterable[Shard], method: str) -> bytes:
     results = [s.targets.sha256 for s in shards if s.method == method and not of.isdisjoint(_numbers(s))]
     made = {"feed_m_s": timing.feed_m_s, "limits": timing.limits, "results": results}
     rows = timing.rows.sort_by("scenario").replace_schema_metadata({MADE: json.dumps(made)})
-    sink = pa.BufferOutputStream()
-    pq.write_table(rows, sink, compression="zstd", write_page_checksum=True)
-    return sink.getvalue().to_pybytes()
+    return parquet_bytes(rows, write_page_checksum=True)
 
 
 def with_timing(folder: Path, shards: Iterable[Shard], scenarios: pa.Table) -> pa.Table:

@@ -1,23 +1,20 @@
 """Writing a run folder: begin or continue it, then add shard by shard. Its caller holds the folder's lock."""
 
 import hashlib
-import os
 import warnings
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.files import make_folder, parquet_bytes, write
 from htcp_jax.planner.plans import Plans
 from htcp_jax.runs.identity import differences, identity
 from htcp_jax.runs.manifest import MANIFEST, TABLES, FileRecord, Manifest, Seconds, ShardRecord, Span, shard_name, spans
 from htcp_jax.runs.provenance import planned_by
 from htcp_jax.runs.run_folder import Run, fault, open_run
-
-PART = ".part-"
 
 
 def begin(folder: Path, asked: Manifest, keep: Any = None) -> Run:
@@ -27,9 +24,6 @@ def begin(folder: Path, asked: Manifest, keep: Any = None) -> Run:
     Raises InputError when the folder holds another run, more scenarios of this one, or results without a manifest,
     and when it cannot be written.
     """
-    for part in folder.glob(f"{PART}*"):
-        if part.is_file():
-            part.unlink(missing_ok=True)  # its writer died
     _lay_out(folder)
     if not (folder / MANIFEST).exists():
         if strangers := _unlisted(folder, set()):
@@ -116,45 +110,21 @@ def _with_shards(run: Run, shards: tuple[ShardRecord, ...]) -> Run:
 
 
 def _saved(run: Run) -> Run:
-    write(run.folder, run.folder / MANIFEST, (run.manifest.model_dump_json(indent=2) + "\n").encode())
+    write(run.folder, MANIFEST, (run.manifest.model_dump_json(indent=2) + "\n").encode())
     return run
 
 
 def _write_parquet(folder: Path, table: str, name: str, rows: pa.Table) -> FileRecord:
     doubles = [field.name for field in rows.schema if pa.types.is_floating(field.type)]
-    sink = pa.BufferOutputStream()
-    pq.write_table(
-        rows,
-        sink,
-        compression="zstd",
-        use_dictionary=[name for name in rows.column_names if name not in doubles and name != "knots"],
-        use_byte_stream_split=doubles,
-    )
-    data = sink.getvalue().to_pybytes()
-    write(folder, folder / table / name, data)
+    words = [name for name in rows.column_names if name not in doubles and name != "knots"]
+    data = parquet_bytes(rows, use_dictionary=words, use_byte_stream_split=doubles)
+    write(folder, f"{table}/{name}", data)
     return FileRecord(rows=len(rows), bytes=len(data), sha256=hashlib.sha256(data).hexdigest())
 
 
-def write(folder: Path, file: Path, data: bytes) -> None:
-    """Write a file of a run's folder aside, then move it into place. Raises InputError when it cannot be written."""
-    part = folder / f"{PART}{file.name}"
-    try:
-        with part.open("wb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(part, file)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise InputError(f"cannot write to {folder}: {error.strerror}") from None
-
-
 def _lay_out(folder: Path) -> None:
-    try:
-        for table in TABLES:
-            (folder / table).mkdir(exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot write to {folder}: {error.strerror}") from None
+    for table in TABLES:
+        make_folder(folder, table)
 
 
 def _unlisted(folder: Path, expected: set[str]) -> list[Path]:

@@ -59,11 +59,19 @@ class Capsule(NamedTuple):
         return self.radius - _from_segment(points, self.p, self.q)[0]
 
 
-class _Piece(NamedTuple):
-    """Triangles, and the capsule about them."""
+class Cut(NamedTuple):
+    """The half-space with normal @ x <= offset [m]."""
+
+    normal: tuple[float, float, float]
+    offset: float
+
+
+class Piece(NamedTuple):
+    """Part of a mesh, the capsule about it, and the cuts that leave it of the mesh, in their order."""
 
     triangles: Triangles
     capsule: Capsule
+    cuts: tuple[Cut, ...] = ()
 
 
 def fit_capsule(points: Points, effort: Effort = THOROUGH) -> Capsule:
@@ -81,18 +89,18 @@ def fit_capsule(points: Points, effort: Effort = THOROUGH) -> Capsule:
     return min((_around(x, *(middle + size * pair)) for pair in ends), key=lambda capsule: capsule.volume)
 
 
-def cover(triangles: Triangles, most: int = MOST) -> list[Capsule]:
-    """At most `most` capsules that hold every triangle [m]: one, and another as long as the best cut by a plane saves
-    WORTH of the volume that they fill together."""
+def cover(triangles: Triangles, most: int = MOST) -> list[Piece]:
+    """At most `most` pieces whose capsules hold every triangle [m]: one, and another as long as the best cut by a plane
+    saves WORTH of the volume that the capsules fill together."""
     whole = fit_capsule(triangles.reshape(-1, 3))
-    pieces, filled = [_Piece(triangles, whole)], partial(_filled, _grid(whole))
+    pieces, filled = [Piece(triangles, whole)], partial(_filled, _grid(whole))
     while len(pieces) < most and whole.volume > SNUG * hull_volume(triangles.reshape(-1, 3)):
         tried = [pieces[:k] + halves + pieces[k + 1 :] for k, piece in enumerate(pieces) for halves in _halves(piece)]
         best = min(tried, key=filled, default=pieces)
         if filled(best) > (1 - WORTH) * filled(pieces):
             break
         pieces = best
-    return [fit_capsule(piece.triangles.reshape(-1, 3)) for piece in pieces]
+    return [piece._replace(capsule=fit_capsule(piece.triangles.reshape(-1, 3))) for piece in pieces]
 
 
 def hull_volume(points: Points) -> float:
@@ -103,8 +111,9 @@ def hull_volume(points: Points) -> float:
         return 0.0
 
 
-def clip(triangles: Triangles, normal: Vector, offset: float) -> Float[np.ndarray, "G 3 3"]:
-    """What of the triangles has normal @ x <= offset [m], as triangles."""
+def clip(triangles: Triangles, cut: Cut) -> Float[np.ndarray, "G 3 3"]:
+    """The triangles' part in the half-space, as triangles."""
+    normal, offset = np.array(cut.normal), cut.offset
     height = triangles @ normal - offset
     inside = height <= 0
     count = inside.sum(axis=1)
@@ -123,16 +132,18 @@ def _crossings(triangles: Triangles, height: Float[np.ndarray, "F 3"], inside: B
     return (a, b, c), a + (u / (u - v))[:, None] * (b - a), a + (u / (u - w))[:, None] * (c - a)
 
 
-def _halves(piece: _Piece) -> Iterator[list[_Piece]]:
+def _halves(piece: Piece) -> Iterator[list[Piece]]:
     """A piece in two, cut across the frame's and its principal axes; each half with a rough fit."""
     corners = _corners(piece.triangles.reshape(-1, 3))
     for axis in (*np.eye(3), *_principal(corners)):
         along = corners @ axis
         for share in CUTS:
             offset = float(along.min() + share * np.ptp(along))
-            halves = clip(piece.triangles, axis, offset), clip(piece.triangles, -axis, -offset)
+            cuts = Cut(tuple(axis.tolist()), offset), Cut(tuple((-axis).tolist()), -offset)
+            halves = [clip(piece.triangles, cut) for cut in cuts]
             if all(map(len, halves)):
-                yield [_Piece(half, fit_capsule(half.reshape(-1, 3), ROUGH)) for half in halves]
+                fits = [fit_capsule(half.reshape(-1, 3), ROUGH) for half in halves]
+                yield [Piece(*each, (*piece.cuts, cut)) for *each, cut in zip(halves, fits, cuts, strict=True)]
 
 
 def _grid(capsule: Capsule) -> Points:
@@ -141,7 +152,7 @@ def _grid(capsule: Capsule) -> Points:
     return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def _filled(grid: Points, pieces: list[_Piece]) -> int:
+def _filled(grid: Points, pieces: list[Piece]) -> int:
     """How many points of a grid lie in any of the capsules."""
     return int(np.any([piece.capsule.depth(grid) >= 0 for piece in pieces], axis=0).sum())
 

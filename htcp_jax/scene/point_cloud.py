@@ -16,7 +16,7 @@ from jaxtyping import Float
 from htcp_jax.errors import InputError
 from htcp_jax.formats.arrays import LARGEST_COORDINATE, check_points
 from htcp_jax.formats.columns import Points
-from htcp_jax.formats.foreign import known_ending, one_line, quiet, read_bytes
+from htcp_jax.formats.files import known_ending, one_line, quiet, read_bytes
 from htcp_jax.formats.scan import PARTS, SCANS, read_part, read_scan
 from htcp_jax.formats.table import read_npy, read_table
 from htcp_jax.scene.mesh_points import cover
@@ -28,6 +28,7 @@ CLOUDS = (*TABLES, *SCANS, *MESHES)
 
 # An OBJ face that counts its vertices back from its own line. trimesh takes other vertices and says nothing.
 RELATIVE_FACE = re.compile(rb"^f\b[^\n]*[ \t](?:-\d|0+(?:[/ \t\r]|$))", re.MULTILINE)
+PLY_LIST_FIRST = re.compile(rb"^element[ \t]+face[ \t]+\d+[ \t\r]*\n(comment[^\n]*\n)*property[ \t]+list", re.MULTILINE)
 PLY_ELEMENT = re.compile(rb"^element[ \t]+(vertex|face)[ \t]+(\d{1,12})[ \t\r]*$", re.MULTILINE)
 
 
@@ -106,12 +107,30 @@ def _geometry(path: Path, ending: str) -> tuple[Float[np.ndarray, "V 3"], Float[
         raise InputError(f"{path}: not a readable {ending} file ({one_line(error)})") from None
     geometry = np.concatenate([np.empty((0, 3)), *vertices]), np.concatenate([np.empty((0, 3, 3)), *triangles])
     if ending == ".ply":
-        _check_ply_is_whole(path, data, *map(len, geometry))
+        raw = [part.metadata.get("_ply_raw", {}).get("face", {}).get("data") for part in meshes]
+        _check_ply_is_whole(path, data, *map(len, geometry), raw)
     return geometry
 
 
-def _check_ply_is_whole(path: Path, data: bytes, vertices: int, triangles: int) -> None:
-    """trimesh takes what there is of a text that was cut off, and says nothing."""
+def _check_ply_is_whole(path: Path, data: bytes, vertices: int, triangles: int, raw: list) -> None:
+    """trimesh takes what there is of a text that was cut off, and of a face with fewer corners than it promises, and
+    says nothing. raw: the faces as it has read them."""
     promised = dict(PLY_ELEMENT.findall(data.partition(b"end_header")[0]))
     if vertices != int(promised.get(b"vertex", vertices)) or triangles < int(promised.get(b"face", 0)):
         raise InputError(f"{path}: damaged, it holds fewer vertices or faces than its header says")
+    for faces in raw:  # of a binary file: numbers of corners and corners, a column for each list
+        for name in getattr(getattr(faces, "dtype", None), "names", None) or ():
+            if faces[name].dtype.names == ("f0", "f1"):
+                _check_corners(path, faces[name]["f0"], np.full(len(faces), faces[name]["f1"].shape[1]))
+    header, _, body = data.partition(b"end_header")
+    if b"format ascii" in header and PLY_LIST_FIRST.search(header):
+        before = header[: PLY_LIST_FIRST.search(header).start()]
+        first = sum(int(count) for count in re.findall(rb"^element[ \t]+\w+[ \t]+(\d+)", before, re.MULTILINE))
+        rows = [row for line in body.splitlines() if (row := line.split())][first : first + int(promised[b"face"])]
+        _check_corners(path, np.array([float(row[0]) for row in rows]), np.array([len(row) - 1 for row in rows]))
+
+
+def _check_corners(path: Path, promised: np.ndarray, there: np.ndarray) -> None:
+    if (bad := np.flatnonzero(promised > there)).size:
+        k = bad[0]
+        raise InputError(f"{path}: damaged, face {k + 1} has {there[k]} corners in place of {promised[k]:.0f}")

@@ -28,6 +28,15 @@ class ArmFrame(NamedTuple):
     columns: tuple[Triple, Triple, Triple]  # its axes x, y, z, there
 
 
+class Exclusion(NamedTuple):
+    """Two capsules that are not checked against each other, by their numbers, and why."""
+
+    first: int  # further from the base than the second
+    second: int
+    rule: str  # of `clearance.self_exclusions`: a, b or c
+    share: float  # of the sampled configurations in which the capsules overlap [1]; 0 of rule a
+
+
 @register_pytree
 @dataclasses.dataclass(frozen=True)
 class Robot:
@@ -55,8 +64,10 @@ class Robot:
     capsule_names: tuple[str, ...] = dataclasses.field(metadata=_STATIC)
     capsule_link: tuple[int, ...] = dataclasses.field(metadata=_STATIC)  # -1 is the world
     ignored_geoms: tuple[str, ...] = dataclasses.field(metadata=_STATIC)  # neither capsule nor sphere
-    excluded: tuple[tuple[int, int], ...] = dataclasses.field(default=(), metadata=_STATIC)  # capsules that may overlap
-    keyframes: tuple[tuple[float, ...], ...] = dataclasses.field(default=(), metadata=_STATIC)  # postures [rad or m]
+    exclusions: tuple[Exclusion, ...] = dataclasses.field(default=(), metadata=_STATIC)  # that the model states
+    listed: bool = dataclasses.field(default=False, metadata=_STATIC)  # these are all but those of `mounted`
+    mounted: tuple[int, ...] = dataclasses.field(default=(), metadata=_STATIC)  # capsules of the job's own tool
+    file: str = dataclasses.field(default="", metadata=_STATIC)  # that it was read from
     frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=_STATIC)  # that a task may name
 
     def _repr_html_(self) -> str:
@@ -67,6 +78,11 @@ class Robot:
         if self.ignored_geoms:
             facts["ignored geoms"] = ", ".join(self.ignored_geoms)
         return html_facts(f"{self.name}: {len(self.joint_names)} joints", facts)
+
+
+def capsule_in_words(name: str) -> str:
+    """A capsule in a message: what collides is the capsule, and not yet the link in it."""
+    return name if name.startswith("capsule") else f"capsule {name}"
 
 
 def lengthen_tool(robot: Robot, extension_m: float | Scalar) -> Robot:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.formats.safe_xml import read_spec
-from htcp_jax.scene.capsule_fit import MOST, Capsule, Triangles, cover, hull_volume
+from htcp_jax.scene.capsule_fit import MOST, Capsule, Piece, Triangles, cover, hull_volume
 from htcp_jax.scene.robot_model import check_joints, compile_spec, joint_name, joint_numbers, no_log, upwards
 from htcp_jax.scene.robot_shapes import Geom, Shape, Shapes
 from htcp_jax.scene.robot_tcp import Tip, find_tip
@@ -27,10 +27,15 @@ class Cover(NamedTuple):
     """The capsules of one body, and what they stand for."""
 
     own: dict[str, Capsule]  # that the model has, by name
-    fitted: dict[str, Capsule]  # that were made here
+    pieces: dict[str, Piece]  # of `held`, with the capsules that were fitted here
     drawn: Triangles  # of the shapes that the model's own capsules were fitted to by MuJoCo [m]
     held: Triangles  # of all other shapes [m]; the fitted ones hold them
     kinds: tuple[str, ...]  # box, mesh, ...: what the held ones were
+
+    @property
+    def fitted(self) -> dict[str, Capsule]:
+        """The capsules of the pieces, by name."""
+        return {name: piece.capsule for name, piece in self.pieces.items()}
 
     @property
     def ratio(self) -> float:
@@ -61,7 +66,13 @@ class ImportedArm(NamedTuple):
     massive: tuple[int, ...]  # bodies whose inertia the file states
     numbers: dict[str, Float[np.ndarray, "N"]]  # PER_JOINT, of `joints`
     left_out: tuple[str, ...]  # shapes that nothing stands for
+    visual: bool  # whether capsules hold what is drawn
     shapeless: tuple[str, ...]  # bodies that are drawn but have no shape for contact
+
+    @property
+    def name(self) -> str:
+        """The model's own."""
+        return self.model.names.partition(b"\0")[0].decode(errors="replace")
 
 
 def import_robot(
@@ -80,11 +91,7 @@ def import_robot(
     Raises InputError for a file or a mesh that cannot be read, for a TCP that is not there or not clear, ball and free
     joints on the way to it, fewer than three joints, and a model without shapes.
     """
-    with no_log():
-        spec = read_spec(path, meshes=True, visual=visual, contacts=True)
-    spec.compiler.discardvisual = False
-    shapes = Shapes(spec, path)
-    model = compile_spec(spec, path)
+    spec, shapes, model = _read(path, visual)
     tip = find_tip(model, path, tcp, _bodies(model, ()))
     on_the_way = tuple(upwards(model, tip.body))
     bodies = _bodies(model, on_the_way)
@@ -113,8 +120,30 @@ def import_robot(
         tuple(body.id for body in spec.bodies if body.explicitinertial and body.mass > 0 and body.id in bodies),
         {name: joint_numbers(model, path, name, np.inf)[list(joints)] for name in PER_JOINT if _has(model, name)},
         tuple(f"{model.geom(g.at).name or g.kind} of {body_name(model, _body(model, g))}" for g in left_out),
+        visual,
         tuple(body_name(model, b) for b in _shapeless(geoms, chosen, model)),
     )
+
+
+def held_triangles(path: Path, visual: bool) -> dict[str, Triangles]:
+    """What `import_robot` fits capsules to, by the name of the body, in its frame [m]. Raises InputError for a file or
+    a mesh that cannot be read."""
+    _, shapes, model = _read(path, visual)
+    chosen = [geom for geom in _chosen(shapes.geoms, model, visual) if not _is_left_out(geom, model)]
+    found: dict[str, list[Shape]] = {}
+    for geom in chosen:
+        found.setdefault(body_name(model, _body(model, geom)), []).append(shapes.shape(geom, model))
+    return {name: _all([shape for shape in own if shape.capsule is None]) for name, own in found.items()}
+
+
+def _read(path: Path, visual: bool) -> tuple[mujoco.MjSpec, Shapes, mujoco.MjModel]:
+    with no_log():
+        spec = read_spec(path, meshes=True, visual=visual, contacts=True)
+    spec.compiler.discardvisual = False
+    for each in list(spec.tuples):  # the list of an arm by htcp robot names capsules that get other names here
+        spec.delete(each)
+    shapes = Shapes(spec, path)
+    return spec, shapes, compile_spec(spec, path)
 
 
 def body_name(model: mujoco.MjModel, body: int) -> str:
@@ -185,8 +214,8 @@ def _cover(shapes: list[Shape], body: str, names: _Names, most: int) -> Cover:
     own = {shape.name or names.new(body): shape.capsule for shape in shapes if shape.capsule is not None}
     others = [shape for shape in shapes if shape.capsule is None]
     held, drawn = _all(others), _all([shape for shape in shapes if shape.capsule is not None])
-    fitted = {names.new(body): capsule for capsule in (cover(held, most) if others else [])}
-    return Cover(own, fitted, drawn, held, tuple(shape.kind for shape in others))
+    pieces = {names.new(body): piece for piece in (cover(held, most) if others else [])}
+    return Cover(own, pieces, drawn, held, tuple(shape.kind for shape in others))
 
 
 def _all(shapes: list[Shape]) -> Triangles:

@@ -5,6 +5,7 @@ What a file can get wrong is an InputError here, one line that starts with its p
 
 import itertools
 import math
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,13 +15,15 @@ import mujoco
 import numpy as np
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.arrays import LARGEST_COORDINATE
 from htcp_jax.formats.safe_xml import read_spec, unreadable
-from htcp_jax.scene.robot import ArmFrame
+from htcp_jax.scene.robot import ArmFrame, Exclusion
 from htcp_jax.scene.tool import Tool, pose
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _SPHERE, _CAPSULE = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 _DESCRIBED_ELSEWHERE = mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF
+LIST, EXCLUDED = "self_collision", "excluded {}, rule {}"  # the <text> over an arm's list, the <tuple> of a pair
 
 
 class RobotFields(NamedTuple):
@@ -41,13 +44,21 @@ class _Capsule(NamedTuple):
     radius: float
 
 
+class _Pair(NamedTuple):
+    """A <tuple> of an arm's list."""
+
+    name: str
+    capsules: tuple[str, ...]
+    share: float
+
+
 def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.ndarray, tool: Tool | None) -> RobotFields:
     """The serial chain from the world to the TCP; see robot_file.load_robot. Raises InputError."""
-    model, geom_types = _compile_model(path)
+    model, geom_types, pairs = _compile_model(path)
     tcp_body, T_body_tcp = _find_tcp(model, path, tcp_site)
     joint_names = _chain_joints(model, path, tcp_body)
     lower, upper = _limits(model, path, limits)
-    T_parent_joint, frames = _link_frames(model, T_world_base)
+    T_parent_joint, frames = link_frames(model, T_world_base)
     capsules = [_capsule(model, geom, frames) for geom in range(model.ngeom) if _is_round(model, geom)]
     link, T_link_body = frames[tcp_body]
     T_link_flange = T_link_body @ T_body_tcp
@@ -69,11 +80,16 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
     for name, numbers in arrays.items():
         if not np.isfinite(numbers).all():
             raise InputError(f"{path}: a number of the model is not finite ({name})")
+        if (largest := np.abs(numbers).max(initial=0.0)) > LARGEST_COORDINATE:
+            raise InputError(f"{path}: a number of the model is {largest:g} ({name}); at most {LARGEST_COORDINATE:g} m")
     arrays |= {"lower": lower, "upper": upper, "effort": _effort(model)}
     for name in ("speed", "acceleration"):
         arrays[name] = joint_numbers(model, path, name, default=math.inf)
         if not (arrays[name] > 0).all():
             raise InputError(f"{path}: numeric {name!r} must be positive")
+    exclusions = [*_excluded(model, capsules), *_listed(path, pairs or (), capsules)]
+    widest = _limits(model, path, "model")  # the list was found within these
+    listed = pairs is not None and bool((lower >= widest[0]).all() and (upper <= widest[1]).all())
     facts = {
         "name": model.names.partition(b"\0")[0].decode(errors="replace") or path.stem,
         "joint_names": joint_names,
@@ -81,8 +97,10 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
         "capsule_names": tuple(capsule.name for capsule in capsules),
         "capsule_link": tuple(capsule.link for capsule in capsules),
         "ignored_geoms": tuple(_geom_name(model, g) for g in range(model.ngeom) if not _is_round(model, g)),
-        "excluded": tuple(_excluded(model, capsules)),
-        "keyframes": tuple(tuple(posture) for posture in model.key_qpos.tolist()),
+        "exclusions": tuple(each for each in exclusions if listed or each.rule == "a"),
+        "listed": listed,
+        "mounted": tuple(range(len(capsules) - len(mounted), len(capsules))),
+        "file": str(path.resolve()),
         "frames": _named_frames(model, frames),
     }
     return RobotFields(arrays, facts)
@@ -91,14 +109,18 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
 # The file
 
 
-def _compile_model(path: Path) -> tuple[mujoco.MjModel, str]:
-    """Returns the model and the geom types of the file."""
+def _compile_model(path: Path) -> tuple[mujoco.MjModel, str, list[_Pair] | None]:
+    """Returns the model, the geom types of the file, and the pairs of its list; None if it has no list."""
     with no_log():
         spec = read_spec(path, contacts=True)
     geom_types = sorted({_type_name(geom) for geom in spec.geoms})
     _check_radii(spec, path)
     _forget_shapes(spec)
-    return compile_spec(spec, path), ", ".join(geom_types)
+    pairs = [_Pair(each.name, tuple(each.objname), float(each.objprm[0])) for each in spec.tuples if len(each.objname)]
+    has_list = any(text.name == LIST for text in spec.texts)
+    for each in list(spec.tuples):
+        spec.delete(each)
+    return compile_spec(spec, path), ", ".join(geom_types), pairs if has_list else None
 
 
 def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
@@ -261,8 +283,8 @@ def joint_name(model: mujoco.MjModel, joint: int) -> str:
     return model.joint(joint).name or f"joint{joint + 1}"
 
 
-def _link_frames(model: mujoco.MjModel, T_world_base: np.ndarray) -> tuple[np.ndarray, list[tuple[int, np.ndarray]]]:
-    """T_parent_joint (N, 4, 4), and for each body its link (-1: world) with T_link_body.
+def link_frames(model: mujoco.MjModel, T_world_base: np.ndarray) -> tuple[np.ndarray, list[tuple[int, np.ndarray]]]:
+    """Return T_parent_joint (N, 4, 4), and for each body its link (-1: world) with T_link_body.
 
     A joint turns about its own anchor, and MuJoCo draws the model at x = qpos0, not 0: both are folded in.
     """
@@ -338,13 +360,33 @@ def excluded_bodies(model: mujoco.MjModel) -> set[tuple[int, int]]:
     return {(int(pair) >> 16, int(pair) & 0xFFFF) for pair in model.exclude_signature}
 
 
-def _excluded(model: mujoco.MjModel, capsules: list[_Capsule]) -> Iterator[tuple[int, int]]:
+def _excluded(model: mujoco.MjModel, capsules: list[_Capsule]) -> Iterator[Exclusion]:
     """Pairs of capsules whose bodies an <exclude> of the file names."""
     bodies = excluded_bodies(model)
     for a, b in itertools.combinations(range(len(capsules)), 2):
         one, other = capsules[a].body, capsules[b].body
         if (one, other) in bodies or (other, one) in bodies:
-            yield a, b
+            yield _exclusion(capsules, a, b, "a", 0.0)
+
+
+def _listed(path: Path, pairs: Sequence[_Pair], capsules: list[_Capsule]) -> Iterator[Exclusion]:
+    """The pairs of the arm's own list. Raises InputError for a pair that is none."""
+    numbers = {capsule.name: k for k, capsule in enumerate(capsules)}
+    for name, pair, share in pairs:
+        rule = re.fullmatch(EXCLUDED.format(r"\S+", "([abc])"), name)
+        if rule is None:
+            raise InputError(
+                f"{path}: tuple {name!r} must be called {EXCLUDED.format('NUMBER', 'a')!r}, or rule b or c"
+            )
+        if len(pair) != 2:
+            raise InputError(f"{path}: {name!r} has {len(pair)} capsules; a pair has 2")
+        if unknown := [each for each in pair if each not in numbers]:
+            raise InputError(f"{path}: {name!r} names {unknown[0]!r}; the capsules are {', '.join(numbers)}")
+        yield _exclusion(capsules, *(numbers[each] for each in pair), rule[1], share)
+
+
+def _exclusion(capsules: list[_Capsule], a: int, b: int, rule: str, share: float) -> Exclusion:
+    return Exclusion(*sorted((a, b), key=lambda k: -capsules[k].link), rule, share)
 
 
 def _mounted(

@@ -1,5 +1,6 @@
 """An imported arm as the text of an MJCF file that `load_robot` reads, and that a person can read and correct."""
 
+from collections.abc import Sequence
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -7,30 +8,48 @@ import mujoco
 import numpy as np
 
 from htcp_jax.scene.capsule_fit import Capsule
+from htcp_jax.scene.link_meshes import CUTS, MADE_FROM, VISUAL, cuts_text
 from htcp_jax.scene.robot_import import Cover, ImportedArm, body_name
-from htcp_jax.scene.robot_model import excluded_bodies
+from htcp_jax.scene.robot_model import EXCLUDED, LIST, excluded_bodies
+
+Listed = tuple[str, str, str, float]  # two capsules by their names, the rule, and the share of configurations
 
 HEAD = """
   An arm of capsules, made by htcp robot from {source}. Metres, radians.
   Correct what is not as it should be: a capsule's "fromto" are the ends of its axis in the frame of its body, "size" is
-  its radius. Neighbours may overlap. The site "tcp" is the TCP: here {tip} of the model.{frozen}
+  its radius. The site "tcp" is the TCP: here {tip} of the model.{frozen}
 """
+LIST_HEAD = """
+    Pairs of capsules that are not checked against each other (docs: Bring your own arm, Self-collision). Rule b: they
+    overlap in at least 95 % of 10,000 random configurations; c: in some, but the meshes in them touch in none. The
+    number is the share. Remove a pair to have it checked; bodies under contact are excluded by the model, rule a.
+    """
 MANY = {"mesh": "meshes", "box": "boxes", "cylinder": "cylinders", "ellipsoid": "ellipsoids"}
 
 
-def arm_xml(arm: ImportedArm, source: str) -> str:
-    """The file's text; source: what it was made from, for its head."""
+def arm_xml(
+    arm: ImportedArm,
+    source: str,
+    disabled: Sequence[tuple[str, str]] = (),
+    listed: Sequence[Listed] | None = None,
+) -> str:
+    """The file's text.
+
+    source: the model, as it is found from the file. disabled: bodies that an SRDF excludes. listed: the other pairs of
+    capsules that are not checked; None: whoever reads the file finds out.
+    """
     model = arm.model
     frozen = f"\n  Frozen as drawn: {', '.join(arm.frozen)}." if arm.frozen else ""
-    root = Element("mujoco", model=model.names.partition(b"\0")[0].decode(errors="replace"))
+    root = Element("mujoco", model=arm.name)
     root.append(_comment(HEAD.format(source=source, tip=arm.tip.name or "its only site", frozen=frozen)))
     light = {"boundmass": "1e-6", "boundinertia": "1e-6"}  # else MuJoCo refuses a link that has no capsule
     SubElement(root, "compiler", angle="radian", autolimits="true", **light)
     SubElement(SubElement(root, "option"), "flag", contact="disable")
-    if arm.numbers:
-        custom = SubElement(root, "custom")
-        for name, numbers in arm.numbers.items():
-            SubElement(custom, "numeric", name=name, data=_text(numbers))
+    custom = SubElement(root, "custom")
+    for name, numbers in arm.numbers.items():
+        SubElement(custom, "numeric", name=name, data=_text(numbers))
+    if listed is not None:
+        _add_list(custom, arm, source, listed)
     elements = {0: SubElement(root, "worldbody")}
     for b in arm.bodies:
         if b > 0:
@@ -39,7 +58,7 @@ def arm_xml(arm: ImportedArm, source: str) -> str:
     position, turn = arm.tip.T_body_tcp[:3, 3], np.empty(4)
     mujoco.mju_mat2Quat(turn, arm.tip.T_body_tcp[:3, :3].ravel())
     SubElement(elements[arm.tip.body], "site", name="tcp", **_pose(position, turn))
-    _add_exclusions(root, arm)
+    _add_exclusions(root, arm, disabled)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
@@ -56,18 +75,29 @@ def _body(parent: Element, arm: ImportedArm, b: int) -> Element:
     return body
 
 
-def _add_exclusions(root: Element, arm: ImportedArm) -> None:
-    """What may touch: bodies that the model excludes, and postures in which it is drawn."""
+def _add_list(custom: Element, arm: ImportedArm, source: str, listed: Sequence[Listed]) -> None:
+    """The pairs, and where the meshes are that they were found with."""
+    custom.append(_comment(LIST_HEAD))
+    SubElement(custom, "text", name=LIST, data=f"{len(listed)} pairs are not checked")
+    for number, (one, other, rule, share) in enumerate(listed, 1):
+        pair = SubElement(custom, "tuple", name=EXCLUDED.format(number, rule))
+        SubElement(pair, "element", objtype="geom", objname=one, prm=f"{share:.4f}")
+        SubElement(pair, "element", objtype="geom", objname=other)
+    SubElement(custom, "text", name=MADE_FROM, data=source + (VISUAL if arm.visual else ""))
+    for cover in arm.covers.values():
+        for name, piece in cover.pieces.items():
+            SubElement(custom, "text", name=CUTS + name, data=cuts_text(piece.cuts) or " ")
+
+
+def _add_exclusions(root: Element, arm: ImportedArm, disabled: Sequence[tuple[str, str]]) -> None:
+    """Pairs of bodies that the model and an SRDF exclude."""
     model = arm.model
     names = {0: "world"} | {b: body_name(model, b) for b in arm.bodies if b > 0}
-    if pairs := [pair for pair in sorted(excluded_bodies(model)) if set(pair) <= names.keys()]:
+    own = [pair for pair in sorted(excluded_bodies(model)) if set(pair) <= names.keys()]
+    if pairs := dict.fromkeys([*((names[a], names[b]) for a, b in own), *disabled]):
         contact = SubElement(root, "contact")
         for one, other in pairs:
-            SubElement(contact, "exclude", body1=names[one], body2=names[other])
-    if model.nkey:
-        frames = SubElement(root, "keyframe")
-        for posture in model.key_qpos[:, model.jnt_qposadr[list(arm.joints)]]:
-            SubElement(frames, "key", qpos=_text(posture))
+            SubElement(contact, "exclude", body1=one, body2=other)
 
 
 def _joint(model: mujoco.MjModel, j: int) -> dict[str, str]:

@@ -146,6 +146,23 @@ class Task:
         broken = -self.room(value, goal)
         return jnp.where(broken > EXACT, off + broken + self.tolerance_m, off)
 
+    @property
+    def holds_angles(self) -> bool:
+        """Whether an axis or a frame is held exactly, so that the residual is more than a distance."""
+        return any(part.angular and part.equalities for part in self.parts)
+
+    def errors(self, robot: Robot, x: Joints, goal: Float[Array, "G"]) -> tuple[Scalar, Scalar]:
+        """The distance of the points that are held from their goals [m], and the largest angle from what is held [rad]:
+        what the residual puts together."""
+        value, v = self.value(robot, x), 0
+        lengths, angles = [jnp.zeros(0)], [jnp.zeros(())]
+        for start, part in zip(self.starts, self.parts, strict=True):
+            size = sum(len(feature.rows) for feature in part.features)
+            error = part.error(value[v : v + size], goal[start : start + part.numbers])
+            (angles if part.angular else lengths).append(safe_norm(error) if part.angular else error)
+            v += size
+        return safe_norm(jnp.concatenate(lengths)), jnp.max(jnp.stack(angles))
+
     def off(self, robot: Robot, x: Joints, goal: Float[Array, "G"]) -> Scalar:
         """The residual at x [m]."""
         return self.residual(self.value(robot, x), goal)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.formats import arrays
-from htcp_jax.formats.foreign import known_ending
+from htcp_jax.formats.files import known_ending
 from htcp_jax.formats.table import read_table
 from htcp_jax.scene import duct
 from htcp_jax.scene.duct import INTERIOR_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT

@@ -79,6 +79,7 @@ class Scores(Section):
     complete: Count  # scenarios
     tcp_error_max_mm: float | None  # over the tracked targets, as is the next; None where there are none
     clearance_min_mm: float | None
+    clearance_less_cover_min_mm: float | None = Field(None, exclude=True)  # of a run; no part of the file
     times: Times | None = None  # where the run is timed
     scenarios: dict[Count, str]  # an `End` each, by the scenario's number
 
@@ -271,6 +272,7 @@ def _scores(run: Run, method: str, check: MethodCheck | None) -> Scores:
         complete=int(found.complete.sum()),
         tcp_error_max_mm=_rounded(check and check.tcp_error_max_mm),
         clearance_min_mm=_rounded(check and check.clearance_min_mm),
+        clearance_less_cover_min_mm=_rounded(check and check.clearance_less_cover_min_mm),
         times=_times(run, method),
         scenarios={number: str(_end(end)) for number, end in ends.items()},
     )

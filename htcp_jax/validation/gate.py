@@ -114,6 +114,7 @@ class Row(NamedTuple):
     tcp_error_max_mm: float | None
     was_clearance_min_mm: float | None
     clearance_min_mm: float | None
+    clearance_less_cover_min_mm: float | None  # the run's, less the covering radius of a mesh
     was_held: int | None  # scenarios that hold their feed
     held: int | None
     was_cycle_mean_s: float | None  # over the scenarios that have a time
@@ -304,6 +305,7 @@ def _row(baseline: Baseline, found: RunSummary, method: str, changed: list[Chang
         tcp_error_max_mm=now and now.tcp_error_max_mm,
         was_clearance_min_mm=was.clearance_min_mm,
         clearance_min_mm=now and now.clearance_min_mm,
+        clearance_less_cover_min_mm=now and now.clearance_less_cover_min_mm,
         **_time_columns(was.times, now and now.times),
         verdict=verdict,
     )

@@ -4,6 +4,7 @@ Nothing of mesh_points.py or tip_guard.py is used. The distance from a capsule's
 through the other. Otherwise it is attained at an end of the axis or on an edge of the triangle.
 """
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import trimesh
 from jaxtyping import Bool, Float
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.files import read_bytes
 
 GRAINS = 100_000  # pieces that the triangles are cut into, about, so that a tree of their middles says where they are
 AT_ONCE = 500_000  # pairs of an axis and a triangle in memory
@@ -22,7 +24,8 @@ Points = Float[np.ndarray, "m 3"]
 def read_triangles(path: str | Path) -> Triangles:
     """All triangles of a mesh file [m]. Raises InputError for a file that cannot be read."""
     try:
-        mesh = trimesh.load(path, force="mesh", process=False, skip_materials=True)
+        data, ending = io.BytesIO(read_bytes(Path(path))), Path(path).suffix.lower()[1:]
+        mesh = trimesh.load(data, file_type=ending, force="mesh", process=False, skip_materials=True)
         return np.asarray(mesh.triangles, float).reshape(-1, 3, 3)
     except Exception as error:  # a foreign parser on foreign bytes
         raise InputError(f"{path}: not a readable mesh ({type(error).__name__})") from None

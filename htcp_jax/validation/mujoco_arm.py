@@ -7,6 +7,7 @@ site is the TCP, what a longer tool is, which limits hold) is read here a second
 import copy
 import math
 from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError
 from htcp_jax.formats.safe_xml import read_spec
+from htcp_jax.scene.link_meshes import LinkMeshes
 from htcp_jax.scene.tool import ZERO, Tool
 from htcp_jax.types import Triple
 
@@ -55,6 +57,8 @@ class Arm:
         base_rpy_rad: Triple = ZERO,
         tool: Tool | None = None,
     ):
+        self._path, self._list = Path(path), _list(Path(path))
+        self._mounted = {body.name for body in tool.bodies} if tool else set()
         self._model, self._site = _compile(Path(path), tcp, tool)
         self._probe = self._model.geom(_PROBE).id
         self._geoms = np.array([g for g in range(self._model.ngeom) if g != self._probe])
@@ -81,17 +85,51 @@ class Arm:
 
     @property
     def apart(self) -> list[tuple[int, int]]:
-        """Pairs of capsules that may meet: not on one link or on neighbours, nor excluded by the file."""
+        """Pairs of capsules that may meet: not on one link, nor excluded by the file."""
         bodies = self._model.geom_bodyid[self._geoms].tolist()
         excluded = {(int(pair) >> 16, int(pair) & 0xFFFF) for pair in self._model.exclude_signature}
         count = range(len(bodies))
-        pairs = [(a, b) for a in count for b in count if self.links[a] > self.links[b] + 1]
+        pairs = [(a, b) for a in count for b in count if self.links[a] > self.links[b]]
         return [(a, b) for a, b in pairs if not {(bodies[a], bodies[b]), (bodies[b], bodies[a])} & excluded]
 
     @property
-    def drawn(self) -> Postures:
-        """The postures that the file knows: zero, and its keyframes."""
-        return self.postures(np.vstack([np.zeros(self._model.njnt), self._model.key_qpos]))
+    def stated(self) -> dict[tuple[int, int], str] | None:
+        """The rules of the pairs in the list of the arm's file; None without a list, or if the joint limits are wider
+        than those that it was made for."""
+        model_lower, model_upper = _limits(self._model, "model")
+        if self._list is None or (self.lower < model_lower).any() or (self.upper > model_upper).any():
+            return None
+        numbers = {name: k for k, name in enumerate(self.names)}
+        pairs = (([numbers[name] for name in names], rule) for names, rule in self._list)
+        return {tuple(sorted(pair, key=lambda k: -self.links[k])): rule for pair, rule in pairs}
+
+    @cached_property
+    def meshes(self) -> LinkMeshes | None:
+        """The makers' meshes that the arm's file refers to, if they are there."""
+        return None if self._list is None else LinkMeshes.read(self._path)
+
+    def random(self, count: int, seed: int) -> Float[np.ndarray, "n N"]:
+        """Configurations within the joint limits; without limits within half a turn or a metre of zero."""
+        free = np.where(self._model.jnt_type == _HINGE, math.pi, 1.0)
+        lower = np.where(np.isfinite(self.lower), self.lower, -free)
+        upper = np.where(np.isfinite(self.upper), self.upper, free)
+        return np.random.default_rng(seed).uniform(lower, upper, (count, len(lower)))
+
+    def is_tool(self, pair: tuple[int, int]) -> bool:
+        """True if one of the capsules belongs to the job's own tool."""
+        return any(self.names[k] in self._mounted for k in pair)
+
+    def adjacent(self, pair: tuple[int, int]) -> bool:
+        """True if one joint lies between two capsules."""
+        return bool(self.links[pair[0]] == self.links[pair[1]] + 1)
+
+    def slides(self, pair: tuple[int, int]) -> bool:
+        """True if that joint is a slide."""
+        return self.adjacent(pair) and self._model.jnt_type[self.links[pair[0]] - 1] != _HINGE
+
+    def same_links(self, pair: tuple[int, int], other: tuple[int, int]) -> bool:
+        """True if two pairs are of the same links."""
+        return all(self.links[a] == self.links[b] for a, b in zip(pair, other, strict=True))
 
     @property
     def moving(self) -> "Arm":
@@ -160,8 +198,8 @@ def _compile(path: Path, tcp: str, tool: Tool | None) -> tuple[mujoco.MjModel, i
         for geom in list(spec.geoms):
             if geom.type not in (_SPHERE, _CAPSULE):
                 spec.delete(geom)
-        for mesh in list(spec.meshes):
-            spec.delete(mesh)
+        for each in [*spec.meshes, *spec.tuples]:
+            spec.delete(each)
         spec.worldbody.add_geom(name=_PROBE, type=_SPHERE, size=[PROBE_M, 0, 0])
         spec.compiler.fusestatic = False  # the fixed links of a URDF name its TCP
         spec.compiler.boundmass = spec.compiler.boundinertia = 1e-9  # MuJoCo insists on masses
@@ -181,6 +219,14 @@ def _compile(path: Path, tcp: str, tool: Tool | None) -> tuple[mujoco.MjModel, i
         return model, model.site(_TCP).id
     except (ValueError, OSError, mujoco.FatalError) as error:
         raise InputError(f"{path}: not a model that MuJoCo can read: {' '.join(str(error).split())}") from None
+
+
+def _list(path: Path) -> list[tuple[tuple[str, ...], str]] | None:
+    """The pairs in the list of an arm by `htcp robot`, with their rules; None without a list."""
+    spec = read_spec(path, contacts=True)
+    if all(text.name != "self_collision" for text in spec.texts):
+        return None
+    return [(tuple(each.objname), each.name[-1]) for each in spec.tuples]
 
 
 def _flange(model: mujoco.MjModel, name: str) -> tuple[int, np.ndarray, np.ndarray]:

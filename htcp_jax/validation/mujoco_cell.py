@@ -6,13 +6,14 @@ kinematics has these; distances are mj_geomDistance's. Of a mesh that is not con
 triangles are measured, as a workpiece's are.
 """
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import trimesh
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.formats.safe_xml import read_spec
@@ -20,6 +21,7 @@ from htcp_jax.jobs.config import CellConfig
 from htcp_jax.scene.point_cloud import load_geometry
 from htcp_jax.validation.mujoco_arm import FAR_M, Arm, Postures
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
+from htcp_jax.validation.own_pairs import OwnPairs, own_pairs, touch_m
 
 MOST_FACES = 400  # of a mesh that counts as convex
 _CAPSULE, _MESH = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_MESH
@@ -51,36 +53,63 @@ class Beside:
             R, t = _frame(cloud.base_m, cloud.base_rpy_rad)
             found = load_geometry(cloud.cloud)
             self._add_wall(moving, found.points, found.triangles, R, t)
-        drawn = plain.drawn
-        pairs = [(self._bodies[a], self._bodies[b]) for a, b in (arm.apart if cell.self_collision else ())]
-        self._pairs = [pair for pair, D in zip(pairs, self._distances(drawn, pairs).min(axis=0), strict=True) if D > 0]
+        self._own = own_pairs(plain, self._apart) if cell.self_collision else OwnPairs([], [], [])
+        self.deepest = 0.0, ""  # overlap of capsules that are not checked [m], and which
+        self._pairs = [(self._bodies[a], self._bodies[b]) for a, b in self._own.checked]
         heeded = [(body, g) for body, link in zip(self._bodies, arm.links, strict=True) for g in solids if link > 0]
         first = {self._bodies[k] for k in range(len(arm.links)) if arm.links[k] == 1}
-        at_zero = self._distances(Postures(*(part[:1] for part in drawn)), heeded).min(axis=0)
+        at_zero = self._distances(plain.postures(np.zeros((1, len(plain.joints)))), heeded).min(axis=0)
         self._pairs += [pair for pair, D in zip(heeded, at_zero, strict=True) if D > 0 or pair[0] not in first]
 
-    def clearance(self, x: Float[np.ndarray, "n N"], postures: Postures) -> Float[np.ndarray, "n"]:
-        """The least distance of all that must not touch; inf where there is nothing."""
-        found = self._distances(postures, self._pairs).min(axis=1, initial=np.inf)
-        for wall in self.walls:
-            found = np.minimum(found, wall.at(x).clearance)
+    def distances(
+        self, x: Float[np.ndarray, "n N"], postures: Postures, may: Bool[np.ndarray, "n R"] | None = None
+    ) -> Float[np.ndarray, "n R"]:
+        """The distances of all that must not touch: of pairs of shapes, then to the walls; last below zero
+        where meshes touch in capsules that are not checked. inf where `may` is False."""
+        may = np.ones((len(x), len(self._pairs) + len(self.walls) + 1), bool) if may is None else may
+        to_walls = np.full((len(x), len(self.walls)), np.inf)
+        for column, rows, wall in zip(to_walls.T, may[:, len(self._pairs) : -1].T, self.walls, strict=True):
+            column[rows] = wall.at(x[rows]).clearance
+        excluded = self._of_excluded(x, postures)[:, None]  # always: meshes are measured nowhere else
+        return np.hstack([self._distances(postures, self._pairs, may[:, : len(self._pairs)]), to_walls, excluded])
+
+    def _of_excluded(self, x: Float[np.ndarray, "n N"], postures: Postures) -> Float[np.ndarray, "n"]:
+        """Below zero where meshes touch in capsules that are not checked; elsewhere inf."""
+        pairs, found = [*self._own.by_mesh, *self._own.excluded], np.full(len(x), np.inf)
+        depth = -self._apart(postures, pairs)
+        if depth.size and depth.max() > self.deepest[0]:
+            a, b = pairs[int(depth.max(axis=0).argmax())]
+            self.deepest = float(depth.max()), f"{self._arm.names[a]} and {self._arm.names[b]}"
+        for k, pair in enumerate(self._own.by_mesh):
+            for row in np.flatnonzero(depth[:, k] > 0):
+                if (deep := touch_m(self._arm, pair, x[row])) > 0:
+                    found[row] = min(found[row], -deep)
         return found
 
-    def _distances(self, postures: Postures, pairs: Sequence[tuple[int, int]]) -> Float[np.ndarray, "n R"]:
+    def _apart(self, postures: Postures, pairs: Sequence[tuple[int, int]]) -> Float[np.ndarray, "n R"]:
+        return self._distances(postures, [(self._bodies[a], self._bodies[b]) for a, b in pairs])
+
+    def _distances(
+        self, postures: Postures, pairs: Sequence[tuple[int, int]], may: Bool[np.ndarray, "n R"] | None = None
+    ) -> Float[np.ndarray, "n R"]:
         found = np.full((len(postures.p), len(pairs)), np.inf)
+        bodies = {geom: k for k, geom in enumerate(self._bodies)}
         for k, (p, q) in enumerate(zip(postures.p, postures.q, strict=True)):
-            self._pose(p, q)
-            found[k] = [mujoco.mj_geomDistance(self._model, self._data, a, b, FAR_M, None) for a, b in pairs]
+            own = range(len(pairs)) if may is None else np.flatnonzero(may[k]).tolist()
+            for geom in {geom for pair in own for geom in pairs[pair]} & bodies.keys():
+                self._pose(geom, p[bodies[geom]], q[bodies[geom]])
+            for pair in own:
+                found[k, pair] = mujoco.mj_geomDistance(self._model, self._data, *pairs[pair], FAR_M, None)
         return found
 
-    def _pose(self, p: Float[np.ndarray, "K 3"], q: Float[np.ndarray, "K 3"]) -> None:
-        """Put the bodies of the arm there."""
-        turn = np.empty(4)
-        for geom, a, b in zip(self._bodies, p, q, strict=True):
-            self._data.geom_xpos[geom], self._model.geom_size[geom, 1] = (a + b) / 2, np.linalg.norm(a - b) / 2
-            if (a != b).any():
-                mujoco.mju_quatZ2Vec(turn, (a - b) / np.linalg.norm(a - b))
-                mujoco.mju_quat2Mat(self._data.geom_xmat[geom], turn)
+    def _pose(self, geom: int, p: Float[np.ndarray, "3"], q: Float[np.ndarray, "3"]) -> None:
+        """Put a body of the arm there."""
+        axis, length = p - q, math.dist(p, q)
+        self._data.geom_xpos[geom], self._model.geom_size[geom, 1] = (p + q) / 2, length / 2
+        if length:
+            turn = np.empty(4)
+            mujoco.mju_quatZ2Vec(turn, axis / length)
+            mujoco.mju_quat2Mat(self._data.geom_xmat[geom], turn)
 
     def _is_hollow(self, geom: int) -> bool:
         """Whether a geom is a mesh that is not convex; it becomes a wall of triangles."""

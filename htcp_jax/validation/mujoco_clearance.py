@@ -33,6 +33,7 @@ from htcp_jax.validation.mujoco_arm import Arm, Postures
 COARSE = 0.5  # half length of the first pieces, in radii
 FINE_M = 0.01  # half length at which a ball holds few points
 ROOM_M = 1e-9  # for rounding, in every bound
+SOLVER_M = 1e-5  # for mj_geomDistance, which iterates
 FACETS_AT_ONCE = 2_000_000  # heights in memory
 
 
@@ -100,12 +101,14 @@ class AtTargets(NamedTuple):
     distance: Float[np.ndarray, "n M"]  # of the samples to their nearest points
     ends: Float[np.ndarray, "n E 3"]  # of all capsules, world
     outside: Float[np.ndarray, "n E"]  # NaN where the hull does not matter
+    beside: Float[np.ndarray, "n R"]  # what else must not touch, see `mujoco_cell.Beside.distances` [m]
 
 
 class CheckedScene:
     """An arm beside a wall that stands at x_world = rotate @ x + translate. Beyond `interior_depth_m` behind where the
     wall begins along its direction, the ends of all axes must lie in the hull; unless the arm itself stands beyond it.
-    Along the world's x the rule holds wherever the arm stands. beside(x, postures): the clearance to all else."""
+    Along the world's x the rule holds wherever the arm stands. beside(x, postures, may): the distances (n, R) of all
+    else that must not touch, inf where `may` (n, R) is False; None: of all."""
 
     def __init__(
         self,
@@ -114,9 +117,9 @@ class CheckedScene:
         rotate: np.ndarray,
         translate: np.ndarray,
         interior_depth_m: float,
-        beside: Callable[[np.ndarray, Postures], np.ndarray] | None = None,
+        beside: Callable[[np.ndarray, Postures, np.ndarray | None], np.ndarray] | None = None,
     ):
-        self.beside = beside or (lambda x, postures: np.full(len(x), np.inf))
+        self.beside = beside or (lambda x, postures, may: np.empty((len(x), 0)))
         self.arm, self.wall, self.rotate, self.translate = arm, wall, rotate, translate
         self.along = np.array([1.0, 0.0, 0.0]) if wall.direction is None else rotate @ wall.direction
         self.interior_from = ((wall.corners @ rotate.T + translate) @ self.along).min(initial=np.inf) + interior_depth_m
@@ -131,20 +134,21 @@ class CheckedScene:
         distance = self.wall.tree.query(self.local(samples), workers=-1)[0]
         upper = _least(np.full(len(x), np.inf), pieces, distance - self.arm.radius[pieces.capsule])
         kept = pieces.only(self._may_hold(pieces, distance, upper))
-        clearance = np.minimum(self._measured(x, postures, kept, upper), self.beside(x, postures))
+        beside = self.beside(x, postures, None)
+        clearance = np.minimum(self._measured(x, postures, kept, upper), beside.min(axis=1, initial=np.inf))
         ends = np.concatenate([postures.p, postures.q], axis=1)
         outside = self._outside(ends, ends @ self.along > self.interior_from)
-        each = len(x), len(pieces.row) // len(x)
-        return AtTargets(
-            postures, _worse(clearance, outside), samples.reshape(*each, 3), distance.reshape(each), ends, outside
-        )
+        each, clearance = (len(x), len(pieces.row) // len(x)), _worse(clearance, outside)
+        return AtTargets(postures, clearance, samples.reshape(*each, 3), distance.reshape(each), ends, outside, beside)
 
-    def between(self, x: Float[np.ndarray, "n N"], a: Int[np.ndarray, "n"], known: AtTargets, below: float):
-        """The TCP (n, 3) of configurations x between the configurations a and a + 1 of `known`, and the clearance (n,)
+    def between(
+        self, x: Float[np.ndarray, "n N"], a: Int[np.ndarray, "n"], known: AtTargets, below: float
+    ) -> tuple[Postures, Float[np.ndarray, "n"]]:
+        """The postures of configurations x between the configurations a and a + 1 of `known`, and the clearance (n,)
         of those where it is `below` (at least 0) or less; inf elsewhere.
 
-        No sample comes nearer to the cloud, and no end of an axis further out of the hull, than it moves: most are
-        decided by what is known at a or at a + 1.
+        No sample comes nearer to the cloud, and no end of an axis further out of the hull, than it moves, and no two
+        bodies come nearer to each other than both move: most are decided by what is known at a or at a + 1.
         """
         postures = self.arm.postures(x)
         pieces = _whole_axes(self.arm, len(x))
@@ -153,12 +157,16 @@ class CheckedScene:
         distance = np.maximum(0.0, np.maximum(*near)).reshape(-1)
         upper = np.full(len(x), below)
         kept = pieces.only(self._may_hold(pieces, distance, upper))
-        clearance = np.minimum(self._measured(x, postures, kept, upper), self.beside(x, postures))
         ends = np.concatenate([postures.p, postures.q], axis=1)
-        proven = [known.outside[b] + np.linalg.norm(ends - known.ends[b], axis=2) < 0 for b in (a, a + 1)]
+        moved = [np.linalg.norm(ends - known.ends[b], axis=2) for b in (a, a + 1)]
+        furthest = [each.max(axis=1, initial=0.0)[:, None] for each in moved]
+        may = np.maximum(known.beside[a] - 2 * furthest[0], known.beside[a + 1] - 2 * furthest[1]) <= below + SOLVER_M
+        beside = self.beside(x, postures, may).min(axis=1, initial=np.inf)
+        clearance = np.minimum(self._measured(x, postures, kept, upper), beside)
+        proven = [known.outside[b] + each < 0 for b, each in zip((a, a + 1), moved, strict=True)]
         outside = self._outside(ends, (ends @ self.along > self.interior_from) & ~proven[0] & ~proven[1])
         clearance = _worse(clearance, outside)
-        return postures.tcp, np.where(clearance <= below, clearance, np.inf)
+        return postures, np.where(clearance <= below, clearance, np.inf)
 
     def tip_goes_through(self, postures: Postures, contact_m: float) -> Bool[np.ndarray, "n"]:
         """Whether the stretch from the last body to the TCP, but for its last `contact_m`, goes through a triangle."""

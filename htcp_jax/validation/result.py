@@ -32,6 +32,7 @@ class MethodCheck(NamedTuple):
     tcp_error_max_mm: float | None  # |site - target|
     clearance_min_mm: float | None
     clearance_min_at: Place | None
+    clearance_less_cover_min_mm: float | None  # less the covering radius of the mesh, as plans have it; None: no mesh
     clearance_off_max_mm: float | None  # |MuJoCo's - recorded|, so are the next two
     tcp_off_max_mm: float | None
     target_off_max_mm: float | None
@@ -60,6 +61,7 @@ class Validation(NamedTuple):
     feed_mm_s: float
     seconds: float
     files: dict[str, str]  # SHA-256 of what was validated
+    excluded: str | None = None  # the capsules that overlap most of those that are not checked, and by how much
 
 
 ROUNDING_M = 1e-9  # two ways to compute a clearance differ by 1e-15; 0 and the tolerance are meant to this width

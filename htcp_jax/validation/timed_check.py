@@ -5,6 +5,7 @@ them, and measured to the plan's scene and to the rows of its task, as `htcp val
 the bare tip must not pass through is the discs that the planner has for it; a mesh's triangles are read again.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,6 +26,7 @@ from htcp_jax.validation.track import from_line, scene_of
 from htcp_jax.validation.validate import parts_of
 
 AT_ONCE = 256  # postures; what is near them all is in memory
+EVERY = 16  # posture is measured; of those between most are decided by how far the arm has moved from these
 
 
 class TimedCheck(NamedTuple):
@@ -54,14 +56,22 @@ class _Held(NamedTuple):
     to: Int[np.ndarray, "m"]
 
 
-def check_timed(folder: str | Path, timed: Timed, method: str, scenario: int = 0) -> TimedCheck:
-    """The motion of a plan that is on record in `folder`. Raises InputError as `open_plans` does."""
+def check_timed(
+    folder: str | Path,
+    timed: Timed,
+    method: str,
+    scenario: int = 0,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> TimedCheck:
+    """Check the motion of a plan that is on record in `folder`. progress: called with the postures that are done and
+    their number. Raises InputError as `open_plans` does."""
     results = read_results(Path(folder))
     track = next(one for one in results.tracks if (one.method, one.scenario) == (method, scenario))
     arm, wall, beside = parts_of(results, track)
     scene, targets, on_path = scene_of(results, arm, wall, beside, track)
     part, settings, task = results.workpiece(track.config), track.config.settings, track.config.task
-    clearance, tcp, through = _at(scene, timed.x, part)
+    clearance, tcp, through = _at(scene, timed.x, part, progress or (lambda done, count: None))
     off, (turns_back, breaks) = np.zeros(len(timed.x)), np.zeros((2, len(timed.x)), bool)
     held = _held(timed, tcp)
     if holds_tcp(task):
@@ -97,15 +107,30 @@ def _turns_back(held: _Held, targets: Float[np.ndarray, "T 3"]) -> Bool[np.ndarr
     return np.append(False, bound & (ahead < -ROUNDING_M))[: len(held.rows)]
 
 
-def _at(scene: CheckedScene, x: Float[np.ndarray, "n N"], part: Workpiece) -> tuple[np.ndarray, ...]:
-    """Of postures, some at a time: the clearance [m], the TCP, and whether the bare tip passes through a wall."""
-    found = [scene.at(x[first : first + AT_ONCE]) for first in range(0, len(x), AT_ONCE)]
-    through = [_through(scene, one.postures, part) for one in found]
-    return (
-        np.concatenate([one.clearance for one in found]),
-        np.concatenate([one.postures.tcp for one in found]),
-        np.concatenate(through),
-    )
+def _at(
+    scene: CheckedScene, x: Float[np.ndarray, "n N"], part: Workpiece, progress: Callable[[int, int], None]
+) -> tuple[np.ndarray, ...]:
+    """Measure postures: the clearance [m], the TCP, and whether the bare tip passes through a wall. A clearance that is
+    above 0 and above the least so far may be infinite: it was not measured."""
+    clearance, tcp, through = np.full(len(x), np.inf), np.empty((len(x), 3)), np.zeros(len(x), bool)
+    rows = np.unique(np.append(np.arange(0, len(x), EVERY), len(x) - 1))  # that are measured
+    for first in range(0, max(1, len(rows) - 1), AT_ONCE):
+        own = rows[first : first + AT_ONCE + 1]
+        known = scene.at(x[own])
+        clearance[own], tcp[own], through[own] = (
+            known.clearance,
+            known.postures.tcp,
+            _through(scene, known.postures, part),
+        )
+        between = np.setdiff1d(np.arange(own[0], own[-1]), own)
+        below = max(0.0, float(clearance.min()))
+        for some in np.array_split(between, -(-len(between) // (8 * AT_ONCE)) or 1):
+            if len(some):
+                before = np.searchsorted(own, some) - 1
+                postures, clearance[some] = scene.between(x[some], before, known, below)
+                tcp[some], through[some] = postures.tcp, _through(scene, postures, part)
+        progress(int(own[-1]) + 1, len(x))
+    return clearance, tcp, through
 
 
 def _through(scene: CheckedScene, postures: Postures, part: Workpiece) -> Bool[np.ndarray, "n"]:

@@ -37,6 +37,7 @@ class Checked(NamedTuple):
     target: Int[np.ndarray, "n"]
     tcp_error: Float[np.ndarray, "n"]
     clearance: Float[np.ndarray, "n"]
+    cover: float  # covering radius of the points on the workpiece's mesh [m]; 0 for a cloud
     clearance_off: Float[np.ndarray, "n"]
     tcp_off: Float[np.ndarray, "n"]
     target_off: Float[np.ndarray, "n"]
@@ -93,6 +94,7 @@ def check(results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: 
         blocked=int((track.tracked & track.blocked).sum()),
         target=t,
         **found,
+        cover=float(results.workpiece(track.config).covering_radius_m),
         refuted=refuted,
         leads_to=paths.target,
         **between_rows,
@@ -122,7 +124,7 @@ def scene_of(
     on_path = len(targets) - len(path)
     if (np.abs(track.target[1:on_path] - path[0]) < RECORD_M).all():  # the approach left its lines
         targets[1:on_path] = path[0]
-    beside = None if beside is None else beside.clearance
+    beside = None if beside is None else beside.distances
     return CheckedScene(arm, wall, rotate, translate, part.interior_depth_m, beside), targets, on_path
 
 
@@ -243,9 +245,11 @@ def _walk(scene: CheckedScene, at: AtTargets, paths: JointPaths, between: int, o
     path, fraction = _looks(steps)
     if len(path):
         way = paths.a[path] + fraction[:, None] * move[path]
-        tcp, clearance = scene.between(way, paths.row[path], at, max(0.0, float(at.clearance.min())))
+        postures, clearance = scene.between(way, paths.row[path], at, max(0.0, float(at.clearance.min())))
         np.minimum.at(least, path, clearance)
-        off = np.where(paths.target[path] > on_path, from_line(tcp, paths.line_a[path], paths.line_b[path]), 0.0)
+        off = np.where(
+            paths.target[path] > on_path, from_line(postures.tcp, paths.line_a[path], paths.line_b[path]), 0.0
+        )
         np.maximum.at(deviation, path, off)
     return {"touches": least <= 0, "clearance_between": least, "deviation": deviation}
 

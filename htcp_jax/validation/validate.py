@@ -12,7 +12,6 @@ in small steps. What is found there refutes a target only where the way to it is
 its line, a row of the task that does not hold. Else it is counted and recorded.
 """
 
-import json
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -24,6 +23,7 @@ import numpy as np
 import scipy
 
 from htcp_jax.errors import InputError
+from htcp_jax.formats.files import read_json
 from htcp_jax.jobs.build import arm_of, part_of, shape_of
 from htcp_jax.jobs.config import RobotConfig
 from htcp_jax.runs.plan_folder import SUMMARY, VALIDATION, write_json
@@ -76,7 +76,9 @@ def validate(
     }
     refuted = tuple(one for each in checked for one in each.refuted)
     seconds = time.perf_counter() - began
-    return Validation(not refuted, methods, refuted, between, feed_mm_s, seconds, results.files)
+    depth, pair = max((each.deepest for each in besides.values()), default=(0.0, ""))
+    excluded = f"{pair}, {1e3 * depth:.3g} mm" if pair else None
+    return Validation(not refuted, methods, refuted, between, feed_mm_s, seconds, results.files, excluded)
 
 
 def record(found: Validation) -> dict[str, Any]:
@@ -111,14 +113,14 @@ def write_validation(folder: Path, found: Validation) -> None:
         write_json(folder / VALIDATION, recorded)
     summary = folder / SUMMARY
     if summary.exists():
-        write_json(summary, json.loads(summary.read_text(encoding="utf-8")) | {"validated": found.validated})
+        write_json(summary, read_json(summary, folder) | {"validated": found.validated})
 
 
 def _is_stronger(file: Path, recorded: dict[str, Any]) -> bool:
     """Whether the validation in `file` is of the same results, says the same of their targets, tells no less than
     `recorded`, and looked at more places between the targets."""
     try:
-        known = json.loads(file.read_text(encoding="utf-8"))
+        known = read_json(file, file.parent)
         same = all(known[key] == recorded[key] for key in ("files", "validated"))
         return same and known["between"] > recorded["between"] and _keys(known) >= _keys(recorded)
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
@@ -195,6 +197,9 @@ def _sum_up(checked: Sequence[Checked], joints: Sequence[str], feed_mm_s: float)
         along = np.concatenate([clearance, all_of("clearance_between")])
         between_min, between_at = _worst(np.argmin, along, [*targets, *paths])
         deviation_max, deviation_at = _worst(np.argmax, all_of("deviation"), paths)
+    less_cover = None
+    if any(one.cover for one in checked):
+        less_cover, _ = _worst(np.argmin, np.concatenate([one.clearance - one.cover for one in checked]), targets)
     ratio = all_of("speed") * feed_mm_s / 1e3
     path, joint = np.unravel_index(ratio.argmax(), ratio.shape) if ratio.any() else (None, None)
     return MethodCheck(
@@ -203,6 +208,7 @@ def _sum_up(checked: Sequence[Checked], joints: Sequence[str], feed_mm_s: float)
         tcp_error_max_mm=_worst(np.argmax, all_of("tcp_error"), targets)[0],
         clearance_min_mm=clearance_min,
         clearance_min_at=clearance_at,
+        clearance_less_cover_min_mm=less_cover,
         clearance_off_max_mm=_worst(np.argmax, all_of("clearance_off"), targets)[0],
         tcp_off_max_mm=_worst(np.argmax, all_of("tcp_off"), targets)[0],
         target_off_max_mm=_worst(np.argmax, all_of("target_off"), targets)[0],

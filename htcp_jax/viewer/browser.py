@@ -4,9 +4,6 @@ Callbacks of the panel come in threads of their own; one lock lets them act one 
 for it, so that they describe what the page shows completely.
 """
 
-import contextlib
-import io
-import socket
 import threading
 import time
 from collections.abc import Callable
@@ -14,7 +11,9 @@ from collections.abc import Callable
 import viser
 
 from htcp_jax.errors import InputError
+from htcp_jax.markup import escaped
 from htcp_jax.program.of_plan import OfPlan
+from htcp_jax.viewer.access import serve, silent
 from htcp_jax.viewer.browser_looks import Looks
 from htcp_jax.viewer.browser_plots import Plots
 from htcp_jax.viewer.browser_scene import Stage
@@ -53,8 +52,7 @@ class Viewer:
         first = next((end for end in outcomes if programs and end.can_be_driven), outcomes[0])
         replay = replays.replay(first.scenario if scenario is None else scenario, method)
         course = ByTime(programs(replay.number, method)) if programs else ByTarget(replay)
-        self._server = _serve(host, port)
-        self.address = f"http://{host}:{self._server.get_port()}"
+        self._server, self.address = serve(host, port)
         self._ended = threading.Event()
         self._stage = Stage(self._server)
         self._build(replay)
@@ -92,7 +90,7 @@ class Viewer:
         """End the server; what plays shows its posture first, and no other."""
         with self._lock:
             self._ended.set()
-        with _silent():
+        with silent():
             self._server.stop()
 
     # The panel
@@ -141,14 +139,14 @@ class Viewer:
         try:
             return ByTime(self._programs(replay.number, replay.method)) if self._programs else ByTarget(replay)
         except InputError as refused:
-            return ByTarget(replay, f"Not timed: {refused}.")
+            return ByTarget(replay, f"Not timed: {escaped(str(refused))}.")
 
     # What is shown
 
     def _show(self, replay: Replay, course: Course) -> None:
         with self._lock, self._server.atomic():
             self._replay, self._course, self._target = replay, course, -1
-            self._running, self._playing.label = False, "Play"
+            self._play_or_pause(False)
             self._looks.show(replay, together(course.passed))
             self._plots.show(replay, course.curves)
             self._show_course()
@@ -188,11 +186,16 @@ class Viewer:
 
     def _toggle(self) -> None:
         with self._lock:
-            self._running = not self._running
-            self._playing.label = "Pause" if self._running else "Play"
-            if self._running and self._place in (0, self._course.last):
+            self._play_or_pause(not self._running)
+            if self._running and (self._place == 0 or self._place >= self._course.end):
                 self.go_to(self._course.begin)
             self._looked_s = time.monotonic()
+
+    def _play_or_pause(self, running: bool) -> None:
+        """Set what runs, and the button to the opposite."""
+        self._running = running
+        self._playing.label = "Pause" if running else "Play"
+        self._playing.icon = viser.Icon.PLAYER_PAUSE if running else viser.Icon.PLAYER_PLAY
 
     def _play(self) -> None:
         """Move on while the play button says so."""
@@ -206,27 +209,8 @@ class Viewer:
         """Show the next place; returns for how long [s]."""
         now, rate = time.monotonic(), float(self._rate.value)
         passed, self._looked_s = now - self._looked_s, now
-        if self._place >= self._course.last:
+        if self._place >= self._course.end:
             self._toggle()
         else:
             self.go_to(self._course.after(self._place, passed, rate))
         return self._course.pause_s(self._place, rate)
-
-
-def _serve(host: str, port: int) -> viser.ViserServer:
-    """A server on that very port: viser alone would take the next one that is free."""
-    try:
-        family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family) as trial:
-            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            trial.bind(address)
-    except (OSError, OverflowError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"cannot listen on {host}, port {port}: {reason}; choose another with --port") from None
-    with _silent():
-        return viser.ViserServer(host=host, port=port, verbose=False)
-
-
-def _silent():
-    """viser tells of itself on stdout."""
-    return contextlib.redirect_stdout(io.StringIO())

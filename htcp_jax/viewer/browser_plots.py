@@ -1,5 +1,7 @@
 """The plots of the page: clearance over targets; of a program how fast the tool and the joints are, over time."""
 
+from html import escape
+
 import numpy as np
 import viser
 from viser import uplot
@@ -63,7 +65,7 @@ class Plots:
     def _legend(self, colours: dict[str, str]) -> None:
         """Names, each behind a dot of its colour."""
         one = '<span style="white-space:nowrap;margin-right:1em"><span style="color:{}">&#9679;</span> {}</span>'
-        dots = (one.format(colour, name) for name, colour in colours.items())
+        dots = (one.format(colour, escape(name)) for name, colour in colours.items())
         content = f'<div style="font-size:0.8em;padding:0 0.9em 0.5em">{" ".join(dots)}</div>'
         self._shown.append(self._gui.add_html(content, order=self._next()))
 

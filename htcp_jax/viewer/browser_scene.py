@@ -33,6 +33,7 @@ from htcp_jax.viewer.replay import Replay
 
 BEAD_M, FAILED_M, HERE_M, WITNESS_M, TIP_M, TIGHTEST_M = 0.007, 0.017, 0.012, 0.003, 0.007, 0.006  # radii
 BESIDE = 4  # targets
+LEADER_M = 0.12  # length of the line from the tightest place up to its label
 DWELL_M = 0.018  # the side of the cube at a target where the arm changes its posture
 LIT = 0.72  # share of a colour that viser's lights bring back to the whole of it
 LIGHT_UP = 0.8  # of the light's direction, which is else towards the open side
@@ -101,7 +102,7 @@ class Stage:
             there = np.linalg.norm(replay.cloud - pair[1], axis=1) < AROUND_M
             self._around.points = replay.cloud[there].astype(np.float32)
             distance = 1e3 * replay.clearance[target]
-            near = "" if np.isnan(distance) else f"{distance:.3g} mm"
+            near = "" if np.isnan(distance) else f"{distance:.4g} mm at target {target}"
             self._label.text = near if blocked is None else blocked.description
 
     def move(self, arm: ArmShape) -> None:
@@ -193,11 +194,20 @@ class Stage:
             look = {"position": place, "anchor": "bottom-left"}
             marks.append(self._scene.add_label(f"/motion/dwells from {group[0]}", words, **look))
         if (narrow := replay.narrow) is not None:
-            words = f"tightest: {replay.summary.proven} proven, {1e3 * narrow.seen_m:.3g} mm seen"
+            words = f"tightest, on the way to target {narrow.target}: {replay.summary.proven} proven, "
+            words += f"{1e3 * narrow.seen_m:.3g} mm seen"
+            label_at = narrow.cloud + np.array([0.0, 0.0, LEADER_M])
             ball = {"radius": TIGHTEST_M, "color": lit(NEAREST), "cast_shadow": False}
             marks += [
                 self._scene.add_icosphere("/motion/tightest", position=narrow.cloud, **ball),
-                self._scene.add_label("/motion/tightest in words", words, position=narrow.cloud, anchor="top-left"),
+                self._scene.add_label("/motion/tightest in words", words, position=label_at, anchor="bottom-left"),
+                self._scene.add_line_segments(
+                    "/motion/tightest leader",
+                    np.stack([narrow.cloud, label_at])[None],
+                    rgb(NEAREST),
+                    thickness=1,
+                    thickness_units="screen",
+                ),
             ]
         return marks
 

@@ -1,16 +1,19 @@
 """What the page says in words: of scenarios and of targets."""
 
+import numpy as np
+
+from htcp_jax.markup import escaped
 from htcp_jax.planner.plans import Outcome
 from htcp_jax.status import Status, Way
 from htcp_jax.viewer.replay import Replay, Replays
 
 
 def describe(outcome: Outcome, replays: Replays) -> str:
-    """Label of a scenario with the number of targets tracked."""
-    label = replays.label(outcome.scenario)
-    if outcome.complete:
-        return f"{label}: all {outcome.targets} tracked"
-    return f"{label}: failed at {outcome.tracked} of {outcome.targets}"
+    """Number of a scenario, the number of targets tracked, and its label, which may be cut off."""
+    count = (
+        f"all {outcome.targets} tracked" if outcome.complete else f"failed at {outcome.tracked} of {outcome.targets}"
+    )
+    return "; ".join(filter(None, (f"{outcome.scenario}: {count}", replays.labels.get(outcome.scenario))))
 
 
 def name_of(names: dict[str, int], number: int) -> str | None:
@@ -23,12 +26,15 @@ def facts(replay: Replay, target: int) -> str:
     status = Status(int(replay.status[target]))
     what = f"**Target {target}** {status.message}"
     if target == replay.failed and replay.obstruction is not None:
-        return f"{what}.\n\nBrought there all the same, as shown: {replay.obstruction.description}."
+        return f"{what}.\n\nBrought there all the same, as shown: {escaped(replay.obstruction.description)}."
     if not status.tracked:
         return f"{what}.\n\nThe arm is shown where it came to before."
     clearance, error = 1e3 * replay.clearance[target], 1e3 * replay.residual[target]
-    here = f"Clearance **{clearance:.4g} mm** at {replay.witness.body[target]}, TCP error {error:.2f} mm."
-    return f"{what}.\n\n{here}\n\n{_motion(replay, target)}"
+    here = f"Clearance at the target **{clearance:.4g} mm** ({escaped(replay.witness.body[target])}). "
+    here += f"TCP error {error:.2f} mm"
+    if not np.isnan(angle := replay.orientation_error[target]):
+        here += f", orientation error {np.rad2deg(angle):.3g} deg"
+    return f"{what}.\n\n{here}.\n\n{_motion(replay, target)}"
 
 
 def _motion(replay: Replay, target: int) -> str:

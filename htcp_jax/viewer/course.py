@@ -1,6 +1,7 @@
 """What the slider of the page counts, and how play goes on along it: targets of a plan, or seconds of a program.
 
-A place is a number on the slider, or between two numbers.
+A place is a number on the slider, or between two numbers. Play runs from `begin` to `end`: of a plan to the last target
+that is tracked, though the slider goes on to `last`.
 """
 
 import numpy as np
@@ -25,6 +26,7 @@ class ByTarget:
 
     def __init__(self, replay: Replay, note: str = ""):
         self._note, row = note, way(replay)
+        self.end = row[-1].target
         row += [at(replay, target) for target in range(row[-1].target + 1, len(replay.target))]
         targets = np.array([posture.target for posture in row])
         first = np.searchsorted(targets, targets)
@@ -61,7 +63,7 @@ class ByTime:
 
     def __init__(self, made: OfPlan):
         self._made, self.curves = made, Curves.of(made)
-        self.last = np.ceil(made.program.duration_s / self.step) * self.step
+        self.last = self.end = np.ceil(made.program.duration_s / self.step) * self.step
         self.passed = arms_of(made, played(made, np.linspace(0, self.last, SEEN)))
 
     def look(self, place: float) -> tuple[Posture, str]:

@@ -77,6 +77,7 @@ class Replay(NamedTuple):
     status: Int8[np.ndarray, "T"]
     clearance: Float[np.ndarray, "T"]  # NaN where not tracked
     residual: Float[np.ndarray, "T"]
+    orientation_error: Float[np.ndarray, "T"]  # [rad]; NaN if the task holds no orientation
     x: Float[np.ndarray, "T N"]
     shape: ArmShape  # the arm at these
     witness: Witness
@@ -189,6 +190,7 @@ class Replays:
             status=status,
             clearance=plans.clearance[number, there],
             residual=plans.residual[number, there],
+            orientation_error=plans.orientation_error[number, there],
             x=x,
             shape=shape,
             witness=witness.rows(slice(len(x))),

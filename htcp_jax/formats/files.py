@@ -1,0 +1,352 @@
+"""Files: what jobs name, and what lies in the folders of runs and plans, which may be a stranger's.
+
+Readers take regular files alone, never a pipe or a device, and only so many bytes. Inside a run's or a plan's folder
+they follow no link that leads out of it, and read LARGEST bytes at most, GROWTH times the file's size or LARGEST after
+decompression, and JSON that is neither deep nor holds numbers beyond 64 bits.
+
+The writer makes a new file of a random name in the same folder, follows no link, and renames the file into place. While
+it writes it holds a lock on it, so `clear` can remove what a killed process left behind, and that alone.
+"""
+
+import contextlib
+import errno
+import io
+import json
+import logging
+import math
+import os
+import secrets
+import shutil
+import stat
+import tempfile
+import warnings
+import zipfile
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from htcp_jax.errors import InputError
+
+try:
+    import fcntl
+except ImportError:  # no POSIX system: there, nothing is locked
+    fcntl = None
+
+LARGEST_NAMED = 2 * 2**30  # of a file that a job names, and of a Parquet file [bytes]
+LARGEST = 64 * 2**20  # of any other file in a folder, and of what any may be decompressed to [bytes]
+GROWTH = 50  # times its size, if that is more
+MOST_VALUES, DEEPEST = 5_000_000, 100  # of JSON
+MOST_ARRAYS = 100  # of an archive
+PART, SCRATCH = ".part-", "htcp-tmp-"  # files and folders that are being written; those in the folder for such
+NPY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+# No device becomes the terminal, no pipe waits, and no link is followed at the end of a name
+READ = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
+NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_LINK | getattr(os, "O_BINARY", 0)
+
+
+def known_ending(path: Path, endings: tuple[str, ...]) -> str:
+    """The file's ending in lower case; InputError when it is not among `endings`."""
+    ending = path.suffix.lower()
+    if ending not in endings:
+        raise InputError(f"{path}: unknown ending {ending!r}; valid are {' '.join(endings)}")
+    return ending
+
+
+@contextlib.contextmanager
+def opened(path: Path, folder: Path | None = None, largest: int = LARGEST_NAMED) -> Iterator[BinaryIO]:
+    """A regular file of at most `largest` bytes, open to be read. Raises InputError for anything else, for a link that
+    leads out of `folder`, if one is given; OSError for a file that is not there or cannot be read."""
+    if "\0" in str(path):
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
+    real = os.path.realpath(path) if folder is None else inside(path, folder)
+    _check(os.stat(real), path, largest)
+    with open(os.open(real, READ | NO_LINK), "rb") as stream:
+        _check(os.fstat(stream.fileno()), path, largest)
+        yield stream
+
+
+def _check(found: os.stat_result, path: Path, largest: int) -> None:
+    if not stat.S_ISREG(found.st_mode):
+        raise InputError(f"{path}: not a regular file")
+    if found.st_size > largest:
+        raise InputError(f"{path}: {found.st_size:,} bytes; at most {largest:,} are read")
+
+
+@contextlib.contextmanager
+def named(path: Path) -> Iterator[BinaryIO]:
+    """A file that a person names, open to be read. Raises InputError as `opened` does, and for what cannot be read."""
+    try:
+        with opened(path) as stream:
+            yield stream
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (OSError, MemoryError) as error:
+        raise InputError(f"{path}: cannot be read ({one_line(error)})") from None
+
+
+def read_bytes(path: Path) -> bytes:
+    """The bytes of a file that a person names. Raises InputError as `named` does."""
+    with named(path) as stream:
+        return stream.read()
+
+
+def read_inside(file: Path, folder: Path) -> bytes:
+    """The bytes of a file in a folder, LARGEST at most. Raises InputError and OSError as `opened` does."""
+    with opened(file, folder, LARGEST) as stream:
+        return stream.read()
+
+
+def read_json(file: Path, folder: Path) -> Any:
+    """The value in a JSON file of a folder; its numbers are finite, and whole ones have 64 bits. Raises as `opened`,
+    and InputError for what is no JSON, deeper than DEEPEST, or of more than MOST_VALUES values."""
+    data = read_inside(file, folder)
+    if sum(map(data.count, (b",", b"[", b"{"))) > MOST_VALUES:
+        raise InputError(f"{file}: more than {MOST_VALUES:,} values")
+    try:
+        found = json.loads(data, parse_float=_finite, parse_int=_whole, parse_constant=_finite)
+        _check_depth(found)
+        return found
+    except RecursionError:
+        raise InputError(f"{file}: nested more than {DEEPEST} deep") from None
+    except ValueError as error:
+        raise InputError(f"{file}: {one_line(error)}") from None
+
+
+def _finite(text: str) -> float:
+    if not math.isfinite(number := float(text)):
+        raise ValueError(f"{text[:40]} is no finite number")
+    return number
+
+
+def _whole(text: str) -> int:
+    if len(text) > 20 or not -(2**63) <= (number := int(text)) < 2**63:
+        raise ValueError(f"{text[:40]} is beyond 64 bits")
+    return number
+
+
+def _check_depth(value: Any) -> None:
+    level = [value]
+    for _ in range(DEEPEST):
+        inner = [each.values() if isinstance(each, dict) else each for each in level if isinstance(each, dict | list)]
+        level = [each for values in inner for each in values if isinstance(each, dict | list)]
+        if not level:
+            return
+    raise RecursionError
+
+
+def read_arrays(file: Path, folder: Path, leave: Collection[str] = ()) -> dict[str, np.ndarray]:
+    """The arrays of an .npz file of a folder by name, but for those to `leave`; no pickles. Raises as `opened` does,
+    and InputError for a damaged file, one that decompresses to too much, and anything but numbers."""
+    data, found = read_inside(file, folder), {}
+    if data.count(b"PK\x01\x02") > MOST_ARRAYS:
+        raise InputError(f"{file}: more than {MOST_ARRAYS} arrays")
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            entries = archive.infolist()
+            _check_growth(file, sum(entry.file_size for entry in entries), len(data))
+            for entry in entries:
+                if (name := entry.filename.removesuffix(".npy")) in leave:
+                    continue
+                if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                    raise InputError(f"{file}: compressed by neither of the two methods of an .npz file")
+                with archive.open(entry) as stream:
+                    found[name] = read_array(stream.read(entry.file_size), f"{file}: {name}")
+    except InputError:
+        raise
+    except Exception as error:  # a foreign parser on foreign bytes: whatever it raises, the file is bad
+        raise InputError(f"{file} is damaged ({one_line(error)})") from None
+    return found
+
+
+def read_array(data: bytes, source: str) -> np.ndarray:
+    """The array in an .npy file's bytes. Raises InputError for damaged bytes and for anything but numbers."""
+    # numpy's reader believes the shape in the header and asks for that much memory before it looks at the
+    # data. Read the header alone, then take the bytes that are there. Object arrays (pickles) are refused.
+    try:
+        with quiet():
+            stream = io.BytesIO(data)
+            shape, by_column, dtype = NPY_HEADERS[np.lib.format.read_magic(stream)](stream)
+    except Exception as error:  # as above
+        raise InputError(f"{source}: not a .npy array ({one_line(error)})") from None
+    if dtype.kind not in "fiub":
+        raise InputError(f"{source}: an array of {dtype.name}, numbers are needed")
+    if min(shape, default=0) < 0 or len(data) - stream.tell() != math.prod(shape) * dtype.itemsize:
+        raise InputError(f"{source}: damaged, its length is not that of its header's shape {shape}")
+    return np.frombuffer(data, dtype, offset=stream.tell()).reshape(shape, order="F" if by_column else "C")
+
+
+def read_parquet(stream: BinaryIO, file: Path, most_rows: int | None = None, exact: bool = False) -> pa.Table:
+    """The table in an open Parquet file, which has `most_rows` rows at most or exactly; columns of numbers, words and
+    lists of numbers alone. Raises InputError for a damaged file and for one that decompresses to too much."""
+    try:
+        size, schema = os.fstat(stream.fileno()).st_size, pq.read_schema(stream)
+        if bad := [field.name for field in schema if not _is_plain(field.type)]:
+            raise InputError(f"{file}: column {bad[0]!r} is neither of numbers nor of words")
+        words = [field.name for field in schema if pa.types.is_string(field.type)]
+        # A word that repeats is stored once; it stays so until it is known how much the column comes to.
+        found = pq.ParquetFile(stream, read_dictionary=words, page_checksum_verification=True)
+        about = found.metadata
+        if most_rows is not None and (about.num_rows > most_rows or (exact and about.num_rows != most_rows)):
+            raise InputError(f"{file} has {about.num_rows:,} rows instead of {most_rows:,}")
+        groups = [about.row_group(k) for k in range(about.num_row_groups)]
+        chunks = [group.column(k) for group in groups for k in range(group.num_columns)]
+        _check_growth(file, sum(max(8 * one.num_values, one.total_uncompressed_size) for one in chunks), size)
+        table = found.read(use_threads=False)
+        for name in words:
+            lengths = [(pc.max(pc.binary_length(c.dictionary)).as_py() or 0) * len(c) for c in table[name].chunks]
+            _check_growth(file, sum(lengths), size)
+            place = table.schema.get_field_index(name)
+            table = table.set_column(place, schema.field(name), table[name].cast(pa.string()))
+        return table
+    except InputError:
+        raise
+    except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
+        raise InputError(f"{file} is no Parquet file: {one_line(error)}") from None
+
+
+def _is_plain(kind: pa.DataType) -> bool:
+    if pa.types.is_list(kind):
+        return pa.types.is_primitive(kind.value_type)
+    return pa.types.is_primitive(kind) or pa.types.is_string(kind) or pa.types.is_null(kind)
+
+
+def parquet_bytes(rows: pa.Table, **how: Any) -> bytes:
+    """A Parquet file of a table. how: as of `pyarrow.parquet.write_table`."""
+    sink = pa.BufferOutputStream()
+    pq.write_table(rows, sink, compression="zstd", **how)
+    return sink.getvalue().to_pybytes()
+
+
+def _check_growth(file: Path, decoded: int, size: int) -> None:
+    if decoded > max(LARGEST, GROWTH * size):
+        raise InputError(f"{file}: {size:,} bytes that decompress to {decoded:,}; refused")
+
+
+def write(folder: Path, name: str, data: bytes) -> None:
+    """Write a file of a folder, all of it or nothing: under a random name in the same place, then renamed. Raises
+    InputError if that cannot be done, and for a name that leads out of the folder by a link."""
+    file = folder / name
+    try:
+        place = inside(file.parent, folder)
+        if file.exists() and not file.is_file() and not file.is_dir():
+            raise InputError(f"cannot write to {file}: not a regular file")
+        part = place / f"{PART}{secrets.token_hex(8)}"
+        try:
+            with open(os.open(part, NEW, 0o666), "wb") as stream:
+                _hold(stream.fileno())
+                stream.write(data)
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.replace(part, place / file.name)
+        except BaseException:
+            part.unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise InputError(f"cannot write to {folder}: {error.strerror}") from None
+
+
+def make_folder(folder: Path, name: str) -> None:
+    """Make a folder inside a folder, if it is not there. Raises InputError if that cannot be done, and for a link that
+    leads out of the folder."""
+    try:
+        inside(folder / name, folder).mkdir(exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot write to {folder}: {error.strerror}") from None
+
+
+def inside(path: Path, folder: Path) -> Path:
+    """A path in a folder, without links. Raises InputError for one that a link leads out of the folder."""
+    real = Path(os.path.realpath(path))
+    if not real.is_relative_to(os.path.realpath(folder)):
+        raise InputError(f"{path}: a link that leads out of {folder} is not followed")
+    return real
+
+
+@contextlib.contextmanager
+def scratch(folder: Path | None = None) -> Iterator[Path]:
+    """A new folder, in `folder` or in the one for temporary files, which vanishes at the end of the block; before that,
+    those of killed processes do. Raises OSError if it cannot be made."""
+    place, prefix = (tempfile.gettempdir(), SCRATCH) if folder is None else (folder, PART)
+    clear(Path(place), prefix)
+    made = Path(tempfile.mkdtemp(prefix=prefix, dir=place))
+    try:
+        with _held_folder(made):
+            yield made
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _held_folder(folder: Path) -> Iterator[None]:
+    if fcntl is None:
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        _hold(handle)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _hold(handle: int) -> None:
+    """Lock a file that is being written, where the file system can."""
+    if fcntl is not None:
+        with contextlib.suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def clear(folder: Path, prefix: str = PART) -> None:
+    """Remove what killed processes of this user left in a folder: files and folders whose names begin with `prefix`
+    and that no process holds."""
+    with contextlib.suppress(OSError):
+        for left in [each for each in os.scandir(folder) if each.name.startswith(prefix)]:
+            with contextlib.suppress(OSError):
+                _remove(Path(left.path))
+
+
+def clear_all(folder: Path) -> None:
+    """The same in a folder and in the folders inside it, not in those that are links."""
+    for each in [folder, *(each for each in folder.iterdir() if each.is_dir() and not each.is_symlink())]:
+        clear(each)
+
+
+def _remove(left: Path) -> None:
+    if left.is_symlink():
+        left.unlink()
+        return
+    handle = os.open(left, READ | NO_LINK)
+    try:
+        if fcntl is not None:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)  # raises OSError if its owner lives
+            if os.fstat(handle).st_uid != os.geteuid():
+                return
+        shutil.rmtree(left) if left.is_dir() else left.unlink()
+    finally:
+        os.close(handle)
+
+
+def one_line(error: BaseException) -> str:
+    """An exception in one short line, without the control characters that a damaged file brings into it."""
+    words = "".join(letter if letter.isprintable() else " " for letter in str(error)[:120]).split()
+    return " ".join([f"{type(error).__name__}:", *words]) if words else type(error).__name__
+
+
+@contextlib.contextmanager
+def quiet():
+    """Silence a foreign parser: its warnings, and trimesh's logger, which prints whole tracebacks."""
+    logger = logging.getLogger("trimesh")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL + 1)  # of the loggers below it too
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(level)

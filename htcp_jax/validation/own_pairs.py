@@ -1,0 +1,58 @@
+"""Which capsules of an arm need no check against each other, worked out by MuJoCo from configurations of its own.
+
+A pair that the planner excludes is excluded here only if the model says so, if it nearly always overlaps here, too, or
+if it belongs to adjacent links. Where an arm's file says that meshes do not touch (rule c), the meshes are tested at
+every configuration that is validated, if they are still there.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.scene.link_meshes import TOUCHING_M, LinkMeshes
+from htcp_jax.validation.mujoco_arm import Arm, Postures
+
+SAMPLES, SEED = 10_000, 1
+ALWAYS, NEARLY = 0.95, 0.93  # of an arm without a list; of one whose list, from other configurations, says so
+Pair = tuple[int, int]
+Distances = Callable[[Postures, list[Pair]], Float[np.ndarray, "n R"]]
+
+
+class OwnPairs(NamedTuple):
+    """Pairs of capsules by their numbers."""
+
+    checked: list[Pair]
+    by_mesh: list[Pair]  # that touch where their meshes do
+    excluded: list[Pair]
+
+
+def own_pairs(arm: Arm, measured: Distances) -> OwnPairs:
+    """The pairs of an arm. measured: distances of pairs at postures [m]."""
+    stated, found = arm.stated, OwnPairs([], [], [])
+    doubtful = [pair for pair in arm.apart if stated is None or pair in stated or arm.is_tool(pair)]
+    overlap = measured(arm.postures(arm.random(SAMPLES, SEED)), doubtful) <= 0
+    share = dict(zip(doubtful, overlap.mean(axis=0).tolist(), strict=True))
+    for pair in arm.apart:
+        rule = (stated or {}).get(pair)
+        always = share.get(pair, 0.0) >= (NEARLY if rule == "b" else ALWAYS)
+        telescopes = (
+            arm.slides(pair) and overlap[:, [arm.same_links(pair, each) for each in doubtful]].any(axis=1).mean()
+        )
+        if always or rule == "a" or (not arm.is_tool(pair) and share.get(pair, 0.0) and telescopes >= ALWAYS):
+            found.excluded.append(pair)
+        elif rule == "c":
+            (found.by_mesh if arm.meshes else found.excluded).append(pair)
+        elif stated is None and not arm.is_tool(pair) and arm.adjacent(pair) and share.get(pair, 0.0):
+            found.excluded.append(pair)
+        else:
+            found.checked.append(pair)
+    return found
+
+
+def touch_m(arm: Arm, pair: Pair, x: Float[np.ndarray, "N"]) -> float:
+    """How deep the meshes in a pair are in each other at x [m]; 0 up to TOUCHING_M."""
+    meshes: LinkMeshes = arm.meshes
+    deep = meshes.deepest_m(*(arm.names[k] for k in pair), meshes.poses(x[None]))
+    return deep if deep > TOUCHING_M else 0.0

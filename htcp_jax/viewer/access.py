@@ -1,0 +1,131 @@
+"""A viser server that answers its own page alone, and asks for a token where other machines can connect.
+
+A browser lets every page open a websocket to this machine, and names the page in `Origin`. It also lets a page ask this
+machine whose own name was made to point here (DNS rebinding), and gives that name in `Host`. viser checks neither.
+"""
+
+import contextlib
+import hmac
+import io
+import secrets
+import socket
+from collections.abc import Callable, Iterator
+from functools import partial
+from http import HTTPStatus
+from ipaddress import ip_address
+from typing import NamedTuple
+from urllib.parse import parse_qs, urlsplit
+
+import viser
+import websockets.asyncio.server
+from websockets.asyncio.server import ServerConnection
+from websockets.http11 import Request, Response
+
+from htcp_jax.errors import InputError
+
+OWN_NAMES = "localhost", "127.0.0.1", "::1"  # that a machine has for itself
+
+# viser's page is one file that unpacks itself. It needs no other server, but would take the address of one from its own
+# (?websocket=). It needs no handlers in attributes, by which HTML in a name would run, and no page around it.
+POLICY = (
+    "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; connect-src 'self' ws://{host} wss://{host} data: "
+    "blob:; script-src-attr 'none'; object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+
+
+class Access(NamedTuple):
+    """The rule for requests: with a token those that bring it, else those to this machine by a name of its own; of a
+    websocket the page must be from here."""
+
+    names: tuple[str, ...]  # without a port, which an SSH tunnel may change
+    token: str | None
+
+    def refusal(self, request: Request) -> str | None:
+        """Return why a request is refused; None if it is not."""
+        hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
+        if len(hosts) != 1 or (self.token is None and _name(hosts[0]) not in self.names):
+            return "unknown host"
+        if origins not in ([], [f"http://{hosts[0]}"], [f"https://{hosts[0]}"]):
+            return "foreign page"
+        if not origins and "Upgrade" in request.headers:
+            return "no page"
+        if self.token is not None and not any(
+            hmac.compare_digest(self.token.encode(), t) for t in self._given(request)
+        ):
+            return "use the address with the token that htcp view printed"
+        return None
+
+    def answer(self, serve_page: Callable, connection: ServerConnection, request: Request) -> Response | None:
+        """Return the page or a refusal; None lets a websocket open."""
+        if (reason := self.refusal(request)) is not None:
+            return connection.respond(HTTPStatus.FORBIDDEN, f"htcp view: {reason}\n")
+        if (response := serve_page(connection, request)) is not None:
+            response.headers["Content-Security-Policy"] = POLICY.format(host=request.headers["Host"])
+            response.headers["Referrer-Policy"] = "no-referrer"
+            if self.token is not None:  # a websocket's address has no query
+                response.headers["Set-Cookie"] = f"{self._cookie}{self.token}; HttpOnly; SameSite=Strict; Path=/"
+        return response
+
+    @property
+    def _cookie(self) -> str:
+        """Its own of every server: the ports of a host share their cookies."""
+        return f"htcp-view-{self.token[:6]}="
+
+    def _given(self, request: Request) -> list[bytes]:
+        """The tokens in a request's address and cookies."""
+        cookies = (pair.strip() for line in request.headers.get_all("Cookie") for pair in line.split(";"))
+        given = [pair.removeprefix(self._cookie) for pair in cookies if pair.startswith(self._cookie)]
+        return [token.encode() for token in given + parse_qs(request.path.partition("?")[2]).get("token", [])]
+
+
+def serve(host: str, port: int) -> tuple[viser.ViserServer, str]:
+    """Return a server on exactly that port, any for 0, and the address of its page, with a token unless only this
+    machine can connect. Raises InputError if the address cannot be had."""
+    try:
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        with socket.socket(found[0][0]) as trial:  # viser alone would take the next port that is free
+            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            trial.bind(found[0][-1])
+    except (OSError, OverflowError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"cannot listen on {host}, port {port}: {reason}; choose another with --port") from None
+    addresses = [ip_address(address[0]) for *_, address in found]
+    alone = all(address.is_loopback for address in addresses)
+    access = Access((*OWN_NAMES, host.lower()), None if alone else secrets.token_urlsafe())
+    with silent(), _guarded(access) as guarded:
+        server = viser.ViserServer(host=host, port=port, verbose=False)
+    if not guarded:
+        server.stop()
+        raise InputError(f"htcp view cannot protect the page of viser {viser.__version__}; install viser 1.1")
+    name = socket.gethostname() if addresses[0].is_unspecified else f"[{host}]" if ":" in host else host
+    return server, f"http://{name}:{server.get_port()}" + ("" if alone else f"/?token={access.token}")
+
+
+def silent():
+    """Keep what viser writes to stdout off it."""
+    return contextlib.redirect_stdout(io.StringIO())
+
+
+@contextlib.contextmanager
+def _guarded(access: Access) -> Iterator[list[bool]]:
+    """Put `access` in front of a server that is made in the block; viser has no setting for it. Yields a list, empty
+    unless that server was made by the function of websockets that viser 1.1 calls."""
+    original, guarded = websockets.asyncio.server.serve, []
+
+    def serve_guarded(*args, process_request, **how):
+        guarded.append(True)
+        return original(*args, process_request=partial(access.answer, process_request), **how)
+
+    websockets.asyncio.server.serve = serve_guarded
+    try:
+        yield guarded
+    finally:
+        websockets.asyncio.server.serve = original
+
+
+def _name(host: str) -> str | None:
+    """A host without its port; None for what is none."""
+    try:
+        return urlsplit(f"//{host}").hostname
+    except ValueError:
+        return None

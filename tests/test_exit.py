@@ -1,0 +1,279 @@
+"""How commands end: the exit code at once, one line after Ctrl-C or SIGTERM in every phase, and nothing unfinished."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+import sweep_process
+from rich.progress import Progress
+from test_place import make
+
+from htcp_jax.cli import output
+from htcp_jax.cli.main import COMMANDS, main
+from htcp_jax.errors import Note
+from htcp_jax.runs.reachability_file import read_reachability
+from htcp_jax.runs.run_folder import open_run
+from htcp_jax.runs.sweep import sweep
+from htcp_jax.scene.robot import GP50
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="phases are seen in /proc")
+LIMIT_S = 30.0  # 5 on a quiet machine
+CODES = 0, 1, 3  # of commands that are done before a signal comes
+WORDS = {
+    "plan": "plan job.yaml --out out",
+    "program": "program plan --feed 20mm/s --out out/weld.csv --check",
+    "robot": f"robot {GP50} --out out/capsules.xml",
+    "sweep": "sweep grid.yaml --methods baseline --shard 2 --out out",
+    "report": "report run --out out",
+    "validate": "validate run",
+    "view": "view plan --port 0",
+    "render": "render plan --out out --movie gif",
+    "place": "place place.yaml --out out",
+    "reachability": "reachability grid.yaml --out out",
+    "gate": "gate run --baseline baseline.yaml --markdown out.md",
+    "methods": "methods",
+    "example": "example pipe out",
+    "doctor": "doctor",
+}
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory) -> Path:
+    """A folder with jobs, a grid and its run; not to be changed."""
+    folder = make(tmp_path_factory.mktemp("swept"))
+    sweep(folder / "grid.yaml", "baseline", folder / "run")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def prepared(swept, tmp_path_factory) -> Path:
+    """A folder with what all commands take; not to be changed."""
+    folder = tmp_path_factory.mktemp("prepared")
+    shutil.copytree(swept, folder, dirs_exist_ok=True)
+    for words in ("plan job.yaml --out plan", "gate run --baseline baseline.yaml --bless"):
+        done = subprocess.run([sys.executable, "-m", "htcp_jax", *words.split()], cwd=folder, env=environment())
+        assert done.returncode == 0
+    return folder
+
+
+@pytest.fixture
+def here(swept, tmp_path) -> Path:
+    shutil.copytree(swept, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+@pytest.fixture
+def all_here(prepared, tmp_path) -> Path:
+    shutil.copytree(prepared, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+def environment(**more: str) -> dict[str, str]:
+    return sweep_process.environment() | more
+
+
+def start(here: Path, words: str, **more: str) -> subprocess.Popen:
+    """The command, running in a folder whose `tmp` has its temporary files."""
+    (here / "tmp").mkdir(exist_ok=True)
+    given, pipe = environment(TMPDIR=str(here / "tmp"), **more), subprocess.PIPE
+    command = [sys.executable, "-m", "htcp_jax", *words.split()]
+    return subprocess.Popen(command, cwd=here, env=given, stdout=pipe, stderr=pipe, text=True)
+
+
+def wait(process: subprocess.Popen, condition: Callable[[], bool]) -> None:
+    while process.poll() is None and not condition():
+        time.sleep(0.002)
+
+
+def handled(process: subprocess.Popen) -> None:
+    """Wait until the process handles SIGTERM."""
+
+    def is_handled() -> bool:
+        lines = Path(f"/proc/{process.pid}/status").read_text().splitlines()
+        mask = next(int(line.split()[1], 16) for line in lines if line.startswith("SigCgt:"))
+        return bool(mask >> (signal.SIGTERM - 1) & 1)
+
+    wait(process, is_handled)
+
+
+def imports(process: subprocess.Popen) -> None:
+    """Wait until the process loads libraries."""
+    wait(process, lambda: "_multiarray_umath" in Path(f"/proc/{process.pid}/maps").read_text())
+
+
+def contents(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*")}
+
+
+def ended(here: Path, process: subprocess.Popen, numbers: Sequence[int], began: float) -> None:
+    """Check what a signal leaves of a process, and of its files."""
+    _, errors = process.communicate(timeout=LIMIT_S)
+    assert time.monotonic() - began < LIMIT_S
+    if process.returncode in CODES:  # it was done already
+        return
+    assert process.returncode == 128 + numbers[0], errors
+    (line,) = sweep_process.without_progress(errors)
+    assert line.startswith("htcp: ")
+    assert contents(here / "tmp") == set() and not [each for each in contents(here) if ".part-" in each]
+
+
+def interrupt(here: Path, words: str, phase: Callable, *numbers: int, **more: str) -> int:
+    process = start(here, words, **more)
+    try:
+        phase(process)
+        began = time.monotonic()
+        for number in numbers:
+            process.send_signal(number)
+            time.sleep(0.6 * (len(numbers) > 1))
+        ended(here, process, numbers, began)
+        return process.returncode
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_every_command_is_here():
+    assert WORDS.keys() == COMMANDS.keys()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("phase", [handled, imports])
+def test_a_signal_while_modules_load_is_one_line(here, phase, number):
+    before = contents(here)
+    assert interrupt(here, WORDS["plan"], phase, number) == 128 + number
+    assert contents(here) == before | {"tmp"}
+
+
+def compiles(here: Path) -> Callable:
+    """Wait until a program is compiled, for which there is a lock in the folder of compiled programs."""
+    return lambda process: wait(process, lambda: any((here / "cache").glob("*.lock")))
+
+
+@pytest.mark.parametrize(("command", "number"), [("plan", signal.SIGTERM), ("reachability", signal.SIGINT)])
+def test_a_signal_while_a_program_is_compiled_is_one_line_and_removes_what_was_begun(here, command, number):
+    before = contents(here)
+    cache = str(here / "cache")
+    assert interrupt(here, WORDS[command], compiles(here), number, HTCP_CACHE=cache) == 128 + number
+    shutil.rmtree(cache)
+    assert contents(here) == before | {"tmp"}
+
+
+def test_a_second_ctrl_c_ends_it_as_the_first_does(here):
+    cache = str(here / "cache")
+    assert interrupt(here, WORDS["plan"], compiles(here), signal.SIGINT, signal.SIGINT, HTCP_CACHE=cache) == 130
+    assert not (here / "out").exists()
+
+
+def test_a_sweep_that_compiles_keeps_what_is_finished_and_says_how_to_go_on(here):
+    cache = str(here / "cache")
+    words = "sweep grid.yaml --methods baseline,cspace-sample --out run"
+    process = start(here, words, HTCP_CACHE=cache)
+    compiles(here)(process)
+    process.send_signal(signal.SIGTERM)
+    _, errors = process.communicate(timeout=LIMIT_S)
+    go_on = "htcp: stopped; 1 of 2 shards are finished in run; the same command goes on from there"
+    assert (process.returncode, sweep_process.without_progress(errors)) == (143, [go_on])
+    assert main(["report", str(here / "run"), "--out", str(here / "report")]) == 0
+
+
+def test_a_stopped_reachability_keeps_what_it_found_marked_as_incomplete(here, monkeypatch, capsys):
+    update = Progress.update
+
+    def interrupt(bars, task, **how) -> None:
+        update(bars, task, **how)
+        if how["completed"] == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.chdir(here)
+    words = ["reachability", "grid.yaml", "--out", "run"]
+    with monkeypatch.context() as patch:
+        patch.setattr(Progress, "update", interrupt)
+        assert main(words) == 130
+    assert capsys.readouterr().err == "htcp: stopped; run/reachability.json has what was found, and is incomplete\n"
+    record = json.loads(Path("run/reachability.json").read_text())
+    assert record["complete"] is False and 3 in record["prefix"]
+    with pytest.warns(Note, match="is incomplete and not used"):
+        assert read_reachability(open_run("run")) is None
+    assert main(words) == 0
+    assert read_reachability(open_run("run")).prefix.min() > 3
+
+
+def test_a_process_ends_with_its_code_while_a_thread_is_at_work():
+    """As C++ threads of libraries are at the end, which the interpreter's own end makes abort."""
+    code = (
+        "import atexit, threading, time\nfrom htcp_jax.process_exit import run\n"
+        "atexit.register(print, 'closed')\nthreading.Thread(target=time.sleep, args=(600,)).start()\nrun(lambda: 3)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], env=environment(), capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (3, "closed\n", "")
+
+
+def test_without_memory_a_command_ends_with_one_line(here):
+    command = f"ulimit -v 1000000; exec {sys.executable} -m htcp_jax {WORDS['plan']}"
+    done = subprocess.run(["sh", "-c", command], cwd=here, env=environment(), capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (1, "") and not (here / "out").exists()
+    assert done.stderr == "htcp: out of memory: the address space is limited to 1.0 GB (ulimit -v)\n"
+
+
+def test_the_call_from_python_leaves_signal_handlers_as_they_are(capsys):
+    numbers = signal.SIGINT, signal.SIGTERM
+    before = [signal.getsignal(number) for number in numbers]
+    assert main(["methods"]) == 0
+    assert [signal.getsignal(number) for number in numbers] == before
+
+
+def test_progress_without_a_terminal_is_a_line_now_and_then(capsys, monkeypatch):
+    monkeypatch.setattr(output, "LINE_S", 0.01)
+    with output.progress_bar("plans") as progress:
+        progress(3, 1200)
+        time.sleep(0.5)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines and all(line.startswith("htcp: plans 3/1200 0:00:0") for line in lines)
+
+
+def served(process: subprocess.Popen) -> None:
+    assert "http://" in process.stdout.readline()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_viewer_that_serves_ends_as_other_commands_do(all_here, number):
+    pytest.importorskip("viser", reason="the viewer is an extra")
+    assert interrupt(all_here, WORDS["view"], served, number) == 128 + number
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("command", WORDS)
+def test_a_signal_in_any_phase_of_any_command_is_one_line(all_here, command, number):
+    """While the entry point starts, while modules load, while programs are compiled, at work, and near the end."""
+    began = time.monotonic()
+    if command != "view":
+        process = start(all_here, WORDS[command])
+        process.communicate()
+        assert process.returncode in CODES
+        shutil.rmtree(all_here / "out", ignore_errors=True)
+    took = time.monotonic() - began if command != "view" else 6.0
+    interrupt(all_here, WORDS[command], handled, number)
+    interrupt(all_here, WORDS[command], imports, number)
+    cache = str(all_here / "cache")
+    interrupt(all_here, WORDS[command], lambda _: time.sleep(1.5 * took), number, HTCP_CACHE=cache)
+    for share in (0.4, 0.7, 0.9, 1.0):
+        interrupt(all_here, WORDS[command], lambda _, share=share: time.sleep(share * took), number)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["validate", "report", "gate"])
+def test_commands_that_read_a_run_never_abort(all_here, command):
+    """They did in 8 of 40 runs, when all was written."""
+    for _ in range(int(os.environ.get("HTCP_ENDS", "40"))):
+        process = start(all_here, WORDS[command])
+        _, errors = process.communicate()
+        assert process.returncode == 0 and sweep_process.without_progress(errors) == []

@@ -1,0 +1,148 @@
+"""T5, T6, T7: whatever a stranger has put into a folder, a command that opens it ends with one line, soon, in little
+memory, and changes nothing outside of it."""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+from hostile import KINDS, SHARD, commands
+from made_plan import made_plan
+from sweep_process import environment
+
+from htcp_jax.cli.main import main
+from htcp_jax.errors import InputError
+from htcp_jax.formats import files
+from htcp_jax.program.whole_run import TIMING
+from htcp_jax.runs.lock import locked
+
+PEAK = 10**9  # bytes
+WAITS_FOR_EVER_S = 120  # so long that no command takes it, on any machine
+PLACE = "place: {workpiece.rotation_y_rad: [0.3, 0.5]}\nwithin: {scenarios: 4}\n"
+HERE = Path(__file__).parent
+
+
+@pytest.fixture(scope="module")
+def good(planned, tmp_path_factory):
+    """A run, a plan and a search, and the files of their jobs."""
+    place = shutil.copytree(planned, tmp_path_factory.mktemp("good") / "place")
+    (place / "run" / "reachability.json").write_text(json.dumps({"prefix": [1] * 4, "draws": 8, "seed": 0}))
+    assert main(["gate", str(place / "run"), "--baseline", str(place / "baseline.yaml"), "--bless"]) == 0
+    made_plan(place / "job").save(place / "plan")
+    (place / "place.yaml").write_text(PLACE)
+    (place / "search").mkdir()
+    return place
+
+
+def spoiled(good: Path, tmp_path: Path, kind: str) -> tuple[Path, Path, dict[str, list[str]]]:
+    """A spoiled folder, one outside of it, and the command lines that open the first."""
+    folder, outside = tmp_path / "folder", tmp_path / "outside"
+    shutil.copytree(good / KINDS[kind].of, folder)
+    outside.mkdir()
+    KINDS[kind].spoil(folder, outside)
+    return folder, outside, commands(KINDS[kind].of, folder, good)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()}
+
+
+def check(kind: str, command: str, code: int, said: str) -> None:
+    """One line and exit 2 where the command has to refuse the folder, 1 by the gate; else no more than a warning."""
+    if command in KINDS[kind].refused_by:
+        assert code == (1 if command == "gate" else 2), (command, code, said)
+        lines = [line for line in said.splitlines() if not line.startswith(("htcp: warning: ", "htcp: note: "))]
+        assert len(lines) == (command != "gate") and all(KINDS[kind].named in line for line in lines), (command, said)
+    else:
+        assert code in (0, 1, 2, 3), (command, said)
+    assert "Traceback" not in said
+
+
+@pytest.fixture
+def in_time():
+    """Ends a test that waits for ever."""
+    before = signal.signal(signal.SIGALRM, lambda *_: pytest.fail("it waits for ever"))
+    signal.alarm(WAITS_FOR_EVER_S)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_command_that_reads_what_a_stranger_has_changed_refuses_it_in_a_line(good, tmp_path, capsys, in_time, kind):
+    _, outside, lines = spoiled(good, tmp_path, kind)
+    before = contents(outside)
+    for command in KINDS[kind].refused_by[-1:]:
+        code = main(lines[command])
+        check(kind, command, code, capsys.readouterr().err)
+    assert contents(outside) == before
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak of memory is read from /proc")
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_command_waits_fills_the_memory_or_writes_outside_of_a_strangers_folder(good, tmp_path, kind):
+    _, outside, lines = spoiled(good, tmp_path, kind)
+    if "view" not in KINDS[kind].refused_by:
+        lines.pop("view", None)  # it would serve the page for ever
+    before = contents(outside)
+    for command, words in lines.items():
+        own = [sys.executable, str(HERE / "hostile.py"), *words]
+        done = subprocess.run(own, capture_output=True, timeout=WAITS_FOR_EVER_S, cwd=tmp_path, env=environment())
+        assert done.returncode == 0, done.stderr.decode()
+        found = json.loads(done.stdout)
+        check(kind, command, found["code"], found["said"])
+        assert found["peak"] < PEAK or command not in KINDS[kind].refused_by, command  # a picture takes more
+    assert contents(outside) == before
+
+
+def test_a_link_inside_the_folder_is_followed(good, tmp_path, capsys):
+    folder = shutil.copytree(good / "run", tmp_path / "run")
+    (folder / SHARD).rename(folder / "elsewhere")
+    (folder / SHARD).symlink_to(folder / "elsewhere")
+    assert main(["report", str(folder), "--out", str(tmp_path / "out")]) == 0
+
+
+def test_what_a_killed_process_left_is_removed_and_what_a_living_one_writes_is_not(tmp_path):
+    writer = "import sys, time; from pathlib import Path; from htcp_jax.formats import files\n"
+    writer += "with files.scratch(Path(sys.argv[1])), files.scratch(): print('made', flush=True); time.sleep(600)"
+    place = {"TMPDIR": str(tmp_path / "tmp")}
+    (tmp_path / "tmp").mkdir()
+    (tmp_path / "run" / TIMING).mkdir(parents=True)
+    words = [sys.executable, "-c", writer, str(tmp_path / "run")]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, env=environment() | place) as process:
+        assert process.stdout.readline() == b"made\n"
+        (tmp_path / "run" / TIMING / ".part-0").write_bytes(b"half")
+        with locked(tmp_path / "run"):
+            assert len(list((tmp_path / "run").glob("**/.part-*"))) == 1
+        process.kill()
+        process.wait()
+    with locked(tmp_path / "run"):
+        assert not list((tmp_path / "run").glob("**/.part-*"))
+    files.clear(tmp_path / "tmp", files.SCRATCH)
+    assert not list((tmp_path / "tmp").iterdir())
+
+
+def test_a_file_is_written_completely_or_not_at_all_and_never_through_a_link(tmp_path):
+    (tmp_path / "outside").mkdir()
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    (tmp_path / "outside" / "own").write_text("as it was")
+    (folder / "a.json").symlink_to(tmp_path / "outside" / "own")
+    (folder / "sub").symlink_to(tmp_path / "outside")
+    files.write(folder, "a.json", b"{}")
+    assert not (folder / "a.json").is_symlink() and (folder / "a.json").read_bytes() == b"{}"
+    with pytest.raises(InputError, match=r"a link that leads out of .* is not followed"):
+        files.write(folder, "sub/b.json", b"{}")
+    assert contents(tmp_path / "outside") == {"own": b"as it was"}
+    assert not list(folder.glob(".part-*"))
+
+
+def test_temporary_folders_have_a_name_of_their_own():
+    with files.scratch() as made:
+        assert made.parent == Path(tempfile.gettempdir()) and made.name.startswith("htcp-")
+    assert not made.exists()

@@ -1,0 +1,254 @@
+"""Which capsules need no check: by the meshes of a published arm, by its SRDF, by hand; starts and plans in between."""
+
+import csv
+import re
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from published import path_of
+
+import htcp_jax
+from htcp_jax.clearance.self_collision import self_collision
+from htcp_jax.clearance.self_exclusions import distances, samples
+from htcp_jax.cli.main import main
+from htcp_jax.errors import InputError
+from htcp_jax.scene.link_meshes import LinkMeshes
+from htcp_jax.scene.robot_file import load_robot
+
+ARM = """<mujoco model="shelf"><compiler angle="radian"/><worldbody>
+  <body name="a"><joint axis="0 0 1" range="-2.5 2.5"/>
+    <geom name="plate" type="box" size="0.15 0.15 0.01" pos="0.15 0 {z}"/>
+    <body name="b" pos="0.3 0 0"><joint axis="0 0 1" range="-2.5 2.5"/>
+      <geom name="upper" type="box" size="0.15 0.02 0.02" pos="0.15 0 0"/>
+      <body name="c" pos="0.3 0 0"><joint axis="0 0 1" range="-2.5 2.5"/>
+        <geom name="lower" type="box" size="0.15 0.02 0.02" pos="0.15 0 0"/>
+        <body name="d" pos="0.3 0 0"><joint axis="0 1 0" range="-1 1"/>
+          <geom name="rod" type="box" size="0.03 0.01 0.01" pos="0.04 0 0"/><site name="tcp" pos="0.08 0 0"/>
+  </body></body></body></body></worldbody></mujoco>"""
+FOLDED = [0.0, 2.2, 2.2, 0.0]  # the lower arm over the plate
+PANDA_START = [0, 0, 0, -0.0698, 0, 0.05, 0.785]
+
+
+@pytest.fixture
+def htcp(capsys):
+    def run(*words, code: int = 0) -> str:
+        """All that a command printed, in one line."""
+        assert main([str(word) for word in words]) == code
+        return " ".join("".join(capsys.readouterr()).split())
+
+    return run
+
+
+@pytest.fixture
+def imported(htcp, tmp_path):
+    """Imports the arm with its plate at a height [m]; further words for htcp robot."""
+
+    def made(z: float, *words):
+        (tmp_path / "shelf.xml").write_text(ARM.format(z=z))
+        htcp("robot", tmp_path / "shelf.xml", "--out", tmp_path / "arm.xml", "--replace", "--most", 1, *words)
+        return tmp_path / "arm.xml"
+
+    return made
+
+
+def rules(robot) -> dict[tuple[str, str], str]:
+    names = robot.capsule_names
+    return {tuple(sorted((names[a], names[b]))): rule for a, b, rule, _ in self_collision(robot).excluded}
+
+
+def with_pair(arm, rule: str, one: str = "c", other: str = "a") -> None:
+    """Add a pair to an arm's list by hand."""
+    element = '<element objtype="geom" objname="{}"/>'
+    pair = f'<tuple name="excluded 99, rule {rule}">{element.format(one)}{element.format(other)}</tuple></custom>'
+    arm.write_text(arm.read_text().replace("</custom>", pair))
+
+
+def job(arm, tmp_path, start) -> dict:
+    """Two points where the TCP is, and a little above."""
+    from htcp_jax.scene.kinematics import tcp_pose
+
+    x, y, z = np.asarray(tcp_pose(load_robot(arm), jnp.array(start, float)))[:3, 3].tolist()
+    with (tmp_path / "path.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([(x, y, z), (x, y, z - 0.002)])
+    part = {"cloud": "none", "path": str(tmp_path / "path.csv")}
+    return {"robot": {"model": str(arm)}, "workpiece": part, "start_rad": start, "method": "baseline"}
+
+
+def test_capsules_whose_meshes_never_touch_are_not_checked_and_those_whose_meshes_do_are(imported):
+    """The capsule about the plate reaches 0.2 m up; the arm passes 0.1 m over the plate, or through it."""
+    over = rules(load_robot(imported(-0.1)))
+    assert over["a", "c"] == "c" and over["a", "d"] == "c"
+    through = rules(load_robot(imported(0.0)))
+    assert ("a", "c") not in through and ("a", "d") not in through
+
+
+def test_without_its_list_an_arm_checks_links_that_are_not_adjacent(imported, tmp_path):
+    arm = imported(-0.1)
+    arm.write_text(re.sub("<custom>.*</custom>", "", arm.read_text(), flags=re.DOTALL))
+    found = rules(load_robot(arm))
+    assert ("a", "c") not in found and found["a", "b"] in "bc"
+
+
+def test_wider_joint_limits_than_those_of_the_list_do_without_it(imported):
+    arm = imported(-0.1)
+    assert load_robot(arm).listed and not load_robot(arm, limits="simulation").listed
+
+
+def test_a_pair_that_overlaps_in_the_keyframe_or_at_zero_alone_is_checked(imported):
+    arm = imported(0.0)
+    keyframe = '<keyframe><key qpos="0 2.2 2.2 0"/></keyframe></mujoco>'
+    arm.write_text(arm.read_text().replace("</mujoco>", keyframe))
+    assert ("a", "c") not in rules(load_robot(arm))
+
+
+def test_a_start_in_which_meshes_touch_is_refused_though_the_list_excludes_the_pair(imported, tmp_path):
+    arm = imported(0.0)
+    with_pair(arm, "c")
+    with pytest.raises(
+        InputError, match=r"start is in collision: the meshes in the capsules c and a touch by [\d.]+ mm"
+    ):
+        htcp_jax.plan(job(arm, tmp_path, FOLDED))
+
+
+def test_a_start_deeper_in_an_excluded_pair_than_random_configurations_is_refused(imported, tmp_path):
+    arm = imported(0.0)
+    with_pair(arm, "b")
+    robot = load_robot(arm)
+    pair = next(
+        (each.first, each.second)
+        for each in robot.exclusions
+        if each.rule == "b" and {each.first, each.second} == {0, 2}
+    )
+    x = samples(robot)
+    deep = x[int(distances(robot, [pair], x)[:, 0].argmin())].tolist()
+    with pytest.raises(
+        InputError, match=r"start is in collision: the capsules c and a overlap by .* more than in 99% of"
+    ):
+        htcp_jax.plan(job(arm, tmp_path, deep))
+
+
+def test_a_sweep_records_such_a_start_and_goes_on(imported, tmp_path):
+    from htcp_jax.jobs.build import obstacles_of, scene
+    from htcp_jax.jobs.load_config import load_config
+    from htcp_jax.planner import batch
+    from htcp_jax.status import Status
+
+    arm = imported(0.0)
+    with_pair(arm, "c")
+    config = load_config(job(arm, tmp_path, FOLDED))
+    robot, workpiece, scenario = scene(config)
+    plans = batch.plan(
+        robot, workpiece, scenario, "baseline", config.settings, obstacles=obstacles_of(config.cell, robot)
+    )
+    assert plans.status[0, 0] == Status.START_IN_COLLISION
+
+
+def test_validate_works_out_for_itself_that_an_excluded_pair_does_not_always_overlap(htcp, imported, tmp_path):
+    arm = imported(0.0)
+    with_pair(arm, "b")
+    robot = load_robot(arm)
+    x = samples(robot)
+    depth = -distances(robot, [(2, 0)], x)[:, 0]
+    start = x[int(np.abs(depth - 0.01).argmin())].tolist()  # 10 mm, as many random configurations are
+    plan = htcp_jax.plan(job(arm, tmp_path, start))
+    plan.save(tmp_path / "plan")
+    assert "refuted" in htcp("validate", tmp_path / "plan", code=1)
+
+
+def test_validate_names_the_deepest_overlap_of_capsules_that_are_not_checked(htcp, imported, tmp_path):
+    htcp_jax.plan(job(imported(-0.1), tmp_path, FOLDED)).save(tmp_path / "plan")
+    told = htcp("validate", tmp_path / "plan")
+    assert re.search(
+        r"Deepest overlap of two capsules that are not checked against each other: \w+ and \w+, [\d.]+ mm", told
+    )
+
+
+def test_a_message_about_a_collision_says_how_far_the_capsule_is_from_its_mesh_there(imported, tmp_path):
+    """By hand: the capsule's radius is about half the plate's diagonal, its surface over the plate as far above it."""
+    arm = imported(0.0)
+    with pytest.raises(
+        InputError, match=r"capsule \w is .* mm inside capsule \w; the surface of this capsule is [\d.]+ mm from"
+    ):
+        htcp_jax.plan(job(arm, tmp_path, FOLDED))
+
+
+def test_the_distance_from_a_mesh_is_that_of_the_box(imported):
+    arm = imported(0.0)
+    meshes, robot = LinkMeshes.read(arm), load_robot(arm, base_m=(1.0, 2.0, 3.0))
+    point = np.array([1.0 + 0.15, 2.0, 3.0 + 0.06])
+    assert meshes.outside_m("a", robot, np.zeros(4), point) == pytest.approx(0.05, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("pair", "message"),
+    [
+        ("c", "'excluded 99, rule c' names 'nobody'; the capsules are a, b, c, d"),
+        ("x", "tuple 'excluded 99, rule x' must be called 'excluded NUMBER, rule a', or rule b or c"),
+    ],
+)
+def test_a_pair_that_is_none_is_refused(pair, message, imported):
+    arm = imported(0.0)
+    with_pair(arm, pair, one="nobody")
+    with pytest.raises(InputError, match=re.escape(message)):
+        load_robot(arm)
+
+
+SRDF = '<robot name="{}"><disable_collisions link1="{}" link2="{}" reason="Never"/></robot>'
+
+
+def test_an_srdf_excludes_bodies(imported, tmp_path):
+    (tmp_path / "shelf.srdf").write_text(SRDF.format("shelf", "a", "d"))
+    assert rules(load_robot(imported(0.0, "--srdf", tmp_path / "shelf.srdf")))["a", "d"] == "a"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (SRDF.format("panda", "a", "d"), "an SRDF of 'panda'; the model is 'shelf'"),
+        (SRDF.format("shelf", "a", "hand"), "none of its 1 pairs is of links of the model; the links are a, b, c, d"),
+        ('<robot name="shelf"/>', "it has no <disable_collisions>"),
+        ("<mujoco/>", "the root is <mujoco>; an SRDF has <robot>"),
+    ],
+)
+def test_the_srdf_of_another_robot_is_refused(htcp, text, message, tmp_path):
+    (tmp_path / "shelf.xml").write_text(ARM.format(z=0.0))
+    (tmp_path / "other.srdf").write_text(text)
+    told = htcp(
+        "robot", tmp_path / "shelf.xml", "--srdf", tmp_path / "other.srdf", "--out", tmp_path / "arm.xml", code=2
+    )
+    assert message in told and not (tmp_path / "arm.xml").exists()
+
+
+def test_a_list_that_leaves_nothing_to_check_is_refused(htcp, tmp_path):
+    pairs = [f'<disable_collisions link1="{a}" link2="{b}"/>' for a, b in ("ab", "ac", "ad", "bc", "bd", "cd")]
+    (tmp_path / "all.srdf").write_text(f'<robot name="shelf">{"".join(pairs)}</robot>')
+    (tmp_path / "shelf.xml").write_text(ARM.format(z=0.0))
+    told = htcp(
+        "robot",
+        tmp_path / "shelf.xml",
+        "--srdf",
+        tmp_path / "all.srdf",
+        "--most",
+        1,
+        "--out",
+        tmp_path / "arm.xml",
+        code=2,
+    )
+    assert (
+        "all 6 pairs of capsules are excluded; nothing is left to check" in told and not (tmp_path / "arm.xml").exists()
+    )
+
+
+def test_a_tool_that_passes_through_a_link_is_refused_at_a_start_outside_of_the_models_zero(htcp, tmp_path):
+    """The Panda's zero is beyond its own limits; the shaft of a long tool passes through its links 3 and 4."""
+    model = path_of("panda")
+    htcp("robot", model, "--tcp", "panda_hand", "--out", tmp_path / "arm.xml")
+    points = [(0.10486, 0, 0.52578 + 0.03 * k / 9) for k in range(10)]
+    (tmp_path / "path.csv").write_text("\n".join(",".join(map(str, point)) for point in points))
+    holder = {"name": "holder", "p_m": [0, 0, 0.015], "q_m": [0, 0, 0.05], "radius_m": 0.02}
+    shaft = {"name": "shaft", "p_m": [0, 0, 0.05], "q_m": [0, 0, 0.287], "radius_m": 0.008}
+    robot = {"model": str(tmp_path / "arm.xml"), "tool": {"tip_m": [0, 0, 0.3], "bodies": [holder, shaft]}}
+    part = {"cloud": "none", "path": str(tmp_path / "path.csv")}
+    with pytest.raises(InputError, match=r"capsule shaft is .* mm inside capsule panda_link"):
+        htcp_jax.plan({"robot": robot, "workpiece": part, "start_rad": PANDA_START})
