@@ -115,7 +115,7 @@ def read_json(file: Path, folder: Path) -> Any:
     except RecursionError:
         raise InputError(f"{file}: nested more than {DEEPEST} deep") from None
     except ValueError as error:
-        raise InputError(f"{file}: {one_line(error)}") from None
+        raise InputError(f"{file} is damaged ({one_line(error)})") from None
 
 
 def _finite(text: str) -> float:

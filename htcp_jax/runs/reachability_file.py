@@ -30,7 +30,7 @@ def read_reachability(run: Run) -> Reachable | None:
     file = files[0] if files[0].exists() else files[1]
     try:
         record = read_json(file, Path(run.folder))
-        if not record.get("complete", True):
+        if isinstance(record, dict) and not record.get("complete", True):
             warnings.warn(f"{file} is incomplete and not used; htcp reachability makes it anew", Note, stacklevel=2)
             return None
         found = _read(record)
