@@ -24,7 +24,6 @@ from htcp_jax.numerics import product
 from htcp_jax.pytree import register_pytree
 from htcp_jax.scene.fixture import Fixture
 from htcp_jax.scene.mesh_points import Cover, area, cover
-from htcp_jax.scene.point_cloud import load_geometry
 from htcp_jax.scene.robot import Robot
 from htcp_jax.types import Bool, Float, Int, Pose, Scalar
 
@@ -110,10 +109,17 @@ def make_fixtures(robot: Robot, shapes: Sequence[Fixture]) -> Obstacles:
     return ((fixtures(robot, solids),) if solids else ()) + tuple(clouds)
 
 
-def placed_cloud(robot: Robot, file: str, T_world: HostFloat[np.ndarray, "4 4"], name: str) -> PlacedCloud:
-    """The points of a file, or points on its mesh, where they stand. Raises InputError as `load_geometry` does."""
-    points, triangles = load_geometry(file)
-    found = _covered(robot, triangles, file) if len(triangles) else Cover(points, 0.0)
+def placed_cloud(
+    robot: Robot,
+    points: HostFloat[np.ndarray, "P 3"],
+    triangles: HostFloat[np.ndarray, "F 3 3"],
+    T_world: HostFloat[np.ndarray, "4 4"],
+    source: str,
+    name: str,
+) -> PlacedCloud:
+    """Points [m], or points on a mesh if there are triangles [m], where they stand. Raises InputError, naming
+    `source`, as `mesh_points.cover` does."""
+    found = _covered(robot, triangles, source) if len(triangles) else Cover(points, 0.0)
     return PlacedCloud(cloud_of(*found), jnp.asarray(T_world), name)
 
 

@@ -20,8 +20,7 @@ from htcp_jax.clearance.self_exclusions import Pairs, candidates, distances, fin
 from htcp_jax.errors import InputError
 from htcp_jax.numerics import safe_divide, safe_norm
 from htcp_jax.pytree import register_pytree
-from htcp_jax.scene.link_meshes import TOUCHING_M, meshes_of
-from htcp_jax.scene.robot import Exclusion, Robot, capsule_in_words
+from htcp_jax.scene.robot import TOUCHING_M, Exclusion, Robot, capsule_in_words
 from htcp_jax.types import Float, Int
 
 USUAL = 0.99  # of random configurations, in which an excluded pair is less deep than at a start
@@ -109,14 +108,10 @@ def refused_overlap(own: SelfCollision, robot: Robot, x: Float[np.ndarray, "N"])
     if not pairs:
         return None
     depth = -distances(robot, [(each.first, each.second) for each in pairs], np.vstack([samples(robot), x]))
-    meshes = (
-        meshes_of(robot) if any(each.rule == "c" and d > 0 for each, d in zip(pairs, depth[-1], strict=True)) else None
-    )
-    at = meshes.poses(x[None]) if meshes else None
     for each, d, usual in zip(pairs, depth[-1], np.quantile(depth[:-1], USUAL, axis=0), strict=True):
         pair = f"the capsules {names[each.first]} and {names[each.second]}"
-        if each.rule == "c" and meshes and d > 0:
-            touch_m = meshes.deepest_m(names[each.first], names[each.second], at)
+        if each.rule == "c" and robot.meshes and d > 0:
+            touch_m = robot.meshes.deepest_m(names[each.first], names[each.second], x)
             if touch_m > TOUCHING_M:
                 return f"the meshes in {pair} touch by {1e3 * touch_m:.3g} mm"
         elif each.rule != "c" and link[each.first] > link[each.second] + 1 and d > max(usual, 0.0):

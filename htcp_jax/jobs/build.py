@@ -146,7 +146,13 @@ def drawn_of(cell: CellConfig) -> Drawn:
 def obstacles_of(cell: CellConfig, robot: Robot) -> Obstacles:
     """What the robot keeps clear of besides the workpiece."""
     clouds = tuple(
-        placed_cloud(robot, each.cloud, pose(each.base_m, each.base_rpy_rad), Path(each.cloud).stem)
+        placed_cloud(
+            robot,
+            *load_geometry(each.cloud),
+            pose(each.base_m, each.base_rpy_rad),
+            source=each.cloud,
+            name=Path(each.cloud).stem,
+        )
         for each in cell.clouds
     )
     own = self_collision(robot) if cell.self_collision else None

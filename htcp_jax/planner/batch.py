@@ -26,8 +26,7 @@ from htcp_jax.planner.problem import Problem, ignore
 from htcp_jax.planner.processes import portable, shares, spread, that_pay
 from htcp_jax.planner.registry import Method, find
 from htcp_jax.planner.tables import gather
-from htcp_jax.scene.link_meshes import from_mesh
-from htcp_jax.scene.robot import Robot, capsule_in_words
+from htcp_jax.scene.robot import Robot, capsule_in_words, mesh_note
 from htcp_jax.scene.scenario import NOT_REFUSED, Scenario, stack
 from htcp_jax.scene.task import Task
 from htcp_jax.scene.workpiece import Workpiece
@@ -192,7 +191,7 @@ def start_clearance(
     body = scene.rows.body[row]
     surface = touch.point[row] - scene.robot.capsule_radius[body] * touch.normal[row]
     other = nearest_to(scene.robot, scene.obstacles, scenario, x, row)
-    note = from_mesh(robot, robot.capsule_names[body], np.asarray(x), np.asarray(surface))
+    note = mesh_note(robot, robot.capsule_names[body], np.asarray(x), np.asarray(surface))
     return float(touch.distance[row]), capsule_in_words(robot.capsule_names[body]), other + note
 
 

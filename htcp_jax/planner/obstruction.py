@@ -23,8 +23,7 @@ from htcp_jax.planner.kernel import DEEP
 from htcp_jax.planner.lane_inputs import lane_inputs
 from htcp_jax.planner.plans import Plans
 from htcp_jax.scene.inverse_kinematics import reanchor
-from htcp_jax.scene.link_meshes import from_mesh
-from htcp_jax.scene.robot import Robot, capsule_in_words
+from htcp_jax.scene.robot import Robot, capsule_in_words, mesh_note
 from htcp_jax.scene.scenario import Scenario, stack
 from htcp_jax.scene.task import Task
 from htcp_jax.scene.workpiece import Workpiece
@@ -117,7 +116,7 @@ def obstructions(
         other = nearest_to(own_scene(scene, here.tool_extension_m).robot, obstacles, here, jnp.asarray(x), int(row))
         number, reached = scene.rows.body[int(row)], bool(task.reached(np.asarray(off)))
         body = robot.capsule_names[number]
-        note = from_mesh(robot, body, x, surface)
+        note = mesh_note(robot, body, x, surface)
         found.append(Obstruction(body, point, float(depth), float(off), reached, x, other, note))
     return found
 

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from htcp_jax.errors import InputError
 from htcp_jax.formats.safe_xml import read_spec
 from htcp_jax.scene.capsule_fit import Capsule, Cut, Triangles, clip
-from htcp_jax.scene.robot import Robot
+from htcp_jax.scene.robot import TOUCHING_M, Robot
 from htcp_jax.scene.robot_import import ImportedArm, held_triangles
 from htcp_jax.scene.robot_model import compile_spec, link_frames, no_log
 
@@ -24,7 +24,6 @@ MADE_FROM, CUTS = "made from", "cuts of "  # names of an arm's <text>s: the make
 VISUAL = " --visual"  # at the end of the first, if the capsules hold what is drawn
 PROBE_M = 1e-9  # radius of the sphere that stands for a point
 MOST_CONTACTS = 1000  # between two pieces; of these the deepest
-TOUCHING_M = 1e-3  # that meshes which touch by design may overlap
 LOOKED_AT, NEAREST, STEPS = 200, 6, 60  # samples, of which so many begin a search of so many steps,
 FIRST_STEP, LESS = 0.05, 0.94  # the first so large, as a share of the range of a joint, and each by so much smaller
 FIRST = np.array([0])
@@ -158,25 +157,29 @@ class LinkMeshes:
         return fcl.CollisionObject(shape, fcl.Transform(R @ T[:3, :3], R @ T[:3, 3] + t))
 
 
-def meshes_of(robot: Robot) -> LinkMeshes | None:
-    """Those that the file of a robot refers to; None if there are none."""
-    return _read(robot.file) if robot.listed else None
+class MeshesInFile(NamedTuple):
+    """The `LinkMeshes` of an arm's file, read when they are first needed."""
 
+    file: Path
 
-def from_mesh(robot: Robot, name: str, x: Float[np.ndarray, "N"], point: Float[np.ndarray, "3"]) -> str:
-    """How far a capsule is from the mesh in it, at a point of its surface in the world: the end of a message; "" if the
-    arm's file refers to no meshes."""
-    meshes = meshes_of(robot)
-    if meshes is None or name not in meshes.names:
-        return ""
-    return (
-        f"; the surface of this capsule is {1e3 * meshes.outside_m(name, robot, x, point):.3g} mm from its mesh there"
-    )
+    def deepest_m(self, first: str, second: str, x: Float[np.ndarray, "N"]) -> float:
+        """Return the depth of the deepest contact between the meshes in two capsules at x [m]; 0 without meshes."""
+        meshes = _read(self.file)
+        return 0.0 if meshes is None else meshes.deepest_m(first, second, meshes.poses(x[None]))
+
+    def outside_m(
+        self, capsule: str, robot: Robot, x: Float[np.ndarray, "N"], point: Float[np.ndarray, "3"]
+    ) -> float | None:
+        """Return the distance of a point in the world from the mesh in a capsule at x [m]; None without a mesh."""
+        meshes = _read(self.file)
+        if meshes is None or capsule not in meshes.names:
+            return None
+        return meshes.outside_m(capsule, robot, x, point)
 
 
 @lru_cache(maxsize=8)
-def _read(file: str) -> LinkMeshes | None:
-    return LinkMeshes.read(Path(file))
+def _read(file: Path) -> LinkMeshes | None:
+    return LinkMeshes.read(file)
 
 
 def cuts_text(cuts: Iterable[Cut]) -> str:

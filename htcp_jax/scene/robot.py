@@ -6,9 +6,10 @@ belong to it. A Robot is plain arrays, made once from a model file (`robot_file`
 
 import dataclasses
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
+import numpy as np
 
 from htcp_jax.notebook import html_facts
 from htcp_jax.pytree import register_pytree
@@ -16,6 +17,7 @@ from htcp_jax.types import Array, Float, Joints, Pose, Scalar, Triple
 
 GP50 = Path(__file__).parent / "models" / "gp50.xml"  # the built-in arm
 
+TOUCHING_M = 1e-3  # depth up to which meshes that touch by design may overlap
 _STATIC = {"static": True}
 
 
@@ -35,6 +37,19 @@ class Exclusion(NamedTuple):
     second: int
     rule: str  # of `clearance.self_exclusions`: a, b or c
     share: float  # of the sampled configurations in which the capsules overlap [1]; 0 of rule a
+
+
+@runtime_checkable
+class LinkMeshes(Protocol):
+    """The makers' meshes in an arm's capsules. Equal and hashable by what they are read from."""
+
+    def deepest_m(self, first: str, second: str, x: Float[np.ndarray, "N"]) -> float:
+        """Return the depth of the deepest contact between the meshes in two capsules at x [m]; 0 without meshes."""
+
+    def outside_m(
+        self, capsule: str, robot: "Robot", x: Float[np.ndarray, "N"], point: Float[np.ndarray, "3"]
+    ) -> float | None:
+        """Return the distance of a point in the world from the mesh in a capsule at x [m]; None without a mesh."""
 
 
 @register_pytree
@@ -67,7 +82,7 @@ class Robot:
     exclusions: tuple[Exclusion, ...] = dataclasses.field(default=(), metadata=_STATIC)  # that the model states
     listed: bool = dataclasses.field(default=False, metadata=_STATIC)  # these are all but those of `mounted`
     mounted: tuple[int, ...] = dataclasses.field(default=(), metadata=_STATIC)  # capsules of the job's own tool
-    file: str = dataclasses.field(default="", metadata=_STATIC)  # that it was read from
+    meshes: LinkMeshes | None = dataclasses.field(default=None, metadata=_STATIC)  # None if its file refers to none
     frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=_STATIC)  # that a task may name
 
     def _repr_html_(self) -> str:
@@ -83,6 +98,15 @@ class Robot:
 def capsule_in_words(name: str) -> str:
     """A capsule in a message: what collides is the capsule, and not yet the link in it."""
     return name if name.startswith("capsule") else f"capsule {name}"
+
+
+def mesh_note(robot: Robot, capsule: str, x: Float[np.ndarray, "N"], point: Float[np.ndarray, "3"]) -> str:
+    """Return the end of a message: the distance of a capsule from its mesh, at a point of its surface in the world [m];
+    "" if the arm's file refers to no meshes."""
+    outside_m = robot.meshes.outside_m(capsule, robot, x, point) if robot.meshes else None
+    if outside_m is None:
+        return ""
+    return f"; the surface of this capsule is {1e3 * outside_m:.3g} mm from its mesh there"
 
 
 def lengthen_tool(robot: Robot, extension_m: float | Scalar) -> Robot:

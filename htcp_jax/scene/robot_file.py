@@ -4,6 +4,7 @@ from pathlib import Path
 
 import jax
 
+from htcp_jax.scene.link_meshes import MeshesInFile
 from htcp_jax.scene.robot import GP50, Robot
 from htcp_jax.scene.robot_model import read_robot_file
 from htcp_jax.scene.tool import ZERO, Tool, pose
@@ -38,7 +39,8 @@ def load_robot(
     that the model does not have, and a body of the tool that is called as one of the model.
     """
     fields = read_robot_file(Path(path), tcp_site, limits, pose(base_m, base_rpy_rad), tool)
-    return Robot(**jax.device_put(fields.arrays), **fields.facts)
+    meshes = MeshesInFile(Path(path).resolve()) if fields.facts["listed"] else None
+    return Robot(**jax.device_put(fields.arrays), **fields.facts, meshes=meshes)
 
 
 def gp50(limits: str = "simulation") -> Robot:

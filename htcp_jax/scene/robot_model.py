@@ -100,7 +100,6 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
         "exclusions": tuple(each for each in exclusions if listed or each.rule == "a"),
         "listed": listed,
         "mounted": tuple(range(len(capsules) - len(mounted), len(capsules))),
-        "file": str(path.resolve()),
         "frames": _named_frames(model, frames),
     }
     return RobotFields(arrays, facts)
