@@ -45,6 +45,7 @@ OPENS = re.compile(  # calls by the end of their names, which reach a file by it
 )
 OWN_FILES = {  # modules that do it by themselves, and why that is safe
     "formats.files": "the one",
+    "unfinished": "a lock on each of them",
     "process_exit": "the processes of this one, in /proc",
     "formats.parsers": "a process of its own with limits, see formats.scan",
     "formats.scan": "reads what that process wrote into a folder that was made just now",

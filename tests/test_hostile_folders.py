@@ -19,6 +19,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.formats import files
 from htcp_jax.program.whole_run import TIMING
 from htcp_jax.runs.lock import locked
+from htcp_jax.unfinished import SCRATCH, clear, temporary_folder
 
 PEAK = 10**9  # bytes
 WAITS_FOR_EVER_S = 120  # so long that no command takes it, on any machine
@@ -108,8 +109,8 @@ def test_a_link_inside_the_folder_is_followed(good, tmp_path, capsys):
 
 
 def test_what_a_killed_process_left_is_removed_and_what_a_living_one_writes_is_not(tmp_path):
-    writer = "import sys, time; from pathlib import Path; from htcp_jax.formats import files\n"
-    writer += "with files.scratch(Path(sys.argv[1])), files.scratch(): print('made', flush=True); time.sleep(600)"
+    writer = "import sys, time; from pathlib import Path; from htcp_jax.unfinished import temporary_folder\n"
+    writer += "with temporary_folder(Path(sys.argv[1])), temporary_folder(): print('made', flush=True); time.sleep(600)"
     place = {"TMPDIR": str(tmp_path / "tmp")}
     (tmp_path / "tmp").mkdir()
     (tmp_path / "run" / TIMING).mkdir(parents=True)
@@ -123,7 +124,7 @@ def test_what_a_killed_process_left_is_removed_and_what_a_living_one_writes_is_n
         process.wait()
     with locked(tmp_path / "run"):
         assert not list((tmp_path / "run").glob("**/.part-*"))
-    files.clear(tmp_path / "tmp", files.SCRATCH)
+    clear(tmp_path / "tmp", SCRATCH)
     assert not list((tmp_path / "tmp").iterdir())
 
 
@@ -143,6 +144,6 @@ def test_a_file_is_written_completely_or_not_at_all_and_never_through_a_link(tmp
 
 
 def test_temporary_folders_have_a_name_of_their_own():
-    with files.scratch() as made:
+    with temporary_folder() as made:
         assert made.parent == Path(tempfile.gettempdir()) and made.name.startswith("htcp-")
     assert not made.exists()

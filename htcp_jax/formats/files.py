@@ -5,7 +5,7 @@ they follow no link that leads out of it, and read LARGEST bytes at most, GROWTH
 decompression, and JSON that is neither deep nor holds numbers beyond 64 bits.
 
 The writer makes a new file of a random name in the same folder, follows no link, and renames the file into place. While
-it writes it holds a lock on it, so `clear` can remove what a killed process left behind, and that alone.
+it writes it holds a lock on it, see unfinished.py.
 """
 
 import contextlib
@@ -16,9 +16,7 @@ import logging
 import math
 import os
 import secrets
-import shutil
 import stat
-import tempfile
 import warnings
 import zipfile
 from collections.abc import Collection, Iterator
@@ -31,22 +29,14 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from htcp_jax.errors import InputError
-
-try:
-    import fcntl
-except ImportError:  # no POSIX system: there, nothing is locked
-    fcntl = None
+from htcp_jax.unfinished import NO_LINK, PART, READ, hold
 
 LARGEST_NAMED = 2 * 2**30  # of a file that a job names, and of a Parquet file [bytes]
 LARGEST = 64 * 2**20  # of any other file in a folder, and of what any may be decompressed to [bytes]
 GROWTH = 50  # times its size, if that is more
 MOST_VALUES, DEEPEST = 5_000_000, 100  # of JSON
 MOST_ARRAYS = 100  # of an archive
-PART, SCRATCH = ".part-", "htcp-tmp-"  # files and folders that are being written; those in the folder for such
 NPY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-# No device becomes the terminal, no pipe waits, and no link is followed at the end of a name
-READ = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
-NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_LINK | getattr(os, "O_BINARY", 0)
 
 
@@ -239,7 +229,7 @@ def write(folder: Path, name: str, data: bytes) -> None:
         part = place / f"{PART}{secrets.token_hex(8)}"
         try:
             with open(os.open(part, NEW, 0o666), "wb") as stream:
-                _hold(stream.fileno())
+                hold(stream.fileno())
                 stream.write(data)
                 stream.flush()
                 os.fsync(stream.fileno())
@@ -266,70 +256,6 @@ def inside(path: Path, folder: Path) -> Path:
     if not real.is_relative_to(os.path.realpath(folder)):
         raise InputError(f"{path}: a link that leads out of {folder} is not followed")
     return real
-
-
-@contextlib.contextmanager
-def scratch(folder: Path | None = None) -> Iterator[Path]:
-    """A new folder, in `folder` or in the one for temporary files, which vanishes at the end of the block; before that,
-    those of killed processes do. Raises OSError if it cannot be made."""
-    place, prefix = (tempfile.gettempdir(), SCRATCH) if folder is None else (folder, PART)
-    clear(Path(place), prefix)
-    made = Path(tempfile.mkdtemp(prefix=prefix, dir=place))
-    try:
-        with _held_folder(made):
-            yield made
-    finally:
-        shutil.rmtree(made, ignore_errors=True)
-
-
-@contextlib.contextmanager
-def _held_folder(folder: Path) -> Iterator[None]:
-    if fcntl is None:
-        yield
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        _hold(handle)
-        yield
-    finally:
-        os.close(handle)
-
-
-def _hold(handle: int) -> None:
-    """Lock a file that is being written, where the file system can."""
-    if fcntl is not None:
-        with contextlib.suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-def clear(folder: Path, prefix: str = PART) -> None:
-    """Remove what killed processes of this user left in a folder: files and folders whose names begin with `prefix`
-    and that no process holds."""
-    with contextlib.suppress(OSError):
-        for left in [each for each in os.scandir(folder) if each.name.startswith(prefix)]:
-            with contextlib.suppress(OSError):
-                _remove(Path(left.path))
-
-
-def clear_all(folder: Path) -> None:
-    """The same in a folder and in the folders inside it, not in those that are links."""
-    for each in [folder, *(each for each in folder.iterdir() if each.is_dir() and not each.is_symlink())]:
-        clear(each)
-
-
-def _remove(left: Path) -> None:
-    if left.is_symlink():
-        left.unlink()
-        return
-    handle = os.open(left, READ | NO_LINK)
-    try:
-        if fcntl is not None:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)  # raises OSError if its owner lives
-            if os.fstat(handle).st_uid != os.geteuid():
-                return
-        shutil.rmtree(left) if left.is_dir() else left.unlink()
-    finally:
-        os.close(handle)
 
 
 def one_line(error: BaseException) -> str:

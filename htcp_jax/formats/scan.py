@@ -17,7 +17,8 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
 from htcp_jax.formats.columns import Columns, Points
-from htcp_jax.formats.files import named, scratch
+from htcp_jax.formats.files import named
+from htcp_jax.unfinished import temporary_folder
 
 
 class Kind(NamedTuple):
@@ -65,7 +66,7 @@ def parsed(path: Path, kind: Kind) -> dict[str, np.ndarray]:
     with named(path) as stream:
         size = os.fstat(stream.fileno()).st_size
     script = Path(__file__).with_name("parsers.py")
-    with scratch() as folder:
+    with temporary_folder() as folder:
         memory = str(MEMORY + 40 * size)
         # -P: the modules beside the script are not to take the place of Python's own
         command = [sys.executable, "-P", str(script), kind.parser, str(path), str(folder), memory]

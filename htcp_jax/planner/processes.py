@@ -24,8 +24,8 @@ import numpy as np
 from jaxtyping import Int
 
 from htcp_jax.errors import Lost
-from htcp_jax.formats.files import scratch
 from htcp_jax.process_exit import signals_blocked
+from htcp_jax.unfinished import temporary_folder
 
 LOOK_S = 0.1  # how often the one that waits looks how far the work has come
 IDLE_S = 300  # after which workers without work end
@@ -79,7 +79,7 @@ def spread(
 
     Raises what the first part to break raises, and Lost when a worker is gone.
     """
-    with scratch() as folder:
+    with temporary_folder() as folder:
         file = folder / sha256(shared).hexdigest()
         file.write_bytes(shared)
         board = np.memmap(folder / BOARD, np.int64, "w+", shape=(len(parts), 2))

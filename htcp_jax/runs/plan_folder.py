@@ -21,6 +21,7 @@ from htcp_jax.planner.plans import ARRAYS, Plans
 from htcp_jax.runs.summary import Summary
 from htcp_jax.scene.robot import Robot
 from htcp_jax.status import Kind, Status, Way
+from htcp_jax.unfinished import temporary_folder
 
 LATER = "start", "way", "way_clearance", "orientation_error"
 SUMMARY, TRAJECTORY = "summary.json", "trajectory.npz"
@@ -86,7 +87,7 @@ def written_whole(folder: Path) -> Iterator[Path]:
     """
     with made_folder(folder):
         try:
-            with files.scratch(folder) as scratch:
+            with temporary_folder(folder) as scratch:
                 yield scratch
                 for file in sorted(scratch.iterdir()):
                     os.replace(file, folder / file.name)

@@ -20,7 +20,6 @@ import numpy as np
 import pyarrow as pa
 
 from htcp_jax.errors import InputError, Interrupted, Lost
-from htcp_jax.formats.files import scratch
 from htcp_jax.jobs.grid import Batch, Sweep, load_sweep
 from htcp_jax.jobs.grid_axes import FILE_KEYS, MOST, record
 from htcp_jax.planner import registry
@@ -39,6 +38,7 @@ from htcp_jax.runs.provenance import planned_by
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.running import FinishedShard
 from htcp_jax.runs.tables import joint_columns, scenario_table, target_table
+from htcp_jax.unfinished import temporary_folder
 
 SHARD_SCENARIOS = 512  # fixed, so that shards are the same on every machine; fewer leave a table half empty
 
@@ -259,7 +259,7 @@ class _Scratch:
 
     def __init__(self):
         held = contextlib.ExitStack()
-        self.folder = held.enter_context(scratch())
+        self.folder = held.enter_context(temporary_folder())
         weakref.finalize(self, held.close)
 
 

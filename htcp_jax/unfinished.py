@@ -1,0 +1,86 @@
+"""Files and folders that are unfinished: locked by their owner, and removed once its process is gone.
+
+Their names begin with PART, or with SCRATCH in the folder for temporary files. Their owner holds a lock on each, so
+that `clear` removes those of killed processes alone.
+"""
+
+import contextlib
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+try:
+    import fcntl
+except ImportError:  # no POSIX system: there, nothing is locked
+    fcntl = None
+
+PART, SCRATCH = ".part-", "htcp-tmp-"
+# No device becomes the terminal, no pipe waits, and no link is followed at the end of a name
+READ = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
+NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+
+
+@contextlib.contextmanager
+def temporary_folder(folder: Path | None = None) -> Iterator[Path]:
+    """A new folder, in `folder` or in the one for temporary files, which vanishes at the end of the block; before that,
+    those of killed processes do. Raises OSError if it cannot be made."""
+    place, prefix = (tempfile.gettempdir(), SCRATCH) if folder is None else (folder, PART)
+    clear(Path(place), prefix)
+    made = Path(tempfile.mkdtemp(prefix=prefix, dir=place))
+    try:
+        with _held_folder(made):
+            yield made
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _held_folder(folder: Path) -> Iterator[None]:
+    if fcntl is None:
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        hold(handle)
+        yield
+    finally:
+        os.close(handle)
+
+
+def hold(handle: int) -> None:
+    """Lock a file that is being written, where the file system can."""
+    if fcntl is not None:
+        with contextlib.suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def clear(folder: Path, prefix: str = PART) -> None:
+    """Remove what killed processes of this user left in a folder: files and folders whose names begin with `prefix`
+    and that no process holds."""
+    with contextlib.suppress(OSError):
+        for left in [each for each in os.scandir(folder) if each.name.startswith(prefix)]:
+            with contextlib.suppress(OSError):
+                _remove(Path(left.path))
+
+
+def clear_all(folder: Path) -> None:
+    """Clear a folder and the folders inside it, not those that are links."""
+    for each in [folder, *(each for each in folder.iterdir() if each.is_dir() and not each.is_symlink())]:
+        clear(each)
+
+
+def _remove(left: Path) -> None:
+    if left.is_symlink():
+        left.unlink()
+        return
+    handle = os.open(left, READ | NO_LINK)
+    try:
+        if fcntl is not None:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)  # raises OSError if its owner lives
+            if os.fstat(handle).st_uid != os.geteuid():
+                return
+        shutil.rmtree(left) if left.is_dir() else left.unlink()
+    finally:
+        os.close(handle)
