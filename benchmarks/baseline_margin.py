@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from htcp_jax.device import compile_cache
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.planner import compile_cache
-from htcp_jax.planner.batch import plan
+from htcp_jax.planning.batch import plan
 from htcp_jax.report.chart_style import new_figure
 from htcp_jax.runs.summary import summarise
 

@@ -20,18 +20,18 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import trimesh
+from htcp_jax.clearance.obstacles.obstacles.obstacles import clearance
+from htcp_jax.clearance.obstacles.obstacles.of_cell import PlacedCloud, make_fixtures
+from htcp_jax.clearance.obstacles.obstacles.self_collision import SelfCollision, self_collision
 
 from benchmarks import hardware
-from htcp_jax.clearance.obstacles import clearance
-from htcp_jax.clearance.of_cell import PlacedCloud, make_fixtures
-from htcp_jax.clearance.self_collision import SelfCollision, self_collision
-from htcp_jax.planner import compile_cache
-from htcp_jax.scene.cell import load_cell
-from htcp_jax.scene.kinematics import capsule_segments
-from htcp_jax.scene.robot import GP50, Robot
-from htcp_jax.scene.robot_file import load_robot
-from htcp_jax.scene.robot_import import import_robot
-from htcp_jax.scene.robot_xml import arm_xml
+from htcp_jax.device import compile_cache
+from htcp_jax.io.cell import load_cell
+from htcp_jax.io.robot_file import load_robot
+from htcp_jax.io.robot_import import import_robot
+from htcp_jax.io.robot_xml import arm_xml
+from htcp_jax.model.kinematics import capsule_segments
+from htcp_jax.model.robot import GP50, Robot
 from htcp_jax.validation.mujoco_arm import Arm
 
 WEDGE = "0 0 0  0.3 0 0  0 0.2 0  0 0 0.4  0.2 0.15 0.1  0.1 0.1 0.35"

@@ -14,19 +14,19 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+from htcp_jax.clearance.obstacles.obstacles.linearisation import linearise
+from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.obstacles.obstacles import all_clear, clearance
+from htcp_jax.clearance.obstacles.obstacles.of_workpiece import make_obstacle
 
 from benchmarks import hardware
 from benchmarks.figures import Figure, save
-from htcp_jax.clearance.cloud_tree import build_index
-from htcp_jax.clearance.linearisation import linearise
-from htcp_jax.clearance.obstacle import Obstacles
-from htcp_jax.clearance.obstacles import all_clear, clearance
-from htcp_jax.clearance.of_workpiece import make_obstacle
+from htcp_jax.clearance.distance.cloud_tree import build_index
+from htcp_jax.device import compile_cache
 from htcp_jax.jobs.build import scene
 from htcp_jax.jobs.load_config import load_config
-from htcp_jax.planner import compile_cache
-from htcp_jax.planner.batch import plan
-from htcp_jax.scene.kinematics import capsule_segments
+from htcp_jax.model.kinematics import capsule_segments
+from htcp_jax.planning.batch import plan
 
 ROOT = Path(__file__).resolve().parents[1]
 CLOUDS = (5_000, 50_000, 500_000)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import htcp_jax
-from htcp_jax.planner import compile_cache
+from htcp_jax.device import compile_cache
 from htcp_jax.report.chart_style import new_figure
 from htcp_jax.solvers.path_qp import path_cost
 

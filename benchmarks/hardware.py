@@ -9,7 +9,7 @@ from pathlib import Path
 
 import jax
 
-from htcp_jax.planner.devices import choose, default_threads
+from htcp_jax.device.devices import choose, default_threads
 
 PACKAGES = "jax", "jaxlib", "numpy", "clarabel", "mujoco"
 

@@ -20,11 +20,11 @@ from jaxtyping import Float
 from scipy.optimize import differential_evolution
 
 from benchmarks import hardware
+from htcp_jax.device import compile_cache
 from htcp_jax.jobs.grid import Sweep
 from htcp_jax.placement.judge import judge_raised
 from htcp_jax.placement.place_file import Search, load_search
 from htcp_jax.placement.search import EVEN, FROM, POPULATION, Evolution, Known, even
-from htcp_jax.planner import compile_cache
 from htcp_jax.report.chart_style import new_figure
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.sweep import sweep

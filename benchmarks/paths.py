@@ -23,7 +23,7 @@ import htcp_jax
 from benchmarks import hardware
 from benchmarks.path_check import Verdicts, check, reachable
 from benchmarks.path_problems import IKLINK, PathProblem, made, problems, read_problem
-from htcp_jax.planner import compile_cache
+from htcp_jax.device import compile_cache
 from htcp_jax.settings import Settings
 
 ROW = "{:18} {:>9} {:>6} {:>8} {:>6} {:>6} {:>9} {:>5} {:>8} {:>8} {:>7} {:>6} {:>9} {:>8}"

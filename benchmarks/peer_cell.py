@@ -6,17 +6,17 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from htcp_jax.clearance.obstacles.obstacles.obstacles import clearance
+from htcp_jax.clearance.obstacles.obstacles.scene import Scene, own_scene
 
-from htcp_jax.clearance.obstacles import clearance
-from htcp_jax.clearance.scene import Scene, own_scene
-from htcp_jax.planner.kernel import DEEP, Kernel
-from htcp_jax.planner.lane_inputs import LaneInputs, lane_inputs
-from htcp_jax.planner.motion_check import tubes
-from htcp_jax.planner.plans import Plans
-from htcp_jax.planner.problem import Problem
-from htcp_jax.planner.proofs import proofs_of
-from htcp_jax.scene.inverse_kinematics import reanchor
-from htcp_jax.scene.kinematics import tcp_position
+from htcp_jax.device.kernel import DEEP, Kernel
+from htcp_jax.model.inverse_kinematics import reanchor
+from htcp_jax.model.kinematics import tcp_position
+from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
+from htcp_jax.motion.motion_check import tubes
+from htcp_jax.motion.plans import Plans
+from htcp_jax.motion.problem import Problem
+from htcp_jax.motion.proofs import proofs_of
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status, Way
 

@@ -23,8 +23,8 @@ from tesseract_robotics import tesseract_motion_planners as planners
 from tesseract_robotics import tesseract_motion_planners_descartes as descartes
 
 from benchmarks.peer_cell import Brought, Cell
-from htcp_jax.planner.plans import Plans
-from htcp_jax.planner.problem import Problem
+from htcp_jax.motion.plans import Plans
+from htcp_jax.motion.problem import Problem
 from htcp_jax.status import Status
 
 KEY, DRAWN, TRIED = 6, 100, 1024  # a key target every so many; clear postures drawn there, and draws to find them in

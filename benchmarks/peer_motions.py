@@ -1,7 +1,7 @@
 """The planners whose plans are to be motions, by the count of htcp_jax: executable targets (`peers --motions`).
 
 Every planner is a method of htcp_jax here, also those that are not its own, so all of them are given the same problem,
-plan on one thread, and are judged by `planner.motion_check`; nothing that a peer says of its own motions counts.
+plan on one thread, and are judged by `motion.motion_check`; nothing that a peer says of its own motions counts.
 "cpu s" is what planning took of the processor, the judgement included and compilation left out.
 """
 
@@ -15,9 +15,9 @@ import numpy as np
 
 import htcp_jax
 from htcp_jax.jobs.grid import Batch
-from htcp_jax.planner import registry
-from htcp_jax.planner.batch import plan
-from htcp_jax.planner.plans import Plans
+from htcp_jax.motion.plans import Plans
+from htcp_jax.planning import registry
+from htcp_jax.planning.batch import plan
 from htcp_jax.status import Way
 
 ROW = "{:18} {:>10} {:>6} {:>8} {:>8} {:>9}  {}"

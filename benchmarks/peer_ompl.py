@@ -16,14 +16,14 @@ from dataclasses import dataclass
 import jax
 import mujoco
 import numpy as np
+from htcp_jax.clearance.obstacles.obstacles.obstacles import clearance
 from ompl import base, geometric, util
 
 from benchmarks.peer_cell import Brought, Cell
-from htcp_jax.clearance.obstacles import clearance
-from htcp_jax.planner.knots import Knots
-from htcp_jax.planner.plans import Plans
-from htcp_jax.planner.problem import Problem
-from htcp_jax.scene.robot import GP50
+from htcp_jax.model.robot import GP50
+from htcp_jax.motion.knots import Knots
+from htcp_jax.motion.plans import Plans
+from htcp_jax.motion.problem import Problem
 from htcp_jax.status import Status
 
 DELTA_RAD = 0.05  # between the postures that OMPL checks

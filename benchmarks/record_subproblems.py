@@ -14,14 +14,14 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from htcp_jax.device import compile_cache
+from htcp_jax.io.robot_file import gp50
+from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.model.inverse_kinematics import reanchor
+from htcp_jax.model.kinematics import jacobian
+from htcp_jax.model.scenario import make_scenario, stack
 from htcp_jax.numerics import null_basis
-from htcp_jax.planner import compile_cache
-from htcp_jax.planner.batch import plan
-from htcp_jax.scene.inverse_kinematics import reanchor
-from htcp_jax.scene.kinematics import jacobian
-from htcp_jax.scene.robot_file import gp50
-from htcp_jax.scene.scenario import make_scenario, stack
-from htcp_jax.scene.workpiece_file import load_workpiece
+from htcp_jax.planning.batch import plan
 from htcp_jax.settings import Settings
 
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)

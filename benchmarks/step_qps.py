@@ -17,9 +17,10 @@ import numpy as np
 from scipy.optimize import linprog
 
 from benchmarks import hardware
+from htcp_jax.device import compile_cache
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.planner import compile_cache, step_qps
-from htcp_jax.planner.batch import plan
+from htcp_jax.planning.batch import plan
+from htcp_jax.planning.tracking import step_qps
 from htcp_jax.solvers.active_set import solve_step
 from htcp_jax.solvers.clarabel_ import ClarabelSolver
 from htcp_jax.solvers.step_qp import StepQP

@@ -16,11 +16,11 @@ import numpy as np
 
 from benchmarks import hardware
 from benchmarks.figures import Figure, save
+from htcp_jax.device import compile_cache
+from htcp_jax.device.devices import choose
+from htcp_jax.device.programs import Kernels
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.planner import compile_cache
-from htcp_jax.planner.batch import plan
-from htcp_jax.planner.devices import choose
-from htcp_jax.planner.programs import Kernels
+from htcp_jax.planning.batch import plan
 from htcp_jax.runs.summary import summarise
 from htcp_jax.solvers.clarabel_ import ClarabelSolver
 

@@ -17,13 +17,13 @@ import numpy as np
 
 from benchmarks import hardware
 from htcp_jax.jobs.build import scene
-from htcp_jax.planner.motion import motion
-from htcp_jax.program.limits import Limits, joint_limits
-from htcp_jax.program.path import Path, path_of
-from htcp_jax.program.stretches import spare, stretches
-from htcp_jax.program.time_law import law_of
+from htcp_jax.model.scenario import with_own_tool
+from htcp_jax.motion.motion import motion
 from htcp_jax.runs.open import open_plans
-from htcp_jax.scene.scenario import with_own_tool
+from htcp_jax.trajectory.limits import Limits, joint_limits
+from htcp_jax.trajectory.path import Path, path_of
+from htcp_jax.trajectory.stretches import spare, stretches
+from htcp_jax.trajectory.time_law import law_of
 
 FEED_M_S, STEP_S, REPEATS = 0.02, 1e-3, 5
 Found = Callable[[np.ndarray], np.ndarray]  # places at times

@@ -44,29 +44,29 @@ _HOME = {
     "sweep": "runs.sweep",
     "place": "placement.place",
     "open_run": "runs.run_folder",
-    "time_run": "program.whole_run",
+    "time_run": "trajectory.whole_run",
     "make_report": "report.report",
     "methods": "api",
-    "register": "planner.registry",
+    "register": "planning.registry",
     "charts": "report.charts",
-    "gp50": "scene.robot_file",
-    "load_robot": "scene.robot_file",
-    "load_workpiece": "scene.workpiece_file",
-    "make_scenario": "scene.scenario",
+    "gp50": "io.robot_file",
+    "load_robot": "io.robot_file",
+    "load_workpiece": "io.workpiece_file",
+    "make_scenario": "model.scenario",
     "InputError": "errors",
     # The mathematics, for jax.grad, jax.vmap and jax.jit; the smallest distance is clearance.clearance.
-    "tcp_position": "scene.kinematics",
-    "tcp_pose": "scene.kinematics",
-    "jacobian": "scene.kinematics",
-    "capsule_segments": "scene.kinematics",
+    "tcp_position": "model.kinematics",
+    "tcp_pose": "model.kinematics",
+    "jacobian": "model.kinematics",
+    "capsule_segments": "model.kinematics",
     "capsule_point_distance": "numerics",
-    "make_obstacle": "clearance.of_workpiece",
+    "make_obstacle": "clearance.obstacles.of_workpiece",
     "clearance": "clearance",
-    "clearances": "clearance.obstacles",
-    "linearise": "clearance.linearisation",
+    "clearances": "clearance.obstacles.obstacles",
+    "linearise": "clearance.obstacles.linearisation",
     "null_basis": "numerics",
-    "reanchor": "scene.inverse_kinematics",
-    "null_space_objective": "planner.null_space",
+    "reanchor": "model.inverse_kinematics",
+    "null_space_objective": "planning.tracking.null_space",
 }
 __all__ = [
     "InputError",
@@ -108,7 +108,7 @@ def __getattr__(name: str):
 
 
 def _begin() -> None:
-    importlib.import_module("htcp_jax.planner.compile_cache").enable()
+    importlib.import_module("htcp_jax.device.compile_cache").enable()
     importlib.import_module("htcp_jax.notebook").show_figures()
 
 

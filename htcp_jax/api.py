@@ -10,17 +10,20 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from htcp_jax.clearance.obstacle import Obstacles
-from htcp_jax.clearance.self_collision import SelfCollision
+from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.obstacles.self_collision import SelfCollision
+from htcp_jax.device.devices import choose
 from htcp_jax.jobs.build import drawn_of, obstacles_of, scene, task_of_job
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.load_config import load_config
+from htcp_jax.model.robot import Robot
+from htcp_jax.model.scenario import Scenario, interior_rule, with_own_tool
+from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.motion.motion import Motion, motion
+from htcp_jax.motion.plans import Outcome, Plans
 from htcp_jax.notebook import html_facts
-from htcp_jax.planner import batch, registry
-from htcp_jax.planner.devices import choose
-from htcp_jax.planner.motion import Motion, motion
-from htcp_jax.planner.obstruction import Obstruction, blocked_target, obstruction
-from htcp_jax.planner.plans import Outcome, Plans
+from htcp_jax.planning import batch, registry
+from htcp_jax.reachability.obstruction import Obstruction, blocked_target, obstruction
 from htcp_jax.runs.input_files import anchor_files, file_hashes
 from htcp_jax.runs.motion_summary import MotionSummary, summarise_motion
 from htcp_jax.runs.plan_folder import (
@@ -35,9 +38,6 @@ from htcp_jax.runs.plan_folder import (
 from htcp_jax.runs.provenance import provenance
 from htcp_jax.runs.summary import Summary, summarise
 from htcp_jax.runs.tables import frame_of, joint_columns, target_table
-from htcp_jax.scene.robot import Robot
-from htcp_jax.scene.scenario import Scenario, interior_rule, with_own_tool
-from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.viewer.needles import needles
 from htcp_jax.viewer.picture import draw_plan
 
@@ -215,7 +215,7 @@ def plan(
     config: a YAML file, or a mapping that spells one, {"workpiece": {"rotation_y_rad": 0.5}}; None is the default job.
     overrides: what differs from it, as on the command line, ["margin_m=0.001"], or as values, {"margin_m": 0.001,
     "workpiece.rotation_y_rad": 0.5}. method: see `methods`. progress: called as targets are tracked. device:
-    see `planner.devices`.
+    see `device.devices`.
     Raises InputError for bad input and for a start in collision.
     """
     if method is not None:

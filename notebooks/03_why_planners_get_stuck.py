@@ -24,17 +24,17 @@ from itertools import pairwise
 import jax
 import jax.numpy as jnp
 import numpy as np
+from htcp_jax.clearance.obstacles.obstacles.obstacles import clearances
+from htcp_jax.clearance.obstacles.obstacles.of_workpiece import make_obstacle
+from htcp_jax.clearance.obstacles.obstacles.scene import Scene
 from matplotlib.figure import Figure
 
 import htcp_jax
-from htcp_jax.clearance.obstacles import clearances
-from htcp_jax.clearance.of_workpiece import make_obstacle
-from htcp_jax.clearance.scene import Scene
+from htcp_jax.model.inverse_kinematics import reanchor
+from htcp_jax.model.kinematics import jacobian, tcp_position
 from htcp_jax.numerics import null_basis
-from htcp_jax.planner.null_space import Stuck, anchor, sphere_problem
-from htcp_jax.planner.registry import find
-from htcp_jax.scene.inverse_kinematics import reanchor
-from htcp_jax.scene.kinematics import jacobian, tcp_position
+from htcp_jax.planning.registry import find
+from htcp_jax.planning.tracking.null_space import Stuck, anchor, sphere_problem
 
 # %% [markdown]
 # ## A target where the baseline ends

@@ -8,8 +8,8 @@ import hypothesis
 import jax
 import pytest
 
+from htcp_jax.device import compile_cache
 from htcp_jax.errors import InputError
-from htcp_jax.planner import compile_cache
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")

@@ -27,18 +27,18 @@ from hypothesis import strategies as st
 from sweep_process import make_sweep
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.point_cloud import load_cloud, load_geometry
+from htcp_jax.io.robot_file import gp50
+from htcp_jax.io.robot_model import RobotFields, read_robot_file
+from htcp_jax.io.workpiece_file import read_path
 from htcp_jax.jobs.build import scenario_of
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.jobs.load_config import load_config
+from htcp_jax.model.mesh_points import cover
+from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.sweep import sweep
-from htcp_jax.scene.mesh_points import cover
-from htcp_jax.scene.point_cloud import load_cloud, load_geometry
-from htcp_jax.scene.robot_file import gp50
-from htcp_jax.scene.robot_model import RobotFields, read_robot_file
-from htcp_jax.scene.workpiece import Workpiece
-from htcp_jax.scene.workpiece_file import read_path
 from htcp_jax.solvers.clarabel_ import ClarabelSolver
 from htcp_jax.solvers.step_qp import QPStatus, StepQP
 from htcp_jax.validation.records import read_results
@@ -283,7 +283,7 @@ def check_mesh(folder: Path, case: tuple[str, bytes]) -> bool:
 
 # Robots
 
-ARM = (HERE.parent / "htcp_jax" / "scene" / "models" / "gp50.xml").read_bytes()
+ARM = (HERE.parent / "htcp_jax" / "model" / "robots" / "gp50.xml").read_bytes()
 SMALL = b"""<mujoco model="arm"><compiler angle="radian"/><default><geom rgba="1 0 0 1"/><default class="c">
 <joint axis="0 1 0" range="-2 2"/></default></default><asset><mesh name="m" file="../m.stl"/></asset><worldbody>
 <body name="a" pos="0 0 .3"><joint name="j1"/><geom type="capsule" size=".05" fromto="0 0 0 0 0 .3"/>

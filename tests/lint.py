@@ -3,7 +3,7 @@
 **Imports.** A package imports from itself and from the packages before it in PACKAGES, at the top of a file or inside a
 function; no modules import one another in a circle. Each folder is one of these packages.
 
-**Files.** `formats/files.py` alone opens, reads and writes files: its readers take regular files of a bounded size and
+**Files.** `io/files.py` alone opens, reads and writes files: its readers take regular files of a bounded size and
 follow no link out of a folder, its writer replaces a file completely or not at all. Other modules make none of the
 calls in OPENS, except where OWN_FILES names them and says why.
 
@@ -33,8 +33,8 @@ from typing import NamedTuple
 
 PACKAGE = "htcp_jax"
 PACKAGES = [  # from the bottom up
-    *("formats", "scene", "solvers", "clearance", "planner", "jobs", "runs", "program", "placement"),
-    *("validation", "viewer", "report", "cli"),
+    *("model", "solvers", "clearance", "device", "motion", "planning", "reachability"),
+    *("io", "jobs", "runs", "trajectory", "placement", "validation", "viewer", "report", "cli"),
 ]
 ABOVE = {"api": "viewer", "__main__": "cli"}  # modules at the root that import from this package and those before it
 OPENS = re.compile(  # calls by the end of their names, which reach a file by its path
@@ -44,18 +44,18 @@ OPENS = re.compile(  # calls by the end of their names, which reach a file by it
     r"|^tempfile\.|^shutil\.(copy|copyfile|copy2|move)$|\.savefig$"
 )
 OWN_FILES = {  # modules that do it by themselves, and why that is safe
-    "formats.files": "the one",
+    "io.files": "the one",
     "unfinished": "a lock on each of them",
     "process_exit": "the processes of this one, in /proc",
-    "formats.parsers": "a process of its own with limits, see formats.scan",
-    "formats.scan": "reads what that process wrote into a folder that was made just now",
+    "io.parsers": "a process of its own with limits, see formats.scan",
+    "io.scan": "reads what that process wrote into a folder that was made just now",
     "jobs.examples": "files that ship with the package",
     "cli.example": "the same, copied into a folder that was made just now",
     "runs.lock": "the lock's file, without following a link",
     "runs.provenance": "/proc/cpuinfo",
     "runs.plan_folder": "files that a person names for the gate, and bytes in memory",
-    "planner.compile_cache": "the user's own cache",
-    "planner.processes": "a folder that was made just now",
+    "device.compile_cache": "the user's own cache",
+    "device.processes": "a folder that was made just now",
     "cli.main": "os.devnull",
     "report.document": "a picture in memory",
     "validation.mesh_clearance": "a mesh in memory",
@@ -83,12 +83,12 @@ def faults(root: Path) -> list[str]:
 
 
 def file_faults(package: Path) -> Iterator[str]:
-    """Calls in a package's files that open, read or write a file in any other way than by `formats/files.py`."""
+    """Calls in a package's files that open, read or write a file in any other way than by `io/files.py`."""
     for file in sorted(package.rglob("*.py")):
         name = _dotted(file.relative_to(package))
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if name not in OWN_FILES else ():
             if isinstance(node, ast.Call) and OPENS.search(call := ast.unparse(node.func)):
-                yield f"{name}, line {node.lineno}: {call}; formats/files.py has what is needed"
+                yield f"{name}, line {node.lineno}: {call}; io/files.py has what is needed"
 
 
 def import_faults(package: Path) -> Iterator[str]:

@@ -7,13 +7,13 @@ from hand_made import plans_with
 from made_once import START, robot
 
 from htcp_jax import api
+from htcp_jax.io.workpiece_file import load_workpiece
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.load_config import load_config
-from htcp_jax.planner.knots import Knots
-from htcp_jax.planner.plans import Plans
-from htcp_jax.scene.duct import duct_cloud, weld
-from htcp_jax.scene.scenario import make_scenario
-from htcp_jax.scene.workpiece_file import load_workpiece
+from htcp_jax.model.duct import duct_cloud, weld
+from htcp_jax.model.scenario import make_scenario
+from htcp_jax.motion.knots import Knots
+from htcp_jax.motion.plans import Plans
 from htcp_jax.status import Status, Way
 
 A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_ESCAPE, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
+from htcp_jax.clearance.obstacles.obstacles.obstacle import Bodies, Contacts, Posed, Rows
 
-from htcp_jax.clearance.obstacle import Bodies, Contacts, Posed, Rows
+from htcp_jax.model.robot import Robot
 from htcp_jax.pytree import register_pytree
-from htcp_jax.scene.robot import Robot
 
 
 @register_pytree

@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 import made_once
 import numpy as np
+from htcp_jax.clearance.obstacles.obstacles.obstacles import clearance
 
-from htcp_jax.clearance.obstacles import clearance
-from htcp_jax.planner.batch import plan
-from htcp_jax.planner.plans import ARRAYS
-from htcp_jax.scene.kinematics import tcp_position
-from htcp_jax.scene.robot import lengthen_tool
-from htcp_jax.scene.scenario import make_scenario
+from htcp_jax.model.kinematics import tcp_position
+from htcp_jax.model.robot import lengthen_tool
+from htcp_jax.model.scenario import make_scenario
+from htcp_jax.motion.plans import ARRAYS
+from htcp_jax.planning.batch import plan
 from htcp_jax.settings import Settings
 
 # A small search: of these settings none is compiled into a program.

@@ -9,10 +9,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from htcp_jax.model import duct
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.sweep import sweep
-from htcp_jax.scene import duct
 from htcp_jax.status import Status
 
 METHODS = ("baseline", "cspace-sample")

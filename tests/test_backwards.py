@@ -6,20 +6,20 @@ import made_once
 import numpy as np
 import pytest
 
-from htcp_jax.planner.backwards import BackwardPlans
-from htcp_jax.planner.batch import plan
-from htcp_jax.planner.kernels import Measured
-from htcp_jax.planner.lane_checks import LaneChecks
-from htcp_jax.planner.lanes import Lanes, new_lanes
-from htcp_jax.planner.methods import BUILT_IN
-from htcp_jax.planner.motion import transfers
-from htcp_jax.planner.null_space import Anchored
-from htcp_jax.planner.plans import Plans, is_tracked
-from htcp_jax.planner.programs import Kernels
-from htcp_jax.planner.record import Record
-from htcp_jax.planner.stages import Escapes
-from htcp_jax.planner.tables import concatenate, gather
-from htcp_jax.scene.scenario import make_scenario
+from htcp_jax.device.programs import Kernels
+from htcp_jax.device.tables import concatenate, gather
+from htcp_jax.model.scenario import make_scenario
+from htcp_jax.motion.kernels import Measured
+from htcp_jax.motion.motion import transfers
+from htcp_jax.motion.plans import Plans, is_tracked
+from htcp_jax.planning.batch import plan
+from htcp_jax.planning.methods import BUILT_IN
+from htcp_jax.planning.tracking.backwards import BackwardPlans
+from htcp_jax.planning.tracking.lane_checks import LaneChecks
+from htcp_jax.planning.tracking.lanes import Lanes, new_lanes
+from htcp_jax.planning.tracking.null_space import Anchored
+from htcp_jax.planning.tracking.record import Record
+from htcp_jax.planning.tracking.stages import Escapes
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 

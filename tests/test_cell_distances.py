@@ -8,21 +8,21 @@ import made_once
 import mujoco
 import numpy as np
 import pytest
+from htcp_jax.clearance.obstacles.obstacles.contact_model import hold_contacts, predict_distances
+from htcp_jax.clearance.obstacles.obstacles.fixtures import Fixtures
+from htcp_jax.clearance.obstacles.obstacles.obstacle import rows_of
+from htcp_jax.clearance.obstacles.obstacles.obstacles import all_clear, clearance_rows, clearances, contacts, is_clear
+from htcp_jax.clearance.obstacles.obstacles.of_cell import make_fixtures, solid_of
+from htcp_jax.clearance.obstacles.obstacles.scene import Scene
 from published import MODELS, path_of
 
 from benchmarks import cell_distances
-from htcp_jax.clearance.contact_model import hold_contacts, predict_distances
-from htcp_jax.clearance.fixtures import Fixtures
-from htcp_jax.clearance.motion_proof import Verdict, prove
-from htcp_jax.clearance.obstacle import rows_of
-from htcp_jax.clearance.obstacles import all_clear, clearance_rows, clearances, contacts, is_clear
-from htcp_jax.clearance.of_cell import make_fixtures, solid_of
-from htcp_jax.clearance.scene import Scene
-from htcp_jax.scene.cell import load_cell
-from htcp_jax.scene.kinematics import capsule_segments
-from htcp_jax.scene.robot import GP50
-from htcp_jax.scene.robot_import import import_robot
-from htcp_jax.scene.robot_xml import arm_xml
+from htcp_jax.clearance.proof.motion_proof import Verdict, prove
+from htcp_jax.io.cell import load_cell
+from htcp_jax.io.robot_import import import_robot
+from htcp_jax.io.robot_xml import arm_xml
+from htcp_jax.model.kinematics import capsule_segments
+from htcp_jax.model.robot import GP50
 
 POSE = 'pos="0.1 -0.2 0.3" euler="20 30 40"'
 WEDGE = "0 0 0  0.3 0 0  0 0.2 0  0 0 0.4  0.2 0.15 0.1  0.1 0.1 0.35"

@@ -9,14 +9,21 @@ import made_once
 import mujoco
 import numpy as np
 import pytest
+from htcp_jax.clearance.obstacles.obstacles.linearisation import linearise
+from htcp_jax.clearance.obstacles.obstacles.obstacles import (
+    all_clear,
+    clearance,
+    clearance_rows,
+    clearances,
+    contacts,
+    is_clear,
+)
+from htcp_jax.clearance.obstacles.obstacles.of_workpiece import make_obstacle
 
-from htcp_jax.clearance.linearisation import linearise
-from htcp_jax.clearance.obstacles import all_clear, clearance, clearance_rows, clearances, contacts, is_clear
-from htcp_jax.clearance.of_workpiece import make_obstacle
-from htcp_jax.scene.kinematics import capsule_segments
-from htcp_jax.scene.robot import GP50, lengthen_tool
-from htcp_jax.scene.scenario import make_scenario
-from htcp_jax.scene.workpiece import Workpiece
+from htcp_jax.model.kinematics import capsule_segments
+from htcp_jax.model.robot import GP50, lengthen_tool
+from htcp_jax.model.scenario import make_scenario
+from htcp_jax.model.workpiece import Workpiece
 
 
 class Where(NamedTuple):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from htcp_jax.cli.main import main
-from htcp_jax.planner import batch
+from htcp_jax.planning import batch
 from htcp_jax.process_exit import INTERRUPTED
 
 SHORT = ["--set", "workpiece.path=path.csv"]

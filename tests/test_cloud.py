@@ -9,8 +9,8 @@ import pytest
 import trimesh
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.scan import PARTS, SCANS
-from htcp_jax.scene.point_cloud import CLOUDS, load_cloud, load_geometry
+from htcp_jax.io.point_cloud import CLOUDS, load_cloud, load_geometry
+from htcp_jax.io.scan import PARTS, SCANS
 
 POINTS = np.random.default_rng(0).uniform(-1.0, 1.0, (40, 3))
 BOX = trimesh.creation.box(extents=(1.0, 2.0, 3.0))

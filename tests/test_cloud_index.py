@@ -8,10 +8,10 @@ import made_once
 import numpy as np
 import pytest
 
-from htcp_jax.clearance.bounding_discs import as_segments, bounding_discs, lower_bounds, single, spread
-from htcp_jax.clearance.branch_and_bound import FAN
-from htcp_jax.clearance.cloud_tree import TOP, build_index, nearest_body, nearest_rows
-from htcp_jax.clearance.cloud_tree_gpu import nearest_leaves
+from htcp_jax.clearance.distance.bounding_discs import as_segments, bounding_discs, lower_bounds, single, spread
+from htcp_jax.clearance.distance.branch_and_bound import FAN
+from htcp_jax.clearance.distance.cloud_tree import TOP, build_index, nearest_body, nearest_rows
+from htcp_jax.clearance.distance.cloud_tree_gpu import nearest_leaves
 from htcp_jax.gpu_kernel import HAS_KERNEL
 
 LANES = 8  # segments that a search takes side by side, as a configuration's capsules do

@@ -11,7 +11,7 @@ from htcp_jax.cli import self_test
 from htcp_jax.cli.main import app, main
 from htcp_jax.cli.methods import complete_methods
 from htcp_jax.errors import InputError
-from htcp_jax.planner.registry import all_methods
+from htcp_jax.planning.registry import all_methods
 from htcp_jax.viewer import offscreen
 
 SHORT = ["--set", "workpiece.path=path.csv", "--set", "method=baseline"]

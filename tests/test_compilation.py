@@ -10,14 +10,14 @@ import made_once
 import numpy as np
 import pytest
 
-from htcp_jax.clearance.motion_proof import RESOLUTION_M, proven_clear
+from htcp_jax.clearance.proof.motion_proof import RESOLUTION_M, proven_clear
+from htcp_jax.device.batching import Loop, chunked, refilled
+from htcp_jax.device.kernel import STEP, Kernel
+from htcp_jax.device.programs import COMPILER, Kernels, Programs, Stopwatch
+from htcp_jax.model.scenario import stack
+from htcp_jax.motion.lane_inputs import lane_inputs
+from htcp_jax.motion.proofs import PROVE, clear_paths, free_tubes, prove_call
 from htcp_jax.numerics import fold_keys
-from htcp_jax.planner.batching import Loop, chunked, refilled
-from htcp_jax.planner.kernel import STEP, Kernel
-from htcp_jax.planner.lane_inputs import lane_inputs
-from htcp_jax.planner.programs import COMPILER, Kernels, Programs, Stopwatch
-from htcp_jax.planner.proofs import PROVE, clear_paths, free_tubes, prove_call
-from htcp_jax.scene.scenario import stack
 from htcp_jax.settings import Settings
 
 

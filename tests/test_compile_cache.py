@@ -3,7 +3,7 @@
 import jax
 import pytest
 
-from htcp_jax.planner import compile_cache
+from htcp_jax.device import compile_cache
 
 
 @pytest.fixture(autouse=True)

@@ -2,8 +2,8 @@ import jax
 import pytest
 
 from htcp_jax.cli.main import main
+from htcp_jax.device.devices import choose, default_threads
 from htcp_jax.errors import InputError
-from htcp_jax.planner.devices import choose, default_threads
 
 
 def test_the_default_is_what_jax_prefers():

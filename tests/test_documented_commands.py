@@ -29,7 +29,7 @@ from documented import (
 )
 
 from htcp_jax.cli.main import main
-from htcp_jax.planner import registry
+from htcp_jax.planning import registry
 
 DEMO_S = 180  # from a clone to a picture
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from htcp_jax.scene import duct
+from htcp_jax.model import duct
 
 REAL = Path(__file__).parents[2] / "shared" / "data" / "duct"
 needs_real_duct = pytest.mark.skipif(

@@ -7,15 +7,15 @@ import pytest
 from scipy.spatial import cKDTree
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.duct_seams import BEADS, SEAMS, seam
+from htcp_jax.io.robot_file import gp50
+from htcp_jax.io.workpiece_file import load_workpiece
 from htcp_jax.jobs.build import workpiece_of
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.jobs.grid_axes import from_record, record
 from htcp_jax.jobs.load_config import load_config
+from htcp_jax.model import duct
 from htcp_jax.runs.input_files import anchor_files
-from htcp_jax.scene import duct
-from htcp_jax.scene.duct_seams import BEADS, SEAMS, seam
-from htcp_jax.scene.robot_file import gp50
-from htcp_jax.scene.workpiece_file import load_workpiece
 
 ROOT = Path(__file__).parents[1]
 ALONG, AROUND = ("left", "right", "crown", "invert", "helix"), ("girth-shallow", "girth-deep")

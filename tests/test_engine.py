@@ -9,23 +9,23 @@ import jax
 import made_once
 import numpy as np
 import pytest
+from htcp_jax.clearance.obstacles.obstacles.of_workpiece import make_obstacle
+from htcp_jax.clearance.obstacles.obstacles.scene import Scene
 
-from htcp_jax.clearance.of_workpiece import make_obstacle
-from htcp_jax.clearance.scene import Scene
-from htcp_jax.planner import step_qps
-from htcp_jax.planner.batch import plan
-from htcp_jax.planner.candidates import nearest
-from htcp_jax.planner.engine import Engine
-from htcp_jax.planner.kernel import STEP, Kernel
-from htcp_jax.planner.kernels import ADVANCE, ADVANCE_SMALLEST, CHECK_PATH, PREPARE, STEPS_A_BURST
-from htcp_jax.planner.lane_inputs import lane_inputs
-from htcp_jax.planner.programs import PROGRAMS, Kernels, Programs
-from htcp_jax.planner.stages import ENTER
-from htcp_jax.planner.tables import gather_from
-from htcp_jax.planner.work import Work
-from htcp_jax.scene.robot_file import gp50
-from htcp_jax.scene.scenario import make_scenario, stack
-from htcp_jax.scene.workpiece_file import load_workpiece
+from htcp_jax.device.kernel import STEP, Kernel
+from htcp_jax.device.programs import PROGRAMS, Kernels, Programs
+from htcp_jax.device.tables import gather_from
+from htcp_jax.io.robot_file import gp50
+from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.model.scenario import make_scenario, stack
+from htcp_jax.motion.kernels import ADVANCE, ADVANCE_SMALLEST, CHECK_PATH, PREPARE, STEPS_A_BURST
+from htcp_jax.motion.lane_inputs import lane_inputs
+from htcp_jax.planning.batch import plan
+from htcp_jax.planning.tracking import step_qps
+from htcp_jax.planning.tracking.candidates import nearest
+from htcp_jax.planning.tracking.engine import Engine
+from htcp_jax.planning.tracking.stages import ENTER
+from htcp_jax.planning.tracking.work import Work
 from htcp_jax.settings import Settings
 from htcp_jax.solvers.clarabel_ import ClarabelSolver
 from htcp_jax.solvers.step_qp import QPSolution, QPStatus

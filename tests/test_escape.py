@@ -8,13 +8,14 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
+from htcp_jax.clearance.obstacles.obstacles.obstacles import clearance, clearances, contacts, is_clear
 from sphere_references import place
 
-from htcp_jax.clearance.obstacles import clearance, clearances, contacts, is_clear
-from htcp_jax.planner.batching import finished
-from htcp_jax.planner.lane_inputs import LaneInputs
-from htcp_jax.planner.methods import BUILT_IN
-from htcp_jax.planner.null_space import (
+from htcp_jax.device.batching import finished
+from htcp_jax.model.kinematics import jacobian, tcp_position
+from htcp_jax.motion.lane_inputs import LaneInputs
+from htcp_jax.planning.methods import BUILT_IN
+from htcp_jax.planning.tracking.null_space import (
     Stuck,
     anchor,
     keep_clear_ascent,
@@ -23,10 +24,9 @@ from htcp_jax.planner.null_space import (
     sphere_problem,
     stuck_key,
 )
-from htcp_jax.planner.sampling import cspace_samples, nspace_samples
-from htcp_jax.planner.stages import ENTER, NullSpace
-from htcp_jax.planner.step_qps import StepQPs
-from htcp_jax.scene.kinematics import jacobian, tcp_position
+from htcp_jax.planning.tracking.sampling import cspace_samples, nspace_samples
+from htcp_jax.planning.tracking.stages import ENTER, NullSpace
+from htcp_jax.planning.tracking.step_qps import StepQPs
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import sphere
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from htcp_jax.planner.front import best_first, dispersed
-from htcp_jax.planner.posture_tree import LEAST, Nodes, Posture, Tree
+from htcp_jax.motion.front import best_first, dispersed
+from htcp_jax.motion.posture_tree import LEAST, Nodes, Posture, Tree
 
 numbers = st.floats(-1, 1)
 postures = st.lists(st.tuples(numbers, numbers), min_size=1, max_size=20)

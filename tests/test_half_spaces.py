@@ -6,11 +6,11 @@ import made_once
 import numpy as np
 import pytest
 
-from htcp_jax.clearance import half_spaces as module
-from htcp_jax.clearance.half_spaces import ROOM, crossed_facets, depths, half_spaces
-from htcp_jax.clearance.half_spaces_gpu import highest
+from htcp_jax.clearance.distance import half_spaces as module
+from htcp_jax.clearance.distance.half_spaces import ROOM, crossed_facets, depths, half_spaces
+from htcp_jax.clearance.distance.half_spaces_gpu import highest
 from htcp_jax.gpu_kernel import HAS_KERNEL
-from htcp_jax.scene.convex_hull import convex_hull
+from htcp_jax.model.convex_hull import convex_hull
 
 NEEDS_KERNEL = pytest.mark.skipif(not HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
 RNG = np.random.default_rng(0)

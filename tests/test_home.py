@@ -11,8 +11,8 @@ from small_motions import SMALL, check_motions, check_way, first_of, roadmap, sa
 from stranger_jobs import car_job
 
 import htcp_jax
-from htcp_jax.planner.batch import check_start, plan
-from htcp_jax.planner.motion import figures, motion, transfers
+from htcp_jax.motion.motion import figures, motion, transfers
+from htcp_jax.planning.batch import check_start, plan
 from htcp_jax.status import Kind, Status, Way
 from htcp_jax.validation.validate import validate
 

@@ -16,9 +16,9 @@ from sweep_process import environment
 
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
-from htcp_jax.formats import files
-from htcp_jax.program.whole_run import TIMING
+from htcp_jax.io import files
 from htcp_jax.runs.lock import locked
+from htcp_jax.trajectory.whole_run import TIMING
 from htcp_jax.unfinished import SCRATCH, clear, temporary_folder
 
 PEAK = 10**9  # bytes

@@ -7,23 +7,23 @@ import jax
 import made_once
 import numpy as np
 import pytest
+from htcp_jax.clearance.obstacles.obstacles.of_workpiece import make_obstacle
+from htcp_jax.clearance.obstacles.obstacles.scene import Scene
+from htcp_jax.clearance.obstacles.obstacles.tip_guard import make_tip_guard
 from sphere_references import place
 from test_clearance import few_points
 
-from htcp_jax.clearance.motion_proof import Tube, Verdict
-from htcp_jax.clearance.of_workpiece import make_obstacle
-from htcp_jax.clearance.scene import Scene
-from htcp_jax.clearance.tip_guard import make_tip_guard
+from htcp_jax.clearance.proof.motion_proof import Tube, Verdict
+from htcp_jax.device.programs import Kernels
 from htcp_jax.errors import InputError
-from htcp_jax.planner.joint_search import join
-from htcp_jax.planner.lane_inputs import lane_inputs
-from htcp_jax.planner.programs import Kernels
-from htcp_jax.planner.proofs import proofs_of
-from htcp_jax.planner.tip_check import TipCheck
-from htcp_jax.scene.robot import GP50
-from htcp_jax.scene.robot_file import load_robot
-from htcp_jax.scene.scenario import make_scenario, stack
-from htcp_jax.scene.workpiece_file import load_workpiece
+from htcp_jax.io.robot_file import load_robot
+from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.model.robot import GP50
+from htcp_jax.model.scenario import make_scenario, stack
+from htcp_jax.motion.joint_search import join
+from htcp_jax.motion.lane_inputs import lane_inputs
+from htcp_jax.motion.proofs import proofs_of
+from htcp_jax.motion.tip_check import TipCheck
 from htcp_jax.settings import Settings, settings_of
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from mujoco import mjx
 
-from htcp_jax.scene import kinematics
-from htcp_jax.scene.robot import GP50, Robot
-from htcp_jax.scene.robot_file import gp50, load_robot
+from htcp_jax.io.robot_file import gp50, load_robot
+from htcp_jax.model import kinematics
+from htcp_jax.model.robot import GP50, Robot
 
 DUCT = Path(__file__).parents[2] / "shared" / "data" / "duct"
 

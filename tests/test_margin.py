@@ -11,13 +11,13 @@ import pytest
 import stranger_jobs
 
 import htcp_jax
-from htcp_jax.planner.batch import plan
-from htcp_jax.planner.plans import is_tracked
-from htcp_jax.planner.reachability import reachable_prefixes
-from htcp_jax.planner.registry import names
+from htcp_jax.model.scenario import OutOfReach, make_scenario, stack
+from htcp_jax.model.task import TCP_POSITION
+from htcp_jax.motion.plans import is_tracked
+from htcp_jax.planning.batch import plan
+from htcp_jax.planning.registry import names
+from htcp_jax.reachability.reachability import reachable_prefixes
 from htcp_jax.runs.summary import summarise
-from htcp_jax.scene.scenario import OutOfReach, make_scenario, stack
-from htcp_jax.scene.task import TCP_POSITION
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 from htcp_jax.validation.validate import validate

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from htcp_jax.errors import InputError
-from htcp_jax.scene.mesh_points import ABOUT, area, cover, covering_radius, pieces
+from htcp_jax.model.mesh_points import ABOUT, area, cover, covering_radius, pieces
 
 MESHES = {
     "box": trimesh.creation.box((0.4, 0.36, 0.02)),

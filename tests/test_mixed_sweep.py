@@ -11,13 +11,13 @@ from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import obstacles_of, robot_of, scene
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.planner import batch
-from htcp_jax.planner.plans import is_tracked
+from htcp_jax.model.kinematics import capsule_segments
+from htcp_jax.motion.plans import is_tracked
+from htcp_jax.planning import batch
 from htcp_jax.report.cell import RunScene
 from htcp_jax.report.groups import read_parts
 from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.sweep import sweep
-from htcp_jax.scene.kinematics import capsule_segments
 from htcp_jax.viewer.replay import open_replays
 
 ARM = """

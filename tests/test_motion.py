@@ -9,8 +9,8 @@ from hand_made import plans_with
 from hypothesis import given
 from hypothesis import strategies as st
 
-from htcp_jax.planner.knots import Knots
-from htcp_jax.planner.motion import (
+from htcp_jax.motion.knots import Knots
+from htcp_jax.motion.motion import (
     ONE_POINT_M,
     cost,
     curvature,
@@ -21,7 +21,7 @@ from htcp_jax.planner.motion import (
     motions,
     tightest,
 )
-from htcp_jax.planner.plans import Plans
+from htcp_jax.motion.plans import Plans
 from htcp_jax.status import Kind, Status, Way
 
 TARGETS, ON_PATH, JOINTS = 8, 3, 2

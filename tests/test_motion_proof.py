@@ -7,16 +7,16 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
+from htcp_jax.clearance.obstacles.obstacles.obstacles import clearance
+from htcp_jax.clearance.obstacles.obstacles.scene import Scene
 from sphere_references import Where, place
 from test_joint_path import rail
 
-from htcp_jax.clearance.motion_bound import tcp_sweep
-from htcp_jax.clearance.motion_proof import ROUNDING_M, Proof, Tube, Verdict, prove
-from htcp_jax.clearance.obstacles import clearance
-from htcp_jax.clearance.scene import Scene
-from htcp_jax.scene.kinematics import jacobian, tcp_position
-from htcp_jax.scene.robot import GP50
-from htcp_jax.scene.robot_file import load_robot
+from htcp_jax.clearance.proof.motion_bound import tcp_sweep
+from htcp_jax.clearance.proof.motion_proof import ROUNDING_M, Proof, Tube, Verdict, prove
+from htcp_jax.io.robot_file import load_robot
+from htcp_jax.model.kinematics import jacobian, tcp_position
+from htcp_jax.model.robot import GP50
 from htcp_jax.status import Way
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from htcp_jax.scene.task_list import TaskRow
+from htcp_jax.model.task_list import TaskRow
 from htcp_jax.viewer.needles import LENGTH_M, needles
 
 ON_PATH = TaskRow(point="tcp", on="path")

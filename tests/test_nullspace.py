@@ -4,9 +4,9 @@ import made_once
 import numpy as np
 import pytest
 
+from htcp_jax.model.inverse_kinematics import inside, reanchor
+from htcp_jax.model.kinematics import jacobian, tcp_position
 from htcp_jax.numerics import null_basis
-from htcp_jax.scene.inverse_kinematics import inside, reanchor
-from htcp_jax.scene.kinematics import jacobian, tcp_position
 
 RNG = np.random.default_rng(0)
 BASIS = jax.jit(null_basis)

@@ -8,16 +8,24 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
+from htcp_jax.clearance.obstacles.obstacles.contact_model import hold_contacts, predict_distances
+from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacle, rows_of
+from htcp_jax.clearance.obstacles.obstacles.obstacles import (
+    all_clear,
+    clearance,
+    clearance_rows,
+    clearances,
+    contacts,
+    is_clear,
+    room,
+)
+from htcp_jax.clearance.obstacles.obstacles.of_workpiece import make_obstacle
+from htcp_jax.clearance.obstacles.obstacles.scene import Scene
+from htcp_jax.clearance.obstacles.obstacles.self_collision import SelfCollision
 from own_obstacles import Floor
 
-from htcp_jax.clearance.contact_model import hold_contacts, predict_distances
-from htcp_jax.clearance.motion_proof import proven_clear
-from htcp_jax.clearance.obstacle import Obstacle, rows_of
-from htcp_jax.clearance.obstacles import all_clear, clearance, clearance_rows, clearances, contacts, is_clear, room
-from htcp_jax.clearance.of_workpiece import make_obstacle
-from htcp_jax.clearance.scene import Scene
-from htcp_jax.clearance.self_collision import SelfCollision
-from htcp_jax.scene.kinematics import capsule_segments
+from htcp_jax.clearance.proof.motion_proof import proven_clear
+from htcp_jax.model.kinematics import capsule_segments
 
 PAIRS = ((7, 1), (7, 2), (6, 1), (5, 0))  # the tool and what carries it against the lower arm
 

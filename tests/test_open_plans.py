@@ -8,7 +8,7 @@ import pytest
 from made_plan import made_plan
 
 from htcp_jax.errors import InputError
-from htcp_jax.planner.plans import ARRAYS
+from htcp_jax.motion.plans import ARRAYS
 from htcp_jax.runs import parameters
 from htcp_jax.runs.open import open_plans
 from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY

@@ -13,10 +13,10 @@ import pytest
 
 import htcp_jax
 from htcp_jax.errors import InputError
-from htcp_jax.planner import registry
-from htcp_jax.planner.plans import Plans
-from htcp_jax.planner.problem import Problem
-from htcp_jax.planner.step_qps import StepQPs
+from htcp_jax.motion.plans import Plans
+from htcp_jax.motion.problem import Problem
+from htcp_jax.planning import registry
+from htcp_jax.planning.tracking.step_qps import StepQPs
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "tests" / "data" / "own_planner"
@@ -191,8 +191,8 @@ def test_plans_of_other_scenarios_are_refused(monkeypatch, standstill, tmp_path)
 def test_nothing_is_imported_before_a_name_is_looked_up():
     """Reading a configuration needs no planner."""
     code = (
-        "import sys, htcp_jax.jobs.config, htcp_jax.planner.registry; "
+        "import sys, htcp_jax.jobs.config, htcp_jax.planning.registry; "
         "loaded = [name for name in sys.modules if name.startswith('htcp_jax.planner.')]; "
-        "assert loaded == ['htcp_jax.planner.registry'], loaded"
+        "assert loaded == ['htcp_jax.planning.registry'], loaded"
     )
     subprocess.run([sys.executable, "-c", code], check=True, env=os.environ | {"PYTHONPATH": str(ROOT)})

@@ -21,7 +21,7 @@ def test_the_command_is_where_the_project_says():
     assert callable(getattr(importlib.import_module(module), function))
 
 
-@pytest.mark.parametrize("edited", ["planner/lanes.py", "scene/models/gp50.xml", "numerics.py"])
+@pytest.mark.parametrize("edited", ["planning/tracking/lanes.py", "model/robots/gp50.xml", "numerics.py"])
 def test_a_run_records_whether_anything_of_the_package_was_edited(edited, tmp_path, monkeypatch):
     copy = tmp_path / "htcp_jax"
     shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))

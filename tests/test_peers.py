@@ -8,17 +8,17 @@ import sys
 
 import numpy as np
 import pytest
+from htcp_jax.clearance.obstacles.obstacles.of_workpiece import make_obstacle
 from scipy.spatial import cKDTree
 
 from benchmarks.peer_cell import Brought, Cell
 from benchmarks.peer_motions import PEERS, rows
 from benchmarks.peer_planners import Task
 from benchmarks.peers import chosen_scenarios, main
-from htcp_jax.clearance.of_workpiece import make_obstacle
-from htcp_jax.planner.batch import plan
-from htcp_jax.planner.devices import choose
-from htcp_jax.planner.problem import Problem
-from htcp_jax.scene.task import Task as Constraint
+from htcp_jax.device.devices import choose
+from htcp_jax.model.task import Task as Constraint
+from htcp_jax.motion.problem import Problem
+from htcp_jax.planning.batch import plan
 
 
 def module(name):
@@ -125,7 +125,7 @@ def test_every_target_that_a_peer_claims_is_executable(batch, name):
 
 
 def _registered(method):
-    from htcp_jax.planner import registry
+    from htcp_jax.planning import registry
 
     if method.name not in registry.names():
         registry.register(method)

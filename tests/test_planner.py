@@ -7,15 +7,15 @@ import jax
 import made_once
 import numpy as np
 import pytest
+from htcp_jax.clearance.obstacles.obstacles.obstacles import is_clear
 
-from htcp_jax.clearance.obstacles import is_clear
 from htcp_jax.errors import InputError
-from htcp_jax.planner.batch import check_start, plan, start_clearance
-from htcp_jax.planner.registry import find, names
-from htcp_jax.planner.step_qps import StepQPs
-from htcp_jax.scene.kinematics import capsule_segments, tcp_position
-from htcp_jax.scene.robot import lengthen_tool
-from htcp_jax.scene.scenario import make_scenario, stack
+from htcp_jax.model.kinematics import capsule_segments, tcp_position
+from htcp_jax.model.robot import lengthen_tool
+from htcp_jax.model.scenario import make_scenario, stack
+from htcp_jax.planning.batch import check_start, plan, start_clearance
+from htcp_jax.planning.registry import find, names
+from htcp_jax.planning.tracking.step_qps import StepQPs
 from htcp_jax.settings import Settings, settings_of
 from htcp_jax.status import Status
 

@@ -18,12 +18,12 @@ import pytest
 import small_motions
 
 import htcp_jax
+from htcp_jax.device import compile_cache, processes
+from htcp_jax.device.processes import portable, shares, that_pay
 from htcp_jax.errors import InputError, Lost
-from htcp_jax.planner import compile_cache, processes
-from htcp_jax.planner.batch import plan
-from htcp_jax.planner.processes import portable, shares, that_pay
-from htcp_jax.planner.registry import unregister
-from htcp_jax.scene.scenario import make_scenario, stack
+from htcp_jax.model.scenario import make_scenario, stack
+from htcp_jax.planning.batch import plan
+from htcp_jax.planning.registry import unregister
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 

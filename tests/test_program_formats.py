@@ -15,11 +15,11 @@ from hypothesis.extra import numpy as of_numpy
 from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
-from htcp_jax.program.beside import Beside, Pulses, UserFrame
-from htcp_jax.program.timed import Timed
-from htcp_jax.program.writers import FORMATS, program_text
-from htcp_jax.scene.robot import GP50
+from htcp_jax.model.robot import GP50
 from htcp_jax.status import Kind
+from htcp_jax.trajectory.beside import Beside, Pulses, UserFrame
+from htcp_jax.trajectory.formats.writers import FORMATS, program_text
+from htcp_jax.trajectory.timed import Timed
 
 STEP_S = 0.002
 FULL_SPEED = 1e4  # [rad/s], so that no motion of these tests is over it

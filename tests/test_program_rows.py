@@ -10,11 +10,11 @@ import pytest
 from test_joint_path import rail
 from test_row_proof import SETTINGS, WAYS, arm, held, postures, rows
 
-from htcp_jax.program.nudge import arm_at, nudge_bound
-from htcp_jax.program.rows_left import rows_beside
-from htcp_jax.scene.kinematics import link_poses
-from htcp_jax.scene.robot_file import load_robot
-from htcp_jax.scene.task_rows import Feature
+from htcp_jax.io.robot_file import load_robot
+from htcp_jax.model.kinematics import link_poses
+from htcp_jax.model.task_rows import Feature
+from htcp_jax.trajectory.nudge import arm_at, nudge_bound
+from htcp_jax.trajectory.rows_left import rows_beside
 from htcp_jax.validation.task_check import Place, hold_between
 
 SHARES = np.linspace(0, 1, 9)  # of a leg, at which it is looked at

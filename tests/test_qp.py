@@ -9,7 +9,7 @@ import qpsolvers
 from scipy.optimize import nnls
 
 from htcp_jax.errors import InputError
-from htcp_jax.planner.step_qps import make_solver
+from htcp_jax.planning.tracking.step_qps import make_solver
 from htcp_jax.settings import Settings
 from htcp_jax.solvers.clarabel_ import ClarabelSolver
 from htcp_jax.solvers.interior_point import solve_dense

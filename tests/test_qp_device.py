@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from test_qp import WEIGHTS, batch, infeasible, random_batch
 
-from htcp_jax.planner import step_qps
-from htcp_jax.planner.batch import plan
-from htcp_jax.planner.step_qps import make_solver
-from htcp_jax.scene.robot_file import gp50
-from htcp_jax.scene.scenario import make_scenario, stack
-from htcp_jax.scene.workpiece_file import load_workpiece
+from htcp_jax.io.robot_file import gp50
+from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.model.scenario import make_scenario, stack
+from htcp_jax.planning.batch import plan
+from htcp_jax.planning.tracking import step_qps
+from htcp_jax.planning.tracking.step_qps import make_solver
 from htcp_jax.settings import Settings
 from htcp_jax.solvers.active_set import solve_step
 from htcp_jax.solvers.clarabel_ import ClarabelSolver

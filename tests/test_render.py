@@ -15,7 +15,7 @@ from PIL import Image
 
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
-from htcp_jax.scene.kinematics import ArmShape, capsules_and_tcp
+from htcp_jax.model.kinematics import ArmShape, capsules_and_tcp
 from htcp_jax.status import Kind
 from htcp_jax.viewer import offscreen
 from htcp_jax.viewer.camera import fitted, kept, open_side

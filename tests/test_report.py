@@ -15,9 +15,9 @@ from markdown_it import MarkdownIt
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.examples import examples
-from htcp_jax.planner import batch
-from htcp_jax.planner.motion import MotionFigures
-from htcp_jax.planner.obstruction import Obstruction
+from htcp_jax.motion.motion import MotionFigures
+from htcp_jax.planning import batch
+from htcp_jax.reachability.obstruction import Obstruction
 from htcp_jax.report import paper, tables
 from htcp_jax.report.best import best
 from htcp_jax.report.cell import RunScene

@@ -8,6 +8,7 @@ import pytest
 from hand_made import plans_with
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.robot_file import gp50
 from htcp_jax.runs.plan_folder import (
     summary_record,
     write_json,
@@ -17,7 +18,6 @@ from htcp_jax.runs.plan_folder import (
 )
 from htcp_jax.runs.provenance import provenance
 from htcp_jax.runs.summary import summarise
-from htcp_jax.scene.robot_file import gp50
 from htcp_jax.status import Status
 
 PLANS = plans_with([[Status.TRACKED, Status.ESCAPE_EXHAUSTED, Status.NOT_ATTEMPTED]], joints=6)

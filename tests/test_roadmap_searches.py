@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from htcp_jax.planner.posture_tree import Posture, Tree
-from htcp_jax.planner.roadmap_searches import NONE, Members, Searches
+from htcp_jax.motion.posture_tree import Posture, Tree
+from htcp_jax.planning.beam.searches import NONE, Members, Searches
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 

@@ -13,8 +13,8 @@ from held import are_held
 import htcp_jax
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
-from htcp_jax.scene.kinematics import tcp_pose
-from htcp_jax.scene.robot_import import Cover, import_robot
+from htcp_jax.io.robot_import import Cover, import_robot
+from htcp_jax.model.kinematics import tcp_pose
 
 # A slide, three hinges, a gripper of two fingers; shapes of every kind that URDF has.
 URDF = """

@@ -7,18 +7,18 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
+from htcp_jax.clearance.obstacles.obstacles.scene import Scene
 
-from htcp_jax.clearance.motion_proof import Tube, Verdict, prove
-from htcp_jax.clearance.row_proof import between, rows_hold
-from htcp_jax.clearance.scene import Scene
-from htcp_jax.scene.goals import task_of, with_goals
-from htcp_jax.scene.kinematics import link_poses, tcp_pose
-from htcp_jax.scene.path_frames import PathFrames
-from htcp_jax.scene.robot import GP50
-from htcp_jax.scene.scenario import make_scenario
-from htcp_jax.scene.task import Task
-from htcp_jax.scene.task_list import TaskRow
-from htcp_jax.scene.workpiece import Workpiece
+from htcp_jax.clearance.proof.motion_proof import Tube, Verdict, prove
+from htcp_jax.clearance.proof.row_proof import between, rows_hold
+from htcp_jax.model.goals import task_of, with_goals
+from htcp_jax.model.kinematics import link_poses, tcp_pose
+from htcp_jax.model.path_frames import PathFrames
+from htcp_jax.model.robot import GP50
+from htcp_jax.model.scenario import make_scenario
+from htcp_jax.model.task import Task
+from htcp_jax.model.task_list import TaskRow
+from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.settings import Settings
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.task_check import Place, hold_between

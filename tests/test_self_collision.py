@@ -8,20 +8,20 @@ import made_once
 import mujoco
 import numpy as np
 import pytest
+from htcp_jax.clearance.obstacles.obstacles.obstacles import clearance_rows, clearances
+from htcp_jax.clearance.obstacles.obstacles.scene import Scene
+from htcp_jax.clearance.obstacles.obstacles.self_collision import SelfCollision, self_collision
 from test_joint_path import rail
 
-from htcp_jax.clearance.interval import row_travel_bound
-from htcp_jax.clearance.motion_bound import travel_bound
-from htcp_jax.clearance.motion_proof import Verdict, prove
-from htcp_jax.clearance.obstacles import clearance_rows, clearances
-from htcp_jax.clearance.scene import Scene
-from htcp_jax.clearance.segments import nearest_points
-from htcp_jax.clearance.self_collision import SelfCollision, self_collision
-from htcp_jax.scene.kinematics import capsule_segments, link_poses
-from htcp_jax.scene.robot import GP50, Robot
-from htcp_jax.scene.robot_file import load_robot
-from htcp_jax.scene.robot_import import import_robot
-from htcp_jax.scene.robot_xml import arm_xml
+from htcp_jax.clearance.distance.segments import nearest_points
+from htcp_jax.clearance.proof.interval import row_travel_bound
+from htcp_jax.clearance.proof.motion_bound import travel_bound
+from htcp_jax.clearance.proof.motion_proof import Verdict, prove
+from htcp_jax.io.robot_file import load_robot
+from htcp_jax.io.robot_import import import_robot
+from htcp_jax.io.robot_xml import arm_xml
+from htcp_jax.model.kinematics import capsule_segments, link_poses
+from htcp_jax.model.robot import GP50, Robot
 
 PLACES = 1000
 

@@ -6,15 +6,15 @@ import re
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from htcp_jax.clearance.obstacles.obstacles.self_collision import self_collision
+from htcp_jax.clearance.obstacles.obstacles.self_exclusions import distances, samples
 from published import path_of
 
 import htcp_jax
-from htcp_jax.clearance.self_collision import self_collision
-from htcp_jax.clearance.self_exclusions import distances, samples
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
-from htcp_jax.scene.link_meshes import LinkMeshes
-from htcp_jax.scene.robot_file import load_robot
+from htcp_jax.io.link_meshes import LinkMeshes
+from htcp_jax.io.robot_file import load_robot
 
 ARM = """<mujoco model="shelf"><compiler angle="radian"/><worldbody>
   <body name="a"><joint axis="0 0 1" range="-2.5 2.5"/>
@@ -66,7 +66,7 @@ def with_pair(arm, rule: str, one: str = "c", other: str = "a") -> None:
 
 def job(arm, tmp_path, start) -> dict:
     """Two points where the TCP is, and a little above."""
-    from htcp_jax.scene.kinematics import tcp_pose
+    from htcp_jax.model.kinematics import tcp_pose
 
     x, y, z = np.asarray(tcp_pose(load_robot(arm), jnp.array(start, float)))[:3, 3].tolist()
     with (tmp_path / "path.csv").open("w", newline="") as file:
@@ -131,7 +131,7 @@ def test_a_start_deeper_in_an_excluded_pair_than_random_configurations_is_refuse
 def test_a_sweep_records_such_a_start_and_goes_on(imported, tmp_path):
     from htcp_jax.jobs.build import obstacles_of, scene
     from htcp_jax.jobs.load_config import load_config
-    from htcp_jax.planner import batch
+    from htcp_jax.planning import batch
     from htcp_jax.status import Status
 
     arm = imported(0.0)

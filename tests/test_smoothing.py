@@ -22,17 +22,17 @@ from small_motions import (
     ways,
 )
 
+from htcp_jax.device.devices import choose
 from htcp_jax.errors import InputError
-from htcp_jax.planner import smoothing
-from htcp_jax.planner.batch import plan
-from htcp_jax.planner.devices import choose
-from htcp_jax.planner.knots import Knots
-from htcp_jax.planner.motion_check import judge_motions
-from htcp_jax.planner.plans import ARRAYS
-from htcp_jax.planner.problem import Problem
-from htcp_jax.scene.kinematics import jacobian, tcp_position
-from htcp_jax.scene.scenario import stack
-from htcp_jax.scene.task import Task
+from htcp_jax.model.kinematics import jacobian, tcp_position
+from htcp_jax.model.scenario import stack
+from htcp_jax.model.task import Task
+from htcp_jax.motion import smoothing
+from htcp_jax.motion.knots import Knots
+from htcp_jax.motion.motion_check import judge_motions
+from htcp_jax.motion.plans import ARRAYS
+from htcp_jax.motion.problem import Problem
+from htcp_jax.planning.batch import plan
 from htcp_jax.status import Way
 
 SMOOTH = replace(SMALL, smooth=True)

@@ -16,7 +16,7 @@ import pytest
 import sphere_references as references
 from scipy.optimize import linprog
 
-from htcp_jax.planner.null_space import sphere_problem
+from htcp_jax.planning.tracking.null_space import sphere_problem
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import sphere
 

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from test_motion_proof import motions
 
-from htcp_jax.clearance.bisection import Bisection, Proof, Verdict, begun, of_proven
-from htcp_jax.clearance.motion_proof import Tube, _next_interval
-from htcp_jax.planner.batching import Loop, chunked
-from htcp_jax.planner.kernel import Load, Table
-from htcp_jax.planner.lane_inputs import lane_inputs
-from htcp_jax.planner.programs import Kernels, Programs
-from htcp_jax.planner.proofs import proofs_of
-from htcp_jax.planner.stretches import by_stretches
-from htcp_jax.planner.tables import gather
-from htcp_jax.scene.scenario import stack
+from htcp_jax.clearance.proof.bisection import Bisection, Proof, Verdict, begun, of_proven
+from htcp_jax.clearance.proof.motion_proof import Tube, _next_interval
+from htcp_jax.device.batching import Loop, chunked
+from htcp_jax.device.kernel import Load, Table
+from htcp_jax.device.programs import Kernels, Programs
+from htcp_jax.device.stretches import by_stretches
+from htcp_jax.device.tables import gather
+from htcp_jax.model.scenario import stack
+from htcp_jax.motion.lane_inputs import lane_inputs
+from htcp_jax.motion.proofs import proofs_of
 from htcp_jax.settings import Settings
 from htcp_jax.status import Way
 

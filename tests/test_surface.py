@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from htcp_jax.scene.surface import CORNERS, Surface, discs, surface_of
+from htcp_jax.model.surface import CORNERS, Surface, discs, surface_of
 
 
 def tube(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -31,7 +31,7 @@ def test_the_discs_leave_few_gaps_in_a_tube():
 
 
 def test_a_big_cloud_is_thinned_and_the_same_each_time(monkeypatch):
-    monkeypatch.setattr("htcp_jax.scene.surface.MOST", 400)
+    monkeypatch.setattr("htcp_jax.model.surface.MOST", 400)
     points, _ = tube(500)
     first, second = surface_of(points), surface_of(points)
     assert len(first.points) == 400 and (first.points == second.points).all()

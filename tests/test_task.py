@@ -7,16 +7,16 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
+from htcp_jax.clearance.obstacles.obstacles.obstacle import bodies_at
 from own_obstacles import Floor
 
-from htcp_jax.clearance.obstacle import bodies_at
 from htcp_jax.errors import InputError
+from htcp_jax.model.inverse_kinematics import reanchor
+from htcp_jax.model.kinematics import link_poses, tcp_position
+from htcp_jax.model.scenario import Scenario, make_scenario
+from htcp_jax.model.task import TCP_POSITION, Task, TaskPoint
 from htcp_jax.numerics import null_basis
-from htcp_jax.planner.batch import plan
-from htcp_jax.scene.inverse_kinematics import reanchor
-from htcp_jax.scene.kinematics import link_poses, tcp_position
-from htcp_jax.scene.scenario import Scenario, make_scenario
-from htcp_jax.scene.task import TCP_POSITION, Task, TaskPoint
+from htcp_jax.planning.batch import plan
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import step_qp
 from htcp_jax.solvers.active_set import solve_step

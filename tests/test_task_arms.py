@@ -8,13 +8,13 @@ from scipy.spatial.transform import Rotation
 from small_cell import small_job
 
 import htcp_jax
+from htcp_jax.io.robot_import import import_robot
+from htcp_jax.io.robot_xml import arm_xml
 from htcp_jax.jobs.build import scene
 from htcp_jax.jobs.load_config import load_config
+from htcp_jax.model.kinematics import link_poses, tcp_pose
 from htcp_jax.runs.open import open_plans
 from htcp_jax.runs.plan_folder import TRAJECTORY
-from htcp_jax.scene.kinematics import link_poses, tcp_pose
-from htcp_jax.scene.robot_import import import_robot
-from htcp_jax.scene.robot_xml import arm_xml
 from htcp_jax.validation.validate import validate
 
 ON_PATH = {"point": "tcp", "on": "path"}

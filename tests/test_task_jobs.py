@@ -13,11 +13,11 @@ from htcp_jax import api
 from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.jobs.load_config import load_config
-from htcp_jax.planner.batch import plan
+from htcp_jax.model.kinematics import link_poses, tcp_pose
+from htcp_jax.model.robot import GP50
+from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.planning.batch import plan
 from htcp_jax.runs.plan_folder import SUMMARY, write_json
-from htcp_jax.scene.kinematics import link_poses, tcp_pose
-from htcp_jax.scene.robot import GP50
-from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.task_check import Place, check_rows
 from htcp_jax.validation.validate import validate

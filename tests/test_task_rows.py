@@ -8,11 +8,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
+from htcp_jax.model.inverse_kinematics import reanchor
+from htcp_jax.model.kinematics import link_poses, tcp_pose
+from htcp_jax.model.task import Task
+from htcp_jax.model.task_rows import AxisTowards, PointAlong, TaskPoint, Turned, axis_error, rotation_vector
 from htcp_jax.numerics import null_basis
-from htcp_jax.scene.inverse_kinematics import reanchor
-from htcp_jax.scene.kinematics import link_poses, tcp_pose
-from htcp_jax.scene.task import Task
-from htcp_jax.scene.task_rows import AxisTowards, PointAlong, TaskPoint, Turned, axis_error, rotation_vector
 
 Z, SKEW = (0.0, 0.0, 1.0), (0.6, 0.0, 0.8)
 TURNED = tuple(map(tuple, Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix().T.tolist()))

@@ -10,16 +10,16 @@ from published import MODELS, path_of
 from small_cell import small_job
 
 from htcp_jax.cli.main import main
-from htcp_jax.program.of_plan import program_of
 from htcp_jax.runs.open import open_plans
 from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.sweep import sweep
+from htcp_jax.trajectory.of_plan import program_of
 
 SCENARIOS, MOST_BYTES = 1000, 4 * 2**30
 TIME_ALL = """
 import sys
 from pathlib import Path
-from htcp_jax.program.whole_run import time_run
+from htcp_jax.trajectory.whole_run import time_run
 from htcp_jax.runs.run_folder import open_run
 time_run(open_run(sys.argv[1]), "50mm/s")
 print(next(line.split()[1] for line in Path("/proc/self/status").read_text().splitlines() if "VmHWM" in line))

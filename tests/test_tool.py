@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from htcp_jax.scene.kinematics import capsule_segments, tcp_position
-from htcp_jax.scene.robot import GP50, Robot, lengthen_tool
-from htcp_jax.scene.robot_file import load_robot
-from htcp_jax.scene.tool import ZERO, Tool, ToolBody, pose
+from htcp_jax.io.robot_file import load_robot
+from htcp_jax.model.kinematics import capsule_segments, tcp_position
+from htcp_jax.model.robot import GP50, Robot, lengthen_tool
+from htcp_jax.model.tool import ZERO, Tool, ToolBody, pose
 from htcp_jax.validation.mujoco_arm import Arm
 
 PIPE = Path(__file__).parents[1] / "configs" / "pipe" / "arm.xml"

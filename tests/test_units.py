@@ -12,15 +12,15 @@ import trimesh
 
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
+from htcp_jax.io import units
+from htcp_jax.io.robot_file import gp50
+from htcp_jax.io.workpiece_file import load_workpiece
 from htcp_jax.jobs.build import scene
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.jobs.load_config import load_config
-from htcp_jax.scene import units
-from htcp_jax.scene.kinematics import reach, tcp_position
-from htcp_jax.scene.robot_file import gp50
-from htcp_jax.scene.scenario import make_scenario
-from htcp_jax.scene.workpiece import Workpiece
-from htcp_jax.scene.workpiece_file import load_workpiece
+from htcp_jax.model.kinematics import reach, tcp_position
+from htcp_jax.model.scenario import make_scenario
+from htcp_jax.model.workpiece import Workpiece
 
 UNITS = {"millimetres": 1e3, "inches": 1 / 0.0254, "centimetres": 1e2, "kilometres": 1e-3}
 SEAM = np.linspace((0.02, 0.01, 0.015), (0.38, 0.015, 0.01), 41)

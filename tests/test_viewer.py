@@ -26,10 +26,10 @@ from PIL import Image
 
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
+from htcp_jax.model.kinematics import capsules_and_tcp
 from htcp_jax.process_exit import INTERRUPTED
-from htcp_jax.program.of_plan import program_of_plans
-from htcp_jax.scene.kinematics import capsules_and_tcp
 from htcp_jax.status import Way
+from htcp_jax.trajectory.of_plan import program_of_plans
 from htcp_jax.viewer.colours import FAILED
 from htcp_jax.viewer.playback import way
 from htcp_jax.viewer.replay import Replays

@@ -9,23 +9,23 @@ import numpy as np
 import pytest
 import stranger_jobs
 import trimesh
+from htcp_jax.clearance.obstacles.obstacles.contact_model import hold_contacts, predict_distances
+from htcp_jax.clearance.obstacles.obstacles.obstacle import rows_of
+from htcp_jax.clearance.obstacles.obstacles.obstacles import all_clear, clearance, clearances, contacts, is_clear
+from htcp_jax.clearance.obstacles.obstacles.of_workpiece import make_obstacle
 
-from htcp_jax.clearance.contact_model import hold_contacts, predict_distances
-from htcp_jax.clearance.obstacle import rows_of
-from htcp_jax.clearance.obstacles import all_clear, clearance, clearances, contacts, is_clear
-from htcp_jax.clearance.of_workpiece import make_obstacle
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import robot_of, scenario_of, scene, workpiece_of
 from htcp_jax.jobs.load_config import load_config
-from htcp_jax.planner.plans import is_tracked
-from htcp_jax.planner.registry import names
+from htcp_jax.model.kinematics import capsule_segments, tip_segment
+from htcp_jax.model.robot import Robot
+from htcp_jax.model.scenario import Scenario, interior_rule
+from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.motion.plans import is_tracked
+from htcp_jax.planning.registry import names
 from htcp_jax.runs.parameters import Parameters
 from htcp_jax.runs.plan_folder import read_plan
-from htcp_jax.scene.kinematics import capsule_segments, tip_segment
-from htcp_jax.scene.robot import Robot
-from htcp_jax.scene.scenario import Scenario, interior_rule
-from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.validation.mesh_clearance import axis_distances, goes_through
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, wall_of

@@ -13,7 +13,7 @@ import pytest
 from documented import ROOT
 
 from htcp_jax.cli.main import COMMANDS
-from htcp_jax.planner import compile_cache
+from htcp_jax.device import compile_cache
 
 # What would take longer than all other tests together is done in part.
 PART = {

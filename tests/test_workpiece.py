@@ -11,11 +11,11 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
-from htcp_jax.scene import duct
-from htcp_jax.scene.duct import NEUTRAL_TRANSLATION, PIVOT
-from htcp_jax.scene.point_cloud import load_cloud
-from htcp_jax.scene.workpiece import Workpiece
-from htcp_jax.scene.workpiece_file import load_workpiece, read_path
+from htcp_jax.io.point_cloud import load_cloud
+from htcp_jax.io.workpiece_file import load_workpiece, read_path
+from htcp_jax.model import duct
+from htcp_jax.model.duct import NEUTRAL_TRANSLATION, PIVOT
+from htcp_jax.model.workpiece import Workpiece
 
 REAL = Path(__file__).parents[2] / "shared" / "data" / "duct"
 needs_real_duct = pytest.mark.skipif(

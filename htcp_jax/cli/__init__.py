@@ -1,1 +1,1 @@
-"""The command `htcp`: one module a command."""
+"""The command `htcp`: one module per command, loaded when it is called. `main` lists them."""

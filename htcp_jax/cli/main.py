@@ -18,8 +18,8 @@ from typing import Annotated
 import typer
 from typer.core import TyperGroup
 
+from htcp_jax.device import compile_cache
 from htcp_jax.errors import InputError, Interrupted, Lost, Note
-from htcp_jax.planner import compile_cache
 from htcp_jax.process_exit import INTERRUPTED as STOPPED
 
 # Without a home folder to write into, matplotlib says so when it is imported; its fonts go elsewhere then.

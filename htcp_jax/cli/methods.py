@@ -1,7 +1,7 @@
 """`htcp methods`: the methods, and what each does."""
 
 from htcp_jax.cli.output import Json, print_json, print_table, stdout
-from htcp_jax.planner import registry
+from htcp_jax.planning import registry
 from htcp_jax.report.document import Column, Table
 
 COLUMNS = Column("method", "method"), Column("title", "name"), Column("description", "what it does")

@@ -11,13 +11,13 @@ from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
 from htcp_jax.cli.output import Device, Json, print_facts, print_json, print_table, progress_bars, stdout
+from htcp_jax.device.devices import choose
 from htcp_jax.errors import InputError
 from htcp_jax.placement.mounting import UNITS
 from htcp_jax.placement.place import PlaceProgress
 from htcp_jax.placement.place import place as search_places
 from htcp_jax.placement.placed import Placed
 from htcp_jax.placement.tolerance import LEVELS
-from htcp_jax.planner.devices import choose
 from htcp_jax.report.document import Column, Table
 from htcp_jax.report.place_pictures import draw_search
 from htcp_jax.runs import sweep as sweeps

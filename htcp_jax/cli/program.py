@@ -14,15 +14,15 @@ from htcp_jax.cli.output import Json, print_facts, print_json, print_table, prog
 from htcp_jax.cli.timing import print_timing, refuse_untimed, timed, timing_records
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.feed import feed_of
-from htcp_jax.program.figures import Figures, Share, figures
-from htcp_jax.program.loads import Load
-from htcp_jax.program.of_plan import OfPlan, asked_feed, program_of, with_program
-from htcp_jax.program.writers import FORMATS, format_of
 from htcp_jax.report.document import Column, Table
 from htcp_jax.runs.open import open_plans
 from htcp_jax.runs.plan_folder import SUMMARY, made_folder, write_text
 from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.timing_file import TIMING
+from htcp_jax.trajectory.figures import Figures, Share, figures
+from htcp_jax.trajectory.formats.writers import FORMATS, format_of
+from htcp_jax.trajectory.loads import Load
+from htcp_jax.trajectory.of_plan import OfPlan, asked_feed, program_of, with_program
 from htcp_jax.validation.timed_check import check_timed
 
 REFUTED, OVERLOADED = 1, 3  # exit codes

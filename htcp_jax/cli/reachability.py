@@ -22,9 +22,11 @@ from htcp_jax.cli.output import (
     progress_bars,
     stdout,
 )
+from htcp_jax.device.tables import concatenate, gather
 from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.jobs.grid import Batch, load_sweep
-from htcp_jax.planner.reachability import (
+from htcp_jax.model.scenario import Scenario
+from htcp_jax.reachability.reachability import (
     PROOF_CELLS,
     RESOLUTION_RAD,
     Reachability,
@@ -32,12 +34,10 @@ from htcp_jax.planner.reachability import (
     nothing_found,
     reachable_prefixes,
 )
-from htcp_jax.planner.tables import concatenate, gather
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.plan_folder import write_json, written_whole
 from htcp_jax.runs.reachability_file import REACHABILITY
 from htcp_jax.runs.run_folder import Run, open_run
-from htcp_jax.scene.scenario import Scenario
 
 Resolution = Annotated[
     float,

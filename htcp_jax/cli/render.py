@@ -10,9 +10,9 @@ from htcp_jax.cli.feed import OneWay, PlayedFeed, ProgramKeys, played_feed
 from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Json, print_facts, print_json, progress_bar
 from htcp_jax.errors import InputError
-from htcp_jax.program.of_plan import OfPlan, program_of
 from htcp_jax.runs.open import open_plans
 from htcp_jax.runs.plan_folder import written_whole
+from htcp_jax.trajectory.of_plan import OfPlan, program_of
 from htcp_jax.viewer import offscreen
 from htcp_jax.viewer.movie import KINDS, Film, check_kind, write_movie
 from htcp_jax.viewer.render import Studio

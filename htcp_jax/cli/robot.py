@@ -10,19 +10,19 @@ import numpy as np
 import typer
 from jaxtyping import Bool
 
-from htcp_jax.clearance.self_collision import self_collision
-from htcp_jax.clearance.self_exclusions import candidates, find_exclusions, samples
+from htcp_jax.clearance.obstacles.obstacles.self_collision import self_collision
+from htcp_jax.clearance.obstacles.obstacles.self_exclusions import candidates, find_exclusions, samples
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.errors import InputError
+from htcp_jax.io.capsule_fit import MOST
+from htcp_jax.io.link_meshes import LinkMeshes
+from htcp_jax.io.robot_file import load_robot
+from htcp_jax.io.robot_import import ImportedArm, body_name, import_robot
+from htcp_jax.io.robot_xml import Listed, arm_xml, in_words
+from htcp_jax.io.srdf import disabled_pairs
+from htcp_jax.model.robot import Robot
 from htcp_jax.report.document import Column, Table
 from htcp_jax.runs.plan_folder import write_text, written_whole
-from htcp_jax.scene.capsule_fit import MOST
-from htcp_jax.scene.link_meshes import LinkMeshes
-from htcp_jax.scene.robot import Robot
-from htcp_jax.scene.robot_file import load_robot
-from htcp_jax.scene.robot_import import ImportedArm, body_name, import_robot
-from htcp_jax.scene.robot_xml import Listed, arm_xml, in_words
-from htcp_jax.scene.srdf import disabled_pairs
 
 COLUMNS = (
     Column("body", "body"),

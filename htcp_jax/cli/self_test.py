@@ -11,12 +11,13 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from htcp_jax.device import compile_cache
 from htcp_jax.errors import InputError
-from htcp_jax.planner import batch, compile_cache
+from htcp_jax.io.robot_file import gp50
+from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.model.scenario import make_scenario
+from htcp_jax.planning import batch
 from htcp_jax.runs.provenance import provenance
-from htcp_jax.scene.robot_file import gp50
-from htcp_jax.scene.scenario import make_scenario
-from htcp_jax.scene.workpiece_file import load_workpiece
 from htcp_jax.viewer import offscreen
 
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)

@@ -25,8 +25,8 @@ from htcp_jax.cli.output import (
     stdout,
 )
 from htcp_jax.cli.timing import check_feed, print_timing, timed, timing_records
+from htcp_jax.device.devices import choose
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.planner.devices import choose
 from htcp_jax.report.document import Column, Table
 from htcp_jax.report.tables import without_empty
 from htcp_jax.runs import sweep as sweeps

@@ -9,10 +9,10 @@ from htcp_jax.cli.output import print_table, progress_bars, stdout
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.feed import feed_of
 from htcp_jax.jobs.grid import Sweep
-from htcp_jax.program.whole_run import check_limits, time_run
 from htcp_jax.report.timing import MEANING, timing_row, timing_table
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.timing_file import Timing
+from htcp_jax.trajectory.whole_run import check_limits, time_run
 
 
 def timed(run: Run, feed: str | None, methods: Sequence[str] | None, overrides: Sequence[str] = ()) -> Run:

@@ -14,8 +14,8 @@ from htcp_jax.cli.output import Overrides, stdout
 from htcp_jax.cli.plan import plan_with_progress
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.examples import example_or_path
-from htcp_jax.program.of_plan import OfPlan, program_of, program_of_plans
 from htcp_jax.runs.open import open_plans
+from htcp_jax.trajectory.of_plan import OfPlan, program_of, program_of_plans
 from htcp_jax.viewer.replay import Replays, recorded_replays, replays_of
 
 What = Annotated[

@@ -7,24 +7,24 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.clearance.obstacle import Obstacles
-from htcp_jax.clearance.of_cell import make_fixtures, placed_cloud
-from htcp_jax.clearance.self_collision import self_collision
+from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.obstacles.of_cell import make_fixtures, placed_cloud
+from htcp_jax.clearance.obstacles.obstacles.self_collision import self_collision
 from htcp_jax.errors import InputError
+from htcp_jax.io.cell import load_cell
+from htcp_jax.io.point_cloud import load_geometry
+from htcp_jax.io.robot_file import load_robot
+from htcp_jax.io.units import check_tool
+from htcp_jax.io.workpiece_file import load_workpiece
 from htcp_jax.jobs.config import CellConfig, PlanConfig, RobotConfig, WorkpieceConfig
-from htcp_jax.scene.cell import load_cell
-from htcp_jax.scene.fixture import Fixture
-from htcp_jax.scene.goals import follower, task_of, with_goals
-from htcp_jax.scene.point_cloud import load_geometry
-from htcp_jax.scene.robot import GP50, Robot, lengthen_tool
-from htcp_jax.scene.robot_file import load_robot
-from htcp_jax.scene.scenario import Scenario, make_scenario
-from htcp_jax.scene.surface import NOTHING, Drawn, Surface, surface_of
-from htcp_jax.scene.task import Task
-from htcp_jax.scene.tool import pose
-from htcp_jax.scene.units import check_tool
-from htcp_jax.scene.workpiece import Workpiece
-from htcp_jax.scene.workpiece_file import load_workpiece
+from htcp_jax.model.fixture import Fixture
+from htcp_jax.model.goals import follower, task_of, with_goals
+from htcp_jax.model.robot import GP50, Robot, lengthen_tool
+from htcp_jax.model.scenario import Scenario, make_scenario
+from htcp_jax.model.surface import NOTHING, Drawn, Surface, surface_of
+from htcp_jax.model.task import Task
+from htcp_jax.model.tool import pose
+from htcp_jax.model.workpiece import Workpiece
 
 
 def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:

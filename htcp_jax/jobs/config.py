@@ -11,12 +11,12 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, PlainSerializer, WrapValidator, field_validator
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.strict_model import Section
+from htcp_jax.io.strict_model import Section
 from htcp_jax.jobs.feed import feed_of
-from htcp_jax.planner.registry import NAME
-from htcp_jax.scene.duct import INTERIOR_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
-from htcp_jax.scene.task_list import TaskRow
-from htcp_jax.scene.tool import Tool
+from htcp_jax.model.duct import INTERIOR_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
+from htcp_jax.model.task_list import TaskRow
+from htcp_jax.model.tool import Tool
+from htcp_jax.planning.registry import NAME
 from htcp_jax.settings import Settings, renamed
 
 LARGEST = 1e6  # of lengths [m] and joint positions: beyond, the tolerance is lost to rounding

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.strict_yaml import parse_yaml, read_yaml
-from htcp_jax.scene.duct_seams import SEAMS
+from htcp_jax.io.duct_seams import SEAMS
+from htcp_jax.io.strict_yaml import parse_yaml, read_yaml
 
 BASE = "config"  # the key under which a file names the one that it builds on
 # Keys that name files, each with the words of the built-in parts.

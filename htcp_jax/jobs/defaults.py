@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.robot_model import read_robot_file
 from htcp_jax.jobs.config import AUTO, DEPENDENT, PlanConfig
 from htcp_jax.jobs.config_file import FILES, put
-from htcp_jax.scene.robot_model import read_robot_file
 
 TIP_CONTACT_M = 0.01  # of a part of one's own
 

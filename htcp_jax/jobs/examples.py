@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from htcp_jax.formats.strict_yaml import read_yaml
+from htcp_jax.io.strict_yaml import read_yaml
 
 _PACKAGE = Path(__file__).parents[1]
 ROOT = _PACKAGE / "examples" if (_PACKAGE / "examples").is_dir() else _PACKAGE.parent  # of a wheel, or of a checkout

@@ -22,9 +22,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from htcp_jax.clearance.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles
 from htcp_jax.errors import InputError
-from htcp_jax.formats.strict_model import Section, validate
+from htcp_jax.io.strict_model import Section, validate
 from htcp_jax.jobs.build import (
     arm_of,
     obstacles_of,
@@ -42,10 +42,10 @@ from htcp_jax.jobs.examples import read_spec
 from htcp_jax.jobs.grid_axes import FILE_KEYS, KEYS, MOST, Group, Point, read_grid
 from htcp_jax.jobs.grid_points import points_of
 from htcp_jax.jobs.load_config import read_config
-from htcp_jax.scene.robot import Robot
-from htcp_jax.scene.scenario import Scenario, stack
-from htcp_jax.scene.task import Task
-from htcp_jax.scene.workpiece import Workpiece
+from htcp_jax.model.robot import Robot
+from htcp_jax.model.scenario import Scenario, stack
+from htcp_jax.model.task import Task
+from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.settings import Settings
 
 

@@ -5,7 +5,7 @@ import json
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from htcp_jax.formats.strict_model import validate
+from htcp_jax.io.strict_model import validate
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.defaults import fill_in, value_at
 from htcp_jax.jobs.grid_axes import FILE_KEYS, Group, Point, hangs, put, varied_keys

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.strict_model import refuse_unknown, validate
+from htcp_jax.io.strict_model import refuse_unknown, validate
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.config_file import layers, layers_of, merged, parse_override, put
 from htcp_jax.jobs.defaults import fill_in, keys_of
 from htcp_jax.jobs.examples import example_or_path
-from htcp_jax.planner.registry import NAME
+from htcp_jax.planning.registry import NAME
 
 
 def load_config(

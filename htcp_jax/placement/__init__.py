@@ -1,1 +1,5 @@
-"""What is searched: ranges of a job's parameters, and the mountings in them that do the whole work, ranked."""
+"""Placement optimisation: ranges of a job's parameters, and the mountings in them that complete the path, ranked.
+
+`place_file` reads a search, `search` proposes mountings, `judge` plans them, `tolerance` plans them a little off,
+`placed` is the ranking on disk.
+"""

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.files import read_json
+from htcp_jax.io.files import read_json
 from htcp_jax.runs.plan_folder import write_json
 
 FILE = "seconds.json"

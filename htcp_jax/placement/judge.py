@@ -18,8 +18,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from htcp_jax.jobs.grid import Sweep, load_sweep
+from htcp_jax.motion.plans import Plans
 from htcp_jax.placement.place_file import CLEARANCE, Search
-from htcp_jax.planner.plans import Plans
 from htcp_jax.runs.run_folder import Run
 
 MARGIN = "margin_m"

@@ -23,6 +23,7 @@ from jaxtyping import Float
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.feed import feed_of
 from htcp_jax.jobs.grid import Sweep
+from htcp_jax.motion.plans import Plans
 from htcp_jax.placement.clock import Clock
 from htcp_jax.placement.judge import (
     MARGIN,
@@ -39,13 +40,12 @@ from htcp_jax.placement.place_file import CLEARANCE, CYCLE_TIME, Search, load_se
 from htcp_jax.placement.placed import Placed, searching, write
 from htcp_jax.placement.search import EVEN, FROM, POPULATION, ROUND, Evolution, Known, best_apart, even, score
 from htcp_jax.placement.tolerance import TRIED, disturbed, most_tried, tolerances
-from htcp_jax.planner.batch import start_clearance
-from htcp_jax.planner.plans import Plans
-from htcp_jax.program.whole_run import time_run
+from htcp_jax.planning.batch import start_clearance
 from htcp_jax.runs import sweep as sweeps
 from htcp_jax.runs.open import MOTIONS
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.status import AT_HOME, Status
+from htcp_jax.trajectory.whole_run import time_run
 
 MARGINS = 1.7, 1.4, 1.2, 1.05, 0.95, 0.8, 0.5  # of the clearance of the quick plan, that a motion is planned with
 LOWERED = 0.8, 0.4  # of its margin, with which a disturbed mounting is planned before the job's own margin

@@ -16,14 +16,14 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import Field, field_validator, model_validator
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.strict_model import Section, validate
+from htcp_jax.io.strict_model import Section, validate
 from htcp_jax.jobs.build import robot_of
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.examples import read_spec
 from htcp_jax.jobs.grid_axes import FILE_KEYS, absolute
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.placement.ranges import Ranges, read_ranges
-from htcp_jax.planner import registry
+from htcp_jax.planning import registry
 
 CLEARANCE, CYCLE_TIME = "clearance", "cycle time"
 AIMS = CLEARANCE, CYCLE_TIME, "joint motion"

@@ -22,7 +22,7 @@ import pyarrow as pa
 import yaml
 
 from htcp_jax.errors import InputError, Interrupted
-from htcp_jax.formats import files
+from htcp_jax.io import files
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.examples import example_or_path
 from htcp_jax.jobs.load_config import load_config

@@ -1,1 +1,1 @@
-"""What is told of sweeps: the paper's tables, charts, and the document that holds them."""
+"""Reports of sweeps: the paper's tables, charts, and the document that holds them (HTML, Markdown, CSV)."""

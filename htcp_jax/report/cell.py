@@ -11,8 +11,8 @@ from functools import cached_property
 from matplotlib.figure import Figure
 
 from htcp_jax.errors import InputError
-from htcp_jax.planner.obstruction import Obstruction
-from htcp_jax.planner.plans import Plans
+from htcp_jax.motion.plans import Plans
+from htcp_jax.reachability.obstruction import Obstruction
 from htcp_jax.runs.open import plans_of_run
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.viewer.picture import draw_cell

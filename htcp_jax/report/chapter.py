@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.examples import examples
 from htcp_jax.jobs.load_config import load_config
-from htcp_jax.planner.plans import Plans
+from htcp_jax.motion.plans import Plans
 from htcp_jax.report import charts, paper, tables
 from htcp_jax.report.best import best, best_of_all
 from htcp_jax.report.document import Block, Heading, Picture, Table

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 
-from htcp_jax.formats.files import write
+from htcp_jax.io.files import write
 from htcp_jax.markup import escaped
 
 NOTHING = "-"

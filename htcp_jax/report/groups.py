@@ -10,8 +10,8 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from htcp_jax.planner.motion import MotionFigures
-from htcp_jax.planner.plans import Plans
+from htcp_jax.motion.motion import MotionFigures
+from htcp_jax.motion.plans import Plans
 from htcp_jax.report import paper
 from htcp_jax.report.validation import read_validation
 from htcp_jax.runs.labels import column_of, labels_of, parameter_names, part, varying

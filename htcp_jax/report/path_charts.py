@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from htcp_jax.planner.plans import is_tracked, outcomes
+from htcp_jax.motion.plans import is_tracked, outcomes
 from htcp_jax.report.chart_style import (
     INK,
     PAPER,

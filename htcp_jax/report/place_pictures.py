@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Int
 from matplotlib.figure import Figure
 
-from htcp_jax.formats.files import write
+from htcp_jax.io.files import write
 from htcp_jax.placement.mounting import UNITS
 from htcp_jax.report.cell import RunScene
 from htcp_jax.report.chart_style import INK

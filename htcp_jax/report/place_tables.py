@@ -12,7 +12,7 @@ import pyarrow as pa
 from jaxtyping import Bool, Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.files import LARGEST, opened, read_json, read_parquet
+from htcp_jax.io.files import LARGEST, opened, read_json, read_parquet
 from htcp_jax.placement.mounting import MOUNTINGS, RANKED
 from htcp_jax.placement.mounting import UNITS as AIMS
 from htcp_jax.placement.ranges import UNITS

@@ -13,9 +13,9 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.files import write
+from htcp_jax.io.files import write
 from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.planner.registry import all_methods
+from htcp_jax.planning.registry import all_methods
 from htcp_jax.report.cell import RunScene
 from htcp_jax.report.chapter import chapter, choice, fits_presets, presets, tables_of
 from htcp_jax.report.document import Block, Column, Heading, Picture, Table, html, literal, markdown, png, write_csv

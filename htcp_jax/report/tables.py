@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Int
 
 from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.planner.motion import MotionFigures
-from htcp_jax.planner.plans import NO_TARGET, Plans
+from htcp_jax.motion.motion import MotionFigures
+from htcp_jax.motion.plans import NO_TARGET, Plans
 from htcp_jax.report.document import Column, Table
 from htcp_jax.report.groups import Part
 from htcp_jax.runs.summary import orientation_errors_deg

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.files import read_json
+from htcp_jax.io.files import read_json
 from htcp_jax.report.document import Block, Column, Heading, Table
 from htcp_jax.runs.plan_folder import VALIDATION
 from htcp_jax.runs.run_folder import Run

@@ -1,1 +1,5 @@
-"""What is kept: plans and sweeps on disk, written whole, found again by hash; made here or on a cluster."""
+"""Runs: plans and sweeps on disk, on this machine or a cluster.
+
+A run folder holds a manifest, which states its inputs, and shards of results, each written completely or not at all;
+`sweep` plans what is missing, `open.open_run` opens what is there. `plan_folder` is the folder of one plan.
+"""

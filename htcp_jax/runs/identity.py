@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.files import opened
+from htcp_jax.io.files import opened
 from htcp_jax.jobs.config import PlanConfig
 
 # Of a configuration: a run has methods of its own, may be planned anywhere, and its programs are made afterwards.

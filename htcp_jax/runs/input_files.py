@@ -3,10 +3,10 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from htcp_jax.formats.safe_xml import files_of
+from htcp_jax.io.cell import files_of_cell
+from htcp_jax.io.safe_xml import files_of
 from htcp_jax.jobs.config_file import named_files
 from htcp_jax.runs.identity import file_hash
-from htcp_jax.scene.cell import files_of_cell
 
 PARTS = {"robot.model": files_of, "cell.model": files_of_cell}  # the files of which one named so is made
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from htcp_jax.planner.motion import MotionFigures
+from htcp_jax.motion.motion import MotionFigures
 from htcp_jax.runs.timing_file import COLUMNS
 
 RESULTS = (

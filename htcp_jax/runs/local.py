@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Int
 
+from htcp_jax.device.tables import gather
 from htcp_jax.jobs.grid import Batch, Cell
-from htcp_jax.planner import batch
-from htcp_jax.planner.plans import Plans
-from htcp_jax.planner.tables import gather
+from htcp_jax.model.scenario import Scenario
+from htcp_jax.motion.plans import Plans
+from htcp_jax.planning import batch
 from htcp_jax.runs.manifest import Span
 from htcp_jax.runs.provenance import planned_by
-from htcp_jax.scene.scenario import Scenario
 
 
 class Shard(NamedTuple):

@@ -4,9 +4,9 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
-from htcp_jax.formats.strict_model import Section
+from htcp_jax.io.strict_model import Section
 from htcp_jax.jobs.grid_axes import MOST
-from htcp_jax.planner.registry import NAME
+from htcp_jax.planning.registry import NAME
 from htcp_jax.runs.identity import config_hash, identity
 
 MANIFEST = "manifest.json"

@@ -5,15 +5,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from htcp_jax.planner.motion import curvature, dwells, figures, motions, tightest
-from htcp_jax.planner.plans import Outcome, Plans
+from htcp_jax.motion.motion import curvature, dwells, figures, motions, tightest
+from htcp_jax.motion.plans import Outcome, Plans
 from htcp_jax.status import Kind
 
 LEAST_MM = 0.01  # smaller bounds say that the arm is clear, and no more
 
 
 class MotionSummary(NamedTuple):
-    """Figures of the executable part, see `planner.motion`; NaN and None where there is nothing to measure."""
+    """Figures of the executable part, see `motion.motion`; NaN and None where there is nothing to measure."""
 
     end: Outcome
     dwells: tuple[int, ...]  # targets at which the arm changes its posture
@@ -70,7 +70,7 @@ class MotionSummary(NamedTuple):
 
 
 def summarise_motion(plans: Plans, on_path: int, scenario: int = 0) -> MotionSummary:
-    """That of the scenario in one row of `plans`; on_path: see `planner.motion`."""
+    """That of the scenario in one row of `plans`; on_path: see `motion.motion`."""
     alone = plans.rows([scenario])
     (found,) = zip(*figures(alone, on_path), strict=True)
     _, cost, step, bend, clearance = map(float, found)

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.files import read_json
-from htcp_jax.formats.strict_model import validate
+from htcp_jax.io.files import read_json
+from htcp_jax.io.strict_model import validate
 from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.planner.knots import Knots
-from htcp_jax.planner.plans import EMPTY, Plans
+from htcp_jax.motion.knots import Knots
+from htcp_jax.motion.plans import EMPTY, Plans
 from htcp_jax.runs import parameters
 from htcp_jax.runs.identity import file_hash, refuse_changed
 from htcp_jax.runs.manifest import MANIFEST

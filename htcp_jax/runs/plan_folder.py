@@ -15,11 +15,11 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats import files
-from htcp_jax.planner.motion import Motion
-from htcp_jax.planner.plans import ARRAYS, Plans
+from htcp_jax.io import files
+from htcp_jax.model.robot import Robot
+from htcp_jax.motion.motion import Motion
+from htcp_jax.motion.plans import ARRAYS, Plans
 from htcp_jax.runs.summary import Summary
-from htcp_jax.scene.robot import Robot
 from htcp_jax.status import Kind, Status, Way
 from htcp_jax.unfinished import temporary_folder
 
@@ -120,7 +120,7 @@ def write_trajectory_csv(file: Path, robot: Robot, plans: Plans, row: int = 0) -
 
 
 def write_motion_csv(file: Path, robot: Robot, motion: Motion) -> None:
-    """One line a posture that the arm passes: its target and `status.Kind`, see `planner.motion`, and the joints; none
+    """One line a posture that the arm passes: its target and `status.Kind`, see `motion.motion`, and the joints; none
     where no target is executable. Numbers read back exactly."""
     kinds = [Kind(kind).name for kind in motion.kind.tolist()]
     _write_csv(file, {"target": motion.target, "kind": kinds, **_joints(robot, motion.x)})

@@ -18,14 +18,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
+from htcp_jax.device import compile_cache
 from htcp_jax.errors import InputError, Lost
 from htcp_jax.jobs.config import PlanConfig, RayConfig
 from htcp_jax.jobs.grid import Batch, Cell
-from htcp_jax.planner import compile_cache, registry
-from htcp_jax.planner.plans import Plans
+from htcp_jax.model.scenario import Scenario
+from htcp_jax.motion.plans import Plans
+from htcp_jax.planning import registry
 from htcp_jax.runs.local import Planned, Shard, plan_cells, scenarios_of
 from htcp_jax.runs.provenance import planned_by
-from htcp_jax.scene.scenario import Scenario
 
 ANSWER_S = 5.0  # for a connection to a cluster, and for its first answer
 HTTP2 = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))  # how a gRPC client begins

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.formats.files import read_json
+from htcp_jax.io.files import read_json
 from htcp_jax.runs.run_folder import Run
 
 REACHABILITY, OLD_NAME = "reachability.json", "ceiling.json"  # the second in version 0.1; read for one version more

@@ -20,13 +20,13 @@ import pyarrow as pa
 from pydantic import ValidationError
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.files import opened, read_json, read_parquet
-from htcp_jax.formats.strict_model import validate
+from htcp_jax.io.files import opened, read_json, read_parquet
+from htcp_jax.io.strict_model import validate
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.grid_axes import Point, from_record, varied_keys
 from htcp_jax.jobs.grid_points import points_of
+from htcp_jax.motion.plans import Plans
 from htcp_jax.notebook import html_facts
-from htcp_jax.planner.plans import Plans
 from htcp_jax.runs.labels import labels_of
 from htcp_jax.runs.manifest import MANIFEST, TABLES, FileRecord, Manifest, Seconds, ShardRecord, Span, shard_name, spans
 from htcp_jax.runs.plan_folder import SUMMARY

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.planner.plans import Outcomes, Plans
+from htcp_jax.motion.plans import Outcomes, Plans
 from htcp_jax.status import Status
 
 

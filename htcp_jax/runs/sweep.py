@@ -19,13 +19,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from htcp_jax.device.devices import choose
 from htcp_jax.errors import InputError, Interrupted, Lost
 from htcp_jax.jobs.grid import Batch, Sweep, load_sweep
 from htcp_jax.jobs.grid_axes import FILE_KEYS, MOST, record
-from htcp_jax.planner import registry
-from htcp_jax.planner.batch import Progress as ShardProgress
-from htcp_jax.planner.devices import choose
-from htcp_jax.planner.plans import Plans
+from htcp_jax.motion.plans import Plans
+from htcp_jax.planning import registry
+from htcp_jax.planning.batch import Progress as ShardProgress
 from htcp_jax.process_exit import stop_message
 from htcp_jax.runs import writer
 from htcp_jax.runs.identity import config_hash, identity
@@ -130,7 +130,7 @@ def sweep(
 
 
 def device_of(on: str, device: str | None) -> str | None:
-    """What a command computes on, see `planner.devices`: with Ray on the CPU, where it takes no GPU's memory from the
+    """What a command computes on, see `device.devices`: with Ray on the CPU, where it takes no GPU's memory from the
     worker beside it. Raises InputError for a place that is none, and for another device beside Ray."""
     if on == "here":
         return device

@@ -19,7 +19,7 @@
     knots          list of double   postures that the arm passes on that way, joint by joint, one after the other; null
                             where it is a straight joint path
     escape         int8     0 none, k: stage k of the method's escapes; one beyond its last: planned backwards from a
-                            posture drawn at a later target, see `planner.backwards`
+                            posture drawn at a later target, see `planning.tracking.backwards`
     <joint>_rad    double   configuration x, a column a joint (<joint>_m where it slides)
     tcp_x_m ...    double   tool centre point, world; three columns
     target_x_m ... double   where it should be, world; never null
@@ -58,13 +58,13 @@ import numpy as np
 import pyarrow as pa
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.files import GROWTH
+from htcp_jax.io.files import GROWTH
 from htcp_jax.jobs.grid_axes import Point
-from htcp_jax.planner.knots import Knots
-from htcp_jax.planner.motion import MotionFigures, figures
-from htcp_jax.planner.plans import EMPTY, NO_TARGET, Outcomes, Plans
+from htcp_jax.model.robot import Robot
+from htcp_jax.motion.knots import Knots
+from htcp_jax.motion.motion import MotionFigures, figures
+from htcp_jax.motion.plans import EMPTY, NO_TARGET, Outcomes, Plans
 from htcp_jax.runs import parameters
-from htcp_jax.scene.robot import Robot
 from htcp_jax.status import Status, Way
 
 if TYPE_CHECKING:

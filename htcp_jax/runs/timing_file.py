@@ -27,7 +27,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.files import LARGEST, opened, parquet_bytes, read_parquet
+from htcp_jax.io.files import LARGEST, opened, parquet_bytes, read_parquet
 
 TIMING, MADE = "timing", b"htcp_jax"
 HELD_OVER = 0.99  # of the path's length: a scenario holds its feed

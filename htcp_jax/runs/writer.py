@@ -9,8 +9,8 @@ from typing import Any
 import pyarrow as pa
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.files import make_folder, parquet_bytes, write
-from htcp_jax.planner.plans import Plans
+from htcp_jax.io.files import make_folder, parquet_bytes, write
+from htcp_jax.motion.plans import Plans
 from htcp_jax.runs.identity import differences, identity
 from htcp_jax.runs.manifest import MANIFEST, TABLES, FileRecord, Manifest, Seconds, ShardRecord, Span, shard_name, spans
 from htcp_jax.runs.provenance import planned_by

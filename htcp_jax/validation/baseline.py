@@ -22,9 +22,9 @@ import yaml
 from pydantic import Field, model_validator
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.strict_model import Section, validate
-from htcp_jax.formats.strict_yaml import read_yaml
-from htcp_jax.planner.plans import Outcome
+from htcp_jax.io.strict_model import Section, validate
+from htcp_jax.io.strict_yaml import read_yaml
+from htcp_jax.motion.plans import Outcome
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.runs.labels import counted
 from htcp_jax.runs.manifest import Manifest, MethodName

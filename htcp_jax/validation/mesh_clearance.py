@@ -12,7 +12,7 @@ import trimesh
 from jaxtyping import Bool, Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.files import read_bytes
+from htcp_jax.io.files import read_bytes
 
 GRAINS = 100_000  # pieces that the triangles are cut into, about, so that a tree of their middles says where they are
 AT_ONCE = 500_000  # pairs of an axis and a triangle in memory

@@ -16,9 +16,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.safe_xml import read_spec
-from htcp_jax.scene.link_meshes import LinkMeshes
-from htcp_jax.scene.tool import ZERO, Tool
+from htcp_jax.io.link_meshes import LinkMeshes
+from htcp_jax.io.safe_xml import read_spec
+from htcp_jax.model.tool import ZERO, Tool
 from htcp_jax.types import Triple
 
 PROBE_M = 1e-9  # radius of the sphere that stands for a point of the cloud; distances are corrected by it

@@ -16,9 +16,9 @@ import trimesh
 from jaxtyping import Bool, Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.safe_xml import read_spec
+from htcp_jax.io.point_cloud import load_geometry
+from htcp_jax.io.safe_xml import read_spec
 from htcp_jax.jobs.config import CellConfig
-from htcp_jax.scene.point_cloud import load_geometry
 from htcp_jax.validation.mujoco_arm import FAR_M, Arm, Postures
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
 from htcp_jax.validation.own_pairs import OwnPairs, own_pairs, touch_m

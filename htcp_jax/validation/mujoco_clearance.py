@@ -26,7 +26,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import ConvexHull, cKDTree
 
 from htcp_jax.jobs.config import WorkpieceConfig
-from htcp_jax.scene.workpiece import Workpiece
+from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.validation.mesh_clearance import axis_distances, goes_through, in_grains, read_triangles
 from htcp_jax.validation.mujoco_arm import Arm, Postures
 

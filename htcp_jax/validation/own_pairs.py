@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.scene.link_meshes import LinkMeshes
-from htcp_jax.scene.robot import TOUCHING_M
+from htcp_jax.io.link_meshes import LinkMeshes
+from htcp_jax.model.robot import TOUCHING_M
 from htcp_jax.validation.mujoco_arm import Arm, Postures
 
 SAMPLES, SEED = 10_000, 1

@@ -8,9 +8,9 @@ import numpy as np
 
 from htcp_jax.jobs.build import arm_of, part_of, robot_of, workpiece_of
 from htcp_jax.jobs.config import PlanConfig, RobotConfig, WorkpieceConfig
-from htcp_jax.planner.plans import Plans
+from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.motion.plans import Plans
 from htcp_jax.runs.open import PlanSet, open_plans
-from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.status import Way
 from htcp_jax.validation.scene_rules import Results, Track
 

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from htcp_jax.jobs.config import PlanConfig, WorkpieceConfig
+from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.runs.parameters import Parameters
-from htcp_jax.scene.workpiece import Workpiece
 
 
 class Track(NamedTuple):

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from htcp_jax.scene.task_list import TaskRow
-from htcp_jax.scene.workpiece import Workpiece
+from htcp_jax.model.task_list import TaskRow
+from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.settings import Settings
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.result import ROUNDING_M

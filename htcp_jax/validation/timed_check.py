@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.tip_guard import make_tip_guard
-from htcp_jax.planner.motion import ONE_POINT_M
-from htcp_jax.program.timed import Timed
-from htcp_jax.scene.workpiece import Workpiece
+from htcp_jax.clearance.obstacles.obstacles.tip_guard import make_tip_guard
+from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.motion.motion import ONE_POINT_M
 from htcp_jax.status import Kind
+from htcp_jax.trajectory.timed import Timed
 from htcp_jax.validation.mujoco_arm import Postures
 from htcp_jax.validation.mujoco_clearance import CheckedScene
 from htcp_jax.validation.records import read_results

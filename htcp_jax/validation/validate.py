@@ -23,11 +23,11 @@ import numpy as np
 import scipy
 
 from htcp_jax.errors import InputError
-from htcp_jax.formats.files import read_json
+from htcp_jax.io.files import read_json
 from htcp_jax.jobs.build import arm_of, part_of, shape_of
 from htcp_jax.jobs.config import RobotConfig
+from htcp_jax.model.robot import GP50
 from htcp_jax.runs.plan_folder import SUMMARY, VALIDATION, write_json
-from htcp_jax.scene.robot import GP50
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_cell import Beside
 from htcp_jax.validation.mujoco_clearance import Wall, wall_of

@@ -1,1 +1,5 @@
-"""What is seen of plans: pictures, movies, and the page in the browser."""
+"""Pictures and movies of plans, and the page in the browser.
+
+`picture` draws a workcell off screen, `render` makes pictures, GIFs and movies, `browser` serves the page with timeline
+and plots; `access` restricts who may open it.
+"""

@@ -12,7 +12,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
-from htcp_jax.scene.robot_import import ImportedArm, body_name
+from htcp_jax.io.robot_import import ImportedArm, body_name
 from htcp_jax.viewer.colours import DWELL, INK, PAPER, TOOL, WALL
 from htcp_jax.viewer.picture import stadium
 

@@ -6,7 +6,7 @@ import numpy as np
 import viser
 from jaxtyping import Float
 
-from htcp_jax.scene.kinematics import ArmShape
+from htcp_jax.model.kinematics import ArmShape
 from htcp_jax.viewer.browser_scene import Stage
 from htcp_jax.viewer.camera import kept, open_side, sight
 from htcp_jax.viewer.replay import Replay

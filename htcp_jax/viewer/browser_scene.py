@@ -10,9 +10,9 @@ import trimesh
 import viser
 from jaxtyping import Float
 
-from htcp_jax.planner.obstruction import Obstruction
-from htcp_jax.scene.kinematics import ArmShape
-from htcp_jax.scene.surface import Surface
+from htcp_jax.model.kinematics import ArmShape
+from htcp_jax.model.surface import Surface
+from htcp_jax.reachability.obstruction import Obstruction
 from htcp_jax.viewer.colours import (
     DWELL,
     FAILED,

@@ -3,7 +3,7 @@
 import numpy as np
 
 from htcp_jax.markup import escaped
-from htcp_jax.planner.plans import Outcome
+from htcp_jax.motion.plans import Outcome
 from htcp_jax.status import Status, Way
 from htcp_jax.viewer.replay import Replay, Replays
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from htcp_jax.scene.kinematics import ArmShape
+from htcp_jax.model.kinematics import ArmShape
 from htcp_jax.viewer.colours import is_tool
 from htcp_jax.viewer.replay import Replay
 from htcp_jax.viewer.sides import ABOVE_RAD, View, towards_camera

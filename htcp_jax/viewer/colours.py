@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Int8
 
-from htcp_jax.planner.plans import is_tracked
-from htcp_jax.scene.robot import Robot
+from htcp_jax.model.robot import Robot
+from htcp_jax.motion.plans import is_tracked
 from htcp_jax.status import Kind, Status
 
 LINKS, TOOL, INK, PAPER, FAILED = "#8d99a6", "#3c6e71", "#22303c", "#ffffff", "#c8102e"

@@ -6,7 +6,7 @@ that is tracked, though the slider goes on to `last`.
 
 import numpy as np
 
-from htcp_jax.program.of_plan import OfPlan
+from htcp_jax.trajectory.of_plan import OfPlan
 from htcp_jax.viewer.playback import at, way
 from htcp_jax.viewer.posture import Posture
 from htcp_jax.viewer.replay import Replay

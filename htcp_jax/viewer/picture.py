@@ -15,14 +15,14 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from matplotlib.ticker import FuncFormatter
 
-from htcp_jax.planner.obstruction import Obstruction
-from htcp_jax.planner.plans import Outcome, Plans
+from htcp_jax.model.kinematics import ArmShape, capsules_and_tcp
+from htcp_jax.model.robot import Robot
+from htcp_jax.model.scenario import Scenario
+from htcp_jax.model.surface import NOTHING, Drawn
+from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.motion.plans import Outcome, Plans
+from htcp_jax.reachability.obstruction import Obstruction
 from htcp_jax.runs.motion_summary import MotionSummary, summarise_motion
-from htcp_jax.scene.kinematics import ArmShape, capsules_and_tcp
-from htcp_jax.scene.robot import Robot
-from htcp_jax.scene.scenario import Scenario
-from htcp_jax.scene.surface import NOTHING, Drawn
-from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.viewer.colours import (
     DWELL,
     FAILED,

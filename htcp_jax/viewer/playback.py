@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.scene.kinematics import ArmShape
+from htcp_jax.model.kinematics import ArmShape
 from htcp_jax.status import Kind
 from htcp_jax.viewer.posture import Posture, arms_at, postures
 from htcp_jax.viewer.replay import Replay

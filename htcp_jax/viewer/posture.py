@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.scene.kinematics import ArmShape, capsules_and_tcp
-from htcp_jax.scene.robot import Robot
+from htcp_jax.model.kinematics import ArmShape, capsules_and_tcp
+from htcp_jax.model.robot import Robot
 
 
 class Posture(NamedTuple):

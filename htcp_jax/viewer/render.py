@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from jaxtyping import UInt8
 
-from htcp_jax.scene.surface import CORNERS, discs
+from htcp_jax.model.surface import CORNERS, discs
 from htcp_jax.viewer.camera import kept, open_side, sight
 from htcp_jax.viewer.colours import (
     DWELL,

@@ -17,20 +17,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int8
 
-from htcp_jax.clearance.obstacle import Obstacles, rows_of
-from htcp_jax.clearance.obstacles import contacts
+from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles, rows_of
+from htcp_jax.clearance.obstacles.obstacles.obstacles import contacts
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.planner.motion import Motion, motions
-from htcp_jax.planner.obstruction import Obstruction, blocked_target, obstructions
-from htcp_jax.planner.plans import Outcome, Plans, is_tracked, outcomes
+from htcp_jax.model.kinematics import ArmShape, capsules_and_tcp
+from htcp_jax.model.robot import Robot, lengthen_tool
+from htcp_jax.model.scenario import Scenario
+from htcp_jax.model.surface import Drawn, Surface
+from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.motion.motion import Motion, motions
+from htcp_jax.motion.plans import Outcome, Plans, is_tracked, outcomes
+from htcp_jax.reachability.obstruction import Obstruction, blocked_target, obstructions
 from htcp_jax.runs.motion_summary import MotionSummary, summarise_motion
 from htcp_jax.runs.open import PlanSet, open_plans
-from htcp_jax.scene.kinematics import ArmShape, capsules_and_tcp
-from htcp_jax.scene.robot import Robot, lengthen_tool
-from htcp_jax.scene.scenario import Scenario
-from htcp_jax.scene.surface import Drawn, Surface
-from htcp_jax.scene.workpiece import Workpiece
 from htcp_jax.viewer.colours import is_tool
 from htcp_jax.viewer.needles import Needles, needles
 from htcp_jax.viewer.sides import Bodies, Side, camera_side

@@ -7,18 +7,18 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.clearance.obstacle import Obstacles
-from htcp_jax.clearance.of_workpiece import all_obstacles
+from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.obstacles.of_workpiece import all_obstacles
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import arm_of, drawn_of, obstacles_of, part_of, robot_of, workpiece_of
 from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.model.robot import Robot
+from htcp_jax.model.scenario import Scenario, interior_plane_of
+from htcp_jax.model.surface import Drawn, Surface, surface_of
+from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.runs.open import FolderPlan, PlanSet
 from htcp_jax.runs.parameters import Parameters
 from htcp_jax.runs.plan_folder import TRAJECTORY
-from htcp_jax.scene.robot import Robot
-from htcp_jax.scene.scenario import Scenario, interior_plane_of
-from htcp_jax.scene.surface import Drawn, Surface, surface_of
-from htcp_jax.scene.workpiece import Workpiece
 
 MOST_CELLS = 8  # robots and workpieces of one run in memory
 

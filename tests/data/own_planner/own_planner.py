@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import htcp_jax
-from htcp_jax.planner.plans import Plans
-from htcp_jax.planner.problem import Problem
-from htcp_jax.scene.robot import lengthen_tool
+from htcp_jax.model.robot import lengthen_tool
+from htcp_jax.motion.plans import Plans
+from htcp_jax.motion.problem import Problem
 from htcp_jax.status import Status
 
 RESTARTS, SPREAD_RAD = 64, 0.3

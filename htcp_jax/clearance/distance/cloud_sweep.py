@@ -1,0 +1,76 @@
+"""How clear a capsule stays of a cloud while it moves, to second order.
+
+Let the ends of its axis move by p(s) = p + s p' and less than b beside that, for |s| <= h, and let n be the unit vector
+from a point w of the cloud to the nearest point of the axis at the middle (Ericson, Real-Time Collision Detection,
+section 5.1.2). The plane through w normal to n keeps the axis from w by at least as much as the lower of its two ends,
+so that on all of the way
+
+    distance >= min(n.(p - w) - h |n.p'|, n.(q - w) - h |n.q'|) - b.
+
+Only motion towards the point counts, as in the directed bounds of conservative advancement (Tang, Kim and Manocha, C2A,
+ICRA 2009): motion along a wall costs nothing, where a bound on how far a body moves has to have that much room. Points
+that are further away than the body moves are passed over, and found to be so by the bounds of their clusters.
+"""
+
+import jax
+import jax.numpy as jnp
+
+from htcp_jax.clearance.distance.bounding_discs import Segments, arm, as_segments, single, spread
+from htcp_jax.clearance.distance.cloud_index import CloudIndex
+from htcp_jax.clearance.distance.cloud_tree_gpu import least_in_reach
+from htcp_jax.clearance.distance.cloud_tree_walk import empty_lists, for_each_leaf, in_reach
+from htcp_jax.clearance.distance.sweep import Sweep, Wanted
+from htcp_jax.gpu_kernel import has_gpu
+from htcp_jax.numerics import one_by_one
+from htcp_jax.types import Array, Bool, Float
+
+
+def clear_along(
+    index: CloudIndex,
+    p: Float[Array, "K 3"],
+    q: Float[Array, "K 3"],
+    sweep: Sweep,
+    reach: Float[Array, "K"],
+    asked: Bool[Array, "K"],
+    wanted: Wanted,
+) -> Float[Array, "K"]:
+    """How clear bodies of radius `reach` about the segments p q stay while they sweep, all in the cloud's frame, at
+    least [m]; at most as much as is enough, which is also what one counts as that was not asked about. Once one does
+    not stay clear by the least that will do, the search ends, for the other bodies as well."""
+    return _clear_along(index, p, q, *sweep, reach, asked, *wanted)
+
+
+@one_by_one
+def _clear_along(index: CloudIndex, p, q, p_moves, q_moves, bend, travel, reach, asked, least, enough):
+    seen, moving = jnp.where(asked, enough + travel + reach, -1.0), (p, q, p_moves, q_moves, bend, travel, reach)
+    if has_gpu():  # where none waits for what another one finds
+        return least_in_reach(index, p, q, seen, jnp.broadcast_to(enough, reach.shape), _stays_clear, *moving)
+    segments, moving = as_segments(p, q), tuple(a.T for a in moving)
+    top = in_reach(spread(single(segments), 1), index.levels[0][0][:, None, :], seen[:, None])
+
+    def look(k, state):
+        clear, lists = state
+        segment, own = jax.tree.map(lambda a: a[..., k], (segments, moving))
+        beyond = jnp.all(clear >= least)  # nothing is in reach of a body that need not be looked at
+
+        def measure(leaf, clear):
+            return jnp.minimum(clear, _stays_clear(segment, *own, index.points[leaf]))
+
+        near = jnp.where(beyond, seen[k], -1.0), jnp.where(beyond, top[k], 0)
+        found, lists = for_each_leaf(index, segment, *near, measure, enough, lists)
+        return clear.at[k].set(found), lists
+
+    start = jnp.broadcast_to(enough, reach.shape), empty_lists(index)
+    return jax.lax.fori_loop(0, len(reach), look, start)[0]
+
+
+def _stays_clear(segment: Segments, p, q, p_moves, q_moves, bend, travel, reach, points):
+    """How clear one body stays of points (3, n), by the plane between each of them and the body, or by its travel."""
+    towards = [-a for a in arm(segment, points)]
+    distance = jnp.sqrt(sum(a * a for a in towards))
+    first, second = (
+        sum(towards[i] * (end[i] - points[i]) for i in range(3)) - jnp.abs(sum(towards[i] * moves[i] for i in range(3)))
+        for end, moves in ((p, p_moves), (q, q_moves))
+    )
+    by_plane = jnp.minimum(first, second) / jnp.maximum(distance, 1e-300) - bend
+    return jnp.min(jnp.maximum(by_plane, distance - travel)) - reach

@@ -1,0 +1,114 @@
+"""Exact nearest point of a cloud to a line segment, by branch and bound over a tree of clusters.
+
+The cloud is cut once into balanced leaves of 16 points; 16 neighbouring leaves make a cluster, 16 of these the next
+larger one, and so on up to a top of few. Each is bounded by a flat disc (see `bounding_discs`). A search opens every
+cluster whose bound is not above the smallest distance found: that is the certificate, and nothing is returned without
+it. How it goes about that depends on the machine: `cloud_tree_walk`, and `cloud_tree_gpu` for GPUs.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from htcp_jax.clearance.distance import branch_and_bound, cloud_tree_gpu, cloud_tree_walk
+from htcp_jax.clearance.distance.bounding_discs import as_segments, bounding_discs, spread, squared_distance
+from htcp_jax.clearance.distance.branch_and_bound import FAN
+from htcp_jax.clearance.distance.cloud_index import CloudIndex
+from htcp_jax.gpu_kernel import has_gpu
+from htcp_jax.numerics import one_by_one
+from htcp_jax.types import Array, Float, Int
+
+TOP = 31  # clusters at the top, at most: a search keeps them as bits of one number
+
+
+def build_index(points: Float[np.ndarray, "P 3"]) -> CloudIndex:
+    """Index of a cloud of P >= 1 points [m]. Clusters that are short of points repeat one of their own."""
+    depth = 2
+    while len(points) > TOP * FAN**depth:
+        depth += 1
+    top = -(-len(points) // FAN**depth)
+    rows = _tree(points, np.arange(len(points)), top, depth)
+    counts = [top * FAN**level for level in range(depth)]
+    bounds = [bounding_discs(points[rows.reshape(count, -1)]) for count in counts]
+    levels = [b.reshape(parents, -1, 8).transpose(0, 2, 1) for b, parents in zip(bounds, [1, *counts], strict=False)]
+    leaves = rows.reshape(-1, FAN)
+    index = CloudIndex(
+        levels=tuple(level.astype(np.float32) for level in levels),
+        points=points[leaves].transpose(0, 2, 1),
+        rows=leaves.astype(np.int32),
+    )
+    return jax.device_put(index)  # as it is: JAX would compile a program for every array that it is to convert
+
+
+def _tree(points, rows, parts: int, levels: int):
+    """Rows cut into `parts` clusters, each of these into FAN, and so on: (parts, FAN, ..., FAN)."""
+    groups = branch_and_bound.cut(points, rows, parts)
+    if levels == 1:
+        return np.stack([branch_and_bound.padded(group) for group in groups])
+    return np.stack([_tree(points, group, FAN, levels - 1) for group in groups])
+
+
+class Nearest(NamedTuple):
+    """Which point of the cloud is nearest to which of several segments; -1, -1 where none is within the limit."""
+
+    body: Int[Array, ""]
+    row: Int[Array, ""]
+
+
+def nearest_rows(
+    index: CloudIndex,
+    p: Float[Array, "K 3"],
+    q: Float[Array, "K 3"],
+    within: Float[Array, "K"] | None = None,
+) -> Int[Array, "K"]:
+    """Row of the cloud nearest to each of K segments p q [m], exact (ties: one of the nearest).
+
+    within: -1 where no point is nearer than this [m]. An integer carries no gradient: differentiate the distance to the
+    point it names.
+    """
+    limit = jnp.full(p.shape[0], 1e150, float) if within is None else within
+    return _nearest_rows(index, *jax.lax.stop_gradient((p, q, limit)))
+
+
+def nearest_body(
+    index: CloudIndex,
+    p: Float[Array, "K 3"],
+    q: Float[Array, "K 3"],
+    radius: Float[Array, "K"],
+    below: float = 1e150,
+) -> Nearest:
+    """The pair of body and point with the smallest distance(segment, point) - radius, if that is below `below` [m].
+
+    Cheaper than the nearest point of every body, because what is nearer to one body rules out all others.
+    """
+    return _nearest_body(index, *jax.lax.stop_gradient((p, q, radius, jnp.asarray(below, float))))
+
+
+@one_by_one
+def _nearest_rows(index: CloudIndex, p, q, limit):
+    return _search(index, p, q, jnp.zeros(limit.shape, float), limit, shared=False)
+
+
+@one_by_one
+def _nearest_body(index: CloudIndex, p, q, radius, below):
+    rows = _search(index, p, q, radius, jnp.broadcast_to(below, radius.shape), shared=True)
+    body = jnp.argmax(rows).astype(jnp.int32)
+    return Nearest(jnp.where(rows[body] < 0, -1, body), rows[body])
+
+
+def _search(index: CloudIndex, p, q, radius, limit, shared: bool):
+    """Row of the nearest point of each of K bodies, -1 where none has distance - radius below its limit; with a shared
+    limit only the body that is nearest of all gets a row."""
+    leaf = (cloud_tree_gpu if has_gpu() else cloud_tree_walk).nearest_leaves(index, p, q, radius, limit, shared)
+    square = squared_distance(spread(as_segments(p, q), 1), index.points[leaf].transpose(1, 0, 2))
+    return jnp.where(leaf < 0, -1, _row_of_least(square, index.rows[leaf]))
+
+
+def _row_of_least(square: Float[Array, "K FAN"], rows: Int[Array, "K FAN"]) -> Int[Array, "K"]:
+    """By halves: an argmin goes through them one by one, and takes three times as long."""
+    while square.shape[1] > 1:
+        (a, b), (row_a, row_b) = jnp.split(square, 2, axis=1), jnp.split(rows, 2, axis=1)
+        square, rows = jnp.minimum(a, b), jnp.where(a <= b, row_a, row_b)
+    return rows[:, 0]

@@ -1,0 +1,144 @@
+"""The searches of `cloud_tree` and `cloud_sweep` as GPU kernels: a program for each body, or for each configuration,
+walks the tree.
+
+As a series of XLA loops every turn would be a launch, and a turn would read and write the keys of all bodies. A program
+takes the tree as two levels, however many it has: the clusters of 16 leaves, its branches, and these leaves.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.experimental import pallas as pl
+
+from htcp_jax.clearance.distance.bounding_discs import Segments, lower_bounds, single, squared_distance
+from htcp_jax.clearance.distance.branch_and_bound import FAN, NONE_LEFT, least_number, number_mask, order_keys
+from htcp_jax.clearance.distance.cloud_index import CloudIndex
+from htcp_jax.gpu_kernel import kernel
+from htcp_jax.types import Array, Float, Int
+
+
+def nearest_leaves(index, p, q, radius, limit, shared: bool, interpret: bool = False) -> Int[Array, "K"]:
+    """The leaf of each body's nearest point, -1 for none below the body's limit; with a shared limit, for the nearest
+    body only."""
+    bodies, count = p.shape[0], _branch_count(index)
+    walk = partial(_walk, shared, count, bodies)
+    tables = p, q, radius, limit, _branches(index), index.levels[-1], index.points
+    out = jax.ShapeDtypeStruct((bodies,), jnp.int32)
+    return kernel(walk, out, 1 if shared else bodies, interpret)(*tables)
+
+
+def least_in_reach(
+    index: CloudIndex, p, q, reach, start, measure: Callable, *rows, interpret: bool = False
+) -> Float[Array, "K"]:
+    """The least that measure(segment, *a body's rows, points) is, of points (3, n) of the cloud, for each body p q: of
+    all its points within reach [m], none where that is negative, and of some others; at most its `start`. rows: tables
+    (K,), or (K, 3), of which a body's row is a list."""
+    least = partial(_least, measure, _branch_count(index), len(rows))
+    tables = p, q, reach, start, *rows, _branches(index), index.points
+    return kernel(least, jax.ShapeDtypeStruct(start.shape, start.dtype), start.shape[0], interpret)(*tables)
+
+
+def _branch_count(index: CloudIndex) -> int:
+    return index.levels[-1].shape[0]
+
+
+def _branches(index: CloudIndex) -> Float[Array, "8 n"]:
+    """Their discs in one row, as long as a power of two."""
+    branches = index.levels[-2].transpose(1, 0, 2).reshape(8, -1)
+    room = (1 << (branches.shape[1] - 1).bit_length()) - branches.shape[1]
+    return jnp.pad(branches, ((0, 0), (0, room)), mode="edge")
+
+
+def _walk(shared, branch_count, bodies, p, q, radius, limit, branches, leaves, points, out):
+    one = partial(_nearest_leaf, branch_count, p, q, radius, branches, leaves, points)
+    if not shared:
+        body = pl.program_id(0)
+        out[body] = one(body, limit[body])[1]
+        return
+
+    def search(k, state):
+        body = bodies - 1 - k  # the tool is nearest, most of the time
+        lowest, best, found = state
+        lowest, leaf = one(body, lowest)
+        return lowest, jnp.where(leaf >= 0, body, best), jnp.where(leaf >= 0, leaf, found)
+
+    _, best, found = jax.lax.fori_loop(0, bodies, search, (limit[0], jnp.int32(-1), jnp.int32(-1)))
+    for body in range(bodies):
+        out[body] = jnp.where(best == body, found, -1)
+
+
+def _nearest_leaf(branch_count, p, q, radius, branches, leaves, points, body, limit):
+    """(limit, leaf): the limit of one body lowered to what it attains, and where."""
+    segment, r = _segment(p, q, body), radius[body]
+
+    def measure(leaf, state):
+        limit, found = state
+        here = jnp.sqrt(jnp.min(squared_distance(segment, [points[leaf, i, :] for i in range(3)]))) - r
+        return jnp.minimum(limit, here), jnp.where(here < limit, leaf, found)
+
+    def reach(state):
+        return state[0] + r
+
+    def descend(branch, state):
+        take = lambda leaf, state: measure(branch * FAN + leaf, state)  # noqa: E731
+        return _for_each(segment, lambda i: leaves[branch, i, :], FAN, reach, take, state)
+
+    def nearest_middle(load):
+        return least_number(squared_distance(single(segment), [load(i) for i in range(3)]))
+
+    # Not from nothing: the leaf whose middle is nearest gives the first limit.
+    first = jnp.minimum(nearest_middle(lambda i: branches[i, :]), branch_count - 1)
+    start = measure(first * FAN + nearest_middle(lambda i: leaves[first, i, :]), (limit, jnp.int32(-1)))
+    return _for_each(segment, lambda i: branches[i, :], branch_count, reach, descend, start)
+
+
+def _least(measure, branch_count, rows, p, q, reach, start, *refs):
+    """All points of a branch at once: with 32 threads to work at them, picking leaves takes longer."""
+    *refs, branches, points, out = refs
+    body = pl.program_id(0)
+    segment, within = _segment(p, q, body), reach[body]
+    own = [_row(ref, body) for ref in refs[:rows]]
+    number = jax.lax.broadcasted_iota(jnp.int32, (FAN * FAN,), 0)
+
+    def descend(branch, least):
+        w = [points[branch * FAN + number // FAN, i, number % FAN] for i in range(3)]
+        return jnp.minimum(least, measure(segment, *own, w))
+
+    out[body] = _for_each(segment, lambda i: branches[i, :], branch_count, lambda _: within, descend, start[body])
+
+
+def _row(table, body):
+    """Of one body: a number, or a list of coordinates."""
+    return table[body] if len(table.shape) == 1 else [table[body, i] for i in range(table.shape[1])]
+
+
+def _segment(p, q, body) -> Segments:
+    """Of one body."""
+    start, end = _row(p, body), _row(q, body)
+    along = [b - a for a, b in zip(start, end, strict=True)]
+    square = along[0] * along[0] + along[1] * along[1] + along[2] * along[2]
+    return Segments(start, along, 1 / jnp.maximum(square, 1e-30))
+
+
+def _for_each(segment: Segments, load: Callable, count: int, reach: Callable, take: Callable, state: Any) -> Any:
+    """state = take(cluster, state) for each of `count` clusters that may have a point within reach(state) [m] of the
+    segment, in the order of their bounds. load: of a row of their discs, which may go on after the last one."""
+    keys = order_keys(jnp.maximum(lower_bounds(single(segment), [load(i) for i in range(8)]), 0.0))
+    mask = number_mask(len(keys))
+    keys = jnp.where((keys & mask) < count, keys, NONE_LEFT)
+
+    def prune(keys, state):
+        furthest = jnp.full(len(keys), jnp.minimum(reach(state) * (1 + 1e-6), 1e30), jnp.float32)
+        return jnp.where(keys <= (jax.lax.bitcast_convert_type(furthest, jnp.int32) | mask), keys, NONE_LEFT)
+
+    def step(carry):
+        picked, keys, state = carry
+        state = take(picked & mask, state)
+        keys = prune(jnp.where(keys == picked, NONE_LEFT, keys), state)
+        return jnp.min(keys), keys, state
+
+    keys = prune(keys, state)
+    return jax.lax.while_loop(lambda carry: carry[0] < NONE_LEFT, step, (jnp.min(keys), keys, state))[2]

@@ -1,0 +1,123 @@
+"""Which facet of a convex hull a point has crossed, for the clearance's interior rule.
+
+Nearly always none. Most points lie inside a small polytope within the hull, its core, and are done: that is asked in
+32-bit, with room for its error. The others, one in ten, are measured against every facet, in 64-bit: one after another
+on a CPU, side by side on a GPU (`half_spaces_gpu`).
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from htcp_jax.clearance.distance.half_spaces_gpu import highest
+from htcp_jax.gpu_kernel import has_gpu
+from htcp_jax.numerics import one_by_one
+from htcp_jax.types import Array, Bool, Float, Int
+
+ROOM = 1e-5  # [m]; a 32-bit height is wrong by less than this within 20 m of the origin
+CORE_VERTICES = 96  # at most
+FAN = 16  # facets in a row of the table: which is highest takes ten times as long to ask as how high the highest is
+
+
+class HalfSpaces(NamedTuple):
+    """The convex set normal @ x <= offset, unit normals outwards, F facets; its core likewise, C facets; and the facets
+    once more as a table, filled up with the last one: normal xyz, offset."""
+
+    normal: Float[Array, "F 3"]
+    offset: Float[Array, "F"]
+    core_normal: Float[Array, "C 3"]
+    core_offset: Float[Array, "C"]
+    table: Float[Array, "4 rows FAN"]
+
+
+def half_spaces(
+    normal: Float[np.ndarray, "F 3"], offset: Float[np.ndarray, "F"], vertices: Float[np.ndarray, "V 3"]
+) -> HalfSpaces:
+    """The set with F facets, where `vertices` are points of it [m] that reach well into its corners."""
+    core = _core(vertices) if len(offset) else np.zeros((0, 4))
+    facets = np.column_stack([normal, offset])
+    filled = np.concatenate([facets, np.repeat(facets[-1:], -len(facets) % FAN, axis=0)])
+    table = filled.T.reshape(4, -1, FAN)
+    return jax.device_put(HalfSpaces(*map(np.asarray, (normal, offset, core[:, :3], -core[:, 3], table))))
+
+
+def _core(vertices: np.ndarray) -> Float[np.ndarray, "C 4"]:
+    """Planes of the hull of the vertices that reach out furthest along directions spread evenly (golden angle)."""
+    k = np.arange(CORE_VERTICES) + 0.5
+    z, turn = 1 - 2 * k / CORE_VERTICES, np.pi * (1 + 5**0.5) * k
+    directions = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z])
+    outermost = np.unique(np.argmax((vertices - vertices.mean(axis=0)) @ directions, axis=0))
+    try:
+        return ConvexHull(vertices[outermost]).equations
+    except QhullError:
+        return np.array([[0.0, 0.0, 0.0, 1.0]])  # too thin for one: the empty set
+
+
+def crossed_facets(hull: HalfSpaces, points: Float[Array, "n 3"], asked: Bool[Array, "n"]) -> Int[Array, "n"]:
+    """For each point asked about that lies outside: the facet that it is furthest beyond; otherwise -1. F >= 1."""
+    return _crossed(hull, *jax.lax.stop_gradient((points, asked)))
+
+
+def depths(hull: HalfSpaces, points: Float[Array, "n 3"], asked: Bool[Array, "n"]) -> Float[Array, "n"]:
+    """A depth [m] that each point asked about has inside the hull at least; 0 where it may be outside."""
+    return _depths(hull, *jax.lax.stop_gradient((points, asked)))
+
+
+@one_by_one
+def _crossed(hull: HalfSpaces, points, asked):
+    left = asked & jnp.any(_core_heights(hull, points) > -ROOM, axis=1)
+    nothing = jnp.full(points.shape[0], -1, jnp.int32)
+    return _measured(hull, lambda found: jnp.where(found.height > 0, found.facet, -1), left, points, nothing)
+
+
+@one_by_one
+def _depths(hull: HalfSpaces, points, asked):
+    core = -jnp.max(_core_heights(hull, points), axis=1).astype(float) - ROOM
+    exact = _measured(hull, lambda found: -found.height, asked & (core <= 0), points, core)
+    return jnp.maximum(exact, 0.0)
+
+
+def _measured(hull: HalfSpaces, take, left, points, results):
+    """The results, with what is taken from each point's highest facet in place of those that are left."""
+    if has_gpu():
+        return jnp.where(left, take(_Highest(*highest(hull.table, points, left))), results)
+    if jax.default_backend() != "cpu":
+        return jnp.where(left, take(jax.vmap(partial(_highest, hull))(points)), results)
+    number = jnp.arange(left.shape[0])
+
+    def step(state):
+        left, results = state
+        first = jnp.argmax(left)
+        this = number == first
+        return left & ~this, jnp.where(this, take(_highest(hull, points[first])), results)
+
+    return jax.lax.while_loop(lambda state: jnp.any(state[0]), step, (left, results))[1]
+
+
+class _Highest(NamedTuple):
+    """The facet that a point is highest above, or least deep below, and how high [m]."""
+
+    facet: Int[Array, ""]
+    height: Float[Array, ""]
+
+
+def _highest(hull: HalfSpaces, point) -> _Highest:
+    row = jnp.argmax(jnp.max(_heights(hull.table, point), axis=1))
+    heights = _heights(hull.table[:, row], point)
+    facet = jnp.minimum(row * FAN + jnp.argmax(heights), hull.offset.shape[0] - 1)
+    return _Highest(facet.astype(jnp.int32), jnp.max(heights))
+
+
+def _heights(facets, point):
+    return facets[0] * point[0] + facets[1] * point[1] + facets[2] * point[2] - facets[3]
+
+
+def _core_heights(hull: HalfSpaces, points):
+    """Of the points above each facet of the core, 32-bit (n, C)."""
+    x, y, z = (a.astype(jnp.float32)[:, None] for a in points.T)
+    core = [a.astype(jnp.float32)[None] for a in (*hull.core_normal.T, hull.core_offset)]
+    return _heights(core, (x, y, z))

@@ -1,0 +1,286 @@
+"""How far a segment is from the solids of a cell: half-spaces, capsules, boxes, cylinders and convex pieces.
+
+The signed distance of a segment to a convex solid S is the largest, over all unit normals n, of
+
+    min(n.p, n.q) - h(n),    h(n) = max n.x over all x of S.
+
+Outside, n points from the nearest point of S to the nearest of the segment, which closed forms find: for a half-space
+and a capsule at once; for a box the slope of the squared distance along the segment is piecewise linear, and its zero
+lies between two of eight places; for a cylinder it is found by halving; for a convex piece the nearest is an end of the
+segment above a face, or a point of an edge. Where the segment crosses S, n is the best of those that may be the best:
+normals of S swept along the segment, whose surface is nearest within a face and never at an edge. Of a box and a piece
+these are the normals of faces, and those at right angles to the segment and an edge; of a cylinder those of its caps
+and side, and one at right angles to the segment, found by halving, too.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from htcp_jax.clearance.distance.segments import nearest_points
+from htcp_jax.numerics import product, safe_divide, safe_norm, segment_parameter
+from htcp_jax.types import Array, Bool, Float, Int, Scalar, Vector3
+
+HALVINGS = 48  # of a segment: to 1e-14 of its length
+TOUCHES_M = 1e-9  # nearer, a normal would be rounding
+
+
+class Seen(NamedTuple):
+    """A solid as a segment sees it."""
+
+    t: Scalar  # which point of the segment, 0 to 1
+    normal: Vector3  # from the solid to the segment, unit
+    distance: Scalar  # signed [m]
+    plane: Bool[Array, ""]  # whether the distance is to the plane n.x = h(n): it is held, not a point
+    reach: Scalar  # from the point that is held to the solid's surface [m]
+
+
+class HalfSpace(NamedTuple):
+    """What lies below a plane: normal . x <= offset."""
+
+    normal: Float[Array, "*n 3"]
+    offset: Float[Array, "*n"]
+
+    def seen(self, p: Vector3, q: Vector3) -> Seen:
+        """By the lower end of a segment."""
+        heights = jnp.stack([product(p, self.normal), product(q, self.normal)]) - self.offset
+        return Seen(jnp.argmin(heights).astype(float), self.normal, jnp.min(heights), jnp.ones((), bool), jnp.zeros(()))
+
+
+class Rod(NamedTuple):
+    """A capsule, or with p = q a sphere."""
+
+    p: Float[Array, "*n 3"]
+    q: Float[Array, "*n 3"]
+    radius: Float[Array, "*n"]
+
+    def seen(self, p: Vector3, q: Vector3) -> Seen:
+        """By a segment; where the axes cross, there is no normal."""
+        t, _, on, other = nearest_points(p, q, self.p, self.q)
+        length = safe_norm(on - other)
+        normal = safe_divide(on - other, jnp.broadcast_to(length, (3,)))
+        return Seen(t, normal, length - self.radius, jnp.zeros((), bool), self.radius)
+
+
+class Box(NamedTuple):
+    """A box of half these sizes about its centre."""
+
+    rotation: Float[Array, "*n 3 3"]
+    centre: Float[Array, "*n 3"]
+    half: Float[Array, "*n 3"]
+
+    def seen(self, p: Vector3, q: Vector3) -> Seen:
+        """By a segment."""
+        p, q = _within(self, p), _within(self, q)
+        d = q - p
+        faces = jnp.concatenate([safe_divide(self.half - p, d), safe_divide(-self.half - p, d)])
+        places = jnp.concatenate([jnp.array([0.0, 1.0]), jnp.clip(faces, 0, 1)])
+        at = p[None] + places[:, None] * d[None]
+        slope = product(at - jnp.clip(at, -self.half[None], self.half[None]), d)
+        lower, upper = jnp.argmax(jnp.where(slope <= 0, places, -1)), jnp.argmin(jnp.where(slope >= 0, places, 2))
+        rise = slope[upper] - slope[lower]
+        share = jnp.where(rise > 0, -slope[lower] / jnp.where(rise > 0, rise, 1.0), 0.5)
+        t = places[lower] + share * (places[upper] - places[lower])
+        t = jnp.where(slope[0] > 0, 0.0, jnp.where(slope[1] < 0, 1.0, t))
+        x = p + t * d
+        outside = x - jnp.clip(x, -self.half, self.half)
+        axes = jnp.eye(3)
+        faces, beside = _both(axes), _both(_units(jnp.cross(axes, d[None])))
+        corners, normals = jnp.sign(beside) * self.half[None], jnp.concatenate([faces, beside])
+        places = jnp.concatenate([_lower(faces, p, q), _level(beside, p, q, corners, _both(axes))])
+        across = _best(normals, p, q, jnp.sum(jnp.abs(normals) * self.half[None], axis=1), places)
+        return _turned(self, _either(_outside(t, outside), across))
+
+
+class Cylinder(NamedTuple):
+    """A cylinder of a radius and half a length along its own z."""
+
+    rotation: Float[Array, "*n 3 3"]
+    centre: Float[Array, "*n 3"]
+    radius: Float[Array, "*n"]
+    half: Float[Array, "*n"]
+
+    def seen(self, p: Vector3, q: Vector3) -> Seen:
+        """By a segment."""
+        p, q = _within(self, p), _within(self, q)
+        d = q - p
+        t = _halved(lambda t: product(self._off(p + t * d), d) <= 0, jnp.zeros(()))
+        return _turned(self, _either(_outside(t, self._off(p + t * d)), self._across(p, q)))
+
+    def _across(self, p: Vector3, q: Vector3) -> Seen:
+        """By a segment that crosses: along normals of the caps, of the side, and at right angles to the segment."""
+        x, z, flat = jnp.array([1.0, 0.0, 0.0]), jnp.array([0.0, 0.0, 1.0]), jnp.array([1.0, 1.0, 0.0])
+        d = q - p
+        middle = segment_parameter(p * flat, q * flat, jnp.zeros(3))
+        rim = self._rim(p, d)
+        normals = _units(jnp.stack([z, -z, (p + middle * d) * flat, _towards(jnp.cross(d, z), p), rim, x]))
+        reach = self.radius * safe_norm(normals * flat[None]) + self.half * jnp.abs(normals[:, 2])
+        places = jnp.where(normals[:, 2] == 0, middle, _lower(normals, p, q))
+        return _best(normals, p, q, reach, places.at[4].set(self._beside(p, d, normals[4])))
+
+    def _rim(self, p: Vector3, d: Vector3) -> Vector3:
+        """Along the best normal at right angles to a segment through p.
+
+        Looked at along the segment the cylinder is an ellipse swept up and down, p a point (u, v) about the upper one's
+        centre. The normal at the ellipse's angle f leads to it where u sin f - v c cos f = r s^2 sin f cos f, with `c`
+        and `s` the segment's rise and run. Of two such f, as there are where v < 0, the larger one is a nearest point;
+        they are on both sides of tan^3 f = -v c / u."""
+        along = _units(d[None])[0]
+        aside = _towards(_units(jnp.array([[-d[1], d[0], 0.0]]))[0], p)
+        up = _towards(jnp.cross(aside, along), p)
+        c, s = jnp.abs(along[2]), jnp.abs(up[2])
+        u, v = product(p, aside), product(p, up) - self.half * s
+
+        def short(sine):
+            cosine = jnp.sqrt(1 - sine * sine)
+            return u * sine - v * c * cosine < self.radius * s * s * sine * cosine
+
+        least = jnp.cbrt(jnp.maximum(-v * c, 0.0))
+        sine = _halved(short, safe_divide(least, jnp.hypot(least, jnp.cbrt(u))))
+        return c * jnp.sqrt(1 - sine * sine) * aside + sine * up
+
+    def _beside(self, p: Vector3, d: Vector3, normal: Vector3) -> Scalar:
+        """Where along a segment from p the cylinder's outermost point along a normal is."""
+        round_ = jnp.array([1.0, 1.0, 0.0]) * normal
+        outermost = self.radius * _units(round_[None])[0] + (self.half * jnp.sign(normal)).at[:2].set(0.0)
+        return jnp.clip(safe_divide(product(outermost - p, d), product(d, d)), 0, 1)
+
+    def _off(self, x: Vector3) -> Vector3:
+        """From the nearest point of the cylinder."""
+        flat = jnp.array([1.0, 1.0, 0.0])
+        away = safe_norm(x * flat)
+        aside = jnp.maximum(away - self.radius, 0.0) * safe_divide(x * flat, jnp.broadcast_to(away, (3,)))
+        return aside.at[2].set(x[2] - jnp.clip(x[2], -self.half, self.half))
+
+
+class Piece(NamedTuple):
+    """A convex polyhedron in the world; of stacked ones the last face and edge are repeated."""
+
+    corners: Float[Array, "*n F 3 3"]  # of its triangles
+    normal: Float[Array, "*n F 3"]  # theirs, unit, outwards
+    edges: Float[Array, "*n E 2 3"]
+    beside: Int[Array, "*n E 2"]  # the faces on both sides of an edge
+
+    def seen(self, p: Vector3, q: Vector3) -> Seen:
+        """By a segment."""
+        many = jnp.broadcast_to(p, (len(self.edges), 3)), jnp.broadcast_to(q, (len(self.edges), 3))
+        along, _, on, witness = nearest_points(*many, self.edges[:, 0], self.edges[:, 1])
+        first, second = self._above(p), self._above(q)
+        arms = jnp.concatenate([on - witness, first, second])
+        faces = jnp.zeros(len(self.normal))
+        length = safe_norm(arms)
+        k = jnp.argmin(length)
+        outside = _outside(jnp.concatenate([along, faces, faces + 1])[k], arms[k])
+        heights = product(jnp.stack([p, q]), self.normal.T) - self._offset[None]
+        within = self._clipped(heights)
+        across = _best(*self._normals(p, q))
+        return jax.tree.map(lambda a, b: jnp.where(within, a, b), across, outside)
+
+    @property
+    def _offset(self) -> Float[Array, "F"]:
+        return jnp.sum(self.normal * self.corners[:, 0], axis=1)
+
+    def _above(self, x: Vector3) -> Float[Array, "F 3"]:
+        """From every face to a point that stands over it; infinitely long where it does not."""
+        height = product(self.normal, x) - self._offset
+        sides = jnp.roll(self.corners, -1, axis=1) - self.corners
+        inwards = jnp.cross(self.normal[:, None], sides)
+        over = jnp.all(jnp.sum(inwards * (x[None, None] - self.corners), axis=2) >= 0, axis=1) & (height >= 0)
+        return jnp.where(over[:, None], height[:, None] * self.normal, jnp.inf)
+
+    def _clipped(self, heights: Float[Array, "2 F"]) -> Bool[Array, ""]:
+        """Whether a part of the segment is inside: its ends' heights over all faces."""
+        at = safe_divide(heights[0], heights[0] - heights[1])
+        enters = jnp.max(jnp.where(heights[0] > 0, jnp.where(heights[1] > 0, 2.0, at), 0.0))
+        leaves = jnp.min(jnp.where((heights[1] > 0) & (heights[0] <= 0), at, 1.0))
+        return enters <= leaves
+
+    def _normals(self, p: Vector3, q: Vector3):
+        """Those of the faces, and of planes along an edge that the segment's direction touches the piece at; with the
+        segment, their reach and where the segment meets their planes."""
+        ways = product(self.normal, q - p)[self.beside]
+        outline = ways[:, 0] * ways[:, 1] <= 0
+        edges = self.edges[:, 1] - self.edges[:, 0]
+        along = _units(jnp.cross(edges, (q - p)[None]))
+        outwards = jnp.sum(along * jnp.sum(self.normal[self.beside], axis=1), axis=1)
+        along = along * jnp.where(outwards < 0, -1.0, 1.0)[:, None]
+        reach = jnp.where(outline & jnp.any(along != 0, axis=1), jnp.sum(along * self.edges[:, 0], axis=1), jnp.inf)
+        places = jnp.concatenate([_lower(self.normal, p, q), _level(along, p, q, self.edges[:, 0], edges)])
+        return jnp.concatenate([self.normal, along]), p, q, jnp.concatenate([self._offset, reach]), places
+
+
+Solid = HalfSpace | Rod | Box | Cylinder | Piece
+
+
+def _within(solid: Box | Cylinder, x: Vector3) -> Vector3:
+    return product(x - solid.centre, solid.rotation)
+
+
+def _turned(solid: Box | Cylinder, seen: Seen) -> Seen:
+    return seen._replace(normal=product(solid.rotation, seen.normal))
+
+
+def _outside(t: Scalar, arm: Vector3) -> Seen:
+    """By the way from the solid's nearest point to the segment's."""
+    length = safe_norm(arm)
+    normal = safe_divide(arm, jnp.broadcast_to(length, (3,)))
+    return Seen(t, normal, length, length <= TOUCHES_M, jnp.zeros(()))
+
+
+def _best(
+    normals: Float[Array, "n 3"], p: Vector3, q: Vector3, reach: Float[Array, "n"], places: Float[Array, "n"]
+) -> Seen:
+    """Along the normal by which the segment sticks in the least; `reach` is h(n), `places` are where on the segment the
+    nearest point of the surface is. A normal of length 0 is none."""
+    ends = product(jnp.stack([p, q]), normals.T)
+    depth = jnp.where(jnp.any(normals != 0, axis=1), jnp.min(ends, axis=0) - reach, -jnp.inf)
+    k = jnp.argmax(depth)
+    return Seen(places[k], normals[k], depth[k], jnp.ones((), bool), jnp.zeros(()))
+
+
+def _lower(normals: Float[Array, "n 3"], p: Vector3, q: Vector3) -> Float[Array, "n"]:
+    """The end that is lower along each normal: 0 or 1."""
+    return (product(normals, q - p) < 0).astype(float)
+
+
+def _level(
+    normals: Float[Array, "n 3"], p: Vector3, q: Vector3, points: Float[Array, "n 3"], edges: Float[Array, "n 3"]
+) -> Float[Array, "n"]:
+    """Where the segment passes over an edge through each point, looked at along a normal at right angles to both."""
+    over = jnp.sum(jnp.cross(points - p[None], edges) * normals, axis=1)
+    return jnp.clip(safe_divide(over, jnp.sum(jnp.cross((q - p)[None], edges) * normals, axis=1)), 0, 1)
+
+
+def _halved(short: Callable[[Scalar], Bool[Array, ""]], low: Scalar) -> Scalar:
+    """Between `low` and 1 where something is no longer short; exactly `low` or 1 where it is nowhere or everywhere."""
+
+    def halve(_, between):
+        low, high = between
+        middle = 0.5 * (low + high)
+        yes = short(middle)
+        return jnp.where(yes, middle, low), jnp.where(yes, high, middle)
+
+    first = low
+    low, high = jax.lax.fori_loop(0, HALVINGS, halve, (low, jnp.ones(())))
+    return jnp.where(low == first, first, jnp.where(high == 1, 1.0, 0.5 * (low + high)))
+
+
+def _either(outside: Seen, across: Seen) -> Seen:
+    return jax.tree.map(lambda a, b: jnp.where(outside.plane, a, b), across, outside)
+
+
+def _towards(normal: Vector3, p: Vector3) -> Vector3:
+    """A normal, or its opposite, that points from the origin to p's side."""
+    return jnp.where(product(normal, p) < 0, -1.0, 1.0) * normal
+
+
+def _both(normals: Float[Array, "n 3"]) -> Float[Array, "m 3"]:
+    return jnp.concatenate([normals, -normals])
+
+
+def _units(vectors: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    length = safe_norm(vectors)
+    long = length > 1e-9 * jnp.max(length, initial=1e-300)
+    return jnp.where(long[:, None], vectors / jnp.where(long, length, 1.0)[:, None], 0.0)

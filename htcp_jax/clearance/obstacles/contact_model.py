@@ -1,0 +1,87 @@
+"""The clearance as the contacts held so far give it: never too small, exact where they were seen, and cheap.
+
+A contact seen at one configuration stays true of its body at every other one: the obstacle's point is still there, or
+where its link has carried it. So the distance to it bounds the row's from above, and the smallest over all contacts
+held is a model of D that becomes D itself once the right ones have been seen. A plane in place of the point would be
+cheaper still, but false away from where it was seen: it cuts off configurations that are clear.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from htcp_jax.clearance.obstacles.obstacles.obstacle import Contacts, Rows, slopes
+from htcp_jax.model.kinematics import link_poses
+from htcp_jax.model.robot import Robot
+from htcp_jax.numerics import axis_contact, capsule_point_distance
+from htcp_jax.types import Array, Bool, Float, Joints
+
+
+class HeldContacts(NamedTuple):
+    """Contacts of all rows in turn, from one observation or several (H = R, 2 R, ...)."""
+
+    witness: Float[Array, "H 3"]  # the obstacle's point, in the frame of what it is fixed to [m]
+    plane: Bool[Array, "H"]  # whether it is a plane instead, crossed by an end of the body:
+    end: Float[Array, "H 3"]  # that end, in the frame of the body's link
+    normal: Float[Array, "H 3"]  # of the plane, inwards, world
+    offset: Float[Array, "H"]  # distance = normal . end - offset
+    reach: Float[Array, "H"]  # distance = from the axis to the witness - reach
+
+
+def hold_contacts(robot: Robot, x: Joints, rows: Rows, touch: Contacts) -> HeldContacts:
+    """The contacts at x, to be held."""
+    T = _poses(robot, x, _links(robot, rows))
+    witness = touch.witness
+    if _moves(rows):
+        witness = _brought_back(_poses(robot, x, rows.other), witness)
+    return HeldContacts(
+        witness=witness,
+        plane=touch.plane,
+        end=_brought_back(T, touch.point),
+        normal=touch.normal,
+        offset=jnp.sum(touch.normal * touch.point, axis=1) - touch.distance,
+        reach=touch.reach,
+    )
+
+
+@partial(jax.jit, static_argnames="rows")
+def predict_distances(
+    robot: Robot, x: Joints, rows: Rows, held: HeldContacts
+) -> tuple[Float[Array, "H"], Float[Array, "H N"]]:
+    """Distance at x [m] by each contact held, and its gradient [m/rad]."""
+    rounds = held.offset.shape[0] // len(rows.body)
+    T = _poses(robot, x, _links(robot, rows))
+    body = slice(None) if rows.body == tuple(range(len(robot.capsule_link))) else jnp.asarray(rows.body)
+    p, q = _moved(T, robot.capsule_p[body]), _moved(T, robot.capsule_q[body])
+    p, q, T = (jnp.concatenate([each] * rounds) for each in (p, q, T))
+    many = Rows(rows.body * rounds, rows.other * rounds)
+    witness = _moved(_poses(robot, x, many.other), held.witness) if _moves(rows) else held.witness
+    axis_point, away = axis_contact(p, q, witness)
+    point = jnp.where(held.plane[:, None], _moved(T, held.end), axis_point)
+    normal = jnp.where(held.plane[:, None], held.normal, away)
+    to_plane = jnp.sum(held.normal * point, axis=1) - held.offset
+    value = jnp.where(held.plane, to_plane, capsule_point_distance(p, q, held.reach, witness))
+    return value, slopes(robot, x, many, normal, point, witness)
+
+
+def _links(robot: Robot, rows: Rows) -> tuple[int, ...]:
+    return tuple(robot.capsule_link[body] for body in rows.body)
+
+
+def _moves(rows: Rows) -> bool:
+    return any(link >= 0 for link in rows.other)
+
+
+def _poses(robot: Robot, x: Joints, links: tuple[int, ...]) -> Float[Array, "n 4 4"]:
+    T = jnp.concatenate([link_poses(robot, x), jnp.eye(4)[None]])  # the world last, so that link -1 finds it
+    return T[jnp.asarray(links)]
+
+
+def _moved(T: Float[Array, "n 4 4"], points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    return jnp.sum(T[:, :3, :3] * points[:, None, :], axis=2) + T[:, :3, 3]
+
+
+def _brought_back(T: Float[Array, "n 4 4"], points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    return jnp.sum(T[:, :3, :3] * (points - T[:, :3, 3])[:, :, None], axis=1)

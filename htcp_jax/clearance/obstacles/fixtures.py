@@ -1,0 +1,162 @@
+"""The solids of a cell as an obstacle: what stands still beside the arm, wherever the workpiece is.
+
+A body that stands still itself, as the arm's base does, keeps clear of nothing. Nor do bodies of the first link that
+touch a solid where the model is drawn, at zero, of that solid: an arm stands on its pedestal.
+
+Of half-spaces, capsules, boxes and cylinders all are measured. Of convex pieces those alone whose bounding ball is
+nearer than what is known: one after the other, the nearest ball first.
+"""
+
+import dataclasses
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Piece, Rod, Seen, Solid
+from htcp_jax.clearance.obstacles.obstacles.obstacle import Bodies, Contacts, Exact, Posed, Rows
+from htcp_jax.model.kinematics import capsule_segments
+from htcp_jax.model.robot import Robot
+from htcp_jax.numerics import one_by_one, safe_norm, segment_parameter
+from htcp_jax.pytree import register_pytree
+from htcp_jax.types import Array, Bool, Float, Int
+
+Ends = Float[Array, "K 3"]
+
+
+@register_pytree
+@dataclass(frozen=True)
+class Fixtures(Exact):
+    """Solids in the world, stacked, a kind after the other; which of them each of the K bodies heeds."""
+
+    simple: tuple[HalfSpace | Rod | Box | Cylinder, ...]
+    pieces: Piece | None
+    balls: Float[jax.Array, "P 4"]  # about the pieces: centre, radius [m]
+    heeds: Bool[jax.Array, "G K"]  # the simple ones first
+    names: tuple[str, ...] = field(metadata={"static": True})
+
+    per_body = True
+
+    def rows(self, robot: Robot) -> Rows:
+        """One a body."""
+        return Rows.of_bodies(robot)
+
+    def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
+        """The nearest solid of every body."""
+        return self._nearest(bodies.p, bodies.q, robot.capsule_radius, self.heeds)
+
+    def touches_along(
+        self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
+    ) -> Bool[jax.Array, ""]:
+        """Whether a body touches at any of the postures."""
+        heeds = self.heeds[:, body, None] & asked[None]
+        radius = jnp.broadcast_to(robot.capsule_radius[body], asked.shape)
+        return jnp.any(self._nearest(bodies.p[:, body], bodies.q[:, body], radius, heeds).distance <= 0)
+
+    def distances(self, robot: Robot, p: Ends, q: Ends) -> Float[jax.Array, "G K"]:
+        """Of every solid to every body, in the order of the names, whatever is heeded."""
+        kinds = (*self.simple, *(() if self.pieces is None else (self.pieces,)))
+        found = jnp.concatenate([_each_seen(kind, p, q).distance for kind in kinds])
+        return found - robot.capsule_radius[None]
+
+    def hit(self, robot: Robot, row: int, p: Ends, q: Ends) -> str:
+        """The solid that is nearest to a body, in words."""
+        distance = np.where(self.heeds, _distances(self, robot, p, q), np.inf)[:, row]
+        return f"the fixture {self.names[distance.argmin()]!r}"
+
+    def _nearest(self, p: Ends, q: Ends, radius: Float[Array, "K"], heeds: Bool[Array, "G K"]) -> Contacts:
+        """Of the solids that some capsules heed the nearest to each."""
+        seen = self._simple(p, q, heeds) if self.simple else _nothing(len(p))
+        if self.pieces is not None:
+            heeds = heeds[len(heeds) - len(self.balls) :]
+            seen = _with_pieces((self.pieces, self.balls), heeds, *jax.lax.stop_gradient((p, q, radius, seen)))
+        return _contacts(seen, p, q, radius)
+
+    def _simple(self, p: Ends, q: Ends, heeds: Bool[Array, "G K"]) -> Seen:
+        """The nearest of the solids that are all measured."""
+        parts = [_each_seen(kind, p, q) for kind in self.simple]
+        seen = jax.tree.map(lambda *each: jnp.concatenate(each), *parts)
+        distance = jnp.where(heeds[: len(seen.distance)], seen.distance, jnp.inf)
+        best, body = jnp.argmin(distance, axis=0), jnp.arange(len(p))
+        return jax.tree.map(lambda each: each[best, body], seen._replace(distance=distance))
+
+
+def fixtures(robot: Robot, named: list[tuple[str, Solid]]) -> Fixtures:
+    """The obstacle that some solids with their names are, at least one, to a robot."""
+    order = (HalfSpace, Rod, Box, Cylinder, Piece)
+    named = sorted(named, key=lambda each: order.index(type(each[1])))
+    stacks = [[solid for _, solid in named if isinstance(solid, kind)] for kind in order]
+    *simple, pieces = [_stacked(own) for own in stacks if own] + ([] if stacks[-1] else [None])
+    balls = np.array([_ball(piece) for piece in stacks[-1]]).reshape(-1, 4)
+    links = np.array(robot.capsule_link)
+    heeds = jnp.broadcast_to(jnp.asarray(links >= 0)[None], (len(named), len(links)))
+    found = Fixtures(tuple(simple), pieces, jnp.asarray(balls), heeds, tuple(name for name, _ in named))
+    drawn = capsule_segments(robot, jnp.zeros(len(robot.slides)))
+    stands = (np.asarray(_distances(found, robot, *drawn)) <= 0) & (links == 0)[None]
+    return dataclasses.replace(found, heeds=heeds & ~stands)
+
+
+_distances = jax.jit(Fixtures.distances)
+
+
+def _stacked(solids: list[Solid]) -> Solid:
+    """Several of a kind; pieces get as many faces and edges as the largest, the last one repeated."""
+    if isinstance(solids[0], Piece):
+        faces, edges = (max(len(each) for each in column) for column in list(zip(*solids, strict=True))[1:3])
+        sizes = Piece(faces, faces, edges, edges)
+        solids = [Piece(*map(_repeated, piece, sizes)) for piece in solids]
+    return jax.tree.map(lambda *each: jnp.stack(list(map(jnp.asarray, each))), *solids)
+
+
+def _repeated(rows: np.ndarray, count: int) -> np.ndarray:
+    return np.asarray(rows)[np.minimum(np.arange(count), len(rows) - 1)]
+
+
+def _ball(piece: Piece) -> np.ndarray:
+    corners = np.asarray(piece.corners).reshape(-1, 3)
+    centre = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    return np.append(centre, np.linalg.norm(corners - centre, axis=1).max())
+
+
+def _each_seen(stack: Solid, p: Ends, q: Ends) -> Seen:
+    """Every solid as every segment sees it (n, K)."""
+    return jax.vmap(lambda solid: jax.vmap(solid.seen)(p, q))(stack)
+
+
+def _nothing(bodies: int) -> Seen:
+    none = jnp.zeros(bodies)
+    return Seen(none, jnp.zeros((bodies, 3)), jnp.full(bodies, jnp.inf), jnp.zeros(bodies, bool), none)
+
+
+def _contacts(seen: Seen, p: Ends, q: Ends, radius: Float[Array, "K"]) -> Contacts:
+    """What is seen, held: its distance depends on the ends alone, to first order exactly."""
+    seen = jax.lax.stop_gradient(seen)
+    point = p + seen.t[:, None] * (q - p)
+    still = jax.lax.stop_gradient(point)
+    moved = jnp.sum(seen.normal * (point - still), axis=1)
+    return Contacts(seen.distance + moved - radius, point, seen.normal, radius + seen.reach, seen.plane)
+
+
+@one_by_one
+def _with_pieces(search, heeds, p, q, radius, seen):
+    """What is seen, or a piece where one is nearer."""
+    pieces, balls = search
+    p_, q_, centre = jnp.broadcast_arrays(p[None], q[None], balls[:, None, :3])
+    apart = p_ + segment_parameter(p_, q_, centre)[..., None] * (q_ - p_) - centre
+    lower = jnp.where(heeds, safe_norm(apart) - balls[:, 3:], jnp.inf)
+
+    def open_(state):
+        lower, seen = state
+        return lower < seen.distance[None]
+
+    def measure(state):
+        lower, seen = state
+        nearest = jnp.argmin(jnp.where(open_(state), lower - radius[None], jnp.inf))
+        k, body = jnp.unravel_index(nearest, lower.shape)
+        found = jax.tree.map(lambda leaf: leaf[k], pieces).seen(p[body], q[body])
+        nearer = found.distance < seen.distance[body]
+        seen = jax.tree.map(lambda old, new: old.at[body].set(jnp.where(nearer, new, old[body])), seen, found)
+        return lower.at[k, body].set(jnp.inf), seen
+
+    return jax.lax.while_loop(lambda state: jnp.any(open_(state)), measure, (lower, seen))[1]

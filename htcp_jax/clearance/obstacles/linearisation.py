@@ -1,0 +1,42 @@
+"""Task and clearance at one configuration, to first order: what a step QP is made of."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles, Posed
+from htcp_jax.clearance.obstacles.obstacles.obstacles import ClearanceRows, clearance_rows
+from htcp_jax.model.robot import Robot
+from htcp_jax.model.task import TCP_POSITION, Task
+from htcp_jax.types import Array, Float, Joints
+
+
+class TaskRows(NamedTuple):
+    """The task at one configuration, to first order."""
+
+    value: Float[Array, "V"]  # what the goals are compared with [m]
+    jacobian: Float[Array, "V N"]
+
+
+class Linearisation(NamedTuple):
+    """Task and clearance at one configuration, to first order."""
+
+    task: TaskRows
+    clearance: ClearanceRows  # all rows, or the one of the smallest distance
+
+
+def linearise(
+    robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, task: Task = TCP_POSITION, smallest: bool = False
+) -> Linearisation:
+    """Task and clearance at x [rad or m], with their Jacobian and gradients; `where` is a scenario, or another `Posed`.
+
+    Equations (6) and (7) for the task, (8), the convex feasible set, for the clearance. The default task is the TCP's
+    position. smallest: of the clearance only the row of the smallest distance, which costs less. Raises
+    InputError for an x of another shape.
+    """
+    held = TaskRows(task.value(robot, x), task.jacobian(robot, x))
+    rows = clearance_rows(robot, obstacles, where, x, smallest)
+    if smallest:
+        body = jnp.argmin(rows.distance)
+        rows = ClearanceRows(rows.distance[body][None], rows.gradient[body][None])
+    return Linearisation(held, rows)

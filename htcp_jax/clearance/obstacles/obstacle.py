@@ -1,0 +1,172 @@
+"""What an obstacle is to the planner: rows of distances, and the cheap questions about them.
+
+A kind of obstacle is a small pytree with the methods of `Obstacle`, in a file of its own. Its rows are distances [m]
+between a body of the arm and something: the surroundings, or another body. Kinds with `per_body`, `Surroundings`, have
+one row a body, which they share: the nearest decides. Any other kind brings rows of its own.
+"""
+
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+
+from htcp_jax.clearance.distance.sweep import Sweep, Wanted
+from htcp_jax.model.kinematics import capsule_segments, point_jacobians
+from htcp_jax.model.robot import Robot
+from htcp_jax.numerics import product
+from htcp_jax.types import Bool, Float, Int, Joints, Pose, Scalar
+
+
+@runtime_checkable
+class Posed(Protocol):
+    """Where the workpiece is: a scenario, or whatever else knows."""
+
+    T_world_workpiece: Pose
+    interior_plane: Float[jax.Array, "4"]  # unit normal n, offset [m]: ends with n @ x > offset must lie in the tunnel
+
+
+class Rows(NamedTuple):
+    """What R rows of distances are between; static."""
+
+    body: tuple[int, ...]  # the number of the capsule
+    other: tuple[int, ...]  # the link, before the body's, that the obstacle's nearest point is fixed to; -1: the world
+
+    @classmethod
+    def of_bodies(cls, robot: Robot) -> "Rows":
+        """One a body, against something that stands still: those of every kind with `per_body`."""
+        bodies = len(robot.capsule_link)
+        return cls(tuple(range(bodies)), (-1,) * bodies)
+
+
+class Contacts(NamedTuple):
+    """Per row, what is nearest: the point on the body's axis, and the direction away from the obstacle."""
+
+    distance: Float[jax.Array, "R"]  # D [m]
+    point: Float[jax.Array, "R 3"]  # on the body's axis, world [m]
+    normal: Float[jax.Array, "R 3"]  # unit, from the obstacle to the body, world
+    reach: Float[jax.Array, "R"]  # from the axis to where D is 0 [m]: see `witness`
+    plane: Bool[jax.Array, "R"]  # whether it is a plane fixed in the world that an end of the body has crossed
+
+    @property
+    def witness(self) -> Float[jax.Array, "R 3"]:
+        """The obstacle's points, world [m]."""
+        return self.point - self.normal * (self.distance + self.reach)[:, None]
+
+
+class Bodies(NamedTuple):
+    """Ends of the bodies' axes [m], in the world and in the workpiece frame."""
+
+    p: Float[jax.Array, "*S K 3"]
+    q: Float[jax.Array, "*S K 3"]
+    p_workpiece: Float[jax.Array, "*S K 3"]
+    q_workpiece: Float[jax.Array, "*S K 3"]
+
+
+def bodies_at(robot: Robot, where: Posed, x: Joints) -> Bodies:
+    """Where the bodies are at configuration x [rad or m]."""
+    p, q = capsule_segments(robot, x)
+    return Bodies(p, q, in_workpiece(where, p), in_workpiece(where, q))
+
+
+def in_workpiece(where: Posed, points: Float[jax.Array, "n 3"]) -> Float[jax.Array, "n 3"]:
+    """World points [m] in the workpiece's frame."""
+    rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
+    return product(points - translate[None, :], rotate)
+
+
+@runtime_checkable
+class Obstacle(Protocol):
+    """A kind of obstacle. Distances are exact or bounds from below, in metres; `bodies` are those at one posture."""
+
+    per_body: bool  # whether its rows are the K bodies', shared with other such kinds
+
+    def rows(self, robot: Robot) -> Rows:
+        """What its rows are between."""
+        ...
+
+    def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
+        """Every row's nearest. Held where it is, a contact must never predict less than the truth, see
+        `contact_model`. A body that a kind with `per_body` has nothing to say of is infinitely far from it."""
+        ...
+
+    def smallest(self, robot: Robot, where: Posed, bodies: Bodies) -> Scalar:
+        """The smallest distance of all rows."""
+        ...
+
+    def touches(self, robot: Robot, where: Posed, bodies: Bodies) -> Bool[jax.Array, ""]:
+        """Whether any distance is 0 or less."""
+        ...
+
+    def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "R"]:
+        """How far all points of a row's body may move, any way, as seen from the link of the row's other, and it surely
+        stays clear; at most 0 in collision."""
+        ...
+
+
+@runtime_checkable
+class Surroundings(Obstacle, Protocol):
+    """A kind with `per_body`: what surrounds the arm."""
+
+    def touches_along(
+        self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
+    ) -> Bool[jax.Array, ""]:
+        """Whether one body touches at any of S postures that are asked about; `bodies` are those at all of them."""
+        ...
+
+
+@runtime_checkable
+class Sweepable(Surroundings, Protocol):
+    """One that knows more of bodies that move than that they come no nearer than they travel."""
+
+    def clear_along(
+        self, robot: Robot, where: Posed, bodies: Bodies, sweep: Sweep, asked: Bool[jax.Array, "K"], wanted: Wanted
+    ) -> Float[jax.Array, "K"]:
+        """How clear each body stays while it sweeps, at least, of those that are asked about. Once one does not stay
+        clear by the least that will do, the others need not be looked at: any numbers will do for them."""
+        ...
+
+
+class Exact:
+    """Of a kind whose distances are exact: its contacts answer the cheap questions, too."""
+
+    def smallest(self, robot: Robot, where: Posed, bodies: Bodies) -> Scalar:
+        """Of all rows."""
+        return jnp.min(self.contacts(robot, where, bodies).distance)
+
+    def touches(self, robot: Robot, where: Posed, bodies: Bodies) -> Bool[jax.Array, ""]:
+        """Whether any row does."""
+        return self.smallest(robot, where, bodies) <= 0
+
+    def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "R"]:
+        """The distance itself."""
+        return self.contacts(robot, where, bodies).distance
+
+
+Obstacles = tuple[Obstacle, ...]
+
+
+def rows_of(robot: Robot, obstacles: Obstacles) -> Rows:
+    """What the rows of all obstacles together are between."""
+    parts = [own[0].rows(robot) for own in grouped(obstacles)]
+    return Rows(*(sum(columns, start=()) for columns in zip(*parts, strict=True)))
+
+
+def grouped(obstacles: Obstacles) -> list[Obstacles]:
+    """Those that share the rows of the bodies, then every other one by itself."""
+    shared = tuple(each for each in obstacles if each.per_body)
+    return [own for own in (shared, *((each,) for each in obstacles if not each.per_body)) if own]
+
+
+def slopes(
+    robot: Robot,
+    x: Joints,
+    rows: Rows,
+    normal: Float[jax.Array, "R 3"],
+    point: Float[jax.Array, "R 3"],
+    witness: Float[jax.Array, "R 3"],
+) -> Float[jax.Array, "R N"]:
+    """How fast a point of each row's body leaves the obstacle's along the normal [m/rad]; both where they are at x."""
+    motion = point_jacobians(robot, x, point, tuple(robot.capsule_link[body] for body in rows.body))
+    if any(link >= 0 for link in rows.other):
+        motion = motion - point_jacobians(robot, x, witness, rows.other)
+    return jnp.sum(normal[:, :, None] * motion, axis=1)

@@ -1,0 +1,175 @@
+"""The paper's D(x, O), equation (2): the smallest distance between the arm and its obstacles, and where it is attained.
+
+O is a tuple of obstacles, see `obstacle`; a workpiece's are its points and, where it has one, the interior rule. Their
+rows are put together here: those of the bodies first, each the nearest of all kinds that have one a body, then every
+other kind's own.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from htcp_jax.clearance.obstacles.obstacles.obstacle import (
+    Contacts,
+    Obstacles,
+    Posed,
+    bodies_at,
+    grouped,
+    rows_of,
+    slopes,
+)
+from htcp_jax.model.kinematics import configuration
+from htcp_jax.model.robot import Robot
+from htcp_jax.numerics import safe_norm, value_and_jacobian, with_gradient
+from htcp_jax.types import Bool, Float, Joints, Scalar
+
+
+class ClearanceRows(NamedTuple):
+    """Distances at one configuration, to first order."""
+
+    distance: Float[jax.Array, "R"]  # [m]
+    gradient: Float[jax.Array, "R N"]  # [m/rad]
+
+
+@partial(jax.jit, static_argnames="smallest")
+def contacts(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, smallest: bool = False) -> Contacts:
+    """What is nearest in every row at configuration x [rad]; the robot's tool is the scenario's. smallest: only the row
+    of the smallest distance has to be right, any other may be further from what is nearest to it: kinds with a method
+    `closest` answer that for less."""
+    bodies = bodies_at(robot, where, x)
+    ask = lambda each: getattr(each, "closest", each.contacts) if smallest else each.contacts  # noqa: E731
+    groups = [[ask(each)(robot, where, bodies) for each in own] for own in grouped(obstacles)]
+    return _one_after_another([_nearest(own) for own in groups])
+
+
+def clearances(
+    robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, smallest: bool = False
+) -> Float[jax.Array, "R"]:
+    """D per row [m]. Its derivative in x [m/rad] is n' (J_body - J_other) at the points that are nearest, which are
+    held (envelope theorem). smallest: only the row of the smallest distance has to be right, see `contacts`."""
+    distance = lambda x, *scene: contacts(*scene, x, smallest).distance  # noqa: E731
+    return with_gradient(distance, partial(_rows, smallest))(configuration(robot, x), robot, obstacles, where)
+
+
+@jax.jit
+def clearance(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Scalar:
+    """D(x, O) [m], the smallest over all rows, exact: cheaper than `clearances`. Its derivative is that row's."""
+    return _smallest(configuration(robot, x), robot, obstacles, where)
+
+
+def is_clear(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Bool[jax.Array, ""]:
+    """Whether D(x, O) > 0; cheaper still."""
+    bodies = bodies_at(robot, where, x)
+    return ~_together(jnp.logical_or, [each.touches(robot, where, bodies) for each in obstacles])
+
+
+def all_clear(robot: Robot, obstacles: Obstacles, where: Posed, x: Float[jax.Array, "S N"]) -> Bool[jax.Array, ""]:
+    """Whether D(x_s, O) > 0 at all of S >= 1 configurations that lie close together: a path.
+
+    Only the middle one is measured in full. A body is clear wherever its ends, and so all its points, have moved from
+    there by less than its room; where they have moved further, it is searched for what touches it. Kinds of obstacles
+    that are not one row a body are asked everywhere.
+    """
+    if jax.default_backend() != "cpu":  # where a loop costs more than the measurements that it saves
+        return jnp.all(jax.vmap(partial(is_clear, robot, obstacles, where))(x))
+    middle = x.shape[0] // 2
+    bodies = jax.vmap(partial(bodies_at, robot, where))(x)
+    surroundings = tuple(each for each in obstacles if each.per_body)
+    others = tuple(each for each in obstacles if not each.per_body)
+    free = room(robot, surroundings, where, x[middle])
+    p, q = bodies.p_workpiece, bodies.q_workpiece
+    moved = jnp.maximum(safe_norm(p - p[middle][None]), safe_norm(q - q[middle][None]))
+    open_ = moved >= free[None, :] - 1e-9  # [S K]; 1 nm is more than any rounding
+
+    def check_body(state):
+        left, _ = state
+        body = jnp.argmax(left)
+        touching = [each.touches_along(robot, where, bodies, body, open_[:, body]) for each in surroundings]
+        return left & (jnp.arange(left.shape[0]) != body), ~_together(jnp.logical_or, touching)
+
+    start = (jnp.any(open_, axis=0), jnp.full((), True))
+    clear = jax.lax.while_loop(lambda state: state[1] & jnp.any(state[0]), check_body, start)[1]
+    return clear & jnp.all(jax.vmap(partial(is_clear, robot, others, where))(x)) if others else clear
+
+
+def room(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Float[jax.Array, "R"]:
+    """How far all points of a row's body may move from x, any way, as seen from the link of the row's other, and it
+    surely stays clear [m]; at most 0 in collision."""
+    bodies = bodies_at(robot, where, x)
+    groups = [[each.room(robot, where, bodies) for each in own] for own in grouped(obstacles)]
+    return _one_after_another([_together(jnp.minimum, own) for own in groups])
+
+
+def clearance_rows(
+    robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, smallest: bool = False
+) -> ClearanceRows:
+    """Distances and their gradients at x [rad]: `clearances` and its autodiff Jacobian, from one evaluation."""
+    return ClearanceRows(*value_and_jacobian(lambda x: clearances(robot, obstacles, where, x, smallest), x))
+
+
+def _distance(x: Joints, robot: Robot, obstacles: Obstacles, where: Posed) -> Scalar:
+    bodies = bodies_at(robot, where, x)
+    return _together(jnp.minimum, [each.smallest(robot, where, bodies) for each in obstacles])
+
+
+def _distance_and_gradient(x: Joints, robot: Robot, obstacles: Obstacles, where: Posed) -> tuple[Scalar, Joints]:
+    """The smallest distance and, in closed form, its gradient."""
+    rows = _rows(True, x, robot, obstacles, where)
+    lowest = jnp.argmin(rows.distance)
+    return rows.distance[lowest], rows.gradient[lowest]
+
+
+_smallest = with_gradient(_distance, _distance_and_gradient)
+
+
+def _rows(smallest: bool, x: Joints, robot: Robot, obstacles: Obstacles, where: Posed) -> ClearanceRows:
+    """The distances and, in closed form, their gradients."""
+    touch, rows = contacts(robot, obstacles, where, x, smallest), rows_of(robot, obstacles)
+    return ClearanceRows(touch.distance, slopes(robot, x, rows, touch.normal, touch.point, touch.witness))
+
+
+_clearances, _bodies_at = jax.jit(clearances), jax.jit(bodies_at)
+
+
+def nearest_to(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, row: int) -> str:
+    """What the body of a row is nearest to at x, in words: kinds that have some tell it by `hit`."""
+    if not any(hasattr(each, "hit") for each in obstacles):
+        return "the workpiece"
+    rows = 0
+    for own in grouped(obstacles):
+        count = len(own[0].rows(robot).body)
+        if row < rows + count:
+            break
+        rows += count
+    named = [each for each in own if hasattr(each, "hit")]
+    others = tuple(each for each in own if not hasattr(each, "hit"))
+    parts = [(each,) for each in named] + ([others] if named and others else [])
+    distance = [float(_clearances(robot, part, where, x)[row - rows]) for part in parts] if len(parts) > 1 else [0.0]
+    if not named or distance.index(min(distance)) == len(named):
+        return "the workpiece"
+    bodies = _bodies_at(robot, where, x)
+    return named[distance.index(min(distance))].hit(robot, row - rows, bodies.p, bodies.q)
+
+
+def _nearest(parts: list[Contacts]) -> Contacts:
+    """Row by row the contact with the smallest distance; the first of equals."""
+    nearest = parts[0]
+    for other in parts[1:]:
+        decides = other.distance < nearest.distance
+        choose = lambda new, old, d=decides: jnp.where(d.reshape(-1, *[1] * (new.ndim - 1)), new, old)  # noqa: E731
+        nearest = jax.tree.map(choose, other, nearest)
+    return nearest
+
+
+def _one_after_another(parts: list):
+    return parts[0] if len(parts) == 1 else jax.tree.map(lambda *columns: jnp.concatenate(columns), *parts)
+
+
+def _together(combine: Callable, values: list[jax.Array]) -> jax.Array:
+    whole = values[0]
+    for value in values[1:]:
+        whole = combine(whole, value)
+    return whole

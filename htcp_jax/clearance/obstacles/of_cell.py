@@ -1,0 +1,160 @@
+"""The obstacles that a cell is, and clouds that stand where they stand, whatever becomes of the workpiece.
+
+A mesh that is closed and convex is a solid. Any other is points on it, as a workpiece's are: they cover it, and what
+they may miss makes every body that much thicker.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float as HostFloat
+from scipy.spatial import ConvexHull
+
+from htcp_jax.clearance.distance.cloud import Cloud, cloud_of
+from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Piece, Rod, Solid
+from htcp_jax.clearance.distance.sweep import Sweep, Wanted
+from htcp_jax.clearance.obstacles.obstacles.fixtures import fixtures
+from htcp_jax.clearance.obstacles.obstacles.obstacle import Bodies, Contacts, Obstacles, Posed, Rows
+from htcp_jax.model.fixture import Fixture
+from htcp_jax.model.mesh_points import Cover, area, cover
+from htcp_jax.model.robot import Robot
+from htcp_jax.numerics import product
+from htcp_jax.pytree import register_pytree
+from htcp_jax.types import Bool, Float, Int, Pose, Scalar
+
+FINER, COARSEST_M = 4, 0.01  # points on a mesh: their widest gap, by the radius of the thinnest body, and at most;
+MANY = 300_000  # but about so many points are enough for one mesh, however thin a body is
+FAR_M = 1e6  # from everything that stands still: a body that does so itself
+
+
+class _Place(NamedTuple):
+    T_world_workpiece: Pose
+    interior_plane: Float[jax.Array, "4"]
+
+
+@register_pytree
+@dataclass(frozen=True)
+class PlacedCloud:
+    """A cloud that stands in the world by itself. Bodies that stand still keep clear of nothing."""
+
+    cloud: Cloud
+    T_world: Pose
+    name: str = field(metadata={"static": True})
+
+    per_body = True
+
+    def rows(self, robot: Robot) -> Rows:
+        """One a body."""
+        return Rows.of_bodies(robot)
+
+    def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
+        """The nearest point of every body."""
+        return self.cloud.contacts(*self._seen(robot, bodies))
+
+    def smallest(self, robot: Robot, where: Posed, bodies: Bodies) -> Scalar:
+        """Of all bodies."""
+        return self.cloud.smallest(*self._seen(robot, bodies))
+
+    def touches(self, robot: Robot, where: Posed, bodies: Bodies) -> Bool[jax.Array, ""]:
+        """Whether any body does."""
+        return self.cloud.touches(*self._seen(robot, bodies))
+
+    def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "K"]:
+        """The distance itself."""
+        return self.cloud.room(*self._seen(robot, bodies))
+
+    def clear_along(
+        self, robot: Robot, where: Posed, bodies: Bodies, sweep: Sweep, asked: Bool[jax.Array, "K"], wanted: Wanted
+    ) -> Float[jax.Array, "K"]:
+        """To second order."""
+        return self.cloud.clear_along(*self._seen(robot, bodies), sweep, asked, wanted)
+
+    def touches_along(
+        self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
+    ) -> Bool[jax.Array, ""]:
+        """Whether a body touches at any of the postures."""
+        return self.cloud.touches_along(*self._seen(robot, bodies), body, asked)
+
+    @property
+    def names(self) -> tuple[str]:
+        """Its own alone."""
+        return (self.name,)
+
+    def hit(self, robot: Robot, row: int, p: Float[jax.Array, "K 3"], q: Float[jax.Array, "K 3"]) -> str:
+        """What it is, in words."""
+        return f"the fixture {self.name!r}"
+
+    def _seen(self, robot: Robot, bodies: Bodies) -> tuple[Robot, _Place, Bodies]:
+        """The robot, with bodies that stand still infinitely thin, the place, and the bodies as seen from there."""
+        R, t = self.T_world[:3, :3], self.T_world[:3, 3].reshape((1,) * (bodies.p.ndim - 1) + (3,))
+        own = bodies._replace(p_workpiece=product(bodies.p - t, R), q_workpiece=product(bodies.q - t, R))
+        radius = jnp.where(np.array(robot.capsule_link) >= 0, robot.capsule_radius, -FAR_M)
+        return dataclasses.replace(robot, capsule_radius=radius), _Place(self.T_world, jnp.zeros(4)), own
+
+
+def make_fixtures(robot: Robot, shapes: Sequence[Fixture]) -> Obstacles:
+    """The obstacles that the shapes of a cell are to a robot. Raises InputError, naming it, for a mesh without an
+    area."""
+    solids = [(each.name, found) for each in shapes if (found := solid_of(each)) is not None]
+    meshes = [each for each in shapes if each.kind == "mesh" and not each.convex]
+    clouds = []
+    for mesh in meshes:
+        points = _covered(robot, mesh.triangles, f"fixture {mesh.name!r}")
+        clouds.append(PlacedCloud(cloud_of(*points), jnp.eye(4), mesh.name))
+    return ((fixtures(robot, solids),) if solids else ()) + tuple(clouds)
+
+
+def placed_cloud(
+    robot: Robot,
+    points: HostFloat[np.ndarray, "P 3"],
+    triangles: HostFloat[np.ndarray, "F 3 3"],
+    T_world: HostFloat[np.ndarray, "4 4"],
+    source: str,
+    name: str,
+) -> PlacedCloud:
+    """Points [m], or points on a mesh if there are triangles [m], where they stand. Raises InputError, naming
+    `source`, as `mesh_points.cover` does."""
+    found = _covered(robot, triangles, source) if len(triangles) else Cover(points, 0.0)
+    return PlacedCloud(cloud_of(*found), jnp.asarray(T_world), name)
+
+
+def _covered(robot: Robot, triangles: HostFloat[np.ndarray, "F 3 3"], source: str) -> Cover:
+    thinnest = float(np.min(robot.capsule_radius))
+    many = np.sqrt(2 * area(triangles).sum() / MANY)
+    return cover(triangles, source, spacing=max(min(thinnest / FINER, COARSEST_M), many))
+
+
+def solid_of(shape: Fixture) -> Solid | None:
+    """A shape as it is measured; None for a mesh that is not convex."""
+    R, t, size = shape.T_world[:3, :3], shape.T_world[:3, 3], shape.size
+    if shape.kind == "plane":
+        return HalfSpace(R[:, 2], R[:, 2] @ t)
+    if shape.kind == "sphere":
+        return Rod(t, t, size[0])
+    if shape.kind == "capsule":
+        return Rod(t + size[1] * R[:, 2], t - size[1] * R[:, 2], size[0])
+    if shape.kind == "box":
+        return Box(R, t, size)
+    if shape.kind == "cylinder":
+        return Cylinder(R, t, size[0], size[1])
+    return convex_piece(shape.triangles.reshape(-1, 3)) if shape.convex else None
+
+
+def convex_piece(points: HostFloat[np.ndarray, "V 3"]) -> Piece:
+    """The convex hull of points that are not in one plane, world [m]."""
+    hull = ConvexHull(points)
+    corners, normal = points[hull.simplices], hull.equations[:, :3]
+    backwards = np.einsum("fi,fi->f", np.cross(*np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)), normal) < 0
+    corners[backwards] = corners[backwards, ::-1]
+    edges, beside = [], []
+    for face, neighbours in enumerate(hull.neighbors):
+        for side, other in enumerate(neighbours):  # the neighbour is opposite of the corner
+            if face < other:
+                edges.append(points[np.delete(hull.simplices[face], side)])
+                beside.append((face, other))
+    return Piece(corners, normal, np.array(edges), np.array(beside))

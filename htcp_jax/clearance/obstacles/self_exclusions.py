@@ -1,0 +1,102 @@
+"""Pairs of capsules that need no check against each other.
+
+Capsules are larger than links, so some of them overlap wherever the arm is. A pair is excluded only if
+
+a  the model excludes it: an <exclude> of MJCF, a <disable_collisions> of SRDF; or
+b  it overlaps in at least 95 % of 10,000 random configurations within the joint limits; or its links are joined by a
+   slide, telescopes, and some of their capsules overlap in as many; or
+c  it overlaps in some of them, although the parts of the makers' meshes in the two capsules touch by more than 1 mm in
+   none. Without meshes this applies to adjacent links only.
+
+A pair with a capsule of the job's own tool is excluded by b alone.
+"""
+
+from collections.abc import Callable, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool
+
+from htcp_jax.clearance.distance.segments import nearest_points
+from htcp_jax.model.kinematics import capsule_segments
+from htcp_jax.model.robot import Exclusion, Robot
+from htcp_jax.numerics import safe_norm
+from htcp_jax.types import Float, Joints
+
+SAMPLES, SEED = 10_000, 0
+ALWAYS = 0.95
+SLIDE_M = 1.0  # range of a slide without limits, to either side
+TOGETHER = 500  # configurations measured at a time
+
+Pairs = tuple[tuple[int, int], ...]
+Samples = Float[np.ndarray, "n N"]
+Touch = Callable[[tuple[int, int], Bool[np.ndarray, "n"]], bool]
+
+
+def candidates(robot: Robot) -> Pairs:
+    """All pairs of capsules that can move relative to each other, the one further out first."""
+    link, bodies = robot.capsule_link, range(len(robot.capsule_link))
+    return tuple((a, b) for a in bodies for b in bodies if link[a] > link[b])
+
+
+def samples(robot: Robot) -> Samples:
+    """Random configurations, uniform within the joint limits [rad or m]; joints without limits within half a turn, or
+    SLIDE_M, of zero."""
+    free = np.where(robot.slides, SLIDE_M, np.pi)
+    lower, upper = np.asarray(robot.lower), np.asarray(robot.upper)
+    lower, upper = np.where(np.isfinite(lower), lower, -free), np.where(np.isfinite(upper), upper, free)
+    return np.random.default_rng(SEED).uniform(lower, upper, (SAMPLES, len(lower)))
+
+
+def distances(robot: Robot, pairs: Sequence[tuple[int, int]], x: Samples) -> Float[np.ndarray, "n R"]:
+    """Signed distance of the capsules of every pair at every configuration [m]."""
+    return np.asarray(_distances(robot, tuple(pairs), x))
+
+
+def find_exclusions(robot: Robot, touch: Touch | None = None) -> tuple[Exclusion, ...]:
+    """The pairs that rules b and c exclude and the model does not. touch: True if the makers' meshes in two capsules
+    touch in some of the `samples` that are marked, see `LinkMeshes.touch`; None without meshes."""
+    stated = {(each.first, each.second) for each in robot.exclusions}
+    pairs = [pair for pair in candidates(robot) if pair not in stated]
+    if robot.listed:
+        pairs = [pair for pair in pairs if set(pair) & set(robot.mounted)]
+    if not pairs:
+        return ()
+    overlap = distances(robot, pairs, samples(robot)) <= 0
+    found = []
+    for k, (pair, share) in enumerate(zip(pairs, overlap.mean(axis=0).tolist(), strict=True)):
+        own = not set(pair) & set(robot.mounted)
+        if share >= ALWAYS or (own and share and _telescopes(robot, pairs, overlap, pair)):
+            found.append(Exclusion(*pair, "b", share))
+        elif own and share and (_adjacent(robot, pair) if touch is None else not touch(pair, overlap[:, k])):
+            found.append(Exclusion(*pair, "c", share))
+    return tuple(found)
+
+
+def _adjacent(robot: Robot, pair: tuple[int, int]) -> bool:
+    first, second = (robot.capsule_link[k] for k in pair)
+    return first == second + 1
+
+
+def _telescopes(
+    robot: Robot, pairs: Sequence[tuple[int, int]], overlap: Bool[np.ndarray, "n R"], pair: tuple[int, int]
+) -> bool:
+    """True if a slide joins the links of a pair, and some of their capsules overlap in ALWAYS of the samples."""
+    links = tuple(robot.capsule_link[k] for k in pair)
+    if not (_adjacent(robot, pair) and robot.slides[links[0]]):
+        return False
+    same = [tuple(robot.capsule_link[k] for k in each) == links for each in pairs]
+    return bool(overlap[:, same].any(axis=1).mean() >= ALWAYS)
+
+
+@jax.jit(static_argnums=1)
+def _distances(robot: Robot, pairs: Pairs, x: Float[jax.Array, "n N"]) -> Float[jax.Array, "n R"]:
+    a, b = (np.array(side) for side in zip(*pairs, strict=True))
+
+    def at(x: Joints) -> Float[jax.Array, "R"]:
+        p, q = capsule_segments(robot, x)
+        _, _, on_a, on_b = nearest_points(p[a], q[a], p[b], q[b])
+        return safe_norm(on_a - on_b) - robot.capsule_radius[a] - robot.capsule_radius[b]
+
+    return jax.lax.map(at, jnp.asarray(x), batch_size=TOGETHER)

@@ -1,0 +1,118 @@
+"""Whether the tool's bare tip, the stretch between the last body and the TCP, passes through a wall.
+
+The tip has to come near the wall, so it is no body that keeps clear. But what it passes through, but for its very end,
+is a wall between the tool and its target. The walls are the triangles of a mesh, or for a cloud one flat disc a point,
+as pictures draw them: each reaches beyond its point's eighth neighbour, so that discs overlap where points are spread
+evenly.
+
+A triangle or disc lies in a ball about its middle; the radius of the largest of these balls is the grain. The tip is
+cut into stretches of a grain at most: what a stretch passes through has its middle within one and a half grains of the
+stretch's. What a tree of the middles finds there is tested exactly.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from htcp_jax.model.mesh_points import pieces
+from htcp_jax.model.surface import Surface, surface_of
+from htcp_jax.model.workpiece import Workpiece
+
+GRAINS = 100_000  # pieces of a mesh, about, that its triangles are cut into for the search
+INCLUSIVE = 1e-9  # of a triangle's size: what meets an edge meets one of its triangles
+Ends = Float[np.ndarray, "n 3"]
+
+
+class Triangles:
+    """The triangles of a mesh, in pieces of about the same size; their middles, and the grain [m]."""
+
+    def __init__(self, triangles: Float[np.ndarray, "F 3 3"]):
+        edges = triangles - np.roll(triangles, 1, axis=1)
+        area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum() / 2
+        self._corners = pieces(triangles, 2 * np.sqrt(area / GRAINS), "the mesh")
+        self.middle = self._corners.mean(axis=1)
+        self.grain = float(np.linalg.norm(self._corners - self.middle[:, None], axis=2).max())
+
+    def crossed(self, rows: Int[np.ndarray, "n"], p: Ends, q: Ends) -> Bool[np.ndarray, "n"]:
+        """Whether the straight line from p to q passes through the piece in that row.
+
+        By Moeller and Trumbore: the line meets the plane between its ends, at a point with barycentric coordinates
+        u, v, 1 - u - v that are not negative. What runs within the plane passes through nothing."""
+        a, b, c = np.moveaxis(self._corners[rows], 1, 0)
+        way, ab, ac = q - p, b - a, c - a
+        across = np.cross(way, ac)
+        det = _dot(ab, across)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u = _dot(p - a, across) / det
+            other = np.cross(p - a, ab)
+            v, t = _dot(way, other) / det, _dot(ac, other) / det
+            return (np.minimum(np.minimum(u, v), 1 - u - v) >= -INCLUSIVE) & (t >= 0) & (t <= 1)
+
+
+class Discs:
+    """The flat discs of a cloud's points; their middles, and the grain [m]."""
+
+    def __init__(self, surface: Surface):
+        self._surface, self.middle, self.grain = surface, surface.points, float(surface.radius.max())
+
+    def crossed(self, rows: Int[np.ndarray, "n"], p: Ends, q: Ends) -> Bool[np.ndarray, "n"]:
+        """Whether the straight line from p to q passes through the disc in that row: its ends lie on both sides of the
+        plane, and its point in the plane within the disc."""
+        disc = self._surface.only(rows)
+        before, after = _dot(p - disc.points, disc.normals), _dot(q - disc.points, disc.normals)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            point = p + (before / (before - after))[:, None] * (q - p)
+            return (before * after <= 0) & (np.linalg.norm(point - disc.points, axis=1) <= disc.radius)
+
+
+class TipGuard:
+    """What the tip must not pass through, in the workpiece frame; `contact_m` of its end may touch [m]."""
+
+    def __init__(self, wall: Triangles | Discs, contact_m: float):
+        self._wall, self._contact = wall, contact_m
+        self._tree = cKDTree(wall.middle)
+        self._reach = 1.5 * wall.grain * (1 + INCLUSIVE)
+
+    def passes(self, p: Ends, q: Ends) -> Bool[np.ndarray, "n"]:
+        """Whether the stretches from p to q, shortened at q by what may touch, pass through a wall."""
+        length = np.linalg.norm(q - p, axis=1)
+        kept = np.maximum(length - self._contact, 0.0)
+        way = (q - p) * np.divide(kept, length, out=np.zeros_like(kept), where=length > 0)[:, None]
+        row, middle = _stretches(p, way, np.ceil(kept / self._wall.grain).astype(int))
+        near = np.isfinite(self._tree.query(middle, distance_upper_bound=self._reach)[0])
+        row = row[near]
+        found = self._tree.query_ball_point(middle[near], self._reach, return_sorted=False)
+        rows = np.repeat(row, [len(each) for each in found])
+        things = np.concatenate([np.empty(0, int), *(np.array(each, int) for each in found)])
+        through = np.zeros(len(p), bool)
+        through[rows[self._wall.crossed(things, p[rows], (p + way)[rows])]] = True
+        return through
+
+
+@lru_cache(maxsize=2)
+def make_tip_guard(workpiece: Workpiece) -> TipGuard | None:
+    """The guard of a workpiece, kept for the next plan; None where its tip may touch anywhere."""
+    if workpiece.tip_contact_m is None:
+        return None
+    wall = Triangles(workpiece.triangles) if len(workpiece.triangles) else Discs(surface_of(workpiece.cloud))
+    return TipGuard(wall, workpiece.tip_contact_m)
+
+
+class _Stretches(NamedTuple):
+    row: Int[np.ndarray, "m"]
+    middle: Float[np.ndarray, "m 3"]
+
+
+def _stretches(p: Ends, way: Ends, counts: Int[np.ndarray, "n"]) -> _Stretches:
+    """The ways from p on, each in so many equal stretches: whose each is, and its middle."""
+    row = np.repeat(np.arange(len(p)), counts)
+    before = np.cumsum(counts) - counts
+    fraction = (np.arange(len(row)) - before[row] + 0.5) / counts[row]
+    return _Stretches(row, p[row] + fraction[:, None] * way[row])
+
+
+def _dot(u: Ends, v: Ends) -> Float[np.ndarray, "n"]:
+    return (u * v).sum(axis=1)

@@ -1,0 +1,108 @@
+"""Where the arm up to its wrist cannot be, and where the wrist is: what joins that to the exclusion of the tool.
+
+Where the last three joints are hinges whose axes meet in a point, the wrist, that point is fixed to the tool and to the
+arm before it. A cell of the tool's orientations puts the wrist into a ball, a box of the joints before it another. A
+posture is in one of either sort, and its wrist in both balls. So a target has no clear posture if, whatever does not
+collide for sure, no ball of one sort meets one of the other. Joint limits of the last three are not heeded.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from htcp_jax.clearance.obstacles.obstacles.obstacle import Posed
+from htcp_jax.clearance.obstacles.obstacles.scene import Scene
+from htcp_jax.clearance.proof.exclusion import PIECES, Segments, cut, rotation, seen_from, surely_touches, tool_collides
+from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, point_motion_bound
+from htcp_jax.model.kinematics import point_positions
+from htcp_jax.model.robot import Robot
+from htcp_jax.numerics import product, safe_divide, safe_norm
+from htcp_jax.types import Array, Bool, Float, Joints, Scalar, Vector3
+
+WRIST = 3  # joints
+
+
+class Wrist(NamedTuple):
+    """The point in which the last three axes meet."""
+
+    on_arm: Vector3  # in the frame of the link of the first of them [m]
+    on_tool: Vector3  # in that of the last link
+    missed_m: Scalar  # how far the axes pass each other
+
+
+class Cell(NamedTuple):
+    """What is known of a cell of postures."""
+
+    collides: Bool[Array, ""]  # whether all of them do
+    wrist: Vector3  # world [m], that of one of them
+    moves: Scalar  # how far from there it is in any other, at most [m]
+
+
+def has_wrist(robot: Robot) -> bool:
+    """Whether the last three joints are hinges whose axes meet, behind others of which no slide is endless."""
+    if len(robot.slides) <= WRIST or any(robot.slides[-WRIST:]):
+        return False
+    endless = np.array(robot.slides) & ~np.isfinite(np.asarray(robot.upper - robot.lower))
+    return not endless.any() and float(wrist(robot).missed_m) <= 0.1 * ROUNDING_M
+
+
+def wrist(robot: Robot) -> Wrist:
+    """The point of the second of the last three axes that is nearest to the first of them; infinitely far off for an
+    arm of fewer joints."""
+    if len(robot.slides) < WRIST:
+        return Wrist(jnp.zeros(3), jnp.zeros(3), jnp.asarray(jnp.inf))
+    first, second, third = robot.axis[-WRIST:]
+    (R, o), (S, c) = ((T[:3, :3], T[:3, 3]) for T in robot.T_parent_joint[-2:])
+    along = product(R, second)
+    cos = product(first, along)
+    t = safe_divide(cos * product(first, o) - product(along, o), 1 - cos * cos)
+    on_arm, own = o + t * along, product(S.T, t * second - c)
+    on_tool = product(third, own) * third
+    missed = jnp.maximum(safe_norm(on_arm - product(first, on_arm) * first), safe_norm(own - on_tool))
+    return Wrist(on_arm, on_tool, missed)
+
+
+def tool_cell(
+    scene: Scene, where: Posed, margin_m: Scalar, target: Vector3, quaternion: Float[Array, "4"], rho: Scalar
+) -> Cell:
+    """Of all postures of `exclusion.tool_collides`."""
+    arm = wrist(scene.robot).on_tool - scene.robot.T_link_tcp[:3, 3]
+    moves = 2 * safe_norm(arm) * jnp.sin(0.5 * jnp.minimum(rho, jnp.pi)) + scene.task.tolerance_m
+    collides = tool_collides(scene, where, margin_m, target, quaternion, rho)
+    return Cell(collides, target + product(rotation(quaternion), arm), moves + ROUNDING_M)
+
+
+def arm_cell(scene: Scene, where: Posed, margin_m: Scalar, target: Vector3, x: Joints, turns: Joints) -> Cell:
+    """Of all postures that have the TCP within the tolerance of the target, world [m], and every joint before the
+    wrist within `turns` of x [rad or m]; what both say of the last three does not count. They collide, too, where the
+    wrist is too near to the target for the tool, or too far; see docs/equations.md, section Exclusion."""
+    robot, tool = scene.robot, wrist(scene.robot)
+    first = len(robot.slides) - WRIST
+    free = jnp.arange(len(robot.slides)) < first
+    x, turns = jnp.where(free, x, 0.0), jnp.where(free, turns, 0.0)
+    p, q, radius, aside, links = _before_wrist(robot)
+    own, body = (tool.on_arm[None], p, q), (first, *links, *links)
+    at = point_positions(robot, x, jnp.concatenate(own), body)
+    moves = point_motion_bound(robot, x, turns, at, jnp.array(body)) + ROUNDING_M
+    length = safe_norm(tool.on_tool - robot.T_link_tcp[:3, 3])
+    off = jnp.abs(safe_norm(at[0] - target) - length) > moves[0] + scene.task.tolerance_m
+    (p, q), (of_p, of_q) = jnp.split(at[1:], 2), jnp.split(moves[1:], 2)
+    bodies = Segments(p, q, radius, aside + jnp.maximum(of_p, of_q))
+    return Cell(off | surely_touches(scene.obstacles, where, margin_m, bodies), at[0], moves[0])
+
+
+def _before_wrist(robot: Robot):
+    """The pieces of the bodies up to the link that carries the wrist, in their links' frames, and their links. That
+    link turns with the first joint of the wrist: its bodies are seen from that axis, as far away as they are."""
+    first = len(robot.slides) - WRIST
+    links = np.array(robot.capsule_link)
+    here = np.flatnonzero((links >= 0) & (links <= first))
+    bodies = robot.capsule_p[here], robot.capsule_q[here], robot.capsule_radius[here]
+    p, q, radius, _ = cut(Segments(*bodies, jnp.zeros(len(here))))
+    links, axis = np.tile(links[here], PIECES), robot.axis[first]
+    turned = jnp.asarray(links == first)
+    (on_p, off_p), (on_q, off_q) = seen_from(axis, p), seen_from(axis, q)
+    aside = jnp.where(turned, jnp.maximum(off_p, off_q), 0.0)
+    p, q = jnp.where(turned[:, None], on_p, p), jnp.where(turned[:, None], on_q, q)
+    return p, q, radius, aside, tuple(links.tolist())

@@ -1,0 +1,118 @@
+"""Where the end of an arm cannot be: proofs that every posture of a kind collides.
+
+A posture of a kind is known up to a bound on how far each point of a body is from where it stands in the kind's middle.
+A body whose axis comes so near to a wall that it still touches after moving by that much, touches in all of them; so
+does one with an end further outside of the interior's hull than it can move.
+
+With its tip on the target, the tool is known but for its orientation: turned by at most rho, a point of it at distance
+r from the tip moves by at most 2 r sin(rho / 2). The link before it turns about the last joint's axis, which the tool
+carries along: seen from the axis, a body of that link is never further away than its own distance from it.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from htcp_jax.clearance.distance.cloud import Cloud
+from htcp_jax.clearance.obstacles.obstacles.interior import Interior
+from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles, Posed
+from htcp_jax.clearance.obstacles.obstacles.scene import Scene
+from htcp_jax.clearance.proof.motion_bound import ROUNDING_M
+from htcp_jax.model.robot import Robot
+from htcp_jax.numerics import product, safe_norm
+from htcp_jax.types import Array, Bool, Float, Scalar, Vector3
+
+PIECES = 3  # of every capsule: the part near to the tip moves less than the whole
+
+
+class Segments(NamedTuple):
+    """Capsules, and how far each one's points may be from there at most."""
+
+    p: Float[Array, "n 3"]  # ends of the axes [m]
+    q: Float[Array, "n 3"]
+    radius: Float[Array, "n"]  # [m]
+    moves: Float[Array, "n"]  # [m]
+
+
+def surely_touches(obstacles: Obstacles, where: Posed, margin_m: Scalar, bodies: Segments) -> Bool[jax.Array, ""]:
+    """Whether some body keeps less than margin_m [m] wherever its points are within `moves` of the segments, which are
+    in the world. Other kinds of obstacles than points and the interior say nothing. By the
+    triangle inequality (docs/equations.md, section Exclusion)."""
+    p, q, radius, moves = bodies
+    moves, found = moves + ROUNDING_M, jnp.zeros((), bool)
+    for each in obstacles:
+        if isinstance(each, Cloud):
+            found |= each.holds(where, p, q, radius + margin_m - moves)
+        if isinstance(each, Interior):
+            found |= each.holds(where, p, q, moves)
+    return found
+
+
+def rotation(quaternion: Float[Array, "4"]) -> Float[Array, "3 3"]:
+    """That of a unit quaternion w, x, y, z (Siciliano et al., Robotics, section 2.6)."""
+    w, x, y, z = quaternion
+    return jnp.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+
+
+def tool_collides(
+    scene: Scene,
+    where: Posed,
+    margin_m: Scalar,
+    target: Vector3,
+    quaternion: Float[Array, "4"],
+    rho: Scalar,
+) -> Bool[jax.Array, ""]:
+    """Whether the tool, or the link before it, keeps less than margin_m [m] in every posture that has the TCP within
+    the tolerance of the target, world [m], and the last link turned by at most rho [rad] from the quaternion; see
+    docs/equations.md, section Exclusion."""
+    R, own = rotation(quaternion), _about_tip(scene.robot)
+    farthest = jnp.maximum(safe_norm(own.p), safe_norm(own.q))
+    moves = own.moves + 2 * farthest * jnp.sin(0.5 * jnp.minimum(rho, jnp.pi)) + scene.task.tolerance_m
+    at = partial(jnp.add, target[None])
+    return surely_touches(
+        scene.obstacles, where, margin_m, Segments(at(product(own.p, R.T)), at(product(own.q, R.T)), own.radius, moves)
+    )
+
+
+def _about_tip(robot: Robot) -> Segments:
+    """The tool's bodies as seen from the TCP, in the last link's frame; those of the link before it, on the last
+    joint's axis."""
+    last = len(robot.slides) - 1
+    links, tip = np.array(robot.capsule_link), robot.T_link_tcp[:3, 3]
+    tool, wrist = np.flatnonzero(links == last), np.flatnonzero((links == last - 1) & (links >= 0))
+    p, q = robot.capsule_p[tool], robot.capsule_q[tool]
+    moves = jnp.zeros(len(tool))
+    if not robot.slides[last] and len(wrist):
+        (a, off_a), (b, off_b) = (_on_axis(robot, end[wrist]) for end in (robot.capsule_p, robot.capsule_q))
+        p, q = jnp.concatenate([p, a]), jnp.concatenate([q, b])
+        moves, tool = jnp.concatenate([moves, jnp.maximum(off_a, off_b)]), np.concatenate([tool, wrist])
+    return cut(Segments(p - tip[None], q - tip[None], robot.capsule_radius[tool], moves))
+
+
+def _on_axis(robot: Robot, points: Float[Array, "n 3"]):
+    """The points of the last joint's axis nearest to points of the link before it, in the last link's frame, and how
+    far they are."""
+    T, axis = robot.T_parent_joint[-1], robot.axis[-1]
+    own = product(points - T[None, :3, 3], T[:3, :3])
+    return seen_from(axis, own)
+
+
+def seen_from(axis: Vector3, points: Float[Array, "n 3"]):
+    """The points of an axis through the origin nearest to others, and how far they are [m]."""
+    on = product(points, axis)[:, None] * axis[None]
+    return on, safe_norm(points - on)
+
+
+def cut(bodies: Segments) -> Segments:
+    """The same capsules, each in PIECES."""
+    p, q, radius, moves = bodies
+    ends = [p + (q - p) * (k / PIECES) for k in range(PIECES + 1)]
+    many = partial(jnp.tile, reps=PIECES)
+    return Segments(jnp.concatenate(ends[:-1]), jnp.concatenate(ends[1:]), many(radius), many(moves))

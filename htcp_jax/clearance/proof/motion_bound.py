@@ -1,0 +1,131 @@
+"""How far the arm can move while every joint stays within a distance of where it is.
+
+Let joint j turn by at most d_j either way. In the frame of the link before it, a point of a body moves by
+
+    M_j <= M_{j+1} + d_j (r_j + M_{j+1}),
+
+where r_j is the point's distance to the joint's axis at the middle, and M_{j+1} bounds what the joints beyond add
+(0 beyond the body's own link). A slide adds d_j alone. A body is rigid and convex, so its ends bound all its points.
+
+On a straight joint path x(s) with x' = t, a point has p'' = sum_ij t_i t_j d2p / dq_i dq_j. The column of a hinge j is
+z_j x (p - o_j), as long as p is far from its axis, and turns with every hinge i before it (Siciliano et al., Robotics,
+section 3.1); so, with r_j bounded as above, and over the joints that move the point,
+
+    |p''| <= sum_j |t_j| r_j (|t_j| + 2 sum_{i < j} |t_i|).
+
+A slide's own column is of length 1, does not change along itself, and turns with the hinges before it alone. With
+|p''| <= A within h of the middle m,
+
+    |p(s) - p(m)| <= h |p'(m)| + A h^2 / 2,
+
+which sees that joints undo each other's motion, as they do near a tool that hardly moves.
+
+Seen from a link before it in the chain, a body moves by the joints beyond that link alone: as if the others rested.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from htcp_jax.clearance.distance.sweep import Sweep
+from htcp_jax.model.kinematics import capsule_segments, point_jacobians, tcp_position
+from htcp_jax.model.robot import Robot
+from htcp_jax.numerics import safe_norm
+from htcp_jax.types import Array, Float, Int, Joints, Scalar, Vector3
+
+ROUNDING_M = 1e-9  # more than that of any position: what is proven is proven with so much to spare
+
+
+class TcpSweep(NamedTuple):
+    """How the TCP moves about where it is."""
+
+    position: Vector3  # world [m]
+    velocity: Vector3
+    bend: Scalar  # how large its second derivative |p''| is at most [m]
+
+
+class _Bounds(NamedTuple):
+    """Of P points that are fixed to links."""
+
+    velocity: Float[Array, "P 3"]
+    moved: Float[Array, "P"]  # how far each is from where it was, at most [m]
+    bend: Float[Array, "P"]  # and how large its |p''| is
+
+
+def motion_bound(robot: Robot, x: Joints, turns: Joints) -> Float[Array, "K"]:
+    """How far any point of each body is from where it is at x, at most, while every joint stays within `turns`
+    [rad or m] of x [m]."""
+    return _larger(point_motion_bound(robot, x, turns, *_ends(robot, capsule_segments(robot, x))))
+
+
+def point_motion_bound(
+    robot: Robot, x: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Array, "P"]
+) -> Float[Array, "P"]:
+    """The same of points at x, world [m], that are fixed to links, -1 for the world."""
+    return _bounds(robot, x, jnp.zeros_like(x), turns, points, links).moved
+
+
+def sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Sweep:
+    """How the bodies move on the joint path x + s `rates` [rad or m] with |s| <= half."""
+    within = jax.tree.map(lambda bounds: bounds[:-1], _of_arm(robot, x, rates, half)[1])
+    off = 0.5 * half * half * within.bend
+    along = half * safe_norm(within.velocity) + off
+    travel = jnp.minimum(_larger(along), _larger(within.moved))
+    p, q = half * within.velocity.reshape(2, -1, 3)
+    return Sweep(p, q, _larger(off), travel)
+
+
+def tcp_sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> TcpSweep:
+    """How the TCP moves on that path. In a program that asks for both, it costs next to nothing."""
+    points, within = _of_arm(robot, x, rates, half)
+    return TcpSweep(points[-1], within.velocity[-1], within.bend[-1])
+
+
+def travel_bound(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "K"]:
+    """How far any point of each body is from where it is at x, at most, on the joint path x + s `rates` [rad or m] with
+    |s| <= half [m]."""
+    return sweep(robot, x, rates, half).travel
+
+
+def point_bend_bound(
+    robot: Robot, x: Joints, rates: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Array, "P"]
+) -> Float[Array, "P"]:
+    """How large the second derivative |p''| of points fixed to links, at x in the world [m], is at most on a straight
+    joint path of x' = `rates` [rad or m], while every joint stays within `turns` of x [m]."""
+    return _bounds(robot, x, rates, turns, points, links).bend
+
+
+@jax.jit
+def _of_arm(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> tuple[Float[Array, "P 3"], _Bounds]:
+    """The ends of the bodies' axes and, last, the TCP, and their bounds: in one, as programs then have it once."""
+    ends, links = _ends(robot, capsule_segments(robot, x))
+    points = jnp.concatenate([ends, tcp_position(robot, x)[None]])
+    links = jnp.append(links, len(robot.slides) - 1)
+    return points, _bounds(robot, x, rates, half * jnp.abs(rates), points, links)
+
+
+def _ends(robot: Robot, segments: tuple[Float[Array, "K 3"], Float[Array, "K 3"]]):
+    """Both ends of every body's axis, the first ones first, and their links."""
+    return jnp.concatenate(segments), jnp.tile(jnp.asarray(robot.capsule_link), 2)
+
+
+def _larger(bounds: Float[Array, "P"]) -> Float[Array, "K"]:
+    """The larger of the bounds of each body's two ends."""
+    return jnp.max(bounds.reshape(2, -1), axis=0)
+
+
+def _bounds(
+    robot: Robot, x: Joints, rates: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Array, "P"]
+) -> _Bounds:
+    """Of points at x, while every joint stays within `turns` of x, and moves by `rates`."""
+    columns, slides = point_jacobians(robot, x, points, links).swapaxes(1, 2), robot.slides
+    levers, speeds = safe_norm(columns), jnp.abs(rates)
+    moved, bend = jnp.zeros(len(points)), jnp.zeros(len(points))
+    for j in reversed(range(len(slides))):
+        lever = jnp.where(links >= j, 1.0 if slides[j] else levers[:, j] + moved, 0.0)
+        turned = 2 * jnp.sum(speeds[:j], where=~np.array(slides[:j], bool))
+        bend = bend + speeds[j] * lever * (turned + (0.0 if slides[j] else speeds[j]))
+        moved = moved + turns[j] * lever
+    return _Bounds(jnp.sum(columns * rates[None, :, None], axis=1), moved, bend)

@@ -1,0 +1,159 @@
+"""Whether a straight joint path is a motion: the arm clear all along it, and the TCP within a tube about a line.
+
+By bisection. An interval of the path is proven when, seen from its middle, every body has more room than its points can
+move within the interval, as seen from what it must not touch, and the TCP can neither leave the tube nor turn back. It
+is refuted when the middle itself is in collision, out of the tube, or on its way back; otherwise it is halved. So there
+are three answers: proven, refuted at a place, and open, where the halves have become as short as they may.
+
+The TCP p(s) is bounded to second order. With |p''| <= A on an interval of half-width h about m,
+
+    |p(s) - p(m) - (s - m) p'(m)| <= A h^2 / 2        |p'(s) - p'(m)| <= A h,
+
+and as the distance to a line is convex, the ends of the straight piece p(m) +- h p'(m) bound it on all of the piece.
+
+What else the task asks for is bounded in the same way, see `row_proof`.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from htcp_jax.clearance.obstacles.obstacles.obstacle import Posed
+from htcp_jax.clearance.obstacles.obstacles.obstacles import all_clear
+from htcp_jax.clearance.obstacles.obstacles.scene import Scene
+from htcp_jax.clearance.proof.bisection import Bisection, Proof, Verdict, begun
+from htcp_jax.clearance.proof.interval import on_interval
+from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, tcp_sweep
+from htcp_jax.clearance.proof.row_proof import between, rows_hold
+from htcp_jax.numerics import capsule_point_distance, product, safe_norm
+from htcp_jax.settings import Settings
+from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
+
+RESOLUTION_M = 1e-5  # what `path_clear` may touch unnoticed: grazing paths take many halvings to prove
+KEPT_DEPTH = 6  # halvings for the sake of a clearance that means something
+DEEPEST = 30  # halvings; a joint turns by less than 1e-8 rad then
+
+
+class Tube(NamedTuple):
+    """Where the TCP may be: within `radius` of the line from `start` to `end`, along which it only advances. Where the
+    two are one point it may move any way; with an infinite radius it may be anywhere. And what the task asks for."""
+
+    start: Vector3  # world [m]
+    end: Vector3
+    radius: Scalar  # [m]
+    goals: Float[Array, "2 G"] | None = None  # of the task, at the target before and at this one; None: the paper's
+    held: Bool[Array, ""] | None = None  # whether these hold on the way
+
+
+def prove(
+    scene: Scene,
+    where: Posed,
+    a: Joints,
+    b: Joints,
+    tube: Tube | None = None,
+    resolution_m: Float[ArrayLike, ""] = -ROUNDING_M,
+    deepest: Int[ArrayLike, ""] = DEEPEST,
+    kept: Float[ArrayLike, ""] = 0.0,
+) -> Proof:
+    """Whether the straight joint path from a to b [rad or m] is clear, and keeps the TCP in the tube, if there is one.
+
+    resolution_m: D is proven to be more than minus that; what is looked at has to be clear in any case. deepest: the
+    most halvings; with fewer, what is nearly touched is open. kept: the share of D in the middle that is to be left
+    over all of an interval; else it is halved further, up to KEPT_DEPTH times. Without, the clearance of a proof may be
+    next to nothing where D is not.
+    """
+    look = look_on(scene, where, a, b, tube, resolution_m, deepest, kept)
+    return jax.lax.while_loop(lambda far: far.going, look, begun()).proof
+
+
+def look_on(
+    scene: Scene,
+    where: Posed,
+    a: Joints,
+    b: Joints,
+    tube: Tube | None,
+    resolution_m: Float[ArrayLike, ""],
+    deepest: Int[ArrayLike, ""],
+    kept: Float[ArrayLike, ""],
+) -> Callable[[Bisection], Bisection]:
+    """What `prove` repeats: a look at the interval that bisection has come to."""
+    line = jnp.zeros(3) if tube is None else tube.end - tube.start
+    length = safe_norm(line)
+    forwards = line / jnp.where(length > 0, length, 1.0)
+    asked = None if tube is None or tube.goals is None else between(scene.task, tube.goals)
+
+    def look(far: Bisection) -> Bisection:
+        index, depth, end, proof = far
+        half = 0.5 * jnp.ldexp(1.0, -depth)
+        place = (2 * index + 1).astype(half.dtype) * half
+        x = a + place * (b - a)
+        stays, broken = jnp.full((), True), jnp.full((), int(Verdict.PROVEN), jnp.int32)
+        if tube is not None:
+            stays, broken = _in_tube(scene, tube, forwards, x, b - a, half)
+        if asked is not None:
+            inside, out = rows_hold(scene.robot, scene.task.parts, asked, x, b - a, half)
+            stays &= jnp.all(inside) | ~tube.held
+            out = jnp.any(out) & tube.held
+            broken = jnp.where((broken == Verdict.PROVEN) & out, int(Verdict.LEAVES), broken)
+        keeps, going_on = depth < KEPT_DEPTH, stays & (broken == Verdict.PROVEN)
+        there = on_interval(scene.robot, scene.obstacles, where, x, b - a, half, -resolution_m, kept, keeps, going_on)
+        proven = stays & there.proven
+        verdict = jnp.where(there.middle <= 0, int(Verdict.COLLIDES), broken)
+        verdict = jnp.where((verdict == Verdict.PROVEN) & ~proven & (depth >= deepest), int(Verdict.OPEN), verdict)
+        found = Proof(
+            verdict,
+            jnp.where(verdict == Verdict.PROVEN, 1.0, place),
+            jnp.where(proven, jnp.minimum(proof.clearance, there.clear), proof.clearance),
+            proof.queries + 1,
+            jnp.maximum(proof.depth, depth.astype(jnp.int32)),
+        )
+        index, depth = jax.tree.map(partial(jnp.where, proven), _next_interval(index, depth), (2 * index, depth + 1))
+        return Bisection(index, depth, end, found)
+
+    return look
+
+
+def path_clear(scene: Scene, settings: Settings, where: Posed, a: Joints, b: Joints) -> Bool[jax.Array, ""]:
+    """Whether the straight joint path from a to b is clear by the test of `settings.path_test`, the ends left out:
+    `bisection`, or `samples`, which looks at a number of places and knows nothing of what lies between them."""
+    if settings.path_test == "bisection":
+        return proven_clear(scene, where, a, b)
+    if settings.path_steps == 1:
+        return jnp.full((), True)
+    fractions = jnp.arange(1, settings.path_steps) / settings.path_steps
+    return all_clear(scene.robot, scene.obstacles, where, a[None, :] + fractions[:, None] * (b - a)[None, :])
+
+
+def proven_clear(scene: Scene, where: Posed, a: Joints, b: Joints) -> Bool[jax.Array, ""]:
+    """Whether D > 0 wherever bisection looks, and D > -RESOLUTION_M for certain everywhere else on the path."""
+    return prove(scene, where, a, b, resolution_m=RESOLUTION_M).verdict == Verdict.PROVEN
+
+
+def _in_tube(scene: Scene, tube: Tube, forwards: Vector3, x: Joints, rates: Joints, half: Scalar):
+    """Whether the TCP surely stays in the tube on an interval about x, and what is wrong at x itself."""
+    p, v, bend = tcp_sweep(scene.robot, x, rates, half)
+    bend = bend * half
+    off, before, after = _off_line(tube, jnp.stack([p, p - half * v, p + half * v]))
+    stays = jnp.maximum(before, after) + 0.5 * bend * half + ROUNDING_M <= tube.radius
+    speed, is_line = product(forwards, v), jnp.any(forwards != 0)
+    inside = stays & (~is_line | (speed >= bend))
+    verdict = jnp.where(is_line & (speed < 0), int(Verdict.TURNS_BACK), int(Verdict.PROVEN))
+    verdict = jnp.where(off > tube.radius, int(Verdict.LEAVES), verdict).astype(jnp.int32)
+    bounded = jnp.isfinite(tube.radius)
+    return inside | ~bounded, jnp.where(bounded, verdict, int(Verdict.PROVEN))
+
+
+def _off_line(tube: Tube, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
+    start, end = (jnp.broadcast_to(point, points.shape) for point in (tube.start, tube.end))
+    return capsule_point_distance(start, end, 0.0, points)
+
+
+def _next_interval(index, depth):
+    """The interval after number `index` of those of length 2^-depth: as long a one as begins there."""
+    index = index + 1
+    up = jnp.minimum(jax.lax.population_count((index & -index) - 1), depth)
+    return index >> up, depth - up

@@ -1,0 +1,118 @@
+"""Joint paths that are proven in stretches side by side, for machines that compute many lanes in the time of one.
+
+Most proofs take a look or two, a few take thousands, and all would wait for those. So each slot looks at a stretch of a
+path. One that is through lets in the next path; when none is left it takes over the far end of another one's stretch,
+the longest interval that bisection has yet to come to there. What bisection finds of an interval does not depend on
+those before it: put together again, all is as if each path had been looked at from its one end to the other. What lies
+behind a place where a path is refuted is forgotten.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from htcp_jax.clearance.proof.bisection import WHOLE, WHOLE_DEPTH, Bisection, Proof, Verdict, begun, of_proven
+from htcp_jax.types import Bool, Int
+
+
+class Slots(NamedTuple):
+    """Stretches side by side, each in a slot, and how far their proofs have come; in a free one nothing has begun."""
+
+    row: Int[jax.Array, "width"]  # of the path in the tables; their length where the slot is free
+    far: Bisection
+
+
+class Known(NamedTuple):
+    """Of every path, put together from its stretches."""
+
+    ends: Int[jax.Array, "capacity"]  # where the first interval begins that is refuted or open, of WHOLE
+    proof: Proof
+
+
+def by_stretches(function: Callable, width: int) -> Callable:
+    """`batching.refilled` for a function whose loop is a bisection: its state is a `Bisection` that has begun nowhere
+    yet, every step a look, and its result `of_proven`."""
+
+    def run(scene, lanes, *tables) -> Proof:
+        capacity = jax.tree.leaves(tables)[0].shape[0]
+
+        @jax.vmap
+        def look(row, far: Bisection) -> Bisection:
+            lane = jax.tree.map(lambda table: table[row], tables)
+            return function(scene, *lane).step(far)
+
+        def turn(now):
+            slots, following, known = now
+            slots, following = _let_in(slots, following, lanes, capacity)
+            slots = _shared_out(slots, capacity)
+            far = look(jnp.where(slots.row < capacity, slots.row, 0), slots.far)
+            slots, known = _put_together(slots, far, known, capacity)
+            return slots, following, known
+
+        def more(now) -> jax.Array:
+            slots, following, _ = now
+            return (following < lanes) | jnp.any(slots.row < capacity)
+
+        slots = Slots(jnp.full(width, capacity, jnp.int32), _table(begun(), width))
+        known = Known(jnp.full(capacity, WHOLE), _table(begun().proof, capacity))
+        *_, known = jax.lax.while_loop(more, turn, (slots, jnp.zeros((), jnp.int32), known))
+        return jax.vmap(of_proven)(known.proof)
+
+    return jax.jit(run)
+
+
+def _let_in(slots: Slots, following: jax.Array, lanes: jax.Array, capacity: int) -> tuple[Slots, jax.Array]:
+    """The paths that are next, as many as there are free slots."""
+    free = slots.row == capacity
+    row = following + jnp.cumsum(free, dtype=jnp.int32) - 1
+    new = free & (row < lanes)
+    return slots._replace(row=jnp.where(new, row, slots.row)), following + jnp.sum(new, dtype=jnp.int32)
+
+
+def _shared_out(slots: Slots, capacity: int) -> Slots:
+    """Free slots take over the far ends of others' stretches, one of each."""
+    row, far = slots
+    rest = far.end - far.place - (1 << (WHOLE_DEPTH - far.depth))  # behind the interval that is next
+    free, gives = row == capacity, (row < capacity) & (rest > 0)
+    nth_free, nth_giver = (jnp.cumsum(which, dtype=jnp.int32) - 1 for which in (free, gives))
+    gives &= nth_giver < jnp.sum(free, dtype=jnp.int32)
+    takes = free & (nth_free < jnp.sum(gives, dtype=jnp.int32))
+    giver = jnp.nonzero(gives, size=len(row), fill_value=0)[0][jnp.where(takes, nth_free, 0)]
+    # The longest interval at the end that bisection comes to: as long as the largest power of two in the rest.
+    level = 63 - jax.lax.clz(jnp.maximum(rest, 1))
+    start = far.end - (1 << level)
+    new = begun()._replace(index=start[giver] >> level[giver], depth=WHOLE_DEPTH - level[giver], end=far.end[giver])
+    left = far._replace(end=jnp.where(gives, start, far.end))
+    far = jax.tree.map(lambda fresh, own: jnp.where(takes, fresh, own), new, left)
+    return Slots(jnp.where(takes, row[giver], row), far)
+
+
+def _put_together(slots: Slots, looked: Bisection, known: Known, capacity: int) -> tuple[Slots, Known]:
+    """What is known after a look, and the slots that go on."""
+    row, here = slots.row, slots.far.place  # where the interval that was looked at begins
+    whole, found = known.proof, looked.proof
+
+    def rows(which: Bool[jax.Array, "width"]) -> jax.Array:
+        return jnp.where(which, row, capacity)  # what is written there is dropped
+
+    fails = (row < capacity) & (found.verdict != Verdict.PROVEN)
+    ends = known.ends.at[rows(fails)].min(here, mode="drop")
+    end = ends[jnp.minimum(row, capacity - 1)]
+    foremost, goes_on = rows(fails & (here == end)), looked.going & (looked.place < end)
+    through = rows(~goes_on)
+    whole = Proof(
+        whole.verdict.at[foremost].set(found.verdict, mode="drop"),
+        whole.place.at[foremost].set(found.place, mode="drop"),
+        whole.clearance.at[through].min(found.clearance, mode="drop"),
+        whole.queries.at[through].add(found.queries, mode="drop"),
+        whole.depth.at[through].max(found.depth, mode="drop"),
+    )
+    far = jax.tree.map(lambda fresh, own: jnp.where(goes_on, own, fresh), begun(), looked)
+    return Slots(rows(goes_on), far), Known(ends, whole)
+
+
+def _table(one: Any, length: int) -> Any:
+    """Of as many rows, all the same."""
+    return jax.tree.map(lambda value: jnp.full(length, value), one)

@@ -1,1 +1,0 @@
-"""Files from outside, read into plain arrays and mappings: tables, scans, XML, YAML. Knows nothing of robots."""

@@ -1,0 +1,86 @@
+"""What stands beside the arm and its workpiece: the shapes of a cell's MJCF file, where they stand in the world.
+
+Planes, boxes, spheres, capsules and cylinders are what they are; a mesh is its triangles. Joints of the file stay as it
+is drawn. Where a file has geoms for contact and others for the eye, the first count.
+"""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool
+
+from htcp_jax.errors import InputError
+from htcp_jax.io.robot_model import compile_spec, no_log, upwards
+from htcp_jax.io.robot_shapes import Geom, Shapes
+from htcp_jax.io.safe_xml import files_of, read_spec
+from htcp_jax.model.fixture import KINDS, Fixture
+from htcp_jax.model.tool import ZERO, pose
+from htcp_jax.types import Triple
+
+
+def load_cell(
+    path: str | Path, *, moved: str | None = None, shift_m: Triple = ZERO, rpy_rad: Triple = ZERO
+) -> tuple[Fixture, ...]:
+    """The shapes of an MJCF file.
+
+    moved: a body of it, with all that it carries, that is turned about its origin by `rpy_rad` (about world x, then y,
+    then z) and then shifted by `shift_m`; None: all of it, about the world's origin.
+    Raises InputError for a file or a mesh that cannot be read, for a body that is not there, and for a shape of another
+    kind, naming it.
+    """
+    path = Path(path)
+    with no_log():
+        spec = read_spec(path, meshes=True)
+    shapes = Shapes(spec, path)
+    model = compile_spec(spec, path)
+    own = _moving(model, path, moved)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    geoms = [geom for geom in shapes.geoms if geom.touches]
+    if not geoms:
+        raise InputError(f"{path}: no geoms for contact, so nothing that an arm could touch")
+    origin = np.zeros(3) if moved is None else data.xpos[model.body(moved).id]
+    move = pose(tuple(np.array(shift_m) + origin), rpy_rad) @ pose(tuple(-origin), ZERO)
+    return tuple(
+        _fixture(geom, shapes, model, data, path, move if own[model.geom_bodyid[geom.at]] else np.eye(4))
+        for geom in sorted(geoms, key=lambda geom: geom.at)
+    )
+
+
+def files_of_cell(path: str | Path) -> set[Path]:
+    """An MJCF file, those that it includes and its meshes for contact, absolute. Raises InputError as `load_cell`."""
+    path = Path(path)
+    with no_log():
+        shapes = Shapes(read_spec(path, meshes=True), path)
+    meshes = {shapes.file(geom) for geom in shapes.geoms if geom.touches}
+    return files_of(path) | {file.resolve() for file in meshes - {None}}
+
+
+def _moving(model: mujoco.MjModel, path: Path, moved: str | None) -> Bool[np.ndarray, "B"]:
+    """Which bodies are moved."""
+    if moved is None:
+        return np.ones(model.nbody, bool)
+    names = [model.body(b).name for b in range(1, model.nbody)]
+    if moved not in names:
+        raise InputError(f"{path}: no body {moved!r} to move; bodies of the cell: {', '.join(names) or 'none'}")
+    return np.array([model.body(moved).id in upwards(model, b) for b in range(model.nbody)])
+
+
+def _fixture(
+    geom: Geom, shapes: Shapes, model: mujoco.MjModel, data: mujoco.MjData, path: Path, move: np.ndarray
+) -> Fixture:
+    body = model.body(model.geom_bodyid[geom.at]).name if model.geom_bodyid[geom.at] else ""
+    name = model.geom(geom.at).name or body or f"{geom.kind} {geom.at}"
+    if geom.kind not in KINDS or (geom.mesh and geom.kind != "mesh"):
+        kind = f"a {geom.kind} fitted to a mesh" if geom.mesh else f"a geom of type {geom.kind}"
+        raise InputError(f"{path}: {name} is {kind}; a cell is made of {', '.join(KINDS)}")
+    T, none = np.eye(4), np.empty((0, 3, 3))
+    if geom.kind != "mesh":
+        T[:3, :3], T[:3, 3] = data.geom_xmat[geom.at].reshape(3, 3), data.geom_xpos[geom.at]
+        return Fixture(name, geom.kind, move @ T, model.geom_size[geom.at].copy(), none)
+    carrier = model.geom_bodyid[geom.at]
+    T[:3, :3], T[:3, 3] = data.xmat[carrier].reshape(3, 3), data.xpos[carrier]
+    T = move @ T
+    triangles = shapes.shape(geom, model).triangles @ T[:3, :3].T + T[:3, 3]
+    return Fixture(name, geom.kind, np.eye(4), np.zeros(3), triangles)

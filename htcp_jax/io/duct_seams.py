@@ -1,0 +1,53 @@
+"""The seams of the generated duct that a job may name: its weld, and the beads of the table below.
+
+A bead lies on the wall, on a straight line in the coordinates of `duct.surface`: along one side the angle stays, around
+the duct the depth does, and down a helix both move evenly. Its points are equally spaced by arc length, from the inlet
+inwards or, around, clockwise as seen from the inlet. Depths and angles are round figures; the deep girth begins where
+it is hardest to follow.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.model.duct import equal_steps, surface, weld
+
+
+class Bead(NamedTuple):
+    """Where a bead begins and ends. Seen from the inlet, z up, angles run clockwise from the left side: 90 degrees is
+    the crown, the line along the top, 180 the right side, 270 the invert, the line along the bottom."""
+
+    x_m: tuple[float, float]
+    angle_deg: tuple[float, float]
+    points: int
+
+    @property
+    def closed(self) -> bool:
+        """Whether it ends where it begins; its last point is then one step short of its first."""
+        return self.x_m[0] == self.x_m[1] and abs(self.angle_deg[1] - self.angle_deg[0]) == 360.0
+
+
+BEADS = {
+    "left": Bead((0.2, 0.9), (0.0, 0.0), 90),
+    "right": Bead((0.2, 0.9), (180.0, 180.0), 90),
+    "crown": Bead((0.2, 0.9), (90.0, 90.0), 90),
+    "invert": Bead((0.2, 0.9), (270.0, 270.0), 90),
+    "girth-shallow": Bead((0.3, 0.3), (0.0, 360.0), 100),
+    "girth-deep": Bead((0.8, 0.8), (0.0, 360.0), 100),
+    "helix": Bead((0.2, 0.9), (0.0, 360.0), 110),
+}
+SEAMS = ("weld", *BEADS)
+
+
+def seam(name: str) -> Float[np.ndarray, "P 3"]:
+    """The P points [m] of one of SEAMS, in the duct's frame."""
+    return weld() if name == "weld" else _points(BEADS[name])
+
+
+def _points(bead: Bead) -> Float[np.ndarray, "P 3"]:
+    def on_the_wall(share: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n 3"]:
+        x, angle = (first + share * (last - first) for first, last in (bead.x_m, np.deg2rad(bead.angle_deg)))
+        return surface(x, angle)
+
+    return equal_steps(on_the_wall, 1.0, bead.points, bead.closed)

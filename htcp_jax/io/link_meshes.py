@@ -1,0 +1,219 @@
+"""The makers' meshes in an imported arm, by the capsules that hold them; FCL tells whether they touch.
+
+J. Pan, S. Chitta, D. Manocha: FCL: A General Purpose Library for Collision and Proximity Queries. ICRA 2012.
+"""
+
+from collections.abc import Iterable, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import fcl
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int
+
+from htcp_jax.errors import InputError
+from htcp_jax.io.capsule_fit import Capsule, Cut, Triangles, clip
+from htcp_jax.io.robot_import import ImportedArm, held_triangles
+from htcp_jax.io.robot_model import compile_spec, link_frames, no_log
+from htcp_jax.io.safe_xml import read_spec
+from htcp_jax.model.robot import TOUCHING_M, Robot
+
+MADE_FROM, CUTS = "made from", "cuts of "  # names of an arm's <text>s: the makers' model; the cuts of a capsule
+VISUAL = " --visual"  # at the end of the first, if the capsules hold what is drawn
+PROBE_M = 1e-9  # radius of the sphere that stands for a point
+MOST_CONTACTS = 1000  # between two pieces; of these the deepest
+LOOKED_AT, NEAREST, STEPS = 200, 6, 60  # samples, of which so many begin a search of so many steps,
+FIRST_STEP, LESS = 0.05, 0.94  # the first so large, as a share of the range of a joint, and each by so much smaller
+FIRST = np.array([0])
+_LIST = fcl.CollisionRequest(num_max_contacts=MOST_CONTACTS, enable_contact=True)
+
+
+class _Part(NamedTuple):
+    """What a capsule holds: a piece of a mesh, or nothing but itself."""
+
+    body: int
+    shape: fcl.CollisionGeometry
+    T_body_shape: Float[np.ndarray, "4 4"]
+
+
+class Poses(NamedTuple):
+    """Where the B bodies of a model are at n configurations, in the frame of the model."""
+
+    rotation: Float[np.ndarray, "n B 3 3"]
+    position: Float[np.ndarray, "n B 3"]
+
+
+class LinkMeshes:
+    """The pieces of the makers' meshes, by the name of the capsule that holds them.
+
+    held: for every capsule its body's number in the model, and its piece or itself. addresses: of the arm's joints in
+    the model's configuration.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, addresses: list[int], held: Mapping[str, tuple[int, Triangles | Capsule]]
+    ):
+        self._model, self._addresses = model, addresses
+        self.names = frozenset(held)  # of the capsules
+        self._parts = {name: _part(*each) for name, each in held.items()}
+
+    @classmethod
+    def of(cls, arm: ImportedArm) -> "LinkMeshes":
+        """Those of an arm that was imported just now."""
+        held = {}
+        for body, cover in arm.covers.items():
+            held |= {name: (body, capsule) for name, capsule in cover.own.items()}
+            held |= {name: (body, piece.triangles) for name, piece in cover.pieces.items()}
+        return cls(arm.model, arm.model.jnt_qposadr[list(arm.joints)].tolist(), held)
+
+    @classmethod
+    def read(cls, arm: Path) -> "LinkMeshes | None":
+        """Those that an arm's file refers to; None if it refers to none, or to a model that is not there any more."""
+        with no_log():
+            spec = read_spec(arm, contacts=True)
+        texts = {text.name: text.data for text in spec.texts}
+        source, visual, _ = texts.get(MADE_FROM, "").partition(VISUAL)
+        if not source or not (arm.parent / source).is_file():
+            return None
+        for each in list(spec.tuples):
+            spec.delete(each)
+        model, held = compile_spec(spec, arm), {}
+        try:
+            triangles = held_triangles(arm.parent / source, bool(visual))
+        except InputError:  # its meshes are gone
+            return None
+        for geom in range(model.ngeom):
+            name, body = model.geom(geom).name, int(model.geom_bodyid[geom])
+            cuts = texts.get(CUTS + name)
+            piece = triangles.get(model.body(body).name) if cuts is not None else None
+            for cut in _cuts(cuts or "") if piece is not None else ():
+                piece = clip(piece, cut)
+            held[name] = body, _capsule(model, geom) if piece is None or not len(piece) else piece
+        return cls(model, list(range(model.nq)), held)
+
+    def poses(self, x: Float[np.ndarray, "n N"]) -> Poses:
+        """The bodies at configurations x [rad or m]."""
+        model, data = self._model, mujoco.MjData(self._model)
+        found = Poses(np.empty((len(x), model.nbody, 3, 3)), np.empty((len(x), model.nbody, 3)))
+        for k, row in enumerate(x):
+            data.qpos[self._addresses] = row
+            mujoco.mj_kinematics(model, data)
+            found.rotation[k], found.position[k] = data.xmat.reshape(-1, 3, 3), data.xpos
+        return found
+
+    def deepest_m(
+        self, one: str, other: str, at: Poses, rows: Int[np.ndarray, "m"] = FIRST, enough_m: float = np.inf
+    ) -> float:
+        """The depth of the deepest contact of two capsules' pieces at some configurations, by default the first [m]; 0
+        without contact. Once
+        one is deeper than `enough_m`, the rest are not tried."""
+        deepest = 0.0
+        for k in rows:
+            contacts = fcl.CollisionResult()
+            fcl.collide(self._placed(one, at, k), self._placed(other, at, k), _LIST, contacts)
+            deepest = max([deepest, *(contact.penetration_depth for contact in contacts.contacts)])
+            if deepest > enough_m:
+                break
+        return deepest
+
+    def touch(self, one: str, other: str, x: Float[np.ndarray, "n N"], at: Poses, rows: Int[np.ndarray, "m"]) -> bool:
+        """True if two capsules' pieces touch by more than TOUCHING_M at some of the rows of x, or where a search
+        downhill in their distance leads from the NEAREST of these: contacts may be rarer than one in n."""
+        if self.deepest_m(one, other, at, rows, TOUCHING_M) > TOUCHING_M:
+            return True
+        some = rows[:: max(1, len(rows) // LOOKED_AT)]
+        order = np.argsort([self._distance_m(one, other, at, k) for k in some], kind="stable")
+        rng, lower, upper = np.random.default_rng(0), x.min(axis=0), x.max(axis=0)
+        for k in some[order[:NEAREST]]:
+            best, now = self._distance_m(one, other, at, k), x[k]
+            for step in range(STEPS):
+                spread = FIRST_STEP * (upper - lower) * LESS**step
+                tried = np.clip(now + spread * rng.normal(size=len(now)), lower, upper)
+                there = self.poses(tried[None])
+                if (found := self._distance_m(one, other, there, 0)) < best:
+                    best, now = found, tried
+                    if best < -TOUCHING_M:
+                        return True
+        return False
+
+    def _distance_m(self, one: str, other: str, at: Poses, k: int | np.integer) -> float:
+        """Between two pieces; below zero how deep they are in each other."""
+        apart = fcl.distance(self._placed(one, at, k), self._placed(other, at, k))
+        return apart if apart > 0 else -self.deepest_m(one, other, at, np.array([k]))
+
+    def outside_m(self, name: str, robot: Robot, x: Float[np.ndarray, "N"], point: Float[np.ndarray, "3"]) -> float:
+        """The distance of a point in the world from what a capsule of the robot holds, at configuration x [m]."""
+        at = self.poses(x[None])
+        T_model_joint = link_frames(self._model, np.eye(4))[0][0]
+        seen = np.linalg.solve(np.asarray(robot.T_parent_joint[0]) @ np.linalg.inv(T_model_joint), [*point, 1.0])[:3]
+        probe = fcl.CollisionObject(fcl.Sphere(PROBE_M), fcl.Transform(np.eye(3), seen))
+        return max(0.0, fcl.distance(self._placed(name, at, 0), probe) + PROBE_M)
+
+    def _placed(self, name: str, at: Poses, k: int | np.integer) -> fcl.CollisionObject:
+        body, shape, T = self._parts[name]
+        R, t = at.rotation[k, body], at.position[k, body]
+        return fcl.CollisionObject(shape, fcl.Transform(R @ T[:3, :3], R @ T[:3, 3] + t))
+
+
+class MeshesInFile(NamedTuple):
+    """The `LinkMeshes` of an arm's file, read when they are first needed."""
+
+    file: Path
+
+    def deepest_m(self, first: str, second: str, x: Float[np.ndarray, "N"]) -> float:
+        """Return the depth of the deepest contact between the meshes in two capsules at x [m]; 0 without meshes."""
+        meshes = _read(self.file)
+        return 0.0 if meshes is None else meshes.deepest_m(first, second, meshes.poses(x[None]))
+
+    def outside_m(
+        self, capsule: str, robot: Robot, x: Float[np.ndarray, "N"], point: Float[np.ndarray, "3"]
+    ) -> float | None:
+        """Return the distance of a point in the world from the mesh in a capsule at x [m]; None without a mesh."""
+        meshes = _read(self.file)
+        if meshes is None or capsule not in meshes.names:
+            return None
+        return meshes.outside_m(capsule, robot, x, point)
+
+
+@lru_cache(maxsize=8)
+def _read(file: Path) -> LinkMeshes | None:
+    return LinkMeshes.read(file)
+
+
+def cuts_text(cuts: Iterable[Cut]) -> str:
+    """Cuts as an arm's file has them."""
+    return "; ".join(" ".join(f"{number:.15g}" for number in (*cut.normal, cut.offset)) for cut in cuts)
+
+
+def _cuts(text: str) -> list[Cut]:
+    rows = [[float(number) for number in row.split()] for row in text.split(";") if row.strip()]
+    return [Cut((row[0], row[1], row[2]), row[3]) for row in rows]
+
+
+def _part(body: int, held: Triangles | Capsule) -> _Part:
+    T = np.eye(4)
+    if not isinstance(held, Capsule):
+        corners, faces = np.unique(held.reshape(-1, 3), axis=0, return_inverse=True)
+        mesh = fcl.BVHModel()
+        mesh.beginModel(len(held), len(corners))
+        mesh.addSubModel(corners, faces.reshape(-1, 3))
+        mesh.endModel()
+        return _Part(body, mesh, T)
+    along, turn, flat = held.p - held.q, np.empty(4), np.empty(9)
+    T[:3, 3], length = (held.p + held.q) / 2, float(np.linalg.norm(along))
+    if length == 0:
+        return _Part(body, fcl.Sphere(held.radius), T)
+    mujoco.mju_quatZ2Vec(turn, along / length)
+    mujoco.mju_quat2Mat(flat, turn)
+    T[:3, :3] = flat.reshape(3, 3)
+    return _Part(body, fcl.Capsule(held.radius, length), T)
+
+
+def _capsule(model: mujoco.MjModel, geom: int) -> Capsule:
+    flat = np.empty(9)
+    mujoco.mju_quat2Mat(flat, model.geom_quat[geom])
+    half = model.geom_size[geom, 1] if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE else 0.0
+    reach, middle = half * flat[2::3], model.geom_pos[geom]
+    return Capsule(middle + reach, middle - reach, float(model.geom_size[geom, 0]))

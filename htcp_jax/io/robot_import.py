@@ -1,0 +1,222 @@
+"""An arm of capsules from a robot's model file as its maker ships it: the chain to the TCP moves, all else is frozen,
+and whatever shapes a body has are held by capsules.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.errors import InputError
+from htcp_jax.io.capsule_fit import MOST, Capsule, Piece, Triangles, cover, hull_volume
+from htcp_jax.io.robot_model import check_joints, compile_spec, joint_name, joint_numbers, no_log, upwards
+from htcp_jax.io.robot_shapes import Geom, Shape, Shapes
+from htcp_jax.io.robot_tcp import Tip, find_tip
+from htcp_jax.io.safe_xml import read_spec
+
+PER_JOINT = "speed", "acceleration", "datasheet_lower", "datasheet_upper"  # <numeric>s that an arm keeps
+NOT_OF_AN_ARM = "plane", "hfield", "sdf"
+ROUND = "capsule", "sphere"
+_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+
+
+class Cover(NamedTuple):
+    """The capsules of one body, and what they stand for."""
+
+    own: dict[str, Capsule]  # that the model has, by name
+    pieces: dict[str, Piece]  # of `held`, with the capsules that were fitted here
+    drawn: Triangles  # of the shapes that the model's own capsules were fitted to by MuJoCo [m]
+    held: Triangles  # of all other shapes [m]; the fitted ones hold them
+    kinds: tuple[str, ...]  # box, mesh, ...: what the held ones were
+
+    @property
+    def fitted(self) -> dict[str, Capsule]:
+        """The capsules of the pieces, by name."""
+        return {name: piece.capsule for name, piece in self.pieces.items()}
+
+    @property
+    def ratio(self) -> float:
+        """Volume of the fitted capsules, where they overlap twice, by that of the convex hull of what they hold; nan
+        where nothing was fitted."""
+        volume = sum(capsule.volume for capsule in self.fitted.values())
+        return volume / hull_volume(self.held.reshape(-1, 3)) if self.fitted else np.nan
+
+    @property
+    def outside_m(self) -> float:
+        """How far a corner of `drawn` lies outside the model's own capsules [m]; 0 where none does."""
+        corners = self.drawn.reshape(-1, 3)
+        if not len(corners):
+            return 0.0
+        return max(0.0, -float(np.max([capsule.depth(corners) for capsule in self.own.values()], axis=0).min()))
+
+
+class ImportedArm(NamedTuple):
+    """A robot's model as MuJoCo compiles it, shapes apart, and what an arm takes from it."""
+
+    model: mujoco.MjModel
+    tip: Tip
+    joints: tuple[int, ...]  # from the world to the TCP; numbers of the model, as all that follow
+    joint_names: tuple[str, ...]
+    frozen: tuple[str, ...]  # names of the other joints
+    bodies: tuple[int, ...]  # without what is no part of the arm
+    covers: dict[int, Cover]  # by body
+    massive: tuple[int, ...]  # bodies whose inertia the file states
+    numbers: dict[str, Float[np.ndarray, "N"]]  # PER_JOINT, of `joints`
+    left_out: tuple[str, ...]  # shapes that nothing stands for
+    visual: bool  # whether capsules hold what is drawn
+    shapeless: tuple[str, ...]  # bodies that are drawn but have no shape for contact
+
+    @property
+    def name(self) -> str:
+        """The model's own."""
+        return self.model.names.partition(b"\0")[0].decode(errors="replace")
+
+
+def import_robot(
+    path: Path,
+    tcp: str | None = None,
+    *,
+    most: int = MOST,
+    visual: bool = False,
+    progress: Callable[[int, int], None] = lambda done, count: None,
+) -> ImportedArm:
+    """Read a URDF or MJCF file with its meshes.
+
+    tcp: see `robot_tcp.find_tip`. most: capsules a body, besides the model's own. visual: hold what is drawn; else the
+    shapes for contact, or what is drawn where the model has none of these. progress: is told how many bodies of how
+    many are done.
+    Raises InputError for a file or a mesh that cannot be read, for a TCP that is not there or not clear, ball and free
+    joints on the way to it, fewer than three joints, and a model without shapes.
+    """
+    spec, shapes, model = _read(path, visual)
+    tip = find_tip(model, path, tcp, _bodies(model, ()))
+    on_the_way = tuple(upwards(model, tip.body))
+    bodies = _bodies(model, on_the_way)
+    joints = tuple(j for j in range(model.njnt) if model.jnt_bodyid[j] in on_the_way)
+    geoms = [geom for geom in shapes.geoms if _body(model, geom) in bodies]
+    chosen = _chosen(geoms, model, visual)
+    own = [geom for geom in chosen if not _is_left_out(geom, model)]
+    if not own:
+        raise InputError(f"{path}: no shapes that capsules could hold; geoms of the model: {_kinds(geoms) or 'none'}")
+    joint_names = check_joints(model, path, joints)
+    found = {b: [shapes.shape(g, model) for g in own if _body(model, g) == b] for b in bodies}  # whatever is unreadable
+    names = _Names({model.geom(geom.at).name for geom in own})
+    covers, shaped = {}, [b for b in bodies if found[b]]
+    for done, b in enumerate(shaped):
+        progress(done, len(shaped))
+        covers[b] = _cover(found[b], body_name(model, b), names, most)
+    left_out = [geom for geom in chosen if geom not in own]
+    return ImportedArm(
+        model,
+        tip,
+        joints,
+        joint_names,
+        tuple(joint_name(model, j) for j in range(model.njnt) if j not in joints and model.jnt_bodyid[j] in bodies),
+        bodies,
+        covers,
+        tuple(body.id for body in spec.bodies if body.explicitinertial and body.mass > 0 and body.id in bodies),
+        {name: joint_numbers(model, path, name, np.inf)[list(joints)] for name in PER_JOINT if _has(model, name)},
+        tuple(f"{model.geom(g.at).name or g.kind} of {body_name(model, _body(model, g))}" for g in left_out),
+        visual,
+        tuple(body_name(model, b) for b in _shapeless(geoms, chosen, model)),
+    )
+
+
+def held_triangles(path: Path, visual: bool) -> dict[str, Triangles]:
+    """What `import_robot` fits capsules to, by the name of the body, in its frame [m]. Raises InputError for a file or
+    a mesh that cannot be read."""
+    _, shapes, model = _read(path, visual)
+    chosen = [geom for geom in _chosen(shapes.geoms, model, visual) if not _is_left_out(geom, model)]
+    found: dict[str, list[Shape]] = {}
+    for geom in chosen:
+        found.setdefault(body_name(model, _body(model, geom)), []).append(shapes.shape(geom, model))
+    return {name: _all([shape for shape in own if shape.capsule is None]) for name, own in found.items()}
+
+
+def _read(path: Path, visual: bool) -> tuple[mujoco.MjSpec, Shapes, mujoco.MjModel]:
+    with no_log():
+        spec = read_spec(path, meshes=True, visual=visual, contacts=True)
+    spec.compiler.discardvisual = False
+    for each in list(spec.tuples):  # the list of an arm by htcp robot names capsules that get other names here
+        spec.delete(each)
+    shapes = Shapes(spec, path)
+    return spec, shapes, compile_spec(spec, path)
+
+
+def body_name(model: mujoco.MjModel, body: int) -> str:
+    """The body's own name, or body1, body2, ... by its number in the model."""
+    return model.body(body).name or f"body{body}"
+
+
+def _bodies(model: mujoco.MjModel, on_the_way: Sequence[int]) -> tuple[int, ...]:
+    """Bodies of the robot: not what a mouse moves, nor what lies about. Those on the way to the TCP are, whatever."""
+
+    def is_foreign(body: int) -> bool:
+        free = model.body_jntnum[body] and model.jnt_type[model.body_jntadr[body]] == _FREE
+        return bool(model.body_mocapid[body] >= 0 or (on_the_way and free and body not in on_the_way))
+
+    return tuple(b for b in range(model.nbody) if not any(map(is_foreign, upwards(model, b))))
+
+
+def _body(model: mujoco.MjModel, geom: Geom) -> int:
+    return int(model.geom_bodyid[geom.at])
+
+
+def _chosen(geoms: list[Geom], model: mujoco.MjModel, visual: bool) -> list[Geom]:
+    """The geoms that count: of every body those for contact, or where `visual` those that are drawn alone, if any.
+    Capsules and spheres always do, as for `load_robot`."""
+    for_contact = [geom for geom in geoms if geom.touches]
+    if not for_contact:
+        return geoms
+    if not visual:
+        return [geom for geom in geoms if geom.touches or (geom.kind in ROUND and not geom.mesh)]
+    drawn = {_body(model, geom) for geom in geoms if not geom.touches}
+    return [geom for geom in geoms if not geom.touches or _body(model, geom) not in drawn]
+
+
+def _shapeless(geoms: list[Geom], chosen: list[Geom], model: mujoco.MjModel) -> list[int]:
+    """Bodies none of whose geoms count."""
+    with_shape = {_body(model, geom) for geom in chosen}
+    return sorted({_body(model, geom) for geom in geoms} - with_shape)
+
+
+def _is_left_out(geom: Geom, model: mujoco.MjModel) -> bool:
+    """A floor, or what stands about in the world."""
+    return geom.kind in NOT_OF_AN_ARM or (_body(model, geom) == 0 and geom.kind not in ROUND)
+
+
+def _kinds(geoms: list[Geom]) -> str:
+    return ", ".join(sorted({geom.kind for geom in geoms}))
+
+
+def _has(model: mujoco.MjModel, name: str) -> bool:
+    return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name) >= 0
+
+
+class _Names:
+    """Names that are not given yet."""
+
+    def __init__(self, given: set[str]):
+        self._given = given
+
+    def new(self, wish: str) -> str:
+        """The wish, or wish_2, wish_3, ..."""
+        tries = (f"{wish}_{k}" if k > 1 else wish for k in range(1, len(self._given) + 2))
+        name = next(each for each in tries if each not in self._given)
+        self._given.add(name)
+        return name
+
+
+def _cover(shapes: list[Shape], body: str, names: _Names, most: int) -> Cover:
+    own = {shape.name or names.new(body): shape.capsule for shape in shapes if shape.capsule is not None}
+    others = [shape for shape in shapes if shape.capsule is None]
+    held, drawn = _all(others), _all([shape for shape in shapes if shape.capsule is not None])
+    pieces = {names.new(body): piece for piece in (cover(held, most) if others else [])}
+    return Cover(own, pieces, drawn, held, tuple(shape.kind for shape in others))
+
+
+def _all(shapes: list[Shape]) -> Triangles:
+    return np.concatenate([np.empty((0, 3, 3)), *(shape.triangles for shape in shapes)])

@@ -1,0 +1,417 @@
+"""Reading a robot's model file, on the host: MuJoCo compiles it, the chain to the TCP is picked out.
+
+What a file can get wrong is an InputError here, one line that starts with its path. robot_file.py makes the Robot.
+"""
+
+import itertools
+import math
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from htcp_jax.errors import InputError
+from htcp_jax.io.safe_xml import read_spec, unreadable
+from htcp_jax.model.arrays import LARGEST_COORDINATE
+from htcp_jax.model.robot import ArmFrame, Exclusion
+from htcp_jax.model.tool import Tool, pose
+
+_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+_SPHERE, _CAPSULE = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+_DESCRIBED_ELSEWHERE = mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF
+LIST, EXCLUDED = "self_collision", "excluded {}, rule {}"  # the <text> over an arm's list, the <tuple> of a pair
+
+
+class RobotFields(NamedTuple):
+    """The fields of a Robot by name: its arrays, and the rest."""
+
+    arrays: dict[str, np.ndarray]
+    facts: dict[str, Any]
+
+
+class _Capsule(NamedTuple):
+    """A capsule geom: its body and link (-1: world), ends in the frame of the link."""
+
+    name: str
+    body: int
+    link: int
+    p: np.ndarray
+    q: np.ndarray
+    radius: float
+
+
+class _Pair(NamedTuple):
+    """A <tuple> of an arm's list."""
+
+    name: str
+    capsules: tuple[str, ...]
+    share: float
+
+
+def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.ndarray, tool: Tool | None) -> RobotFields:
+    """The serial chain from the world to the TCP; see robot_file.load_robot. Raises InputError."""
+    model, geom_types, pairs = _compile_model(path)
+    tcp_body, T_body_tcp = _find_tcp(model, path, tcp_site)
+    joint_names = _chain_joints(model, path, tcp_body)
+    lower, upper = _limits(model, path, limits)
+    T_parent_joint, frames = link_frames(model, T_world_base)
+    capsules = [_capsule(model, geom, frames) for geom in range(model.ngeom) if _is_round(model, geom)]
+    link, T_link_body = frames[tcp_body]
+    T_link_flange = T_link_body @ T_body_tcp
+    mounted = [] if tool is None else _mounted(tool, path, tcp_body, link, T_link_flange, capsules)
+    on_tool = mounted or _on_tcp_body(model, tcp_body, capsules)
+    capsules += mounted
+    if not capsules:
+        known = f"geoms of the model: {geom_types or 'none'}"
+        raise InputError(f"{path}: no capsule or sphere geoms; {known}{geom_types and '; ' + _next_step(path)}")
+    arrays = {
+        "T_parent_joint": T_parent_joint,
+        "axis": model.jnt_axis.copy(),
+        "T_link_tcp": T_link_flange if tool is None else T_link_flange @ pose(tool.tip_m, tool.tip_rpy_rad),
+        "capsule_p": np.array([capsule.p for capsule in capsules]),
+        "capsule_q": np.array([capsule.q for capsule in capsules]),
+        "capsule_radius": np.array([capsule.radius for capsule in capsules]),
+        "on_tool": _ends_on_tool(capsules, on_tool),
+    }
+    for name, numbers in arrays.items():
+        if not np.isfinite(numbers).all():
+            raise InputError(f"{path}: a number of the model is not finite ({name})")
+        if (largest := np.abs(numbers).max(initial=0.0)) > LARGEST_COORDINATE:
+            raise InputError(f"{path}: a number of the model is {largest:g} ({name}); at most {LARGEST_COORDINATE:g} m")
+    arrays |= {"lower": lower, "upper": upper, "effort": _effort(model)}
+    for name in ("speed", "acceleration"):
+        arrays[name] = joint_numbers(model, path, name, default=math.inf)
+        if not (arrays[name] > 0).all():
+            raise InputError(f"{path}: numeric {name!r} must be positive")
+    exclusions = [*_excluded(model, capsules), *_listed(path, pairs or (), capsules)]
+    widest = _limits(model, path, "model")  # the list was found within these
+    listed = pairs is not None and bool((lower >= widest[0]).all() and (upper <= widest[1]).all())
+    facts = {
+        "name": model.names.partition(b"\0")[0].decode(errors="replace") or path.stem,
+        "joint_names": joint_names,
+        "slides": tuple(bool(kind == _SLIDE) for kind in model.jnt_type),
+        "capsule_names": tuple(capsule.name for capsule in capsules),
+        "capsule_link": tuple(capsule.link for capsule in capsules),
+        "ignored_geoms": tuple(_geom_name(model, g) for g in range(model.ngeom) if not _is_round(model, g)),
+        "exclusions": tuple(each for each in exclusions if listed or each.rule == "a"),
+        "listed": listed,
+        "mounted": tuple(range(len(capsules) - len(mounted), len(capsules))),
+        "frames": _named_frames(model, frames),
+    }
+    return RobotFields(arrays, facts)
+
+
+# The file
+
+
+def _compile_model(path: Path) -> tuple[mujoco.MjModel, str, list[_Pair] | None]:
+    """Returns the model, the geom types of the file, and the pairs of its list; None if it has no list."""
+    with no_log():
+        spec = read_spec(path, contacts=True)
+    geom_types = sorted({_type_name(geom) for geom in spec.geoms})
+    _check_radii(spec, path)
+    _forget_shapes(spec)
+    pairs = [_Pair(each.name, tuple(each.objname), float(each.objprm[0])) for each in spec.tuples if len(each.objname)]
+    has_list = any(text.name == LIST for text in spec.texts)
+    for each in list(spec.tuples):
+        spec.delete(each)
+    return compile_spec(spec, path), ", ".join(geom_types), pairs if has_list else None
+
+
+def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
+    """A model whose shapes need no file, as MuJoCo compiles it. Raises InputError for what MuJoCo refuses and
+    for a range that is turned round."""
+    _check_ranges(spec, path)
+    spec.compiler.fusestatic = False  # the fixed links of a URDF name its TCP
+    # Kinematics needs no masses; MuJoCo insists on them.
+    spec.compiler.boundmass = spec.compiler.boundinertia = 1e-9
+    spec.compiler.balanceinertia = True
+    try:
+        with no_log():
+            return spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise unreadable(path, error) from None
+
+
+@contextmanager
+def no_log() -> Iterator[None]:
+    """Keep MuJoCo from writing its warnings into MUJOCO_LOG.TXT in the working folder."""
+    handler = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(handler)
+
+
+def _next_step(path: Path) -> str:
+    return f"an arm of capsules is made of it by: htcp robot {path} --out arm.xml"
+
+
+def _type_name(geom: mujoco.MjsGeom) -> str:
+    return geom.type.name.removeprefix("mjGEOM_").lower()
+
+
+def _check_radii(spec: mujoco.MjSpec, path: Path) -> None:
+    for geom in spec.geoms:
+        if geom.type in (_SPHERE, _CAPSULE) and not 0 < geom.size[0] < math.inf:
+            body = f"{path}: {_type_name(geom)} {geom.name!r} of body {geom.parent.name!r}"
+            if geom.meshname:
+                raise InputError(f"{body} is fitted to a mesh; {_next_step(path)}")
+            raise InputError(f"{body} has radius {geom.size[0]:g} m; it must be positive")
+
+
+def _check_ranges(spec: mujoco.MjSpec, path: Path) -> None:
+    """MuJoCo itself takes a range that is turned round, or nan, for no limit at all."""
+    for joint in spec.joints:
+        lower, upper = joint.range
+        asked = joint.limited != mujoco.mjtLimited.mjLIMITED_FALSE and (lower, upper) != (0, 0)
+        if asked and not lower < upper:
+            raise InputError(f"{path}: joint {joint.name!r} has range {lower:g} to {upper:g}; it must ascend")
+
+
+def _forget_shapes(spec: mujoco.MjSpec) -> None:
+    """Turn meshes and what else is described elsewhere into boxes: all are ignored, and no file of theirs is opened."""
+    for geom in spec.geoms:
+        if geom.type in _DESCRIBED_ELSEWHERE:
+            geom.type, geom.size, geom.meshname, geom.hfieldname = mujoco.mjtGeom.mjGEOM_BOX, [1.0, 1.0, 1.0], "", ""
+    for mesh in list(spec.meshes):
+        spec.delete(mesh)
+
+
+def joint_numbers(model: mujoco.MjModel, path: Path, name: str, default: float) -> np.ndarray:
+    """The <custom><numeric> of that name, (N,) a value a joint; `default` where the file has none. Raises InputError
+    for another number of values."""
+    at = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
+    if at < 0:
+        return np.full(model.njnt, default)
+    start, size = model.numeric_adr[at], model.numeric_size[at]
+    if size != model.njnt:
+        raise InputError(f"{path}: numeric {name!r} has {size} values for {model.njnt} joints")
+    return model.numeric_data[start : start + size].copy()
+
+
+def _effort(model: mujoco.MjModel) -> np.ndarray:
+    """The joints' `actuatorfrcrange`, which MuJoCo also reads from a URDF; inf where there is none."""
+    return np.where(model.jnt_actfrclimited > 0, np.abs(model.jnt_actfrcrange).min(axis=1), math.inf)
+
+
+# The chain and its frames
+
+
+def frame(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+    """A pose (4, 4) from a position (3,) [m] and a unit quaternion (4,), w first."""
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, quaternion)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation.reshape(3, 3), position
+    return pose
+
+
+def _turned(axis: np.ndarray, angle: float) -> np.ndarray:
+    quaternion = np.zeros(4)
+    mujoco.mju_axisAngle2Quat(quaternion, axis, angle)
+    return frame(np.zeros(3), quaternion)
+
+
+def _shifted(offset: np.ndarray) -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3, 3] = offset
+    return pose
+
+
+def upwards(model: mujoco.MjModel, body: int) -> Iterator[int]:
+    """The body and its ancestors, by their numbers in the model, without the world."""
+    while body > 0:
+        yield body
+        body = int(model.body_parentid[body])
+
+
+def _outermost_body(model: mujoco.MjModel) -> int:
+    """The last of the bodies with the most joints between them and the world."""
+    depths = [sum(model.body_jntnum[list(upwards(model, body))]) for body in range(model.nbody)]
+    return max(range(model.nbody), key=lambda body: (depths[body], body))
+
+
+def _find_tcp(model: mujoco.MjModel, path: Path, name: str) -> tuple[int, np.ndarray]:
+    """The body that carries the TCP, and the TCP's frame in it."""
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
+    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+    if site < 0 and body < 0 and name == "tcp":
+        if model.nsite == 1:
+            site = 0
+        elif path.suffix.lower() == ".urdf":
+            body = _outermost_body(model)
+    if site >= 0:
+        return int(model.site_bodyid[site]), frame(model.site_pos[site], model.site_quat[site])
+    if body >= 0:
+        return body, np.eye(4)
+    sites = ", ".join(model.site(i).name or "(unnamed)" for i in range(model.nsite)) or "none"
+    bodies = ", ".join(model.body(i).name or "(unnamed)" for i in range(1, model.nbody)) or "none"
+    known = f"sites of the model: {sites}; bodies: {bodies}"
+    step = f"; name one in the job (robot.tcp), or by: htcp robot {path} --tcp NAME --out arm.xml"
+    raise InputError(f"{path}: no site or body {name!r} for the TCP; {known}{step if name == 'tcp' else ''}")
+
+
+def _chain_joints(model: mujoco.MjModel, path: Path, tcp_body: int) -> tuple[str, ...]:
+    """Names of the joints from the world to the TCP, in order; they must be all joints of the model."""
+    chain = set(upwards(model, tcp_body))
+    stray = [joint_name(model, j) for j in range(model.njnt) if int(model.jnt_bodyid[j]) not in chain]
+    if stray:
+        off = f"joints off the chain from the world to the TCP: {', '.join(stray)}"
+        raise InputError(f"{path}: {off}; {_next_step(path)}")
+    return check_joints(model, path, range(model.njnt))
+
+
+def check_joints(model: mujoco.MjModel, path: Path, joints: Sequence[int]) -> tuple[str, ...]:
+    """Names of the joints of a chain. Raises InputError for ball and free joints, and for less than three."""
+    odd = [joint_name(model, j) for j in joints if model.jnt_type[j] not in (_HINGE, _SLIDE)]
+    if odd:
+        raise InputError(f"{path}: ball or free joints ({', '.join(odd)}); only hinge and slide joints can be used")
+    if len(joints) < 3:
+        raise InputError(f"{path}: {len(joints) or 'no'} joints from the world to the TCP; at least 3 are needed")
+    return tuple(joint_name(model, j) for j in joints)
+
+
+def joint_name(model: mujoco.MjModel, joint: int) -> str:
+    """The joint's own name, or joint1, joint2, ... by its place in the model."""
+    return model.joint(joint).name or f"joint{joint + 1}"
+
+
+def link_frames(model: mujoco.MjModel, T_world_base: np.ndarray) -> tuple[np.ndarray, list[tuple[int, np.ndarray]]]:
+    """Return T_parent_joint (N, 4, 4), and for each body its link (-1: world) with T_link_body.
+
+    A joint turns about its own anchor, and MuJoCo draws the model at x = qpos0, not 0: both are folded in.
+    """
+    T_parent_joint = np.zeros((model.njnt, 4, 4))
+    frames = [(-1, T_world_base)]
+    for body in range(1, model.nbody):  # parents come before children
+        link, T_link_parent = frames[model.body_parentid[body]]
+        T_link_body = T_link_parent @ frame(model.body_pos[body], model.body_quat[body])
+        first = model.body_jntadr[body]
+        for j in range(first, first + model.body_jntnum[body]):
+            axis, drawn_at = model.jnt_axis[j], model.qpos0[j]
+            back = _turned(axis, -drawn_at) if model.jnt_type[j] == _HINGE else _shifted(-drawn_at * axis)
+            T_parent_joint[j] = T_link_body @ _shifted(model.jnt_pos[j]) @ back
+            link, T_link_body = j, _shifted(-model.jnt_pos[j])
+        frames.append((link, T_link_body))
+    return T_parent_joint, frames
+
+
+def _limits(model: mujoco.MjModel, path: Path, profile: str) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper joint limits of a profile, see robot_file.load_robot."""
+    ranges = np.where(model.jnt_limited[:, None], model.jnt_range, [-math.inf, math.inf])
+    hinges = model.jnt_type[:, None] == _HINGE
+    profiles = {"model": ranges, "simulation": np.where(hinges, [-math.pi, math.pi], ranges)}
+    if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, "datasheet_lower") >= 0:
+        sides = [joint_numbers(model, path, f"datasheet_{side}", default=math.nan) for side in ("lower", "upper")]
+        profiles["datasheet"] = np.stack(sides, axis=1)
+    if profile not in profiles:
+        raise InputError(f"{path}: no joint limits {profile!r}; the model has {', '.join(profiles)}")
+    lower, upper = profiles[profile].T
+    if not (lower < upper).all():
+        raise InputError(f"{path}: joint limits {profile!r} must be lower < upper for every joint")
+    return lower, upper
+
+
+def _named_frames(model: mujoco.MjModel, frames: list[tuple[int, np.ndarray]]) -> tuple[ArmFrame, ...]:
+    """The sites and then the bodies that move; of two of one name the first."""
+    bodies = [(model.body(body).name, *frames[body]) for body in range(1, model.nbody)]
+    sites = []
+    for site in range(model.nsite):
+        link, T_link_body = frames[model.site_bodyid[site]]
+        sites.append((model.site(site).name, link, T_link_body @ frame(model.site_pos[site], model.site_quat[site])))
+    found: dict[str, ArmFrame] = {}
+    for name, link, T in [*sites, *bodies]:
+        if name and link >= 0:
+            columns = tuple(map(tuple, T[:3, :3].T.tolist()))
+            found.setdefault(name, ArmFrame(name, link, tuple(T[:3, 3].tolist()), columns))
+    return tuple(found.values())
+
+
+# Capsules
+
+
+def _is_round(model: mujoco.MjModel, geom: int) -> bool:
+    return model.geom_type[geom] in (_SPHERE, _CAPSULE)
+
+
+def _geom_name(model: mujoco.MjModel, geom: int) -> str:
+    return model.geom(geom).name or f"{model.body(model.geom_bodyid[geom]).name}:{geom}"
+
+
+def _capsule(model: mujoco.MjModel, geom: int, frames: list[tuple[int, np.ndarray]]) -> _Capsule:
+    body = int(model.geom_bodyid[geom])
+    link, T_link_body = frames[body]
+    T_link_geom = T_link_body @ frame(model.geom_pos[geom], model.geom_quat[geom])
+    half = model.geom_size[geom, 1] if model.geom_type[geom] == _CAPSULE else 0.0
+    middle, reach = T_link_geom[:3, 3], half * T_link_geom[:3, 2]
+    p, q = middle + reach, middle - reach  # MJCF's `fromto` runs from +z to -z
+    return _Capsule(_geom_name(model, geom), body, link, p, q, float(model.geom_size[geom, 0]))
+
+
+def excluded_bodies(model: mujoco.MjModel) -> set[tuple[int, int]]:
+    """Pairs of bodies that an <exclude> of the file names, by their numbers."""
+    return {(int(pair) >> 16, int(pair) & 0xFFFF) for pair in model.exclude_signature}
+
+
+def _excluded(model: mujoco.MjModel, capsules: list[_Capsule]) -> Iterator[Exclusion]:
+    """Pairs of capsules whose bodies an <exclude> of the file names."""
+    bodies = excluded_bodies(model)
+    for a, b in itertools.combinations(range(len(capsules)), 2):
+        one, other = capsules[a].body, capsules[b].body
+        if (one, other) in bodies or (other, one) in bodies:
+            yield _exclusion(capsules, a, b, "a", 0.0)
+
+
+def _listed(path: Path, pairs: Sequence[_Pair], capsules: list[_Capsule]) -> Iterator[Exclusion]:
+    """The pairs of the arm's own list. Raises InputError for a pair that is none."""
+    numbers = {capsule.name: k for k, capsule in enumerate(capsules)}
+    for name, pair, share in pairs:
+        rule = re.fullmatch(EXCLUDED.format(r"\S+", "([abc])"), name)
+        if rule is None:
+            raise InputError(
+                f"{path}: tuple {name!r} must be called {EXCLUDED.format('NUMBER', 'a')!r}, or rule b or c"
+            )
+        if len(pair) != 2:
+            raise InputError(f"{path}: {name!r} has {len(pair)} capsules; a pair has 2")
+        if unknown := [each for each in pair if each not in numbers]:
+            raise InputError(f"{path}: {name!r} names {unknown[0]!r}; the capsules are {', '.join(numbers)}")
+        yield _exclusion(capsules, *(numbers[each] for each in pair), rule[1], share)
+
+
+def _exclusion(capsules: list[_Capsule], a: int, b: int, rule: str, share: float) -> Exclusion:
+    return Exclusion(*sorted((a, b), key=lambda k: -capsules[k].link), rule, share)
+
+
+def _mounted(
+    tool: Tool, path: Path, tcp_body: int, link: int, T_link_flange: np.ndarray, others: list[_Capsule]
+) -> list[_Capsule]:
+    """The bodies of a tool on the flange. Raises InputError for a name that one of the model has."""
+    R, t = T_link_flange[:3, :3], T_link_flange[:3, 3]
+    for body in tool.bodies:
+        if body.name in {capsule.name for capsule in others}:
+            raise InputError(f"tool: a capsule of {path} is called {body.name!r} already")
+    return [
+        _Capsule(body.name, tcp_body, link, R @ body.p_m + t, R @ body.q_m + t, body.radius_m) for body in tool.bodies
+    ]
+
+
+def _on_tcp_body(model: mujoco.MjModel, tcp_body: int, capsules: list[_Capsule]) -> list[_Capsule]:
+    """The capsules of the body that carries the TCP and of what is fixed to it; without any, those of the last link."""
+    tool = [capsule for capsule in capsules if tcp_body in upwards(model, capsule.body)]
+    return tool or [capsule for capsule in capsules if capsule.link == model.njnt - 1]
+
+
+def _ends_on_tool(capsules: list[_Capsule], tool: list[_Capsule]) -> np.ndarray:
+    """Which capsule ends move when the tool is lengthened, (K, 2) of 0 and 1."""
+    moves = np.array([[any(capsule is part for part in tool)] * 2 for capsule in capsules], float)
+    for k, capsule in enumerate(capsules):
+        if tool and capsule is tool[0]:
+            nearer = int(np.linalg.norm(capsule.q) < np.linalg.norm(capsule.p))
+            moves[k, nearer] = 0.0  # the flange's end: the one nearer to the last joint
+    return moves

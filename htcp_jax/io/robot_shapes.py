@@ -1,0 +1,195 @@
+"""The shapes that a robot's model file gives its bodies, as triangles or capsules in the frames of these bodies.
+
+Meshes are read here, not by MuJoCo, which would put them into frames of its own. Where a model asks for a capsule, or
+another simple shape, that is fitted to a mesh, MuJoCo fits it.
+"""
+
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import ConvexHull, QhullError
+
+from htcp_jax.errors import InputError
+from htcp_jax.io.capsule_fit import Capsule, Triangles
+from htcp_jax.io.point_cloud import load_geometry
+from htcp_jax.io.robot_model import frame
+
+ENDINGS = ".stl", ".obj", ".ply"
+SIDES = 48  # of the prism about a cylinder
+
+_Kind = mujoco.mjtGeom
+_Vertices = Float[np.ndarray, "V 3"]
+
+
+class Mesh(NamedTuple):
+    """A mesh of a model file that is not read yet."""
+
+    file: str  # as the model names it; "" where its corners stand in the model
+    scale: Float[np.ndarray, "3"]
+    refpos: Float[np.ndarray, "3"]  # [m]
+    refquat: Float[np.ndarray, "4"]
+    corners: _Vertices  # [m], of one without a file
+    faces: Int[np.ndarray, "F 3"]
+    inertia: mujoco.mjtMeshInertia
+
+
+class Geom(NamedTuple):
+    """A geom of a model file; its pose and size apart, which are known when the model is compiled."""
+
+    at: int  # its number there
+    kind: str  # box, capsule, ...
+    mesh: str  # the mesh that it is or is fitted to, "" for neither
+    fitscale: float
+    touches: bool  # there for contact; else for the eye
+
+
+class Shape(NamedTuple):
+    """What a body has, in its frame [m]: triangles, or a capsule as the model has it, about triangles or none."""
+
+    name: str
+    kind: str  # box, capsule, ...
+    triangles: Triangles
+    capsule: Capsule | None
+
+
+class Shapes:
+    """The geoms of a model file and its meshes, taken out of `spec`: there all that would open a file are boxes now."""
+
+    def __init__(self, spec: mujoco.MjSpec, path: Path):
+        self._path, self._folders = path, [spec.compiler.meshdir, ""]
+        self._fitaabb = spec.compiler.fitaabb
+        self._meshes = {mesh.name: _mesh(mesh) for mesh in spec.meshes}
+        self._taken = [(geom, _taken(geom)) for geom in spec.geoms]
+        for mesh in list(spec.meshes):
+            spec.delete(mesh)
+        self._triangles = cache(self._triangles)
+
+    @property
+    def geoms(self) -> list[Geom]:
+        """All of them, when `spec` is compiled."""
+        return [taken._replace(at=int(geom.id)) for geom, taken in self._taken]
+
+    def shape(self, geom: Geom, model: mujoco.MjModel) -> Shape:
+        """A geom of the compiled model as a shape. Raises InputError for a mesh that cannot be read."""
+        T, size = frame(model.geom_pos[geom.at], model.geom_quat[geom.at]), model.geom_size[geom.at]
+        name, mesh = model.geom(geom.at).name, np.empty((0, 3, 3))
+        if geom.mesh:
+            mesh = _moved(T, self._triangles(geom.mesh))
+        if geom.kind == "mesh":
+            return Shape(name, geom.kind, mesh, None)
+        if geom.mesh:
+            T_mesh_fit, size = self._fit(geom)
+            T = T @ T_mesh_fit
+        if geom.kind in ("capsule", "sphere"):
+            reach = T[:3, 2] * (size[1] if geom.kind == "capsule" else 0.0)
+            return Shape(name, geom.kind, mesh, Capsule(T[:3, 3] + reach, T[:3, 3] - reach, float(size[0])))
+        return Shape(name, geom.kind, _moved(T, _SOLIDS[geom.kind](size)), None)
+
+    def file(self, geom: Geom) -> Path | None:
+        """The file of the mesh that a geom is or is fitted to. Raises InputError where there is none of that name."""
+        name = self._meshes[geom.mesh].file if geom.mesh else ""
+        return _find(name, self._path, self._folders) if name else None
+
+    def _triangles(self, name: str) -> Triangles:
+        """A mesh as the model changes it: shifted, turned, scaled, in this order."""
+        mesh = self._meshes[name]
+        if mesh.file:
+            file = _find(mesh.file, self._path, self._folders)
+            if file.suffix.lower() not in ENDINGS:
+                raise InputError(
+                    f"{file}: no mesh that is read; save it as {' or '.join(ENDINGS)} and name that in {self._path}"
+                )
+            triangles = load_geometry(file).triangles
+        else:
+            triangles = mesh.corners[mesh.faces] if len(mesh.faces) else _hull(mesh.corners)
+        if not len(triangles):
+            raise InputError(f"{self._path}: mesh {mesh.file or name!r} has no triangles")
+        turn = frame(np.zeros(3), mesh.refquat / np.linalg.norm(mesh.refquat))[:3, :3]
+        return (triangles - mesh.refpos) @ turn * mesh.scale
+
+    def _fit(self, geom: Geom) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "3"]]:
+        """The shape that MuJoCo fits to a mesh, in the mesh's own frame. Raises InputError where it cannot."""
+        triangles = self._triangles(geom.mesh)
+        corners, faces = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
+        spec = mujoco.MjSpec()
+        spec.compiler.fitaabb = self._fitaabb
+        arrays = {"uservert": corners.ravel(), "userface": faces.ravel().astype(np.int32)}
+        spec.add_mesh(name="mesh", inertia=self._meshes[geom.mesh].inertia, **arrays)
+        kind = getattr(_Kind, f"mjGEOM_{geom.kind.upper()}")
+        spec.worldbody.add_geom(type=kind, meshname="mesh", fitscale=geom.fitscale)
+        try:
+            model = spec.compile()
+        except ValueError as error:
+            raise InputError(f"{self._path}: no {geom.kind} fitted to mesh {geom.mesh!r}: {error}") from None
+        return frame(model.geom_pos[0], model.geom_quat[0]), model.geom_size[0]
+
+
+def _mesh(mesh: mujoco.MjsMesh) -> Mesh:
+    poses = (np.array(given, float) for given in (mesh.scale, mesh.refpos, mesh.refquat))
+    corners = np.array(mesh.uservert, float).reshape(-1, 3)
+    return Mesh(mesh.file, *poses, corners, np.array(mesh.userface, int).reshape(-1, 3), mesh.inertia)
+
+
+def _taken(geom: mujoco.MjsGeom) -> Geom:
+    kind = geom.type.name.removeprefix("mjGEOM_").lower()
+    taken = Geom(-1, kind, geom.meshname, geom.fitscale, bool(geom.contype or geom.conaffinity))
+    if geom.meshname or kind in ("mesh", "hfield", "sdf"):
+        geom.type, geom.size, geom.meshname, geom.hfieldname = _Kind.mjGEOM_BOX, [1.0, 1.0, 1.0], "", ""
+    return taken
+
+
+def _find(name: str, path: Path, folders: list[str]) -> Path:
+    """The file that a model at `path` means: beside the model, in one of its folders, or in a package of ROS, which is
+    looked for from the model's folder upwards. Raises InputError where there is none."""
+    scheme, _, rest = name.rpartition("://")
+    home = path.resolve().parent
+    if scheme == "package":
+        package, _, inner = rest.partition("/")
+        places = [folder / part for folder in (home, *home.parents) for part in (rest, inner)]
+        missing = f"no package {package!r} with {inner} in {home} or above it"
+    else:
+        places = [home / folder / rest for folder in folders] + [home / folders[0] / Path(rest).name]
+        missing = f"no such file in {home / folders[0]}"
+    for place in places:
+        if place.is_file():
+            return place
+    raise InputError(f"{path}: mesh {name}: {missing}")
+
+
+def _moved(T: Float[np.ndarray, "4 4"], triangles: Triangles) -> Triangles:
+    return triangles @ T[:3, :3].T + T[:3, 3]
+
+
+def _hull(points: _Vertices) -> Triangles:
+    try:
+        return points[ConvexHull(points).simplices]
+    except (QhullError, ValueError):
+        return np.empty((0, 3, 3))
+
+
+# Solids about the frame's origin, by MuJoCo's sizes; of round ones a polyhedron that holds them.
+
+
+def _box(size: Float[np.ndarray, "3"]) -> Triangles:
+    return _hull(np.stack(np.meshgrid(*3 * [[-1.0, 1.0]]), axis=-1).reshape(-1, 3) * size)
+
+
+def _cylinder(size: Float[np.ndarray, "3"]) -> Triangles:
+    angle = 2 * np.pi * np.arange(SIDES) / SIDES
+    rim = size[0] / np.cos(np.pi / SIDES) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return _hull(np.concatenate([np.column_stack([rim, np.full(SIDES, z)]) for z in (-size[1], size[1])]))
+
+
+def _ellipsoid(size: Float[np.ndarray, "3"]) -> Triangles:
+    from trimesh.creation import icosphere  # here, because it takes a while to load, and hardly any arm has one
+
+    ball = icosphere(subdivisions=3)
+    inside = np.einsum("fi,fi->f", ball.face_normals, ball.triangles[:, 0]).min()
+    return ball.triangles / inside * size
+
+
+_SOLIDS = {"box": _box, "cylinder": _cylinder, "ellipsoid": _ellipsoid}

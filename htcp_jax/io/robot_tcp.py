@@ -1,0 +1,83 @@
+"""Where an arm ends: the frame of a model that is its TCP, or what may be meant where that is not clear."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.errors import InputError
+from htcp_jax.io.robot_model import frame, upwards
+
+SURE = "tcp", "tool0"  # names of the TCP, or of the flange, wherever they are found
+MOST_NAMED = 12  # candidates
+
+
+class Tip(NamedTuple):
+    """The frame of the TCP."""
+
+    name: str
+    body: int  # that carries it
+    T_body_tcp: Float[np.ndarray, "4 4"]
+
+
+def find_tip(model: mujoco.MjModel, path: Path, name: str | None, bodies: Sequence[int]) -> Tip:
+    """The site or body of that name. Without a name: `tcp` or `tool0`, or the only site, or the outermost body where
+    there is one alone.
+
+    bodies: numbers of those that may be meant. Raises InputError, with the valid names, where there is none of that
+    name, and where it is not clear which is meant.
+    """
+    tips = _tips(model, bodies)
+    if name is not None:
+        if name not in tips:
+            raise InputError(f"{path}: no site or body {name!r} for the TCP; there are {', '.join(tips) or 'none'}")
+        return tips[name]
+    sites = [k for k in range(model.nsite) if model.site_bodyid[k] in bodies]
+    outermost = _outermost(model, bodies)
+    sure = [tips[name] for name in SURE if name in tips]
+    if not sure and len(sites) == 1:
+        sure = [_site(model, sites[0])]
+    if not sure and len(outermost) == 1:
+        sure = [Tip(model.body(outermost[0]).name, outermost[0], np.eye(4))]
+    if not sure:
+        candidates = ", ".join(_candidates(model, bodies, outermost))
+        raise InputError(f"{path}: it is not clear where the TCP is: {candidates}; say --tcp NAME")
+    return sure[0]
+
+
+def _tips(model: mujoco.MjModel, bodies: Sequence[int]) -> dict[str, Tip]:
+    """All frames that have a name; of a body and a site of one name the site."""
+    tips = [Tip(model.body(b).name, b, np.eye(4)) for b in bodies if b > 0]
+    tips += [_site(model, k) for k in range(model.nsite) if model.site_bodyid[k] in bodies]
+    return {tip.name: tip for tip in tips if tip.name}
+
+
+def _site(model: mujoco.MjModel, k: int) -> Tip:
+    T = frame(model.site_pos[k], model.site_quat[k])
+    return Tip(model.site(k).name, int(model.site_bodyid[k]), T)
+
+
+def _joints(model: mujoco.MjModel, body: int) -> frozenset[int]:
+    """Those from the world to a body, by their numbers in the model."""
+    first, count = model.body_jntadr, model.body_jntnum
+    return frozenset(j for b in upwards(model, body) for j in range(first[b], first[b] + count[b]))
+
+
+def _outermost(model: mujoco.MjModel, bodies: Sequence[int]) -> list[int]:
+    """Of the bodies with the most joints between them and the world, those that carry no other."""
+    depth = {b: len(_joints(model, b)) for b in bodies}
+    far = [b for b in bodies if depth[b] == max(depth.values())]
+    return [b for b in far if not any(b in list(upwards(model, other))[1:] for other in far)]
+
+
+def _candidates(model: mujoco.MjModel, bodies: Sequence[int], outermost: list[int]) -> list[str]:
+    """Named sites, and the bodies that move with every joint that all outermost ones share."""
+    shared = frozenset.intersection(*(_joints(model, b) for b in outermost))
+    near = [b for b in bodies if b > 0 and shared <= _joints(model, b)]
+    if not shared or len(near) > MOST_NAMED:
+        near = outermost
+    sites = [model.site(k).name for k in range(model.nsite) if model.site_bodyid[k] in bodies]
+    return [name for name in (*sites, *(model.body(b).name for b in near)) if name]

@@ -1,0 +1,154 @@
+"""An imported arm as the text of an MJCF file that `load_robot` reads, and that a person can read and correct."""
+
+from collections.abc import Sequence
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import mujoco
+import numpy as np
+
+from htcp_jax.io.capsule_fit import Capsule
+from htcp_jax.io.link_meshes import CUTS, MADE_FROM, VISUAL, cuts_text
+from htcp_jax.io.robot_import import Cover, ImportedArm, body_name
+from htcp_jax.io.robot_model import EXCLUDED, LIST, excluded_bodies
+
+Listed = tuple[str, str, str, float]  # two capsules by their names, the rule, and the share of configurations
+
+HEAD = """
+  An arm of capsules, made by htcp robot from {source}. Metres, radians.
+  Correct what is not as it should be: a capsule's "fromto" are the ends of its axis in the frame of its body, "size" is
+  its radius. The site "tcp" is the TCP: here {tip} of the model.{frozen}
+"""
+LIST_HEAD = """
+    Pairs of capsules that are not checked against each other (docs: Bring your own arm, Self-collision). Rule b: they
+    overlap in at least 95 % of 10,000 random configurations; c: in some, but the meshes in them touch in none. The
+    number is the share. Remove a pair to have it checked; bodies under contact are excluded by the model, rule a.
+    """
+MANY = {"mesh": "meshes", "box": "boxes", "cylinder": "cylinders", "ellipsoid": "ellipsoids"}
+
+
+def arm_xml(
+    arm: ImportedArm,
+    source: str,
+    disabled: Sequence[tuple[str, str]] = (),
+    listed: Sequence[Listed] | None = None,
+) -> str:
+    """The file's text.
+
+    source: the model, as it is found from the file. disabled: bodies that an SRDF excludes. listed: the other pairs of
+    capsules that are not checked; None: whoever reads the file finds out.
+    """
+    model = arm.model
+    frozen = f"\n  Frozen as drawn: {', '.join(arm.frozen)}." if arm.frozen else ""
+    root = Element("mujoco", model=arm.name)
+    root.append(_comment(HEAD.format(source=source, tip=arm.tip.name or "its only site", frozen=frozen)))
+    light = {"boundmass": "1e-6", "boundinertia": "1e-6"}  # else MuJoCo refuses a link that has no capsule
+    SubElement(root, "compiler", angle="radian", autolimits="true", **light)
+    SubElement(SubElement(root, "option"), "flag", contact="disable")
+    custom = SubElement(root, "custom")
+    for name, numbers in arm.numbers.items():
+        SubElement(custom, "numeric", name=name, data=_text(numbers))
+    if listed is not None:
+        _add_list(custom, arm, source, listed)
+    elements = {0: SubElement(root, "worldbody")}
+    for b in arm.bodies:
+        if b > 0:
+            elements[b] = _body(elements[int(model.body_parentid[b])], arm, b)
+        _add_capsules(elements[b], arm.covers.get(b))
+    position, turn = arm.tip.T_body_tcp[:3, 3], np.empty(4)
+    mujoco.mju_mat2Quat(turn, arm.tip.T_body_tcp[:3, :3].ravel())
+    SubElement(elements[arm.tip.body], "site", name="tcp", **_pose(position, turn))
+    _add_exclusions(root, arm, disabled)
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _body(parent: Element, arm: ImportedArm, b: int) -> Element:
+    model = arm.model
+    body = SubElement(parent, "body", name=body_name(model, b), **_pose(model.body_pos[b], model.body_quat[b]))
+    if b in arm.massive:
+        inertia = {"mass": _text([model.body_mass[b]]), "diaginertia": _text(model.body_inertia[b])}
+        SubElement(body, "inertial", pos=_text(model.body_ipos[b]), quat=_text(model.body_iquat[b]), **inertia)
+    for j, name in zip(arm.joints, arm.joint_names, strict=True):
+        if model.jnt_bodyid[j] == b:
+            SubElement(body, "joint", name=name, **_joint(model, j))
+    return body
+
+
+def _add_list(custom: Element, arm: ImportedArm, source: str, listed: Sequence[Listed]) -> None:
+    """The pairs, and where the meshes are that they were found with."""
+    custom.append(_comment(LIST_HEAD))
+    SubElement(custom, "text", name=LIST, data=f"{len(listed)} pairs are not checked")
+    for number, (one, other, rule, share) in enumerate(listed, 1):
+        pair = SubElement(custom, "tuple", name=EXCLUDED.format(number, rule))
+        SubElement(pair, "element", objtype="geom", objname=one, prm=f"{share:.4f}")
+        SubElement(pair, "element", objtype="geom", objname=other)
+    SubElement(custom, "text", name=MADE_FROM, data=source + (VISUAL if arm.visual else ""))
+    for cover in arm.covers.values():
+        for name, piece in cover.pieces.items():
+            SubElement(custom, "text", name=CUTS + name, data=cuts_text(piece.cuts) or " ")
+
+
+def _add_exclusions(root: Element, arm: ImportedArm, disabled: Sequence[tuple[str, str]]) -> None:
+    """Pairs of bodies that the model and an SRDF exclude."""
+    model = arm.model
+    names = {0: "world"} | {b: body_name(model, b) for b in arm.bodies if b > 0}
+    own = [pair for pair in sorted(excluded_bodies(model)) if set(pair) <= names.keys()]
+    if pairs := dict.fromkeys([*((names[a], names[b]) for a, b in own), *disabled]):
+        contact = SubElement(root, "contact")
+        for one, other in pairs:
+            SubElement(contact, "exclude", body1=one, body2=other)
+
+
+def _joint(model: mujoco.MjModel, j: int) -> dict[str, str]:
+    slides = model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE
+    given = {"type": "slide"} if slides else {}
+    given |= {"axis": _text(model.jnt_axis[j])}
+    if model.jnt_pos[j].any():
+        given["pos"] = _text(model.jnt_pos[j])
+    if model.qpos0[model.jnt_qposadr[j]]:
+        given["ref"] = _text([model.qpos0[model.jnt_qposadr[j]]])
+    if model.jnt_limited[j]:
+        given["range"] = _text(model.jnt_range[j])
+    if model.jnt_actfrclimited[j]:
+        given["actuatorfrcrange"] = _text(model.jnt_actfrcrange[j])
+    return given
+
+
+def _add_capsules(body: Element, cover: Cover | None) -> None:
+    if cover is None:
+        return
+    for name, capsule in cover.own.items():
+        _add_capsule(body, name, capsule)
+    if cover.fitted:
+        body.append(_comment(f" about {in_words(cover)}, {cover.ratio:.2f} times its hull "))
+    for name, capsule in cover.fitted.items():
+        _add_capsule(body, name, capsule)
+
+
+def _add_capsule(body: Element, name: str, capsule: Capsule) -> None:
+    size = _text([capsule.radius])
+    if (capsule.p == capsule.q).all():
+        SubElement(body, "geom", name=name, type="sphere", pos=_text(capsule.p), size=size)
+    else:
+        SubElement(body, "geom", name=name, type="capsule", fromto=_text([*capsule.p, *capsule.q]), size=size)
+
+
+def in_words(cover: Cover) -> str:
+    """What the fitted capsules hold: "mesh", "2 meshes, box"; "" where nothing was fitted."""
+    count = {kind: cover.kinds.count(kind) for kind in dict.fromkeys(cover.kinds)}
+    return ", ".join(kind if n == 1 else f"{n} {MANY[kind]}" for kind, n in count.items())
+
+
+def _pose(position: np.ndarray, turn: np.ndarray) -> dict[str, str]:
+    pose = {"pos": _text(position)} if position.any() else {}
+    return pose if (turn == [1, 0, 0, 0]).all() else pose | {"quat": _text(turn)}
+
+
+def _text(numbers) -> str:
+    """As many digits as are known, none of them noise of the last place."""
+    return " ".join(f"{number + 0.0:.15g}" for number in numbers)
+
+
+def _comment(text: str) -> Element:
+    return ElementTree.Comment(text.replace("--", "- -"))

@@ -1,0 +1,199 @@
+"""A robot's model file as text that is safe to hand to MuJoCo.
+
+MuJoCo follows what a file names: included models, meshes, textures, height fields, plugins. Here a file is read as
+plain XML without a document type, so without entities; its includes are put in place from its own folder; and what
+has no part in where the links and their capsules are is left out. In the text that results nothing names a file, but
+for meshes: those of a URDF, and those of an MJCF file that is read with its meshes. Who reads takes them out before
+MuJoCo would open them.
+"""
+
+import math
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.parsers import expat
+
+import mujoco
+
+from htcp_jax.errors import InputError
+from htcp_jax.io.files import opened
+
+LARGEST_FILE = 10 * 2**20  # [bytes]
+MOST_ELEMENTS, DEEPEST = 50_000, 200
+LARGEST_NUMERIC = 1000  # values of a <numeric>
+
+# Of MJCF; tendons, actuators and the like move nothing here, and what is for the eye or for dynamics neither.
+LEFT_OUT = {
+    "actuator", "asset", "camera", "contact", "deformable", "equality", "extension", "hfield", "keyframe", "light",
+    "material", "mesh", "option", "plugin", "sensor", "size", "skin", "statistic", "tendon", "text", "texture", "tuple",
+    "visual",
+}  # fmt: skip
+MESHES = "asset", "mesh"  # what stays when meshes are asked for
+CONTACTS = "contact", "text", "tuple"  # and when pairs that need no check are read: exclusions, and an arm's own list
+OWN = re.compile(r"self_collision|made from|cuts of .*|excluded .*")  # the names of the texts and tuples of that list
+ONLY = {"asset": ("mesh",), "contact": ("exclude",)}  # what stays of some elements that stay
+# They make bodies and joints that do not stand in the file.
+REFUSED = {"attach", "composite", "flexcomp", "replicate"}
+
+
+class _Builder(ElementTree.TreeBuilder):
+    """Refuses document types, where entities are defined, and absurdly many or deep elements."""
+
+    def __init__(self, path: Path):
+        super().__init__()
+        self._path, self._elements, self._depth = path, 0, 0
+
+    def doctype(self, *_) -> None:
+        raise InputError(f"{self._path}: a document type (<!DOCTYPE) is not part of a model")
+
+    def start(self, tag, attributes):
+        self._elements += 1
+        if self._elements > MOST_ELEMENTS:
+            raise InputError(f"{self._path}: more than {MOST_ELEMENTS:,} elements")
+        self._depth += 1
+        if self._depth > DEEPEST:
+            raise InputError(f"{self._path}: elements nested more than {DEEPEST} deep")
+        return super().start(tag, attributes)
+
+    def end(self, tag):
+        self._depth -= 1
+        return super().end(tag)
+
+
+def read_spec(path: Path, *, meshes: bool = False, visual: bool = False, contacts: bool = False) -> mujoco.MjSpec:
+    """MuJoCo's reading of an MJCF or URDF file, not compiled yet.
+
+    meshes: keep those of an MJCF file, by name; a URDF's are kept anyway. visual: what a URDF draws becomes geoms, too.
+    contacts: keep what an MJCF file excludes from contact, and the list of an arm by `htcp robot`.
+    Raises InputError for a file that cannot be read or is too large, and for one that includes a file outside its
+    folder.
+    """
+    root = parse(path)
+    _put_includes_in_place(root, path, {path.resolve()})
+    if root.tag == "mujoco":
+        kept = {*(MESHES if meshes else ()), *(CONTACTS if contacts else ())}
+        _leave_out(root, path, LEFT_OUT - kept)
+    limits = _urdf_limits(root, path) if root.tag == "robot" else {}
+    if visual and root.tag == "robot":
+        ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler", discardvisual="false")
+    text = ElementTree.tostring(root, encoding="unicode")
+    try:
+        spec = mujoco.MjSpec.from_string(text)
+        for name, given in limits.items():
+            numbers = [given.get(joint.name, math.inf) for joint in spec.joints]
+            if numbers and (name == "speed" or min(numbers) < math.inf):
+                spec.add_numeric(name=name, data=numbers, size=len(numbers))
+        return spec
+    except (ValueError, mujoco.FatalError) as error:
+        raise unreadable(path, error) from None
+
+
+def files_of(path: Path) -> set[Path]:
+    """A model file and those that it includes, absolute. Raises InputError as `read_spec` does."""
+    seen = {path.resolve()}
+    _put_includes_in_place(parse(path), path, seen)
+    return seen
+
+
+def _urdf_limits(root: ElementTree.Element, path: Path) -> dict[str, dict[str, float]]:
+    """What a URDF says of its joints and MuJoCo does not read, as the <numeric>s of an MJCF file have it: by their
+    names, then the joints'; inf where there is none, or 0 in its place. Raises InputError for a range turned round."""
+    limits = {"speed": {}, "acceleration": {}}
+    for joint in root.findall("joint"):
+        if joint.get("type") not in ("revolute", "continuous", "prismatic"):
+            continue
+        if joint.get("type") != "continuous":
+            _check_range(joint, path)
+        for name, attributes in (("speed", ["velocity"]), ("acceleration", ["acceleration", "drake:acceleration"])):
+            given = [number for each in attributes if (number := _number(joint, each, path)) > 0]
+            limits[name][joint.get("name", "")] = min(given, default=math.inf)
+    return limits
+
+
+def _check_range(joint: ElementTree.Element, path: Path) -> None:
+    """MuJoCo takes a range that is turned round for no limit at all."""
+    lower, upper = _number(joint, "lower", path), _number(joint, "upper", path)
+    if not lower < upper and (lower, upper) != (0, 0):
+        raise InputError(f"{path}: joint {joint.get('name')!r} has range {lower:g} to {upper:g}; it must ascend")
+
+
+def _number(joint: ElementTree.Element, name: str, path: Path) -> float:
+    """A number of a joint's <limit>; 0 where it is not there, as URDF has it."""
+    limit = joint.find("limit")
+    text = "0" if limit is None else limit.get(name, "0")
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"{path}: joint {joint.get('name')!r} has the {name} {text!r}, which is no number") from None
+
+
+def unreadable(path: Path, error: Exception) -> InputError:
+    """What MuJoCo, or the parser, has to say about the file, in one line."""
+    reason = re.sub(r",? line \d+$", "", " ".join(str(error).split()))  # of our text, not of the file
+    return InputError(f"{path}: not a model that MuJoCo can read: {reason}")
+
+
+def parse(path: Path) -> ElementTree.Element:
+    """The root of an XML file. Raises InputError for one that cannot be read, is too large, or defines entities."""
+    try:
+        with opened(path, largest=LARGEST_FILE) as stream:
+            return _tree(stream.read(), _Builder(path))
+    except InputError:
+        raise
+    except OSError as error:
+        raise InputError(f"{path}: cannot read the model: {error.strerror}") from None
+    except (expat.ExpatError, ValueError, LookupError) as error:  # LookupError: an encoding that is none
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: not a model that MuJoCo can read: {reason}") from None
+
+
+def _tree(text: bytes, builder: _Builder) -> ElementTree.Element:
+    """The elements of a text, with names as they stand there: models use prefixes that they do not declare."""
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = builder.doctype
+    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+    parser.CharacterDataHandler = builder.data
+    parser.Parse(text, True)
+    return builder.close()
+
+
+def _put_includes_in_place(root: ElementTree.Element, path: Path, seen: set[Path]) -> None:
+    """Every <include file="..."/> becomes what stands in that file's root; file names are relative to `path`."""
+    for parent in list(root.iter()):
+        for include in [child for child in parent if child.tag == "include"]:
+            file = _included(include, path)
+            if file in seen:
+                raise InputError(f"{path}: {include.get('file')} is included twice")
+            seen.add(file)
+            part = parse(file)
+            _put_includes_in_place(part, path, seen)
+            at = list(parent).index(include)
+            parent.remove(include)
+            for k, child in enumerate(part):
+                parent.insert(at + k, child)
+
+
+def _included(include: ElementTree.Element, path: Path) -> Path:
+    name, folder = include.get("file", ""), path.parent.resolve()
+    try:
+        file = (folder / name).resolve()
+    except (OSError, ValueError, RuntimeError):  # a name that cannot be one, links in a circle
+        raise InputError(f"{path}: cannot include {name!r}") from None
+    if not name or not file.is_relative_to(folder):
+        raise InputError(f"{path}: cannot include {name!r}: it leads out of the model's folder")
+    return file
+
+
+def _leave_out(root: ElementTree.Element, path: Path, unwanted: set[str]) -> None:
+    for parent in list(root.iter()):
+        for child in list(parent):
+            if child.tag in REFUSED:
+                raise InputError(f"{path}: <{child.tag}> is not read; write the bodies out")
+            if child.tag in unwanted or child.tag not in ONLY.get(parent.tag, (child.tag,)):
+                parent.remove(child)
+            elif child.tag in ("text", "tuple") and not OWN.fullmatch(child.get("name", "")):
+                parent.remove(child)
+        parent.attrib.pop("material", None)
+    for numeric in root.iter("numeric"):
+        if not numeric.get("size", "0").strip().isdigit() or int(numeric.get("size", "0")) > LARGEST_NUMERIC:
+            raise InputError(f"{path}: numeric {numeric.get('name')!r} has a size over {LARGEST_NUMERIC:,}")

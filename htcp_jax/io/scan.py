@@ -1,0 +1,88 @@
+"""Scans and CAD parts that other libraries read: .pcd .e57 .las .laz clouds, .step .stp parts.
+
+Each library is an extra. It runs in a process of its own, see `parsers`, with limits of time and memory.
+"""
+
+import importlib.util
+import os
+import signal
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.errors import InputError, Note
+from htcp_jax.io.columns import Columns, Points
+from htcp_jax.io.files import named
+from htcp_jax.unfinished import temporary_folder
+
+
+class Kind(NamedTuple):
+    """How files of an ending are read."""
+
+    parser: str  # a function of parsers.py
+    libraries: tuple[str, ...]
+    extra: str  # that installs them
+
+
+SCANS = {
+    ".pcd": Kind("pcd", ("pypcd4",), "scan"),
+    ".e57": Kind("e57", ("pye57",), "scan"),
+    ".las": Kind("las", ("laspy",), "scan"),
+    ".laz": Kind("las", ("laspy", "lazrs"), "scan"),
+}
+PARTS = {ending: Kind("step", ("cascadio",), "cad") for ending in (".step", ".stp")}
+LONGEST_S = 600
+MEMORY = 4 * 2**30  # and 40 times the file's size
+
+
+def read_scan(path: Path, ending: str) -> Points:
+    """Points [m] of a scan, and normals where the file has them. Points without coordinates, as PCD writes where a
+    scanner saw nothing, are left out with a Note. Raises InputError for what is wrong with the file."""
+    arrays = parsed(path, SCANS[ending])
+    points, normals = arrays["points"], arrays.get("normals")
+    if ending == ".pcd" and (empty := np.isnan(points).any(axis=1)).any():
+        warnings.warn(f"{path}: {empty.sum()} of {len(points)} points are NaN and left out", Note, stacklevel=3)
+        points, normals = points[~empty], None if normals is None else normals[~empty]
+    return Columns(3, (0, 1, 2), None, named=True).points(points, normals, str(path))
+
+
+def read_part(path: Path, ending: str) -> Float[np.ndarray, "F 3 3"]:
+    """Triangles [m] of a STEP file's faces. Raises InputError for what is wrong with the file."""
+    return parsed(path, PARTS[ending])["triangles"]
+
+
+def parsed(path: Path, kind: Kind) -> dict[str, np.ndarray]:
+    """The arrays of a file, see `parsers`. Raises InputError where the extra is missing and for what is wrong with
+    the file."""
+    ending = path.suffix.lower()
+    if any(importlib.util.find_spec(library) is None for library in kind.libraries):
+        need = f"""reading {ending} needs the extra "{kind.extra}": pip install 'htcp_jax[{kind.extra}]'"""
+        raise InputError(f"{path}: {need}")
+    with named(path) as stream:
+        size = os.fstat(stream.fileno()).st_size
+    script = Path(__file__).with_name("parsers.py")
+    with temporary_folder() as folder:
+        memory = str(MEMORY + 40 * size)
+        # -P: the modules beside the script are not to take the place of Python's own
+        command = [sys.executable, "-P", str(script), kind.parser, str(path), str(folder), memory]
+        try:
+            done = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, timeout=LONGEST_S)
+        except subprocess.TimeoutExpired:
+            raise InputError(f"{path}: not read within {LONGEST_S // 60} minutes") from None
+        if done.returncode:
+            raise InputError(f"{path}: not a readable {ending} file ({_reason(done.returncode, folder)})")
+        with np.load(folder / "arrays.npz", allow_pickle=False) as arrays:
+            return dict(arrays)
+
+
+def _reason(code: int, folder: Path) -> str:
+    said = folder / "error.txt"
+    if said.exists():
+        words = "".join(letter if letter.isprintable() else " " for letter in said.read_text()[:120]).split()
+        return " ".join(words)
+    return f"its parser ended with {signal.Signals(-code).name if code < 0 else code}"

@@ -1,0 +1,100 @@
+"""YAML as a person's configuration: a mapping, plain values only, no key twice, no aliases, no tags.
+
+Plain values are those of YAML 1.2's core schema. PyYAML reads 1.1, where `1:30` is ninety, `on` is true and `1e-3` is a
+word; aliases of aliases make a few lines into more values than fit into memory.
+"""
+
+import re
+import reprlib
+from pathlib import Path
+from typing import Any, ClassVar
+
+import yaml
+
+from htcp_jax.errors import InputError
+from htcp_jax.io.files import opened
+
+LARGEST_FILE = 2 * 2**20  # [bytes]; PyYAML reads some 150 kB a second
+DEEPEST = 50
+
+
+def read_yaml(path: str | Path) -> dict:
+    """The mapping in a YAML file; {} for an empty one. Raises InputError."""
+    try:
+        with opened(Path(path), largest=LARGEST_FILE) as stream:
+            text = stream.read().decode()
+    except InputError as error:
+        raise InputError(f"cannot read {error}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        raise InputError(f"cannot read {path}: {reason}") from None
+    raw = parse_yaml(text, str(path))
+    if raw is None:
+        return {}
+    if not isinstance(raw, dict):
+        raise InputError(f"{path}: expected a mapping of keys to values, found {reprlib.repr(raw)}")
+    return raw
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML in which a repeated key, an alias, a tag and deep nesting are errors."""
+
+    yaml_implicit_resolvers: ClassVar[dict] = {}
+    depth = 0
+
+    def compose_node(self, parent, index):
+        event = self.peek_event()
+        self.depth += 1
+        if problem := self._problem(event):
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
+    def _problem(self, event: yaml.Event) -> str | None:
+        if isinstance(event, yaml.AliasEvent):
+            return f"alias *{event.anchor}: write it out"
+        if event.tag is not None:
+            return f"tag {event.tag}: plain values only"
+        return "nested too deeply" if self.depth > DEEPEST else None
+
+    def construct_mapping(self, node, deep=False):
+        seen = set()
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                raise yaml.MarkedYAMLError(problem="a key that is no word", problem_mark=key.start_mark)
+            if key.value in seen:
+                raise yaml.MarkedYAMLError(problem=f"key {key.value!r} stands twice", problem_mark=key.start_mark)
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+    def construct_number(self, node):
+        text = node.value.lower()
+        if node.tag == FLOAT:
+            return float(text.replace(".inf", "inf").replace(".nan", "nan"))
+        return int(text, 0 if text.startswith(("0o", "0x")) else 10)
+
+
+NULL, BOOL, INT, FLOAT = (f"tag:yaml.org,2002:{kind}" for kind in ("null", "bool", "int", "float"))
+for tag, pattern, first in (
+    (NULL, r"(?:~|null|Null|NULL|)$", ["~", "n", "N", ""]),
+    (BOOL, r"(?:true|True|TRUE|false|False|FALSE)$", list("tTfF")),
+    (INT, r"(?:[-+]?[0-9]{1,300}|0o[0-7]{1,300}|0x[0-9a-fA-F]{1,300})$", list("-+0123456789")),
+    (FLOAT, r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?$", list("-+.0123456789")),
+    (FLOAT, r"(?:[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$", list("-+.")),
+):
+    _Loader.add_implicit_resolver(tag, re.compile(pattern), first)
+for tag in (INT, FLOAT):
+    _Loader.add_constructor(tag, _Loader.construct_number)
+
+
+def parse_yaml(text: str, source: str) -> Any:
+    """The value that `text` spells; errors name `source`. Raises InputError."""
+    try:
+        return yaml.load(text, _Loader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark
+        where = f", line {mark.line + 1}" if mark else ""
+        raise InputError(f"{source}{where}: {error.problem}") from None
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise InputError(f"{source}: not YAML: {' '.join(str(error).split())}") from None

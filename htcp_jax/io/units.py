@@ -1,0 +1,90 @@
+"""Whether a workpiece, its path and the robot are of one unit, metres: their sizes and distances tell.
+
+A part that the arm reaches is not much larger than the arm, one that it works in is not much smaller than the arm's
+thinnest body, and a path runs near its part. What is off by more than a factor of 5 is refused, what may be a mistake
+is warned of; both name the unit that would make sense of the figures.
+"""
+
+import warnings
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from htcp_jax.errors import InputError
+from htcp_jax.model.kinematics import reach
+from htcp_jax.model.robot import Robot
+
+METRES = {"millimetres": 1e-3, "inches": 0.0254, "centimetres": 0.01, "kilometres": 1e3}  # the likely ones first
+LARGE = 2.0  # times the reach
+ABSURD = 5.0  # times the reach, or thinner than the thinnest body
+STAND_OFF = 0.5  # [m], and times the part's extent: so far a path may stay from its part
+
+
+def check_extent(robot: Robot, part: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], name: str) -> None:
+    """Raise InputError for a part, any points that span it [m], that by its size the arm can have nothing to do with.
+    Warns (UserWarning) of one more than twice as large as the arm's reach, or smaller than its thinnest body."""
+    extent, longest, thinnest = _extent(part), reach(robot), 2.0 * float(np.min(robot.capsule_radius))
+    fitting = [unit for unit, metres in METRES.items() if 2.0 * thinnest <= metres * extent <= LARGE * longest]
+    if extent > LARGE * longest:
+        text = f"{name} extends over {extent:.3g} m, {robot.name} reaches {longest:.3g} m"
+        _report(f"{text}; {_part_in(part, path, fitting)}", extent > ABSURD * longest)
+    elif extent < thinnest:
+        text = f"{name} extends over {extent:.3g} m, the thinnest body of {robot.name} over {thinnest:.3g} m"
+        _report(f"{text}; {_part_in(part, path, fitting)}", extent < thinnest / ABSURD)
+
+
+def check_tool(robot: Robot, extension_m: float = 0.0) -> None:
+    """Raise InputError for a tool that is longer than all the links of its arm, and for a body that is thicker."""
+    tip = float(np.linalg.norm(np.asarray(robot.T_link_tcp)[:3, 3]))
+    links, length, thickest = reach(robot) - tip, tip + abs(extension_m), float(np.asarray(robot.capsule_radius).max())
+    measured = f"the links of {robot.name} measure {links:.3g} m"
+    if length > links:
+        raise InputError(f"{measured}, and the TCP lies {length:.3g} m beyond the last joint; metres are needed")
+    if thickest > links:
+        raise InputError(f"{measured}, and a body has a radius of {thickest:.3g} m; metres are needed")
+
+
+def check_path(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], name: str) -> None:
+    """Raise InputError for a path most of which is away from its part's cloud [m]."""
+    if (distance := _distance(cloud, path)) > _stand_off(cloud):
+        raise InputError(f"half of the path is {distance:.3g} m or more from {name}; {_path_in(cloud, path)}")
+
+
+def _report(text: str, absurd: bool) -> None:
+    if absurd:
+        raise InputError(text)
+    warnings.warn(text, UserWarning, stacklevel=3)
+
+
+def _part_in(part: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], units: list[str]) -> str:
+    """Which of the units a part that is too large or too small seems to be in, and whether its path is, too."""
+    if not units:
+        return "give it in metres, and no more of it than the arm reaches"
+    metres = METRES[units[0]]
+    whose = "it seems" if _distance(metres * part, path) <= _stand_off(metres * part) else "it and its path seem"
+    return f"{whose} to be in {units[0]}, metres are needed (factor {metres:g})"
+
+
+def _path_in(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> str:
+    """Which unit a path that is away from its part seems to be in."""
+    extent = _extent(cloud)
+    for unit, metres in sorted(METRES.items(), key=lambda item: -item[1]):
+        # Too small a unit puts any path to the origin; there it is too short.
+        right_length = 0.05 * extent <= metres * _extent(path) <= 2.0 * extent
+        if right_length and _distance(cloud, metres * path) <= 0.5 * extent:
+            return f"the path seems to be in {unit}, metres are needed (factor {metres:g})"
+    return "both have to be in metres and in the same frame"
+
+
+def _stand_off(cloud: Float[np.ndarray, "P 3"]) -> float:
+    return max(STAND_OFF, STAND_OFF * _extent(cloud))
+
+
+def _extent(points: Float[np.ndarray, "P 3"]) -> float:
+    return float(np.ptp(points, axis=0).max())
+
+
+def _distance(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> float:
+    """From the path to the cloud [m]: half of its points are nearer."""
+    return float(np.median(cKDTree(cloud).query(path)[0]))

@@ -1,0 +1,56 @@
+"""A shape that stands in a cell."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import ConvexHull, QhullError
+
+from htcp_jax.model.mesh_points import area
+
+KINDS = "plane", "box", "sphere", "capsule", "cylinder", "mesh"
+CONVEX = 1e-6  # of its hull's size, that a convex mesh may lack
+MOST_FACES = 400  # of a mesh that is measured as a convex solid; more are points
+
+
+class Fixture(NamedTuple):
+    """A shape in the world."""
+
+    name: str
+    kind: str  # one of KINDS
+    T_world: Float[np.ndarray, "4 4"]  # MuJoCo's frame of it; of a mesh the world's
+    size: Float[np.ndarray, "3"]  # MuJoCo's [m]
+    triangles: Float[np.ndarray, "F 3 3"]  # of a mesh, world [m]
+
+    @property
+    def surface(self) -> Float[np.ndarray, "F 3 3"]:
+        """Triangles to draw it by, world [m]; none of a plane."""
+        import trimesh  # here, because it takes a while to load, and only pictures need it
+
+        make, size = trimesh.creation, self.size
+        if self.kind in ("mesh", "plane"):
+            return self.triangles
+        if self.kind == "box":
+            drawn = make.box(extents=2 * size)
+        elif self.kind == "sphere":
+            drawn = make.icosphere(subdivisions=2, radius=size[0])
+        elif self.kind == "cylinder":
+            drawn = make.cylinder(radius=size[0], height=2 * size[1])
+        else:
+            drawn = make.capsule(radius=size[0], height=2 * size[1])
+        own = np.asarray(drawn.triangles) - drawn.bounds.mean(axis=0)
+        return own @ self.T_world[:3, :3].T + self.T_world[:3, 3]
+
+    @property
+    def convex(self) -> bool:
+        """Whether a mesh is closed and convex, of a few faces: its triangles lie on its hull, and have its area."""
+        if len(self.triangles) > MOST_FACES:
+            return False
+        try:
+            hull = ConvexHull(self.triangles.reshape(-1, 3))
+        except QhullError:
+            return False
+        normal, offset = hull.equations[:, :3], -hull.equations[:, 3]
+        depth = (offset - self.triangles.mean(axis=1) @ normal.T).min(axis=1)
+        alike = abs(area(self.triangles).sum() - hull.area) <= CONVEX * hull.area
+        return bool(alike and depth.max() <= CONVEX * np.sqrt(hull.area))

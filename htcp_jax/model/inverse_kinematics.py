@@ -1,0 +1,78 @@
+"""The way back onto a target: damped Newton inverse kinematics inside the joint limits."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+
+from htcp_jax.model.kinematics import configuration
+from htcp_jax.model.robot import Robot
+from htcp_jax.model.task import TCP_POSITION, Task
+from htcp_jax.numerics import of_shape, product, safe_norm, solve_spd
+from htcp_jax.types import Array, Bool, Float, Joints, Scalar
+
+
+@partial(jax.jit, static_argnames=("tolerance_m", "iterations", "task"))
+def reanchor(
+    robot: Robot,
+    x: Joints,
+    target: Float[Array, "G"],
+    tolerance_m: float,
+    iterations: int = 20,
+    task: Task = TCP_POSITION,
+) -> tuple[Joints, Scalar]:
+    """Damped Newton inverse kinematics inside the joint limits: (x, residual [m]), equation (5b).
+
+    target: the task's goal, of its kinds of rows. Stops at tolerance_m or after `iterations`. The damping
+    (1e-3 m/rad)^2 keeps singular postures bounded and costs 1e-6 of a Newton step elsewhere; a joint at its limit is
+    held there while the others make up for it. A band or cone is a row of a step where it is broken. Raises InputError
+    for more than one configuration or target.
+    """
+    x, target = configuration(robot, x), of_shape(target, (task.numbers,), "target")
+    off, slopes = partial(_off, robot, task, target), partial(_slopes, robot, task, target)
+
+    def look(x):
+        return x, off(x), slopes(x)
+
+    def step(state):
+        (x, error, jac), count = state
+        # A joint at its limit that the step would push further out takes no part.
+        push = product(jac.T, _weighted(jac, error))
+        blocked = ((x <= robot.lower) & (push < 0)) | ((x >= robot.upper) & (push > 0))
+        jac = jnp.where(blocked[None, :], 0.0, jac)
+        stepped = jnp.clip(x + product(jac.T, _weighted(jac, error)), robot.lower, robot.upper)
+        return look(jnp.where(count < 0, x, stepped)), count + 1
+
+    def going(state):
+        (_, error, _), count = state
+        return (count < 0) | (safe_norm(error) > tolerance_m) & (count < iterations)
+
+    # The first turn looks where it is: the arm is in the program once.
+    blank = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(look, x))
+    (x, error, _), _ = jax.lax.while_loop(going, step, ((x, *blank[1:]), jnp.full((), -1, jnp.int32)))
+    return x, task.off(robot, x, target) if task.bands else safe_norm(error)
+
+
+def _off(robot: Robot, task: Task, target: Float[Array, "G"], x: Joints) -> Float[Array, "R"]:
+    """What a step has to make up for [m]: the error, and as much as bands and cones lack."""
+    if not task.bands:
+        return task.error(task.value(robot, x), target)
+    linear = task.linear_at(robot, x, target)
+    return jnp.concatenate([linear.error, jnp.maximum(-linear.room, 0.0)])
+
+
+def _slopes(robot: Robot, task: Task, target: Float[Array, "G"], x: Joints) -> Float[Array, "R N"]:
+    """How fast a step makes up for that [m/rad or m/m]."""
+    if task.is_points:
+        return task.jacobian(robot, x)
+    linear = task.linear_at(robot, x, target)
+    return jnp.concatenate([linear.jacobian, jnp.where((linear.room < 0)[:, None], linear.gradient, 0.0)])
+
+
+def _weighted(jac: Float[Array, "M N"], error: Float[Array, "M"]) -> Float[Array, "M"]:
+    return solve_spd(product(jac, jac.T) + 1e-6 * jnp.eye(len(error)), error)
+
+
+def inside(robot: Robot, x: Joints) -> Bool[Array, ""]:
+    """Whether x respects the joint limits."""
+    return jnp.all((x >= robot.lower) & (x <= robot.upper))

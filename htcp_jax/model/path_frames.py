@@ -1,0 +1,42 @@
+"""The directions along a tool path: its normals, which point from the wall into the free space, its tangents, and whole
+orientations; from its file, or worked out from the path and the cloud.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from htcp_jax.errors import InputError
+from htcp_jax.model.surface import fitted_normals
+
+NEIGHBOURS = 60  # points of the wall that a normal is fitted to
+
+
+class PathFrames(NamedTuple):
+    """Of the T points of a path, in the workpiece frame; None: its file has none."""
+
+    normals: Float[np.ndarray, "T 3"] | None = None  # unit
+    tangents: Float[np.ndarray, "T 3"] | None = None  # unit, the way the path goes
+    rotations: Float[np.ndarray, "T 3 3"] | None = None  # of the tool's frame
+
+
+def wall_normals(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
+    """The normals of the wall at a path, unit, see `surface.fitted_normals`."""
+    _, near = cKDTree(cloud).query(path, k=min(NEIGHBOURS, len(cloud)))
+    return fitted_normals(path, cloud[near], cloud)
+
+
+def tangents(path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
+    """The way that a path goes, unit, by central differences; points at one place are one. Raises InputError for a path
+    that goes nowhere."""
+    ahead = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    apart = np.concatenate([[True], ahead > 1e-9])
+    if not (ahead > 1e-9).any():
+        raise InputError("the path has no tangent: all of its points are at one place")
+    found = np.gradient(path[apart], axis=0)[np.cumsum(apart) - 1]
+    length = np.linalg.norm(found, axis=1, keepdims=True)
+    back = length[:, 0] <= 1e-9  # where it turns back on itself
+    found[back], length[back] = np.diff(path, axis=0, append=path[-1:])[back], 1.0
+    return found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-300)

@@ -1,0 +1,125 @@
+"""The robot: a serial arm with capsules around its links.
+
+A link is what moves with a joint: its frame sits on that joint's axis, and bodies fixed to it, tools too,
+belong to it. A Robot is plain arrays, made once from a model file (`robot_file`); kinematics.py needs nothing else.
+"""
+
+import dataclasses
+from pathlib import Path
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import jax.numpy as jnp
+import numpy as np
+
+from htcp_jax.notebook import html_facts
+from htcp_jax.pytree import register_pytree
+from htcp_jax.types import Array, Float, Joints, Pose, Scalar, Triple
+
+GP50 = Path(__file__).parent / "robots" / "gp50.xml"  # the built-in arm
+
+TOUCHING_M = 1e-3  # depth up to which meshes that touch by design may overlap
+_STATIC = {"static": True}
+
+
+class ArmFrame(NamedTuple):
+    """A site or a body of the model, by its name."""
+
+    name: str
+    link: int | None  # that it is fixed to; None: the TCP's own frame
+    origin_m: Triple  # in the frame of the link
+    columns: tuple[Triple, Triple, Triple]  # its axes x, y, z, there
+
+
+class Exclusion(NamedTuple):
+    """Two capsules that are not checked against each other, by their numbers, and why."""
+
+    first: int  # further from the base than the second
+    second: int
+    rule: str  # of `clearance.obstacles.self_exclusions`: a, b or c
+    share: float  # of the sampled configurations in which the capsules overlap [1]; 0 of rule a
+
+
+@runtime_checkable
+class LinkMeshes(Protocol):
+    """The makers' meshes in an arm's capsules. Equal and hashable by what they are read from."""
+
+    def deepest_m(self, first: str, second: str, x: Float[np.ndarray, "N"]) -> float:
+        """Return the depth of the deepest contact between the meshes in two capsules at x [m]; 0 without meshes."""
+
+    def outside_m(
+        self, capsule: str, robot: "Robot", x: Float[np.ndarray, "N"], point: Float[np.ndarray, "3"]
+    ) -> float | None:
+        """Return the distance of a point in the world from the mesh in a capsule at x [m]; None without a mesh."""
+
+
+@register_pytree
+@dataclasses.dataclass(frozen=True)
+class Robot:
+    """A serial arm of N hinge or slide joints with K capsules, in metres and radians.
+
+    The frame of link i is the frame of joint i after its motion: its origin lies on the joint's axis, and at
+    x = 0 it stands at T_parent_joint[i] in the frame of link i - 1 (of the world for i = 0).
+    """
+
+    T_parent_joint: Float[Array, "N 4 4"]  # joint i's frame at x = 0, in link i - 1
+    axis: Float[Array, "N 3"]  # unit, in the joint's own frame
+    T_link_tcp: Pose  # in the last link; z points out of the tool
+    lower: Joints  # [rad or m], -inf where the model sets no limit
+    upper: Joints
+    speed: Joints  # [rad/s or m/s], inf where the model says nothing
+    acceleration: Joints  # [rad/s2 or m/s2], likewise
+    effort: Joints  # [N m or N], likewise
+    capsule_p: Float[Array, "K 3"]  # ends of the segment in the frame of the capsule's link
+    capsule_q: Float[Array, "K 3"]  # a sphere has p == q
+    capsule_radius: Float[Array, "K"]
+    on_tool: Float[Array, "K 2"]  # 1 where the end p, q moves with the tool's tip, see lengthen_tool
+    name: str = dataclasses.field(metadata=_STATIC)
+    joint_names: tuple[str, ...] = dataclasses.field(metadata=_STATIC)
+    slides: tuple[bool, ...] = dataclasses.field(metadata=_STATIC)
+    capsule_names: tuple[str, ...] = dataclasses.field(metadata=_STATIC)
+    capsule_link: tuple[int, ...] = dataclasses.field(metadata=_STATIC)  # -1 is the world
+    ignored_geoms: tuple[str, ...] = dataclasses.field(metadata=_STATIC)  # neither capsule nor sphere
+    exclusions: tuple[Exclusion, ...] = dataclasses.field(default=(), metadata=_STATIC)  # that the model states
+    listed: bool = dataclasses.field(default=False, metadata=_STATIC)  # these are all but those of `mounted`
+    mounted: tuple[int, ...] = dataclasses.field(default=(), metadata=_STATIC)  # capsules of the job's own tool
+    meshes: LinkMeshes | None = dataclasses.field(default=None, metadata=_STATIC)  # None if its file refers to none
+    frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=_STATIC)  # that a task may name
+
+    def _repr_html_(self) -> str:
+        limits = zip(self.joint_names, self.lower.tolist(), self.upper.tolist(), self.slides, strict=True)
+        radii = zip(self.capsule_names, self.capsule_radius.tolist(), strict=True)
+        facts = {name: f"{low:.4g} to {high:.4g} {'m' if slides else 'rad'}" for name, low, high, slides in limits}
+        facts["capsules"] = ", ".join(f"{name} ({1e3 * radius:.0f} mm)" for name, radius in radii)
+        if self.ignored_geoms:
+            facts["ignored geoms"] = ", ".join(self.ignored_geoms)
+        return html_facts(f"{self.name}: {len(self.joint_names)} joints", facts)
+
+
+def capsule_in_words(name: str) -> str:
+    """A capsule in a message: what collides is the capsule, and not yet the link in it."""
+    return name if name.startswith("capsule") else f"capsule {name}"
+
+
+def mesh_note(robot: Robot, capsule: str, x: Float[np.ndarray, "N"], point: Float[np.ndarray, "3"]) -> str:
+    """Return the end of a message: the distance of a capsule from its mesh, at a point of its surface in the world [m];
+    "" if the arm's file refers to no meshes."""
+    outside_m = robot.meshes.outside_m(capsule, robot, x, point) if robot.meshes else None
+    if outside_m is None:
+        return ""
+    return f"; the surface of this capsule is {1e3 * outside_m:.3g} mm from its mesh there"
+
+
+def lengthen_tool(robot: Robot, extension_m: float | Scalar) -> Robot:
+    """The robot with its tool longer by `extension_m` [m] along the tool's z axis; negative shortens.
+
+    The TCP moves, and so does what hangs on the tool: the capsules of the body that carries the TCP. The
+    first of them starts at the flange: it keeps that end and is stretched. The extension may be traced.
+    """
+    shift = extension_m * robot.T_link_tcp[:3, 2]
+    ends = robot.on_tool[:, :, None] * shift[None, None, :]
+    return dataclasses.replace(
+        robot,
+        T_link_tcp=robot.T_link_tcp + jnp.pad(shift[:, None], ((0, 1), (3, 0))),
+        capsule_p=robot.capsule_p + ends[:, 0],
+        capsule_q=robot.capsule_q + ends[:, 1],
+    )

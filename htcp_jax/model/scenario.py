@@ -1,0 +1,207 @@
+"""One scenario: where the arm starts, where the workpiece is, and the targets in between; checked, then stacked."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import jax
+import numpy as np
+
+from htcp_jax.errors import InputError
+from htcp_jax.model.kinematics import reach, tcp_position
+from htcp_jax.model.robot import Robot, lengthen_tool
+from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.pytree import register_pytree
+from htcp_jax.status import Status
+from htcp_jax.types import Anywhere, Bool, Float, Int
+
+NOT_REFUSED = -1
+
+
+class OutOfReach(InputError):
+    """A target that no posture of the arm comes near."""
+
+
+@register_pytree
+@dataclass(frozen=True)
+class Scenario:
+    """What differs between the members of a batch. Stacked, every leaf has a leading axis S."""
+
+    x_start: Float[Anywhere, "*S N"]  # [rad or m]; home or any, until it is chosen, where `auto_start` says so
+    x_home: Float[Anywhere, "*S N"]  # where the motion begins [rad or m]; NaN: at the start, which is to be chosen
+    auto_start: Bool[Anywhere, "*S"]  # whether the planner chooses the start, at the path's first point
+    T_world_workpiece: Float[Anywhere, "*S 4 4"]  # [m]
+    interior_plane: Float[Anywhere, "*S 4"]  # normal, and offset [m], see `interior_plane_of`
+    targets: Float[Anywhere, "*S T M"]  # where the tool goes, world [m]; rows from `count` on are padding
+    count: Int[Anywhere, "*S"]  # targets to track
+    on_path: Int[Anywhere, "*S"]  # the first target that is a point of the path; those before it lead there
+    margin_m: Float[Anywhere, "*S"]  # least clearance with which a target counts
+    tool_extension_m: Float[Anywhere, "*S"]
+    number: Int[Anywhere, "*S"]  # identity: the random keys are folded from it
+    refused: Int[Anywhere, "*S"]  # NOT_REFUSED, or the Status for which nothing is planned
+    goals: Float[Anywhere, "*S T G"] | None = None  # of the task, see `task_rows` [m]; None: the targets
+
+    @property
+    def begins_anywhere(self) -> Bool[Anywhere, "*S"]:
+        """Whether the motion begins at the start, and that is still to be chosen."""
+        return np.asarray(np.isnan(self.x_home).any(axis=-1))
+
+    @property
+    def aims(self) -> Float[Anywhere, "*S T G"]:
+        """What the task is held to at every target."""
+        return self.targets if self.goals is None else self.goals
+
+
+def path_targets(
+    tcp: Float[np.ndarray, "3"],
+    inlet: Float[np.ndarray, "3"] | None,
+    path: Float[np.ndarray, "W 3"],
+    approach: tuple[int, int] = (5, 5),
+) -> Float[np.ndarray, "T 3"]:
+    """Targets of one scenario [m], all in one frame: the start TCP itself, `approach[0]` equal steps to the inlet's
+    centre, `approach[1]` equal steps from there to the first path point, then the whole path (so that its first point
+    is met again). Without an inlet the steps go straight from the start to the path."""
+    stops = [tcp, path[0]] if inlet is None else [tcp, inlet, path[0]]
+    steps = [sum(approach)] if inlet is None else approach
+    legs = [
+        a + (b - a) * np.linspace(0, 1, n + 1)[1:, None] for a, b, n in zip(stops[:-1], stops[1:], steps, strict=True)
+    ]
+    return np.concatenate([np.asarray(tcp)[None], *legs, path])
+
+
+def make_scenario(
+    robot: Robot,
+    workpiece: Workpiece,
+    start: Sequence[float] | Anywhere | None,
+    *,
+    home: Sequence[float] | Anywhere | None = None,
+    rotation: tuple[float, float] = (0.4, 0.1),
+    rotation_x_rad: float = 0.0,
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    approach: tuple[int, int] = (5, 5),
+    margin_m: float = 5e-4,
+    tool_extension_m: float = 0.0,
+    number: int = 0,
+    beyond_reach: Literal["raise", "record"] = "raise",
+    follows: Float[np.ndarray, "3"] | None = None,
+) -> Scenario:
+    """One scenario of the scene's rules.
+
+    start: N joint positions [rad or m]; None: the planner is to choose them, at the path's first point, which is the
+    first target then, without an approach. home: those in which the motion begins; None: the start. rotation:
+    workpiece about world y, then z [rad], after rotation_x_rad about world x; shift: of the workpiece, world [m];
+    margin_m: least clearance with which a target counts; tool_extension_m: see `robot.lengthen_tool`; number: identity
+    for the random keys. beyond_reach: what to do about a target beyond the arm's reach; "record" makes a scenario that
+    is planned as a failure, with that reason. follows: where the point that is to follow the path is at the start,
+    world [m]; None: the TCP.
+    Raises InputError for a start or home of the wrong length or outside the joint limits, and OutOfReach, which is one.
+    """
+    x_start, x_home = _begins(robot, start, home)
+    longer = _LONGER(robot, float(tool_extension_m)) if tool_extension_m else robot
+    T_world_workpiece = workpiece.T_world(*rotation, shift=shift, wx=rotation_x_rad)
+    rotate, translate = T_world_workpiece[:3, :3], T_world_workpiece[:3, 3]
+    path = workpiece.path @ rotate.T + translate
+    if follows is None:
+        follows = np.asarray(_TCP(longer, x_start))
+    inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
+    first, steps = (path[0], (0, 0)) if start is None else (follows, approach)
+    targets = path_targets(first, inlet, path, steps)
+    refused = NOT_REFUSED
+    try:
+        _check_reach(longer, targets)
+    except OutOfReach:
+        if beyond_reach == "raise":
+            raise
+        refused = Status.OUT_OF_REACH
+    return Scenario(
+        x_start=x_start,
+        x_home=x_home,
+        auto_start=np.asarray(start is None),
+        T_world_workpiece=T_world_workpiece,
+        interior_plane=interior_plane_of(robot, workpiece, T_world_workpiece),
+        targets=targets,
+        count=np.asarray(len(targets), np.int32),
+        on_path=np.asarray(len(targets) - len(workpiece.path), np.int32),
+        margin_m=np.asarray(margin_m, float),
+        tool_extension_m=np.asarray(tool_extension_m, float),
+        number=np.asarray(number, np.int32),
+        refused=np.asarray(refused, np.int32),
+    )
+
+
+def interior_plane_of(
+    robot: Robot, workpiece: Workpiece, T_world_workpiece: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "4"]:
+    """Unit normal n, offset [m]: capsule ends with n @ x > offset in the world must lie inside the workpiece.
+
+    Where the robot itself stands beyond that plane, beside the workpiece, it divides nothing: the offset is infinite,
+    and the rule off. The paper's rule, along the world's x, holds anywhere.
+    """
+    plane = workpiece.interior_plane(T_world_workpiece)
+    fixed = np.asarray(robot.capsule_link) < 0
+    ends = (np.asarray(end)[fixed] for end in (robot.capsule_p, robot.capsule_q))
+    base = np.concatenate([np.asarray(robot.T_parent_joint)[:1, :3, 3], *ends])
+    if workpiece.inlet_direction is not None and (base @ plane[:3] > plane[3]).any():
+        plane[3] = np.inf
+    return plane
+
+
+def interior_rule(workpiece: Workpiece, scenario: Scenario) -> str:
+    """Whether bodies deep in the workpiece must be in its hull, in words."""
+    beside = np.isinf(scenario.interior_plane[3]) and len(workpiece.hull_offset)
+    return "off: the robot stands beyond the inlet" if beside else workpiece.interior_rule
+
+
+def with_own_tool(robot: Robot, scenario: Scenario) -> tuple[Robot, Scenario]:
+    """The robot with the tool of one scenario, and the scenario that adds nothing to it: together what they were."""
+    own = replace(scenario, tool_extension_m=np.zeros_like(scenario.tool_extension_m))
+    return _LONGER(robot, float(scenario.tool_extension_m)), own
+
+
+def stack(scenarios: Sequence[Scenario]) -> Scenario:
+    """Scenarios as one batch (numpy leaves with a leading axis S); shorter target lists are padded with their last.
+    Raises InputError for none."""
+    if not scenarios:
+        raise InputError("no scenarios to plan")
+    longest = max(len(s.targets) for s in scenarios)
+
+    def pad(rows):
+        return None if rows is None else np.concatenate([rows, np.repeat(rows[-1:], longest - len(rows), axis=0)])
+
+    padded = [
+        jax.tree.map(np.asarray, Scenario(**{**vars(s), "targets": pad(s.targets), "goals": pad(s.goals)}))
+        for s in scenarios
+    ]
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *padded)
+
+
+_TCP, _LONGER = jax.jit(tcp_position), jax.jit(lengthen_tool)
+
+
+def _begins(robot: Robot, start: Sequence[float] | Anywhere | None, home: Sequence[float] | Anywhere | None):
+    """x_start and x_home of a scenario."""
+    if start is None and home is None:
+        anywhere = np.clip(np.zeros(len(robot.joint_names)), robot.lower, robot.upper)
+        return anywhere, np.full_like(anywhere, np.nan)
+    x_home = _posture(robot, start if home is None else home, "start" if home is None else "home")
+    return x_home if start is None else _posture(robot, start, "start"), x_home
+
+
+def _posture(robot: Robot, positions: Sequence[float] | Anywhere, what: str) -> Float[np.ndarray, "N"]:
+    """Joint positions that the robot can take. Raises InputError that calls them `what`."""
+    x, lower, upper = np.asarray(positions, float), np.asarray(robot.lower), np.asarray(robot.upper)
+    if x.shape != lower.shape:
+        raise InputError(f"{what} has {x.size} joint positions, the robot {robot.name} has {lower.size} joints")
+    for name, value, low, high in zip(robot.joint_names, x, lower, upper, strict=True):
+        if not low <= value <= high:
+            raise InputError(f"{what}: joint {name} at {value:.6g} is outside its limits {low:.6g} to {high:.6g}")
+    return x
+
+
+def _check_reach(robot: Robot, targets: np.ndarray) -> None:
+    base, longest = np.asarray(robot.T_parent_joint)[0, :3, 3], reach(robot)
+    far = np.linalg.norm(targets - base, axis=1)
+    if (worst := int(np.argmax(far > longest))) or far[0] > longest:
+        raise OutOfReach(
+            f"target {worst} is {far[worst]:.3f} m from the robot's base; {robot.name} reaches {longest:.3f} m at most"
+        )

@@ -1,0 +1,254 @@
+"""The task: M equations that hold the arm where the path wants it, equation (1), and B inequalities beside them.
+
+    error(x) = 0        M rows, with the Jacobian -d error / dx, M x N; the paper's are target - Gamma(x) of the TCP
+    room(x) >= 0        B rows: cones and bands
+
+The kinds of rows are in `task_rows`. They look at features of the arm, `value`, which hang on x alone; what is asked of
+these at one target are the numbers of its goal. With N - M = 0 the arm has no freedom left, and no null space. Nobody
+else forms an error, or says when it is small enough.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from htcp_jax.errors import InputError
+from htcp_jax.model.kinematics import (
+    direction_jacobians,
+    directions,
+    jacobian,
+    point_jacobians,
+    point_positions,
+    tcp_position,
+)
+from htcp_jax.model.robot import Robot
+from htcp_jax.model.task_rows import XYZ, Feature, Row, TaskPoint
+from htcp_jax.numerics import product, safe_norm
+from htcp_jax.types import Anywhere, Array, Float, Joints, Scalar
+
+Numbers = Anywhere | np.generic | float | bool
+EXACT = 1e-9  # [m or rad]; a row of room that is broken by less is broken by rounding
+
+
+class TaskLinear(NamedTuple):
+    """A task at one configuration, to first order; angles count as lengths, see `Task`."""
+
+    error: Float[Array, "M"]  # what a step has to make up for [m]
+    jacobian: Float[Array, "M N"]  # [m/rad or m/m]; the paper's Jac(x)
+    room: Float[Array, "B"]  # less the little that a step aims inside [m]
+    gradient: Float[Array, "B N"]
+
+
+@jax.tree_util.register_static
+@dataclass(frozen=True)
+class Task:
+    """The constraint on the arm: the rows that hold it, and how near is near enough. Static: a goal is data.
+
+    An angle counts as the length that has the same share of its tolerance, so that one number, the residual [m], says
+    how far a configuration is off.
+    """
+
+    parts: tuple[Row, ...] = (TaskPoint(),)
+    tolerance_m: float = 1e-3  # of the norm of the error
+    tolerance_rad: float = 2e-3  # of angles in it
+
+    @property
+    def rows(self) -> int:
+        """M."""
+        return sum(part.equalities for part in self.parts)
+
+    @property
+    def bands(self) -> int:
+        """B."""
+        return sum(part.inequalities for part in self.parts)
+
+    @property
+    def values(self) -> int:
+        """How many numbers the features have."""
+        return sum(len(feature.rows) for feature in self._features)
+
+    @property
+    def numbers(self) -> int:
+        """How many a goal has."""
+        return sum(part.numbers for part in self.parts)
+
+    @property
+    def is_points(self) -> bool:
+        """Whether all rows are world coordinates of points: then a goal is what the value has to be."""
+        return all(isinstance(part, TaskPoint) for part in self.parts)
+
+    @property
+    def holds_tcp(self) -> bool:
+        """Whether the TCP is held at a place."""
+        return TaskPoint() in self.parts
+
+    def tcp_place(self, goal: Float[Anywhere, "*S G"]) -> Float[Anywhere, "*S 3"]:
+        """Where a goal holds the TCP, of a task that does, in the world [m]."""
+        start = self.starts[self.parts.index(TaskPoint())]
+        return goal[..., start : start + 3]
+
+    @property
+    def starts(self) -> tuple[int, ...]:
+        """Where in a goal the numbers of each part begin."""
+        return tuple(np.cumsum([0, *(part.numbers for part in self.parts[:-1])]).tolist())
+
+    @property
+    def _features(self) -> tuple[Feature, ...]:
+        return tuple(feature for part in self.parts for feature in part.features)
+
+    def freedom(self, robot: Robot) -> int:
+        """D = N - M, the dimension of the null space. Raises InputError for more rows than joints."""
+        joints = len(robot.slides)
+        if self.rows > joints:
+            raise InputError(f"the task has {self.rows} rows, the robot {robot.name} has {joints} joints")
+        return joints - self.rows
+
+    def value(self, robot: Robot, x: Joints) -> Float[Array, "V"]:
+        """The features of the arm: points [m], and directions without a unit."""
+        return _joined([_held(feature, feature_at(robot, x, feature)) for feature in self._features])
+
+    def jacobian(self, robot: Robot, x: Joints) -> Float[Array, "V N"]:
+        """d value / dx [m/rad or m/m, of directions 1/rad]."""
+        return _joined([_held(feature, _moves(robot, x, feature)) for feature in self._features])
+
+    def linear(self, value: Float[Array, "V"], slopes: Float[Array, "V N"], goal: Float[Array, "G"]) -> TaskLinear:
+        """The rows where the features have this value [m] and Jacobian [m/rad], to first order; equation (7)."""
+        if self.is_points:
+            return TaskLinear(goal - value, slopes, jnp.zeros(0), jnp.zeros((0, slopes.shape[1])))
+        error, room = self.error(value, goal), self._room(value, goal) - self._together("aim", value, goal)
+        return TaskLinear(
+            error,
+            product(-jax.jacfwd(self.error)(value, goal), slopes),
+            room,
+            product(jax.jacfwd(self._room)(value, goal), slopes),
+        )
+
+    def linear_at(self, robot: Robot, x: Joints, goal: Float[Array, "G"]) -> TaskLinear:
+        """The same at x [rad or m]; goal: as the rows have it, in metres and without a unit."""
+        return self.linear(self.value(robot, x), self.jacobian(robot, x), goal)
+
+    def error(self, value: Float[Array, "V"], goal: Float[Array, "G"]) -> Float[Array, "M"]:
+        """Delta C = C_next - C_ref of equation (9) [m]."""
+        return goal - value if self.is_points else self._together("error", value, goal)
+
+    def room(self, value: Float[Array, "V"], goal: Float[Array, "G"]) -> Scalar:
+        """The least room in any band or cone [m]; infinite without one."""
+        return jnp.min(self._room(value, goal), initial=jnp.inf)
+
+    def residual(self, value: Float[Array, "V"], goal: Float[Array, "G"]) -> Scalar:
+        """The error's norm [m], which a plan records; where a band or cone is broken, more than the tolerance."""
+        off = safe_norm(self.error(value, goal))
+        if not self.bands:
+            return off
+        broken = -self.room(value, goal)
+        return jnp.where(broken > EXACT, off + broken + self.tolerance_m, off)
+
+    @property
+    def holds_angles(self) -> bool:
+        """Whether an axis or a frame is held exactly, so that the residual is more than a distance."""
+        return any(part.angular and part.equalities for part in self.parts)
+
+    def errors(self, robot: Robot, x: Joints, goal: Float[Array, "G"]) -> tuple[Scalar, Scalar]:
+        """The distance of the points that are held from their goals [m], and the largest angle from what is held [rad]:
+        what the residual puts together."""
+        value, v = self.value(robot, x), 0
+        lengths, angles = [jnp.zeros(0)], [jnp.zeros(())]
+        for start, part in zip(self.starts, self.parts, strict=True):
+            size = sum(len(feature.rows) for feature in part.features)
+            error = part.error(value[v : v + size], goal[start : start + part.numbers])
+            (angles if part.angular else lengths).append(safe_norm(error) if part.angular else error)
+            v += size
+        return safe_norm(jnp.concatenate(lengths)), jnp.max(jnp.stack(angles))
+
+    def off(self, robot: Robot, x: Joints, goal: Float[Array, "G"]) -> Scalar:
+        """The residual at x [m]."""
+        return self.residual(self.value(robot, x), goal)
+
+    def least_turn(self, robot: Robot, rotation: Float[Array, "3 3"], goal: Float[Array, "G"]) -> Scalar:
+        """How far the last link has to turn from a rotation at the least, before every row holds [rad]; of the rows
+        that look at nothing but how it is turned. Turned by an angle, none of its axes turns by more."""
+        found = [jnp.zeros(())]
+        for start, part in zip(self.starts, self.parts, strict=True):
+            if all(_turns_with_last(robot, feature) for feature in part.features):
+                axes = [product(rotation, _fixed(robot, feature)[0]) for feature in part.features]
+                value, own = jnp.concatenate(axes), goal[start : start + part.numbers]
+                found += [-part.room(value, own)[0]] if part.inequalities else []
+                found += [safe_norm(part.error(value, own)) - self.tolerance_rad] if part.equalities else []
+        return jnp.max(jnp.stack(found))
+
+    @property
+    def fine_m(self) -> float:
+        """The residual that inverse kinematics stops at [m]: a tenth of the tolerance."""
+        return 0.1 * self.tolerance_m
+
+    def reached(self, residual: Numbers) -> Numbers:
+        """Whether the residual [m] is within the tolerance; elementwise, numpy or JAX."""
+        return residual <= self.tolerance_m
+
+    def counts(self, clearance: Numbers, residual: Numbers, margin_m: Numbers) -> Numbers:
+        """Whether a configuration counts: D > 0 and D >= margin_m [m], and the target reached; elementwise.
+
+        Everything that accepts or refuses a configuration asks here, on the host and on the device alike. A margin of 0
+        asks for D > 0, as the paper does: touching is not clear.
+        """
+        return (clearance > 0) & (clearance >= margin_m) & self.reached(residual)
+
+    def _room(self, value: Array, goal: Array) -> Float[Array, "B"]:
+        return self._together("room", value, goal)
+
+    def _together(self, what: str, value: Array, goal: Array) -> Array:
+        """Of all parts, angles as lengths."""
+        found, v, g = [], 0, 0
+        for part in self.parts:
+            size = sum(len(feature.rows) for feature in part.features)
+            rows = getattr(part, what)(value[v : v + size], goal[g : g + part.numbers])
+            found.append(rows * (self.tolerance_m / self.tolerance_rad) if part.angular else rows)
+            v, g = v + size, g + part.numbers
+        return _joined(found)
+
+
+TCP_POSITION = Task()  # the paper's
+
+
+def feature_at(robot: Robot, x: Joints, feature: Feature) -> Float[Array, "3"]:
+    """Where a point is in the world [m], or how a direction is turned there, of length 1; of all three coordinates."""
+    if _is_tcp(feature):
+        return tcp_position(robot, x)
+    vector, links = _fixed(robot, feature)
+    return (directions if feature.is_direction else point_positions)(robot, x, vector[None], links)[0]
+
+
+def _moves(robot: Robot, x: Joints, feature: Feature) -> Float[Array, "3 N"]:
+    if _is_tcp(feature):
+        return jacobian(robot, x)
+    of = direction_jacobians if feature.is_direction else point_jacobians
+    return of(robot, x, feature_at(robot, x, feature)[None], _fixed(robot, feature)[1])[0]
+
+
+def _is_tcp(feature: Feature) -> bool:
+    return feature.link is None and not feature.is_direction and not any(feature.vector)
+
+
+def _turns_with_last(robot: Robot, feature: Feature) -> bool:
+    return feature.is_direction and feature.link in (None, len(robot.slides) - 1)
+
+
+def _fixed(robot: Robot, feature: Feature) -> tuple[Float[Array, "3"], tuple[int]]:
+    """The vector in the frame of its link, and that link; the TCP's frame is part of the last one."""
+    vector = jnp.asarray(feature.vector)
+    if feature.link is not None:
+        return vector, (feature.link,)
+    T = robot.T_link_tcp
+    turned = product(T[:3, :3], vector)
+    return (turned if feature.is_direction else turned + T[:3, 3]), (len(robot.slides) - 1,)
+
+
+def _held(feature: Feature, rows: Array) -> Array:
+    return rows if feature.rows == XYZ else rows[jnp.asarray(feature.rows)]
+
+
+def _joined(parts: list[Array]) -> Array:
+    return parts[0] if len(parts) == 1 else jnp.concatenate(parts)

@@ -1,0 +1,196 @@
+"""The workpiece: its walls and tool path in its own frame, its pose in the world, and its convex hull.
+
+Host side, numpy. Walls are points. Those of a mesh cover it within a known distance, which every clearance is less.
+The hull serves the interior rule of the clearance: deep behind the inlet, a point of the robot that left the hull has
+pierced the wall.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from htcp_jax.errors import InputError
+from htcp_jax.model.arrays import points, triple
+from htcp_jax.model.convex_hull import Hull, convex_hull
+from htcp_jax.model.duct import INTERIOR_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
+from htcp_jax.model.path_frames import PathFrames, tangents, wall_normals
+from htcp_jax.notebook import html_facts
+from htcp_jax.types import Triple
+
+NO_CLOUD = "none"  # in place of a cloud: there is a path, and no wall
+
+
+@dataclass(frozen=True, eq=False)
+class Workpiece:
+    """A cloud and a tool path, both [m] in the workpiece frame. Immutable: arrays are read-only copies.
+
+    inlet: centre of the inlet, via-point of the approach; None means none.
+    pivot, neutral_translation: see `T_world`.
+    interior_depth_m: how far behind its nearest point the interior begins, see `interior_plane`.
+    interior: "hull" computes the half-spaces below; "none" leaves them empty (F = 0), for flat clouds.
+    hull_tolerance_m: 0 for the exact hull; above, fewer facets that reach out farther by about that much at
+        most and still hold all of the cloud.
+    inlet_direction: into the part, made unit; None is the world's x, however the part is turned; "facet" the inward
+        normal of the hull's facet nearest to the inlet, and without an inlet no interior.
+    triangles: of the mesh that the cloud was sampled on [m]; none for a cloud.
+    covering_radius_m: no point of the mesh is further from one of the cloud; 0 for a cloud.
+    tip_contact_m: how near to the TCP the stretch between the last body and the TCP may touch walls; None: anywhere.
+    frames: the path's normals, tangents and orientations, where they are known.
+
+    Computed once: the cloud's convex hull is where hull_normal @ x <= hull_offset (unit outward normals);
+    hull_vertices are the vertices of the exact hull (the whole cloud with interior "none").
+
+    A cloud of no points is none: there is a path alone.
+
+    Raises InputError for wrong shapes and counts, NaN, 1 to 3 points, no path, and a flat cloud with "hull".
+    """
+
+    name: str
+    cloud: Float[np.ndarray, "P 3"]
+    path: Float[np.ndarray, "T 3"]
+    inlet: Float[np.ndarray, "3"] | Triple | None = None  # these three are arrays once constructed
+    pivot: Float[np.ndarray, "3"] | Triple = PIVOT
+    neutral_translation: Float[np.ndarray, "3"] | Triple = NEUTRAL_TRANSLATION
+    interior_depth_m: float = INTERIOR_DEPTH_M
+    interior: Literal["hull", "none"] = "hull"
+    hull_tolerance_m: float = 0.0
+    inlet_direction: Float[np.ndarray, "3"] | Triple | Literal["facet"] | None = None
+    triangles: Float[np.ndarray, "M 3 3"] = field(default_factory=lambda: np.empty((0, 3, 3)))
+    covering_radius_m: float = 0.0
+    tip_contact_m: float | None = None
+    frames: PathFrames = field(default_factory=PathFrames)
+    hull_normal: Float[np.ndarray, "F 3"] = field(init=False)
+    hull_offset: Float[np.ndarray, "F"] = field(init=False)
+    hull_vertices: Float[np.ndarray, "V 3"] = field(init=False)
+
+    def __post_init__(self):
+        cloud = points(self.cloud, f"cloud of {self.name}", 4) if len(self.cloud) else np.empty((0, 3))
+        path = points(self.path, f"path of {self.name}", 1)
+        inlet = None if self.inlet is None else triple(self.inlet, "inlet")
+        for name in ("interior_depth_m", "hull_tolerance_m", "covering_radius_m", "tip_contact_m"):
+            if getattr(self, name) is not None and not 0.0 <= getattr(self, name) < np.inf:
+                raise InputError(f"{name} is {getattr(self, name)}; it must be 0 or more")
+        for name, directions in self.frames._asdict().items():
+            if directions is not None and len(directions) != len(path):
+                raise InputError(f"{name} of the path: {len(directions)} for its {len(path)} points")
+        triangles = np.array(self.triangles, dtype=np.float64)
+        corners = triangles.reshape(-1, 3) if len(triangles) else cloud  # what is sampled between adds no vertex
+        lost = inlet is None and self.inlet_direction == "facet"
+        hull = _hull(corners, "none" if lost else self.interior, self.hull_tolerance_m, self.name)
+        arrays = {
+            "cloud": cloud, "path": path, "inlet": inlet, "triangles": triangles,
+            "inlet_direction": _direction(self.inlet_direction, hull, inlet),
+            "pivot": triple(self.pivot, "pivot"),
+            "neutral_translation": triple(self.neutral_translation, "neutral_translation"),
+            "hull_normal": hull.normal, "hull_offset": hull.offset, "hull_vertices": hull.vertices,
+        }  # fmt: skip
+        for name, array in arrays.items():
+            if array is not None:
+                array.setflags(write=False)
+            object.__setattr__(self, name, array)  # the one way into a frozen dataclass, taken only here
+
+    def T_world(
+        self, wy: float, wz: float, shift: Triple = (0.0, 0.0, 0.0), wx: float = 0.0
+    ) -> Float[np.ndarray, "4 4"]:
+        """T_world_workpiece: x_world = pivot + Rz(wz) Ry(wy) Rx(wx) (x + neutral_translation - pivot) + shift.
+
+        wx, wy, wz [rad] about world x, then world y, then world z; shift [m] in the world.
+        """
+        cy, sy, cz, sz = np.cos(wy), np.sin(wy), np.cos(wz), np.sin(wz)
+        T = np.eye(4)
+        T[:3, :3] = [[cz * cy, -sz, cz * sy], [sz * cy, cz, sz * sy], [-sy, 0.0, cy]]
+        if wx:  # else not a bit of the others changes
+            cx, sx = np.cos(wx), np.sin(wx)
+            T[:3, :3] = T[:3, :3] @ [[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]]
+        T[:3, 3] = self.pivot + T[:3, :3] @ (self.neutral_translation - self.pivot) + shift
+        return T
+
+    @cached_property
+    def normals(self) -> Float[np.ndarray, "T 3"]:
+        """The path's normals, unit, from the wall into the free space: those known, else those of the cloud."""
+        if self.frames.normals is not None:
+            return self.frames.normals
+        if not len(self.cloud):
+            raise InputError(f"{self.name}: without a cloud, normals stand in the path's file: columns nx,ny,nz")
+        return wall_normals(self.cloud, self.path)
+
+    @cached_property
+    def tangents(self) -> Float[np.ndarray, "T 3"]:
+        """The way that the path goes, unit: as known, else by central differences."""
+        return tangents(self.path) if self.frames.tangents is None else self.frames.tangents
+
+    @property
+    def shown(self) -> Float[np.ndarray, "P 3"]:
+        """What a picture of it is of [m]: its cloud, or without one its path."""
+        return self.cloud if len(self.cloud) else self.path
+
+    @cached_property
+    def largest_gap_m(self) -> float:
+        """The largest distance from a point of the cloud to the next one: holes are at least as wide."""
+        return float(cKDTree(self.cloud).query(self.cloud, k=2)[0][:, 1].max())
+
+    @property
+    def walls(self) -> str:
+        """What clearance is measured to, in words."""
+        if not len(self.cloud):
+            return NO_CLOUD
+        if len(self.triangles):
+            reach = f"{len(self.triangles):,} triangles within {1e3 * self.covering_radius_m:.3g} mm of"
+            return f"{reach} {len(self.cloud):,} points, subtracted"
+        return f"{len(self.cloud):,} points, gaps up to {1e3 * self.largest_gap_m:.3g} mm"
+
+    @property
+    def interior_rule(self) -> str:
+        """Whether bodies deep in the part must be in its hull, in words."""
+        if len(self.hull_offset):
+            along = "world x" if self.inlet_direction is None else f"({_numbers(self.inlet_direction)})"
+            return f"convex hull, {self.interior_depth_m:.3g} m deep along {along}"
+        return "off: no inlet" if self.inlet is None else "off"
+
+    def _repr_html_(self) -> str:
+        low, high = self.shown.min(axis=0), self.shown.max(axis=0)
+        length = np.linalg.norm(np.diff(self.path, axis=0), axis=1).sum()
+        facts = {
+            "walls": self.walls,
+            "extent": " x ".join(f"{side:.3f}" for side in high - low) + " m",
+            "tool path": f"{len(self.path)} points, {length:.3f} m",
+            "inlet": "none" if self.inlet is None else f"{_numbers(self.inlet)} m",
+            "interior": self.interior_rule,
+        }
+        return html_facts(self.name, facts)
+
+    def interior_plane(self, T_world_workpiece: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4"]:
+        """Unit normal n, offset: a point of the robot with n @ x > offset [m] in the world must lie in the hull. n is
+        the inlet's direction; it lies interior_depth_m behind the point of the part that comes first along n."""
+        rotate, translate = T_world_workpiece[:3, :3], T_world_workpiece[:3, 3]
+        n = np.array([1.0, 0.0, 0.0]) if self.inlet_direction is None else rotate @ self.inlet_direction
+        along = self.hull_vertices @ (rotate.T @ n) + translate @ n
+        return np.append(n, along.min(initial=np.inf) + self.interior_depth_m)
+
+
+def _direction(value: object, hull: Hull, inlet: np.ndarray | None) -> Float[np.ndarray, "3"] | None:
+    """The unit vector into the part."""
+    if value is None or (isinstance(value, str) and not len(hull.offset)):
+        return None
+    if isinstance(value, str):
+        return -hull.normal[np.argmax(hull.normal @ inlet - hull.offset)]
+    direction = triple(value, "inlet_direction")
+    if not np.linalg.norm(direction) > 0:
+        raise InputError("inlet_direction is zero; it must point into the part")
+    return direction / np.linalg.norm(direction)
+
+
+def _numbers(values: Float[np.ndarray, "3"]) -> str:
+    return ", ".join(f"{value:.4g}" for value in values + 0.0)
+
+
+def _hull(cloud: Float[np.ndarray, "P 3"], interior: str, tolerance_m: float, name: str) -> Hull:
+    if interior == "hull" and len(cloud):
+        return convex_hull(cloud, tolerance_m, f"cloud of {name}")
+    if interior in ("hull", "none"):
+        return Hull(np.empty((0, 3)), np.empty(0), cloud)
+    raise InputError(f"interior is {interior!r}; valid are hull, none")

@@ -1,0 +1,69 @@
+"""What a roadmap keeps of the postures that arrive at a target: the best of close ones, and those far apart. For many
+searches at once: rows with the same number are of one search, and no other has any influence on what is kept of them.
+"""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from htcp_jax.motion.posture_tree import Nodes
+
+
+def best_first(nodes: Nodes, search: Int[np.ndarray, "n"] | int = 0) -> Int[np.ndarray, "n"]:
+    """All places, search by search: fewest dwells first, then least cost; of equals the one found first."""
+    return np.lexsort((nodes.cost, nodes.dwells, np.broadcast_to(search, nodes.cost.shape)))
+
+
+def dispersed(
+    x: Float[np.ndarray, "n N"],
+    search: Int[np.ndarray, "n"],
+    most: int,
+    apart: float,
+    known: tuple[Float[np.ndarray, "m N"], Int[np.ndarray, "m"]] | None = None,
+) -> Int[np.ndarray, "k"]:
+    """The places of up to `most` of each search's postures, all further than `apart` [rad] from each other and from
+    those known: of close ones the first, and where there are more than that, those that are far from each other
+    (farthest-point selection). They come search by search, the best first, and are found in that order.
+
+    search: the number of each row's, 0 or more. known: postures, and whose they are."""
+    count, every, number = 0, x, search
+    if known is not None:
+        count, every, number = len(known[1]), np.concatenate([known[0], x]), np.concatenate([known[1], search])
+    order = np.argsort(number, kind="stable")  # of every search those known, and then the others
+    kept = np.empty(len(every), bool)
+    kept[order] = _apart(every[order], number[order], order < count, apart)
+    places = order[kept[order] & (order >= count)] - count
+    first = np.flatnonzero(np.diff(search[places], prepend=-1))
+    many = [rows for rows in np.split(places, first[1:]) if len(rows) > most]
+    for rows in many:
+        far = rows[farthest_first(x[rows], 0, most, apart)]
+        places = places[~np.isin(places, rows) | np.isin(places, far)]
+    return places
+
+
+def _apart(x: Float[np.ndarray, "n N"], search: Int[np.ndarray, "n"], known: np.ndarray, apart: float) -> np.ndarray:
+    """Which rows, sorted by search, are kept one after the other: those known, and what is near to none that is kept.
+    The k-th row of every search is looked at together; searches with many rows stand first."""
+    first = np.flatnonzero(np.diff(search, prepend=-1))
+    count = np.diff(np.append(first, len(x)))
+    by_count = np.argsort(-count, kind="stable")
+    first, count = first[by_count], count[by_count]
+    row = first[:, None] + np.arange(count.max(initial=0))  # of the k-th of every search
+    row = np.minimum(row, len(x) - 1)
+    table, kept = x[row], known[row]
+    for k in range(row.shape[1]):
+        own = slice(np.searchsorted(-count, -k, side="left"))  # searches that have as many
+        away = np.linalg.norm(table[own, :k] - table[own, k : k + 1], axis=2)
+        kept[own, k] |= ~((away < apart) & kept[own, :k]).any(axis=1)
+    found = np.zeros(len(x), bool)
+    there = np.arange(row.shape[1]) < count[:, None]
+    found[row[there]] = kept[there]
+    return found
+
+
+def farthest_first(x: Float[np.ndarray, "n N"], first: int, most: int, apart: float) -> list[int]:
+    """Up to `most` rows of x, from `first` on always the one farthest from those chosen; none nearer than `apart`."""
+    kept, distance = [first], np.linalg.norm(x - x[first], axis=1)
+    while len(kept) < most and distance.max() >= apart:
+        kept.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(x - x[kept[-1]], axis=1))
+    return kept

@@ -1,0 +1,159 @@
+"""The engine's device side: pure functions of one lane.
+
+A kernel takes what all lanes share and one lane's arguments; `programs` runs it over tables of them.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from htcp_jax.clearance.obstacles.obstacles.linearisation import Linearisation, linearise
+from htcp_jax.clearance.obstacles.obstacles.scene import Scene, own_scene
+from htcp_jax.clearance.proof.motion_proof import path_clear
+from htcp_jax.device.batching import Loop
+from htcp_jax.device.kernel import STEP, TRACKED, Kernel
+from htcp_jax.model.inverse_kinematics import reanchor
+from htcp_jax.model.kinematics import tcp_position
+from htcp_jax.model.task import TaskLinear
+from htcp_jax.motion.lane_inputs import LaneInputs
+from htcp_jax.settings import Settings
+from htcp_jax.solvers import step_qp
+from htcp_jax.solvers.active_set import solve_step
+from htcp_jax.types import Int, Joints
+
+STEPS_A_BURST = 5  # step QPs, or null-space steps, before the engine looks at the lanes again
+
+
+class Measured(NamedTuple):
+    """A configuration, its linearisation, and how it stands to the target."""
+
+    x: jax.Array
+    linear: Linearisation
+    clearance: jax.Array  # the smallest [m]
+    residual: jax.Array  # [m]
+    tcp: jax.Array  # world [m]
+
+
+def prepare(
+    settings: Settings, scene: Scene, lane: LaneInputs, x_ref, x_previous, linear: Linearisation
+) -> step_qp.StepQP:
+    """The step QP of one lane, equation (9)."""
+    scene = own_scene(scene, lane.tool_extension_m)
+    robot, task = scene.robot, scene.task.linear(*linear.task, lane.target)
+    return step_qp.assemble(
+        settings,
+        x_ref,
+        x_previous,
+        task.error,
+        task.jacobian,
+        linear.clearance.distance,
+        linear.clearance.gradient,
+        lane.margin_m + settings.aim_above_m,
+        robot.lower,
+        robot.upper,
+        task.room,
+        task.gradient,
+    )
+
+
+def advance(
+    settings: Settings, scene: Scene, lane: LaneInputs, x_ref: Joints, y: Joints, smallest: bool = False
+) -> Measured:
+    """The lane after a step y: inside the limits to the last bit, linearised by equations (6) to (8), and measured
+    against its target. smallest: see `linearise`."""
+    scene = own_scene(scene, lane.tool_extension_m)
+    x = jnp.clip(x_ref + y, scene.robot.lower, scene.robot.upper)
+    linear = linearise(scene.robot, scene.obstacles, lane, x, scene.task, smallest)
+    residual = scene.task.residual(linear.task.value, lane.target)
+    return Measured(x, linear, jnp.min(linear.clearance.distance), residual, tcp_position(scene.robot, x))
+
+
+def advance_smallest(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, y) -> Measured:
+    """`advance` for step QPs that look at the smallest clearance alone."""
+    return advance(settings, scene, lane, x_ref, y, smallest=True)
+
+
+def measured(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Measured:
+    """The lane at x, as its step QP looks at it."""
+    return advance(settings, scene, lane, x, jnp.zeros_like(x), settings.clearance_rows == "smallest")
+
+
+def nothing_known(look: Callable, *arguments) -> Any:
+    """What a function of these would return, all zeros: of a lane at which nobody has looked yet."""
+    return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(look, *arguments))
+
+
+class Tracked(NamedTuple):
+    """A lane after a burst of step QPs: where it is, how many this target has taken, and the last one's verdict."""
+
+    now: Measured
+    iteration: jax.Array
+    verdict: jax.Array
+
+
+def track(
+    settings: Settings,
+    scene: Scene,
+    lane: LaneInputs,
+    x_ref: Joints,
+    x_previous: Joints,
+    linear: Linearisation,
+    iteration: Int[jax.Array, ""],
+) -> Loop:
+    """Algorithm 1, line 7: step QPs (9) on the device, one after the other, until the target is reached, the lane is
+    stuck, or the burst is over. The loop's state is `Tracked`."""
+    most = jnp.minimum(iteration + STEPS_A_BURST, settings.max_step_qps)
+
+    def going(tracked: Tracked):
+        here = scene.task.counts(tracked.now.clearance, tracked.now.residual, lane.margin_m)
+        reached = here & (tracked.iteration > 0)
+        return ~reached & (tracked.verdict == step_qp.QPStatus.SOLVED) & (tracked.iteration < most)
+
+    def step(tracked: Tracked) -> Tracked:
+        step_qp = prepare(settings, scene, lane, tracked.now.x, x_previous, tracked.now.linear)
+        found = solve_step(step_qp, settings.qp_tolerance)
+        now = advance(settings, scene, lane, tracked.now.x, found.y, settings.clearance_rows == "smallest")
+        return Tracked(now, tracked.iteration + 1, found.status)
+
+    # At a new target, and in a candidate's first burst, nothing is reached before the first step QP.
+    nowhere = jnp.zeros(3)  # the TCP is not recorded before
+    known = Measured(x_ref, linear, jnp.full((), -jnp.inf), jnp.full((), jnp.inf), nowhere)
+    return Loop(Tracked(known, iteration, jnp.full((), int(step_qp.QPStatus.SOLVED), jnp.int32)), going, step)
+
+
+def check_path(settings: Settings, scene: Scene, lane: LaneInputs, a, b):
+    """Whether the straight joint path from a to b is clear."""
+    scene = own_scene(scene, lane.tool_extension_m)
+    return path_clear(scene, settings, lane, a, b)
+
+
+def settle(settings: Settings, scene: Scene, lane: LaneInputs, x):
+    """The posture at x, brought onto its target, ten times closer than inverse kinematics is asked for elsewhere."""
+    scene = own_scene(scene, lane.tool_extension_m)
+    return reanchor(scene.robot, x, lane.target, 0.1 * scene.task.fine_m, task=scene.task)[0]
+
+
+def hold(settings: Settings, scene: Scene, lane: LaneInputs, linear: Linearisation) -> TaskLinear:
+    """The task's rows at the lane's target, where the arm is linearised."""
+    return scene.task.linear(*linear.task, lane.target)
+
+
+# The kernels by name, each with the settings that it reads
+
+MEASURED = ("clearance_rows",)  # by `measured`
+_STEP_QP = ("q_weights", "cost_about", "clearance_rows", "aim_above_m")
+
+PREPARE = Kernel("prepare", prepare, STEP, _STEP_QP)
+ADVANCE = Kernel("advance", advance, STEP)
+ADVANCE_SMALLEST = Kernel("advance", advance_smallest, STEP)
+TRACK_BURST = Kernel("track", track, TRACKED, (*_STEP_QP, "max_step_qps", "qp_tolerance"))
+CHECK_PATH = Kernel("check_path", check_path, STEP, ("path_test", "path_steps"))
+SETTLE = Kernel("settle", settle, STEP)
+HOLD = Kernel("hold", hold, STEP)
+
+
+def advance_of(settings: Settings) -> Kernel:
+    """What an engine measures its lanes by."""
+    return ADVANCE_SMALLEST if settings.clearance_rows == "smallest" else ADVANCE

@@ -1,0 +1,42 @@
+"""What a lane brings along to every kernel."""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from htcp_jax.model.scenario import Scenario
+
+
+class LaneInputs(NamedTuple):
+    """What one lane is about: its scenario's surroundings, and which target. A lane brings all of it
+    along, so the compiled programs know nothing of how many scenarios there are."""
+
+    T_world_workpiece: jax.Array
+    interior_plane: jax.Array
+    margin_m: jax.Array
+    tool_extension_m: jax.Array
+    number: jax.Array
+    target: jax.Array  # the task's goal there [m]
+    row: jax.Array  # of the target
+    round: jax.Array  # of draws
+    seed: jax.Array
+
+
+def lane_inputs(
+    scenarios: Scenario, scenario: np.ndarray, row: np.ndarray, *, seed: int = 0, round_: int | np.ndarray = 0
+) -> LaneInputs:
+    """What lanes are about that are at target `row` of their `scenario`; scenarios are stacked, numpy. seed: for
+    kernels that draw; round_: of draws, one for all lanes or one each."""
+    row, scenario = np.asarray(row, np.int32), np.asarray(scenario)
+    return LaneInputs(
+        T_world_workpiece=scenarios.T_world_workpiece[scenario],
+        interior_plane=scenarios.interior_plane[scenario],
+        margin_m=scenarios.margin_m[scenario],
+        tool_extension_m=scenarios.tool_extension_m[scenario],
+        number=scenarios.number[scenario],
+        target=scenarios.aims[scenario, row],
+        row=row,
+        round=np.full(row.shape, round_, np.int32),
+        seed=np.full(row.shape, seed, np.int64),
+    )

@@ -1,0 +1,179 @@
+"""The rows of a motion: the postures that an arm passes from a plan's start on, one straight joint path after another.
+
+    motion(plans, 12, on_path)                  # of one scenario
+    motions(plans, on_path).cost(len(plans.x))  # of all of them at once
+
+Only what is executable is a motion; what a plan has beyond that is no part of it.
+
+And what a motion comes to: how often the arm dwells, how smooth the whole is, how clear it is all along. Equation (3)
+of the paper asks for the least ||x||_Q^2 with Q = V'V, where V takes finite differences of consecutive postures: the
+sum of |x_{t+1} - x_t|^2, unweighted.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Int8
+
+from htcp_jax.motion.plans import Plans
+from htcp_jax.status import Kind, Status
+
+ONE_POINT_M = 1e-5  # targets closer to each other are one point of the path
+OnPath = int | Int[np.ndarray, "S"]  # the first target that is a point of the path, see `Scenario`
+
+
+class Motion(NamedTuple):
+    """Of one scenario; the start comes first. There are no rows where no target is executable."""
+
+    x: Float[np.ndarray, "n N"]  # [rad or m]
+    target: Int[np.ndarray, "n"]  # to which the row leads; of a dwell, the one that the tool stays at
+    kind: Int8[np.ndarray, "n"]  # `status.Kind`: what the arm does on its way to this row from the one before
+
+
+class Motions(NamedTuple):
+    """Of S scenarios, one after the other; see `Motion`."""
+
+    scenario: Int[np.ndarray, "n"]
+    x: Float[np.ndarray, "n N"]  # [rad or m]
+    target: Int[np.ndarray, "n"]
+    kind: Int8[np.ndarray, "n"]
+
+    def of(self, scenario: int) -> Motion:
+        """That of one scenario, by its row."""
+        return Motion(*(column[self.scenario == scenario] for column in self[1:]))
+
+    @property
+    def steps(self) -> Float[np.ndarray, "n"]:
+        """|x_k - x_{k-1}| from the row before [rad]; 0 at the starts."""
+        first = np.diff(self.scenario, prepend=-1) != 0
+        return np.where(first, 0.0, np.linalg.norm(np.diff(self.x, axis=0, prepend=self.x[:1]), axis=1))
+
+
+def motion(plans: Plans, scenario: int, on_path: int, *, retract: bool = False) -> Motion:
+    """The motion of one scenario, up to its last executable target.
+
+    scenario: its row in `plans`; on_path: the first target that is a point of the path, `Scenario.on_path`. retract:
+    whether it leads back to where it began, too, through the same postures: what is clear one way is clear the other.
+    """
+    there = motions(plans.rows([scenario]), on_path).of(0)
+    if not retract:
+        return there
+    x, target, kind = (column[-2::-1] for column in there)
+    back = Motion(x, target, np.full_like(kind, Kind.RETRACT))
+    return Motion(*map(np.concatenate, zip(there, back, strict=True)))
+
+
+def motions(plans: Plans, on_path: OnPath, rows: Bool[np.ndarray, "S T"] | None = None) -> Motions:
+    """The motions of all scenarios. rows: the targets to go to, in place of the executable ones."""
+    rows = plans.executable if rows is None else rows
+    begun, (s, t) = np.flatnonzero(rows.any(axis=1)), np.nonzero(rows)
+    knots = plans.knots
+    passed = rows[knots.scenario, knots.target]
+    scenario = np.concatenate([begun, knots.scenario[passed], s])
+    target = np.concatenate([np.zeros_like(begun), knots.target[passed], t])
+    x = np.concatenate([plans.start[begun], knots.x[passed], plans.x[s, t]])
+    place = np.repeat([0, 1, 2], [len(begun), passed.sum(), len(s)])  # on the way to a target: start, knots, row
+    order = np.lexsort((place, target, scenario))
+    scenario, target, place = scenario[order], target[order], place[order]
+    kind = _kinds(target, place, np.broadcast_to(on_path, len(rows))[scenario])
+    kind[transfers(plans)[scenario] & (target == 0)] = Kind.TRANSFER
+    return Motions(scenario, x[order], target - (kind == Kind.DWELL), kind)
+
+
+def _kinds(target: np.ndarray, place: np.ndarray, on_path: np.ndarray) -> Int8[np.ndarray, "n"]:
+    """What the arm does on its way to postures that lead to targets, where there is no transfer."""
+    kind = np.where(target > on_path, np.where(place == 1, Kind.DWELL, Kind.FEED), Kind.APPROACH)
+    return kind.astype(np.int8)
+
+
+def transfers(plans: Plans) -> Bool[np.ndarray, "S"]:
+    """Whether the arm goes to another posture before it sets out: where the way to the first target passes knots, or
+    that target was tracked after an escape, as it is where a plan begins in another posture than the start."""
+    found = (plans.status[:, :1] == Status.TRACKED_AFTER_ESCAPE).any(axis=1)
+    found[plans.knots.scenario[plans.knots.target == 0]] = True
+    return found
+
+
+class MotionFigures(NamedTuple):
+    """Of S scenarios, a column each; NaN where there is nothing to measure."""
+
+    dwells: Float[np.ndarray, "S"]  # how many [1]
+    motion_cost_rad2: Float[np.ndarray, "S"]  # equation (3), see `cost` [rad^2]
+    path_step_max_rad: Float[np.ndarray, "S"]  # see `largest_step`
+    curvature_max_rad_m2: Float[np.ndarray, "S"]  # see `curvature`
+    way_clearance_min_m: Float[np.ndarray, "S"]  # see `tightest`
+
+
+def figures(plans: Plans, on_path: OnPath) -> MotionFigures:
+    """All of them. on_path: the first target that is a point of the path, of each scenario or of all."""
+    found, count = motions(plans, on_path), len(plans.status)
+    begun = plans.executable.any(axis=1)
+    return MotionFigures(
+        dwells=np.where(begun, dwells(plans, on_path).sum(axis=1), np.nan),
+        motion_cost_rad2=np.where(begun, cost(found, count), np.nan),
+        path_step_max_rad=largest_step(found, count),
+        curvature_max_rad_m2=np.fmax.reduce(curvature(plans, on_path), axis=1, initial=np.nan),
+        way_clearance_min_m=tightest(plans)[1],
+    )
+
+
+def dwells(plans: Plans, on_path: OnPath) -> Bool[np.ndarray, "S T"]:
+    """At which targets of the path the arm changes its posture, for the next target to be executable."""
+    found = np.zeros_like(plans.tracked)
+    turns = _turns(plans) & (np.arange(found.shape[1]) > np.reshape(on_path, (-1, 1)))
+    found[:, :-1] = turns[:, 1:]
+    return found
+
+
+def cost(found: Motions, count: int) -> Float[np.ndarray, "S"]:
+    """Equation (3), ||x||_Q^2 with Q = V'V: the sum of |x_{k+1} - x_k|^2 over all postures that are passed, from the
+    start to the last executable target [rad^2]; count: S. Of two motions with the same path the smoother costs less."""
+    return np.bincount(found.scenario, found.steps**2, count).astype(float)
+
+
+def largest_step(found: Motions, count: int) -> Float[np.ndarray, "S"]:
+    """The largest |x_{k+1} - x_k| on the path, dwells included [rad]; NaN where the motion does not come to the path's
+    second point. Equation (3) sums the squares of these."""
+    most = np.full(count, np.nan)
+    on_path = (found.kind == Kind.FEED) | (found.kind == Kind.DWELL)
+    np.fmax.at(most, found.scenario[on_path], found.steps[on_path])
+    return most
+
+
+def curvature(plans: Plans, on_path: OnPath) -> Float[np.ndarray, "S T"]:
+    """|q''|, how much the joints' way bends at the points of the path, by central differences over its arc length
+    [rad/m2]: what a constant feed asks of the joints' accelerations. It is the second difference where equation (3)
+    sums the first.
+
+    Points closer than ONE_POINT_M are one, with the posture of the last of them. The arc length stands still during a
+    dwell, so |q''| is not defined at a target where the arm dwells, nor at the next one: NaN, as at both ends of the
+    path and everywhere else.
+    """
+    path = plans.executable & (np.arange(plans.x.shape[1]) >= np.reshape(on_path, (-1, 1)))
+    ahead = np.linalg.norm(np.diff(plans.target, axis=1), axis=2)
+    points = path.copy()
+    points[:, :-1] &= ~(path[:, 1:] & (ahead < ONE_POINT_M))
+    s, t = np.nonzero(points)
+    x, place, turned = plans.x[s, t], plans.target[s, t], np.cumsum(_turns(plans), axis=1)[s, t]
+    straight = (np.diff(s) == 0) & (np.diff(turned) == 0)  # to the next point
+    length = np.where(straight, np.linalg.norm(np.diff(place, axis=0), axis=1), 1.0)
+    slope = np.diff(x, axis=0) / length[:, None]
+    bend = 2 * np.linalg.norm(np.diff(slope, axis=0), axis=1) / (length[:-1] + length[1:])
+    found = np.full(plans.status.shape, np.nan)
+    found[s[1:-1], t[1:-1]] = np.where(straight[:-1] & straight[1:], bend, np.nan)
+    return found
+
+
+def tightest(plans: Plans) -> tuple[Int[np.ndarray, "S"], Float[np.ndarray, "S"]]:
+    """To which target the way leads on which the least clearance is proven, and that D [m]; -1 and NaN where no target
+    is executable."""
+    clear = np.where(plans.executable, plans.way_clearance, np.inf)
+    target, least = clear.argmin(axis=1), clear.min(axis=1)
+    return np.where(np.isinf(least), -1, target), np.where(np.isinf(least), np.nan, least)
+
+
+def _turns(plans: Plans) -> Bool[np.ndarray, "S T"]:
+    """Which executable targets lie behind a way that passes knots."""
+    found = np.zeros_like(plans.tracked)
+    found[plans.knots.scenario, plans.knots.target] = True
+    return found & plans.executable

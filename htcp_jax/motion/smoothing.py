@@ -1,0 +1,293 @@
+"""Equation (3): the whole of a motion at once, as short as its constraints let it be.
+
+Sequential quadratic programming. A round solves one sparse QP a path about where it is (`solvers.path_qp`), brings the
+postures back onto their targets, and accepts what is still a motion by the proof, and shorter. Where it is no motion,
+the trust region of the postures beside the place shrinks, and the rest goes on without them. So every path that is
+accepted is a motion, whenever one stops.
+
+Postures on the way, where the tool dwells, take part; they are dropped where the straight way is a motion, too.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from htcp_jax.clearance.obstacles.obstacles.linearisation import Linearisation
+from htcp_jax.device.programs import Kernels
+from htcp_jax.device.tables import concatenate, gather
+from htcp_jax.motion.kernels import ADVANCE, HOLD, SETTLE, Measured
+from htcp_jax.motion.knots import Knots
+from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
+from htcp_jax.motion.motion_check import Segments, prove_segments
+from htcp_jax.motion.plans import Outcome, Plans
+from htcp_jax.motion.problem import Problem
+from htcp_jax.motion.tip_check import TipCheck, out_of_walls, tip_checks
+from htcp_jax.solvers.path_qp import PathQP, path_cost, solve_path_qp
+from htcp_jax.status import Way
+
+TRUST = 0.2  # a joint's longest step in a round [rad or m]
+NEIGHBOURS = 4  # postures over which a step grows back to its length, beside one that stays
+GAIN, SLOW, MOST_ROUNDS = 2e-3, 3, 40  # a path is done after SLOW rounds in a row that gain less than GAIN of its cost
+TOGETHER = 64  # paths of a thread that are smoothed at a time; what is seen of each takes a third of a megabyte
+GRAZES = 64  # queries of a proof, from which on the way is too close to an obstacle to go nearer
+
+
+@dataclass(eq=False)
+class Path:
+    """The motion of one scenario: P postures after the start, those at targets and those on the way."""
+
+    scenario: int
+    x: Float[np.ndarray, "P1 N"]  # the start, then the postures
+    target: Int[np.ndarray, "P"]  # to which the way leads that a posture is on
+    on_way: Bool[np.ndarray, "P"]  # whether it is on the way, and not there
+    on_path: int  # see `Scenario`
+    radius: Float[np.ndarray, "P"]  # of the trust region; 0 for a posture that stays
+    begins_anywhere: bool  # whether the start is wherever the first target's posture is
+    seen: Linearisation | None = None  # at the postures, and half way to each: (P, 2, ...)
+    slow: int = field(default=0)  # rounds in a row that gained next to nothing
+    rounds: int = 0
+
+    @classmethod
+    def of(cls, problem: Problem, plans: Plans, end: Outcome) -> "Path":
+        """As far as the scenario is executable; its last posture stays where tracked targets follow, and a start that
+        was given does between home and the first target."""
+        s = end.scenario
+        ways = [(t, [*plans.knots.on_the_way(s, t), plans.x[s, t]]) for t in range(end.executable)]
+        x = np.array([plans.start[s], *(posture for _, way in ways for posture in way)])
+        target = np.repeat([t for t, _ in ways], [len(way) for _, way in ways])
+        on_way = np.append(target[1:] == target[:-1], False)
+        radius = np.full(len(target), TRUST)
+        if end.executable < end.tracked:
+            radius[-1] = 0.0
+        radius[(target == 0) & on_way & _is_given_start(problem, s, x[1:])] = 0.0
+        anywhere = bool(problem.begins_anywhere[s])
+        return cls(s, x, target, on_way, int(problem.scenarios.on_path[s]), radius, anywhere)
+
+    @property
+    def held(self) -> Bool[np.ndarray, "P"]:
+        """Which postures hold the task; on the way to the path none need to but those at targets."""
+        return ~self.on_way | (self.target > self.on_path)
+
+    @property
+    def may_drop(self) -> Bool[np.ndarray, "P"]:
+        """Which postures may be left out: those on ways on which none stays."""
+        return self.on_way & ~np.isin(self.target, self.target[self.on_way & (self.radius == 0)])
+
+    @property
+    def row(self) -> Int[np.ndarray, "P"]:
+        """The target that a posture is at: on the way the one before."""
+        return np.maximum(self.target - self.on_way, 0)
+
+    @property
+    def done(self) -> bool:
+        """Whether to leave it as it is."""
+        return self.slow >= SLOW or self.rounds >= MOST_ROUNDS
+
+    def segments(self, x: Float[np.ndarray, "P1 N"]) -> Segments:
+        """The straight joint paths between postures x, the start's first."""
+        return Segments(np.full(len(self.target), self.scenario), self.target, x[:-1], x[1:], self.on_way)
+
+    def without(self, dropped: Bool[np.ndarray, "P"]) -> None:
+        """Forget some postures, and what was seen there and half way."""
+        self.x = self.x[np.append(True, ~dropped)]
+        self.target, self.on_way, self.radius = (a[~dropped] for a in (self.target, self.on_way, self.radius))
+        self.seen = None
+
+
+def smooth(problem: Problem, plans: Plans) -> Plans:
+    """The plans with their motions smoothed, as far as these reach; `way` and `way_clearance` are to be judged anew."""
+    kernels = problem.kernels  # made here, before there are threads
+    tips = tip_checks(kernels, problem.tip_guard)
+    ends = plans.outcomes  # of all scenarios at once
+    going = np.flatnonzero(ends.executable).tolist()
+    paths = [Path.of(problem, plans, ends.of(s)) for s in going]
+
+    def work(number: int) -> None:
+        own, mine = number % len(kernels), paths[number :: problem.threads]
+        smoothing = Smoothing(problem, kernels[own], tips[own])
+        for first in range(0, len(mine), TOGETHER):
+            smoothing.run(mine[first : first + TOGETHER])
+
+    with ThreadPoolExecutor(problem.threads) as pool:
+        list(pool.map(work, range(problem.threads)))
+    return _written(problem, plans, paths)
+
+
+class Smoothing:
+    """Smooths paths, all of them together round by round."""
+
+    def __init__(self, problem: Problem, kernels: Kernels, tip: TipCheck | None):
+        self._problem, self._kernels, self._tip = problem, kernels, tip
+        settings, joints = problem.settings, problem.scenarios.x_start.shape[1]
+        self._lower, self._upper = np.asarray(problem.robot.lower), np.asarray(problem.robot.upper)
+        self._weights = np.ones(joints) if settings.path_weights is None else np.array(settings.path_weights)
+
+    def run(self, paths: Sequence[Path]) -> None:
+        """Until all of them are done."""
+        while going := [path for path in paths if not path.done]:
+            self._drop(going)
+            self._look([path for path in going if path.seen is None])
+            before = [self._cost(path.x) for path in going]
+            self._round(going)
+            for path, cost in zip(going, before, strict=True):
+                path.slow = path.slow + 1 if cost - self._cost(path.x) < GAIN * cost else 0
+                path.rounds += 1
+
+    def _cost(self, x: np.ndarray) -> float:
+        return path_cost(x, self._weights)
+
+    def _drop(self, paths: list[Path]) -> None:
+        """Leave out postures on the way where the straight way is a motion."""
+        ways = [(path, target) for path in paths for target in np.unique(path.target[path.may_drop])]
+        if not ways:
+            return
+        own = [np.flatnonzero(path.target == target) for path, target in ways]
+        a, b = (np.stack([path.x[k] for (path, _), k in zip(ways, at, strict=True)])
+                for at in ([rows[0] for rows in own], [rows[-1] + 1 for rows in own]))  # fmt: skip
+        scenario, target = np.array([path.scenario for path, _ in ways]), np.array([target for _, target in ways])
+        straight = self._motions(Segments(scenario, target, a, b, np.zeros(len(ways), bool)))
+        for path in {path for k, (path, _) in enumerate(ways) if straight[k]}:
+            free = [target for k, (each, target) in enumerate(ways) if each is path and straight[k]]
+            path.without(path.on_way & np.isin(path.target, free))
+
+    def _round(self, paths: list[Path]) -> None:
+        """One QP each, and what of its step can be taken."""
+        tries = [(path, self._step(path), np.ones(len(path.target))) for path in paths]
+        for attempt in range(3):
+            again, candidates = [], self._candidates([(path, share[:, None] * y) for path, y, share in tries])
+            for (path, y, share), (x, seen, bad) in zip(tries, candidates, strict=True):
+                if attempt == 0:
+                    path.radius = np.where(bad, 0.5, 1.5 if not bad.any() else 1.0) * path.radius
+                    path.radius = np.minimum(path.radius, TRUST)
+                if bad.any():
+                    stays = np.flatnonzero(bad | (share == 0))
+                    apart = np.abs(np.arange(len(bad))[:, None] - stays).min(axis=1)
+                    again.append((path, y, np.clip((apart - attempt) / NEIGHBOURS, 0.0, 1.0)))
+                elif self._cost(x) < self._cost(path.x):
+                    path.x, path.seen = x, seen
+            if not (tries := again):
+                return
+
+    def _step(self, path: Path) -> Float[np.ndarray, "P N"]:
+        """That of the QP about where the path is."""
+        settings, rows = self._problem.settings, path.seen.clearance
+        aim = self._problem.scenarios.margin_m[path.scenario] + settings.aim_above_m
+        left = np.maximum(rows.distance - aim, 0.0)
+        A, G, left = self._held(path, -rows.gradient, left)
+        radius, x = path.radius[:, None], path.x[1:]
+        lower = np.clip(self._lower - x, -radius, 0.0)
+        upper = np.clip(self._upper - x, 0.0, radius)
+        return solve_path_qp(
+            PathQP(
+                path.x, self._weights, path.held, A, G[:, 0], left[:, 0], G[:, 1], left[:, 1], lower, upper,
+                path.begins_anywhere,
+            )
+        )  # fmt: skip
+
+    def _held(self, path: Path, G: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The task's equations at the postures, and the rows that limit a step, its bands and cones among them: at
+        postures that hold the task, and half way to those beyond the path's first point."""
+        task, linear = self._problem.task, path.seen.task
+        if task.is_points:
+            return linear.jacobian[:, 0], G, left
+        count = len(path.target)
+        inputs = jax.tree.map(lambda table: np.repeat(table, 2, axis=0), self._inputs([path]))
+        flat = jax.tree.map(lambda table: table.reshape(2 * count, *table.shape[2:]), path.seen)
+        held = self._kernels(HOLD, inputs, flat)
+        held = jax.tree.map(lambda table: table.reshape(count, 2, *table.shape[1:]), held)
+        asked = np.stack([path.held, path.target > path.on_path], axis=1)
+        room = np.where(asked[:, :, None], np.maximum(held.room, 0.0), np.inf)
+        return held.jacobian[:, 0], np.concatenate([G, -held.gradient], 2), np.concatenate([left, room], 2)
+
+    def _candidates(self, steps: list[tuple[Path, np.ndarray]]) -> list[tuple[np.ndarray, Linearisation, np.ndarray]]:
+        """Of each path after a step: where it is, what is seen there, and which postures are no part of a motion. What
+        stays where it was is part of one, as it was."""
+        paths = [path for path, _ in steps]
+        x = self._settled(steps)
+        seen, good = self._measured(paths, x)
+        segments = [path.segments(at) for path, at in zip(paths, x, strict=True)]
+        ways = self._motions(concatenate(segments), GRAZES)
+        found = []
+        for path, at, here, counts, way in zip(paths, x, seen, good, _split(ways, paths), strict=True):
+            stays = (at == path.x).all(axis=1)
+            way = way | (stays[1:] & stays[:-1])
+            bad = ~(counts | stays[1:]) | ~way
+            bad[:-1] |= ~way[1:]
+            found.append((at, here, bad))
+        return found
+
+    def _look(self, paths: list[Path]) -> None:
+        if paths:
+            for path, seen in zip(paths, self._measured(paths, [path.x for path in paths])[0], strict=True):
+                path.seen = seen
+
+    def _settled(self, steps: list[tuple[Path, np.ndarray]]) -> list[np.ndarray]:
+        """The paths after a step, starts included, with postures that moved and hold the task back on their targets."""
+        paths = [path for path, _ in steps]
+        x = np.concatenate([np.clip(path.x[1:] + y, self._lower, self._upper) for path, y in steps])
+        off = np.concatenate([path.held & y.any(axis=1) for path, y in steps])
+        if off.any():
+            x[off] = self._kernels(SETTLE, gather(self._inputs(paths), off), x[off])
+        return [
+            np.concatenate([own[:1] if path.begins_anywhere else path.x[:1], own])
+            for path, own in zip(paths, _split(x, paths), strict=True)
+        ]
+
+    def _measured(self, paths: list[Path], x: list[np.ndarray]) -> tuple[list[Linearisation], list[np.ndarray]]:
+        """At the postures and half way to them; and which of the postures count."""
+        inputs = jax.tree.map(lambda table: np.repeat(table, 2, axis=0), self._inputs(paths))
+        places = np.concatenate([np.stack([at[1:], 0.5 * (at[1:] + at[:-1])], axis=1) for at in x])
+        flat = places.reshape(-1, places.shape[-1])
+        seen: Measured = self._kernels(ADVANCE, inputs, flat, np.zeros_like(flat))
+        seen = jax.tree.map(lambda table: table.reshape(-1, 2, *table.shape[1:]), seen)
+        residual = np.where(np.concatenate([path.held for path in paths]), seen.residual[:, 0], 0.0)
+        good = self._problem.task.counts(seen.clearance[:, 0], residual, inputs.margin_m[::2])
+        good = out_of_walls(self._tip, self._inputs(paths), places[:, 0], good)
+        linear = [gather(seen.linear, rows) for rows in _split(np.arange(len(good)), paths)]
+        return linear, _split(good, paths)
+
+    def _motions(self, segments: Segments, most_queries: int | None = None) -> Bool[np.ndarray, "n"]:
+        """Which joint paths are proven, with no more queries than that."""
+        proofs = prove_segments(self._problem, self._kernels, self._tip, segments)
+        few = True if most_queries is None else proofs.queries <= most_queries
+        return (proofs.verdict == Way.PROVEN) & few
+
+    def _inputs(self, paths: list[Path]) -> LaneInputs:
+        scenario = np.repeat([path.scenario for path in paths], [len(path.target) for path in paths])
+        return lane_inputs(self._problem.scenarios, scenario, np.concatenate([path.row for path in paths]))
+
+
+def _is_given_start(problem: Problem, s: int, x: Float[np.ndarray, "P N"]) -> Bool[np.ndarray, "P"]:
+    scenarios = problem.scenarios
+    return (x == scenarios.x_start[s]).all(axis=1) & ~scenarios.auto_start[s]
+
+
+def _split(table: np.ndarray, paths: list[Path]) -> list[np.ndarray]:
+    return np.split(table, np.cumsum([len(path.target) for path in paths])[:-1])
+
+
+def _written(problem: Problem, plans: Plans, paths: list[Path]) -> Plans:
+    """The plans with these paths in place of theirs."""
+    s = np.concatenate([np.full((~path.on_way).sum(), path.scenario) for path in paths] or [np.zeros(0, int)])
+    if not len(s):
+        return plans
+    for path in paths:
+        plans.start[path.scenario] = path.x[0]
+    t, x = (
+        np.concatenate(column)
+        for column in zip(*((p.target[~p.on_way], p.x[1:][~p.on_way]) for p in paths), strict=True)
+    )
+    seen = problem.kernels[0](ADVANCE, lane_inputs(problem.scenarios, s, t), x, np.zeros_like(x))
+    plans.x[s, t], plans.tcp[s, t] = x, seen.tcp
+    plans.clearance[s, t], plans.residual[s, t] = seen.clearance, seen.residual
+    plans.joint_step[s, t] = np.linalg.norm(x - plans.before(s, t), axis=1)
+    ways = [(path.scenario, t, path.x[1:][path.on_way & (path.target == t)])
+            for path in paths for t in np.unique(path.target[path.on_way]).tolist()]  # fmt: skip
+    executable = plans.executable
+    beyond = {row for row in zip(*map(np.ndarray.tolist, plans.knots[:2]), strict=True) if not executable[row]}
+    ways += [(*row, plans.knots.on_the_way(*row)) for row in beyond]
+    return plans._replace(knots=Knots.of(ways, plans.x.shape[2]))

@@ -1,0 +1,70 @@
+"""Transfers and approaches: from the start to other postures at the first target, or at the path's first point.
+
+A start may be in a part of the space of postures from which no motion along the path gets through, or not to the end;
+and the straight lines to the path may lead through a wall. Before the path the tool is free, so the arm may go to
+another posture there by any joint path that is proven clear.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.device.programs import Kernels
+from htcp_jax.device.tables import gather
+from htcp_jax.motion.front import dispersed
+from htcp_jax.motion.joint_search import Limits, join
+from htcp_jax.motion.kernels import ADVANCE, SETTLE
+from htcp_jax.motion.lane_inputs import lane_inputs
+from htcp_jax.motion.posture_tree import Posture
+from htcp_jax.motion.problem import Problem
+from htcp_jax.motion.tip_check import TipCheck, out_of_walls
+
+DRAWS = 512  # of postures at the first target
+STREAM = 1_000_000  # of random numbers; those before it are of `joint_search`
+MOST_ROOTS = 16  # that are tried to be joined
+
+
+def other_postures(
+    problem: Problem, kernels: Kernels, tip: TipCheck | None, s: int, round_: int, target: int = 0
+) -> Posture:
+    """Postures of scenario s at a target that count, drawn uniformly within the joint limits and far apart, others in
+    every round; how the arm gets there is not asked. Of turns that are the same posture, those next to home."""
+    scenarios, settings = problem.scenarios, problem.settings
+    rng = np.random.default_rng([settings.seed, int(scenarios.number[s]), STREAM + round_])
+    inputs = lane_inputs(scenarios, np.full(DRAWS, s), np.full(DRAWS, target))
+    about = scenarios.x_start[s] if problem.begins_anywhere[s] else scenarios.x_home[s]
+    x = kernels(SETTLE, inputs, _drawn(problem.robot.slides, kernels.limits, about, rng))
+    x = _unwound(x, kernels.limits, about)
+    here = kernels(ADVANCE, inputs, x, np.zeros_like(x))
+    good = problem.task.counts(here.clearance, here.residual, scenarios.margin_m[s])
+    good = out_of_walls(tip, inputs, x, good)
+    found = gather(Posture(x, here.clearance, here.residual, here.tcp), good)
+    one = np.zeros(len(found.x), int)
+    return gather(found, dispersed(found.x, one, settings.front, settings.front_apart_rad))
+
+
+def _drawn(
+    slides: tuple[bool, ...], limits: Limits, about: Float[np.ndarray, "N"], rng: np.random.Generator
+) -> Float[np.ndarray, "DRAWS N"]:
+    """Postures within the limits; where a joint turns on and on, within half a turn of that of `about`."""
+    lower, upper = limits
+    ends = np.where(np.isfinite(lower), lower, about - np.pi), np.where(np.isfinite(upper), upper, about + np.pi)
+    drawn = rng.uniform(*ends, (DRAWS, len(lower)))
+    turned = drawn - 2 * np.pi * np.where(slides, 0.0, np.rint((drawn - about) / (2 * np.pi)))
+    return np.where((turned >= lower) & (turned <= upper), turned, drawn)
+
+
+def _unwound(x: Float[np.ndarray, "n N"], limits: Limits, about: Float[np.ndarray, "N"]) -> Float[np.ndarray, "n N"]:
+    """The same postures, joints that turn on and on within half a turn of those of `about`."""
+    endless = np.isinf(limits[0]) & np.isinf(limits[1])
+    return np.where(endless, x - 2 * np.pi * np.rint((x - about) / (2 * np.pi)), x) if endless.any() else x
+
+
+def joined(
+    problem: Problem, kernels: Kernels, tip: TipCheck | None, s: int, start: np.ndarray, to: Float[np.ndarray, "n N"]
+) -> list[Float[np.ndarray, "_ N"] | None]:
+    """The knots on the way from a posture of scenario s, `start`, to that of some others which is joined soonest; None
+    for the rest of them, and for all where none can be. Only the first MOST_ROOTS are tried."""
+    to = to[:MOST_ROOTS]
+    scenario, pair = np.full(len(to), s), np.arange(len(to))
+    starts = np.broadcast_to(start, to.shape)
+    return join(kernels, tip, problem.scenarios, scenario, pair, starts, to, problem.settings, soonest=True)

@@ -1,0 +1,290 @@
+"""The public call: plan a batch of scenarios with one method."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.obstacles.obstacles import contacts, nearest_to
+from htcp_jax.clearance.obstacles.obstacles.of_workpiece import all_obstacles
+from htcp_jax.clearance.obstacles.obstacles.scene import Scene, own_scene
+from htcp_jax.clearance.obstacles.obstacles.self_collision import SelfCollision, refused_overlap
+from htcp_jax.device.devices import choose, default_threads
+from htcp_jax.device.processes import portable, shares, spread, that_pay
+from htcp_jax.device.tables import gather
+from htcp_jax.errors import InputError
+from htcp_jax.model.robot import Robot, capsule_in_words, mesh_note
+from htcp_jax.model.scenario import NOT_REFUSED, Scenario, stack
+from htcp_jax.model.task import Task
+from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.motion.lane_inputs import lane_inputs
+from htcp_jax.motion.plans import Plans
+from htcp_jax.motion.problem import Problem, ignore
+from htcp_jax.planning import registry
+from htcp_jax.planning.registry import Method, find
+from htcp_jax.settings import Settings, settings_of
+from htcp_jax.status import Status
+
+
+class Progress(NamedTuple):
+    """How far a plan has come: all counts are totals."""
+
+    scenarios_done: int
+    scenarios: int
+    targets_tracked: int
+    targets: int
+
+
+def plan(
+    robot: Robot,
+    workpiece: Workpiece,
+    scenarios: Scenario | Sequence[Scenario],
+    method: str = "roadmap",
+    settings: Settings | Mapping[str, Any] | None = None,
+    *,
+    progress: Callable[[Progress], None] | None = None,
+    device: str | None = None,
+    threads: int | None = None,
+    check_paths: bool = True,
+    task: Task | None = None,
+    obstacles: Obstacles = (),
+    check_starts: bool = False,
+    processes: int | None = None,
+) -> Plans:
+    """Plan every scenario with one method (its name, see `registry`).
+
+    scenarios: from `make_scenario`, one or many, or stacked already. settings: a mapping, {"alpha_rad": 0.05}, changes
+    the defaults. device: see `devices.choose`. processes: that share the scenarios on a CPU, by default as many as pay
+    (`processes.that_pay`); what no other process could import, say a method or an obstacle of a notebook, is planned in
+    this one. threads: engines of each, one unless it is given; of this process alone, one a core. Threads without
+    processes are of this one. Results depend on neither. check_paths: afterwards measure, for every accepted step that
+    the method did not check itself, whether its straight joint path is clear (`Plans.path_clear`), judge which ways are
+    motions, and smooth these where `settings.smooth` or the method asks for it. task: what the arm holds at every
+    target, by default the TCP's position within `tolerance_m`. obstacles: further ones, see `clearance.obstacles.obstacle`.
+    check_starts: refuse a start in collision, which otherwise is a status.
+    Raises InputError for an unknown method, device or setting, for weights of the wrong length, for no scenarios,
+    for a task of more rows than joints, or other ones than the targets have, for no process, and for starts to be
+    checked that are in collision; Lost where a process is ended from outside.
+    """
+    chosen, settings = find(method), settings_of(settings)
+    joints = len(robot.joint_names)
+    for name in ("q_weights", "path_weights"):
+        weights = getattr(settings, name)
+        if weights is not None and len(weights) != joints:
+            raise InputError(f"{name} has {len(weights)} values, the robot {robot.name} has {joints} joints")
+    if settings.qp.startswith("qpsolvers:"):  # one that is not installed is refused, whether the method asks it or not
+        from htcp_jax.solvers.qpsolvers_ import QPSolversSolver
+
+        QPSolversSolver(settings.qp.partition(":")[2])
+    if not isinstance(scenarios, Scenario):
+        scenarios = stack(scenarios)
+    elif scenarios.x_start.ndim == 1:
+        scenarios = stack([scenarios])
+    scenarios = jax.tree.map(np.array, scenarios)  # a copy: starts may be chosen, and approaches leave their lines
+    _refuse_starts(robot, obstacles, scenarios, check_starts)
+    task = Task(tolerance_m=settings.tolerance_m) if task is None else task
+    _check_task(task, robot, scenarios)
+    devices = choose(device)
+    cores = default_threads(devices, settings.qp)
+    if processes is None:
+        targets = int(scenarios.count.sum())
+        processes = 1 if threads else that_pay(cores, len(scenarios.number), targets)
+    if processes < 1:
+        raise InputError(f"processes is {processes}; it must be 1 or more")
+    if processes > 1 and devices[0].platform == "cpu" and not registry.is_own(method):
+        how = {"method": method, "settings": settings, "threads": threads or 1, "task": task}
+        how |= {"check_paths": check_paths, "check_starts": check_starts}
+        shared = portable(robot, workpiece, tuple(obstacles))
+        if shared and portable(how):
+            return _spread(processes, how, shared, scenarios, progress)
+    began = time.perf_counter()
+    problem = Problem(
+        robot,
+        workpiece,
+        scenarios,
+        settings,
+        task,
+        all_obstacles(workpiece, obstacles),
+        devices,
+        threads or cores,
+        check_paths,
+        _counter(scenarios, progress),
+    )
+    # Here, as methods are found: whoever asks for plans imports no kernels before one is looked up.
+    from htcp_jax.motion.home import begin_at_home, leave_home
+    from htcp_jax.motion.motion_check import judge_motions, tighten
+    from htcp_jax.planning.tracking.lane_checks import check_remaining_paths
+    from htcp_jax.planning.tracking.record import with_separate_errors
+
+    with _preparing(problem, chosen):
+        if check_starts:
+            _check_starts(problem, obstacles)
+        ways = leave_home(problem)
+        plans = _of_these(chosen.plan(problem), problem, method)
+        if check_paths:
+            check_remaining_paths(problem, plans)
+        plans = begin_at_home(problem, plans, ways)
+        if check_paths:
+            judge_motions(problem, plans)
+            if getattr(chosen, "smooth", False) if settings.smooth is None else settings.smooth:
+                from htcp_jax.motion.smoothing import smooth
+
+                plans = smooth(problem, plans)
+                judge_motions(problem, plans)
+                tighten(problem, plans)
+        plans = with_separate_errors(plans, problem)
+    spent = time.perf_counter() - began
+    compile_s = plans.compile_s + max(each.compile_s for each in problem.kernels)
+    return plans._replace(compile_s=compile_s, run_s=spent - compile_s)
+
+
+def _spread(processes: int, how: dict, shared: bytes, scenarios: Scenario, progress: Callable | None) -> Plans:
+    """`plan`, by other processes. compile_s: until they were ready, and what each spent on compilation on average."""
+    began = time.perf_counter()
+    rows = shares(len(scenarios.number), processes)
+    parts = [gather(scenarios, own) for own in rows]
+
+    def report(told: np.ndarray) -> None:
+        done, tracked = told.sum(axis=0).tolist()
+        progress(Progress(done, len(scenarios.number), tracked, int(scenarios.count.sum())))
+
+    found, start_s = spread(processes, partial(_part, how), shared, parts, progress and report)
+    plans = Plans.concatenate(found).rows(np.argsort(np.concatenate(rows)))
+    compile_s = start_s + plans.compile_s / min(processes, len(parts))
+    return plans._replace(compile_s=compile_s, run_s=time.perf_counter() - began - compile_s)
+
+
+def _part(
+    how: dict, tell: Callable, robot: Robot, workpiece: Workpiece, obstacles: Obstacles, scenarios: Scenario
+) -> Plans:
+    """What another process does: the plans of some scenarios."""
+    tell(int((scenarios.refused != NOT_REFUSED).sum()), 0)
+
+    def progress(now: Progress) -> None:
+        tell(now.scenarios_done, now.targets_tracked)
+
+    return plan(robot, workpiece, scenarios, obstacles=obstacles, progress=progress, processes=1, **how)
+
+
+def start_clearance(
+    robot: Robot,
+    workpiece: Workpiece,
+    scenario: Scenario,
+    x: Float[np.ndarray, "N"] | None = None,
+    obstacles: Obstacles = (),
+) -> tuple[float, str, str]:
+    """D at the scenario's start, or at another x [m], the name of the body it belongs to, and what that is nearest to.
+    obstacles: further ones."""
+    scenario = jax.tree.map(jnp.asarray, scenario)
+    x = scenario.x_start if x is None else jnp.asarray(x)
+    scene = own_scene(Scene(robot, all_obstacles(workpiece, obstacles)), scenario.tool_extension_m)
+    touch = jax.jit(contacts)(scene.robot, scene.obstacles, scenario, x)
+    row = int(touch.distance.argmin())
+    body = scene.rows.body[row]
+    surface = touch.point[row] - scene.robot.capsule_radius[body] * touch.normal[row]
+    other = nearest_to(scene.robot, scene.obstacles, scenario, x, row)
+    note = mesh_note(robot, robot.capsule_names[body], np.asarray(x), np.asarray(surface))
+    return float(touch.distance[row]), capsule_in_words(robot.capsule_names[body]), other + note
+
+
+def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario, obstacles: Obstacles = ()) -> None:
+    """Raise InputError when the home or the start is in collision, naming the body, what it is in, and the depth.
+    obstacles: besides the workpiece."""
+    for what, x in _begins_at(scenario).items():
+        D, body, other = start_clearance(robot, workpiece, scenario, x, obstacles)
+        if D <= 0:
+            raise InputError(f"{what} is in collision: {body} is {-1e3 * D:.3f} mm inside {other}")
+
+
+def _begins_at(scenario: Scenario) -> dict[str, Float[np.ndarray, "N"]]:
+    """The postures in which an arm has to be clear before anything is planned, by name."""
+    if scenario.begins_anywhere:
+        return {}
+    start = {"start": scenario.x_start}
+    if scenario.auto_start or (scenario.x_home != scenario.x_start).any():
+        return {"home": scenario.x_home} | ({} if scenario.auto_start else start)
+    return start
+
+
+@contextmanager
+def _preparing(problem: Problem, method: Method) -> Iterator[None]:
+    """Meanwhile compile what a method says that it will call."""
+    calls = getattr(method, "first_calls", None)
+    with ExitStack() as stack:
+        for each in problem.kernels if calls is not None and len(problem.to_plan) else ():
+            stack.enter_context(each.preparing(calls(problem)))
+        yield
+
+
+def _check_starts(problem: Problem, obstacles: Obstacles) -> None:
+    """`check_start` of every scenario, by a program that planning needs anyhow."""
+    from htcp_jax.motion.kernels import ADVANCE
+
+    for s in problem.to_plan.tolist():
+        one = jax.tree.map(lambda leaf, s=s: leaf[s], problem.scenarios)
+        inputs = lane_inputs(problem.scenarios, np.array([s]), np.zeros(1, int))
+        for x in _begins_at(one).values():
+            if problem.kernels[0](ADVANCE, inputs, x[None], np.zeros_like(x)[None]).clearance[0] <= 0:
+                check_start(problem.robot, problem.workpiece, one, obstacles)
+
+
+def _refuse_starts(robot: Robot, obstacles: Obstacles, scenarios: Scenario, raises: bool) -> None:
+    """Refuse the scenarios that begin where capsules overlap which are not checked, see `refused_overlap`; or raise
+    InputError."""
+    for own in (each for each in obstacles if isinstance(each, SelfCollision)):
+        known: dict[bytes, str | None] = {}
+        for s in np.flatnonzero(scenarios.refused == NOT_REFUSED):
+            for what, x in _begins_at(jax.tree.map(lambda leaf, s=s: leaf[s], scenarios)).items():
+                if x.tobytes() not in known:
+                    known[x.tobytes()] = refused_overlap(own, robot, x)
+                if (reason := known[x.tobytes()]) is None:
+                    continue
+                if raises:
+                    raise InputError(f"{what} is in collision: {reason}")
+                home = what == "home"
+                scenarios.refused[s] = Status.HOME_IN_COLLISION if home else Status.START_IN_COLLISION
+
+
+def _check_task(task: Task, robot: Robot, scenarios: Scenario) -> None:
+    task.freedom(robot)
+    if scenarios.goals is None and (given := scenarios.targets.shape[-1]) != task.rows:
+        raise InputError(f"the task has {task.rows} rows, the targets have {given}")
+    if scenarios.goals is not None and (given := scenarios.goals.shape[-1]) != task.numbers:
+        raise InputError(f"the task has {task.numbers} numbers at a target, the goals have {given}")
+
+
+def _counter(scenarios: Scenario, progress: Callable[[Progress], None] | None) -> Callable[[int, int], None]:
+    """Adds up what is newly tracked and newly finished, on any thread, and tells the totals."""
+    if progress is None:
+        return ignore
+    lock = threading.Lock()
+    now = Progress(int((scenarios.refused != NOT_REFUSED).sum()), len(scenarios.number), 0, int(scenarios.count.sum()))
+
+    def add(tracked: int, finished: int) -> None:
+        nonlocal now
+        with lock:
+            now = now._replace(
+                scenarios_done=now.scenarios_done + finished, targets_tracked=now.targets_tracked + tracked
+            )
+            progress(now)
+
+    return add
+
+
+def _of_these(plans: Any, problem: Problem, method: str) -> Plans:
+    """The plans as they are. Raises InputError where a method returns others than those of the problem."""
+    expected = problem.scenarios.targets.shape[:2]
+    if not isinstance(plans, Plans) or plans.status.shape != expected or plans.x.shape[:2] != expected:
+        raise InputError(f"method {method!r} returned no Plans of {expected[0]} scenarios with {expected[1]} targets")
+    return plans
+
+
+__all__ = ["Progress", "check_start", "plan", "start_clearance"]

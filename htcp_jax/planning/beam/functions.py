@@ -1,0 +1,127 @@
+"""What the roadmap asks of a device: to feed a posture on to the next target, and to walk on in the null space of one.
+
+Pure functions of one lane, as in `kernels`. Whether what they find is a motion is for `proofs` to say, for many
+lanes' ways at once.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from htcp_jax.clearance.obstacles.obstacles.obstacles import clearance
+from htcp_jax.clearance.obstacles.obstacles.scene import Scene, own_scene
+from htcp_jax.device.batching import Loop
+from htcp_jax.device.kernel import TRACKED, Kernel
+from htcp_jax.model.inverse_kinematics import reanchor
+from htcp_jax.model.kinematics import tcp_position
+from htcp_jax.motion.kernels import advance, nothing_known
+from htcp_jax.motion.lane_inputs import LaneInputs
+from htcp_jax.motion.posture_tree import Posture
+from htcp_jax.numerics import fold_keys, null_basis, product, safe_norm
+from htcp_jax.settings import Settings
+from htcp_jax.solvers.active_set import solve_step
+from htcp_jax.solvers.step_qp import QPStatus, assemble
+
+ENOUGH = 0.9  # of what is aimed at above the margin
+PATIENCE = 6  # step QPs that aim high, before they aim low
+LEAST_STEP = 0.3  # of a walk's step; a shorter one is held by the joint limits
+
+
+class Fed(NamedTuple):
+    """A lane at its next target."""
+
+    at: Posture
+    reached: jax.Array  # whether it counts there
+    step_qps: jax.Array
+
+
+class Walked(NamedTuple):
+    """A lane's walk, step by step."""
+
+    path: Posture  # (steps, ...), of which the first `steps` are walked
+    steps: jax.Array
+
+
+def feed(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Loop:
+    """From x at the target before: by inverse kinematics where that keeps clear of everything by `front_aim_m`, and
+    else by step QPs, which aim as high at first, and in the end at what must be kept. The loop's result is `Fed`."""
+    robot, task = own_scene(scene, lane.tool_extension_m).robot, scene.task
+    above = jnp.array([settings.front_aim_m, settings.aim_above_m])
+    aims, enough = lane.margin_m + above, lane.margin_m + ENOUGH * above
+    look = jax.jit(partial(advance, settings))  # so that Python traces it once, for what it returns as for the loop
+    measured = partial(look, scene, lane)
+
+    def going(state):
+        here, _, aim, count = state
+        there = (here.residual <= task.fine_m) & (here.clearance >= enough[jnp.minimum(aim, 1)])
+        return ~there & (aim < 2) & (count <= settings.max_step_qps)
+
+    def step(state):
+        here, straight, aim, count = state
+        rows, held = here.linear.clearance, task.linear(*here.linear.task, lane.target)
+        qp = assemble(
+            settings, here.x, x, held.error, held.jacobian,
+            rows.distance, rows.gradient, aims[aim], robot.lower, robot.upper, held.room, held.gradient,
+        )  # fmt: skip
+        found = solve_step(qp, settings.qp_tolerance)
+        stuck = (found.status != QPStatus.SOLVED) | ((aim == 0) & (count > PATIENCE))
+        # First it looks where the inverse kinematics leads, then at x; step QPs lead on from there.
+        goes_to = jnp.where(count < 0, straight, x)
+        y = jnp.where(stuck | (count < 1), goes_to - here.x, found.y)
+        return measured(here.x, y), straight, jnp.where(stuck & (count > 0), aim + 1, aim), count + 1
+
+    def fed(state) -> Fed:
+        here, *_, count = state
+        posture = Posture(here.x, here.clearance, here.residual, here.tcp)
+        return Fed(posture, task.counts(here.clearance, here.residual, lane.margin_m), jnp.maximum(count - 1, 0))
+
+    straight, _ = reanchor(robot, x, lane.target, task.fine_m, task=task)
+    zero = jnp.zeros((), jnp.int32)
+    start = nothing_known(measured, x, x)._replace(x=x, residual=jnp.full((), jnp.inf))
+    return Loop((start, straight, zero, zero - 1), going, step, fed)
+
+
+def walk(settings: Settings, scene: Scene, lane: LaneInputs, x, walker) -> Loop:
+    """From x, on its target, along a random direction of the null space, which is carried along by projection, for a
+    random number of steps, as far as every posture counts. walker: tells the walks of one round from each other. The
+    loop's result is `Walked`."""
+    scene = own_scene(scene, lane.tool_extension_m)
+    robot, task = scene.robot, scene.task
+    key = fold_keys(jax.random.PRNGKey(lane.seed), lane.number, lane.row, lane.round, walker)
+    towards, length = jax.random.split(key)
+    longest = jax.random.randint(length, (), 1, settings.walk_steps + 1).astype(jnp.int32)
+
+    def going(state):
+        good, *_, steps = state
+        return good & (steps < longest)
+
+    def step(state):
+        _, x, direction, path, steps = state
+        basis = null_basis(task.linear_at(robot, x, lane.target).jacobian)
+        within = jnp.where(steps == 0, direction[: basis.shape[1]], product(direction, basis))
+        direction = product(basis, within)
+        direction = direction / jnp.maximum(safe_norm(direction), 1e-12)
+        ahead = jnp.clip(x + settings.walk_step_rad * direction, robot.lower, robot.upper)
+        there, residual = reanchor(robot, ahead, lane.target, task.fine_m, task=task)
+        D = clearance(robot, scene.obstacles, lane, there)
+        good = task.counts(D, residual, lane.margin_m)
+        good &= safe_norm(there - x) >= LEAST_STEP * settings.walk_step_rad
+        here = Posture(there, D, residual, tcp_position(robot, there))
+        path = jax.tree.map(lambda all_, new: all_.at[steps].set(jnp.where(good, new, all_[steps])), path, here)
+        return good, there, direction, path, steps + good.astype(jnp.int32)
+
+    n, most = len(x), settings.walk_steps
+    path = Posture(*(jnp.zeros((most, *shape)) for shape in ((n,), (), (), (3,))))
+    # The first direction is drawn in the null space; there is room for it among the joints.
+    first = jax.random.normal(towards, x.shape)
+    start = (jnp.full((), True), x, first, path, jnp.zeros((), jnp.int32))
+    return Loop(start, going, step, lambda state: Walked(*state[3:]))
+
+
+FEED = Kernel(
+    "feed", feed, TRACKED,
+    ("q_weights", "cost_about", "clearance_rows", "aim_above_m", "max_step_qps", "qp_tolerance", "front_aim_m"),
+)  # fmt: skip
+WALK = Kernel("walk", walk, TRACKED, ("walk_steps", "walk_step_rad"))

@@ -1,0 +1,100 @@
+"""What is written down of a roadmap whose search has ended: the path to its best leaf, and how the arm gets to it."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from htcp_jax.device.programs import Kernels
+from htcp_jax.device.tables import gather
+from htcp_jax.motion.plans import Plans
+from htcp_jax.motion.posture_tree import Nodes
+from htcp_jax.motion.problem import Problem
+from htcp_jax.motion.tip_check import TipCheck
+from htcp_jax.motion.transfers import joined
+from htcp_jax.planning.beam.searches import NONE, Searches
+from htcp_jax.status import Status
+
+TRANSFERRED = 1  # the escape of a first target that is reached by a transfer
+Knotted = tuple[int, int, np.ndarray]  # a way that is no straight joint path: (scenario, target, postures)
+
+
+class RoadmapRecord:
+    """Writes into `plans` what searches have come to."""
+
+    def __init__(self, problem: Problem, plans: Plans, kernels: Kernels, tip: TipCheck | None, searches: Searches):
+        self._problem, self._plans, self._kernels, self._tip = problem, plans, kernels, tip
+        self._searches, self._tree = searches, searches.tree
+
+    def chosen(self, last: int) -> tuple[int, int, np.ndarray | None]:
+        """What to write down of a scenario whose last search has ended: the search that came furthest, the leaf of its
+        best path, and the knots of the transfer to it."""
+        searches, scenarios = self._searches, self._problem.scenarios
+        s, chain = int(searches.columns.scenario[last]), searches.chain(last)
+        for search in sorted(chain[::-1], key=lambda one: -searches.columns.target[one]):
+            leaves = searches.front_of(search)
+            if search == chain[-1] or self._problem.begins_anywhere[s]:
+                return search, leaves[0], None
+            roots = {leaf: int(self._tree.path(leaf)[0]) for leaf in leaves}
+            start = self._tree.x[self._row_0(chain[-1])] if self._is_approach(search) else scenarios.x_start[s]
+            distinct = list(dict.fromkeys(roots.values()))
+            ways = joined(self._problem, self._kernels, self._tip, s, start, self._tree.x[distinct])
+            known = {root: way for root, way in zip(distinct, ways, strict=False) if way is not None}
+            if found := [leaf for leaf in leaves if roots[leaf] in known]:
+                return search, found[0], known[roots[found[0]]]
+        raise AssertionError("the first search begins at the start, and needs no transfer")
+
+    def write(self, search: int, leaf: int, transfer: np.ndarray | None) -> list[Knotted]:
+        """Write down the path to a leaf, and how the search ended; returns the knots of its ways."""
+        columns, plans, path = self._searches.columns, self._plans, self._tree.path(leaf)
+        s, nodes = int(columns.scenario[search]), self._tree.nodes(path)
+        ways, fed = [], np.flatnonzero(~nodes.walked)
+        for before, row in pairwise(fed.tolist()):
+            plans.joint_step[s, nodes.target[row]] = np.linalg.norm(nodes.at.x[row] - nodes.at.x[before])
+            if row > before + 1:
+                ways.append((s, int(nodes.target[row]), nodes.at.x[before + 1 : row]))
+        self._write_rows(s, nodes.target[fed], gather(nodes, fed))
+        if self._problem.begins_anywhere[s]:
+            plans.start[s], plans.joint_step[s, 0] = plans.x[s, 0], 0.0
+        if transfer is not None:
+            ways.append((s, self._write_joined(search, int(path[0])), transfer))
+        if columns.status[search] != NONE:
+            plans.status[s, columns.target[search] + 1] = columns.status[search]
+        return ways
+
+    def _is_approach(self, search: int) -> bool:
+        """Whether it begins at the path's first point, and not at the first target."""
+        root = self._tree.path(self._searches.front_of(search)[0])[0]
+        return bool(self._searches.columns.earlier[search] != NONE and self._tree.target[root] > 0)
+
+    def _row_0(self, first: int) -> int:
+        """The posture at the first target, from the start, of the best that the first search has come to."""
+        path = self._tree.path(self._searches.front_of(first)[0])
+        nodes = self._tree.nodes(path)
+        return int(path[(nodes.target == 0) & ~nodes.walked][0])
+
+    def _write_rows(self, s: int, target: np.ndarray, nodes: Nodes) -> None:
+        """A row a node, at its target; the start has none."""
+        plans, (target, nodes) = self._plans, gather((target, nodes), target >= 0)
+        plans.x[s, target], plans.tcp[s, target] = nodes.at.x, nodes.at.tcp
+        plans.clearance[s, target], plans.residual[s, target] = nodes.at.clearance, nodes.at.residual
+        plans.status[s, target], plans.iterations[s, target] = Status.TRACKED, nodes.step_qps
+        plans.path_clear[s, target] = 1
+
+    def _write_joined(self, search: int, root: int) -> int:
+        """How the arm gets to the posture in which a search begins; returns the target to which that leads. An approach
+        leaves its lines: all of its targets but the first are the path's first point."""
+        s, plans, x = int(self._searches.columns.scenario[search]), self._plans, self._tree.x
+        if not self._is_approach(search):
+            plans.joint_step[s, 0] = np.linalg.norm(x[root] - plans.start[s])
+            plans.status[s, 0], plans.escape[s, 0] = Status.TRACKED_AFTER_ESCAPE, TRANSFERRED
+            return 0
+        on_path, row_0 = int(self._problem.scenarios.on_path[s]), self._row_0(self._searches.chain(search)[-1])
+        for table in (self._problem.scenarios.targets, self._problem.scenarios.aims):
+            table[s, 1:on_path] = table[s, on_path]
+        stays = np.arange(1, on_path)
+        self._write_rows(s, stays, self._tree.nodes(np.full(len(stays), root)))
+        self._write_rows(s, np.zeros(1, int), self._tree.nodes(np.array([row_0])))
+        plans.joint_step[s, 0] = np.linalg.norm(x[row_0] - plans.start[s])
+        plans.joint_step[s, 1] = np.linalg.norm(x[root] - x[row_0])
+        plans.joint_step[s, 2 : on_path + 1] = 0.0
+        return 1

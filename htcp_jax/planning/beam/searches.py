@@ -1,0 +1,178 @@
+"""How far the searches of a roadmap have come, which postures each holds, and what it does next: columns with a row a
+search, so that thousands go on together."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Int
+
+from htcp_jax.device.tables import concatenate, gather
+from htcp_jax.motion.front import best_first, dispersed
+from htcp_jax.motion.posture_tree import Tree
+from htcp_jax.settings import Settings
+
+NONE = -1  # no status yet; no earlier search
+
+
+class Members(NamedTuple):
+    """Rows of the tree that searches hold: search by search, those of a search in an order of its own."""
+
+    search: Int[np.ndarray, "n"]
+    node: Int[np.ndarray, "n"]
+
+    @classmethod
+    def none(cls) -> "Members":
+        """Nobody holds any."""
+        return cls(np.zeros(0, int), np.zeros(0, int))
+
+    def of(self, which: Bool[np.ndarray, "searches"]) -> "Members":
+        """Those of some searches."""
+        return gather(self, which[self.search])
+
+    def and_(self, others: "Members") -> "Members":
+        """With others of the same searches after their own."""
+        both = concatenate([self, others])
+        return gather(both, np.argsort(both.search, kind="stable"))
+
+
+class Columns(NamedTuple):
+    """A row a search, all numbers."""
+
+    scenario: Int[np.ndarray, "n"]
+    target: Int[np.ndarray, "n"]  # that of its front
+    targets: Int[np.ndarray, "n"]  # how many there are
+    earlier: Int[np.ndarray, "n"]  # the search before, where this one is from other postures; or NONE
+    rounds: Int[np.ndarray, "n"]  # of walks from the front since something arrived
+    draws: Int[np.ndarray, "n"]  # rounds of walks in all
+    failure: Int[np.ndarray, "n"]  # what to say of it if nothing more arrives: a Status
+    status: Int[np.ndarray, "n"]  # why the search ended where it did not come to the last target; or NONE
+
+
+class Searches:
+    """All searches of one tree. `front` is what a search holds at its target, `unfed` what of that is still to be fed
+    to the next one, and `arrived` what has come there while more is looked for."""
+
+    def __init__(self, settings: Settings, tree: Tree, can_walk: bool):
+        self._settings, self._can_walk, self.tree = settings, can_walk, tree
+        self.columns = Columns(*(np.zeros(0, int) for _ in Columns._fields))
+        self.going = np.zeros(0, bool)
+        self.front = self.unfed = self.arrived = Members.none()
+        self._ended: dict[int, np.ndarray] = {}  # the fronts of searches that are over
+
+    def begin(self, scenario: list[int], targets: list[int], roots: list[np.ndarray], earlier: int = NONE) -> None:
+        """New searches, each of a scenario and from its own roots, one or more, which are all at one target."""
+        count, draws = len(scenario), 0 if earlier == NONE else self.columns.draws[earlier]
+        first = len(self.going)
+        held = Members(np.repeat(np.arange(first, first + count), [len(own) for own in roots]), np.concatenate(roots))
+        target = self.tree.target[[own[0] for own in roots]]
+        new = Columns(
+            np.array(scenario),
+            target,
+            np.array(targets),
+            *(np.full(count, value) for value in (earlier, 0, draws, NONE, NONE)),
+        )
+        self.columns, self.going = concatenate([self.columns, new]), np.append(self.going, np.ones(count, bool))
+        self.front, self.unfed = concatenate([self.front, held]), concatenate([self.unfed, held])
+
+    def has(self, members: Members) -> Bool[np.ndarray, "searches"]:
+        """Which of the searches hold any of these."""
+        return self._count(members) > 0
+
+    def chain(self, search: int) -> list[int]:
+        """Itself and those before it."""
+        earlier = int(self.columns.earlier[search])
+        return [search, *(self.chain(earlier) if earlier != NONE else [])]
+
+    @property
+    def tracked(self) -> int:
+        """Targets that first searches which are going have come to."""
+        return int((self.columns.target[self.going & (self.columns.earlier == NONE)] + 1).sum())
+
+    def front_of(self, search: int) -> list[int]:
+        """What a search held when it ended, the best first."""
+        rows = self._ended[search]
+        return rows[best_first(self.tree.nodes(rows))].tolist()
+
+    def take_fed(self, arrived: Members) -> None:
+        """What came of feeding all that was unfed."""
+        now, count, fed = self.columns, self._count(arrived), self.has(self.unfed)
+        last = now.target == now.targets - 2
+        thin = fed & (count > 0) & (count < self._settings.thin_front) & ~last & self._can_walk
+        self.unfed, self.arrived = Members.none(), arrived.of(thin)
+        self._lose(fed & (count == 0) & ((now.target < 0) | (not self._can_walk) | self._walked_enough))
+        self._go_on(arrived.of(~thin))
+
+    def walkers(self) -> tuple[Members, Int[np.ndarray, "n"]]:
+        """The postures to walk from now, one a walk, and its number among those of its search."""
+        resting = self.going & ~self._done & ~self.has(self.unfed)
+        among = self.arrived.and_(self.front.of(resting & ~self.has(self.arrived)))
+        rows, count = np.flatnonzero(resting), self._count(among)
+        walker = np.arange(self._settings.walks)
+        first, nth = np.cumsum(count) - count, walker + len(walker) * self.columns.rounds[rows][:, None]
+        node = among.node[first[rows][:, None] + nth % count[rows][:, None]]
+        return Members(np.repeat(rows, len(walker)), node.ravel()), np.tile(walker, len(rows))
+
+    def take_walked(self, walkers: Members, found: Members) -> None:
+        """What came of a round of walks."""
+        walked, wide = self.has(walkers), self.has(self.arrived)
+        self.columns.draws[walked] += 1
+        arrived, self.arrived = self.arrived.and_(found.of(wide)), Members.none()
+        self._go_on(arrived)
+        stuck = walked & ~wide
+        self.columns.rounds[stuck] += 1
+        new = self._dispersed(found.of(stuck), known=self.front.of(stuck))
+        self.front, self.unfed = self.front.and_(new), self.unfed.and_(new)
+        self._lose(stuck & ~self.has(new) & self._walked_enough)
+
+    def take_ended(self) -> list[int]:
+        """Searches that have come to their end, one way or the other: they go on no more."""
+        ended = self.going & self._done
+        held = self.front.of(ended)
+        self.going &= ~ended
+        self.front, self.unfed = self.front.of(self.going), self.unfed.of(self.going)
+        searches = np.flatnonzero(ended).tolist()
+        self._ended |= {search: held.node[held.search == search] for search in searches}
+        return searches
+
+    def forget(self, ended: list[int]) -> None:
+        """What these held."""
+        for search in ended:
+            del self._ended[search]
+
+    def prune(self) -> None:
+        """Forget all postures that lead nowhere, where there are many."""
+        if self.tree.is_overgrown:
+            moved = self.tree.prune(np.concatenate([self.front.node, *self._ended.values()]))
+            self.front = self.front._replace(node=moved[self.front.node])
+            self.unfed = self.unfed._replace(node=moved[self.unfed.node])
+            self._ended = {search: moved[rows] for search, rows in self._ended.items()}
+
+    @property
+    def _done(self) -> Bool[np.ndarray, "searches"]:
+        return (self.columns.status != NONE) | (self.columns.target == self.columns.targets - 1)
+
+    @property
+    def _walked_enough(self) -> Bool[np.ndarray, "searches"]:
+        return self.columns.rounds >= self._settings.walk_rounds
+
+    def _count(self, members: Members) -> Int[np.ndarray, "searches"]:
+        return np.bincount(members.search, minlength=len(self.going))
+
+    def _lose(self, which: Bool[np.ndarray, "searches"]) -> None:
+        self.columns.status[which] = self.columns.failure[which]
+
+    def _go_on(self, arrived: Members) -> None:
+        """With the best of what has arrived, at the next target."""
+        which = self.has(arrived)
+        new = self._dispersed(arrived, most=self._settings.front)
+        self.front, self.unfed = self.front.of(~which).and_(new), self.unfed.and_(new)
+        self.columns.target[which] += 1
+        self.columns.rounds[which] = 0
+
+    def _dispersed(self, members: Members, most: int | None = None, known: Members | None = None) -> Members:
+        """The best of them that are far apart, and from those known."""
+        members = gather(members, best_first(self.tree.nodes(members.node), members.search))
+        most = len(members.node) if most is None else most
+        where = None if known is None else (self.tree.x[known.node], known.search)
+        x, apart = self.tree.x[members.node], self._settings.front_apart_rad
+        return gather(members, dispersed(x, members.search, most, apart, where))

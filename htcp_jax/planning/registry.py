@@ -1,0 +1,176 @@
+"""Which methods there are, by name: those that ship, those that other packages bring, those of this process.
+
+A package brings a method by an entry point of the group `htcp_jax.methods`, whose name is the method's:
+
+    [project.entry-points."htcp_jax.methods"]
+    my-planner = "my_package:MY_PLANNER"
+
+It is then known to every command, to configurations and to Ray's workers. `register` makes a method known to this
+process alone. Nothing is imported before a name is looked up or listed.
+"""
+
+import re
+import warnings
+from collections.abc import Iterable
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
+from htcp_jax.errors import InputError
+
+if TYPE_CHECKING:
+    from htcp_jax.motion.plans import Plans
+    from htcp_jax.motion.problem import Problem
+
+GROUP = "htcp_jax.methods"
+BUILT_IN = EntryPoint("built-in", "htcp_jax.planning.methods:BUILT_IN", GROUP)
+NAME = re.compile(r"[a-z0-9-]+")  # it stands in names of files and folders
+
+
+@runtime_checkable
+class Method(Protocol):
+    """A planner. One whose motions are to be smoothed unless the settings say otherwise has `smooth = True`; one that
+    knows which kernels it will call has `first_calls(problem)`, see `Kernels.preparing`."""
+
+    @property
+    def name(self) -> str:
+        """On the command line and in names of files: small letters, digits and hyphens."""
+
+    @property
+    def title(self) -> str:
+        """Above a column of a table."""
+
+    @property
+    def description(self) -> str:
+        """What it does, in words."""
+
+    def plan(self, problem: "Problem") -> "Plans":
+        """Plan every scenario of the problem; begin with `problem.empty_plans()`.
+
+        A target that is not tracked ends its scenario, and its status says why. Results must depend on nothing but the
+        problem, and on `problem.settings.seed` where they are random. Raises InputError for what it cannot plan.
+        """
+
+
+_own: dict[str, Method] = {}  # of this process
+_loaded: dict[str, Method] = {}  # of entry points
+
+
+def register(method: Any) -> Any:
+    """Make a `Method` known to this process: to `htcp_jax.plan`, `sweep`, `methods` and all else but Ray's workers.
+
+    Returns the method. Raises InputError for one that lacks a name, a title, a description or `plan`, for a name that
+    no file could have, and for a name that is taken.
+    """
+    if fault := _fault(method):
+        raise InputError(f"cannot register {method!r}: {fault}")
+    if _own.get(method.name) is not method and method.name in names():
+        raise InputError(f"cannot register {method.name!r}: there is a method of that name")
+    _own[method.name] = method
+    return method
+
+
+def unregister(name: str) -> None:
+    """Forget a method of this process. Raises InputError for any other."""
+    if name not in _own:
+        raise InputError(f"{name!r} is not registered in this process")
+    del _own[name]
+
+
+def names() -> tuple[str, ...]:
+    """The names of all methods: those that ship, in their order, then those of packages, then those of this process."""
+    return (*_built_in(), *_entry_points(), *_own)
+
+
+def find(name: str) -> Method:
+    """The method of that name. Raises InputError for a name that there is not, and for a method that cannot be
+    imported, naming its entry point and package."""
+    if name in _built_in():
+        return _built_in()[name]
+    if name in _own:
+        return _own[name]
+    if name not in _entry_points():
+        raise InputError(f"{name!r} is no method; valid: {', '.join(names())}")
+    if name not in _loaded:
+        _loaded[name] = _load(_entry_points()[name])
+    return _loaded[name]
+
+
+def all_methods() -> dict[str, Method]:
+    """Every method by its name. One that cannot be imported is left out, with a UserWarning."""
+    found = {}
+    for name in names():
+        try:
+            found[name] = find(name)
+        except InputError as error:
+            warnings.warn(str(error), UserWarning, stacklevel=2)
+    return found
+
+
+def is_own(name: str) -> bool:
+    """Whether the method is one that other processes cannot know."""
+    return name in _own
+
+
+def refuse_own(chosen: Iterable[str]) -> None:
+    """Raise InputError for a method that other processes cannot know."""
+    for name in chosen:
+        if is_own(name):
+            raise InputError(
+                f"method {name!r} is registered in this process alone; workers elsewhere know those of installed "
+                f"packages, by the entry point group {GROUP}"
+            )
+
+
+@cache
+def _built_in() -> dict[str, Method]:
+    return {method.name: method for method in BUILT_IN.load()}
+
+
+@cache
+def _entry_points() -> dict[str, EntryPoint]:
+    """Those of installed packages, by name. Of two that share one, or take one that ships, the first counts."""
+    found: dict[str, EntryPoint] = {}
+    for point in sorted(entry_points(group=GROUP), key=lambda point: (point.name, _package(point))):
+        first = found.get(point.name, BUILT_IN if point.name in _built_in() else point)
+        if first.value == point.value:  # itself, or the same package found twice
+            found[point.name] = first
+        else:
+            there = "one that ships" if first is BUILT_IN else f"one of {_package(first)}"
+            warnings.warn(f"{_called(point)} is left out: there is {there} of that name", UserWarning, stacklevel=3)
+    return found
+
+
+def _load(point: EntryPoint) -> Method:
+    try:
+        method = point.load()
+    except Exception as error:  # whatever the import of a package may raise
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise InputError(f"{_called(point)} cannot be imported: {reason}") from error
+    if fault := _fault(method):
+        raise InputError(f"{_called(point)} is no method: {fault}")
+    if method.name != point.name:
+        raise InputError(f"{_called(point)} calls itself {method.name!r}")
+    return method
+
+
+def _called(point: EntryPoint) -> str:
+    return f"the method {point.name!r} (entry point {point.value} of package {_package(point)})"
+
+
+def _package(point: EntryPoint) -> str:
+    return point.dist.name if point.dist is not None else "unknown"
+
+
+def _fault(method: Any) -> str:
+    """What keeps an object from being a method; nothing of one that is."""
+    if isinstance(method, type):
+        return "it is a class, not an instance of one"
+    for key in ("name", "title", "description"):
+        if not (isinstance(getattr(method, key, None), str) and getattr(method, key)):
+            return f"it has no {key}"
+    if not callable(getattr(method, "plan", None)):
+        return "it has no plan(problem)"
+    if not NAME.fullmatch(method.name):
+        return f"the name {method.name!r} has more in it than small letters, digits and hyphens"
+    return ""

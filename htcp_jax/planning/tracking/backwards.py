@@ -1,0 +1,151 @@
+"""Planning backwards: at a lost target clear postures are drawn, and each is carried back target by target to the first
+one. A chain that is clear all along, from the given start to its first posture too, replaces the rows so far.
+
+It advances as everything does, one kernel call a round for all lanes in the same phase:
+
+    draw    a round of postures at the lost target; those that count there begin a chain each
+    push    every chain one target further back; those that do not count there end
+    check   one chain that has come to the first target: the joint paths between its rows, and from the start
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.device.tables import gather
+from htcp_jax.motion.kernels import Measured
+from htcp_jax.planning.tracking.lane_checks import LaneChecks
+from htcp_jax.planning.tracking.lanes import CHECKING, DRAWING, PUSHING, Lanes
+from htcp_jax.planning.tracking.record import Record
+from htcp_jax.planning.tracking.stages import DRAW, PUSH, Escapes
+from htcp_jax.settings import Settings
+from htcp_jax.status import Status
+
+LOST = -6  # in place of a phase
+
+
+@dataclass
+class Chains:
+    """Of one scenario: configurations (C, rows, N) from the target that they have come back to, to the lost one."""
+
+    x: np.ndarray
+    rounds: int = 0  # of draws so far
+
+
+class Replanned(NamedTuple):
+    """What a round has come to; lanes that are in neither are lost."""
+
+    going: Lanes  # in their next phases
+    found: Lanes  # of which a chain is recorded; they are at their target
+    now: Measured | None  # of these; None where there are none
+    lost: int  # scenarios
+
+
+class BackwardPlans:
+    """The scenarios of one engine that are planned backwards."""
+
+    def __init__(
+        self,
+        checks: LaneChecks,
+        record: Record,
+        escapes: Escapes,
+        settings: Settings,
+        starts: Float[np.ndarray, "S N"],
+    ):
+        self._checks, self._record, self._starts = checks, record, starts
+        self._rounds = settings.restart_rounds if escapes.replan_backwards else 0
+        self._escape = escapes.backwards
+        self._chains: dict[int, Chains] = {}
+
+    def begin(self, lanes: Lanes) -> Replanned:
+        """Lanes that have lost their target, before their first step; all stay lost where there are to be no rounds."""
+        none = np.zeros((0, 1, lanes.x_ref.shape[1]))
+        self._chains.update({scenario: Chains(none) for scenario in lanes.scenario.tolist()})
+        return self._replanned(lanes, np.zeros(lanes.size, bool))
+
+    def advance(self, lanes: Lanes, phase: int) -> Replanned:
+        """Lanes in one phase, one step further."""
+        if phase == CHECKING:
+            return self._check(lanes)
+        (self._draw if phase == DRAWING else self._push)(lanes)
+        return self._replanned(lanes, np.zeros(lanes.size, bool))
+
+    def _of(self, lanes: Lanes) -> list[Chains]:
+        return [self._chains[scenario] for scenario in lanes.scenario.tolist()]
+
+    def _draw(self, lanes: Lanes) -> None:
+        """Postures at the lost targets, the clearest first; those that count are chains of one row."""
+        chains = self._of(lanes)
+        drawn = self._checks.kernels(DRAW, self._checks.inputs(lanes, np.array([each.rounds for each in chains])))
+        count = drawn.x.shape[1]
+        flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), drawn)
+        good = self._checks.at_target(gather(lanes, np.repeat(np.arange(lanes.size), count)), flat)
+        for each, x, keep in zip(chains, drawn.x, good.reshape(-1, count), strict=True):
+            each.x, each.rounds = x[keep][:, None], each.rounds + 1
+
+    def _push(self, lanes: Lanes) -> None:
+        """All chains to the target before their first one."""
+        chains = self._of(lanes)
+        owner = np.repeat(np.arange(lanes.size), [len(each.x) for each in chains])
+        many = gather(lanes, owner)
+        length = np.array([each.x.shape[1] for each in chains], np.int32)
+        many = many._replace(target=many.target - length[owner])
+        here = self._checks.kernels(PUSH, self._checks.inputs(many), np.concatenate([each.x[:, 0] for each in chains]))
+        good = self._checks.at_target(many, here)
+        for k, each in enumerate(chains):
+            own = owner == k
+            each.x = np.concatenate([here.x[own][:, None], each.x], axis=1)[good[own]]
+
+    def _check(self, lanes: Lanes) -> Replanned:
+        """The first chain of every lane: recorded where all its paths are clear, else dropped."""
+        chains = self._of(lanes)
+        rows = [each.x.shape[1] for each in chains]
+        owner, end = np.repeat(np.arange(lanes.size), rows), np.cumsum(rows) - 1
+        x = np.concatenate([each.x[0] for each in chains])
+        many = self._rows(gather(lanes, owner), x, end)
+        blocked = np.bincount(owner, self._checks.path_clear(many, x, asked=True) == 0, lanes.size)
+        clear = blocked == 0
+        for each in chains:
+            each.x = each.x[1:]
+        if clear.any():
+            own = clear[owner]
+            now = self._checks.measured(gather(many, own), x[own])
+            self._write(gather(many, own), now)
+            end = np.cumsum(np.array(rows)[clear]) - 1
+            return self._replanned(lanes, clear)._replace(found=gather(gather(many, own), end), now=gather(now, end))
+        return self._replanned(lanes, clear)
+
+    def _rows(self, many: Lanes, x: np.ndarray, end: np.ndarray) -> Lanes:
+        """The lanes of whole chains x (rows of all chains, N), whose last rows are at `end`. Only the lost target, the
+        last row, has had step QPs that count: its rows were pushed there by none."""
+        first = np.concatenate([[0], end[:-1] + 1])
+        before = np.concatenate([x[:1], x[:-1]])
+        before[first] = self._starts[many.scenario[first]]
+        target = np.arange(len(x)) - np.repeat(first, end - first + 1)
+        iteration = np.zeros_like(many.iteration)
+        iteration[end] = many.iteration[end]
+        return many._replace(target=target.astype(np.int32), x_previous=before, iteration=iteration)
+
+    def _write(self, many: Lanes, now: Measured) -> None:
+        self._record.track(many, now, Status.TRACKED_AFTER_ESCAPE, self._escape, np.ones(many.size, np.int8))
+        self._record.tracked -= many.size - len(np.unique(many.scenario))  # but the lost one all were counted before
+
+    def _replanned(self, lanes: Lanes, found: np.ndarray) -> Replanned:
+        """Where the lanes go from here, but for those with a chain, `found`."""
+        phases = np.array(
+            [self._next(each, int(lost)) for each, lost in zip(self._of(lanes), lanes.target, strict=True)]
+        )
+        over = found | (phases == LOST)
+        for scenario in lanes.scenario[over].tolist():
+            del self._chains[scenario]
+        going = gather(lanes._replace(phase=phases.astype(np.int32)), ~over)
+        return Replanned(going, gather(lanes, found), None, int((over & ~found).sum()))
+
+    def _next(self, chains: Chains, lost: int) -> int:
+        """The phase of a scenario that has lost its target number `lost`."""
+        if len(chains.x):
+            return CHECKING if chains.x.shape[1] == lost + 1 else PUSHING
+        return DRAWING if chains.rounds < self._rounds else LOST

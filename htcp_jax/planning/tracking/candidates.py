@@ -1,0 +1,158 @@
+"""Candidates: a sampling stage proposes configurations for a stuck scenario, which waits while the step QPs track its
+target from each of them. Of those that reach it, the nearest by a clear joint path is where the scenario goes on."""
+
+import threading
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from htcp_jax.device.tables import gather, gather_from
+from htcp_jax.motion.kernels import Measured
+from htcp_jax.planning.tracking.lane_checks import LaneChecks
+from htcp_jax.planning.tracking.lanes import Lanes, new_lanes
+from htcp_jax.planning.tracking.sampling import Candidates
+from htcp_jax.planning.tracking.stages import Escapes
+
+
+class Ends(NamedTuple):
+    """Candidates that reached their target, and where they are."""
+
+    number: np.ndarray
+    now: Measured
+
+
+@dataclass
+class PendingCandidates:
+    """A stuck scenario whose candidates are being tracked. Rows stay in the tables that they came in until they are
+    asked for."""
+
+    lane: tuple[Lanes, np.ndarray]  # the table and the row of the one lane that is stuck
+    stage: int  # in which it is
+    left: int  # candidates not decided yet
+    qps: int = 0  # step QPs that the candidates took
+    ends: list[tuple[Ends, np.ndarray]] = field(default_factory=list)  # the rows of those that reached the target
+
+
+@dataclass
+class Waiting:
+    """The scenarios that wait for their candidates; these may be tracked by any engine."""
+
+    of: dict[int, PendingCandidates] = field(default_factory=dict)  # by scenario
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+
+class Arrived(NamedTuple):
+    """Lanes that a stage has brought to their target."""
+
+    lanes: Lanes
+    now: Measured
+    clear: np.ndarray  # whether the joint path there is; -1: not checked
+
+
+class Outcome(NamedTuple):
+    """What a stage has come to; lanes that are in none of the three wait for their candidates."""
+
+    stage: int
+    spent: Lanes  # the stage has nothing left for these
+    arrived: Arrived | None = None
+    candidates: Lanes | None = None  # to be tracked
+
+
+class CandidateSearch:
+    """One engine's part in the scenarios that wait for their candidates."""
+
+    def __init__(self, checks: LaneChecks, escapes: Escapes, waiting: Waiting):
+        self._checks, self._kernels = checks, [stage.kernel(k) for k, stage in enumerate(escapes.stages)]
+        self._waiting = waiting
+
+    def sample(self, lanes: Lanes, stage: int) -> Outcome:
+        """Propose candidates for every lane. Where some are done as they are, take the best of them; elsewhere try."""
+        found: Candidates = self._checks.kernels(self._kernels[stage], self._checks.inputs(lanes), lanes.x_previous)
+        found = found._replace(done=self._without_passing_tips(lanes, found))
+        done = found.done.any(axis=1)
+        outcome = self.track_from(gather(lanes, ~done), found.x[~done], found.valid[~done], stage)
+        if not done.any():
+            return outcome
+        lanes, (owner, number) = gather(lanes, done), np.nonzero(found.done[done])
+        x = found.x[done][owner, number]
+        best, clear = self._best(lanes, owner, number, x)
+        return outcome._replace(arrived=Arrived(lanes, self._checks.measured(lanes, x[best]), clear))
+
+    def _without_passing_tips(self, lanes: Lanes, found: Candidates) -> np.ndarray:
+        """Which candidates (lanes, C) are done, but for those whose tip passes through a wall."""
+        owner, number = np.nonzero(found.done)
+        x = found.x[owner, number]
+        through = self._checks.tip_passes(gather(lanes, owner), x, np.ones(len(owner), bool))
+        done = found.done.copy()
+        done[owner[through], number[through]] = False
+        return done
+
+    def track_from(self, lanes: Lanes, x: np.ndarray, valid: np.ndarray, stage: int) -> Outcome:
+        """Have the target of each lane tracked from its valid configurations, x (lanes, C, N), while the lane waits."""
+        left = valid.sum(axis=1)
+        for k in np.flatnonzero(left):
+            pending = PendingCandidates((lanes, np.array([k])), stage, int(left[k]))
+            self._waiting.of[int(lanes.scenario[k])] = pending
+        owner, number = np.nonzero(valid)
+        spent = gather(lanes, left == 0)
+        if not len(owner):
+            return Outcome(stage, spent)
+        at = lanes.scenario[owner], lanes.target[owner], lanes.x_previous[owner]
+        return Outcome(
+            stage, spent, candidates=new_lanes(self._checks.kernels.sizes, *at, x[owner, number], candidate=number)
+        )
+
+    def decide(self, lanes: Lanes, now: Measured, reached: np.ndarray, stuck: np.ndarray) -> list[Outcome]:
+        """Candidates that reached the target, and those that did not; outcomes where these were the last ones."""
+        decided = np.flatnonzero(reached | stuck)
+        if not len(decided):
+            return []
+        decided = decided[np.argsort(lanes.scenario[decided], kind="stable")]
+        first = np.flatnonzero(np.diff(lanes.scenario[decided], prepend=-1))
+        qps = np.add.reduceat(lanes.iteration[decided], first)
+        good = np.concatenate([[0], np.cumsum(reached[decided])])  # before each of the decided, and in the end
+        rows = decided[reached[decided]]
+        ends = Ends(lanes.candidate[rows], gather(now, rows))
+        ready = []
+        with self._waiting.lock:
+            for k, (start, end) in enumerate(zip(first, [*first[1:], len(decided)], strict=True)):
+                scenario = int(lanes.scenario[decided[start]])
+                pending = self._waiting.of[scenario]
+                pending.left -= int(end - start)
+                pending.qps += int(qps[k])
+                if good[end] > good[start]:
+                    pending.ends.append((ends, np.arange(good[start], good[end])))
+                if not pending.left:
+                    ready.append(self._waiting.of.pop(scenario))
+        stages = sorted({pending.stage for pending in ready})
+        return [self._choose([each for each in ready if each.stage == stage], stage) for stage in stages]
+
+    def _choose(self, ready: list[PendingCandidates], stage: int) -> Outcome:
+        """The best of the candidates that reached the target."""
+        lanes = gather_from([each.lane for each in ready])
+        lanes = lanes._replace(iteration=lanes.iteration + np.array([each.qps for each in ready], np.int32))
+        found = np.array([bool(each.ends) for each in ready])
+        spent = gather(lanes, ~found)
+        if not found.any():
+            return Outcome(stage, spent)
+        ready, lanes = [each for each in ready if each.ends], gather(lanes, found)
+        places = [place for each in ready for place in each.ends]
+        number, now = gather_from(places)
+        owner = np.repeat(np.arange(len(ready)), [sum(len(rows) for _, rows in each.ends) for each in ready])
+        best, clear = self._best(lanes, owner, number, now.x)
+        return Outcome(stage, spent, Arrived(lanes, gather(now, best), clear))
+
+    def _best(self, lanes: Lanes, owner: np.ndarray, number: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, ...]:
+        """For every lane, which of the configurations x (M, N) that it owns has the smallest joint change of those
+        whose path is clear, and whether that is clear (-1: not checked)."""
+        clear = self._checks.path_clear(gather(lanes, owner), x, self._checks.of_escapes)
+        best = nearest(owner, number, np.linalg.norm(x - lanes.x_previous[owner], axis=1), clear)
+        return best, clear[best]
+
+
+def nearest(owner: np.ndarray, number: np.ndarray, change: np.ndarray, clear: np.ndarray) -> np.ndarray:
+    """For every owner, the place of its candidate of the smallest change among those whose path is clear or unchecked,
+    of equals the first by number; one that is not clear only where none is. All (M,); the result is one a owner."""
+    order = np.lexsort((number, np.where(clear != 0, change, np.inf), owner))
+    return order[np.unique(owner[order], return_index=True)[1]]

@@ -1,0 +1,242 @@
+"""The engine: a scenario is a small state machine, and the engine advances every unfinished one a few steps at a time.
+
+    prepare   (device)  lane -> step QP             linearised task, clearance rows, limits about x_ref
+    solve     (host)    step QPs -> steps, verdicts Clarabel
+    advance   (device)  lane, step -> lane          linearised and measured at the new x_ref
+
+or, when the step QPs are solved on the device too (`qp: device`), a burst of these rounds at a time.
+
+A lane tracks one target by step QPs until it is reached, then the next one; or it is stuck and in a stage of its
+escape, which walks the null space a few steps at a time or samples; or it is one of many candidates of a sampling
+stage, tracking the stuck target on behalf of a scenario that waits (`candidates`); or its target is lost and a way
+there is planned backwards (`backwards`). Each lane has its own target, phase and count; finished ones leave, new
+scenarios take their place. Lanes in the same phase go through one kernel together. Which lanes those happen to be has
+no influence on any of them: a scenario's result is the same alone, in any batch, in any order and on any thread.
+
+Everything here is bookkeeping on numpy tables (`lanes`). The mathematics is in `kernels` and below; `batching` runs it
+over tables.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from htcp_jax.device.programs import Kernels
+from htcp_jax.device.tables import concatenate, gather, scatter
+from htcp_jax.model.scenario import Scenario
+from htcp_jax.motion.kernels import PREPARE, STEPS_A_BURST, TRACK_BURST, Measured
+from htcp_jax.motion.plans import Plans
+from htcp_jax.motion.tip_check import TipCheck
+from htcp_jax.planning.tracking.backwards import BackwardPlans, Replanned
+from htcp_jax.planning.tracking.candidates import CandidateSearch, Outcome, Waiting
+from htcp_jax.planning.tracking.lane_checks import LaneChecks
+from htcp_jax.planning.tracking.lane_table import LaneTable
+from htcp_jax.planning.tracking.lanes import BACKWARDS, ENTERING, MAIN, NEW, TRACK, Lanes
+from htcp_jax.planning.tracking.record import Record
+from htcp_jax.planning.tracking.stages import ASCEND, ENTER, Escapes, NullSpace
+from htcp_jax.planning.tracking.work import Work
+from htcp_jax.settings import Settings
+from htcp_jax.solvers.step_qp import QPSolver, QPStatus
+from htcp_jax.status import Status
+
+
+class Engine:
+    """Plans the scenarios that an iterator hands out, writing into `plans`; one engine per thread. Without a solver the
+    step QPs are solved on the device. work, waiting: shared by all engines. With `tip`, no target counts at which the
+    tool's bare tip passes through a wall."""
+
+    def __init__(
+        self,
+        kernels: Kernels,
+        solver: QPSolver | None,
+        escapes: Escapes,
+        settings: Settings,
+        scenarios: Scenario,
+        plans: Plans,
+        work: Work,
+        waiting: Waiting,
+        tip: TipCheck | None = None,
+    ):
+        self._kernels, self._solver, self._escapes = kernels, solver, escapes
+        self._settings, self._counts = settings, scenarios.count
+        self._table = LaneTable(kernels, scenarios, work)
+        self._checks = LaneChecks(kernels, scenarios, settings, escapes.check_paths, tip)
+        self._record = Record(plans)
+        self._candidates = CandidateSearch(self._checks, escapes, waiting)
+        self._backwards = BackwardPlans(self._checks, self._record, escapes, settings, scenarios.x_start)
+        # Without a null space, the stages in it have nothing to do.
+        self._possible = [kernels.freedom > 0 or not stage.in_null_space for stage in escapes.stages]
+        self._walks = [stage.kernel(k) for k, stage in enumerate(escapes.stages)]
+
+    def run(self, progress: Callable[[int, int], None]) -> None:
+        """Plan until no work is left; progress(targets newly tracked, scenarios newly finished) every round."""
+        while self._table.fill():
+            self._record.tracked = self._record.finished = 0
+            for phase, lanes in self._table.turn():
+                self._advance(phase, lanes)
+            progress(self._record.tracked, self._record.finished)
+
+    def _advance(self, phase: int, lanes: Lanes) -> None:
+        if phase == NEW:
+            self._linearise(lanes)
+        elif phase == TRACK:
+            self._track(lanes)
+        elif phase in BACKWARDS:
+            self._continue(self._backwards.advance(lanes, phase))
+        elif isinstance(self._escapes.stages[phase], NullSpace):
+            self._walk(lanes, phase)
+        else:
+            self._come_to(self._candidates.sample(lanes, phase))
+
+    # Tracking by step QPs
+
+    def _linearise(self, lanes: Lanes) -> None:
+        """Linearise new scenarios where they are. One whose start is in collision is over."""
+        lanes, clearance = self._checks.linearised(lanes)
+        collides = clearance <= 0
+        self._record.collide(gather(lanes, collides))
+        self._table.keep(gather(lanes, ~collides))
+
+    def _track(self, lanes: Lanes) -> None:
+        """One step QP for every lane, or on the device a burst of them."""
+        now, iteration, verdict = self._burst(lanes) if self._solver is None else self._step(lanes)
+        lanes = lanes._replace(x_ref=now.x, linear=now.linear, iteration=iteration)
+        solved = verdict == QPStatus.SOLVED
+        reached = solved & self._checks.keeps_margin(lanes, now)
+        tip_blocked = self._checks.tip_passes(lanes, now.x, reached)
+        reached &= ~tip_blocked
+        stuck = tip_blocked | ~reached & (~solved | (iteration >= self._settings.max_step_qps))
+        self._table.keep(gather(lanes, ~reached & ~stuck))
+
+        reason = np.where(
+            verdict == QPStatus.INFEASIBLE,
+            Status.QP_INFEASIBLE,
+            np.where(verdict == QPStatus.FAILED, Status.QP_FAILED, Status.ITERATION_LIMIT),
+        )
+        reason[tip_blocked] = Status.TIP_BLOCKED
+        main = lanes.candidate == MAIN
+        self._enter(gather(lanes, stuck & main), 0, reason[stuck & main])
+        self._reached(gather(lanes, reached & main), gather(now, reached & main))
+        for outcome in self._candidates.decide(lanes, now, reached & ~main, stuck & ~main):
+            self._come_to(outcome)
+
+    def _step(self, lanes: Lanes) -> tuple[Measured, np.ndarray, np.ndarray]:
+        qps = self._kernels(PREPARE, self._checks.inputs(lanes), lanes.x_ref, lanes.x_previous, lanes.linear)
+        y, verdict = self._solver.solve(qps)
+        return self._checks.advanced(lanes, y), lanes.iteration + 1, verdict
+
+    def _burst(self, lanes: Lanes) -> tuple[Measured, np.ndarray, np.ndarray]:
+        state = lanes.x_ref, lanes.x_previous, lanes.linear, lanes.iteration
+        return self._kernels(TRACK_BURST, self._checks.inputs(lanes), *state)
+
+    def _reached(self, lanes: Lanes, now: Measured) -> None:
+        """Main lanes whose step QP reached the target: ascend if the method does, check the path, go on."""
+        if not lanes.size:
+            return
+        if self._escapes.keep_clear and self._kernels.freedom:
+            lanes, now = self._ascended(lanes, now)
+        clear = self._checks.path_clear(lanes, now.x, self._checks.of_steps)
+        blocked = clear == 0
+        self._accept(gather(lanes, ~blocked), gather(now, ~blocked), Status.TRACKED, 0, clear[~blocked])
+        self._enter(gather(lanes, blocked), 0, Status.PATH_BLOCKED)
+
+    def _ascended(self, lanes: Lanes, now: Measured) -> tuple[Lanes, Measured]:
+        """Keep clear: move on in the null space where D is small, unless that blocks a path that was clear."""
+        low = now.clearance < self._settings.keep_clear_m
+        if not low.any():
+            return lanes, now
+        near = gather(lanes, low)
+        higher = self._kernels(ASCEND, self._checks.inputs(near), now.x[low]).x
+        clear = self._checks.path_clear(near, higher, self._checks.of_steps)
+        clear[self._checks.tip_passes(near, higher, clear != 0)] = 0
+        higher = np.where(clear[:, None] != 0, higher, now.x[low])
+        now = scatter(now, low, self._checks.measured(near, higher))
+        return lanes._replace(x_ref=now.x, linear=now.linear), now
+
+    def _accept(self, lanes: Lanes, now: Measured, status: Status, escape: int, clear: np.ndarray) -> None:
+        """Record the target and go on to the next one, or finish."""
+        if lanes.size:
+            self._record.track(lanes, now, status, escape, clear)
+            self._go_on(lanes, now)
+
+    def _go_on(self, lanes: Lanes, now: Measured) -> None:
+        zero = np.zeros_like(lanes.target)
+        lanes = lanes._replace(
+            x_previous=now.x,
+            x_ref=now.x,
+            linear=now.linear,
+            target=lanes.target + 1,
+            iteration=zero,
+            phase=zero + TRACK,
+        )
+        done = lanes.target >= self._counts[lanes.scenario]
+        self._record.finished += int(done.sum())
+        self._table.keep(gather(lanes, ~done))
+
+    # Escapes
+
+    def _enter(self, lanes: Lanes, stage: int, reason: np.ndarray | Status) -> None:
+        """Main lanes that have not come to their target: the given stage of the escape is next; without one the target
+        is lost, and with it the rest of the scenario, unless another posture leads there."""
+        if not lanes.size:
+            return
+        while stage < len(self._possible) and not self._possible[stage]:
+            stage, reason = stage + 1, Status.NO_NULL_SPACE
+        if stage < len(self._possible):
+            phase, walked = np.full_like(lanes.phase, stage), np.full_like(lanes.walked, ENTERING)
+            self._table.keep(lanes._replace(phase=phase, walked=walked))
+        else:
+            self._record.lose(lanes, reason)
+            self._continue(self._backwards.begin(lanes))
+
+    def _walk(self, lanes: Lanes, stage: int) -> None:
+        """A burst of null-space steps for every lane; one that enters is brought onto its target first."""
+        entering = lanes.walked == ENTERING
+        if entering.any():
+            new = gather(lanes, entering)
+            now = self._kernels(ENTER, self._checks.inputs(new), new.x_previous)
+            new = self._arrived(new._replace(walked=np.zeros_like(new.walked)), now, stage)
+            lanes = concatenate([gather(lanes, ~entering), new])
+        if lanes.size:
+            most = np.minimum(lanes.walked + STEPS_A_BURST, self._settings.max_null_space_steps).astype(np.int32)
+            state = lanes.x_previous, lanes.x_ref, lanes.walked, most
+            now, walked = self._kernels(self._walks[stage], self._checks.inputs(lanes), *state)
+            self._table.keep(self._arrived(lanes._replace(walked=walked), now, stage))
+
+    def _arrived(self, lanes: Lanes, now: Measured, stage: int) -> Lanes:
+        """Lanes that have come some way in the null space: those that are out of it, or at the end of it, leave; the
+        others come back."""
+        lanes = lanes._replace(x_ref=now.x)
+        out = self._checks.at_target(lanes, now)
+        spent = ~out & (lanes.walked >= self._settings.max_null_space_steps)
+        reason = np.where(self._checks.keeps_margin(lanes, now), Status.TIP_BLOCKED, Status.ESCAPE_EXHAUSTED)
+        self._enter(gather(lanes, spent), stage + 1, reason[spent])
+        free = gather(lanes, out)
+        if self._settings.after_escape == "track":
+            one_each = np.ones((free.size, 1), bool)
+            self._come_to(self._candidates.track_from(free, free.x_ref[:, None], one_each, stage))
+        else:
+            clear = self._checks.path_clear(free, free.x_ref, self._checks.of_escapes)
+            self._escaped(free, gather(now, out), clear, stage)
+        return gather(lanes, ~out & ~spent)
+
+    def _escaped(self, lanes: Lanes, now: Measured, clear: np.ndarray, stage: int) -> None:
+        """Lanes that a stage has brought to their target: go on where the path there is clear, or not checked."""
+        good = clear != 0
+        self._accept(gather(lanes, good), gather(now, good), Status.TRACKED_AFTER_ESCAPE, stage + 1, clear[good])
+        self._enter(gather(lanes, ~good), stage + 1, Status.PATH_BLOCKED)
+
+    def _come_to(self, outcome: Outcome) -> None:
+        """What a sampling stage has come to."""
+        if outcome.candidates is not None:
+            self._table.queue(self._checks.linearised(outcome.candidates)[0])
+        if outcome.arrived is not None:
+            self._escaped(*outcome.arrived, outcome.stage)
+        self._enter(outcome.spent, outcome.stage + 1, Status.ESCAPE_EXHAUSTED)
+
+    def _continue(self, replanned: Replanned) -> None:
+        """What a step on the way back from lost targets has come to."""
+        self._table.keep(replanned.going)
+        self._record.finished += replanned.lost
+        if replanned.now is not None:
+            self._go_on(replanned.found, replanned.now)

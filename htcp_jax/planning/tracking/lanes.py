@@ -1,0 +1,51 @@
+"""The engine's table: a lane a row, every column a numpy array."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from htcp_jax.clearance.obstacles.obstacles.linearisation import Linearisation, TaskRows
+from htcp_jax.clearance.obstacles.obstacles.obstacles import ClearanceRows
+
+MAIN = -1  # `candidate` of a lane that tracks for its scenario itself
+# Phases; of a lane that is in a stage of its escape, the phase is the number of that stage. The last three are those of
+# a lane that is planned backwards: postures are drawn at its lost target, carried back row by row, and checked.
+NEW, TRACK, DRAWING, PUSHING, CHECKING = -2, -1, -3, -4, -5
+BACKWARDS = DRAWING, PUSHING, CHECKING
+ENTERING = -1  # `walked` of a lane that is not in the null space yet
+KINDS = TaskRows, ClearanceRows
+
+
+class Lanes(NamedTuple):
+    """Lanes, one row each."""
+
+    scenario: np.ndarray
+    target: np.ndarray
+    candidate: np.ndarray  # MAIN, or the number of a candidate
+    phase: np.ndarray  # NEW: to be linearised; TRACK: by step QPs; a stage of the escape; or of the way back
+    iteration: np.ndarray  # step QPs at this target so far
+    walked: np.ndarray  # ENTERING, or null-space steps so far
+    x_previous: np.ndarray
+    x_ref: np.ndarray
+    linear: Linearisation
+
+    @property
+    def size(self) -> int:
+        """How many lanes."""
+        return len(self.scenario)
+
+
+def new_lanes(sizes: tuple[int, int], scenario, target, x_previous, x_ref, candidate=MAIN) -> Lanes:
+    """Lanes that start at x_ref (L, N); sizes: values that the task looks at, rows of the clearance."""
+    lanes, n = x_ref.shape
+
+    def column(value):
+        return np.broadcast_to(np.asarray(value, np.int32), lanes).copy()
+
+    linear = Linearisation(
+        *(kind(np.zeros((lanes, rows)), np.zeros((lanes, rows, n))) for kind, rows in zip(KINDS, sizes, strict=True))
+    )
+    return Lanes(
+        column(scenario), column(target), column(candidate), column(NEW), column(0), column(0),
+        np.array(x_previous), np.array(x_ref), linear,
+    )  # fmt: skip

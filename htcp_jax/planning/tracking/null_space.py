@@ -1,0 +1,234 @@
+"""Steps in the null space of the task, Algorithm 1: minimise J2 on the sphere, equation (11), move by alpha,
+re-anchor. Each is a pure function of one scenario.
+"""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+
+from htcp_jax.clearance.obstacles.obstacles.contact_model import HeldContacts, hold_contacts, predict_distances
+from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles, Posed
+from htcp_jax.clearance.obstacles.obstacles.obstacles import clearance, clearances, contacts
+from htcp_jax.clearance.obstacles.obstacles.scene import Scene
+from htcp_jax.errors import InputError
+from htcp_jax.model.inverse_kinematics import reanchor
+from htcp_jax.model.kinematics import configuration
+from htcp_jax.model.robot import Robot
+from htcp_jax.motion.lane_inputs import LaneInputs
+from htcp_jax.numerics import fold_keys, null_basis, of_shape, product, with_gradient
+from htcp_jax.settings import Settings, settings_of
+from htcp_jax.solvers import sphere
+from htcp_jax.types import Array, Float, Int, Joints, Scalar
+
+READS = ("alpha_rad", "include_proximal_bodies", "j1_weight", "q_weights")  # settings, by any step in the null space
+DRAWS, PUSHED, PUSHES = 256, 6, 60  # of `draw_clear`: draws, how many are pushed clear, null-space steps of a push
+
+
+@runtime_checkable
+class Asked(Posed, Protocol):
+    """Where the workpiece is, and the clearance that a configuration has to keep: a scenario, or a lane's task."""
+
+    margin_m: Scalar
+
+
+class Stuck(NamedTuple):
+    """Where one scenario is stuck."""
+
+    x_previous: Joints  # x_{t-1}
+    target: Float[Array, "G"]  # C_next, the task's goal [m]
+    key: jax.Array  # folded from seed, scenario and target: depends on nothing else
+
+
+def seen_rows(scene: Scene, include_proximal_bodies: bool) -> tuple[bool, ...]:
+    """Which rows J2 sees: all, or those of bodies on the outer half of the chain (capsules 4 to 8 of the GP50)."""
+    half = len(scene.robot.slides) // 2
+    return tuple(include_proximal_bodies or scene.robot.capsule_link[body] >= half for body in scene.rows.body)
+
+
+def sphere_problem(
+    scene: Scene, settings: Settings, where: Posed, x_ref: Joints, target: Float[Array, "G"] | None = None
+) -> tuple[sphere.Sphere, HeldContacts, Float[Array, "N D"]]:
+    """Equation (11) at x_ref: the problem, the contacts at x_ref, and alpha N(x_ref) [rad]. Nothing where D = 0.
+    target: the task's goal; of a task of points any, and so None."""
+    robot, obstacles, task = scene
+    rows = scene.rows
+    held = task.linear_at(robot, x_ref, jnp.zeros(task.numbers) if target is None else target)
+    step_basis = settings.alpha_rad * null_basis(held.jacobian)
+    weights = jnp.asarray(settings.q_weights)
+    # J1 = |x - x_ref|_Q^2 = w' (alpha N)' Q (alpha N) w
+    half = settings.j1_weight * product(step_basis.T, weights[:, None] * step_basis)
+    unseen = ~jnp.asarray(seen_rows(scene, settings.include_proximal_bodies))
+    # What J2 does not see is as far away as it ever gets.
+    far = jnp.where(unseen, 10.0, 0.0)
+
+    def observe(w):
+        x = x_ref + product(step_basis, w)
+        touch = contacts(robot, obstacles, where, x)
+        return touch.distance + far - product(w, product(half, w)), hold_contacts(robot, x, rows, touch)
+
+    def measure(w):
+        x, j1 = x_ref + product(step_basis, w), product(w, product(half, w))
+        if not settings.include_proximal_bodies:
+            return jnp.min(clearances(robot, obstacles, where, x) + far) - j1
+        return clearance(robot, obstacles, where, x) - j1
+
+    def predicted(w, held):
+        value, gradient = predict_distances(robot, x_ref + product(step_basis, w), rows, held)
+        rounds = value.shape[0] // far.shape[0]
+        value = value + jnp.concatenate([far] * rounds) - product(w, product(half, w))
+        return value, product(gradient, step_basis) - 2 * product(half, w)[None, :]
+
+    G = jnp.concatenate([step_basis, -step_basis])
+    h = jnp.concatenate([robot.upper - x_ref, x_ref - robot.lower])
+    if task.bands:
+        G = jnp.concatenate([G, -product(held.gradient, step_basis)])
+        h = jnp.concatenate([h, jnp.maximum(held.room, 0.0)])
+    predict = with_gradient(lambda w, held: predicted(w, held)[0], predicted)
+    problem = sphere.Sphere(observe, measure, predict, 2 * half, G, jnp.minimum(h, 1e3))
+    return problem, hold_contacts(robot, x_ref, rows, contacts(robot, obstacles, where, x_ref)), step_basis
+
+
+def null_space_objective(
+    robot: Robot,
+    obstacles: Obstacles,
+    where: Posed,
+    x_ref: Joints,
+    w: Float[Array, "D"],
+    settings: Settings | Mapping[str, Any] | None = None,
+) -> Scalar:
+    """J2 of equation (11a): -D(x, O) + J1(x, x_ref) [m] at x = x_ref + alpha N(x_ref) w of (11c).
+
+    The smaller, the clearer: the planners minimise it over |w| = 1, within the joint limits, which it does not look at.
+    robot: with its tool, as a plan's is. where: a scenario, or whatever else is `Posed`. w: D = N - 3 numbers.
+    settings: `alpha_rad`; `j1_weight` and `q_weights` of J1 = j1_weight (x - x_ref)' Q (x - x_ref), where the paper's
+    weight is 1; and `include_proximal_bodies`. None is the defaults, whose `j1_weight` is 0: then J2 = -D.
+
+    Raises InputError for an x_ref or w of another shape, many at once among them, and for `q_weights` of another arm.
+
+    ```python
+    >>> import jax
+    >>> import jax.numpy as jnp
+    >>> import htcp_jax
+    >>> arm, duct = htcp_jax.gp50(), htcp_jax.load_workpiece()
+    >>> where = htcp_jax.make_scenario(arm, duct, (0.0, -2.3, 0.5, 0.0, 0.5, -2.0))
+    >>> J2 = htcp_jax.null_space_objective
+    >>> scene = arm, htcp_jax.make_obstacle(duct), where, jnp.array(where.x_start)
+    >>> w = jnp.array([1.0, 0.0, 0.0])
+    >>> round(float(J2(*scene, w)), 3)
+    -0.497
+    >>> jax.grad(J2, argnums=4)(*scene, w).shape
+    (3,)
+    >>> jax.vmap(J2, in_axes=(None, None, None, None, 0))(*scene, jnp.eye(3)).round(3).tolist()
+    [-0.497, -0.499, -0.498]
+
+    ```
+    """
+    x_ref = configuration(robot, x_ref, "x_ref")
+    joints = x_ref.shape[0]
+    w = of_shape(w, (joints - 3,), "w")
+    settings = Settings(q_weights=(1.0,) * joints) if settings is None else settings_of(settings)
+    if len(settings.q_weights) != joints:
+        raise InputError(f"q_weights has {len(settings.q_weights)} values, the robot {robot.name} has {joints} joints")
+    return _objective(robot, obstacles, where, x_ref, w, settings)
+
+
+@partial(jax.jit, static_argnames="settings")
+def _objective(
+    robot: Robot, obstacles: Obstacles, where: Posed, x_ref: Joints, w: Float[Array, "D"], settings: Settings
+) -> Scalar:
+    problem, _, _ = sphere_problem(Scene(robot, obstacles), settings, where, x_ref)
+    return -problem.measure(w)
+
+
+class Anchored(NamedTuple):
+    """A configuration on (or near) the target, and how good it is."""
+
+    x: Joints
+    clearance: Scalar  # D [m]
+    residual: Scalar  # the task's [m]
+
+
+def anchor(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Float[Array, "G"]) -> Anchored:
+    """Re-anchor x, (5b), where it is off the target [m] by more than xi, Algorithm 1, line 13; then measure it."""
+    robot, obstacles, task = scene
+    off = task.off(robot, x, target)
+    anchored, _ = reanchor(robot, x, target, task.fine_m, task=task)
+    x = jnp.where(task.reached(off), x, anchored)
+    return Anchored(x, clearance(robot, obstacles, where, x), task.off(robot, x, target))
+
+
+Minimise = Callable[[sphere.Sphere, HeldContacts, jax.Array, Settings], sphere.Best]
+
+
+def null_space_step(
+    minimise: Minimise,
+    scene: Scene,
+    settings: Settings,
+    where: Posed,
+    stuck: Stuck,
+    x_ref: Joints,
+    count: Int[Array, ""],
+) -> Anchored:
+    """Algorithm 1, lines 11 to 13: minimise J2 on the sphere, x = x_ref + alpha N w, re-anchor."""
+    problem, held, step_basis = sphere_problem(scene, settings, where, x_ref, stuck.target)
+    best = minimise(problem, held, jax.random.fold_in(stuck.key, count), settings)
+    x = jnp.clip(x_ref + product(step_basis, best.w), scene.robot.lower, scene.robot.upper)
+    return anchor(scene, settings, where, x, stuck.target)
+
+
+def keep_clear_ascent(
+    scene: Scene,
+    settings: Settings,
+    where: Posed,
+    x: Joints,
+    target: Float[Array, "G"],
+    enough_m: Scalar | float | None = None,
+    steps: int | None = None,
+) -> Anchored:
+    """Max-min null-space steps away from the workpiece while D is below `enough_m`, at most `steps` of them (by default
+    `keep_clear_m` and `keep_clear_steps`); never ends worse than it began. target: where the task stays [m].
+
+    One observation a step: the best direction for the contacts seen at x, at most alpha long, halved on failure.
+    """
+    enough_m = settings.keep_clear_m if enough_m is None else enough_m
+    steps = settings.keep_clear_steps if steps is None else steps
+
+    def going(state):
+        best, scale, count = state
+        return (best.clearance < enough_m) & (count < steps) & (scale > 1e-4)
+
+    def step(state):
+        best, scale, count = state
+        problem, held, step_basis = sphere_problem(scene, settings, where, best.x, target)
+        w = sphere.max_min_step(problem, held, scale)
+        x = jnp.clip(best.x + product(step_basis, w), scene.robot.lower, scene.robot.upper)
+        new = anchor(scene, settings, where, x, target)
+        better = (new.clearance > best.clearance) & scene.task.reached(new.residual)
+        best = jax.tree.map(lambda n, b: jnp.where(better, n, b), new, best)
+        return best, jnp.where(better, scale, 0.5 * scale), count + 1
+
+    start = anchor(scene, settings, where, x, target)
+    if not scene.task.freedom(scene.robot):
+        return start
+    best, _, _ = jax.lax.while_loop(going, step, (start, jnp.full((), 0.5), jnp.zeros((), jnp.int32)))
+    return best
+
+
+def push_clear(scene: Scene, settings: Settings, where: Asked, x: Joints, target: Float[Array, "G"]) -> Anchored:
+    """x brought onto the target and pushed in the null space until it keeps the margin, or as clear as it gets."""
+    enough_m = jnp.maximum(1e-9, where.margin_m)
+    x = anchor(scene, settings, where, x, target).x
+    return keep_clear_ascent(scene, settings, where, x, target, enough_m, PUSHES)
+
+
+def stuck_key(seed, number, row, stage: int, round_) -> jax.Array:
+    """Random key of one escape: of scenario `number`, at target `row`. The seed is data, so none is compiled for."""
+    return fold_keys(jax.random.key(seed), number, row, stage, round_)
+
+
+def stuck_at(lane: LaneInputs, x_previous: Joints, stage: int) -> Stuck:
+    """A lane that is stuck, with the random key of one stage."""
+    return Stuck(x_previous, lane.target, stuck_key(lane.seed, lane.number, lane.row, stage, lane.round))

@@ -1,0 +1,58 @@
+"""What an engine writes down: targets that are tracked, and those that are lost."""
+
+import jax
+import numpy as np
+
+from htcp_jax.model.robot import lengthen_tool
+from htcp_jax.motion.kernels import Measured
+from htcp_jax.motion.plans import Plans
+from htcp_jax.motion.problem import Problem
+from htcp_jax.planning.tracking.lanes import Lanes
+from htcp_jax.status import Status
+
+
+class Record:
+    """Writes into the plans, and counts targets newly tracked and scenarios newly finished."""
+
+    def __init__(self, plans: Plans):
+        self._plans = plans
+        self.tracked = self.finished = 0
+
+    def track(self, lanes: Lanes, now: Measured, status: Status, escape: int, clear: np.ndarray) -> None:
+        """Every lane is at its target now; clear: see `Plans.path_clear`."""
+        s, t, plans = lanes.scenario, lanes.target, self._plans
+        plans.x[s, t], plans.tcp[s, t] = now.x, now.tcp
+        plans.clearance[s, t], plans.residual[s, t] = now.clearance, now.residual
+        plans.status[s, t], plans.escape[s, t] = status, escape
+        plans.iterations[s, t] = lanes.iteration
+        plans.joint_step[s, t] = np.linalg.norm(now.x - lanes.x_previous, axis=1)
+        plans.path_clear[s, t] = clear
+        self.tracked += len(s)
+
+    def lose(self, lanes: Lanes, reason: np.ndarray | Status) -> None:
+        """No lane came to its target, each for its reason."""
+        self._plans.status[lanes.scenario, lanes.target] = reason
+        self._plans.iterations[lanes.scenario, lanes.target] = lanes.iteration
+
+    def collide(self, lanes: Lanes) -> None:
+        """The lanes' scenarios are over before they began."""
+        self._plans.status[lanes.scenario, lanes.target] = Status.START_IN_COLLISION
+        self.finished += lanes.size
+
+
+def with_separate_errors(plans: Plans, problem: Problem) -> Plans:
+    """Return the plans with the residual split into a distance and an angle, if the task holds angles."""
+    if not problem.task.holds_angles:
+        return plans
+    residual, angle, scenarios = plans.residual.copy(), plans.orientation_error.copy(), problem.scenarios
+    for s in np.flatnonzero(plans.tracked.any(axis=1)).tolist():
+        found = _errors(problem.task, problem.robot, scenarios.tool_extension_m[s], plans.x[s], scenarios.goals[s])
+        for column, values in zip((residual, angle), found, strict=True):
+            column[s] = np.where(plans.tracked[s], values, np.nan)
+    return plans._replace(residual=residual, orientation_error=angle)
+
+
+@jax.jit
+def _errors(task, robot, tool_extension_m, x, goals):
+    own = lengthen_tool(robot, tool_extension_m)
+    return jax.vmap(lambda x, goal: task.errors(own, x, goal))(x, goals)

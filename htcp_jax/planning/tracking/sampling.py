@@ -1,0 +1,110 @@
+"""Sampling escapes: configurations proposed many at once, from which the step QP then tracks the target. Each is a pure
+function of one scenario.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from htcp_jax.clearance.obstacles.obstacles.obstacle import Posed
+from htcp_jax.clearance.obstacles.obstacles.obstacles import is_clear
+from htcp_jax.clearance.obstacles.obstacles.scene import Scene
+from htcp_jax.model.inverse_kinematics import inside, reanchor
+from htcp_jax.model.task import Task
+from htcp_jax.numerics import null_basis, product, safe_norm
+from htcp_jax.planning.tracking.null_space import DRAWS, PUSHED, Anchored, Asked, Stuck, anchor, push_clear
+from htcp_jax.settings import Settings
+from htcp_jax.types import Array, Bool, Float
+
+
+class Candidates(NamedTuple):
+    """Configurations from which the step QP tracks the stuck target; those not valid are never tried."""
+
+    x: Float[Array, "C N"]  # [rad or m]
+    valid: Bool[Array, "C"]
+    done: Bool[Array, "C"]  # on the target and clear as they are: where a stage takes them so, no QP is needed
+
+
+Propose = Callable[[Scene, Settings, Posed, Stuck], Candidates]
+
+
+def cspace_samples(scene: Scene, settings: Settings, where: Posed, stuck: Stuck) -> Candidates:
+    """The paper's C-Space sample: joints 3 and outwards uniform about x_{t-1}, +-1 rad (joint 3) and +-2 rad (the
+    others); the first `samples` feasible ones (inside the limits and clear) out of eight times as many draws."""
+    robot, n = scene.robot, len(scene.robot.slides)
+    # The paper's arm moves joints 3 to 6; on another arm, too, the first two, which carry all others, stay.
+    width = jnp.asarray([0.0, 0.0, 1.0] + [2.0] * (n - 3))
+    draw = jax.random.uniform(stuck.key, (8 * settings.samples, n), minval=-1.0, maxval=1.0)
+    x = stuck.x_previous[None, :] + width[None, :] * draw
+    feasible = jax.vmap(lambda x: inside(robot, x))(x) & jax.vmap(lambda x: is_clear(robot, scene.obstacles, where, x))(
+        x
+    )
+    feasible &= jax.vmap(safe_norm)(x - stuck.x_previous[None, :]) <= settings.max_sample_distance_rad
+    return Candidates(x, feasible & (jnp.cumsum(feasible) <= settings.samples), jnp.zeros_like(feasible))
+
+
+def nspace_samples(
+    scene: Scene, settings: Settings, where: Posed, stuck: Stuck, step_rad: tuple[float, ...]
+) -> Candidates:
+    """The paper's N-Space sample: random null-space directions, each followed for `sample_steps` steps of each given
+    length, re-anchored whenever the TCP error exceeds the tolerance. The direction is carried along by projection."""
+    robot, task = scene.robot, scene.task
+    origin, _ = reanchor(robot, stuck.x_previous, stuck.target, task.fine_m, task=task)
+    first = null_basis(task.linear_at(robot, origin, stuck.target).jacobian)
+    draw = jax.random.normal(stuck.key, (settings.samples, first.shape[1]))
+    directions = jax.vmap(lambda w: product(first, w / safe_norm(w)))(draw)
+
+    def walk(direction, length):
+        def step(_, state):
+            x, v = state
+            basis = null_basis(task.linear_at(robot, x, stuck.target).jacobian)
+            v = product(basis, product(v, basis))
+            v = v / jnp.maximum(safe_norm(v), 1e-12)
+            x = jnp.clip(x + length * v, robot.lower, robot.upper)
+            anchored, _ = reanchor(robot, x, stuck.target, task.fine_m, iterations=3, task=task)
+            return jnp.where(task.reached(task.off(robot, x, stuck.target)), x, anchored), v
+
+        x, _ = jax.lax.fori_loop(0, settings.sample_steps, step, (origin, direction))
+        return x
+
+    x = jnp.concatenate([jax.vmap(lambda v, r=r: walk(v, r))(directions) for r in step_rad])
+    near = jax.vmap(safe_norm)(x - stuck.x_previous[None, :]) <= settings.max_sample_distance_rad
+    return Candidates(x, near, jnp.zeros_like(near))
+
+
+def best_nspace_samples(
+    scene: Scene, settings: Settings, where: Asked, stuck: Stuck, step_rad: tuple[float, ...], keep: int = 24
+) -> Candidates:
+    """N-Space samples that know their clearance: those that are clear on the target are done; of the others, only the
+    `keep` clearest are worth tracking from."""
+    x, near, _ = nspace_samples(scene, settings, where, stuck, step_rad)
+    here = jax.vmap(lambda x: anchor(scene, settings, where, x, stuck.target))(x)
+    done = near & scene.task.counts(here.clearance, here.residual, where.margin_m)
+    rank = jnp.where(near & ~done, here.clearance, -jnp.inf)
+    worth = rank >= jax.lax.top_k(rank, keep)[0][-1]
+    return Candidates(here.x, done | (near & worth & ~jnp.any(done)), done)
+
+
+def draw_clear(scene: Scene, settings: Settings, where: Asked, stuck: Stuck, spread: Bool[Array, ""]) -> Anchored:
+    """The best of a round of seeded uniform draws within the joint limits, clearest first (PUSHED rows): each draw is
+    brought onto the target, and some are pushed clear: the clearest, or with `spread` any of the clearer quarter.
+
+    The clearest alone are often of one kind, all on the same side of the workpiece, say, from where no way leads back.
+    """
+    robot = scene.robot
+    lower, upper = jnp.maximum(robot.lower, -jnp.pi), jnp.minimum(robot.upper, jnp.pi)
+    draw = jax.random.uniform(stuck.key, (DRAWS, lower.shape[0]))
+    x = lower[None, :] + (upper - lower)[None, :] * draw
+    reached = jax.vmap(lambda x: anchor(scene, settings, where, x, stuck.target))(x)
+    order = jnp.argsort(-_rank(scene.task, reached))
+    quarter = jnp.sort(order[: DRAWS // 4])  # in the order of the draws: any PUSHED of them are as good as random
+    first = jnp.where(spread, quarter[:PUSHED], order[:PUSHED])
+    pushed = jax.lax.map(lambda x: push_clear(scene, settings, where, x, stuck.target), reached.x[first])
+    order = jnp.argsort(-_rank(scene.task, pushed))
+    return jax.tree.map(lambda leaf: leaf[order], pushed)
+
+
+def _rank(task: Task, here: Anchored) -> Float[Array, "*n"]:
+    return jnp.where(task.reached(here.residual), here.clearance, -jnp.inf)

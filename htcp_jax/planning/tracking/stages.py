@@ -1,0 +1,147 @@
+"""What a method made of step QPs does when these are stuck: stages tried in turn, each with a kernel of its own."""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from htcp_jax.clearance.obstacles.obstacles.scene import Scene, own_scene
+from htcp_jax.device.batching import Loop
+from htcp_jax.device.kernel import DEEP, SAMPLED, WALKED, Kernel
+from htcp_jax.model.inverse_kinematics import reanchor
+from htcp_jax.motion.kernels import MEASURED, Measured, measured, nothing_known
+from htcp_jax.motion.lane_inputs import LaneInputs
+from htcp_jax.planning.tracking.null_space import (
+    READS,
+    Anchored,
+    Minimise,
+    anchor,
+    keep_clear_ascent,
+    null_space_step,
+    push_clear,
+    stuck_at,
+)
+from htcp_jax.planning.tracking.sampling import Candidates, Propose, draw_clear
+from htcp_jax.settings import Settings
+from htcp_jax.types import Int, Joints
+
+SPREAD_EVERY = 3  # rounds of draws: in every third any of the better draws are pushed clear, not the clearest alone
+DRAW_STAGE = 99  # random keys of draws lie apart from those of the stages
+
+
+@dataclass(frozen=True)
+class NullSpace:
+    """A stage that walks the null space, one minimisation a step."""
+
+    minimise: Minimise
+    settings: tuple[str, ...] = ()  # that `minimise` reads
+
+    in_null_space = True
+
+    def kernel(self, index: int) -> Kernel:
+        """A burst of the walk, as stage `index` of a method."""
+        reads = (*READS, *MEASURED, *self.settings)
+        return Kernel(f"walk {index}", walk_null_space, WALKED, reads, (self.minimise, index))
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A stage that proposes candidates for the step QP to track from."""
+
+    propose: Propose
+    settings: tuple[str, ...] = ()  # that `propose` reads
+    in_null_space: bool = True  # whether it has nothing to propose where there is none
+
+    def kernel(self, index: int) -> Kernel:
+        """The candidates of a lane, as stage `index` of a method."""
+        return Kernel(f"sample {index}", propose, SAMPLED, self.settings, (self.propose, index))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Escapes:
+    """What is done when the step QPs are stuck, and between targets."""
+
+    stages: tuple[NullSpace | Sample, ...] = ()  # tried in turn at a stuck target
+    keep_clear: bool = False  # ascend after every target
+    replan_backwards: bool = False  # when all stages fail, draw a clear posture there and plan the way to it backwards
+    check_paths: bool = False  # every joint path must be clear, whatever the settings say
+
+    @property
+    def backwards(self) -> int:
+        """`Plans.escape` of targets that were planned backwards: one beyond the last stage."""
+        return len(self.stages) + 1
+
+
+class Walked(NamedTuple):
+    """A lane after a burst of null-space steps: where it is, and how many there were so far."""
+
+    now: Measured
+    walked: jax.Array
+
+
+def walk_null_space(
+    minimise: Minimise,
+    index: int,
+    settings: Settings,
+    scene: Scene,
+    lane: LaneInputs,
+    x_previous: Joints,
+    x_ref: Joints,
+    walked: Int[jax.Array, ""],
+    most: Int[jax.Array, ""],
+) -> Loop:
+    """Algorithm 1, lines 10 to 14: null-space steps of the method's stage `index`, after those `walked`, until the
+    target is kept with the margin, or there have been as many as there may be, `most`. The loop's state is `Walked`."""
+    stuck, own = stuck_at(lane, x_previous, index), own_scene(scene, lane.tool_extension_m)
+
+    def going(there: Walked):
+        here = scene.task.counts(there.now.clearance, there.now.residual, lane.margin_m)
+        return ~(here & (there.walked > walked)) & (there.walked < most)
+
+    def step(there: Walked) -> Walked:
+        new = null_space_step(minimise, own, settings, lane, stuck, there.now.x, there.walked)
+        return Walked(measured(settings, scene, lane, new.x), there.walked + 1)
+
+    now = nothing_known(partial(measured, settings, scene, lane), x_ref)._replace(x=x_ref)
+    return Loop(Walked(now, walked), going, step)
+
+
+def propose(
+    proposed: Propose, index: int, settings: Settings, scene: Scene, lane: LaneInputs, x_previous
+) -> Candidates:
+    """Candidates of a sampling stage, the method's stage `index`."""
+    scene = own_scene(scene, lane.tool_extension_m)
+    return proposed(scene, settings, lane, stuck_at(lane, x_previous, index))
+
+
+def enter_null_space(settings: Settings, scene: Scene, lane: LaneInputs, x_previous: Joints) -> Measured:
+    """Algorithm 1, line 9: inverse kinematics (5b) of the stuck target from x_{t-1}."""
+    own = own_scene(scene, lane.tool_extension_m)
+    x, _ = reanchor(own.robot, x_previous, lane.target, own.task.fine_m, task=own.task)
+    return measured(settings, scene, lane, anchor(own, settings, lane, x, lane.target).x)
+
+
+def push(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Anchored:
+    """x carried over to the lane's target and pushed clear."""
+    return push_clear(own_scene(scene, lane.tool_extension_m), settings, lane, x, lane.target)
+
+
+def draw(settings: Settings, scene: Scene, lane: LaneInputs) -> Anchored:
+    """The best of a round of draws at the lane's target; which round is the lane's."""
+    scene = own_scene(scene, lane.tool_extension_m)
+    stuck = stuck_at(lane, jnp.zeros_like(scene.robot.lower), DRAW_STAGE)
+    return draw_clear(scene, settings, lane, stuck, lane.round % SPREAD_EVERY == SPREAD_EVERY - 1)
+
+
+def ascend(settings: Settings, scene: Scene, lane: LaneInputs, x):
+    """Keep-clear ascent at the target just reached."""
+    scene = own_scene(scene, lane.tool_extension_m)
+    return keep_clear_ascent(scene, settings, lane, x, lane.target)
+
+
+ENTER = Kernel("enter", enter_null_space, DEEP, MEASURED)
+ASCEND = Kernel("ascend", ascend, DEEP, (*READS, "keep_clear_m", "keep_clear_steps"))
+PUSH = Kernel("push", push, DEEP, READS)
+DRAW = Kernel("draw", draw, SAMPLED, READS)

@@ -1,0 +1,149 @@
+"""The colliding body at a target that a plan did not reach: which body, where, and how deep.
+
+From the last posture that was tracked, inverse kinematics brings the tool onto the failed target all the same, inside
+the joint limits but through whatever is there, equation (5b). The body with the smallest clearance there is the
+colliding one; if that clearance is above 0, no body collides and the search ended for another reason. That is one
+posture of many: an escape may have looked at others, and found none that is clear.
+"""
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.obstacles.obstacles import contacts, nearest_to
+from htcp_jax.clearance.obstacles.obstacles.of_workpiece import all_obstacles
+from htcp_jax.clearance.obstacles.obstacles.scene import Scene, own_scene
+from htcp_jax.device.batching import chunked
+from htcp_jax.device.kernel import DEEP
+from htcp_jax.model.inverse_kinematics import reanchor
+from htcp_jax.model.robot import Robot, capsule_in_words, mesh_note
+from htcp_jax.model.scenario import Scenario, stack
+from htcp_jax.model.task import Task
+from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.motion.lane_inputs import lane_inputs
+from htcp_jax.motion.plans import Plans
+from htcp_jax.settings import Settings
+from htcp_jax.status import AT_HOME, Status
+
+NO_BODY = Status.NOT_ATTEMPTED, Status.OUT_OF_REACH, Status.TIP_BLOCKED, *AT_HOME  # ends that no body is to blame for
+
+
+class Obstruction(NamedTuple):
+    """The arm brought onto a target that failed."""
+
+    body: str  # the capsule with the smallest clearance there
+    point: Float[np.ndarray, "3"]  # of what is nearest to it, world [m]
+    depth_m: float  # how far the body is inside of that; below zero, how much is free
+    residual_m: float  # how far the TCP stays from the target
+    reached: bool  # whether that is within the tolerance
+    x: Float[np.ndarray, "N"]  # the posture
+    other: str = "the workpiece"  # what is nearest to the body
+    from_mesh: str = ""  # how far the capsule is from its mesh there, if the arm's file refers to meshes
+
+    @property
+    def collides(self) -> bool:
+        """True if the tool is on the target there and the body inside of what is nearest to it."""
+        return self.reached and self.depth_m > 0
+
+    def cause(self, otherwise: str) -> str:
+        """The colliding body, "out of reach", or, if no body collides, `otherwise`."""
+        return self.body if self.collides else otherwise if self.reached else "out of reach"
+
+    @property
+    def description(self) -> str:
+        """The colliding body, for a person, or that there is none."""
+        if not self.reached:
+            return f"the arm comes only to within {_mm(self.residual_m)} of it"
+        body = capsule_in_words(self.body)
+        where = f"at ({', '.join(f'{value:.2f}' for value in self.point)}) m there"
+        if self.depth_m > 0:
+            return f"{body} is {_mm(self.depth_m)} inside {self.other} {where}{self.from_mesh}"
+        return f"no body collides; {body} is nearest to {self.other}, {_mm(-self.depth_m)} clear of it {where}"
+
+    def record(self) -> dict[str, Any]:
+        """What a file holds of it."""
+        found = {"body": self.body, "other": self.other, "point_m": self.point.tolist(), "depth_mm": 1e3 * self.depth_m}
+        return {**found, "residual_mm": 1e3 * self.residual_m, "x": self.x.tolist(), "description": self.description}
+
+
+def obstruction(
+    robot: Robot,
+    workpiece: Workpiece,
+    scenario: Scenario,
+    x_last: np.ndarray,
+    target: int,
+    settings: Settings,
+    obstacles: Obstacles = (),
+    task: Task | None = None,
+) -> Obstruction:
+    """What is in the way at a target of a scenario. x_last: the last tracked posture, else the start [rad or m];
+    obstacles: besides the workpiece; task: None for the TCP's position."""
+    inputs = lane_inputs(stack([scenario]), np.zeros(1, int), np.array([target]))
+    known = all_obstacles(workpiece, obstacles)
+    (found,) = obstructions(robot, known, inputs, np.asarray(x_last)[None], inputs.target, settings, task)
+    return found
+
+
+def obstructions(
+    robot: Robot,
+    obstacles: Obstacles,
+    where: Any,
+    x_last: Float[np.ndarray, "S N"],
+    goals: Float[np.ndarray, "S G"],
+    settings: Settings,
+    task: Task | None = None,
+) -> list[Obstruction]:
+    """The same for S scenarios at once. where: stacked, what `Posed` asks for and `tool_extension_m`;
+    goals: of the task, one a scenario; of the TCP's position the target, world [m]."""
+    table = DEEP.on(jax.local_devices()[0])
+    lanes = (where, np.asarray(x_last, float), np.asarray(goals, float))
+    task = Task(tolerance_m=settings.tolerance_m) if task is None else task
+    look, scene = _program(table.width), Scene(robot, obstacles, task)
+    measured = []
+    for first in range(0, len(x_last), table.capacity):
+        count = min(table.capacity, len(x_last) - first)
+        rows = first + np.arange(table.capacity) % count
+        found = look(scene, np.int32(count), *jax.tree.map(lambda leaf, rows=rows: np.asarray(leaf)[rows], lanes))
+        measured += zip(*(np.asarray(leaf)[:count] for leaf in found), strict=True)
+    found = []
+    for k, (row, point, surface, depth, off, x) in enumerate(measured):
+        here = jax.tree.map(lambda leaf, k=k: jnp.asarray(leaf[k]), where)
+        other = nearest_to(own_scene(scene, here.tool_extension_m).robot, obstacles, here, jnp.asarray(x), int(row))
+        number, reached = scene.rows.body[int(row)], bool(task.reached(np.asarray(off)))
+        body = robot.capsule_names[number]
+        note = mesh_note(robot, body, x, surface)
+        found.append(Obstruction(body, point, float(depth), float(off), reached, x, other, note))
+    return found
+
+
+def blocked_target(plans: Plans, scenario: int) -> int | None:
+    """The target of a row at which a body of the arm is in the way: the first that is not tracked. None where all are,
+    where nothing was tried, and where the tip of the tool is what is in the way."""
+    end = plans.outcome(scenario)
+    return None if end.status in (None, *NO_BODY) else end.failed
+
+
+@lru_cache(maxsize=8)
+def _program(width: int):
+    return chunked(_brought_there, width)
+
+
+def _brought_there(scene: Scene, where, x_last, goal):
+    """Row of clearance, points of the obstacle and of the capsule's surface that faces it, depth [m], TCP error [m] and
+    configuration of one scenario."""
+    robot, obstacles, task = own_scene(scene, where.tool_extension_m)
+    x, residual = reanchor(robot, x_last, goal, task.fine_m, task=task)
+    touch = contacts(robot, obstacles, where, x)
+    row = jnp.argmin(touch.distance)
+    radius = robot.capsule_radius[np.array(scene.rows.body)]
+    surface = touch.point[row] - radius[row] * touch.normal[row]
+    return row, touch.witness[row], surface, -touch.distance[row], residual, x
+
+
+def _mm(length_m: float) -> str:
+    return f"{1e3 * length_m:.3g} mm"

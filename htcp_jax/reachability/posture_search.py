@@ -1,0 +1,223 @@
+"""A search for any clear posture at a target, complete at a stated resolution of the null space.
+
+With its tip on the target, an arm of six joints has as many degrees of freedom left as its tool has orientations. All
+of these are looked at: a cover of cells of a stated radius (`tool_cells`), but for those in which the tool collides for
+sure. Each cell's middle is the aim of Newton's method from several seeds, the nearest of many postures in known poses,
+so that the arm's branches, elbow up or down and so on, are all met. What comes out is brought onto the target, and the
+clearest that are far apart are pushed clear. An arm of more joints has further freedom, which the seeds alone spread.
+
+Where a task does not hold the tip at a place there are no cells: postures that are spread over the joint limits are
+brought onto the target, and nothing is complete.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+from scipy.stats import qmc
+
+from htcp_jax.clearance.obstacles.obstacles.obstacles import clearance
+from htcp_jax.clearance.obstacles.obstacles.scene import Scene, own_scene
+from htcp_jax.clearance.proof.exclusion import rotation
+from htcp_jax.device.kernel import Kernel
+from htcp_jax.device.programs import Kernels
+from htcp_jax.device.tables import gather
+from htcp_jax.model.inverse_kinematics import reanchor
+from htcp_jax.model.kinematics import jacobian, link_poses, tcp_position
+from htcp_jax.model.robot import Robot, lengthen_tool
+from htcp_jax.model.task import Task
+from htcp_jax.motion.kernels import ADVANCE, SETTLE
+from htcp_jax.motion.lane_inputs import LaneInputs
+from htcp_jax.numerics import product, safe_norm, solve_spd
+from htcp_jax.planning.tracking.null_space import Anchored
+from htcp_jax.planning.tracking.stages import PUSH
+from htcp_jax.reachability.tool_cells import MANY, Cells, tool_cells
+from htcp_jax.settings import Settings
+
+CELLS = 20_000  # at a target, at most: else the resolution is coarser, and says so
+SEEDS, KNOWN = 12, 2**15  # of Newton's method for each cell, and the postures that they are taken from
+SPREAD = 2**13  # of these postures, where there are no cells
+STEPS = 12  # of Newton's method
+PUSHED = 64  # postures pushed clear at a target
+APART_RAD = 0.2  # closer postures are one
+HOPS, HOPPED = 2, 8  # rounds in which so many of the clearest are moved at random and pushed again,
+HOP = 0.15  # and how far [rad or m]
+LENGTH_M = 0.3  # of which a radian of the tool weighs as much as this far of its tip
+TURN_M = LENGTH_M / np.sqrt(2)  # the same of rotation matrices, whose distance is sqrt(2) times the angle
+KnownPostures = dict[float, tuple[np.ndarray, cKDTree]]  # by the tool's extension: postures, and a tree of their poses
+
+
+class OnTarget(NamedTuple):
+    """Postures on targets."""
+
+    lane: Int[np.ndarray, "m"]  # which target
+    x: Float[np.ndarray, "m N"]
+
+
+class Found(NamedTuple):
+    """What a search found at n targets."""
+
+    x: Float[np.ndarray, "n PUSHED N"]  # pushed postures, clearest first
+    clearance: Float[np.ndarray, "n PUSHED"]  # [m]; -inf for no posture
+    resolution_rad: Float[np.ndarray, "n"]  # radius of the cells; 0 where the tool collides in every orientation
+
+
+def aim(settings: Settings, scene: Scene, lane: LaneInputs, x, quaternion) -> Anchored:
+    """From x towards the target with the last link turned as the quaternion says, as near as the arm gets; then onto
+    the target. Damped least squares within the joint limits (Siciliano et al., Robotics, section 3.7)."""
+    scene = own_scene(scene, lane.tool_extension_m)
+    robot, task = scene.robot, scene.task
+    place, turned = task.tcp_place(lane.target), rotation(quaternion)
+
+    def step(_, x):
+        error = jnp.concatenate([place - tcp_position(robot, x), LENGTH_M * _turn(robot, x, turned)])
+        jac = jnp.concatenate([jacobian(robot, x), LENGTH_M * _turning(robot, x)])
+        push = product(jac.T, _damped(jac, error))
+        jac = jnp.where((((x <= robot.lower) & (push < 0)) | ((x >= robot.upper) & (push > 0)))[None], 0.0, jac)
+        return jnp.clip(x + product(jac.T, _damped(jac, error)), robot.lower, robot.upper)
+
+    x = jax.lax.fori_loop(0, STEPS, step, x)
+    x, residual = reanchor(robot, x, lane.target, task.fine_m, task=task)
+    return Anchored(x, jnp.zeros(()), residual)
+
+
+def measure(settings: Settings, scene: Scene, lane: LaneInputs, x):
+    """D at x."""
+    scene = own_scene(scene, lane.tool_extension_m)
+    return clearance(scene.robot, scene.obstacles, lane, x)
+
+
+AIM = Kernel("aim", aim, MANY)
+MEASURE = Kernel("measure", measure, MANY)
+
+
+def known_postures(robot: Robot, extensions_m: np.ndarray) -> KnownPostures:
+    """Postures spread evenly within the joint limits (Halton), and a tree of their poses, for each tool."""
+    lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
+    x = lower + (upper - lower) * qmc.Halton(len(lower), scramble=False).random(KNOWN)
+    pose = jax.jit(jax.vmap(_pose, in_axes=(None, 0)))
+    tools = {float(own_m): lengthen_tool(robot, float(own_m)) for own_m in np.unique(extensions_m)}
+    return {own_m: (x, cKDTree(np.asarray(pose(own, x)))) for own_m, own in tools.items()}
+
+
+def _pose(robot: Robot, x):
+    """Where the TCP is, and how the last link is turned, as numbers that are metres."""
+    return jnp.concatenate([tcp_position(robot, x), TURN_M * link_poses(robot, x)[-1, :3, :3].ravel()])
+
+
+def search(kernels: Kernels, known: KnownPostures, inputs: LaneInputs, resolution_rad: float) -> Found:
+    """Postures at n targets, each searched by itself."""
+    lanes, joints = len(inputs.row), len(kernels.limits[0])
+    x, best = np.zeros((lanes, PUSHED, joints)), np.full((lanes, PUSHED), -np.inf)
+    if kernels.task.holds_tcp:
+        cells = tool_cells(kernels, inputs, resolution_rad, CELLS)
+        lane, radius_rad, on = cells.lane, cells.radius_rad, _aimed(kernels, known, inputs, cells)
+    else:
+        lane, radius_rad, on = np.arange(lanes), np.full(lanes, np.pi), _settled(kernels, known, inputs)
+    _push(kernels, inputs, x, best, *_candidates(kernels, inputs, on))
+    for round_ in range(HOPS):
+        lost = np.flatnonzero((best[:, 0] < inputs.margin_m) & (best[:, 0] > -np.inf)).tolist()
+        moves = [_moves(inputs, k, round_, joints) for k in lost]
+        aside = [np.repeat(x[k, :HOPPED], PUSHED // HOPPED, axis=0) + own for k, own in zip(lost, moves, strict=True)]
+        _push(kernels, inputs, x, best, np.repeat(lost, PUSHED), np.concatenate([np.empty((0, joints)), *aside]))
+    coarsest = np.zeros(lanes)
+    np.maximum.at(coarsest, lane, radius_rad)
+    return Found(x, best, coarsest)
+
+
+def _push(kernels: Kernels, inputs: LaneInputs, x: np.ndarray, best: np.ndarray, lane: np.ndarray, start: np.ndarray):
+    """Push postures clear, and keep the clearest of each target among those that are known."""
+    if not len(lane):
+        return
+    pushed = kernels(PUSH, gather(inputs, lane), start)
+    on = np.where(kernels.task.reached(pushed.residual), pushed.clearance, -np.inf)
+    for k in np.unique(lane):
+        own = lane == k
+        D, both = np.concatenate([best[k], on[own]]), np.concatenate([x[k], pushed.x[own]])
+        order = np.argsort(-D, kind="stable")[:PUSHED]
+        x[k], best[k] = both[order], D[order]
+
+
+def _moves(inputs: LaneInputs, k: int, round_: int, joints: int) -> np.ndarray:
+    """Random ones, of a target's own whatever else is searched."""
+    own = np.random.default_rng([inputs.seed[k], inputs.number[k], inputs.row[k], round_])
+    return HOP * 0.6**round_ * own.normal(size=(PUSHED, joints))
+
+
+def _aimed(kernels: Kernels, known: KnownPostures, inputs: LaneInputs, cells: Cells) -> OnTarget:
+    """Postures in all of the cells."""
+    which, seeds = _seeds(kernels.task, known, inputs, cells)
+    lane = cells.lane[which]
+    if not len(lane):
+        return OnTarget(lane, seeds)
+    at = kernels(AIM, gather(inputs, lane), seeds, cells.quaternion[which])
+    on = kernels.task.reached(at.residual)
+    return OnTarget(lane[on], at.x[on])
+
+
+def _settled(kernels: Kernels, known: KnownPostures, inputs: LaneInputs) -> OnTarget:
+    """Postures from everywhere."""
+    lane = np.repeat(np.arange(len(inputs.row)), SPREAD)
+    seeds = np.concatenate([known[own_m][0][:SPREAD] for own_m in inputs.tool_extension_m.tolist()])
+    x = kernels(SETTLE, gather(inputs, lane), seeds)
+    on = kernels.task.reached(kernels(ADVANCE, gather(inputs, lane), x, np.zeros_like(x)).residual)
+    return OnTarget(lane[on], x[on])
+
+
+def _candidates(kernels: Kernels, inputs: LaneInputs, on: OnTarget) -> OnTarget:
+    """The clearest of postures that are far apart."""
+    kept: list[np.ndarray] = [np.empty(0, int)]
+    for k in np.unique(on.lane):
+        own = np.flatnonzero(on.lane == k)
+        own = own[np.unique(np.round(on.x[own] / (0.5 * APART_RAD)).astype(int), axis=0, return_index=True)[1]]
+        D = kernels(MEASURE, gather(inputs, on.lane[own]), on.x[own])
+        own = own[np.argsort(-D, kind="stable")]
+        kept.append(own[_apart(on.x[own])])
+    return gather(on, np.concatenate(kept))
+
+
+def _apart(x: np.ndarray) -> np.ndarray:
+    """The first of those that are close to each other, PUSHED at most."""
+    kept: list[int] = []
+    left = np.ones(len(x), bool)
+    while left.any() and len(kept) < PUSHED:
+        kept.append(int(np.argmax(left)))
+        left &= np.linalg.norm(x - x[kept[-1]], axis=1) >= APART_RAD
+    return np.array(kept, int)
+
+
+def _seeds(task: Task, known: KnownPostures, inputs: LaneInputs, cells: Cells):
+    """For each cell the known postures in the poses nearest to it: whose each is, and the posture."""
+    which, seeds = [], []
+    extension, place = inputs.tool_extension_m[cells.lane], task.tcp_place(inputs.target)
+    R = Rotation.from_quat(cells.quaternion, scalar_first=True).as_matrix().reshape(-1, 9)
+    for own_m, (x, tree) in known.items():
+        own = np.flatnonzero(extension == own_m)
+        near = tree.query(np.hstack([place[cells.lane[own]], TURN_M * R[own]]), SEEDS)[1]
+        which.append(np.repeat(own, SEEDS))
+        seeds.append(x[near.ravel()])
+    return np.concatenate(which), np.concatenate(seeds)
+
+
+def _turning(robot: Robot, x):
+    """The last link's angular velocity per unit velocity of each joint, 3 x N."""
+    poses = link_poses(robot, x)
+    axes = product(poses[:, :3, :3], robot.axis[:, :, None])[..., 0]
+    return jnp.where(jnp.array(robot.slides)[:, None], 0.0, axes).T
+
+
+def _turn(robot: Robot, x, towards):
+    """How the last link has to turn, as sin(angle) times the axis, beyond a right angle the axis: half of
+    sum_k r_k x t_k over the columns of both (Siciliano et al., Robotics, section 3.7.3)."""
+    now = link_poses(robot, x)[-1, :3, :3]
+    v = 0.5 * jnp.sum(jnp.cross(now.T, towards.T), axis=0)
+    size = safe_norm(v)
+    return jnp.where(jnp.sum(now * towards) < 1.0, v / jnp.maximum(size, 1e-9), v)
+
+
+def _damped(jac, error):
+    return solve_spd(product(jac, jac.T) + 1e-5 * jnp.eye(len(error)), error)

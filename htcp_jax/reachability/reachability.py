@@ -1,0 +1,230 @@
+"""What was reachable at all: per scenario, how many targets in a row have any clear configuration.
+
+A planner walks a continuous path; this looks at every target by itself. A few postures of the last target, far apart,
+are carried over, re-anchored and pushed clear in the null space; where none of them gets through, the target is
+searched at a stated resolution of the null space (`posture_search`). The first target at which nothing is found ends
+the prefix.
+
+A clear configuration that is found proves that one exists: the prefix is a lower bound on what is reachable. One that
+is not found proves nothing by itself. But at a target at which every posture has the tool, or the arm behind it,
+collide for sure, or breaks a row of the task (`tool_cells.excluded`), there is none, and whatever follows the path ends
+before it: an upper bound. Between the two lies what is not known.
+"""
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.obstacles.of_workpiece import all_obstacles
+from htcp_jax.clearance.obstacles.obstacles.scene import Scene
+from htcp_jax.clearance.obstacles.obstacles.tip_guard import make_tip_guard
+from htcp_jax.device.devices import default_threads
+from htcp_jax.device.programs import Kernels
+from htcp_jax.device.tables import concatenate, gather
+from htcp_jax.model.robot import Robot
+from htcp_jax.model.scenario import Scenario
+from htcp_jax.model.task import Task
+from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.motion.front import farthest_first
+from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
+from htcp_jax.motion.tip_check import TipCheck, tip_checks
+from htcp_jax.planning.tracking.null_space import Anchored
+from htcp_jax.planning.tracking.stages import PUSH
+from htcp_jax.reachability.posture_search import APART_RAD, PUSHED, KnownPostures, known_postures, search
+from htcp_jax.reachability.tool_cells import excluded
+from htcp_jax.settings import Settings
+
+CARRIED = 6  # postures carried from a target to the next
+RESOLUTION_RAD = 0.11
+PROOF_CELLS = 2048
+COARSE_FIRST = (4, 1)  # resolutions that a target is searched at, in turn, as multiples of the one asked for
+
+
+class Reachability(NamedTuple):
+    """Result for S scenarios of T targets."""
+
+    prefix: np.ndarray  # (S,) targets in a row, from the first, with a clear configuration; see `_off_lines`
+    most: np.ndarray  # (S,) targets in a row before one that is proven to have none
+    best: np.ndarray  # (S,) best clearance found at the first target without one [m]; NaN where all have one
+    x: np.ndarray  # (S, T, N) the configurations found, NaN beyond the prefix
+    # (S,) of the search there; 0 where all are found, or the tool alone collides, or can hold no row about how it is
+    # turned; pi where the task holds the TCP nowhere, and postures spread over the joint limits are all that is tried
+    resolution_rad: np.ndarray
+
+
+class Stopped(KeyboardInterrupt):
+    """Raised in place of KeyboardInterrupt during a search; `found` is its result by then, with larger bounds."""
+
+    def __init__(self, found: Reachability):
+        super().__init__()
+        self.found = found
+
+
+def reachable_prefixes(
+    robot: Robot,
+    workpiece: Workpiece,
+    scenarios: Scenario,
+    settings: Settings | None = None,
+    *,
+    task: Task | None = None,
+    obstacles: Obstacles = (),
+    resolution_rad: float = RESOLUTION_RAD,
+    proof_cells: int = PROOF_CELLS,
+    progress: Callable[[int, int], None] | None = None,
+) -> Reachability:
+    """Prefixes of the stacked scenarios. resolution_rad: of the tool's orientations, at a target where carrying over
+    fails; proof_cells: see `tool_cells.excluded`, 0 for no proofs; from the settings count alpha_rad, tolerance_m and
+    the seed. task: what the arm holds; None: the TCP's position; where it holds the TCP nowhere, there are no proofs.
+    obstacles: besides the workpiece, which proofs leave out. Threads, one a core, share the scenarios.
+    progress(target, targets) is called after each target. Raises Stopped on Ctrl-C."""
+    settings = settings or Settings()
+    scenarios = jax.tree.map(np.array, scenarios)  # a copy: approaches leave their lines
+    task = Task(tolerance_m=settings.tolerance_m) if task is None else task
+    scene = Scene(robot, all_obstacles(workpiece, obstacles), task)
+    kernels = Kernels(scene, settings)
+    [tip] = tip_checks([kernels], make_tip_guard(workpiece))
+    known = known_postures(robot, scenarios.tool_extension_m)
+    threads = default_threads([kernels.device], settings.qp)
+    parts = [nothing_found(gather(scenarios, slice(number, None, threads))) for number in range(threads)]
+    stop = threading.Event()
+
+    def work(number: int) -> None:
+        own = gather(scenarios, slice(number, None, threads))
+
+        def report(row: int, rows: int) -> None:
+            if stop.is_set():
+                raise KeyboardInterrupt
+            if progress is not None and number == 0:
+                progress(row, rows)
+
+        found = parts[number]
+        _prefixes(kernels, tip, known, own, settings.seed, resolution_rad, found, report)
+        parts[number] = found._replace(most=_most(kernels, robot, own, found, proof_cells if task.holds_tcp else 0))
+
+    def in_order() -> Reachability:
+        order = np.concatenate([np.arange(len(scenarios.count))[number::threads] for number in range(threads)])
+        return gather(concatenate(parts), np.argsort(order))
+
+    pool = ThreadPoolExecutor(threads)
+    try:
+        list(pool.map(work, range(threads)))
+    except KeyboardInterrupt:
+        raise Stopped(in_order()) from None
+    finally:
+        stop.set()
+        pool.shutdown(wait=False, cancel_futures=True)
+    return in_order()
+
+
+def nothing_found(scenarios: Scenario) -> Reachability:
+    """The result before a search of S stacked scenarios, with arrays of its own."""
+    count, rows = scenarios.targets.shape[:2]
+    return Reachability(
+        np.zeros(count, int), np.array(scenarios.count), np.full(count, np.nan),
+        np.full((count, rows, scenarios.x_start.shape[1]), np.nan), np.zeros(count),
+    )  # fmt: skip
+
+
+def _prefixes(
+    kernels, tip, known, scenarios: Scenario, seed: int, resolution_rad: float, found: Reachability, progress: Callable
+) -> None:
+    """Search, and put into `found` what comes of it; `most` is not known yet."""
+    count, rows = scenarios.targets.shape[:2]
+    front = [x[None] for x in scenarios.x_start]
+    alive = np.arange(count)
+    for row in range(rows):
+        alive = alive[scenarios.count[alive] > row]
+        if not len(alive):
+            break
+        looked = alive
+        while len(looked):
+            inputs = lane_inputs(scenarios, looked, np.full(len(looked), row), seed=seed)
+            clear, best, coarsest = _looked_at(kernels, tip, known, inputs, [front[s] for s in looked], resolution_rad)
+            for k, s in enumerate(looked):
+                found.best[s], found.resolution_rad[s] = best[k], coarsest[k]
+                if len(clear[k]):
+                    front[s], found.x[s, row] = clear[k], clear[k][0]
+                    found.prefix[s] += 1
+            looked = looked[[not len(own) for own in clear]]
+            looked = looked[_off_lines(scenarios, looked, row)]
+        alive = alive[found.prefix[alive] > row]
+        progress(row + 1, rows)
+
+
+def _looked_at(
+    kernels: Kernels, tip: TipCheck | None, known: KnownPostures, inputs: LaneInputs, front: list, resolution_rad: float
+) -> tuple[list[np.ndarray], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Of n targets the postures that are clear, of each front's or else of a search; the best clearance and the
+    resolution where there are none, NaN and 0 elsewhere."""
+    clear = _carried(kernels, tip, inputs, front)
+    best, coarsest = np.full(len(front), np.nan), np.zeros(len(front))
+    for coarser in COARSE_FIRST if kernels.task.holds_tcp else (1,):
+        which = np.flatnonzero([not len(own) for own in clear])
+        if not len(which):
+            break
+        here = search(kernels, known, gather(inputs, which), coarser * resolution_rad)
+        for k, own in zip(which, _searched(kernels, tip, gather(inputs, which), here), strict=True):
+            clear[k] = own
+        lost = np.array([not len(clear[k]) for k in which])
+        best[which], coarsest[which] = np.where(lost, here.clearance[:, 0], np.nan), lost * here.resolution_rad
+    return clear, best, coarsest
+
+
+def _off_lines(scenarios: Scenario, rows: Int[np.ndarray, "n"], target: int) -> Bool[np.ndarray, "n"]:
+    """Let approaches leave their lines, as a planner may: from a target before the path on, all become the path's first
+    point. Which of them did so."""
+    aims, on_path = scenarios.aims, scenarios.on_path[rows]
+    leave = (0 < target) & (target < on_path) & (aims[rows, target] != aims[rows, on_path]).any(axis=1)
+    for s, first in zip(rows[leave], on_path[leave], strict=True):
+        for table in (scenarios.targets, aims):
+            table[s, target:first] = table[s, first]
+    return leave
+
+
+def _most(kernels: Kernels, robot: Robot, scenarios: Scenario, found: Reachability, cells: int) -> np.ndarray:
+    """(S,) targets before one that is proven out of reach. By bisection between the last one that was found and the end
+    of the path: a target further on is excluded more easily, as a rule, and where it is not the bound is higher."""
+    short, no_cell = found.prefix < scenarios.count, found.resolution_rad == 0
+    low, high = found.prefix - 1, np.where(short & no_cell, found.prefix, scenarios.count)
+    while cells and (open_ := np.flatnonzero(short & (high - low > 1))).size:
+        middle = (low + high)[open_] // 2
+        none = excluded(kernels, robot, lane_inputs(scenarios, open_, middle), cells)
+        high[open_[none]], low[open_[~none]] = middle[none], middle[~none]
+    return high
+
+
+def _carried(kernels: Kernels, tip: TipCheck | None, inputs: LaneInputs, front: list[np.ndarray]) -> list[np.ndarray]:
+    """Of each target's front the postures that are clear at the next, far apart, clearest first."""
+    lane = np.repeat(np.arange(len(front)), [len(own) for own in front])
+    here = kernels(PUSH, gather(inputs, lane), np.concatenate(front))
+    return _clear(kernels, tip, gather(inputs, lane), lane, len(front), here)
+
+
+def _searched(kernels: Kernels, tip: TipCheck | None, inputs: LaneInputs, here) -> list[np.ndarray]:
+    """The same of what a search found."""
+    lane = np.repeat(np.arange(len(here.x)), PUSHED)
+    residual = np.where(here.clearance > -np.inf, 0.0, np.inf).ravel()  # others are not among them
+    at = Anchored(here.x.reshape(len(lane), -1), here.clearance.ravel(), residual)
+    return _clear(kernels, tip, gather(inputs, lane), lane, len(here.x), at)
+
+
+def _clear(
+    kernels: Kernels, tip: TipCheck | None, inputs: LaneInputs, lane: np.ndarray, lanes: int, here: Anchored
+) -> list[np.ndarray]:
+    good = kernels.task.counts(here.clearance, here.residual, inputs.margin_m)
+    if tip is not None and good.any():
+        good[good] = ~tip.at(gather(inputs, good), here.x[good])
+    return [_dispersed(here.x[own], here.clearance[own]) for own in (good & (lane == k) for k in range(lanes))]
+
+
+def _dispersed(x: np.ndarray, clearance: np.ndarray) -> np.ndarray:
+    """CARRIED of the postures at most: the clearest, then always the one farthest from those chosen."""
+    if not len(x):
+        return x
+    return x[farthest_first(x, int(np.argmax(clearance)), CARRIED, APART_RAD)]

@@ -1,0 +1,156 @@
+"""Which orientations the tool can have with its tip on a target: a cover of cells, whatever does not collide for sure,
+and holds the rows of the task about how the tool is turned, if there are any.
+
+Unit quaternions, q and -q the same, are the four faces of a cube in four dimensions, seen from its middle: on each one
+component is 1, and the others are between -1 and 1. A face is cut into cubes, and these are halved. Seen from the
+middle nothing gets longer, so a cube of half side h covers rotations within 2 sqrt(3) h of its middle's.
+
+The joints before the wrist have a cover of their own, of boxes. That one is halved which has fewer cells. Out of both
+falls what collides for sure, and what cannot meet any of the other at the wrist (`clearance.proof.arm_exclusion`). A proof
+that there is no posture needs both; an arm without a wrist has the first alone.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from htcp_jax.clearance.obstacles.obstacles.scene import Scene, own_scene
+from htcp_jax.clearance.proof.arm_exclusion import WRIST, Cell, arm_cell, has_wrist, tool_cell
+from htcp_jax.clearance.proof.exclusion import rotation
+from htcp_jax.device.kernel import Kernel, Load, Table
+from htcp_jax.device.programs import Kernels
+from htcp_jax.device.tables import concatenate, gather
+from htcp_jax.model.robot import Robot
+from htcp_jax.motion.lane_inputs import LaneInputs
+from htcp_jax.settings import Settings
+
+MANY = Load(cpu=Table(1024, 1), gpu=Table(4096, 4096))  # of what is asked by the thousand
+FACES = 4
+FINEST = 2.0**-24  # half the side of a cube: no smaller ones
+ROUNDING_RAD = 1e-8  # more than that of any angle
+
+
+class Cells(NamedTuple):
+    """Cubes of a cover, and where each puts the wrist."""
+
+    lane: Int[np.ndarray, "n"]  # which target
+    face: Int[np.ndarray, "n"]  # 0 where there is one alone
+    cube: Float[np.ndarray, "n d"]  # middles, each number between -1 and 1
+    half: Float[np.ndarray, "n"]  # of the side
+    wrist: Float[np.ndarray, "n 3"]  # world [m]
+    moves: Float[np.ndarray, "n"]  # how far from there it may be [m]
+
+    @property
+    def quaternion(self) -> Float[np.ndarray, "n 4"]:
+        """The orientations in the middles, w, x, y, z."""
+        q = np.ones((len(self.face), FACES))
+        others = np.array([[k for k in range(FACES) if k != one] for one in range(FACES)])[self.face]
+        np.put_along_axis(q, others, self.cube, axis=1)
+        return q / np.linalg.norm(q, axis=1)[:, None]
+
+    @property
+    def radius_rad(self) -> Float[np.ndarray, "n"]:
+        """How far from there the rotations of each cube are, at most."""
+        return 2 * np.sqrt(3) * self.half
+
+    def halves(self) -> "Cells":
+        """All cubes cut into 2^d; where these put the wrist is not known."""
+        d = self.cube.shape[1]
+        signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * d, indexing="ij"), axis=-1).reshape(-1, d)
+        cube = (self.cube[:, None] + 0.5 * self.half[:, None, None] * signs[None]).reshape(-1, d)
+        return gather(self, np.repeat(np.arange(len(self.lane)), len(signs)))._replace(
+            cube=cube, half=0.5 * np.repeat(self.half, len(signs))
+        )
+
+
+def tool(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho) -> Cell:
+    """What is known of a cell of the tool's orientations; one in which a row of the task breaks is as one that
+    collides."""
+    scene = own_scene(scene, lane.tool_extension_m)
+    robot, task = scene.robot, scene.task
+    cell = tool_cell(scene, lane, lane.margin_m, task.tcp_place(lane.target), quaternion, rho)
+    turn = task.least_turn(robot, rotation(quaternion), lane.target)
+    return cell._replace(collides=cell.collides | (turn > rho + ROUNDING_RAD))
+
+
+def arm(settings: Settings, scene: Scene, lane: LaneInputs, cube, half) -> Cell:
+    """What is known of a box of the joints before the wrist: of a cube, whose numbers from -1 to 1 are their ranges. A
+    hinge goes once around at most."""
+    robot = scene.robot
+    lower = jnp.where(jnp.isfinite(robot.lower), robot.lower, -jnp.pi)
+    upper = jnp.where(jnp.array(robot.slides), robot.upper, jnp.minimum(robot.upper, lower + 2 * jnp.pi))
+    x = 0.5 * (lower + upper + (upper - lower) * jnp.pad(cube, (0, WRIST)))
+    turns = 0.5 * (upper - lower) * half
+    place = scene.task.tcp_place(lane.target)
+    return arm_cell(own_scene(scene, lane.tool_extension_m), lane, lane.margin_m, place, x, turns)
+
+
+TOOL, ARM = Kernel("tool", tool, MANY), Kernel("arm", arm, MANY)
+
+
+def tool_cells(kernels: Kernels, inputs: LaneInputs, resolution_rad: float, most: int, before_wrist: int = 0) -> Cells:
+    """The cells in which the tool may be clear, for n targets: halved until they are as small as the resolution, or
+    until a cover would have more than `most` at a target; then the larger ones. before_wrist: how many joints have the
+    other cover; 0 for none. A target without any cell has no posture that keeps the margin."""
+    lanes = len(inputs.row)
+    covers = [_whole(lanes, FACES, 3)] + ([_whole(lanes, 1, before_wrist)] if before_wrist else [])
+    going, done = np.ones(lanes, bool), []
+    while going.any():
+        turn = np.argmin([np.bincount(cells.lane, minlength=lanes) for cells in covers], axis=0)
+        halved = [_halved(kernels, number, inputs, cells, turn) for number, cells in enumerate(covers)]
+        halved = [gather(own, _meets(own, other)) for own, other in zip(halved, halved[::-1], strict=True)]
+        left = np.array([np.bincount(cells.lane, minlength=lanes) for cells in halved])
+        too_many = (left > most).any(axis=0)
+        small = _largest(halved[0], halved[0].radius_rad, lanes) <= resolution_rad
+        tiny = np.min([_largest(cells, cells.half, lanes) for cells in halved], axis=0) < FINEST
+        done.append(gather(covers[0], too_many[covers[0].lane]))
+        done.append(gather(halved[0], (~too_many & (small | tiny))[halved[0].lane]))
+        going &= ~(too_many | small | tiny)
+        covers = [gather(cells, going[cells.lane]) for cells in halved]
+    found = concatenate(done)
+    return gather(found, np.argsort(found.lane, kind="stable"))
+
+
+def excluded(kernels: Kernels, robot: Robot, inputs: LaneInputs, most: int) -> Bool[np.ndarray, "n"]:
+    """Which of n targets are proven to have no posture that keeps the margin, with `most` cells of either cover."""
+    left = tool_cells(kernels, inputs, 0.0, most, len(robot.slides) - WRIST if has_wrist(robot) else 0)
+    return ~np.isin(np.arange(len(inputs.row)), left.lane)
+
+
+def _whole(lanes: int, faces: int, numbers: int) -> Cells:
+    """All of a cover, whose wrist may be anywhere."""
+    lane, face = np.repeat(np.arange(lanes), faces), np.tile(np.arange(faces), lanes)
+    n = len(lane)
+    return Cells(lane, face, np.zeros((n, numbers)), np.ones(n), np.zeros((n, 3)), np.full(n, np.inf))
+
+
+def _largest(cells: Cells, column: np.ndarray, lanes: int) -> np.ndarray:
+    """Of each target's cells; 0 where it has none."""
+    largest = np.zeros(lanes)
+    np.maximum.at(largest, cells.lane, column)
+    return largest
+
+
+def _halved(kernels: Kernels, number: int, inputs: LaneInputs, cells: Cells, turn: Int[np.ndarray, "lanes"]) -> Cells:
+    """A cover with the cells of those targets halved whose turn it has, and without what collides of these."""
+    now = turn[cells.lane] == number
+    fresh = gather(cells, now).halves()
+    if not len(fresh.lane):
+        return cells
+    kernel, where = (ARM, (fresh.cube, fresh.half)) if number else (TOOL, (fresh.quaternion, fresh.radius_rad))
+    found = kernels(kernel, gather(inputs, fresh.lane), *where)
+    fresh = gather(fresh._replace(wrist=found.wrist, moves=found.moves), ~found.collides)
+    return concatenate([gather(cells, ~now), fresh])
+
+
+def _meets(own: Cells, other: Cells) -> Bool[np.ndarray, "n"]:
+    """Which cells can have the wrist where one of the other cover can."""
+    meets = np.zeros(len(own.lane), bool)
+    for k in np.unique(other.lane):
+        here, there = own.lane == k, other.lane == k
+        away = cKDTree(other.wrist[there]).query(own.wrist[here])[0]
+        meets[here] = away <= own.moves[here] + other.moves[there].max()
+    return meets

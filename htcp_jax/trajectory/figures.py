@@ -1,0 +1,123 @@
+"""What a program comes to: how long it takes, where the feed is held, and how much of each limit is used."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.status import Kind
+from htcp_jax.trajectory.limits import KINDS, Limits
+from htcp_jax.trajectory.program import Dip, Program
+from htcp_jax.trajectory.time_law import Law, instants
+
+ROUNDING = 1e-9  # of a cap
+
+
+class Share(NamedTuple):
+    """Of one kind of limit, the largest share that is used of it."""
+
+    limit: str  # velocity, acceleration or jerk
+    share: float  # of it, 1 at the limit [1]
+    joint: str
+    time_s: float  # [s]
+
+
+class Figures(NamedTuple):
+    """Of a program."""
+
+    duration_s: float  # [s]
+    seconds: dict[str, float]  # of it, by the name of a `status.Kind` [s]
+    feed_m_s: float  # asked for [m/s]
+    path_m: float  # how far the TCP goes along the path [m]
+    held_share: float  # of that, where the feed is held within 1 % [1]
+    reached_m_s: float  # the least feed between the path's run-up and its run-down; 0 where the arm stops between [m/s]
+    reason: str | None  # what keeps it there, as in `Dip`; None where the feed is held
+    dips: list[Dip]
+    shares: list[Share]
+    path_shares: list[Share]  # while the tool goes along the path; off it the arm is at a limit all the time
+
+    @property
+    def path_s(self) -> float:
+        """From where the tool begins to follow the path to where it ends, dwells included."""
+        return sum(self.seconds.get(kind.words, 0.0) for kind in (Kind.FEED, Kind.DWELL))
+
+
+def figures(made: Program, limits: Limits) -> Figures:
+    """All of them. Where the TCP goes no way along a path, shares of it and the feed are NaN, and there are no
+    `path_shares`."""
+    feeding = [law for stretch, law in zip(made.stretches, made.laws, strict=True) if stretch.feeds]
+    path, dips = float(sum(law.path.place[-1] for law in feeding)), made.dips()
+    off = sum(dip.end_m - dip.begin_m for dip in dips)
+    held = 1 - off / path if path else np.nan
+    looked_at = _looked_at(made, limits)
+    on_path = [part for part, stretch in zip(looked_at, made.stretches, strict=True) if stretch.feeds]
+    return Figures(
+        duration_s=made.duration_s,
+        seconds=_seconds(made),
+        feed_m_s=made.feed_m_s,
+        path_m=path,
+        held_share=held,
+        **_reached(feeding, dips),
+        dips=dips,
+        shares=_shares(looked_at, made.joint_names),
+        path_shares=_shares(on_path, made.joint_names),
+    )
+
+
+def _seconds(made: Program) -> dict[str, float]:
+    found: dict[str, float] = {}
+    time, row = made.passes()
+    kinds = made.motion.kind[row]
+    for kind, seconds in zip(kinds[1:].tolist(), np.diff(time).tolist(), strict=True):
+        found[Kind(kind).words] = found.get(Kind(kind).words, 0.0) + seconds
+    return found
+
+
+def _reached(feeding: list[Law], dips: list[Dip]) -> dict[str, float | str | None]:
+    """The least feed, and what says so. Between two stretches the arm stops."""
+    if not feeding:
+        return {"reached_m_s": np.nan, "reason": None}
+    if feeding[1:]:
+        return {"reached_m_s": 0.0, "reason": "stop"}
+    place, speed = _between_ends(feeding[0])
+    least = int(speed.argmin())
+    around = [dip for dip in dips if dip.begin_m <= place[least] <= dip.end_m]
+    reason = min(around, key=lambda dip: dip.feed_m_s).reason if around else None
+    return {"reached_m_s": float(speed[least]), "reason": reason}
+
+
+def _between_ends(law: Law) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Places and speeds between run-up and run-down: from where the law without its mean first comes to a cap, and the
+    mean sees nothing else, to where it last does so. The fastest place alone where there is nothing between them."""
+    own, when = law.speed, instants(law.speed)
+    place, speed = own.at(when)[:2]
+    capped = np.flatnonzero(own.speed[1:-1] >= (1 - ROUNDING) * law.cap[1:-1]) + 1
+    if len(capped):
+        first, last = own.slower * (own.time[capped[0]] + own.window_s), own.slower * own.time[capped[-1]]
+        between = (when >= first) & (when <= last)
+        if between.any():
+            return place[between], speed[between]
+    fastest = [int(speed.argmax())]
+    return place[fastest], speed[fastest]
+
+
+def _looked_at(made: Program, limits: Limits) -> list[tuple[np.ndarray, list[np.ndarray]]]:
+    """Of each stretch: times, and the shares that the joints use of velocity, acceleration and jerk."""
+    found = []
+    for law, end in zip(made.laws, made.ends_s.tolist(), strict=True):
+        when = instants(law.speed)
+        rates = law.at(when)[1][1:]
+        shares = [np.abs(rate) / limit for rate, limit in zip(rates, limits, strict=True)]
+        found.append((end - law.speed.duration_s + when, shares))
+    return found
+
+
+def _shares(looked_at: list[tuple[np.ndarray, list[np.ndarray]]], names: tuple[str, ...]) -> list[Share]:
+    if not looked_at:
+        return []
+    times, parts = zip(*looked_at, strict=True)
+    time, found = np.concatenate(times), []
+    for kind, share in zip(KINDS, map(np.concatenate, zip(*parts, strict=True)), strict=True):
+        row, joint = np.unravel_index(share.argmax(), share.shape)
+        found.append(Share(kind, float(share[row, joint]), names[joint], float(time[row])))
+    return found

@@ -1,0 +1,49 @@
+"""Which of the postures with one pose of the TCP an arm of Yaskawa's is in, as INFORM's RCONF says it.
+
+Known of the built-in GP50 alone, whose controller's angles are q = (s, l - pi/2, -u, -r, -b, -t), see its model. By the
+NX100's manual, section Manipulator Types: flip where r is within 90 degrees of 0 or of a full turn; r, t and s are 180
+degrees or more beyond (-180, 180]; front or rear by the S axis, upper or lower arm by the L and U axes. What the last
+two mean behind the S axis stands in the manual's figures alone, so there the form is not known.
+"""
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from htcp_jax.errors import InputError
+from htcp_jax.model.kinematics import link_poses, tcp_position
+from htcp_jax.model.robot import Robot
+
+SHOULDER, ELBOW, WRIST = 1, 2, 4  # the joints whose frames' origins are on the L, U and B axes
+
+
+def form_of(model: str, robot: Robot, x: Float[np.ndarray, "n N"]) -> Int[np.ndarray, "n 6"]:
+    """At postures [rad]: 1 for no flip, lower arm, rear, and r, t and s of 180 degrees or more, else 0.
+
+    model: as a job names it. Raises InputError for another arm, and where the arm is not in front of its S axis.
+    """
+    if model != "gp50":
+        raise InputError(f"jbi: which form (RCONF) {robot.name} is in is not known; jbi-pulses needs none")
+    s, r, t = x[:, 0], -x[:, 3], -x[:, 5]
+    lower = ~_elbow_is_up(robot, x)
+    no_flip = np.cos(r) < 0
+    return np.stack([no_flip, lower, np.zeros(len(x), bool), *map(_beyond, (r, t, s))], axis=1).astype(int)
+
+
+def _beyond(angle: Float[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
+    return (angle <= -np.pi) | (angle > np.pi)
+
+
+def _elbow_is_up(robot: Robot, x: Float[np.ndarray, "n N"]) -> Bool[np.ndarray, "n"]:
+    """Whether the U axis lies above the line from the L axis to the wrist. Raises InputError where the wrist or the TCP
+    is behind the S axis."""
+    at = np.asarray(jax.vmap(link_poses, (None, 0))(robot, x))[:, :, :3, 3][:, [SHOULDER, ELBOW, WRIST]]
+    tcp = np.asarray(jax.vmap(tcp_position, (None, 0))(robot, x))
+    base = np.asarray(robot.T_parent_joint)[0]
+    points = (np.concatenate([at, tcp[:, None]], axis=1) - base[:3, 3]) @ base[:3, :3]
+    ahead = points[..., 0] * np.cos(x[:, :1]) + points[..., 1] * np.sin(x[:, :1])
+    if (behind := ~(ahead[:, 2:] > 0).all(axis=1)).any():
+        k = int(behind.argmax())
+        raise InputError(f"jbi: posture {k} is behind the S axis, its form (RCONF) is not known; jbi-pulses needs none")
+    up = points[..., 2]
+    return (ahead[:, 2] - ahead[:, 0]) * (up[:, 1] - up[:, 0]) > (up[:, 2] - up[:, 0]) * (ahead[:, 1] - ahead[:, 0])

@@ -1,0 +1,27 @@
+"""A program as a table, a line a posture; numbers read back exactly."""
+
+import csv
+import io
+
+import numpy as np
+
+from htcp_jax.status import Kind
+from htcp_jax.trajectory.beside import Beside, header
+from htcp_jax.trajectory.timed import Timed
+
+
+def csv_text(timed: Timed, beside: Beside) -> str:
+    """Comments after #, a header, and rows: `time_s`, `kind`, `target`; of each joint its value in `<joint>_rad`, its
+    velocity in `<joint>_rad_s` and its acceleration in `<joint>_rad_s2`, or with m in place of rad where it slides."""
+    stream = io.StringIO()
+    stream.writelines(f"# {line}\n" for line in header(timed))
+    units = ["m" if slides else "rad" for slides in beside.slides]
+    names = [f"{name}_{unit}" for name, unit in zip(timed.joint_names, units, strict=True)]
+    rates = [f"{name}{per}" for per in ("", "_s", "_s2") for name in names]
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(["time_s", "kind", "target", *rates])
+    states = np.hstack([timed.x, timed.velocity, timed.acceleration])
+    columns = (column.tolist() for column in (timed.time_s, timed.kind, timed.target, states))
+    for time_s, kind, target, state in zip(*columns, strict=True):
+        writer.writerow([time_s, Kind(kind).name, target, *state])
+    return stream.getvalue()

@@ -1,0 +1,141 @@
+"""A program as a job of Yaskawa's INFORM (JBI): positions first, then an instruction for each.
+
+Positions are poses of the TCP (RECTAN: mm, and degrees about fixed x, then y, then z) in a numbered user frame with a
+numbered tool, or pulses of the joints. A job holds no times. Speeds stand for them: of `MOVJ` in percent of the joints'
+full speed, of `MOVL`, which feeds the TCP along the path, in mm/s. Pulses go by `MOVJ` alone: the straight joint paths
+that were proven.
+
+Sources: Yaskawa's knowledge base, INFORM header fields; NX100 and DX100 manuals, job data format; FS100 manual, INFORM
+structure. The angles' order is that of Basler's and Balluff's pages on Yaskawa's pose format.
+"""
+
+import re
+import textwrap
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.errors import InputError
+from htcp_jax.status import Kind
+from htcp_jax.trajectory.beside import Beside, UserFrame, header
+from htcp_jax.trajectory.timed import Timed
+
+NAME = re.compile(r"[A-Z0-9_-]{1,32}")
+WIDTH = 32  # characters of a comment
+MOST_LINES = 9999  # of a job
+RECTAN_JOINTS, MOST_JOINTS = 6, 8
+USER_FRAMES = range(1, 64)
+UNUSED = (0,) * 18  # of RCONF's 24 numbers
+FIRST_PERCENT, LEAST_PERCENT, LEAST_MM_S = 1.0, 0.01, 0.1
+MORE = (
+    "No times: speeds stand for them, and corners are rounded as the controller does it.",
+    "The arm first goes slowly from wherever it stands to the first posture.",
+)
+
+
+def jbi_text(timed: Timed, beside: Beside) -> str:
+    """A relative job of RECTAN positions in the user frame.
+
+    Raises InputError without that frame or for a number that it cannot have, without joint speeds or for speeds over
+    them, for an arm of other than six joints, for more postures than a job holds, and for a name that is none of a job.
+    """
+    if (frame := beside.user_frame) is None:
+        raise InputError("jbi: RECTAN positions are in a user frame; program.user_frame names it, {number: 1 to 63}")
+    if len(timed.joint_names) != RECTAN_JOINTS:
+        joints = f"an arm of {len(timed.joint_names)} joints"
+        raise InputError(f"jbi: {joints}; RECTAN holds {RECTAN_JOINTS}, jbi-pulses up to {MOST_JOINTS}")
+    if frame.number not in USER_FRAMES:
+        raise InputError(f"jbi: user frame {frame.number}; there are {USER_FRAMES[0]} to {USER_FRAMES[-1]}")
+    names = [f"///USER {frame.number}", f"///TOOL {beside.tool}", "///POSTYPE USER", "///RECTAN"]
+    attributes = ["///ATTR SC,RW,RJ", f"///FRAME USER {frame.number}"]
+    moves = _moves(timed, _percent(timed, beside, "jbi"), _feed_mm_s(timed, frame))
+    about = header(timed, *MORE, f"Tool {beside.tool} and user frame {frame.number} must be set as they were planned.")
+    return _job("jbi", beside, [*names, *_poses(frame)], attributes, [*_remarks(about), *moves])
+
+
+def jbi_pulses_text(timed: Timed, beside: Beside) -> str:
+    """A job of joint pulses, by the job's table.
+
+    Raises InputError without that table, without joint speeds or for speeds over them, for an arm of more joints than a
+    job holds, for more postures than it holds, and for a name that is none of a job.
+    """
+    if (pulses := beside.pulses) is None:
+        raise InputError("jbi-pulses: no table; program.pulses gives one: {per_rad: [...], source: ...}")
+    if len(timed.joint_names) > MOST_JOINTS:
+        raise InputError(f"jbi-pulses: an arm of {len(timed.joint_names)} joints; a job holds up to {MOST_JOINTS}")
+    if np.shape(pulses.per_unit) != timed.x.shape[1:]:
+        raise InputError(f"jbi-pulses: {np.size(pulses.per_unit)} pulses per radian for {timed.x.shape[1]} joints")
+    counts = np.round((timed.x - pulses.zero) * pulses.per_unit).astype(int).tolist()
+    positions = [f"C{k:05d}={','.join(map(str, row))}" for k, row in enumerate(counts)]
+    about = header(timed, *MORE, f"Tool {beside.tool}. Pulses by {pulses.source}.")
+    moves = _moves(timed, _percent(timed, beside, "jbi-pulses"), np.zeros(len(timed.x)))
+    names = [f"///TOOL {beside.tool}", "///POSTYPE PULSE", "///PULSE"]
+    return _job("jbi-pulses", beside, [*names, *positions], ["///ATTR SC,RW"], [*_remarks(about), *moves])
+
+
+def _job(format: str, beside: Beside, positions: list[str], attributes: list[str], instructions: list[str]) -> str:
+    if not NAME.fullmatch(beside.name):
+        raise InputError(f"{format}: {beside.name!r} is no name of a job; up to 32 of A to Z, 0 to 9, - and _")
+    if (lines := len(instructions) + 2) > MOST_LINES:
+        raise InputError(f"{format}: {lines:,} lines, a job holds {MOST_LINES:,}; the path has too many points for it")
+    count = sum(line.startswith("C") for line in positions)
+    head = ["/JOB", f"//NAME {beside.name}", "//POS", f"///NPOS {count},0,0,0,0,0", *positions, "//INST"]
+    date = [] if beside.date is None else [f"///DATE {beside.date:%Y/%m/%d %H:%M}"]
+    return "\r\n".join([*head, *date, *attributes, "///GROUP1 RB1", "NOP", *instructions, "END"]) + "\r\n"
+
+
+def _remarks(about: list[str]) -> Iterator[str]:
+    for sentence in about:
+        plain = sentence.encode("ascii", "replace").decode()
+        yield from (f"'{line}" for line in textwrap.wrap(plain, WIDTH))
+
+
+def _poses(frame: UserFrame) -> Iterator[str]:
+    """The positions, with the arm's form before those that it changes at."""
+    at_mm = _rounded(1e3 * frame.T_frame_tcp[:, :3, 3], 3)
+    turn_deg = _rounded(np.degrees(_fixed_xyz_rad(frame.T_frame_tcp[:, :3, :3])), 4)
+    last = None
+    for k, (xyz, angles, form) in enumerate(zip(at_mm.tolist(), turn_deg.tolist(), frame.form.tolist(), strict=True)):
+        if form != last:
+            yield f"///RCONF {','.join(map(str, (*form, *UNUSED)))}"
+        last = form
+        yield f"C{k:05d}={','.join([f'{v:.3f}' for v in xyz] + [f'{v:.4f}' for v in angles])}"
+
+
+def _rounded(values: np.ndarray, digits: int) -> np.ndarray:
+    """Without the sign of what becomes zero."""
+    return np.round(values, digits) + 0.0
+
+
+def _fixed_xyz_rad(R: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
+    """Rx, Ry, Rz with R = Rz Ry Rx. Where Ry is a right angle only the difference of the others is known: Rz = 0."""
+    flat = np.hypot(R[:, 0, 0], R[:, 1, 0])
+    locked = flat < 1e-9
+    about_x = np.where(locked, np.arctan2(-R[:, 1, 2], R[:, 1, 1]), np.arctan2(R[:, 2, 1], R[:, 2, 2]))
+    about_z = np.where(locked, 0.0, np.arctan2(R[:, 1, 0], R[:, 0, 0]))
+    return np.stack([about_x, np.arctan2(-R[:, 2, 0], flat), about_z], axis=1)
+
+
+def _moves(timed: Timed, percent: Float[np.ndarray, "n"], feed_mm_s: Float[np.ndarray, "n"]) -> Iterator[str]:
+    for k, (joint, feed) in enumerate(zip(percent.tolist(), feed_mm_s.tolist(), strict=True)):
+        end = " PL=0" if k == len(timed.x) - 1 else ""
+        yield f"MOVL C{k:05d} V={feed:.1f}{end}" if feed >= LEAST_MM_S else f"MOVJ C{k:05d} VJ={joint:.2f}{end}"
+
+
+def _feed_mm_s(timed: Timed, frame: UserFrame) -> Float[np.ndarray, "n"]:
+    """The TCP's speed on its way to a row, where that is the path; 0 elsewhere."""
+    way = np.linalg.norm(np.diff(frame.T_frame_tcp[:, :3, 3], axis=0), axis=1)
+    return np.where(timed.kind == Kind.FEED, np.append(0.0, 1e3 * way / np.diff(timed.time_s)), 0.0)
+
+
+def _percent(timed: Timed, beside: Beside, format: str) -> Float[np.ndarray, "n"]:
+    """The fastest joint's share of its full speed on the way to a row, in percent; slow to the first."""
+    if beside.speed is None or not np.isfinite(beside.speed).all():
+        raise InputError(f"{format}: speeds are in percent of full joint speed; program.velocity gives them")
+    share = 100 * np.abs(np.diff(timed.x, axis=0)) / (np.diff(timed.time_s)[:, None] * beside.speed)
+    if (share > 100 + LEAST_PERCENT / 2).any():
+        row, joint = np.unravel_index(share.argmax(), share.shape)
+        fast = f"{timed.joint_names[joint]} at {share[row, joint]:.1f} % of its full speed"
+        raise InputError(f"{format}: {fast}, {timed.time_s[row]:.6g} s from the start; at most 100 %")
+    return np.append(FIRST_PERCENT, np.maximum(share.max(axis=1), LEAST_PERCENT))

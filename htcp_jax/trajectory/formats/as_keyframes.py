@@ -1,0 +1,31 @@
+"""A program as MuJoCo's keyframes: a file that a model includes.
+
+    <include file="weld.xml"/>
+
+Each `key` holds a time, qpos and qvel (MJCF reference, keyframe/key). The model must have these joints and no others,
+in their order. Numbers read back exactly.
+"""
+
+from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
+
+from htcp_jax.status import Kind
+from htcp_jax.trajectory.beside import Beside, header
+from htcp_jax.trajectory.timed import Timed
+
+
+def keyframes_text(timed: Timed, beside: Beside) -> str:
+    """The file's text, a key a posture, named by its number and what the arm does on its way there."""
+    about = header(timed, f"qpos and qvel are those of {', '.join(timed.joint_names)}, in this order.")
+    root = Element("mujoco")
+    root.append(Comment("\n  " + "\n  ".join(about).replace("--", "- -") + "\n"))
+    keys = SubElement(root, "keyframe")
+    rows = zip(timed.time_s.tolist(), timed.kind.tolist(), timed.x.tolist(), timed.velocity.tolist(), strict=True)
+    for number, (time_s, kind, x, velocity) in enumerate(rows):
+        name = f"{number}_{Kind(kind).words}"
+        SubElement(keys, "key", name=name, time=repr(time_s), qpos=_text(x), qvel=_text(velocity))
+    indent(root)
+    return tostring(root, encoding="unicode") + "\n"
+
+
+def _text(numbers: list[float]) -> str:
+    return " ".join(map(repr, numbers))

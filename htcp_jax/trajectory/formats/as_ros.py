@@ -1,0 +1,57 @@
+"""A program as ROS 2's trajectory_msgs/msg/JointTrajectory, in YAML and in JSON.
+
+Both hold the message's fields by their names, so that they can be set from the file one by one. Numbers read back
+exactly, times to the nanosecond that the message counts in. Sources: the message definitions of trajectory_msgs
+(JointTrajectory, JointTrajectoryPoint), std_msgs (Header) and builtin_interfaces (Time, Duration).
+"""
+
+import json
+from collections.abc import Iterable, Iterator
+
+from htcp_jax.trajectory.beside import Beside, header
+from htcp_jax.trajectory.timed import Timed
+
+TYPE = "trajectory_msgs/msg/JointTrajectory"
+NO_FRAME = "The message's frame_id is empty: joint values need none."
+
+
+def ros_yaml_text(timed: Timed, beside: Beside) -> str:
+    """The message in YAML, with the header as comments."""
+    lines = [f"# {TYPE}", *(f"# {line}" for line in header(timed, NO_FRAME))]
+    lines += ["header:", "  stamp: {sec: 0, nanosec: 0}", '  frame_id: ""']
+    lines += [f"joint_names: [{', '.join(map(_quoted, timed.joint_names))}]", "points:"]
+    for point in _points(timed):
+        time = point.pop("time_from_start")
+        for name, values in point.items():
+            lines.append(f"{'-' if name == 'positions' else ' '} {name}: [{', '.join(_numbers(values))}]")
+        lines.append("  time_from_start: {{sec: {sec}, nanosec: {nanosec}}}".format(**time))
+    return "\n".join(lines) + "\n"
+
+
+def ros_json_text(timed: Timed, beside: Beside) -> str:
+    """A JSON object with the message under `message`, its type under `type` and the header under `about`: neither JSON
+    nor the message has room for a comment."""
+    message = {
+        "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""},
+        "joint_names": timed.joint_names,
+        "points": list(_points(timed)),
+    }
+    return json.dumps({"type": TYPE, "about": header(timed, NO_FRAME), "message": message}, allow_nan=False) + "\n"
+
+
+def _points(timed: Timed) -> Iterator[dict]:
+    states = (timed.x.tolist(), timed.velocity.tolist(), timed.acceleration.tolist())
+    for time_s, *state in zip((timed.time_s - timed.time_s[0]).tolist(), *states, strict=True):
+        point = dict(zip(("positions", "velocities", "accelerations"), state, strict=True))
+        sec, nanosec = divmod(round(time_s * 1e9), 10**9)
+        yield point | {"effort": [], "time_from_start": {"sec": sec, "nanosec": nanosec}}
+
+
+def _numbers(values: Iterable[float]) -> Iterator[str]:
+    """As YAML 1.1 reads them, too, to which 1e-05 is a word."""
+    for text in map(repr, values):
+        yield text.replace("e", ".0e") if "e" in text and "." not in text else text
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)

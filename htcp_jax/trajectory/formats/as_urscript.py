@@ -1,0 +1,61 @@
+"""A program as URScript: a list of `servoj`, each of which holds the controller for its time.
+
+`servoj` carries times and passes every posture without a stop. `movej` with a time stops at each one, or is blended
+around it with a radius, along a course that nobody proved. What `servoj` costs: the controller follows with a lag and
+smooths what it is told (`lookahead_time`, `gain`), so the postures have to be dense, at its own steps. Source: the
+script manual of Universal Robots, module motion.
+"""
+
+import re
+
+import numpy as np
+from jaxtyping import Int
+
+from htcp_jax.errors import InputError
+from htcp_jax.trajectory.beside import Beside, header
+from htcp_jax.trajectory.timed import Timed
+
+JOINTS = 6
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+LOOKAHEAD_S, GAIN = 0.1, 300  # the manual's defaults
+SLOW_RAD_S, SLOW_RAD_S2 = 0.1, 0.1  # to the first posture
+STOP_RAD_S2 = 1.0
+ONE_TIME_S = 1e-7
+MORE = (
+    "The arm first goes slowly from wherever it stands to the first posture.",
+    "servoj follows with a lag and smooths; radians, to 6 digits.",
+)
+
+
+def urscript_text(timed: Timed, beside: Beside) -> str:
+    """A function with the program's name, and its call.
+
+    Raises InputError for an arm of other than six turning joints, a name that is none of a function, and times that are
+    no multiples of the controller's step.
+    """
+    if len(timed.joint_names) != JOINTS or any(beside.slides):
+        raise InputError(f"urscript: {_arm(beside)}; these arms have {JOINTS} turning joints")
+    if not NAME.fullmatch(beside.name):
+        raise InputError(f"urscript: {beside.name!r} is no name of a function; letters, digits and _, a letter first")
+    hold_s = _steps(timed, beside.control_step_s) * beside.control_step_s
+    postures = [", ".join(f"{value:.6f}" for value in row) for row in (np.round(timed.x, 6) + 0.0).tolist()]
+    lines = [f"# {line}" for line in header(timed, *MORE)] + [f"def {beside.name}():"]
+    lines.append(f"  movej([{postures[0]}], {SLOW_RAD_S2}, {SLOW_RAD_S})")
+    for posture, seconds in zip(postures[1:], hold_s.tolist(), strict=True):
+        lines.append(f"  servoj([{posture}], 0, 0, {seconds:.6f}, {LOOKAHEAD_S}, {GAIN})")
+    return "\n".join([*lines, f"  stopj({STOP_RAD_S2})", "end", f"{beside.name}()"]) + "\n"
+
+
+def _steps(timed: Timed, step_s: float) -> Int[np.ndarray, "m"]:
+    """How many of the controller's steps each posture but the first is held."""
+    elapsed_s = timed.time_s - timed.time_s[0]
+    steps = np.round(elapsed_s / step_s)
+    wrong = np.abs(steps * step_s - elapsed_s) > ONE_TIME_S
+    if wrong.any():
+        at = timed.time_s[wrong.argmax()]
+        raise InputError(f"urscript: a posture at {at:.6g} s; times must be multiples of the controller's {step_s:g} s")
+    return np.diff(steps).astype(int)
+
+
+def _arm(beside: Beside) -> str:
+    return f"an arm of {len(beside.slides)} joints, {sum(beside.slides)} of which slide"

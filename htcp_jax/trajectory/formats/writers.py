@@ -1,0 +1,54 @@
+"""The formats by name."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from htcp_jax.errors import InputError
+from htcp_jax.trajectory.beside import Beside
+from htcp_jax.trajectory.formats.as_csv import csv_text
+from htcp_jax.trajectory.formats.as_jbi import jbi_pulses_text, jbi_text
+from htcp_jax.trajectory.formats.as_keyframes import keyframes_text
+from htcp_jax.trajectory.formats.as_ros import ros_json_text, ros_yaml_text
+from htcp_jax.trajectory.formats.as_urscript import urscript_text
+from htcp_jax.trajectory.timed import Timed
+
+
+class Format(NamedTuple):
+    """How a program is written."""
+
+    write: Callable[[Timed, Beside], str]
+    step_s: float | None  # between postures, where nobody says otherwise; None: the postures that the motion is made of
+
+
+FORMATS = {
+    "csv": Format(csv_text, 0.001),
+    "ros": Format(ros_yaml_text, 0.01),
+    "ros-json": Format(ros_json_text, 0.01),
+    "jbi": Format(jbi_text, None),
+    "jbi-pulses": Format(jbi_pulses_text, None),
+    "urscript": Format(urscript_text, 0.002),
+    "keyframes": Format(keyframes_text, 0.01),
+}
+
+
+def format_of(name: str) -> Format:
+    """One of FORMATS. Raises InputError for another name."""
+    if name not in FORMATS:
+        raise InputError(f"{name!r} is no format of a program; valid: {', '.join(FORMATS)}")
+    return FORMATS[name]
+
+
+def program_text(format: str, timed: Timed, beside: Beside) -> str:
+    """The file of a program, in one of FORMATS.
+
+    Raises InputError for an unknown format, for what a format needs and `beside` lacks, for a motion without postures,
+    and for times that do not increase.
+    """
+    write = format_of(format).write
+    if len(timed.x) == 0:
+        raise InputError("a program needs postures; this motion has none")
+    if (late := np.flatnonzero(~(np.diff(timed.time_s) > 0))).size:
+        raise InputError(f"posture {late[0] + 1} comes no later than the one before; times must increase")
+    return write(timed, beside)

@@ -1,0 +1,26 @@
+"""What the task of a plan's job leaves beside the legs of its motion, where it asks for more than the TCP's place."""
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.jobs.build import task_of_job
+from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.model.robot import Robot
+from htcp_jax.motion.motion import Motion
+from htcp_jax.status import Kind
+from htcp_jax.trajectory.rows_left import rows_beside
+from htcp_jax.trajectory.stretches import Spare
+
+
+def with_rows(left: Spare, job: PlanConfig, robot: Robot, motion: Motion, aims: Float[np.ndarray, "T G"]) -> Spare:
+    """What is left, with that of the job's task beside each leg; all there is before the path and on the way back.
+    Where the task does not hold the TCP at a place, the TCP has no tube.
+
+    robot: with the job's tool; aims: what the task asks for at each target, see `Scenario`.
+    """
+    task = task_of_job(job, robot)
+    target, kind = motion.target[1:], motion.kind[1:]
+    before = np.where(kind == Kind.DWELL, target, np.maximum(target - 1, 0))
+    on = np.isin(kind, (Kind.FEED, Kind.DWELL))
+    rows = rows_beside(task, robot, motion.x, np.stack([aims[before], aims[target]], axis=1), on)
+    return left._replace(tube=left.tube if task.holds_tcp else np.full_like(left.tube, np.inf), rows=rows)

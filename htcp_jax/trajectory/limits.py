@@ -1,0 +1,65 @@
+"""How fast joints may move: velocity, acceleration and jerk, each a column a joint."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.errors import InputError
+from htcp_jax.jobs.config import ProgramConfig
+from htcp_jax.model.robot import Robot
+
+KINDS = "velocity", "acceleration", "jerk"
+
+
+class Limits(NamedTuple):
+    """Of N joints, either way."""
+
+    velocity: Float[np.ndarray, "N"]  # [rad/s or m/s]
+    acceleration: Float[np.ndarray, "N"]  # [rad/s2 or m/s2]
+    jerk: Float[np.ndarray, "N"]  # [rad/s3 or m/s3]
+
+    def shares(
+        self,
+        velocity: Float[np.ndarray, "n N"],
+        acceleration: Float[np.ndarray, "n N"],
+        jerk: Float[np.ndarray, "n N"],
+    ) -> Float[np.ndarray, "n M"]:
+        """By how much time must be stretched at n instants for each of M = 3 N limits to be kept, joint by joint; 1 or
+        less where it is."""
+        v, a, j = np.abs(velocity), np.abs(acceleration), np.abs(jerk)
+        found = [v / self.velocity, np.sqrt(a / self.acceleration), np.cbrt(j / self.jerk)]
+        return np.stack(found, axis=2).reshape(len(v), -1)
+
+
+def joint_limits(robot: Robot, job: ProgramConfig | None = None) -> Limits:
+    """Those of an arm: the job's; else the model's where it states them; else full speed in `job.full_speed_s`, and
+    full acceleration in `job.full_acceleration_s`. job: None has the defaults.
+
+    Raises InputError for a joint without a velocity limit, and for a list of the job that is not as long as the arm has
+    joints.
+    """
+    job = ProgramConfig() if job is None else job
+    given = {kind: own_of(robot, f"program.{kind}", getattr(job, kind)) for kind in KINDS}
+    velocity = _either(given["velocity"], np.asarray(robot.speed, float))
+    for name, speed in zip(robot.joint_names, velocity, strict=True):
+        if not 0 < speed < np.inf:
+            raise InputError(f"{robot.name} has no velocity limit of joint {name}; program.velocity gives one a joint")
+    own = np.asarray(robot.acceleration, float)
+    own = np.where(np.isfinite(own), own, velocity / job.full_speed_s)
+    acceleration = _either(given["acceleration"], own)
+    return Limits(velocity, acceleration, _either(given["jerk"], acceleration / job.full_acceleration_s))
+
+
+def own_of(robot: Robot, key: str, values: tuple[float, ...] | None) -> Float[np.ndarray, "N"] | None:
+    """A list that a job gives, a number a joint, in the units of its key [rad or m, or by s]. Raises InputError where
+    it is not as long as the arm has joints."""
+    if values is None:
+        return None
+    if len(values) != len(robot.joint_names):
+        raise InputError(f"{key} has {len(values)} values, the robot {robot.name} has {len(robot.joint_names)} joints")
+    return np.array(values)
+
+
+def _either(given: np.ndarray | None, otherwise: np.ndarray) -> np.ndarray:
+    return otherwise if given is None else given

@@ -1,0 +1,98 @@
+"""The torques that a timed motion asks of the joints, by inverse dynamics on the inertias that the arm's model states.
+
+Those of URDF's and MJCF's `<inertial>` alone: none is guessed from shapes, and where a link has none nothing is known
+of the loads. What the job mounts has no mass. Gravity is 9.81 m/s2 downwards in the world. Damping and armature count
+where the model has them. MJX computes many postures at once; it is held to MuJoCo by a test.
+"""
+
+import contextlib
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.io.robot_model import compile_spec, no_log
+from htcp_jax.io.safe_xml import read_spec
+from htcp_jax.jobs.config import RobotConfig
+from htcp_jax.model.robot import GP50
+from htcp_jax.model.tool import ZERO, pose
+from htcp_jax.trajectory.timed import Timed
+
+GRAVITY_M_S2 = 9.81
+AT_ONCE = 1024  # postures; more take memory and no less time. A row's torque is the same in any company
+LOOKED_AT_S = 0.01  # between the postures looked at
+# XLA's own fusion for CPUs computes the pose of each link anew for everything that hangs on it: 10,000 times the work.
+PLAIN = {"xla_cpu_use_fusion_emitters": False}
+_OFF = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
+
+
+class Load(NamedTuple):
+    """The largest torque, or where there are limits the one that comes nearest to its own."""
+
+    torque: float  # [N m or N]
+    share: float  # of the joint's effort limit; 0 where it has none
+    joint: str
+    time_s: float
+
+
+def model_of(arm: RobotConfig) -> mujoco.MjModel | None:
+    """The arm of a job with its inertias; None where a link has none. Raises InputError for an unreadable file."""
+    path = GP50 if arm.model == "gp50" else Path(arm.model)
+    with no_log():
+        spec = read_spec(path)
+    for shape in [*spec.geoms, *spec.meshes]:
+        spec.delete(shape)
+    model = compile_spec(spec, path)
+    massive = {int(model.body_weldid[body.id]) for body in spec.bodies if body.explicitinertial and body.mass > 0}
+    if not set(model.body_weldid[model.jnt_bodyid].tolist()) <= massive:
+        return None
+    model.opt.gravity = pose(ZERO, arm.base_rpy_rad)[:3, :3].T @ [0, 0, -GRAVITY_M_S2]
+    model.opt.disableflags |= int(_OFF)
+    return model
+
+
+def torques(model: mujoco.MjModel) -> Callable[..., Float[np.ndarray, "n N"]]:
+    """Of postures, velocities and accelerations (n, N): torques of the joints [N m or N]."""
+    with contextlib.redirect_stdout(None):  # it prints what it lacks when it is imported
+        from mujoco import mjx
+    device = mjx.put_model(model)
+    blank = mjx.make_data(device)
+
+    @partial(jax.jit, compiler_options=PLAIN)
+    @jax.vmap
+    def at(x, v, a):
+        data = mjx.com_vel(device, mjx.com_pos(device, mjx.kinematics(device, blank.replace(qpos=x, qvel=v, qacc=a))))
+        inertial = mjx.rne(device, data, flg_acc=True).qfrc_bias
+        return inertial + device.dof_armature * a - mjx.passive(device, data).qfrc_passive
+
+    def found(x: Float[np.ndarray, "n N"], v: Float[np.ndarray, "n N"], a: Float[np.ndarray, "n N"]) -> np.ndarray:
+        torque = np.empty_like(x)
+        with jax.numpy_rank_promotion("allow"):  # MJX has its own style
+            for first in range(0, len(x), AT_ONCE):
+                own = [np.resize(part[first : first + AT_ONCE], (AT_ONCE, x.shape[1])) for part in (x, v, a)]
+                torque[first : first + AT_ONCE] = np.asarray(at(*own))[: len(x) - first]
+        return torque
+
+    return found
+
+
+def load(timed: Timed, torque: Float[np.ndarray, "n N"], effort: Float[np.ndarray, "N"]) -> Load:
+    """Of one motion. effort: the joints' limits, inf where there is none [N m or N]."""
+    size = np.abs(torque)
+    share = size / effort
+    row, joint = np.unravel_index((share if share.any() else size).argmax(), size.shape)
+    return Load(float(torque[row, joint]), float(share[row, joint]), timed.joint_names[joint], float(timed.time_s[row]))
+
+
+def loads_of(
+    torque: Callable[..., Float[np.ndarray, "n N"]], motions: Sequence[Timed], effort: Float[np.ndarray, "N"]
+) -> list[Load]:
+    """Of many motions of one arm: the postures of all of them, AT_ONCE at a time. torque: see `torques`."""
+    rows = [np.concatenate([getattr(each, name) for each in motions]) for name in ("x", "velocity", "acceleration")]
+    ends = np.cumsum([len(each.x) for each in motions])
+    return [load(each, own, effort) for each, own in zip(motions, np.split(torque(*rows), ends[:-1]), strict=True)]

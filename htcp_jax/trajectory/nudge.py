@@ -1,0 +1,137 @@
+"""How far points of the arm move when its joints are nudged off the joint path that was proven.
+
+Joints near x, each within w_j of it, are moved by n_j. With the levers r_j of a point at x, and M_j as in
+`clearance.proof.motion_bound` for joints within w + n, the column of joint j is no longer than l_j = r_j + M_{j+1}, and its
+derivative by joint i no larger than l_max(i, j), 0 for two slides. So the point moves by no more than either of
+
+    sum_j l_j n_j    and    |J(x) n| + sum_ij l_max(i, j) (w_i + n_i / 2) n_j.
+
+The second one sees that joints undo each other's motion, as they do at a tool that keeps to its path. Both hold for a
+direction that is fixed to a link, too: hinges move its end as a point's, r_j = |z_j x direction|, and slides leave it.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from htcp_jax.model.kinematics import capsule_segments, jacobian, joint_levers, point_jacobians, tcp_position
+from htcp_jax.model.robot import Robot
+from htcp_jax.model.task import feature_at
+from htcp_jax.model.task_rows import Feature
+
+ROWS = 256  # postures are padded to this times a power of two, so that few programs are compiled
+
+
+class Arm(NamedTuple):
+    """An arm at k postures: both ends of each of its K bodies, the TCP and F features of a task, which may be
+    directions; P = 2 K + 1 + F points."""
+
+    levers: Float[np.ndarray, "k P N"]  # to each joint's axis; 0 of a joint that does not move the point [m]
+    jacobian: Float[np.ndarray, "k P 3 N"]
+    tcp: Float[np.ndarray, "k 3"]  # world [m]
+    hinge: Bool[np.ndarray, "N"]
+    features: int = 0  # F
+
+    def only(self, which: np.ndarray | slice) -> "Arm":
+        """At some of the postures."""
+        return self._replace(levers=self.levers[which], jacobian=self.jacobian[which], tcp=self.tcp[which])
+
+    def moved(self, bounds: Float[np.ndarray, "*S P"]) -> "Moved":
+        """What bounds of the points say of bodies, TCP and features."""
+        tcp = self.levers.shape[-2] - 1 - self.features
+        return Moved(bounds[..., :tcp].max(axis=-1), bounds[..., tcp], bounds[..., tcp + 1 :])
+
+
+class Moved(NamedTuple):
+    """How far at most."""
+
+    bodies: Float[np.ndarray, "*S"]  # any point of any body [m]
+    tcp: Float[np.ndarray, "*S"]  # [m]
+    features: Float[np.ndarray, "*S F"]  # points [m]; directions, as a chord
+
+
+def arm_at(robot: Robot, x: Float[np.ndarray, "k N"], features: tuple[Feature, ...] = ()) -> Arm:
+    """The arm at postures [rad or m]."""
+    levers, slopes, tcp = padded(_points, robot, x)
+    if features:
+        more = padded(partial(_features, features), robot, x)[0]
+        levers = np.concatenate([levers, np.linalg.norm(more, axis=2)], axis=1)
+        slopes = np.concatenate([slopes, more], axis=1)
+    return Arm(levers, slopes, tcp, ~np.array(robot.slides), len(features))
+
+
+def tcp_at(robot: Robot, x: Float[np.ndarray, "k N"]) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3 N"]]:
+    """The TCP at postures, world [m], and its Jacobian."""
+    return padded(_tcp, robot, x)
+
+
+def nudge_bound(
+    arm: Arm, within: Float[np.ndarray, "*S k N"], nudge: Float[np.ndarray, "*S k N"]
+) -> Float[np.ndarray, "*S k P"]:
+    """How far each point moves at most while joints within `within` of the arm's postures are moved by `nudge`
+    [rad or m]."""
+    size = np.abs(nudge)
+    lever = _levers(arm, within + size)
+    along = np.linalg.norm(np.einsum("kpcn,...kn->...kpc", arm.jacobian, nudge), axis=-1)
+    return np.minimum((lever * size[..., None, :]).sum(-1), along + _second(arm, lever, within + 0.5 * size, size))
+
+
+def bend_bound(arm: Arm, within: Float[np.ndarray, "k N"], rates: Float[np.ndarray, "k N"]) -> Float[np.ndarray, "k P"]:
+    """How large each point's second derivative is on straight joint paths of these rates, while joints are within
+    `within` of the arm's postures."""
+    return _second(arm, _levers(arm, within), np.abs(rates), np.abs(rates))
+
+
+def _levers(arm: Arm, within: np.ndarray) -> np.ndarray:
+    """l_j, the joints within `within`."""
+    lever, moved = np.empty((*within.shape[:-1], *arm.levers.shape[1:])), 0.0
+    for j in reversed(range(lever.shape[-1])):
+        own = arm.levers[..., j]
+        lever[..., j] = own + moved if arm.hinge[j] else own
+        moved = moved + within[..., None, j] * lever[..., j]
+    return lever
+
+
+def _second(arm: Arm, lever: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """sum_ij l_max(i, j) a_i b_j, without pairs of slides."""
+    turned_a, turned_b = a * arm.hinge, b * arm.hinge
+    before_a, before_b = np.cumsum(turned_a, axis=-1) - turned_a, np.cumsum(turned_b, axis=-1) - turned_b
+    pairs = a * before_b + b * before_a + turned_a * turned_b
+    return (lever * pairs[..., None, :]).sum(-1)
+
+
+def padded(function: Callable, robot: Robot, *tables: Float[np.ndarray, "k ..."]) -> tuple[np.ndarray, ...]:
+    """A function of many postures, row by row of tables; a few sizes of it are compiled."""
+    rows = len(tables[0])
+    short = ROWS * 2 ** max(0, int(np.ceil(np.log2(rows / ROWS)))) - rows
+    filled = (np.concatenate([table, np.repeat(table[-1:], short, axis=0)]) for table in tables)
+    return tuple(np.asarray(part)[:rows] for part in function(robot, *filled))
+
+
+@jax.jit
+@partial(jax.vmap, in_axes=(None, 0))
+def _points(robot: Robot, x):
+    p, q = capsule_segments(robot, x)
+    tcp = tcp_position(robot, x)
+    points, last = jnp.concatenate([p, q, tcp[None]]), len(robot.slides) - 1
+    links = jnp.array([*robot.capsule_link, *robot.capsule_link, last])
+    moves = jnp.arange(last + 1)[None, :] <= links[:, None]
+    levers = jnp.where(moves, joint_levers(robot, x, points), 0.0)
+    return levers, point_jacobians(robot, x, points, links), tcp
+
+
+@jax.jit
+@partial(jax.vmap, in_axes=(None, 0))
+def _tcp(robot: Robot, x):
+    return tcp_position(robot, x), jacobian(robot, x)
+
+
+@partial(jax.jit, static_argnums=0)
+@partial(jax.vmap, in_axes=(None, None, 0))
+def _features(features: tuple[Feature, ...], robot: Robot, x):
+    return (jnp.stack([jax.jacfwd(partial(feature_at, robot, feature=feature))(x) for feature in features]),)

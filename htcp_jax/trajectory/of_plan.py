@@ -1,0 +1,191 @@
+"""The program of a plan on record, as it is asked for: a feed in words, limits and the controller's numbers by the job.
+
+made = program_of(open_plans("out/plan"), feed_of("20mm/s"))
+made.text("jbi-pulses", "WELD")
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.errors import InputError
+from htcp_jax.io.strict_model import validate
+from htcp_jax.jobs.build import robot_of, scene
+from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.jobs.config_file import parse_override, put
+from htcp_jax.jobs.feed import feed_of
+from htcp_jax.model.kinematics import tcp_pose
+from htcp_jax.model.robot import Robot, lengthen_tool
+from htcp_jax.motion.motion import motion
+from htcp_jax.motion.plans import Plans
+from htcp_jax.runs.open import PlanSet
+from htcp_jax.trajectory.beside import Beside, Pulses, UserFrame
+from htcp_jax.trajectory.form import form_of
+from htcp_jax.trajectory.formats.writers import format_of, program_text
+from htcp_jax.trajectory.held import with_rows
+from htcp_jax.trajectory.limits import Limits, joint_limits, own_of
+from htcp_jax.trajectory.loads import LOOKED_AT_S, Load, load, model_of, torques
+from htcp_jax.trajectory.program import Program, program
+from htcp_jax.trajectory.stretches import spare
+from htcp_jax.trajectory.timed import Timed
+
+SECTION = "program."
+
+__all__ = ["OfPlan", "asked_feed", "feed_of", "program_of", "timed_plan", "with_program"]
+
+
+class OfPlan(NamedTuple):
+    """The program of one plan, and what it was made of."""
+
+    program: Program
+    robot: Robot  # with the job's tool
+    job: PlanConfig
+    limits: Limits
+    method: str
+
+    def text(self, format: str, name: str, step_s: float | None = None) -> str:
+        """The file of it. name: of the program; step_s: between postures, see `writers.Format` [s]. Raises InputError
+        as `program_text` does, for a step that the format does not have, and for a table that is not the arm's."""
+        timed = self.timed(format, step_s)
+        return program_text(format, timed, self.beside(format, name, timed))
+
+    def timed(self, format: str, step_s: float | None = None) -> Timed:
+        """What the file holds."""
+        own = format_of(format).step_s
+        if own is None and step_s is not None:
+            raise InputError(f"{format} holds the postures that the motion is made of, whatever the step")
+        if own is None:
+            return self.program.at_postures()
+        if format == "urscript":
+            own = self.job.program.control_step_s
+        return self.program.timed(own if step_s is None else step_s)
+
+    @property
+    def load(self) -> Load | None:
+        """What it asks of the joints; None where the arm's model does not state its inertias."""
+        if (model := model_of(self.job.robot)) is None:
+            return None
+        timed = self.program.timed(LOOKED_AT_S)
+        torque = torques(model)(timed.x, timed.velocity, timed.acceleration)
+        return load(timed, torque, np.asarray(self.robot.effort))
+
+    def beside(self, format: str, name: str, timed: Timed) -> Beside:
+        """What the job says beside it."""
+        asked, own = self.job.program, np.asarray(self.robot.speed, float)
+        return Beside(
+            name.upper() if format.startswith("jbi") else name,
+            self.robot.slides,
+            speed=np.where(np.isfinite(own), own, self.limits.velocity),
+            tool=asked.tool,
+            user_frame=self._user_frame(timed) if format == "jbi" else None,
+            pulses=self._pulses(),
+            control_step_s=asked.control_step_s,
+        )
+
+    def _user_frame(self, timed: Timed) -> UserFrame | None:
+        if (asked := self.job.program.user_frame) is None:
+            return None
+        form = form_of(self.job.robot.model, self.robot, timed.x)
+        T_world = np.asarray(jax.vmap(tcp_pose, (None, 0))(self.robot, timed.x))
+        if asked.on == "workpiece":
+            T_world = np.linalg.inv(scene(self.job)[2].T_world_workpiece) @ T_world
+        return UserFrame(asked.number, T_world, form)
+
+    def _pulses(self) -> Pulses | None:
+        if (asked := self.job.program.pulses) is None:
+            return None
+        per_rad = own_of(self.robot, "program.pulses.per_rad", asked.per_rad)
+        if not per_rad.all():
+            raise InputError("program.pulses.per_rad has a joint with 0 pulses per radian")
+        zero = own_of(self.robot, "program.pulses.zero_rad", asked.zero_rad)
+        return Pulses(per_rad, np.zeros(len(per_rad)) if zero is None else zero, asked.source)
+
+
+def program_of(
+    found: PlanSet,
+    feed_m_s: float,
+    method: str | None = None,
+    scenario: int = 0,
+    *,
+    retract: bool = True,
+    overrides: Sequence[str] = (),
+) -> OfPlan:
+    """That of one plan, from home or the start to the last target, and back if `retract`.
+
+    feed_m_s: of the TCP on the path [m/s]; method: the first one of the set where None; overrides: of the job's section
+    program, as on the command line. Raises InputError for a plan that is not there or not executable to its end, for
+    overrides of anything else, and as `program` and `joint_limits` do.
+    """
+    method = found.methods[0] if method is None else method
+    plans = _plans(found, method, scenario)
+    job = with_program(found.jobs[scenario], overrides)
+    return program_of_plans(str(found.folder), plans, scenario, job, feed_m_s, method, retract=retract)
+
+
+def program_of_plans(
+    name: str, plans: Plans, scenario: int, job: PlanConfig, feed_m_s: float, method: str, *, retract: bool = True
+) -> OfPlan:
+    """The same of plans in memory. name: of these; job: of the scenario. Raises InputError as `program_of` does."""
+    end = plans.outcome(scenario)
+    if not end.can_be_driven:
+        why = end.way.message if end.executable < end.tracked else "the next one is not tracked"
+        raise InputError(f"{name}: a motion leads to {end.executable} of {end.targets} targets; {why}")
+    robot = lengthen_tool(robot_of(job.robot), job.robot.tool_extension_m)
+    aims = scene(job)[2].aims if job.task else None
+    return timed_plan(plans, scenario, job, robot, aims, feed_m_s, method, retract=retract)
+
+
+def timed_plan(
+    plans: Plans,
+    scenario: int,
+    job: PlanConfig,
+    robot: Robot,
+    aims: Float[np.ndarray, "T G"] | None,
+    feed_m_s: float,
+    method: str,
+    *,
+    retract: bool = True,
+) -> OfPlan:
+    """The program of a scenario that is executable to its end. robot: with the job's tool; aims: of its scenario, where
+    the job has a task [m, rad]. Raises InputError as `program` and `joint_limits` do."""
+    limits = joint_limits(robot, job.program)
+    whole = motion(plans, scenario, job.on_path, retract=retract)
+    left = spare(plans, scenario, whole, job.settings.tube_m)
+    if job.cell.self_collision:
+        left = left._replace(clearance=0.5 * left.clearance)  # two bodies may move towards each other
+    if aims is not None:
+        left = with_rows(left, job, robot, whole, aims)
+    return OfPlan(program(robot, whole, left, limits, feed_m_s), robot, job, limits, method)
+
+
+def asked_feed(text: str | None, job: PlanConfig) -> float:
+    """The feed [m/s]: as it is asked for, else the job's. Raises InputError where neither says any, and as `feed_of`
+    does."""
+    text = job.program.feed if text is None else text
+    if text is None:
+        raise InputError("no feed: --feed 20mm/s gives one, or program.feed of the job")
+    return feed_of(text)
+
+
+def _plans(found: PlanSet, method: str, scenario: int) -> Plans:
+    """Those of a method. Raises InputError for one without plans, and for a scenario that is not there."""
+    if method not in found.methods:
+        raise InputError(f"{found.folder} has no plans by {method!r}; there are {', '.join(found.methods)}")
+    plans = found.plans(method)
+    if not 0 <= scenario < len(plans.status):
+        raise InputError(f"{found.folder} has no scenario {scenario}; there are 0 to {len(plans.status) - 1}")
+    return plans
+
+
+def with_program(job: PlanConfig, overrides: Sequence[str]) -> PlanConfig:
+    """The job with another section `program`. Raises InputError for keys that are none of a program's."""
+    raw = {"program": job.program.model_dump()}
+    for override in overrides:
+        key, value = parse_override(override)
+        if not key.startswith(SECTION):
+            raise InputError(f"--set {key}: the plan is on record; keys of {SECTION}* alone can be changed")
+        put(raw, key, value)
+    return job.model_copy(update={"program": validate(raw, PlanConfig, "--set").program})

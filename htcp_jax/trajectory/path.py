@@ -1,0 +1,64 @@
+"""A stretch over the length that its law of time is written in: the TCP's arc length where the tool feeds.
+
+With sigma(u) = |J(q) q'| the arc length is the integral of sigma over u, and u(s) is the cubic spline through its
+inverse at the places of a grid. The curve over s and its derivatives are those of q(u(s)), by the chain rule.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.interpolate import CubicSpline
+
+from htcp_jax.model.robot import Robot
+from htcp_jax.trajectory.curve import Curve, Derivatives, Stretch
+from htcp_jax.trajectory.nudge import tcp_at
+
+FINE, HALVINGS = 13, 8  # places on a corner, and halvings between two corners
+CLOSE = 0.01  # of the step between places on a corner: what is closer is one place, or rounding is all that splines see
+
+
+class Path(NamedTuple):
+    """A curve over s."""
+
+    curve: Curve
+    place: Float[np.ndarray, "m"]  # the grid, of s: [m] where the tool feeds, else time at full speed [s]
+    at_corner: Float[np.ndarray, "k 2"]  # where corners begin and end, of s
+    spline: CubicSpline | None  # u(s); None: s is u
+
+    def u(self, place: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """The curve's own length at places."""
+        return place if self.spline is None else np.clip(self.spline(place), 0.0, self.curve.u[-1])
+
+    def at(self, place: Float[np.ndarray, "n"]) -> Derivatives:
+        """Joints, and their derivatives by s."""
+        found = self.curve.at(self.u(place))
+        if self.spline is None:
+            return found
+        a, b, c = (self.spline(place, k)[:, None] for k in (1, 2, 3))
+        _, first, second, third = found
+        return Derivatives(
+            found.x, first * a, second * a * a + first * b, third * a**3 + 3 * second * a * b + first * c
+        )
+
+
+def path_of(robot: Robot, stretch: Stretch) -> Path:
+    """A stretch's."""
+    curve = stretch.curve
+    u = curve.grid(FINE, HALVINGS)
+    ends = curve.u[:, None] + np.array([-1, 1]) * curve.reach[:, None]
+    if not stretch.feeds:
+        return Path(curve, u, ends, None)
+    u = _apart(curve, u)
+    here = curve.at(u)
+    rate = np.linalg.norm(np.einsum("nij,nj->ni", tcp_at(robot, here.x)[1], here.first), axis=1)
+    length = CubicSpline(u, rate).antiderivative()
+    place = length(u)
+    return Path(curve, place, length(ends), CubicSpline(place, u))
+
+
+def _apart(curve: Curve, u: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k"]:
+    """Places without those that are next to nothing from the one before, as where two corners all but touch."""
+    leg = curve.leg(u)
+    corner = leg + (2 * (u - curve.u[leg]) > np.diff(curve.u)[leg])
+    return u[np.diff(u, prepend=-np.inf) > CLOSE * 2 / (FINE - 1) * curve.reach[corner]]

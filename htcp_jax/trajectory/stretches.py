@@ -1,0 +1,201 @@
+"""A motion cut into stretches: from stop to stop, each a rounded curve that what was proven of the polyline covers.
+
+The arm stops where the tool begins or ends to follow the path, and before and after a dwell; and at a corner that
+cannot be rounded, because the way is too tight or the tool would all but turn round.
+"""
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from htcp_jax.model.robot import Robot
+from htcp_jax.motion.motion import ONE_POINT_M, Motion
+from htcp_jax.motion.plans import Plans
+from htcp_jax.status import Kind
+from htcp_jax.trajectory.curve import FARTHEST, Curve, Stretch
+from htcp_jax.trajectory.limits import Limits
+from htcp_jax.trajectory.nudge import Arm, Moved, arm_at, bend_bound, nudge_bound, tcp_at
+from htcp_jax.trajectory.rows_left import RowsLeft
+
+SHARE = 0.5  # of the proven clearance, and of what is left of the tolerance, that rounding may take
+HALVINGS = 12  # of a corner's reach, until the arm has to stop there
+ONE_MOMENT_S = 1e-3  # legs that take no longer at full speed are next to nothing
+SHARPEST = 0.5  # cosine of half the angle by which the tool's own path may turn without a stop
+PIECES = 8  # of a leg, between which the TCP's distance from its line is bounded
+SHARE_OF_LIMITS = 0.3  # of accelerations and jerks that a corner of the path should take at the feed
+
+
+class Spare(NamedTuple):
+    """What is left beside the n - 1 legs of a motion."""
+
+    clearance: Float[np.ndarray, "m"]  # proven of the straight joint path [m]
+    tube: Float[np.ndarray, "m"]  # how far the TCP may be from the line between the postures' TCPs [m]; inf: anywhere
+    rows: RowsLeft | None = None  # of a task that asks for more than the TCP at a place
+
+    def only(self, which: Int[np.ndarray, "k"]) -> "Spare":
+        """Beside some of the legs."""
+        return Spare(self.clearance[which], self.tube[which], self.rows and self.rows.only(which))
+
+
+def spare(plans: Plans, scenario: int, motion: Motion, tube_m: float) -> Spare:
+    """What the proof of a plan leaves beside the legs of its motion. tube_m: `Settings.tube_m`."""
+    there = int((motion.kind != Kind.RETRACT).sum())
+    target, kind = motion.target[1:there], motion.kind[1:there]
+    way = target + (kind == Kind.DWELL)
+    clearance = plans.way_clearance[scenario, way]
+    off = plans.residual[scenario]
+    off = np.fmax(off[way], off[np.maximum(way - 1, 0)])
+    tube = np.where(np.isin(kind, (Kind.FEED, Kind.DWELL)), tube_m - off, np.inf)
+    back = len(motion.x) - there
+    return Spare(np.append(clearance, clearance[::-1][:back]), np.append(tube, np.full(back, np.inf)))
+
+
+def stretches(robot: Robot, motion: Motion, left: Spare, limits: Limits, feed_m_s: float) -> list[Stretch]:
+    """The motion's, in their order; legs on which nothing moves are left out."""
+    way = _merged(_moving(robot, motion, left), limits)
+    if not len(way.row):
+        return []
+    step = np.where(way.feeds, way.length, _duration(way.x, limits))
+    whole = Curve(np.append(0.0, np.cumsum(step)), way.x, np.zeros(len(way.x)))
+    wanted = _wanted(whole, way.feeds, limits, feed_m_s)
+    reach = _reach(robot, way, whole, wanted)
+    along = np.diff(way.arm.tcp, axis=0) / np.maximum(way.length, 1e-300)[:, None]
+    turned = np.einsum("ij,ij->i", along[:-1], along[1:]) < 2 * SHARPEST**2 - 1
+    stops = (np.diff(way.group + 10 * way.feeds) != 0) | (way.feeds[1:] & turned) | (reach[1:-1] <= 0)
+    ends = [0, *(np.flatnonzero(stops) + 1).tolist(), len(way.x) - 1]
+    return [_cut(whole, reach, a, b, way) for a, b in pairwise(ends)]
+
+
+class _Way(NamedTuple):
+    """The polyline of a motion, or what is kept of it: k postures, and k - 1 legs between them."""
+
+    x: Float[np.ndarray, "k N"]
+    row: Int[np.ndarray, "m"]
+    group: Int[np.ndarray, "m"]
+    left: Spare
+    arm: Arm
+
+    @property
+    def length(self) -> Float[np.ndarray, "m"]:
+        """Between the TCP at both ends [m]."""
+        return np.linalg.norm(np.diff(self.arm.tcp, axis=0), axis=1)
+
+    @property
+    def feeds(self) -> Bool[np.ndarray, "m"]:
+        """On which legs the tool follows the path."""
+        return (self.group == Kind.FEED) & (self.length >= ONE_POINT_M)
+
+
+def _moving(robot: Robot, motion: Motion, left: Spare) -> _Way:
+    """The legs on which joints move. Transfer and approach are one."""
+    kept = np.flatnonzero(np.append(True, np.any(np.diff(motion.x, axis=0) != 0, axis=1)))
+    row = kept[1:]
+    group = np.maximum(motion.kind[row], Kind.APPROACH).astype(int)
+    features = left.rows.features if left.rows else ()
+    return _Way(motion.x[kept], row, group, left.only(row - 1), arm_at(robot, motion.x[kept], features))
+
+
+def _merged(way: _Way, limits: Limits) -> _Way:
+    """Without the first posture of legs that are next to nothing, where the next one may stand for it, too: the leg to
+    it moves by less than is left beside it."""
+    short = (_duration(way.x, limits) < ONE_MOMENT_S) | ((way.group == Kind.FEED) & ~way.feeds)
+    goes = np.flatnonzero(short[1:] & (way.group[1:] == way.group[:-1])) + 1
+    if not len(goes):
+        return way
+    to = np.arange(len(way.x))
+    for k in goes[::-1]:
+        to[k] = to[k + 1]
+    before, nudge = goes - 1, way.x[to[goes]] - way.x[goes]
+    arm = way.arm.only(goes)
+    moved = arm.moved(nudge_bound(arm, np.abs(way.x[goes] - way.x[before]), nudge))
+    off = np.linalg.norm(way.arm.tcp[to[goes]] - way.arm.tcp[goes], axis=1)
+    left, fits = _less(way.left, before, moved._replace(tcp=moved.tcp + off))
+    gone = np.zeros(len(way.x), bool)
+    for k, fit in zip(goes[::-1], fits[::-1], strict=True):
+        gone[k] = fit and (gone[k + 1] or to[k] == k + 1)  # all up to the one that stands for it
+    kept = np.flatnonzero(~gone)
+    last, first = kept[1:] - 1, kept[:-1]  # of the legs that become one; on the path it is beside the first one's line
+    row = np.where(way.group[first] == Kind.FEED, way.row[first], way.row[last])
+    return _Way(way.x[kept], row, way.group[last], left.only(first), way.arm.only(kept))
+
+
+def _less(left: Spare, legs: Int[np.ndarray, "k"], by: Moved) -> tuple[Spare, Bool[np.ndarray, "k"]]:
+    """What is left when some legs are nudged, and at which of them enough is."""
+    whole = left.only(legs)
+    rest = Spare(whole.clearance - by.bodies, whole.tube - by.tcp)
+    fits = (rest.clearance >= SHARE * whole.clearance) & (rest.tube >= SHARE * whole.tube)
+    clearance, tube, rows = left.clearance.copy(), left.tube.copy(), left.rows
+    clearance[legs], tube[legs] = rest.clearance, rest.tube
+    if rows:
+        own = whole.rows.left - whole.rows.taken(by.features)
+        fits &= (own >= SHARE * whole.rows.left).all(axis=1)
+        rows = rows._replace(left=rows.left.copy())
+        rows.left[legs] = own
+    return Spare(clearance, tube, rows), fits
+
+
+def _duration(x: np.ndarray, limits: Limits) -> Float[np.ndarray, "m"]:
+    """Of straight joint paths at full speed [s]."""
+    return np.max(np.abs(np.diff(x, axis=0)) / limits.velocity, axis=1)
+
+
+def _cut(whole: Curve, reach: np.ndarray, a: int, b: int, way: _Way) -> Stretch:
+    inner = reach[a : b + 1].copy()
+    inner[[0, -1]] = 0.0
+    return Stretch(Curve(whole.u[a : b + 1] - whole.u[a], whole.x[a : b + 1], inner), way.row[a:b], bool(way.feeds[a]))
+
+
+def _wanted(curve: Curve, feeds: np.ndarray, limits: Limits, feed_m_s: float) -> Float[np.ndarray, "k"]:
+    """How far corners should reach: no further than the feed needs, and half of the legs beside them at most."""
+    step, turns = np.diff(curve.u), np.abs(curve.turns)
+    room = 0.5 * np.append(np.minimum(step[:-1], step[1:]), 0.0)
+    room = np.append(0.0, room)
+    bend = 15 / 16 * turns * feed_m_s**2 / (SHARE_OF_LIMITS * limits.acceleration)
+    jerk = np.sqrt(1.45 * turns * feed_m_s**3 / (SHARE_OF_LIMITS * limits.jerk))
+    needed = np.maximum(np.maximum(bend, jerk).max(axis=1), 0.05 * room)
+    fed = np.append(feeds, False) & np.append(False, feeds)
+    return np.where(fed, np.minimum(room, needed), room)
+
+
+def _reach(robot: Robot, way: _Way, curve: Curve, wanted: np.ndarray) -> Float[np.ndarray, "k"]:
+    """The largest reaches, wanted / 2^i, that what is left beside the legs covers; 0 where none is."""
+    arm, left = way.arm, way.left
+    tries = np.append(wanted * 0.5 ** np.arange(HALVINGS)[:, None], np.zeros((1, len(wanted))), axis=0)
+    slopes = np.abs(curve.slopes)
+    beside = np.maximum(np.append(slopes[:1], slopes, axis=0), np.append(slopes, slopes[-1:], axis=0))
+    around, nudge = tries[..., None] * beside, FARTHEST * tries[..., None] * curve.turns
+    moved = arm.moved(nudge_bound(arm, around, nudge))
+    tube = left.tube - _sag(robot, arm, curve, np.isfinite(left.tube))
+    fits = (moved.bodies <= SHARE * _beside(left.clearance)) & (moved.tcp <= SHARE * _beside(tube))
+    if left.rows:
+        rows = left.rows.beside()
+        fits &= (rows.taken(moved.features) <= SHARE * rows.left).all(axis=-1)
+    fits[-1] = True
+    return tries[np.argmax(fits, axis=0), np.arange(len(wanted))]
+
+
+def _beside(legs: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k"]:
+    """At each knot, the less of the legs before and after it."""
+    return np.minimum(np.append(legs[:1], legs), np.append(legs, legs[-1:]))
+
+
+def _sag(robot: Robot, arm: Arm, curve: Curve, which: np.ndarray) -> Float[np.ndarray, "m"]:
+    """How far the TCP is from the straight line between the ends of some legs at most, as the joints go straight [m];
+    0 of the others."""
+    found, legs = np.zeros(len(which)), np.flatnonzero(which)
+    if not len(legs):
+        return found
+    share = np.arange(1, PIECES) / PIECES
+    step = curve.x[legs + 1] - curve.x[legs]
+    between = curve.x[legs, None] + share[:, None] * step[:, None]
+    tcp = tcp_at(robot, between.reshape(-1, step.shape[1]))[0].reshape(len(legs), PIECES - 1, 3)
+    a, b = arm.tcp[legs, None], arm.tcp[legs + 1, None]
+    along = (b - a) / np.maximum(np.linalg.norm(b - a, axis=-1, keepdims=True), 1e-300)
+    away = tcp - a
+    away = np.linalg.norm(away - (away * along).sum(-1, keepdims=True) * along, axis=-1).max(axis=1)
+    here = arm.only(legs)
+    bend = here.moved(bend_bound(here, np.abs(step), step)).tcp
+    found[legs] = away + bend / (8 * PIECES**2)
+    return found

@@ -1,0 +1,155 @@
+"""The law of time of one stretch: at the feed, or as fast as it can be, within velocity, acceleration and jerk.
+
+Over the length s a joint has velocity q' s', acceleration q'' s'^2 + q' s'', jerk q''' s'^3 + 3 q'' s' s'' + q' s'''.
+At constant speed each limit is a cap on it in closed form,
+
+    s' <= v / |q'|,    s' <= (a / |q''|)^(1/2),    s' <= (j / |q'''|)^(1/3),
+
+and what q'' s'^2 leaves of a may be spent on s''. A cap holds for as long as the law's moving mean sees it. What the
+mean or the mixed terms still exceed is found on the timed curve, and capped lower there; what remains after some rounds
+is made up for by more time for the whole stretch, so that no limit is exceeded at the places looked at.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from htcp_jax.trajectory.curve import Derivatives
+from htcp_jax.trajectory.limits import Limits
+from htcp_jax.trajectory.path import Path
+from htcp_jax.trajectory.speed import Speed, fastest
+
+CURVED = 0.9  # the share of a limit that a corner may take of it at constant speed
+ROUNDS = 12
+LOOKED_AT_S, INSTANTS = 0.004, 20_000  # how far instants are apart, and how many there are at most, beside those at
+# which the places of the grid are passed
+SPARE = 0.995, 0.995, 0.93  # of v, a and j, for what lies between them: jerks jump where accelerations bend
+NEAR, CLOSER_S, REACH_S = 0.9, 0.0005, 0.004  # from which share on, how closely and how far around is looked again
+ENOUGH = 1.001  # so little more time is none
+
+
+class _Caps(NamedTuple):
+    """On a path's grid."""
+
+    speed: Float[np.ndarray, "m"]
+    push: Float[np.ndarray, "m"]  # the law's own acceleration, either way
+    limit: Int[np.ndarray, "m"]  # as in `Law`
+
+
+class Law(NamedTuple):
+    """One stretch, timed."""
+
+    path: Path
+    speed: Speed
+    limit: Int[np.ndarray, "m"]  # on the path's grid, what keeps the speed low: -1 the feed, k + 3 j of joint j the
+    # velocity, acceleration or jerk, k = 0, 1, 2
+    cap: Float[np.ndarray, "m"]  # on the path's grid, that is kept to by the law before its mean is taken
+
+    def at(self, time: Float[np.ndarray, "n"]) -> tuple[Float[np.ndarray, "n"], Derivatives]:
+        """Places, and joints with their derivatives by time [rad or m, and s], at times from 0 to its duration."""
+        place, v, a, j = self.speed.at(time)
+        v, a, j = v[:, None], a[:, None], j[:, None]
+        x, first, second, third = self.path.at(place)
+        return place, Derivatives(
+            x, first * v, second * v * v + first * a, third * v**3 + 3 * second * v * a + first * j
+        )
+
+    def limit_at(self, place: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+        """What keeps the speed low at places, see `limit`."""
+        return self.limit[np.clip(np.searchsorted(self.path.place, place), 0, len(self.limit) - 1)]
+
+    def passes(self, u: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
+        """When knots of the curve are passed, the ends of it at 0 and at the end [s]."""
+        when = instants(self.speed)
+        found = np.interp(u, np.maximum.accumulate(self.path.u(self.speed.at(when)[0])), when)
+        found[[0, -1]] = 0.0, self.speed.duration_s
+        return found
+
+
+def law_of(path: Path, limits: Limits, feed: float = np.inf) -> Law:
+    """The law of a stretch. feed: the speed that it should have, and not exceed; for one that does not feed 1 is the
+    speed of its fastest joint."""
+    whole = limits
+    limits = Limits(*(share * part for share, part in zip(SPARE, limits, strict=True)))
+    window = float(np.max(limits.acceleration / limits.jerk))
+    caps = _caps(path, limits, feed)
+    caps = caps._replace(speed=_held(path, caps.speed, window))
+    for _ in range(ROUNDS):
+        law = Law(path, fastest(path.place, caps.speed, caps.push, window), caps.limit, caps.speed.copy())
+        time = instants(law.speed)
+        _, found = law.at(time)
+        shares = limits.shares(*found[1:])
+        over = shares.max(axis=1)
+        if over.max() <= ENOUGH:
+            return _slower(law, whole)
+        _slow_down(caps, path.place, law.speed, time, shares)
+    return _slower(law._replace(speed=law.speed._replace(slower=float(over.max()))), whole)
+
+
+def _slower(law: Law, limits: Limits) -> Law:
+    """The law with as much more time as limits ask for that are exceeded between the instants looked at so far."""
+    time = instants(law.speed)
+    near = time[limits.shares(*law.at(time)[1][1:]).max(axis=1) > NEAR]
+    if not len(near):
+        return law
+    around = np.arange(-REACH_S, REACH_S, CLOSER_S)
+    steps = np.unique(np.round((near[:, None] + around) / CLOSER_S))
+    _, found = law.at(np.clip(CLOSER_S * steps, 0.0, law.speed.duration_s))
+    over = float(limits.shares(*found[1:]).max())
+    return law if over <= 1 else law._replace(speed=law.speed._replace(slower=law.speed.slower * over))
+
+
+def instants(law: Speed) -> Float[np.ndarray, "n"]:
+    """When limits are looked at: evenly, as the places of the grid are passed, and where the jerk jumps."""
+    even = np.linspace(0, law.duration_s, 2 + min(int(law.duration_s / LOOKED_AT_S), INSTANTS))
+    passed = np.interp(law.place, np.maximum.accumulate(law.at(even)[0]), even)
+    return np.sort(np.concatenate([even, passed, law.jumps()]))
+
+
+def _caps(path: Path, limits: Limits, feed: float) -> _Caps:
+    """In closed form, at every place of the grid."""
+    _, first, second, third = (np.maximum(np.abs(part), 1e-300) for part in path.at(path.place))
+    by_joint = np.stack(
+        [
+            limits.velocity / first,
+            np.sqrt(CURVED * limits.acceleration / second),
+            np.cbrt(CURVED * limits.jerk / third),
+        ]
+    )
+    flat = by_joint.transpose(1, 2, 0).reshape(len(first), -1)
+    limit = flat.argmin(axis=1)
+    least = flat[np.arange(len(flat)), limit]
+    speed = np.minimum(least, feed)
+    push = ((limits.acceleration - second * speed[:, None] ** 2) / first).min(axis=1)
+    return _Caps(speed, push, np.where(least < feed, limit, -1))
+
+
+def _held(path: Path, cap: np.ndarray, window: float) -> np.ndarray:
+    """The caps, that of each corner held for as long before and after it as the mean sees it."""
+    held = cap.copy()
+    first, last = np.searchsorted(path.place, path.at_corner.T)
+    slowest = np.array([cap[max(a - 1, 0) : b + 1].min() for a, b in zip(first, last, strict=True)])
+    reach = 0.5 * window * slowest
+    first = np.maximum(np.searchsorted(path.place, path.at_corner[:, 0] - reach) - 1, 0)
+    last = np.searchsorted(path.place, path.at_corner[:, 1] + reach)
+    for k in np.flatnonzero(slowest < np.inf):
+        part = held[first[k] : last[k] + 1]
+        np.minimum(part, slowest[k], out=part)
+    return held
+
+
+def _slow_down(caps: _Caps, grid: np.ndarray, law: Speed, time: np.ndarray, shares: np.ndarray) -> None:
+    """Lower caps and pushes wherever the mean sees an instant at which a limit is exceeded, and note which one."""
+    over = shares.max(axis=1)
+    bad = np.flatnonzero(over > ENOUGH)
+    breaks = np.flatnonzero(np.diff(bad) > 1)
+    begin, end = bad[np.append(0, breaks + 1)], bad[np.append(breaks, len(bad) - 1)]
+    begins = np.searchsorted(grid, law.seen(time[begin])[0]) - 1
+    ends = np.searchsorted(grid, law.seen(time[end])[1]) + 1
+    for first, last, a, b in zip(begin, end, np.maximum(begins, 0), ends, strict=True):
+        worst = first + over[first : last + 1].argmax()
+        by = 1.01 * over[worst]
+        caps.speed[a:b] /= by
+        caps.push[a:b] /= by**2
+        caps.limit[a:b] = shares[worst].argmax()

@@ -1,0 +1,274 @@
+"""The times of all scenarios of a run: `time_run(run, "20mm/s")`, into a file a method beside the run's results.
+
+Plans do not hang on it, and a run may be timed again with another feed or other limits, which replaces its times; with
+the same ones only what is missing is timed. Scenarios are timed one by one, so that neither their order nor the number
+of processes has any influence; torques are computed for the postures of a block of them at once.
+"""
+
+import os
+import signal
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+from functools import cache, cached_property
+from multiprocessing import get_context
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+import pyarrow as pa
+
+from htcp_jax.device import compile_cache
+from htcp_jax.errors import InputError, Interrupted
+from htcp_jax.io.files import make_folder, write
+from htcp_jax.jobs.build import arm_of, part_of, robot_of, scenario_of, workpiece_of
+from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.model.robot import Robot, lengthen_tool
+from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.motion.plans import Plans
+from htcp_jax.process_exit import signals_blocked, stop_message
+from htcp_jax.runs.lock import locked, signals
+from htcp_jax.runs.open import RunPlans, plans_of_run
+from htcp_jax.runs.run_folder import Run, open_run
+from htcp_jax.runs.timing_file import SCHEMA, TIMING, Timing, read_timing, timing_bytes, timing_file
+from htcp_jax.trajectory.figures import Figures, figures
+from htcp_jax.trajectory.limits import joint_limits
+from htcp_jax.trajectory.loads import LOOKED_AT_S, Load, loads_of, model_of, torques
+from htcp_jax.trajectory.of_plan import OfPlan, asked_feed, timed_plan, with_program
+from htcp_jax.trajectory.timed import Timed
+
+BLOCK = 64  # scenarios timed between two writings, whose torques are computed together: what they take of memory
+EACH_PAYS, MOST = 128, 16  # scenarios that make up for the start of one more process; processes
+LIMITS = "velocity", "acceleration", "jerk", "full_speed_s", "full_acceleration_s"  # keys of `program`
+
+
+class _Asked(NamedTuple):
+    """What the run is timed with."""
+
+    feed_m_s: float
+    overrides: tuple[str, ...]
+
+
+class _OfScenario(NamedTuple):
+    """One scenario, timed."""
+
+    figures: Figures
+    timed: Timed | None  # what torques follow from; None where the arm's model states no inertias
+    effort: np.ndarray  # the joints' limits
+
+
+def time_run(
+    run: Run,
+    feed: str | None = None,
+    methods: Sequence[str] | None = None,
+    *,
+    overrides: Sequence[str] = (),
+    progress: Callable[[str, int, int], None] | None = None,
+    workers: int | None = 1,
+) -> Run:
+    """Time every scenario of a run whose motion leads to its last target, and return the run, whose `scenarios()` have
+    the times.
+
+    feed: of the TCP on the path, "20mm/s"; None: as the job says. methods: None are all with results. overrides: of the
+    job's section program, as on the command line. progress: called with a method, its scenarios that are done, and how
+    many there are. workers: processes; None are as many as pay.
+
+    Raises InputError for a feed that is none, a run without results, methods that it lacks, an arm without velocity
+    limits, files that have changed, and a folder that is in use or cannot be written; Interrupted on SIGINT and
+    SIGTERM, after which what is timed is kept.
+    """
+    asked = _Asked(asked_feed(feed, with_program(run.config, overrides)), tuple(overrides))
+    timer = _Timer(plans_of_run(run), asked)
+    chosen = _chosen(timer.found, methods)
+    check_limits(timer.jobs)
+    stopped = f"stopped; what is timed is kept in {run.folder}; the same command goes on"
+    with stop_message(lambda: stopped), locked(run.folder), signals() as came:
+        with _processes(timer, chosen, workers) as pool:
+            for method in chosen:
+                _time_method(timer, method, pool, progress, came)
+    return run
+
+
+def check_limits(jobs: Iterable[PlanConfig]) -> None:
+    """Raise InputError for an arm of these jobs without velocity limits, and for limits that are not its own."""
+    for job in {repr((arm_of(job), job.program)): job for job in jobs}.values():
+        joint_limits(robot_of(job.robot), job.program)
+
+
+def _chosen(found: RunPlans, methods: Sequence[str] | None) -> tuple[str, ...]:
+    for method in methods or ():
+        if method not in found.methods:
+            raise InputError(f"{found.folder} has no plans by {method!r}; there are {', '.join(found.methods)}")
+    return found.methods if methods is None else tuple(methods)
+
+
+class _Timer:
+    """Times scenarios of one run; arms and parts that scenarios share are read once."""
+
+    def __init__(self, found: RunPlans, asked: _Asked):
+        self.found, self.asked = found, asked
+        self.plans: Callable[[str], Plans] = cache(found.plans)
+        self._arms: dict[str, Robot] = {}
+        self._models: dict[str, mujoco.MjModel | None] = {}
+        self._inverse: dict[str, Callable] = {}
+        self._parts: dict[str, Workpiece] = {}
+
+    @cached_property
+    def jobs(self) -> list[PlanConfig]:
+        """The scenarios' own, with the program that is asked for."""
+        return [with_program(job, self.asked.overrides) for job in self.found.jobs]
+
+    @property
+    def made_with(self) -> Timing:
+        """What the times are made with, without any rows."""
+        program = with_program(self.found.config, self.asked.overrides).program.model_dump(mode="json")
+        return Timing(self.asked.feed_m_s, {key: program[key] for key in LIMITS}, SCHEMA.empty_table())
+
+    def known(self, method: str) -> Timing:
+        """What is there already that was made with the same; a damaged file is as none."""
+        try:
+            there = read_timing(self.found.folder, self.found.run.manifest.shards, method)
+        except InputError:
+            there = None
+        return there if there is not None and there[:2] == self.made_with[:2] else self.made_with
+
+    def missing(self, method: str) -> list[int]:
+        """Scenarios with results and without a row."""
+        shards = [shard for shard in self.found.run.manifest.shards if shard.method == method]
+        planned = {number for shard in shards for number in range(shard.first, shard.last + 1)}
+        return sorted(planned - set(self.known(method).rows["scenario"].to_pylist()))
+
+    def one(self, method: str, scenario: int) -> _OfScenario | None:
+        """A scenario's; None where no motion leads to its last target."""
+        plans, job = self.plans(method), self.jobs[scenario]
+        if not plans.outcome(scenario).can_be_driven:
+            return None
+        arm = self._arm(job)
+        aims = scenario_of(job, arm, self._part(job, arm)).aims if job.task else None
+        robot = lengthen_tool(arm, job.robot.tool_extension_m)
+        try:
+            made = timed_plan(plans, scenario, job, robot, aims, self.asked.feed_m_s, method)
+        except InputError:  # limits are there and so is the feed: the arm stands still all along
+            return None
+        return _OfScenario(figures(made.program, made.limits), self._timed(made), np.asarray(robot.effort))
+
+    def _timed(self, made: OfPlan) -> Timed | None:
+        return None if self._model(made.job) is None else made.program.timed(LOOKED_AT_S)
+
+    def loads(self, block: Sequence[int], found: Sequence[_OfScenario | None]) -> dict[int, Load]:
+        """What the motions of a block ask of the joints, by scenario; those of one arm at once."""
+        arms: dict[str, dict[int, _OfScenario]] = {}
+        for number, one in zip(block, found, strict=True):
+            if one is not None and one.timed is not None:
+                arms.setdefault(repr(arm_of(self.jobs[number])), {})[number] = one
+        loads: dict[int, Load] = {}
+        for arm, own in arms.items():
+            motions, effort = [one.timed for one in own.values()], next(iter(own.values())).effort
+            loads |= zip(own, loads_of(self._torques(arm, next(iter(own))), motions, effort), strict=True)
+        return loads
+
+    def _torques(self, arm: str, number: int) -> Callable:
+        if arm not in self._inverse:
+            self._inverse[arm] = torques(self._model(self.jobs[number]))
+        return self._inverse[arm]
+
+    def _model(self, job: PlanConfig) -> mujoco.MjModel | None:
+        """The arm of a job with its inertias, if it has any."""
+        key = repr(arm_of(job))
+        if key not in self._models:
+            self._models[key] = model_of(job.robot)
+        return self._models[key]
+
+    def _arm(self, job: PlanConfig) -> Robot:
+        key = repr(arm_of(job))
+        if key not in self._arms:
+            self._arms[key] = robot_of(job.robot)
+        return self._arms[key]
+
+    def _part(self, job: PlanConfig, arm: Robot) -> Workpiece:
+        key = repr((arm_of(job), part_of(job)))
+        if key not in self._parts:
+            self._parts[key] = workpiece_of(part_of(job), arm)
+        return self._parts[key]
+
+
+def _time_method(timer: _Timer, method: str, pool: Executor | None, progress: Callable | None, came: list[int]) -> None:
+    """All that is missing, block by block; every block is written."""
+    missing, known = timer.missing(method), timer.known(method)
+    everything = len(missing) + len(known.rows)
+    for first in range(0, len(missing), BLOCK):
+        if progress is not None:
+            progress(method, everything - len(missing) + first, everything)
+        if came:
+            raise Interrupted(_stopped(timer, method, everything - len(missing) + first, everything), came[0])
+        block = missing[first : first + BLOCK]
+        found = list(_found(timer, pool, method, block))
+        loads = timer.loads(block, found)
+        rows = [_row(number, known.feed_m_s, one, loads.get(number)) for number, one in zip(block, found, strict=True)]
+        known = known._replace(rows=pa.concat_tables([known.rows, pa.Table.from_pylist(rows, SCHEMA)]))
+        _write(timer.found.run, method, known)
+    if progress is not None:
+        progress(method, everything, everything)
+
+
+def _stopped(timer: _Timer, method: str, done: int, of: int) -> str:
+    return f"stopped; {done} of {of} scenarios of {method} are timed in {timer.found.folder}; the same command goes on"
+
+
+def _write(run: Run, method: str, timing: Timing) -> None:
+    make_folder(run.folder, TIMING)
+    name = str(timing_file(run.folder, method).relative_to(run.folder))
+    write(run.folder, name, timing_bytes(timing, run.manifest.shards, method))
+
+
+def _row(number: int, feed_m_s: float, one: _OfScenario | None, load: Load | None) -> dict:
+    """A row of the file."""
+    row = {"scenario": number, "feed_m_s": feed_m_s}
+    if one is None:
+        return row
+    found = one.figures
+    row |= {"cycle_time_s": found.duration_s, "path_time_s": found.path_s, "feed_reason": found.reason}
+    row |= {"feed_held_share": _known(found.held_share), "feed_reached_m_s": _known(found.reached_m_s)}
+    for share in found.path_shares:
+        row |= {f"{share.limit}_share": share.share, f"{share.limit}_joint": share.joint}
+    return row | ({"torque_share": load.share, "torque_joint": load.joint} if load is not None and load.share else {})
+
+
+def _known(value: float) -> float | None:
+    return None if np.isnan(value) else float(value)
+
+
+def _found(timer: _Timer, pool: Executor | None, method: str, block: Sequence[int]) -> Iterable[_OfScenario | None]:
+    if pool is None:
+        return (timer.one(method, number) for number in block)
+    return pool.map(_one, [method] * len(block), block, chunksize=4)
+
+
+@contextmanager
+def _processes(timer: _Timer, methods: Sequence[str], workers: int | None) -> Iterator[Executor | None]:
+    """As many as are asked for, or as pay; None: this one alone."""
+    if workers is None:
+        missing = sum(len(timer.missing(method)) for method in methods)
+        workers = min(os.cpu_count() or 1, MOST, missing // EACH_PAYS)
+    if workers < 2:
+        yield None
+        return
+    given = timer.found.folder, timer.asked
+    with ProcessPoolExecutor(workers, get_context("spawn"), _begin, given) as pool:
+        with signals_blocked():
+            pool.submit(int)  # starts all of them
+        yield pool
+
+
+_own: list[_Timer] = []  # of a process of its own
+
+
+def _begin(folder: Path, asked: _Asked) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that has started this one heeds it
+    compile_cache.enable()
+    _own[:] = [_Timer(RunPlans(open_run(folder)), asked)]
+
+
+def _one(method: str, scenario: int) -> _OfScenario | None:
+    return _own[0].one(method, scenario)
