@@ -20,11 +20,11 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import trimesh
-from htcp_jax.clearance.obstacles.obstacles.obstacles import clearance
-from htcp_jax.clearance.obstacles.obstacles.of_cell import PlacedCloud, make_fixtures
-from htcp_jax.clearance.obstacles.obstacles.self_collision import SelfCollision, self_collision
 
 from benchmarks import hardware
+from htcp_jax.clearance.obstacles.obstacles import clearance
+from htcp_jax.clearance.obstacles.of_cell import PlacedCloud, make_fixtures
+from htcp_jax.clearance.obstacles.self_collision import SelfCollision, self_collision
 from htcp_jax.device import compile_cache
 from htcp_jax.io.cell import load_cell
 from htcp_jax.io.robot_file import load_robot

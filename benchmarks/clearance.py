@@ -14,14 +14,14 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from htcp_jax.clearance.obstacles.obstacles.linearisation import linearise
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles
-from htcp_jax.clearance.obstacles.obstacles.obstacles import all_clear, clearance
-from htcp_jax.clearance.obstacles.obstacles.of_workpiece import make_obstacle
 
 from benchmarks import hardware
 from benchmarks.figures import Figure, save
 from htcp_jax.clearance.distance.cloud_tree import build_index
+from htcp_jax.clearance.obstacles.linearisation import linearise
+from htcp_jax.clearance.obstacles.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.obstacles import all_clear, clearance
+from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.device import compile_cache
 from htcp_jax.jobs.build import scene
 from htcp_jax.jobs.load_config import load_config

@@ -19,9 +19,9 @@ from unittest import mock
 import jax
 import jax.numpy as jnp
 import numpy as np
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene, own_scene
 from scipy.optimize import NonlinearConstraint, minimize
 
+from htcp_jax.clearance.obstacles.scene import Scene, own_scene
 from htcp_jax.device import compile_cache
 from htcp_jax.device.kernel import WALKED, Kernel
 from htcp_jax.device.programs import PROGRAMS, Kernels

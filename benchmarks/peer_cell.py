@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from htcp_jax.clearance.obstacles.obstacles.obstacles import clearance
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene, own_scene
 
+from htcp_jax.clearance.obstacles.obstacles import clearance
+from htcp_jax.clearance.obstacles.scene import Scene, own_scene
 from htcp_jax.device.kernel import DEEP, Kernel
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import tcp_position

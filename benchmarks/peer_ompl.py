@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import jax
 import mujoco
 import numpy as np
-from htcp_jax.clearance.obstacles.obstacles.obstacles import clearance
 from ompl import base, geometric, util
 
 from benchmarks.peer_cell import Brought, Cell
+from htcp_jax.clearance.obstacles.obstacles import clearance
 from htcp_jax.model.robot import GP50
 from htcp_jax.motion.knots import Knots
 from htcp_jax.motion.plans import Plans

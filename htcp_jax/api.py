@@ -10,8 +10,8 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles
-from htcp_jax.clearance.obstacles.obstacles.self_collision import SelfCollision
+from htcp_jax.clearance.obstacles.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.self_collision import SelfCollision
 from htcp_jax.device.devices import choose
 from htcp_jax.jobs.build import drawn_of, obstacles_of, scene, task_of_job
 from htcp_jax.jobs.config import PlanConfig

@@ -24,12 +24,12 @@ from itertools import pairwise
 import jax
 import jax.numpy as jnp
 import numpy as np
-from htcp_jax.clearance.obstacles.obstacles.obstacles import clearances
-from htcp_jax.clearance.obstacles.obstacles.of_workpiece import make_obstacle
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene
 from matplotlib.figure import Figure
 
 import htcp_jax
+from htcp_jax.clearance.obstacles.obstacles import clearances
+from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
+from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import jacobian, tcp_position
 from htcp_jax.numerics import null_basis

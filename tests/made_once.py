@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from htcp_jax.clearance.obstacles.obstacles.of_workpiece import make_obstacle
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene
 
+from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
+from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.io.robot_file import gp50, load_robot
 from htcp_jax.io.workpiece_file import load_workpiece
 from htcp_jax.model.robot import Robot

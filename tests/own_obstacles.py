@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Bodies, Contacts, Posed, Rows
 
+from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Posed, Rows
 from htcp_jax.model.robot import Robot
 from htcp_jax.pytree import register_pytree
 

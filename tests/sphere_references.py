@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 import made_once
 import numpy as np
-from htcp_jax.clearance.obstacles.obstacles.linearisation import linearise
 from scipy.optimize import BFGS, NonlinearConstraint, minimize
 
+from htcp_jax.clearance.obstacles.linearisation import linearise
 from htcp_jax.planning.tracking.null_space import sphere_problem
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import sphere

@@ -13,8 +13,6 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-from htcp_jax.clearance.obstacles.obstacles.obstacles import clearance
-from htcp_jax.clearance.obstacles.obstacles.of_cell import PlacedCloud, make_fixtures, solid_of
 from made_plan import made_plan
 from matplotlib.colors import to_rgba
 from small_cell import small_job
@@ -22,6 +20,8 @@ from test_self_collision import CHAIN
 
 import htcp_jax
 from htcp_jax.clearance.distance.solids import Box
+from htcp_jax.clearance.obstacles.obstacles import clearance
+from htcp_jax.clearance.obstacles.of_cell import PlacedCloud, make_fixtures, solid_of
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.io.cell import load_cell

@@ -9,8 +9,9 @@ import made_once
 import mujoco
 import numpy as np
 import pytest
-from htcp_jax.clearance.obstacles.obstacles.linearisation import linearise
-from htcp_jax.clearance.obstacles.obstacles.obstacles import (
+
+from htcp_jax.clearance.obstacles.linearisation import linearise
+from htcp_jax.clearance.obstacles.obstacles import (
     all_clear,
     clearance,
     clearance_rows,
@@ -18,8 +19,7 @@ from htcp_jax.clearance.obstacles.obstacles.obstacles import (
     contacts,
     is_clear,
 )
-from htcp_jax.clearance.obstacles.obstacles.of_workpiece import make_obstacle
-
+from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.model.kinematics import capsule_segments
 from htcp_jax.model.robot import GP50, lengthen_tool
 from htcp_jax.model.scenario import make_scenario

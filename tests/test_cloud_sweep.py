@@ -7,8 +7,6 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
-from htcp_jax.clearance.obstacles.obstacles.obstacles import clearance
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene
 from sphere_references import Where
 from test_cloud_index import cloud
 from test_motion_proof import motions
@@ -18,6 +16,8 @@ from htcp_jax.clearance.distance.cloud import cloud_of
 from htcp_jax.clearance.distance.cloud_sweep import clear_along
 from htcp_jax.clearance.distance.cloud_tree import build_index
 from htcp_jax.clearance.distance.sweep import Sweep, Wanted
+from htcp_jax.clearance.obstacles.obstacles import clearance
+from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.proof import interval
 from htcp_jax.clearance.proof.interval import on_interval
 from htcp_jax.clearance.proof.motion_bound import travel_bound

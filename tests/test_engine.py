@@ -9,9 +9,9 @@ import jax
 import made_once
 import numpy as np
 import pytest
-from htcp_jax.clearance.obstacles.obstacles.of_workpiece import make_obstacle
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene
 
+from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
+from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.device.kernel import STEP, Kernel
 from htcp_jax.device.programs import PROGRAMS, Kernels, Programs
 from htcp_jax.device.tables import gather_from

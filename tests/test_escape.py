@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
-from htcp_jax.clearance.obstacles.obstacles.obstacles import clearance, clearances, contacts, is_clear
 from sphere_references import place
 
+from htcp_jax.clearance.obstacles.obstacles import clearance, clearances, contacts, is_clear
 from htcp_jax.device.batching import finished
 from htcp_jax.model.kinematics import jacobian, tcp_position
 from htcp_jax.motion.lane_inputs import LaneInputs

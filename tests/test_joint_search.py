@@ -7,12 +7,12 @@ import jax
 import made_once
 import numpy as np
 import pytest
-from htcp_jax.clearance.obstacles.obstacles.of_workpiece import make_obstacle
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene
-from htcp_jax.clearance.obstacles.obstacles.tip_guard import make_tip_guard
 from sphere_references import place
 from test_clearance import few_points
 
+from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
+from htcp_jax.clearance.obstacles.scene import Scene
+from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
 from htcp_jax.clearance.proof.motion_proof import Tube, Verdict
 from htcp_jax.device.programs import Kernels
 from htcp_jax.errors import InputError

@@ -21,13 +21,16 @@ def package(tmp_path):
     ("files", "message"),
     [
         (
-            ["scene/a.py: from htcp_jax.planner.b import f", "planner/b.py:"],
-            "scene.a imports planner.b, which lies above",
+            ["model/a.py: from htcp_jax.planning.b import f", "planning/b.py:"],
+            "model.a imports planning.b, which lies above",
         ),
-        (["scene/a.py: def f(): import htcp_jax.planner.b", "planner/b.py:"], "scene.a imports planner.b, which lies"),
-        (["types.py: from htcp_jax.scene import a", "scene/a.py:"], "types imports scene.a, which lies above it"),
         (
-            ["scene/a.py: from htcp_jax.scene import b", "scene/b.py: import htcp_jax.scene.a"],
+            ["model/a.py: def f(): import htcp_jax.planning.b", "planning/b.py:"],
+            "model.a imports planning.b, which lies",
+        ),
+        (["types.py: from htcp_jax.model import a", "model/a.py:"], "types imports model.a, which lies above it"),
+        (
+            ["model/a.py: from htcp_jax.model import b", "model/b.py: import htcp_jax.model.a"],
             "imports run in a circle",
         ),
         (["odd/a.py:"], "odd: no package in PACKAGES"),
@@ -92,5 +95,5 @@ def test_mathematics_names_its_source(package, text):
 def test_what_all_names_and_what_the_pages_show_is_public():
     found = public(Path(__file__).parents[1])
     assert set(htcp_jax.__all__) - {"charts", "clearance"} <= {name.rpartition(".")[2] for name in found}
-    assert {"scene.scenario.Scenario", "solvers.sphere.sqp", "runs.run_folder.open_run"} <= found.keys()
+    assert {"model.scenario.Scenario", "solvers.sphere.sqp", "runs.run_folder.open_run"} <= found.keys()
     assert found["solvers.sphere.sqp"].is_mathematics and not found["runs.run_folder.open_run"].is_mathematics

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
-from htcp_jax.clearance.obstacles.obstacles.obstacles import clearance
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene
 from sphere_references import Where, place
 from test_joint_path import rail
 
+from htcp_jax.clearance.obstacles.obstacles import clearance
+from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.proof.motion_bound import tcp_sweep
 from htcp_jax.clearance.proof.motion_proof import ROUNDING_M, Proof, Tube, Verdict, prove
 from htcp_jax.io.robot_file import load_robot

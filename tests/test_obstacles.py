@@ -8,9 +8,11 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
-from htcp_jax.clearance.obstacles.obstacles.contact_model import hold_contacts, predict_distances
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacle, rows_of
-from htcp_jax.clearance.obstacles.obstacles.obstacles import (
+from own_obstacles import Floor
+
+from htcp_jax.clearance.obstacles.contact_model import hold_contacts, predict_distances
+from htcp_jax.clearance.obstacles.obstacle import Obstacle, rows_of
+from htcp_jax.clearance.obstacles.obstacles import (
     all_clear,
     clearance,
     clearance_rows,
@@ -19,11 +21,9 @@ from htcp_jax.clearance.obstacles.obstacles.obstacles import (
     is_clear,
     room,
 )
-from htcp_jax.clearance.obstacles.obstacles.of_workpiece import make_obstacle
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene
-from htcp_jax.clearance.obstacles.obstacles.self_collision import SelfCollision
-from own_obstacles import Floor
-
+from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
+from htcp_jax.clearance.obstacles.scene import Scene
+from htcp_jax.clearance.obstacles.self_collision import SelfCollision
 from htcp_jax.clearance.proof.motion_proof import proven_clear
 from htcp_jax.model.kinematics import capsule_segments
 

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hand_made import plans_with
-from htcp_jax.clearance.obstacles.obstacles.of_workpiece import make_obstacle
 from made_once import START, robot
 from made_plan import made_plan
 
+from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.model.duct import duct_cloud, weld

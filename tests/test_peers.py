@@ -8,13 +8,13 @@ import sys
 
 import numpy as np
 import pytest
-from htcp_jax.clearance.obstacles.obstacles.of_workpiece import make_obstacle
 from scipy.spatial import cKDTree
 
 from benchmarks.peer_cell import Brought, Cell
 from benchmarks.peer_motions import PEERS, rows
 from benchmarks.peer_planners import Task
 from benchmarks.peers import chosen_scenarios, main
+from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.device.devices import choose
 from htcp_jax.model.task import Task as Constraint
 from htcp_jax.motion.problem import Problem

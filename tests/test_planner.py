@@ -7,8 +7,8 @@ import jax
 import made_once
 import numpy as np
 import pytest
-from htcp_jax.clearance.obstacles.obstacles.obstacles import is_clear
 
+from htcp_jax.clearance.obstacles.obstacles import is_clear
 from htcp_jax.errors import InputError
 from htcp_jax.model.kinematics import capsule_segments, tcp_position
 from htcp_jax.model.robot import lengthen_tool

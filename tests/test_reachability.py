@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from htcp_jax.clearance.obstacles.obstacles.obstacles import clearance
-from htcp_jax.clearance.obstacles.obstacles.of_workpiece import make_obstacle
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene
 from scipy.spatial.transform import Rotation
 
+from htcp_jax.clearance.obstacles.obstacles import clearance
+from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
+from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.proof.arm_exclusion import arm_cell, has_wrist, tool_cell, wrist
 from htcp_jax.clearance.proof.exclusion import tool_collides
 from htcp_jax.cli.main import main

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene
 
+from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.proof.motion_proof import Tube, Verdict, prove
 from htcp_jax.clearance.proof.row_proof import between, rows_hold
 from htcp_jax.model.goals import task_of, with_goals

@@ -8,12 +8,12 @@ import made_once
 import mujoco
 import numpy as np
 import pytest
-from htcp_jax.clearance.obstacles.obstacles.obstacles import clearance_rows, clearances
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene
-from htcp_jax.clearance.obstacles.obstacles.self_collision import SelfCollision, self_collision
 from test_joint_path import rail
 
 from htcp_jax.clearance.distance.segments import nearest_points
+from htcp_jax.clearance.obstacles.obstacles import clearance_rows, clearances
+from htcp_jax.clearance.obstacles.scene import Scene
+from htcp_jax.clearance.obstacles.self_collision import SelfCollision, self_collision
 from htcp_jax.clearance.proof.interval import row_travel_bound
 from htcp_jax.clearance.proof.motion_bound import travel_bound
 from htcp_jax.clearance.proof.motion_proof import Verdict, prove

@@ -6,11 +6,11 @@ import re
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from htcp_jax.clearance.obstacles.obstacles.self_collision import self_collision
-from htcp_jax.clearance.obstacles.obstacles.self_exclusions import distances, samples
 from published import path_of
 
 import htcp_jax
+from htcp_jax.clearance.obstacles.self_collision import self_collision
+from htcp_jax.clearance.obstacles.self_exclusions import distances, samples
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.io.link_meshes import LinkMeshes

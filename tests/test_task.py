@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
-from htcp_jax.clearance.obstacles.obstacles.obstacle import bodies_at
 from own_obstacles import Floor
 
+from htcp_jax.clearance.obstacles.obstacle import bodies_at
 from htcp_jax.errors import InputError
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import link_poses, tcp_position

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from htcp_jax.clearance.obstacles.obstacles.of_workpiece import make_obstacle
 from small_motions import SMALL, check_way, first_of, ways
 
+from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.device.devices import choose
 from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.jobs.load_config import load_config

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import stranger_jobs
 import trimesh
-from htcp_jax.clearance.obstacles.obstacles.tip_guard import TipGuard, Triangles, make_tip_guard
 
+from htcp_jax.clearance.obstacles.tip_guard import TipGuard, Triangles, make_tip_guard
 from htcp_jax.io.workpiece_file import load_workpiece
 from htcp_jax.jobs.build import robot_of, workpiece_of
 from htcp_jax.jobs.load_config import load_config

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import stranger_jobs
 import trimesh
-from htcp_jax.clearance.obstacles.obstacles.contact_model import hold_contacts, predict_distances
-from htcp_jax.clearance.obstacles.obstacles.obstacle import rows_of
-from htcp_jax.clearance.obstacles.obstacles.obstacles import all_clear, clearance, clearances, contacts, is_clear
-from htcp_jax.clearance.obstacles.obstacles.of_workpiece import make_obstacle
 
+from htcp_jax.clearance.obstacles.contact_model import hold_contacts, predict_distances
+from htcp_jax.clearance.obstacles.obstacle import rows_of
+from htcp_jax.clearance.obstacles.obstacles import all_clear, clearance, clearances, contacts, is_clear
+from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import robot_of, scenario_of, scene, workpiece_of

@@ -13,4 +13,4 @@ import importlib
 def __getattr__(name: str):
     if name != "clearance":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return importlib.import_module("htcp_jax.clearance.obstacles.obstacles.obstacles").clearance
+    return importlib.import_module("htcp_jax.clearance.obstacles.obstacles").clearance

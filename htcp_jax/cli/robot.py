@@ -10,8 +10,8 @@ import numpy as np
 import typer
 from jaxtyping import Bool
 
-from htcp_jax.clearance.obstacles.obstacles.self_collision import self_collision
-from htcp_jax.clearance.obstacles.obstacles.self_exclusions import candidates, find_exclusions, samples
+from htcp_jax.clearance.obstacles.self_collision import self_collision
+from htcp_jax.clearance.obstacles.self_exclusions import candidates, find_exclusions, samples
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.errors import InputError
 from htcp_jax.io.capsule_fit import MOST

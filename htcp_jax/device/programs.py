@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene
+from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.device import compile_cache
 from htcp_jax.device.devices import cores
 from htcp_jax.device.kernel import TRACKED, Kernel

@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles
-from htcp_jax.clearance.obstacles.obstacles.of_cell import make_fixtures, placed_cloud
-from htcp_jax.clearance.obstacles.obstacles.self_collision import self_collision
+from htcp_jax.clearance.obstacles.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.of_cell import make_fixtures, placed_cloud
+from htcp_jax.clearance.obstacles.self_collision import self_collision
 from htcp_jax.errors import InputError
 from htcp_jax.io.cell import load_cell
 from htcp_jax.io.point_cloud import load_geometry

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.obstacle import Obstacles
 from htcp_jax.errors import InputError
 from htcp_jax.io.strict_model import Section, validate
 from htcp_jax.jobs.build import (

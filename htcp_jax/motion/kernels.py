@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.obstacles.obstacles.linearisation import Linearisation, linearise
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene, own_scene
+from htcp_jax.clearance.obstacles.linearisation import Linearisation, linearise
+from htcp_jax.clearance.obstacles.scene import Scene, own_scene
 from htcp_jax.clearance.proof.motion_proof import path_clear
 from htcp_jax.device.batching import Loop
 from htcp_jax.device.kernel import STEP, TRACKED, Kernel

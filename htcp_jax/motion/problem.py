@@ -8,9 +8,9 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Int
 
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene
-from htcp_jax.clearance.obstacles.obstacles.tip_guard import TipGuard, make_tip_guard
+from htcp_jax.clearance.obstacles.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.scene import Scene
+from htcp_jax.clearance.obstacles.tip_guard import TipGuard, make_tip_guard
 from htcp_jax.device.programs import Kernels
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.scenario import NOT_REFUSED, Scenario

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene, own_scene
+from htcp_jax.clearance.obstacles.scene import Scene, own_scene
 from htcp_jax.clearance.proof.bisection import Proof, begun, of_proven
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M
 from htcp_jax.clearance.proof.motion_proof import DEEPEST, Tube, look_on

@@ -16,7 +16,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.obstacles.obstacles.linearisation import Linearisation
+from htcp_jax.clearance.obstacles.linearisation import Linearisation
 from htcp_jax.device.programs import Kernels
 from htcp_jax.device.tables import concatenate, gather
 from htcp_jax.motion.kernels import ADVANCE, HOLD, SETTLE, Measured

@@ -10,9 +10,9 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from htcp_jax.clearance.obstacles.obstacles.obstacle import in_workpiece
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene, own_scene
-from htcp_jax.clearance.obstacles.obstacles.tip_guard import TipGuard
+from htcp_jax.clearance.obstacles.obstacle import in_workpiece
+from htcp_jax.clearance.obstacles.scene import Scene, own_scene
+from htcp_jax.clearance.obstacles.tip_guard import TipGuard
 from htcp_jax.device.kernel import STEP, Kernel
 from htcp_jax.device.programs import Kernels
 from htcp_jax.model.kinematics import tip_segment

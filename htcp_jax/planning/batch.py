@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles
-from htcp_jax.clearance.obstacles.obstacles.obstacles import contacts, nearest_to
-from htcp_jax.clearance.obstacles.obstacles.of_workpiece import all_obstacles
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene, own_scene
-from htcp_jax.clearance.obstacles.obstacles.self_collision import SelfCollision, refused_overlap
+from htcp_jax.clearance.obstacles.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.obstacles import contacts, nearest_to
+from htcp_jax.clearance.obstacles.of_workpiece import all_obstacles
+from htcp_jax.clearance.obstacles.scene import Scene, own_scene
+from htcp_jax.clearance.obstacles.self_collision import SelfCollision, refused_overlap
 from htcp_jax.device.devices import choose, default_threads
 from htcp_jax.device.processes import portable, shares, spread, that_pay
 from htcp_jax.device.tables import gather
@@ -68,7 +68,7 @@ def plan(
     processes are of this one. Results depend on neither. check_paths: afterwards measure, for every accepted step that
     the method did not check itself, whether its straight joint path is clear (`Plans.path_clear`), judge which ways are
     motions, and smooth these where `settings.smooth` or the method asks for it. task: what the arm holds at every
-    target, by default the TCP's position within `tolerance_m`. obstacles: further ones, see `clearance.obstacles.obstacle`.
+    target, by default the TCP's position within `tolerance_m`. obstacles: further ones, see `obstacle.Obstacle`.
     check_starts: refuse a start in collision, which otherwise is a status.
     Raises InputError for an unknown method, device or setting, for weights of the wrong length, for no scenarios,
     for a task of more rows than joints, or other ones than the targets have, for no process, and for starts to be

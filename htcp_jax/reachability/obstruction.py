@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles
-from htcp_jax.clearance.obstacles.obstacles.obstacles import contacts, nearest_to
-from htcp_jax.clearance.obstacles.obstacles.of_workpiece import all_obstacles
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene, own_scene
+from htcp_jax.clearance.obstacles.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.obstacles import contacts, nearest_to
+from htcp_jax.clearance.obstacles.of_workpiece import all_obstacles
+from htcp_jax.clearance.obstacles.scene import Scene, own_scene
 from htcp_jax.device.batching import chunked
 from htcp_jax.device.kernel import DEEP
 from htcp_jax.model.inverse_kinematics import reanchor

@@ -20,8 +20,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
-from htcp_jax.clearance.obstacles.obstacles.obstacles import clearance
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene, own_scene
+from htcp_jax.clearance.obstacles.obstacles import clearance
+from htcp_jax.clearance.obstacles.scene import Scene, own_scene
 from htcp_jax.clearance.proof.exclusion import rotation
 from htcp_jax.device.kernel import Kernel
 from htcp_jax.device.programs import Kernels

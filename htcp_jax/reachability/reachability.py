@@ -20,10 +20,10 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles
-from htcp_jax.clearance.obstacles.obstacles.of_workpiece import all_obstacles
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene
-from htcp_jax.clearance.obstacles.obstacles.tip_guard import make_tip_guard
+from htcp_jax.clearance.obstacles.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.of_workpiece import all_obstacles
+from htcp_jax.clearance.obstacles.scene import Scene
+from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
 from htcp_jax.device.devices import default_threads
 from htcp_jax.device.programs import Kernels
 from htcp_jax.device.tables import concatenate, gather

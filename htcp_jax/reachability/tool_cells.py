@@ -6,7 +6,7 @@ component is 1, and the others are between -1 and 1. A face is cut into cubes, a
 middle nothing gets longer, so a cube of half side h covers rotations within 2 sqrt(3) h of its middle's.
 
 The joints before the wrist have a cover of their own, of boxes. That one is halved which has fewer cells. Out of both
-falls what collides for sure, and what cannot meet any of the other at the wrist (`clearance.proof.arm_exclusion`). A proof
+falls what collides for sure, and what cannot meet any of the other at the wrist (`arm_exclusion`). A proof
 that there is no posture needs both; an arm without a wrist has the first alone.
 """
 
@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene, own_scene
+from htcp_jax.clearance.obstacles.scene import Scene, own_scene
 from htcp_jax.clearance.proof.arm_exclusion import WRIST, Cell, arm_cell, has_wrist, tool_cell
 from htcp_jax.clearance.proof.exclusion import rotation
 from htcp_jax.device.kernel import Kernel, Load, Table

@@ -1,7 +1,7 @@
 """How far points of the arm move when its joints are nudged off the joint path that was proven.
 
 Joints near x, each within w_j of it, are moved by n_j. With the levers r_j of a point at x, and M_j as in
-`clearance.proof.motion_bound` for joints within w + n, the column of joint j is no longer than l_j = r_j + M_{j+1}, and its
+`motion_bound` for joints within w + n, the column of joint j is no longer than l_j = r_j + M_{j+1}, and its
 derivative by joint i no larger than l_max(i, j), 0 for two slides. So the point moves by no more than either of
 
     sum_j l_j n_j    and    |J(x) n| + sum_ij l_max(i, j) (w_i + n_i / 2) n_j.

@@ -1,6 +1,6 @@
 """What the rows of a task leave beside the legs of a motion, and how much a nudge of the arm takes of it.
 
-`clearance.proof.row_proof` bounds, on an interval of a straight joint path, how far what a row looks at may be off the path
+`row_proof` bounds, on an interval of a straight joint path, how far what a row looks at may be off the path
 before the row is not sure to hold between its two targets: a point by a length, an axis or a frame by the chord of an
 angle. That is what is left of the row, one number a row and leg in the row's own unit, the least of the leg's PIECES.
 A curve beside the leg holds every row for certain where it takes no more than that:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.obstacles.obstacles.tip_guard import make_tip_guard
+from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
 from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.motion.motion import ONE_POINT_M
 from htcp_jax.status import Kind

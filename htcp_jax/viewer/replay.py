@@ -17,8 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int8
 
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles, rows_of
-from htcp_jax.clearance.obstacles.obstacles.obstacles import contacts
+from htcp_jax.clearance.obstacles.obstacle import Obstacles, rows_of
+from htcp_jax.clearance.obstacles.obstacles import contacts
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.model.kinematics import ArmShape, capsules_and_tcp

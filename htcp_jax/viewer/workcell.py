@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles
-from htcp_jax.clearance.obstacles.obstacles.of_workpiece import all_obstacles
+from htcp_jax.clearance.obstacles.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.of_workpiece import all_obstacles
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import arm_of, drawn_of, obstacles_of, part_of, robot_of, workpiece_of
 from htcp_jax.jobs.config import PlanConfig

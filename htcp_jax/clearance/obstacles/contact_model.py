@@ -12,7 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Contacts, Rows, slopes
+from htcp_jax.clearance.obstacles.obstacle import Contacts, Rows, slopes
 from htcp_jax.model.kinematics import link_poses
 from htcp_jax.model.robot import Robot
 from htcp_jax.numerics import axis_contact, capsule_point_distance

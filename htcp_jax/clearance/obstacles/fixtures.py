@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Piece, Rod, Seen, Solid
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Bodies, Contacts, Exact, Posed, Rows
+from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Exact, Posed, Rows
 from htcp_jax.model.kinematics import capsule_segments
 from htcp_jax.model.robot import Robot
 from htcp_jax.numerics import one_by_one, safe_norm, segment_parameter

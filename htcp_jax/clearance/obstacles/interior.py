@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance.distance.half_spaces import HalfSpaces, crossed_facets, depths
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Bodies, Contacts, Posed, Rows, in_workpiece
+from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Posed, Rows, in_workpiece
 from htcp_jax.model.robot import Robot
 from htcp_jax.numerics import product
 from htcp_jax.pytree import register_pytree

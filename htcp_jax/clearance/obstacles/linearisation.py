@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles, Posed
-from htcp_jax.clearance.obstacles.obstacles.obstacles import ClearanceRows, clearance_rows
+from htcp_jax.clearance.obstacles.obstacle import Obstacles, Posed
+from htcp_jax.clearance.obstacles.obstacles import ClearanceRows, clearance_rows
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.task import TCP_POSITION, Task
 from htcp_jax.types import Array, Float, Joints

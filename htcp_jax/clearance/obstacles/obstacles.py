@@ -12,7 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.obstacles.obstacles.obstacle import (
+from htcp_jax.clearance.obstacles.obstacle import (
     Contacts,
     Obstacles,
     Posed,

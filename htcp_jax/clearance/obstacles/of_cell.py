@@ -18,8 +18,8 @@ from scipy.spatial import ConvexHull
 from htcp_jax.clearance.distance.cloud import Cloud, cloud_of
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Piece, Rod, Solid
 from htcp_jax.clearance.distance.sweep import Sweep, Wanted
-from htcp_jax.clearance.obstacles.obstacles.fixtures import fixtures
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Bodies, Contacts, Obstacles, Posed, Rows
+from htcp_jax.clearance.obstacles.fixtures import fixtures
+from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Obstacles, Posed, Rows
 from htcp_jax.model.fixture import Fixture
 from htcp_jax.model.mesh_points import Cover, area, cover
 from htcp_jax.model.robot import Robot

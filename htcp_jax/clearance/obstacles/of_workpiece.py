@@ -4,8 +4,8 @@ from functools import lru_cache
 
 from htcp_jax.clearance.distance.cloud import cloud_of
 from htcp_jax.clearance.distance.half_spaces import half_spaces
-from htcp_jax.clearance.obstacles.obstacles.interior import Interior
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.interior import Interior
+from htcp_jax.clearance.obstacles.obstacle import Obstacles
 from htcp_jax.errors import InputError
 from htcp_jax.model.workpiece import Workpiece
 

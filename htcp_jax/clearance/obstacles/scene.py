@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles, Rows, rows_of
+from htcp_jax.clearance.obstacles.obstacle import Obstacles, Rows, rows_of
 from htcp_jax.model.robot import Robot, lengthen_tool
 from htcp_jax.model.task import TCP_POSITION, Task
 from htcp_jax.types import Scalar

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.clearance.distance.segments import nearest_points
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Bodies, Contacts, Exact, Posed, Rows
-from htcp_jax.clearance.obstacles.obstacles.self_exclusions import (
+from htcp_jax.clearance.obstacles.obstacle import Bodies, Contacts, Exact, Posed, Rows
+from htcp_jax.clearance.obstacles.self_exclusions import (
     Pairs,
     candidates,
     distances,

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Posed
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene
+from htcp_jax.clearance.obstacles.obstacle import Posed
+from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.proof.exclusion import PIECES, Segments, cut, rotation, seen_from, surely_touches, tool_collides
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, point_motion_bound
 from htcp_jax.model.kinematics import point_positions

@@ -17,9 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.clearance.distance.cloud import Cloud
-from htcp_jax.clearance.obstacles.obstacles.interior import Interior
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles, Posed
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene
+from htcp_jax.clearance.obstacles.interior import Interior
+from htcp_jax.clearance.obstacles.obstacle import Obstacles, Posed
+from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M
 from htcp_jax.model.robot import Robot
 from htcp_jax.numerics import product, safe_norm

@@ -13,7 +13,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from htcp_jax.clearance.distance.sweep import Sweep, Wanted
-from htcp_jax.clearance.obstacles.obstacles.obstacle import (
+from htcp_jax.clearance.obstacles.obstacle import (
     Bodies,
     Obstacle,
     Obstacles,

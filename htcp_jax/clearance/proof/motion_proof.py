@@ -22,9 +22,9 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Posed
-from htcp_jax.clearance.obstacles.obstacles.obstacles import all_clear
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene
+from htcp_jax.clearance.obstacles.obstacle import Posed
+from htcp_jax.clearance.obstacles.obstacles import all_clear
+from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.proof.bisection import Bisection, Proof, Verdict, begun
 from htcp_jax.clearance.proof.interval import on_interval
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, tcp_sweep

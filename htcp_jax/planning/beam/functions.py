@@ -10,8 +10,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.obstacles.obstacles.obstacles import clearance
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene, own_scene
+from htcp_jax.clearance.obstacles.obstacles import clearance
+from htcp_jax.clearance.obstacles.scene import Scene, own_scene
 from htcp_jax.device.batching import Loop
 from htcp_jax.device.kernel import TRACKED, Kernel
 from htcp_jax.model.inverse_kinematics import reanchor

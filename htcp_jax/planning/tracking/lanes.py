@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from htcp_jax.clearance.obstacles.obstacles.linearisation import Linearisation, TaskRows
-from htcp_jax.clearance.obstacles.obstacles.obstacles import ClearanceRows
+from htcp_jax.clearance.obstacles.linearisation import Linearisation, TaskRows
+from htcp_jax.clearance.obstacles.obstacles import ClearanceRows
 
 MAIN = -1  # `candidate` of a lane that tracks for its scenario itself
 # Phases; of a lane that is in a stage of its escape, the phase is the number of that stage. The last three are those of

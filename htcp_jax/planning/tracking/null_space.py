@@ -9,10 +9,10 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.obstacles.obstacles.contact_model import HeldContacts, hold_contacts, predict_distances
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Obstacles, Posed
-from htcp_jax.clearance.obstacles.obstacles.obstacles import clearance, clearances, contacts
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene
+from htcp_jax.clearance.obstacles.contact_model import HeldContacts, hold_contacts, predict_distances
+from htcp_jax.clearance.obstacles.obstacle import Obstacles, Posed
+from htcp_jax.clearance.obstacles.obstacles import clearance, clearances, contacts
+from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.errors import InputError
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import configuration

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.obstacles.obstacles.obstacle import Posed
-from htcp_jax.clearance.obstacles.obstacles.obstacles import is_clear
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene
+from htcp_jax.clearance.obstacles.obstacle import Posed
+from htcp_jax.clearance.obstacles.obstacles import is_clear
+from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.model.inverse_kinematics import inside, reanchor
 from htcp_jax.model.task import Task
 from htcp_jax.numerics import null_basis, product, safe_norm

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.obstacles.obstacles.scene import Scene, own_scene
+from htcp_jax.clearance.obstacles.scene import Scene, own_scene
 from htcp_jax.device.batching import Loop
 from htcp_jax.device.kernel import DEEP, SAMPLED, WALKED, Kernel
 from htcp_jax.model.inverse_kinematics import reanchor
