@@ -44,16 +44,9 @@ LIST = Path(__file__).with_name("mutants.yaml")
 LIMIT_S = 240  # CPU time of pytest's process: what else runs on the machine changes no result
 HANG_S = 900  # time by the clock, for a process that waits without end
 TEST_FILES = 3
-MODEL = "convex_hull capsule_fit goals inverse_kinematics kinematics path_frames robot surface task task_rows".split()
-MODULES = [f"model/{name}.py" for name in MODEL] + [
-    "numerics.py",
-    "solvers/*.py",
-    "clearance/**/*.py",
-    "device/*.py",
-    "motion/*.py",
-    "planning/**/*.py",
-    "reachability/*.py",
-]
+MODEL = "convex_hull goals inverse_kinematics kinematics path_frames robot surface task task_rows".split()
+MODULES = [f"model/{name}.py" for name in MODEL] + ["io/capsule_fit.py", "numerics.py"]
+MODULES += [f"{package}/**/*.py" for package in "solvers clearance device motion planning reachability".split()]
 NO_MATHEMATICS = "compile_cache.py", "devices.py", "processes.py", "registry.py", "__init__.py"
 NOT_COPIED = shutil.ignore_patterns(".git", ".venv", "build", "dist", "out", "site", "__pycache__", ".*_cache")
 FAMILIES = "Add Sub Mul Div FloorDiv Mod Pow", "RShift LShift BitOr BitAnd BitXor", "Eq NotEq Lt LtE Gt GtE", "Is IsNot"

@@ -26,7 +26,7 @@ def package(tmp_path):
         ),
         (
             ["model/a.py: def f(): import htcp_jax.planning.b", "planning/b.py:"],
-            "model.a imports planning.b, which lies",
+            "model.a imports planning.b",
         ),
         (["types.py: from htcp_jax.model import a", "model/a.py:"], "types imports model.a, which lies above it"),
         (
