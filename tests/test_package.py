@@ -3,6 +3,7 @@
 import importlib
 import shutil
 import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -35,6 +36,18 @@ def test_a_run_records_whether_anything_of_the_package_was_edited(edited, tmp_pa
     assert clean == _git(tmp_path, "rev-parse", "HEAD").strip()
     (copy / edited).write_text((copy / edited).read_text() + "\n")
     assert commit() == f"{clean}+changes"
+
+
+def test_the_core_imports_no_library_of_files_charts_tables_or_simulation():
+    core = "model", "solvers", "clearance", "device", "motion", "planning", "reachability"
+    names = [".".join(("htcp_jax", *file.relative_to(PACKAGE).with_suffix("").parts)) for file in PACKAGE.rglob("*.py")]
+    imports = "\n".join(f"import {name}" for name in sorted(names) if name.split(".")[1] in core)
+    assert imports.count("\n") > 90
+    loaded = "{name.partition('.')[0] for name in sys.modules}"
+    script = f"import sys\n{imports}\nprint({loaded} & {{'yaml', 'pyarrow', 'matplotlib', 'rich', 'mujoco'}})"
+    assert (
+        subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True).stdout == "set()\n"
+    )
 
 
 def _git(folder: Path, *words: str) -> str:
