@@ -45,9 +45,8 @@ def test_the_core_imports_no_library_of_files_charts_tables_or_simulation():
     assert imports.count("\n") > 90
     loaded = "{name.partition('.')[0] for name in sys.modules}"
     script = f"import sys\n{imports}\nprint({loaded} & {{'yaml', 'pyarrow', 'matplotlib', 'rich', 'mujoco'}})"
-    assert (
-        subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True).stdout == "set()\n"
-    )
+    found = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True).stdout
+    assert found == "set()\n"
 
 
 def _git(folder: Path, *words: str) -> str:
