@@ -6,20 +6,13 @@ The defaults are what works best; `configs/paper.yaml` holds the paper's choices
 import difflib
 import math
 import reprlib
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args, get_origin
 
 from pydantic import TypeAdapter, ValidationError
 
-from htcp_jax.errors import InputError, Note
-
-# What settings were called in version 0.1; known for one version more.
-RENAMED = {
-    "rows": "clearance_rows", "inner_iterations": "max_step_qps", "outer_steps": "max_null_space_steps",
-    "far_links": "include_proximal_bodies", "sample_reach_rad": "max_sample_distance_rad", "postures": "restart_rounds",
-}  # fmt: skip
+from htcp_jax.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -100,31 +93,9 @@ class Settings:
         """How far the TCP of a motion may be from the line between two targets [m]."""
         return self.tolerance_m if self.path_tolerance_m is None else self.path_tolerance_m
 
-    @staticmethod
-    def with_new_names(values: dict[str, Any], source: str) -> dict[str, Any]:
-        """The settings under the names that they have now, see `renamed`."""
-        return renamed(values, RENAMED, "settings", source)
-
     def __post_init__(self):
         for field in fields(self):
             _check(field.name, getattr(self, field.name), field.type)
-
-
-def renamed(values: Mapping[str, Any], names: Mapping[str, str], section: str, source: str) -> dict[str, Any]:
-    """The values of a section under the names that they have now; a Note says so of each that was renamed.
-
-    names: the new one of each old one. source: what the values stand in, for messages. Raises InputError where a value
-    is given by both its names.
-    """
-    found = {}
-    for name, value in values.items():
-        new = names.get(name, name)
-        if new != name:
-            if new in values:
-                raise InputError(f"{source}: {section}.{name} and {section}.{new} are the same; leave out the first")
-            warnings.warn(f"{source}: {section}.{name} is called {section}.{new} now", Note, stacklevel=3)
-        found[new] = value
-    return found
 
 
 def settings_of(values: Settings | Mapping[str, Any] | None) -> Settings:
@@ -134,7 +105,7 @@ def settings_of(values: Settings | Mapping[str, Any] | None) -> Settings:
     """
     if isinstance(values, Settings):
         return values
-    values = Settings.with_new_names(dict(values or {}), "settings")
+    values = dict(values or {})
     known = [field.name for field in fields(Settings)]
     for name in values:
         if name not in known:

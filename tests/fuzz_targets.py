@@ -429,7 +429,7 @@ def check_plan(folder: Path, change: tuple) -> bool:
     return found is not None
 
 
-SUMMARY = {"method": "baseline", "config": PlanConfig().model_dump(mode="json")}
+SUMMARY = {"method": "baseline", "config": PlanConfig().model_dump(mode="json"), "files": {}}
 
 
 @cache

@@ -140,12 +140,3 @@ def test_colours_are_for_terminals_and_no_color_takes_them_away(capsys, monkeypa
     assert COLOUR.search(shown(FORCE_COLOR="1"))
     assert not COLOUR.search(shown(FORCE_COLOR="1", NO_COLOR="1"))
     assert "\x1b" not in shown()  # piped
-
-
-def test_a_command_s_old_name_is_understood_and_the_new_one_told(capsys):
-    assert main(["ceiling", "nowhere.yaml"]) == 2
-    told = capsys.readouterr().err.splitlines()
-    assert told == [
-        "htcp: note: htcp ceiling is called htcp reachability now",
-        "htcp: cannot read nowhere.yaml: No such file or directory",
-    ]

@@ -1,7 +1,5 @@
 """Configurations: the default is the shipped file, and whatever a person gets wrong is one clear line."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -9,12 +7,9 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from htcp_jax.errors import InputError, Note
-from htcp_jax.jobs.config import RENAMED_WORKPIECE, PlanConfig
-from htcp_jax.jobs.grid import load_sweep
+from htcp_jax.errors import InputError
+from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.load_config import load_config
-from htcp_jax.settings import RENAMED, settings_of
-from htcp_jax.validation.baseline import read_baseline
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 SWEEPS = Path(__file__).parents[1] / "sweeps"
@@ -120,53 +115,5 @@ def test_no_value_of_a_section_is_a_traceback(value):
     for key in ("settings", "start_rad", "robot"):
         try:
             load_config(None, [f"{key}={yaml.safe_dump(value)}"])
-        except (InputError, Note):  # a Note where it happens upon a setting's old name
+        except InputError:
             pass
-
-
-# Names of version 0.1
-
-
-@pytest.mark.parametrize("old", RENAMED)
-def test_a_setting_s_old_name_is_understood_and_the_new_one_told(old):
-    new = RENAMED[old]
-    value = getattr(PlanConfig().settings, new)
-    with pytest.warns(Note, match=f"settings.{old} is called settings.{new} now"):
-        assert load_config({"settings": {old: value}}) == load_config()
-    with pytest.warns(Note, match=new):
-        assert settings_of({old: value}) == PlanConfig().settings
-    with pytest.warns(Note, match=new):
-        assert load_config(None, [f"settings.{old}={yaml.safe_dump(value).splitlines()[0]}"]) == load_config()
-
-
-def test_a_workpiece_s_old_key_is_understood_and_the_new_one_told(tmp_path):
-    now = load_config({"workpiece": {"interior_depth_m": 0.1}})
-    with pytest.warns(Note, match=r"workpiece\.gate_depth_m is called workpiece\.interior_depth_m now"):
-        assert load_config({"workpiece": {"gate_depth_m": 0.1}}) == now
-    with pytest.warns(Note, match="interior_depth_m"):
-        points = load_sweep({"grid": [{"workpiece.gate_depth_m": [0.1, 0.2]}]}).points()
-    assert points[0].config == now
-
-
-def test_both_names_of_a_setting_are_one_too_many():
-    with pytest.raises(InputError, match=r"settings\.postures and settings\.restart_rounds are the same"):
-        load_config({"settings": {"postures": 3, "restart_rounds": 4}})
-
-
-def test_a_grid_may_vary_a_setting_by_its_old_name():
-    with pytest.warns(Note, match=r"settings\.outer_steps is called settings\.max_null_space_steps now"):
-        points = load_sweep({"grid": [{"settings.outer_steps": [3, 4]}]}).points()
-    assert [point.config.settings.max_null_space_steps for point in points] == [3, 4]
-
-
-def test_what_is_on_record_is_renamed_and_nothing_else(tmp_path):
-    """Of a baseline: the names of settings and of the workpiece's keys, and the hash over them."""
-    blessed = (SWEEPS / "baselines" / "workpiece.yaml").read_text()
-    before = blessed.replace("reachability:", "ceiling:")
-    for old, new in {**RENAMED, **RENAMED_WORKPIECE}.items():
-        before = before.replace(f"    {new}:", f"    {old}:")
-    assert before != blessed
-    (tmp_path / "old.yaml").write_text(before)
-    done = subprocess.run([sys.executable, SWEEPS / "rename_keys.py", tmp_path / "old.yaml"], capture_output=True)
-    assert done.returncode == 0 and (tmp_path / "old.yaml").read_text() == blessed
-    assert read_baseline(tmp_path / "old.yaml").reachability.reachable > 4382  # that many by draws, once

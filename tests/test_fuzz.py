@@ -206,7 +206,7 @@ class Bomb:
 
 def plan_folder(tmp_path: Path, **arrays) -> Path:
     (tmp_path / "summary.json").write_text(
-        json.dumps({"method": "baseline", "config": PlanConfig().model_dump(mode="json")})
+        json.dumps({"method": "baseline", "config": PlanConfig().model_dump(mode="json"), "files": {}})
     )
     names = {"status": (3,), "path_clear": (3,), "x": (3, 6), "tcp": (3, 3), "target": (3, 3), "clearance": (3,)}
     with zipfile.ZipFile(tmp_path / "trajectory.npz", "w", zipfile.ZIP_DEFLATED) as file:

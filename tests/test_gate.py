@@ -19,11 +19,16 @@ PASSED, REGRESSION, BAD_INPUT = 0, 1, 2
 TARGETS = 19  # of each of the four scenarios
 
 
+def write_reachability(run, prefix, resolution_rad=0.1):
+    record = {"prefix": prefix, "most": [TARGETS] * 4, "resolution_rad": resolution_rad, "seed": 0}
+    (run / REACHABILITY).write_text(json.dumps(record))
+
+
 @pytest.fixture(scope="session")
 def blessed(planned):
     """The small run that knows what is reachable, and its baseline."""
     run = shutil.copytree(planned / "run", planned / "with-reachability")
-    (run / REACHABILITY).write_text(json.dumps({"prefix": [TARGETS] * 4, "draws": 8, "seed": 0}))
+    write_reachability(run, [TARGETS] * 4)
     assert main(["gate", str(run), "--baseline", str(planned / "baseline.yaml"), "--bless"]) == PASSED
     return planned
 
@@ -219,14 +224,15 @@ def test_a_missing_figure_of_a_tracked_target_fails(run, baseline, capsys):
 
 def test_a_missing_reachability_and_one_of_another_search_fail(run, baseline, capsys):
     file = run / REACHABILITY
-    file.write_text(file.read_text().replace('"draws": 8', '"draws": 9'))
-    assert any("searched with 9 draws" in failure for failure in outcome(run, baseline, capsys)["failures"])
+    write_reachability(run, [TARGETS] * 4, resolution_rad=0.2)
+    line = "searched with a resolution of 0.2 rad and seed 0, the baseline's with a resolution of 0.1 rad and seed 0"
+    assert any(line in failure for failure in outcome(run, baseline, capsys)["failures"])
     file.unlink()
     assert any("reachability: missing" in failure for failure in outcome(run, baseline, capsys)["failures"])
 
 
 def test_a_lower_reachability_fails(run, baseline, capsys):
-    (run / REACHABILITY).write_text(json.dumps({"prefix": [TARGETS, TARGETS, TARGETS, 4], "draws": 8, "seed": 0}))
+    write_reachability(run, [TARGETS, TARGETS, TARGETS, 4])
     verdict = outcome(run, baseline, capsys)
     assert verdict["failures"] == ["reachability: 15 targets fewer reachable; 0 may be lost"]
 

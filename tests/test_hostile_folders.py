@@ -31,7 +31,8 @@ HERE = Path(__file__).parent
 def good(planned, tmp_path_factory):
     """A run, a plan and a search, and the files of their jobs."""
     place = shutil.copytree(planned, tmp_path_factory.mktemp("good") / "place")
-    (place / "run" / "reachability.json").write_text(json.dumps({"prefix": [1] * 4, "draws": 8, "seed": 0}))
+    found = {"prefix": [1] * 4, "most": [9] * 4, "resolution_rad": 0.1, "seed": 0}
+    (place / "run" / "reachability.json").write_text(json.dumps(found))
     assert main(["gate", str(place / "run"), "--baseline", str(place / "baseline.yaml"), "--bless"]) == 0
     made_plan(place / "job").save(place / "plan")
     (place / "place.yaml").write_text(PLACE)

@@ -1,4 +1,4 @@
-"""One opener for runs and plans: whoever looks and whoever checks read the same; plans of before still open."""
+"""One opener for runs and plans: whoever looks and whoever checks read the same; another format is refused."""
 
 import json
 import shutil
@@ -10,11 +10,14 @@ from made_plan import made_plan
 from htcp_jax.errors import InputError
 from htcp_jax.motion.plans import ARRAYS
 from htcp_jax.runs import parameters
+from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.open import open_plans
 from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY
 from htcp_jax.runs.run_folder import open_run
 from htcp_jax.validation.records import read_results
 from htcp_jax.viewer.replay import open_replays
+
+OTHER = "was written by another version of the format and must be planned again"
 
 
 @pytest.fixture(scope="module")
@@ -62,12 +65,27 @@ def test_a_plan_opens_as_it_was_written_and_is_scenario_0(made):
         np.testing.assert_array_equal(getattr(found.plans("baseline"), name), getattr(plan.plans, name))
 
 
-def test_a_plan_of_before_without_a_start_starts_where_its_configuration_says(made, tmp_path):
-    plan, folder = made
-    old = rewritten(folder, tmp_path / "old", start=None)
-    np.testing.assert_array_equal(open_plans(old).plans("baseline").start, [plan.job.start_rad])
-    replays = [open_replays(place).replay(0, "baseline") for place in (folder, old)]
-    np.testing.assert_array_equal(*(replay.x for replay in replays))
+@pytest.mark.parametrize("name", ["start", "way", "orientation_error", "knot_x"])
+def test_a_plan_without_one_of_the_arrays_is_of_another_format(made, tmp_path, name):
+    other = rewritten(made[1], tmp_path / "other", **{name: None})
+    with pytest.raises(InputError, match=f"other {OTHER}: summary.json or trajectory.npz has no {name}$"):
+        open_plans(other)
+
+
+def test_a_plan_with_another_setting_is_of_another_format(made, tmp_path):
+    other = shutil.copytree(made[1], tmp_path / "other")
+    text = (other / SUMMARY).read_text()
+    (other / SUMMARY).write_text(text.replace('"clearance_rows"', '"rows"'))
+    with pytest.raises(InputError, match=f"other {OTHER}: summary.json: unknown key settings.rows$"):
+        open_plans(other)
+
+
+def test_a_run_of_another_format_is_refused_by_its_number(planned, tmp_path):
+    other = shutil.copytree(planned / "run", tmp_path / "other")
+    manifest = json.loads((other / MANIFEST).read_text()) | {"format": 2}
+    (other / MANIFEST).write_text(json.dumps(manifest))
+    with pytest.raises(InputError, match=f"other {OTHER}: manifest.json has format 2, not 1"):
+        open_plans(other)
 
 
 def test_the_plan_s_own_start_wins_for_the_way_and_the_job_s_for_the_targets(made, tmp_path):

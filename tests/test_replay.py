@@ -114,7 +114,7 @@ def test_damage_is_one_line(folder, tmp_path, name, data):
     for file in (folder / "plan").iterdir():
         (tmp_path / file.name).write_bytes(file.read_bytes())
     (tmp_path / name).write_bytes(data)
-    with pytest.raises(InputError, match=r"damaged|cannot read") as error:
+    with pytest.raises(InputError, match=r"damaged|cannot read|another version|JSON") as error:
         open_replays(tmp_path)
     assert "\n" not in str(error.value)
 

@@ -356,7 +356,7 @@ def test_an_unfinished_run_is_told_as_far_as_it_is(folder, monkeypatch, tmp_path
 def test_the_reachability_is_compared_with_and_what_beats_it_is_named(folder, tmp_path):
     file = folder / "one" / REACHABILITY
     try:
-        file.write_text(json.dumps({"prefix": [12, 13], "draws": 8, "seed": 0}))
+        file.write_text(json.dumps({"prefix": [12, 13], "most": [13, 13], "resolution_rad": 0.1, "seed": 0}))
         part = part_of(folder, "one")
         rows = rows_of(tables.reachability(part))
         assert (rows["baseline"]["reachable"], rows["baseline"]["of_reachable_percent"]) == (25, 100)
@@ -364,7 +364,7 @@ def test_the_reachability_is_compared_with_and_what_beats_it_is_named(folder, tm
         assert "Got further than the search: baseline in 1 (0); hybrid in 1 (0)." in markdown(
             make_report([folder / "one"]).blocks
         )
-        other = '"draws": 8, "seed": 0}'
+        other = '"most": [13, 13], "resolution_rad": 0.1, "seed": 0}'
         wrong = (f'{{"prefix": {prefix}, {other}' for prefix in ("[1]", '["x", 2]'))
         for damaged in ("{", "[]", '{"prefix": [12, 13]}', *wrong):
             file.write_text(damaged)

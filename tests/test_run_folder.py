@@ -187,7 +187,7 @@ def test_a_stranger_among_the_results_is_named_and_left_alone(tmp_path):
         writer.begin(tmp_path, manifest())
 
 
-@pytest.mark.parametrize("data", [b"", b"{", b"[]", b"{}", b"\xff\xfe", b'{"format": 2}', b"null"])
+@pytest.mark.parametrize("data", [b"", b"{", b"[]", b"{}", b"\xff\xfe", b"null"])
 def test_a_damaged_manifest_is_one_line(tmp_path, data):
     completed(tmp_path)
     (tmp_path / "manifest.json").write_bytes(data)
@@ -262,13 +262,12 @@ def test_the_lock_of_a_dead_process_is_taken_over(tmp_path):
             pass
 
 
-def test_a_job_without_a_task_is_the_same_run_as_before_there_were_tasks():
+def test_a_job_without_a_task_is_the_same_run_whatever_its_tolerance_of_angles():
     def of(**changed):
         config = PlanConfig().model_dump(mode="json") | changed
         return identity(config, [], "float64", {})
 
     settings = PlanConfig().model_dump(mode="json")["settings"]
-    before = {key: value for key, value in settings.items() if key != "tolerance_rad"}
     finer, row = settings | {"tolerance_rad": 1e-4}, {"point": "tcp", "on": "path"}
-    assert of() == of(settings=before) == of(settings=finer) and "task" not in of()
+    assert of() == of(settings=finer) and "task" not in of()
     assert of(task=[row]) != of() and of(task=[row], settings=finer) != of(task=[row])

@@ -14,7 +14,6 @@ from htcp_jax.jobs.build import scene
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.model.kinematics import link_poses, tcp_pose
 from htcp_jax.runs.open import open_plans
-from htcp_jax.runs.plan_folder import TRAJECTORY
 from htcp_jax.validation.validate import validate
 
 ON_PATH = {"point": "tcp", "on": "path"}
@@ -75,10 +74,6 @@ def test_the_tcp_distance_is_the_position_alone_and_the_orientation_has_a_row_of
     plan.save(tmp_path / "plan")
     read = open_plans(tmp_path / "plan").plans("baseline")
     np.testing.assert_array_equal(read.orientation_error, held.orientation_error)
-    with np.load(tmp_path / "plan" / TRAJECTORY) as file:  # a plan of before does not have the angles
-        before = {name: file[name] for name in file if name != "orientation_error"}
-    np.savez(tmp_path / "plan" / TRAJECTORY, **before)
-    assert np.isnan(open_plans(tmp_path / "plan").plans("baseline").orientation_error).all()
 
 
 def test_a_job_without_an_orientation_says_nothing_of_one(job):

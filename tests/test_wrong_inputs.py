@@ -195,7 +195,7 @@ RANGES = [
     setting("home_rad=[9, -2.3, 0.5, 0, 0.5, -2]", "home: joint joint1 at 9 is outside its limits"),
     setting("home_rad=[0, -1.2, -0.5, 0, 0.5, -2]", "home is in collision: capsule_6b is 298.136 mm"),
     setting("home_rad=auto", "home_rad is 'auto'"),
-    setting("transfers=perhaps", "settings.transfers is 'perhaps'"),
+    setting("settings.transfers=perhaps", "settings.transfers is 'perhaps'"),
     setting("settings.path_tolerance_m=0", "settings.path_tolerance_m must be more than zero"),
     setting("settings.path_tolerance_m=-1e-3", "settings.path_tolerance_m must be more than zero"),
     setting("start_deg=[0]", "unknown key start_deg; did you mean start_rad?"),
@@ -541,7 +541,7 @@ TASKS = [
     task(f"{ON_PATH}, {{orientation: [1, 0, 0, 0]}}, {{point: link4, on: [1, 0, 1]}}", "the task has 9 rows, the"),
     Wrong(["plan", "--set", "task.1.cone_deg=5"], "task.1.cone_deg: there is no row 1; there are 0"),
 ]  # fmt: skip
-PLAN = {"summary_json": '{"method": "baseline", "config": {}}', "trajectory_npz": b"PK"}
+PLAN = {"summary_json": '{"method": "baseline", "config": {}, "files": {}}', "trajectory_npz": b"PK"}
 FOLDERS = [
     folder("report", "run holds a plan of htcp plan, no run; htcp view, htcp render and htcp validate open it", **PLAN),
     folder("gate", "run holds a plan of htcp plan, no run; htcp view, htcp render and htcp validate open it", **PLAN),
@@ -554,7 +554,7 @@ FOLDERS = [
     folder("report", "manifest.json is damaged", manifest_json="{}"),
     folder("report", "manifest.json is damaged", manifest_json=b""),
     folder("validate", "manifest.json is damaged", manifest_json="null"),
-    folder("view", "manifest.json is damaged", manifest_json='{"format": 2}'),
+    folder("view", "run was written by another version of the format and", manifest_json='{"format": 2}'),
     folder("report", "run holds no run: cannot read manifest.json", other="x"),
     folder("gate", "run holds no run: cannot read manifest.json", other="x"),
     folder("validate", "run holds neither a run", other="x"),
@@ -574,9 +574,8 @@ JOBS = [
     job("workpiece: {mesh_spacing_m: 0}\n", "workpiece.mesh_spacing_m"),
     Wrong(["plan", "--set", "robot.model=arm.xml"], "start_rad"),
     Wrong(["plan", "--set", "robot.model=arm.urdf"], "start_rad"),
-    job("robot: {model: arm.xml}\ntransfers: true\n", "must be given: 3 joint positions (j1, j2, j3), or auto"),
+    job("robot: {model: arm.xml}\nsettings: {transfers: true}\n", "must be given: 3 joint positions (j1, j2, j3)"),
     job("robot: {model: arm.xml}\nstart_rad: auto\nhome_rad: [0, 0]\n", "home has 2 joint positions, the robot arm"),
-    job("transfers: true\nsettings: {transfers: false}\n", "transfers and settings.transfers are the same"),
     cloud("a.csv", "1,5;2,5;3,5\n2,5;3,5;4,5\n", "decimal comma"),
     cloud("a.xyz", "1,5 2,5 3,5\n2,5 3,5 4,5\n", "decimal comma"),
     path("p.csv", "0,1;0,2;0,3\n0,2;0,2;0,3\n", "decimal comma"),

@@ -129,9 +129,8 @@ def _record(verdict: Verdict) -> dict:
     rows = [row._asdict() for row in verdict.rows]
     origins = {"baseline": verdict.baseline._asdict(), "run": [one._asdict() for one in verdict.run]}
     checks = [check._asdict() for check in verdict.checks]
-    before = {"flips": changed, "news": verdict.improvements}  # what two keys were called; for one version more
     now = origins | {"allow": verdict.allow.model_dump(), "rows": rows, "checks": checks, "changed": changed}
-    return verdict._asdict() | now | before
+    return verdict._asdict() | now
 
 
 def _print(verdict: Verdict) -> None:

@@ -42,7 +42,6 @@ COMMANDS = {
     "doctor": "Look at this installation and test it in 2 s.",
 }
 
-RENAMED = {"ceiling": "reachability"}  # commands of version 0.1; understood for one version more
 LOST, UNREAD, BAD_INPUT, INTERRUPTED = 1, 1, 2, 130  # UNREAD: nobody reads the pipe any more
 FULL = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO  # what a disk says; no program's mistake
 COMPLETION = "--install-completion", "--show-completion"
@@ -152,9 +151,6 @@ def _run(words: list[str]) -> int:
     """The exit code of the command that `words` are."""
     if any("\0" in word for word in words):
         raise InputError("an argument holds a NUL byte; no name of a file does")
-    if words[0] in RENAMED:
-        _print_line(f"note: htcp {words[0]} is called htcp {RENAMED[words[0]]} now")
-        words = [RENAMED[words[0]], *words[1:]]
     if words[0] in COMPLETION and len(words) > 1:
         os.environ["_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION"] = "1"  # the shell that is named, not one looked for
     compile_cache.enable()

@@ -8,13 +8,13 @@ colours away.
 import contextlib
 import shutil
 import sys
-import textwrap
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
+import rich.table
 import typer
 from rich.console import Console
 from rich.progress import (
@@ -28,9 +28,10 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from htcp_jax.report.document import Column, Table
+from htcp_jax.report.document import Table
 from htcp_jax.runs.plan_folder import json_text
 
+WIDEST = 100_000  # columns of a table; it is folded before
 LINE_S = 10.0  # between lines of progress
 GAP, LEAST_TEXT = 2, 30  # between columns; what a last column of text is given at least
 TIED = "of", "at", "scenario:"  # heads of columns that belong to the one before them
@@ -104,22 +105,37 @@ def width() -> int:
 
 
 def print_table(console: Console, table: Table) -> None:
-    """Heads, units and rows in columns, numbers to the right; what is wider than the terminal goes on below, with the
-    first column once more."""
+    """Print heads, units and rows in columns, numbers to the right; what is wider than the terminal goes on below, with
+    the first column once more."""
     for number, part in enumerate(_folded(table, width())):
         if number:
             console.print()
-        _print_part(console, part)
+        lines = console.render_lines(_laid_out(part), console.options.update(max_width=WIDEST), pad=False)
+        for segments in lines:
+            line = Text.assemble(*((segment.text, segment.style or "") for segment in segments))
+            line.rstrip()
+            console.print(line)
 
 
-def _print_part(console: Console, table: Table) -> None:
-    heads = [column.head for column in table.columns]
-    units = [column.unit for column in table.columns]
-    rows = _wrapped(table, [[c.text(value) for c, value in zip(table.columns, row, strict=True)] for row in table.rows])
-    widths = [max(map(len, cells)) for cells in zip(heads, units, *rows, strict=True)]
-    top = [(heads, "cyan"), *([(units, "dim cyan")] if any(units) else [])]
-    for cells, style in (*top, *((row, "") for row in rows)):
-        console.print(_line(cells, table.columns, widths, style))
+def _laid_out(table: Table) -> rich.table.Table:
+    """The table as rich lays it out; a last column of text is wrapped."""
+    laid_out = rich.table.Table(box=None, pad_edge=False, padding=(0, GAP, 0, 0), header_style="cyan")
+    *before, last = range(len(table.columns))
+    room = max(LEAST_TEXT, width() - sum(_needed(table, k) + GAP for k in before))
+    for k, column in enumerate(table.columns):
+        units = ["\n", (column.unit, "dim")] if any(each.unit for each in table.columns) else []
+        style, wraps = "dim" if column.quiet else "", before and k == last and not column.form
+        laid_out.add_column(
+            Text.assemble(column.head, *units),
+            justify="right" if column.form else "left",
+            style=style,
+            header_style=style,
+            no_wrap=not wraps,
+            max_width=room if wraps else None,
+        )
+    for row in table.rows:
+        laid_out.add_row(*(Text(column.text(cell)) for column, cell in zip(table.columns, row, strict=True)))
+    return laid_out
 
 
 def _folded(table: Table, most: int) -> Iterator[Table]:
@@ -154,25 +170,3 @@ def _needed(table: Table, k: int) -> int:
     if k and k == len(table.columns) - 1 and not column.form:
         text = min(text, LEAST_TEXT)
     return max(text, len(column.head), len(column.unit))
-
-
-def _wrapped(table: Table, rows: list[list[str]]) -> list[list[str]]:
-    """The rows with a last column of text broken into lines that fit, each a row of its own."""
-    if len(table.columns) < 2 or table.columns[-1].form:
-        return rows
-    before = [max(map(len, (c.head, c.unit, *(row[k] for row in rows)))) for k, c in enumerate(table.columns[:-1])]
-    room = max(LEAST_TEXT, width() - sum(before) - GAP * len(before))
-    broken = []
-    for *cells, text in rows:
-        first, *others = textwrap.wrap(text, room) or [""]
-        broken += [[*cells, first], *([""] * len(cells) + [line] for line in others)]
-    return broken
-
-
-def _line(cells: list[str], columns: tuple[Column, ...], widths: list[int], style: str) -> Text:
-    line = Text(style=style)
-    for cell, column, width in zip(cells, columns, widths, strict=True):
-        padded = cell.rjust(width) if column.form else cell.ljust(width)
-        line.append(padded + " " * GAP, style="dim" if column.quiet else "")
-    line.rstrip()
-    return line

@@ -32,14 +32,8 @@ def validate(raw: dict, model: type[BaseModel], source: str) -> Any:
 
 
 def refuse_unknown(raw: dict, model: type, source: str, prefix: str = "") -> None:
-    """Raise InputError for the first key of `raw` that `model`, a pydantic model or a dataclass, lacks.
-
-    A model may have a static method `with_new_names(mapping, source)`, for keys that have been renamed."""
+    """Raise InputError for the first key of `raw` that `model`, a pydantic model or a dataclass, lacks."""
     keys = _keys_of(model)
-    if (with_new_names := getattr(model, "with_new_names", None)) is not None:
-        new = with_new_names(raw, source)
-        raw.clear()
-        raw.update(new)
     for name, value in list(raw.items()):
         key = keys.get(name)
         if key is None:

@@ -17,7 +17,7 @@ from htcp_jax.model.duct import INTERIOR_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
 from htcp_jax.model.task_list import TaskRow
 from htcp_jax.model.tool import Tool
 from htcp_jax.planning.registry import NAME
-from htcp_jax.settings import Settings, renamed
+from htcp_jax.settings import Settings
 
 LARGEST = 1e6  # of lengths [m] and joint positions: beyond, the tolerance is lost to rounding
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
@@ -39,7 +39,6 @@ def _start(value: Any, numbers: Callable[[Any], tuple[float, ...]]) -> Any:
 
 Start = Annotated[tuple[Number, ...], WrapValidator(_start), PlainSerializer(lambda value: value)]
 
-RENAMED_WORKPIECE = {"gate_depth_m": "interior_depth_m"}  # of version 0.1; known for one version more
 SOURCES = ("robot.model", "workpiece.cloud")  # what the next ones hang on, where they are not stated
 DEPENDENT = (
     "robot.limits",
@@ -85,11 +84,6 @@ class WorkpieceConfig(Section):
     shift_m: Point = (0.0, 0.0, 0.0)
     approach_to_inlet: Steps = 5  # equal steps from the start's TCP to the inlet
     approach_to_path: Steps = 5  # and from there to the first point of the path
-
-    @staticmethod
-    def with_new_names(values: dict[str, Any], source: str) -> dict[str, Any]:
-        """The keys under the names that they have now, see `renamed`."""
-        return renamed(values, RENAMED_WORKPIECE, "workpiece", source)
 
 
 class CloudConfig(Section):
@@ -192,17 +186,6 @@ class PlanConfig(Section):
     def on_path(self) -> int:
         """The first target that is a point of the path; the start's TCP and the approach come before it."""
         return 1 + sum(self.approach)
-
-    @staticmethod
-    def with_new_names(values: dict, source: str) -> dict:
-        """The sections with what may stand beside them, too: `transfers`, which is a setting."""
-        settings = values.get("settings")
-        if "transfers" not in values or not isinstance(settings, dict | None):
-            return dict(values)
-        if "transfers" in (settings or {}):
-            raise InputError(f"{source}: transfers and settings.transfers are the same; leave out one")
-        rest = {key: value for key, value in values.items() if key != "transfers"}
-        return rest | {"settings": {**(settings or {}), "transfers": values["transfers"]}}
 
     @field_validator("method")
     @classmethod

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.config import AUTO, DEPENDENT, SOURCES, PlanConfig, WorkpieceConfig
+from htcp_jax.jobs.config import AUTO, DEPENDENT, SOURCES, PlanConfig
 from htcp_jax.jobs.config_file import FILES
-from htcp_jax.settings import Settings
 
 MOST = 1_000_000  # scenarios of a grid; more is a slip of the pen
 # Those that have columns of their own in the tables of a run.
@@ -208,9 +207,6 @@ def _read_axis(where: str, folder: Path, raw: dict, known: dict[str, Parameter])
 
 
 def _read_column(where: str, folder: Path, key: str, value: Any, known: dict[str, Parameter]) -> Column:
-    section, _, name = key.partition(".")
-    if (kind := {"settings": Settings, "workpiece": WorkpieceConfig}.get(section)) is not None:
-        key = f"{section}.{next(iter(kind.with_new_names({name: value}, where)))}"
     if key not in known:
         raise InputError(f"{where}: {_unknown(key, known)}")
     relative = isinstance(value, dict) and list(value) == ["offsets"]

@@ -287,9 +287,10 @@ def _unchecked(part: Part) -> str:
 def _reachability(part: Part, table: Table) -> list[Block]:
     if part.reachability is None:
         return []
-    what = "Reachable are the targets in a row for which a search found any clear configuration: a lower bound."
-    if part.not_excluded is not None:
-        what += " Not excluded are those that are not proven to have none: an upper bound."
+    what = (
+        "Reachable are the targets in a row for which a search found any clear configuration: a lower bound. "
+        "Not excluded are those that are not proven to have none: an upper bound."
+    )
     return [table, " ".join([what, *_beaten(part)])]
 
 

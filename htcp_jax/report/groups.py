@@ -137,9 +137,7 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
                 motions={method: MotionFigures(*(c[numbers[here]] for c in each)) for method, each in motions.items()},
                 timing={m: each and _rows(each.rows, numbers[here]) for m, each in timing.items() if m in own},
                 reachability=None if reachability is None else reachability.prefix[numbers[here]],
-                not_excluded=None
-                if reachability is None or reachability.most is None
-                else reachability.most[numbers[here]],
+                not_excluded=None if reachability is None else reachability.most[numbers[here]],
                 **shared,
             )
         )

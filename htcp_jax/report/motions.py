@@ -30,8 +30,7 @@ MEANING = (
 
 
 def motions(part: Part) -> Table:
-    """Executable targets, dwells, cost, largest joint step and curvature of every method. What a run of before does not
-    have on record is not known."""
+    """Return executable targets, dwells, cost, largest joint step and curvature of every method."""
     common = common_scenarios(part)
     rows = [_row(part, method, common) for method in part.plans]
     return Table("motions", MOTIONS, tuple(tuple(row[column.key] for column in MOTIONS) for row in rows))

@@ -101,8 +101,8 @@ def _searched(asked: dict[str, Any], told: dict[str, Any], table: pa.Table) -> S
         front=np.array([row["front"] for row in rows], bool),
         seams={name: seam["complete"] for name, seam in told["seams"].items()},
         disturbed=f"{asked['off']['mm']:g} mm and {asked['off']['deg']:g}°",
-        margin=1e3 * np.array([row.get("margin_m", np.nan) for row in rows], float),
-        is_final=told.get("finished", True),
+        margin=1e3 * np.array([row["margin_m"] for row in rows], float),
+        is_final=told["finished"],
     )
 
 

@@ -8,11 +8,12 @@ from typing import Any
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.files import opened
+from htcp_jax.io.strict_model import validate
 from htcp_jax.jobs.config import PlanConfig
 
 # Of a configuration: a run has methods of its own, may be planned anywhere, and its programs are made afterwards.
 NO_IDENTITY = "method", "program", "ray"
-NO_CELL = PlanConfig().cell.model_dump(mode="json")  # runs of before know no cell, and no task
+NO_CELL = PlanConfig().cell.model_dump(mode="json")
 
 
 def file_hash(file: str | Path) -> str:
@@ -29,6 +30,19 @@ def refuse_changed(files: Mapping[str, str], folder: Path) -> None:
     for file, known in files.items():
         if file_hash(file) != known:
             raise InputError(f"{file} is not what it was when {folder} was planned")
+
+
+def other_format(folder: Path, cause: str) -> InputError:
+    """The error of a run's or a plan's folder that is not as this version writes it."""
+    return InputError(f"{folder} was written by another version of the format and must be planned again: {cause}")
+
+
+def recorded_config(values: dict, file: Path) -> PlanConfig:
+    """Return the configuration that a run's or a plan's `file` records. Raises InputError."""
+    try:
+        return validate(values, PlanConfig, file.name)
+    except InputError as error:
+        raise other_format(file.parent, str(error).partition(";")[0]) from None
 
 
 def identity(config: dict, grid: list | tuple, dtype: str, files: dict[str, str]) -> dict:

@@ -9,7 +9,7 @@ from htcp_jax.jobs.grid_axes import MOST
 from htcp_jax.planning.registry import NAME
 from htcp_jax.runs.identity import config_hash, identity
 
-MANIFEST = "manifest.json"
+MANIFEST, FORMAT = "manifest.json", 1
 TABLES = ("targets", "scenarios")
 
 MethodName = Annotated[str, Field(pattern=f"^{NAME.pattern}$")]  # it stands in names of files
@@ -49,7 +49,7 @@ class Seconds(Section):
 class Manifest(Section):
     """manifest.json. Config, grid, dtype and files say which run it is; `writer` never mixes two."""
 
-    format: Literal[1] = 1
+    format: Literal[1] = FORMAT
     name: str  # of the sweep
     config: dict[str, Any]  # a PlanConfig; names of files are absolute
     grid: tuple[dict[str, Any], ...]

@@ -14,15 +14,14 @@ import numpy as np
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.files import read_json
-from htcp_jax.io.strict_model import validate
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.motion.knots import Knots
-from htcp_jax.motion.plans import EMPTY, Plans
+from htcp_jax.motion.plans import Plans
 from htcp_jax.runs import parameters
-from htcp_jax.runs.identity import file_hash, refuse_changed
+from htcp_jax.runs.identity import file_hash, recorded_config, refuse_changed
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.parameters import Parameters
-from htcp_jax.runs.plan_folder import LATER, SUMMARY, TRAJECTORY, PlanRecord, read_plan
+from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY, PlanRecord, read_plan
 from htcp_jax.runs.run_folder import Run, open_run
 
 SEARCH, MOTIONS = "place.json", "ranked"  # of a search for mountings: what was asked for, and the run of the best
@@ -87,16 +86,13 @@ class FolderPlan:
 
     def __init__(self, folder: Path, record: PlanRecord):
         self.folder, self.methods, self.count, self.mixed = folder, (record.method,), 1, False
-        self.config: PlanConfig = validate(record.config, PlanConfig, str(folder / SUMMARY))
+        self.config = recorded_config(record.config, folder / SUMMARY)
         self.jobs, self.parameters, self.labels = [self.config], {0: parameters.of_job(self.config)}, {0: ""}
         self.files = {TRAJECTORY: file_hash(folder / TRAJECTORY)}
-        # A plan of before `Plans.start` was written starts where its configuration says; nobody looked at its ways.
-        start, joints = np.array(self.config.begins_rad, float), record.arrays["x"].shape[-1]
-        unknown = {name: np.full(record.arrays["status"].shape, EMPTY[name]) for name in LATER[1:]}
-        arrays = {"start": start} | unknown | record.arrays
-        _check_shapes(folder / TRAJECTORY, arrays, joints)
+        joints = record.arrays["x"].shape[-1]
+        _check_shapes(folder / TRAJECTORY, record.arrays, joints)
         knots = _knots(folder / TRAJECTORY, record, joints)
-        arrays = {name: array[None] for name, array in arrays.items()}
+        arrays = {name: array[None] for name, array in record.arrays.items()}
         self._plans = Plans(**arrays, knots=knots, compile_s=0.0, run_s=0.0)
 
     def plans(self, method: str) -> Plans:
@@ -161,8 +157,6 @@ def _ranked(folder: Path) -> RankedPlans:
 
 def _knots(file: Path, record: PlanRecord, joints: int) -> Knots:
     """Those of a plan. Raises InputError for arrays that are not knots."""
-    if record.knots is None:
-        return Knots.none(joints)
     target, x = record.knots
     if x.shape != (len(target), joints) or target.dtype.kind not in "iu" or x.dtype.kind != "f":
         raise InputError(f"{file}: the knots have the shape {x.shape}; damaged")

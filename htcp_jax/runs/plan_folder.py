@@ -19,11 +19,11 @@ from htcp_jax.io import files
 from htcp_jax.model.robot import Robot
 from htcp_jax.motion.motion import Motion
 from htcp_jax.motion.plans import ARRAYS, Plans
+from htcp_jax.runs.identity import other_format
 from htcp_jax.runs.summary import Summary
 from htcp_jax.status import Kind, Status, Way
 from htcp_jax.unfinished import temporary_folder
 
-LATER = "start", "way", "way_clearance", "orientation_error"
 SUMMARY, TRAJECTORY = "summary.json", "trajectory.npz"
 VALIDATION = "validation.json"  # of a plan and of a run, what `htcp validate` found
 
@@ -33,25 +33,26 @@ class PlanRecord(NamedTuple):
 
     method: str
     config: dict
-    files: dict[str, str]  # SHA-256 of those that the configuration names; a plan of before knew none
-    arrays: dict[str, np.ndarray]  # of `Plans`, for the one scenario; a plan of before had no LATER ones
-    knots: tuple[np.ndarray, np.ndarray] | None  # target (n,), x (n, N)
+    files: dict[str, str]  # SHA-256 of those that the configuration names
+    arrays: dict[str, np.ndarray]  # of `Plans`, for the one scenario
+    knots: tuple[np.ndarray, np.ndarray]  # target (n,), x (n, N)
 
 
 def read_plan(folder: Path) -> PlanRecord:
-    """The plan in `folder`. Raises InputError for files that are not there or damaged."""
+    """Return the plan in `folder`. Raises InputError for files that are missing, damaged or of another format."""
     try:
         summary = files.read_json(folder / SUMMARY, folder)
         method, config = str(summary["method"]), dict(summary["config"])
-        hashes = {str(name): str(known) for name, known in summary.get("files", {}).items()}
+        hashes = {str(name): str(known) for name, known in summary["files"].items()}
         found = files.read_arrays(folder / TRAJECTORY, folder, leave=("joint_names",))
-        known = [name for name in ARRAYS if name in found or name not in LATER]
-        knots = (found["knot_target"], found["knot_x"]) if "knot_x" in found else None
-        return PlanRecord(method, config, hashes, {name: found[name] for name in known}, knots)
+        knots = found["knot_target"], found["knot_x"]
+        return PlanRecord(method, config, hashes, {name: found[name] for name in ARRAYS}, knots)
     except OSError as error:
         raise InputError(f"{folder} holds no plan: cannot read {error.filename}: {error.strerror}") from None
     except InputError:
         raise
+    except KeyError as error:
+        raise other_format(folder, f"{SUMMARY} or {TRAJECTORY} has no {error.args[0]}") from None
     except (ValueError, LookupError, TypeError, AttributeError) as error:
         raise InputError(f"{folder}: {SUMMARY} or {TRAJECTORY} is damaged: {files.one_line(error)}") from None
 

@@ -10,24 +10,22 @@ from htcp_jax.errors import InputError, Note
 from htcp_jax.io.files import read_json
 from htcp_jax.runs.run_folder import Run
 
-REACHABILITY, OLD_NAME = "reachability.json", "ceiling.json"  # the second in version 0.1; read for one version more
+REACHABILITY = "reachability.json"
 
 
 class Reachable(NamedTuple):
     """How far a search got in every scenario of a run."""
 
     prefix: np.ndarray  # (S,) targets in a row that are known to be reachable, of scenario 0, 1, ...
-    most: np.ndarray | None  # (S,) that are not proven unreachable; None in a file that does not know
-    resolution_rad: float | None  # of the search; None where postures were tried that are spread all over, or drawn
-    draws: int | None  # how many
+    most: np.ndarray  # (S,) that are not proven unreachable
+    resolution_rad: float | None  # of the search; None if postures spread over the joint limits were tried
     seed: int
 
 
 def read_reachability(run: Run) -> Reachable | None:
     """What is reachable in the run; None without a search, or after one that was stopped. Raises
     InputError for a damaged file, and for one that is of another number of scenarios."""
-    files = [Path(run.folder) / name for name in (REACHABILITY, OLD_NAME)]
-    file = files[0] if files[0].exists() else files[1]
+    file = Path(run.folder) / REACHABILITY
     try:
         record = read_json(file, Path(run.folder))
         if isinstance(record, dict) and not record.get("complete", True):
@@ -36,16 +34,14 @@ def read_reachability(run: Run) -> Reachable | None:
         found = _read(record)
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise InputError(f"{file} is damaged or no result of htcp reachability: {error}") from None
-    if any(counts is not None and counts.shape != (run.manifest.count,) for counts in found[:2]):
+    if any(counts.shape != (run.manifest.count,) for counts in found[:2]):
         raise InputError(f"{file} holds {found.prefix.size} scenarios, the run has {run.manifest.count}")
     return found
 
 
 def _read(record: dict) -> Reachable:
-    prefix, seed = np.asarray(record["prefix"], int), int(record["seed"])
-    if "draws" in record:
-        return Reachable(prefix, None, None, int(record["draws"]), seed)
+    prefix, most = (np.asarray(record[name], int) for name in ("prefix", "most"))
     resolution_rad = None if record["resolution_rad"] is None else float(record["resolution_rad"])
-    return Reachable(prefix, np.asarray(record["most"], int), resolution_rad, None, seed)
+    return Reachable(prefix, most, resolution_rad, int(record["seed"]))

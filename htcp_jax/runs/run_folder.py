@@ -21,17 +21,28 @@ from pydantic import ValidationError
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.files import opened, read_json, read_parquet
-from htcp_jax.io.strict_model import validate
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.grid_axes import Point, from_record, varied_keys
 from htcp_jax.jobs.grid_points import points_of
 from htcp_jax.motion.plans import Plans
 from htcp_jax.notebook import html_facts
+from htcp_jax.runs.identity import other_format, recorded_config
 from htcp_jax.runs.labels import labels_of
-from htcp_jax.runs.manifest import MANIFEST, TABLES, FileRecord, Manifest, Seconds, ShardRecord, Span, shard_name, spans
+from htcp_jax.runs.manifest import (
+    FORMAT,
+    MANIFEST,
+    TABLES,
+    FileRecord,
+    Manifest,
+    Seconds,
+    ShardRecord,
+    Span,
+    shard_name,
+    spans,
+)
 from htcp_jax.runs.plan_folder import SUMMARY
 from htcp_jax.runs.summary import summarise
-from htcp_jax.runs.tables import LATER, empty_tables, frame_of, plans_of
+from htcp_jax.runs.tables import empty_tables, frame_of, plans_of
 from htcp_jax.runs.timing_file import Timing, read_timing, with_timing
 
 if TYPE_CHECKING:
@@ -91,7 +102,7 @@ class Run:
     @property
     def config(self) -> PlanConfig:
         """What all scenarios share; a scenario's own parameters are columns of `scenarios()`."""
-        return validate(self.manifest.config, PlanConfig, str(self.folder / MANIFEST))
+        return recorded_config(self.manifest.config, self.folder / MANIFEST)
 
     @property
     def varied(self) -> tuple[str, ...]:
@@ -198,6 +209,8 @@ def open_run(folder: str | Path) -> Run:
     except InputError as error:
         what = str(error).removeprefix(f"{folder / MANIFEST}: ")
         raise InputError(f"{folder / MANIFEST} is damaged or no manifest of a run: {what}") from None
+    if isinstance(raw, dict) and raw.get("format", FORMAT) != FORMAT:
+        raise other_format(folder, f"{MANIFEST} has format {raw['format']}, not {FORMAT}")
     try:
         return Run(folder, Manifest.model_validate(raw))
     except ValidationError as error:
@@ -232,10 +245,8 @@ def _read_parquet(file: Path, record: FileRecord, schema: pa.Schema) -> pa.Table
         raise InputError(f"{file} {problem}; the same sweep plans its scenarios again")
     with opened(file, file.parents[1]) as stream:
         rows = read_parquet(stream, file, record.rows, exact=True)
-    for name in LATER:
-        if name in schema.names and name not in rows.column_names:
-            place = schema.get_field_index(name)
-            rows = rows.add_column(place, schema.field(name), pa.nulls(len(rows), schema.field(name).type))
-    if not rows.schema.equals(schema) or len(rows) != record.rows:
-        raise InputError(f"{file} is not a file of this run: it has other columns or another number of rows")
+    if not rows.schema.equals(schema):
+        raise other_format(file.parents[1], f"{file.parent.name}/{file.name} has other columns")
+    if len(rows) != record.rows:
+        raise InputError(f"{file} is not a file of this run: it has another number of rows")
     return rows

@@ -62,7 +62,7 @@ from htcp_jax.io.files import GROWTH
 from htcp_jax.jobs.grid_axes import Point
 from htcp_jax.model.robot import Robot
 from htcp_jax.motion.knots import Knots
-from htcp_jax.motion.motion import MotionFigures, figures
+from htcp_jax.motion.motion import figures
 from htcp_jax.motion.plans import EMPTY, NO_TARGET, Outcomes, Plans
 from htcp_jax.runs import parameters
 from htcp_jax.status import Status, Way
@@ -70,8 +70,6 @@ from htcp_jax.status import Status, Way
 if TYPE_CHECKING:
     import pandas
 
-# Columns that runs of before do not have, in their order.
-LATER = "executable", *MotionFigures._fields, "orientation_error_rad", "way", "way_clearance_m", "knots"
 STATUSES = {status.name: int(status) for status in Status}
 STATES: dict[str | None, int] = {None: int(Way.UNKNOWN)} | {way.name: int(way) for way in Way}
 XYZ = "xyz"

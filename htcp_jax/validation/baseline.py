@@ -75,7 +75,7 @@ class Scores(Section):
 
     tracked: Count
     targets: Count
-    executable: Count | None = None  # of the tracked; a baseline of before knows none
+    executable: Count  # of the tracked
     complete: Count  # scenarios
     tcp_error_max_mm: float | None  # over the tracked targets, as is the next; None where there are none
     clearance_min_mm: float | None
@@ -102,14 +102,14 @@ class Reachability(Section):
     """What `htcp reachability` found."""
 
     reachable: Count  # targets
-    resolution_rad: float | None = None  # of the search; a baseline of before has `draws`
-    draws: Count | None = None
+    resolution_rad: float | None  # of the search; None if postures spread over the joint limits were tried
     seed: int
 
     @property
     def searched(self) -> str:
         """With what, in words."""
-        how = f"{self.draws} draws" if self.resolution_rad is None else f"a resolution of {self.resolution_rad:.3g} rad"
+        spread = self.resolution_rad is None
+        how = "spread postures" if spread else f"a resolution of {self.resolution_rad:.3g} rad"
         return f"{how} and seed {self.seed}"
 
 
@@ -148,11 +148,6 @@ class Baseline(Section):
     reachability: Reachability | None
     planned: dict[str, Any]  # the `identity` of the run: its configuration and its grid
     methods: dict[MethodName, Scores] = Field(min_length=1)
-
-    @staticmethod
-    def with_new_names(values: dict[str, Any], source: str) -> dict[str, Any]:
-        """What it was called in version 0.1 is understood for one version more."""
-        return {"reachability" if name == "ceiling" else name: value for name, value in values.items()}
 
     @model_validator(mode="after")
     def _hash_is_of_planned(self) -> "Baseline":
@@ -294,7 +289,7 @@ def _end(found: Outcome) -> End:
 def _reachability(run: Run) -> Reachability | None:
     found = read_reachability(run)
     return found and Reachability(
-        reachable=int(found.prefix.sum()), resolution_rad=found.resolution_rad, draws=found.draws, seed=found.seed
+        reachable=int(found.prefix.sum()), resolution_rad=found.resolution_rad, seed=found.seed
     )
 
 

@@ -217,13 +217,9 @@ def _lines(
     lines: dict[str, list[str] | None] = {name: [] for name in CHECKS}
     if lost := [number for number in was.scenarios if number not in now.scenarios]:
         lines[SCENARIOS] = [f"{len(lost)} of {counted(len(was.scenarios), 'scenario')} missing, {lost[0]} the first"]
-    for name, before, after in (
-        (TRACKED, was.tracked, now.tracked),
-        (EXECUTABLE, was.executable, now.executable or 0),
-    ):
-        if before is None:
-            lines[name] = None
-        elif (fewer := before - after) > allow.targets:
+    counts = ((TRACKED, was.tracked, now.tracked), (EXECUTABLE, was.executable, now.executable))
+    for name, before, after in counts:
+        if (fewer := before - after) > allow.targets:
             what = f"{counted(fewer, 'target')} fewer {name.split()[0]}"
             lines[name] = [f"{what}, {after} of {was.targets}; {allow.targets} may be lost"]
     if allow.more_targets is not None and (more := now.tracked - was.tracked) > allow.more_targets:
