@@ -261,12 +261,11 @@ def test_a_signal_in_any_phase_of_any_command_is_one_line(all_here, command, num
         assert process.returncode in CODES
         shutil.rmtree(all_here / "out", ignore_errors=True)
     took = time.monotonic() - began if command != "view" else 6.0
-    interrupt(all_here, WORDS[command], handled, number)
-    interrupt(all_here, WORDS[command], imports, number)
-    cache = str(all_here / "cache")
-    interrupt(all_here, WORDS[command], lambda _: time.sleep(1.5 * took), number, HTCP_CACHE=cache)
-    for share in (0.4, 0.7, 0.9, 1.0):
-        interrupt(all_here, WORDS[command], lambda _, share=share: time.sleep(share * took), number)
+    waits = [lambda _, share=share: time.sleep(share * took) for share in (0.4, 0.7, 0.9, 1.0)]
+    for phase in (handled, imports, *waits):
+        interrupt(all_here, WORDS[command], phase, number)
+        shutil.rmtree(all_here / "out", ignore_errors=True)  # of a command that was done already
+    interrupt(all_here, WORDS[command], lambda _: time.sleep(1.5 * took), number, HTCP_CACHE=str(all_here / "cache"))
 
 
 @pytest.mark.slow
