@@ -7,14 +7,13 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import arrays
 from htcp_jax.io.duct_seams import SEAMS, seam
 from htcp_jax.io.files import known_ending
 from htcp_jax.io.path_file import read_frames
 from htcp_jax.io.point_cloud import TEXT, Geometry, load_geometry
 from htcp_jax.io.table import read_table
 from htcp_jax.io.units import check_extent, check_path
-from htcp_jax.model import duct
+from htcp_jax.model import arrays, duct
 from htcp_jax.model.duct import INTERIOR_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
 from htcp_jax.model.mesh_points import Cover, cover
 from htcp_jax.model.path_frames import PathFrames
