@@ -93,7 +93,7 @@ def test_overrides_are_words_or_values(short):
     [
         ({"method": "rrt"}, "'rrt' is no method; valid: baseline"),
         ({"overrides": {"margin": 1}}, "unknown key margin; did you mean margin_m?"),
-        ({"overrides": {"settings.alpha_rad": -1.0}}, "alpha_rad must be more than zero"),
+        ({"overrides": {"settings.alpha_rad": -1.0}}, "alpha_rad is -1.0: at least 1e-15 is needed"),
         ({"overrides": {"start_rad": [0, -1.2, -0.5, 0, 0.5, -2]}}, "start is in collision"),
     ],
 )

@@ -68,7 +68,7 @@ step_qp.assemble = wrong
 """,
     "J1's weight": """
 from types import SimpleNamespace
-from htcp_jax.planner import null_space
+from htcp_jax.planning.tracking import null_space
 sphere_problem = null_space.sphere_problem
 def wrong(scene, settings, *rest):
     read = {name: getattr(settings, name) for name in null_space.READS} | {"j1_weight": 0.0}

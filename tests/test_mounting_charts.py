@@ -40,11 +40,13 @@ def write_search(folder, d, aims=("clearance",), ranked=3, complete=COMPLETE):
             "spare": {aim: (k + 1) * (-1) ** j for j, aim in enumerate(aims)},
             "spare_when_off": dict.fromkeys(aims),
             "front": k != 1,
+            "margin_m": 5e-4,
         }
         for k in range(ranked)
     ]
     seams = {"weld": {"complete": complete, "in_the_best": 1.0}}
     told = {"name": "made", "scenarios": n, "complete": complete, "seams": seams, "spare": list(aims), "ranked": rows}
+    told["finished"] = True
     (folder / "ranked.json").write_text(json.dumps(told))
     (folder / "place.json").write_text(json.dumps({"seams": [], "off": {"mm": 3.0, "deg": 0.5}}))
     return folder

@@ -265,7 +265,7 @@ def test_settings_are_a_mapping_too():
     [
         ({"alpha": 0.1}, r"settings: unknown key alpha; did you mean alpha_rad\?"),
         ({"zzz": 0.1}, "settings: unknown key zzz; valid: q_weights, cost_about"),
-        ({"alpha_rad": -1.0}, "settings: alpha_rad must be more than zero and finite, not -1.0"),
+        ({"alpha_rad": -1.0}, "settings: alpha_rad is -1.0: at least 1e-15 is needed"),
         ({"samples": "many"}, "settings: samples is 'many': input should be a valid integer"),
         (
             {"include_proximal_bodies": [1] * 100},

@@ -79,7 +79,7 @@ def test_progress_counts_what_all_processes_have_done():
 
 
 def test_what_a_worker_raises_arrives():
-    with pytest.raises(InputError, match="qp is 'nonsense'; valid: clarabel"):
+    with pytest.raises(InputError, match="'nonsense' is no QP solver; valid: clarabel"):
         plan(*scene(), poses(), "baseline", replace(PAPER, qp="nonsense"), processes=2)
 
 
@@ -135,7 +135,8 @@ def test_what_cannot_be_imported_elsewhere_is_not_sent(monkeypatch):
 
 SCRIPT = """
 import jax, numpy as np
-from htcp_jax.planner import batch, processes
+from htcp_jax.device import processes
+from htcp_jax.planning import batch
 from htcp_jax.scene import robot_file, scenario, workpiece_file
 
 arm, duct = robot_file.gp50(), workpiece_file.load_workpiece()

@@ -252,7 +252,7 @@ def test_a_run_can_be_read_while_it_is_planned(planned):
         (["grid.yaml", "--methods", "baseline,rrt"], "unknown method 'rrt'; valid: all, baseline"),
         (["grid.yaml", "--methods", ""], "no methods; valid: all, baseline"),
         (["grid.yaml", "--limit", "0"], "limit is 0; it must be 1 or more"),
-        (["grid.yaml", "--seed", "-1"], "settings.seed must be zero or more"),
+        (["grid.yaml", "--seed", "-1"], "settings.seed is -1: at least 0 is needed"),
         (["grid.yaml", "--set", "margin=1"], "unknown key margin; did you mean margin_m?"),
         (["grid.yaml", "--config", "none.yaml"], "cannot read none.yaml"),
         (["bad.yaml"], "bad.yaml: grid, axis 1: unknown parameter margin; did you mean margin_m?"),

@@ -1,4 +1,7 @@
-"""Compiled programs kept between runs: the first run compiles for seconds, later ones load them."""
+"""Compiled programs kept between runs: the first run compiles for seconds, later ones load them.
+
+The user's cache folder is not looked up by platformdirs, a further dependency for one path on each of three systems.
+"""
 
 import contextlib
 import os

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, described
 
 
 class Section(BaseModel):
@@ -28,7 +28,7 @@ def validate(raw: dict, model: type[BaseModel], source: str) -> Any:
     except ValidationError as error:
         first, *more = error.errors()
         others = f" (and {len(more)} more)" if more else ""
-        raise InputError(f"{source}: {_message(first)}{others}") from None
+        raise InputError(f"{source}: {described(first)}{others}") from None
 
 
 def refuse_unknown(raw: dict, model: type, source: str, prefix: str = "") -> None:
@@ -85,24 +85,3 @@ def _is_section(kind: Any) -> bool:
 
 def _items(value: Any) -> Sequence[Any]:
     return value if isinstance(value, list | tuple) else [value]
-
-
-def _message(error: dict) -> str:
-    """One pydantic error in our words."""
-    rows = error["loc"][:1] == ("task",)  # which are counted from 1, as in --set
-    where = ".".join(str(part + 1 if rows and isinstance(part, int) else part) for part in error["loc"])
-    cause = error.get("ctx", {}).get("error")
-    if isinstance(cause, InputError):
-        return f"{where}.{cause}" if where == "settings" else f"{where}: {cause}"
-    if error["type"] == "missing" and isinstance(error["loc"][-1], int):  # of a list, which is too short
-        key = ".".join(str(part) for part in error["loc"][:-1])
-        return f"{key} is {reprlib.repr(error['input'])}: {error['loc'][-1] + 1} values or more are needed"
-    needed = _NEEDED.get(error["type"]) or error["msg"][0].lower() + error["msg"][1:]
-    return f"{where} is {reprlib.repr(error['input'])}: {needed}"
-
-
-_LIST, _SECTION = "a list is needed", "a section is needed, keys with their values"
-_NEEDED = {  # where Python's words for it would not help
-    "tuple_type": _LIST, "list_type": _LIST, "dict_type": _SECTION, "dataclass_type": _SECTION,
-    "model_type": _SECTION, "model_attributes_type": _SECTION,
-}  # fmt: skip

@@ -2,6 +2,9 @@
 
 One sweep at a time in one folder: the system frees the lock when its process ends, however it ends. SIGINT and SIGTERM
 are remembered, and heeded where the work can be dropped cleanly.
+
+The lock is not filelock's, because a second sweep reads in the file which process holds it, and because the file is
+in a folder that may be a stranger's: a link or a second name of another file is refused before anything is written.
 """
 
 import contextlib

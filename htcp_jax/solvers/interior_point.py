@@ -3,6 +3,9 @@
 Mehrotra's predictor-corrector on the normal equations. With 2 to 6 unknowns and up to a hundred rows, the only linear
 algebra is an n x n Cholesky factorisation, unrolled, so thousands of these fuse into a few vectorised loops. The
 caller guarantees that a feasible point exists (here: t can always be lowered).
+
+Its own file and not qpax, which takes two QR factorisations an iteration, library calls for each lane, and returns the
+last iterate: here the best one counts, so that a tolerance near rounding can be asked for.
 """
 
 from typing import NamedTuple
