@@ -23,12 +23,12 @@ grid:
 """
 FAULTS = {
     "kinematics": """
-from htcp_jax.scene import kinematics
+from htcp_jax.model import kinematics
 turned = kinematics.turned
 kinematics.turned = lambda axis, turn: turned(axis, 1.0005 * turn)
 """,
     "clearance sign": """
-from htcp_jax.clearance import obstacles
+from htcp_jax.clearance.obstacles import obstacles
 contacts = obstacles.contacts
 def wrong(*arguments):
     found = contacts(*arguments)
@@ -50,7 +50,7 @@ step_qp.assemble = lambda settings, x_ref, x_previous, *rest: assemble(settings,
 """,
     "single clearance row": """
 import jax.numpy as jnp
-from htcp_jax.clearance import linearisation
+from htcp_jax.clearance.obstacles import linearisation
 clearance_rows = linearisation.clearance_rows
 def wrong(*arguments):
     rows = clearance_rows(*arguments)

@@ -192,7 +192,8 @@ def test_nothing_is_imported_before_a_name_is_looked_up():
     """Reading a configuration needs no planner."""
     code = (
         "import sys, htcp_jax.jobs.config, htcp_jax.planning.registry; "
-        "loaded = [name for name in sys.modules if name.startswith('htcp_jax.planner.')]; "
+        "own = tuple(f'htcp_jax.{package}.' for package in ('device', 'motion', 'planning')); "
+        "loaded = [name for name in sys.modules if name.startswith(own)]; "
         "assert loaded == ['htcp_jax.planning.registry'], loaded"
     )
     subprocess.run([sys.executable, "-c", code], check=True, env=os.environ | {"PYTHONPATH": str(ROOT)})

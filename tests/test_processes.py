@@ -137,7 +137,8 @@ SCRIPT = """
 import jax, numpy as np
 from htcp_jax.device import processes
 from htcp_jax.planning import batch
-from htcp_jax.scene import robot_file, scenario, workpiece_file
+from htcp_jax.io import robot_file, workpiece_file
+from htcp_jax.model import scenario
 
 arm, duct = robot_file.gp50(), workpiece_file.load_workpiece()
 start = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
