@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from htcp_jax.motion.front import best_first, dispersed
-from htcp_jax.motion.posture_tree import LEAST, Nodes, Posture, Tree
+from htcp_jax.motion.posture_tree import LEAST, BeamTree, Nodes, Posture
 
 numbers = st.floats(-1, 1)
 postures = st.lists(st.tuples(numbers, numbers), min_size=1, max_size=20)
@@ -89,7 +89,7 @@ legs = st.lists(st.tuples(st.booleans(), postures), min_size=1, max_size=6)
 @given(st.tuples(numbers, numbers), legs)
 def test_a_way_costs_the_squares_of_its_steps_and_has_the_dwells_of_its_parts(start, legs):
     """Of a leg that is walked every posture is a step, of one that is fed its end alone."""
-    tree, passed, dwells = Tree(2), [start], 0
+    tree, passed, dwells = BeamTree(2), [start], 0
     here = tree.plant(at([start]), -1)
     for is_walked, leg in legs:
         leg = leg if is_walked else leg[-1:]
@@ -108,7 +108,7 @@ def test_a_way_costs_the_squares_of_its_steps_and_has_the_dwells_of_its_parts(st
 @pytest.mark.parametrize("seed", range(3))
 def test_a_pruned_tree_has_every_way_that_is_asked_for_and_no_other_posture(seed):
     rng = np.random.default_rng(seed)
-    tree = Tree(2)
+    tree = BeamTree(2)
     rows = tree.plant(at(rng.standard_normal((5, 2))), -1)
     while not tree.is_overgrown:
         parent = rng.choice(rows, 400)

@@ -100,7 +100,7 @@ def test_a_worker_that_is_killed_is_told_of():
             with contextlib.suppress(ProcessLookupError):  # when one is gone, loky ends the others
                 os.kill(worker, signal.SIGKILL)
 
-    with pytest.raises(Lost, match="a process that planned is gone"):
+    with pytest.raises(Lost, match="a worker process is gone"):
         again(progress=kill)
     assert again().tracked.any()
 

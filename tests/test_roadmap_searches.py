@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from htcp_jax.motion.posture_tree import Posture, Tree
+from htcp_jax.motion.posture_tree import BeamTree, Posture
 from htcp_jax.planning.beam.searches import NONE, Members, Searches
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
@@ -20,7 +20,7 @@ def at(x) -> Posture:
 
 def begun(targets, settings=FEW, can_walk=True) -> Searches:
     """A search for each of these counts of targets, from one start."""
-    searches = Searches(settings, Tree(2), can_walk)
+    searches = Searches(settings, BeamTree(2), can_walk)
     roots = searches.tree.plant(at(np.zeros((len(targets), 2))), -1)
     searches.begin(list(range(len(targets))), list(targets), list(roots[:, None]))
     return searches

@@ -86,13 +86,12 @@ def refilled(function: Callable, width: int) -> Callable:
 
         def let_in(slots: Slots, first) -> tuple[Slots, jax.Array]:
             free = ~slots.going
-            row = first + jnp.cumsum(free, dtype=jnp.int32) - 1
-            new = free & (row < lanes)
+            row, new, following = next_rows(free, first, lanes)
             lane = jax.tree.map(lambda t: t[jnp.where(new, row, 0)], tables)
             lane, state = _where(new, (lane, begin(lane)), (slots.lane, slots.state))
             row = jnp.where(new, row, jnp.where(free, capacity, slots.row))
             going = is_going(lane, state) & (row < capacity)
-            return Slots(row, lane, state, going), first + jnp.sum(new, dtype=jnp.int32)
+            return Slots(row, lane, state, going), following
 
         def advance(slots: Slots) -> Slots:
             state = _where(slots.going, step(slots.lane, slots.state), slots.state)
@@ -117,6 +116,15 @@ def refilled(function: Callable, width: int) -> Callable:
         return jax.lax.while_loop(more, turn, (slots, jnp.zeros((), jnp.int32), results))[2]
 
     return jax.jit(run)
+
+
+def next_rows(
+    free: Bool[jax.Array, "width"], first: jax.Array, lanes: jax.Array
+) -> tuple[Int[jax.Array, "width"], Bool[jax.Array, "width"], jax.Array]:
+    """Return the row that each free slot takes, from `first` on, which slots take one, and the first row left over."""
+    row = first + jnp.cumsum(free, dtype=jnp.int32) - 1
+    new = free & (row < lanes)
+    return row, new, first + jnp.sum(new, dtype=jnp.int32)
 
 
 def _empty(few: Any, capacity: int) -> Any:

@@ -96,7 +96,7 @@ def spread(
             workers.shutdown(kill_workers=True)
             _workers.clear()
             if isinstance(error, BrokenProcessPool):
-                raise Lost("a process that planned is gone; it may have run out of memory") from None
+                raise Lost("a worker process is gone; it may have run out of memory") from None
             raise
 
 
@@ -122,7 +122,9 @@ def _executor(processes: int) -> Any:
 # What follows happens in a worker
 
 BOARD = "board"
-ENVIRONMENT = {"JAX_PLATFORMS": "cpu"}  # whoever has GPUs has them all
+# The calling process keeps the GPUs. Where psutil is installed, loky takes a worker that grows by 300 MB to leak and
+# replaces it; these keep executables.
+ENVIRONMENT = {"JAX_PLATFORMS": "cpu", "LOKY_MAX_MEMORY_LEAK_SIZE": "1e18"}
 _kept: dict[str, tuple] = {}  # what was shared last, by its digest
 
 
@@ -130,10 +132,6 @@ def _begin(cache: str | None, least_s: float) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that has started this one heeds it
     jax.config.update("jax_compilation_cache_dir", cache)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", least_s)
-    from loky import process_executor
-
-    # Where psutil is installed, a worker that grows by 300 MB is taken to leak, and replaced: these hold programs.
-    process_executor._USE_PSUTIL = False
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
 
 

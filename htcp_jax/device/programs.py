@@ -14,7 +14,7 @@ from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.device import compile_cache
 from htcp_jax.device.devices import cores
 from htcp_jax.device.kernel import TRACKED, Kernel
-from htcp_jax.device.tables import concatenate, gather
+from htcp_jax.device.tables import concatenate, gather, pad
 from htcp_jax.model.task import Task
 from htcp_jax.settings import Settings
 
@@ -199,7 +199,7 @@ class Kernels:
         """The scene, how many lanes there are to compute, and the tables, padded."""
         table, lanes = kernel.load.on(self.device), len(jax.tree.leaves(tables)[0])
         filled = -(-lanes // table.width) * table.width
-        padded = jax.tree.map(lambda t: _pad(np.asarray(t), table.length(lanes), filled), tables)
+        padded = jax.tree.map(lambda t: pad(np.asarray(t), table.length(lanes), filled), tables)
         return self._scene, np.int32(lanes), *padded
 
     def _program(self, kernel: Kernel, arguments: tuple) -> jax.stages.Compiled:
@@ -207,15 +207,3 @@ class Kernels:
         if key not in self._own:
             self._own[key] = self._programs.get(kernel, self._settings, self.device, arguments, self._waiting)
         return self._own[key]
-
-
-def _pad(table: np.ndarray, capacity: int, filled: int) -> np.ndarray:
-    """The table with its first row repeated up to `filled`: real numbers, so that padding never goes astray. What lies
-    beyond, up to the capacity, is never read."""
-    lanes = len(table)
-    if lanes == capacity:
-        return table
-    padded = np.empty((capacity, *table.shape[1:]), table.dtype)
-    padded[:lanes] = table
-    padded[lanes:filled] = table[0]
-    return padded

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance.proof.bisection import WHOLE, WHOLE_DEPTH, Bisection, Proof, Verdict, begun, of_proven
+from htcp_jax.device.batching import next_rows
 from htcp_jax.types import Bool, Int
 
 
@@ -45,8 +46,8 @@ def by_stretches(function: Callable, width: int) -> Callable:
 
         def turn(now):
             slots, following, known = now
-            slots, following = _let_in(slots, following, lanes, capacity)
-            slots = _shared_out(slots, capacity)
+            row, new, following = next_rows(slots.row == capacity, following, lanes)
+            slots = _shared_out(slots._replace(row=jnp.where(new, row, slots.row)), capacity)
             far = look(jnp.where(slots.row < capacity, slots.row, 0), slots.far)
             slots, known = _put_together(slots, far, known, capacity)
             return slots, following, known
@@ -61,14 +62,6 @@ def by_stretches(function: Callable, width: int) -> Callable:
         return jax.vmap(of_proven)(known.proof)
 
     return jax.jit(run)
-
-
-def _let_in(slots: Slots, following: jax.Array, lanes: jax.Array, capacity: int) -> tuple[Slots, jax.Array]:
-    """The paths that are next, as many as there are free slots."""
-    free = slots.row == capacity
-    row = following + jnp.cumsum(free, dtype=jnp.int32) - 1
-    new = free & (row < lanes)
-    return slots._replace(row=jnp.where(new, row, slots.row)), following + jnp.sum(new, dtype=jnp.int32)
 
 
 def _shared_out(slots: Slots, capacity: int) -> Slots:

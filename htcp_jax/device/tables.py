@@ -55,3 +55,15 @@ def scatter(tables: Tables, rows, new: Tables) -> Tables:
         return table
 
     return jax.tree.map(replaced, tables, new)
+
+
+def pad(table: np.ndarray, capacity: int, filled: int) -> np.ndarray:
+    """Return the table with `capacity` rows: its first row repeated up to `filled`, real numbers, so that padding never
+    goes astray; the rows beyond are not set and must not be read."""
+    lanes = len(table)
+    if lanes == capacity:
+        return table
+    padded = np.empty((capacity, *table.shape[1:]), table.dtype)
+    padded[:lanes] = table
+    padded[lanes:filled] = table[0]
+    return padded

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from htcp_jax.errors import InputError
 from htcp_jax.model.robot import ArmFrame, Robot, lengthen_tool
+from htcp_jax.model.rotations import least_turn
 from htcp_jax.model.scenario import Scenario
 from htcp_jax.model.task import Task
 from htcp_jax.model.task_list import TaskRow
@@ -254,19 +255,9 @@ def _eased(
         there = start[3:6] + np.linalg.norm(first - start[3:6]) * start[:3]
         goals = there + share[:, None] * (first - there)
     else:
-        turn = _least_turn(start[:3], first)
+        turn = least_turn(start[:3], first)
         goals = Rotation.from_rotvec(share[:, None] * turn).apply(np.array(start[:3]))
     return goals
-
-
-def _least_turn(a: Float[np.ndarray, "3"], b: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """The rotation vector that turns a direction into another one the shortest way; any of opposite ones."""
-    square, cosine = np.cross(a, b), float(a @ b)
-    if (sine := float(np.linalg.norm(square))) < 1e-12:
-        square, sine = np.cross(a, np.eye(3)[np.abs(a).argmin()]), 1.0
-        square = square / np.linalg.norm(square)
-        return square * (0.0 if cosine > 0 else np.pi)
-    return square / sine * np.arctan2(sine, cosine)
 
 
 # What cannot be

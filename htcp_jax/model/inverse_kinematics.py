@@ -11,6 +11,8 @@ from htcp_jax.model.task import TCP_POSITION, Task
 from htcp_jax.numerics import of_shape, product, safe_norm, solve_spd
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar
 
+DAMPING = 1e-6  # of a step back onto a target [m2/rad2]
+
 
 @partial(jax.jit, static_argnames=("tolerance_m", "iterations", "task"))
 def reanchor(
@@ -36,12 +38,7 @@ def reanchor(
 
     def step(state):
         (x, error, jac), count = state
-        # A joint at its limit that the step would push further out takes no part.
-        push = product(jac.T, _weighted(jac, error))
-        blocked = ((x <= robot.lower) & (push < 0)) | ((x >= robot.upper) & (push > 0))
-        jac = jnp.where(blocked[None, :], 0.0, jac)
-        stepped = jnp.clip(x + product(jac.T, _weighted(jac, error)), robot.lower, robot.upper)
-        return look(jnp.where(count < 0, x, stepped)), count + 1
+        return look(jnp.where(count < 0, x, damped_step(robot, x, error, jac, DAMPING))), count + 1
 
     def going(state):
         (_, error, _), count = state
@@ -51,6 +48,25 @@ def reanchor(
     blank = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(look, x))
     (x, error, _), _ = jax.lax.while_loop(going, step, ((x, *blank[1:]), jnp.full((), -1, jnp.int32)))
     return x, task.off(robot, x, target) if task.bands else safe_norm(error)
+
+
+def damped_step(robot: Robot, x: Joints, error: Float[Array, "M"], jac: Float[Array, "M N"], damping: float) -> Joints:
+    """Return x after a damped least-squares step within the joint limits (Siciliano et al., Robotics, section 3.7).
+
+    A joint at its limit that the step would push further out takes no part.
+
+    Args:
+        error: What the step makes up for [m].
+        jac: How fast it does so [m/rad or m/m].
+        damping: Added to the diagonal of J J^T [m2/rad2].
+    """
+
+    def move(jac):
+        return product(jac.T, solve_spd(product(jac, jac.T) + damping * jnp.eye(len(error)), error))
+
+    push = move(jac)
+    blocked = ((x <= robot.lower) & (push < 0)) | ((x >= robot.upper) & (push > 0))
+    return jnp.clip(x + move(jnp.where(blocked[None, :], 0.0, jac)), robot.lower, robot.upper)
 
 
 def _off(robot: Robot, task: Task, target: Float[Array, "G"], x: Joints) -> Float[Array, "R"]:
@@ -67,10 +83,6 @@ def _slopes(robot: Robot, task: Task, target: Float[Array, "G"], x: Joints) -> F
         return task.jacobian(robot, x)
     linear = task.linear_at(robot, x, target)
     return jnp.concatenate([linear.jacobian, jnp.where((linear.room < 0)[:, None], linear.gradient, 0.0)])
-
-
-def _weighted(jac: Float[Array, "M N"], error: Float[Array, "M"]) -> Float[Array, "M"]:
-    return solve_spd(product(jac, jac.T) + 1e-6 * jnp.eye(len(error)), error)
 
 
 def inside(robot: Robot, x: Joints) -> Bool[Array, ""]:

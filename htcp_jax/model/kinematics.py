@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.model.robot import Robot
+from htcp_jax.model.rotations import axis_angle_matrix
 from htcp_jax.numerics import of_shape, product, safe_norm
 from htcp_jax.types import Array, Float, Int, Joints, Pose, Vector3
 
@@ -163,7 +164,8 @@ def _link_frames(robot: Robot, x: Joints) -> _Frames:
     fixed = _Frames(robot.T_parent_joint[:, :3, :3], robot.T_parent_joint[:, :3, 3])
     slides = np.array(robot.slides)
     turn, slide = jnp.where(slides, 0.0, x), jnp.where(slides, x, 0.0)
-    steps = _Frames(product(fixed.rotation, turned(robot.axis, turn)), _to_world(fixed, slide[:, None] * robot.axis))
+    rotation = product(fixed.rotation, axis_angle_matrix(robot.axis, turn))
+    steps = _Frames(rotation, _to_world(fixed, slide[:, None] * robot.axis))
 
     def then(last: _Frames, step: _Frames):
         link = _Frames(product(last.rotation, step.rotation), _to_world(last, step.origin))
@@ -190,15 +192,6 @@ def _velocities(robot: Robot, links: _Frames, points: Float[Array, "P 3"]) -> Fl
     axes = product(links.rotation, robot.axis[:, :, None])[..., 0]
     turning = jnp.cross(axes[None], points[:, None] - links.origin[None])
     return jnp.where(np.array(robot.slides)[None, :, None], axes[None], turning)
-
-
-def turned(axis: Float[Array, "n 3"], turn: Float[Array, "n"]) -> Float[Array, "n 3 3"]:
-    """Rotations about unit axes by angles [rad]: I + sin(turn) K + (1 - cos(turn)) K^2, where K v = axis x v."""
-    x, y, z = axis.T
-    o = jnp.zeros_like(x)
-    K = jnp.stack([o, -z, y, z, o, -x, -y, x, o], axis=1).reshape(-1, 3, 3)
-    sin, cos = jnp.sin(turn)[:, None, None], jnp.cos(turn)[:, None, None]
-    return jnp.eye(3, dtype=axis.dtype)[None] + sin * K + (1.0 - cos) * product(K, K)
 
 
 def _to_world(frames: _Frames, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:

@@ -13,8 +13,9 @@ from typing import ClassVar, NamedTuple
 import jax.numpy as jnp
 
 from htcp_jax.errors import InputError
+from htcp_jax.model.rotations import angle, axis_error, rotation_vector
 from htcp_jax.numerics import product, safe_norm
-from htcp_jax.types import Array, Float, Scalar, Triple, Vector3
+from htcp_jax.types import Array, Float, Triple, Vector3
 
 XYZ = (0, 1, 2)
 AIM_RAD, AIM_M = 1e-3, 2e-4  # a step aims so far inside an inequality, which linear rows cut too short,
@@ -231,40 +232,3 @@ class Turned:
 
 
 Row = TaskPoint | PointAlong | AxisTowards | Turned
-
-
-def angle(a: Vector3, b: Vector3) -> Scalar:
-    """Between two directions of length 1, 0 to pi [rad]; exact near both ends, where its gradient is 0."""
-    return jnp.arctan2(safe_norm(jnp.cross(a, b)), product(a, b))
-
-
-def axis_error(axis: Vector3, direction: Vector3) -> Float[Array, "2"]:
-    """The rotation vector [rad] from one direction of length 1 to another in two directions square to the latter, the
-    logarithm map; of opposite ones half a turn, any way."""
-    least = jnp.argmin(jnp.abs(direction))
-    first = jnp.cross(direction, jnp.where(jnp.arange(3) == least, 1.0, 0.0))
-    first = first / safe_norm(first)
-    across = jnp.stack([first, jnp.cross(direction, first)])
-    square = jnp.cross(axis, direction)
-    sine, cosine = safe_norm(square), product(axis, direction)
-    flat = sine < 1e-12
-    turn = jnp.where(flat, 1.0, jnp.arctan2(sine, cosine) / jnp.where(flat, 1.0, sine))
-    opposite = flat & (cosine < 0)
-    return turn * product(across, square) + jnp.where(opposite, jnp.array([jnp.pi, 0.0]), 0.0)
-
-
-def rotation_vector(rotation: Float[Array, "3 3"]) -> Vector3:
-    """The axis of a rotation matrix times its angle, 0 to pi [rad], the logarithm map."""
-    twice = jnp.stack([
-        rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1],
-    ])  # fmt: skip
-    sine, cosine = 0.5 * safe_norm(twice), 0.5 * (jnp.trace(rotation) - 1.0)
-    turn = jnp.arctan2(sine, cosine)
-    flat = sine < 1e-12
-    small = 0.5 * twice * jnp.where(flat, 1.0, turn / jnp.where(flat, 1.0, sine))
-    # Near half a turn the sine says nothing of the axis; the symmetric part is (1 - cos) axis axis' + cos I.
-    symmetric = 0.5 * (rotation + rotation.T) - cosine * jnp.eye(3)
-    best = jnp.argmax(jnp.diagonal(symmetric))
-    column = jnp.where(cosine < -0.5, symmetric[:, best], jnp.array([1.0, 0.0, 0.0]))
-    axis = column / jnp.maximum(safe_norm(column), 1e-12) * jnp.where(twice[best] < 0, -1.0, 1.0)
-    return jnp.where(cosine < -0.5, turn * axis, small)

@@ -67,3 +67,16 @@ def farthest_first(x: Float[np.ndarray, "n N"], first: int, most: int, apart: fl
         kept.append(int(np.argmax(distance)))
         distance = np.minimum(distance, np.linalg.norm(x - x[kept[-1]], axis=1))
     return kept
+
+
+def first_apart(x: Float[np.ndarray, "n N"], most: int, apart: float, norm: float = 2) -> Int[np.ndarray, "k"]:
+    """Return up to `most` rows of x, in their order: each that is at least `apart` from those before it that are kept.
+
+    norm: Of the distance, as `numpy.linalg.norm` has it.
+    """
+    kept: list[int] = []
+    left = np.ones(len(x), bool)
+    while left.any() and len(kept) < most:
+        kept.append(int(np.argmax(left)))
+        left &= np.linalg.norm(x - x[kept[-1]], norm, axis=1) >= apart
+    return np.array(kept, int)

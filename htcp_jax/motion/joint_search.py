@@ -28,6 +28,7 @@ from htcp_jax.device.programs import Kernels
 from htcp_jax.device.tables import gather
 from htcp_jax.model.scenario import Scenario
 from htcp_jax.motion.lane_inputs import lane_inputs
+from htcp_jax.motion.posture_tree import NO_PARENT, Tree
 from htcp_jax.motion.proofs import clear_paths
 from htcp_jax.motion.tip_check import TipCheck
 from htcp_jax.settings import Settings
@@ -128,16 +129,24 @@ def _joined(a: np.ndarray, b: np.ndarray, limits: Limits, rng: np.random.Generat
     return None if way is None else (yield from _shortened(way, rng, settings.search_shortcuts))[1:-1]
 
 
-class _Tree:
+class _Nodes(NamedTuple):
+    """Configurations, and the row of each one's parent."""
+
+    x: Float[np.ndarray, "n N"]
+    parent: Int[np.ndarray, "n"]
+
+
+class _JointTree(Tree):
     """Postures connected to a root by proven steps, which lead away from it; or, to be walked backwards, towards it."""
 
     def __init__(self, root: Float[np.ndarray, "N"], backwards: bool):
-        self.x, self.parent, self.backwards = root[None], np.array([-1]), backwards
+        super().__init__(_Nodes(root[None], np.array([NO_PARENT])))
+        self.backwards = backwards
 
-    def add(self, x: Float[np.ndarray, "m N"], parent: Int[np.ndarray, "m"]) -> Int[np.ndarray, "m"]:
-        """Returns the numbers of the new nodes."""
-        self.x, self.parent = np.concatenate([self.x, x]), np.concatenate([self.parent, parent])
-        return np.arange(len(self.x) - len(x), len(self.x))
+    @property
+    def x(self) -> Float[np.ndarray, "n N"]:
+        """The configurations [rad or m]."""
+        return self._table.x[: self._count]
 
     def nearest(self, x: Float[np.ndarray, "m N"]) -> Int[np.ndarray, "m"]:
         """To each of some postures; of equals the first."""
@@ -146,10 +155,8 @@ class _Tree:
 
     def way(self, node: int) -> Float[np.ndarray, "k N"]:
         """The postures from the root to a node; backwards, from the node to the root."""
-        nodes = [node]
-        while (node := int(self.parent[node])) >= 0:
-            nodes.append(node)
-        return self.x[nodes if self.backwards else nodes[::-1]]
+        path = self.path(node)
+        return self.x[path[::-1] if self.backwards else path]
 
     def extend(self, node: Int[np.ndarray, "m"], goal: Float[np.ndarray, "m N"], step: float) -> Joining:
         """From each node straight towards its goal, as far as steps are proven; returns the nodes where that ends."""
@@ -159,17 +166,17 @@ class _Tree:
             left = np.linalg.norm(to - x, axis=1)
             there = _between(x, to, np.minimum(1.0, step / np.maximum(left, step)))
             clear = yield _steps(there, x) if self.backwards else _steps(x, there)
-            node[going[clear]] = self.add(there[clear], node[going[clear]])
+            node[going[clear]] = self.add(_Nodes(there[clear], node[going[clear]]))
             going = going[clear & (left > step)]
         return node
 
 
 def _grown(a: np.ndarray, b: np.ndarray, limits: Limits, rng: np.random.Generator, settings: Settings) -> Joining:
     """A way from a to b, step by step; None where the rounds are spent."""
-    trees, step = (_Tree(a, False), _Tree(b, True)), settings.search_step_rad
+    trees, step = (_JointTree(a, False), _JointTree(b, True)), settings.search_step_rad
     for _ in range(settings.search_rounds):
-        small, other = sorted(trees, key=lambda tree: len(tree.x))
-        node = rng.integers(len(small.x), size=DRAWS)
+        small, other = sorted(trees, key=len)
+        node = rng.integers(len(small), size=DRAWS)
         ends = yield from small.extend(node, _drawn(small.x[node], limits, rng), step)
         ends = ends[ends != node]
         goals = small.x[ends]

@@ -1,6 +1,6 @@
 """The postures of a roadmap: clear, on target, each connected to a root by proven motions; tables with a row each."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -34,15 +34,43 @@ class Nodes(NamedTuple):
 
 
 class Tree:
+    """Nodes with a parent each, in tables that grow."""
+
+    def __init__(self, table: Any):
+        self._table, self._count = table, len(table.parent)
+
+    def __len__(self) -> int:
+        return self._count
+
+    def add(self, nodes: Any) -> Int[np.ndarray, "m"]:
+        """Add nodes and return their rows."""
+        first, count = self._count, self._count + len(nodes.parent)
+        if count > len(self._table.parent):
+            self._table = jax.tree.map(lambda column: _longer(column[:first], 2 * count), self._table)
+
+        def write(column, new):
+            column[first:count] = new
+
+        jax.tree.map(write, self._table, nodes)
+        self._count = count
+        return np.arange(first, count)
+
+    def path(self, row: int) -> Int[np.ndarray, "k"]:
+        """Return the rows from the root to a node."""
+        rows, parent = [row], self._table.parent
+        while (row := int(parent[row])) != NO_PARENT:
+            rows.append(row)
+        return np.array(rows[::-1])
+
+
+class BeamTree(Tree):
     """All postures of some searches. Those that lead nowhere are forgotten in time."""
 
     def __init__(self, joints: int):
         at = Posture(*(np.empty((LEAST, *shape)) for shape in ((joints,), (), (), (3,))))
         whole = (np.empty(LEAST, kind) for kind in (np.int32, np.int64, bool, np.int32, np.int32))
-        self._table, self._count, self._kept = Nodes(at, *whole, np.empty(LEAST)), 0, LEAST
-
-    def __len__(self) -> int:
-        return self._count
+        super().__init__(Nodes(at, *whole, np.empty(LEAST)))
+        self._count, self._kept = 0, LEAST
 
     @property
     def x(self) -> Float[np.ndarray, "n N"]:
@@ -61,7 +89,7 @@ class Tree:
     def plant(self, at: Posture, target: int) -> Int[np.ndarray, "m"]:
         """Roots at a target; returns their rows."""
         none = np.full(len(at.x), NO_PARENT)
-        return self._add(Nodes(at, none * 0 + target, none, none > 0, none * 0, none * 0, np.zeros(len(none))))
+        return self.add(Nodes(at, none * 0 + target, none, none > 0, none * 0, none * 0, np.zeros(len(none))))
 
     def grow(
         self, parent: Int[np.ndarray, "m"], at: Posture, target, step_qps=0, walked: bool = False, dwells=0
@@ -71,14 +99,7 @@ class Tree:
         step, zero = at.x - self.x[parent], np.zeros_like(parent)
         dwells = self._table.dwells[parent] + dwells
         cost = self._table.cost[parent] + (step * step).sum(axis=1)
-        return self._add(Nodes(at, zero + target, parent, np.full(len(parent), walked), zero + step_qps, dwells, cost))
-
-    def path(self, row: int) -> Int[np.ndarray, "k"]:
-        """The rows from its root to a posture."""
-        rows, parent = [row], self._table.parent
-        while (row := int(parent[row])) != NO_PARENT:
-            rows.append(row)
-        return np.array(rows[::-1])
+        return self.add(Nodes(at, zero + target, parent, np.full(len(parent), walked), zero + step_qps, dwells, cost))
 
     @property
     def is_overgrown(self) -> bool:
@@ -99,19 +120,6 @@ class Tree:
         self._table, self._count = kept, len(kept.parent)
         self._kept = max(LEAST, self._count)
         return moved
-
-    def _add(self, nodes: Nodes) -> Int[np.ndarray, "m"]:
-        first, count = self._count, self._count + len(nodes.parent)
-        if count > len(self._table.parent):
-            room = max(2 * count, LEAST)
-            self._table = jax.tree.map(lambda column: _longer(column[:first], room), self._table)
-
-        def write(column, new):
-            column[first:count] = new
-
-        jax.tree.map(write, self._table, nodes)
-        self._count = count
-        return np.arange(first, count)
 
 
 def _longer(column: np.ndarray, room: int) -> np.ndarray:

@@ -11,6 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import qmc
 
+from htcp_jax.motion.front import first_apart
+
 EVEN = 0.5  # of the budget, that is spread evenly
 ROUND = 512  # mountings of an even round
 FROM, POPULATION = 4, 24  # places that evolution starts from, and mountings about each a round
@@ -48,13 +50,7 @@ def score(known: Known, weights: Float[np.ndarray, "A"]) -> Float[np.ndarray, "n
 
 def best_apart(u: Float[np.ndarray, "n d"], order: np.ndarray, count: int) -> list[int]:
     """The first `count` in an order of which each differs from all before it, see APART."""
-    chosen: list[int] = []
-    for k in order.tolist():
-        if all(np.abs(u[k] - u[other]).max() >= APART for other in chosen):
-            chosen.append(k)
-        if len(chosen) == count:
-            break
-    return chosen
+    return order[first_apart(u[order], count, APART, np.inf)].tolist()
 
 
 class Evolution:

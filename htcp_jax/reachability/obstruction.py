@@ -6,7 +6,6 @@ colliding one; if that clearance is above 0, no body collides and the search end
 posture of many: an escape may have looked at others, and found none that is clear.
 """
 
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
@@ -18,8 +17,8 @@ from htcp_jax.clearance.obstacles.obstacle import Obstacles
 from htcp_jax.clearance.obstacles.obstacles import contacts, nearest_to
 from htcp_jax.clearance.obstacles.of_workpiece import all_obstacles
 from htcp_jax.clearance.obstacles.scene import Scene, own_scene
-from htcp_jax.device.batching import chunked
-from htcp_jax.device.kernel import DEEP
+from htcp_jax.device.kernel import DEEP, Kernel
+from htcp_jax.device.programs import Kernels
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.robot import Robot, capsule_in_words, mesh_note
 from htcp_jax.model.scenario import Scenario, stack
@@ -100,18 +99,12 @@ def obstructions(
 ) -> list[Obstruction]:
     """The same for S scenarios at once. where: stacked, what `Posed` asks for and `tool_extension_m`;
     goals: of the task, one a scenario; of the TCP's position the target, world [m]."""
-    table = DEEP.on(jax.local_devices()[0])
-    lanes = (where, np.asarray(x_last, float), np.asarray(goals, float))
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
-    look, scene = _program(table.width), Scene(robot, obstacles, task)
-    measured = []
-    for first in range(0, len(x_last), table.capacity):
-        count = min(table.capacity, len(x_last) - first)
-        rows = first + np.arange(table.capacity) % count
-        found = look(scene, np.int32(count), *jax.tree.map(lambda leaf, rows=rows: np.asarray(leaf)[rows], lanes))
-        measured += zip(*(np.asarray(leaf)[:count] for leaf in found), strict=True)
+    scene = Scene(robot, obstacles, task)
+    lanes = (where, np.asarray(x_last, float), np.asarray(goals, float))
+    measured = Kernels(scene, settings)(BRING, *lanes) if len(x_last) else ()
     found = []
-    for k, (row, point, surface, depth, off, x) in enumerate(measured):
+    for k, (row, point, surface, depth, off, x) in enumerate(zip(*measured, strict=True)):
         here = jax.tree.map(lambda leaf, k=k: jnp.asarray(leaf[k]), where)
         other = nearest_to(own_scene(scene, here.tool_extension_m).robot, obstacles, here, jnp.asarray(x), int(row))
         number, reached = scene.rows.body[int(row)], bool(task.reached(np.asarray(off)))
@@ -128,12 +121,7 @@ def blocked_target(plans: Plans, scenario: int) -> int | None:
     return None if end.status in (None, *NO_BODY) else end.failed
 
 
-@lru_cache(maxsize=8)
-def _program(width: int):
-    return chunked(_brought_there, width)
-
-
-def _brought_there(scene: Scene, where, x_last, goal):
+def _brought_there(settings: Settings, scene: Scene, where, x_last, goal):
     """Row of clearance, points of the obstacle and of the capsule's surface that faces it, depth [m], TCP error [m] and
     configuration of one scenario."""
     robot, obstacles, task = own_scene(scene, where.tool_extension_m)
@@ -143,6 +131,9 @@ def _brought_there(scene: Scene, where, x_last, goal):
     radius = robot.capsule_radius[np.array(scene.rows.body)]
     surface = touch.point[row] - radius[row] * touch.normal[row]
     return row, touch.witness[row], surface, -touch.distance[row], residual, x
+
+
+BRING = Kernel("bring", _brought_there, DEEP)
 
 
 def _mm(length_m: float) -> str:

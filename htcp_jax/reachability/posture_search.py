@@ -22,17 +22,18 @@ from scipy.stats import qmc
 
 from htcp_jax.clearance.obstacles.obstacles import clearance
 from htcp_jax.clearance.obstacles.scene import Scene, own_scene
-from htcp_jax.clearance.proof.exclusion import rotation
 from htcp_jax.device.kernel import Kernel
 from htcp_jax.device.programs import Kernels
 from htcp_jax.device.tables import gather
-from htcp_jax.model.inverse_kinematics import reanchor
+from htcp_jax.model.inverse_kinematics import damped_step, reanchor
 from htcp_jax.model.kinematics import jacobian, link_poses, tcp_position
 from htcp_jax.model.robot import Robot, lengthen_tool
+from htcp_jax.model.rotations import quaternion_matrix, sine_error
 from htcp_jax.model.task import Task
+from htcp_jax.motion.front import first_apart
 from htcp_jax.motion.kernels import ADVANCE, SETTLE
 from htcp_jax.motion.lane_inputs import LaneInputs
-from htcp_jax.numerics import product, safe_norm, solve_spd
+from htcp_jax.numerics import product
 from htcp_jax.planning.tracking.null_space import Anchored
 from htcp_jax.planning.tracking.stages import PUSH
 from htcp_jax.reachability.tool_cells import MANY, Cells, tool_cells
@@ -41,7 +42,7 @@ from htcp_jax.settings import Settings
 CELLS = 20_000  # at a target, at most: else the resolution is coarser, and says so
 SEEDS, KNOWN = 12, 2**15  # of Newton's method for each cell, and the postures that they are taken from
 SPREAD = 2**13  # of these postures, where there are no cells
-STEPS = 12  # of Newton's method
+STEPS, DAMPING = 12, 1e-5  # of Newton's method [m2/rad2]
 PUSHED = 64  # postures pushed clear at a target
 APART_RAD = 0.2  # closer postures are one
 HOPS, HOPPED = 2, 8  # rounds in which so many of the clearest are moved at random and pushed again,
@@ -71,14 +72,13 @@ def aim(settings: Settings, scene: Scene, lane: LaneInputs, x, quaternion) -> An
     the target. Damped least squares within the joint limits (Siciliano et al., Robotics, section 3.7)."""
     scene = own_scene(scene, lane.tool_extension_m)
     robot, task = scene.robot, scene.task
-    place, turned = task.tcp_place(lane.target), rotation(quaternion)
+    place, turned = task.tcp_place(lane.target), quaternion_matrix(quaternion)
 
     def step(_, x):
-        error = jnp.concatenate([place - tcp_position(robot, x), LENGTH_M * _turn(robot, x, turned)])
+        turn = sine_error(link_poses(robot, x)[-1, :3, :3], turned)
+        error = jnp.concatenate([place - tcp_position(robot, x), LENGTH_M * turn])
         jac = jnp.concatenate([jacobian(robot, x), LENGTH_M * _turning(robot, x)])
-        push = product(jac.T, _damped(jac, error))
-        jac = jnp.where((((x <= robot.lower) & (push < 0)) | ((x >= robot.upper) & (push > 0)))[None], 0.0, jac)
-        return jnp.clip(x + product(jac.T, _damped(jac, error)), robot.lower, robot.upper)
+        return damped_step(robot, x, error, jac, DAMPING)
 
     x = jax.lax.fori_loop(0, STEPS, step, x)
     x, residual = reanchor(robot, x, lane.target, task.fine_m, task=task)
@@ -176,18 +176,8 @@ def _candidates(kernels: Kernels, inputs: LaneInputs, on: OnTarget) -> OnTarget:
         own = own[np.unique(np.round(on.x[own] / (0.5 * APART_RAD)).astype(int), axis=0, return_index=True)[1]]
         D = kernels(MEASURE, gather(inputs, on.lane[own]), on.x[own])
         own = own[np.argsort(-D, kind="stable")]
-        kept.append(own[_apart(on.x[own])])
+        kept.append(own[first_apart(on.x[own], PUSHED, APART_RAD)])
     return gather(on, np.concatenate(kept))
-
-
-def _apart(x: np.ndarray) -> np.ndarray:
-    """The first of those that are close to each other, PUSHED at most."""
-    kept: list[int] = []
-    left = np.ones(len(x), bool)
-    while left.any() and len(kept) < PUSHED:
-        kept.append(int(np.argmax(left)))
-        left &= np.linalg.norm(x - x[kept[-1]], axis=1) >= APART_RAD
-    return np.array(kept, int)
 
 
 def _seeds(task: Task, known: KnownPostures, inputs: LaneInputs, cells: Cells):
@@ -208,16 +198,3 @@ def _turning(robot: Robot, x):
     poses = link_poses(robot, x)
     axes = product(poses[:, :3, :3], robot.axis[:, :, None])[..., 0]
     return jnp.where(jnp.array(robot.slides)[:, None], 0.0, axes).T
-
-
-def _turn(robot: Robot, x, towards):
-    """How the last link has to turn, as sin(angle) times the axis, beyond a right angle the axis: half of
-    sum_k r_k x t_k over the columns of both (Siciliano et al., Robotics, section 3.7.3)."""
-    now = link_poses(robot, x)[-1, :3, :3]
-    v = 0.5 * jnp.sum(jnp.cross(now.T, towards.T), axis=0)
-    size = safe_norm(v)
-    return jnp.where(jnp.sum(now * towards) < 1.0, v / jnp.maximum(size, 1e-9), v)
-
-
-def _damped(jac, error):
-    return solve_spd(product(jac, jac.T) + 1e-5 * jnp.eye(len(error)), error)

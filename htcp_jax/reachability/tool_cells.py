@@ -19,11 +19,11 @@ from scipy.spatial import cKDTree
 
 from htcp_jax.clearance.obstacles.scene import Scene, own_scene
 from htcp_jax.clearance.proof.arm_exclusion import WRIST, Cell, arm_cell, has_wrist, tool_cell
-from htcp_jax.clearance.proof.exclusion import rotation
 from htcp_jax.device.kernel import Kernel, Load, Table
 from htcp_jax.device.programs import Kernels
 from htcp_jax.device.tables import concatenate, gather
 from htcp_jax.model.robot import Robot
+from htcp_jax.model.rotations import quaternion_matrix
 from htcp_jax.motion.lane_inputs import LaneInputs
 from htcp_jax.settings import Settings
 
@@ -72,7 +72,7 @@ def tool(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho) ->
     scene = own_scene(scene, lane.tool_extension_m)
     robot, task = scene.robot, scene.task
     cell = tool_cell(scene, lane, lane.margin_m, task.tcp_place(lane.target), quaternion, rho)
-    turn = task.least_turn(robot, rotation(quaternion), lane.target)
+    turn = task.least_turn(robot, quaternion_matrix(quaternion), lane.target)
     return cell._replace(collides=cell.collides | (turn > rho + ROUNDING_RAD))
 
 

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from htcp_jax.device.tables import pad
 from htcp_jax.model.kinematics import capsule_segments, jacobian, joint_levers, point_jacobians, tcp_position
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.task import feature_at
@@ -108,9 +109,8 @@ def _second(arm: Arm, lever: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.nda
 def padded(function: Callable, robot: Robot, *tables: Float[np.ndarray, "k ..."]) -> tuple[np.ndarray, ...]:
     """A function of many postures, row by row of tables; a few sizes of it are compiled."""
     rows = len(tables[0])
-    short = ROWS * 2 ** max(0, int(np.ceil(np.log2(rows / ROWS)))) - rows
-    filled = (np.concatenate([table, np.repeat(table[-1:], short, axis=0)]) for table in tables)
-    return tuple(np.asarray(part)[:rows] for part in function(robot, *filled))
+    most = ROWS * 2 ** max(0, int(np.ceil(np.log2(rows / ROWS))))
+    return tuple(np.asarray(part)[:rows] for part in function(robot, *(pad(table, most, most) for table in tables)))
 
 
 @jax.jit

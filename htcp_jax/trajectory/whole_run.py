@@ -6,12 +6,10 @@ of processes has any influence; torques are computed for the postures of a block
 """
 
 import os
-import signal
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import contextmanager
+import pickle
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache, cached_property
-from multiprocessing import get_context
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,7 +17,7 @@ import mujoco
 import numpy as np
 import pyarrow as pa
 
-from htcp_jax.device import compile_cache
+from htcp_jax.device.processes import spread
 from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.io.files import make_folder, write
 from htcp_jax.jobs.build import arm_of, part_of, robot_of, scenario_of, workpiece_of
@@ -27,7 +25,7 @@ from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.model.robot import Robot, lengthen_tool
 from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.motion.plans import Plans
-from htcp_jax.process_exit import signals_blocked, stop_message
+from htcp_jax.process_exit import stop_message
 from htcp_jax.runs.lock import locked, signals
 from htcp_jax.runs.open import RunPlans, plans_of_run
 from htcp_jax.runs.run_folder import Run, open_run
@@ -40,6 +38,7 @@ from htcp_jax.trajectory.timed import Timed
 
 BLOCK = 64  # scenarios timed between two writings, whose torques are computed together: what they take of memory
 EACH_PAYS, MOST = 128, 16  # scenarios that make up for the start of one more process; processes
+PART = 4  # scenarios that a process is given at a time
 LIMITS = "velocity", "acceleration", "jerk", "full_speed_s", "full_acceleration_s"  # keys of `program`
 
 
@@ -84,9 +83,9 @@ def time_run(
     check_limits(timer.jobs)
     stopped = f"stopped; what is timed is kept in {run.folder}; the same command goes on"
     with stop_message(lambda: stopped), locked(run.folder), signals() as came:
-        with _processes(timer, chosen, workers) as pool:
-            for method in chosen:
-                _time_method(timer, method, pool, progress, came)
+        find = _finder(timer, chosen, workers)
+        for method in chosen:
+            _time_method(timer, method, find, progress, came)
     return run
 
 
@@ -113,6 +112,10 @@ class _Timer:
         self._models: dict[str, mujoco.MjModel | None] = {}
         self._inverse: dict[str, Callable] = {}
         self._parts: dict[str, Workpiece] = {}
+
+    def __reduce__(self):
+        """Pickle the folder, not what was read; a worker that is kept reads it again for the next `time_run`."""
+        return _opened, (self.found.folder.resolve(), self.asked, os.urandom(8))
 
     @cached_property
     def jobs(self) -> list[PlanConfig]:
@@ -193,7 +196,7 @@ class _Timer:
         return self._parts[key]
 
 
-def _time_method(timer: _Timer, method: str, pool: Executor | None, progress: Callable | None, came: list[int]) -> None:
+def _time_method(timer: _Timer, method: str, find: Callable, progress: Callable | None, came: list[int]) -> None:
     """All that is missing, block by block; every block is written."""
     missing, known = timer.missing(method), timer.known(method)
     everything = len(missing) + len(known.rows)
@@ -203,7 +206,7 @@ def _time_method(timer: _Timer, method: str, pool: Executor | None, progress: Ca
         if came:
             raise Interrupted(_stopped(timer, method, everything - len(missing) + first, everything), came[0])
         block = missing[first : first + BLOCK]
-        found = list(_found(timer, pool, method, block))
+        found = find(method, block)
         loads = timer.loads(block, found)
         rows = [_row(number, known.feed_m_s, one, loads.get(number)) for number, one in zip(block, found, strict=True)]
         known = known._replace(rows=pa.concat_tables([known.rows, pa.Table.from_pylist(rows, SCHEMA)]))
@@ -239,36 +242,29 @@ def _known(value: float) -> float | None:
     return None if np.isnan(value) else float(value)
 
 
-def _found(timer: _Timer, pool: Executor | None, method: str, block: Sequence[int]) -> Iterable[_OfScenario | None]:
-    if pool is None:
-        return (timer.one(method, number) for number in block)
-    return pool.map(_one, [method] * len(block), block, chunksize=4)
-
-
-@contextmanager
-def _processes(timer: _Timer, methods: Sequence[str], workers: int | None) -> Iterator[Executor | None]:
-    """As many as are asked for, or as pay; None: this one alone."""
+def _finder(timer: _Timer, methods: Sequence[str], workers: int | None) -> Callable[[str, Sequence[int]], list]:
+    """Return what times scenarios of a method, by as many processes as are requested, or as pay."""
     if workers is None:
         missing = sum(len(timer.missing(method)) for method in methods)
         workers = min(os.cpu_count() or 1, MOST, missing // EACH_PAYS)
     if workers < 2:
-        yield None
-        return
-    given = timer.found.folder, timer.asked
-    with ProcessPoolExecutor(workers, get_context("spawn"), _begin, given) as pool:
-        with signals_blocked():
-            pool.submit(int)  # starts all of them
-        yield pool
+        return lambda method, block: [timer.one(method, number) for number in block]
+    shared = pickle.dumps((timer,))
+
+    def find(method: str, block: Sequence[int]) -> list[_OfScenario | None]:
+        parts = [(method, block[first : first + PART]) for first in range(0, len(block), PART)]
+        return list(chain(*spread(workers, _part, shared, parts, None).results))
+
+    return find
 
 
-_own: list[_Timer] = []  # of a process of its own
+# What follows happens in a worker
 
 
-def _begin(folder: Path, asked: _Asked) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that has started this one heeds it
-    compile_cache.enable()
-    _own[:] = [_Timer(RunPlans(open_run(folder)), asked)]
+def _opened(folder: Path, asked: _Asked, _: bytes) -> _Timer:
+    return _Timer(RunPlans(open_run(folder)), asked)
 
 
-def _one(method: str, scenario: int) -> _OfScenario | None:
-    return _own[0].one(method, scenario)
+def _part(tell: Callable, timer: _Timer, part: tuple[str, Sequence[int]]) -> list[_OfScenario | None]:
+    method, numbers = part
+    return [timer.one(method, number) for number in numbers]

@@ -13,10 +13,11 @@ import numpy as np
 
 from htcp_jax.clearance.obstacles.obstacle import Posed
 from htcp_jax.clearance.obstacles.scene import Scene
-from htcp_jax.clearance.proof.exclusion import PIECES, Segments, cut, rotation, seen_from, surely_touches, tool_collides
+from htcp_jax.clearance.proof.exclusion import PIECES, Segments, cut, seen_from, surely_touches, tool_collides
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, point_motion_bound
 from htcp_jax.model.kinematics import point_positions
 from htcp_jax.model.robot import Robot
+from htcp_jax.model.rotations import quaternion_matrix
 from htcp_jax.numerics import product, safe_divide, safe_norm
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar, Vector3
 
@@ -70,7 +71,7 @@ def tool_cell(
     arm = wrist(scene.robot).on_tool - scene.robot.T_link_tcp[:3, 3]
     moves = 2 * safe_norm(arm) * jnp.sin(0.5 * jnp.minimum(rho, jnp.pi)) + scene.task.tolerance_m
     collides = tool_collides(scene, where, margin_m, target, quaternion, rho)
-    return Cell(collides, target + product(rotation(quaternion), arm), moves + ROUNDING_M)
+    return Cell(collides, target + product(quaternion_matrix(quaternion), arm), moves + ROUNDING_M)
 
 
 def arm_cell(scene: Scene, where: Posed, margin_m: Scalar, target: Vector3, x: Joints, turns: Joints) -> Cell:

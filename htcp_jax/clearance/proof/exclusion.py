@@ -22,6 +22,7 @@ from htcp_jax.clearance.obstacles.obstacle import Obstacles, Posed
 from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M
 from htcp_jax.model.robot import Robot
+from htcp_jax.model.rotations import quaternion_matrix
 from htcp_jax.numerics import product, safe_norm
 from htcp_jax.types import Array, Bool, Float, Scalar, Vector3
 
@@ -51,16 +52,6 @@ def surely_touches(obstacles: Obstacles, where: Posed, margin_m: Scalar, bodies:
     return found
 
 
-def rotation(quaternion: Float[Array, "4"]) -> Float[Array, "3 3"]:
-    """That of a unit quaternion w, x, y, z (Siciliano et al., Robotics, section 2.6)."""
-    w, x, y, z = quaternion
-    return jnp.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
-
-
 def tool_collides(
     scene: Scene,
     where: Posed,
@@ -72,7 +63,7 @@ def tool_collides(
     """Whether the tool, or the link before it, keeps less than margin_m [m] in every posture that has the TCP within
     the tolerance of the target, world [m], and the last link turned by at most rho [rad] from the quaternion; see
     docs/equations.md, section Exclusion."""
-    R, own = rotation(quaternion), _about_tip(scene.robot)
+    R, own = quaternion_matrix(quaternion), _about_tip(scene.robot)
     farthest = jnp.maximum(safe_norm(own.p), safe_norm(own.q))
     moves = own.moves + 2 * farthest * jnp.sin(0.5 * jnp.minimum(rho, jnp.pi)) + scene.task.tolerance_m
     at = partial(jnp.add, target[None])

@@ -27,10 +27,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, point_bend_bound
-from htcp_jax.model.kinematics import turned
 from htcp_jax.model.robot import Robot
+from htcp_jax.model.rotations import angle, axis_angle_matrix, rotation_vector
 from htcp_jax.model.task import Task, feature_at
-from htcp_jax.model.task_rows import AxisTowards, Feature, PointAlong, Row, TaskPoint, Turned, angle, rotation_vector
+from htcp_jax.model.task_rows import AxisTowards, Feature, PointAlong, Row, TaskPoint, Turned
 from htcp_jax.numerics import product, safe_norm
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar, Vector3
 
@@ -131,7 +131,7 @@ def _turn_between(task: Task, part: Turned, goals: Float[Array, "2 g"]) -> Chord
     vector = rotation_vector(product(b, a.T))
     size = safe_norm(vector)
     axis = jnp.where(size > 0, vector, jnp.array([1.0, 0.0, 0.0])) / jnp.where(size > 0, size, 1.0)
-    middle = product(turned(axis[None], 0.5 * size[None])[0], a)
+    middle = product(axis_angle_matrix(axis[None], 0.5 * size[None])[0], a)
     radius = np.sqrt(2) * _chord(_limits(limit, size) + task.tolerance_rad)
     return Chords(jnp.stack([a.T, b.T, middle.T]).reshape(3, 9), radius)
 

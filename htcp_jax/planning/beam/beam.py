@@ -30,7 +30,7 @@ from htcp_jax.motion.knots import Knots
 from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.motion.motion_check import tubes
 from htcp_jax.motion.plans import Plans
-from htcp_jax.motion.posture_tree import Posture, Tree
+from htcp_jax.motion.posture_tree import BeamTree, Posture
 from htcp_jax.motion.problem import Problem
 from htcp_jax.motion.proofs import proofs_of, prove_call
 from htcp_jax.motion.tip_check import TipCheck, out_of_walls, tip_checks
@@ -91,7 +91,7 @@ class Growing:
 
     def __init__(self, problem: Problem, plans: Plans, kernels: Kernels, tip: TipCheck | None):
         self._problem, self._kernels, self._tip = problem, kernels, tip
-        self._tree = Tree(plans.x.shape[2])
+        self._tree = BeamTree(plans.x.shape[2])
         self._searches = Searches(problem.settings, self._tree, kernels.freedom > 0)
         self._record = RoadmapRecord(problem, plans, kernels, tip, self._searches)
 

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Int
 
 from htcp_jax.device.tables import concatenate, gather
 from htcp_jax.motion.front import best_first, dispersed
-from htcp_jax.motion.posture_tree import Tree
+from htcp_jax.motion.posture_tree import BeamTree
 from htcp_jax.settings import Settings
 
 NONE = -1  # no status yet; no earlier search
@@ -52,7 +52,7 @@ class Searches:
     """All searches of one tree. `front` is what a search holds at its target, `unfed` what of that is still to be fed
     to the next one, and `arrived` what has come there while more is looked for."""
 
-    def __init__(self, settings: Settings, tree: Tree, can_walk: bool):
+    def __init__(self, settings: Settings, tree: BeamTree, can_walk: bool):
         self._settings, self._can_walk, self.tree = settings, can_walk, tree
         self.columns = Columns(*(np.zeros(0, int) for _ in Columns._fields))
         self.going = np.zeros(0, bool)

@@ -1,0 +1,88 @@
+"""Rotations: exponential and logarithm map, quaternions, and turns between directions.
+
+jaxlie has these maps too, but keeps a rotation as a quaternion, through which matrices would pass here and be rounded
+in another way; it brings jax_dataclasses and tyro with it.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+
+from htcp_jax.numerics import product, safe_norm
+from htcp_jax.types import Array, Float, Scalar, Vector3
+
+
+def axis_angle_matrix(axis: Float[Array, "n 3"], turn: Float[Array, "n"]) -> Float[Array, "n 3 3"]:
+    """Return the rotation matrices about unit axes by angles [rad], the exponential map.
+
+    I + sin(turn) K + (1 - cos(turn)) K^2, where K v = axis x v.
+    """
+    x, y, z = axis.T
+    o = jnp.zeros_like(x)
+    K = jnp.stack([o, -z, y, z, o, -x, -y, x, o], axis=1).reshape(-1, 3, 3)
+    sin, cos = jnp.sin(turn)[:, None, None], jnp.cos(turn)[:, None, None]
+    return jnp.eye(3, dtype=axis.dtype)[None] + sin * K + (1.0 - cos) * product(K, K)
+
+
+def rotation_vector(rotation: Float[Array, "3 3"]) -> Vector3:
+    """Return the axis of a rotation matrix times its angle, 0 to pi [rad]; the logarithm map."""
+    twice = jnp.stack([
+        rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1],
+    ])  # fmt: skip
+    sine, cosine = 0.5 * safe_norm(twice), 0.5 * (jnp.trace(rotation) - 1.0)
+    turn = jnp.arctan2(sine, cosine)
+    flat = sine < 1e-12
+    small = 0.5 * twice * jnp.where(flat, 1.0, turn / jnp.where(flat, 1.0, sine))
+    # Near half a turn the sine says nothing of the axis; the symmetric part is (1 - cos) axis axis' + cos I.
+    symmetric = 0.5 * (rotation + rotation.T) - cosine * jnp.eye(3)
+    best = jnp.argmax(jnp.diagonal(symmetric))
+    column = jnp.where(cosine < -0.5, symmetric[:, best], jnp.array([1.0, 0.0, 0.0]))
+    axis = column / jnp.maximum(safe_norm(column), 1e-12) * jnp.where(twice[best] < 0, -1.0, 1.0)
+    return jnp.where(cosine < -0.5, turn * axis, small)
+
+
+def quaternion_matrix(quaternion: Float[Array, "4"]) -> Float[Array, "3 3"]:
+    """Return the matrix of a unit quaternion w, x, y, z (Siciliano et al., Robotics, section 2.6)."""
+    w, x, y, z = quaternion
+    return jnp.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+
+
+def sine_error(now: Float[Array, "3 3"], wanted: Float[Array, "3 3"]) -> Vector3:
+    """Return the axis from one rotation to another times sin(angle), the axis alone beyond a right angle: half of
+    sum_k r_k x t_k over the columns of both (Siciliano et al., Robotics, section 3.7.3)."""
+    v = 0.5 * jnp.sum(jnp.cross(now.T, wanted.T), axis=0)
+    size = safe_norm(v)
+    return jnp.where(jnp.sum(now * wanted) < 1.0, v / jnp.maximum(size, 1e-9), v)
+
+
+def angle(a: Vector3, b: Vector3) -> Scalar:
+    """Return the angle of two directions of length 1, 0 to pi [rad]; exact near both ends, where its gradient is 0."""
+    return jnp.arctan2(safe_norm(jnp.cross(a, b)), product(a, b))
+
+
+def axis_error(axis: Vector3, direction: Vector3) -> Float[Array, "2"]:
+    """The rotation vector [rad] from one direction of length 1 to another in two directions square to the latter, the
+    logarithm map; of opposite ones half a turn, any way."""
+    least = jnp.argmin(jnp.abs(direction))
+    first = jnp.cross(direction, jnp.where(jnp.arange(3) == least, 1.0, 0.0))
+    first = first / safe_norm(first)
+    across = jnp.stack([first, jnp.cross(direction, first)])
+    square = jnp.cross(axis, direction)
+    sine, cosine = safe_norm(square), product(axis, direction)
+    flat = sine < 1e-12
+    turn = jnp.where(flat, 1.0, jnp.arctan2(sine, cosine) / jnp.where(flat, 1.0, sine))
+    opposite = flat & (cosine < 0)
+    return turn * product(across, square) + jnp.where(opposite, jnp.array([jnp.pi, 0.0]), 0.0)
+
+
+def least_turn(a: Float[np.ndarray, "3"], b: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """The rotation vector that turns a direction into another one the shortest way; any of opposite ones."""
+    square, cosine = np.cross(a, b), float(a @ b)
+    if (sine := float(np.linalg.norm(square))) < 1e-12:
+        square, sine = np.cross(a, np.eye(3)[np.abs(a).argmin()]), 1.0
+        square = square / np.linalg.norm(square)
+        return square * (0.0 if cosine > 0 else np.pi)
+    return square / sine * np.arctan2(sine, cosine)
