@@ -2,7 +2,8 @@
 
 A parser that is written in C++ may crash, hang, fill the memory or print when a file is damaged. In a process of
 its own it harms nobody; `scan.parsed` starts it, sets its limits and reads the answer: FOLDER/arrays.npz, or the
-exception in FOLDER/error.txt. Nothing of the package is imported, so it starts at once.
+exception in FOLDER/error.txt. Nothing of the package is imported, so it starts at once. It is no worker of a pool: the
+limit of memory is for one file, and a process cannot raise its own again.
 """
 
 import contextlib

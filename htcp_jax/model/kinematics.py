@@ -15,7 +15,7 @@ import numpy as np
 
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.rotations import axis_angle_matrix
-from htcp_jax.numerics import of_shape, product, safe_norm
+from htcp_jax.numerics import of_shape, product
 from htcp_jax.types import Array, Float, Int, Joints, Pose, Vector3
 
 
@@ -130,11 +130,6 @@ def direction_jacobians(
     moves = (joints[None, :] <= np.array(links)[:, None]) & ~np.array(robot.slides)[None, :]
     turning = jnp.cross(axes[None], directions[:, None])
     return jnp.where(moves[:, :, None], turning, 0.0).swapaxes(1, 2)
-
-
-def joint_levers(robot: Robot, x: Joints, points: Float[Array, "P 3"]) -> Float[Array, "P N"]:
-    """Distance at x of world points to the axis of each hinge [m]; 1 for a slide, which moves every point alike."""
-    return safe_norm(_velocities(robot, _link_frames(robot, x), points))
 
 
 def configuration(robot: Robot, x: Joints, name: str = "x") -> Joints:

@@ -19,11 +19,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from htcp_jax.clearance.proof.motion_bound import arm_points, lever_bounds
 from htcp_jax.device.tables import pad
-from htcp_jax.model.kinematics import capsule_segments, jacobian, joint_levers, point_jacobians, tcp_position
+from htcp_jax.model.kinematics import jacobian, point_jacobians, tcp_position
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.task import feature_at
 from htcp_jax.model.task_rows import Feature
+from htcp_jax.numerics import safe_norm
 
 ROWS = 256  # postures are padded to this times a power of two, so that few programs are compiled
 
@@ -90,12 +92,7 @@ def bend_bound(arm: Arm, within: Float[np.ndarray, "k N"], rates: Float[np.ndarr
 
 def _levers(arm: Arm, within: np.ndarray) -> np.ndarray:
     """l_j, the joints within `within`."""
-    lever, moved = np.empty((*within.shape[:-1], *arm.levers.shape[1:])), 0.0
-    for j in reversed(range(lever.shape[-1])):
-        own = arm.levers[..., j]
-        lever[..., j] = own + moved if arm.hinge[j] else own
-        moved = moved + within[..., None, j] * lever[..., j]
-    return lever
+    return np.stack(np.broadcast_arrays(*lever_bounds(arm.levers, within, arm.hinge)[0]), axis=-1)
 
 
 def _second(arm: Arm, lever: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -116,13 +113,9 @@ def padded(function: Callable, robot: Robot, *tables: Float[np.ndarray, "k ..."]
 @jax.jit
 @partial(jax.vmap, in_axes=(None, 0))
 def _points(robot: Robot, x):
-    p, q = capsule_segments(robot, x)
-    tcp = tcp_position(robot, x)
-    points, last = jnp.concatenate([p, q, tcp[None]]), len(robot.slides) - 1
-    links = jnp.array([*robot.capsule_link, *robot.capsule_link, last])
-    moves = jnp.arange(last + 1)[None, :] <= links[:, None]
-    levers = jnp.where(moves, joint_levers(robot, x, points), 0.0)
-    return levers, point_jacobians(robot, x, points, links), tcp
+    points, links = arm_points(robot, x)
+    slopes = point_jacobians(robot, x, points, links)
+    return safe_norm(slopes.swapaxes(1, 2)), slopes, points[-1]
 
 
 @jax.jit

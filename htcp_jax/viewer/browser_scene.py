@@ -5,6 +5,7 @@ One `Stage` belongs to a viser server. `show` puts a plan on it, `pose` moves th
 
 from collections.abc import Sequence
 
+import mujoco
 import numpy as np
 import trimesh
 import viser
@@ -234,13 +235,11 @@ def side_by_side(targets: Sequence[int]) -> list[list[int]]:
 
 
 def turned_to(axes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:
-    """Quaternions wxyz of the shortest turns from z to the axes; none for an axis of no length."""
-    length = np.linalg.norm(axes, axis=1, keepdims=True)
-    x, y, z = np.where(length > 0, axes / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0]).T
-    # The half-way quaternion (1 + z, z-axis x axis), which vanishes for an axis straight down.
-    down = 1 + z < 1e-12
-    halfway = np.stack([np.where(down, 0.0, 1 + z), np.where(down, 1.0, -y), x * ~down, np.zeros_like(z)], axis=1)
-    return halfway / np.linalg.norm(halfway, axis=1, keepdims=True)
+    """Return the quaternions wxyz of the shortest turns from z to the axes; no turn for an axis of no length."""
+    quaternions = np.empty((len(axes), 4))
+    for quaternion, axis in zip(quaternions, axes, strict=True):
+        mujoco.mju_quatZ2Vec(quaternion, axis)
+    return quaternions
 
 
 def lit(colour: str) -> np.ndarray:

@@ -33,7 +33,7 @@ from htcp_jax.clearance.distance.sweep import Sweep
 from htcp_jax.model.kinematics import capsule_segments, point_jacobians, tcp_position
 from htcp_jax.model.robot import Robot
 from htcp_jax.numerics import safe_norm
-from htcp_jax.types import Array, Float, Int, Joints, Scalar, Vector3
+from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints, Scalar, Vector3
 
 ROUNDING_M = 1e-9  # more than that of any position: what is proven is proven with so much to spare
 
@@ -100,10 +100,14 @@ def point_bend_bound(
 @jax.jit
 def _of_arm(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> tuple[Float[Array, "P 3"], _Bounds]:
     """The ends of the bodies' axes and, last, the TCP, and their bounds: in one, as programs then have it once."""
-    ends, links = _ends(robot, capsule_segments(robot, x))
-    points = jnp.concatenate([ends, tcp_position(robot, x)[None]])
-    links = jnp.append(links, len(robot.slides) - 1)
+    points, links = arm_points(robot, x)
     return points, _bounds(robot, x, rates, half * jnp.abs(rates), points, links)
+
+
+def arm_points(robot: Robot, x: Joints) -> tuple[Float[Array, "P 3"], Int[Array, "P"]]:
+    """Return the ends of the bodies' axes and, last, the TCP at x, world [m], and the link of each."""
+    ends, links = _ends(robot, capsule_segments(robot, x))
+    return jnp.concatenate([ends, tcp_position(robot, x)[None]]), jnp.append(links, len(robot.slides) - 1)
 
 
 def _ends(robot: Robot, segments: tuple[Float[Array, "K 3"], Float[Array, "K 3"]]):
@@ -120,12 +124,26 @@ def _bounds(
     robot: Robot, x: Joints, rates: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Array, "P"]
 ) -> _Bounds:
     """Of points at x, while every joint stays within `turns` of x, and moves by `rates`."""
-    columns, slides = point_jacobians(robot, x, points, links).swapaxes(1, 2), robot.slides
-    levers, speeds = safe_norm(columns), jnp.abs(rates)
-    moved, bend = jnp.zeros(len(points)), jnp.zeros(len(points))
-    for j in reversed(range(len(slides))):
-        lever = jnp.where(links >= j, 1.0 if slides[j] else levers[:, j] + moved, 0.0)
-        turned = 2 * jnp.sum(speeds[:j], where=~np.array(slides[:j], bool))
-        bend = bend + speeds[j] * lever * (turned + (0.0 if slides[j] else speeds[j]))
-        moved = moved + turns[j] * lever
+    columns = point_jacobians(robot, x, points, links).swapaxes(1, 2)
+    speeds, hinge, bend = jnp.abs(rates), ~np.array(robot.slides), jnp.zeros(len(points))
+    own = jnp.where(~hinge[None] & (np.arange(len(hinge))[None] <= links[:, None]), 1.0, safe_norm(columns))
+    lever, moved = lever_bounds(own, turns, hinge)
+    for j in reversed(range(len(hinge))):
+        turned = 2 * jnp.sum(speeds[:j], where=hinge[:j])
+        bend = bend + speeds[j] * lever[j] * (turned + (speeds[j] if hinge[j] else 0.0))
     return _Bounds(jnp.sum(columns * rates[None, :, None], axis=1), moved, bend)
+
+
+def lever_bounds(
+    levers: Float[Anywhere, "*L P N"], turns: Float[Anywhere, "*T N"], hinge: Bool[np.ndarray, "N"]
+) -> tuple[list[Float[Anywhere, "... P"]], Float[Anywhere, "... P"]]:
+    """Return r_j + M_{j+1} for each joint (r_j for a slide) and M_1, numpy or JAX.
+
+    levers: r_j of points, 0 of a joint that does not move the point. turns: d_j [rad or m].
+    """
+    bounds, moved = [], 0.0
+    for j in reversed(range(len(hinge))):
+        own = levers[..., j]
+        bounds.insert(0, own + moved if hinge[j] else own)
+        moved = moved + turns[..., None, j] * bounds[0]
+    return bounds, moved
