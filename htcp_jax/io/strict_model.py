@@ -80,7 +80,7 @@ def _key(kind: Any) -> _Key:
 
 
 def _is_section(kind: Any) -> bool:
-    return is_dataclass(kind) or hasattr(kind, "model_fields")
+    return isinstance(kind, type) and (is_dataclass(kind) or hasattr(kind, "model_fields"))
 
 
 def _items(value: Any) -> Sequence[Any]:
