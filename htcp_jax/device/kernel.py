@@ -44,7 +44,7 @@ ALONE = Table(128, 1)
 STEP = Load(cpu=ALONE, gpu=Table(4096, 4096))  # for every lane, in every round
 DEEP = Load(cpu=ALONE, gpu=Table(2048, 512))  # for few lanes, or with vectorised inner loops
 TRACKED = Load(cpu=ALONE, gpu=Table(PORTION, 4096, refills=True))  # loops of some steps, in the longest calls
-WALKED = Load(cpu=ALONE, gpu=Table(2048, 512, refills=True))  # DEEP, with loops
+WALKED = Load(cpu=ALONE, gpu=Table(2048, 512, refills=True))  # DEEP, for functions that return a `Loop`
 SAMPLED = Load(cpu=ALONE, gpu=Table(256, 128))  # with hundreds of configurations a lane
 
 

@@ -40,7 +40,7 @@ class Cells(NamedTuple):
     face: Int[np.ndarray, "n"]  # 0 if there is only one
     cube: Float[np.ndarray, "n d"]  # centres, each coordinate between -1 and 1
     half: Float[np.ndarray, "n"]  # half side
-    wrist: Float[np.ndarray, "n 3"]  # position for the centre, world [m]
+    wrist: Float[np.ndarray, "n 3"]  # position in one configuration of the cell, world [m]
     moves: Float[np.ndarray, "n"]  # maximum distance from there [m]
 
     @property
