@@ -144,7 +144,7 @@ def _end_with(parent: int) -> None:
 
 
 def _ready() -> None:
-    importlib.import_module("htcp_jax.planning.methods")  # takes a second, which is none of the first part's
+    importlib.import_module("htcp_jax.planning.methods")  # takes a second, which the first part need not spend
 
 
 def _work(file: Path, number: int, call: Callable, part: Any) -> Any:

@@ -18,10 +18,10 @@ from htcp_jax.device.tables import concatenate, gather, pad
 from htcp_jax.model.task import Task
 from htcp_jax.settings import Settings
 
-# What does not change in a loop is taken out of it before equal parts are found, which look different then: the arm's
+# XLA hoists loop invariants before it merges common subexpressions, which then no longer match: the arm's
 # links are computed up to seven times over. On a CPU that costs more than it saves; on a GPU every launch counts.
-# There, XLA is not to try out which of several programs is the fastest: which one wins is another one whenever it
-# compiles, and rounds in another way.
+# There, autotuning is off: the fastest of several variants changes from one compilation to the next, and rounds
+# differently.
 COMPILER = {
     "cpu": {"xla_disable_hlo_passes": "while-loop-invariant-code-motion"},
     "gpu": {"xla_gpu_autotune_level": 0},

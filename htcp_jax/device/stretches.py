@@ -88,7 +88,7 @@ def _put_together(slots: Slots, looked: Bisection, known: Known, capacity: int) 
     whole, found = known.proof, looked.proof
 
     def rows(which: Bool[jax.Array, "width"]) -> jax.Array:
-        return jnp.where(which, row, capacity)  # what is written there is dropped
+        return jnp.where(which, row, capacity)  # writes to that row are dropped
 
     fails = (row < capacity) & (found.verdict != Verdict.PROVEN)
     ends = known.ends.at[rows(fails)].min(here, mode="drop")

@@ -190,7 +190,7 @@ class Smoothing:
 
     def _held(self, path: Path, G: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the task's equations at the configurations, and the rows that limit a step, bands and cones included:
-        at configurations that hold the task, and half way to those beyond the path's first point."""
+        at configurations that hold the task, and at midpoints before those beyond the path's first point."""
         task, linear = self._problem.task, path.seen.task
         if task.is_points:
             return linear.jacobian[:, 0], G, left
@@ -239,8 +239,8 @@ class Smoothing:
         ]
 
     def _measured(self, paths: list[Path], x: list[np.ndarray]) -> tuple[list[Linearisation], list[np.ndarray]]:
-        """Return the linearisations at the configurations and half way to them, and True for configurations that meet
-        the success criterion."""
+        """Return the linearisations at the configurations and at the midpoints before them, and True for configurations
+        that meet the success criterion."""
         inputs = jax.tree.map(lambda table: np.repeat(table, 2, axis=0), self._inputs(paths))
         places = np.concatenate([np.stack([at[1:], 0.5 * (at[1:] + at[:-1])], axis=1) for at in x])
         flat = places.reshape(-1, places.shape[-1])

@@ -52,8 +52,8 @@ class Reachability(NamedTuple):
     most: np.ndarray  # (S,) targets before one that is proven to have none
     best: np.ndarray  # (S,) best clearance found at the first target without one [m]; NaN where all have one
     x: np.ndarray  # (S, T, N) the configurations found, NaN beyond the prefix
-    # (S,) of the search there; 0 where all are found, or the tool alone collides, or can hold no row about how it is
-    # turned; pi where the task holds the TCP nowhere, and postures spread over the joint limits are all that is tried
+    # (S,) of the search there; 0 if all are found, or the tool alone collides, or cannot satisfy the rows about its
+    # orientation; pi if the task does not hold the TCP's position, and only spread configurations are tried
     resolution_rad: np.ndarray
 
 

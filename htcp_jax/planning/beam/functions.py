@@ -113,7 +113,7 @@ def walk(settings: Settings, scene: Scene, lane: LaneInputs, x, walker) -> Loop:
 
     n, most = len(x), settings.walk_steps
     path = Posture(*(jnp.zeros((most, *shape)) for shape in ((n,), (), (), (3,))))
-    # The first direction is drawn in the null space; there is room for it among the joints.
+    # The first direction is drawn in the null space, in the first entries of this vector.
     first = jax.random.normal(towards, x.shape)
     start = (jnp.full((), True), x, first, path, jnp.zeros((), jnp.int32))
     return Loop(start, going, step, lambda state: Walked(*state[3:]))

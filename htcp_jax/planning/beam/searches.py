@@ -51,7 +51,7 @@ class Columns(NamedTuple):
 
 class Searches:
     """All searches of one tree. `front` is the beam of each search at its target, `unfed` the part of it that is still
-    to be extended to the next target, and `arrived` what has reached that while the search looks for more."""
+    to be extended to the next target, and `arrived` what has reached that while the search spreads."""
 
     def __init__(self, settings: Settings, tree: BeamTree, can_walk: bool):
         self._settings, self._can_walk, self.tree = settings, can_walk, tree
@@ -104,7 +104,8 @@ class Searches:
         self._go_on(arrived.of(~thin))
 
     def walkers(self) -> tuple[Members, Int[np.ndarray, "n"]]:
-        """The postures to walk from now, one a walk, and its number among those of its search."""
+        """Return the configurations to move from in the null space, one per self-motion, and its number among its
+        search's."""
         resting = self.going & ~self._done & ~self.has(self.unfed)
         among = self.arrived.and_(self.front.of(resting & ~self.has(self.arrived)))
         rows, count = np.flatnonzero(resting), self._count(among)

@@ -101,12 +101,12 @@ def null_space_objective(
 ) -> Scalar:
     """J2 of equation (11a): -D(x, O) + J1(x, x_ref) [m] at x = x_ref + alpha N(x_ref) w of (11c).
 
-    The smaller, the clearer: the planners minimise it over |w| = 1, within the joint limits, which it does not look at.
-    robot: with its tool, as a plan's is. where: a scenario, or whatever else is `Posed`. w: D = N - 3 numbers.
-    settings: `alpha_rad`; `j1_weight` and `q_weights` of J1 = j1_weight (x - x_ref)' Q (x - x_ref), where the paper's
-    weight is 1; and `include_proximal_bodies`. None is the defaults, whose `j1_weight` is 0: then J2 = -D.
+    Smaller is clearer: the planners minimise it over |w| = 1, within the joint limits, which it does not check.
+    robot: with its tool, as in a plan. where: a scenario, or anything else that is `Posed`. w: D = N - 3 numbers.
+    settings: `alpha_rad`; `j1_weight` and `q_weights` of J1 = j1_weight (x - x_ref)' Q (x - x_ref), with weight 1 in
+    the paper; and `include_proximal_bodies`. None: the defaults, whose `j1_weight` is 0: then J2 = -D.
 
-    Raises InputError for an x_ref or w of another shape, many at once among them, and for `q_weights` of another arm.
+    Raises InputError for an x_ref or w of another shape, including batches, and for `q_weights` of another length.
 
     ```python
     >>> import jax
