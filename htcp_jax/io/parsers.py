@@ -17,10 +17,8 @@ import numpy as np
 SAG_MM = 0.05  # largest distance of the triangles from a curved STEP face
 TURN_RAD = 0.2
 MOST_COLUMNS = 1000  # of a PCD cloud
-LEAST_ROOM, GROWTH = (
-    2**26,
-    100,
-)  # limit of the points' size: [bytes], and times the file's size; LZF reaches 88
+# Limit of the points' size: [bytes], and times the file's size; LZF reaches 88.
+LEAST_ROOM, GROWTH = 2**26, 100
 
 
 def pcd(file: Path) -> dict[str, np.ndarray]:
