@@ -75,9 +75,7 @@ class WorkpieceConfig(Section):
     interior_depth_m: float = Field(INTERIOR_DEPTH_M, ge=0, le=LARGEST)
     inlet_direction: Point | Literal["world-x"] | None = "world-x"  # into the part; see `load_workpiece`
     mesh_spacing_m: Annotated[float, Field(ge=1e-5, le=LARGEST)] | None = None  # widest gap of the points on a mesh
-    tip_contact_m: Annotated[float, Field(ge=0, le=LARGEST)] | None = (
-        None  # length of the bare tip, from the TCP; null: all
-    )
+    tip_contact_m: Annotated[float, Field(ge=0, le=LARGEST)] | None = None  # of the bare tip, from the TCP; null: all
     pivot_m: Point = PIVOT  # world point that the rotations turn about
     neutral_translation_m: Point = NEUTRAL_TRANSLATION  # of the workpiece frame, before the rotations
     rotation_x_rad: float = 0.0  # about world x first, then y, then z
@@ -118,9 +116,7 @@ class PulsesConfig(Section):
     """Encoder scale of a controller."""
 
     per_rad: tuple[Annotated[float, Field(ge=-FASTEST, le=FASTEST)], ...]  # or per m; negative: opposite direction
-    zero_rad: tuple[Annotated[float, Field(ge=-FASTEST, le=FASTEST)], ...] | None = (
-        None  # or m, joint value at 0 pulses; None: 0
-    )
+    zero_rad: tuple[Annotated[float, Field(ge=-FASTEST, le=FASTEST)], ...] | None = None  # or m, at 0 pulses; None: 0
     source: str = Field(min_length=1, max_length=200)  # of these numbers
 
 
