@@ -1,8 +1,8 @@
 """Evaluation of mountings: each is planned with every seam, by one planner, as the scenarios of a sweep.
 
-A mounting is complete if a proven motion leads to the end of every seam. A planner only
-keeps the margin that it is given and does not maximise clearance. So a complete mounting is planned again with a larger
-margin, as long as that succeeds (`judge_raised`).
+A mounting is complete if a proven motion leads to the end of every seam. A planner only keeps the margin that it is
+given and does not maximise clearance. So a complete mounting is planned again with a larger margin, as long as that
+succeeds (`judge_raised`).
 
 Results are on disk like those of any sweep, shard by shard, and are read if they exist. So a killed search resumes from
 there, and results do not depend on the machine that plans them.

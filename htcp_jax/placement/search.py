@@ -26,7 +26,7 @@ class Known(NamedTuple):
     u: Float[np.ndarray, "n d"]  # in the unit cube
     done: Float[np.ndarray, "n"]  # share of the targets
     complete: Bool[np.ndarray, "n"]
-    spare: Float[np.ndarray, "n A"]  # larger is better; -inf where a mounting is not complete
+    spare: Float[np.ndarray, "n A"]  # larger is better; -inf if the mounting is not complete
 
 
 def even(dimensions: int, first: int, count: int, seed: int) -> Float[np.ndarray, "n d"]:

@@ -91,6 +91,6 @@ def grazing(gap: Float[np.ndarray, "3"], side: View) -> Float[np.ndarray, "3"]:
 
 
 def ahead(replay: Replay) -> np.ndarray:
-    """Direction to the left of the view from the open side."""
+    """Direction to the right in the view from the open side."""
     side = open_side(replay)
     return np.cross(side.near, side.up) * -1

@@ -122,7 +122,7 @@ class Stage:
         """Show the remaining points of the cloud, lit for a view from `near`."""
         light = near + np.array([0, 0, LIGHT_UP])
         slope = np.abs(surface.normals @ (light / np.linalg.norm(light)))[:, None]
-        inside = (surface.normals @ light > 0)[:, None]  # is what is seen of it from there
+        inside = (surface.normals @ light > 0)[:, None]  # True if the inner side is seen from there
         colours = np.where(inside, rgb(WALL[1]), rgb(OUTSIDE)) * (0.55 + 0.45 * slope)
         self._scene.add_point_cloud(
             "/cloud", surface.points, colours.astype(np.uint8), point_size=size_m, point_shape="circle",

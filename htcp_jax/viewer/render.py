@@ -34,7 +34,7 @@ from htcp_jax.viewer.posture import Posture, together
 from htcp_jax.viewer.replay import Replay
 
 BEAD_M, FAILED_M, TIP_M = 0.008, 0.018, 0.007  # radii of the targets, the failed one, the tool's bare tip
-MARK_M, NOWHERE = 0.012, [0.0] * 4  # marker of a contact point, and a transparent colour
+MARK_M, NOWHERE = 0.012, [0.0] * 4  # radius of a contact point's marker, and a transparent colour
 NEEDLE_M = 0.0012  # radius of a normal
 DWELL_M = 0.011  # half the side of the cube at a dwell
 FLOOR, EDGE, SKY = (0.95, 0.955, 0.96), (0.85, 0.87, 0.89), (0.92, 0.935, 0.95)
