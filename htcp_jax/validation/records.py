@@ -47,7 +47,7 @@ def _track(method: str, number: int, config: PlanConfig, plans: Plans) -> Track:
 
 
 def _workpieces() -> Callable[[PlanConfig], Workpiece]:
-    """Return a cached loader of workpieces. Only their points, path and inlet are used, and the fact that they are meshes."""
+    """Return a cached loader of workpieces, of which only points, path, inlet and the presence of a mesh are used."""
 
     @lru_cache(maxsize=MOST_WORKPIECES)
     def load(part: WorkpieceConfig, arm: RobotConfig) -> Workpiece:
