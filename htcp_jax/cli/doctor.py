@@ -1,4 +1,4 @@
-"""`htcp doctor`: what is installed, what there is to compute with, and whether a known plan comes out right."""
+"""`htcp doctor`: versions, devices, rendering, and a self-test by a known plan."""
 
 from rich.text import Text
 

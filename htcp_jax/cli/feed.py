@@ -1,4 +1,4 @@
-"""What the commands share that give a plan its time."""
+"""Options of the commands that time a plan."""
 
 from typing import Annotated
 
@@ -19,7 +19,7 @@ ProgramKeys = Annotated[
 
 
 def played_feed(feed: str | None, **others: object) -> float | None:
-    """In m/s; None where a plan is played by its targets. others: options that were given, by their names.
+    """Parse the feed [m/s]; None if a plan is played by its targets. others: given options, by their names.
 
     Raises InputError as `feed_of` does, and for one of the others without a feed.
     """

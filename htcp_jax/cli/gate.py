@@ -1,4 +1,4 @@
-"""`htcp gate`: does a run still reach what a baseline says it reached?"""
+"""`htcp gate`: regression test of a run against a baseline."""
 
 import os
 import sys

@@ -1,7 +1,7 @@
 """The command `htcp`. A command is a function in the module of its name, and one line in COMMANDS.
 
-A command's module is imported when it runs. Commands return their exit code. Bad input, whether of the command line or
-of a file, is one line and code 2.
+A command's module is imported when it runs. Commands return their exit code. Bad input, on the command line or in a
+file, gives one line and code 2.
 """
 
 import contextlib
@@ -22,7 +22,7 @@ from htcp_jax.device import compile_cache
 from htcp_jax.errors import InputError, Interrupted, Lost, Note
 from htcp_jax.process_exit import INTERRUPTED as STOPPED
 
-# Without a home folder to write into, matplotlib says so when it is imported; its fonts go elsewhere then.
+# Suppresses matplotlib's message at import if there is no writable home folder.
 logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
 COMMANDS = {
@@ -42,17 +42,17 @@ COMMANDS = {
     "doctor": "Look at this installation and test it in 2 s.",
 }
 
-LOST, UNREAD, BAD_INPUT, INTERRUPTED = 1, 1, 2, 130  # UNREAD: nobody reads the pipe any more
-FULL = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO  # what a disk says; no program's mistake
+LOST, UNREAD, BAD_INPUT, INTERRUPTED = 1, 1, 2, 130  # UNREAD: the pipe is closed
+FULL = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO  # errors of a disk, not of a program
 COMPLETION = "--install-completion", "--show-completion"
-LONGEST = 60  # letters of a file's name in a message
+LONGEST = 60  # characters of a file's name in a message
 
 
 class Commands(TyperGroup):
-    """Commands that are imported when they are asked for; in lists their names and lines of help stand for them."""
+    """Commands that are imported on demand; lists show only their names and lines of help."""
 
     def resolve_command(self, ctx, args):
-        """The command that the first argument names, imported, and the arguments that are left for it."""
+        """Import the command that the first argument names; return it with the remaining arguments."""
         name, command, rest = super().resolve_command(ctx, args)
         return name, command and _imported(name), rest
 
@@ -65,7 +65,7 @@ def _imported(name: str):
 
 
 def _listed() -> None:
-    """What stands for a command that is not imported yet."""
+    """Placeholder of a command that is not imported yet."""
 
 
 app = typer.Typer(cls=Commands, rich_markup_mode=None, pretty_exceptions_enable=False)
@@ -120,12 +120,12 @@ def htcp(
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command, without any the help; returns the exit code."""
+    """Run one command, or show the help if there is none; returns the exit code."""
     words = list(sys.argv[1:] if argv is None else argv) or ["--help"]
     try:
         code = _run(words)
         if sys.stdout is not None:
-            sys.stdout.flush()  # here, where it can still be said that there is no room
+            sys.stdout.flush()  # here, where a full disk can still be reported
         return code
     except InputError as error:
         return _refuse(str(error))
@@ -148,23 +148,23 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(words: list[str]) -> int:
-    """The exit code of the command that `words` are."""
+    """Run the command in `words`; return its exit code."""
     if any("\0" in word for word in words):
         raise InputError("an argument holds a NUL byte; no name of a file does")
     if words[0] in COMPLETION and len(words) > 1:
-        os.environ["_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION"] = "1"  # the shell that is named, not one looked for
+        os.environ["_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION"] = "1"  # the named shell, not a detected one
     compile_cache.enable()
     with warnings.catch_warnings():
         warnings.simplefilter("default", UserWarning)
         warnings.showwarning = _warn
         code = app(args=words, prog_name="htcp", standalone_mode=False)
-    if code == INTERRUPTED:  # what typer makes of Ctrl-C
+    if code == INTERRUPTED:  # typer's code for Ctrl-C
         _print_line(STOPPED)
     return int(code or 0)
 
 
 def _said_by_the_system(error: OSError) -> str:
-    """A name that cannot be one, or a disk without room, in one line."""
+    """One-line message on an invalid name, or a full disk."""
     if error.filename is None:
         return f"cannot write the output: {error.strerror}"
     name = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else str(error.filename)
@@ -172,7 +172,7 @@ def _said_by_the_system(error: OSError) -> str:
 
 
 def _forget_stdout() -> None:
-    """Let what could not be written go, so that Python does not try again at its end and say so in its own words."""
+    """Discard unwritten output, so that Python does not fail on it again at exit."""
     try:
         if sys.stdout is not None:
             sys.stdout.flush()

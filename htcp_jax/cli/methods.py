@@ -1,4 +1,4 @@
-"""`htcp methods`: the methods, and what each does."""
+"""`htcp methods`: the methods, with their descriptions."""
 
 from htcp_jax.cli.output import Json, print_json, print_table, stdout
 from htcp_jax.planning import registry
@@ -24,12 +24,12 @@ def methods(as_json: Json = False) -> int:
 
 
 def complete_method(start: str) -> list[str]:
-    """What a shell offers for the name of a method."""
+    """Shell completions of a method's name."""
     return [name for name in registry.names() if name.startswith(start)]
 
 
 def complete_methods(start: str) -> list[str]:
-    """The same for a list with commas: the names that may follow the last one."""
+    """Shell completions of a list with commas: the names that may follow the last one."""
     before, comma, last = start.rpartition(",")
     given = before.split(",")
     return [before + comma + name for name in complete_method(last) if name not in given]

@@ -1,8 +1,7 @@
-"""What several commands take, and what they print: a table for a person on stdout or, with --json, the same for a
-program, and nothing else.
+"""Options and output of several commands: a table on stdout or, with --json, JSON, and nothing else.
 
-Progress and warnings go to stderr; where that is no terminal, progress is a line every ten seconds. NO_COLOR takes the
-colours away.
+Progress and warnings go to stderr; if that is not a terminal, progress is a line every ten seconds. NO_COLOR disables
+colours.
 """
 
 import contextlib
@@ -33,13 +32,13 @@ from htcp_jax.runs.plan_folder import json_text
 
 WIDEST = 100_000  # columns of a table; it is folded before
 LINE_S = 10.0  # between lines of progress
-GAP, LEAST_TEXT = 2, 30  # between columns; what a last column of text is given at least
+GAP, LEAST_TEXT = 2, 30  # between columns; minimum width of a last column of text
 TIED = "of", "at", "scenario:"  # heads of columns that belong to the one before them
 
 Device = Annotated[str | None, typer.Option(metavar="cpu|gpu[:N]", help="Where to compute; by default GPUs, if any.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON, and nothing else, in place of the table.")]
 
-# And those of the commands that plan.
+# Options of the commands that plan.
 SweepFile = Annotated[Path, typer.Argument(metavar="SWEEP.yaml", help="The grid; a file or an example.")]
 Limit = Annotated[int | None, typer.Option(metavar="N", help="Plan only the first N scenarios.")]
 Config = Annotated[Path | None, typer.Option(metavar="CONFIG.yaml", help="In place of the sweep file's own job.")]
@@ -49,17 +48,17 @@ Overrides = Annotated[
 
 
 def stdout() -> Console:
-    """Where tables go: as wide as they are, no colours but those asked for."""
+    """Console for tables: of unlimited width, without automatic highlighting."""
     return Console(highlight=False, soft_wrap=True)
 
 
 def print_json(record: Any) -> None:
-    """`record` on stdout; NaN and infinities become null."""
+    """Print `record` to stdout; NaN and infinities become null."""
     print(json_text(record))
 
 
 def print_facts(title: str, facts: Mapping[str, str]) -> None:
-    """A line a fact under a title, names and values aligned."""
+    """Print one line per fact under a title, names and values aligned."""
     console = stdout()
     width = max(20, *(len(name) + 2 for name in facts))
     console.print(Text(title, style="bold"))
@@ -69,8 +68,8 @@ def print_facts(title: str, facts: Mapping[str, str]) -> None:
 
 @contextmanager
 def progress_bars(*columns: ProgressColumn, **how: Any) -> Iterator[Progress]:
-    """Bars on a terminal, which vanish at the end; elsewhere one of them as a line every `LINE_S` seconds. columns: by
-    default what, how much of how much, and the time that it took so far."""
+    """Show bars on a terminal, which vanish at the end; elsewhere one of them as a line every `LINE_S` seconds.
+    columns: by default description, counts and elapsed time."""
     columns = columns or (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     console, ended = Console(stderr=True), threading.Event()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal, **how) as bars:
@@ -86,13 +85,13 @@ def _print_lines(bars: Progress, ended: threading.Event) -> None:
     while not ended.wait(LINE_S):
         for task in [each for each in bars.tasks if not each.finished][:1] or bars.tasks[-1:]:
             cells = [column(task) for column in bars.columns if not isinstance(column, BarColumn)]
-            with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
+            with contextlib.suppress(OSError, ValueError):  # stderr is closed
                 print(f"htcp: {' '.join(f'{cell}'.strip() for cell in cells)}", file=sys.stderr, flush=True)
 
 
 @contextmanager
 def progress_bar(what: str, *, time_left: bool = False) -> Iterator[Callable[[int, int], None]]:
-    """One bar; hands out progress(done, of how many). time_left: to go, in place of the time so far."""
+    """Show one bar; yields progress(done, count). time_left: show remaining instead of elapsed time."""
     time = TimeRemainingColumn() if time_left else TimeElapsedColumn()
     with progress_bars(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), time) as bars:
         task = bars.add_task(what, total=None)
@@ -100,13 +99,13 @@ def progress_bar(what: str, *, time_left: bool = False) -> Iterator[Callable[[in
 
 
 def width() -> int:
-    """Columns of the terminal, or COLUMNS; 80 where there is neither."""
+    """Columns of the terminal, or COLUMNS; 80 if there is neither."""
     return shutil.get_terminal_size((80, 24)).columns
 
 
 def print_table(console: Console, table: Table) -> None:
-    """Print heads, units and rows in columns, numbers to the right; what is wider than the terminal goes on below, with
-    the first column once more."""
+    """Print heads, units and rows in columns, numbers to the right; columns beyond the terminal's width continue below,
+    with the first column repeated."""
     for number, part in enumerate(_folded(table, width())):
         if number:
             console.print()
@@ -118,7 +117,7 @@ def print_table(console: Console, table: Table) -> None:
 
 
 def _laid_out(table: Table) -> rich.table.Table:
-    """The table as rich lays it out; a last column of text is wrapped."""
+    """The table in rich's layout; a last column of text is wrapped."""
     laid_out = rich.table.Table(box=None, pad_edge=False, padding=(0, GAP, 0, 0), header_style="cyan")
     *before, last = range(len(table.columns))
     room = max(LEAST_TEXT, width() - sum(_needed(table, k) + GAP for k in before))
@@ -139,8 +138,8 @@ def _laid_out(table: Table) -> rich.table.Table:
 
 
 def _folded(table: Table, most: int) -> Iterator[Table]:
-    """The table as tables of whole columns that fit, each with the first column. A last column of text needs no more
-    than LEAST_TEXT: it is wrapped. Columns that belong to the one before them stay with it."""
+    """Split the table into tables that fit, of whole columns, each with the first column. A last column of text needs
+    at most LEAST_TEXT: it is wrapped. Columns that belong to the one before them stay with it."""
     taken, used = [0], _needed(table, 0)
     for group in _groups(table):
         wide = sum(GAP + _needed(table, k) for k in group)

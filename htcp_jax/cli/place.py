@@ -1,4 +1,4 @@
-"""`htcp place`: search ranges of mountings, and rank those that do the whole work."""
+"""`htcp place`: search ranges of mountings, and rank those that complete the path."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -86,8 +86,8 @@ def place(
 
 @contextmanager
 def _bar(said: bool) -> Iterator[Callable[[PlaceProgress], None]]:
-    """One bar a stage on a terminal: scenarios, mountings that do it all, the best so far. said: whether to leave out
-    the line with the number of plans."""
+    """Show one bar per stage on a terminal: scenarios, complete mountings. said: True to omit the line with the number
+    of plans."""
     columns = TextColumn("{task.description:<10}"), BarColumn(), TextColumn("{task.fields[text]}"), TimeElapsedColumn()
     with progress_bars(*columns) as bars:
         tasks: dict[str, Any] = {}
@@ -109,7 +109,7 @@ def _bar(said: bool) -> Iterator[Callable[[PlaceProgress], None]]:
 
 
 def _most(most: dict[str, int | None]) -> str:
-    """The largest number of plans, in all and by stage."""
+    """Message with the largest number of plans, in total and by stage."""
     searched, *others = most.values()
     first = "those of the search, as many as its time allows, and " if searched is None else ""
     words = {"search": "to search", "confirm": "to confirm", "disturbed": "of disturbed mountings",
@@ -145,7 +145,7 @@ def _print(found: Placed) -> None:
 
 
 def _seams(found: Placed) -> dict[str, str]:
-    """How often each seam is done, and which of them prevents the best mounting."""
+    """Number of mountings that complete each seam, and the seams that the best mounting fails."""
     seams = found.seams()
     if len(seams) == 1:
         ((_, best),) = seams.values()

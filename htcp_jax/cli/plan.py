@@ -61,7 +61,7 @@ def plan(
 def plan_with_progress(
     config: Path | None, overrides: list[str] | None, method: str | None, device: str | None = None
 ) -> Plan:
-    """The plan, with a bar of tracked targets on a terminal. Raises InputError as `api.plan` does."""
+    """Plan a job, with a bar of tracked targets on a terminal. Raises InputError as `api.plan` does."""
     with progress_bar("targets") as progress:
         return api.plan(
             config,

@@ -1,4 +1,4 @@
-"""`htcp program`: a plan as a program that a controller takes."""
+"""`htcp program`: a plan as a robot program for a controller."""
 
 import warnings
 from collections.abc import Sequence

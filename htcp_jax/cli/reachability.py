@@ -1,4 +1,4 @@
-"""`htcp reachability`: how many targets of every scenario are reachable at all, beside what a run's methods tracked."""
+"""`htcp reachability`: bounds on the reachable targets of every scenario, compared with a run's methods."""
 
 import signal
 from collections.abc import Sequence
@@ -138,14 +138,14 @@ def _in_order(parts: Sequence[tuple[np.ndarray, Reachability]]) -> Reachability:
 
 
 def _resolution(batch: Batch, found: Reachability, asked_rad: float) -> float | None:
-    """The coarsest that a target was searched at; None where a task leaves no orientations to be gone through."""
+    """Coarsest resolution that a target was searched at [rad]; None if a task does not hold the TCP."""
     if not all(cell.task.holds_tcp for cell in batch.cells):
         return None
     return max(asked_rad, float(found.resolution_rad.max()))
 
 
 def _beaten(run: Run, batch: Batch, found: Reachability) -> dict[str, list[int]]:
-    """Scenarios that a method of the run brought further, by method. Raises InputError for a run of other targets."""
+    """Scenarios in which a method of the run got further, by method. Raises InputError for a run of other targets."""
     beaten = {}
     for method in run.methods:
         plans = run.plans(method)
@@ -160,7 +160,7 @@ def _beaten(run: Run, batch: Batch, found: Reachability) -> dict[str, list[int]]
 
 
 def _away(scenarios: Scenario, targets: np.ndarray) -> np.ndarray:
-    """How far targets of a run are from those of the scenarios [m]; not those of an approach that left its lines, which
+    """Distance of a run's targets from those of the scenarios [m]; 0 for an approach that left its lines, whose targets
     are the path's first point."""
     before = np.arange(targets.shape[1]) < scenarios.on_path[:, None]
     first = np.take_along_axis(scenarios.targets, scenarios.on_path[:, None, None], axis=1)

@@ -1,4 +1,4 @@
-"""`htcp render`: a picture and a movie of one plan, without a screen."""
+"""`htcp render`: a picture and a movie of one plan, rendered off screen."""
 
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -48,7 +48,7 @@ Out = Annotated[
 
 
 class _Files(NamedTuple):
-    """What is written into a folder."""
+    """Files to write into a folder."""
 
     folder: Path
     picture: str | None
@@ -125,7 +125,7 @@ def render(
 
 
 def _files(out: Path, movie: str | None, name: str) -> _Files:
-    """Raises InputError for a movie whose name is of another kind."""
+    """Names of the files to write. Raises InputError for a movie whose name is of another kind."""
     if (kind := out.suffix[1:].lower()) in KINDS:
         if movie not in (None, kind):
             raise InputError(f"--out {out} is the name of one {kind}, --movie {movie} asks for something else")
@@ -135,7 +135,7 @@ def _files(out: Path, movie: str | None, name: str) -> _Files:
 
 
 def _film(studio: Studio, made: OfPlan, speed: float) -> Film:
-    """A program at so many times real time, over its plots."""
+    """Film of a program at `speed` times real time, above its plots."""
     play = played(made, frame_times(made.program.duration_s, speed))
     return studio.film(arms_of(made, play)).over(Strip(made, play, studio.width, speed).at)
 

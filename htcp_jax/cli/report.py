@@ -1,4 +1,4 @@
-"""`htcp report`: finished or unfinished runs as tables on the terminal, and as a report to read and to pass on."""
+"""`htcp report`: finished or unfinished runs as tables on the terminal, and as a report in files."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""`htcp robot`: a robot's model file as its maker ships it, made into an arm of capsules."""
+"""`htcp robot`: convert a vendor's URDF or MJCF to an arm of capsules."""
 
 import itertools
 import os
@@ -101,7 +101,7 @@ def robot(
 
 
 def _listed(arm: ImportedArm, made: Robot, progress: Callable[[int, int], None]) -> list[Listed]:
-    """The pairs of capsules that need no check, and that the model does not exclude, by the meshes of the arm."""
+    """Pairs of capsules that need no check, by the meshes of the arm, and that the model does not exclude."""
     meshes, names = LinkMeshes.of(arm), made.capsule_names
     x, tried = samples(made), itertools.count(1)
     at = meshes.poses(x)

@@ -1,5 +1,4 @@
-"""Is this installation sound? What is installed, what there is to compute and to draw with, what is kept, and a plan
-whose answer is known."""
+"""Self-test of the installation: versions, devices, rendering, caches, and a plan with a known result."""
 
 import dataclasses
 import os
@@ -22,7 +21,7 @@ from htcp_jax.viewer import offscreen
 
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
 POINTS = 3  # of the weld, so 14 targets
-# What the baseline answers at the last of them, recorded on a CPU. Other devices and versions round differently, by far
+# The baseline's result at the last of them, saved on a CPU. Other devices and versions round differently, by far
 # less than the tolerance.
 KNOWN_RAD = (-0.03942173, -1.66173581, 0.28730992, -0.10670144, 0.24431399, -2.01895122)
 KNOWN_CLEARANCE_M = 0.0496996492
@@ -30,7 +29,7 @@ TOLERANCE = 1e-6  # rad, m
 
 
 class SelfTest(NamedTuple):
-    """What the short plan came to."""
+    """Result of the short plan."""
 
     passed: bool
     description: str
@@ -39,7 +38,7 @@ class SelfTest(NamedTuple):
 
 
 def examine() -> dict[str, Any]:
-    """What there is, as plain values; `sound` says whether the self-test passed."""
+    """Facts on the installation, as plain values; `sound` is True if the self-test passed."""
     folder = compile_cache.enable()
     test = self_test()
     return {
@@ -56,7 +55,7 @@ def examine() -> dict[str, Any]:
 
 
 def self_test() -> SelfTest:
-    """Plan a short path by the baseline and compare the answer with what it is known to be."""
+    """Plan a short path by the baseline and compare the result with the known one."""
     began = time.perf_counter()
     robot, part = gp50(), load_workpiece()
     count = 11 + POINTS  # the start, the approach, the path's first points
@@ -71,7 +70,7 @@ def self_test() -> SelfTest:
 
 
 def _rendering() -> dict[str, str | None]:
-    """What `htcp render` draws with, or what it lacks."""
+    """OpenGL platform of `htcp render`, or the reason why there is none."""
     try:
         return {"platform": offscreen.platform(), "lacks": None}
     except InputError as error:
@@ -79,7 +78,7 @@ def _rendering() -> dict[str, str | None]:
 
 
 def _usable_cores() -> int | None:
-    """Fewer than the machine's where the process is bound to some."""
+    """Number of cores for this process; fewer than the machine's if it is bound to some."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
 
 

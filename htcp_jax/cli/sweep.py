@@ -106,7 +106,7 @@ def sweep(
 
 
 def _record(run: Run, running: RunningSummary) -> dict:
-    """What --json prints: where the results are, and the summary of every method that is finished."""
+    """Output of --json: the folder of the results, and the summary of every method that is finished."""
     found = {method: summary_record(summarise(running.plans(run, method))) for method in _finished(run)}
     for method, record in timing_records(run, list(found)).items():
         found[method]["timing"] = record
@@ -115,14 +115,14 @@ def _record(run: Run, running: RunningSummary) -> dict:
 
 
 def _finished(run: Run) -> list[str]:
-    """Methods of the run that have planned all of it: those asked for just now, and perhaps others."""
+    """Methods of the run that have planned all of it, required now or earlier."""
     left = run.unfinished()
     return [method for method in run.methods if method not in left]
 
 
 @contextmanager
 def _bars() -> Iterator[Callable[[sweeps.SweepProgress], None]]:
-    """A bar a method on a terminal and nothing elsewhere: scenarios done, targets tracked, time left."""
+    """Show one bar per method: scenarios done, targets tracked, time left."""
     columns = (
         TextColumn("{task.description:<14}"),
         BarColumn(),
@@ -166,7 +166,7 @@ FIGURES = (
 
 
 def _print_table(run: Run, running: RunningSummary) -> None:
-    """The columns of the paper's tables, and the counts behind them."""
+    """Print the columns of the paper's tables, with the counts behind them."""
     console = stdout()
     limit = (
         "" if run.manifest.limit is None else f", the first {run.manifest.count:,} of {run.manifest.full:,} scenarios"
@@ -203,12 +203,12 @@ def _print_table(run: Run, running: RunningSummary) -> None:
 
 
 def _margins(asked_m: np.ndarray) -> str:
-    """The clearances that scenarios ask for [mm]."""
+    """Required clearances of the scenarios [mm], as text."""
     asked = 1e3 * asked_m
     return f"{asked[0]:g}" if len(asked) == 1 else f"{asked[0]:g} to {asked[-1]:g}"
 
 
 def _not_tried(status: np.ndarray) -> str:
-    """How many scenarios were refused for what reason, in words; nothing where none was."""
+    """Numbers of refused scenarios by reason, as text; empty if there are none."""
     counts = {reason: int((status == reason).sum()) for reason in NOT_TRIED}
     return ", ".join(f"{reason.words} {count:,}" for reason, count in counts.items() if count)

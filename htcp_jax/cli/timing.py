@@ -1,4 +1,4 @@
-"""What `htcp sweep --feed` and `htcp program --all` share: a run's scenarios are timed, and what that comes to."""
+"""Timing of a run's scenarios and its output, for `htcp sweep --feed` and `htcp program --all`."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -16,7 +16,7 @@ from htcp_jax.trajectory.whole_run import check_limits, time_run
 
 
 def timed(run: Run, feed: str | None, methods: Sequence[str] | None, overrides: Sequence[str] = ()) -> Run:
-    """The run, timed, with a bar a method on a terminal. Raises InputError as `time_run` does."""
+    """Time the run, with one bar per method on a terminal. Raises InputError as `time_run` does."""
     with _bars() as progress:
         return time_run(run, feed, methods, overrides=overrides, progress=progress, workers=None)
 
@@ -35,13 +35,13 @@ def _bars() -> Iterator[Callable[[str, int, int], None]]:
 
 
 def check_feed(spec: Sweep, feed: str) -> None:
-    """Raise InputError for a feed that is none, and for an arm of the sweep without velocity limits."""
+    """Raise InputError for an invalid feed, and for an arm of the sweep without velocity limits."""
     feed_of(feed)
     check_limits(point.config for point in spec.points())
 
 
 def timing_records(run: Run, methods: Sequence[str]) -> dict[str, dict]:
-    """What the times of each method come to, for --json; nothing of one without times."""
+    """Summary of each method's times, for --json; methods without times are omitted."""
     known = _known(run, methods)
     return {
         method: {"feed_m_s": timing.feed_m_s, "limits": timing.limits} | timing_row(method, timing.rows)
@@ -50,7 +50,7 @@ def timing_records(run: Run, methods: Sequence[str]) -> dict[str, dict]:
 
 
 def print_timing(run: Run, methods: Sequence[str]) -> None:
-    """The same as a table, and with what it was made."""
+    """Print a table of each method's times, and the feed and limits."""
     known = _known(run, methods)
     if not known:
         return
@@ -62,12 +62,12 @@ def print_timing(run: Run, methods: Sequence[str]) -> None:
 
 
 def refuse_untimed(run: Run, methods: Sequence[str]) -> None:
-    """Raise InputError where nothing can be timed."""
+    """Raise InputError if nothing can be timed."""
     if not any(len(timing.timed) for timing in _known(run, methods).values()):
         what = f"no motion leads to the last target of any scenario by {', '.join(methods)}"
         raise InputError(f"{run.folder}: {what}; there is nothing to time")
 
 
 def _known(run: Run, methods: Sequence[str]) -> dict[str, Timing]:
-    """The times of those that have any."""
+    """Times of the methods that have any."""
     return {method: timing for method in methods if (timing := run.timing(method)) is not None}

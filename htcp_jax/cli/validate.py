@@ -1,4 +1,4 @@
-"""`htcp validate`: the results of a sweep or of one plan, checked by MuJoCo alone."""
+"""`htcp validate`: the results of a sweep or of one plan, validated by MuJoCo alone."""
 
 import sys
 import time
@@ -20,7 +20,7 @@ from htcp_jax.validation.validate import record, write_validation
 from htcp_jax.validation.validate import validate as check
 
 VALIDATED, REFUTED = 0, 1
-WORTH_SAYING_S = 60  # a longer check is announced
+WORTH_SAYING_S = 60  # longer checks are announced
 LISTED = 10  # refuted configurations on the terminal
 
 Run = Annotated[Path, typer.Argument(metavar="RUN", help="The folder that htcp sweep or htcp plan wrote.")]

@@ -77,7 +77,8 @@ def view(
 def _looked_at(
     what: Path | None, method: str | None, overrides: list[str], feed_m_s: float | None, retract: bool
 ) -> tuple[Replays, Callable[[int, str], OfPlan]]:
-    """What there is to look at, and the program of a scenario by a method at that feed; a job is planned."""
+    """The plans to show, and a function that returns the program of a scenario and method at that feed; a job is
+    planned."""
     what = what and example_or_path(what)
     if what is not None and not what.exists():
         raise InputError(f"{what}: no such run folder, and no such job")

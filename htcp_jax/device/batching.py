@@ -1,5 +1,5 @@
-"""Functions of one lane, run over tables with a lane a row: one compiled program serves one lane and a thousand, and a
-lane's result does not depend on how many others there are.
+"""Functions of one lane, run over tables with one lane per row: one executable serves any number of lanes, and a lane's
+result does not depend on how many others there are.
 """
 
 from collections.abc import Callable
@@ -14,9 +14,9 @@ from htcp_jax.types import Bool, Int
 
 
 class Loop(NamedTuple):
-    """What a function of one lane returns in place of its result, so that lanes of any number of steps fill a GPU: the
-    result is that of the state after all steps, taken as long as it is going. Which lane it is, is known to all. What
-    a step needs that is not in the state is computed in every step."""
+    """Loop that a function of one lane returns in place of its result, so that lanes with different numbers of steps
+    fill a GPU. The result is `result(state)` once `going(state)` is false. All functions know their lane; values that a
+    step needs and the state does not hold are recomputed in every step."""
 
     state: Any
     going: Callable[[Any], jax.Array]
@@ -25,18 +25,18 @@ class Loop(NamedTuple):
 
 
 def finished(found: Any) -> Any:
-    """The result of one lane."""
+    """Return the result of one lane, running its `Loop` if it returned one."""
     if not isinstance(found, Loop):
         return found
     return found.result(jax.lax.while_loop(found.going, found.step, found.state))
 
 
 def chunked(function: Callable, width: int) -> Callable:
-    """`function(scene, *one lane)` over tables with a leading axis of capacity C: run(scene, lanes, *tables) computes
-    as many lanes, `width` of them at a time; what it writes behind them is nobody's. One lane at a time is not batched:
-    loops then ask for no lane but their own, and the program is a fifth shorter."""
+    """Return `function(scene, *one lane)` over tables with a leading axis of capacity C: run(scene, lanes, *tables)
+    computes the first `lanes` rows, `width` at a time; rows from `lanes` on are undefined. With width 1 the function is
+    not batched: its loops then run as long as their own lane needs, and the executable is a fifth shorter."""
 
-    @jax.jit  # so that Python traces it once, for the shapes of its results as for the loop
+    @jax.jit  # traced once, for the result shapes and for the loop
     def one_chunk(scene, tables, start):
         if width == 1:
             lane = jax.tree.map(lambda t: jax.lax.dynamic_index_in_dim(t, start, keepdims=False), tables)
@@ -63,17 +63,18 @@ def chunked(function: Callable, width: int) -> Callable:
 
 
 class Slots(NamedTuple):
-    """Lanes side by side, each in a slot."""
+    """Lanes computed side by side, one per slot."""
 
-    row: Int[jax.Array, "width"]  # of the tables; their length where a slot is empty
-    lane: Any  # what the tables say of it
+    row: Int[jax.Array, "width"]  # row in the tables; their length if the slot is empty
+    lane: Any  # the lane's arguments, from the tables
     state: Any
     going: Bool[jax.Array, "width"]
 
 
 def refilled(function: Callable, width: int) -> Callable:
-    """The same of a function that returns a `Loop`: lanes that are through leave their slot to others, and nobody waits
-    for the longest of a chunk. While lanes are left, an eighth of the slots may be idle before others are let in."""
+    """Return `chunked` for a function that returns a `Loop`: a finished lane's slot takes the next lane, so that no
+    lane waits for the longest in its chunk. While lanes are left, up to an eighth of the slots may be idle before they
+    are refilled."""
 
     def run(scene, lanes, *tables):
         capacity = jax.tree.leaves(tables)[0].shape[0]
@@ -121,19 +122,20 @@ def refilled(function: Callable, width: int) -> Callable:
 def next_rows(
     free: Bool[jax.Array, "width"], first: jax.Array, lanes: jax.Array
 ) -> tuple[Int[jax.Array, "width"], Bool[jax.Array, "width"], jax.Array]:
-    """Return the row that each free slot takes, from `first` on, which slots take one, and the first row left over."""
+    """Return the row that each free slot takes, from `first` on, the slots that take one, and the first row that is
+    left."""
     row = first + jnp.cumsum(free, dtype=jnp.int32) - 1
     new = free & (row < lanes)
     return row, new, first + jnp.sum(new, dtype=jnp.int32)
 
 
 def _empty(few: Any, capacity: int) -> Any:
-    """Tables of as many rows, each row like those of some."""
+    """Tables of zeros with `capacity` rows of the same shape and type as those of `few`."""
     return jax.tree.map(lambda table: jnp.zeros((capacity, *table.shape[1:]), table.dtype), few)
 
 
 def _where(rows: Bool[jax.Array, "width"], yes: Any, no: Any) -> Any:
-    """By rows, of any tree of tables."""
+    """Select each row from `yes` or `no`, in any tree of tables."""
 
     def chosen(a, b):
         return jnp.where(rows.reshape(rows.shape + (1,) * (a.ndim - 1)), a, b)

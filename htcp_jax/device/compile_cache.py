@@ -1,6 +1,6 @@
-"""Compiled programs kept between runs: the first run compiles for seconds, later ones load them.
+"""Persistent cache of executables: the first run compiles for seconds, later ones load from disk.
 
-The user's cache folder is not looked up by platformdirs, a further dependency for one path on each of three systems.
+The cache folder is found without platformdirs, which would be a dependency for one path on each of three systems.
 """
 
 import contextlib
@@ -13,15 +13,15 @@ import jax
 
 try:
     import fcntl
-except ImportError:  # no POSIX system: there, processes that begin together compile the same
+except ImportError:  # no POSIX system: processes that start together compile the same functions
     fcntl = None
 
 
 def enable() -> Path | None:
-    """Keep compiled programs in the user's cache folder, or where HTCP_CACHE says; HTCP_CACHE=off keeps none.
+    """Keep executables in the user's cache folder, or in HTCP_CACHE; HTCP_CACHE=off disables the cache.
 
-    Returns the folder, or None where nothing is kept. A folder already chosen through JAX stays, and one
-    that cannot be written is done without: a cache must never stop a plan.
+    Returns the folder, or None if nothing is kept. A folder already set through JAX takes precedence. A folder that is
+    not writable disables the cache: it must never stop a plan.
     """
     choice = os.environ.get("HTCP_CACHE", "")
     if choice.lower() in ("off", "0", "no"):
@@ -42,8 +42,8 @@ def enable() -> Path | None:
 
 @contextlib.contextmanager
 def alone(program: str) -> Iterator[None]:
-    """No other process compiles a program of that name meanwhile, if it keeps programs in the same folder: it waits,
-    and finds it there. A lock that cannot be had is done without."""
+    """Lock the compilation of this executable among processes that share the cache folder: the others wait, then load
+    it. If the lock is not available, continue without it."""
     with contextlib.ExitStack() as held:
         with contextlib.suppress(OSError):
             if fcntl is not None and jax.config.jax_compilation_cache_dir:

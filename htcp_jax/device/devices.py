@@ -1,7 +1,6 @@
-"""Which devices plans run on: `cpu`, `gpu` (all of this host) or `gpu:2` (the first two of them).
+"""Devices that plans run on: `cpu`, `gpu` (all of this host) or `gpu:2` (the first two of them).
 
-A process computes on one kind of device. By itself it takes what JAX prefers: every GPU where there is one, else the
-CPU.
+A process computes on one kind of device, by default the one that JAX prefers: all GPUs if there are any, else the CPU.
 """
 
 import os
@@ -12,8 +11,8 @@ from htcp_jax.errors import InputError
 
 
 def choose(name: str | None = None) -> list[jax.Device]:
-    """The devices of that name; `cpu` can be chosen beside a GPU before anything is computed. Raises InputError for a
-    name that is no device here."""
+    """Return the devices with that name; `cpu` can be chosen on a host with GPUs before anything is computed. Raises
+    InputError for a name that is no device here."""
     if name == "cpu":
         jax.config.update("jax_platforms", "cpu")
     here = jax.local_devices()
@@ -27,13 +26,13 @@ def choose(name: str | None = None) -> list[jax.Device]:
 
 
 def default_threads(devices: list[jax.Device], qp: str) -> int:
-    """Engines that share the scenarios. On a CPU one a core. On GPUs one each, for the largest batches; more where
-    the host solves the step QPs."""
+    """Number of engines that share the scenarios. On a CPU one per core. On GPUs one each, for the largest batches;
+    more if the host solves the step QPs."""
     if devices[0].platform == "cpu":
         return cores()
     return len(devices) if qp == "device" else max(cores(), 2 * len(devices))
 
 
 def cores() -> int:
-    """Of the CPU, that this process may use."""
+    """Number of CPU cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

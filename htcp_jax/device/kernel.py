@@ -1,4 +1,4 @@
-"""What a kernel is: a function of one lane, the table that it is compiled for, and the settings that it reads."""
+"""`Kernel`: a function of one lane, the table that it is compiled for, and the settings that it reads."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -15,69 +15,70 @@ _SETTINGS = frozenset(field.name for field in fields(Settings))
 
 
 class Table(NamedTuple):
-    """Size of the table that a program is compiled for, and how many of its lanes it computes side by side. One that
-    refills lets others in where lanes are through, see `Kernel.refill`; calls of few lanes get a short one then."""
+    """Number of rows that a function is compiled for, and how many lanes it computes side by side. A table that refills
+    gives a finished lane's slot to the next lane, see `Kernel.refill`; calls with few lanes then get a short table."""
 
     capacity: int
     width: int
     refills: bool = False
 
     def length(self, lanes: int) -> int:
-        """Of the table for a call of so many lanes."""
+        """Return the number of rows of the table for a call with so many lanes."""
         return self.width if self.refills and lanes <= self.width else self.capacity
 
 
 class Load(NamedTuple):
-    """The tables of a kind of kernels, one for any number of lanes: another one would round in its own way. A CPU gains
-    nothing from lanes side by side; a GPU from thousands, fewer where each lane has hundreds of samples."""
+    """Tables of a class of kernels, one per platform for any number of lanes, as a table of another size would round
+    differently. A CPU gains nothing from lanes side by side; a GPU from thousands, fewer if each lane has hundreds of
+    samples."""
 
     cpu: Table
     gpu: Table
 
     def on(self, device: jax.Device) -> Table:
-        """The table on that device."""
+        """Return the table for that device."""
         return self.cpu if device.platform == "cpu" else self.gpu
 
 
 ALONE = Table(128, 1)
-STEP = Load(cpu=ALONE, gpu=Table(4096, 4096))  # what every lane needs all the time
-DEEP = Load(cpu=ALONE, gpu=Table(2048, 512))  # what few lanes need, or what has loops of its own to vectorise
-TRACKED = Load(cpu=ALONE, gpu=Table(PORTION, 4096, refills=True))  # loops of some steps, in the longest calls of all
-WALKED = Load(cpu=ALONE, gpu=Table(2048, 512, refills=True))  # the same of what is DEEP
+STEP = Load(cpu=ALONE, gpu=Table(4096, 4096))  # for every lane, in every round
+DEEP = Load(cpu=ALONE, gpu=Table(2048, 512))  # for few lanes, or with vectorised inner loops
+TRACKED = Load(cpu=ALONE, gpu=Table(PORTION, 4096, refills=True))  # loops of some steps, in the longest calls
+WALKED = Load(cpu=ALONE, gpu=Table(2048, 512, refills=True))  # DEEP, for functions that return a `Loop`
 SAMPLED = Load(cpu=ALONE, gpu=Table(256, 128))  # with hundreds of configurations a lane
 
 
 @dataclass(frozen=True)
 class Kernel:
-    """A function of one lane, function(*parts, settings, scene, lane, ...), and what is compiled for it.
+    """A function of one lane, function(*parts, settings, scene, lane, ...), and how it is compiled.
 
-    settings: names of those that it reads. Programs are compiled for their values alone, so that another seed, say,
-    compiles nothing. A setting that is read and not named is an AttributeError when the kernel is compiled.
+    settings: names of those that it reads. Executables are compiled for these values only, so a new seed, for example,
+    compiles nothing. Reading a setting that is not named raises AttributeError when the kernel is compiled.
     """
 
     name: str
     function: Callable
     load: Load
     settings: tuple[str, ...] = ()
-    parts: tuple = ()  # hashable; what tells this kernel from others of the same function
-    refill: Callable = refilled  # how others are let into slots, where the table refills
+    parts: tuple = ()  # hashable; distinguishes kernels that share a function
+    refill: Callable = refilled  # `refilled` or a replacement, if the table refills
 
     def values(self, settings: Settings) -> tuple:
-        """Of the settings that it reads."""
+        """Return the values of the settings that it reads."""
         return tuple(getattr(settings, name) for name in self.settings)
 
     def of(self, settings: Settings) -> Callable:
-        """The function with its parts and settings: of (scene, lane, ...)."""
+        """Return the function with its parts and settings bound: a function of (scene, lane, ...)."""
         return partial(self.function, *self.parts, _NamedSettings.of(settings, self))
 
     def program(self, settings: Settings, device: jax.Device) -> Callable:
-        """What is compiled for that device: of (scene, count of lanes, tables...)."""
+        """Return the function to compile for that device: of (scene, number of lanes, tables...)."""
         table = self.load.on(device)
         return (self.refill if table.refills else chunked)(self.of(settings), table.width)
 
 
 class _NamedSettings(Settings):
-    """The settings that a kernel names, and no others."""
+    """Settings restricted to those that a kernel names."""
 
     @classmethod
     def of(cls, settings: Settings, kernel: Kernel) -> "_NamedSettings":

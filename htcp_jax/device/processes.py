@@ -1,9 +1,9 @@
-"""Work shared out among processes of this machine. Engines in one process take turns, as Python runs one thread at a
-time; engines in processes of their own do not.
+"""Work shared among processes of this machine. Engines in one process take turns, as Python runs one thread at a time;
+engines in separate processes do not.
 
-The workers are loky's. They are started once and kept for the next call; they import this package and never the main
-module of their caller, which may be a notebook or a script without a guard; and when one of them dies nobody waits for
-what it had. The standard library's do neither, and Ray brings a server with it.
+The workers are loky's. They are started once and kept for the next call; they import this package and never their
+caller's main module, which may be a notebook or a script without a guard; and a worker that dies raises an error
+instead of blocking the others. The standard library's pools do neither, and Ray needs a server.
 """
 
 import importlib
@@ -27,19 +27,19 @@ from htcp_jax.errors import Lost
 from htcp_jax.process_exit import signals_blocked
 from htcp_jax.unfinished import temporary_folder
 
-LOOK_S = 0.1  # how often the one that waits looks how far the work has come
-IDLE_S = 300  # after which workers without work end
-START_PAYS = 10_000  # targets to be planned; a start takes as long as some thousands of them
-EACH_PAYS = 8  # scenarios for every worker that is there already
-MOST_TOGETHER = 64  # scenarios of a part: of fewer every call has fewer lanes, of more the last part takes longer
+LOOK_S = 0.1  # interval at which progress is polled
+IDLE_S = 300  # idle time after which workers end
+START_PAYS = 10_000  # targets that outweigh starting workers, which takes as long as some thousands of them
+EACH_PAYS = 8  # scenarios per worker that is already running
+MOST_TOGETHER = 64  # scenarios per part: fewer make calls with fewer lanes, more make the last part take longer
 
-_workers: list[Any] = []  # the executor, once it was needed
-_asked: list[int] = []  # targets, in calls large enough
+_workers: list[Any] = []  # the executor, once needed
+_asked: list[int] = []  # targets of the calls that were large enough
 
 
 def that_pay(cores: int, scenarios: int, targets: int) -> int:
-    """How many processes to plan so many scenarios with, of so many targets in all. Workers are started when what was
-    asked for so far would have paid for it: whoever asks for much in one call, or again and again, has them."""
+    """Return the number of processes for so many scenarios with so many targets in all. Workers are started once the
+    targets of all calls so far outweigh the start, so one large call or many small ones start them."""
     if (most := min(cores, scenarios // EACH_PAYS)) < 2:
         return 1
     _asked.append(targets)
@@ -47,15 +47,15 @@ def that_pay(cores: int, scenarios: int, targets: int) -> int:
 
 
 def shares(count: int, processes: int) -> list[Int[np.ndarray, "_"]]:
-    """The places of so many scenarios, in parts to be planned one after the other by whoever is free. Neighbours in a
-    grid are alike: dealt out in turn, every part has its share of the hard ones."""
+    """Divide so many scenarios into parts, each planned by the next free process; returns their positions. Neighbours
+    in a grid are alike, so scenarios are dealt out in turn and each part gets its share of the hard ones."""
     parts = min(count, max(processes, -(-count // MOST_TOGETHER)))
     return [np.arange(first, count, parts) for first in range(parts)]
 
 
 def portable(*things: Any) -> bytes | None:
-    """What a process can make the things of that knows this package and all that can be imported, and nothing of the
-    caller's main module; None where there is no such thing."""
+    """Pickle objects for a process that can import this package and all installed ones, but not the caller's main
+    module; None if they cannot be pickled or need that module."""
     try:
         data = pickle.dumps(things)
     except Exception:  # of many kinds
@@ -64,7 +64,7 @@ def portable(*things: Any) -> bytes | None:
 
 
 class Spread(NamedTuple):
-    """What the parts came to, in their order, and the seconds until the workers were ready."""
+    """Results of the parts, in their order, and the time until the workers were ready [s]."""
 
     results: list
     start_s: float
@@ -73,11 +73,11 @@ class Spread(NamedTuple):
 def spread(
     processes: int, call: Callable, shared: bytes, parts: Sequence, report: Callable[[np.ndarray], None] | None
 ) -> Spread:
-    """call(tell, *shared, part) of every part. shared: see `portable`; it goes to each worker once, and is kept there
-    for the next call. tell(a, b): two numbers, how far a part has come, for report: it is given those of all parts (P,
-    2) again and again, and what it raises ends the work.
+    """Return call(tell, *shared, part) for every part. shared: see `portable`; it is sent to each worker once and kept
+    there for the next call. tell(a, b): sets two counts of a part's progress; report is called repeatedly with those of
+    all parts (P, 2), and an exception in it ends the work.
 
-    Raises what the first part to break raises, and Lost when a worker is gone.
+    Raises the exception of the first part that fails, and Lost if a worker dies.
     """
     with temporary_folder() as folder:
         file = folder / sha256(shared).hexdigest()
@@ -101,7 +101,7 @@ def spread(
 
 
 def _watched(asked: Sequence[Future], look: Callable[[], Any]) -> None:
-    """Wait for all, and look now and then. Raises what the first of them raises."""
+    """Wait for all futures, calling `look` at intervals. Raises the first exception among them."""
     left = set(asked)
     while left:
         done, left = wait(left, LOOK_S, FIRST_EXCEPTION)
@@ -111,7 +111,7 @@ def _watched(asked: Sequence[Future], look: Callable[[], Any]) -> None:
 
 
 def _executor(processes: int) -> Any:
-    from loky import get_reusable_executor  # here, because a plan of one scenario needs none of it
+    from loky import get_reusable_executor  # imported here, as a plan of one scenario does not need it
 
     given = jax.config.jax_compilation_cache_dir, jax.config.jax_persistent_cache_min_compile_time_secs
     how = {"timeout": IDLE_S, "initializer": _begin, "initargs": given, "env": ENVIRONMENT}
@@ -119,31 +119,32 @@ def _executor(processes: int) -> Any:
     return _workers[0]
 
 
-# What follows happens in a worker
+# Code that runs in a worker
 
 BOARD = "board"
 # The calling process keeps the GPUs. Where psutil is installed, loky takes a worker that grows by 300 MB to leak and
 # replaces it; these keep executables.
 ENVIRONMENT = {"JAX_PLATFORMS": "cpu", "LOKY_MAX_MEMORY_LEAK_SIZE": "1e18"}
-_kept: dict[str, tuple] = {}  # what was shared last, by its digest
+_kept: dict[str, tuple] = {}  # the last shared objects, by their digest
 
 
 def _begin(cache: str | None, least_s: float) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that has started this one heeds it
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process handles it
     jax.config.update("jax_compilation_cache_dir", cache)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", least_s)
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
 
 
 def _end_with(parent: int) -> None:
-    """A process that is killed tells its workers nothing; on Windows they end when they have waited `IDLE_S`."""
+    """End this process with its parent. A killed process sends its workers no signal; on Windows they end after
+    `IDLE_S` without work."""
     while os.getppid() == parent:
         time.sleep(1.0)
     os._exit(1)
 
 
 def _ready() -> None:
-    importlib.import_module("htcp_jax.planning.methods")  # takes a second, which is none of the first part's
+    importlib.import_module("htcp_jax.planning.methods")  # takes a second, which the first part need not spend
 
 
 def _work(file: Path, number: int, call: Callable, part: Any) -> Any:

@@ -1,4 +1,4 @@
-"""The kernels of one method on one scene and device, and what is compiled for them."""
+"""Execution of a method's kernels on one scene and device, and the cache of their executables."""
 
 import threading
 import time
@@ -18,10 +18,10 @@ from htcp_jax.device.tables import concatenate, gather, pad
 from htcp_jax.model.task import Task
 from htcp_jax.settings import Settings
 
-# What does not change in a loop is taken out of it before equal parts are found, which look different then: the arm's
+# XLA hoists loop invariants before it merges common subexpressions, which then no longer match: the arm's
 # links are computed up to seven times over. On a CPU that costs more than it saves; on a GPU every launch counts.
-# There, XLA is not to try out which of several programs is the fastest: which one wins is another one whenever it
-# compiles, and rounds in another way.
+# There, autotuning is off: the fastest of several variants changes from one compilation to the next, and rounds
+# differently.
 COMPILER = {
     "cpu": {"xla_disable_hlo_passes": "while-loop-invariant-code-motion"},
     "gpu": {"xla_gpu_autotune_level": 0},
@@ -32,18 +32,18 @@ NOBODY = nullcontext()  # waits
 
 
 class Programs:
-    """Compiled programs: one for each kernel, values of the settings that it reads, device, and shapes."""
+    """Cache of executables, one per kernel, values of the settings that it reads, device, and argument shapes."""
 
     def __init__(self):
         self._compiled: dict[tuple, jax.stages.Compiled] = {}
-        self._compiling: dict[tuple, threading.Lock] = {}  # of each program: others may be compiled meanwhile
+        self._compiling: dict[tuple, threading.Lock] = {}  # one per executable: others can be compiled meanwhile
         self._tracing = threading.Lock()
 
     def __len__(self) -> int:
         return len(self._compiled)
 
     def clear(self) -> None:
-        """Forget them all, and give their memory back."""
+        """Drop all executables and free their memory."""
         self._compiled.clear()
 
     def get(
@@ -54,8 +54,8 @@ class Programs:
         arguments: tuple,
         waiting: AbstractContextManager = NOBODY,
     ) -> jax.stages.Compiled:
-        """The program for arguments of these shapes, compiled if there is none; `waiting` goes on meanwhile. Python
-        traces one at a time, and the others are compiled meanwhile."""
+        """Return the executable for arguments of these shapes, compiling it if there is none, within the context
+        `waiting`. Python traces one function at a time; compilation runs in parallel."""
         leaves, structure = jax.tree.flatten(arguments)
         shapes = tuple((x.shape, x.dtype) for x in leaves)
         key = (kernel, kernel.values(settings), device, structure, shapes)
@@ -69,18 +69,18 @@ class Programs:
         return self._compiled[key]
 
     def of(self, *kernels: Kernel) -> list[tuple[Kernel, jax.stages.Compiled]]:
-        """The programs of some kernels."""
+        """Return the executables of some kernels."""
         return [(kernel, self._compiled[key]) for kernel in kernels for key in self._compiled if key[0] == kernel]
 
 
 PROGRAMS = Programs()  # of this process
 
 
-FEW = 4  # lanes, which are not worth sharing out
+FEW = 4  # lanes, too few to share among threads
 
 
 class Stopwatch:
-    """A clock that goes while any thread is in it."""
+    """Clock that runs while any thread is inside its context."""
 
     def __init__(self):
         self.seconds = 0.0
@@ -100,11 +100,11 @@ class Stopwatch:
 
 
 class Kernels:
-    """Runs kernels on one scene and one device. Compiles on first use, once for any number of scenarios, and knows for
-    how long somebody waited for that.
+    """Run kernels on one scene and one device. They are compiled on first use, once for any number of scenarios;
+    `compile_s` is the time spent waiting for that.
 
-    threads: among which a call's lanes are shared out, on a CPU; each is computed by itself, so none comes out
-    otherwise.
+    threads: number of threads that share a call's lanes on a CPU; each lane is computed by itself, so results do not
+    depend on it.
     """
 
     def __init__(
@@ -124,22 +124,22 @@ class Kernels:
 
     @property
     def compile_s(self) -> float:
-        """Wall time in which programs were waited for [s]."""
+        """Wall time spent waiting for executables [s]."""
         return self._waiting.seconds
 
     @property
     def lanes(self) -> int:
-        """Lanes that an engine keeps in flight."""
+        """Number of lanes that an engine keeps in flight."""
         return TRACKED.on(self.device).capacity
 
     @property
     def pays_by_lane(self) -> bool:
-        """Whether a call with half the lanes takes half the time, as on a CPU."""
+        """True if a call with half the lanes takes half the time, as on a CPU."""
         return self.device.platform == "cpu"
 
     @property
     def task(self) -> Task:
-        """What the arm has to hold."""
+        """Task that the arm has to fulfil at every target."""
         return self._scene.task
 
     @property
@@ -149,16 +149,16 @@ class Kernels:
 
     @property
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """The lowest and the highest joint positions [rad or m]."""
+        """Lower and upper joint limits [rad or m]."""
         return np.asarray(self._scene.robot.lower), np.asarray(self._scene.robot.upper)
 
     @property
     def sizes(self) -> tuple[int, int]:
-        """Values that the task looks at, and rows of the clearance that a lane brings along."""
+        """Number of values in the task, and number of clearance rows that each lane carries."""
         return self.task.values, 1 if self._settings.clearance_rows == "smallest" else len(self._scene.rows.body)
 
     def __call__(self, kernel: Kernel, *tables) -> Any:
-        """Run a kernel over tables of n >= 1 lanes; numpy tables of n lanes come back."""
+        """Run a kernel over tables of n >= 1 lanes; returns numpy tables of n lanes."""
         lanes = len(jax.tree.leaves(tables)[0])
         most = min(kernel.load.on(self.device).capacity, max(FEW, -(-lanes // self._threads)))
         if lanes <= most:
@@ -169,8 +169,8 @@ class Kernels:
 
     @contextmanager
     def preparing(self, calls: Sequence[tuple]) -> Iterator[None]:
-        """Compile on all cores what will be called, in this order, while whoever calls goes on, and waits for no more
-        than he needs. calls: (kernel, tables) as they will be made, with any numbers and of any number of lanes."""
+        """Compile the given calls on all cores, in this order, while the caller continues and waits only for what it
+        needs. calls: (kernel, tables) as they will be made, with any values and any number of lanes."""
         with ThreadPoolExecutor(cores()) as pool:
             begun = [pool.submit(self._ready, kernel, tables) for kernel, *tables in calls]
             try:
@@ -196,14 +196,14 @@ class Kernels:
         return jax.tree.map(lambda r: np.asarray(r)[:lanes], result)
 
     def _arguments(self, kernel: Kernel, tables) -> tuple:
-        """The scene, how many lanes there are to compute, and the tables, padded."""
+        """Return the scene, the number of lanes to compute, and the padded tables."""
         table, lanes = kernel.load.on(self.device), len(jax.tree.leaves(tables)[0])
         filled = -(-lanes // table.width) * table.width
         padded = jax.tree.map(lambda t: pad(np.asarray(t), table.length(lanes), filled), tables)
         return self._scene, np.int32(lanes), *padded
 
     def _program(self, kernel: Kernel, arguments: tuple) -> jax.stages.Compiled:
-        key = kernel, len(jax.tree.leaves(arguments)[-1])  # of the tables: some kernels have a short one, too
+        key = kernel, len(jax.tree.leaves(arguments)[-1])  # of the tables, as some kernels have a short one, too
         if key not in self._own:
             self._own[key] = self._programs.get(kernel, self._settings, self.device, arguments, self._waiting)
         return self._own[key]

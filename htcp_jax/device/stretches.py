@@ -1,10 +1,10 @@
-"""Joint paths that are proven in stretches side by side, for machines that compute many lanes in the time of one.
+"""Proofs of joint paths in chunks computed side by side, for devices that compute many lanes in the time of one.
 
-Most proofs take a look or two, a few take thousands, and all would wait for those. So each slot looks at a stretch of a
-path. One that is through lets in the next path; when none is left it takes over the far end of another one's stretch,
-the longest interval that bisection has yet to come to there. What bisection finds of an interval does not depend on
-those before it: put together again, all is as if each path had been looked at from its one end to the other. What lies
-behind a place where a path is refuted is forgotten.
+Most proofs need one or two clearance queries, a few need thousands, and all would wait for those. So each slot proves
+one chunk of a path. When it is done it takes the next path; when no path is left it takes over the far end of another
+slot's chunk, the longest interval that bisection has not reached there. Bisection's result on an interval does not
+depend on those before it, so the combined result is the same as if each path had been searched from its start to its
+end. Results beyond the point where a path is refuted are dropped.
 """
 
 from collections.abc import Callable
@@ -19,22 +19,22 @@ from htcp_jax.types import Bool, Int
 
 
 class Slots(NamedTuple):
-    """Stretches side by side, each in a slot, and how far their proofs have come; in a free one nothing has begun."""
+    """Chunks computed side by side, one per slot, and the state of their proofs; in a free slot nothing has begun."""
 
-    row: Int[jax.Array, "width"]  # of the path in the tables; their length where the slot is free
+    row: Int[jax.Array, "width"]  # the path's row in the tables; their length if the slot is free
     far: Bisection
 
 
 class Known(NamedTuple):
-    """Of every path, put together from its stretches."""
+    """Result for every path, combined from its chunks."""
 
-    ends: Int[jax.Array, "capacity"]  # where the first interval begins that is refuted or open, of WHOLE
+    ends: Int[jax.Array, "capacity"]  # start of the first interval that is refuted or undecided, in units of 1 / WHOLE
     proof: Proof
 
 
 def by_stretches(function: Callable, width: int) -> Callable:
-    """`batching.refilled` for a function whose loop is a bisection: its state is a `Bisection` that has begun nowhere
-    yet, every step a look, and its result `of_proven`."""
+    """Return `batching.refilled` for a function whose loop is a bisection: its state is a `Bisection` that has not
+    begun, every step one clearance query, and its result `of_proven`."""
 
     def run(scene, lanes, *tables) -> Proof:
         capacity = jax.tree.leaves(tables)[0].shape[0]
@@ -65,9 +65,9 @@ def by_stretches(function: Callable, width: int) -> Callable:
 
 
 def _shared_out(slots: Slots, capacity: int) -> Slots:
-    """Free slots take over the far ends of others' stretches, one of each."""
+    """Return the slots after free ones took over the far ends of others' chunks, one from each."""
     row, far = slots
-    rest = far.end - far.place - (1 << (WHOLE_DEPTH - far.depth))  # behind the interval that is next
+    rest = far.end - far.place - (1 << (WHOLE_DEPTH - far.depth))  # beyond the next interval
     free, gives = row == capacity, (row < capacity) & (rest > 0)
     nth_free, nth_giver = (jnp.cumsum(which, dtype=jnp.int32) - 1 for which in (free, gives))
     gives &= nth_giver < jnp.sum(free, dtype=jnp.int32)
@@ -83,12 +83,12 @@ def _shared_out(slots: Slots, capacity: int) -> Slots:
 
 
 def _put_together(slots: Slots, looked: Bisection, known: Known, capacity: int) -> tuple[Slots, Known]:
-    """What is known after a look, and the slots that go on."""
-    row, here = slots.row, slots.far.place  # where the interval that was looked at begins
+    """Return the results after a clearance query, and the slots that continue."""
+    row, here = slots.row, slots.far.place  # start of the interval that was examined
     whole, found = known.proof, looked.proof
 
     def rows(which: Bool[jax.Array, "width"]) -> jax.Array:
-        return jnp.where(which, row, capacity)  # what is written there is dropped
+        return jnp.where(which, row, capacity)  # writes to that row are dropped
 
     fails = (row < capacity) & (found.verdict != Verdict.PROVEN)
     ends = known.ends.at[rows(fails)].min(here, mode="drop")
@@ -107,5 +107,5 @@ def _put_together(slots: Slots, looked: Bisection, known: Known, capacity: int) 
 
 
 def _table(one: Any, length: int) -> Any:
-    """Of as many rows, all the same."""
+    """Table of so many rows, all equal to `one`."""
     return jax.tree.map(lambda value: jnp.full(length, value), one)

@@ -1,4 +1,4 @@
-"""Tables with a row a lane, in any tree of numpy arrays."""
+"""Tables with one lane per row, in any tree of numpy arrays."""
 
 from collections.abc import Iterator, Sequence
 from typing import TypeVar
@@ -12,7 +12,7 @@ PORTION = 16384  # rows, as many as the largest table of a kernel has
 
 
 def gather(tables: Tables, rows) -> Tables:
-    """Some of the rows: the tables themselves where a mask leaves none out."""
+    """Return some of the rows: the tables themselves if a mask selects all."""
     if not isinstance(rows, np.ndarray):
         return jax.tree.map(lambda table: table[rows], tables)
     if rows.dtype == bool:
@@ -23,19 +23,19 @@ def gather(tables: Tables, rows) -> Tables:
 
 
 def portions(tables: Tables) -> Iterator[Tables]:
-    """All rows, so many at a time that what is made of them stays small."""
+    """Yield all rows in chunks, which bounds the memory of what is computed from them."""
     for first in range(0, len(jax.tree.leaves(tables)[0]), PORTION):
         yield gather(tables, slice(first, first + PORTION))
 
 
 def concatenate(parts: Sequence[Tables]) -> Tables:
-    """The rows of all parts, one or more."""
+    """Return the rows of all parts, one or more."""
     return parts[0] if len(parts) == 1 else jax.tree.map(lambda *tables: np.concatenate(tables), *parts)
 
 
 def gather_from(places: Sequence[tuple[Tables, np.ndarray]]) -> Tables:
-    """The rows of many places, one or more, in their order: of which tables, and which of its rows. Each of the tables
-    is looked up once, however many places are in it."""
+    """Return the rows at one or more places, in their order; a place is a table and some of its rows. Each table is
+    indexed once, however many places are in it."""
     found: dict[int, tuple[Tables, list[int]]] = {}
     for place, (tables, _) in enumerate(places):
         found.setdefault(id(tables), (tables, []))[1].append(place)
@@ -47,7 +47,7 @@ def gather_from(places: Sequence[tuple[Tables, np.ndarray]]) -> Tables:
 
 
 def scatter(tables: Tables, rows, new: Tables) -> Tables:
-    """Copies of the tables with new rows in place of some."""
+    """Return copies of the tables with some rows replaced."""
 
     def replaced(table, part):
         table = table.copy()
@@ -58,8 +58,8 @@ def scatter(tables: Tables, rows, new: Tables) -> Tables:
 
 
 def pad(table: np.ndarray, capacity: int, filled: int) -> np.ndarray:
-    """Return the table with `capacity` rows: its first row repeated up to `filled`, real numbers, so that padding never
-    goes astray; the rows beyond are not set and must not be read."""
+    """Return the table with `capacity` rows: its first row repeated up to `filled`, so that padding holds valid
+    numbers; the rows beyond are not set and must not be read."""
     lanes = len(table)
     if lanes == capacity:
         return table

@@ -1,8 +1,8 @@
-"""Capsules that hold a mesh: the smallest one about its points, or several about the pieces that planes cut it into.
+"""Capsules that enclose a mesh: the smallest one about its points, or several about the pieces after cuts by planes.
 
-A capsule is convex: it holds a triangle when it holds the corners. A plane cuts every triangle that it meets in two, so
-that each piece lies on one side, whole in the capsule of that side; none is left out, however many cuts there are. What
-a closed mesh encloses is held too: its part on one side of a plane lies in the convex hull of the triangles there.
+A capsule is convex: it encloses a triangle if it encloses its corners. A plane clips the triangles that it meets, so
+that each part lies completely on one side and in the capsule of that side, however many cuts there are. The interior of
+a closed mesh is enclosed, too: its part on one side of a plane lies in the convex hull of the triangles there.
 """
 
 from collections.abc import Iterator
@@ -15,19 +15,19 @@ from scipy.optimize import minimize
 from scipy.spatial import ConvexHull, QhullError
 
 GRID_M = 1e-5  # ends and radius are multiples of it, the radius rounded up
-THINNEST_M = 3e-3  # radius: a thinner body asks for denser points of the workpiece than any task is worth
+THINNEST_M = 3e-3  # radius: a thinner body would need impractically dense points on the workpiece
 CUTS = 0.2, 0.35, 0.5, 0.65, 0.8  # shares of a piece's extent at which it is cut on trial
 WORTH = 0.15  # a cut must save this share of the volume
-SNUG = 1.5  # a capsule with no more than so many times the hull's volume is not cut
-MOST = 3  # capsules a body
-MORE = 20  # points that join the working set in each round
-FINE = 28  # points a side of the grid that volumes are compared on
-TINY = 1e-9  # of a mesh's size: less is nothing
-LOOKS = np.stack(np.meshgrid(*3 * [[-1.0, 0, 1]]), axis=-1).reshape(-1, 3)  # where first points of a working set lie
+SNUG = 1.5  # a capsule of at most this many times the hull's volume is not split
+MOST = 3  # capsules per body
+MORE = 20  # points added to the working set in each round
+FINE = 28  # points per side of the grid on which volumes are compared
+TINY = 1e-9  # of a mesh's size: smaller lengths count as 0
+LOOKS = np.stack(np.meshgrid(*3 * [[-1.0, 0, 1]]), axis=-1).reshape(-1, 3)  # directions of the first points
 
 
 class Effort(NamedTuple):
-    """How long the smallest capsule is looked for."""
+    """Effort of the search for the smallest capsule."""
 
     starts: int  # of the principal axes, the best first
     rounds: int  # of the working set
@@ -51,11 +51,11 @@ class Capsule(NamedTuple):
 
     @property
     def volume(self) -> float:
-        """[m3]"""
+        """Volume [m3]."""
         return _volume(float(np.linalg.norm(self.q - self.p)), self.radius)
 
     def depth(self, points: Points) -> Float[np.ndarray, "P"]:
-        """How deep inside the capsule points lie [m]; negative outside."""
+        """Return the depth of points inside the capsule [m]; negative outside."""
         return self.radius - _from_segment(points, self.p, self.q)[0]
 
 
@@ -67,7 +67,7 @@ class Cut(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """Part of a mesh, the capsule about it, and the cuts that leave it of the mesh, in their order."""
+    """A part of a mesh, the capsule about it, and the cuts that produced it, in order."""
 
     triangles: Triangles
     capsule: Capsule
@@ -75,11 +75,11 @@ class Piece(NamedTuple):
 
 
 def fit_capsule(points: Points, effort: Effort = THOROUGH) -> Capsule:
-    """A capsule about all points [m], the smallest by volume or nearly so: least volume over both ends and the radius
-    by SLSQP, along the points' principal axes first.
+    """Return a capsule of nearly minimum volume about all points [m]: SLSQP over both ends and the radius, started
+    along the points' principal axes.
 
-    Few points touch the capsule, so only a working set of them are constraints; others join it where they stick out.
-    The radius is measured at last, over all points, and rounded up: it holds them whatever the search did.
+    Few points touch the capsule, so only a working set of them are constraints; points outside are added to it. The
+    final radius is measured over all points and rounded up, so the capsule encloses them whatever the search returned.
     """
     x = _corners(points)
     middle, size = (x.max(axis=0) + x.min(axis=0)) / 2, max(float(np.ptp(x, axis=0).max()), TINY)
@@ -90,8 +90,8 @@ def fit_capsule(points: Points, effort: Effort = THOROUGH) -> Capsule:
 
 
 def cover(triangles: Triangles, most: int = MOST) -> list[Piece]:
-    """At most `most` pieces whose capsules hold every triangle [m]: one, and another as long as the best cut by a plane
-    saves WORTH of the volume that the capsules fill together."""
+    """Split a mesh into at most `most` pieces whose capsules enclose every triangle [m]. A piece is added as long as
+    the best cut by a plane saves WORTH of the volume of the capsules' union."""
     whole = fit_capsule(triangles.reshape(-1, 3))
     pieces, filled = [Piece(triangles, whole)], partial(_filled, _grid(whole))
     while len(pieces) < most and whole.volume > SNUG * hull_volume(triangles.reshape(-1, 3)):
@@ -104,7 +104,7 @@ def cover(triangles: Triangles, most: int = MOST) -> list[Piece]:
 
 
 def hull_volume(points: Points) -> float:
-    """Volume of the convex hull of points [m3]; 0 where they are flat."""
+    """Return the volume of the convex hull of points [m3]; 0 if they are coplanar."""
     try:
         return float(ConvexHull(points).volume)
     except (QhullError, ValueError):
@@ -112,7 +112,7 @@ def hull_volume(points: Points) -> float:
 
 
 def clip(triangles: Triangles, cut: Cut) -> Float[np.ndarray, "G 3 3"]:
-    """The triangles' part in the half-space, as triangles."""
+    """Clip triangles to the half-space; return triangles."""
     normal, offset = np.array(cut.normal), cut.offset
     height = triangles @ normal - offset
     inside = height <= 0
@@ -125,7 +125,8 @@ def clip(triangles: Triangles, cut: Cut) -> Float[np.ndarray, "G 3 3"]:
 
 
 def _crossings(triangles: Triangles, height: Float[np.ndarray, "F 3"], inside: Bool[np.ndarray, "F 3"], alone: bool):
-    """Corners from the one that is alone on its side, and where the two edges from there cross the plane."""
+    """Return the corners, beginning with the one that is alone on its side, and the intersections of its two edges with
+    the plane."""
     rows, first = np.arange(len(triangles))[:, None], np.argmax(inside == alone, axis=1)
     turned = (first[:, None] + [0, 1, 2]) % 3
     (a, b, c), (u, v, w) = triangles[rows, turned].swapaxes(0, 1), height[rows, turned].T
@@ -133,7 +134,8 @@ def _crossings(triangles: Triangles, height: Float[np.ndarray, "F 3"], inside: B
 
 
 def _halves(piece: Piece) -> Iterator[list[Piece]]:
-    """A piece in two, cut across the frame's and its principal axes; each half with a rough fit."""
+    """Yield splits of a piece in two, normal to the axes of the frame and its principal axes; each half with a rough
+    fit."""
     corners = _corners(piece.triangles.reshape(-1, 3))
     for axis in (*np.eye(3), *_principal(corners)):
         along = corners @ axis
@@ -153,12 +155,12 @@ def _grid(capsule: Capsule) -> Points:
 
 
 def _filled(grid: Points, pieces: list[Piece]) -> int:
-    """How many points of a grid lie in any of the capsules."""
+    """Return the number of grid points in the union of the capsules."""
     return int(np.any([piece.capsule.depth(grid) >= 0 for piece in pieces], axis=0).sum())
 
 
 def _corners(points: Points) -> Float[np.ndarray, "V 3"]:
-    """The corners of the convex hull; of flat points all of them."""
+    """Vertices of the convex hull; all points if they are coplanar."""
     try:
         return points[ConvexHull(points).vertices]
     except (QhullError, ValueError):
@@ -166,7 +168,7 @@ def _corners(points: Points) -> Float[np.ndarray, "V 3"]:
 
 
 def _principal(points: Points) -> Float[np.ndarray, "3 3"]:
-    """Directions of least to greatest spread, in rows."""
+    """Principal directions in rows, by increasing variance."""
     apart = points - points.mean(axis=0)
     return np.linalg.eigh(apart.T @ apart)[1].T
 
@@ -176,7 +178,8 @@ def _volume(length: float, radius: float) -> float:
 
 
 def _from_segment(x: Points, p: Vector, q: Vector) -> tuple[Float[np.ndarray, "P"], Points, Float[np.ndarray, "P"]]:
-    """Distances of points from a segment, directions away from it, and shares of it where they are nearest."""
+    """Return the distances of points from a segment, the directions away from it, and the closest points as shares of
+    its length."""
     ahead = q - p
     length2 = float(ahead @ ahead)
     share = np.clip((x - p) @ ahead / length2, 0, 1) if length2 > 0 else np.zeros(len(x))
@@ -186,17 +189,17 @@ def _from_segment(x: Points, p: Vector, q: Vector) -> tuple[Float[np.ndarray, "P
 
 
 def _around(points: Points, p: Vector, q: Vector) -> Capsule:
-    """The thinnest capsule on the grid of GRID_M that holds all points, its ends the nearest there to p and q."""
+    """Return the thinnest capsule about all points whose ends are p and q, rounded to GRID_M."""
     p, q = (np.round(end / GRID_M) * GRID_M for end in (p, q))
     widest = max(float(_from_segment(points, p, q)[0].max()), THINNEST_M)
     return Capsule(p, q, float(np.ceil(widest / GRID_M + 1e-3) * GRID_M))
 
 
-# The search; z is both ends of the axis and the radius.
+# The search; z holds both ends of the axis and the radius.
 
 
 def _along(x: Points, axis: Vector) -> Float[np.ndarray, "7"]:
-    """A segment along an axis through the middle, about as long as a capsule about points of size 1 needs."""
+    """Return an initial z: a segment along an axis, centred in points of size 1, and a radius."""
     along = x @ axis
     wide = float(np.linalg.norm(x - np.outer(along, axis), axis=1).max())
     reach = max(float(np.ptp(along)) / 2 - wide, 0.0)
@@ -204,7 +207,7 @@ def _along(x: Points, axis: Vector) -> Float[np.ndarray, "7"]:
 
 
 def _least(x: Points, z: Float[np.ndarray, "7"], effort: Effort) -> Float[np.ndarray, "7"]:
-    """A small capsule about points of size 1, sought from z."""
+    """Minimise the capsule about points of size 1, starting from z."""
     work = np.unique(np.argmax(x @ LOOKS.T, axis=0))
     for _ in range(effort.rounds):
         z = _solve(x[work], z, effort)
@@ -217,13 +220,13 @@ def _least(x: Points, z: Float[np.ndarray, "7"], effort: Effort) -> Float[np.nda
 
 
 def _half(z: Float[np.ndarray, "7"]) -> float:
-    """Half the length of the axis, with so little added that it has a slope at 0."""
+    """Return half the length of the axis, regularised to be differentiable at 0."""
     ahead = z[3:6] - z[:3]
     return float(np.sqrt(ahead @ ahead + 1e-12)) / 2
 
 
 def _solve(x: Points, z: Float[np.ndarray, "7"], effort: Effort) -> Float[np.ndarray, "7"]:
-    """The least volume that holds x, from z; z itself where the search fails."""
+    """Minimise the volume of the capsule about x, starting from z; return z if the search fails."""
 
     def slope(z):
         pull = np.pi * z[6] ** 2 * (z[3:6] - z[:3]) / (2 * _half(z))

@@ -1,7 +1,7 @@
-"""What stands beside the arm and its workpiece: the shapes of a cell's MJCF file, where they stand in the world.
+"""Shapes of a work cell, read from an MJCF file, at their poses in the world.
 
-Planes, boxes, spheres, capsules and cylinders are what they are; a mesh is its triangles. Joints of the file stay as it
-is drawn. Where a file has geoms for contact and others for the eye, the first count.
+Planes, boxes, spheres, capsules and cylinders are kept as primitives; a mesh is read as triangles. Joints stay at the
+model's initial configuration. Visual geoms are ignored.
 """
 
 from pathlib import Path
@@ -22,12 +22,12 @@ from htcp_jax.types import Triple
 def load_cell(
     path: str | Path, *, moved: str | None = None, shift_m: Triple = ZERO, rpy_rad: Triple = ZERO
 ) -> tuple[Fixture, ...]:
-    """The shapes of an MJCF file.
+    """Read the shapes in an MJCF file.
 
-    moved: a body of it, with all that it carries, that is turned about its origin by `rpy_rad` (about world x, then y,
-    then z) and then shifted by `shift_m`; None: all of it, about the world's origin.
-    Raises InputError for a file or a mesh that cannot be read, for a body that is not there, and for a shape of another
-    kind, naming it.
+    moved: the body that is rotated with its descendants about its origin by `rpy_rad` (about world x, then y, then z)
+    and then translated by `shift_m`; None: the complete cell, about the world's origin.
+    Raises InputError for a file or a mesh that cannot be read, for an unknown body, and for a shape of another kind,
+    naming it.
     """
     path = Path(path)
     with no_log():
@@ -49,7 +49,8 @@ def load_cell(
 
 
 def files_of_cell(path: str | Path) -> set[Path]:
-    """An MJCF file, those that it includes and its meshes for contact, absolute. Raises InputError as `load_cell`."""
+    """Return the absolute paths of an MJCF file, its included files and its collision meshes. Raises InputError as
+    `load_cell`."""
     path = Path(path)
     with no_log():
         shapes = Shapes(read_spec(path, meshes=True), path)
@@ -58,7 +59,7 @@ def files_of_cell(path: str | Path) -> set[Path]:
 
 
 def _moving(model: mujoco.MjModel, path: Path, moved: str | None) -> Bool[np.ndarray, "B"]:
-    """Which bodies are moved."""
+    """Return a mask of the bodies that are moved."""
     if moved is None:
         return np.ones(model.nbody, bool)
     names = [model.body(b).name for b in range(1, model.nbody)]

@@ -1,4 +1,4 @@
-"""Which columns of a table are the coordinates of a point, and which its normal."""
+"""Columns of a table that hold the coordinates of points, and their normals."""
 
 import re
 import warnings
@@ -17,14 +17,14 @@ NEARLY_UNIT = 0.01
 
 
 class Points(NamedTuple):
-    """P points of a file."""
+    """P points, with normals if known."""
 
     xyz: Float[np.ndarray, "P 3"]  # [m]
     normals: Float[np.ndarray, "P 3"] | None = None  # unit, or 0 where a point has none; None without such columns
 
 
 class Columns(NamedTuple):
-    """Where, from 0, a table of `width` columns holds what."""
+    """Indices, from 0, of the coordinates and normals in a table of `width` columns."""
 
     width: int
     xyz: tuple[int, ...]
@@ -32,7 +32,7 @@ class Columns(NamedTuple):
     named: bool  # by a header; otherwise the normals are a guess that `points` checks
 
     def points(self, xyz: np.ndarray, normals: np.ndarray | None, source: str) -> Points:
-        """Points of these columns' numbers, (P, 3) each. A Note tells what was guessed."""
+        """Return the points from these columns' numbers, (P, 3) each. A Note reports a guess."""
         normals = None if normals is None else _unit(normals, certain=self.named)
         if not self.named and self.width > 3:
             rest = "and the others left out" if normals is None else "the others as normals"
@@ -42,18 +42,18 @@ class Columns(NamedTuple):
 
 
 def header_names(cells: Sequence[str]) -> list[str]:
-    """A header's cells as plain names."""
+    """Return a header's cells as plain names."""
     return [cell.strip().strip("\"'").strip().lower() for cell in cells]
 
 
 def without_units(header: str) -> str:
-    """A header's line without units in brackets."""
+    """Return a header line without units in brackets."""
     return UNIT.sub("", header)
 
 
 def columns_of(names: Sequence[str] | None, width: int, source: str) -> Columns:
-    """The columns of a table: by its header's names where x, y and z are among them, else the first three, and
-    of six the last three for normals. Raises InputError where the names speak against that."""
+    """Find the columns of a table: by its header's names if x, y and z are among them, else the first three, and in a
+    table of six columns the last three for normals. Raises InputError if the names contradict that."""
     names = [] if names is None else list(names)
     at = {axis: [k for k, name in enumerate(names) if name == axis] for axis in "xyz"}
     if twice := [axis for axis, places in at.items() if len(places) > 1]:
@@ -69,7 +69,7 @@ def columns_of(names: Sequence[str] | None, width: int, source: str) -> Columns:
 
 
 def _unit(vectors: np.ndarray, certain: bool) -> Float[np.ndarray, "P 3"] | None:
-    """Vectors of length 1, or 0 where there is none; None for a guess that nearly no length 1 supports."""
+    """Normalise vectors, 0 for those without a direction; None for a guess unless NEARLY_ALL are unit vectors."""
     with np.errstate(over="ignore", invalid="ignore"):
         length = np.linalg.norm(vectors, axis=1, keepdims=True)
     if not certain and not np.mean(np.abs(length - 1.0) < NEARLY_UNIT) >= NEARLY_ALL:

@@ -1,9 +1,9 @@
-"""The seams of the generated duct that a job may name: its weld, and the beads of the table below.
+"""Seams of the generated duct that a job may name: its weld, and the beads in the table below.
 
-A bead lies on the wall, on a straight line in the coordinates of `duct.surface`: along one side the angle stays, around
-the duct the depth does, and down a helix both move evenly. Its points are equally spaced by arc length, from the inlet
-inwards or, around, clockwise as seen from the inlet. Depths and angles are round figures; the deep girth begins where
-it is hardest to follow.
+A bead lies on the wall, on a straight line in the coordinates of `duct.surface`: a side seam has a constant angle, a
+girth a constant depth, and on a helix both change linearly. Its points are equally spaced by arc length, from the inlet
+inwards or, on a girth, clockwise as seen from the inlet. Depths and angles are round numbers; the deep girth begins
+where it is hardest to follow.
 """
 
 from typing import NamedTuple
@@ -15,8 +15,8 @@ from htcp_jax.model.duct import equal_steps, surface, weld
 
 
 class Bead(NamedTuple):
-    """Where a bead begins and ends. Seen from the inlet, z up, angles run clockwise from the left side: 90 degrees is
-    the crown, the line along the top, 180 the right side, 270 the invert, the line along the bottom."""
+    """Begin and end of a bead. Seen from the inlet, z up, angles run clockwise from the left side: 90 degrees is the
+    crown, the line along the top, 180 the right side, 270 the invert, the line along the bottom."""
 
     x_m: tuple[float, float]
     angle_deg: tuple[float, float]
@@ -24,7 +24,7 @@ class Bead(NamedTuple):
 
     @property
     def closed(self) -> bool:
-        """Whether it ends where it begins; its last point is then one step short of its first."""
+        """True if the bead is a closed loop; its last point is then one step before its first."""
         return self.x_m[0] == self.x_m[1] and abs(self.angle_deg[1] - self.angle_deg[0]) == 360.0
 
 
@@ -41,7 +41,7 @@ SEAMS = ("weld", *BEADS)
 
 
 def seam(name: str) -> Float[np.ndarray, "P 3"]:
-    """The P points [m] of one of SEAMS, in the duct's frame."""
+    """Return the P points [m] of a seam in SEAMS, in the duct's frame."""
     return weld() if name == "weld" else _points(BEADS[name])
 
 

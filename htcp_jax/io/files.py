@@ -1,10 +1,10 @@
-"""Files: what jobs name, and what lies in the folders of runs and plans, which may be a stranger's.
+"""Reading and writing of files: those that jobs name, and those in folders of runs and plans, which may be untrusted.
 
-Readers take regular files alone, never a pipe or a device, and only so many bytes. Inside a run's or a plan's folder
-they follow no link that leads out of it, and read LARGEST bytes at most, GROWTH times the file's size or LARGEST after
-decompression, and JSON that is neither deep nor holds numbers beyond 64 bits.
+Readers accept only regular files, no pipes or devices, of limited size. In a run's or a plan's folder they follow no
+link that leads out of it, and read at most LARGEST bytes, at most GROWTH times the file's size or LARGEST after
+decompression, and JSON of limited depth without numbers beyond 64 bits.
 
-The writer makes a new file of a random name in the same folder, follows no link, and renames the file into place. While
+The writer creates a file with a random name in the same folder, follows no link, and renames the file into place. While
 it writes it holds a lock on it, see unfinished.py.
 """
 
@@ -32,7 +32,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.unfinished import NO_LINK, PART, READ, hold
 
 LARGEST_NAMED = 2 * 2**30  # of a file that a job names, and of a Parquet file [bytes]
-LARGEST = 64 * 2**20  # of any other file in a folder, and of what any may be decompressed to [bytes]
+LARGEST = 64 * 2**20  # of any other file in a folder, and of any decompressed file [bytes]
 GROWTH = 50  # times its size, if that is more
 MOST_VALUES, DEEPEST = 5_000_000, 100  # of JSON
 MOST_ARRAYS = 100  # of an archive
@@ -41,7 +41,7 @@ NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_LINK | getattr(os, "O_BINARY", 0
 
 
 def known_ending(path: Path, endings: tuple[str, ...]) -> str:
-    """The file's ending in lower case; InputError when it is not among `endings`."""
+    """Return the file's ending in lower case. Raises InputError if it is not among `endings`."""
     ending = path.suffix.lower()
     if ending not in endings:
         raise InputError(f"{path}: unknown ending {ending!r}; valid are {' '.join(endings)}")
@@ -50,8 +50,8 @@ def known_ending(path: Path, endings: tuple[str, ...]) -> str:
 
 @contextlib.contextmanager
 def opened(path: Path, folder: Path | None = None, largest: int = LARGEST_NAMED) -> Iterator[BinaryIO]:
-    """A regular file of at most `largest` bytes, open to be read. Raises InputError for anything else, for a link that
-    leads out of `folder`, if one is given; OSError for a file that is not there or cannot be read."""
+    """Open a regular file of at most `largest` bytes for reading. Raises InputError for anything else, and for a link
+    that leads out of `folder`, if one is given; OSError for a file that is missing or cannot be read."""
     if "\0" in str(path):
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
     real = os.path.realpath(path) if folder is None else inside(path, folder)
@@ -70,7 +70,7 @@ def _check(found: os.stat_result, path: Path, largest: int) -> None:
 
 @contextlib.contextmanager
 def named(path: Path) -> Iterator[BinaryIO]:
-    """A file that a person names, open to be read. Raises InputError as `opened` does, and for what cannot be read."""
+    """Open a file named by the user for reading. Raises InputError as `opened` does, and if it cannot be read."""
     try:
         with opened(path) as stream:
             yield stream
@@ -81,20 +81,20 @@ def named(path: Path) -> Iterator[BinaryIO]:
 
 
 def read_bytes(path: Path) -> bytes:
-    """The bytes of a file that a person names. Raises InputError as `named` does."""
+    """Return the bytes of a file named by the user. Raises InputError as `named` does."""
     with named(path) as stream:
         return stream.read()
 
 
 def read_inside(file: Path, folder: Path) -> bytes:
-    """The bytes of a file in a folder, LARGEST at most. Raises InputError and OSError as `opened` does."""
+    """Return the bytes of a file in a folder, at most LARGEST. Raises InputError and OSError as `opened` does."""
     with opened(file, folder, LARGEST) as stream:
         return stream.read()
 
 
 def read_json(file: Path, folder: Path) -> Any:
-    """The value in a JSON file of a folder; its numbers are finite, and whole ones have 64 bits. Raises as `opened`,
-    and InputError for what is no JSON, deeper than DEEPEST, or of more than MOST_VALUES values."""
+    """Return the value in a JSON file of a folder; its numbers are finite, and integers have 64 bits. Raises as
+    `opened`, and InputError for invalid JSON, nesting deeper than DEEPEST, and more than MOST_VALUES values."""
     data = read_inside(file, folder)
     if sum(map(data.count, (b",", b"[", b"{"))) > MOST_VALUES:
         raise InputError(f"{file}: more than {MOST_VALUES:,} values")
@@ -131,8 +131,8 @@ def _check_depth(value: Any) -> None:
 
 
 def read_arrays(file: Path, folder: Path, leave: Collection[str] = ()) -> dict[str, np.ndarray]:
-    """The arrays of an .npz file of a folder by name, but for those to `leave`; no pickles. Raises as `opened` does,
-    and InputError for a damaged file, one that decompresses to too much, and anything but numbers."""
+    """Return the arrays in an .npz file of a folder by name, except those in `leave`; no pickles. Raises as `opened`
+    does, and InputError for a damaged file, one that decompresses to too much, and anything but numbers."""
     data, found = read_inside(file, folder), {}
     if data.count(b"PK\x01\x02") > MOST_ARRAYS:
         raise InputError(f"{file}: more than {MOST_ARRAYS} arrays")
@@ -149,15 +149,15 @@ def read_arrays(file: Path, folder: Path, leave: Collection[str] = ()) -> dict[s
                     found[name] = read_array(stream.read(entry.file_size), f"{file}: {name}")
     except InputError:
         raise
-    except Exception as error:  # a foreign parser on foreign bytes: whatever it raises, the file is bad
+    except Exception as error:  # a third-party parser on untrusted bytes: whatever it raises, the file is bad
         raise InputError(f"{file} is damaged ({one_line(error)})") from None
     return found
 
 
 def read_array(data: bytes, source: str) -> np.ndarray:
-    """The array in an .npy file's bytes. Raises InputError for damaged bytes and for anything but numbers."""
-    # numpy's reader believes the shape in the header and asks for that much memory before it looks at the
-    # data. Read the header alone, then take the bytes that are there. Object arrays (pickles) are refused.
+    """Return the array in an .npy file's bytes. Raises InputError for damaged bytes and for anything but numbers."""
+    # numpy's reader allocates memory for the shape in the header before it reads the data. Read only the header,
+    # then use the bytes that exist. Object arrays (pickles) are refused.
     try:
         with quiet():
             stream = io.BytesIO(data)
@@ -172,14 +172,15 @@ def read_array(data: bytes, source: str) -> np.ndarray:
 
 
 def read_parquet(stream: BinaryIO, file: Path, most_rows: int | None = None, exact: bool = False) -> pa.Table:
-    """The table in an open Parquet file, which has `most_rows` rows at most or exactly; columns of numbers, words and
-    lists of numbers alone. Raises InputError for a damaged file and for one that decompresses to too much."""
+    """Return the table in an open Parquet file, which has at most (or exactly) `most_rows` rows and only columns of
+    numbers, strings and lists of numbers. Raises InputError for a damaged file and for one that decompresses to too
+    much."""
     try:
         size, schema = os.fstat(stream.fileno()).st_size, pq.read_schema(stream)
         if bad := [field.name for field in schema if not _is_plain(field.type)]:
             raise InputError(f"{file}: column {bad[0]!r} is neither of numbers nor of words")
         words = [field.name for field in schema if pa.types.is_string(field.type)]
-        # A word that repeats is stored once; it stays so until it is known how much the column comes to.
+        # A repeated string is stored once, and stays dictionary-encoded until the column's size is checked.
         found = pq.ParquetFile(stream, read_dictionary=words, page_checksum_verification=True)
         about = found.metadata
         if most_rows is not None and (about.num_rows > most_rows or (exact and about.num_rows != most_rows)):
@@ -207,7 +208,7 @@ def _is_plain(kind: pa.DataType) -> bool:
 
 
 def parquet_bytes(rows: pa.Table, **how: Any) -> bytes:
-    """A Parquet file of a table. how: as of `pyarrow.parquet.write_table`."""
+    """Return a table as the bytes of a Parquet file. how: keywords of `pyarrow.parquet.write_table`."""
     sink = pa.BufferOutputStream()
     pq.write_table(rows, sink, compression="zstd", **how)
     return sink.getvalue().to_pybytes()
@@ -219,8 +220,8 @@ def _check_growth(file: Path, decoded: int, size: int) -> None:
 
 
 def write(folder: Path, name: str, data: bytes) -> None:
-    """Write a file of a folder, all of it or nothing: under a random name in the same place, then renamed. Raises
-    InputError if that cannot be done, and for a name that leads out of the folder by a link."""
+    """Write a file in a folder atomically: under a random name in the same place, then renamed. Raises InputError if
+    that fails, and for a link that leads out of the folder."""
     file = folder / name
     try:
         place = inside(file.parent, folder)
@@ -242,8 +243,8 @@ def write(folder: Path, name: str, data: bytes) -> None:
 
 
 def make_folder(folder: Path, name: str) -> None:
-    """Make a folder inside a folder, if it is not there. Raises InputError if that cannot be done, and for a link that
-    leads out of the folder."""
+    """Create a folder inside a folder if it does not exist. Raises InputError if that fails, and for a link that leads
+    out of the folder."""
     try:
         inside(folder / name, folder).mkdir(exist_ok=True)
     except OSError as error:
@@ -251,7 +252,7 @@ def make_folder(folder: Path, name: str) -> None:
 
 
 def inside(path: Path, folder: Path) -> Path:
-    """A path in a folder, without links. Raises InputError for one that a link leads out of the folder."""
+    """Resolve the links in a path. Raises InputError if it leads out of the folder."""
     real = Path(os.path.realpath(path))
     if not real.is_relative_to(os.path.realpath(folder)):
         raise InputError(f"{path}: a link that leads out of {folder} is not followed")
@@ -259,17 +260,17 @@ def inside(path: Path, folder: Path) -> Path:
 
 
 def one_line(error: BaseException) -> str:
-    """An exception in one short line, without the control characters that a damaged file brings into it."""
+    """Format an exception as one short line, without control characters from a damaged file."""
     words = "".join(letter if letter.isprintable() else " " for letter in str(error)[:120]).split()
     return " ".join([f"{type(error).__name__}:", *words]) if words else type(error).__name__
 
 
 @contextlib.contextmanager
 def quiet():
-    """Silence a foreign parser: its warnings, and trimesh's logger, which prints whole tracebacks."""
+    """Silence a third-party parser: its warnings, and trimesh's logger, which prints complete tracebacks."""
     logger = logging.getLogger("trimesh")
     level = logger.level
-    logger.setLevel(logging.CRITICAL + 1)  # of the loggers below it too
+    logger.setLevel(logging.CRITICAL + 1)  # for its child loggers, too
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -1,4 +1,4 @@
-"""The makers' meshes in an imported arm, by the capsules that hold them; FCL tells whether they touch.
+"""Vendor meshes of an imported arm, by the capsules that enclose them, and their contacts and distances by FCL.
 
 J. Pan, S. Chitta, D. Manocha: FCL: A General Purpose Library for Collision and Proximity Queries. ICRA 2012.
 """
@@ -20,18 +20,18 @@ from htcp_jax.io.robot_model import compile_spec, link_frames, no_log
 from htcp_jax.io.safe_xml import read_spec
 from htcp_jax.model.robot import TOUCHING_M, Robot
 
-MADE_FROM, CUTS = "made from", "cuts of "  # names of an arm's <text>s: the makers' model; the cuts of a capsule
-VISUAL = " --visual"  # at the end of the first, if the capsules hold what is drawn
-PROBE_M = 1e-9  # radius of the sphere that stands for a point
-MOST_CONTACTS = 1000  # between two pieces; of these the deepest
-LOOKED_AT, NEAREST, STEPS = 200, 6, 60  # samples, of which so many begin a search of so many steps,
-FIRST_STEP, LESS = 0.05, 0.94  # the first so large, as a share of the range of a joint, and each by so much smaller
+MADE_FROM, CUTS = "made from", "cuts of "  # names of an arm's <text>s: the vendor's model; the cuts of a capsule
+VISUAL = " --visual"  # suffix of the first if the capsules enclose visual geometry
+PROBE_M = 1e-9  # radius of the sphere that represents a point
+MOST_CONTACTS = 1000  # between two pieces; the deepest is used
+LOOKED_AT, NEAREST, STEPS = 200, 6, 60  # samples; nearest samples that start a search; steps of a search
+FIRST_STEP, LESS = 0.05, 0.94  # first step, as a share of a joint's range; ratio of successive steps
 FIRST = np.array([0])
 _LIST = fcl.CollisionRequest(num_max_contacts=MOST_CONTACTS, enable_contact=True)
 
 
 class _Part(NamedTuple):
-    """What a capsule holds: a piece of a mesh, or nothing but itself."""
+    """Content of a capsule: a piece of a mesh, or the capsule itself."""
 
     body: int
     shape: fcl.CollisionGeometry
@@ -39,17 +39,17 @@ class _Part(NamedTuple):
 
 
 class Poses(NamedTuple):
-    """Where the B bodies of a model are at n configurations, in the frame of the model."""
+    """Poses of a model's B bodies at n configurations, in the frame of the model."""
 
     rotation: Float[np.ndarray, "n B 3 3"]
     position: Float[np.ndarray, "n B 3"]
 
 
 class LinkMeshes:
-    """The pieces of the makers' meshes, by the name of the capsule that holds them.
+    """Pieces of the vendor's meshes, by the name of the capsule that encloses them.
 
-    held: for every capsule its body's number in the model, and its piece or itself. addresses: of the arm's joints in
-    the model's configuration.
+    held: each capsule's body index in the model, and its piece or the capsule itself. addresses: indices of the arm's
+    joints in the model's configuration.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class LinkMeshes:
 
     @classmethod
     def of(cls, arm: ImportedArm) -> "LinkMeshes":
-        """Those of an arm that was imported just now."""
+        """Build the meshes of a newly imported arm."""
         held = {}
         for body, cover in arm.covers.items():
             held |= {name: (body, capsule) for name, capsule in cover.own.items()}
@@ -70,7 +70,8 @@ class LinkMeshes:
 
     @classmethod
     def read(cls, arm: Path) -> "LinkMeshes | None":
-        """Those that an arm's file refers to; None if it refers to none, or to a model that is not there any more."""
+        """Read the meshes to which an arm's file refers; None without such a reference, or if that model no longer
+        exists."""
         with no_log():
             spec = read_spec(arm, contacts=True)
         texts = {text.name: text.data for text in spec.texts}
@@ -94,7 +95,7 @@ class LinkMeshes:
         return cls(model, list(range(model.nq)), held)
 
     def poses(self, x: Float[np.ndarray, "n N"]) -> Poses:
-        """The bodies at configurations x [rad or m]."""
+        """Return the bodies' poses at configurations x [rad or m]."""
         model, data = self._model, mujoco.MjData(self._model)
         found = Poses(np.empty((len(x), model.nbody, 3, 3)), np.empty((len(x), model.nbody, 3)))
         for k, row in enumerate(x):
@@ -106,9 +107,8 @@ class LinkMeshes:
     def deepest_m(
         self, one: str, other: str, at: Poses, rows: Int[np.ndarray, "m"] = FIRST, enough_m: float = np.inf
     ) -> float:
-        """The depth of the deepest contact of two capsules' pieces at some configurations, by default the first [m]; 0
-        without contact. Once
-        one is deeper than `enough_m`, the rest are not tried."""
+        """Return the depth of the deepest contact between two capsules' pieces at some configurations, by default the
+        first [m]; 0 without contact. The search ends at a contact deeper than `enough_m`."""
         deepest = 0.0
         for k in rows:
             contacts = fcl.CollisionResult()
@@ -119,8 +119,8 @@ class LinkMeshes:
         return deepest
 
     def touch(self, one: str, other: str, x: Float[np.ndarray, "n N"], at: Poses, rows: Int[np.ndarray, "m"]) -> bool:
-        """True if two capsules' pieces touch by more than TOUCHING_M at some of the rows of x, or where a search
-        downhill in their distance leads from the NEAREST of these: contacts may be rarer than one in n."""
+        """Return True if two capsules' pieces overlap by more than TOUCHING_M at some of the rows of x, or after a
+        random local search that minimises their distance from the NEAREST rows: contacts may be rarer than one in n."""
         if self.deepest_m(one, other, at, rows, TOUCHING_M) > TOUCHING_M:
             return True
         some = rows[:: max(1, len(rows) // LOOKED_AT)]
@@ -139,12 +139,12 @@ class LinkMeshes:
         return False
 
     def _distance_m(self, one: str, other: str, at: Poses, k: int | np.integer) -> float:
-        """Between two pieces; below zero how deep they are in each other."""
+        """Return the distance between two pieces [m]; minus the penetration depth if they overlap."""
         apart = fcl.distance(self._placed(one, at, k), self._placed(other, at, k))
         return apart if apart > 0 else -self.deepest_m(one, other, at, np.array([k]))
 
     def outside_m(self, name: str, robot: Robot, x: Float[np.ndarray, "N"], point: Float[np.ndarray, "3"]) -> float:
-        """The distance of a point in the world from what a capsule of the robot holds, at configuration x [m]."""
+        """Return the distance of a point in the world from the content of a robot's capsule at configuration x [m]."""
         at = self.poses(x[None])
         T_model_joint = link_frames(self._model, np.eye(4))[0][0]
         seen = np.linalg.solve(np.asarray(robot.T_parent_joint[0]) @ np.linalg.inv(T_model_joint), [*point, 1.0])[:3]
@@ -158,7 +158,7 @@ class LinkMeshes:
 
 
 class MeshesInFile(NamedTuple):
-    """The `LinkMeshes` of an arm's file, read when they are first needed."""
+    """`LinkMeshes` of an arm's file, read on first use."""
 
     file: Path
 
@@ -183,7 +183,7 @@ def _read(file: Path) -> LinkMeshes | None:
 
 
 def cuts_text(cuts: Iterable[Cut]) -> str:
-    """Cuts as an arm's file has them."""
+    """Return cuts as text, in the format of an arm's file."""
     return "; ".join(" ".join(f"{number:.15g}" for number in (*cut.normal, cut.offset)) for cut in cuts)
 
 

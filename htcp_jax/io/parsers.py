@@ -1,9 +1,9 @@
 """A script: `python parsers.py KIND FILE FOLDER MEMORY` parses FILE and writes its arrays into FOLDER.
 
-A parser that is written in C++ may crash, hang, fill the memory or print when a file is damaged. In a process of
-its own it harms nobody; `scan.parsed` starts it, sets its limits and reads the answer: FOLDER/arrays.npz, or the
-exception in FOLDER/error.txt. Nothing of the package is imported, so it starts at once. It is no worker of a pool: the
-limit of memory is for one file, and a process cannot raise its own again.
+A parser that is written in C++ may crash, hang, fill the memory or print if a file is damaged, so it runs in a process
+of its own. `scan.parsed` starts the process, sets its limits and reads the result: FOLDER/arrays.npz, or the exception
+in FOLDER/error.txt. The package is not imported, so the start is fast. The process is no worker of a pool: the memory
+limit depends on the file, and a process cannot raise its own limit again.
 """
 
 import contextlib
@@ -14,18 +14,19 @@ from pathlib import Path
 
 import numpy as np
 
-SAG_MM = 0.05  # at most so far do the triangles of a curved STEP face leave it
+SAG_MM = 0.05  # largest distance of the triangles from a curved STEP face
 TURN_RAD = 0.2
 MOST_COLUMNS = 1000  # of a PCD cloud
-LEAST_ROOM, GROWTH = 2**26, 100  # that its points may take [bytes], and times the file's size; LZF reaches 88
+# Limit of the points' size: [bytes], and times the file's size; LZF reaches 88.
+LEAST_ROOM, GROWTH = 2**26, 100
 
 
 def pcd(file: Path) -> dict[str, np.ndarray]:
-    """Points of a PCD cloud, in the order and the frame of the file, and normals where it has them."""
+    """Read the points of a PCD cloud, in the order and the frame of the file, and its normals if it has any."""
     from pypcd4 import MetaData, PointCloud
 
     lines = []
-    with file.open("rb") as stream:  # the header, as pypcd4 takes it, which would lay out whatever is promised
+    with file.open("rb") as stream:  # the header, as pypcd4 reads it, which would allocate any promised size
         for line in stream:
             if (words := line.decode().strip()) and not words.startswith("#"):
                 lines.append(words)
@@ -47,7 +48,7 @@ def pcd(file: Path) -> dict[str, np.ndarray]:
 
 
 def las(file: Path) -> dict[str, np.ndarray]:
-    """Points of a LAS or LAZ cloud, scaled and offset as its header says."""
+    """Read the points of a LAS or LAZ cloud, with its header's scale and offset."""
     import laspy
 
     with file.open("rb") as stream:
@@ -61,7 +62,7 @@ def las(file: Path) -> dict[str, np.ndarray]:
 
 
 def e57(file: Path) -> dict[str, np.ndarray]:
-    """Valid points of all scans of an E57 file, each moved by its pose into the file's frame."""
+    """Read the valid points of all scans in an E57 file, each transformed by its pose into the file's frame."""
     import pye57
 
     axes = ("cartesianX", "cartesianY", "cartesianZ")
@@ -72,7 +73,7 @@ def e57(file: Path) -> dict[str, np.ndarray]:
 
 
 def step(file: Path) -> dict[str, np.ndarray]:
-    """Triangles [m] of all solids and faces of a STEP file; it states its unit itself."""
+    """Read the triangles [m] of all solids and faces in a STEP file, which states its unit."""
     import cascadio
     import trimesh
 
@@ -90,7 +91,7 @@ def step(file: Path) -> dict[str, np.ndarray]:
 
 def main(kind: str, file: str, folder: str, memory: str) -> None:
     """Parse `file` with at most `memory` bytes and write its arrays or its error into `folder`."""
-    with contextlib.suppress(ImportError, OSError, ValueError):  # Linux alone limits the memory of a process
+    with contextlib.suppress(ImportError, OSError, ValueError):  # only Linux limits the memory of a process
         import resource
 
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

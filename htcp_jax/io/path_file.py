@@ -1,4 +1,4 @@
-"""The directions that a path's file has beside its points."""
+"""Normals, tangents and orientations in a path's file."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ NEARLY_UNIT = 0.01
 
 
 def read_frames(path: Path) -> PathFrames:
-    """The columns nx,ny,nz, tx,ty,tz and qw,qx,qy,qz of a path's file, as far as its header names them.
+    """Read the columns nx,ny,nz, tx,ty,tz and qw,qx,qy,qz of a path's file, as far as its header names them.
 
     Raises InputError for a normal or tangent that is not of length 1, and for a quaternion of length 0.
     """

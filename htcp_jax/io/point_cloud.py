@@ -1,8 +1,8 @@
 """Point clouds and tables of points from files.
 
-A reader returns points or raises InputError with one line. It takes regular files of at most 2 GB, runs no
-code from a file (no pickles), and follows no reference from one file to another (textures, materials). Parsers
-that are not written in Python run in a process of their own, see `scan`.
+A reader returns points or raises InputError with one line. It accepts regular files of at most 2 GB, runs no code from
+a file (no pickles), and follows no reference from one file to another (textures, materials). Parsers that are not
+written in Python run in a process of their own, see `scan`.
 """
 
 import io
@@ -26,21 +26,21 @@ TABLES = (*TEXT, ".npy")
 MESHES = (".ply", ".stl", ".obj", *PARTS)
 CLOUDS = (*TABLES, *SCANS, *MESHES)
 
-# An OBJ face that counts its vertices back from its own line. trimesh takes other vertices and says nothing.
+# An OBJ face with relative vertex indices. trimesh uses other vertices without an error.
 RELATIVE_FACE = re.compile(rb"^f\b[^\n]*[ \t](?:-\d|0+(?:[/ \t\r]|$))", re.MULTILINE)
 PLY_LIST_FIRST = re.compile(rb"^element[ \t]+face[ \t]+\d+[ \t\r]*\n(comment[^\n]*\n)*property[ \t]+list", re.MULTILINE)
 PLY_ELEMENT = re.compile(rb"^element[ \t]+(vertex|face)[ \t]+(\d{1,12})[ \t\r]*$", re.MULTILINE)
 
 
 class Geometry(NamedTuple):
-    """What a file holds: P points and no triangles, or F triangles with their P corners [m]."""
+    """Content of a file: P points and no triangles, or F triangles with their P corners [m]."""
 
     points: Float[np.ndarray, "P 3"]
     triangles: Float[np.ndarray, "F 3 3"]
 
 
 def load_geometry(path: str | Path) -> Geometry:
-    """The points of a cloud file (.xyz .csv .txt .npy .pcd .e57 .las .laz, a .ply or .obj without faces), or the
+    """Read the points of a cloud file (.xyz .csv .txt .npy .pcd .e57 .las .laz, a .ply or .obj without faces), or the
     triangles of a mesh (.stl .obj .ply .step .stp) [m]. Raises InputError for a file that cannot be read, for NaN and
     infinite points, and for fewer than 4 points of a cloud."""
     path = Path(path)
@@ -56,15 +56,16 @@ def load_geometry(path: str | Path) -> Geometry:
 def load_cloud(
     path: str | Path, *, spacing: float | None = None, thinnest_m: float = np.inf
 ) -> Float[np.ndarray, "P 3"]:
-    """Points [m] of a cloud file, as they are, or points that cover a mesh, see `mesh_points.cover`. Raises InputError
-    as `load_geometry` does."""
+    """Read the points [m] of a cloud file, or return points that cover a mesh, see `mesh_points.cover`. Raises
+    InputError as `load_geometry` does."""
     found = load_geometry(path)
     return cover(found.triangles, str(path), spacing, thinnest_m).points if len(found.triangles) else found.points
 
 
 def read_points(path: str | Path) -> Points:
-    """Points [m] of a table or a scan (.xyz .csv .txt .npy .pcd .e57 .las .laz), a tool path among them, and their
-    normals where the file has them. Raises InputError for a file that cannot be read; `load_cloud` checks more."""
+    """Read the points [m] of a table (which may be a tool path) or a scan (.xyz .csv .txt .npy .pcd .e57 .las .laz),
+    and their normals if the file has any. Raises InputError for a file that cannot be read; `load_cloud` checks
+    more."""
     path = Path(path)
     ending = known_ending(path, (*TABLES, *SCANS))
     if ending in SCANS:
@@ -81,11 +82,11 @@ def _read_mesh(path: Path, ending: str) -> Geometry:
 
 
 def _geometry(path: Path, ending: str) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "F 3 3"]]:
-    """All vertices and all triangles of a mesh file, read from memory so that no other file is opened."""
+    """Read all vertices and triangles of a mesh file; the parser gets its bytes, so that it opens no other file."""
     if ending in PARTS:
         triangles = read_part(path, ending)
         return triangles.reshape(-1, 3), triangles
-    import trimesh  # here, because only meshes need it, and it takes a while to load
+    import trimesh  # a slow import that only meshes need
 
     data = read_bytes(path)
     binary_stl = ending == ".stl" and len(data) == 84 + 50 * int.from_bytes(data[80:84], "little")
@@ -103,7 +104,7 @@ def _geometry(path: Path, ending: str) -> tuple[Float[np.ndarray, "V 3"], Float[
                 raise IndexError("a face with a negative vertex number")
             vertices = [np.asarray(part.vertices, np.float64).reshape(-1, 3) for part in meshes + clouds]
             triangles = [np.asarray(mesh.triangles, np.float64).reshape(-1, 3, 3) for mesh in meshes]
-    except Exception as error:  # a foreign parser on foreign bytes: whatever it raises, the file is bad
+    except Exception as error:  # a third-party parser on untrusted bytes: whatever it raises, the file is bad
         raise InputError(f"{path}: not a readable {ending} file ({one_line(error)})") from None
     geometry = np.concatenate([np.empty((0, 3)), *vertices]), np.concatenate([np.empty((0, 3, 3)), *triangles])
     if ending == ".ply":
@@ -113,8 +114,8 @@ def _geometry(path: Path, ending: str) -> tuple[Float[np.ndarray, "V 3"], Float[
 
 
 def _check_ply_is_whole(path: Path, data: bytes, vertices: int, triangles: int, raw: list) -> None:
-    """trimesh takes what there is of a text that was cut off, and of a face with fewer corners than it promises, and
-    says nothing. raw: the faces as it has read them."""
+    """Raise InputError for a truncated text, and for a face with fewer corners than promised; trimesh accepts both.
+    raw: the faces as trimesh has read them."""
     promised = dict(PLY_ELEMENT.findall(data.partition(b"end_header")[0]))
     if vertices != int(promised.get(b"vertex", vertices)) or triangles < int(promised.get(b"face", 0)):
         raise InputError(f"{path}: damaged, it holds fewer vertices or faces than its header says")

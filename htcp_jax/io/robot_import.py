@@ -1,5 +1,5 @@
-"""An arm of capsules from a robot's model file as its maker ships it: the chain to the TCP moves, all else is frozen,
-and whatever shapes a body has are held by capsules.
+"""Import of a vendor's URDF or MJCF as an arm of capsules: the chain to the TCP moves, all other joints are frozen, and
+the shapes of each body are enclosed by capsules.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,13 +24,13 @@ _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
 class Cover(NamedTuple):
-    """The capsules of one body, and what they stand for."""
+    """Capsules of one body, and the shapes that they represent."""
 
-    own: dict[str, Capsule]  # that the model has, by name
-    pieces: dict[str, Piece]  # of `held`, with the capsules that were fitted here
-    drawn: Triangles  # of the shapes that the model's own capsules were fitted to by MuJoCo [m]
-    held: Triangles  # of all other shapes [m]; the fitted ones hold them
-    kinds: tuple[str, ...]  # box, mesh, ...: what the held ones were
+    own: dict[str, Capsule]  # the model's own, by name
+    pieces: dict[str, Piece]  # of `held`, with the fitted capsules
+    drawn: Triangles  # of the meshes to which MuJoCo fitted the model's own capsules [m]
+    held: Triangles  # of all other shapes [m]; the fitted capsules enclose them
+    kinds: tuple[str, ...]  # types of the held shapes: box, mesh, ...
 
     @property
     def fitted(self) -> dict[str, Capsule]:
@@ -39,14 +39,14 @@ class Cover(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Volume of the fitted capsules, where they overlap twice, by that of the convex hull of what they hold; nan
-        where nothing was fitted."""
+        """Sum of the fitted capsules' volumes (overlaps count twice), divided by the volume of the convex hull of
+        `held`; nan if nothing was fitted."""
         volume = sum(capsule.volume for capsule in self.fitted.values())
         return volume / hull_volume(self.held.reshape(-1, 3)) if self.fitted else np.nan
 
     @property
     def outside_m(self) -> float:
-        """How far a corner of `drawn` lies outside the model's own capsules [m]; 0 where none does."""
+        """Largest distance of a corner of `drawn` from the model's own capsules [m]; 0 if all are inside."""
         corners = self.drawn.reshape(-1, 3)
         if not len(corners):
             return 0.0
@@ -54,24 +54,24 @@ class Cover(NamedTuple):
 
 
 class ImportedArm(NamedTuple):
-    """A robot's model as MuJoCo compiles it, shapes apart, and what an arm takes from it."""
+    """A robot's model as compiled by MuJoCo, without its shapes, and the data of the arm."""
 
     model: mujoco.MjModel
     tip: Tip
-    joints: tuple[int, ...]  # from the world to the TCP; numbers of the model, as all that follow
+    joints: tuple[int, ...]  # from the world to the TCP; indices in the model, as below
     joint_names: tuple[str, ...]
     frozen: tuple[str, ...]  # names of the other joints
-    bodies: tuple[int, ...]  # without what is no part of the arm
+    bodies: tuple[int, ...]  # of the robot, see `_bodies`
     covers: dict[int, Cover]  # by body
-    massive: tuple[int, ...]  # bodies whose inertia the file states
-    numbers: dict[str, Float[np.ndarray, "N"]]  # PER_JOINT, of `joints`
-    left_out: tuple[str, ...]  # shapes that nothing stands for
-    visual: bool  # whether capsules hold what is drawn
-    shapeless: tuple[str, ...]  # bodies that are drawn but have no shape for contact
+    massive: tuple[int, ...]  # bodies with an inertia in the file
+    numbers: dict[str, Float[np.ndarray, "N"]]  # PER_JOINT, for `joints`
+    left_out: tuple[str, ...]  # excluded shapes, which no capsule represents
+    visual: bool  # True if the capsules enclose visual geometry
+    shapeless: tuple[str, ...]  # bodies with visual but no collision geometry
 
     @property
     def name(self) -> str:
-        """The model's own."""
+        """Name of the model."""
         return self.model.names.partition(b"\0")[0].decode(errors="replace")
 
 
@@ -85,11 +85,11 @@ def import_robot(
 ) -> ImportedArm:
     """Read a URDF or MJCF file with its meshes.
 
-    tcp: see `robot_tcp.find_tip`. most: capsules a body, besides the model's own. visual: hold what is drawn; else the
-    shapes for contact, or what is drawn where the model has none of these. progress: is told how many bodies of how
-    many are done.
-    Raises InputError for a file or a mesh that cannot be read, for a TCP that is not there or not clear, ball and free
-    joints on the way to it, fewer than three joints, and a model without shapes.
+    tcp: see `robot_tcp.find_tip`. most: fitted capsules per body. visual: enclose the visual geometry; else the
+    collision geometry, or the visual geometry if the model has no other. progress: called with the number of bodies
+    done and their total.
+    Raises InputError for a file or a mesh that cannot be read, for a missing or ambiguous TCP, ball and free joints on
+    the chain to it, fewer than three joints, and a model without shapes.
     """
     spec, shapes, model = _read(path, visual)
     tip = find_tip(model, path, tcp, _bodies(model, ()))
@@ -126,8 +126,8 @@ def import_robot(
 
 
 def held_triangles(path: Path, visual: bool) -> dict[str, Triangles]:
-    """What `import_robot` fits capsules to, by the name of the body, in its frame [m]. Raises InputError for a file or
-    a mesh that cannot be read."""
+    """Return the triangles to which `import_robot` fits capsules, by the name of the body, in its frame [m]. Raises
+    InputError for a file or a mesh that cannot be read."""
     _, shapes, model = _read(path, visual)
     chosen = [geom for geom in _chosen(shapes.geoms, model, visual) if not _is_left_out(geom, model)]
     found: dict[str, list[Shape]] = {}
@@ -147,12 +147,12 @@ def _read(path: Path, visual: bool) -> tuple[mujoco.MjSpec, Shapes, mujoco.MjMod
 
 
 def body_name(model: mujoco.MjModel, body: int) -> str:
-    """The body's own name, or body1, body2, ... by its number in the model."""
+    """Return the body's own name, or body1, body2, ... by its index in the model."""
     return model.body(body).name or f"body{body}"
 
 
 def _bodies(model: mujoco.MjModel, on_the_way: Sequence[int]) -> tuple[int, ...]:
-    """Bodies of the robot: not what a mouse moves, nor what lies about. Those on the way to the TCP are, whatever."""
+    """Return the bodies of the robot: no mocap bodies, and no free bodies unless they are on the chain to the TCP."""
 
     def is_foreign(body: int) -> bool:
         free = model.body_jntnum[body] and model.jnt_type[model.body_jntadr[body]] == _FREE
@@ -166,8 +166,8 @@ def _body(model: mujoco.MjModel, geom: Geom) -> int:
 
 
 def _chosen(geoms: list[Geom], model: mujoco.MjModel, visual: bool) -> list[Geom]:
-    """The geoms that count: of every body those for contact, or where `visual` those that are drawn alone, if any.
-    Capsules and spheres always do, as for `load_robot`."""
+    """Select the geoms that capsules represent: each body's collision geoms, or if `visual` its visual geoms, if it has
+    any. Capsules and spheres are always collision geoms, as for `load_robot`."""
     for_contact = [geom for geom in geoms if geom.touches]
     if not for_contact:
         return geoms
@@ -178,13 +178,14 @@ def _chosen(geoms: list[Geom], model: mujoco.MjModel, visual: bool) -> list[Geom
 
 
 def _shapeless(geoms: list[Geom], chosen: list[Geom], model: mujoco.MjModel) -> list[int]:
-    """Bodies none of whose geoms count."""
+    """Bodies without a chosen geom."""
     with_shape = {_body(model, geom) for geom in chosen}
     return sorted({_body(model, geom) for geom in geoms} - with_shape)
 
 
 def _is_left_out(geom: Geom, model: mujoco.MjModel) -> bool:
-    """A floor, or what stands about in the world."""
+    """Return True for a floor, a height field, an SDF, and a shape fixed to the world other than a capsule or
+    sphere."""
     return geom.kind in NOT_OF_AN_ARM or (_body(model, geom) == 0 and geom.kind not in ROUND)
 
 
@@ -197,13 +198,13 @@ def _has(model: mujoco.MjModel, name: str) -> bool:
 
 
 class _Names:
-    """Names that are not given yet."""
+    """Generator of unique names."""
 
     def __init__(self, given: set[str]):
         self._given = given
 
     def new(self, wish: str) -> str:
-        """The wish, or wish_2, wish_3, ..."""
+        """Return `wish`, or wish_2, wish_3, ... if it is taken."""
         tries = (f"{wish}_{k}" if k > 1 else wish for k in range(1, len(self._given) + 2))
         name = next(each for each in tries if each not in self._given)
         self._given.add(name)

@@ -1,6 +1,6 @@
-"""Reading a robot's model file, on the host: MuJoCo compiles it, the chain to the TCP is picked out.
+"""Reading of a robot's model file, on the host: MuJoCo compiles it, and the chain to the TCP is extracted.
 
-What a file can get wrong is an InputError here, one line that starts with its path. robot_file.py makes the Robot.
+Every error in a file is an InputError, one line that starts with its path. robot_file.py makes the Robot.
 """
 
 import itertools
@@ -23,18 +23,19 @@ from htcp_jax.model.tool import Tool, pose
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _SPHERE, _CAPSULE = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 _DESCRIBED_ELSEWHERE = mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF
-LIST, EXCLUDED = "self_collision", "excluded {}, rule {}"  # the <text> over an arm's list, the <tuple> of a pair
+# Names of the <text> before an arm's list, and of a pair's <tuple>.
+LIST, EXCLUDED = "self_collision", "excluded {}, rule {}"
 
 
 class RobotFields(NamedTuple):
-    """The fields of a Robot by name: its arrays, and the rest."""
+    """Fields of a Robot by name: its arrays, and the others."""
 
     arrays: dict[str, np.ndarray]
     facts: dict[str, Any]
 
 
 class _Capsule(NamedTuple):
-    """A capsule geom: its body and link (-1: world), ends in the frame of the link."""
+    """A capsule geom: its body and link (-1: world), with ends in the frame of the link."""
 
     name: str
     body: int
@@ -45,7 +46,7 @@ class _Capsule(NamedTuple):
 
 
 class _Pair(NamedTuple):
-    """A <tuple> of an arm's list."""
+    """A <tuple> in an arm's list."""
 
     name: str
     capsules: tuple[str, ...]
@@ -53,7 +54,7 @@ class _Pair(NamedTuple):
 
 
 def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.ndarray, tool: Tool | None) -> RobotFields:
-    """The serial chain from the world to the TCP; see robot_file.load_robot. Raises InputError."""
+    """Read the serial chain from the world to the TCP; see robot_file.load_robot. Raises InputError."""
     model, geom_types, pairs = _compile_model(path)
     tcp_body, T_body_tcp = _find_tcp(model, path, tcp_site)
     joint_names = _chain_joints(model, path, tcp_body)
@@ -88,7 +89,7 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
         if not (arrays[name] > 0).all():
             raise InputError(f"{path}: numeric {name!r} must be positive")
     exclusions = [*_excluded(model, capsules), *_listed(path, pairs or (), capsules)]
-    widest = _limits(model, path, "model")  # the list was found within these
+    widest = _limits(model, path, "model")  # the list was sampled within these
     listed = pairs is not None and bool((lower >= widest[0]).all() and (upper <= widest[1]).all())
     facts = {
         "name": model.names.partition(b"\0")[0].decode(errors="replace") or path.stem,
@@ -109,7 +110,7 @@ def read_robot_file(path: Path, tcp_site: str, limits: str, T_world_base: np.nda
 
 
 def _compile_model(path: Path) -> tuple[mujoco.MjModel, str, list[_Pair] | None]:
-    """Returns the model, the geom types of the file, and the pairs of its list; None if it has no list."""
+    """Return the model, the geom types of the file, and the pairs in its list; None if it has no list."""
     with no_log():
         spec = read_spec(path, contacts=True)
     geom_types = sorted({_type_name(geom) for geom in spec.geoms})
@@ -123,8 +124,8 @@ def _compile_model(path: Path) -> tuple[mujoco.MjModel, str, list[_Pair] | None]
 
 
 def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
-    """A model whose shapes need no file, as MuJoCo compiles it. Raises InputError for what MuJoCo refuses and
-    for a range that is turned round."""
+    """Compile a model whose shapes need no file. Raises InputError for models that MuJoCo refuses and for a descending
+    range."""
     _check_ranges(spec, path)
     spec.compiler.fusestatic = False  # the fixed links of a URDF name its TCP
     # Kinematics needs no masses; MuJoCo insists on them.
@@ -139,7 +140,7 @@ def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
 
 @contextmanager
 def no_log() -> Iterator[None]:
-    """Keep MuJoCo from writing its warnings into MUJOCO_LOG.TXT in the working folder."""
+    """Prevent MuJoCo from writing its warnings into MUJOCO_LOG.TXT in the working folder."""
     handler = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _: None)
     try:
@@ -166,7 +167,7 @@ def _check_radii(spec: mujoco.MjSpec, path: Path) -> None:
 
 
 def _check_ranges(spec: mujoco.MjSpec, path: Path) -> None:
-    """MuJoCo itself takes a range that is turned round, or nan, for no limit at all."""
+    """Raise InputError for a descending or nan range, which MuJoCo itself treats as no limit."""
     for joint in spec.joints:
         lower, upper = joint.range
         asked = joint.limited != mujoco.mjtLimited.mjLIMITED_FALSE and (lower, upper) != (0, 0)
@@ -175,7 +176,7 @@ def _check_ranges(spec: mujoco.MjSpec, path: Path) -> None:
 
 
 def _forget_shapes(spec: mujoco.MjSpec) -> None:
-    """Turn meshes and what else is described elsewhere into boxes: all are ignored, and no file of theirs is opened."""
+    """Replace meshes, height fields and SDFs by boxes: all are ignored, and their files are not opened."""
     for geom in spec.geoms:
         if geom.type in _DESCRIBED_ELSEWHERE:
             geom.type, geom.size, geom.meshname, geom.hfieldname = mujoco.mjtGeom.mjGEOM_BOX, [1.0, 1.0, 1.0], "", ""
@@ -184,7 +185,7 @@ def _forget_shapes(spec: mujoco.MjSpec) -> None:
 
 
 def joint_numbers(model: mujoco.MjModel, path: Path, name: str, default: float) -> np.ndarray:
-    """The <custom><numeric> of that name, (N,) a value a joint; `default` where the file has none. Raises InputError
+    """Return the <custom><numeric> `name`, (N,) one value per joint; `default` if the file has none. Raises InputError
     for another number of values."""
     at = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
     if at < 0:
@@ -196,7 +197,7 @@ def joint_numbers(model: mujoco.MjModel, path: Path, name: str, default: float) 
 
 
 def _effort(model: mujoco.MjModel) -> np.ndarray:
-    """The joints' `actuatorfrcrange`, which MuJoCo also reads from a URDF; inf where there is none."""
+    """Return the joints' `actuatorfrcrange`, which MuJoCo also reads from a URDF; inf for joints without one."""
     return np.where(model.jnt_actfrclimited > 0, np.abs(model.jnt_actfrcrange).min(axis=1), math.inf)
 
 
@@ -204,7 +205,7 @@ def _effort(model: mujoco.MjModel) -> np.ndarray:
 
 
 def frame(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
-    """A pose (4, 4) from a position (3,) [m] and a unit quaternion (4,), w first."""
+    """Return a pose (4, 4) from a position (3,) [m] and a unit quaternion (4,), w first."""
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, quaternion)
     pose = np.eye(4)
@@ -225,20 +226,20 @@ def _shifted(offset: np.ndarray) -> np.ndarray:
 
 
 def upwards(model: mujoco.MjModel, body: int) -> Iterator[int]:
-    """The body and its ancestors, by their numbers in the model, without the world."""
+    """Yield the body and its ancestors, by their indices in the model, without the world."""
     while body > 0:
         yield body
         body = int(model.body_parentid[body])
 
 
 def _outermost_body(model: mujoco.MjModel) -> int:
-    """The last of the bodies with the most joints between them and the world."""
+    """Return the last of the bodies with the most joints between them and the world."""
     depths = [sum(model.body_jntnum[list(upwards(model, body))]) for body in range(model.nbody)]
     return max(range(model.nbody), key=lambda body: (depths[body], body))
 
 
 def _find_tcp(model: mujoco.MjModel, path: Path, name: str) -> tuple[int, np.ndarray]:
-    """The body that carries the TCP, and the TCP's frame in it."""
+    """Return the body that carries the TCP, and the TCP's frame in it."""
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
     body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
     if site < 0 and body < 0 and name == "tcp":
@@ -258,7 +259,7 @@ def _find_tcp(model: mujoco.MjModel, path: Path, name: str) -> tuple[int, np.nda
 
 
 def _chain_joints(model: mujoco.MjModel, path: Path, tcp_body: int) -> tuple[str, ...]:
-    """Names of the joints from the world to the TCP, in order; they must be all joints of the model."""
+    """Return the names of the joints from the world to the TCP, in order; they must be all joints of the model."""
     chain = set(upwards(model, tcp_body))
     stray = [joint_name(model, j) for j in range(model.njnt) if int(model.jnt_bodyid[j]) not in chain]
     if stray:
@@ -268,7 +269,7 @@ def _chain_joints(model: mujoco.MjModel, path: Path, tcp_body: int) -> tuple[str
 
 
 def check_joints(model: mujoco.MjModel, path: Path, joints: Sequence[int]) -> tuple[str, ...]:
-    """Names of the joints of a chain. Raises InputError for ball and free joints, and for less than three."""
+    """Return the names of a chain's joints. Raises InputError for ball and free joints, and for fewer than three."""
     odd = [joint_name(model, j) for j in joints if model.jnt_type[j] not in (_HINGE, _SLIDE)]
     if odd:
         raise InputError(f"{path}: ball or free joints ({', '.join(odd)}); only hinge and slide joints can be used")
@@ -278,14 +279,14 @@ def check_joints(model: mujoco.MjModel, path: Path, joints: Sequence[int]) -> tu
 
 
 def joint_name(model: mujoco.MjModel, joint: int) -> str:
-    """The joint's own name, or joint1, joint2, ... by its place in the model."""
+    """Return the joint's own name, or joint1, joint2, ... by its index in the model."""
     return model.joint(joint).name or f"joint{joint + 1}"
 
 
 def link_frames(model: mujoco.MjModel, T_world_base: np.ndarray) -> tuple[np.ndarray, list[tuple[int, np.ndarray]]]:
     """Return T_parent_joint (N, 4, 4), and for each body its link (-1: world) with T_link_body.
 
-    A joint turns about its own anchor, and MuJoCo draws the model at x = qpos0, not 0: both are folded in.
+    Both account for joint anchors, and for qpos0, the joint values at which MuJoCo draws the model.
     """
     T_parent_joint = np.zeros((model.njnt, 4, 4))
     frames = [(-1, T_world_base)]
@@ -303,7 +304,7 @@ def link_frames(model: mujoco.MjModel, T_world_base: np.ndarray) -> tuple[np.nda
 
 
 def _limits(model: mujoco.MjModel, path: Path, profile: str) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper joint limits of a profile, see robot_file.load_robot."""
+    """Return the lower and upper joint limits of a profile, see robot_file.load_robot."""
     ranges = np.where(model.jnt_limited[:, None], model.jnt_range, [-math.inf, math.inf])
     hinges = model.jnt_type[:, None] == _HINGE
     profiles = {"model": ranges, "simulation": np.where(hinges, [-math.pi, math.pi], ranges)}
@@ -319,7 +320,7 @@ def _limits(model: mujoco.MjModel, path: Path, profile: str) -> tuple[np.ndarray
 
 
 def _named_frames(model: mujoco.MjModel, frames: list[tuple[int, np.ndarray]]) -> tuple[ArmFrame, ...]:
-    """The sites and then the bodies that move; of two of one name the first."""
+    """Return the moving sites, then bodies; the first of two with the same name."""
     bodies = [(model.body(body).name, *frames[body]) for body in range(1, model.nbody)]
     sites = []
     for site in range(model.nsite):
@@ -355,12 +356,12 @@ def _capsule(model: mujoco.MjModel, geom: int, frames: list[tuple[int, np.ndarra
 
 
 def excluded_bodies(model: mujoco.MjModel) -> set[tuple[int, int]]:
-    """Pairs of bodies that an <exclude> of the file names, by their numbers."""
+    """Return the pairs of bodies in the file's <exclude>s, by their indices."""
     return {(int(pair) >> 16, int(pair) & 0xFFFF) for pair in model.exclude_signature}
 
 
 def _excluded(model: mujoco.MjModel, capsules: list[_Capsule]) -> Iterator[Exclusion]:
-    """Pairs of capsules whose bodies an <exclude> of the file names."""
+    """Yield the pairs of capsules whose bodies are in an <exclude> of the file."""
     bodies = excluded_bodies(model)
     for a, b in itertools.combinations(range(len(capsules)), 2):
         one, other = capsules[a].body, capsules[b].body
@@ -369,7 +370,7 @@ def _excluded(model: mujoco.MjModel, capsules: list[_Capsule]) -> Iterator[Exclu
 
 
 def _listed(path: Path, pairs: Sequence[_Pair], capsules: list[_Capsule]) -> Iterator[Exclusion]:
-    """The pairs of the arm's own list. Raises InputError for a pair that is none."""
+    """Yield the pairs in the arm's own list. Raises InputError for an invalid pair."""
     numbers = {capsule.name: k for k, capsule in enumerate(capsules)}
     for name, pair, share in pairs:
         rule = re.fullmatch(EXCLUDED.format(r"\S+", "([abc])"), name)
@@ -391,7 +392,7 @@ def _exclusion(capsules: list[_Capsule], a: int, b: int, rule: str, share: float
 def _mounted(
     tool: Tool, path: Path, tcp_body: int, link: int, T_link_flange: np.ndarray, others: list[_Capsule]
 ) -> list[_Capsule]:
-    """The bodies of a tool on the flange. Raises InputError for a name that one of the model has."""
+    """Return a tool's bodies as capsules on the flange. Raises InputError for the name of a capsule in the model."""
     R, t = T_link_flange[:3, :3], T_link_flange[:3, 3]
     for body in tool.bodies:
         if body.name in {capsule.name for capsule in others}:
@@ -402,16 +403,16 @@ def _mounted(
 
 
 def _on_tcp_body(model: mujoco.MjModel, tcp_body: int, capsules: list[_Capsule]) -> list[_Capsule]:
-    """The capsules of the body that carries the TCP and of what is fixed to it; without any, those of the last link."""
+    """Return the capsules of the TCP's body and its descendants; without any, those of the last link."""
     tool = [capsule for capsule in capsules if tcp_body in upwards(model, capsule.body)]
     return tool or [capsule for capsule in capsules if capsule.link == model.njnt - 1]
 
 
 def _ends_on_tool(capsules: list[_Capsule], tool: list[_Capsule]) -> np.ndarray:
-    """Which capsule ends move when the tool is lengthened, (K, 2) of 0 and 1."""
+    """Return 1 for each capsule end that moves when the tool is lengthened, else 0, (K, 2)."""
     moves = np.array([[any(capsule is part for part in tool)] * 2 for capsule in capsules], float)
     for k, capsule in enumerate(capsules):
         if tool and capsule is tool[0]:
             nearer = int(np.linalg.norm(capsule.q) < np.linalg.norm(capsule.p))
-            moves[k, nearer] = 0.0  # the flange's end: the one nearer to the last joint
+            moves[k, nearer] = 0.0  # the end at the flange: the one nearer to the last joint
     return moves

@@ -1,7 +1,7 @@
-"""The shapes that a robot's model file gives its bodies, as triangles or capsules in the frames of these bodies.
+"""Shapes of the bodies in a robot's model file, as triangles or capsules in the frames of these bodies.
 
-Meshes are read here, not by MuJoCo, which would put them into frames of its own. Where a model asks for a capsule, or
-another simple shape, that is fitted to a mesh, MuJoCo fits it.
+Meshes are read here, not by MuJoCo, which would transform them into their principal frames. Capsules and other
+primitives that the model fits to a mesh are fitted by MuJoCo.
 """
 
 from functools import cache
@@ -26,29 +26,30 @@ _Vertices = Float[np.ndarray, "V 3"]
 
 
 class Mesh(NamedTuple):
-    """A mesh of a model file that is not read yet."""
+    """A mesh of a model file, not read yet."""
 
-    file: str  # as the model names it; "" where its corners stand in the model
+    file: str  # as the model names it; "" if its corners are in the model
     scale: Float[np.ndarray, "3"]
     refpos: Float[np.ndarray, "3"]  # [m]
     refquat: Float[np.ndarray, "4"]
-    corners: _Vertices  # [m], of one without a file
+    corners: _Vertices  # [m], of a mesh without a file
     faces: Int[np.ndarray, "F 3"]
     inertia: mujoco.mjtMeshInertia
 
 
 class Geom(NamedTuple):
-    """A geom of a model file; its pose and size apart, which are known when the model is compiled."""
+    """A geom of a model file, without pose and size, which are known when the model is compiled."""
 
-    at: int  # its number there
+    at: int  # index in the model
     kind: str  # box, capsule, ...
-    mesh: str  # the mesh that it is or is fitted to, "" for neither
+    mesh: str  # the mesh that it is, or is fitted to; "" for neither
     fitscale: float
-    touches: bool  # there for contact; else for the eye
+    touches: bool  # True for a collision geom, False for a visual one
 
 
 class Shape(NamedTuple):
-    """What a body has, in its frame [m]: triangles, or a capsule as the model has it, about triangles or none."""
+    """A shape in the frame of its body [m]: triangles, or a capsule of the model with the triangles it was fitted
+    to."""
 
     name: str
     kind: str  # box, capsule, ...
@@ -57,7 +58,8 @@ class Shape(NamedTuple):
 
 
 class Shapes:
-    """The geoms of a model file and its meshes, taken out of `spec`: there all that would open a file are boxes now."""
+    """Geoms and meshes of a model file, removed from `spec`, in which boxes replace the geoms that would open a
+    file."""
 
     def __init__(self, spec: mujoco.MjSpec, path: Path):
         self._path, self._folders = path, [spec.compiler.meshdir, ""]
@@ -70,11 +72,11 @@ class Shapes:
 
     @property
     def geoms(self) -> list[Geom]:
-        """All of them, when `spec` is compiled."""
+        """All geoms; available once `spec` is compiled."""
         return [taken._replace(at=int(geom.id)) for geom, taken in self._taken]
 
     def shape(self, geom: Geom, model: mujoco.MjModel) -> Shape:
-        """A geom of the compiled model as a shape. Raises InputError for a mesh that cannot be read."""
+        """Return a geom of the compiled model as a shape. Raises InputError for a mesh that cannot be read."""
         T, size = frame(model.geom_pos[geom.at], model.geom_quat[geom.at]), model.geom_size[geom.at]
         name, mesh = model.geom(geom.at).name, np.empty((0, 3, 3))
         if geom.mesh:
@@ -90,12 +92,12 @@ class Shapes:
         return Shape(name, geom.kind, _moved(T, _SOLIDS[geom.kind](size)), None)
 
     def file(self, geom: Geom) -> Path | None:
-        """The file of the mesh that a geom is or is fitted to. Raises InputError where there is none of that name."""
+        """Return the file of a geom's mesh; None without one. Raises InputError if it does not exist."""
         name = self._meshes[geom.mesh].file if geom.mesh else ""
         return _find(name, self._path, self._folders) if name else None
 
     def _triangles(self, name: str) -> Triangles:
-        """A mesh as the model changes it: shifted, turned, scaled, in this order."""
+        """Return a mesh with the model's translation, rotation and scale applied, in this order."""
         mesh = self._meshes[name]
         if mesh.file:
             file = _find(mesh.file, self._path, self._folders)
@@ -112,7 +114,8 @@ class Shapes:
         return (triangles - mesh.refpos) @ turn * mesh.scale
 
     def _fit(self, geom: Geom) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "3"]]:
-        """The shape that MuJoCo fits to a mesh, in the mesh's own frame. Raises InputError where it cannot."""
+        """Return pose and size of the primitive that MuJoCo fits to a mesh, in the mesh's frame. Raises InputError if
+        the fit fails."""
         triangles = self._triangles(geom.mesh)
         corners, faces = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
         spec = mujoco.MjSpec()
@@ -143,8 +146,8 @@ def _taken(geom: mujoco.MjsGeom) -> Geom:
 
 
 def _find(name: str, path: Path, folders: list[str]) -> Path:
-    """The file that a model at `path` means: beside the model, in one of its folders, or in a package of ROS, which is
-    looked for from the model's folder upwards. Raises InputError where there is none."""
+    """Find a mesh file of the model at `path`: next to the model, in one of its folders, or in a ROS package, searched
+    from the model's folder upwards. Raises InputError if it does not exist."""
     scheme, _, rest = name.rpartition("://")
     home = path.resolve().parent
     if scheme == "package":
@@ -171,7 +174,7 @@ def _hull(points: _Vertices) -> Triangles:
         return np.empty((0, 3, 3))
 
 
-# Solids about the frame's origin, by MuJoCo's sizes; of round ones a polyhedron that holds them.
+# Solids about the frame's origin, with MuJoCo's sizes; polyhedra enclose the round ones.
 
 
 def _box(size: Float[np.ndarray, "3"]) -> Triangles:
@@ -185,7 +188,7 @@ def _cylinder(size: Float[np.ndarray, "3"]) -> Triangles:
 
 
 def _ellipsoid(size: Float[np.ndarray, "3"]) -> Triangles:
-    from trimesh.creation import icosphere  # here, because it takes a while to load, and hardly any arm has one
+    from trimesh.creation import icosphere  # a slow import that few arms need
 
     ball = icosphere(subdivisions=3)
     inside = np.einsum("fi,fi->f", ball.face_normals, ball.triangles[:, 0]).min()

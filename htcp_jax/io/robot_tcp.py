@@ -1,4 +1,4 @@
-"""Where an arm ends: the frame of a model that is its TCP, or what may be meant where that is not clear."""
+"""Selection of the frame of a model that is its TCP, or of candidates if that is ambiguous."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,7 +11,7 @@ from jaxtyping import Float
 from htcp_jax.errors import InputError
 from htcp_jax.io.robot_model import frame, upwards
 
-SURE = "tcp", "tool0"  # names of the TCP, or of the flange, wherever they are found
+SURE = "tcp", "tool0"  # names of the TCP or the flange that take precedence
 MOST_NAMED = 12  # candidates
 
 
@@ -19,16 +19,15 @@ class Tip(NamedTuple):
     """The frame of the TCP."""
 
     name: str
-    body: int  # that carries it
+    body: int  # index of the body that carries it
     T_body_tcp: Float[np.ndarray, "4 4"]
 
 
 def find_tip(model: mujoco.MjModel, path: Path, name: str | None, bodies: Sequence[int]) -> Tip:
-    """The site or body of that name. Without a name: `tcp` or `tool0`, or the only site, or the outermost body where
-    there is one alone.
+    """Return the site or body `name`. Without a name: `tcp` or `tool0`, or the only site, or the only outermost body.
 
-    bodies: numbers of those that may be meant. Raises InputError, with the valid names, where there is none of that
-    name, and where it is not clear which is meant.
+    bodies: indices of the bodies to search. Raises InputError, with the valid names, for an unknown name, and if the
+    TCP is ambiguous.
     """
     tips = _tips(model, bodies)
     if name is not None:
@@ -49,7 +48,7 @@ def find_tip(model: mujoco.MjModel, path: Path, name: str | None, bodies: Sequen
 
 
 def _tips(model: mujoco.MjModel, bodies: Sequence[int]) -> dict[str, Tip]:
-    """All frames that have a name; of a body and a site of one name the site."""
+    """Return all named frames; a site takes precedence over a body with its name."""
     tips = [Tip(model.body(b).name, b, np.eye(4)) for b in bodies if b > 0]
     tips += [_site(model, k) for k in range(model.nsite) if model.site_bodyid[k] in bodies]
     return {tip.name: tip for tip in tips if tip.name}
@@ -61,20 +60,20 @@ def _site(model: mujoco.MjModel, k: int) -> Tip:
 
 
 def _joints(model: mujoco.MjModel, body: int) -> frozenset[int]:
-    """Those from the world to a body, by their numbers in the model."""
+    """Return the joints from the world to a body, by their indices in the model."""
     first, count = model.body_jntadr, model.body_jntnum
     return frozenset(j for b in upwards(model, body) for j in range(first[b], first[b] + count[b]))
 
 
 def _outermost(model: mujoco.MjModel, bodies: Sequence[int]) -> list[int]:
-    """Of the bodies with the most joints between them and the world, those that carry no other."""
+    """Return the leaves among the bodies with the most joints between them and the world."""
     depth = {b: len(_joints(model, b)) for b in bodies}
     far = [b for b in bodies if depth[b] == max(depth.values())]
     return [b for b in far if not any(b in list(upwards(model, other))[1:] for other in far)]
 
 
 def _candidates(model: mujoco.MjModel, bodies: Sequence[int], outermost: list[int]) -> list[str]:
-    """Named sites, and the bodies that move with every joint that all outermost ones share."""
+    """Return the names of sites, and of bodies that move with every joint shared by all outermost bodies."""
     shared = frozenset.intersection(*(_joints(model, b) for b in outermost))
     near = [b for b in bodies if b > 0 and shared <= _joints(model, b)]
     if not shared or len(near) > MOST_NAMED:

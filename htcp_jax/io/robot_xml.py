@@ -1,4 +1,4 @@
-"""An imported arm as the text of an MJCF file that `load_robot` reads, and that a person can read and correct."""
+"""Export of an imported arm as an MJCF file for `load_robot`, readable and editable by hand."""
 
 from collections.abc import Sequence
 from xml.etree import ElementTree
@@ -12,7 +12,7 @@ from htcp_jax.io.link_meshes import CUTS, MADE_FROM, VISUAL, cuts_text
 from htcp_jax.io.robot_import import Cover, ImportedArm, body_name
 from htcp_jax.io.robot_model import EXCLUDED, LIST, excluded_bodies
 
-Listed = tuple[str, str, str, float]  # two capsules by their names, the rule, and the share of configurations
+Listed = tuple[str, str, str, float]  # names of two capsules, the rule, and the share of configurations
 
 HEAD = """
   An arm of capsules, made by htcp robot from {source}. Metres, radians.
@@ -33,16 +33,16 @@ def arm_xml(
     disabled: Sequence[tuple[str, str]] = (),
     listed: Sequence[Listed] | None = None,
 ) -> str:
-    """The file's text.
+    """Return the file's text.
 
-    source: the model, as it is found from the file. disabled: bodies that an SRDF excludes. listed: the other pairs of
-    capsules that are not checked; None: whoever reads the file finds out.
+    source: path of the model, relative to the file. disabled: pairs of bodies that an SRDF excludes. listed: other
+    pairs of capsules that are not checked; None: determined when the file is read.
     """
     model = arm.model
     frozen = f"\n  Frozen as drawn: {', '.join(arm.frozen)}." if arm.frozen else ""
     root = Element("mujoco", model=arm.name)
     root.append(_comment(HEAD.format(source=source, tip=arm.tip.name or "its only site", frozen=frozen)))
-    light = {"boundmass": "1e-6", "boundinertia": "1e-6"}  # else MuJoCo refuses a link that has no capsule
+    light = {"boundmass": "1e-6", "boundinertia": "1e-6"}  # else MuJoCo refuses a link without a capsule
     SubElement(root, "compiler", angle="radian", autolimits="true", **light)
     SubElement(SubElement(root, "option"), "flag", contact="disable")
     custom = SubElement(root, "custom")
@@ -76,7 +76,7 @@ def _body(parent: Element, arm: ImportedArm, b: int) -> Element:
 
 
 def _add_list(custom: Element, arm: ImportedArm, source: str, listed: Sequence[Listed]) -> None:
-    """The pairs, and where the meshes are that they were found with."""
+    """Add the pairs, and the source of the meshes that were used to find them."""
     custom.append(_comment(LIST_HEAD))
     SubElement(custom, "text", name=LIST, data=f"{len(listed)} pairs are not checked")
     for number, (one, other, rule, share) in enumerate(listed, 1):
@@ -90,7 +90,7 @@ def _add_list(custom: Element, arm: ImportedArm, source: str, listed: Sequence[L
 
 
 def _add_exclusions(root: Element, arm: ImportedArm, disabled: Sequence[tuple[str, str]]) -> None:
-    """Pairs of bodies that the model and an SRDF exclude."""
+    """Add the pairs of bodies that the model and an SRDF exclude."""
     model = arm.model
     names = {0: "world"} | {b: body_name(model, b) for b in arm.bodies if b > 0}
     own = [pair for pair in sorted(excluded_bodies(model)) if set(pair) <= names.keys()]
@@ -135,7 +135,7 @@ def _add_capsule(body: Element, name: str, capsule: Capsule) -> None:
 
 
 def in_words(cover: Cover) -> str:
-    """What the fitted capsules hold: "mesh", "2 meshes, box"; "" where nothing was fitted."""
+    """Describe the shapes in the fitted capsules: "mesh", "2 meshes, box"; "" if nothing was fitted."""
     count = {kind: cover.kinds.count(kind) for kind in dict.fromkeys(cover.kinds)}
     return ", ".join(kind if n == 1 else f"{n} {MANY[kind]}" for kind, n in count.items())
 
@@ -146,7 +146,7 @@ def _pose(position: np.ndarray, turn: np.ndarray) -> dict[str, str]:
 
 
 def _text(numbers) -> str:
-    """As many digits as are known, none of them noise of the last place."""
+    """Format numbers with 15 significant digits, without noise in the last place."""
     return " ".join(f"{number + 0.0:.15g}" for number in numbers)
 
 

@@ -1,9 +1,9 @@
-"""A robot's model file as text that is safe to hand to MuJoCo.
+"""Sanitising of a robot's model file before MuJoCo reads it.
 
-MuJoCo follows what a file names: included models, meshes, textures, height fields, plugins. Here a file is read as
-plain XML without a document type, so without entities; its includes are put in place from its own folder; and what
-has no part in where the links and their capsules are is left out. In the text that results nothing names a file, but
-for meshes: those of a URDF, and those of an MJCF file that is read with its meshes. Who reads takes them out before
+MuJoCo opens every file that a model names: included models, meshes, textures, height fields, plugins. Here a file is
+read as plain XML without a document type, so without entities; includes are replaced by files from the model's own
+folder; and elements that do not affect the poses of links and capsules are removed. The resulting text names no files
+except meshes: those of a URDF, and those of an MJCF file that is read with its meshes. The caller removes them before
 MuJoCo would open them.
 """
 
@@ -22,22 +22,22 @@ LARGEST_FILE = 10 * 2**20  # [bytes]
 MOST_ELEMENTS, DEEPEST = 50_000, 200
 LARGEST_NUMERIC = 1000  # values of a <numeric>
 
-# Of MJCF; tendons, actuators and the like move nothing here, and what is for the eye or for dynamics neither.
+# MJCF elements without effect on kinematics: tendons, actuators, visual and dynamic properties, and so on.
 LEFT_OUT = {
     "actuator", "asset", "camera", "contact", "deformable", "equality", "extension", "hfield", "keyframe", "light",
     "material", "mesh", "option", "plugin", "sensor", "size", "skin", "statistic", "tendon", "text", "texture", "tuple",
     "visual",
 }  # fmt: skip
-MESHES = "asset", "mesh"  # what stays when meshes are asked for
-CONTACTS = "contact", "text", "tuple"  # and when pairs that need no check are read: exclusions, and an arm's own list
-OWN = re.compile(r"self_collision|made from|cuts of .*|excluded .*")  # the names of the texts and tuples of that list
-ONLY = {"asset": ("mesh",), "contact": ("exclude",)}  # what stays of some elements that stay
-# They make bodies and joints that do not stand in the file.
+MESHES = "asset", "mesh"  # kept if meshes are requested
+CONTACTS = "contact", "text", "tuple"  # kept with excluded pairs, and an arm's own list
+OWN = re.compile(r"self_collision|made from|cuts of .*|excluded .*")  # names of texts and tuples in that list
+ONLY = {"asset": ("mesh",), "contact": ("exclude",)}  # children to keep in some kept elements
+# Elements that generate bodies and joints.
 REFUSED = {"attach", "composite", "flexcomp", "replicate"}
 
 
 class _Builder(ElementTree.TreeBuilder):
-    """Refuses document types, where entities are defined, and absurdly many or deep elements."""
+    """A builder that refuses document types, which define entities, and too many or too deep elements."""
 
     def __init__(self, path: Path):
         super().__init__()
@@ -61,12 +61,11 @@ class _Builder(ElementTree.TreeBuilder):
 
 
 def read_spec(path: Path, *, meshes: bool = False, visual: bool = False, contacts: bool = False) -> mujoco.MjSpec:
-    """MuJoCo's reading of an MJCF or URDF file, not compiled yet.
+    """Read an MJCF or URDF file as an MjSpec, not compiled yet.
 
-    meshes: keep those of an MJCF file, by name; a URDF's are kept anyway. visual: what a URDF draws becomes geoms, too.
-    contacts: keep what an MJCF file excludes from contact, and the list of an arm by `htcp robot`.
-    Raises InputError for a file that cannot be read or is too large, and for one that includes a file outside its
-    folder.
+    meshes: keep the names of an MJCF file's meshes; a URDF's are always kept. visual: keep a URDF's visual geometry.
+    contacts: keep an MJCF file's contact exclusions, and the list in an arm by `htcp robot`.
+    Raises InputError for a file that cannot be read or is too large, and for an included file outside its folder.
     """
     root = parse(path)
     _put_includes_in_place(root, path, {path.resolve()})
@@ -89,15 +88,15 @@ def read_spec(path: Path, *, meshes: bool = False, visual: bool = False, contact
 
 
 def files_of(path: Path) -> set[Path]:
-    """A model file and those that it includes, absolute. Raises InputError as `read_spec` does."""
+    """Return the absolute paths of a model file and its included files. Raises InputError as `read_spec` does."""
     seen = {path.resolve()}
     _put_includes_in_place(parse(path), path, seen)
     return seen
 
 
 def _urdf_limits(root: ElementTree.Element, path: Path) -> dict[str, dict[str, float]]:
-    """What a URDF says of its joints and MuJoCo does not read, as the <numeric>s of an MJCF file have it: by their
-    names, then the joints'; inf where there is none, or 0 in its place. Raises InputError for a range turned round."""
+    """Return the joint limits of a URDF that MuJoCo does not read, by the name of the <numeric> and the joint; inf if
+    missing or 0. Raises InputError for a descending range."""
     limits = {"speed": {}, "acceleration": {}}
     for joint in root.findall("joint"):
         if joint.get("type") not in ("revolute", "continuous", "prismatic"):
@@ -111,14 +110,14 @@ def _urdf_limits(root: ElementTree.Element, path: Path) -> dict[str, dict[str, f
 
 
 def _check_range(joint: ElementTree.Element, path: Path) -> None:
-    """MuJoCo takes a range that is turned round for no limit at all."""
+    """Raise InputError for a descending range, which MuJoCo treats as no limit."""
     lower, upper = _number(joint, "lower", path), _number(joint, "upper", path)
     if not lower < upper and (lower, upper) != (0, 0):
         raise InputError(f"{path}: joint {joint.get('name')!r} has range {lower:g} to {upper:g}; it must ascend")
 
 
 def _number(joint: ElementTree.Element, name: str, path: Path) -> float:
-    """A number of a joint's <limit>; 0 where it is not there, as URDF has it."""
+    """Return a number in a joint's <limit>; 0 if missing, as URDF defines."""
     limit = joint.find("limit")
     text = "0" if limit is None else limit.get(name, "0")
     try:
@@ -128,13 +127,14 @@ def _number(joint: ElementTree.Element, name: str, path: Path) -> float:
 
 
 def unreadable(path: Path, error: Exception) -> InputError:
-    """What MuJoCo, or the parser, has to say about the file, in one line."""
+    """Return an error with the message by MuJoCo, or the parser, in one line."""
     reason = re.sub(r",? line \d+$", "", " ".join(str(error).split()))  # of our text, not of the file
     return InputError(f"{path}: not a model that MuJoCo can read: {reason}")
 
 
 def parse(path: Path) -> ElementTree.Element:
-    """The root of an XML file. Raises InputError for one that cannot be read, is too large, or defines entities."""
+    """Return the root of an XML file. Raises InputError for one that cannot be read, is too large, or defines
+    entities."""
     try:
         with opened(path, largest=LARGEST_FILE) as stream:
             return _tree(stream.read(), _Builder(path))
@@ -142,13 +142,13 @@ def parse(path: Path) -> ElementTree.Element:
         raise
     except OSError as error:
         raise InputError(f"{path}: cannot read the model: {error.strerror}") from None
-    except (expat.ExpatError, ValueError, LookupError) as error:  # LookupError: an encoding that is none
+    except (expat.ExpatError, ValueError, LookupError) as error:  # LookupError: an unknown encoding
         reason = " ".join(str(error).split())
         raise InputError(f"{path}: not a model that MuJoCo can read: {reason}") from None
 
 
 def _tree(text: bytes, builder: _Builder) -> ElementTree.Element:
-    """The elements of a text, with names as they stand there: models use prefixes that they do not declare."""
+    """Parse a text without namespaces: models use undeclared prefixes."""
     parser = expat.ParserCreate()
     parser.StartDoctypeDeclHandler = builder.doctype
     parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
@@ -158,7 +158,7 @@ def _tree(text: bytes, builder: _Builder) -> ElementTree.Element:
 
 
 def _put_includes_in_place(root: ElementTree.Element, path: Path, seen: set[Path]) -> None:
-    """Every <include file="..."/> becomes what stands in that file's root; file names are relative to `path`."""
+    """Replace every <include file="..."/> by the children of that file's root; file names are relative to `path`."""
     for parent in list(root.iter()):
         for include in [child for child in parent if child.tag == "include"]:
             file = _included(include, path)
@@ -177,7 +177,7 @@ def _included(include: ElementTree.Element, path: Path) -> Path:
     name, folder = include.get("file", ""), path.parent.resolve()
     try:
         file = (folder / name).resolve()
-    except (OSError, ValueError, RuntimeError):  # a name that cannot be one, links in a circle
+    except (OSError, ValueError, RuntimeError):  # an invalid name, links in a circle
         raise InputError(f"{path}: cannot include {name!r}") from None
     if not name or not file.is_relative_to(folder):
         raise InputError(f"{path}: cannot include {name!r}: it leads out of the model's folder")

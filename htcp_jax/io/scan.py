@@ -1,6 +1,6 @@
-"""Scans and CAD parts that other libraries read: .pcd .e57 .las .laz clouds, .step .stp parts.
+"""Reading of scans and CAD parts by other libraries: .pcd .e57 .las .laz clouds, .step .stp parts.
 
-Each library is an extra. It runs in a process of its own, see `parsers`, with limits of time and memory.
+Each library is an extra. It runs in a process of its own, see `parsers`, with limits on time and memory.
 """
 
 import importlib.util
@@ -22,9 +22,9 @@ from htcp_jax.unfinished import temporary_folder
 
 
 class Kind(NamedTuple):
-    """How files of an ending are read."""
+    """Parser and libraries for files with an ending."""
 
-    parser: str  # a function of parsers.py
+    parser: str  # a function in parsers.py
     libraries: tuple[str, ...]
     extra: str  # that installs them
 
@@ -41,8 +41,8 @@ MEMORY = 4 * 2**30  # and 40 times the file's size
 
 
 def read_scan(path: Path, ending: str) -> Points:
-    """Points [m] of a scan, and normals where the file has them. Points without coordinates, as PCD writes where a
-    scanner saw nothing, are left out with a Note. Raises InputError for what is wrong with the file."""
+    """Read the points [m] of a scan, and its normals if it has any. NaN points, which PCD files contain where the
+    scanner saw nothing, are dropped with a Note. Raises InputError for an invalid file."""
     arrays = parsed(path, SCANS[ending])
     points, normals = arrays["points"], arrays.get("normals")
     if ending == ".pcd" and (empty := np.isnan(points).any(axis=1)).any():
@@ -52,13 +52,12 @@ def read_scan(path: Path, ending: str) -> Points:
 
 
 def read_part(path: Path, ending: str) -> Float[np.ndarray, "F 3 3"]:
-    """Triangles [m] of a STEP file's faces. Raises InputError for what is wrong with the file."""
+    """Read the triangles [m] of a STEP file's faces. Raises InputError for an invalid file."""
     return parsed(path, PARTS[ending])["triangles"]
 
 
 def parsed(path: Path, kind: Kind) -> dict[str, np.ndarray]:
-    """The arrays of a file, see `parsers`. Raises InputError where the extra is missing and for what is wrong with
-    the file."""
+    """Return the arrays of a file, see `parsers`. Raises InputError if the extra is missing and for an invalid file."""
     ending = path.suffix.lower()
     if any(importlib.util.find_spec(library) is None for library in kind.libraries):
         need = f"""reading {ending} needs the extra "{kind.extra}": pip install 'htcp_jax[{kind.extra}]'"""
@@ -68,7 +67,7 @@ def parsed(path: Path, kind: Kind) -> dict[str, np.ndarray]:
     script = Path(__file__).with_name("parsers.py")
     with temporary_folder() as folder:
         memory = str(MEMORY + 40 * size)
-        # -P: the modules beside the script are not to take the place of Python's own
+        # -P: modules next to the script must not shadow Python's own
         command = [sys.executable, "-P", str(script), kind.parser, str(path), str(folder), memory]
         try:
             done = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, timeout=LONGEST_S)

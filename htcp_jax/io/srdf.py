@@ -1,4 +1,4 @@
-"""Pairs of links that an SRDF file, as MoveIt's setup assistant writes it, excludes from self-collision checks."""
+"""Pairs of links that an SRDF file, as written by MoveIt's setup assistant, excludes from self-collision checks."""
 
 from collections.abc import Collection
 from pathlib import Path
@@ -8,8 +8,8 @@ from htcp_jax.io.safe_xml import parse
 
 
 def disabled_pairs(path: Path, robot: str, bodies: Collection[str]) -> list[tuple[str, str]]:
-    """The <disable_collisions> whose links both are bodies of the model. Raises InputError for a file that cannot be
-    read, and for the SRDF of another robot."""
+    """Return the <disable_collisions> whose links are both bodies of the model. Raises InputError for a file that
+    cannot be read, for the SRDF of another robot, and if there are none."""
     root = parse(path)
     if root.tag != "robot":
         raise InputError(f"{path}: the root is <{root.tag}>; an SRDF has <robot>")

@@ -1,4 +1,4 @@
-"""Mappings as values of pydantic models. Unknown keys are errors that name the nearest valid key."""
+"""Validation of mappings as pydantic models. Unknown keys are errors that name the nearest valid key."""
 
 import copy
 import difflib
@@ -14,13 +14,13 @@ from htcp_jax.errors import InputError, described
 
 
 class Section(BaseModel):
-    """A mapping in the file. Values are immutable; numbers are finite."""
+    """A mapping in a file. Values are immutable; numbers are finite."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 def validate(raw: dict, model: type[BaseModel], source: str) -> Any:
-    """`raw` as a `model`. Raises InputError that names the first offender and how many more there are."""
+    """Return `raw` as a `model`. Raises InputError that names the first error and the number of further ones."""
     raw = copy.deepcopy(raw)  # which stays as it is
     refuse_unknown(raw, model, source)
     try:
@@ -55,12 +55,12 @@ def refuse_unknown(raw: dict, model: type, source: str, prefix: str = "") -> Non
 
 
 class _Key(NamedTuple):
-    """What a model says of one of its keys."""
+    """Type information of a model's key."""
 
     is_section: bool
-    sections: tuple[type, ...]  # of which its values, or the items of its values, may be one
-    is_mapping: bool  # of such items
-    is_truth: bool  # whether true and false are among its values
+    sections: tuple[type, ...]  # possible types of its values, or of their items
+    is_mapping: bool  # to such items
+    is_truth: bool  # True if it takes true and false
 
 
 @cache

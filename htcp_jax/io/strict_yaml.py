@@ -1,7 +1,7 @@
-"""YAML as a person's configuration: a mapping, plain values only, no key twice, no aliases, no tags.
+"""Strict YAML for configurations: a mapping of plain values, without repeated keys, aliases and tags.
 
-Plain values are those of YAML 1.2's core schema. PyYAML reads 1.1, where `1:30` is ninety, `on` is true and `1e-3` is a
-word; aliases of aliases make a few lines into more values than fit into memory.
+Plain values are those of YAML 1.2's core schema. PyYAML reads 1.1, where `1:30` is 90, `on` is true and `1e-3` is a
+string; nested aliases can expand a few lines into more values than fit into memory.
 """
 
 import re
@@ -19,7 +19,7 @@ DEEPEST = 50
 
 
 def read_yaml(path: str | Path) -> dict:
-    """The mapping in a YAML file; {} for an empty one. Raises InputError."""
+    """Read the mapping in a YAML file; {} for an empty one. Raises InputError."""
     try:
         with opened(Path(path), largest=LARGEST_FILE) as stream:
             text = stream.read().decode()
@@ -89,7 +89,7 @@ for tag in (INT, FLOAT):
 
 
 def parse_yaml(text: str, source: str) -> Any:
-    """The value that `text` spells; errors name `source`. Raises InputError."""
+    """Parse the value in `text`; errors name `source`. Raises InputError."""
     try:
         return yaml.load(text, _Loader)
     except yaml.MarkedYAMLError as error:

@@ -1,4 +1,4 @@
-"""Points from a table of numbers: text, and numpy's .npy files."""
+"""Reading of points from a table of numbers: text, and numpy's .npy files."""
 
 import math
 import re
@@ -15,12 +15,11 @@ DECIMAL_COMMA = re.compile(r"[+-]?[\d.]*\d,\d+(?:[eE][+-]?\d+)?")
 
 
 def read_table(path: Path) -> Points:
-    """Rows of x, y, z, and of whatever follows, from a text file, separated by commas, semicolons or blanks.
+    """Read rows of x, y, z and further columns from a text file, separated by commas, semicolons or blanks.
 
-    What follows a # is a comment, and so is a line that begins with //. The first other line may be a header
-    without numbers. A header, or the last comment before the first row, may name the columns, see `columns_of`.
-    Raises InputError naming the line: too few columns, rows of different lengths, NaN, no number, and decimal
-    commas.
+    Text after a # is a comment, and so is a line that begins with //. The first other line may be a header without
+    numbers. A header, or the last comment before the first row, may name the columns, see `columns_of`.
+    Raises InputError naming the line: too few columns, rows of different lengths, NaN, no number, and decimal commas.
     """
     reader = _TableReader(path)
     reader.take_all()
@@ -28,8 +27,8 @@ def read_table(path: Path) -> Points:
 
 
 def read_named(path: Path, families: Sequence[tuple[str, ...]]) -> dict[tuple[str, ...], np.ndarray]:
-    """Further columns of a text file by their names in its header: those of each family that it names all of, (P, k).
-    Raises InputError as `read_table` does, and for what is no finite number, naming the point."""
+    """Read further columns of a text file by name: each family (P, k) whose names are all in the header. Raises
+    InputError as `read_table` does, and for values that are not finite numbers, naming the point."""
     reader = _TableReader(path, keep=True)
     reader.take_all()
     names, found = reader.names or [], {}
@@ -46,18 +45,18 @@ def read_named(path: Path, families: Sequence[tuple[str, ...]]) -> dict[tuple[st
 
 
 class _TableReader:
-    """Takes line by line; the columns are settled at the first row."""
+    """A reader of lines; the first row determines the columns."""
 
     def __init__(self, path: Path, keep: bool = False):
         self.path, self.keep = path, keep
-        self.rows: list[list[str]] = []  # of all columns, where they are kept
+        self.rows: list[list[str]] = []  # cells of all columns, if `keep`
         self.names: list[str] | None = None
-        self.header: int | None = None  # the line of it
+        self.header: int | None = None  # its line
         self.first = 0  # the line of the first row
         self.columns: Columns | None = None
         self.xyz: list[list[float]] = []
         self.normals: list[list[float]] | None = None
-        self.whole = False  # whether all so far is as 1,5,2,5,3,5, where each comma may be a decimal one
+        self.whole = False  # True if all rows so far are as 1,5,2,5,3,5, where commas may be decimal
 
     def take_all(self) -> None:
         lines = _text(self.path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
@@ -91,7 +90,7 @@ class _TableReader:
         return self.columns.points(xyz, normals, str(self.path))
 
     def _remark(self, comment: str) -> None:
-        """A comment counts as a header where it names x, y and z."""
+        """Take a comment as a header if it names x, y and z."""
         names = header_names(_cells(without_units(comment).strip()))
         if {"x", "y", "z"} <= set(names):
             self.names = names
@@ -120,7 +119,7 @@ class _TableReader:
     def _begin(self, number: int, content: str, cells: list[str]) -> None:
         names = self.names
         if self.header is None and names is not None and len(names) != len(cells):
-            names = None  # a comment has no duty
+            names = None  # a comment need not fit
         self.first, self.columns = number, columns_of(names, len(cells), str(self.path))
         self.normals = None if self.columns.normals is None else []
         self.whole = not self.columns.named and len(cells) > 3 and ";" not in content and "," in content
@@ -138,7 +137,8 @@ class _TableReader:
 
 
 def read_npy(path: Path) -> Points:
-    """Points of a .npy file, an array of numbers (P, 3 or more). Raises InputError for any other; runs no pickle."""
+    """Read the points of a .npy file, an array of numbers (P, 3 or more). Raises InputError for any other; no
+    pickles."""
     array = read_array(read_bytes(path), str(path))
     if array.dtype.kind == "b":
         raise InputError(f"{path}: an array of bool, numbers are needed")
@@ -172,11 +172,11 @@ def _is_number(cell: str) -> bool:
         float(cell)
     except ValueError:
         return False
-    return "_" not in cell  # Python reads 1_0 as ten; no table means that
+    return "_" not in cell  # Python reads 1_0 as ten; a table does not
 
 
 def _decimal_commas(line: str) -> str:
-    """What to write instead where numbers of a line have decimal commas, or nothing."""
+    """Return a suggestion if numbers of a line have decimal commas, else ""."""
     cells = re.split(r"[;\s]+", line.strip("; \t"))
     decimal = [cell for cell in cells if DECIMAL_COMMA.fullmatch(cell)]
     others = [cell for cell in cells if "," in cell and cell not in decimal]

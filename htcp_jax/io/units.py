@@ -1,8 +1,8 @@
-"""Whether a workpiece, its path and the robot are of one unit, metres: their sizes and distances tell.
+"""Plausibility checks that a workpiece, its path and the robot are all in metres, by their sizes and distances.
 
-A part that the arm reaches is not much larger than the arm, one that it works in is not much smaller than the arm's
-thinnest body, and a path runs near its part. What is off by more than a factor of 5 is refused, what may be a mistake
-is warned of; both name the unit that would make sense of the figures.
+A reachable part is not much larger than the arm, and not much smaller than the arm's thinnest body, and a path is near
+its part. Sizes off by more than a factor of 5 are refused, smaller deviations cause a warning; both name the unit that
+would make the sizes plausible.
 """
 
 import warnings
@@ -18,12 +18,12 @@ from htcp_jax.model.robot import Robot
 METRES = {"millimetres": 1e-3, "inches": 0.0254, "centimetres": 0.01, "kilometres": 1e3}  # the likely ones first
 LARGE = 2.0  # times the reach
 ABSURD = 5.0  # times the reach, or thinner than the thinnest body
-STAND_OFF = 0.5  # [m], and times the part's extent: so far a path may stay from its part
+STAND_OFF = 0.5  # largest distance of a path from its part [m], and times the part's extent
 
 
 def check_extent(robot: Robot, part: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], name: str) -> None:
-    """Raise InputError for a part, any points that span it [m], that by its size the arm can have nothing to do with.
-    Warns (UserWarning) of one more than twice as large as the arm's reach, or smaller than its thinnest body."""
+    """Raise InputError for a part (any points that span it [m]) whose size is implausible for the arm. Warns
+    (UserWarning) of one more than twice as large as the arm's reach, or smaller than its thinnest body."""
     extent, longest, thinnest = _extent(part), reach(robot), 2.0 * float(np.min(robot.capsule_radius))
     fitting = [unit for unit, metres in METRES.items() if 2.0 * thinnest <= metres * extent <= LARGE * longest]
     if extent > LARGE * longest:
@@ -46,7 +46,7 @@ def check_tool(robot: Robot, extension_m: float = 0.0) -> None:
 
 
 def check_path(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], name: str) -> None:
-    """Raise InputError for a path most of which is away from its part's cloud [m]."""
+    """Raise InputError for a path whose median distance from its part's cloud is too large [m]."""
     if (distance := _distance(cloud, path)) > _stand_off(cloud):
         raise InputError(f"half of the path is {distance:.3g} m or more from {name}; {_path_in(cloud, path)}")
 
@@ -58,7 +58,7 @@ def _report(text: str, absurd: bool) -> None:
 
 
 def _part_in(part: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], units: list[str]) -> str:
-    """Which of the units a part that is too large or too small seems to be in, and whether its path is, too."""
+    """Return a guess at the unit of a part that is too large or too small, and of its path."""
     if not units:
         return "give it in metres, and no more of it than the arm reaches"
     metres = METRES[units[0]]
@@ -67,7 +67,7 @@ def _part_in(part: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], uni
 
 
 def _path_in(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> str:
-    """Which unit a path that is away from its part seems to be in."""
+    """Return a guess at the unit of a path that is far from its part."""
     extent = _extent(cloud)
     for unit, metres in sorted(METRES.items(), key=lambda item: -item[1]):
         # Too small a unit puts any path to the origin; there it is too short.
@@ -86,5 +86,5 @@ def _extent(points: Float[np.ndarray, "P 3"]) -> float:
 
 
 def _distance(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> float:
-    """From the path to the cloud [m]: half of its points are nearer."""
+    """Return the median distance of the path's points from the cloud [m]."""
     return float(np.median(cKDTree(cloud).query(path)[0]))

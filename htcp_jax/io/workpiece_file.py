@@ -1,4 +1,4 @@
-"""A Workpiece from files or arrays, or the generated duct; sizes that cannot be in metres are refused."""
+"""Loading of a Workpiece from files or arrays, or the generated duct; implausible sizes are refused."""
 
 from pathlib import Path
 from typing import Literal
@@ -22,8 +22,8 @@ from htcp_jax.model.workpiece import NO_CLOUD, Workpiece
 from htcp_jax.types import Anywhere, Triple
 
 MOST_POINTS = 10_000_000  # of the generated duct
-# Where the duct's wall bulges outwards nearly every point is a vertex of the hull: 22,914 facets.
-# At this tolerance they are 944, and the corners that they leave lie at most 0.42 mm outside the exact hull.
+# Where the duct's wall is convex nearly every point is a vertex of the hull: 22,914 facets. With this tolerance there
+# are 944, whose corners lie at most 0.42 mm outside the exact hull.
 DUCT_HULL_TOLERANCE_M = 5e-4
 
 
@@ -50,21 +50,21 @@ def load_workpiece(
     robot: Robot | None = None,
     frames: PathFrames | None = None,
 ) -> Workpiece:
-    """A workpiece from files or arrays; without a cloud the generated duct, without both the duct and its weld.
+    """Load a workpiece from files or arrays; without a cloud the generated duct, without both the duct and its weld.
 
-    cloud: "none" is none: there is a path alone.
+    cloud: "none" means a path without a cloud.
     cloud, path: files, see `load_cloud` and `read_path`, or points (P, 3), (T, 3) [m]; the path of the generated duct
         may also be one of `duct_seams.SEAMS`.
     inlet: "auto" is the duct's inlet for the duct and None for another cloud.
     hull_tolerance_m: None is 0 (the exact hull) for a cloud and 0.5 mm for the duct.
-    inlet_direction: "world-x" is the world's x, however the part is turned, as in the paper's scene; None is that for
-        the duct, and "facet" for another cloud, see `Workpiece`.
+    inlet_direction: "world-x" is the world's x for every orientation of the part, as in the paper's scene; None means
+        "world-x" for the duct, and "facet" for another cloud, see `Workpiece`.
     points, seed: of the generated duct.
     spacing [m]: of the points on a mesh, see `mesh_points.cover`; thinnest_m: radius of the thinnest body [m], which
         must be larger than the covering radius of a mesh.
-    robot: whose reach and bodies part and path have to make sense for by their size, see `units`; None: no such check.
-    frames: the path's normals, tangents and orientations; None: those that its file has.
-    Raises InputError for what is wrong with a file or a figure, and for a cloud without a path.
+    robot: the arm for which the sizes of part and path must be plausible, see `units`; None: no such check.
+    frames: the path's normals, tangents and orientations; None: those in its file.
+    Raises InputError for an invalid file or number, and for a cloud without a path.
     """
     generated, no_cloud = cloud is None, _is_file(cloud) and str(cloud) == NO_CLOUD
     name = name or ("duct" if generated else Path(_named(path if no_cloud else cloud)).stem)
@@ -131,7 +131,7 @@ def _geometry(cloud: str | Path | Anywhere) -> Geometry:
 
 
 def _frames(path: str | Path | Anywhere | None) -> PathFrames:
-    """Those in a path's file; none of an array and of a seam of the duct."""
+    """Return the frames in a path's file; none for an array and a seam of the duct."""
     return read_frames(Path(path)) if _is_file(path) and str(path) not in SEAMS else PathFrames()
 
 
@@ -144,10 +144,10 @@ def _named(cloud: str | Path | Anywhere) -> str | Path:
 
 
 def read_path(path: str | Path | Anywhere) -> Float[np.ndarray, "T 3"]:
-    """Tool path [m], workpiece frame: x,y,z rows of a text file (.csv .txt .xyz), or its columns of these
-    names, or an array, in tracking order; `point_cloud.read_points` has the normals too.
+    """Read a tool path [m], workpiece frame: x,y,z rows of a text file (.csv .txt .xyz), or its columns with these
+    names, or an array, in tracking order; `point_cloud.read_points` also returns normals.
 
-    Raises InputError for an unreadable or empty file, what is wrong with a line (naming it) and NaN.
+    Raises InputError for an unreadable or empty file, an invalid line (naming it) and NaN.
     """
     if not _is_file(path):
         return arrays.points(path, "path", 1)

@@ -1,4 +1,4 @@
-"""From a configuration to what it speaks of: the robot, the workpiece, the scenario. All raise InputError."""
+"""Build the robot, workpiece, obstacles, task and scenario that a job describes. All functions raise InputError."""
 
 import warnings
 from pathlib import Path
@@ -28,19 +28,20 @@ from htcp_jax.model.workpiece import Workpiece
 
 
 def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
-    """The robot, the workpiece and the one scenario of a configuration."""
+    """Build the robot, the workpiece and the scenario of a job."""
     robot = robot_of(job.robot)
     workpiece = workpiece_of(job.workpiece, robot)
     return robot, workpiece, scenario_of(job, robot, workpiece)
 
 
 def task_of_job(job: PlanConfig, robot: Robot) -> Task:
-    """What the arm has to hold on the path."""
+    """Build the task: the constraints on the path."""
     return task_of(job.task, robot, job.settings.tolerance_m, job.settings.tolerance_rad)
 
 
 def robot_of(arm: RobotConfig) -> Robot:
-    """The robot, without the tool's extension: that belongs to the scenario. A tool longer than the arm is refused."""
+    """Load the robot, without the tool's extension, which belongs to the scenario. A tool longer than the arm is
+    refused."""
     robot = load_robot(
         GP50 if arm.model == "gp50" else arm.model,
         tcp_site="tcp" if arm.tcp is None else arm.tcp,
@@ -54,8 +55,8 @@ def robot_of(arm: RobotConfig) -> Robot:
 
 
 def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
-    """The workpiece, without its pose: that belongs to the scenario. Points on a mesh are as close as the robot's
-    thinnest body needs; where that body fits between the points of a cloud, a UserWarning says so."""
+    """Load the workpiece, without its pose, which belongs to the scenario. Points on a mesh are as dense as the robot's
+    thinnest body requires; a UserWarning reports a cloud between whose points that body fits."""
     radii = np.asarray(robot.capsule_radius)
     thinnest, radius = int(radii.argmin()), float(radii.min())
     workpiece = load_workpiece(
@@ -90,9 +91,9 @@ def scenario_of(
     beyond_reach: Literal["raise", "record"] = "raise",
     follows: Float[np.ndarray, "3"] | None = None,
 ) -> Scenario:
-    """Start, pose, targets, margin and tool of a configuration; `number` is its identity for the random keys;
-    beyond_reach: see `make_scenario`. follows: where the point that follows the path is at the start, world [m], by
-    those who know it."""
+    """Build the scenario: start, pose, targets, margin and tool of a job. number: identifies it for the random keys;
+    beyond_reach: see `make_scenario`; follows: position at the start of the point that follows the path, world [m], if
+    known."""
     part, task = job.workpiece, task_of_job(job, robot)
     scenario = make_scenario(
         robot,
@@ -113,14 +114,15 @@ def scenario_of(
 
 
 def _follower_at_start(job: PlanConfig, robot: Robot) -> Float[np.ndarray, "3"] | None:
-    """Where the point that follows the path is at a start that is given, world [m]; None: `make_scenario` knows."""
+    """Return the position at a given start of the point that follows the path, world [m]; None: use
+    `make_scenario`'s."""
     if not job.task or job.start is None:
         return None
     return follower(job.task, lengthen_tool(robot, job.robot.tool_extension_m), np.array(job.start))
 
 
 def shapes_of(cell: CellConfig) -> tuple[Fixture, ...]:
-    """The shapes of a cell's model, where they stand."""
+    """Load the shapes of a cell's model, at their poses in the world."""
     if cell.model is None:
         for key in ("moved", "shift_m", "rpy_rad"):
             if getattr(cell, key) != getattr(CellConfig(), key):
@@ -130,7 +132,7 @@ def shapes_of(cell: CellConfig) -> tuple[Fixture, ...]:
 
 
 def drawn_of(cell: CellConfig) -> Drawn:
-    """What there is to draw of it."""
+    """Load the triangles and clouds of the cell, for drawing."""
     triangles = [NOTHING.triangles, *(each.surface for each in shapes_of(cell))]
     surfaces = [NOTHING.clouds]
     for each in cell.clouds:
@@ -144,7 +146,7 @@ def drawn_of(cell: CellConfig) -> Drawn:
 
 
 def obstacles_of(cell: CellConfig, robot: Robot) -> Obstacles:
-    """What the robot keeps clear of besides the workpiece."""
+    """Build the collision objects in addition to the workpiece."""
     clouds = tuple(
         placed_cloud(
             robot,
@@ -164,16 +166,17 @@ _APPROACH = {"approach_to_inlet": 0, "approach_to_path": 0}
 
 
 def arm_of(job: PlanConfig) -> RobotConfig:
-    """The part of a configuration that makes the robot; equal for scenarios that share theirs."""
+    """Return the keys that determine the robot; equal for scenarios that share it."""
     return job.robot.model_copy(update={"tool_extension_m": 0.0})
 
 
 def part_of(job: PlanConfig) -> WorkpieceConfig:
-    """The part of a configuration that makes the workpiece."""
+    """Return the keys that determine the workpiece."""
     return job.workpiece.model_copy(update=_POSE | _APPROACH)
 
 
 def shape_of(part: WorkpieceConfig) -> WorkpieceConfig:
-    """What the planner sees of a workpiece: a scenario has its path and its pose."""
+    """Return the keys that determine the workpiece for the planner: without path and pose, which belong to the
+    scenario."""
     origin = (0.0, 0.0, 0.0)
     return part.model_copy(update={"path": "", "pivot_m": origin, "neutral_translation_m": origin})

@@ -1,7 +1,7 @@
-"""What a person writes in YAML for one plan: the sections, their keys, and the default job.
+"""Schema of a job file: the sections, their keys, and the default job.
 
-A PlanConfig is made by `load_config`. Some defaults are the GP50's and the duct's; with another robot or another cloud
-they are what `defaults` says.
+A PlanConfig is made by `load_config`. Some defaults are for the GP50 and the duct; with another robot or another cloud
+`defaults` replaces them.
 """
 
 import math
@@ -19,19 +19,19 @@ from htcp_jax.model.tool import Tool
 from htcp_jax.planning.registry import NAME
 from htcp_jax.settings import Settings
 
-LARGEST = 1e6  # of lengths [m] and joint positions: beyond, the tolerance is lost to rounding
+LARGEST = 1e6  # of lengths [m] and joint positions; beyond, rounding exceeds the tolerance
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Point = tuple[Number, Number, Number]
-Turn = Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi)]  # degrees are mostly beyond
+Turn = Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi)]  # larger values are usually degrees
 Steps = Annotated[int, Field(ge=0, le=10_000)]
 FASTEST = 1e9  # of any rate or count
-Rates = tuple[Annotated[float, Field(gt=0, le=FASTEST)], ...]  # of the joints, either way
+Rates = tuple[Annotated[float, Field(gt=0, le=FASTEST)], ...]  # of the joints, in both directions
 Moment = Annotated[float, Field(gt=0, le=100)]  # [s]
 AUTO = "auto"  # a start that the planner chooses
 
 
 def _start(value: Any, numbers: Callable[[Any], tuple[float, ...]]) -> Any:
-    """What stands in place of joint positions is a word; raises InputError for any other."""
+    """Validate joint positions, or the word AUTO. Raises InputError for any other word."""
     if isinstance(value, str) and value != AUTO:
         raise InputError(f"{value!r} is no start; valid: {AUTO}, or a list of joint positions")
     return value if value == AUTO else numbers(value)
@@ -39,7 +39,7 @@ def _start(value: Any, numbers: Callable[[Any], tuple[float, ...]]) -> Any:
 
 Start = Annotated[tuple[Number, ...], WrapValidator(_start), PlainSerializer(lambda value: value)]
 
-SOURCES = ("robot.model", "workpiece.cloud")  # what the next ones hang on, where they are not stated
+SOURCES = ("robot.model", "workpiece.cloud")  # keys that determine the defaults of DEPENDENT
 DEPENDENT = (
     "robot.limits",
     "settings.q_weights",
@@ -54,11 +54,11 @@ DEPENDENT = (
 
 
 class RobotConfig(Section):
-    """The arm, where it stands, and its tool."""
+    """The arm, its pose, and its tool."""
 
     model: str = "gp50"  # or an MJCF or URDF file
     limits: Literal["simulation", "datasheet", "model"] = "simulation"
-    tcp: str | None = None  # site or body at the TCP, or at the flange of a `tool`; without it see `load_robot`
+    tcp: str | None = None  # site or body at the TCP, or at the flange of a `tool`; default: see `load_robot`
     base_m: Point = (0.0, 0.0, 0.0)  # of the model's own frame, in the world
     base_rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # about world x, then y, then z
     tool: Tool | None = None
@@ -70,14 +70,14 @@ class WorkpieceConfig(Section):
 
     cloud: str = "duct"  # the generated duct, a file of points or a mesh, or none
     path: str = "weld"  # a seam of the generated duct, see `duct_seams`, or a CSV file of x,y,z [m]
-    inlet_m: Point | None = None  # centre of the inlet; without it the duct's, or none for another cloud
-    interior: Literal["hull", "none"] = "hull"  # what bounds the inside, deeper than interior_depth_m
+    inlet_m: Point | None = None  # centre of the inlet; None: the duct's, or none for another cloud
+    interior: Literal["hull", "none"] = "hull"  # boundary of the interior deeper than interior_depth_m
     interior_depth_m: float = Field(INTERIOR_DEPTH_M, ge=0, le=LARGEST)
     inlet_direction: Point | Literal["world-x"] | None = "world-x"  # into the part; see `load_workpiece`
     mesh_spacing_m: Annotated[float, Field(ge=1e-5, le=LARGEST)] | None = None  # widest gap of the points on a mesh
     tip_contact_m: Annotated[float, Field(ge=0, le=LARGEST)] | None = None  # of the bare tip, from the TCP; null: all
     pivot_m: Point = PIVOT  # world point that the rotations turn about
-    neutral_translation_m: Point = NEUTRAL_TRANSLATION  # of the workpiece frame, before they turn it
+    neutral_translation_m: Point = NEUTRAL_TRANSLATION  # of the workpiece frame, before the rotations
     rotation_x_rad: float = 0.0  # about world x first, then y, then z
     rotation_y_rad: float = 0.4
     rotation_z_rad: float = 0.1
@@ -87,7 +87,7 @@ class WorkpieceConfig(Section):
 
 
 class CloudConfig(Section):
-    """A further cloud or mesh that stands in the world by itself."""
+    """A further cloud or mesh, fixed in the world."""
 
     cloud: str  # a file of points or a mesh
     base_m: Point = (0.0, 0.0, 0.0)  # of its own frame, in the world
@@ -95,11 +95,11 @@ class CloudConfig(Section):
 
 
 class CellConfig(Section):
-    """What the arm keeps clear of besides the workpiece: itself, and what stands about."""
+    """Collision objects in addition to the workpiece: the arm itself, and the work cell."""
 
     self_collision: bool = False
     model: str | None = None  # an MJCF file
-    moved: str | None = None  # a body of it, that is turned and shifted; None: all of it
+    moved: str | None = None  # the body to rotate and translate; None: the complete cell
     shift_m: Point = (0.0, 0.0, 0.0)
     rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # about world x, then y, then z
     clouds: tuple[CloudConfig, ...] = ()
@@ -109,19 +109,19 @@ class UserFrameConfig(Section):
     """A frame that the controller knows by number; RECTAN positions are in it."""
 
     number: int = Field(ge=1, le=63)
-    on: Literal["workpiece", "world"] = "workpiece"  # whose frame it is
+    on: Literal["workpiece", "world"] = "workpiece"  # the object to which it is fixed
 
 
 class PulsesConfig(Section):
-    """How a controller counts."""
+    """Encoder scale of a controller."""
 
-    per_rad: tuple[Annotated[float, Field(ge=-FASTEST, le=FASTEST)], ...]  # or per m; negative: the other way
-    zero_rad: tuple[Annotated[float, Field(ge=-FASTEST, le=FASTEST)], ...] | None = None  # or m, where 0 is; None: at 0
+    per_rad: tuple[Annotated[float, Field(ge=-FASTEST, le=FASTEST)], ...]  # or per m; negative: opposite direction
+    zero_rad: tuple[Annotated[float, Field(ge=-FASTEST, le=FASTEST)], ...] | None = None  # or m, at 0 pulses; None: 0
     source: str = Field(min_length=1, max_length=200)  # of these numbers
 
 
 class ProgramConfig(Section):
-    """The section `program` of a job; it has no influence on plans."""
+    """Section `program` of a job; it has no influence on plans."""
 
     feed: str | None = None  # of the TCP on the path, with its unit: 20mm/s
     velocity: Rates | None = None  # [rad/s or m/s]; None: the model's
@@ -143,11 +143,11 @@ class ProgramConfig(Section):
 
 
 class RayConfig(Section):
-    """What a shard of a sweep asks of a Ray cluster; has no influence on results."""
+    """Ray resources per shard of a sweep; no influence on results."""
 
     num_cpus: float = Field(1.0, gt=0)
     num_gpus: float = Field(0.0, ge=0)  # a part below 1 shares the GPU
-    retries: int = Field(3, ge=0)  # of a shard whose worker or node died
+    retries: int = Field(3, ge=0)  # of a shard after its worker or node died
 
 
 class PlanConfig(Section):
@@ -157,9 +157,9 @@ class PlanConfig(Section):
     workpiece: WorkpieceConfig = WorkpieceConfig()
     cell: CellConfig = CellConfig()
     start_rad: Start = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # or auto: chosen at the path's first point
-    home_rad: tuple[Number, ...] | None = None  # where the motion begins; None: the start
+    home_rad: tuple[Number, ...] | None = None  # first configuration of the motion; None: the start
     task: tuple[TaskRow, ...] = ()  # none: the TCP on the path
-    margin_m: float = Field(5e-4, ge=0, le=1)  # least clearance with which a target counts
+    margin_m: float = Field(5e-4, ge=0, le=1)  # required clearance at a target
     method: str = "roadmap"
     settings: Settings = Settings()
     program: ProgramConfig = ProgramConfig()
@@ -167,29 +167,29 @@ class PlanConfig(Section):
 
     @property
     def start(self) -> tuple[float, ...] | None:
-        """The start that is given; None where it is to be chosen."""
+        """The given start; None if the planner chooses it."""
         return None if isinstance(self.start_rad, str) else self.start_rad
 
     @property
     def begins_rad(self) -> tuple[float, ...]:
-        """Where the motion begins: at home, or at the start where there is no home; empty where that is chosen."""
+        """First configuration of the motion: home, or the start without a home; empty if the planner chooses it."""
         begins = self.start if self.home_rad is None else self.home_rad
         return () if begins is None else begins
 
     @property
     def approach(self) -> tuple[int, int]:
-        """Steps to the inlet and from there to the path; none where the start is chosen on the path."""
+        """Steps to the inlet and from there to the path; 0 if the planner chooses a start on the path."""
         part = self.workpiece
         return (0, 0) if self.start is None else (part.approach_to_inlet, part.approach_to_path)
 
     @property
     def on_path(self) -> int:
-        """The first target that is a point of the path; the start's TCP and the approach come before it."""
+        """Index of the first target on the path, after the start's TCP and the approach."""
         return 1 + sum(self.approach)
 
     @field_validator("method")
     @classmethod
     def _could_be_a_method(cls, name: str) -> str:
-        if not NAME.fullmatch(name):  # which there are, the planner says
+        if not NAME.fullmatch(name):  # whether it exists is checked by the planner
             raise InputError(f"{name!r} is no method; their names are small letters, digits and hyphens")
         return name

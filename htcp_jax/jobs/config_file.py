@@ -1,9 +1,9 @@
-"""A configuration as a person writes it, before it is checked: files that build on each other, and changes of keys.
+"""Configuration files before validation: inheritance between files, and overrides of keys.
 
-    config: base.yaml        # everything that base.yaml says, but for what follows
+    config: base.yaml        # everything in base.yaml, except the keys below
 
-Sections are merged key by key; whatever else stands in both is replaced, lists as a whole. File names are relative to
-the folder of the file that they stand in.
+Sections are merged key by key; other values are replaced, lists as a whole. File names are relative to the folder of
+the file that contains them.
 """
 
 import os
@@ -15,8 +15,8 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.duct_seams import SEAMS
 from htcp_jax.io.strict_yaml import parse_yaml, read_yaml
 
-BASE = "config"  # the key under which a file names the one that it builds on
-# Keys that name files, each with the words of the built-in parts.
+BASE = "config"  # the key for the base file
+# Keys that name files, each with the names of the built-in parts.
 FILES = {
     ("robot", "model"): ("gp50",),
     ("workpiece", "cloud"): ("duct", "none"),
@@ -26,15 +26,16 @@ FILES = {
 
 
 def layers(path: Path) -> list[tuple[str, dict]]:
-    """The name and the contents of the YAML file and of those that it builds on, the innermost first.
+    """Return the names and contents of a YAML file and its chain of base files, the base first.
 
-    Raises InputError for a file that cannot be read, and for files that build on each other in a circle.
+    Raises InputError for a file that cannot be read, and for a cycle of base files.
     """
     return _below(read_yaml(path), str(path), path.parent, [path])
 
 
 def layers_of(mapping: Mapping[str, Any], name: str) -> list[tuple[str, dict]]:
-    """The same of a mapping that spells a file; a key may be dotted. Its files are relative to the working folder."""
+    """Return the `layers` of a mapping in place of a file; keys may be dotted, files are relative to the working
+    folder."""
     raw: dict = {}
     for dotted, value in mapping.items():
         put(raw, str(dotted), value)
@@ -42,7 +43,7 @@ def layers_of(mapping: Mapping[str, Any], name: str) -> list[tuple[str, dict]]:
 
 
 def merged(raws: Iterable[dict]) -> dict:
-    """Each of them laid over the ones before."""
+    """Merge mappings; later ones take precedence."""
     whole: dict = {}
     for raw in raws:
         _lay_over(whole, raw)
@@ -50,8 +51,8 @@ def merged(raws: Iterable[dict]) -> dict:
 
 
 def put(raw: dict, dotted: str, value: Any) -> None:
-    """Set one key, or lay a mapping over the section that is there. Rows of a list have numbers, from 1. Raises
-    InputError for a row that is not there."""
+    """Set one key, or merge a mapping into an existing section. Rows of a list are numbered from 1. Raises InputError
+    for a row that does not exist."""
     *sections, key = dotted.split(".")
     for k, section in enumerate(sections):
         known, more = raw.get(section), sections[k + 1 :]
@@ -65,7 +66,7 @@ def put(raw: dict, dotted: str, value: Any) -> None:
 
 
 def _put_in_row(rows: list, number: str, key: str, dotted: str, value: Any) -> None:
-    """Set a key of one row of a list, which are counted from 1."""
+    """Set a key of one row in a list; rows are numbered from 1."""
     if not number.isdecimal() or not 1 <= int(number) <= len(rows) or not isinstance(rows[int(number) - 1], dict):
         raise InputError(f"{dotted}: there is no row {number}; there are {len(rows)}")
     own = rows[int(number) - 1] = dict(rows[int(number) - 1])
@@ -73,7 +74,7 @@ def _put_in_row(rows: list, number: str, key: str, dotted: str, value: Any) -> N
 
 
 def parse_override(override: str) -> tuple[str, Any]:
-    """Key and value of "key=value" on a command line. Raises InputError."""
+    """Split "key=value" from a command line into key and value. Raises InputError."""
     dotted, equals, text = override.partition("=")
     if not equals or not dotted:
         raise InputError(f"--set expects key=value, not {override!r}")
@@ -98,7 +99,7 @@ def _same(one: Path, other: Path) -> bool:
 
 
 def named_files(raw: dict) -> Iterator[tuple[str, dict, str]]:
-    """Where a configuration in its plain form names a file: dotted, and as a mapping and the key in it."""
+    """Yield the keys that name files in a plain configuration: the dotted key, and the mapping with its key."""
     for (section, key), words in FILES.items():
         value = raw.get(section)
         if isinstance(value, dict) and isinstance(value.get(key), str) and value[key] not in words:
@@ -111,7 +112,7 @@ def named_files(raw: dict) -> Iterator[tuple[str, dict, str]]:
 
 
 def _anchor_files(raw: dict, folder: Path) -> None:
-    """Make file names in `raw` relative to `folder`; the words of the built-in parts stay."""
+    """Make file names in `raw` relative to `folder`, except the names of built-in parts."""
     for _, owner, key in named_files(raw):
         owner[key] = str(folder / owner[key])
 
@@ -125,7 +126,7 @@ def _lay_over(whole: dict, raw: dict) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """A value from Python as YAML has it."""
+    """Convert a Python value to YAML's types."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     return os.fspath(value) if isinstance(value, os.PathLike) else value

@@ -1,4 +1,4 @@
-"""The defaults that hang on the robot and on the cloud."""
+"""Defaults that depend on the robot and on the cloud."""
 
 import math
 from collections.abc import Collection
@@ -12,18 +12,18 @@ from htcp_jax.io.robot_model import read_robot_file
 from htcp_jax.jobs.config import AUTO, DEPENDENT, PlanConfig
 from htcp_jax.jobs.config_file import FILES, put
 
-TIP_CONTACT_M = 0.01  # of a part of one's own
+TIP_CONTACT_M = 0.01  # for a user-supplied part
 
 _DEFAULTS = PlanConfig().model_dump()
 
 
 def own_defaults(raw: dict, stated: Collection[str]) -> dict[str, Any]:
-    """The `DEPENDENT` keys with their defaults, given the parts that `raw` names and what is stated of it.
+    """Return the `DEPENDENT` keys with their defaults, given the parts that `raw` names and the keys that it states.
 
-    A robot other than the GP50 has its model's own limits and weights of 1, and keeps clear of itself; a cloud other
-    than the duct is not turned and not moved, and turns about its own origin, wherever `neutral_translation_m` puts it;
-    its inlet faces where its hull does, and the tip of the tool stays out of its walls, from which the paper's duct
-    exempts it. Without a cloud there is no wall, and any arm keeps clear of itself.
+    A robot other than the GP50 has its model's own limits, weights of 1, and self-collision checks. A cloud other than
+    the duct is not rotated and not translated; its pivot is its own origin at `neutral_translation_m`, its inlet
+    direction is that of its hull, and the tool's tip is collision-checked, which the paper's duct excludes. Without a
+    cloud there is no wall, and self-collision is checked for every arm.
     """
     found = {key: value_at(_DEFAULTS, key) for key in DEPENDENT}
     if is_other(raw, "robot.model"):
@@ -45,8 +45,8 @@ def own_defaults(raw: dict, stated: Collection[str]) -> dict[str, Any]:
 
 
 def fill_in(raw: dict, stated: Collection[str], source: str) -> None:
-    """Put `own_defaults` into `raw` wherever a key is not stated. Raises InputError for a robot other than the GP50
-    whose start is not stated."""
+    """Fill keys that are not stated with `own_defaults`. Raises InputError for a robot other than the GP50 without a
+    start."""
     if is_other(raw, "robot.model") and "start_rad" not in stated:
         raise InputError(_no_start(raw["robot"], source))
     sections = {key: raw.get(key, {}) for key in ("robot", "workpiece", "cell", "settings")}
@@ -56,7 +56,7 @@ def fill_in(raw: dict, stated: Collection[str], source: str) -> None:
 
 
 def keys_of(raw: dict, prefix: str = "") -> set[str]:
-    """The dotted keys in `raw`."""
+    """Return the dotted keys in `raw`."""
     found = set()
     for key, value in raw.items():
         found |= {f"{prefix}{key}"} | (keys_of(value, f"{prefix}{key}.") if isinstance(value, dict) else set())
@@ -64,7 +64,7 @@ def keys_of(raw: dict, prefix: str = "") -> set[str]:
 
 
 def value_at(raw: dict, dotted: str) -> Any:
-    """The value of a key; None where it is not there."""
+    """Return the value of a dotted key; None if it is missing."""
     for key in dotted.split("."):
         if isinstance(raw, list | tuple):
             raw = dict(zip(map(str, range(1, len(raw) + 1)), raw, strict=True))
@@ -75,7 +75,7 @@ def value_at(raw: dict, dotted: str) -> Any:
 
 
 def is_other(raw: dict, key: str) -> bool:
-    """Whether the part is another than the built-in one, which is the first of its words."""
+    """Return True if `key` names a part other than the built-in one, the first of its names."""
     name = value_at(raw, key)
     return isinstance(name, str) and name != FILES[tuple(key.split("."))][0]
 

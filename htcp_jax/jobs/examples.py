@@ -1,4 +1,4 @@
-"""The jobs, sweeps and placements that ship with the package, by name."""
+"""Jobs, sweeps and placements that ship with the package, by name."""
 
 import os
 import re
@@ -31,7 +31,7 @@ def example_or_path(path: str | Path) -> Path:
 
 
 def read_spec(spec: str | Path | Mapping[str, Any], name: str) -> tuple[Path, dict[str, Any]]:
-    """Return the path and the content of a YAML file or an example, or of a mapping that spells a file, whose path is
+    """Return the path and the content of a YAML file or an example, or of a mapping in place of a file, whose path is
     then `name` in the working folder. Raises InputError for a file that cannot be read."""
     if isinstance(spec, Mapping):
         return Path(name), dict(spec)
@@ -46,7 +46,7 @@ def description(file: Path) -> str:
 
 
 def files_of(file: Path) -> set[Path]:
-    """Return the file with its baseline and all files that it refers to, those of its base configuration among them."""
+    """Return the file with its baseline and all files to which it refers, recursively."""
     found = {file, *file.parent.glob(f"baselines/{file.name}")}
     for name in re.findall(r"[\w./-]+\.\w+", re.sub("#.*", "", file.read_text(encoding="utf-8"))):
         if (other := Path(os.path.normpath(file.parent / name))).is_file():

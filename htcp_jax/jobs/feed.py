@@ -1,4 +1,4 @@
-"""A feed as a person writes it: 20mm/s."""
+"""Feed rates as text with a unit: 20mm/s."""
 
 import re
 
@@ -12,7 +12,7 @@ _FEED = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*(\S+)\s*", re.IGNORECASE)
 
 
 def feed_of(text: str) -> float:
-    """A feed in words, "20mm/s", in m/s. Raises InputError for one that is not above 0, or without a unit."""
+    """Convert a feed rate, "20mm/s", to m/s. Raises InputError for one that is not above 0, or without a unit."""
     found = _FEED.fullmatch(text)
     unit = UNITS.get(found[2]) if found else None
     try:

@@ -1,15 +1,15 @@
-"""The sweep file: a grid of scenarios around one configuration.
+"""Sweep files: a grid of scenarios around one configuration.
 
-    config: ../configs/paper.yaml            # what all scenarios share; without it the default job
+    config: ../configs/paper.yaml            # shared by all scenarios; default: the default job
     grid:                                    # axes multiply; the last one moves fastest
       - start_rad.3: {offsets: [-0.1, 0, 0.1]}    # added to the configuration's value
-      - workpiece.rotation_y_rad: [0.4, 0.5]      # parameters of one axis go together, value by value
+      - workpiece.rotation_y_rad: [0.4, 0.5]      # parameters of one axis vary jointly (zipped)
         workpiece.rotation_z_rad: [0.1, 0.2]      # so this grid has 3 x 2 scenarios
 
-A parameter is a key of the configuration, any but `method` and `ray`: see `grid_axes`. Joints go by number, from 1, or
-by name. Later axes act on what earlier ones left, so an axis may set `start_rad` and the next ones move single joints.
-Instead of `grid`, `groups` maps names to grids; their scenarios follow each other. A scenario's number, which its
-random keys hang on, is its place in the full grid.
+A parameter is any key of the configuration except `method`, `program` and `ray`: see `grid_axes`. Joints are given by
+number, from 1, or by name. Axes are applied in order, so an axis may set `start_rad` and the next ones change single
+joints. Instead of `grid`, `groups` maps names to grids, whose scenarios are concatenated. A scenario's number, which
+determines its random keys, is its index in the full grid.
 """
 
 import itertools
@@ -50,7 +50,7 @@ from htcp_jax.settings import Settings
 
 
 class SweepFile(Section):
-    """What a person writes; `grid_axes` checks the axes."""
+    """Content of a sweep file; `grid_axes` checks the axes."""
 
     config: str | None = None
     grid: tuple[dict, ...] | None = None
@@ -58,31 +58,31 @@ class SweepFile(Section):
 
 
 class Cell(NamedTuple):
-    """What scenarios share that one call of the planner plans."""
+    """Data shared by the scenarios in one call of the planner."""
 
     robot: Robot
     workpiece: Workpiece
     settings: Settings
     task: Task
-    obstacles: Obstacles = ()  # besides the workpiece
+    obstacles: Obstacles = ()  # in addition to the workpiece
 
 
 class Batch(NamedTuple):
     """Scenarios ready to be planned."""
 
     cells: tuple[Cell, ...]
-    cell: Int[np.ndarray, "S"]  # whose each scenario is
+    cell: Int[np.ndarray, "S"]  # index of each scenario's cell
     scenarios: Scenario  # stacked
     points: tuple[Point, ...]
 
     @property
     def robot(self) -> Robot:
-        """The first scenario's; all have its joints."""
+        """Robot of the first scenario; all have the same joints."""
         return self.cells[0].robot
 
     @property
     def workpiece(self) -> Workpiece:
-        """The first scenario's."""
+        """Workpiece of the first scenario."""
         return self.cells[0].workpiece
 
 
@@ -90,8 +90,8 @@ class Batch(NamedTuple):
 class Sweep:
     """A sweep file, read and checked, with the robot of its configuration.
 
-    stated: see `grid_points.points_of`. alone: whether every scenario draws the random numbers of a job that is planned
-    by itself, in place of those of its own number.
+    stated: see `grid_points.points_of`. alone: True if every scenario uses the random keys of a job planned alone
+    (number 0) in place of its own number's.
     """
 
     name: str
@@ -105,13 +105,13 @@ class Sweep:
         return sum(group.size for group in self.groups)
 
     def points(self, limit: int | None = None) -> tuple[Point, ...]:
-        """The scenarios in order, the first `limit` of them. Raises InputError for a value out of its range."""
+        """Return the first `limit` scenarios, in order. Raises InputError for a value out of its range."""
         if limit is not None and not 1 <= limit <= MOST:
             raise InputError(f"limit is {limit}; valid: 1 to {MOST:,}")
         return tuple(itertools.islice(points_of(self.name, self.config, self.groups, self.stated), limit))
 
     def batch(self, limit: int | None = None) -> Batch:
-        """The scenarios with what they need, the first `limit` of them.
+        """Build the first `limit` scenarios with their cells.
 
         Raises InputError, naming the scenario, for a start outside the joint limits and targets beyond reach, and for
         robots with different joints.
@@ -120,7 +120,7 @@ class Sweep:
         arms = {arm_of(self.config): self.robot}
         parts: dict[tuple[RobotConfig, WorkpieceConfig], Workpiece] = {}
         obstacles: dict[tuple[RobotConfig, CellConfig], Obstacles] = {}
-        follows: dict[tuple, Float[np.ndarray, "3"]] = {}  # where it is at a start, see `make_scenario`
+        follows: dict[tuple, Float[np.ndarray, "3"]] = {}  # position at a start, see `make_scenario`
         cells: dict[tuple, tuple[int, Cell]] = {}
         scenarios, whose = [], []
         for point in points:
@@ -147,11 +147,11 @@ def load_sweep(
     config: str | Path | Mapping[str, Any] | None = None,
     overrides: Sequence[str] | Mapping[str, Any] = (),
 ) -> Sweep:
-    """The sweep at the path `spec`, or the example of that name, or the sweep that `spec` spells as a file would,
-    {"grid": [...]}, whose files are then relative to the working folder. `config` takes the place of its own;
-    `overrides`, see `load_config`, change the configuration before the axes do.
+    """Load the sweep at the path `spec`, or the example of that name, or the sweep in the mapping `spec`,
+    {"grid": [...]}, whose files are relative to the working folder. `config` replaces the sweep's own; `overrides`, see
+    `load_config`, change the configuration before the axes do.
 
-    Raises InputError for what is wrong with either file, for an unknown parameter and for an empty grid.
+    Raises InputError for an invalid file, for an unknown parameter and for an empty grid.
     """
     path, raw = read_spec(spec, "sweep")
     file: SweepFile = validate(raw, SweepFile, str(path))
@@ -182,8 +182,9 @@ def load_sweep(
 
 
 def _first_values(raw: dict, grids: Mapping[str | None, Sequence[dict]], folder: Path) -> dict[str, Any]:
-    """What the configuration takes from the axes, so that it has a robot and a start: where they vary the robot, the
-    first value of each of its keys, and the start's; the start's also where another robot's is theirs alone."""
+    """Return the values that the configuration takes from the axes, so that it has a robot and a start: if they vary
+    the robot, the first value of each of its keys and of the start; else the first start, if another robot has no
+    start."""
     first: dict[str, Any] = {}
     for axis in itertools.chain.from_iterable(grids.values()):
         for key, value in axis.items():
@@ -202,7 +203,7 @@ def _first_values(raw: dict, grids: Mapping[str | None, Sequence[dict]], folder:
 
 
 def _like(first: Robot, robot: Robot, where: str) -> Robot:
-    """The robot. Raises InputError where its joints are of other kinds than the first one's."""
+    """Return the robot. Raises InputError if its joint types differ from the first one's."""
     if robot.slides != first.slides:
         kinds = [f"{one.name} has {len(one.slides)} joints, {sum(one.slides)} of them slides" for one in (robot, first)]
         raise InputError(f"{where}: {'; '.join(kinds)}; the robots of one sweep must have as many joints of each kind")
@@ -217,7 +218,7 @@ def _task(point: Point, robot: Robot) -> Task:
 
 
 def _check_alike(point: Point, task: Task, first: Task) -> None:
-    """Raise InputError where a goal has other numbers than those of the first scenario: they stand in one table."""
+    """Raise InputError if a goal has other numbers than the first scenario's: all are stacked in one array."""
     if task.numbers != first.numbers:
         raise InputError(
             f"scenario {point.number}: its task has other rows than the first one's; "

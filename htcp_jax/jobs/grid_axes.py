@@ -1,4 +1,4 @@
-"""The axes of a grid: which keys they vary, read from a file, written to a manifest, put into a configuration."""
+"""Axes of a grid: their keys, reading from a file, recording in a manifest, application to a configuration."""
 
 import difflib
 import itertools
@@ -12,8 +12,8 @@ from htcp_jax.errors import InputError
 from htcp_jax.jobs.config import AUTO, DEPENDENT, SOURCES, PlanConfig
 from htcp_jax.jobs.config_file import FILES
 
-MOST = 1_000_000  # scenarios of a grid; more is a slip of the pen
-# Those that have columns of their own in the tables of a run.
+MOST = 1_000_000  # scenarios of a grid
+# Keys with columns of their own in the tables of a run.
 PARAMETERS = (
     "start_rad",
     "workpiece.rotation_x_rad",
@@ -24,22 +24,22 @@ PARAMETERS = (
     "robot.tool_extension_m",
     "margin_m",
 )
-NO_AXIS = "method", "program", "ray"  # a sweep asks for methods by itself; the others have no influence on plans
-MOST_ROWS = 8  # of a task, that an axis may name
-OF_A_ROW = {"cone_deg": 0.0, "within_deg": 0.0, "within_m": 0.0, "offset_m": (0.0, 0.0, 0.0)}  # what varies of a row
+NO_AXIS = "method", "program", "ray"  # a sweep has its own list of methods; the others have no influence on plans
+MOST_ROWS = 8  # of a task that an axis may name
+OF_A_ROW = {"cone_deg": 0.0, "within_deg": 0.0, "within_m": 0.0, "offset_m": (0.0, 0.0, 0.0)}  # keys that may vary
 FILE_KEYS = {".".join(key): words for key, words in FILES.items()}
 XYZ = "xyz"
 
 
 def _keys() -> dict[str, Any]:
-    """Every key that an axis may vary, with its default."""
+    """Return every key that an axis may vary, with its default."""
     found = {}
     for name, value in PlanConfig().model_dump().items():
         if name == "task":
             found |= {f"task.{k}.{key}": default for k in range(1, MOST_ROWS + 1) for key, default in OF_A_ROW.items()}
         elif name not in NO_AXIS:
             found |= {f"{name}.{key}": v for key, v in value.items()} if isinstance(value, dict) else {name: value}
-    del found["cell.clouds"]  # lists of files, with where they stand
+    del found["cell.clouds"]  # lists of files with poses
     return found
 
 
@@ -47,7 +47,7 @@ KEYS = _keys()
 
 
 class Parameter(NamedTuple):
-    """What an axis may vary: a key of the configuration, or one element of a key's value."""
+    """A quantity that an axis may vary: a key of the configuration, or one element of its value."""
 
     name: str  # start_rad.joint3
     key: str  # start_rad
@@ -58,7 +58,7 @@ class Column(NamedTuple):
     """One parameter of an axis."""
 
     parameter: Parameter
-    relative: bool  # whether the values are added
+    relative: bool  # True if the values are offsets
     values: tuple[Any, ...]
 
 
@@ -66,23 +66,23 @@ Axis = tuple[Column, ...]  # columns of equal length
 
 
 class Group(NamedTuple):
-    """A grid; `name` is None where a file has just one."""
+    """A grid; `name` is None if the file has only one."""
 
     name: str | None
     axes: tuple[Axis, ...]
 
     @property
     def size(self) -> int:
-        """The number of its scenarios."""
+        """Number of scenarios."""
         return math.prod(len(axis[0].values) for axis in self.axes)
 
     @property
     def keys(self) -> set[str]:
-        """The keys that it varies."""
+        """Keys that vary."""
         return {column.parameter.key for axis in self.axes for column in axis}
 
     def rows(self) -> Iterator[list[tuple[Column, Any]]]:
-        """Of every scenario the columns with their values; the last axis moves fastest."""
+        """Yield the columns with their values for every scenario; the last axis moves fastest."""
         for rows in itertools.product(*(range(len(axis[0].values)) for axis in self.axes)):
             yield [(column, column.values[row]) for axis, row in zip(self.axes, rows, strict=True) for column in axis]
 
@@ -93,11 +93,11 @@ class Point(NamedTuple):
     number: int
     group: str | None
     config: PlanConfig
-    varied: Mapping[str, str] = {}  # JSON by key, of what varies in the sweep and has no column of its own
+    varied: Mapping[str, str] = {}  # JSON by key, for varied keys without a column of their own
 
 
 def read_grid(where: str, folder: Path, name: str | None, axes: Sequence[dict], joints: Sequence[str]) -> Group:
-    """A grid as a person writes it. Files are relative to `folder`; joints: their names. Raises InputError."""
+    """Read a grid from a sweep file. folder: base of file names; joints: their names. Raises InputError."""
     if not axes:
         raise InputError(f"{where} is empty; it needs at least one axis")
     known = parameters(joints)
@@ -111,7 +111,7 @@ def read_grid(where: str, folder: Path, name: str | None, axes: Sequence[dict], 
 
 
 def parameters(joints: Sequence[str]) -> dict[str, Parameter]:
-    """Every spelling that a sweep file may use."""
+    """Return all parameters by every name that a sweep file may use."""
     known = {name: Parameter(name, name, None) for name in (*PARAMETERS, *KEYS)}
     for k, joint in enumerate(joints):
         known[f"start_rad.{k + 1}"] = known[f"start_rad.{joint}"] = Parameter(f"start_rad.{joint}", "start_rad", k)
@@ -122,7 +122,7 @@ def parameters(joints: Sequence[str]) -> dict[str, Parameter]:
 
 
 def put(raw: dict, column: Column, value: Any) -> None:
-    """Set one parameter in the plain form of a configuration."""
+    """Set one parameter in a plain configuration."""
     parameter = column.parameter
     section, _, key = parameter.key.rpartition(".")
     owner = _row(raw, parameter) if section.startswith("task.") else raw[section] if section else raw
@@ -142,7 +142,7 @@ def put(raw: dict, column: Column, value: Any) -> None:
 
 
 def _row(raw: dict, parameter: Parameter) -> dict:
-    """The row of the task that a parameter is of; it is the configuration's own afterwards."""
+    """Return the row of the task to which a parameter belongs; the task in `raw` is replaced by a copy."""
     rows, number = [dict(row) for row in raw["task"]], int(parameter.key.split(".")[1])
     if number > len(rows):
         raise InputError(f"{parameter.name}: the task has {len(rows)} rows")
@@ -151,8 +151,8 @@ def _row(raw: dict, parameter: Parameter) -> dict:
 
 
 def record(group: Group, stated: Collection[str]) -> dict[str, Any]:
-    """A group as it stands in a manifest, with absolute names of files; and, where its axes decide which defaults hold,
-    which of these the configuration `stated`."""
+    """Return a group as recorded in a manifest, with absolute file names; with the `stated` keys if its axes affect
+    defaults."""
 
     def values(column: Column) -> list:
         words = FILE_KEYS.get(column.parameter.key)
@@ -167,7 +167,7 @@ def record(group: Group, stated: Collection[str]) -> dict[str, Any]:
 
 
 def from_record(record: Mapping[str, Any], joints: Sequence[str]) -> Group:
-    """The group of a `record`; what else it holds is not read."""
+    """Return the group of a `record`; other entries are ignored."""
     known = parameters(joints)
 
     def column(name: str, values: Mapping[str, list]) -> Column:
@@ -178,17 +178,17 @@ def from_record(record: Mapping[str, Any], joints: Sequence[str]) -> Group:
 
 
 def absolute(name: str, words: Collection[str]) -> str:
-    """The name of a file, whatever the working folder; the words of the built-in parts stay."""
+    """Return an absolute file name; the names of built-in parts stay."""
     return name if name in words else str(Path(name).resolve())
 
 
 def hangs(group: Group) -> bool:
-    """Whether its scenarios may differ in their defaults, see `defaults.own_defaults`."""
+    """Return True if the defaults depend on the scenario, see `defaults.own_defaults`."""
     return bool(group.keys & {*SOURCES, "workpiece.neutral_translation_m"})
 
 
 def varied_keys(names: Iterable[str]) -> tuple[str, ...]:
-    """The keys in which scenarios may differ and that have no column of their own, given the parameters of all axes."""
+    """Return the varied keys without a column of their own, given the names of all axes' parameters."""
     keys = dict.fromkeys(name if name in KEYS else name.rpartition(".")[0] for name in names)
     if keys.keys() & SOURCES or "workpiece.neutral_translation_m" in keys:
         keys |= dict.fromkeys(DEPENDENT)
@@ -219,7 +219,7 @@ def _read_column(where: str, folder: Path, key: str, value: Any, known: dict[str
     for item in value:
         _check_value(f"{where}: {key}", known[key], item, relative)
     words = FILE_KEYS.get(known[key].key)
-    if words is not None:  # relative to the sweep file, as in any configuration
+    if words is not None:  # relative to the sweep file's folder
         value = [item if item in words else str(folder / item) for item in value]
     return Column(known[key], relative, tuple(map(_hashable, value)))
 
@@ -234,7 +234,7 @@ def _unknown(key: str, known: Collection[str]) -> str:
 
 
 def _check_value(where: str, parameter: Parameter, item: Any, relative: bool) -> None:
-    """Raise InputError unless `item` is of the parameter's kind; its range is checked with the configuration."""
+    """Raise InputError unless `item` has the parameter's type; its range is checked with the configuration."""
     default = KEYS[parameter.key]
     if parameter.key in FILE_KEYS:
         if relative or not (item in FILE_KEYS[parameter.key] or isinstance(item, str | os.PathLike)):

@@ -1,4 +1,4 @@
-"""The scenarios of a grid: for each the configuration that it would have if it were planned alone."""
+"""Scenarios of a grid, each with its complete configuration, as if planned alone."""
 
 import itertools
 import json
@@ -12,8 +12,8 @@ from htcp_jax.jobs.grid_axes import FILE_KEYS, Group, Point, hangs, put, varied_
 
 
 def points_of(name: str, config: PlanConfig, groups: Sequence[Group], stated: Collection[str]) -> Iterator[Point]:
-    """The scenarios in order. stated: those of `config.DEPENDENT` that the configuration states, and "start_rad" where
-    it does; the others are each scenario's own defaults. Raises InputError for a value out of its range."""
+    """Yield the scenarios in order. stated: the keys among `config.DEPENDENT` and "start_rad" that the configuration
+    states; the others get each scenario's own defaults. Raises InputError for a value out of its range."""
     base = config.model_dump()
     columns = [column for group in groups for axis in group.axes for column in axis]
     varied = varied_keys(column.parameter.name for column in columns)
@@ -37,7 +37,7 @@ def points_of(name: str, config: PlanConfig, groups: Sequence[Group], stated: Co
 
 
 def short_names(files: Iterable[str | None], words: Collection[str | None]) -> dict[str | None, str | None]:
-    """Each file by as many of the last parts of its path as set it apart from the others; `words` as they are."""
+    """Return the shortest ends of paths, of equal length, that distinguish the files; `words` are kept."""
     whole = {file: Path(file).resolve() for file in files if file not in words}
     count = 1
     while len({path.parts[-count:] for path in whole.values()}) < len(set(whole.values())):

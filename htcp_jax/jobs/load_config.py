@@ -1,9 +1,9 @@
-"""A configuration from a file, a mapping and overrides, checked and with its defaults.
+"""Loading of a configuration from a file, a mapping and overrides, validated and with its defaults.
 
     load_config("plan.yaml", ["margin_m=0.001", "settings.alpha_rad=0.05"]) -> PlanConfig
 
-A file may build on another one, see `config_file`. Files named in a YAML file are relative to its folder; files named
-in an override are relative to the working folder, as on any command line.
+A file may have a base file, see `config_file`. File names in a YAML file are relative to its folder, those in an
+override to the working folder.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,12 +22,12 @@ from htcp_jax.planning.registry import NAME
 def load_config(
     config: str | Path | Mapping[str, Any] | None = None, overrides: Sequence[str] | Mapping[str, Any] = ()
 ) -> PlanConfig:
-    """The default job, changed by `config`, then by `overrides`: "dotted.key=value" each, or a mapping. `config` is a
-    YAML file, the name of an example or a mapping that spells a file, whose files are relative to the working folder.
+    """Load the default job, changed by `config`, then by `overrides`: "dotted.key=value" each, or a mapping. `config`
+    is a YAML file, the name of an example or a mapping, whose files are relative to the working folder.
 
-    Raises InputError for a file that cannot be read, is no YAML mapping or repeats a key, for files that build on each
-    other in a circle, for an unknown key, for a value of the wrong type or outside its range, and for a robot other
-    than the GP50 without a start.
+    Raises InputError for a file that cannot be read, is no YAML mapping or repeats a key, for a cycle of base files,
+    for an unknown key, for a value of the wrong type or outside its range, and for a robot other than the GP50 without
+    a start.
     """
     raw, source = read_config(config, overrides)
     fill_in(raw, stated=keys_of(raw), source=source)
@@ -37,7 +37,8 @@ def load_config(
 def read_config(
     config: str | Path | Mapping[str, Any] | None, overrides: Sequence[str] | Mapping[str, Any]
 ) -> tuple[dict, str]:
-    """What `load_config` is given as one mapping, without any default, and what to call it. Raises InputError."""
+    """Merge the arguments of `load_config` into one mapping, without defaults; return it with its name for messages.
+    Raises InputError."""
     source, found = "the default configuration", []
     if isinstance(config, Mapping):
         source = "the configuration"

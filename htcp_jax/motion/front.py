@@ -1,5 +1,5 @@
-"""What a roadmap keeps of the postures that arrive at a target: the best of close ones, and those far apart. For many
-searches at once: rows with the same number are of one search, and no other has any influence on what is kept of them.
+"""Selection of a beam: of the configurations that reach a target, the best of close ones, and those far apart. Works on
+many searches at once: rows with the same number belong to one search, and searches do not influence each other.
 """
 
 import numpy as np
@@ -9,7 +9,7 @@ from htcp_jax.motion.posture_tree import Nodes
 
 
 def best_first(nodes: Nodes, search: Int[np.ndarray, "n"] | int = 0) -> Int[np.ndarray, "n"]:
-    """All places, search by search: fewest dwells first, then least cost; of equals the one found first."""
+    """Return all row indices, search by search: fewest dwells first, then least cost; ties in the order given."""
     return np.lexsort((nodes.cost, nodes.dwells, np.broadcast_to(search, nodes.cost.shape)))
 
 
@@ -20,15 +20,16 @@ def dispersed(
     apart: float,
     known: tuple[Float[np.ndarray, "m N"], Int[np.ndarray, "m"]] | None = None,
 ) -> Int[np.ndarray, "k"]:
-    """The places of up to `most` of each search's postures, all further than `apart` [rad] from each other and from
-    those known: of close ones the first, and where there are more than that, those that are far from each other
-    (farthest-point selection). They come search by search, the best first, and are found in that order.
+    """Return the indices of up to `most` configurations per search, all further than `apart` [rad] from each other and
+    from the known ones: the first of close ones and, if more remain, those far from each other (farthest-point
+    selection). Rows are given search by search, best first, and returned in that order.
 
-    search: the number of each row's, 0 or more. known: postures, and whose they are."""
+    search: the number of each row's search, 0 or more. known: configurations that are kept already, and their searches.
+    """
     count, every, number = 0, x, search
     if known is not None:
         count, every, number = len(known[1]), np.concatenate([known[0], x]), np.concatenate([known[1], search])
-    order = np.argsort(number, kind="stable")  # of every search those known, and then the others
+    order = np.argsort(number, kind="stable")  # per search the known ones first
     kept = np.empty(len(every), bool)
     kept[order] = _apart(every[order], number[order], order < count, apart)
     places = order[kept[order] & (order >= count)] - count
@@ -41,17 +42,17 @@ def dispersed(
 
 
 def _apart(x: Float[np.ndarray, "n N"], search: Int[np.ndarray, "n"], known: np.ndarray, apart: float) -> np.ndarray:
-    """Which rows, sorted by search, are kept one after the other: those known, and what is near to none that is kept.
-    The k-th row of every search is looked at together; searches with many rows stand first."""
+    """True for the rows, sorted by search, that are kept: the known ones, and each that is near no row kept before it.
+    The k-th rows of all searches are compared at once; searches with many rows come first."""
     first = np.flatnonzero(np.diff(search, prepend=-1))
     count = np.diff(np.append(first, len(x)))
     by_count = np.argsort(-count, kind="stable")
     first, count = first[by_count], count[by_count]
-    row = first[:, None] + np.arange(count.max(initial=0))  # of the k-th of every search
+    row = first[:, None] + np.arange(count.max(initial=0))  # rows of each search's k-th configuration
     row = np.minimum(row, len(x) - 1)
     table, kept = x[row], known[row]
     for k in range(row.shape[1]):
-        own = slice(np.searchsorted(-count, -k, side="left"))  # searches that have as many
+        own = slice(np.searchsorted(-count, -k, side="left"))  # searches with more than k rows
         away = np.linalg.norm(table[own, :k] - table[own, k : k + 1], axis=2)
         kept[own, k] |= ~((away < apart) & kept[own, :k]).any(axis=1)
     found = np.zeros(len(x), bool)
@@ -61,7 +62,8 @@ def _apart(x: Float[np.ndarray, "n N"], search: Int[np.ndarray, "n"], known: np.
 
 
 def farthest_first(x: Float[np.ndarray, "n N"], first: int, most: int, apart: float) -> list[int]:
-    """Up to `most` rows of x, from `first` on always the one farthest from those chosen; none nearer than `apart`."""
+    """Return up to `most` rows of x, starting from `first`, always the one farthest from those chosen; none nearer than
+    `apart`."""
     kept, distance = [first], np.linalg.norm(x - x[first], axis=1)
     while len(kept) < most and distance.max() >= apart:
         kept.append(int(np.argmax(distance)))
@@ -70,9 +72,9 @@ def farthest_first(x: Float[np.ndarray, "n N"], first: int, most: int, apart: fl
 
 
 def first_apart(x: Float[np.ndarray, "n N"], most: int, apart: float, norm: float = 2) -> Int[np.ndarray, "k"]:
-    """Return up to `most` rows of x, in their order: each that is at least `apart` from those before it that are kept.
+    """Return up to `most` rows of x, in their order: each that is at least `apart` from the rows kept before it.
 
-    norm: Of the distance, as `numpy.linalg.norm` has it.
+    norm: Order of the norm, as in `numpy.linalg.norm`.
     """
     kept: list[int] = []
     left = np.ones(len(x), bool)

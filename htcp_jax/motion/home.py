@@ -1,11 +1,11 @@
-"""From home to the start: a joint path that is proven clear, for many scenarios at once.
+"""Joint paths from home to the start that are proven clear, for many scenarios at once.
 
     ways = leave_home(problem)            # before planning: chooses starts, and refuses scenarios
     begin_at_home(problem, plans, ways)   # afterwards: the plans begin at home
 
-Any method plans from the start, so all of them can begin at home. A start that is to be chosen is one of
-the clearest postures of those that are drawn at the path's first point: of four at a time that which is joined to home
-soonest; without a home the clearest.
+Any method plans from the start, so all of them can begin at home. A start that is not given is chosen among the
+clearest configurations sampled at the path's first point: of four at a time, the one joined to home in the fewest
+rounds of queries; without a home, the clearest.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -26,15 +26,15 @@ from htcp_jax.motion.tip_check import TipCheck, tip_checks
 from htcp_jax.motion.transfers import other_postures
 from htcp_jax.status import Status
 
-ROUNDS, FIRST_ROUND = 4, 100  # of draws of starts; numbered beyond those of transfers
-TOGETHER, MOST_TRIED = 4, 16  # starts of a round that are tried to be joined at a time, and in all
-PAIR = 500_000  # the first number of a pair of postures that begins at home; those before it are of transfers
+ROUNDS, FIRST_ROUND = 4, 100  # rounds of sampled starts; numbered beyond those of transfers
+TOGETHER, MOST_TRIED = 4, 16  # starts of a round to join at a time, and in total
+PAIR = 500_000  # first number of pairs that begin at home; smaller ones belong to transfers
 
-Ways = dict[int, Float[np.ndarray, "_ N"]]  # by scenario: the knots from home to the start
+Ways = dict[int, Float[np.ndarray, "_ N"]]  # by scenario: the via points from home to the start
 
 
 class Trial(NamedTuple):
-    """A posture that may be the start of a scenario."""
+    """A candidate for the start of a scenario."""
 
     scenario: int
     pair: int
@@ -42,8 +42,8 @@ class Trial(NamedTuple):
 
 
 def leave_home(problem: Problem) -> Ways:
-    """The knots from home to the start of every scenario that begins at another posture than its start. Starts that are
-    to be chosen are written into the problem's scenarios; those of which nothing comes are refused there."""
+    """Return the via points from home to the start, for every scenario with a start other than home. Chosen starts are
+    written into the problem's scenarios; scenarios without such a path are refused there."""
     scenarios = problem.scenarios
     apart = scenarios.auto_start | (scenarios.x_home != scenarios.x_start).any(axis=1)
     rows = problem.to_plan[apart[problem.to_plan]].tolist()
@@ -63,13 +63,14 @@ def leave_home(problem: Problem) -> Ways:
 
 
 class Leaving:
-    """Joins homes to starts, those of many scenarios together."""
+    """Join home to the start for many scenarios together."""
 
     def __init__(self, problem: Problem, kernels: Kernels, tip: TipCheck | None):
         self._problem, self._kernels, self._tip = problem, kernels, tip
 
     def run(self, rows: list[int]) -> Ways:
-        """The ways that there are; of the other scenarios it is written down why there is none."""
+        """Return the via points from home of the scenarios that are joined; the others are refused with their
+        status."""
         scenarios, ways = self._problem.scenarios, Ways()
         anywhere = self._problem.begins_anywhere
         self._begin([s for s in rows if anywhere[s]])
@@ -88,7 +89,8 @@ class Leaving:
         return ways
 
     def _begin(self, rows: list[int]) -> None:
-        """Of scenarios that begin at a start to be chosen: choose it, the clearest of the first draws that count."""
+        """Choose the start of scenarios without a home: the clearest configuration of the first round that finds a
+        valid one."""
         scenarios = self._problem.scenarios
         for s in rows:
             found = (self._drawn(s, round_) for round_ in range(ROUNDS))
@@ -98,7 +100,7 @@ class Leaving:
                 scenarios.x_start[s] = trials[0].x
 
     def _clear(self, rows: list[int], x: Float[np.ndarray, "S N"], otherwise: Status) -> list[int]:
-        """Those of the scenarios that are clear at their x; the others are refused."""
+        """Return the scenarios that are clear at their x; the others are refused."""
         if not rows:
             return []
         inputs = lane_inputs(self._problem.scenarios, np.array(rows), np.zeros(len(rows), int))
@@ -107,13 +109,14 @@ class Leaving:
         return np.array(rows)[clear].tolist()
 
     def _drawn(self, s: int, round_: int) -> list[Trial]:
-        """Postures at the first target, the clearest first."""
+        """Return configurations at the first target, the clearest first."""
         found = other_postures(self._problem, self._kernels, self._tip, s, FIRST_ROUND + round_)
         clearest = found.x[np.argsort(-found.clearance, kind="stable")[:MOST_TRIED]]
         return [Trial(s, PAIR + round_ * MOST_TRIED + k, x) for k, x in enumerate(clearest)]
 
     def _joined(self, trials: dict[int, list[Trial]]) -> Ways:
-        """Of each scenario the way to that of its trials which is joined soonest, which becomes its start."""
+        """Return each scenario's path to the candidate joined in the fewest rounds of queries, which becomes its
+        start."""
         ways, scenarios = Ways(), self._problem.scenarios
         for first in range(0, MOST_TRIED, TOGETHER):
             now = [one for s, own in trials.items() if s not in ways for one in own[first : first + TOGETHER]]
@@ -129,7 +132,8 @@ class Leaving:
 
 
 def begin_at_home(problem: Problem, plans: Plans, ways: Ways) -> Plans:
-    """The plans with the ways from home before them: starts are knots on the way to the first target."""
+    """Return the plans with the paths from home prepended: starts become via points on the segment to the first
+    target."""
     scenarios = problem.scenarios
     mine = (plans.start == scenarios.x_start).all(axis=1) & ~scenarios.begins_anywhere
     plans.start[mine] = scenarios.x_home[mine]

@@ -1,19 +1,20 @@
-"""Joining two postures of an arm by a joint path that is proven clear all along, for many pairs at once.
+"""Joining two configurations of an arm by a joint path that is proven clear, for many pairs at once.
 
-No task is held: the TCP may be anywhere. Per pair two trees of postures grow, one from either end, until they meet:
+The task is not enforced: the TCP may be anywhere. Per pair two trees of configurations grow, one from either end, until
+they meet:
 
-    straight   the joint path from end to end; where it is proven, nothing is left to do
-    grow       the smaller tree: from random postures of it in random directions, a step at a time, as far as is proven
-    meet       from the other tree's nearest posture towards each end of what has grown, the same way
-    shorten    what was found, by straight joint paths between random places of it
+    straight   the joint path from end to end; if it is proven, the search is done
+    grow       the smaller tree: from random nodes in random directions, in steps, as far as these are proven
+    meet       from the other tree's nearest node towards each end of what has grown, in the same way
+    shorten    the path found, by straight joint paths between random points on it
 
-These are expansive trees (Hsu, Latombe and Motwani, 1997), joined as RRT-Connect joins its own (Kuffner and LaValle,
-2000). The draws stand about the tree and not all over the joint range, and the smaller tree, which is the one that is
-confined, has them all: of postures inside a part that joins more than RRT-Connect does, with far fewer proofs.
+These are expansive trees (Hsu, Latombe and Motwani, 1997), joined as in RRT-Connect (Kuffner and LaValle, 2000).
+Samples are drawn around the tree instead of in the whole joint range, and only the smaller tree, the confined one,
+grows: for configurations inside a part this joins more pairs than RRT-Connect, with far fewer proofs.
 
-A search is a generator: it asks which straight joint paths are clear, and is told. It knows nothing of other searches,
-and its random numbers come from the seed and from the numbers of its scenario and pair, so what it finds does not
-depend on which pairs are joined together. Whatever all of them ask at a time goes to the device in one batch.
+A search is a generator: it yields straight joint paths, and is sent which of them are proven clear. Searches are
+independent, and their random numbers come from the seed and the numbers of scenario and pair, so a result does not
+depend on which pairs are joined together. The queries of all searches go to the device in one batch.
 """
 
 from collections.abc import Generator
@@ -33,22 +34,22 @@ from htcp_jax.motion.proofs import clear_paths
 from htcp_jax.motion.tip_check import TipCheck
 from htcp_jax.settings import Settings
 
-IN_FLIGHT = 4  # pairs are joined together, a quarter as many as a table has lanes
-DRAWS = 16  # of a round; and shortcuts of one
-LONGEST_RAD, SHORTEST_RAD = 4.0, 0.125  # of draws, whose lengths are spread evenly over their orders of magnitude
-FINEST_RAD = 0.02  # parts of a shortcut that its proof may look at
-LEAST_RAD = 1e-6  # that a shortcut has to save; more than rounding
+IN_FLIGHT = 4  # pairs joined together: the number of lanes divided by this
+DRAWS = 16  # samples per round, and shortcuts per round
+LONGEST_RAD, SHORTEST_RAD = 4.0, 0.125  # range of sampled lengths, log-uniform
+FINEST_RAD = 0.02  # finest subdivision of a shortcut's proof
+LEAST_RAD = 1e-6  # least saving of a shortcut; more than rounding
 
 
 class JointPaths(NamedTuple):
-    """Straight joint paths that a search asks about."""
+    """Straight joint paths that a search queries."""
 
     a: Float[np.ndarray, "m N"]  # [rad or m]
     b: Float[np.ndarray, "m N"]
-    deepest: Int[np.ndarray, "m"]  # how often their proof may halve them
+    deepest: Int[np.ndarray, "m"]  # maximum number of halvings in their proof
 
 
-Joining = Generator[JointPaths, Bool[np.ndarray, "m"], Any]  # asks, and is sent which of them are proven
+Joining = Generator[JointPaths, Bool[np.ndarray, "m"], Any]  # yields queries, is sent which are proven
 Limits = tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]
 
 
@@ -63,15 +64,14 @@ def join(
     settings: Settings,
     soonest: bool = False,
 ) -> list[Float[np.ndarray, "_ N"] | None]:
-    """For each pair of postures the knots strictly between them, such that every straight joint path from a over the
-    knots to b is proven clear; none where the straight joint path is. None where an end is not clear, or where nothing
+    """Return the via points strictly between each pair of configurations, such that every straight joint path from a
+    through them to b is proven clear; empty if the straight joint path is. None if an end is not clear, or if nothing
     was found in `settings.search_rounds`.
 
-    scenario: each pair's, by its row in `scenarios` (stacked, numpy). pair: its number within the scenario, 0 or more;
-    random numbers are drawn by it. a, b: within the joint limits [rad or m]. tip: the tool's bare tip keeps out of the
-    walls, too, as far as samples tell.
-    soonest: of each scenario's pairs only that one is wanted for which least has to be asked, the first of equals; the
-    others are given up.
+    scenario: each pair's, by its row in `scenarios` (stacked, numpy). pair: its number within the scenario, 0 or more,
+    which seeds its random numbers. a, b: within the joint limits [rad or m]. tip: also keeps the tool's bare tip out of
+    the walls, checked at samples. soonest: of each scenario's pairs, return only the one joined in the fewest rounds of
+    queries, the first if several are; the others are abandoned.
     """
     found: list[np.ndarray | None] = [None] * len(a)
     waiting, most, limits = iter(range(len(a))), max(1, kernels.lanes // IN_FLIGHT), kernels.limits
@@ -106,7 +106,7 @@ def join(
 def _told(
     kernels: Kernels, tip: TipCheck | None, scenarios: Scenario, scenario: np.ndarray, asked: dict[int, JointPaths]
 ) -> dict[int, np.ndarray]:
-    """Which of the joint paths that each search asks about are proven."""
+    """Return, for each search, True for the queried joint paths that are proven."""
     counts = [len(paths.a) for paths in asked.values()]
     own = np.repeat(scenario[list(asked)], counts)
     a, b, deepest = (np.concatenate(column) for column in zip(*asked.values(), strict=True))
@@ -119,7 +119,7 @@ def _told(
 
 
 def _joined(a: np.ndarray, b: np.ndarray, limits: Limits, rng: np.random.Generator, settings: Settings) -> Joining:
-    """One pair; returns what `join` does."""
+    """Join one pair; returns the same as `join`."""
     ends_clear = yield _steps(np.stack([a, b]), np.stack([a, b]))
     if not ends_clear.all():
         return None
@@ -137,7 +137,8 @@ class _Nodes(NamedTuple):
 
 
 class _JointTree(Tree):
-    """Postures connected to a root by proven steps, which lead away from it; or, to be walked backwards, towards it."""
+    """Configurations connected to a root by proven steps, which lead away from it or, in a `backwards` tree, towards
+    it."""
 
     def __init__(self, root: Float[np.ndarray, "N"], backwards: bool):
         super().__init__(_Nodes(root[None], np.array([NO_PARENT])))
@@ -149,17 +150,17 @@ class _JointTree(Tree):
         return self._table.x[: self._count]
 
     def nearest(self, x: Float[np.ndarray, "m N"]) -> Int[np.ndarray, "m"]:
-        """To each of some postures; of equals the first."""
+        """Return the node nearest to each configuration; the first if several are."""
         apart = self.x[None] - x[:, None]
         return np.argmin((apart * apart).sum(axis=2), axis=1)
 
     def way(self, node: int) -> Float[np.ndarray, "k N"]:
-        """The postures from the root to a node; backwards, from the node to the root."""
+        """Return the configurations from the root to a node; in a `backwards` tree, from the node to the root."""
         path = self.path(node)
         return self.x[path[::-1] if self.backwards else path]
 
     def extend(self, node: Int[np.ndarray, "m"], goal: Float[np.ndarray, "m N"], step: float) -> Joining:
-        """From each node straight towards its goal, as far as steps are proven; returns the nodes where that ends."""
+        """Step from each node straight towards its goal, as far as steps are proven; returns the last nodes."""
         node, going = node.copy(), np.arange(len(node))
         while len(going):
             x, to = self.x[node[going]], goal[going]
@@ -172,7 +173,7 @@ class _JointTree(Tree):
 
 
 def _grown(a: np.ndarray, b: np.ndarray, limits: Limits, rng: np.random.Generator, settings: Settings) -> Joining:
-    """A way from a to b, step by step; None where the rounds are spent."""
+    """Return a path from a to b, in steps; None if the rounds are spent."""
     trees, step = (_JointTree(a, False), _JointTree(b, True)), settings.search_step_rad
     for _ in range(settings.search_rounds):
         small, other = sorted(trees, key=len)
@@ -189,17 +190,17 @@ def _grown(a: np.ndarray, b: np.ndarray, limits: Limits, rng: np.random.Generato
 
 
 def _drawn(x: np.ndarray, limits: Limits, rng: np.random.Generator) -> np.ndarray:
-    """From each posture in a random direction, near or far, within the limits."""
+    """Sample a goal for each configuration: a random direction and length, within the limits."""
     directions = rng.standard_normal(x.shape)
     lengths = LONGEST_RAD * (SHORTEST_RAD / LONGEST_RAD) ** rng.random((len(x), 1))
     return np.clip(x + directions * (lengths / np.linalg.norm(directions, axis=1, keepdims=True)), *limits)
 
 
 def _shortened(way: np.ndarray, rng: np.random.Generator, rounds: int) -> Joining:
-    """The way, with straight joint paths in place of parts of it: of each round's the one that saves most."""
+    """Return the path shortened by straight joint paths: in each round the shortcut that saves most."""
     for _ in range(rounds):
         cuts = np.sort(rng.random((DRAWS, 2)) * (len(way) - 1), axis=1)
-        cuts[::2] = np.rint(cuts[::2])  # from knot to knot, so that there are fewer of them
+        cuts[::2] = np.rint(cuts[::2])  # between via points, so that there are fewer of them
         before, after = np.floor(cuts[:, 0]).astype(int), np.ceil(cuts[:, 1]).astype(int)
         p, q = (_at(way, cut) for cut in cuts.T)
         legs = np.stack([way[before], p, q, way[after]], axis=1)
@@ -218,18 +219,18 @@ def _steps(a: np.ndarray, b: np.ndarray) -> JointPaths:
 
 
 def _cuts(a: np.ndarray, b: np.ndarray) -> JointPaths:
-    """To be proven at little cost: the shortest way grazes the walls, and is not wanted."""
+    """Joint paths with a limited proof: the shortest path grazes the walls, which is not wanted."""
     parts = np.linalg.norm(b - a, axis=1) / FINEST_RAD
     return JointPaths(a, b, np.clip(np.ceil(np.log2(np.maximum(parts, 1.0))), 0, DEEPEST).astype(np.int32))
 
 
 def _at(way: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Postures of a way; a place is the number of a knot, and a part of the way to the next one."""
+    """Configurations on a path; a place is the number of a via point plus the fraction of the segment to the next."""
     knot = np.minimum(place.astype(int), len(way) - 2)
     return _between(way[knot], way[knot + 1], place - knot)
 
 
 def _between(a: np.ndarray, b: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """That part of the way from each a to its b; never outside of both, and exactly b for 1."""
+    """Interpolate from each a to its b by a fraction; never outside of both, and exactly b for 1."""
     x = np.clip(a + part[:, None] * (b - a), np.minimum(a, b), np.maximum(a, b))
     return np.where(part[:, None] == 1, b, x)

@@ -1,6 +1,6 @@
-"""The engine's device side: pure functions of one lane.
+"""Device functions of the engine: pure functions of one lane.
 
-A kernel takes what all lanes share and one lane's arguments; `programs` runs it over tables of them.
+A kernel takes the arguments shared by all lanes and one lane's own; `programs` runs it over tables of lanes.
 """
 
 from collections.abc import Callable
@@ -23,11 +23,11 @@ from htcp_jax.solvers import step_qp
 from htcp_jax.solvers.active_set import solve_step
 from htcp_jax.types import Int, Joints
 
-STEPS_A_BURST = 5  # step QPs, or null-space steps, before the engine looks at the lanes again
+STEPS_A_BURST = 5  # step QPs, or null-space steps, per call
 
 
 class Measured(NamedTuple):
-    """A configuration, its linearisation, and how it stands to the target."""
+    """A configuration, its linearisation, its clearance, and its error at the target."""
 
     x: jax.Array
     linear: Linearisation
@@ -39,7 +39,7 @@ class Measured(NamedTuple):
 def prepare(
     settings: Settings, scene: Scene, lane: LaneInputs, x_ref, x_previous, linear: Linearisation
 ) -> step_qp.StepQP:
-    """The step QP of one lane, equation (9)."""
+    """Return the step QP of one lane, equation (9)."""
     scene = own_scene(scene, lane.tool_extension_m)
     robot, task = scene.robot, scene.task.linear(*linear.task, lane.target)
     return step_qp.assemble(
@@ -61,7 +61,7 @@ def prepare(
 def advance(
     settings: Settings, scene: Scene, lane: LaneInputs, x_ref: Joints, y: Joints, smallest: bool = False
 ) -> Measured:
-    """The lane after a step y: inside the limits to the last bit, linearised by equations (6) to (8), and measured
+    """Return the lane after a step y: clipped to the limits exactly, linearised by equations (6) to (8), and measured
     against its target. smallest: see `linearise`."""
     scene = own_scene(scene, lane.tool_extension_m)
     x = jnp.clip(x_ref + y, scene.robot.lower, scene.robot.upper)
@@ -71,22 +71,22 @@ def advance(
 
 
 def advance_smallest(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, y) -> Measured:
-    """`advance` for step QPs that look at the smallest clearance alone."""
+    """`advance` for step QPs that use the smallest clearance only."""
     return advance(settings, scene, lane, x_ref, y, smallest=True)
 
 
 def measured(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Measured:
-    """The lane at x, as its step QP looks at it."""
+    """Return the lane at x, linearised as its step QP needs it."""
     return advance(settings, scene, lane, x, jnp.zeros_like(x), settings.clearance_rows == "smallest")
 
 
 def nothing_known(look: Callable, *arguments) -> Any:
-    """What a function of these would return, all zeros: of a lane at which nobody has looked yet."""
+    """Zeros in the structure and shapes that `look` would return for these arguments."""
     return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(look, *arguments))
 
 
 class Tracked(NamedTuple):
-    """A lane after a burst of step QPs: where it is, how many this target has taken, and the last one's verdict."""
+    """A lane after a chunk of step QPs: its state, the number of step QPs at this target, and the last one's status."""
 
     now: Measured
     iteration: jax.Array
@@ -103,7 +103,7 @@ def track(
     iteration: Int[jax.Array, ""],
 ) -> Loop:
     """Algorithm 1, line 7: step QPs (9) on the device, one after the other, until the target is reached, the lane is
-    stuck, or the burst is over. The loop's state is `Tracked`."""
+    stuck, or the chunk of steps ends. The loop's state is `Tracked`."""
     most = jnp.minimum(iteration + STEPS_A_BURST, settings.max_step_qps)
 
     def going(tracked: Tracked):
@@ -124,23 +124,23 @@ def track(
 
 
 def check_path(settings: Settings, scene: Scene, lane: LaneInputs, a, b):
-    """Whether the straight joint path from a to b is clear."""
+    """True if the straight joint path from a to b is clear."""
     scene = own_scene(scene, lane.tool_extension_m)
     return path_clear(scene, settings, lane, a, b)
 
 
 def settle(settings: Settings, scene: Scene, lane: LaneInputs, x):
-    """The posture at x, brought onto its target, ten times closer than inverse kinematics is asked for elsewhere."""
+    """Bring x onto its target, to a tenth of the tolerance that inverse kinematics has elsewhere."""
     scene = own_scene(scene, lane.tool_extension_m)
     return reanchor(scene.robot, x, lane.target, 0.1 * scene.task.fine_m, task=scene.task)[0]
 
 
 def hold(settings: Settings, scene: Scene, lane: LaneInputs, linear: Linearisation) -> TaskLinear:
-    """The task's rows at the lane's target, where the arm is linearised."""
+    """Return the task's rows at the lane's target, from the linearisation."""
     return scene.task.linear(*linear.task, lane.target)
 
 
-# The kernels by name, each with the settings that it reads
+# Kernels by name, each with the settings that it reads
 
 MEASURED = ("clearance_rows",)  # by `measured`
 _STEP_QP = ("q_weights", "cost_about", "clearance_rows", "aim_above_m")
@@ -155,5 +155,5 @@ HOLD = Kernel("hold", hold, STEP)
 
 
 def advance_of(settings: Settings) -> Kernel:
-    """What an engine measures its lanes by."""
+    """Return the kernel with which an engine measures its lanes."""
     return ADVANCE_SMALLEST if settings.clearance_rows == "smallest" else ADVANCE

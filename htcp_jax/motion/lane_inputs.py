@@ -1,4 +1,4 @@
-"""What a lane brings along to every kernel."""
+"""Per-lane inputs that every kernel takes."""
 
 from typing import NamedTuple
 
@@ -9,8 +9,8 @@ from htcp_jax.model.scenario import Scenario
 
 
 class LaneInputs(NamedTuple):
-    """What one lane is about: its scenario's surroundings, and which target. A lane brings all of it
-    along, so the compiled programs know nothing of how many scenarios there are."""
+    """Inputs of one lane: its scenario's data and its target. Each lane carries its own copy, so executables do not
+    depend on the number of scenarios."""
 
     T_world_workpiece: jax.Array
     interior_plane: jax.Array
@@ -26,8 +26,8 @@ class LaneInputs(NamedTuple):
 def lane_inputs(
     scenarios: Scenario, scenario: np.ndarray, row: np.ndarray, *, seed: int = 0, round_: int | np.ndarray = 0
 ) -> LaneInputs:
-    """What lanes are about that are at target `row` of their `scenario`; scenarios are stacked, numpy. seed: for
-    kernels that draw; round_: of draws, one for all lanes or one each."""
+    """Return the inputs of lanes at target `row` of their `scenario`; scenarios are stacked, numpy. seed: for kernels
+    that draw; round_: of draws, one for all lanes or one each."""
     row, scenario = np.asarray(row, np.int32), np.asarray(scenario)
     return LaneInputs(
         T_world_workpiece=scenarios.T_world_workpiece[scenario],

@@ -1,13 +1,13 @@
-"""The rows of a motion: the postures that an arm passes from a plan's start on, one straight joint path after another.
+"""The rows of a motion: the configurations that an arm passes from a plan's start on, joined by straight joint paths.
 
     motion(plans, 12, on_path)                  # of one scenario
     motions(plans, on_path).cost(len(plans.x))  # of all of them at once
 
-Only what is executable is a motion; what a plan has beyond that is no part of it.
+A motion has only the executable part of a plan.
 
-And what a motion comes to: how often the arm dwells, how smooth the whole is, how clear it is all along. Equation (3)
-of the paper asks for the least ||x||_Q^2 with Q = V'V, where V takes finite differences of consecutive postures: the
-sum of |x_{t+1} - x_t|^2, unweighted.
+This module also computes a motion's figures: number of dwells, smoothness, guaranteed clearance. Equation (3) of the
+paper minimises ||x||_Q^2 with Q = V'V, where V takes finite differences of consecutive configurations: the sum of
+|x_{t+1} - x_t|^2, unweighted.
 """
 
 from typing import NamedTuple
@@ -18,20 +18,20 @@ from jaxtyping import Bool, Float, Int, Int8
 from htcp_jax.motion.plans import Plans
 from htcp_jax.status import Kind, Status
 
-ONE_POINT_M = 1e-5  # targets closer to each other are one point of the path
+ONE_POINT_M = 1e-5  # targets closer to each other count as one point of the path
 OnPath = int | Int[np.ndarray, "S"]  # the first target that is a point of the path, see `Scenario`
 
 
 class Motion(NamedTuple):
-    """Of one scenario; the start comes first. There are no rows where no target is executable."""
+    """Motion of one scenario; the start comes first. Empty if no target is executable."""
 
     x: Float[np.ndarray, "n N"]  # [rad or m]
-    target: Int[np.ndarray, "n"]  # to which the row leads; of a dwell, the one that the tool stays at
-    kind: Int8[np.ndarray, "n"]  # `status.Kind`: what the arm does on its way to this row from the one before
+    target: Int[np.ndarray, "n"]  # to which the row leads; for a dwell, the one that the tool stays at
+    kind: Int8[np.ndarray, "n"]  # `status.Kind`: kind of motion to this row from the one before
 
 
 class Motions(NamedTuple):
-    """Of S scenarios, one after the other; see `Motion`."""
+    """Motions of S scenarios, one after the other; see `Motion`."""
 
     scenario: Int[np.ndarray, "n"]
     x: Float[np.ndarray, "n N"]  # [rad or m]
@@ -39,7 +39,7 @@ class Motions(NamedTuple):
     kind: Int8[np.ndarray, "n"]
 
     def of(self, scenario: int) -> Motion:
-        """That of one scenario, by its row."""
+        """Return the motion of one scenario, by its row."""
         return Motion(*(column[self.scenario == scenario] for column in self[1:]))
 
     @property
@@ -50,10 +50,10 @@ class Motions(NamedTuple):
 
 
 def motion(plans: Plans, scenario: int, on_path: int, *, retract: bool = False) -> Motion:
-    """The motion of one scenario, up to its last executable target.
+    """Return the motion of one scenario, up to its last executable target.
 
     scenario: its row in `plans`; on_path: the first target that is a point of the path, `Scenario.on_path`. retract:
-    whether it leads back to where it began, too, through the same postures: what is clear one way is clear the other.
+    also return to the beginning through the same configurations, which are clear in both directions.
     """
     there = motions(plans.rows([scenario]), on_path).of(0)
     if not retract:
@@ -64,7 +64,7 @@ def motion(plans: Plans, scenario: int, on_path: int, *, retract: bool = False) 
 
 
 def motions(plans: Plans, on_path: OnPath, rows: Bool[np.ndarray, "S T"] | None = None) -> Motions:
-    """The motions of all scenarios. rows: the targets to go to, in place of the executable ones."""
+    """Return the motions of all scenarios. rows: the targets to include, instead of the executable ones."""
     rows = plans.executable if rows is None else rows
     begun, (s, t) = np.flatnonzero(rows.any(axis=1)), np.nonzero(rows)
     knots = plans.knots
@@ -72,7 +72,7 @@ def motions(plans: Plans, on_path: OnPath, rows: Bool[np.ndarray, "S T"] | None 
     scenario = np.concatenate([begun, knots.scenario[passed], s])
     target = np.concatenate([np.zeros_like(begun), knots.target[passed], t])
     x = np.concatenate([plans.start[begun], knots.x[passed], plans.x[s, t]])
-    place = np.repeat([0, 1, 2], [len(begun), passed.sum(), len(s)])  # on the way to a target: start, knots, row
+    place = np.repeat([0, 1, 2], [len(begun), passed.sum(), len(s)])  # on each segment: start, via points, row
     order = np.lexsort((place, target, scenario))
     scenario, target, place = scenario[order], target[order], place[order]
     kind = _kinds(target, place, np.broadcast_to(on_path, len(rows))[scenario])
@@ -81,23 +81,24 @@ def motions(plans: Plans, on_path: OnPath, rows: Bool[np.ndarray, "S T"] | None 
 
 
 def _kinds(target: np.ndarray, place: np.ndarray, on_path: np.ndarray) -> Int8[np.ndarray, "n"]:
-    """What the arm does on its way to postures that lead to targets, where there is no transfer."""
+    """Kind of motion that leads to each configuration, without transfers."""
     kind = np.where(target > on_path, np.where(place == 1, Kind.DWELL, Kind.FEED), Kind.APPROACH)
     return kind.astype(np.int8)
 
 
 def transfers(plans: Plans) -> Bool[np.ndarray, "S"]:
-    """Whether the arm goes to another posture before it sets out: where the way to the first target passes knots, or
-    that target was tracked after an escape, as it is where a plan begins in another posture than the start."""
+    """True for scenarios whose arm first moves to another configuration: if the segment to the first target has via
+    points, or that target was tracked after a recovery, as in a plan that begins in another configuration than the
+    start."""
     found = (plans.status[:, :1] == Status.TRACKED_AFTER_ESCAPE).any(axis=1)
     found[plans.knots.scenario[plans.knots.target == 0]] = True
     return found
 
 
 class MotionFigures(NamedTuple):
-    """Of S scenarios, a column each; NaN where there is nothing to measure."""
+    """Figures of S scenarios, one column each; NaN if undefined."""
 
-    dwells: Float[np.ndarray, "S"]  # how many [1]
+    dwells: Float[np.ndarray, "S"]  # number [1]
     motion_cost_rad2: Float[np.ndarray, "S"]  # equation (3), see `cost` [rad^2]
     path_step_max_rad: Float[np.ndarray, "S"]  # see `largest_step`
     curvature_max_rad_m2: Float[np.ndarray, "S"]  # see `curvature`
@@ -105,7 +106,7 @@ class MotionFigures(NamedTuple):
 
 
 def figures(plans: Plans, on_path: OnPath) -> MotionFigures:
-    """All of them. on_path: the first target that is a point of the path, of each scenario or of all."""
+    """Return all figures. on_path: the first target that is a point of the path, of each scenario or of all."""
     found, count = motions(plans, on_path), len(plans.status)
     begun = plans.executable.any(axis=1)
     return MotionFigures(
@@ -118,7 +119,8 @@ def figures(plans: Plans, on_path: OnPath) -> MotionFigures:
 
 
 def dwells(plans: Plans, on_path: OnPath) -> Bool[np.ndarray, "S T"]:
-    """At which targets of the path the arm changes its posture, for the next target to be executable."""
+    """True for targets on the path at which the arm changes its configuration, so that the next target is
+    executable."""
     found = np.zeros_like(plans.tracked)
     turns = _turns(plans) & (np.arange(found.shape[1]) > np.reshape(on_path, (-1, 1)))
     found[:, :-1] = turns[:, 1:]
@@ -126,14 +128,14 @@ def dwells(plans: Plans, on_path: OnPath) -> Bool[np.ndarray, "S T"]:
 
 
 def cost(found: Motions, count: int) -> Float[np.ndarray, "S"]:
-    """Equation (3), ||x||_Q^2 with Q = V'V: the sum of |x_{k+1} - x_k|^2 over all postures that are passed, from the
-    start to the last executable target [rad^2]; count: S. Of two motions with the same path the smoother costs less."""
+    """Equation (3), ||x||_Q^2 with Q = V'V: the sum of |x_{k+1} - x_k|^2 over all configurations from the start to the
+    last executable target [rad^2]; count: S. Of two motions along the same path the smoother costs less."""
     return np.bincount(found.scenario, found.steps**2, count).astype(float)
 
 
 def largest_step(found: Motions, count: int) -> Float[np.ndarray, "S"]:
-    """The largest |x_{k+1} - x_k| on the path, dwells included [rad]; NaN where the motion does not come to the path's
-    second point. Equation (3) sums the squares of these."""
+    """Return the largest |x_{k+1} - x_k| on the path, dwells included [rad]; NaN if the motion does not reach the
+    path's second point. Equation (3) sums the squares of these."""
     most = np.full(count, np.nan)
     on_path = (found.kind == Kind.FEED) | (found.kind == Kind.DWELL)
     np.fmax.at(most, found.scenario[on_path], found.steps[on_path])
@@ -141,12 +143,12 @@ def largest_step(found: Motions, count: int) -> Float[np.ndarray, "S"]:
 
 
 def curvature(plans: Plans, on_path: OnPath) -> Float[np.ndarray, "S T"]:
-    """|q''|, how much the joints' way bends at the points of the path, by central differences over its arc length
-    [rad/m2]: what a constant feed asks of the joints' accelerations. It is the second difference where equation (3)
+    """|q''|, the curvature of the joint path at the points of the path, by central differences over its arc length
+    [rad/m2]: proportional to the joint accelerations at a constant feed rate. It is the second difference, equation (3)
     sums the first.
 
-    Points closer than ONE_POINT_M are one, with the posture of the last of them. The arc length stands still during a
-    dwell, so |q''| is not defined at a target where the arm dwells, nor at the next one: NaN, as at both ends of the
+    Points closer than ONE_POINT_M count as one, with the last one's configuration. The arc length does not grow during
+    a dwell, so |q''| is undefined at a target where the arm dwells and at the next one: NaN, as at both ends of the
     path and everywhere else.
     """
     path = plans.executable & (np.arange(plans.x.shape[1]) >= np.reshape(on_path, (-1, 1)))
@@ -165,15 +167,15 @@ def curvature(plans: Plans, on_path: OnPath) -> Float[np.ndarray, "S T"]:
 
 
 def tightest(plans: Plans) -> tuple[Int[np.ndarray, "S"], Float[np.ndarray, "S"]]:
-    """To which target the way leads on which the least clearance is proven, and that D [m]; -1 and NaN where no target
-    is executable."""
+    """Return the target whose segment has the least guaranteed clearance, and that D [m]; -1 and NaN if no target is
+    executable."""
     clear = np.where(plans.executable, plans.way_clearance, np.inf)
     target, least = clear.argmin(axis=1), clear.min(axis=1)
     return np.where(np.isinf(least), -1, target), np.where(np.isinf(least), np.nan, least)
 
 
 def _turns(plans: Plans) -> Bool[np.ndarray, "S T"]:
-    """Which executable targets lie behind a way that passes knots."""
+    """True for executable targets whose segment has via points."""
     found = np.zeros_like(plans.tracked)
     found[plans.knots.scenario, plans.knots.target] = True
     return found & plans.executable

@@ -1,8 +1,8 @@
-"""Whether plans are motions: from the start that was given, the arm proven clear all along, the tool on its path.
+"""Verification that plans are motions: from the given start, with the arm proven clear and the tool on its path.
 
-The way to a target on the path keeps the TCP within `Settings.path_tolerance_m` of the line from the target before, and
-advances along it; where the arm changes its posture on the way, the TCP stays that close to the target before. The ways
-to the path are free to leave their lines. Targets closer to each other than `ONE_POINT_M` are one.
+On the segment to a target on the path the TCP stays within `Settings.path_tolerance_m` of the line from the previous
+target, and advances along it; if the arm changes its configuration on the segment, the TCP stays that close to the
+previous target. Segments before the path may leave their lines. Targets closer than `ONE_POINT_M` count as one.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -25,26 +25,26 @@ from htcp_jax.motion.proofs import proofs_of
 from htcp_jax.motion.tip_check import TipCheck, tip_checks
 from htcp_jax.status import Way
 
-KEPT = 0.5  # of what is clear, that the clearance of a way on record is at least
-TIGHT = 0.99  # the same of a smoothed motion, where it is least clear
-ROWS_AT_ONCE = 16  # of a scenario: what lies behind the end of a motion need not be looked at
+KEPT = 0.5  # share of the clearance that the recorded bound of a segment keeps
+TIGHT = 0.99  # the share for a smoothed motion, where its clearance is least
+ROWS_AT_ONCE = 16  # per scenario: rows beyond the end of a motion need no proof
 
 
 class Segments(NamedTuple):
-    """Straight joint paths that ways are made of."""
+    """Straight joint paths that the segments between rows consist of."""
 
     scenario: Int[np.ndarray, "n"]
-    target: Int[np.ndarray, "n"]  # to which the way leads
+    target: Int[np.ndarray, "n"]  # end of the segment
     a: Float[np.ndarray, "n N"]
     b: Float[np.ndarray, "n N"]
-    turns: Bool[np.ndarray, "n"]  # whether the arm changes its posture at the target before
+    turns: Bool[np.ndarray, "n"]  # True if the arm changes its configuration at the target before
 
 
 def tubes(
     scenarios: Scenario, task: Task, radius_m: float, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray
 ) -> Tube:
-    """Where the TCP has to be on the way to targets; anywhere before the path, and where the task does not hold it at a
-    place; and what else the task asks for, on the path. turns: see `Segments`."""
+    """Return the tubes that the TCP has to stay in on the segments to targets, and the task's goals on the path;
+    unbounded before the path, and if the task does not hold the TCP's position. turns: see `Segments`."""
     free = (target <= scenarios.on_path[scenario]) | (not task.holds_tcp)
     rows = _rows(scenarios, task, scenario, target, turns)
     if free.all():
@@ -57,8 +57,8 @@ def tubes(
 def _rows(
     scenarios: Scenario, task: Task, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray
 ) -> tuple[Float[np.ndarray, "n 2 G"], Bool[np.ndarray, "n"]] | tuple[()]:
-    """What the task asks for at the target before and at this one, and whether it does so on the way: not before the
-    path. Nothing of the paper's task, which the tube alone holds."""
+    """Return the task's goals at the previous target and at this one, and True if they hold on the segment, i.e. on the
+    path. Empty for the paper's task, which the tube alone enforces."""
     if task.parts == TCP_POSITION.parts:
         return ()
     before = np.maximum(target - 1, 0)
@@ -67,7 +67,7 @@ def _rows(
 
 
 def judge_motions(problem: Problem, plans: Plans) -> None:
-    """Fill in `way` and `way_clearance`, of every scenario up to where its motion ends."""
+    """Fill in `way` and `way_clearance` of every scenario, up to the end of its motion."""
     scenarios = problem.scenarios
     elsewhere = plans.tracked[:, 0] & np.any(plans.start != scenarios.x_home, axis=1) & ~scenarios.begins_anywhere
     plans.way[elsewhere, 0] = Way.ELSEWHERE
@@ -87,8 +87,8 @@ def judge_motions(problem: Problem, plans: Plans) -> None:
 
 
 def tighten(problem: Problem, plans: Plans) -> None:
-    """Prove the executable ways again, closely, that look less clear than any target is: the least `way_clearance` of
-    a scenario is what its arm is trusted with."""
+    """Prove again, with a tighter bound, the executable segments whose bound is below the clearance at every target:
+    the minimum `way_clearance` of a scenario is reported as its guaranteed clearance."""
     clear = np.where(plans.executable, plans.clearance, np.inf).min(axis=1)
     loose = plans.executable & (plans.way_clearance < TIGHT * clear[:, None])
     if not loose.any():
@@ -101,13 +101,14 @@ def tighten(problem: Problem, plans: Plans) -> None:
 
 
 def segments_of(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> Segments:
-    """What the ways to some rows are made of: from knot to knot, and from the last one to the row."""
+    """Return the straight joint paths that lead to some rows: from via point to via point, and from the last one to the
+    row."""
     s, t = np.nonzero(rows)
     knots = gather(plans.knots, rows[plans.knots.scenario, plans.knots.target])
     turns = np.arange(len(knots.x) + len(s)) < len(knots.x)
     columns = (knots.scenario, s), (knots.target, t), (knots.x, plans.x[s, t])
     scenario, target, b = (np.concatenate(both) for both in columns)
-    order = np.lexsort((~turns, target, scenario))  # knots as they are passed, and then the row
+    order = np.lexsort((~turns, target, scenario))  # via points as they are passed, then the row
     scenario, target, b, turns = gather((scenario, target, b, turns), order)
     a = plans.before(scenario, target)
     a[1:][turns[:-1]] = b[:-1][turns[:-1]]
@@ -117,7 +118,8 @@ def segments_of(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> Segments:
 def prove_segments(
     problem: Problem, kernels: Kernels, tip: TipCheck | None, segments: Segments, kept: float = 0.0
 ) -> Proof:
-    """One proof each; where the tool's bare tip passes through a wall, they collide. kept: see `prove`."""
+    """Return one proof per segment; if the tool's bare tip passes through a wall, its verdict is a collision. kept: see
+    `prove`."""
     inputs = lane_inputs(problem.scenarios, segments.scenario, segments.target)
     radius = problem.settings.tube_m
     tube = tubes(problem.scenarios, problem.task, radius, segments.scenario, segments.target, segments.turns)
@@ -129,7 +131,7 @@ def prove_segments(
 
 
 def _proofs(problem: Problem, segments: Segments, kept: float = KEPT) -> Proof:
-    """The same, by all threads."""
+    """Return one proof per segment, computed by all threads."""
     kernels = problem.kernels  # made here, before there are threads
     tips = tip_checks(kernels, problem.tip_guard)
     count, threads = len(segments.target), min(problem.threads, len(segments.target))
@@ -146,7 +148,7 @@ def _proofs(problem: Problem, segments: Segments, kept: float = KEPT) -> Proof:
 
 
 def _record(plans: Plans, segments: Segments, proofs: Proof) -> None:
-    """A way is what its first segment that is not proven is; it is as clear as the least clear of them."""
+    """Record for each row the verdict of its first joint path that is not proven, and the least clearance of all."""
     s, t = segments.scenario, segments.target
     plans.way[s, t], plans.way_clearance[s, t] = Way.PROVEN, np.inf
     for k in np.flatnonzero(proofs.verdict != Way.PROVEN)[::-1]:

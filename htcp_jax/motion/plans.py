@@ -1,10 +1,10 @@
-"""What planning returns, and what it says of itself: which targets there are, which are tracked, how scenarios ended.
+"""Result of planning, and its evaluation: existing targets, tracked targets, and how each scenario ended.
 
     plans.tracked                     # (S, T) True where a target is tracked
     plans.outcomes.complete           # (S,)   True where all targets of a scenario are
     plans.outcome(12).failed          # the first target of scenario 12 that is not; None where all are
 
-Nobody else reads an end out of the statuses: charts and viewers that have statuses alone ask `outcomes`.
+Only this module derives a scenario's end from the statuses: charts and viewers that have only statuses use `outcomes`.
 """
 
 import math
@@ -17,68 +17,69 @@ from jaxtyping import Bool, Float, Int, Int8
 from htcp_jax.motion.knots import Knots
 from htcp_jax.status import Status, Way
 
-NO_TARGET = -1  # a status: the scenario has no such target, or it is not planned yet
+NO_TARGET = -1  # status: the scenario has no such target, or is not planned yet
 UNKNOWN = -1  # of path_clear
 
 
 class Outcome(NamedTuple):
-    """How one scenario ended."""
+    """Outcome of one scenario."""
 
     scenario: int  # its row
-    targets: int  # that it has; 0 where it is not planned
+    targets: int  # number of targets; 0 if it is not planned
     tracked: int  # of them
-    executable: int  # of these, in a row from the first, those that a proven motion leads to
+    executable: int  # number of those, from the first on, that a proven motion leads to
     failed: int | None  # the first target that is not tracked
-    status: Status | None  # what became of that one
+    status: Status | None  # status of that target
     blocked_paths: int  # tracked targets whose joint path from the row before is known to collide
-    way: Way  # to the target after the last executable one; PROVEN where there is none that is tracked
+    way: Way  # of the segment behind the last executable target; PROVEN if that leads to no tracked one
 
     @property
     def complete(self) -> bool:
-        """Whether it is planned and every target is tracked."""
+        """True if the scenario is planned and every target is tracked."""
         return self.targets > 0 and self.failed is None
 
     @property
     def can_be_driven(self) -> bool:
-        """Whether a proven motion leads to its last target."""
+        """True if a proven motion leads to its last target."""
         return 0 < self.targets == self.executable
 
     @property
     def reason(self) -> str:
-        """What ended its motion, in words: the way to a tracked target, or the search; "complete" if nothing did."""
+        """The reason why its motion ended: the result of the segment to a tracked target, or of the search; "complete"
+        if none."""
         if self.executable < self.tracked:
             return self.way.words
         return "complete" if self.status is None else self.status.words
 
 
 class Outcomes(NamedTuple):
-    """How S scenarios ended, a column each; see `Outcome`."""
+    """Outcomes of S scenarios, one column each; see `Outcome`."""
 
     targets: Int[np.ndarray, "S"]
     tracked: Int[np.ndarray, "S"]
     executable: Int[np.ndarray, "S"]
     failed: Int[np.ndarray, "S"]  # -1 for none
-    status: Int8[np.ndarray, "S"]  # NO_TARGET where none failed
+    status: Int8[np.ndarray, "S"]  # NO_TARGET if none failed
     blocked_paths: Int[np.ndarray, "S"]
     way: Int8[np.ndarray, "S"]  # `status.Way`
 
     @property
     def planned(self) -> Bool[np.ndarray, "S"]:
-        """Which scenarios are planned."""
+        """True for scenarios that are planned."""
         return self.targets > 0
 
     @property
     def complete(self) -> Bool[np.ndarray, "S"]:
-        """Which scenarios are planned with every target tracked."""
+        """True for scenarios that are planned with every target tracked."""
         return self.planned & (self.failed < 0)
 
     @property
     def can_be_driven(self) -> Bool[np.ndarray, "S"]:
-        """To the last target of which scenarios a proven motion leads."""
+        """True for scenarios with a proven motion to their last target."""
         return self.planned & (self.executable == self.targets)
 
     def of(self, scenario: int) -> Outcome:
-        """That of one row."""
+        """Return the outcome in one row."""
         targets, tracked, executable, failed, status, blocked, way = (int(column[scenario]) for column in self)
         ended = (None, None) if failed < 0 else (failed, Status(status))
         return Outcome(int(scenario), targets, tracked, executable, *ended, blocked, Way(way))
@@ -87,26 +88,26 @@ class Outcomes(NamedTuple):
 class Plans(NamedTuple):
     """The plans of S scenarios with up to T targets each, for a robot of N joints; numpy arrays on the host.
 
-    Rows of targets that are not tracked hold NaN in `x`, `tcp`, `clearance`, `residual`,
-    `orientation_error` and `joint_step`; those of targets that a scenario does not have, the status NO_TARGET.
+    Targets that are not tracked have NaN in `x`, `tcp`, `clearance`, `residual`, `orientation_error` and `joint_step`;
+    those that a scenario does not have, also the status NO_TARGET.
     """
 
-    start: Float[np.ndarray, "S N"]  # the posture that the plan starts from [rad or m]
+    start: Float[np.ndarray, "S N"]  # the configuration that the plan starts from [rad or m]
     x: Float[np.ndarray, "S T N"]  # configurations [rad or m]
     tcp: Float[np.ndarray, "S T 3"]  # tool centre point, world [m]
-    target: Float[np.ndarray, "S T M"]  # where the task's rows, the TCP's xyz, should be [m]; NaN where there is none
+    target: Float[np.ndarray, "S T M"]  # goal of the task's rows, the TCP's xyz [m]; NaN if there is none
     clearance: Float[np.ndarray, "S T"]  # D(x, O), smallest over all rows [m]
-    residual: Float[np.ndarray, "S T"]  # of the task's points: |tcp - target| [m]
-    orientation_error: Float[np.ndarray, "S T"]  # largest angle from what the task holds [rad]; NaN if it holds none
+    residual: Float[np.ndarray, "S T"]  # error of the task's points: |tcp - target| [m]
+    orientation_error: Float[np.ndarray, "S T"]  # largest angle error of the task [rad]; NaN if it holds no angle
     status: Int8[np.ndarray, "S T"]  # htcp_jax.status.Status, or NO_TARGET
     iterations: Int[np.ndarray, "S T"]  # step QPs solved for the target; 0 where one was pushed there
     joint_step: Float[np.ndarray, "S T"]  # |x_t - x_{t-1}|, the start being x_{-1} [rad]
-    escape: Int[np.ndarray, "S T"]  # 0 none, k = stage k of the method's escapes, one more: planned backwards
+    escape: Int[np.ndarray, "S T"]  # 0 none, k = stage k of the method's recoveries, one more: planned backwards
     path_clear: Int8[np.ndarray, "S T"]  # joint path from the row before: 1 clear, 0 blocked, -1 unknown
-    way: Int8[np.ndarray, "S T"]  # `status.Way`: whether the way from the row before is a proven motion
-    way_clearance: Float[np.ndarray, "S T"]  # D all along that way, at least [m]; NaN where it is not proven
-    knots: Knots  # postures on ways that are no straight joint path
-    compile_s: float  # wall time in which somebody waited for compilation, or for processes to start [s]
+    way: Int8[np.ndarray, "S T"]  # `status.Way`: verification of the segment from the row before
+    way_clearance: Float[np.ndarray, "S T"]  # lower bound on D along that segment [m]; NaN if it is not proven
+    knots: Knots  # via points of segments that are not straight joint paths
+    compile_s: float  # wall time spent waiting for compilation, or for processes to start [s]
     run_s: float  # wall time spent planning, compilation apart [s]
 
     @classmethod
@@ -116,9 +117,10 @@ class Plans(NamedTuple):
         target: Float[np.ndarray, "S T M"],
         count: Int[np.ndarray, "S"] | int | None = None,
     ) -> "Plans":
-        """Plans in which nothing is attempted yet, with arrays to write into: `start` is copied, `target` is not.
+        """Return plans in which nothing is attempted yet, with arrays to write into: `start` is copied, `target` is
+        not.
 
-        count: how many targets each scenario has, the first of its row; None: all of them.
+        count: number of targets of each scenario, the first of its row; None: all of them.
         """
         shape, joints = target.shape[:2], start.shape[1]
         count = np.broadcast_to(shape[1] if count is None else count, shape[:1])
@@ -132,7 +134,7 @@ class Plans(NamedTuple):
 
     @classmethod
     def concatenate(cls, parts: "Sequence[Plans]") -> "Plans":
-        """The rows of all parts, one after the other, and their seconds added up; T may differ."""
+        """Concatenate the rows of all parts and add up their seconds; T may differ."""
         longest = max(part.status.shape[1] for part in parts)
         wide = [part.widened(longest).arrays() for part in parts]
         return cls(
@@ -144,75 +146,76 @@ class Plans(NamedTuple):
 
     @property
     def exists(self) -> Bool[np.ndarray, "S T"]:
-        """Which targets there are, planned ones in a run that is not finished."""
+        """True for existing targets; in an unfinished run, only those of planned scenarios."""
         return self.status != NO_TARGET
 
     @property
     def tracked(self) -> Bool[np.ndarray, "S T"]:
-        """Which targets are tracked."""
+        """True for tracked targets."""
         return is_tracked(self.status)
 
     @property
     def attempted(self) -> Bool[np.ndarray, "S T"]:
-        """Which targets somebody worked on: the tracked ones, and those at which a scenario ended."""
+        """True for attempted targets: the tracked ones, and those at which a scenario ended."""
         return self.exists & (self.status != Status.NOT_ATTEMPTED)
 
     @property
     def blocked(self) -> Bool[np.ndarray, "S T"]:
-        """Which tracked targets lie behind a joint path that is known to collide."""
+        """True for tracked targets whose joint path from the row before is known to collide."""
         return self.tracked & (self.path_clear == 0)
 
     @property
     def executable(self) -> Bool[np.ndarray, "S T"]:
-        """Which targets a proven motion leads to: tracked, as is everything before them, and each on a way from the row
-        before, the first from the scenario's start, on which the arm is clear and the TCP keeps to its path."""
+        """True for targets that a proven motion leads to: this one and all before it are tracked, and on every segment,
+        the first from the scenario's start, the arm is clear and the TCP keeps to its path."""
         return np.logical_and.accumulate(self.tracked & (self.way == Way.PROVEN), axis=1)
 
     @property
     def step_s(self) -> float:
-        """Run time by attempted target [s]; NaN where none was."""
+        """Run time per attempted target [s]; NaN if none was attempted."""
         attempted = int(self.attempted.sum())
         return self.run_s / attempted if attempted else math.nan
 
     @property
     def outcomes(self) -> Outcomes:
-        """How every scenario ended."""
+        """Outcomes of all scenarios."""
         return outcomes(self.status, self.path_clear, self.way)
 
     def outcome(self, scenario: int) -> Outcome:
-        """How the scenario in one row ended."""
+        """Return the outcome of the scenario in one row."""
         row = slice(scenario, scenario + 1)
         return outcomes(self.status[row], self.path_clear[row], self.way[row]).of(0)._replace(scenario=scenario)
 
     def before(self, scenario: int | np.ndarray, target: int | np.ndarray) -> Float[np.ndarray, "*n N"]:
-        """The postures that the joint paths to targets leave: those of the rows before, or the start."""
+        """Return the configurations at which the joint paths to targets begin: the row before, or the start."""
         first = np.asarray(target) == 0
         return np.where(first[..., None], self.start[scenario], self.x[scenario, np.maximum(target, 1) - 1])
 
     def rows(self, which: slice | np.ndarray | Sequence[int]) -> "Plans":
-        """The plans of some scenarios; the seconds stay those of all."""
+        """Return the plans of some scenarios; the seconds remain those of all."""
         numbers = np.arange(len(self.status))[which]
         return self._replace(
             **{name: array[which] for name, array in self.arrays().items()}, knots=self.knots.rows(numbers)
         )
 
     def widened(self, targets: int) -> "Plans":
-        """The same with columns for this many targets, T or more; the new ones do not exist."""
+        """Return the plans with columns for this many targets, T or more; the new ones do not exist."""
         more = targets - self.status.shape[1]
         return self._replace(**{name: self._padded(name, more) for name in (*_KINDS, "target", "tcp")})
 
     def narrowed(self) -> "Plans":
-        """The same without the columns of which no scenario has a target, the last ones."""
+        """Return the plans without the last columns, in which no scenario has a target."""
         longest = int(np.flatnonzero(self.exists.any(axis=0)).max(initial=-1)) + 1
         return self._replace(**{name: getattr(self, name)[:, :longest] for name in (*_KINDS, "target", "tcp")})
 
     def without_postures(self) -> "Plans":
-        """What a summary needs, for less memory: `start`, `x`, `tcp` and `target` lose their last axis' columns."""
+        """Return the plans with only what a summary needs, to save memory: `start`, `x`, `tcp` and `target` lose their
+        last axis' columns."""
         bare = {name: getattr(self, name)[..., :0].copy() for name in ("start", "x", "tcp", "target")}
         return self._replace(**bare, knots=Knots.none(0))
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """The fields with a row a scenario, by name."""
+        """Return the fields with one row per scenario, by name."""
         return {name: getattr(self, name) for name in ARRAYS}
 
     def _padded(self, name: str, more: int) -> np.ndarray:
@@ -222,7 +225,7 @@ class Plans(NamedTuple):
 
 ARRAYS = tuple(name for name in Plans._fields if name not in ("knots", "compile_s", "run_s"))
 
-# What a row holds of a target that a scenario does not have; one that is not attempted has another status.
+# Values for targets that a scenario does not have; targets not attempted differ in their status.
 EMPTY = {
     "x": np.nan, "tcp": np.nan, "target": np.nan, "clearance": np.nan, "residual": np.nan, "orientation_error": np.nan,
     "status": NO_TARGET, "iterations": 0, "joint_step": np.nan, "escape": 0, "path_clear": UNKNOWN,
@@ -236,7 +239,7 @@ _KINDS = {
 
 
 def is_tracked(status: np.ndarray) -> np.ndarray:
-    """Where `status` says tracked; any shape."""
+    """True where `status` is a tracked one; any shape."""
     return (status >= 0) & (status <= Status.TRACKED_AFTER_ESCAPE)
 
 
@@ -245,7 +248,7 @@ def outcomes(
     path_clear: Int8[np.ndarray, "S T"] | None = None,
     way: Int8[np.ndarray, "S T"] | None = None,
 ) -> Outcomes:
-    """How scenarios with these statuses ended. path_clear, way: as in `Plans`; None where nothing is known of them."""
+    """Return the outcomes of scenarios with these statuses. path_clear, way: as in `Plans`; None if unknown."""
     exists, tracked = status != NO_TARGET, is_tracked(status)
     blocked = tracked & (path_clear == 0) if path_clear is not None else np.zeros_like(tracked)
     missed = exists & ~tracked

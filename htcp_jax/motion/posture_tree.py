@@ -1,4 +1,6 @@
-"""The postures of a roadmap: clear, on target, each connected to a root by proven motions; tables with a row each."""
+"""Tree of configurations of a beam search: clear, on target, each connected to a root by proven motions; tables with
+one row per node.
+"""
 
 from typing import Any, NamedTuple
 
@@ -9,11 +11,11 @@ from jaxtyping import Bool, Float, Int
 from htcp_jax.device.tables import gather
 
 NO_PARENT = -1
-LEAST = 4096  # rows that a table has room for
+LEAST = 4096  # minimum rows of a table
 
 
 class Posture(NamedTuple):
-    """Where a lane is, and how it stands to its target; or many of them, a row each."""
+    """A lane's configuration, and its clearance and error at its target; or many of them, one per row."""
 
     x: jax.Array  # [rad or m]
     clearance: jax.Array  # [m]
@@ -22,19 +24,19 @@ class Posture(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """Postures, and the way to each from its parent."""
+    """Configurations, and the motion to each from its parent."""
 
     at: Posture
     target: Int[np.ndarray, "n"]
-    parent: Int[np.ndarray, "n"]  # its row; NO_PARENT of a root
-    walked: Bool[np.ndarray, "n"]  # whether it is passed on a walk in its target's null space, or was fed to its target
+    parent: Int[np.ndarray, "n"]  # its row; NO_PARENT for a root
+    walked: Bool[np.ndarray, "n"]  # True if reached by self-motion at its target, False if extended to it
     step_qps: Int[np.ndarray, "n"]
-    dwells: Int[np.ndarray, "n"]  # changes of posture on the path so far
-    cost: Float[np.ndarray, "n"]  # of the way so far, equation (3): the sum of |x_{t+1} - x_t|^2 [rad2]
+    dwells: Int[np.ndarray, "n"]  # changes of configuration on the path so far
+    cost: Float[np.ndarray, "n"]  # from the root, equation (3): the sum of |x_{t+1} - x_t|^2 [rad2]
 
 
 class Tree:
-    """Nodes with a parent each, in tables that grow."""
+    """Nodes with one parent each, in growing tables."""
 
     def __init__(self, table: Any):
         self._table, self._count = table, len(table.parent)
@@ -64,7 +66,7 @@ class Tree:
 
 
 class BeamTree(Tree):
-    """All postures of some searches. Those that lead nowhere are forgotten in time."""
+    """All configurations of some searches. Those without descendants in a beam are pruned from time to time."""
 
     def __init__(self, joints: int):
         at = Posture(*(np.empty((LEAST, *shape)) for shape in ((joints,), (), (), (3,))))
@@ -74,28 +76,28 @@ class BeamTree(Tree):
 
     @property
     def x(self) -> Float[np.ndarray, "n N"]:
-        """The postures [rad or m]."""
+        """Configurations [rad or m]."""
         return self._table.at.x[: self._count]
 
     @property
     def target(self) -> Int[np.ndarray, "n"]:
-        """At which each of them is."""
+        """Target of each configuration."""
         return self._table.target[: self._count]
 
     def nodes(self, rows: Int[np.ndarray, "m"]) -> Nodes:
-        """Some of them."""
+        """Return the nodes in some rows."""
         return gather(self._table, rows)
 
     def plant(self, at: Posture, target: int) -> Int[np.ndarray, "m"]:
-        """Roots at a target; returns their rows."""
+        """Add roots at a target; returns their rows."""
         none = np.full(len(at.x), NO_PARENT)
         return self.add(Nodes(at, none * 0 + target, none, none > 0, none * 0, none * 0, np.zeros(len(none))))
 
     def grow(
         self, parent: Int[np.ndarray, "m"], at: Posture, target, step_qps=0, walked: bool = False, dwells=0
     ) -> Int[np.ndarray, "m"]:
-        """A child of each parent, at a target; returns their rows. walked: see `Nodes`. dwells: changes of posture that
-        begin on the way from the parent."""
+        """Add a child to each parent, at a target; returns their rows. walked: see `Nodes`. dwells: changes of
+        configuration that begin on the motion from the parent."""
         step, zero = at.x - self.x[parent], np.zeros_like(parent)
         dwells = self._table.dwells[parent] + dwells
         cost = self._table.cost[parent] + (step * step).sum(axis=1)
@@ -103,11 +105,11 @@ class BeamTree(Tree):
 
     @property
     def is_overgrown(self) -> bool:
-        """Whether there are twice as many as when the tree was pruned last."""
+        """True if there are more than twice as many nodes as after the last pruning."""
         return self._count > 2 * self._kept
 
     def prune(self, rows: Int[np.ndarray, "m"]) -> Int[np.ndarray, "n"]:
-        """Forget all but these and their ancestors; returns the new row of each that was there."""
+        """Remove all nodes but these and their ancestors; returns the new row of each old one."""
         alive, parent = np.zeros(self._count, bool), self._table.parent
         while len(rows):
             alive[rows] = True

@@ -1,4 +1,4 @@
-"""What a method is given to plan."""
+"""`Problem`: the input of a planning method."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -21,23 +21,23 @@ from htcp_jax.settings import Settings
 
 
 def ignore(tracked: int, finished: int) -> None:
-    """Progress that nobody wants to hear of."""
+    """Progress callback that does nothing."""
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """S scenarios of up to T targets for one arm at one workpiece, and with what means to plan them.
+    """S scenarios of up to T targets for one arm at one workpiece, and the devices and threads to plan them with.
 
-    progress(targets newly tracked, scenarios newly finished) may be called at any time, on any thread; what it raises
-    ends the work. After a method's `plan`, joint paths that it left unchecked are checked where `check_paths` is set.
+    progress(targets newly tracked, scenarios newly finished) may be called at any time, on any thread; an exception in
+    it ends the work. After a method's `plan`, joint paths that it did not check are checked if `check_paths` is set.
     """
 
     robot: Robot  # without the scenarios' own tool extensions, see `model.robot.lengthen_tool`
     workpiece: Workpiece
     scenarios: Scenario  # stacked: a leading axis of S on every leaf, numpy
     settings: Settings
-    task: Task  # what the arm has to hold at every target
-    obstacles: Obstacles  # the workpiece's, and whatever else there is
+    task: Task  # to be fulfilled at every target
+    obstacles: Obstacles  # the workpiece's, and all others
     devices: Sequence[jax.Device]  # of one kind
     threads: int  # 1 or more
     check_paths: bool = True
@@ -45,28 +45,29 @@ class Problem:
 
     @cached_property
     def kernels(self) -> list[Kernels]:
-        """What runs kernels in this scene, one for each device."""
+        """Executors of kernels in this scene, one for each device."""
         scene = Scene(self.robot, self.obstacles, self.task)
-        spare = max(1, self.threads // max(1, len(self.to_plan)))  # threads that no scenario of its own keeps busy
+        spare = max(1, self.threads // max(1, len(self.to_plan)))  # threads without a scenario of their own
         return [Kernels(scene, self.settings, device, threads=spare) for device in self.devices]
 
     @cached_property
     def begins_anywhere(self) -> Bool[np.ndarray, "S"]:
-        """`Scenario.begins_anywhere` of all, once: whoever asks for one scenario after the other looks it up here."""
+        """`Scenario.begins_anywhere` of all scenarios, computed once for lookups scenario by scenario."""
         return self.scenarios.begins_anywhere
 
     @cached_property
     def tip_guard(self) -> TipGuard | None:
-        """The walls that the tool's bare tip must not pass through; None where it may touch anywhere."""
+        """The walls that the tool's bare tip must not pass through; None if it may touch anywhere."""
         return make_tip_guard(self.workpiece)
 
     @property
     def to_plan(self) -> Int[np.ndarray, "_"]:
-        """The scenarios to plan by their place in the stack: those that were not refused beforehand."""
+        """Indices of the scenarios to plan: those that were not refused beforehand."""
         return np.flatnonzero(self.scenarios.refused == NOT_REFUSED)
 
     def empty_plans(self) -> Plans:
-        """Plans in which nothing is attempted yet, to be filled in; those of refused scenarios say why already."""
+        """Return plans in which nothing is attempted yet, to be filled in; refused scenarios already have their
+        status."""
         plans = Plans.empty(self.scenarios.x_start, self.scenarios.targets, self.scenarios.count)
         refused = self.scenarios.refused != NOT_REFUSED
         plans.status[refused, 0] = self.scenarios.refused[refused]

@@ -1,6 +1,6 @@
-"""Straight joint paths, put to one kernel that proves them: motions on the way between targets, and free paths alike.
+"""Proofs of straight joint paths by one kernel: motions between targets, and free paths.
 
-What is asked of a path is data, so that one program serves all who ask.
+The conditions on a path are data, so that one executable serves all callers.
 """
 
 from typing import NamedTuple
@@ -28,7 +28,7 @@ Postures = Float[np.ndarray, "n N"]
 
 
 class Closely(NamedTuple):
-    """How closely a proof looks, see `prove`."""
+    """Resolution of a proof, see `prove`."""
 
     kept: Float[jax.Array, ""]
     resolution_m: Float[jax.Array, ""]  # [m]
@@ -36,7 +36,8 @@ class Closely(NamedTuple):
 
 
 def prove_way(settings: Settings, scene: Scene, lane: LaneInputs, a, b, tube: Tube, closely: Closely) -> Loop:
-    """Whether the straight joint path from a to b is a motion. The loop's result is a `Proof`, see `of_proven`."""
+    """Prove or refute that the straight joint path from a to b is a motion. The loop's result is a `Proof`, see
+    `of_proven`."""
     own = own_scene(scene, lane.tool_extension_m)
     look = look_on(own, lane, a, b, tube, closely.resolution_m, closely.deepest, closely.kept)
     return Loop(jax.tree.map(jnp.asarray, begun()), lambda far: far.going, look, lambda far: of_proven(far.proof))
@@ -56,14 +57,14 @@ def proofs_of(
     deepest: int | Int[np.ndarray, "n"] = DEEPEST,
     lane: Int[np.ndarray, "n"] | None = None,
 ) -> Proof:
-    """Of straight joint paths from a to b [rad or m], one a lane; or, with `lane`, several of each."""
+    """Return proofs of straight joint paths from a to b [rad or m], one per lane; with `lane`, several per lane."""
     if lane is not None:
         inputs, tube = gather((inputs, tube), lane)
     return kernels(*prove_call(inputs, a, b, tube, kept, resolution_m, deepest))
 
 
 def prove_call(inputs: LaneInputs, a, b, tube: Tube, kept=0.0, resolution_m=-ROUNDING_M, deepest=DEEPEST) -> tuple:
-    """The kernel and its tables for these, see `Kernels.preparing`."""
+    """Return the kernel and its tables for these arguments, see `Kernels.preparing`."""
     closely = Closely(*(np.broadcast_to(value, len(a)) for value in (kept, resolution_m, np.asarray(deepest, int))))
     return PROVE, inputs, a, b, tube, closely
 
@@ -76,13 +77,13 @@ def clear_paths(
     resolution_m: float | Float[np.ndarray, "n"] = -ROUNDING_M,
     deepest: int | Int[np.ndarray, "n"] = DEEPEST,
 ) -> Bool[np.ndarray, "n"]:
-    """Which of the straight joint paths are proven clear, wherever the TCP goes on them."""
+    """True for each straight joint path that is proven clear, wherever the TCP moves on it."""
     tube = free_tubes(kernels.task, inputs)
     return proofs_of(kernels, inputs, a, b, tube, 0.0, resolution_m, deepest).verdict == Way.PROVEN
 
 
 def free_tubes(task: Task, inputs: LaneInputs) -> Tube:
-    """Tubes in which the TCP may be anywhere, and nothing of the task is asked."""
+    """Return tubes without conditions on the TCP or the task."""
     count = len(inputs.row)
     rows = ()
     if task.parts != TCP_POSITION.parts:

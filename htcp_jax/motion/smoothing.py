@@ -1,11 +1,11 @@
-"""Equation (3): the whole of a motion at once, as short as its constraints let it be.
+"""Equation (3): a complete motion shortened as far as its constraints allow.
 
-Sequential quadratic programming. A round solves one sparse QP a path about where it is (`solvers.path_qp`), brings the
-postures back onto their targets, and accepts what is still a motion by the proof, and shorter. Where it is no motion,
-the trust region of the postures beside the place shrinks, and the rest goes on without them. So every path that is
-accepted is a motion, whenever one stops.
+Sequential quadratic programming. Each round solves one sparse QP per path about the current iterate
+(`solvers.path_qp`), brings the configurations back onto their targets, and accepts what is shorter and still proven to
+be a motion. If part of it is not, the trust region of the adjacent configurations shrinks, and the other ones move
+without them. So every accepted iterate is a motion, and smoothing can stop at any round.
 
-Postures on the way, where the tool dwells, take part; they are dropped where the straight way is a motion, too.
+Via points, at which the tool dwells, take part; they are dropped if the straight segment is a motion, too.
 """
 
 from collections.abc import Sequence
@@ -29,32 +29,32 @@ from htcp_jax.motion.tip_check import TipCheck, out_of_walls, tip_checks
 from htcp_jax.solvers.path_qp import PathQP, path_cost, solve_path_qp
 from htcp_jax.status import Way
 
-TRUST = 0.2  # a joint's longest step in a round [rad or m]
-NEIGHBOURS = 4  # postures over which a step grows back to its length, beside one that stays
+TRUST = 0.2  # maximum step of a joint per round [rad or m]
+NEIGHBOURS = 4  # configurations over which a step grows to its full length, next to a fixed one
 GAIN, SLOW, MOST_ROUNDS = 2e-3, 3, 40  # a path is done after SLOW rounds in a row that gain less than GAIN of its cost
-TOGETHER = 64  # paths of a thread that are smoothed at a time; what is seen of each takes a third of a megabyte
-GRAZES = 64  # queries of a proof, from which on the way is too close to an obstacle to go nearer
+TOGETHER = 64  # paths smoothed at a time per thread; the linearisation of each takes a third of a megabyte
+GRAZES = 64  # maximum queries of a proof; with more, the segment is too close to an obstacle
 
 
 @dataclass(eq=False)
 class Path:
-    """The motion of one scenario: P postures after the start, those at targets and those on the way."""
+    """The motion of one scenario: P configurations after the start, at targets and at via points."""
 
     scenario: int
-    x: Float[np.ndarray, "P1 N"]  # the start, then the postures
-    target: Int[np.ndarray, "P"]  # to which the way leads that a posture is on
-    on_way: Bool[np.ndarray, "P"]  # whether it is on the way, and not there
+    x: Float[np.ndarray, "P1 N"]  # the start, then the configurations
+    target: Int[np.ndarray, "P"]  # end of the segment that a configuration is on
+    on_way: Bool[np.ndarray, "P"]  # True for via points
     on_path: int  # see `Scenario`
-    radius: Float[np.ndarray, "P"]  # of the trust region; 0 for a posture that stays
-    begins_anywhere: bool  # whether the start is wherever the first target's posture is
-    seen: Linearisation | None = None  # at the postures, and half way to each: (P, 2, ...)
-    slow: int = field(default=0)  # rounds in a row that gained next to nothing
+    radius: Float[np.ndarray, "P"]  # of the trust region; 0 for a fixed configuration
+    begins_anywhere: bool  # True if the start is the first target's configuration
+    seen: Linearisation | None = None  # at the configurations, and half way to each: (P, 2, ...)
+    slow: int = field(default=0)  # consecutive rounds with almost no gain
     rounds: int = 0
 
     @classmethod
     def of(cls, problem: Problem, plans: Plans, end: Outcome) -> "Path":
-        """As far as the scenario is executable; its last posture stays where tracked targets follow, and a start that
-        was given does between home and the first target."""
+        """Return the executable part of a scenario; its last configuration is fixed if tracked targets follow, and so
+        is a given start between home and the first target."""
         s = end.scenario
         ways = [(t, [*plans.knots.on_the_way(s, t), plans.x[s, t]]) for t in range(end.executable)]
         x = np.array([plans.start[s], *(posture for _, way in ways for posture in way)])
@@ -69,37 +69,37 @@ class Path:
 
     @property
     def held(self) -> Bool[np.ndarray, "P"]:
-        """Which postures hold the task; on the way to the path none need to but those at targets."""
+        """True for configurations that hold the task: before the path only those at targets."""
         return ~self.on_way | (self.target > self.on_path)
 
     @property
     def may_drop(self) -> Bool[np.ndarray, "P"]:
-        """Which postures may be left out: those on ways on which none stays."""
+        """True for via points that may be dropped: those on segments without a fixed one."""
         return self.on_way & ~np.isin(self.target, self.target[self.on_way & (self.radius == 0)])
 
     @property
     def row(self) -> Int[np.ndarray, "P"]:
-        """The target that a posture is at: on the way the one before."""
+        """Target that a configuration is at; for a via point the previous one."""
         return np.maximum(self.target - self.on_way, 0)
 
     @property
     def done(self) -> bool:
-        """Whether to leave it as it is."""
+        """True if smoothing of this path has ended."""
         return self.slow >= SLOW or self.rounds >= MOST_ROUNDS
 
     def segments(self, x: Float[np.ndarray, "P1 N"]) -> Segments:
-        """The straight joint paths between postures x, the start's first."""
+        """Return the straight joint paths between configurations x, the start's first."""
         return Segments(np.full(len(self.target), self.scenario), self.target, x[:-1], x[1:], self.on_way)
 
     def without(self, dropped: Bool[np.ndarray, "P"]) -> None:
-        """Forget some postures, and what was seen there and half way."""
+        """Remove some configurations, and the linearisations."""
         self.x = self.x[np.append(True, ~dropped)]
         self.target, self.on_way, self.radius = (a[~dropped] for a in (self.target, self.on_way, self.radius))
         self.seen = None
 
 
 def smooth(problem: Problem, plans: Plans) -> Plans:
-    """The plans with their motions smoothed, as far as these reach; `way` and `way_clearance` are to be judged anew."""
+    """Return the plans with their executable motions smoothed; `way` and `way_clearance` have to be verified again."""
     kernels = problem.kernels  # made here, before there are threads
     tips = tip_checks(kernels, problem.tip_guard)
     ends = plans.outcomes  # of all scenarios at once
@@ -118,7 +118,7 @@ def smooth(problem: Problem, plans: Plans) -> Plans:
 
 
 class Smoothing:
-    """Smooths paths, all of them together round by round."""
+    """Smooth paths together, round by round."""
 
     def __init__(self, problem: Problem, kernels: Kernels, tip: TipCheck | None):
         self._problem, self._kernels, self._tip = problem, kernels, tip
@@ -127,7 +127,7 @@ class Smoothing:
         self._weights = np.ones(joints) if settings.path_weights is None else np.array(settings.path_weights)
 
     def run(self, paths: Sequence[Path]) -> None:
-        """Until all of them are done."""
+        """Smooth until all paths are done."""
         while going := [path for path in paths if not path.done]:
             self._drop(going)
             self._look([path for path in going if path.seen is None])
@@ -141,7 +141,7 @@ class Smoothing:
         return path_cost(x, self._weights)
 
     def _drop(self, paths: list[Path]) -> None:
-        """Leave out postures on the way where the straight way is a motion."""
+        """Drop via points if the straight segment is a motion."""
         ways = [(path, target) for path in paths for target in np.unique(path.target[path.may_drop])]
         if not ways:
             return
@@ -155,7 +155,7 @@ class Smoothing:
             path.without(path.on_way & np.isin(path.target, free))
 
     def _round(self, paths: list[Path]) -> None:
-        """One QP each, and what of its step can be taken."""
+        """Solve one QP per path, and take as much of its step as is accepted."""
         tries = [(path, self._step(path), np.ones(len(path.target))) for path in paths]
         for attempt in range(3):
             again, candidates = [], self._candidates([(path, share[:, None] * y) for path, y, share in tries])
@@ -173,7 +173,7 @@ class Smoothing:
                 return
 
     def _step(self, path: Path) -> Float[np.ndarray, "P N"]:
-        """That of the QP about where the path is."""
+        """Return the step of the QP about the path's current iterate."""
         settings, rows = self._problem.settings, path.seen.clearance
         aim = self._problem.scenarios.margin_m[path.scenario] + settings.aim_above_m
         left = np.maximum(rows.distance - aim, 0.0)
@@ -189,8 +189,8 @@ class Smoothing:
         )  # fmt: skip
 
     def _held(self, path: Path, G: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The task's equations at the postures, and the rows that limit a step, its bands and cones among them: at
-        postures that hold the task, and half way to those beyond the path's first point."""
+        """Return the task's equations at the configurations, and the rows that limit a step, bands and cones included:
+        at configurations that hold the task, and at midpoints before those beyond the path's first point."""
         task, linear = self._problem.task, path.seen.task
         if task.is_points:
             return linear.jacobian[:, 0], G, left
@@ -204,8 +204,8 @@ class Smoothing:
         return held.jacobian[:, 0], np.concatenate([G, -held.gradient], 2), np.concatenate([left, room], 2)
 
     def _candidates(self, steps: list[tuple[Path, np.ndarray]]) -> list[tuple[np.ndarray, Linearisation, np.ndarray]]:
-        """Of each path after a step: where it is, what is seen there, and which postures are no part of a motion. What
-        stays where it was is part of one, as it was."""
+        """Return, for each path after a step: its configurations, their linearisations, and True for configurations
+        that are not part of a motion. Configurations that did not move remain part of one."""
         paths = [path for path, _ in steps]
         x = self._settled(steps)
         seen, good = self._measured(paths, x)
@@ -226,7 +226,8 @@ class Smoothing:
                 path.seen = seen
 
     def _settled(self, steps: list[tuple[Path, np.ndarray]]) -> list[np.ndarray]:
-        """The paths after a step, starts included, with postures that moved and hold the task back on their targets."""
+        """Return the paths after a step, starts included; configurations that moved and hold the task are brought back
+        onto their targets."""
         paths = [path for path, _ in steps]
         x = np.concatenate([np.clip(path.x[1:] + y, self._lower, self._upper) for path, y in steps])
         off = np.concatenate([path.held & y.any(axis=1) for path, y in steps])
@@ -238,7 +239,8 @@ class Smoothing:
         ]
 
     def _measured(self, paths: list[Path], x: list[np.ndarray]) -> tuple[list[Linearisation], list[np.ndarray]]:
-        """At the postures and half way to them; and which of the postures count."""
+        """Return the linearisations at the configurations and at the midpoints before them, and True for configurations
+        that meet the success criterion."""
         inputs = jax.tree.map(lambda table: np.repeat(table, 2, axis=0), self._inputs(paths))
         places = np.concatenate([np.stack([at[1:], 0.5 * (at[1:] + at[:-1])], axis=1) for at in x])
         flat = places.reshape(-1, places.shape[-1])
@@ -251,7 +253,7 @@ class Smoothing:
         return linear, _split(good, paths)
 
     def _motions(self, segments: Segments, most_queries: int | None = None) -> Bool[np.ndarray, "n"]:
-        """Which joint paths are proven, with no more queries than that."""
+        """True for each joint path that is proven, with at most `most_queries`."""
         proofs = prove_segments(self._problem, self._kernels, self._tip, segments)
         few = True if most_queries is None else proofs.queries <= most_queries
         return (proofs.verdict == Way.PROVEN) & few
@@ -271,7 +273,7 @@ def _split(table: np.ndarray, paths: list[Path]) -> list[np.ndarray]:
 
 
 def _written(problem: Problem, plans: Plans, paths: list[Path]) -> Plans:
-    """The plans with these paths in place of theirs."""
+    """Return the plans with these paths written into them."""
     s = np.concatenate([np.full((~path.on_way).sum(), path.scenario) for path in paths] or [np.zeros(0, int)])
     if not len(s):
         return plans

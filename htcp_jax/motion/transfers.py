@@ -1,8 +1,8 @@
-"""Transfers and approaches: from the start to other postures at the first target, or at the path's first point.
+"""Transfers and approaches: from the start to other configurations at the first target, or at the path's first point.
 
-A start may be in a part of the space of postures from which no motion along the path gets through, or not to the end;
-and the straight lines to the path may lead through a wall. Before the path the tool is free, so the arm may go to
-another posture there by any joint path that is proven clear.
+The start may be in a component of the configuration space from which no motion along the path reaches its end; and the
+straight lines to the path may lead through a wall. Before the path the tool is free, so the arm may move to another
+configuration there by any joint path that is proven clear.
 """
 
 import numpy as np
@@ -18,16 +18,17 @@ from htcp_jax.motion.posture_tree import Posture
 from htcp_jax.motion.problem import Problem
 from htcp_jax.motion.tip_check import TipCheck, out_of_walls
 
-DRAWS = 512  # of postures at the first target
-STREAM = 1_000_000  # of random numbers; those before it are of `joint_search`
-MOST_ROOTS = 16  # that are tried to be joined
+DRAWS = 512  # configurations sampled at the first target
+STREAM = 1_000_000  # first stream of random numbers; smaller ones belong to `joint_search`
+MOST_ROOTS = 16  # maximum number of configurations to join
 
 
 def other_postures(
     problem: Problem, kernels: Kernels, tip: TipCheck | None, s: int, round_: int, target: int = 0
 ) -> Posture:
-    """Postures of scenario s at a target that count, drawn uniformly within the joint limits and far apart, others in
-    every round; how the arm gets there is not asked. Of turns that are the same posture, those next to home."""
+    """Return valid configurations of scenario s at a target, sampled uniformly within the joint limits and far apart,
+    new ones in every round; they are not yet joined to the start. Of equivalent joint turns, those nearest to home are
+    returned."""
     scenarios, settings = problem.scenarios, problem.settings
     rng = np.random.default_rng([settings.seed, int(scenarios.number[s]), STREAM + round_])
     inputs = lane_inputs(scenarios, np.full(DRAWS, s), np.full(DRAWS, target))
@@ -45,7 +46,7 @@ def other_postures(
 def _drawn(
     slides: tuple[bool, ...], limits: Limits, about: Float[np.ndarray, "N"], rng: np.random.Generator
 ) -> Float[np.ndarray, "DRAWS N"]:
-    """Postures within the limits; where a joint turns on and on, within half a turn of that of `about`."""
+    """Sample configurations within the limits; unlimited joints within half a turn of `about`."""
     lower, upper = limits
     ends = np.where(np.isfinite(lower), lower, about - np.pi), np.where(np.isfinite(upper), upper, about + np.pi)
     drawn = rng.uniform(*ends, (DRAWS, len(lower)))
@@ -54,7 +55,7 @@ def _drawn(
 
 
 def _unwound(x: Float[np.ndarray, "n N"], limits: Limits, about: Float[np.ndarray, "N"]) -> Float[np.ndarray, "n N"]:
-    """The same postures, joints that turn on and on within half a turn of those of `about`."""
+    """Return the same configurations with unlimited joints within half a turn of those of `about`."""
     endless = np.isinf(limits[0]) & np.isinf(limits[1])
     return np.where(endless, x - 2 * np.pi * np.rint((x - about) / (2 * np.pi)), x) if endless.any() else x
 
@@ -62,8 +63,9 @@ def _unwound(x: Float[np.ndarray, "n N"], limits: Limits, about: Float[np.ndarra
 def joined(
     problem: Problem, kernels: Kernels, tip: TipCheck | None, s: int, start: np.ndarray, to: Float[np.ndarray, "n N"]
 ) -> list[Float[np.ndarray, "_ N"] | None]:
-    """The knots on the way from a posture of scenario s, `start`, to that of some others which is joined soonest; None
-    for the rest of them, and for all where none can be. Only the first MOST_ROOTS are tried."""
+    """Return the via points from a configuration of scenario s, `start`, to the one of `to` that is joined in the
+    fewest rounds of queries; None for the others, and for all if none can be joined. Only the first MOST_ROOTS are
+    tried."""
     to = to[:MOST_ROOTS]
     scenario, pair = np.full(len(to), s), np.arange(len(to))
     starts = np.broadcast_to(start, to.shape)

@@ -1,7 +1,7 @@
-"""How long a search of so many seconds has gone on, also when it was stopped and goes on in another process.
+"""Elapsed time of a search that is limited in seconds, kept across interruptions.
 
-What round comes next hangs on the time, so the time at the end of every round is kept beside the rounds: gone on with,
-the search repeats the rounds that are there, and adds to them.
+The next round depends on the elapsed time, so the time at the end of every round is stored next to the rounds: a
+resumed search repeats the finished rounds and adds to them.
 """
 
 import time
@@ -15,18 +15,18 @@ FILE = "seconds.json"
 
 
 class Clock:
-    """seconds: the search's; None: it has all the time, and nothing is kept."""
+    """seconds: limit of the search; None: no limit, and nothing is stored."""
 
     def __init__(self, folder: Path, seconds: float | None):
         self._file, self._seconds, self._last = folder / FILE, seconds, time.monotonic()
         self._ends = [] if seconds is None else _read(self._file)
 
     def used(self, rounds: int) -> float:
-        """Share of the time that had gone by after so many rounds."""
+        """Share of the time that was used after `rounds` rounds."""
         return 0.0 if self._seconds is None or not rounds else self._ends[rounds - 1] / self._seconds
 
     def finished(self, rounds: int) -> None:
-        """So many rounds are finished. Raises InputError where that cannot be written."""
+        """Record the end time of the last of `rounds` rounds. Raises InputError if it cannot be written."""
         now = time.monotonic()
         if self._seconds is not None and rounds > len(self._ends):
             self._ends.append(sum(self._ends[-1:]) + now - self._last)

@@ -1,11 +1,11 @@
-"""Mountings, judged: each is planned with every seam, by one planner, as the scenarios of a sweep.
+"""Evaluation of mountings: each is planned with every seam, by one planner, as the scenarios of a sweep.
 
-A mounting is complete if a proven motion leads to the end of every seam. How much clearance there is, no planner says
-by itself: it keeps the margin that it is given. So a complete mounting is planned again with a larger margin, as long
-as that succeeds (`judge_raised`).
+A mounting is complete if a proven motion leads to the end of every seam. A planner only keeps the margin that it is
+given and does not maximise clearance. So a complete mounting is planned again with a larger margin, as long as that
+succeeds (`judge_raised`).
 
-What is judged is on disk as any sweep is, shard by shard. Asked for again it is read, so a search that was killed goes
-on from there, and where it is planned has no influence on it.
+Results are on disk like those of any sweep, shard by shard, and are read if they exist. So a killed search resumes from
+there, and results do not depend on the machine that plans them.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,15 +23,15 @@ from htcp_jax.placement.place_file import CLEARANCE, Search
 from htcp_jax.runs.run_folder import Run
 
 MARGIN = "margin_m"
-# Settings of the plans that judge and perturb mountings: fewer configurations at a target, no smoothing.
+# Settings of the quick plans: fewer configurations at a target, no smoothing.
 QUICK = ("settings.smooth=false", "settings.front=16", "settings.thin_front=4", "settings.walks=8")
-RAISED, FACTOR = 3, 3.0  # how often a margin is raised at most, and by what over the clearance that was proven
-# Plans a grid by a method into a folder, or goes on with it, and gives it time where the cycle time is an aim.
+RAISED, FACTOR = 3, 3.0  # largest number of raises of a margin, and their factor on the guaranteed clearance
+# Plans a grid by a method into a folder, or resumes it, and times it if the cycle time is an objective.
 Planner = Callable[[Sweep, str, Path], Run]
 
 
 class Judged:
-    """n mountings with k seams by one method. Larger is better in all that is spare."""
+    """Results of one method for n mountings with k seams. In `spare`, larger is better."""
 
     def __init__(
         self,
@@ -50,7 +50,7 @@ class Judged:
 
     @cached_property
     def plans(self) -> Plans:
-        """A row a mounting and seam, the seam moving fastest."""
+        """Plans, one row per mounting and seam, the seam moving fastest."""
         return self.run.plans(self.method)
 
     @cached_property
@@ -61,12 +61,12 @@ class Judged:
 
     @cached_property
     def complete(self) -> Bool[np.ndarray, "n"]:
-        """True where a proven motion leads to the end of every seam."""
+        """True if a proven motion leads to the end of every seam."""
         return self.plans.outcomes.can_be_driven.reshape(-1, self.seams).all(axis=1)
 
     @cached_property
     def spare(self) -> Float[np.ndarray, "n A"]:
-        """Each aim's value in the worst seam; -inf where a mounting is not complete or nothing is known."""
+        """Each objective's value in the worst seam; -inf if the mounting is not complete or the value is unknown."""
         found = np.stack([AIMS[name](self).reshape(-1, self.seams).min(axis=1) for name in self.search.file.spare], 1)
         return np.where(self.complete[:, None], found, -np.inf)
 
@@ -77,11 +77,11 @@ class Judged:
 
     @cached_property
     def guaranteed(self) -> Float[np.ndarray, "n"]:
-        """Clearance that is proven all along the motions, over all seams [m]."""
+        """Guaranteed clearance along the motions, over all seams [m]."""
         return _along(self.plans).reshape(-1, self.seams).min(axis=1)
 
     def lost(self) -> list[str]:
-        """Why each mounting is not complete, in words, by its worst seam; empty where it is."""
+        """Reason why each mounting is not complete, by its worst seam; empty if it is complete."""
         ends, worst = self.plans.outcomes, self.done.argmin(axis=1)
         rows = np.arange(len(self.values)) * self.seams + worst
         found = [ends.of(row) for row in rows.tolist()]
@@ -94,10 +94,9 @@ def sweep_of(
     margin_m: Float[np.ndarray, "n"] | None = None,
     settings: Sequence[str] = (),
 ) -> Sweep:
-    """The grid of some mountings with every seam; each scenario draws the random numbers of a job planned by itself.
-
-    margin_m: each one's own; None: the job's. settings: changes of the job that come before the search's own. Raises
-    InputError for values that the job refuses."""
+    """Sweep over mountings and seams; each scenario draws the random numbers of a job planned by itself. margin_m: one
+    per mounting; None: the job's. settings: overrides of the job, applied before the search's own. Raises InputError
+    for values that the job refuses."""
     first: dict[str, Any] = search.ranges.columns(values)
     if margin_m is not None:
         first[MARGIN] = margin_m.tolist()
@@ -114,14 +113,14 @@ def judge(
     margin_m: Float[np.ndarray, "n"] | None = None,
     settings: Sequence[str] = (),
 ) -> Judged:
-    """Plan mountings, or go on with it, or read them. Raises InputError and Interrupted as `runs.sweep` does."""
+    """Plan mountings, resume planning them, or read them. Raises InputError and Interrupted as `runs.sweep` does."""
     run = plan(sweep_of(search, values, margin_m, settings), method, folder)
     return Judged(search, run, method, values, quick=bool(settings))
 
 
 def judge_raised(search: Search, plan: Planner, values: Float[np.ndarray, "n d"], folder: Path, raised: Path) -> Judged:
-    """Mountings planned quickly with the job's margin, and again with larger ones as long as they stay complete, if
-    clearance is an aim. The plans are those with the largest margin. raised: the folder of the later plans."""
+    """Plan mountings quickly with the job's margin and, if clearance is an objective, again with larger margins as long
+    as they stay complete. Return the plans with the largest margin. raised: folder of the later plans."""
     found = judge(search, plan, values, search.file.screen, folder, settings=QUICK)
     going = found.complete if CLEARANCE in search.file.spare else np.zeros(len(values), bool)
     for k in range(RAISED):
@@ -140,7 +139,7 @@ def judge_lowered(
     folder: Path,
     margins: Sequence[Float[np.ndarray, "n"]],
 ) -> Judged:
-    """Mountings planned quickly with each of some margins [m] until they are complete, at last with the job's."""
+    """Plan mountings quickly with each of `margins` [m] in turn until they are complete, finally with the job's."""
     least = np.full(len(values), search.job.margin_m)
     found, missing = None, np.ones(len(values), bool)
     for k, margin in enumerate([*margins, least]):
@@ -154,7 +153,8 @@ def judge_lowered(
 
 
 def _better(found: Judged, again: Judged, which: Bool[np.ndarray, "n"]) -> tuple[Judged, Bool[np.ndarray, "n"]]:
-    """What is found with those of `which` replaced that are complete in `again`, and which these are."""
+    """`found` with the mountings in `which` replaced by `again` where that is complete, and a mask of those
+    replaced."""
     new = which.copy()
     new[which] = again.complete
     row = np.arange(len(which) * found.seams).reshape(-1, found.seams)
@@ -164,22 +164,23 @@ def _better(found: Judged, again: Judged, which: Bool[np.ndarray, "n"]) -> tuple
 
 
 def _clearance(judged: Judged) -> np.ndarray:
-    """Clearance that is proven all along; of quick plans, whose proofs are coarse, the minimum at the targets [m]."""
+    """Guaranteed clearance along the motions; for quick plans, whose proofs are coarse, the minimum at the targets
+    [m]."""
     return _at_targets(judged.plans) if judged.quick else _along(judged.plans)
 
 
 def _along(plans: Plans) -> np.ndarray:
-    """The least clearance that is proven on the way to any executable target of each plan [m]; inf where none is."""
+    """Minimum guaranteed clearance over the segments to executable targets of each plan [m]; inf if there are none."""
     return np.where(plans.executable, plans.way_clearance, np.inf).min(axis=1)
 
 
 def _at_targets(plans: Plans) -> np.ndarray:
-    """Minimum clearance of each plan at a tracked target [m]; inf where none is."""
+    """Minimum clearance of each plan at a tracked target [m]; inf if there are none."""
     return np.where(plans.tracked, plans.clearance, np.inf).min(axis=1)
 
 
 def _cycle_time(judged: Judged) -> np.ndarray:
-    """The program's, less than 0 [s]; -inf where there is no motion to give time to."""
+    """Negative cycle time [s]; -inf if there is no motion to time."""
     rows = judged.run.timing(judged.method).timed
     times = np.full(len(judged.plans.status), -np.inf)
     times[rows["scenario"].to_numpy()] = -rows["cycle_time_s"].to_numpy()
@@ -187,7 +188,7 @@ def _cycle_time(judged: Judged) -> np.ndarray:
 
 
 def _joint_motion(judged: Judged) -> np.ndarray:
-    """How far the joints go along the path, less than 0 [rad]."""
+    """Negative joint motion along the path [rad]."""
     plans = judged.plans
     return -np.nansum(np.where(plans.tracked, plans.joint_step, 0.0), axis=1)
 

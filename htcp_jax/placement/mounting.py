@@ -1,4 +1,4 @@
-"""A mounting that does the whole work, and how far it may be off."""
+"""A mounting that completes the path, and its tolerance to placement error."""
 
 from typing import NamedTuple
 
@@ -6,31 +6,31 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 RANKED, MOUNTINGS = "ranked.json", "mountings.parquet"  # of a search's folder, see `placed`
-UNITS = {"clearance": ("mm", 1e3), "cycle time": ("s", -1.0), "joint motion": ("rad", -1.0)}  # as a person reads them
+UNITS = {"clearance": ("mm", 1e3), "cycle time": ("s", -1.0), "joint motion": ("rad", -1.0)}  # for display
 
 
 class Answer(NamedTuple):
-    """What n mountings come to."""
+    """Results of planning n mountings."""
 
-    complete: Bool[np.ndarray, "n"]  # whether a proven motion leads to the end of every seam
-    spare: Float[np.ndarray, "n A"]  # of each aim, larger is better; -inf where a mounting is not complete
+    complete: Bool[np.ndarray, "n"]  # True if a proven motion leads to the end of every seam
+    spare: Float[np.ndarray, "n A"]  # of each objective, larger is better; -inf if the mounting is not complete
 
 
 class Tolerance(NamedTuple):
-    """Of one mounting."""
+    """Tolerance of one mounting to placement error."""
 
-    together: float  # [1] how often `off` all parameters may be off at once; 0: not even the least that was tried
-    alone: Float[np.ndarray, "d"]  # by how much each one may be, with the others as they are, in its own unit
+    together: float  # [1] for all parameters at once, in multiples of `off`; 0: even the smallest level failed
+    alone: Float[np.ndarray, "d"]  # for each parameter with the others fixed, in its own unit
 
 
 class Mounting(NamedTuple):
-    """One that does the whole work, as a proven motion."""
+    """A mounting that completes the path by a proven motion."""
 
     row: int  # of `confirmed`
     values: Float[np.ndarray, "d"]  # of the parameters, each in its unit in the job
-    margin_m: float  # that its motions are planned with
-    spare: Float[np.ndarray, "A"]  # of each aim, larger is better [m, or less than 0 s or rad]
-    worst: Float[np.ndarray, "A"]  # the worst disturbed mounting's [m, s or rad]; -inf: one is lost, NaN: not known yet
-    held: float  # [1] share of the disturbed mountings that are complete; NaN: not known yet
-    front: bool  # whether none of the others is better in every aim
+    margin_m: float  # margin of its motions
+    spare: Float[np.ndarray, "A"]  # of each objective, larger is better [m, or less than 0 s or rad]
+    worst: Float[np.ndarray, "A"]  # worst case under perturbation [m, s or rad]; -inf: one fails, NaN: not known yet
+    held: float  # [1] success rate of the perturbed mountings; NaN: not known yet
+    front: bool  # True if on the Pareto front
     tolerance: Tolerance | None  # of the first few

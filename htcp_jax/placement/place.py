@@ -1,12 +1,12 @@
-"""The public call of a search: ranges of mountings in, mountings ranked out.
+"""Placement search: ranges of mountings in, ranked mountings out.
 
     found = htcp_jax.place("place.yaml", out="out/place")
-    found.mountings[0].spare, found.motions      # ranked, the best first; and the run that holds their motions
+    found.mountings[0].spare, found.motions      # ranked, best first; and the run that holds their motions
 
-Every stage is a sweep or several, in folders of their own: `rounds` and `raised` judge mountings by quick plans, first
-evenly and then about what is best, `confirmed` plans the best of them as proven motions with as much clearance as there
-is, `disturbed` and `tolerance` plan these anew, a little off, and `ranked` holds the motions in their order. A first
-ranking is written before mountings are disturbed. Called again it goes on from what is there.
+Every stage is one or more sweeps, in folders of their own: `rounds` and `raised` evaluate mountings by quick plans,
+first evenly and then near the best, `confirmed` plans the best of them as proven motions with as large a clearance as
+possible, `disturbed` and `tolerance` plan these again under perturbation, and `ranked` holds the motions in their
+order. A first ranking is written before mountings are perturbed. A second call resumes from there.
 """
 
 import shutil
@@ -47,21 +47,21 @@ from htcp_jax.runs.run_folder import Run
 from htcp_jax.status import AT_HOME, Status
 from htcp_jax.trajectory.whole_run import time_run
 
-MARGINS = 1.7, 1.4, 1.2, 1.05, 0.95, 0.8, 0.5  # of the clearance of the quick plan, that a motion is planned with
-LOWERED = 0.8, 0.4  # of its margin, with which a disturbed mounting is planned before the job's own margin
-TOLERANCES = 3  # of so many mountings tolerances are worked out
+MARGINS = 1.7, 1.4, 1.2, 1.05, 0.95, 0.8, 0.5  # margins of a confirmed motion, in shares of the quick plan's clearance
+LOWERED = 0.8, 0.4  # margins of a perturbed mounting, in shares of its own, tried before the job's
+TOLERANCES = 3  # number of mountings whose tolerances are determined
 
 
 class PlaceProgress(NamedTuple):
-    """How far a search has come."""
+    """Progress of a search."""
 
     stage: str
-    scenarios: int  # judged so far
-    of: int | None  # that will be; None: as many as time allows
+    scenarios: int  # planned so far
+    of: int | None  # in total; None: as many as time allows
     complete: int  # mountings
-    best: float  # of the first aim so far; -inf: none
-    sweep: sweeps.SweepProgress | None = None  # the one at hand
-    most: dict[str, int] | None = None  # plans of each stage at most; of the first None where time decides
+    best: float  # first objective's best value so far; -inf: none
+    sweep: sweeps.SweepProgress | None = None  # the current one
+    most: dict[str, int] | None = None  # largest number of plans of each stage; None if time decides
 
 
 def place(
@@ -76,12 +76,13 @@ def place(
     threads: int | None = None,
     progress: Callable[[PlaceProgress], None] | None = None,
 ) -> Placed:
-    """Search the ranges of a file, or of a mapping that spells one, and rank what does the whole work.
+    """Search the ranges of a file, or of an equivalent mapping, and rank the mountings that complete the path.
 
-    config, overrides, changes: see `load_search`. on, device, threads: as of `runs.sweep.sweep`; no result hangs on
-    them. out: the folder; one that holds a part of the same search is gone on with.
-    Raises InputError for bad input, ranges whose ends the job refuses among it, for a folder that holds another search
-    or is in use, and where every start collides; Interrupted and Lost as a sweep does, with what is finished in the
+    config, overrides, changes: see `load_search`. on, device, threads: as for `runs.sweep.sweep`; results do not depend
+    on them. out: the folder; a folder that holds a part of the same search is resumed.
+
+    Raises InputError for bad input, including ranges whose ends the job refuses, for a folder that holds another search
+    or is in use, and if every start collides; Interrupted and Lost as a sweep does, with what is finished in the
     folder.
     """
     search, folder = load_search(spec, config, overrides, changes), Path(out)
@@ -104,14 +105,14 @@ def place(
 
 
 def _refuse(search: Search) -> None:
-    """Raise InputError for a feed that is none, and for ranges whose ends the job refuses, before anything is done."""
+    """Raise InputError for an invalid feed, or for ranges whose ends the job refuses, before planning starts."""
     feed_of(search.file.feed)
     ends = np.repeat([[0.0], [1.0]], len(search.ranges.axes), axis=1)
     sweep_of(search, search.ranges.values(ends)).batch()
 
 
 def most_plans(search: Search) -> dict[str, int | None]:
-    """The largest number of plans that each stage makes; None where time decides."""
+    """Largest number of plans that each stage makes; None if time decides."""
     file, k = search.file, max(1, len(search.seams))
     is_raised = CLEARANCE in file.spare
     scenarios = file.within.scenarios
@@ -124,7 +125,7 @@ def most_plans(search: Search) -> dict[str, int | None]:
 
 
 class _Teller:
-    """Reports the stages to whoever listens."""
+    """Progress reporter of the stages."""
 
     def __init__(self, search: Search, progress: Callable[[PlaceProgress], None] | None):
         self.stage, self._progress, self._of = "search", progress, search.file.within.scenarios
@@ -142,7 +143,7 @@ class _Teller:
 
 
 def _rounds(search: Search, folder: Path, plan: Planner, tell: _Teller) -> Iterator[Judged]:
-    """The mountings of all rounds, judged."""
+    """Plan the mountings of all rounds, round by round."""
     known, number = None, 0
     budget, clock = search.file.within.scenarios, Clock(folder, search.file.within.seconds)
     mountings = None if budget is None else max(1, budget // max(1, len(search.seams)))
@@ -173,7 +174,7 @@ def _rounds(search: Search, folder: Path, plan: Planner, tell: _Teller) -> Itera
 
 
 def _refuse_collision(search: Search, found: Judged, folder: Path) -> None:
-    """Raise InputError where every start of the first round collides, naming the body; the round is kept no more."""
+    """Raise InputError if every start of the first round collides, naming the body; the round is then removed."""
     first = found.plans.status[:, 0]
     if not np.isin(first, (Status.START_IN_COLLISION, *AT_HOME)).all():
         return
@@ -188,7 +189,7 @@ def _refuse_collision(search: Search, found: Judged, folder: Path) -> None:
 
 
 def _confirmed(search: Search, judged: Sequence[Judged], folder: Path, plan: Planner) -> Judged:
-    """The best mountings, some way apart, each planned with several margins."""
+    """Plan the best mountings by each objective, APART from each other, with several margins each."""
     values = np.concatenate([each.values for each in judged])
     known = Known(
         (values - search.ranges.low) / search.ranges.width,
@@ -214,8 +215,8 @@ def _confirmed(search: Search, judged: Sequence[Judged], folder: Path, plan: Pla
 
 
 def _ranked(search: Search, confirmed: Judged, folder: Path, plan: Planner) -> Iterator[tuple[list[Mounting], bool]]:
-    """The plan with the most to spare of each mounting: first by that, then by what is left when they are off, with the
-    tolerances of the first; and whether that is the final ranking."""
+    """Rank each mounting's best plan: first by its objective, then by its results under perturbation, with tolerances
+    for the first few. Yield the mountings, and whether the ranking is final."""
     rows = _best_rows(confirmed)
     if not rows:
         yield [], True
@@ -246,8 +247,8 @@ def _anew(
     values: Float[np.ndarray, "n d"],
     folder: Path,
 ) -> Answer:
-    """What mountings come to by quick plans. margin_m: of m mountings, with which n / m each are planned if clearance
-    is an aim; None: whether they are complete is all that is asked."""
+    """Results of quick plans of mountings. margin_m: of m mountings, with which n / m each are planned if clearance is
+    an objective; None: only completeness is determined."""
     with_clearance = margin_m is not None and CLEARANCE in search.file.spare
     shares = LOWERED if with_clearance else ()
     margins = [] if margin_m is None else [s * np.repeat(margin_m, len(values) // len(margin_m)) for s in shares]
@@ -257,12 +258,12 @@ def _anew(
 
 
 def _margins(judged: Judged) -> Float[np.ndarray, "n"]:
-    """The margin that each mounting was planned with [m]."""
+    """Margin that each mounting was planned with [m]."""
     return judged.run.scenarios(judged.method)[MARGIN].to_numpy()[:: judged.seams]
 
 
 def _best_rows(confirmed: Judged) -> list[int]:
-    """Of the plans of each mounting the one that is a motion with the most to spare."""
+    """Row of each mounting's complete plan with the largest first objective."""
     best: dict[bytes, int] = {}
     for row in np.flatnonzero(confirmed.complete).tolist():
         key = confirmed.values[row].tobytes()
@@ -272,13 +273,13 @@ def _best_rows(confirmed: Judged) -> list[int]:
 
 
 def _front(spare: Float[np.ndarray, "n A"]) -> np.ndarray:
-    """Which are no worse in some aim than every other."""
+    """Mask of the Pareto front: rows that no other row dominates."""
     beaten = (spare[None] >= spare[:, None]).all(axis=2) & (spare[None] > spare[:, None]).any(axis=2)
     return ~beaten.any(axis=1)
 
 
 def _motions(search: Search, confirmed: Judged, mountings: Sequence[Mounting], folder: Path) -> Path | None:
-    """The ranked mountings' motions as a run of their own, in their order."""
+    """Save the ranked mountings' motions as a run, in their order."""
     if not mountings:
         return None
     rows = np.array([one.row for one in mountings])

@@ -1,11 +1,11 @@
-"""PLACE.yaml: what is searched, for what, and how long.
+"""PLACE.yaml: search variables, objective and budget of a placement search.
 
 config: ../configs/duct.yaml                    # the job; without it the default one
 place:                                          # ranges, see `ranges`
   workpiece.rotation_y_rad: [0.0, 1.0]
   workpiece.shift_m: [[-0.2, 0.2], [-0.2, 0.2], [0.0, 0.1]]
 seams: [weld.csv, left.csv]                     # all of them, in one mounting; by default the job's own path
-spare: clearance                                # or cycle time, joint motion; a list of two makes a front
+spare: clearance                                # or cycle time, joint motion; a list of two gives a Pareto front
 within: {scenarios: 2000}                       # or {seconds: 60}
 """
 
@@ -30,7 +30,7 @@ AIMS = CLEARANCE, CYCLE_TIME, "joint motion"
 
 
 class Within(Section):
-    """How long is searched: so many scenarios are judged, or for so long."""
+    """Budget of the search: a number of scenarios, or a time [s]."""
 
     scenarios: Annotated[int, Field(gt=0, le=1_000_000)] | None = None
     seconds: Annotated[float, Field(gt=0)] | None = None
@@ -43,24 +43,24 @@ class Within(Section):
 
 
 class Off(Section):
-    """By how much a mounting may be off in every parameter at once, while it is judged."""
+    """Bounds of the perturbation, which applies to every parameter of a mounting at once."""
 
     mm: float = Field(3.0, gt=0, le=1000)
     deg: float = Field(0.5, gt=0, le=90)
 
 
 class PlaceFile(Section):
-    """What a person writes."""
+    """Contents of a PLACE.yaml."""
 
     config: str | None = None
     place: dict[str, Any] = Field(default_factory=dict)
     seams: tuple[str, ...] = ()
     spare: tuple[str, ...] = ("clearance",)
-    feed: str = "20mm/s"  # of the tool, where the cycle time counts
+    feed: str = "20mm/s"  # of the tool, if the cycle time is an objective
     within: Within = Within(scenarios=2000)
     off: Off = Off()
     best: int = Field(20, ge=1, le=1000)  # mountings that are confirmed as motions
-    screen: str = "roadmap"  # the planner that judges, with the settings of `judge.QUICK`
+    screen: str = "roadmap"  # the planner of the quick plans, with the settings of `judge.QUICK`
     confirm: str = "roadmap"  # the planner that confirms
     seed: int = Field(0, ge=0)
 
@@ -84,7 +84,7 @@ class PlaceFile(Section):
 
 
 class Search(NamedTuple):
-    """A file, read and checked."""
+    """A PLACE.yaml, read and checked."""
 
     name: str
     file: PlaceFile
@@ -101,11 +101,10 @@ def load_search(
     overrides: Sequence[str] = (),
     changes: Mapping[str, Any] | None = None,
 ) -> Search:
-    """The search at the path `spec`, or the example of that name, or the one that a mapping spells; its files are then
-    relative to the working folder. config takes the place of its own; overrides change the job, changes the file's own
-    keys.
+    """Read the search at the path `spec`, or the example of that name, or a mapping with the same keys; its files are
+    then relative to the working folder. config replaces its own; overrides change the job, changes the file's own keys.
 
-    Raises InputError for what is wrong with either file, and for a seam that is missing.
+    Raises InputError for errors in either file, and for a seam that is missing.
     """
     path, raw = read_spec(spec, "place")
     file: PlaceFile = validate({**raw, **(changes or {})}, PlaceFile, str(path))

@@ -1,8 +1,8 @@
-"""What a search came to, and its folder.
+"""Results of a search, and its folder.
 
-place.json            what was asked for
+place.json            the search
 ranked.json           the mountings in their order, see `Mounting`
-mountings.parquet     every mounting that was judged: parameters, share of the targets, what is spare, why it ended
+mountings.parquet     every mounting that was planned: parameters, share of the targets, objectives, reason of failure
 ranked/               a run: the motions of the ranked mountings, scenario by scenario
 best-1.yaml           a job of each ranked mounting, of several seams best-1-1.yaml and on, from which `htcp plan` gives
                       its motion
@@ -41,18 +41,18 @@ NOTHING = "nothing was finished, nothing was written"
 
 
 class Placed(NamedTuple):
-    """A search that has come to its end."""
+    """A finished search."""
 
     folder: Path
     search: Search
     judged: Sequence["Judged"]
     mountings: Sequence[Mounting]  # ranked
     motions: Path | None  # the run
-    is_final: bool = True  # False until disturbed mountings are planned and tolerances worked out
+    is_final: bool = True  # False until perturbed mountings are planned and tolerances determined
 
     @property
     def scenarios(self) -> int:
-        """How many were judged."""
+        """Number of scenarios planned by the search."""
         return sum(len(each.plans.status) for each in self.judged)
 
     @property
@@ -61,7 +61,8 @@ class Placed(NamedTuple):
         return sum(int(each.complete.sum()) for each in self.judged)
 
     def seams(self) -> dict[str, tuple[int, float]]:
-        """Of every seam in how many mountings it is complete, and which share of it is in the best mounting."""
+        """For every seam, the number of mountings in which it is complete, and its completed share in the best
+        mounting."""
         names = self.search.seams or (self.search.job.workpiece.path,)
         done = np.concatenate([each.done for each in self.judged])
         best = done[np.lexsort((done.mean(axis=1), (done == 1).sum(axis=1)))[-1]]
@@ -72,7 +73,7 @@ class Placed(NamedTuple):
         }
 
     def record(self) -> dict[str, Any]:
-        """For JSON."""
+        """The result as a mapping for JSON."""
         return {
             "name": self.search.name,
             "finished": self.is_final,
@@ -87,7 +88,7 @@ class Placed(NamedTuple):
 
     @property
     def jobs(self) -> list[list[str]]:
-        """The names of the ranked mountings' job files in the folder, a list a mounting with one a seam."""
+        """Names of the ranked mountings' job files in the folder, one list per mounting, with one name per seam."""
         k = len(self.search.seams)
         return [
             [f"best-{rank}-{seam}.yaml" for seam in range(1, k + 1)] if k > 1 else [f"best-{rank}.yaml"]
@@ -116,8 +117,8 @@ class Placed(NamedTuple):
 
 @contextlib.contextmanager
 def searching(folder: Path, search: Search) -> Iterator[None]:
-    """The search's folder, locked. One in which nothing was finished is as it was before. Raises InputError where it
-    holds another search, is in use or cannot be written, Interrupted in place of Ctrl-C."""
+    """Lock the search's folder. If nothing was finished, the folder is left as it was before. Raises InputError if it
+    holds another search, is in use or cannot be written; Interrupted in place of Ctrl-C."""
     with made_folder(folder) as is_new, locked(folder):
         for place, stages, _ in os.walk(folder):
             for stage in stages:
@@ -134,7 +135,7 @@ def searching(folder: Path, search: Search) -> Iterator[None]:
 
 
 def _stopped(folder: Path, is_new: bool) -> str:
-    """Remove a search in which nothing is finished, and return how to go on."""
+    """Remove a search in which nothing is finished, and return a message that says how to resume."""
     if _holds_any(folder):
         return f"stopped; what is finished is in {folder}; the same command goes on from there"
     (folder / SEARCH).unlink(missing_ok=True)
@@ -148,7 +149,7 @@ def _holds_any(folder: Path) -> bool:
 
 
 def _begin(folder: Path, search: Search) -> None:
-    """Write down what is asked for. Raises InputError where the folder holds another search."""
+    """Write down the search. Raises InputError if the folder holds another search."""
     asked = {
         **search.file.model_dump(mode="json"),
         "config": search.config,
@@ -189,7 +190,7 @@ def write(
 
 
 def _write_jobs(found: Placed, configs: Sequence[PlanConfig]) -> None:
-    """A job file of every ranked mounting and seam: the search's job and what differs from it."""
+    """Write a job file for every ranked mounting and seam: the search's job and its changes."""
     search, names = found.search, [name for own in found.jobs for name in own]
     for old in found.folder.glob("best-*.yaml"):
         old.unlink()
@@ -202,7 +203,7 @@ def _write_jobs(found: Placed, configs: Sequence[PlanConfig]) -> None:
 
 
 def _differences(config: dict[str, Any], plain: dict[str, Any]) -> dict[str, Any]:
-    """The keys of a configuration with other values than in the plain one, section by section."""
+    """Keys of a configuration whose values differ from the plain one, section by section."""
     found = {}
     for key, value in config.items():
         if isinstance(value, dict) and isinstance(plain.get(key), dict):

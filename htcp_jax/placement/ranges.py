@@ -1,4 +1,4 @@
-"""Ranges in place of lists: which parameters of a job a search may vary, and how far.
+"""Ranges of the job parameters that a search varies.
 
     workpiece.rotation_y_rad: [0.0, 1.0]                          # a number
     workpiece.shift_m: [[-0.2, 0.2], [-0.2, 0.2], 0.0]            # a vector, element by element; a number stays
@@ -25,7 +25,7 @@ UNITS = {"_m": ("mm", 1e3), "_rad": ("°", 180 / math.pi), "_deg": ("°", 1.0)}
 
 
 class Range(NamedTuple):
-    """One number that varies: all of a key's value, or one element of it."""
+    """A number that varies: a key's whole value, or one element of it."""
 
     key: str
     element: int | None
@@ -34,32 +34,32 @@ class Range(NamedTuple):
 
     @property
     def name(self) -> str:
-        """workpiece.shift_m.x"""
+        """Name of the parameter, such as workpiece.shift_m.x."""
         return self.key if self.element is None else f"{self.key}.{_element(self.key, self.element)}"
 
     @property
     def unit(self) -> tuple[str, float]:
-        """How it is told to a person, and by what it is multiplied for that."""
+        """Unit for display, and the factor that converts to it."""
         return next((unit for ending, unit in UNITS.items() if self.key.endswith(ending)), ("", 1.0))
 
     @property
     def is_angle(self) -> bool:
-        """Whether it is an angle, in whatever unit."""
+        """True if it is an angle, in any unit."""
         return self.unit[0] == "°"
 
     def disturbed(self, off_m: float, off_deg: float) -> float:
-        """Half the width of a box in which it may be off, in its own unit: by a length, or by an angle. What the task
-        asks for is never off."""
+        """Half the width of the box of perturbations, in the parameter's own unit: off_m for a length, off_deg for an
+        angle. Parameters of the task are never perturbed: 0."""
         if self.key.startswith("task."):
             return 0.0
         return off_deg / self.unit[1] if self.is_angle else off_m
 
 
 class Ranges(NamedTuple):
-    """d numbers that vary, and the vectors of which some elements do not."""
+    """d numbers that vary, and the fixed elements of their vectors."""
 
     axes: tuple[Range, ...]
-    fixed: dict[str, tuple[float | None, ...]]  # of a key with elements: the values of those that stay
+    fixed: dict[str, tuple[float | None, ...]]  # of a key with elements: values of the fixed ones
 
     @property
     def low(self) -> Float[np.ndarray, "d"]:
@@ -68,7 +68,7 @@ class Ranges(NamedTuple):
 
     @property
     def width(self) -> Float[np.ndarray, "d"]:
-        """Largest less smallest."""
+        """Largest minus smallest values."""
         return np.array([axis.high - axis.low for axis in self.axes])
 
     def values(self, u: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:
@@ -88,9 +88,8 @@ class Ranges(NamedTuple):
 
 
 def read_ranges(where: str, raw: Mapping[str, Any], joints: Sequence[str], base: Mapping[str, Any]) -> Ranges:
-    """As a person writes them. joints: the arm's; base: the plain form of the job that they vary.
-
-    Raises InputError for no range, an unknown key, one that cannot vary, and a range that is empty or reversed."""
+    """Read ranges from a PLACE.yaml. joints: the arm's; base: the plain form of the job that they vary. Raises
+    InputError if there is no range, for an unknown key, one that cannot vary, and a range that is empty or reversed."""
     if not raw:
         raise InputError(f"{where} is empty; it needs at least one range")
     known = parameters(joints)

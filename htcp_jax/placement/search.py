@@ -1,7 +1,7 @@
-"""Where to look next: first evenly over the ranges, then about what is best so far, by CMA-ES from several places.
+"""Sampling of mountings: first a Halton sequence over the ranges, then CMA-ES from several of the best so far.
 
-A round depends on what the rounds before it came to and on the seed, on nothing else: asked again with the same answers
-it gives the same mountings.
+A round depends only on the results of earlier rounds and on the seed: repeated with the same results, it proposes the
+same mountings.
 """
 
 from typing import NamedTuple
@@ -13,24 +13,24 @@ from scipy.stats import qmc
 
 from htcp_jax.motion.front import first_apart
 
-EVEN = 0.5  # of the budget, that is spread evenly
+EVEN = 0.5  # share of the budget for the Halton sequence
 ROUND = 512  # mountings of an even round
-FROM, POPULATION = 4, 24  # places that evolution starts from, and mountings about each a round
-SIGMA, ENDED = 0.08, 0.004  # of the ranges: how widely it begins, and when it begins elsewhere
-APART = 0.1  # of a range, by which two mountings differ in one parameter at least, to be two
+FROM, POPULATION = 4, 24  # CMA-ES runs at a time, and mountings of each per round
+SIGMA, ENDED = 0.08, 0.004  # in shares of the ranges: initial step size, and the one at which a run restarts
+APART = 0.1  # smallest difference of distinct mountings in at least one parameter, in shares of its range
 
 
 class Known(NamedTuple):
-    """n mountings that are judged."""
+    """Results of n mountings."""
 
     u: Float[np.ndarray, "n d"]  # in the unit cube
     done: Float[np.ndarray, "n"]  # share of the targets
     complete: Bool[np.ndarray, "n"]
-    spare: Float[np.ndarray, "n A"]  # larger is better; -inf where a mounting is not complete
+    spare: Float[np.ndarray, "n A"]  # larger is better; -inf if the mounting is not complete
 
 
 def even(dimensions: int, first: int, count: int, seed: int) -> Float[np.ndarray, "n d"]:
-    """Mountings number `first` and after of a scrambled Halton sequence."""
+    """Mountings from number `first` of a scrambled Halton sequence."""
     sequence = qmc.Halton(dimensions, rng=np.random.default_rng(seed))
     if first:
         sequence.fast_forward(first)
@@ -38,8 +38,8 @@ def even(dimensions: int, first: int, count: int, seed: int) -> Float[np.ndarray
 
 
 def score(known: Known, weights: Float[np.ndarray, "A"]) -> Float[np.ndarray, "n"]:
-    """What evolution makes small: below 0 where a mounting is complete, the better the lower; else the share that it
-    lacks. Aims are weighed between their worst and best so far; one of which nothing is known counts as the worst."""
+    """Cost that the evolution minimises: below 0 for a complete mounting, lower is better; else the share of targets
+    that it lacks. Objectives are scaled to their range so far; an unknown one counts as the worst."""
     told = np.isfinite(known.spare)
     low, high = (np.where(told, known.spare, none) for none in (np.inf, -np.inf))
     low, high = low.min(axis=0), high.max(axis=0)
@@ -49,12 +49,12 @@ def score(known: Known, weights: Float[np.ndarray, "A"]) -> Float[np.ndarray, "n
 
 
 def best_apart(u: Float[np.ndarray, "n d"], order: np.ndarray, count: int) -> list[int]:
-    """The first `count` in an order of which each differs from all before it, see APART."""
+    """The first `count` in an order, each at least APART from all before it."""
     return order[first_apart(u[order], count, APART, np.inf)].tolist()
 
 
 class Evolution:
-    """CMA-ES from several places at a time; each begins elsewhere when it has come to an end."""
+    """CMA-ES from several starts at a time; a run that has converged restarts elsewhere."""
 
     def __init__(self, known: Known, aims: int, seed: int):
         self._rng, self._known, self._begun = np.random.default_rng([seed, 1]), known, []
@@ -62,12 +62,12 @@ class Evolution:
         self._runs = [self._begin(weights) for weights in self._weights]
 
     def ask(self) -> Float[np.ndarray, "n d"]:
-        """The mountings of the next round."""
+        """Propose the mountings of the next round."""
         self._asked = [np.array(run.ask()) for run in self._runs]
         return np.clip(np.concatenate(self._asked)[:, : self._known.u.shape[1]], 0.0, 1.0)
 
     def tell(self, found: Known) -> None:
-        """What they came to."""
+        """Update the runs with the results of the proposed mountings."""
         self._known = Known(*map(np.concatenate, zip(self._known, found, strict=True)))
         count = len(found.u)
         for k, (run, asked) in enumerate(zip(self._runs, self._asked, strict=True)):
@@ -77,7 +77,7 @@ class Evolution:
                 self._runs[k] = self._begin(self._weights[k])
 
     def _begin(self, weights: np.ndarray) -> cma.CMAEvolutionStrategy:
-        """About the best mounting that none has begun from."""
+        """Start a run at the best mounting that is apart from all earlier starts, or at random if there is none."""
         order = np.argsort(score(self._known, weights), kind="stable")
         u = np.concatenate([np.array(self._begun).reshape(-1, self._known.u.shape[1]), self._known.u])
         taken = len(self._begun)
@@ -85,7 +85,7 @@ class Evolution:
         start = u[chosen[-1]] if len(chosen) > taken else self._rng.random(u.shape[1])
         self._begun.append(start)
         return cma.CMAEvolutionStrategy(
-            start if len(start) > 1 else np.append(start, 0.5),  # it knows no line; the second number says nothing
+            start if len(start) > 1 else np.append(start, 0.5),  # CMA-ES needs two dimensions; the second is unused
             SIGMA,
             {
                 "bounds": [0.0, 1.0],
@@ -103,7 +103,7 @@ class Evolution:
 
 
 def _weights(k: int, aims: int) -> np.ndarray:
-    """Of several aims each run of evolution weighs another mixture."""
+    """Weights of the objectives in the k-th run; with several objectives each run uses another mixture."""
     if aims == 1:
         return np.ones(1)
     share = k / (FROM - 1)

@@ -1,8 +1,8 @@
-"""How far a mounting may be off before a seam is lost: disturbed mountings, every one planned anew.
+"""Tolerance of a mounting to placement error: perturbed mountings, each planned anew.
 
-What is off is off in all parameters at once: lengths by up to so many millimetres, angles by up to so many degrees. A
-tolerance is stated where every disturbed mounting that was tried in a box a fifth wider is complete: a proven motion
-leads to the end of every seam.
+A perturbation changes all parameters at once: lengths by up to so many millimetres, angles by up to so many degrees. A
+tolerance is stated if every perturbed mounting that was tried in a box a fifth wider is complete: a proven motion leads
+to the end of every seam.
 """
 
 from collections.abc import Callable
@@ -15,28 +15,29 @@ from htcp_jax.placement.mounting import Answer, Tolerance
 from htcp_jax.placement.place_file import Search
 from htcp_jax.placement.search import even
 
-TRIED = 16  # disturbed mountings about each of the confirmed
-LEVELS = 0.5, 1.0, 2.0, 4.0  # of what a mounting may be off, that are looked at
-FEW, MORE = 16, 64  # disturbed mountings of every level, and of the one that is stated
-WIDER = 1.2  # than what is stated
+TRIED = 16  # perturbations of each confirmed mounting
+LEVELS = 0.5, 1.0, 2.0, 4.0  # perturbations tried, in multiples of `off`
+FEW, MORE = 16, 64  # perturbed mountings of every level, and at most of the one that is stated
+WIDER = 1.2  # factor on the stated box
 
 Judge = Callable[[Float[np.ndarray, "n d"], Path], Answer]  # plans mountings anew into a folder
 
 
 def box(search: Search) -> Float[np.ndarray, "d"]:
-    """Half the width of the box in which a mounting may be off, in the units of its parameters."""
+    """Half the width of the box of perturbations, in the units of the parameters."""
     off = search.file.off
     return np.array([axis.disturbed(1e-3 * off.mm, off.deg) for axis in search.ranges.axes])
 
 
 def disturbed(search: Search, values: Float[np.ndarray, "n d"], folder: Path, judge: Judge) -> list[Answer]:
-    """What mountings come to when they are off by up to `off`, one by one."""
+    """Results of each mounting under perturbations of up to `off`."""
     shifts = _shifts(search, TRIED, 1) * box(search)
     return _judged(search, values, shifts, folder, judge)
 
 
 def tolerances(search: Search, values: Float[np.ndarray, "n d"], folder: Path, judge: Judge) -> list[Tolerance]:
-    """Of mountings, one by one. The levels are gone through from the smallest; who fails at one is tried no more."""
+    """Tolerance of each mounting. The levels are tried from the smallest; a mounting that fails one is not tried at the
+    next."""
     half, shifts = box(search), WIDER * box(search) * _shifts(search, MORE, 2)
     together, going = np.zeros(len(values)), np.arange(len(values))
     for level in LEVELS:
@@ -61,12 +62,12 @@ def tolerances(search: Search, values: Float[np.ndarray, "n d"], folder: Path, j
 
 
 def most_tried(dimensions: int) -> int:
-    """The largest number of disturbed mountings by which the tolerances of one mounting are found."""
+    """Largest number of perturbed mountings that the tolerances of one mounting need."""
     return len(LEVELS) * (MORE + 2 * dimensions)
 
 
 def _shifts(search: Search, count: int, key: int) -> Float[np.ndarray, "n d"]:
-    """Within the unit cube about 0: every second one a corner of it, where mountings are lost first."""
+    """Shifts in the cube from -1 to 1: every second one is a corner, where mountings fail first."""
     shifts = 2 * even(len(search.ranges.axes), 0, count, search.file.seed + key) - 1
     shifts[::2] = np.where(shifts[::2] < 0, -1.0, 1.0)
     return shifts
@@ -75,7 +76,7 @@ def _shifts(search: Search, count: int, key: int) -> Float[np.ndarray, "n d"]:
 def _judged(
     search: Search, values: Float[np.ndarray, "n d"], shifts: Float[np.ndarray, "m d"], folder: Path, judge: Judge
 ) -> list[Answer]:
-    """Each mounting with every shift: all in one sweep."""
+    """Plan each mounting with every shift, all in one sweep."""
     every = (values[:, None] + shifts).reshape(-1, values.shape[1])
     parts = (np.split(part, len(values)) for part in judge(every, folder))
     return [Answer(*part) for part in zip(*parts, strict=True)]

@@ -1,4 +1,4 @@
-"""The public call: plan a batch of scenarios with one method."""
+"""Planning of a batch of scenarios with one method: the public function `plan`."""
 
 import threading
 import time
@@ -35,7 +35,7 @@ from htcp_jax.status import Status
 
 
 class Progress(NamedTuple):
-    """How far a plan has come: all counts are totals."""
+    """Progress of a plan: all counts are totals."""
 
     scenarios_done: int
     scenarios: int
@@ -62,17 +62,17 @@ def plan(
     """Plan every scenario with one method (its name, see `registry`).
 
     scenarios: from `make_scenario`, one or many, or stacked already. settings: a mapping, {"alpha_rad": 0.05}, changes
-    the defaults. device: see `devices.choose`. processes: that share the scenarios on a CPU, by default as many as pay
-    (`processes.that_pay`); what no other process could import, say a method or an obstacle of a notebook, is planned in
-    this one. threads: engines of each, one unless it is given; of this process alone, one a core. Threads without
-    processes are of this one. Results depend on neither. check_paths: afterwards measure, for every accepted step that
-    the method did not check itself, whether its straight joint path is clear (`Plans.path_clear`), judge which ways are
-    motions, and smooth these where `settings.smooth` or the method asks for it. task: what the arm holds at every
-    target, by default the TCP's position within `tolerance_m`. obstacles: further ones, see `obstacle.Obstacle`.
-    check_starts: refuse a start in collision, which otherwise is a status.
-    Raises InputError for an unknown method, device or setting, for weights of the wrong length, for no scenarios,
-    for a task of more rows than joints, or other ones than the targets have, for no process, and for starts to be
-    checked that are in collision; Lost where a process is ended from outside.
+    the defaults. device: see `devices.choose`. processes: number of those that share the scenarios on a CPU, by default
+    as many as pay (`processes.that_pay`); what other processes cannot import, for example a method or an obstacle
+    defined in a notebook, is planned in this one. threads: engines per process, by default one; without other
+    processes, by default one per core. Results depend on neither. check_paths: afterwards check, for every accepted
+    step that the method did not check itself, whether its straight joint path is clear (`Plans.path_clear`), verify
+    which segments are motions, and smooth these if `settings.smooth` or the method requires it. task: what the arm
+    holds at every target, by default the TCP's position within `tolerance_m`. obstacles: further ones, see
+    `obstacle.Obstacle`. check_starts: refuse a start in collision, which otherwise is a status. Raises InputError for
+    an unknown method, device or setting, for weights of the wrong length, for no scenarios, for a task with more rows
+    than joints, or other ones than the targets have, for fewer than one process, and for checked starts that are in
+    collision; Lost if a process is ended from outside.
     """
     chosen, settings = find(method), settings_of(settings)
     joints = len(robot.joint_names)
@@ -80,7 +80,7 @@ def plan(
         weights = getattr(settings, name)
         if weights is not None and len(weights) != joints:
             raise InputError(f"{name} has {len(weights)} values, the robot {robot.name} has {joints} joints")
-    if settings.qp.startswith("qpsolvers:"):  # one that is not installed is refused, whether the method asks it or not
+    if settings.qp.startswith("qpsolvers:"):  # refuse one that is not installed, even if the method does not use it
         from htcp_jax.solvers.qpsolvers_ import QPSolversSolver
 
         QPSolversSolver(settings.qp.partition(":")[2])
@@ -88,7 +88,7 @@ def plan(
         scenarios = stack(scenarios)
     elif scenarios.x_start.ndim == 1:
         scenarios = stack([scenarios])
-    scenarios = jax.tree.map(np.array, scenarios)  # a copy: starts may be chosen, and approaches leave their lines
+    scenarios = jax.tree.map(np.array, scenarios)  # a copy, as starts may be chosen, and approaches leave their lines
     _refuse_starts(robot, obstacles, scenarios, check_starts)
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
     _check_task(task, robot, scenarios)
@@ -118,7 +118,7 @@ def plan(
         check_paths,
         _counter(scenarios, progress),
     )
-    # Here, as methods are found: whoever asks for plans imports no kernels before one is looked up.
+    # Imported here, as methods are: no kernels are loaded before a method is looked up.
     from htcp_jax.motion.home import begin_at_home, leave_home
     from htcp_jax.motion.motion_check import judge_motions, tighten
     from htcp_jax.planning.tracking.lane_checks import check_remaining_paths
@@ -147,7 +147,7 @@ def plan(
 
 
 def _spread(processes: int, how: dict, shared: bytes, scenarios: Scenario, progress: Callable | None) -> Plans:
-    """`plan`, by other processes. compile_s: until they were ready, and what each spent on compilation on average."""
+    """`plan`, in other processes. compile_s: time until they were ready, plus the mean compilation time of each."""
     began = time.perf_counter()
     rows = shares(len(scenarios.number), processes)
     parts = [gather(scenarios, own) for own in rows]
@@ -165,7 +165,7 @@ def _spread(processes: int, how: dict, shared: bytes, scenarios: Scenario, progr
 def _part(
     how: dict, tell: Callable, robot: Robot, workpiece: Workpiece, obstacles: Obstacles, scenarios: Scenario
 ) -> Plans:
-    """What another process does: the plans of some scenarios."""
+    """Plan some scenarios in another process."""
     tell(int((scenarios.refused != NOT_REFUSED).sum()), 0)
 
     def progress(now: Progress) -> None:
@@ -181,8 +181,8 @@ def start_clearance(
     x: Float[np.ndarray, "N"] | None = None,
     obstacles: Obstacles = (),
 ) -> tuple[float, str, str]:
-    """D at the scenario's start, or at another x [m], the name of the body it belongs to, and what that is nearest to.
-    obstacles: further ones."""
+    """Return D at the scenario's start, or at another x [m], the name of the body, and the obstacle nearest to it.
+    obstacles: in addition to the workpiece."""
     scenario = jax.tree.map(jnp.asarray, scenario)
     x = scenario.x_start if x is None else jnp.asarray(x)
     scene = own_scene(Scene(robot, all_obstacles(workpiece, obstacles)), scenario.tool_extension_m)
@@ -196,8 +196,8 @@ def start_clearance(
 
 
 def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario, obstacles: Obstacles = ()) -> None:
-    """Raise InputError when the home or the start is in collision, naming the body, what it is in, and the depth.
-    obstacles: besides the workpiece."""
+    """Raise InputError if the home or the start is in collision, naming the body, the obstacle, and the depth.
+    obstacles: in addition to the workpiece."""
     for what, x in _begins_at(scenario).items():
         D, body, other = start_clearance(robot, workpiece, scenario, x, obstacles)
         if D <= 0:
@@ -205,7 +205,7 @@ def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario, obstacle
 
 
 def _begins_at(scenario: Scenario) -> dict[str, Float[np.ndarray, "N"]]:
-    """The postures in which an arm has to be clear before anything is planned, by name."""
+    """Configurations that have to be clear before anything is planned, by name."""
     if scenario.begins_anywhere:
         return {}
     start = {"start": scenario.x_start}
@@ -216,7 +216,7 @@ def _begins_at(scenario: Scenario) -> dict[str, Float[np.ndarray, "N"]]:
 
 @contextmanager
 def _preparing(problem: Problem, method: Method) -> Iterator[None]:
-    """Meanwhile compile what a method says that it will call."""
+    """Compile the calls that a method announces, while the context is open."""
     calls = getattr(method, "first_calls", None)
     with ExitStack() as stack:
         for each in problem.kernels if calls is not None and len(problem.to_plan) else ():
@@ -225,7 +225,7 @@ def _preparing(problem: Problem, method: Method) -> Iterator[None]:
 
 
 def _check_starts(problem: Problem, obstacles: Obstacles) -> None:
-    """`check_start` of every scenario, by a program that planning needs anyhow."""
+    """`check_start` for every scenario, by an executable that planning needs anyway."""
     from htcp_jax.motion.kernels import ADVANCE
 
     for s in problem.to_plan.tolist():
@@ -237,8 +237,8 @@ def _check_starts(problem: Problem, obstacles: Obstacles) -> None:
 
 
 def _refuse_starts(robot: Robot, obstacles: Obstacles, scenarios: Scenario, raises: bool) -> None:
-    """Refuse the scenarios that begin where capsules overlap which are not checked, see `refused_overlap`; or raise
-    InputError."""
+    """Refuse the scenarios that begin with an overlap of capsules whose collision is not checked, see
+    `refused_overlap`; or raise InputError."""
     for own in (each for each in obstacles if isinstance(each, SelfCollision)):
         known: dict[bytes, str | None] = {}
         for s in np.flatnonzero(scenarios.refused == NOT_REFUSED):
@@ -262,7 +262,7 @@ def _check_task(task: Task, robot: Robot, scenarios: Scenario) -> None:
 
 
 def _counter(scenarios: Scenario, progress: Callable[[Progress], None] | None) -> Callable[[int, int], None]:
-    """Adds up what is newly tracked and newly finished, on any thread, and tells the totals."""
+    """Return a function that adds newly tracked and finished counts, on any thread, and reports the totals."""
     if progress is None:
         return ignore
     lock = threading.Lock()
@@ -280,7 +280,7 @@ def _counter(scenarios: Scenario, progress: Callable[[Progress], None] | None) -
 
 
 def _of_these(plans: Any, problem: Problem, method: str) -> Plans:
-    """The plans as they are. Raises InputError where a method returns others than those of the problem."""
+    """Return the plans unchanged. Raises InputError if a method returns others than those of the problem."""
     expected = problem.scenarios.targets.shape[:2]
     if not isinstance(plans, Plans) or plans.status.shape != expected or plans.x.shape[:2] != expected:
         raise InputError(f"method {method!r} returned no Plans of {expected[0]} scenarios with {expected[1]} targets")

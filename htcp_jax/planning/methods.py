@@ -1,4 +1,4 @@
-"""The built-in methods: step QPs, by what each does when these are stuck and between targets; and the roadmap."""
+"""The built-in methods: step QPs with different recoveries and steps between targets; and the beam search `roadmap`."""
 
 import jax
 

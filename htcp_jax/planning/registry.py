@@ -1,12 +1,12 @@
-"""Which methods there are, by name: those that ship, those that other packages bring, those of this process.
+"""Registry of methods by name: built-in ones, those of other packages, and those of this process.
 
-A package brings a method by an entry point of the group `htcp_jax.methods`, whose name is the method's:
+A package provides a method by an entry point in the group `htcp_jax.methods`, whose name is the method's:
 
     [project.entry-points."htcp_jax.methods"]
     my-planner = "my_package:MY_PLANNER"
 
-It is then known to every command, to configurations and to Ray's workers. `register` makes a method known to this
-process alone. Nothing is imported before a name is looked up or listed.
+It is then available to every command, to job files and to Ray's workers. `register` adds a method to this process only.
+Nothing is imported before a name is looked up or listed.
 """
 
 import re
@@ -24,31 +24,31 @@ if TYPE_CHECKING:
 
 GROUP = "htcp_jax.methods"
 BUILT_IN = EntryPoint("built-in", "htcp_jax.planning.methods:BUILT_IN", GROUP)
-NAME = re.compile(r"[a-z0-9-]+")  # it stands in names of files and folders
+NAME = re.compile(r"[a-z0-9-]+")  # used in names of files and folders
 
 
 @runtime_checkable
 class Method(Protocol):
-    """A planner. One whose motions are to be smoothed unless the settings say otherwise has `smooth = True`; one that
-    knows which kernels it will call has `first_calls(problem)`, see `Kernels.preparing`."""
+    """A planner. Attribute `smooth = True`: smooth its motions unless the settings say otherwise. Optional method
+    `first_calls(problem)`: the kernels that it will call, see `Kernels.preparing`."""
 
     @property
     def name(self) -> str:
-        """On the command line and in names of files: small letters, digits and hyphens."""
+        """Name on the command line and in file names: lower-case letters, digits and hyphens."""
 
     @property
     def title(self) -> str:
-        """Above a column of a table."""
+        """Column heading in tables."""
 
     @property
     def description(self) -> str:
-        """What it does, in words."""
+        """Short description of the method."""
 
     def plan(self, problem: "Problem") -> "Plans":
         """Plan every scenario of the problem; begin with `problem.empty_plans()`.
 
-        A target that is not tracked ends its scenario, and its status says why. Results must depend on nothing but the
-        problem, and on `problem.settings.seed` where they are random. Raises InputError for what it cannot plan.
+        A target that is not tracked ends its scenario, and its status gives the reason. Results must depend on nothing
+        but the problem, and on `problem.settings.seed` if they are random. Raises InputError for what it cannot plan.
         """
 
 
@@ -57,10 +57,10 @@ _loaded: dict[str, Method] = {}  # of entry points
 
 
 def register(method: Any) -> Any:
-    """Make a `Method` known to this process: to `htcp_jax.plan`, `sweep`, `methods` and all else but Ray's workers.
+    """Register a `Method` in this process: for `htcp_jax.plan`, `sweep`, `methods` and all else but Ray's workers.
 
     Returns the method. Raises InputError for one that lacks a name, a title, a description or `plan`, for a name that
-    no file could have, and for a name that is taken.
+    is not valid in file names, and for a name that is taken.
     """
     if fault := _fault(method):
         raise InputError(f"cannot register {method!r}: {fault}")
@@ -71,19 +71,20 @@ def register(method: Any) -> Any:
 
 
 def unregister(name: str) -> None:
-    """Forget a method of this process. Raises InputError for any other."""
+    """Remove a method registered in this process. Raises InputError for any other."""
     if name not in _own:
         raise InputError(f"{name!r} is not registered in this process")
     del _own[name]
 
 
 def names() -> tuple[str, ...]:
-    """The names of all methods: those that ship, in their order, then those of packages, then those of this process."""
+    """Return the names of all methods: built-in ones in their order, then those of packages, then those of this
+    process."""
     return (*_built_in(), *_entry_points(), *_own)
 
 
 def find(name: str) -> Method:
-    """The method of that name. Raises InputError for a name that there is not, and for a method that cannot be
+    """Return the method with that name. Raises InputError for an unknown name, and for a method that cannot be
     imported, naming its entry point and package."""
     if name in _built_in():
         return _built_in()[name]
@@ -97,7 +98,7 @@ def find(name: str) -> Method:
 
 
 def all_methods() -> dict[str, Method]:
-    """Every method by its name. One that cannot be imported is left out, with a UserWarning."""
+    """Return every method by its name. One that cannot be imported is excluded, with a UserWarning."""
     found = {}
     for name in names():
         try:
@@ -108,12 +109,12 @@ def all_methods() -> dict[str, Method]:
 
 
 def is_own(name: str) -> bool:
-    """Whether the method is one that other processes cannot know."""
+    """True if the method is registered in this process only, so that other processes cannot find it."""
     return name in _own
 
 
 def refuse_own(chosen: Iterable[str]) -> None:
-    """Raise InputError for a method that other processes cannot know."""
+    """Raise InputError for a method that other processes cannot find."""
     for name in chosen:
         if is_own(name):
             raise InputError(
@@ -129,7 +130,8 @@ def _built_in() -> dict[str, Method]:
 
 @cache
 def _entry_points() -> dict[str, EntryPoint]:
-    """Those of installed packages, by name. Of two that share one, or take one that ships, the first counts."""
+    """Entry points of installed packages, by name. Built-in methods take precedence, and the first of two with one
+    name."""
     found: dict[str, EntryPoint] = {}
     for point in sorted(entry_points(group=GROUP), key=lambda point: (point.name, _package(point))):
         first = found.get(point.name, BUILT_IN if point.name in _built_in() else point)
@@ -163,7 +165,7 @@ def _package(point: EntryPoint) -> str:
 
 
 def _fault(method: Any) -> str:
-    """What keeps an object from being a method; nothing of one that is."""
+    """Return the reason why an object is not a method; empty if it is one."""
     if isinstance(method, type):
         return "it is a class, not an instance of one"
     for key in ("name", "title", "description"):

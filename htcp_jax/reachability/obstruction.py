@@ -1,9 +1,9 @@
 """The colliding body at a target that a plan did not reach: which body, where, and how deep.
 
-From the last posture that was tracked, inverse kinematics brings the tool onto the failed target all the same, inside
-the joint limits but through whatever is there, equation (5b). The body with the smallest clearance there is the
-colliding one; if that clearance is above 0, no body collides and the search ended for another reason. That is one
-posture of many: an escape may have looked at others, and found none that is clear.
+From the last tracked configuration, inverse kinematics brings the tool onto the failed target inside the joint limits,
+ignoring collisions, equation (5b). The body with the smallest clearance there is the colliding one; if that clearance
+is above 0, no body collides and the search ended for another reason. This is one configuration of many: a recovery may
+have tried others and found none that is clear.
 """
 
 from typing import Any, NamedTuple
@@ -29,24 +29,24 @@ from htcp_jax.motion.plans import Plans
 from htcp_jax.settings import Settings
 from htcp_jax.status import AT_HOME, Status
 
-NO_BODY = Status.NOT_ATTEMPTED, Status.OUT_OF_REACH, Status.TIP_BLOCKED, *AT_HOME  # ends that no body is to blame for
+NO_BODY = Status.NOT_ATTEMPTED, Status.OUT_OF_REACH, Status.TIP_BLOCKED, *AT_HOME  # ends without a colliding body
 
 
 class Obstruction(NamedTuple):
     """The arm brought onto a target that failed."""
 
     body: str  # the capsule with the smallest clearance there
-    point: Float[np.ndarray, "3"]  # of what is nearest to it, world [m]
-    depth_m: float  # how far the body is inside of that; below zero, how much is free
-    residual_m: float  # how far the TCP stays from the target
-    reached: bool  # whether that is within the tolerance
-    x: Float[np.ndarray, "N"]  # the posture
-    other: str = "the workpiece"  # what is nearest to the body
-    from_mesh: str = ""  # how far the capsule is from its mesh there, if the arm's file refers to meshes
+    point: Float[np.ndarray, "3"]  # nearest point of the obstacle, world [m]
+    depth_m: float  # penetration of the body [m]; negative: its clearance
+    residual_m: float  # distance from the TCP to the target
+    reached: bool  # True if that is within the tolerance
+    x: Float[np.ndarray, "N"]  # the configuration [rad or m]
+    other: str = "the workpiece"  # the obstacle nearest to the body
+    from_mesh: str = ""  # distance from the capsule to its mesh there, if the arm's file refers to meshes
 
     @property
     def collides(self) -> bool:
-        """True if the tool is on the target there and the body inside of what is nearest to it."""
+        """True if the tool is on the target there and the body penetrates the nearest object."""
         return self.reached and self.depth_m > 0
 
     def cause(self, otherwise: str) -> str:
@@ -55,7 +55,7 @@ class Obstruction(NamedTuple):
 
     @property
     def description(self) -> str:
-        """The colliding body, for a person, or that there is none."""
+        """Message that names the colliding body, or says that there is none."""
         if not self.reached:
             return f"the arm comes only to within {_mm(self.residual_m)} of it"
         body = capsule_in_words(self.body)
@@ -65,7 +65,7 @@ class Obstruction(NamedTuple):
         return f"no body collides; {body} is nearest to {self.other}, {_mm(-self.depth_m)} clear of it {where}"
 
     def record(self) -> dict[str, Any]:
-        """What a file holds of it."""
+        """Entry of a result file, as JSON values."""
         found = {"body": self.body, "other": self.other, "point_m": self.point.tolist(), "depth_mm": 1e3 * self.depth_m}
         return {**found, "residual_mm": 1e3 * self.residual_m, "x": self.x.tolist(), "description": self.description}
 
@@ -80,8 +80,8 @@ def obstruction(
     obstacles: Obstacles = (),
     task: Task | None = None,
 ) -> Obstruction:
-    """What is in the way at a target of a scenario. x_last: the last tracked posture, else the start [rad or m];
-    obstacles: besides the workpiece; task: None for the TCP's position."""
+    """Return the colliding body at a target of a scenario. x_last: the last tracked configuration, else the start [rad
+    or m]; obstacles: in addition to the workpiece; task: None for the TCP's position."""
     inputs = lane_inputs(stack([scenario]), np.zeros(1, int), np.array([target]))
     known = all_obstacles(workpiece, obstacles)
     (found,) = obstructions(robot, known, inputs, np.asarray(x_last)[None], inputs.target, settings, task)
@@ -97,8 +97,8 @@ def obstructions(
     settings: Settings,
     task: Task | None = None,
 ) -> list[Obstruction]:
-    """The same for S scenarios at once. where: stacked, what `Posed` asks for and `tool_extension_m`;
-    goals: of the task, one a scenario; of the TCP's position the target, world [m]."""
+    """Return the colliding body for each of S scenarios. where: stacked, the fields of `Posed` and `tool_extension_m`;
+    goals: of the task, one per scenario; for the TCP's position the target, world [m]."""
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
     scene = Scene(robot, obstacles, task)
     lanes = (where, np.asarray(x_last, float), np.asarray(goals, float))
@@ -115,15 +115,15 @@ def obstructions(
 
 
 def blocked_target(plans: Plans, scenario: int) -> int | None:
-    """The target of a row at which a body of the arm is in the way: the first that is not tracked. None where all are,
-    where nothing was tried, and where the tip of the tool is what is in the way."""
+    """Return the first target that is not tracked, if a body of the arm may be colliding there. None if all are
+    tracked, nothing was attempted, or the tool's tip is what collides."""
     end = plans.outcome(scenario)
     return None if end.status in (None, *NO_BODY) else end.failed
 
 
 def _brought_there(settings: Settings, scene: Scene, where, x_last, goal):
-    """Row of clearance, points of the obstacle and of the capsule's surface that faces it, depth [m], TCP error [m] and
-    configuration of one scenario."""
+    """Return the row of clearance, nearest points on the obstacle and on the capsule's surface, depth [m], TCP error
+    [m] and configuration of one scenario."""
     robot, obstacles, task = own_scene(scene, where.tool_extension_m)
     x, residual = reanchor(robot, x_last, goal, task.fine_m, task=task)
     touch = contacts(robot, obstacles, where, x)

@@ -1,13 +1,14 @@
-"""A search for any clear posture at a target, complete at a stated resolution of the null space.
+"""Search for any clear configuration at a target, complete at a stated resolution of the null space.
 
-With its tip on the target, an arm of six joints has as many degrees of freedom left as its tool has orientations. All
-of these are looked at: a cover of cells of a stated radius (`tool_cells`), but for those in which the tool collides for
-sure. Each cell's middle is the aim of Newton's method from several seeds, the nearest of many postures in known poses,
-so that the arm's branches, elbow up or down and so on, are all met. What comes out is brought onto the target, and the
-clearest that are far apart are pushed clear. An arm of more joints has further freedom, which the seeds alone spread.
+With its tip on the target, an arm with six joints has as many degrees of freedom left as its tool has orientations. All
+of these are covered by cells of a stated radius (`tool_cells`), except those in which the tool certainly collides. Each
+cell's centre is the goal of Newton's method from several seeds, the nearest of many configurations with known poses, so
+that all branches of the inverse kinematics (elbow up or down and so on) are found. The results are brought onto the
+target, and the clearest that are far apart are pushed clear. An arm with more joints has further redundancy, which only
+the seeds cover.
 
-Where a task does not hold the tip at a place there are no cells: postures that are spread over the joint limits are
-brought onto the target, and nothing is complete.
+If a task does not fix the tip's position there are no cells: configurations spread over the joint limits are brought
+onto the target, and the search is not complete.
 """
 
 from typing import NamedTuple
@@ -39,37 +40,37 @@ from htcp_jax.planning.tracking.stages import PUSH
 from htcp_jax.reachability.tool_cells import MANY, Cells, tool_cells
 from htcp_jax.settings import Settings
 
-CELLS = 20_000  # at a target, at most: else the resolution is coarser, and says so
-SEEDS, KNOWN = 12, 2**15  # of Newton's method for each cell, and the postures that they are taken from
-SPREAD = 2**13  # of these postures, where there are no cells
+CELLS = 20_000  # maximum per target; with more, the resolution is coarser and is reported
+SEEDS, KNOWN = 12, 2**15  # seeds of Newton's method per cell, and known configurations to choose from
+SPREAD = 2**13  # known configurations tried if there are no cells
 STEPS, DAMPING = 12, 1e-5  # of Newton's method [m2/rad2]
-PUSHED = 64  # postures pushed clear at a target
-APART_RAD = 0.2  # closer postures are one
-HOPS, HOPPED = 2, 8  # rounds in which so many of the clearest are moved at random and pushed again,
-HOP = 0.15  # and how far [rad or m]
-LENGTH_M = 0.3  # of which a radian of the tool weighs as much as this far of its tip
-TURN_M = LENGTH_M / np.sqrt(2)  # the same of rotation matrices, whose distance is sqrt(2) times the angle
-KnownPostures = dict[float, tuple[np.ndarray, cKDTree]]  # by the tool's extension: postures, and a tree of their poses
+PUSHED = 64  # configurations pushed clear at a target
+APART_RAD = 0.2  # closer configurations count as one
+HOPS, HOPPED = 2, 8  # rounds of random moves, and how many of the clearest are moved and pushed again
+HOP = 0.15  # standard deviation of the moves in the first round [rad or m]
+LENGTH_M = 0.3  # weight of tool rotation: 1 rad counts as this distance of its tip
+TURN_M = LENGTH_M / np.sqrt(2)  # for rotation matrices, whose distance is sqrt(2) times the angle
+KnownPostures = dict[float, tuple[np.ndarray, cKDTree]]  # by tool extension: configurations, and a tree of their poses
 
 
 class OnTarget(NamedTuple):
-    """Postures on targets."""
+    """Configurations on targets."""
 
-    lane: Int[np.ndarray, "m"]  # which target
+    lane: Int[np.ndarray, "m"]  # index of the target
     x: Float[np.ndarray, "m N"]
 
 
 class Found(NamedTuple):
-    """What a search found at n targets."""
+    """Result of a search at n targets."""
 
-    x: Float[np.ndarray, "n PUSHED N"]  # pushed postures, clearest first
-    clearance: Float[np.ndarray, "n PUSHED"]  # [m]; -inf for no posture
+    x: Float[np.ndarray, "n PUSHED N"]  # pushed configurations, clearest first
+    clearance: Float[np.ndarray, "n PUSHED"]  # [m]; -inf for none
     resolution_rad: Float[np.ndarray, "n"]  # radius of the cells; 0 where the tool collides in every orientation
 
 
 def aim(settings: Settings, scene: Scene, lane: LaneInputs, x, quaternion) -> Anchored:
-    """From x towards the target with the last link turned as the quaternion says, as near as the arm gets; then onto
-    the target. Damped least squares within the joint limits (Siciliano et al., Robotics, section 3.7)."""
+    """Move x as near as the arm gets to the target with the last link in the orientation `quaternion`; then bring it
+    onto the target. Damped least squares within the joint limits (Siciliano et al., Robotics, section 3.7)."""
     scene = own_scene(scene, lane.tool_extension_m)
     robot, task = scene.robot, scene.task
     place, turned = task.tcp_place(lane.target), quaternion_matrix(quaternion)
@@ -86,7 +87,7 @@ def aim(settings: Settings, scene: Scene, lane: LaneInputs, x, quaternion) -> An
 
 
 def measure(settings: Settings, scene: Scene, lane: LaneInputs, x):
-    """D at x."""
+    """Return D at x."""
     scene = own_scene(scene, lane.tool_extension_m)
     return clearance(scene.robot, scene.obstacles, lane, x)
 
@@ -96,7 +97,8 @@ MEASURE = Kernel("measure", measure, MANY)
 
 
 def known_postures(robot: Robot, extensions_m: np.ndarray) -> KnownPostures:
-    """Postures spread evenly within the joint limits (Halton), and a tree of their poses, for each tool."""
+    """Return configurations spread evenly within the joint limits (Halton), and a tree of their poses, for each
+    tool."""
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     x = lower + (upper - lower) * qmc.Halton(len(lower), scramble=False).random(KNOWN)
     pose = jax.jit(jax.vmap(_pose, in_axes=(None, 0)))
@@ -105,12 +107,12 @@ def known_postures(robot: Robot, extensions_m: np.ndarray) -> KnownPostures:
 
 
 def _pose(robot: Robot, x):
-    """Where the TCP is, and how the last link is turned, as numbers that are metres."""
+    """TCP position and the last link's rotation matrix, both scaled to metres."""
     return jnp.concatenate([tcp_position(robot, x), TURN_M * link_poses(robot, x)[-1, :3, :3].ravel()])
 
 
 def search(kernels: Kernels, known: KnownPostures, inputs: LaneInputs, resolution_rad: float) -> Found:
-    """Postures at n targets, each searched by itself."""
+    """Return clear configurations at n targets, each searched independently."""
     lanes, joints = len(inputs.row), len(kernels.limits[0])
     x, best = np.zeros((lanes, PUSHED, joints)), np.full((lanes, PUSHED), -np.inf)
     if kernels.task.holds_tcp:
@@ -130,7 +132,7 @@ def search(kernels: Kernels, known: KnownPostures, inputs: LaneInputs, resolutio
 
 
 def _push(kernels: Kernels, inputs: LaneInputs, x: np.ndarray, best: np.ndarray, lane: np.ndarray, start: np.ndarray):
-    """Push postures clear, and keep the clearest of each target among those that are known."""
+    """Push configurations clear, and merge the clearest of each target into `x` and `best`."""
     if not len(lane):
         return
     pushed = kernels(PUSH, gather(inputs, lane), start)
@@ -143,13 +145,13 @@ def _push(kernels: Kernels, inputs: LaneInputs, x: np.ndarray, best: np.ndarray,
 
 
 def _moves(inputs: LaneInputs, k: int, round_: int, joints: int) -> np.ndarray:
-    """Random ones, of a target's own whatever else is searched."""
+    """Random moves of one target, independent of the other targets."""
     own = np.random.default_rng([inputs.seed[k], inputs.number[k], inputs.row[k], round_])
     return HOP * 0.6**round_ * own.normal(size=(PUSHED, joints))
 
 
 def _aimed(kernels: Kernels, known: KnownPostures, inputs: LaneInputs, cells: Cells) -> OnTarget:
-    """Postures in all of the cells."""
+    """Return configurations on the target in all cells."""
     which, seeds = _seeds(kernels.task, known, inputs, cells)
     lane = cells.lane[which]
     if not len(lane):
@@ -160,7 +162,7 @@ def _aimed(kernels: Kernels, known: KnownPostures, inputs: LaneInputs, cells: Ce
 
 
 def _settled(kernels: Kernels, known: KnownPostures, inputs: LaneInputs) -> OnTarget:
-    """Postures from everywhere."""
+    """Return configurations on the targets, from seeds spread over the joint limits."""
     lane = np.repeat(np.arange(len(inputs.row)), SPREAD)
     seeds = np.concatenate([known[own_m][0][:SPREAD] for own_m in inputs.tool_extension_m.tolist()])
     x = kernels(SETTLE, gather(inputs, lane), seeds)
@@ -169,7 +171,7 @@ def _settled(kernels: Kernels, known: KnownPostures, inputs: LaneInputs) -> OnTa
 
 
 def _candidates(kernels: Kernels, inputs: LaneInputs, on: OnTarget) -> OnTarget:
-    """The clearest of postures that are far apart."""
+    """Return the clearest configurations that are far apart."""
     kept: list[np.ndarray] = [np.empty(0, int)]
     for k in np.unique(on.lane):
         own = np.flatnonzero(on.lane == k)
@@ -181,7 +183,7 @@ def _candidates(kernels: Kernels, inputs: LaneInputs, on: OnTarget) -> OnTarget:
 
 
 def _seeds(task: Task, known: KnownPostures, inputs: LaneInputs, cells: Cells):
-    """For each cell the known postures in the poses nearest to it: whose each is, and the posture."""
+    """Return the known configurations whose poses are nearest to each cell: the cell's index, and the configuration."""
     which, seeds = [], []
     extension, place = inputs.tool_extension_m[cells.lane], task.tcp_place(inputs.target)
     R = Rotation.from_quat(cells.quaternion, scalar_first=True).as_matrix().reshape(-1, 9)
@@ -194,7 +196,7 @@ def _seeds(task: Task, known: KnownPostures, inputs: LaneInputs, cells: Cells):
 
 
 def _turning(robot: Robot, x):
-    """The last link's angular velocity per unit velocity of each joint, 3 x N."""
+    """Return the last link's angular velocity per unit velocity of each joint, 3 x N."""
     poses = link_poses(robot, x)
     axes = product(poses[:, :3, :3], robot.axis[:, :, None])[..., 0]
     return jnp.where(jnp.array(robot.slides)[:, None], 0.0, axes).T

@@ -1,14 +1,13 @@
-"""What was reachable at all: per scenario, how many targets in a row have any clear configuration.
+"""Reachable prefix per scenario: how many consecutive targets have any clear configuration.
 
-A planner walks a continuous path; this looks at every target by itself. A few postures of the last target, far apart,
-are carried over, re-anchored and pushed clear in the null space; where none of them gets through, the target is
-searched at a stated resolution of the null space (`posture_search`). The first target at which nothing is found ends
-the prefix.
+A planner follows a continuous path; this checks every target independently. A few configurations of the last target,
+far apart, are carried over, re-anchored and pushed clear in the null space; if none succeeds, the target is searched at
+a stated resolution of the null space (`posture_search`). The first target at which nothing is found ends the prefix.
 
-A clear configuration that is found proves that one exists: the prefix is a lower bound on what is reachable. One that
-is not found proves nothing by itself. But at a target at which every posture has the tool, or the arm behind it,
-collide for sure, or breaks a row of the task (`tool_cells.excluded`), there is none, and whatever follows the path ends
-before it: an upper bound. Between the two lies what is not known.
+A clear configuration that is found proves that one exists: the prefix is a lower bound on what is reachable. "Not
+found" does not imply unreachable. But if at some target every configuration certainly has the tool, or the arm behind
+it, in collision, or violates a row of the task (`tool_cells.excluded`), there is none, and any path ends before it: an
+upper bound. Targets between the two bounds are undecided.
 """
 
 import threading
@@ -40,26 +39,26 @@ from htcp_jax.reachability.posture_search import APART_RAD, PUSHED, KnownPosture
 from htcp_jax.reachability.tool_cells import excluded
 from htcp_jax.settings import Settings
 
-CARRIED = 6  # postures carried from a target to the next
+CARRIED = 6  # configurations carried from a target to the next
 RESOLUTION_RAD = 0.11
 PROOF_CELLS = 2048
-COARSE_FIRST = (4, 1)  # resolutions that a target is searched at, in turn, as multiples of the one asked for
+COARSE_FIRST = (4, 1)  # successive search resolutions, as multiples of the requested one
 
 
 class Reachability(NamedTuple):
     """Result for S scenarios of T targets."""
 
-    prefix: np.ndarray  # (S,) targets in a row, from the first, with a clear configuration; see `_off_lines`
-    most: np.ndarray  # (S,) targets in a row before one that is proven to have none
+    prefix: np.ndarray  # (S,) consecutive targets, from the first, with a clear configuration; see `_off_lines`
+    most: np.ndarray  # (S,) targets before one that is proven to have none
     best: np.ndarray  # (S,) best clearance found at the first target without one [m]; NaN where all have one
     x: np.ndarray  # (S, T, N) the configurations found, NaN beyond the prefix
-    # (S,) of the search there; 0 where all are found, or the tool alone collides, or can hold no row about how it is
-    # turned; pi where the task holds the TCP nowhere, and postures spread over the joint limits are all that is tried
+    # (S,) of the search there; 0 if all are found, or the tool alone collides, or cannot satisfy the rows about its
+    # orientation; pi if the task does not hold the TCP's position, and only spread configurations are tried
     resolution_rad: np.ndarray
 
 
 class Stopped(KeyboardInterrupt):
-    """Raised in place of KeyboardInterrupt during a search; `found` is its result by then, with larger bounds."""
+    """Raised in place of KeyboardInterrupt during a search; `found` is its result so far, with looser upper bounds."""
 
     def __init__(self, found: Reachability):
         super().__init__()
@@ -78,11 +77,11 @@ def reachable_prefixes(
     proof_cells: int = PROOF_CELLS,
     progress: Callable[[int, int], None] | None = None,
 ) -> Reachability:
-    """Prefixes of the stacked scenarios. resolution_rad: of the tool's orientations, at a target where carrying over
-    fails; proof_cells: see `tool_cells.excluded`, 0 for no proofs; from the settings count alpha_rad, tolerance_m and
-    the seed. task: what the arm holds; None: the TCP's position; where it holds the TCP nowhere, there are no proofs.
-    obstacles: besides the workpiece, which proofs leave out. Threads, one a core, share the scenarios.
-    progress(target, targets) is called after each target. Raises Stopped on Ctrl-C."""
+    """Return the reachable prefixes of the stacked scenarios. resolution_rad: of the tool's orientations, at a target
+    where carrying over fails; proof_cells: see `tool_cells.excluded`, 0 for no proofs; of the settings, alpha_rad,
+    tolerance_m and the seed are used. task: what the arm holds; None: the TCP's position; if it does not hold the TCP's
+    position, there are no proofs. obstacles: in addition to the workpiece; proofs ignore them. Threads, one per core,
+    share the scenarios. progress(target, targets) is called after each target. Raises Stopped on Ctrl-C."""
     settings = settings or Settings()
     scenarios = jax.tree.map(np.array, scenarios)  # a copy: approaches leave their lines
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
@@ -123,7 +122,7 @@ def reachable_prefixes(
 
 
 def nothing_found(scenarios: Scenario) -> Reachability:
-    """The result before a search of S stacked scenarios, with arrays of its own."""
+    """Return the initial result for S stacked scenarios, with arrays of its own."""
     count, rows = scenarios.targets.shape[:2]
     return Reachability(
         np.zeros(count, int), np.array(scenarios.count), np.full(count, np.nan),
@@ -134,7 +133,7 @@ def nothing_found(scenarios: Scenario) -> Reachability:
 def _prefixes(
     kernels, tip, known, scenarios: Scenario, seed: int, resolution_rad: float, found: Reachability, progress: Callable
 ) -> None:
-    """Search, and put into `found` what comes of it; `most` is not known yet."""
+    """Search, and write the result into `found`, except `most`."""
     count, rows = scenarios.targets.shape[:2]
     front = [x[None] for x in scenarios.x_start]
     alive = np.arange(count)
@@ -160,8 +159,8 @@ def _prefixes(
 def _looked_at(
     kernels: Kernels, tip: TipCheck | None, known: KnownPostures, inputs: LaneInputs, front: list, resolution_rad: float
 ) -> tuple[list[np.ndarray], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Of n targets the postures that are clear, of each front's or else of a search; the best clearance and the
-    resolution where there are none, NaN and 0 elsewhere."""
+    """Return the clear configurations at n targets, carried over from each `front` or else searched for; and, at
+    targets without any, the best clearance [m] and the resolution [rad], NaN and 0 elsewhere."""
     clear = _carried(kernels, tip, inputs, front)
     best, coarsest = np.full(len(front), np.nan), np.zeros(len(front))
     for coarser in COARSE_FIRST if kernels.task.holds_tcp else (1,):
@@ -178,7 +177,7 @@ def _looked_at(
 
 def _off_lines(scenarios: Scenario, rows: Int[np.ndarray, "n"], target: int) -> Bool[np.ndarray, "n"]:
     """Let approaches leave their lines, as a planner may: from a target before the path on, all become the path's first
-    point. Which of them did so."""
+    point. Returns True for the scenarios that did so."""
     aims, on_path = scenarios.aims, scenarios.on_path[rows]
     leave = (0 < target) & (target < on_path) & (aims[rows, target] != aims[rows, on_path]).any(axis=1)
     for s, first in zip(rows[leave], on_path[leave], strict=True):
@@ -188,8 +187,8 @@ def _off_lines(scenarios: Scenario, rows: Int[np.ndarray, "n"], target: int) -> 
 
 
 def _most(kernels: Kernels, robot: Robot, scenarios: Scenario, found: Reachability, cells: int) -> np.ndarray:
-    """(S,) targets before one that is proven out of reach. By bisection between the last one that was found and the end
-    of the path: a target further on is excluded more easily, as a rule, and where it is not the bound is higher."""
+    """Return the number of targets (S,) before one that is proven out of reach. Bisection between the last one found
+    and the end of the path: a later target is usually excluded more easily, and if it is not the bound is larger."""
     short, no_cell = found.prefix < scenarios.count, found.resolution_rad == 0
     low, high = found.prefix - 1, np.where(short & no_cell, found.prefix, scenarios.count)
     while cells and (open_ := np.flatnonzero(short & (high - low > 1))).size:
@@ -200,16 +199,16 @@ def _most(kernels: Kernels, robot: Robot, scenarios: Scenario, found: Reachabili
 
 
 def _carried(kernels: Kernels, tip: TipCheck | None, inputs: LaneInputs, front: list[np.ndarray]) -> list[np.ndarray]:
-    """Of each target's front the postures that are clear at the next, far apart, clearest first."""
+    """Return, for each target, the configurations of its `front` that are clear there, far apart, clearest first."""
     lane = np.repeat(np.arange(len(front)), [len(own) for own in front])
     here = kernels(PUSH, gather(inputs, lane), np.concatenate(front))
     return _clear(kernels, tip, gather(inputs, lane), lane, len(front), here)
 
 
 def _searched(kernels: Kernels, tip: TipCheck | None, inputs: LaneInputs, here) -> list[np.ndarray]:
-    """The same of what a search found."""
+    """Return, for each target, the configurations found by a search that are clear, far apart, clearest first."""
     lane = np.repeat(np.arange(len(here.x)), PUSHED)
-    residual = np.where(here.clearance > -np.inf, 0.0, np.inf).ravel()  # others are not among them
+    residual = np.where(here.clearance > -np.inf, 0.0, np.inf).ravel()  # excludes empty rows
     at = Anchored(here.x.reshape(len(lane), -1), here.clearance.ravel(), residual)
     return _clear(kernels, tip, gather(inputs, lane), lane, len(here.x), at)
 
@@ -224,7 +223,7 @@ def _clear(
 
 
 def _dispersed(x: np.ndarray, clearance: np.ndarray) -> np.ndarray:
-    """CARRIED of the postures at most: the clearest, then always the one farthest from those chosen."""
+    """Return up to CARRIED configurations: the clearest, then always the one farthest from those chosen."""
     if not len(x):
         return x
     return x[farthest_first(x, int(np.argmax(clearance)), CARRIED, APART_RAD)]

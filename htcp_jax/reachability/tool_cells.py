@@ -1,13 +1,13 @@
-"""Which orientations the tool can have with its tip on a target: a cover of cells, whatever does not collide for sure,
-and holds the rows of the task about how the tool is turned, if there are any.
+"""Orientations that the tool can have with its tip on a target: a cover by cells, without those that certainly collide
+or violate a row of the task about the tool's orientation.
 
-Unit quaternions, q and -q the same, are the four faces of a cube in four dimensions, seen from its middle: on each one
-component is 1, and the others are between -1 and 1. A face is cut into cubes, and these are halved. Seen from the
-middle nothing gets longer, so a cube of half side h covers rotations within 2 sqrt(3) h of its middle's.
+Unit quaternions, q and -q identified, are projected onto four faces of a cube in four dimensions: on each face one
+component is 1, and the others are between -1 and 1. A face is subdivided into cubes, which are halved. The projection
+does not lengthen anything, so a cube of half side h covers rotations within 2 sqrt(3) h of its centre's.
 
-The joints before the wrist have a cover of their own, of boxes. That one is halved which has fewer cells. Out of both
-falls what collides for sure, and what cannot meet any of the other at the wrist (`arm_exclusion`). A proof
-that there is no posture needs both; an arm without a wrist has the first alone.
+The joints before the wrist have a second cover, of boxes. The cover with fewer cells is halved. Both lose the cells
+that certainly collide, and those that cannot meet any cell of the other cover at the wrist (`arm_exclusion`). Proving
+that there is no configuration needs both; an arm without a wrist has the first alone.
 """
 
 from typing import NamedTuple
@@ -27,25 +27,25 @@ from htcp_jax.model.rotations import quaternion_matrix
 from htcp_jax.motion.lane_inputs import LaneInputs
 from htcp_jax.settings import Settings
 
-MANY = Load(cpu=Table(1024, 1), gpu=Table(4096, 4096))  # of what is asked by the thousand
+MANY = Load(cpu=Table(1024, 1), gpu=Table(4096, 4096))  # for calls with thousands of lanes
 FACES = 4
-FINEST = 2.0**-24  # half the side of a cube: no smaller ones
-ROUNDING_RAD = 1e-8  # more than that of any angle
+FINEST = 2.0**-24  # smallest half side of a cube
+ROUNDING_RAD = 1e-8  # upper bound on the rounding error of any angle
 
 
 class Cells(NamedTuple):
-    """Cubes of a cover, and where each puts the wrist."""
+    """Cubes of a cover, and the wrist's position in each."""
 
-    lane: Int[np.ndarray, "n"]  # which target
-    face: Int[np.ndarray, "n"]  # 0 where there is one alone
-    cube: Float[np.ndarray, "n d"]  # middles, each number between -1 and 1
-    half: Float[np.ndarray, "n"]  # of the side
-    wrist: Float[np.ndarray, "n 3"]  # world [m]
-    moves: Float[np.ndarray, "n"]  # how far from there it may be [m]
+    lane: Int[np.ndarray, "n"]  # index of the target
+    face: Int[np.ndarray, "n"]  # 0 if there is only one
+    cube: Float[np.ndarray, "n d"]  # centres, each coordinate between -1 and 1
+    half: Float[np.ndarray, "n"]  # half side
+    wrist: Float[np.ndarray, "n 3"]  # position in one configuration of the cell, world [m]
+    moves: Float[np.ndarray, "n"]  # maximum distance from there [m]
 
     @property
     def quaternion(self) -> Float[np.ndarray, "n 4"]:
-        """The orientations in the middles, w, x, y, z."""
+        """Orientations at the centres, w, x, y, z."""
         q = np.ones((len(self.face), FACES))
         others = np.array([[k for k in range(FACES) if k != one] for one in range(FACES)])[self.face]
         np.put_along_axis(q, others, self.cube, axis=1)
@@ -53,11 +53,11 @@ class Cells(NamedTuple):
 
     @property
     def radius_rad(self) -> Float[np.ndarray, "n"]:
-        """How far from there the rotations of each cube are, at most."""
+        """Largest angle between a cube's rotations and its centre's."""
         return 2 * np.sqrt(3) * self.half
 
     def halves(self) -> "Cells":
-        """All cubes cut into 2^d; where these put the wrist is not known."""
+        """Return all cubes cut into 2^d; their wrist positions are not known yet."""
         d = self.cube.shape[1]
         signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * d, indexing="ij"), axis=-1).reshape(-1, d)
         cube = (self.cube[:, None] + 0.5 * self.half[:, None, None] * signs[None]).reshape(-1, d)
@@ -67,8 +67,8 @@ class Cells(NamedTuple):
 
 
 def tool(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho) -> Cell:
-    """What is known of a cell of the tool's orientations; one in which a row of the task breaks is as one that
-    collides."""
+    """Return the `Cell` of the tool's orientations within `rho` [rad] of a quaternion; one that violates a row of the
+    task counts as colliding."""
     scene = own_scene(scene, lane.tool_extension_m)
     robot, task = scene.robot, scene.task
     cell = tool_cell(scene, lane, lane.margin_m, task.tcp_place(lane.target), quaternion, rho)
@@ -77,8 +77,8 @@ def tool(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho) ->
 
 
 def arm(settings: Settings, scene: Scene, lane: LaneInputs, cube, half) -> Cell:
-    """What is known of a box of the joints before the wrist: of a cube, whose numbers from -1 to 1 are their ranges. A
-    hinge goes once around at most."""
+    """Return the `Cell` of a box of the joints before the wrist, given as a cube: -1 to 1 is each joint's range. The
+    range of a hinge is one revolution at most."""
     robot = scene.robot
     lower = jnp.where(jnp.isfinite(robot.lower), robot.lower, -jnp.pi)
     upper = jnp.where(jnp.array(robot.slides), robot.upper, jnp.minimum(robot.upper, lower + 2 * jnp.pi))
@@ -92,9 +92,9 @@ TOOL, ARM = Kernel("tool", tool, MANY), Kernel("arm", arm, MANY)
 
 
 def tool_cells(kernels: Kernels, inputs: LaneInputs, resolution_rad: float, most: int, before_wrist: int = 0) -> Cells:
-    """The cells in which the tool may be clear, for n targets: halved until they are as small as the resolution, or
-    until a cover would have more than `most` at a target; then the larger ones. before_wrist: how many joints have the
-    other cover; 0 for none. A target without any cell has no posture that keeps the margin."""
+    """Return the cells in which the tool may be clear, for n targets: halved down to the resolution, or until a cover
+    would have more than `most` at a target; then the larger ones. before_wrist: number of joints in the second cover; 0
+    for none. A target without any cell has no configuration that keeps the margin."""
     lanes = len(inputs.row)
     covers = [_whole(lanes, FACES, 3)] + ([_whole(lanes, 1, before_wrist)] if before_wrist else [])
     going, done = np.ones(lanes, bool), []
@@ -115,27 +115,29 @@ def tool_cells(kernels: Kernels, inputs: LaneInputs, resolution_rad: float, most
 
 
 def excluded(kernels: Kernels, robot: Robot, inputs: LaneInputs, most: int) -> Bool[np.ndarray, "n"]:
-    """Which of n targets are proven to have no posture that keeps the margin, with `most` cells of either cover."""
+    """True for each of n targets that is proven to have no configuration that keeps the margin, with up to `most` cells
+    in either cover."""
     left = tool_cells(kernels, inputs, 0.0, most, len(robot.slides) - WRIST if has_wrist(robot) else 0)
     return ~np.isin(np.arange(len(inputs.row)), left.lane)
 
 
 def _whole(lanes: int, faces: int, numbers: int) -> Cells:
-    """All of a cover, whose wrist may be anywhere."""
+    """Return a complete cover, in which the wrist's position is unbounded."""
     lane, face = np.repeat(np.arange(lanes), faces), np.tile(np.arange(faces), lanes)
     n = len(lane)
     return Cells(lane, face, np.zeros((n, numbers)), np.ones(n), np.zeros((n, 3)), np.full(n, np.inf))
 
 
 def _largest(cells: Cells, column: np.ndarray, lanes: int) -> np.ndarray:
-    """Of each target's cells; 0 where it has none."""
+    """Maximum of a column over each target's cells; 0 if it has none."""
     largest = np.zeros(lanes)
     np.maximum.at(largest, cells.lane, column)
     return largest
 
 
 def _halved(kernels: Kernels, number: int, inputs: LaneInputs, cells: Cells, turn: Int[np.ndarray, "lanes"]) -> Cells:
-    """A cover with the cells of those targets halved whose turn it has, and without what collides of these."""
+    """Return a cover after halving the cells of the targets with `turn` equal to `number`, without those halves that
+    collide."""
     now = turn[cells.lane] == number
     fresh = gather(cells, now).halves()
     if not len(fresh.lane):
@@ -147,7 +149,7 @@ def _halved(kernels: Kernels, number: int, inputs: LaneInputs, cells: Cells, tur
 
 
 def _meets(own: Cells, other: Cells) -> Bool[np.ndarray, "n"]:
-    """Which cells can have the wrist where one of the other cover can."""
+    """True for each cell whose wrist positions can meet those of a cell in the other cover."""
     meets = np.zeros(len(own.lane), bool)
     for k in np.unique(other.lane):
         here, there = own.lane == k, other.lane == k

@@ -1,4 +1,5 @@
-"""The best scenarios of every method: those that can be driven furthest, with room to spare."""
+"""The best scenarios of every method: those with the most executable targets, then with the largest minimum
+clearance."""
 
 import numpy as np
 
@@ -14,7 +15,7 @@ RANKED = (
 
 
 def best(part: Part) -> Table:
-    """Up to BEST scenarios a method: most executable targets first, then largest smallest clearance, then least joint
+    """Up to BEST scenarios per method: most executable targets first, then largest minimum clearance, then least joint
     motion; with the parameters that vary."""
     own = varying(part.parameters)
     columns = (
@@ -35,7 +36,7 @@ def best(part: Part) -> Table:
 
 
 def ranked(part: Part, method: str) -> list[tuple[int, int, int, float, float]]:
-    """Row, executable targets, targets, smallest clearance [mm] and joint motion [rad] of every scenario that was
+    """Row, executable targets, targets, minimum clearance [mm] and joint motion [rad] of every scenario that was
     planned and has an executable target, the best first."""
     plans = part.plans[method]
     good, targets = plans.executable, plans.outcomes.targets

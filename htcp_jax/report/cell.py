@@ -1,7 +1,6 @@
-"""The robot and the workpiece of a run, for the report: what is in the way of failed targets, and a picture.
+"""The robot and the workpiece of a run, for the report: colliding bodies at failed targets, and a picture.
 
-They are read when they are first asked for. Where their files have changed or gone, the report does without and says
-so.
+They are read at first use. If their files have changed or are missing, the report omits them and gives the reason.
 """
 
 import warnings
@@ -20,7 +19,7 @@ from htcp_jax.viewer.replay import Replays, recorded_replays
 
 
 class RunScene:
-    """The scene of one run. plans: those of every method that has begun, which are read already."""
+    """Scene of one run. plans: those of every method that has begun, which are read already."""
 
     def __init__(self, run: Run, plans: Mapping[str, Plans]):
         self._run, self._plans = run, plans
@@ -29,7 +28,7 @@ class RunScene:
     @cached_property
     def _opened(self) -> tuple[Replays | None, str]:
         try:
-            with warnings.catch_warnings():  # of the cloud and its units: the sweep has told them
+            with warnings.catch_warnings():  # on the cloud and its units: the sweep has shown them
                 warnings.simplefilter("ignore")
                 return recorded_replays(plans_of_run(self._run), self._plans.__getitem__), ""
         except InputError as error:
@@ -37,18 +36,18 @@ class RunScene:
 
     @property
     def problem(self) -> str:
-        """Why there is no scene; empty where there is one."""
+        """Reason why there is no scene; empty if there is one."""
         return self._opened[1]
 
     def in_the_way(self, method: str) -> dict[int, Obstruction]:
-        """What is in the way in the scenarios that a method lost, by their numbers."""
+        """Colliding bodies in the scenarios that a method failed, by their numbers."""
         replays, _ = self._opened
         if method not in self._in_the_way:
             self._in_the_way[method] = {} if replays is None else replays.obstructions(method)
         return self._in_the_way[method]
 
     def picture(self, number: int, method: str, title: str) -> Figure | None:
-        """The arm in the workpiece of a scenario; None where there is no scene."""
+        """Draw the arm in the workpiece of a scenario; None if there is no scene."""
         replays, _ = self._opened
         if replays is None:
             return None

@@ -23,7 +23,7 @@ from htcp_jax.status import Way
 
 MOST_SLICES = 9  # maps in a row
 UNITS = "rad", "m"
-OF_TASK = "task."  # parameters that say what is asked for, along which success is told beside what is reachable
+OF_TASK = "task."  # parameters of the task, over which success is drawn next to reachability
 BLOCKED = (
     "A joint step is blocked when the straight joint path from the configuration before collides on the way; not every "
     "planner checks that. Tracked before it: the targets of each scenario up to its first blocked step."
@@ -47,12 +47,13 @@ TABLES = (
 
 
 def tables_of(part: Part) -> dict[str, Table]:
-    """All tables of a part, by their names, each made once."""
+    """All tables of a part by their names, each made once."""
     return {table.name: table for table in (make(part) for make in TABLES)}
 
 
 def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list[Block]:
-    """Everything about one part; `made` are its tables, `prefix` is of the pictures' names, `level` of its headings."""
+    """Chapter on one part; `made` are its tables, `prefix` starts the pictures' names, `level` is that of its
+    headings."""
     return [
         *facts(part),
         Heading(level, "Results"),
@@ -84,7 +85,7 @@ def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list
 
 
 def facts(part: Part) -> list[str]:
-    """What was run, in words."""
+    """Describe the part: scenarios, robot, workpiece, configuration."""
     manifest = part.run.manifest
     grid = " x ".join(f"{len(values)}" for values in part.axes.values())
     varied = ", ".join(f"{label(name).split(' [')[0]}{_range(name, values)}" for name, values in part.axes.items())
@@ -109,9 +110,9 @@ def facts(part: Part) -> list[str]:
 
 
 def _range(name: str, values: np.ndarray) -> str:
-    """From where to where an axis goes, with its unit; angles in degrees too."""
+    """First and last value of an axis, with its unit; angles in degrees, too."""
     unit = name.rpartition("_")[2]
-    if unit not in UNITS or values.dtype.kind not in "if":  # words, and lists as they are written
+    if unit not in UNITS or values.dtype.kind not in "if":  # texts and lists
         return ""
     low, high = float(values[0]), float(values[-1])
     degrees = f", {np.degrees(low):.3g} to {np.degrees(high):.3g} degrees" if unit == "rad" else ""
@@ -119,8 +120,8 @@ def _range(name: str, values: np.ndarray) -> str:
 
 
 def choice(part: Part) -> str:
-    """Which of the shipped configurations was run, and every key that differs from it; of a job with a scene of its own
-    only the margin and the settings that are not the default."""
+    """Name of the nearest shipped configuration, and every key that differs from it; for a job with its own scene only
+    the margin and the settings that are not the default."""
     ran = part.run.config
     if not fits_presets(part):
         differ = tables.differences(ran, PlanConfig())
@@ -133,7 +134,7 @@ def choice(part: Part) -> str:
 
 
 def fits_presets(part: Part) -> bool:
-    """Whether the configurations that ship speak of the same scene: the built-in one, or the paper's own grid."""
+    """True if the shipped configurations describe the same scene: the built-in one, or the paper's own grid."""
     scene = part.run.config
     names = scene.robot.model, scene.workpiece.cloud, scene.workpiece.path
     return all(name in BUILT_IN for name in names) or part.paper_table is not None
@@ -141,12 +142,12 @@ def fits_presets(part: Part) -> bool:
 
 @cache
 def presets() -> dict[str, PlanConfig]:
-    """The configurations of the default scene that ship, by name."""
+    """Shipped configurations of the default scene, by name."""
     return {f"{name}.yaml": load_config(examples()[name]) for name in ("duct", "paper", "port")}
 
 
 def label(name: str) -> str:
-    """A parameter as the label of an axis, with its unit."""
+    """Label of a parameter's axis, with its unit."""
     stem, _, unit = name.rpartition("_")
     if unit not in UNITS:
         return name
@@ -168,7 +169,7 @@ def _success(part: Part, made: dict[str, Table]) -> Figure:
 
 
 def _maps(part: Part, prefix: str) -> list[Block]:
-    """The scenarios over their grid: a line for one axis, maps for two, slices for three, else maps of means;
+    """Charts of the scenarios over their grid: a line for one axis, maps for two, slices for three, else maps of means;
     and a line for every parameter of the task."""
     counts = {method: _or_nan(plans, plans.outcomes.tracked) for method, plans in part.plans.items()}
     open_ = {method: _or_nan(plans, plans.outcomes.executable) for method, plans in part.plans.items()}
@@ -230,7 +231,7 @@ def _ends(part: Part, table: Table, prefix: str) -> list[Block]:
 
 
 def _motion_ends(table: Table) -> list[Block]:
-    """Why tracked targets are not executable; nothing where all of them are."""
+    """Reasons why tracked targets are not executable; empty if all of them are."""
     if not table.rows:
         return []
     shown = [way for way in Way if any(row["reason"] == way.words for row in table.records())]
@@ -265,7 +266,7 @@ def _notes_on_results(part: Part) -> list[str]:
 
 
 def _next_to_the_paper(part: Part, table: Table, level: int) -> list[Block]:
-    """The paper's table next to ours and what its columns mean; nothing where the grid is not the paper's."""
+    """The paper's table next to ours, and the meaning of its columns; empty if the grid is not the paper's."""
     if not table.rows:
         return []
     return [
@@ -279,7 +280,7 @@ def _next_to_the_paper(part: Part, table: Table, level: int) -> list[Block]:
 
 
 def _unchecked(part: Part) -> str:
-    """How many of the joint paths nobody looked at."""
+    """Sentence with the number of joint paths that were not checked; empty if there are none."""
     count = sum(int((plans.tracked & (plans.path_clear < 0)).sum()) for plans in part.plans.values())
     return f"Of {count:,} steps the joint path was not checked; they count as clear." if count else ""
 
@@ -295,7 +296,7 @@ def _reachability(part: Part, table: Table) -> list[Block]:
 
 
 def _beaten(part: Part) -> list[str]:
-    """Scenarios in which a planner got further than the search."""
+    """Sentence on the scenarios in which a planner got further than the search."""
     beaten = []
     for method, plans in part.plans.items():
         further = part.numbers[plans.outcomes.tracked > part.reachability]
@@ -307,7 +308,7 @@ def _beaten(part: Part) -> list[str]:
 
 
 def _or_nan(plans: Plans, count: np.ndarray) -> np.ndarray:
-    """The count of each scenario; NaN where it is not planned."""
+    """Count of each scenario; NaN if it is not planned."""
     return np.where(plans.outcomes.planned, count, np.nan)
 
 

@@ -1,4 +1,4 @@
-"""The style that all charts share: the colours of the methods, the frame of a figure, plain axes, named lines."""
+"""Style of all charts: the methods' colours, figures, axes, labelled lines."""
 
 import colorsys
 import math
@@ -25,13 +25,13 @@ LINES = {
     "keep-clear": ("#cc79a7", "-."),
     "hybrid": ("#332288", "-."),
 }
-_OTHERS: dict[str, int] = {}  # the places of the methods that are not in the table, once they were drawn
+_OTHERS: dict[str, int] = {}  # places of the methods that are not in the table, once drawn
 _PLACES = 64
 
 
 def line_of(method: str) -> tuple[str, str]:
-    """Colour and line style of a method. One that is not in the table has a dotted line in a colour of its own, which
-    follows from its name unless another method has it already."""
+    """Colour and line style of a method. A method that is not in the table has a dotted line in a colour of its own,
+    which depends only on its name unless another method has it already."""
     if method in LINES:
         return LINES[method]
     if method not in _OTHERS:
@@ -43,13 +43,13 @@ def line_of(method: str) -> tuple[str, str]:
 
 
 def _other_colour(place: int) -> str:
-    """Hues a golden section apart, so that none comes twice, light and dark in turn."""
+    """Colour of a place: hues a golden section apart, so that none repeats, alternately light and dark."""
     hue = (0.9 + place * 0.6180339887) % 1
     return to_hex(colorsys.hls_to_rgb(hue, 0.42 if place % 2 else 0.3, 0.65))
 
 
 def new_figure(height: float, title: str, note: str) -> Figure:
-    """An empty figure with its title and, below it, one line that says how to read it."""
+    """An empty figure with its title and, below it, a one-line note on how to read it."""
     figure = Figure(figsize=(WIDTH, height), dpi=150, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
     space = 0.62 / height
@@ -83,7 +83,7 @@ def blank_the_rest(panels, used: int) -> None:
 
 
 def outer_labels(panels, used: int, below: str, left: str) -> None:
-    """Axis labels at the left and under the lowest panel of every column alone."""
+    """Set axis labels only at the left and below the lowest panel of every column."""
     across = panels.shape[1]
     for number, axes in enumerate(panels.flat[:used]):
         axes.xaxis.label.set(color=QUIET, fontsize=10)
@@ -96,7 +96,7 @@ def outer_labels(panels, used: int, below: str, left: str) -> None:
 
 
 def name_lines(axes: Axes, ends: Mapping[str, float], x: float | int, form: str) -> None:
-    """The name and the last value of every line at its end, spread so that none covers another."""
+    """Write the name and the last value of every line at its end, spread so that none overlaps another."""
     low, high = axes.get_ylim()
     heights = spread({method: (end - low) / (high - low) for method, end in ends.items()}, 0.062)
     for method, height in heights.items():
@@ -114,7 +114,7 @@ def name_lines(axes: Axes, ends: Mapping[str, float], x: float | int, form: str)
 
 
 def spread(heights: Mapping[str, float], gap: float) -> dict[str, float]:
-    """The heights moved apart to at least `gap`, in their order, within 0 and 1 where there is room."""
+    """Move the heights apart to at least `gap`, in their order, within 0 and 1 if they fit."""
     order = sorted(heights, key=lambda name: heights[name])
     placed = {}
     floor = 0.0
@@ -129,7 +129,7 @@ def spread(heights: Mapping[str, float], gap: float) -> dict[str, float]:
 
 
 def decimal(axis) -> None:
-    """A logarithmic axis with plain numbers, and powers of ten where these get long."""
+    """Format a logarithmic axis with plain numbers, and powers of ten where these get long."""
     axis.set_major_locator(LogLocator(numticks=8))
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(_number))

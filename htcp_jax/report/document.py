@@ -18,7 +18,7 @@ NOTHING = "-"
 
 
 def unknown(value: Any) -> bool:
-    """Whether a cell holds no value: None or NaN."""
+    """True if a cell holds no value: None or NaN."""
     return value is None or (isinstance(value, float) and math.isnan(value))
 
 
@@ -37,7 +37,7 @@ class Column(NamedTuple):
         return f"{self.head} [{self.unit}]" if self.unit else self.head
 
     def text(self, value: Any) -> str:
-        """A cell as a person reads it; what is not known is a dash."""
+        """Format a cell; an unknown value is a dash."""
         if unknown(value):
             return NOTHING
         return format(value, self.form) if self.form else str(value)
@@ -52,7 +52,7 @@ class Table(NamedTuple):
     title: str = ""
 
     def records(self) -> list[dict]:
-        """The rows as mappings from the columns' keys to values; what is not known is None."""
+        """The rows as mappings from the columns' keys to values; unknown values are None."""
         keys = [column.key for column in self.columns]
         return [
             {key: None if unknown(cell) else cell for key, cell in zip(keys, row, strict=True)} for row in self.rows
@@ -60,7 +60,7 @@ class Table(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """A figure. `name` is the stem of its file, `alt` what it shows, for those who cannot see it."""
+    """A figure. `name` is the stem of its file, `alt` its alternative text."""
 
     name: str
     figure: Figure
@@ -78,7 +78,7 @@ Block = Heading | Table | Picture | str  # a string is a paragraph
 
 
 def markdown(blocks: Sequence[Block]) -> str:
-    """The blocks as Markdown; pictures are named as files beside it."""
+    """The blocks as Markdown; pictures are referred to as files next to it."""
     return "\n\n".join(map(_markdown, blocks)) + "\n"
 
 
@@ -102,7 +102,7 @@ def html(blocks: Sequence[Block], pictures: dict[str, bytes]) -> str:
 
 
 def write_csv(file: Path, table: Table) -> None:
-    """The table with numbers that read back exactly; what is not known is an empty cell."""
+    """Write the table with numbers that read back exactly; an unknown value is an empty cell."""
     stream = io.StringIO(newline="")
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow([column.key for column in table.columns])
@@ -130,7 +130,7 @@ def _markdown(block: Block) -> str:
 
 
 def _markdown_table(table: Table) -> str:
-    """Aligned in the source too, so that it reads well in an editor."""
+    """A table in Markdown, with its source aligned for reading in an editor."""
     lines = [[column.title for column in table.columns], *_texts(table)]
     lines = [[escaped(cell) for cell in line] for line in lines]
     widths = [max(3, *map(len, cells)) for cells in zip(*lines, strict=True)]

@@ -1,6 +1,6 @@
-"""A verdict of the regression gate as CI takes it: JUnit XML, Markdown, and annotations of GitHub Actions.
+"""A verdict of the regression gate for CI: JUnit XML, Markdown, and annotations of GitHub Actions.
 
-JUnit is written by the standard library: what a library for it would add is reading.
+JUnit is written by the standard library, as a further library would only add reading.
 """
 
 import re
@@ -46,7 +46,7 @@ CHANGED = (
 
 
 def junit(verdict: Verdict) -> str:
-    """JUnit XML: one test case per method and check; skipped where there is nothing to compare."""
+    """JUnit XML: one test case per method and check; skipped if there is nothing to compare."""
     checks = verdict.checks
     failed, skipped = sum(bool(check.failures) for check in checks), sum(not check.compared for check in checks)
     counts = {"tests": len(checks), "failures": failed, "errors": 0, "skipped": skipped}
@@ -67,7 +67,7 @@ def junit(verdict: Verdict) -> str:
 
 
 def summary(verdict: Verdict) -> str:
-    """Markdown for a job summary: counts of each method, figures and scenarios that differ, and what failed."""
+    """Markdown for a job summary: counts of each method, figures and scenarios that differ, and failures."""
     return markdown([*_blocks(verdict)])
 
 
@@ -84,7 +84,7 @@ def annotations(verdict: Verdict) -> list[str]:
 
 
 def _escaped(text: str, more: str = "") -> str:
-    """As a command of GitHub Actions needs it: %0A for a newline. more: characters that end a property."""
+    """Escape text for a command of GitHub Actions: %0A for a newline. more: characters that end a property."""
     return re.sub(f"[%\r\n{more}]", lambda found: f"%{ord(found[0]):02X}", printable(text))
 
 
@@ -102,7 +102,7 @@ def _properties(verdict: Verdict) -> Iterator[tuple[str, str]]:
 
 
 def named_origins(verdict: Verdict) -> list[tuple[str, Origin]]:
-    """Baseline and run, each part of it, by name."""
+    """Origins of the baseline and of each part of the run, by name."""
     parts = [f"run part {number}" for number in range(1, len(verdict.run) + 1)]
     return [("baseline", verdict.baseline), *zip(parts if parts[1:] else ["run"], verdict.run, strict=False)]
 
@@ -147,7 +147,7 @@ def _count(row: Row, key: str) -> str | int | None:
 
 
 def _differences(row: Row) -> Iterator[tuple[str, str, str, str, str]]:
-    """The figures of a method that differ as far as they are shown."""
+    """Figures of a method that differ as displayed."""
     for key, name, unit, form in FIGURES:
         column = Column(key, name, unit, form)
         was, now = getattr(row, f"was_{key}"), getattr(row, key)

@@ -1,4 +1,4 @@
-"""A run as the report tells it: a part for every group of its sweep, with the plans of each method as arrays."""
+"""Parts of a run for the report: one for every group of its sweep, with the plans of each method as arrays."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -21,17 +21,17 @@ from htcp_jax.runs.run_folder import Run
 
 @runtime_checkable
 class SceneOfRun(Protocol):
-    """What can be said of a run's robot and workpiece, see `cell.RunScene`."""
+    """Interface to a run's robot and workpiece, see `cell.RunScene`."""
 
     @property
     def problem(self) -> str:
-        """Why nothing can; empty where something can."""
+        """Reason why there is no scene; empty if there is one."""
 
     def in_the_way(self, method: str) -> dict[int, Any]:
-        """What is in the way in the scenarios that a method lost, by their numbers."""
+        """Colliding bodies in the scenarios that a method failed, by their numbers."""
 
     def picture(self, number: int, method: str, title: str) -> Figure | None:
-        """The arm in the workpiece of a scenario."""
+        """Draw the arm in the workpiece of a scenario."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,37 +39,35 @@ class Part:
     """The scenarios of one group that at least one method has planned: S of them, with up to T targets each."""
 
     run_name: str
-    name: str  # the run's, and that of the group where there is one
+    name: str  # the run's, and the group's if there is one
     numbers: np.ndarray  # (S,) of the scenarios in the run
     parameters: dict[str, np.ndarray]  # columns of the scenario table that a grid may vary, (S,) each
-    plans: dict[str, Plans]  # by method that has begun; the status is -1 where it has not planned a scenario yet
-    motions: dict[str, MotionFigures]  # by method; NaN where they are not known
-    timing: dict[
-        str, pa.Table | None
-    ]  # by method, rows of its scenarios as `timing_file` has them; None where not timed
-    timed_with: dict[str, str]  # by method that is timed: its feed and limits, in words
-    reachability: np.ndarray | None  # (S,) targets in a row that are known to be reachable
-    not_excluded: np.ndarray | None  # (S,) that are not proven unreachable
+    plans: dict[str, Plans]  # by method that has begun; the status is -1 for scenarios not planned yet
+    motions: dict[str, MotionFigures]  # by method; NaN if unknown
+    timing: dict[str, pa.Table | None]  # by method, rows of its scenarios as in `timing_file`; None if not timed
+    timed_with: dict[str, str]  # by method that is timed: description of its feed and limits
+    reachability: np.ndarray | None  # (S,) reachable targets in a row, a lower bound
+    not_excluded: np.ndarray | None  # (S,) not proven unreachable, an upper bound
     step_s: dict[str, float]  # run time by attempted targets, over the whole run
     joints: tuple[str, ...]
     run: Run
-    run_labels: dict[int, str]  # what sets each scenario of the run apart, by its number
-    validation: dict[str, Any] | None  # of the whole run, as validation.json has it
+    run_labels: dict[int, str]  # varied parameters of each scenario of the run, by its number
+    validation: dict[str, Any] | None  # of the whole run, as in validation.json
     scene: SceneOfRun
 
     @property
     def targets(self) -> int:
-        """T."""
+        """Largest number of targets T."""
         return max(plans.status.shape[1] for plans in self.plans.values())
 
     @cached_property
     def axes(self) -> dict[str, np.ndarray]:
-        """The parameters that vary, each with its values in order, without those that another one determines."""
+        """Parameters that vary, each with its values in order, without those that another one determines."""
         return {name: np.unique(values) for name, values in varying(self.parameters).items()}
 
     @cached_property
     def labels(self) -> dict[int, str]:
-        """What sets each scenario apart from the others of the part, by its number."""
+        """Varied parameters of each scenario, by its number."""
         own = varying(self.parameters)
         texts = [", ".join(part(name, values[s]) for name, values in own.items()) for s in range(len(self.numbers))]
         return dict(zip(self.numbers.tolist(), texts, strict=True))
@@ -87,7 +85,7 @@ class Part:
         return None
 
     def cells(self, values: np.ndarray, axes: Sequence[str]) -> np.ndarray:
-        """The mean of values (S,) over the scenarios of each cell of these axes; NaN where there are none."""
+        """Mean of values (S,) over the scenarios of each cell of these axes; NaN where there are none."""
         levels = [np.unique(self.parameters[name], return_inverse=True) for name in axes]
         shape = tuple(len(found) for found, _ in levels)
         where = np.ravel_multi_index([index for _, index in levels], shape)
@@ -98,7 +96,7 @@ class Part:
 
 
 def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], SceneOfRun]) -> list[Part]:
-    """The parts of a run that is called `name`, in the order of its scenarios; every file is read once.
+    """Read the parts of a run with the given `name`, in the order of its scenarios; every file is read once.
 
     Raises InputError for a run without a finished shard, and naming a file that is missing or damaged.
     """
@@ -145,12 +143,12 @@ def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], 
 
 
 def _rows(rows: pa.Table, numbers: np.ndarray) -> pa.Table:
-    """Those of some scenarios."""
+    """Select the rows of some scenarios."""
     return rows.filter(pa.array(np.isin(rows["scenario"].to_numpy(), numbers)))
 
 
 def _motions(run: Run, method: str) -> MotionFigures:
-    """What the motions of a method come to, row s of scenario s."""
+    """Figures of a method's motions, row s of scenario s."""
     table = run.scenarios(method)
     found = np.full((len(MotionFigures._fields), run.manifest.count), np.nan)
     for row, name in zip(found, MotionFigures._fields, strict=True):

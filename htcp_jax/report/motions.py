@@ -1,4 +1,4 @@
-"""What can be driven of the plans, and how smooth that is: the part's motions as a table."""
+"""Executable targets and smoothness of a part's motions, as a table."""
 
 import math
 
@@ -37,14 +37,14 @@ def motions(part: Part) -> Table:
 
 
 def meaning(part: Part) -> str:
-    """What the columns say."""
+    """Explanation of the columns."""
     count = int(common_scenarios(part).sum())
     scenarios = f"the {count:,}" if count else "those, of which there are none,"
     return MEANING.format(common=f"{scenarios} in which that is so with every method")
 
 
 def common_scenarios(part: Part) -> np.ndarray:
-    """The scenarios (S,) in which every method's motion leads to the last target."""
+    """Mask (S,) of the scenarios in which every method's motion leads to the last target."""
     return np.logical_and.reduce([_whole(part, method) for method in part.plans])
 
 
@@ -75,6 +75,6 @@ def _geometric_mean(values: np.ndarray) -> float:
 
 
 def _over(reduce, values: np.ndarray) -> float:
-    """Of those that are known; NaN of none."""
+    """Reduce the known values; NaN if there are none."""
     known = values[~np.isnan(values)]
     return float(reduce(known)) if known.size else math.nan

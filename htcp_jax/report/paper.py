@@ -10,7 +10,7 @@ from typing import NamedTuple
 SOURCE = "Sun, Zhao, Liu: Hybrid Task Constrained Planner for Robot Manipulator in Confined Environment"
 MACHINE = "MATLAB 2022, 2.5 GHz Intel Core i9"
 TARGETS = 105  # of one scenario
-START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # the middle of the starts, as we read the paper, which does not give it
+START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # middle of the starts, our reading of the paper, which does not state it
 
 
 class Figures(NamedTuple):
@@ -19,26 +19,26 @@ class Figures(NamedTuple):
     success_percent: float
     step_s: float  # "computation time", average of a step
     tcp_distance_mm: float
-    safe_distance_mm: float  # "closest distance between robot and obstacle": smallest or mean, the paper leaves open
+    safe_distance_mm: float  # "closest distance between robot and obstacle": minimum or mean, the paper does not say
 
 
 class Table(NamedTuple):
-    """One table of the paper: a sweep planned by six methods, under the names that they have here."""
+    """One table of the paper: a sweep planned by six methods, under our names."""
 
     number: int
     sweep: str
     scenarios: int
-    grid: tuple[str, ...]  # what varies, as in `groups.Part.axes` for a robot with these joints
+    grid: tuple[str, ...]  # varied parameters, as in `groups.Part.axes` for a robot with these joints
     offsets: tuple[float, ...]  # the same on every axis, about its middle value
     rows: dict[str, Figures]
 
     @property
     def source(self) -> str:
-        """Where the figures stand."""
+        """Reference of the figures."""
         return f"{SOURCE}, table {self.number}"
 
     def is_axis(self, values: Sequence[float]) -> bool:
-        """Whether the values of an axis are the paper's, about whatever middle."""
+        """True if the values of an axis are the paper's, about any middle."""
         middle = sum(values) / len(values)
         offsets = [value - middle for value in values]
         return len(values) == len(self.offsets) and all(
@@ -46,7 +46,7 @@ class Table(NamedTuple):
         )
 
     def tracked(self, method: str) -> int:
-        """The count behind the method's percentage."""
+        """Number of tracked targets behind the method's percentage."""
         return round(self.rows[method].success_percent / 100 * self.scenarios * TARGETS)
 
 

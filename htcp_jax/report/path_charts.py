@@ -1,4 +1,4 @@
-"""Charts of what happens along the path: how far scenarios get, what ends them, clearance, motion. See `charts`."""
+"""Charts along the path: survival, failures, clearance, joint motion. See `charts`."""
 
 from collections.abc import Mapping, Sequence
 
@@ -46,9 +46,10 @@ def survival(
     reachability: Int[np.ndarray, "S"] | None = None,
     title: str = "How far the scenarios get",
 ) -> Figure:
-    """The number of scenarios that track each target, over the target's index; a scenario ends at its first failure.
+    """Draw the number of scenarios that track each target, over the target's index; a scenario ends at its first
+    failure.
 
-    reachability: the longest prefix of targets known to be reachable, of each scenario.
+    reachability: each scenario's longest prefix of targets known to be reachable.
     """
     note = "Scenarios that track the target; a scenario ends at its first failure."
     figure = new_figure(
@@ -76,8 +77,8 @@ def survival(
 
 
 def stops(status: Mapping[str, Int8[np.ndarray, "S T"]], *, title: str = "Where and why scenarios end") -> Figure:
-    """A marker for every target at which scenarios of a method fail: its shape and colour tell the reason, its area
-    their number."""
+    """Draw a marker for every target at which scenarios of a method fail: its shape and colour show the reason, its
+    area their number."""
     figure = new_figure(0.55 * len(status) + 1.9, title, "A marker's area is the number of scenarios that end there.")
     axes = figure.subplots()
     targets = next(iter(status.values())).shape[1]
@@ -114,8 +115,8 @@ def clearance_along(
     *,
     title: str = "Clearance along the path",
 ) -> Figure:
-    """The clearance D of the scenarios that track each target, a panel a method: smallest, median, and the band that
-    holds the middle eight tenths."""
+    """Draw the clearance D of the scenarios that track each target, one panel per method: minimum, median, and the band
+    from 10 to 90 %."""
     across = min(3, len(clearance_m))
     down = -(-len(clearance_m) // across)
     note = "Line: median over the scenarios that track the target. Band: 10 to 90 %. Dots: the smallest."
@@ -143,8 +144,8 @@ def joint_motion(
     *,
     title: str = "Joint motion",
 ) -> Figure:
-    """How far the joints move from one target to the next, |x_t - x_{t-1}|: for every method the distribution over all
-    accepted steps, and the median over scenarios along the path."""
+    """Draw the joint steps |x_t - x_{t-1}| between targets: for every method the distribution over all accepted steps,
+    and the median over scenarios along the path."""
     note = "Left: median, middle half, middle nine tenths and longest of all accepted steps. Right: median by target."
     figure = new_figure(max(3.4, 0.42 * len(joint_step_rad) + 1.6), title, note)
     spread, along = figure.subplots(1, 2, width_ratios=(1, 1.1))
@@ -171,7 +172,7 @@ def joint_motion_by_joint(
     unit: str = "rad",
     title: str = "Motion of each joint",
 ) -> Figure:
-    """How far every joint moves from one target to the next in `unit`, a panel a method; x is NaN where a target is not
+    """Draw the steps of every joint between targets in `unit`, one panel per method; x is NaN where a target is not
     tracked."""
     across = min(3, len(x))
     down = -(-len(x) // across)
@@ -194,7 +195,7 @@ def joint_motion_by_joint(
 
 
 def _distribution(axes: Axes, y: int, values: Float[np.ndarray, "S T"], method: str) -> None:
-    """Median, middle half, middle nine tenths and largest of the values that are known and not zero, on one line."""
+    """Draw median, middle half, middle nine tenths and maximum of the known non-zero values, on one line."""
     known = values[np.isfinite(values) & (values > 0)]
     if not known.size:
         return
@@ -207,7 +208,8 @@ def _distribution(axes: Axes, y: int, values: Float[np.ndarray, "S T"], method: 
 
 
 def _over_scenarios(values: Float[np.ndarray, "S T"]) -> Float[np.ndarray, "4 T"]:
-    """Tenth percentile, median, ninetieth and smallest of every column's finite values; NaN where there is none."""
+    """Tenth percentile, median, ninetieth percentile and minimum of every column's finite values; NaN if there are
+    none."""
     summary = np.full((4, values.shape[1]), np.nan)
     for column in range(values.shape[1]):
         known = values[np.isfinite(values[:, column]), column]

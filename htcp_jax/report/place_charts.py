@@ -1,4 +1,4 @@
-"""Charts of a search for mountings: the map of its ranges, and the front of two aims. See `charts` for the style.
+"""Charts of a placement search: the map of its ranges, and the Pareto front of two objectives. Style: see `charts`.
 
 place_map(read_search("out/duct"))
 """
@@ -21,19 +21,19 @@ from htcp_jax.report.chart_style import INK, PAPER, QUIET, new_figure, plain_axe
 from htcp_jax.report.place_tables import Parameter, Searched
 
 SPARE = LinearSegmentedColormap.from_list("spare", ["#a9d6c9", "#3f9fae", "#1f6396", "#12305e"])
-SPARE = SPARE.with_extremes(bad=SPARE(0.6))  # of what is not known, as the cycle time of what is no motion yet
+SPARE = SPARE.with_extremes(bad=SPARE(0.6))  # for unknown values, such as the cycle time without a motion
 SHARE = LinearSegmentedColormap.from_list("share", ["#dfe3e6", "#c3cad0", "#6f7c88"])
 NEARLY, LOST, RANK = "#e69f00", "#b9c0c6", "#c2185b"
-NEAR = 0.9  # of the targets: nearly everything works
+NEAR = 0.9  # share of the targets of a nearly complete mounting
 HOLLOW = "hollow"
-MARKS = "x", "+", "1", "2", "3", "4"  # of what blocks, the most frequent first
+MARKS = "x", "+", "1", "2", "3", "4"  # of the reasons of failure, the most frequent first
 MOST_PARAMETERS, MOST_NUMBERS = 8, 9
 
-APART = 0.1  # of a panel's width, numbers of ranked mountings; the better one keeps its own
+APART = 0.1  # of a panel's width, between numbers of ranked mountings; the better one is shown
 
 
 class Ending(NamedTuple):
-    """What became of some mountings."""
+    """Mountings with the same result."""
 
     words: str
     count: int
@@ -42,9 +42,9 @@ class Ending(NamedTuple):
 
 
 def place_map(found: Searched, in_the_way: Mapping[str, int] | None = None) -> Figure:
-    """Every judged mounting in every pair of parameters, or of the first eight: where everything works, where it nearly
-    does, and what blocks elsewhere; the ranked ones are numbered. in_the_way: bodies, and how often each is what is in
-    the way in a sample of those that are lost."""
+    """Draw every planned mounting over every pair of parameters, or of the first eight: complete ones, nearly complete
+    ones, and elsewhere the reason of failure; the ranked ones are numbered. in_the_way: colliding bodies, with their
+    counts in a sample of the failed mountings."""
     shown = found.parameters[:MOST_PARAMETERS]
     d, m = len(shown), max(1, min(len(shown), MOST_PARAMETERS) - 1)
     wide, half = (2, 1) if m == 1 else (m, m // 2)
@@ -61,7 +61,7 @@ def place_map(found: Searched, in_the_way: Mapping[str, int] | None = None) -> F
 
 
 def place_front(found: Searched) -> Figure:
-    """The ranked mountings by two aims, numbered, and the front: those that none of the others beats in both."""
+    """Draw the ranked mountings by two objectives, numbered, and the Pareto front."""
     note = "Numbers: the rank. Line: the front; no other mounting is better in both. Tails: when off by up to "
     figure = new_figure(5.2, f"Two aims: {found.name}", f"{note}{found.disturbed}.")
     axes = figure.subplots()
@@ -89,7 +89,7 @@ def _note(found: Searched) -> str:
 
 
 def _panel(axes: Axes, found: Searched, column: int, row: int | None) -> None:
-    """The mountings over two parameters; over one, the share of the targets stands in the place of the other."""
+    """Draw the mountings over two parameters; over one, the share of the targets replaces the other."""
     points = found.values[:, [column, column if row is None else row]].copy()
     ranked = found.ranked[:, [column, column if row is None else row]].copy()
     if row is None:
@@ -109,7 +109,7 @@ def _panel(axes: Axes, found: Searched, column: int, row: int | None) -> None:
 
 
 def _number(axes: Axes, ranked: Float[np.ndarray, "r 2"], points: Float[np.ndarray, "n 2"]) -> None:
-    """The first ranks beside their mountings, but for those that would cover a better one's."""
+    """Number the first ranks, except those that would cover a better one's."""
     low, high = points.min(axis=0), points.max(axis=0)
     width = np.where(high > low, high - low, 1.0)
     taken: list[np.ndarray] = []
@@ -135,7 +135,7 @@ def _axis(axes: Axes, below: Parameter, left: Parameter | None, lowest: bool, fi
 
 
 def _beside(figure: Figure, place: SubplotSpec, found: Searched, in_the_way: Mapping[str, int] | None) -> None:
-    """How many end how, which seams are done and what is in the way, and the scale of the colours."""
+    """Draw the counts of results, of complete seams and of colliding bodies, and the colour scale."""
     lists = {"mountings": _ends(found)}
     if len(found.seams) > 1:
         lists["each seam alone"] = [Ending(name, count, "s", SPARE(0.6)) for name, count in found.seams.items()]
@@ -149,7 +149,7 @@ def _beside(figure: Figure, place: SubplotSpec, found: Searched, in_the_way: Map
 
 
 def _scale(figure: Figure, axes: Axes, found: Searched) -> None:
-    """Of what is spare where anything works; else of the share of the targets."""
+    """Draw the colour scale: of the objective if any mounting is complete, else of the share of the targets."""
     works = found.complete.any()
     if works and not np.isfinite(found.left[:, 0]).any():
         axes.axis("off")
@@ -176,7 +176,7 @@ def _bars(axes: Axes, head: str, endings: Sequence[Ending]) -> None:
 
 
 def _ends(found: Searched) -> list[Ending]:
-    """How many do it all, nearly do it, and are lost to what."""
+    """Counts of complete and of nearly complete mountings, and of the failed by reason."""
     nearly = _nearly(found)
     ends = [Ending("everything works", int(found.complete.sum()), "o", SPARE(0.6))]
     ends.append(Ending(f"nearly: {100 * NEAR:.0f} % of the targets", int(nearly.sum()), HOLLOW, NEARLY))
@@ -185,7 +185,7 @@ def _ends(found: Searched) -> list[Ending]:
 
 
 def _marks(found: Searched) -> dict[str, str]:
-    """A mark for each reason why mountings are lost, the most frequent first; the rare ones share the last."""
+    """A marker for each reason of failure, the most frequent first; the rare ones share the last."""
     reasons = [words for words, _ in Counter(filter(None, found.lost)).most_common()]
     return {words: MARKS[min(k, len(MARKS) - 1)] for k, words in enumerate(reasons)}
 

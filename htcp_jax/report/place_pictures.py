@@ -1,4 +1,4 @@
-"""The pictures of a search, drawn from its folder into it: map.png, front.png of two aims, and the best as best-1.png.
+"""Pictures of a search, drawn from its folder into it: map.png, front.png of two objectives, the best as best-1.png.
 
 draw_search("out/duct")
 """
@@ -21,12 +21,12 @@ from htcp_jax.runs.open import MOTIONS, plans_of_run
 from htcp_jax.runs.run_folder import Run, open_run
 from htcp_jax.viewer.replay import recorded_replays
 
-BEST = 3  # mountings of which there are pictures
-SAMPLE = 64  # lost mountings, of which is looked at what is in the way
+BEST = 3  # number of mountings with pictures
+SAMPLE = 64  # number of failed mountings whose colliding bodies are determined
 
 
 def draw_search(folder: str | Path) -> list[Path]:
-    """Draw what a search came to; the files. Raises InputError as `read_search` does, and for damaged runs."""
+    """Draw the results of a search; return the files. Raises InputError as `read_search` does, and for damaged runs."""
     folder = Path(folder)
     found = read_search(folder)
     figures = {"map": place_map(found, in_the_way(folder, found))}
@@ -37,7 +37,8 @@ def draw_search(folder: str | Path) -> list[Path]:
 
 
 def best(folder: Path, found: Searched) -> dict[int, Figure]:
-    """The first mountings by rank, each at the seam where it is tightest; none where their files have changed."""
+    """Pictures of the first mountings by rank, each at the seam with the least guaranteed clearance; none if their
+    files have changed."""
     if not len(found.ranked):
         return {}
     run = open_run(folder / MOTIONS)
@@ -56,7 +57,7 @@ def best(folder: Path, found: Searched) -> dict[int, Figure]:
 
 
 def in_the_way(folder: Path, found: Searched) -> dict[str, int]:
-    """Which bodies are in the way in an even sample of the lost mountings, the most frequent first."""
+    """Colliding bodies in an even sample of the failed mountings, with their counts, the most frequent first."""
     lost = np.flatnonzero(~found.complete)
     picked = lost[np.linspace(0, len(lost) - 1, min(SAMPLE, len(lost))).round().astype(int)]
     k, first, counts = len(found.seams), 0, Counter[str]()
@@ -71,7 +72,7 @@ def in_the_way(folder: Path, found: Searched) -> dict[str, int]:
 
 
 def _blocking(run: Run, mountings: Int[np.ndarray, "m"], k: int) -> list[str]:
-    """What is in the way in some mountings of a round, each at the first seam that it loses."""
+    """Colliding bodies in some mountings of a round, each at the first seam that it fails."""
     (method,) = run.methods
     plans = run.plans(method)
     whole = plans.outcomes.can_be_driven.reshape(-1, k)

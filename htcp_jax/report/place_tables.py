@@ -1,7 +1,7 @@
-"""A search of `htcp place` as tables, read from its folder alone: every mounting that was judged, and the ranked ones.
+"""A search of `htcp place` as tables, read from its folder only: every planned mounting, and the ranked ones.
 
 found = read_search("out/duct")
-found.values, found.done, found.lost         # a row a mounting
+found.values, found.done, found.lost         # one row per mounting
 """
 
 from pathlib import Path
@@ -20,21 +20,21 @@ from htcp_jax.runs.open import SEARCH
 
 
 class Parameter(NamedTuple):
-    """One that varies, as a person reads it."""
+    """A parameter that varies, for display."""
 
     column: str  # of mountings.parquet
     name: str  # shift x
     unit: str  # mm, °, or nothing
-    scale: float  # by which the column's numbers are multiplied
+    scale: float  # factor on the column's numbers
 
     @property
     def label(self) -> str:
-        """With its unit, for an axis."""
+        """Label of an axis, with the unit."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
 
 class Searched(NamedTuple):
-    """n mountings of d parameters that were judged by A aims, and r that are ranked, the best first."""
+    """n mountings of d parameters with A objectives, and r that are ranked, the best first."""
 
     name: str
     scenarios: int
@@ -42,25 +42,25 @@ class Searched(NamedTuple):
     values: Float[np.ndarray, "n d"]  # in the units of the parameters
     done: Float[np.ndarray, "n"]  # share of the targets, over all seams
     complete: Bool[np.ndarray, "n"]
-    lost: tuple[str, ...]  # why it is not complete, in words
+    lost: tuple[str, ...]  # reason why it is not complete
     aims: tuple[str, ...]
-    left: Float[np.ndarray, "n A"]  # what is left of each aim in the units of `AIMS`; NaN where it is not known
+    left: Float[np.ndarray, "n A"]  # objectives in the units of `AIMS`; NaN if unknown
     ranked: Float[np.ndarray, "r d"]
-    spare: Float[np.ndarray, "r A"]  # as `left`, of the proven motions
-    off: Float[np.ndarray, "r A"]  # the least of it while they are off; NaN where one of these is lost
+    spare: Float[np.ndarray, "r A"]  # like `left`, of the proven motions
+    off: Float[np.ndarray, "r A"]  # its worst case under perturbation; NaN if one fails
     front: Bool[np.ndarray, "r"]
-    seams: dict[str, int]  # in how many mountings each is complete
-    disturbed: str  # by how much they are off: 3 mm and 0.5°
-    margin: Float[np.ndarray, "r"]  # that the ranked ones are planned with [mm]; NaN where it is not known
-    is_final: bool  # False for a ranking that was written before mountings were disturbed
+    seams: dict[str, int]  # number of mountings in which each is complete
+    disturbed: str  # bounds of the perturbation: 3 mm and 0.5°
+    margin: Float[np.ndarray, "r"]  # of the ranked ones [mm]; NaN if unknown
+    is_final: bool  # False for a ranking that was written before mountings were perturbed
 
     def aim(self, k: int) -> str:
-        """An aim with its unit, for an axis."""
+        """Label of an objective's axis, with its unit."""
         return f"{self.aims[k]} [{AIMS[self.aims[k]][0]}]"
 
 
 def read_search(folder: str | Path) -> Searched:
-    """The search in `folder`. Raises InputError for a folder that holds none, for one that has not come to its end, and
+    """Read the search in `folder`. Raises InputError for a folder that holds none, for one that is not finished, and
     for damaged files."""
     folder = Path(folder)
     if not (folder / SEARCH).exists():
@@ -115,7 +115,7 @@ def _aims(rows: list[dict[str, Any]], which: str, aims: tuple[str, ...]) -> Floa
 
 
 def parameter(column: str) -> Parameter:
-    """Of workpiece.shift_m.x: shift x, in mm."""
+    """Parse the name of a column, such as workpiece.shift_m.x: shift x, in mm."""
     parts, (unit, scale) = column.split("."), ("", 1.0)
     for k, part in enumerate(parts):
         for ending, told in UNITS.items():

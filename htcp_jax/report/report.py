@@ -1,7 +1,7 @@
-"""The report of one run or several: chapters, what is common to them, and the files they go to.
+"""The report of one or several runs: chapters, common sections, and files.
 
-Every part of a run (see `groups`) is a chapter with the same sections. Pictures are named after what they show, and
-after the part where there are several; a CSV file holds one table of all parts.
+Every part of a run (see `groups`) is a chapter with the same sections. Pictures are named after their content, and
+after the part if there are several; a CSV file holds one table of all parts.
 """
 
 import re
@@ -39,7 +39,7 @@ class Report(NamedTuple):
 
     @property
     def figures(self) -> dict[str, Figure]:
-        """The charts, by the names that their files have."""
+        """The charts, by the names of their files."""
         return {block.name: block.figure for block in self.blocks if isinstance(block, Picture)}
 
     def frame(self, table: str = "results") -> "pandas.DataFrame":
@@ -55,7 +55,7 @@ class Report(NamedTuple):
 
 
 def make_report(runs: Run | str | Path | Sequence[Run | str | Path]) -> Report:
-    """The report of runs, or of the runs in these folders.
+    """Make the report of runs, or of the runs in these folders.
 
     Raises InputError for a folder that holds no run, and naming a file that is missing or damaged.
     """
@@ -77,7 +77,7 @@ def make_report(runs: Run | str | Path | Sequence[Run | str | Path]) -> Report:
 
 
 def write_report(report: Report, folder: Path) -> None:
-    """report.md with its pictures, report.html with everything in one file, and a CSV file a table."""
+    """Write report.md with its pictures, report.html with everything in one file, and one CSV file per table."""
     pictures = {block.name: png(block.figure) for block in report.blocks if isinstance(block, Picture)}
     for name, data in pictures.items():
         write(folder, f"{name}.png", data)
@@ -88,7 +88,7 @@ def write_report(report: Report, folder: Path) -> None:
 
 
 def record(report: Report) -> dict:
-    """The report as JSON has it: what was run and all tables but the long one of scenarios."""
+    """The report as a mapping for JSON: the runs, and all tables except the long one of scenarios."""
     return {
         "runs": [
             {
@@ -112,7 +112,7 @@ def overview(results: Mapping[str, Table]) -> Table:
 
 
 def slug(name: str) -> str:
-    """A name as part of a file's name."""
+    """Convert a name to a part of a file's name."""
     return re.sub(r"[^A-Za-z0-9.]+", "-", name).strip("-.") or "run"
 
 
@@ -135,7 +135,7 @@ def _appendix(parts: Sequence[Part]) -> list[Block]:
 
 
 def _compared(ran: dict[str, PlanConfig], beside: dict[str, PlanConfig]) -> list[Block]:
-    """The runs' configurations beside each other, and beside the ones that ship where these have the same scene."""
+    """The runs' configurations next to each other, and next to the shipped ones if these have the same scene."""
     if not beside and len(ran) < 2:
         return []
     others = f" and {', '.join(beside)}" if beside else ""
@@ -146,7 +146,7 @@ def _compared(ran: dict[str, PlanConfig], beside: dict[str, PlanConfig]) -> list
 
 
 def _merged(parts: Sequence[Part], made: Sequence[dict[str, Table]]) -> list[Table]:
-    """The tables of all parts under each other, with the part in the first column."""
+    """Concatenate the tables of all parts, with the part in the first column."""
     merged = []
     for name in made[0]:
         tables = [each[name] for each in made]
@@ -174,10 +174,10 @@ def _provenance(run: Run) -> str:
 
 
 def _name(run: Run | str | Path) -> str:
-    """A run is called as its sweep, a folder by its own name."""
+    """Name of a run: its sweep's, or its folder's."""
     return run.manifest.name if isinstance(run, Run) else Path(run).resolve().name
 
 
 def _numbered(own: Sequence[str]) -> list[str]:
-    """The names, numbered where two are the same."""
+    """Names, numbered where two are the same."""
     return [name if own.count(name) == 1 else f"{name} ({own[: k + 1].count(name)})" for k, name in enumerate(own)]

@@ -1,4 +1,4 @@
-"""Charts of how much each method tracks: in all, and scenario by scenario over the grid. See `charts`."""
+"""Charts of tracked targets: by method, and by scenario over the grid. See `charts`."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -36,7 +36,7 @@ class Axis(NamedTuple):
 
     @property
     def names(self) -> list[str]:
-        """The values as texts."""
+        """Values as texts."""
         return [value if isinstance(value, str) else f"{value:.6g}" for value in self.values]
 
 
@@ -49,9 +49,9 @@ def success(
     reachability: int | None = None,
     title: str = "Success by method",
 ) -> Figure:
-    """Tracked targets in percent, a bar a method with its counts, `tracked` of `of`; beside it the paper's percentage
-    where `paper` has one, and `reachability`, a count of targets known to be reachable, as a line. executable: to how
-    many of them a proven motion leads; where these are fewer, the rest of the bar is pale."""
+    """Draw tracked targets in percent, one bar per method with its counts, `tracked` of `of`; next to it the paper's
+    percentage if `paper` has one, and `reachability`, a count of targets known to be reachable, as a line. executable:
+    those that a proven motion leads to; if there are fewer, the rest of the bar is pale."""
     executable = tracked if executable is None else executable
     cut = any(executable[method] < tracked[method] for method in tracked)
     figure = new_figure(0.42 * len(tracked) + 1.5, title, _success_note(paper, reachability, cut))
@@ -85,9 +85,9 @@ def success_map(
     title: str = "Success by scenario",
     note: str = "",
 ) -> Figure:
-    """A small map a method: the tracked targets of `targets`, rows down and columns across; NaN where not planned.
-    executable: those that a proven motion leads to; where these are fewer, they have the colour and the number, and
-    all that are tracked stand in brackets."""
+    """Draw one small map per method: the tracked targets of `targets`, rows down and columns across; NaN where not
+    planned. executable: those that a proven motion leads to; if there are fewer, they have the colour and the number,
+    and all tracked ones are in brackets."""
     shown = tracked if executable is None else executable
     across = min(3, len(tracked))
     down = -(-len(tracked) // across)
@@ -115,7 +115,7 @@ def success_slices(
     title: str = "Success by scenario",
     note: str = "",
 ) -> Figure:
-    """A row of small maps a method, one for every value of the axis `slices`; otherwise as `success_map`."""
+    """Draw a row of small maps per method, one for every value of the axis `slices`; otherwise as `success_map`."""
     shown = tracked if executable is None else executable
     across, down = len(slices.values), len(tracked)
     side = (WIDTH - 1.8) / across * len(rows.values) / len(columns.values)
@@ -144,8 +144,8 @@ def success_line(
     title: str = "Success by scenario",
     note: str = "",
 ) -> Figure:
-    """Tracked targets over an axis of a grid, or over a list of scenarios, a line a method. executable: those that a
-    proven motion leads to; where these are fewer, they are the line, and all tracked ones are faint. reachability:
+    """Draw tracked targets over an axis of a grid, or over a list of scenarios, one line per method. executable: those
+    that a proven motion leads to; if there are fewer, they are the line, and all tracked ones are faint. reachability:
     counts [1] of targets known to be reachable, dashed."""
     shown = tracked if executable is None else executable
     lines = "" if not _cut(tracked, shown) else "Line: executable, by a proven motion from the start; faint: tracked."
@@ -181,8 +181,7 @@ def _map(
     columns: Axis,
     targets: int,
 ):
-    """One map; the number stands in every cell, where there is room, and that of the whole in brackets where it is
-    another."""
+    """Draw one map; the number is in every cell if there is space, and `whole` in brackets if it differs."""
     image = axes.imshow(values, cmap=TRACKED, norm=Normalize(0, targets), aspect="equal")
     for (row, column), value in np.ndenumerate(values):
         if np.isfinite(value) and max(values.shape) <= MOST_NUMBERS:
@@ -196,7 +195,7 @@ def _map(
 
 
 def frame_map(axes: Axes, rows: Axis, columns: Axis) -> None:
-    """Names beside the rows and the columns of a map, white lines between them."""
+    """Label the rows and the columns of a map, with white lines between them."""
     for axis, given in ((axes.xaxis, columns), (axes.yaxis, rows)):
         every = -(-len(given.values) // MOST_NAMES)
         axis.set_ticks(range(0, len(given.values), every), given.names[::every])
@@ -221,7 +220,7 @@ def _brief(value: float) -> str:
 
 
 def _cut(tracked: Mapping[str, np.ndarray], shown: Mapping[str, np.ndarray]) -> bool:
-    """Whether a blocked joint step cuts any scenario short."""
+    """True if tracked targets of any scenario are not executable."""
     return any(not np.array_equal(tracked[method], shown[method], equal_nan=True) for method in tracked)
 
 
@@ -238,7 +237,7 @@ def _shares(shown: np.ndarray, tracked: np.ndarray, targets: int) -> str:
 
 
 def _share(values: Float[np.ndarray, "*n"], targets: int) -> str:
-    """The mean in percent, over what is planned."""
+    """Mean in percent over the planned scenarios."""
     known = values[np.isfinite(values)]
     return f"{100 * known.mean() / targets:.2f} %" if known.size else "not planned"
 

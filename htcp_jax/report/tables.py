@@ -1,4 +1,4 @@
-"""The numbers of a part of a run, or of several parts, as tables."""
+"""Tables of one or several parts of a run."""
 
 import dataclasses
 import math
@@ -97,7 +97,7 @@ def results(part: Part) -> Table:
 
 
 def paper(part: Part) -> Table:
-    """Return the paper's four columns next to ours, for its six methods; without rows where its grid is another."""
+    """Return the paper's four columns next to ours, for its six methods; no rows if its grid differs."""
     table = part.paper_table
     if table is None:
         return Table("paper", PAPER, ())
@@ -137,7 +137,7 @@ def _result(part: Part, method: str) -> dict:
 
 
 def reachability(part: Part) -> Table:
-    """Tracked targets against those that are known to be reachable; without rows where nothing is known."""
+    """Tracked compared with reachable targets; no rows if reachability is unknown."""
     rows = []
     for method, plans in part.plans.items() if part.reachability is not None else ():
         ends = plans.outcomes
@@ -157,7 +157,7 @@ def reachability(part: Part) -> Table:
 
 
 def steps(part: Part) -> Table:
-    """Of every accepted step whether its straight joint path is clear, and how long the steps are."""
+    """Accepted steps: blocked joint paths, and lengths."""
     return _table("joint-steps", STEPS, [_step(part, method) for method in part.plans])
 
 
@@ -181,7 +181,7 @@ def _step(part: Part, method: str) -> dict:
 
 
 def stops(part: Part) -> Table:
-    """What ended the scenarios that are not complete, at which targets, and which bodies collide there."""
+    """Reasons of the failed scenarios, with their targets and the colliding bodies there."""
     rows = []
     for method, plans in part.plans.items():
         ends = plans.outcomes
@@ -204,8 +204,8 @@ def stops(part: Part) -> Table:
 
 
 def _bodies(part: Part, method: str, reason: Status, numbers: Sequence[int]) -> str | None:
-    """The colliding bodies in these scenarios, the most frequent first, and what ended the search in those without one;
-    None if that is not known."""
+    """Colliding bodies in these scenarios, the most frequent first, and the reason that ended the search in those
+    without one; None if unknown."""
     if reason == Status.TIP_BLOCKED:
         return f"bare tip ({len(numbers)})"
     found = [known for k in numbers if (known := part.scene.in_the_way(method).get(k)) is not None]
@@ -214,8 +214,8 @@ def _bodies(part: Part, method: str, reason: Status, numbers: Sequence[int]) -> 
 
 
 def motion_ends(part: Part) -> Table:
-    """Why tracked targets are not executable: the result of the motion check where each motion ends, and how many
-    tracked targets that one and those behind it are."""
+    """Reasons why tracked targets are not executable: the result of the motion check at each motion's end, with the
+    number of tracked targets from there on."""
     rows = []
     for method, plans in part.plans.items():
         ends = plans.outcomes
@@ -229,7 +229,7 @@ def motion_ends(part: Part) -> Table:
 
 
 def scenarios(part: Part) -> Table:
-    """One row a scenario and method: its parameters, how far it got, what ended it, how far it could have got."""
+    """One row per scenario and method: parameters, tracked targets, reason of the end, reachable targets."""
     columns = [Column("scenario", "scenario", "", "d"), *(Column(name, name) for name in part.parameters)]
     columns += [Column("method", "method"), Column("tracked", "tracked", "", "d"), Column("targets", "of", "", "d")]
     columns += [Column("executable", "executable", "", "d")]
@@ -259,13 +259,13 @@ def scenarios(part: Part) -> Table:
 
 
 def times(part: Part) -> Table:
-    """Wall time of the whole run, compilation apart."""
+    """Wall time of the whole run, without compilation, and of compilation."""
     seconds = {method: (plans.run_s, plans.compile_s) for method, plans in part.plans.items()}
     return _table("times", TIMES, [{"method": m, "run_s": r, "compile_s": c} for m, (r, c) in seconds.items()])
 
 
 def configuration(ran: Mapping[str, PlanConfig], presets: Mapping[str, PlanConfig]) -> Table:
-    """Every key of the configuration in which the runs and the presets are not all the same."""
+    """Every key of the configuration in which the runs and the presets differ."""
     flat = {name: _flat(config.model_dump()) for name, config in {**ran, **presets}.items()}
     keys = dict.fromkeys(key for config in flat.values() for key in config)
     differ = [key for key in keys if len({repr(config.get(key)) for config in flat.values()}) > 1]
@@ -278,18 +278,18 @@ NO_REASON = NO_TARGET, Status.NOT_ATTEMPTED
 
 
 def reasons(plans: Plans) -> list[Status]:
-    """What ended scenarios, in the order of the codes."""
+    """Reasons that ended scenarios, in the order of the codes."""
     return [Status(code) for code in np.unique(plans.outcomes.status).tolist() if code not in NO_REASON]
 
 
 def _tally(values: Int[np.ndarray, "n"]) -> str:
-    """The values with how often each occurs: '70, 71 (4), 72'."""
+    """Format values with their counts: '70, 71 (4), 72'."""
     found, counts = np.unique(values, return_counts=True)
     return ", ".join(f"{v} ({n})" if n > 1 else f"{v}" for v, n in zip(found, counts, strict=True))
 
 
 def percent(k: int | np.integer, n: int | np.integer) -> float:
-    """k of n in percent; NaN of none."""
+    """k of n in percent; NaN if n is 0."""
     return float(100 * k / n) if n else math.nan
 
 
@@ -298,7 +298,7 @@ def _over(reduce, values: np.ndarray) -> float:
 
 
 def _flat(raw: dict, prefix: str = "") -> dict:
-    """Nested mappings with dotted keys; settings may be a dataclass. The method is no part of it: a run has many."""
+    """Flatten nested mappings to dotted keys; settings may be a dataclass. The method is excluded: a run has many."""
     flat = {}
     for key, value in raw.items():
         value = dataclasses.asdict(value) if dataclasses.is_dataclass(value) else value
@@ -310,7 +310,7 @@ def _flat(raw: dict, prefix: str = "") -> dict:
 
 
 def _brief(value: Any) -> str:
-    """A value in a cell; of a file its name alone."""
+    """Format a value for a cell; a file by its name only."""
     if isinstance(value, str):
         return Path(value).name
     if isinstance(value, list | tuple):
@@ -325,14 +325,14 @@ def _table(name: str, columns: Sequence[Column], rows: Sequence[dict]) -> Table:
 
 
 def without_empty(table: Table) -> Table:
-    """The table without the columns that no row knows anything of."""
+    """Remove the columns without any value."""
     keep = [k for k in range(len(table.columns)) if any(row[k] is not None for row in table.rows)]
     rows = tuple(tuple(row[k] for k in keep) for row in table.rows)
     return table._replace(columns=tuple(table.columns[k] for k in keep), rows=rows)
 
 
 def differences(config: PlanConfig, other: PlanConfig) -> dict[str, str]:
-    """Keys in which `config` is not as `other`, with its values in brief."""
+    """Keys in which `config` differs from `other`, with its values in brief."""
     theirs = _flat(other.model_dump())
     ours = _flat(config.model_dump())
     return {key: _brief(value) for key, value in ours.items() if key not in theirs or repr(value) != repr(theirs[key])}

@@ -1,4 +1,4 @@
-"""How long the programs of a part's scenarios take, and at what feed: a table, and charts; nothing where not timed."""
+"""Cycle times and feeds of a part's programs: a table and charts; empty if not timed."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -43,19 +43,19 @@ HELD = Measure(
 
 
 def timing(part: Part) -> Table:
-    """What the times of each method's scenarios come to; without rows where there are none."""
+    """Summary of the times of each method's scenarios; no rows if there are none."""
     rows = [timing_row(method, rows) for method, rows in part.timing.items() if rows is not None]
     return timing_table(rows)
 
 
 def timing_table(rows: Sequence[dict]) -> Table:
-    """Rows as `timing_row` makes them, without columns that none knows."""
+    """Table of rows by `timing_row`, without empty columns."""
     known = tuple(c for c in COLUMNS if not all(unknown(row[c.key]) for row in rows))
     return Table("timing", known, tuple(tuple(row[c.key] for c in known) for row in rows))
 
 
 def timing_row(method: str, rows: pa.Table) -> dict:
-    """One method's."""
+    """Summary of one method's times."""
     timed = rows.filter(pa.array(~np.isnan(column(rows, "cycle_time_s"))))
     cycle, held = column(timed, "cycle_time_s"), column(timed, "feed_held_share")
     most = {name: 100 * _over(np.max, timed, f"{name}_share") for name in SHARES}
@@ -74,7 +74,7 @@ def timing_row(method: str, rows: pa.Table) -> dict:
 
 
 def timing_section(part: Part, made: Table, prefix: str, level: int, label: Callable[[str], str]) -> list[Block]:
-    """The table, what keeps feeds low, and cycle time and feed held over the grid; nothing without times."""
+    """The table, the reasons of reduced feeds, and cycle time and feed held over the grid; empty without times."""
     if not made.rows:
         return []
     return [
@@ -87,7 +87,7 @@ def timing_section(part: Part, made: Table, prefix: str, level: int, label: Call
 
 
 def _reasons(part: Part) -> list[str]:
-    """What keeps feeds low, the commonest first."""
+    """Sentence with the reasons of reduced feeds, the most frequent first."""
     reasons: dict[str, int] = {}
     for rows in filter(None, part.timing.values()):
         for reason in filter(None, rows["feed_reason"].to_pylist()):
@@ -112,7 +112,7 @@ def _charts(part: Part, prefix: str, label: Callable[[str], str]) -> list[Pictur
 
 
 def _chart(part: Part, axes: dict[str, Axis], measure: Measure, values: dict[str, np.ndarray], name: str) -> Picture:
-    """A line over one axis; maps over two, of three and more over the first two with means over the others."""
+    """A line over one axis; maps over two; for more, maps over the first two with means over the others."""
     chosen = list(axes)[:2]
     given = {method: part.cells(own, chosen) for method, own in values.items()}
     alt = f"{measure.title} of the scenarios over the grid, by method"
@@ -123,7 +123,7 @@ def _chart(part: Part, axes: dict[str, Axis], measure: Measure, values: dict[str
 
 
 def _values(part: Part, name: str) -> dict[str, np.ndarray]:
-    """A column of each method that is timed, (S,) as the part's scenarios are."""
+    """A column (S,) of each method that is timed, in the order of the part's scenarios."""
     found = {}
     for method, rows in part.timing.items():
         if rows is not None:

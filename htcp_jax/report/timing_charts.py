@@ -1,4 +1,4 @@
-"""Charts of a number of every scenario over its grid, where executable: a line a method, or a map a method."""
+"""Charts of a quantity of every scenario over its grid, where executable: one line or one map per method."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -24,21 +24,21 @@ from htcp_jax.report.chart_style import (
 )
 from htcp_jax.report.success_charts import MOST_NUMBERS, TRACKED, Axis, frame_map
 
-DARK = 0.62  # of the scale, from which numbers are light
+DARK = 0.62  # share of the scale above which numbers are light
 
 
 class Measure(NamedTuple):
-    """What is drawn."""
+    """A quantity to draw."""
 
     title: str
     unit: str
     form: str  # of a number
     note: str
-    scale: tuple[float, float] | None = None  # of the colours; None: as it comes
+    scale: tuple[float, float] | None = None  # of the colours; None: from the values
 
 
 def over_line(values: Mapping[str, Float[np.ndarray, "C"]], axis: Axis, measure: Measure) -> Figure:
-    """Over an axis of a grid, a line a method; NaN where there is no number."""
+    """Draw values over an axis of a grid, one line per method; NaN where there is no number."""
     figure = new_figure(4.2, measure.title, measure.note)
     axes = figure.subplots()
     words = isinstance(axis.values[0], str)
@@ -59,7 +59,7 @@ def over_line(values: Mapping[str, Float[np.ndarray, "C"]], axis: Axis, measure:
 def over_map(
     values: Mapping[str, Float[np.ndarray, "R C"]], rows: Axis, columns: Axis, measure: Measure, note: str = ""
 ) -> Figure:
-    """A small map a method, rows down and columns across; blank where there is no number."""
+    """Draw one small map per method, rows down and columns across; blank where there is no number."""
     across = min(3, len(values))
     down = -(-len(values) // across)
     side = min(WIDTH / across - 0.5, 0.6 * len(columns.values) + 0.7) * len(rows.values) / len(columns.values)
@@ -82,7 +82,7 @@ def over_map(
 
 
 def _scale(values: Mapping[str, np.ndarray], measure: Measure) -> Normalize:
-    """Of the colours; at least a tenth of the largest number wide, so that next to nothing looks so."""
+    """Colour scale; at least a tenth of the largest number wide, so that small differences look small."""
     if measure.scale is not None:
         return Normalize(*measure.scale)
     known = np.concatenate([own[np.isfinite(own)] for own in values.values()])

@@ -1,4 +1,4 @@
-"""What `htcp validate` found, as the report and the terminal tell it."""
+"""Results of `htcp validate`, for the report and the terminal."""
 
 from pathlib import Path
 from typing import Any
@@ -44,14 +44,14 @@ BETWEEN = ("clearance_between_min_at",)
 
 
 def read_validation(run: Run) -> dict[str, Any] | None:
-    """The validation in the run's folder; None where there is none, or none of these very results. Raises InputError
-    for a damaged file."""
+    """Read the validation in the run's folder; None if there is none, or it is of other results. Raises InputError for
+    a damaged file."""
     file = Path(run.folder) / VALIDATION
     try:
         found = read_json(file, file.parent)
         if found["files"] != run.result_files():
             return None
-        summary(found), validation_tables(found), notes(found)  # whatever else it lacks is of no use here
+        summary(found), validation_tables(found), notes(found)  # other keys are not used here
         return found
     except FileNotFoundError:
         return None
@@ -60,18 +60,18 @@ def read_validation(run: Run) -> dict[str, Any] | None:
 
 
 def validated(found: dict[str, Any] | None) -> bool | None:
-    """Whether every tracked target stands; None where that is not known. found: see `read_validation`."""
+    """True if every tracked target is confirmed; None if unknown. found: see `read_validation`."""
     return None if found is None else bool(found["validated"])
 
 
 def verdict(found: dict[str, Any] | None) -> str:
-    """The same in a sentence."""
+    """Sentence on the validation; found: see `read_validation`."""
     return "Not validated independently." if found is None else summary(found)
 
 
 def validation_section(found: dict[str, Any] | None, labels: dict[int, str], level: int) -> list[Block]:
-    """A section of the report, with a heading of that level; nothing where there is no validation. labels: what sets
-    the run's scenarios apart."""
+    """Section of the report, with a heading of that level; empty if there is no validation. labels: varied parameters
+    of the run's scenarios."""
     if found is None:
         return []
     about = f"By MuJoCo's kinematics and distances alone, of the whole run. {summary(found)}"
@@ -80,7 +80,7 @@ def validation_section(found: dict[str, Any] | None, labels: dict[int, str], lev
 
 
 def summary(found: dict[str, Any]) -> str:
-    """What came of it; `found` is as validation.json has it, here as in the next two."""
+    """Sentence on the result; `found` has the form of validation.json, here as in the next two."""
     checks = found["methods"].values()
     checked, touching, paths = (sum(check[k] or 0 for check in checks) for k in ("checked", "paths_touching", "paths"))
     refuted = int(found["refuted_count"])
@@ -90,7 +90,7 @@ def summary(found: dict[str, Any]) -> str:
 
 
 def validation_tables(found: dict[str, Any]) -> tuple[Table, ...]:
-    """Method by method, at the targets and on the way between them; then the rows of a task."""
+    """Tables by method, at the targets and on the joint paths between them; then of the rows of a task."""
     rows = [{"method": method, **check} for method, check in found["methods"].items()]
     tables = _table("validation", AT_TARGETS, rows), _table("validation-paths", ON_THE_WAY, rows)
     held = [{"method": check["method"], **row} for check in rows for row in check.get("rows", ())]
@@ -106,14 +106,14 @@ def _table(name: str, columns: tuple[Column, ...], rows: list[dict]) -> Table:
 
 
 def scenarios_named(found: dict[str, Any], labels: dict[int, str]) -> list[str]:
-    """A sentence that says which scenarios the tables speak of."""
+    """Sentence with the labels of the scenarios in the tables."""
     at = [check.get(key) for check in found["methods"].values() for key in ("clearance_min_at", *BETWEEN)]
     numbers = sorted({place[0] for place in at if place is not None and labels.get(place[0])})
     return [f"Scenarios: {'; '.join(f'{number} is {labels[number]}' for number in numbers)}."] if numbers else []
 
 
 def notes(found: dict[str, Any]) -> list[str]:
-    """What the tables' columns mean, as far as they are filled."""
+    """Explanations of the filled columns."""
     lines = []
     if found.get("excluded"):
         lines.append(f"Deepest overlap of two capsules that are not checked against each other: {found['excluded']}.")

@@ -1,4 +1,4 @@
-"""What makes two runs the same, and what computed them."""
+"""Identity of a run: hashes of its configuration and input files."""
 
 import hashlib
 import json
@@ -11,13 +11,13 @@ from htcp_jax.io.files import opened
 from htcp_jax.io.strict_model import validate
 from htcp_jax.jobs.config import PlanConfig
 
-# Of a configuration: a run has methods of its own, may be planned anywhere, and its programs are made afterwards.
+# Keys that do not identify a run: it lists its methods itself, may be planned anywhere, and programs are made later.
 NO_IDENTITY = "method", "program", "ray"
 NO_CELL = PlanConfig().cell.model_dump(mode="json")
 
 
 def file_hash(file: str | Path) -> str:
-    """SHA-256 of a file's contents. Raises InputError."""
+    """Return the SHA-256 of a file's contents. Raises InputError."""
     try:
         with opened(Path(file)) as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
@@ -26,14 +26,14 @@ def file_hash(file: str | Path) -> str:
 
 
 def refuse_changed(files: Mapping[str, str], folder: Path) -> None:
-    """Raise InputError for a file that is gone, or is not what it was when the results in `folder` were planned."""
+    """Raise InputError for a file that is missing or has changed since the results in `folder` were planned."""
     for file, known in files.items():
         if file_hash(file) != known:
             raise InputError(f"{file} is not what it was when {folder} was planned")
 
 
 def other_format(folder: Path, cause: str) -> InputError:
-    """The error of a run's or a plan's folder that is not as this version writes it."""
+    """Return the error for a run's or a plan's folder in another version of the format."""
     return InputError(f"{folder} was written by another version of the format and must be planned again: {cause}")
 
 
@@ -46,7 +46,7 @@ def recorded_config(values: dict, file: Path) -> PlanConfig:
 
 
 def identity(config: dict, grid: list | tuple, dtype: str, files: dict[str, str]) -> dict:
-    """What makes two runs the same: files count by their contents, not by where they are."""
+    """Return the data that identify a run: files are identified by their contents, not by their paths."""
     named = set()
 
     def plain(value: Any) -> Any:
@@ -62,7 +62,7 @@ def identity(config: dict, grid: list | tuple, dtype: str, files: dict[str, str]
     config = {key: value for key, value in config.items() if key not in NO_IDENTITY}
     if plain(config.get("cell")) == NO_CELL:
         del config["cell"]
-    if config.get("task") == []:  # then there is nothing that a tolerance of angles could be of
+    if config.get("task") == []:  # then the tolerance of angles has no effect
         del config["task"]
         config["settings"] = {key: value for key, value in config["settings"].items() if key != "tolerance_rad"}
     same = plain({**config, "grid": json.dumps(plain(grid)), "dtype": dtype})
@@ -75,12 +75,12 @@ def identity(config: dict, grid: list | tuple, dtype: str, files: dict[str, str]
 
 
 def config_hash(same: dict) -> str:
-    """SHA-256 of an `identity`."""
+    """Return the SHA-256 of an `identity`."""
     return hashlib.sha256(json.dumps(same, sort_keys=True).encode()).hexdigest()
 
 
 def differences(there: dict, here: dict) -> list[str]:
-    """In words, where two identities differ."""
+    """Describe the differences between two identities."""
     a, b = _leaves(there), _leaves(here)
     names = [name for name in a | b if a.get(name) != b.get(name)]
     return [

@@ -1,4 +1,4 @@
-"""The files that a configuration names, and those that these name in turn."""
+"""Files that a configuration names, and the files that these refer to."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -8,12 +8,11 @@ from htcp_jax.io.safe_xml import files_of
 from htcp_jax.jobs.config_file import named_files
 from htcp_jax.runs.identity import file_hash
 
-PARTS = {"robot.model": files_of, "cell.model": files_of_cell}  # the files of which one named so is made
+PARTS = {"robot.model": files_of, "cell.model": files_of_cell}  # functions that find the files to which a model refers
 
 
 def anchor_files(config: dict) -> list[tuple[str, str]]:
-    """Make the names of files in a configuration absolute, which is in its plain form; returns the dotted keys that
-    name them, and them."""
+    """Make the file names in a plain configuration absolute; return the dotted keys with these names."""
     named = []
     for dotted, owner, key in named_files(config):
         owner[key] = str(Path(owner[key]).resolve())
@@ -22,8 +21,8 @@ def anchor_files(config: dict) -> list[tuple[str, str]]:
 
 
 def file_hashes(named: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """SHA-256 by name of files that are named under some keys of a configuration, and of those that they name
-    themselves: what models include, and the meshes of a cell's. Raises InputError."""
+    """Return the SHA-256 by file name of files in a configuration, given with their keys, and of the files to which
+    they refer: included models, and meshes of a cell's model. Raises InputError."""
     found = {}
     for key, name in named:
         found[name] = file_hash(name)

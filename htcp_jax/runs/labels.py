@@ -1,6 +1,6 @@
-"""What sets a scenario of a run apart, in a few words: `tilt y 0.2 rad, height -0.1 m, tool 0.05 m`.
+"""Labels of a run's scenarios by their parameters: `tilt y 0.2 rad, height -0.1 m, tool 0.05 m`.
 
-Of the columns of a run's scenario table, those that tell no result are parameters; those that vary are the label.
+Columns of a run's scenario table that are not results are parameters; those that vary form the label.
 """
 
 import json
@@ -32,7 +32,7 @@ UNITS = {"rad": "rad", "m": "m", "mm": "mm", "deg": "deg"}
 
 
 def labels_of(table: pa.Table) -> dict[int, str]:
-    """The label of every scenario in the table, by its number; an empty text where there is but one."""
+    """Return the label of every scenario in the table, by its number; "" if there is only one."""
     numbers, first = np.unique(table["scenario"].to_numpy(), return_index=True)
     table = table.take(pa.array(first))
     columns = varying({name: column_of(table[name]) for name in parameter_names(table)})
@@ -42,22 +42,22 @@ def labels_of(table: pa.Table) -> dict[int, str]:
 
 
 def named(number: int, labels: dict[int, str]) -> str:
-    """A scenario in a sentence: its number and, where it has one, its label in brackets."""
+    """Return a scenario's number with its label, if any, in brackets."""
     return f"{number} ({labels[number]})" if labels.get(number) else str(number)
 
 
 def counted(number: int, noun: str) -> str:
-    """A number with its noun: 1 target, 2 targets."""
+    """Return a number with its noun: 1 target, 2 targets."""
     return f"{number:,} {noun}{'s' * (number != 1)}"
 
 
 def parameter_names(table: pa.Table) -> list[str]:
-    """The columns of a scenario table that a grid may vary."""
+    """Return the columns of a scenario table that a grid may vary."""
     return [name for name in table.column_names if name not in RESULTS]
 
 
 def varying(parameters: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The parameters that vary, without those that another one determines."""
+    """Return the parameters that vary, except those determined by another one."""
     found: dict[str, np.ndarray] = {}
     for name, values in parameters.items():
         if len(set(values.tolist())) > 1 and not any(_determines(other, values) for other in found.values()):
@@ -66,21 +66,21 @@ def varying(parameters: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def part(name: str, value: Any) -> str:
-    """One parameter with its value and unit: `tilt y 0.2 rad`."""
+    """Return one parameter with its value and unit: `tilt y 0.2 rad`."""
     stem, unit = split_unit(name)
     text = f"{value:.6g}" if isinstance(value, float | np.floating) else str(value)
     return " ".join(filter(None, (SHORT.get(stem, stem.removeprefix("start_").replace("_", " ")), text, unit)))
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """A column's name without its unit, and the unit; none where the name has none."""
+    """Split a column's name into its stem and its unit, "" without one."""
     stem, _, unit = name.rpartition("_")
     return (stem, UNITS[unit]) if stem and unit in UNITS else (name, "")
 
 
 def column_of(column: pa.ChunkedArray) -> np.ndarray:
-    """Numbers rounded to what a person writes, so that 0.1 + 0.2 and 0.3 are one value of an axis; where a column has
-    JSON of numbers or words, these, and lists as they are written."""
+    """Return a column's values: numbers rounded to 9 digits, so that 0.1 + 0.2 equals 0.3 on an axis; JSON of numbers
+    or strings is decoded, lists stay text."""
     values = np.array(_read_json(column.to_pylist()))
     return np.round(values, 9) + 0.0 if values.dtype.kind == "f" else values
 
@@ -95,6 +95,6 @@ def _read_json(told: list) -> list:
 
 
 def _determines(these: np.ndarray, those: np.ndarray) -> bool:
-    """Whether scenarios that agree in `these` agree in `those`."""
+    """Return True if scenarios that agree in `these` agree in `those`."""
     pairs = {(a, b) for a, b in zip(these.tolist(), those.tolist(), strict=True)}
     return len(pairs) == len(set(these.tolist()))

@@ -1,4 +1,4 @@
-"""Planning the shards of a sweep in this process, one after the other."""
+"""Planning of a sweep's shards in this process, one after the other."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
@@ -24,7 +24,7 @@ class Shard(NamedTuple):
 
 
 class Planned(NamedTuple):
-    """A shard's plans and what planned it, see `identity.planned_by`."""
+    """A shard's plans with their provenance, see `provenance.planned_by`."""
 
     shard: Shard
     plans: Plans
@@ -34,8 +34,8 @@ class Planned(NamedTuple):
 def plan_here(
     batch: Batch, threads: int | None, device: str | None, shards: Iterable[Shard], report: Callable
 ) -> Iterator[Planned]:
-    """The plans of the shards. report(method, batch.Progress of the shard at hand) is called as a shard advances;
-    what it raises ends the work. threads, device: see `batch.plan`."""
+    """Plan the shards one by one. report(method, batch.Progress of the current shard) is called as a shard advances; an
+    exception in it ends the work. threads, device: see `batch.plan`."""
     by = planned_by()
     for shard in shards:
         block = scenarios_of(batch, shard.span)
@@ -43,7 +43,7 @@ def plan_here(
 
 
 def scenarios_of(batch: Batch, span: Span) -> tuple[Int[np.ndarray, "S"], Scenario]:
-    """The cells and the stacked scenarios of a block."""
+    """Return the cells' indices and the stacked scenarios of a block."""
     rows = slice(span.first, span.last + 1)
     return batch.cell[rows], gather(batch.scenarios, rows)
 
@@ -57,8 +57,8 @@ def plan_cells(
     report: Callable | None = None,
     device: str | None = None,
 ) -> Plans:
-    """The plans of stacked scenarios, each by the robot, workpiece and settings of its cell; a call of the planner a
-    cell. report: as of `plan_here`."""
+    """Plan stacked scenarios, each with the robot, workpiece and settings of its cell; one call of the planner per
+    cell. report: see `plan_here`."""
     parts: list[tuple[np.ndarray, Plans]] = []
     everything = len(cell), int(scenarios.count.sum())
     for number in dict.fromkeys(cell.tolist()):
@@ -87,7 +87,7 @@ def plan_cells(
 def _add_up(
     report: Callable, method: str, finished: Sequence[Plans], count: int, targets: int, now: batch.Progress
 ) -> None:
-    """The progress of one cell, as that of all."""
+    """Report the progress of one cell as the progress of all cells."""
     done = sum(len(plans.status) for plans in finished) + now.scenarios_done
     tracked = sum(int(plans.tracked.sum()) for plans in finished) + now.targets_tracked
     report(method, batch.Progress(done, count, tracked, targets))

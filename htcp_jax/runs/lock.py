@@ -1,10 +1,10 @@
-"""What keeps a run whole while it is written.
+"""Lock of a run folder, and deferred signals, which keep a run consistent while it is written.
 
-One sweep at a time in one folder: the system frees the lock when its process ends, however it ends. SIGINT and SIGTERM
-are remembered, and heeded where the work can be dropped cleanly.
+Only one sweep at a time may write to a folder: the system frees the lock when its process ends, for any reason. SIGINT
+and SIGTERM are recorded, and handled where the work can be stopped cleanly.
 
-The lock is not filelock's, because a second sweep reads in the file which process holds it, and because the file is
-in a folder that may be a stranger's: a link or a second name of another file is refused before anything is written.
+The lock is not filelock's, because its file names the process that holds it, and because the folder may be untrusted: a
+symbolic link or a hard link to another file is refused before anything is written.
 """
 
 import contextlib
@@ -30,8 +30,8 @@ LOCK = ".lock"
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold the folder's lock; what killed processes left in the folder is removed first. Raises InputError when another
-    process holds it, saying which, and when the folder cannot be written to."""
+    """Hold the folder's lock; files left by killed processes are removed first. Raises InputError if another process,
+    which is named, holds the lock, and if the folder cannot be written to."""
     file = folder / LOCK
     try:
         handle = os.open(file, os.O_RDWR | os.O_CREAT | NO_LINK, 0o644)
@@ -58,18 +58,18 @@ def _take(handle: int, folder: Path) -> None:
             raise InputError(f"{folder} is in use by another sweep: {holder}") from None
         except OSError as error:
             raise InputError(f"cannot lock {folder}: {error.strerror}") from None
-    with contextlib.suppress(OSError):  # who holds it is a courtesy; the disk may be full
+    with contextlib.suppress(OSError):  # the name of the holder is optional; the disk may be full
         os.ftruncate(handle, 0)
         os.write(handle, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
 
 
 class SignalCame(Exception):
-    """Raised where the work can stop."""
+    """Raised after a signal where the work can stop."""
 
 
 @contextlib.contextmanager
 def signals() -> Iterator[list[int]]:
-    """Hands out the list to which the first SIGINT or SIGTERM is added when it comes. A second one is not caught."""
+    """Yield a list to which the first SIGINT or SIGTERM is appended. A second one is not caught."""
     came, handlers = [], {}
 
     def remember(number: int, _) -> None:
@@ -77,7 +77,7 @@ def signals() -> Iterator[list[int]]:
         for each, handler in () if is_watched() else handlers.items():
             signal.signal(each, handler)
 
-    if threading.current_thread() is threading.main_thread():  # no other may set handlers
+    if threading.current_thread() is threading.main_thread():  # others must not set handlers
         handlers |= {each: signal.signal(each, remember) for each in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield came

@@ -1,4 +1,4 @@
-"""manifest.json of a run folder: which run it is, and which files of it are finished."""
+"""Schema of manifest.json in a run folder: the run's identity, and its finished files."""
 
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -12,13 +12,13 @@ from htcp_jax.runs.identity import config_hash, identity
 MANIFEST, FORMAT = "manifest.json", 1
 TABLES = ("targets", "scenarios")
 
-MethodName = Annotated[str, Field(pattern=f"^{NAME.pattern}$")]  # it stands in names of files
+MethodName = Annotated[str, Field(pattern=f"^{NAME.pattern}$")]  # part of file names
 Count = Annotated[int, Field(ge=0, lt=2**53)]
 Scenarios = Annotated[int, Field(ge=0, le=MOST)]
 
 
 class FileRecord(Section):
-    """What a file must be to count."""
+    """Expected rows, size and checksum of a file."""
 
     rows: Count
     bytes: Count
@@ -34,7 +34,7 @@ class ShardRecord(Section):
     tracked: Count  # targets
     compile_s: float
     run_s: float
-    planned_by: Count  # place in the manifest's list of that name
+    planned_by: Count  # index in the manifest's list of that name
     targets: FileRecord
     scenarios: FileRecord
 
@@ -47,7 +47,7 @@ class Seconds(Section):
 
 
 class Manifest(Section):
-    """manifest.json. Config, grid, dtype and files say which run it is; `writer` never mixes two."""
+    """manifest.json. Config, grid, dtype and files identify the run; `writer` never mixes two."""
 
     format: Literal[1] = FORMAT
     name: str  # of the sweep
@@ -60,7 +60,7 @@ class Manifest(Section):
     joints: tuple[str, ...]  # columns of x in the tables
     targets: Count  # of all scenarios together
     full: Scenarios  # scenarios of the whole grid
-    limit: int | None  # of scenarios, as asked for
+    limit: int | None  # of scenarios, as requested
     count: Scenarios  # scenarios to plan: the first of the grid
     shard_scenarios: Annotated[int, Field(gt=0)]
     methods: tuple[MethodName, ...]
@@ -93,11 +93,11 @@ class Span(NamedTuple):
 
 
 def spans(manifest: Manifest) -> list[Span]:
-    """How the scenarios of a run are cut into shards."""
+    """Return the ranges of scenarios in a run's shards."""
     step, count = manifest.shard_scenarios, manifest.count
     return [Span(first, min(first + step, count) - 1) for first in range(0, count, step)]
 
 
 def shard_name(method: str, span: Span) -> str:
-    """Name of a shard's files."""
+    """Return the name of a shard's files."""
     return f"{method}-{span.first:06d}-{span.last:06d}.parquet"

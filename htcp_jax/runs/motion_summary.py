@@ -1,4 +1,4 @@
-"""What the motion of one scenario comes to, for a person and for a program."""
+"""Summary of one scenario's motion, as text and for JSON."""
 
 import math
 from typing import Any, NamedTuple
@@ -9,26 +9,26 @@ from htcp_jax.motion.motion import curvature, dwells, figures, motions, tightest
 from htcp_jax.motion.plans import Outcome, Plans
 from htcp_jax.status import Kind
 
-LEAST_MM = 0.01  # smaller bounds say that the arm is clear, and no more
+LEAST_MM = 0.01  # smaller bounds are reported as "more than 0 mm"
 
 
 class MotionSummary(NamedTuple):
-    """Figures of the executable part, see `motion.motion`; NaN and None where there is nothing to measure."""
+    """Figures of the executable part, see `motion.motion`; NaN and None if undefined."""
 
     end: Outcome
-    dwells: tuple[int, ...]  # targets at which the arm changes its posture
+    dwells: tuple[int, ...]  # targets at which the arm changes its configuration
     cost_rad2: float  # equation (3) [rad^2]
     path_step_max_rad: float
     curvature_max_rad_m2: float
-    curvature_at: int | None  # the target where it is
-    clearance_m: float  # the least that is proven
-    tightest: int | None  # the target that the way there leads to
-    transfer_rad: float  # how long the joint path is to the posture in which the plan begins
-    transfer_legs: int  # straight joint paths that it has; 0 where there is no transfer
+    curvature_at: int | None  # the target of the maximum
+    clearance_m: float  # guaranteed clearance along the motion
+    tightest: int | None  # the target at the end of that segment
+    transfer_rad: float  # length of the joint path to the plan's first configuration
+    transfer_legs: int  # its straight joint paths; 0 without a transfer
 
     def facts(self) -> dict[str, str]:
-        """In words: how far the motion leads or why it ends there, how clear it is proven to be, where it dwells, how
-        smooth it is."""
+        """Return texts by name: executable targets and the reason why the motion ends, guaranteed clearance, transfer,
+        dwells and smoothness."""
         end = self.end
         text = f"{end.executable} of {end.targets} targets"
         if end.executable < end.tracked:
@@ -50,7 +50,7 @@ class MotionSummary(NamedTuple):
 
     @property
     def proven(self) -> str:
-        """The least clearance that is proven, in words."""
+        """Guaranteed clearance as text."""
         least = 1e3 * self.clearance_m
         return f"at least {least:.3g} mm" if least >= LEAST_MM else "more than 0 mm"
 
@@ -63,14 +63,14 @@ class MotionSummary(NamedTuple):
         return text
 
     def record(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the summary for JSON."""
         end, figures = self.end, self._asdict()
         del figures["end"]
         return {"executable": end.executable, "way": end.way.name, **figures}
 
 
 def summarise_motion(plans: Plans, on_path: int, scenario: int = 0) -> MotionSummary:
-    """That of the scenario in one row of `plans`; on_path: see `motion.motion`."""
+    """Summarise the motion in row `scenario` of `plans`; on_path: see `motion.motion`."""
     alone = plans.rows([scenario])
     (found,) = zip(*figures(alone, on_path), strict=True)
     _, cost, step, bend, clearance = map(float, found)
@@ -93,6 +93,6 @@ def summarise_motion(plans: Plans, on_path: int, scenario: int = 0) -> MotionSum
 
 
 def _at(targets: tuple[int, ...]) -> str:
-    """Targets as a person lists them: at target 3; at targets 3, 7 and 9."""
+    """List targets: at target 3; at targets 3, 7 and 9."""
     *others, last = map(str, targets)
     return f"at targets {', '.join(others)} and {last}" if others else f"at target {last}"

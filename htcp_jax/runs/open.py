@@ -1,10 +1,10 @@
-"""Plans on record, opened: those of a sweep's run, or the one of a plan's folder, by the same words.
+"""Opening of saved plans, with one interface for a sweep's run and a plan's folder.
 
     found = open_plans("out/workpiece")
     found.plans("hybrid").outcomes.complete     # row s is scenario s
-    found.jobs[12]                              # what scenario 12 would be if it were planned alone
+    found.jobs[12]                              # scenario 12 as a job of its own
 
-Who looks at plans and who checks them read the same record; what they make of it is their own.
+Viewer, report and validation read the same record.
 """
 
 from functools import cached_property
@@ -24,33 +24,34 @@ from htcp_jax.runs.parameters import Parameters
 from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY, PlanRecord, read_plan
 from htcp_jax.runs.run_folder import Run, open_run
 
-SEARCH, MOTIONS = "place.json", "ranked"  # of a search for mountings: what was asked for, and the run of the best
+# In the folder of a placement search: the request, and the run of the best placements.
+SEARCH, MOTIONS = "place.json", "ranked"
 
 
 class RunPlans:
-    """The plans of a run, which may be unfinished: scenarios by methods, each method with results for some or all."""
+    """Plans of a run, which may be unfinished: each method has results for some or all scenarios."""
 
     def __init__(self, run: Run):
         shards = run.manifest.shards
         self.run, self.folder = run, run.folder
-        self.methods = tuple(dict.fromkeys(shard.method for shard in shards))  # that have results
-        self.count = sum(shard.last - shard.first + 1 for shard in shards)  # of the plans
-        self.config = run.config  # what the scenarios share
-        self.mixed = bool(run.varied)  # whether they differ in more than their scenarios: arms, parts, cells
-        self.files = run.result_files()  # SHA-256 of the files with results, by their names in the folder
+        self.methods = tuple(dict.fromkeys(shard.method for shard in shards))  # with results
+        self.count = sum(shard.last - shard.first + 1 for shard in shards)  # number of plans
+        self.config = run.config  # shared by the scenarios
+        self.mixed = bool(run.varied)  # True if arms, parts, cells or settings differ
+        self.files = run.result_files()  # SHA-256 of the files with results, by name in the folder
 
     def plans(self, method: str) -> Plans:
-        """One method's, read anew; row s is scenario s. Raises InputError for damaged files."""
+        """Read the plans of one method from disk; row s is scenario s. Raises InputError for damaged files."""
         return self.run.plans(method)
 
     @cached_property
     def jobs(self) -> list[PlanConfig]:
-        """The scenarios' own configurations, by number. Raises InputError for a grid that cannot be read."""
+        """The scenarios' complete configurations, by number. Raises InputError for a grid that cannot be read."""
         return [point.config for point in self.run.points()]
 
     @cached_property
     def parameters(self) -> dict[int, Parameters]:
-        """How the scenarios with results differ, by number. Raises InputError for damaged files."""
+        """Parameters of the scenarios with results, by number. Raises InputError for damaged files."""
         joints = self.run.manifest.joints
         return {
             row["scenario"]: parameters.of_row(row, joints) for row in self.run.scenarios(*self.methods).to_pylist()
@@ -58,12 +59,12 @@ class RunPlans:
 
     @cached_property
     def labels(self) -> dict[int, str]:
-        """The same in words. Raises InputError for damaged files."""
+        """Labels of the scenarios, by number. Raises InputError for damaged files."""
         return self.run.labels()
 
 
 class RankedPlans(RunPlans):
-    """The plans of the mountings that a search ranked: k scenarios each, one a seam, the best mounting first."""
+    """Plans of the placements ranked by a search: k scenarios each, one per seam, the best placement first."""
 
     def __init__(self, run: Run, seams: int):
         super().__init__(run)
@@ -71,7 +72,7 @@ class RankedPlans(RunPlans):
 
     @cached_property
     def labels(self) -> dict[int, str]:
-        """How the scenarios differ, after the rank of their mounting. Raises InputError for damaged files."""
+        """Labels of the scenarios, preceded by the rank of their placement. Raises InputError for damaged files."""
         told = self.run.labels()
         return {
             number: f"rank {number // self._seams + 1}" + (f", {text}" if text else "") for number, text in told.items()
@@ -79,9 +80,9 @@ class RankedPlans(RunPlans):
 
 
 class FolderPlan:
-    """The plan of one folder, which is scenario 0; it is asked as `RunPlans` is.
+    """The plan in one folder, as scenario 0; same interface as `RunPlans`.
 
-    Raises InputError for a configuration that cannot be read and for arrays that are not those of one plan.
+    Raises InputError for a configuration that cannot be read and for arrays that do not form one plan.
     """
 
     def __init__(self, folder: Path, record: PlanRecord):
@@ -96,8 +97,8 @@ class FolderPlan:
         self._plans = Plans(**arrays, knots=knots, compile_s=0.0, run_s=0.0)
 
     def plans(self, method: str) -> Plans:
-        """Its arrays, with a leading axis of length 1; the folder knows no times."""
-        del method  # it has but one
+        """Return the plan's arrays, with a leading axis of length 1; the folder stores no run times."""
+        del method  # the folder has only one
         return self._plans
 
 
@@ -105,9 +106,9 @@ PlanSet = RunPlans | FolderPlan
 
 
 def open_plans(folder: str | Path) -> PlanSet:
-    """The plans in a folder of `htcp sweep` or `htcp plan`, or the ranked ones of `htcp place`.
+    """Open the plans in a folder of `htcp sweep` or `htcp plan`, or the ranked plans of `htcp place`.
 
-    Raises InputError for any other folder, for a run without results, a search without a mounting, for damaged files,
+    Raises InputError for any other folder, for a run without results, a search without a placement, for damaged files,
     and for a cloud, path or model that has changed since they were planned.
     """
     folder = Path(folder)
@@ -123,8 +124,8 @@ def open_plans(folder: str | Path) -> PlanSet:
 
 
 def run_folder(folder: Path) -> Path:
-    """Where the plans lie: the folder itself, or the run of the best in that of a search. Raises InputError for a
-    search that has ranked no mounting."""
+    """Return the folder of the plans: the folder itself, or the run of the best placements in a search's folder. Raises
+    InputError for a search without ranked placements."""
     if (folder / MANIFEST).exists() or not (folder / SEARCH).exists():
         return folder
     if not (folder / MOTIONS / MANIFEST).exists():
@@ -133,7 +134,7 @@ def run_folder(folder: Path) -> Path:
 
 
 def plans_of_run(run: Run) -> RunPlans:
-    """The plans of an open run. Raises InputError as `open_plans` does."""
+    """Return the plans of an open run. Raises InputError as `open_plans` does."""
     _refuse_unfit(run)
     return RunPlans(run)
 
@@ -145,7 +146,7 @@ def _refuse_unfit(run: Run) -> None:
 
 
 def _ranked(folder: Path) -> RankedPlans:
-    """Those of a search. Raises InputError where it has ranked nothing, and for a damaged file."""
+    """Open the plans of a search. Raises InputError without ranked placements, and for a damaged file."""
     run = open_run(run_folder(folder))
     try:
         seams = read_json(folder / SEARCH, folder)["seams"]
@@ -156,7 +157,7 @@ def _ranked(folder: Path) -> RankedPlans:
 
 
 def _knots(file: Path, record: PlanRecord, joints: int) -> Knots:
-    """Those of a plan. Raises InputError for arrays that are not knots."""
+    """Return a plan's via points (knots). Raises InputError for arrays of the wrong shape."""
     target, x = record.knots
     if x.shape != (len(target), joints) or target.dtype.kind not in "iu" or x.dtype.kind != "f":
         raise InputError(f"{file}: the knots have the shape {x.shape}; damaged")
@@ -164,7 +165,7 @@ def _knots(file: Path, record: PlanRecord, joints: int) -> Knots:
 
 
 def _check_shapes(file: Path, arrays: dict[str, np.ndarray], joints: int) -> None:
-    """Raise InputError for arrays that are not those of one plan."""
+    """Raise InputError for arrays that do not form one plan."""
     count = arrays["status"].size
     shapes = {"start": (joints,), "x": (count, joints), "tcp": (count, 3), "target": (count, 3)}
     for name, array in arrays.items():

@@ -1,8 +1,8 @@
-"""How a scenario differs from the others of its run, and the columns of a scenario table that say so.
+"""Parameters in which a run's scenarios differ, and their columns in a scenario table.
 
     start_<joint>_rad ..., rotation_x_rad, rotation_y_rad, rotation_z_rad, shift_x_m ..., tool_extension_m
 
-The list of names stands here alone. A table's start is the posture that the plan starts from, see `Plans.start`.
+The names are defined only here. The start in a table is the plan's first configuration, see `Plans.start`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,9 +19,9 @@ TOOL = "tool_extension_m"
 
 
 class Parameters(NamedTuple):
-    """Where the motion begins, pose of the workpiece and length of the tool of one scenario."""
+    """Start of the motion, pose of the workpiece and length of the tool in one scenario."""
 
-    start: Float[np.ndarray, "N"]  # [rad or m]; empty in a configuration that leaves it to the planner
+    start: Float[np.ndarray, "N"]  # [rad or m]; empty if the planner chooses it
     rotation_x_rad: float  # of the workpiece about its pivot, first about world x, then y, then z
     rotation_y_rad: float
     rotation_z_rad: float
@@ -30,14 +30,15 @@ class Parameters(NamedTuple):
 
 
 def of_job(job: PlanConfig) -> Parameters:
-    """Those that a configuration gives its one scenario."""
+    """Return the parameters of a job's scenario."""
     part = job.workpiece
     start, shift = np.array(job.begins_rad, float), np.array(part.shift_m, float)
     return Parameters(start, *(getattr(part, name) for name in ROTATIONS), shift, job.robot.tool_extension_m)
 
 
 def of_row(row: Mapping[str, Any], joints: Sequence[str]) -> Parameters:
-    """Those in a row of a scenario table. joints: the names of the columns of x, see `tables.joint_columns`."""
+    """Return the parameters in a row of a scenario table. joints: names of the columns of x, see
+    `tables.joint_columns`."""
     start, shift = ([row[name] for name in names] for names in (start_columns(joints), SHIFTS))
     return Parameters(np.array(start, float), *(row[name] for name in ROTATIONS), np.array(shift, float), row[TOOL])
 
@@ -45,7 +46,7 @@ def of_row(row: Mapping[str, Any], joints: Sequence[str]) -> Parameters:
 def columns(
     parameters: Sequence[Parameters], start: Float[np.ndarray, "S N"], joints: Sequence[str]
 ) -> dict[str, np.ndarray]:
-    """The columns of S scenarios, in their order. start: the postures that the plans start from [rad or m]."""
+    """Return the columns of S scenarios, in order. start: first configurations of the plans [rad or m]."""
     found = {name: start[:, k] for k, name in enumerate(start_columns(joints))}
     found |= {name: [getattr(one, name) for one in parameters] for name in ROTATIONS}
     found |= {name: [one.shift_m[k] for one in parameters] for k, name in enumerate(SHIFTS)}
@@ -54,5 +55,5 @@ def columns(
 
 
 def start_columns(joints: Sequence[str]) -> tuple[str, ...]:
-    """The columns of the start, one a joint."""
+    """Return the columns of the start, one per joint."""
     return tuple(f"start_{name}" for name in joints)

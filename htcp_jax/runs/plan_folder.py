@@ -1,4 +1,4 @@
-"""The files of one plan. Everything is written aside and moved into place whole."""
+"""Files of one plan. Each is written to a temporary file and moved into place."""
 
 import contextlib
 import csv
@@ -25,15 +25,15 @@ from htcp_jax.status import Kind, Status, Way
 from htcp_jax.unfinished import temporary_folder
 
 SUMMARY, TRAJECTORY = "summary.json", "trajectory.npz"
-VALIDATION = "validation.json"  # of a plan and of a run, what `htcp validate` found
+VALIDATION = "validation.json"  # results of `htcp validate` for a plan or a run
 
 
 class PlanRecord(NamedTuple):
-    """A plan as it was written."""
+    """A saved plan."""
 
     method: str
     config: dict
-    files: dict[str, str]  # SHA-256 of those that the configuration names
+    files: dict[str, str]  # SHA-256 of the files in the configuration
     arrays: dict[str, np.ndarray]  # of `Plans`, for the one scenario
     knots: tuple[np.ndarray, np.ndarray]  # target (n,), x (n, N)
 
@@ -59,13 +59,13 @@ def read_plan(folder: Path) -> PlanRecord:
 
 @contextlib.contextmanager
 def made_folder(folder: Path) -> Iterator[bool]:
-    """`folder` is there, with all above it; what was made for this and is empty at the end vanishes again. Hands out
-    whether it was made.
+    """Create `folder` with its parents; new folders that are empty at the end are removed. Yields True if the folder is
+    new.
 
     Raises InputError if it cannot be made.
     """
     try:
-        missing = [each for each in (folder, *folder.parents) if not each.exists()]  # a name may be too long to ask for
+        missing = [each for each in (folder, *folder.parents) if not each.exists()]  # a name may be too long
     except OSError as error:
         raise _unwritable(folder, error) from None
     try:
@@ -76,13 +76,13 @@ def made_folder(folder: Path) -> Iterator[bool]:
         yield bool(missing)
     finally:
         for each in missing:
-            with contextlib.suppress(OSError):  # what is in use stays
+            with contextlib.suppress(OSError):  # non-empty folders stay
                 each.rmdir()
 
 
 @contextlib.contextmanager
 def written_whole(folder: Path) -> Iterator[Path]:
-    """A scratch folder whose files move into `folder` when the block ends well, and vanish when it does not.
+    """Yield a scratch folder whose files are moved into `folder` at the end of the block, or deleted if it raises.
 
     Raises InputError at once if `folder` cannot be made or written, and later if the files cannot be moved.
     """
@@ -101,7 +101,8 @@ def _unwritable(folder: Path, error: OSError) -> InputError:
 
 
 def write_trajectory_csv(file: Path, robot: Robot, plans: Plans, row: int = 0) -> None:
-    """One line a target; cells of what is not known, NaN in `plans`, are empty. Numbers read back exactly."""
+    """Write one line per target; NaN in `plans`, for unknown values, becomes an empty cell. Numbers round-trip
+    exactly."""
     statuses = [Status(status).name for status in plans.status[row].tolist()]
     columns = {"target": range(len(statuses)), "status": statuses, **_joints(robot, plans.x[row])}
     for name, points in (("tcp", plans.tcp), ("target", plans.target)):
@@ -121,21 +122,21 @@ def write_trajectory_csv(file: Path, robot: Robot, plans: Plans, row: int = 0) -
 
 
 def write_motion_csv(file: Path, robot: Robot, motion: Motion) -> None:
-    """One line a posture that the arm passes: its target and `status.Kind`, see `motion.motion`, and the joints; none
-    where no target is executable. Numbers read back exactly."""
+    """Write one line per configuration of the motion: its target and `status.Kind`, see `motion.motion`, and the
+    joints; no lines if no target is executable. Numbers round-trip exactly."""
     kinds = [Kind(kind).name for kind in motion.kind.tolist()]
     _write_csv(file, {"target": motion.target, "kind": kinds, **_joints(robot, motion.x)})
 
 
 def _joints(robot: Robot, x: Float[np.ndarray, "n N"]) -> dict[str, np.ndarray]:
-    """The configurations, a column a joint."""
+    """Return the configurations, one column per joint."""
     units = ["m" if slides else "rad" for slides in robot.slides]
     names = [f"{name}_{unit}" for name, unit in zip(robot.joint_names, units, strict=True)]
     return dict(zip(names, x.T, strict=True))
 
 
 def _write_csv(file: Path, columns: Mapping[str, Iterable]) -> None:
-    """Columns of one length, NaN as empty cells."""
+    """Write columns of equal length, NaN as empty cells."""
     stream = io.StringIO(newline="")
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(columns)
@@ -145,8 +146,8 @@ def _write_csv(file: Path, columns: Mapping[str, Iterable]) -> None:
 
 
 def write_trajectory_npz(file: Path, robot: Robot, plans: Plans, row: int = 0) -> None:
-    """The arrays of `plans` for one scenario under the names of its fields, `start` (N,) among them, `joint_names`, and
-    the knots' `knot_target` (n,) and `knot_x` (n, N); no pickles."""
+    """Write the arrays of `plans` for one scenario under the names of its fields, including `start` (N,), with
+    `joint_names` and the via points' `knot_target` (n,) and `knot_x` (n, N); no pickles."""
     arrays = {name: array[row] for name, array in plans.arrays().items()}
     knots = plans.knots.rows(np.array([row]))
     names = np.array(robot.joint_names)
@@ -156,20 +157,20 @@ def write_trajectory_npz(file: Path, robot: Robot, plans: Plans, row: int = 0) -
 
 
 def write_json(file: Path, record: dict) -> None:
-    """`record` as JSON, NaN and infinities as null. Raises InputError as `write_text` does."""
+    """Write `record` as JSON, NaN and infinities as null. Raises InputError as `write_text` does."""
     write_text(file, json_text(record) + "\n")
 
 
 def json_text(record: Any) -> str:
-    """`record` as JSON, NaN and infinities as null."""
+    """Return `record` as JSON, NaN and infinities as null."""
     return json.dumps(_plain(record), indent=2, allow_nan=False)
 
 
 @contextlib.contextmanager
 def writable_file(file: Path) -> Iterator[None]:
-    """Make the folder of a file that is written at the end of the block; it vanishes again if it is empty then.
+    """Create the folder of a file that is written at the end of the block; it is removed again if it is empty then.
 
-    Raises InputError at once, and leaves all as it was, if the file cannot be written.
+    Raises InputError at once, without side effects, if the file cannot be written.
     """
     with made_folder(file.parent):
         try:
@@ -185,8 +186,8 @@ def writable_file(file: Path) -> Iterator[None]:
 
 
 def append_text(file: Path, text: str) -> None:
-    """Append to a file in UTF-8, after an empty line if it holds something. Raises InputError when it cannot be
-    written; what was there is then as before."""
+    """Append to a file in UTF-8, after an empty line if it is not empty. Raises InputError if it cannot be written; the
+    file is then unchanged."""
     before = 0
     try:
         before = file.stat().st_size if file.exists() else None
@@ -199,13 +200,13 @@ def append_text(file: Path, text: str) -> None:
 
 
 def write_text(file: Path, text: str) -> None:
-    """A file in UTF-8, written aside and moved into place. Raises InputError when it cannot be written; what was there
-    is then as before."""
+    """Write a file in UTF-8 atomically. Raises InputError if it cannot be written; an existing file is then
+    unchanged."""
     files.write(file.parent, file.name, text.encode())
 
 
 def summary_record(summary: Summary) -> dict:
-    """The summary with the failed targets in words."""
+    """Return the summary with the failures' statuses as text."""
     failed = [
         {"scenario": f.scenario, "target": f.target, "status": f.status.name, "reason": f.status.message}
         for f in summary.failures
@@ -214,7 +215,7 @@ def summary_record(summary: Summary) -> dict:
 
 
 def _plain(value: Any) -> Any:
-    """`value` in JSON's own types."""
+    """Convert `value` to JSON's types."""
     if dataclasses.is_dataclass(value):
         value = dataclasses.asdict(value)
     if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""What computed a result: versions, device, float width, commit."""
+"""Provenance of results: versions, device, float width, commit."""
 
 import functools
 import importlib.metadata
@@ -14,7 +14,7 @@ import htcp_jax
 
 
 def provenance() -> dict:
-    """What computed the result: versions, device and float width."""
+    """Return the versions, device and float width of this process."""
     packages = ("htcp_jax", "jax", "jaxlib", "numpy", "mujoco", "clarabel", "qpsolvers")
     device = jax.devices()[0]
     kind = _processor() if device.platform == "cpu" else device.device_kind
@@ -27,7 +27,7 @@ def provenance() -> dict:
 
 @functools.cache
 def _processor() -> str:
-    """The processor's kind, as far as the system tells: what a compiler optimises for."""
+    """Return the processor's model, for which a compiler optimises, as far as the system reports it."""
     try:
         lines = (line.partition(":") for line in Path("/proc/cpuinfo").read_text().splitlines())
         found = {name.strip(): value.strip() for name, _, value in lines}
@@ -44,13 +44,13 @@ def _version(package: str) -> str | None:
 
 
 def planned_by() -> dict:
-    """What computes the results of this process: versions, device, float width, commit."""
+    """Return the versions, device, float width and commit of this process."""
     return provenance() | {"commit": commit()}
 
 
-@functools.cache  # of the code that runs, whatever is checked out meanwhile
+@functools.cache  # of the running code, even if another commit is checked out later
 def commit() -> str | None:
-    """The commit of this package's source, with "+changes" if it was edited since; None where git does not know."""
+    """Return the commit of this package's source, with "+changes" if it was edited since; None without git."""
     package = Path(htcp_jax.__file__).parent
     environment = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
 

@@ -1,9 +1,9 @@
-"""Planning the shards of a sweep on Ray: a larger machine, or many.
+"""Planning of a sweep's shards on Ray: a larger machine, or several.
 
-Every shard is a task. A worker needs this package and nothing else: the arm, the workpiece and the scenarios travel to
-it, plans travel back, and the process that was called writes them. A task whose worker or node dies is given to
-another one. Results do not depend on who planned a shard: they are those of `local` on equal CPUs; on GPUs they are to
-rounding, as the process that was called makes on a CPU what it hands out.
+Every shard is a task. A worker needs only this package: the arm, the workpiece and the scenarios are sent to it, plans
+are sent back, and the driver writes them. A task whose worker or node dies is retried on another one. Results do not
+depend on the worker: on equal CPUs they equal those of `local`, on GPUs up to rounding, as the driver prepares its
+inputs on a CPU.
 """
 
 import contextlib
@@ -29,19 +29,19 @@ from htcp_jax.runs.local import Planned, Shard, plan_cells, scenarios_of
 from htcp_jax.runs.provenance import planned_by
 
 ANSWER_S = 5.0  # for a connection to a cluster, and for its first answer
-HTTP2 = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))  # how a gRPC client begins
-TRIES = 5  # a second each, to connect to a cluster that answers, but not as Ray
-LOOK_S = 0.5  # how often a waiting sweep looks for a signal
-GPU_SHARE = 0.75  # of a GPU's memory that JAX takes for itself unless told
+HTTP2 = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))  # connection preface of a gRPC client
+TRIES = 5  # one second each, to connect to a cluster that does not answer as Ray
+LOOK_S = 0.5  # interval between checks for a signal
+GPU_SHARE = 0.75  # of a GPU's memory that JAX allocates by default
 
 
 @contextlib.contextmanager
 def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]:
-    """Connects to the cluster at `address`, without one to the cluster that Ray knows of or to a new one of this
-    machine, and hands out plan(shards, report), see `local.plan_here`.
+    """Connect to the cluster at `address`, or without one to the cluster that Ray finds or a new one on this machine,
+    and yield plan(shards, report), see `local.plan_here`.
 
-    Raises InputError where Ray is not installed, not there, or this machine has not the GPUs of a shard; plan raises
-    Lost when a shard's workers died more often than `config.ray.retries` allows, or the cluster did.
+    Raises InputError if Ray is not installed, cannot be reached, or this machine lacks the GPUs of a shard; plan raises
+    Lost if a shard's workers died more often than `config.ray.retries` allows, or the cluster died.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:
@@ -52,7 +52,8 @@ def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]
     ours = not ray.is_initialized()
     try:
         if ours:
-            warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)  # Ray starts programs so
+            # Ray starts its programs by fork.
+            warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
             with _constants(ray, **({"NUM_REDIS_GET_RETRIES": TRIES} if _is_there(address) else _own_cluster())):
                 ray.init(address or None, include_dashboard=False, log_to_driver=False, configure_logging=False)
     except Exception as error:  # of many kinds, plain Exception among them
@@ -61,7 +62,7 @@ def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]
         _refuse_missing_gpus(ray, config.ray)
         yield lambda shards, report: _plan(ray, batch, config, shards, report)
     except Lost:
-        ours = False  # Ray may end this process over a node that is gone, and what is to be told is not told yet
+        ours = False  # Ray may end this process after a node has died, before the message is shown
         raise
     finally:
         if ours:
@@ -70,8 +71,8 @@ def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]
 
 
 def _is_there(address: str) -> bool:
-    """True for a cluster that answers, False where a new one is to be started. Raises OSError for one that does not
-    answer: Ray itself would go on trying for a minute, and print about it."""
+    """Return True for a cluster that answers, False if a new one is to be started. Raises OSError for one that does not
+    answer: Ray itself would retry for a minute, and print messages."""
     from ray._private.services import canonicalize_bootstrap_address
 
     if address.startswith("ray://"):  # Ray's client
@@ -87,8 +88,8 @@ def _is_there(address: str) -> bool:
 
 
 def _own_cluster() -> dict[str, bool]:
-    """Constants with which a cluster that is started listens to 127.0.0.1 alone; and it requires the user's token. Ray
-    takes another address for 127.0.0.1, unless its clusters are confined to one machine, as on Windows."""
+    """Return constants with which a new cluster listens only on 127.0.0.1, and require the user's token. Ray replaces
+    127.0.0.1 by another address unless its clusters are confined to one machine, as on Windows."""
     from ray._private.authentication.authentication_token_setup import enable_token_auth_by_default
 
     enable_token_auth_by_default()  # RAY_AUTH_MODE, if it is set, decides
@@ -97,7 +98,7 @@ def _own_cluster() -> dict[str, bool]:
 
 @contextlib.contextmanager
 def _constants(ray, **values: int | bool) -> Iterator[None]:
-    """A block in which constants of Ray have other values."""
+    """Set constants of Ray for the duration of a block."""
     known = vars(ray._private.ray_constants)
     before = {name: known[name] for name in values}
     known.update(values)
@@ -113,8 +114,9 @@ def _on_host(cell: Cell) -> Cell:
 
 
 def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], report: Callable) -> Iterator[Planned]:
-    """Keeps more tasks waiting than the cluster has room for: it never idles, and one that can grow does. The methods
-    that last longest, which `registry.names` has last, begin first: none is left for one worker at the end."""
+    """Plan the shards. More tasks are queued than the cluster can run, so that it never idles and may scale up. The
+    slowest methods, the last in `registry.names`, are started first, so that the workers finish at about the same
+    time."""
     task = ray.remote(_plan_shard).options(
         num_cpus=config.ray.num_cpus,
         num_gpus=config.ray.num_gpus,
@@ -127,7 +129,7 @@ def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], report
         cells = [ray.put(_on_host(cell)) for cell in batch.cells]
         while True:
             room = 2 * int(ray.cluster_resources().get("CPU", 1)) + 8 - len(running)
-            for _, shard in zip(range(room), left):  # noqa: B905 - as many as there is room for
+            for _, shard in zip(range(room), left):  # noqa: B905 - stops at `room`
                 cell, scenarios = scenarios_of(batch, shard.span)
                 wanted, cell = np.unique(cell, return_inverse=True)
                 own = [cells[number] for number in wanted]
@@ -139,16 +141,16 @@ def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], report
                 raise Lost("Ray lost its workers (this process's own node is gone)")
             done, _ = ray.wait(list(running), timeout=LOOK_S)
             report(next(iter(running.values())).method)
-            if not any(node["Alive"] for node in ray.nodes()):  # Ray itself would wait for ever
+            if not any(node["Alive"] for node in ray.nodes()):  # Ray itself would wait without end
                 running.clear()
                 raise Lost("Ray lost its workers (no node is left)")
             for ref in done:
                 yield Planned(running.pop(ref), *ray.get(ref))
     except ray.exceptions.RayTaskError as error:
         raise error.cause from None  # what the planner itself raised
-    except (ray.exceptions.RayError, OSError) as error:  # OSError: Ray writes to a node that is no more
+    except (ray.exceptions.RayError, OSError) as error:  # OSError: Ray writes to a dead node
         if isinstance(error, ray.exceptions.LocalRayletDiedError | OSError):
-            running.clear()  # there is nobody to cancel it, and Ray may end this process over trying
+            running.clear()  # no node is left to cancel it, and Ray may end this process if it tries
         raise Lost(f"Ray lost its workers ({type(error).__name__})") from None
     finally:
         with contextlib.suppress(Exception):
@@ -157,16 +159,16 @@ def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], report
 
 
 def _refuse_missing_gpus(ray, share: RayConfig) -> None:
-    """Raise InputError for GPUs that never come: a Ray that this process has begun is of this machine alone. A cluster
-    may grow, and is waited for."""
+    """Raise InputError for GPUs that this machine lacks, if this process has started Ray, which then has no other
+    nodes. Another cluster may scale up."""
     node = ray._private.worker.global_worker.node
     if node is not None and node.is_head() and (has := ray.cluster_resources().get("GPU", 0)) < share.num_gpus:
         raise InputError(f"ray.num_gpus is {share.num_gpus:g}; this machine has {has:g} GPUs")
 
 
 def _own_node_answers(ray) -> bool:
-    """Whether the node that this process is connected to is still there. Some seconds after it died Ray notices, and
-    ends the process from within, without an exception, when it next needs the node's memory."""
+    """Return True if this process's own node is alive. Ray notices its death only after some seconds, and then ends the
+    process without an exception when it next accesses the node's memory."""
     node = getattr(ray._private.worker.global_worker, "node", None)
     if node is None:  # connected by Ray's client, to a process elsewhere
         return True
@@ -181,14 +183,15 @@ def _own_node_answers(ray) -> bool:
 def _plan_shard(
     method: str, scenarios: Scenario, share: RayConfig, cell: Int[np.ndarray, "S"], *cells: Cell
 ) -> tuple[Plans, dict]:
-    """What a worker does: the plans of one shard, and what planned it."""
+    """Plan one shard on a worker; return the plans and their provenance."""
     compile_cache.enable()
     cells = [each._replace(robot=jax.tree.map(jnp.asarray, each.robot)) for each in cells]
     return plan_cells(cells, cell, scenarios, method, max(1, int(share.num_cpus))), planned_by()
 
 
 def _environment(share: RayConfig) -> dict[str, str]:
-    """Of the workers: no GPU for tasks that ask for none, and its part of the memory for one that shares it."""
+    """Return the workers' environment: no GPU for tasks that request none, a part of its memory for tasks that share
+    it."""
     if not share.num_gpus:
         return {"JAX_PLATFORMS": "cpu"}
     return {"XLA_PYTHON_CLIENT_MEM_FRACTION": f"{GPU_SHARE * min(1.0, share.num_gpus):.3f}"}

@@ -1,4 +1,4 @@
-"""What `htcp reachability` leaves in a run's folder."""
+"""The file that `htcp reachability` writes into a run's folder."""
 
 import warnings
 from pathlib import Path
@@ -14,17 +14,17 @@ REACHABILITY = "reachability.json"
 
 
 class Reachable(NamedTuple):
-    """How far a search got in every scenario of a run."""
+    """Reachability bounds for every scenario of a run."""
 
-    prefix: np.ndarray  # (S,) targets in a row that are known to be reachable, of scenario 0, 1, ...
-    most: np.ndarray  # (S,) that are not proven unreachable
-    resolution_rad: float | None  # of the search; None if postures spread over the joint limits were tried
+    prefix: np.ndarray  # (S,) lower bound: consecutive targets known to be reachable, scenarios 0, 1, ...
+    most: np.ndarray  # (S,) upper bound: targets not proven unreachable
+    resolution_rad: float | None  # of the search; None if it sampled configurations within the joint limits
     seed: int
 
 
 def read_reachability(run: Run) -> Reachable | None:
-    """What is reachable in the run; None without a search, or after one that was stopped. Raises
-    InputError for a damaged file, and for one that is of another number of scenarios."""
+    """Read the reachability bounds of a run; None without a search, or after an interrupted one. Raises InputError for
+    a damaged file, and for another number of scenarios."""
     file = Path(run.folder) / REACHABILITY
     try:
         record = read_json(file, Path(run.folder))

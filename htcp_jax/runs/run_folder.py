@@ -1,12 +1,12 @@
-"""The folder of a sweep's results. Everything in it is written aside and moved into place whole.
+"""The folder of a sweep's results. Each file is written to a temporary file and moved into place.
 
-    manifest.json                                     what was asked for, what computed it, what is there
+    manifest.json                                     request, provenance and list of finished shards
     targets/<method>-<first>-<last>.parquet           rows of the scenarios <first> to <last>: a shard
     scenarios/<method>-<first>-<last>.parquet         see `tables` for the columns
-    timing/<method>.parquet                           times of a method's scenarios, where asked for: see `timing_file`
+    timing/<method>.parquet                           times of a method's scenarios, if requested: see `timing_file`
 
-A shard's file counts only if the manifest lists it and its size and SHA-256 are as listed. The manifest is written
-after the files of a shard, so a shard is in the run wholly or not at all, whenever the process dies.
+A shard's file is valid only if the manifest lists it with its size and SHA-256. The manifest is written after the files
+of a shard, so a shard is completely in the run or not at all, whenever the process dies.
 """
 
 import hashlib
@@ -54,8 +54,8 @@ class Run:
 
     def __init__(self, folder: Path, manifest: Manifest, keep: Any = None):
         self.folder, self.manifest = folder, manifest
-        self._keep = keep  # a temporary folder lives as long as its run
-        self._small: dict[str, pa.Table] = {}  # tables of scenarios that are read, by the names of their files
+        self._keep = keep  # keeps a temporary folder alive
+        self._small: dict[str, pa.Table] = {}  # cached tables of scenarios, by file name
 
     def __repr__(self) -> str:
         state = "complete" if self.complete else "not complete"
@@ -76,7 +76,7 @@ class Run:
         )
 
     def frame(self, table: str = "scenarios", *methods: str) -> "pandas.DataFrame":
-        """One of the two tables, scenarios or targets, of all methods or of those named, as a pandas frame.
+        """Return one of the two tables, scenarios or targets, of all methods or of those named, as a pandas frame.
 
         Raises InputError as `targets` does, for another table, and without pandas.
         """
@@ -86,33 +86,33 @@ class Run:
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """Methods asked for so far."""
+        """Methods requested so far."""
         return self.manifest.methods
 
     @property
     def complete(self) -> bool:
-        """Whether every method has planned every scenario up to the limit."""
+        """True if every method has planned every scenario up to the limit."""
         return not self.unfinished()
 
     def unfinished(self) -> dict[str, int]:
-        """The methods that have scenarios left to plan, and how many."""
+        """Return the number of scenarios left to plan, for methods with any."""
         left = {method: sum(last - first + 1 for first, last in self.missing(method)) for method in self.methods}
         return {method: count for method, count in left.items() if count}
 
     @property
     def config(self) -> PlanConfig:
-        """What all scenarios share; a scenario's own parameters are columns of `scenarios()`."""
+        """Configuration shared by all scenarios; a scenario's own parameters are columns of `scenarios()`."""
         return recorded_config(self.manifest.config, self.folder / MANIFEST)
 
     @property
     def varied(self) -> tuple[str, ...]:
-        """Keys of the configuration in which scenarios may differ, but for the parameters that any run has columns of:
-        robots, workpieces, settings."""
+        """Keys of the configuration in which scenarios may differ (robots, workpieces, settings), except the parameters
+        that have columns in every run."""
         return varied_keys(name for group in self.manifest.grid for axis in group["axes"] for name in axis)
 
     def points(self) -> tuple[Point, ...]:
-        """The scenarios with their configurations, as if each were planned alone. Raises InputError for a manifest
-        whose grid cannot be read."""
+        """Return the scenarios with their complete configurations. Raises InputError for a manifest whose grid cannot
+        be read."""
         config, grid = self.config, self.manifest.grid
         joints = [column.rpartition("_")[0] for column in self.manifest.joints]
         try:
@@ -125,24 +125,25 @@ class Run:
             raise InputError(f"{self.folder / MANIFEST}: its grid cannot be read: {error!r}") from None
 
     def targets(self, *methods: str) -> pa.Table:
-        """One row per method, scenario and target, of all methods or of those named.
+        """Return one row per method, scenario and target, of all methods or of those named.
 
         Raises InputError for a method that the run lacks, and naming a file that is missing or damaged.
         """
         return self._read("targets", methods)
 
     def scenarios(self, *methods: str) -> pa.Table:
-        """One row per method and scenario, with its times where there are any, see `timing_file`. Raises InputError as
-        `targets` does, and for times that are damaged."""
+        """Return one row per method and scenario, with its times, if any, see `timing_file`. Raises InputError as
+        `targets` does, and for a damaged file of times."""
         return with_timing(self.folder, self.manifest.shards, self._read("scenarios", methods))
 
     def timing(self, method: str) -> Timing | None:
-        """The times of a method; None where there are none. Raises InputError for a damaged file."""
+        """Return the times of a method; None without any. Raises InputError for a damaged file."""
         return read_timing(self.folder, self.manifest.shards, method)
 
     def plans(self, method: str) -> Plans:
-        """The plans of one method as arrays; S = `manifest.count`, row s is scenario s. Where scenarios are not
-        planned yet, or have fewer targets than others, the status is NO_TARGET. Raises InputError as `targets` does."""
+        """Return the plans of one method as arrays; S = `manifest.count`, row s is scenario s. The status is NO_TARGET
+        for scenarios not planned yet, and behind the last target of shorter ones. Raises InputError as `targets`
+        does."""
         rows, seconds = (
             (self.targets(method), self._read("scenarios", (method,))),
             self.manifest.seconds.get(method, Seconds()),
@@ -153,22 +154,22 @@ class Run:
             raise InputError(f"{self.folder}: the rows of {method} are not of this run: {error}") from None
 
     def labels(self) -> dict[int, str]:
-        """What sets the scenarios apart that at least one method has planned, by number. Raises InputError as `targets`
+        """Return the labels of scenarios planned by at least one method, by number. Raises InputError as `targets`
         does."""
         return labels_of(self._read("scenarios", tuple(dict.fromkeys(shard.method for shard in self.manifest.shards))))
 
     def result_files(self) -> dict[str, str]:
-        """SHA-256 of the files with finished results, by their names in the folder."""
+        """Return the SHA-256 of the files with finished results, by name in the folder."""
         files = (self.shard_files(shard)["targets"] for shard in self.manifest.shards)
         return {str(file.relative_to(self.folder)): record.sha256 for file, record in files}
 
     def missing(self, method: str) -> list[Span]:
-        """The shards that are still to be planned."""
+        """Return the shards that a method has still to plan."""
         there = {(shard.first, shard.last) for shard in self.manifest.shards if shard.method == method}
         return [span for span in spans(self.manifest) if span not in there]
 
     def shard_files(self, shard: ShardRecord) -> dict[str, tuple[Path, FileRecord]]:
-        """The two files of a shard by the names of their tables."""
+        """Return the two files of a shard with their records, by table."""
         name = shard_name(shard.method, Span(shard.first, shard.last))
         return {table: (self.folder / table / name, getattr(shard, table)) for table in TABLES}
 
@@ -187,7 +188,7 @@ class Run:
         return pa.concat_tables(self._read_shard(shard, table, schema) for shard in order)
 
     def _read_shard(self, shard: ShardRecord, table: str, schema: pa.Schema) -> pa.Table:
-        """One file, checked; those of scenarios are small, and read once."""
+        """Read and check one file; the small files of scenarios are cached."""
         file, record = self.shard_files(shard)[table]
         if table != "scenarios":
             return _read_parquet(file, record, schema)
@@ -197,7 +198,7 @@ class Run:
 
 
 def open_run(folder: str | Path) -> Run:
-    """The run in `folder`, also while it is being planned. Raises InputError for a folder that holds none."""
+    """Open the run in `folder`, also while it is being planned. Raises InputError for a folder without a run."""
     folder = Path(folder)
     try:
         raw = read_json(folder / MANIFEST, folder)
@@ -222,7 +223,7 @@ def open_run(folder: str | Path) -> Run:
 
 
 def fault(file: Path, record: FileRecord) -> str | None:
-    """What is wrong with a file of a table; None when it is as recorded."""
+    """Return the error in a table's file; None if it is as recorded."""
     try:
         with opened(file, file.parents[1]) as stream:
             return _fault_of(stream, record)

@@ -1,4 +1,4 @@
-"""What a sweep came to, kept while it is planned: nothing that was just written is read again to be summed up."""
+"""Results of a running sweep, kept in memory, so that a summary need not read them from disk."""
 
 from typing import NamedTuple
 
@@ -10,40 +10,41 @@ from htcp_jax.runs.run_folder import Run
 
 
 class FinishedShard(NamedTuple):
-    """A shard that was planned just now and is in the folder."""
+    """A newly planned shard, already written to the folder."""
 
     method: str
     span: Span
     plans: Plans
-    margin_m: np.ndarray  # (S,) that the scenarios ask for
+    margin_m: np.ndarray  # (S,) required clearances of the scenarios
 
 
 class RunningSummary:
-    """The shards that were planned while it listened; `sweep(..., finished=running.add)`."""
+    """Collector of newly planned shards; `sweep(..., finished=running.add)`."""
 
     def __init__(self):
         self._shards: dict[tuple[str, Span], FinishedShard] = {}
 
     def add(self, shard: FinishedShard) -> None:
-        """Keep what a summary needs of one more shard."""
+        """Add a shard, without its configurations."""
         self._shards[shard.method, shard.span] = shard._replace(plans=shard.plans.without_postures())
 
     def plans(self, run: Run, method: str) -> Plans:
-        """All plans of one method, without postures where they are known; else read from the run's folder. Raises
-        InputError for damaged files."""
+        """Return all plans of one method, without configurations if all are in memory; else read from the run's folder.
+        Raises InputError for damaged files."""
         if (known := self._known(run, method)) is None:
             return run.plans(method)
         seconds = run.manifest.seconds.get(method, Seconds())
         return Plans.concatenate([shard.plans for shard in known])._replace(**seconds.model_dump())
 
     def margins_m(self, run: Run, *methods: str) -> np.ndarray:
-        """The clearances that the methods' scenarios ask for [m], each once, in order. Raises InputError as `plans`."""
+        """Return the distinct required clearances of the methods' scenarios, sorted [m]. Raises InputError as
+        `plans`."""
         known = [self._known(run, method) for method in methods]
         if None in known:
             return np.unique(run.scenarios(*methods)["margin_m"].to_numpy())
         return np.unique(np.concatenate([shard.margin_m for shards in known for shard in shards]))
 
     def _known(self, run: Run, method: str) -> list[FinishedShard] | None:
-        """The shards of one method in order; None where some were planned before."""
+        """Return the shards of one method in order; None if some were planned before."""
         found = [self._shards.get((method, span)) for span in spans(run.manifest)]
         return None if None in found else found

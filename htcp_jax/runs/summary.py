@@ -1,4 +1,4 @@
-"""The numbers that sum up plans: the paper's table, with the counts behind each percentage."""
+"""Summary of plans: the paper's table, with the counts behind each percentage."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ from htcp_jax.status import Status
 
 
 class Failure(NamedTuple):
-    """Where a scenario ended."""
+    """The first untracked target of a scenario."""
 
     scenario: int
     target: int
@@ -18,20 +18,20 @@ class Failure(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """What S scenarios with T targets each came to.
+    """Summary of S scenarios.
 
-    Distances are over the tracked targets, NaN where there are none; a step is one attempted target.
+    Distances are over the tracked targets, NaN without any; a step is one attempted target.
     """
 
     scenarios: int
     complete: int  # scenarios with every target tracked
-    targets: int  # S x T
+    targets: int  # of all scenarios
     tracked: int
-    executable: int  # of the tracked, those that a proven motion leads to
+    executable: int  # tracked targets to which a proven motion leads
     after_escape: int  # of the tracked
     blocked_paths: int  # tracked targets whose straight joint path from the row before is known to collide
     success_rate: float  # tracked / targets
-    step_ms: float  # run time per attempted target, compilation apart
+    step_ms: float  # run time per attempted target, without compilation
     compile_s: float
     run_s: float
     tcp_distance_mean_mm: float
@@ -45,7 +45,7 @@ class Summary(NamedTuple):
 
 
 def summarise(plans: Plans) -> Summary:
-    """The summary of `plans`; only targets that exist count."""
+    """Summarise `plans`; only existing targets count."""
     tracked, ends = plans.tracked, plans.outcomes
     residual_mm, clearance_mm = 1e3 * plans.residual[tracked], 1e3 * plans.clearance[tracked]
     angle_deg = orientation_errors_deg(plans)
@@ -73,12 +73,12 @@ def summarise(plans: Plans) -> Summary:
 
 
 def orientation_errors_deg(plans: Plans) -> Float[np.ndarray, "n"]:
-    """The orientation errors that are known [deg]."""
+    """Return the known orientation errors [deg]."""
     return np.rad2deg(plans.orientation_error[~np.isnan(plans.orientation_error)])
 
 
 def _failures(ends: Outcomes) -> tuple[Failure, ...]:
-    """The first target that is not tracked, of every scenario that has one."""
+    """Return the first untracked target of every incomplete scenario."""
     found = (ends.of(s) for s in np.flatnonzero(ends.failed >= 0).tolist())
     return tuple(Failure(end.scenario, end.failed, end.status) for end in found)
 

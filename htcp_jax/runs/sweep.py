@@ -1,11 +1,11 @@
-"""The public call of a sweep: every scenario of a grid by several methods, shard by shard into a run folder.
+"""Public function for sweeps: plan every scenario of a grid by several methods, shard by shard, into a run folder.
 
     run = htcp_jax.sweep("sweeps/robot", methods="baseline,nspace-sqp", out="out/robot")
     run.frame()
 
-A shard is one method on a block of scenarios, which advance together. How the grid is cut and where a shard is planned
-have no influence on any result; a shard is what is lost when the process dies, and what a worker of a cluster is given.
-The same call again continues where the last one stopped.
+A shard is one method on a block of scenarios, which advance together. It is the unit of work of a cluster's worker, and
+lost if the process dies. The size of shards and the machine that plans them have no influence on results. The same call
+again continues an interrupted sweep.
 """
 
 import contextlib
@@ -40,11 +40,11 @@ from htcp_jax.runs.running import FinishedShard
 from htcp_jax.runs.tables import joint_columns, scenario_table, target_table
 from htcp_jax.unfinished import temporary_folder
 
-SHARD_SCENARIOS = 512  # fixed, so that shards are the same on every machine; fewer leave a table half empty
+SHARD_SCENARIOS = 512  # fixed, so that shards are equal on every machine; fewer leave lanes unused
 
 
 class SweepProgress(NamedTuple):
-    """How far one method has come: all counts are totals."""
+    """Progress of one method; all counts are totals."""
 
     method: str
     scenarios_done: int
@@ -69,18 +69,17 @@ def sweep(
     on: str = "here",
     device: str | None = None,
 ) -> Run:
-    """Plan the grid of a sweep file, or of a mapping that spells one, and return the run.
+    """Plan the grid of a sweep file, or of a mapping in place of one, and return the run.
 
-    methods: "all", names with commas in between, or a list of names. out: the run folder; without one, a temporary
-    folder that vanishes with the run. config, overrides, seed: see `load_sweep`; the seed is `settings.seed`.
-    limit: plan only the first scenarios of the grid. shard_scenarios: so many make a shard; a run folder keeps its
-    first choice. finished: called with every shard that is written. on: "here" plans on this machine, in processes if
-    they pay or with `threads` engines of this one, see `batch.plan`; "ray" or "ray:<address>" sends the shards to Ray's
+    methods: "all", comma-separated names, or a list of names. out: the run folder; without one, a temporary folder that
+    is deleted with the run. config, overrides, seed: see `load_sweep`; the seed is `settings.seed`.
+    limit: plan only the first scenarios of the grid. shard_scenarios: scenarios per shard; a run folder keeps its first
+    choice. finished: called with every written shard. on: "here" plans on this machine, in several processes if that is
+    faster, or with `threads` engines in this one, see `batch.plan`; "ray" or "ray:<address>" sends the shards to Ray's
     workers, see `ray_`. device: of this process, see `device_of`.
 
     Raises InputError for bad input, for a folder that holds another sweep, is in use or cannot be written;
-    Interrupted on SIGINT and SIGTERM, and Lost when workers are, after which the finished shards are in the folder
-    and the rest is not.
+    Interrupted on SIGINT and SIGTERM, and Lost if workers are lost. Finished shards are then kept in the folder.
     """
     device_of(on, device)
     choose(device)  # before anything is computed
@@ -130,8 +129,8 @@ def sweep(
 
 
 def device_of(on: str, device: str | None) -> str | None:
-    """What a command computes on, see `device.devices`: with Ray on the CPU, where it takes no GPU's memory from the
-    worker beside it. Raises InputError for a place that is none, and for another device beside Ray."""
+    """Return the device of this process, see `device.devices`: with Ray the CPU, to leave GPU memory to the workers.
+    Raises InputError for an invalid `on`, and for another device with Ray."""
     if on == "here":
         return device
     if on.partition(":")[0] != "ray":
@@ -144,8 +143,8 @@ def device_of(on: str, device: str | None) -> str | None:
 
 
 def keep_plans(spec: Sweep, method: str, plans: Plans, out: str | Path) -> Run:
-    """A run of plans that are there already, a row a scenario of the grid. What `out` held is planned no more: it is
-    written anew. Raises InputError when it cannot be written."""
+    """Write existing plans, one row per scenario of the grid, as a run; the content of `out` is replaced. Raises
+    InputError if it cannot be written."""
     batch, folder = spec.batch(), Path(out)
     shutil.rmtree(folder, ignore_errors=True)
     with made_folder(folder):
@@ -157,7 +156,7 @@ def keep_plans(spec: Sweep, method: str, plans: Plans, out: str | Path) -> Run:
 
 
 def seeded(overrides: Sequence[str] | Mapping[str, Any], seed: int | None) -> Sequence[str] | Mapping[str, Any]:
-    """Overrides with the seed, which is a key of the job, too."""
+    """Add the seed to overrides, as the key `settings.seed`."""
     if seed is None:
         return overrides
     if isinstance(overrides, Mapping):
@@ -166,8 +165,8 @@ def seeded(overrides: Sequence[str] | Mapping[str, Any], seed: int | None) -> Se
 
 
 def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
-    """The methods that "all", "a,b" or a list of names means. Raises InputError for none, an unknown one, one that
-    cannot be imported, and one that stands there twice."""
+    """Return the methods named by "all", "a,b" or a list. Raises InputError for an empty list, and for a method that is
+    unknown, cannot be imported, or is repeated."""
     if methods == "all":
         return tuple(registry.all_methods())
     names = [name.strip() for name in methods.split(",")] if isinstance(methods, str) else list(methods)
@@ -184,7 +183,7 @@ def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def tables(batch: Batch, method: str, span: Span, plans: Plans) -> dict[str, pa.Table]:
-    """The rows of a shard, see `tables`."""
+    """Return the rows of a shard in both tables, see module `tables`."""
     rows = slice(span.first, span.last + 1)
     joints, points = joint_columns(batch.robot), batch.points[rows]
     varied = tuple(points[0].varied)
@@ -196,7 +195,7 @@ def tables(batch: Batch, method: str, span: Span, plans: Plans) -> dict[str, pa.
 
 
 def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | None, shard_scenarios: int) -> Manifest:
-    """What is asked for, in the words of the manifest."""
+    """Return the manifest of a requested run, without shards."""
     config = spec.config.model_dump(mode="json")
     grid = [record(group, spec.stated) for group in spec.groups]
     named = anchor_files(config)
@@ -228,7 +227,7 @@ def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | 
 
 
 def _planner(on: str, methods: tuple[str, ...], batch: Batch, spec: Sweep, threads: int | None, device: str | None):
-    """Hands out what plans shards, while it is there: plan(shards, report) yields (shard, plans, what planned it)."""
+    """Return a context manager that yields plan(shards, report), an iterator of (shard, plans, provenance)."""
     if on == "here":
         return contextlib.nullcontext(partial(plan_here, batch, threads, device))
     from htcp_jax.runs.ray_ import on_ray  # here, because it is an extra
@@ -238,7 +237,7 @@ def _planner(on: str, methods: tuple[str, ...], batch: Batch, spec: Sweep, threa
 
 
 def _progress(manifest: Manifest, method: str, shard: ShardProgress | None) -> SweepProgress:
-    """The method's progress: its finished shards, and how far the one at hand has come."""
+    """Return a method's progress: its finished shards, and the current one."""
     kept = [record for record in manifest.shards if record.method == method]
     done, tracked = (shard.scenarios_done, shard.targets_tracked) if shard else (0, 0)
     done += sum(record.last - record.first + 1 for record in kept)
@@ -255,7 +254,7 @@ def _how_to_go_on(run: Run) -> str:
 
 
 class _Scratch:
-    """A temporary folder that vanishes with it."""
+    """A temporary folder, deleted with this object."""
 
     def __init__(self):
         held = contextlib.ExitStack()
@@ -265,8 +264,8 @@ class _Scratch:
 
 @contextlib.contextmanager
 def _folder(out: str | Path | None) -> Iterator[tuple[Path, Any, Callable[[], None]]]:
-    """The run folder, what must live as long as it, and what removes it. A folder made here vanishes when it has come
-    to nothing."""
+    """Yield the run folder, an object that keeps it alive, and a function that removes it. A new folder without results
+    is removed at the end."""
     if out is None:
         scratch = _Scratch()
         yield scratch.folder, scratch, lambda: None

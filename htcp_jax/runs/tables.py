@@ -1,53 +1,55 @@
-"""The two tables of a run: plans to rows, and rows back to plans.
+"""The two tables of a run: conversion of plans to rows, and back.
 
 `targets`: one row per method, scenario and target.
 
     method         string
-    scenario       int32    its number: its place in the full grid
+    scenario       int32    its number: its index in the full grid
     target         int32    from 0, the start's own TCP
     tracked        bool
     status         string   name of a htcp_jax.status.Status
-    clearance_m    double   D, smallest over capsules and points; null where not tracked, as is all that follows of x
+    clearance_m    double   D, minimum over capsules and points; null if not tracked, as are the next values that depend
+                            on x
     residual_m     double   |TCP - target|
-    orientation_error_rad double    largest angle from what the task holds; null if it holds none
-    iterations     int32    step QPs solved for the target; 0 where a plan made backwards pushed it there
+    orientation_error_rad double    largest angle from the task's orientations; null if it has none
+    iterations     int32    step QPs solved for the target; 0 if a plan made backwards pushed it there
     joint_step_rad double   |x_t - x_{t-1}|
-    path_clear     bool     straight joint path from the row before; null where unknown
-    way            string   name of a htcp_jax.status.Way: whether the way from the row before is a proven motion; null
-                            where nobody looked
-    way_clearance_m double  D all along that way, at least; null where it is not proven
-    knots          list of double   postures that the arm passes on that way, joint by joint, one after the other; null
-                            where it is a straight joint path
-    escape         int8     0 none, k: stage k of the method's escapes; one beyond its last: planned backwards from a
-                            posture drawn at a later target, see `planning.tracking.backwards`
-    <joint>_rad    double   configuration x, a column a joint (<joint>_m where it slides)
+    path_clear     bool     straight joint path from the row before; null if unknown
+    way            string   name of a htcp_jax.status.Way: verification of the motion segment from the row before; null
+                            if not verified
+    way_clearance_m double  guaranteed D along that segment; null if it is not proven
+    knots          list of double   via points of that segment, configurations one after the other; null for a straight
+                            joint path
+    escape         int8     0 none, k: stage k of the method's recovery strategies (escapes); one beyond its last:
+                            planned backwards from a configuration sampled at a later target, see
+                            `planning.tracking.backwards`
+    <joint>_rad    double   configuration x, one column per joint (<joint>_m for a slide)
     tcp_x_m ...    double   tool centre point, world; three columns
-    target_x_m ... double   where it should be, world; never null
+    target_x_m ... double   target, world; never null
 
 `scenarios`: one row per method and scenario.
 
     method, scenario        as above
-    group          string   of the sweep file; null where it has none
-    targets        int32    that the scenario has
-    tracked        int32    of them
-    executable     int32    of these, those that a proven motion leads to from the scenario's start
-    complete       bool     all of them
-    failed_target  int32    the first that is not tracked; null where complete, as are the two that follow
+    group          string   in the sweep file; null without groups
+    targets        int32    number of targets
+    tracked        int32    number of tracked targets
+    executable     int32    tracked targets to which a proven motion leads from the scenario's start
+    complete       bool     all targets are tracked
+    failed_target  int32    the first that is not tracked; null if complete, as are the next two columns
     failure        string   its status
-    reason         string   that status in words
-    after_escape   int32    tracked targets that took an escape
+    reason         string   message of that status
+    after_escape   int32    targets tracked after a recovery (escape)
     blocked_paths  int32    tracked targets whose joint path from the row before collides
-    dwells         int32    targets at which the arm changes its posture, of the executable part, as are all five; null
-                            where no target is executable, or none on the path
+    dwells         int32    targets at which the arm changes its configuration; this and the next four for the
+                            executable part, null if no target, or none on the path, is executable
     motion_cost_rad2, path_step_max_rad, curvature_max_rad_m2, way_clearance_min_m    double, see `MotionFigures`
     clearance_min_m, residual_max_m, joint_motion_rad    double, over the tracked targets
-    start_<joint>_rad ...   double   the posture that the plan starts from: the job's, unless a planner starts elsewhere
+    start_<joint>_rad ...   double   first configuration of the plan: the job's, unless the planner starts elsewhere
     rotation_x_rad, rotation_y_rad, rotation_z_rad    double
     shift_x_m ..., tool_extension_m, margin_m    double
     path           string   the tool path: a seam of the duct, such as "weld", or the name of its file
     robot.model, settings.alpha_rad ...    string   any other key in which the sweep's scenarios may differ, as JSON
 
-Columns hold results alone, no times: the same seed writes the same bytes.
+The tables contain no run times: the same seed writes the same bytes.
 """
 
 from collections.abc import Sequence
@@ -74,17 +76,17 @@ STATUSES = {status.name: int(status) for status in Status}
 STATES: dict[str | None, int] = {None: int(Way.UNKNOWN)} | {way.name: int(way) for way in Way}
 XYZ = "xyz"
 
-LEAST_CELLS = 1_000_000  # scenarios times targets, that any rows may be opened as; more by GROWTH times the rows
+LEAST_CELLS = 1_000_000  # scenarios times targets that any file may expand to; or GROWTH times its rows
 
 
 def joint_columns(robot: Robot) -> tuple[str, ...]:
-    """The names of the columns of x."""
+    """Return the names of the columns of x."""
     units = ["m" if slides else "rad" for slides in robot.slides]
     return tuple(f"{name}_{unit}" for name, unit in zip(robot.joint_names, units, strict=True))
 
 
 def target_table(method: str, numbers: np.ndarray, plans: Plans, joints: Sequence[str]) -> pa.Table:
-    """Rows of the targets that exist; `numbers` (S,) are those of the scenarios."""
+    """Return the rows of existing targets; numbers: of the scenarios (S,)."""
     s, t = np.nonzero(plans.exists)
     status, path_clear = plans.status[s, t], plans.path_clear[s, t]
     columns = {
@@ -113,7 +115,8 @@ def target_table(method: str, numbers: np.ndarray, plans: Plans, joints: Sequenc
 def scenario_table(
     method: str, points: Sequence[Point], plans: Plans, joints: Sequence[str], varied: Sequence[str] = ()
 ) -> pa.Table:
-    """Rows of scenarios, in the order of `points`; varied: keys that vary and have no column of their own."""
+    """Return the rows of scenarios, in the order of `points`; varied: keys that vary and have no column of their
+    own."""
     tracked, ends = plans.tracked, plans.outcomes
     columns = {
         "method": pa.array([method] * len(points), pa.string()),
@@ -135,7 +138,7 @@ def scenario_table(
 
 
 def _ends(ends: Outcomes) -> dict[str, pa.Array]:
-    """Whether each scenario is complete, and where and why it is not."""
+    """Return the columns on completion: whether each scenario is complete, its failed target and the reason."""
     status = [Status(code) if code != NO_TARGET else None for code in ends.status.tolist()]
     return {
         "complete": pa.array(ends.failed < 0),
@@ -146,14 +149,14 @@ def _ends(ends: Outcomes) -> dict[str, pa.Array]:
 
 
 def _figures(points: Sequence[Point], plans: Plans) -> dict[str, pa.Array]:
-    """What the motions come to."""
+    """Return the columns of `MotionFigures`."""
     found = figures(plans, np.array([point.config.on_path for point in points], int))
     columns = {name: _doubles(values) for name, values in found._asdict().items()}
     return columns | {"dwells": columns["dwells"].cast(pa.int32())}
 
 
 def empty_tables(joints: Sequence[str], varied: Sequence[str] = ()) -> dict[str, pa.Table]:
-    """Both tables without rows, for their schemas."""
+    """Return both tables without rows, for their schemas."""
     plans = Plans.empty(np.zeros((0, len(joints))), np.zeros((0, 1, 3)))
     return {
         "targets": target_table("", np.zeros(0, int), plans, joints),
@@ -164,7 +167,7 @@ def empty_tables(joints: Sequence[str], varied: Sequence[str] = ()) -> dict[str,
 def plans_of(
     targets: pa.Table, scenarios: pa.Table, count: int, joints: Sequence[str], compile_s: float, run_s: float
 ) -> Plans:
-    """Plans of scenarios 0 to `count` - 1 from one method's rows in both tables. What the tables lack is as in
+    """Return the plans of scenarios 0 to `count` - 1 from one method's rows in both tables. Missing rows are as in
     `Plans.empty`, without targets. Raises IndexError, KeyError or ValueError for rows of other scenarios and for
     unknown statuses."""
     s, t = targets["scenario"].to_numpy(), targets["target"].to_numpy()
@@ -199,7 +202,7 @@ def _way(code: int) -> str | None:
 
 
 def _knots(plans: Plans, s: np.ndarray, t: np.ndarray) -> pa.Array:
-    """The knots on the way to each row, flat."""
+    """Return the via points on the segment to each row, flattened."""
     kind = pa.list_(pa.float64())
     if not len(plans.knots.x):
         return pa.nulls(len(s), kind)
@@ -208,7 +211,7 @@ def _knots(plans: Plans, s: np.ndarray, t: np.ndarray) -> pa.Array:
 
 
 def _starts(scenarios: pa.Table, count: int, joints: Sequence[str]) -> np.ndarray:
-    """Where the plans start (count, N); NaN where there is none."""
+    """Return the first configurations of the plans (count, N); NaN for scenarios without a plan."""
     start, rows = np.full((count, len(joints)), np.nan), scenarios["scenario"].to_numpy()
     if rows.min(initial=0) < 0:
         raise IndexError("a row of no scenario")
@@ -221,7 +224,7 @@ def _axes(name: str) -> tuple[str, ...]:
 
 
 def frame_of(table: pa.Table) -> "pandas.DataFrame":
-    """The table as a pandas frame; whole numbers and truths stay what they are where some are null.
+    """Return the table as a pandas frame; integers and booleans keep their type with nulls.
 
     Raises InputError without pandas, which comes with the extra `notebooks`.
     """
@@ -234,7 +237,7 @@ def frame_of(table: pa.Table) -> "pandas.DataFrame":
 
 
 def _parameters(points: Sequence[Point], start: np.ndarray, joints: Sequence[str]) -> dict[str, pa.Array]:
-    """What a grid may vary, a column each; start: the postures that the plans start from (S, N)."""
+    """Return the columns of varied parameters; start: first configurations of the plans (S, N)."""
     jobs = [point.config for point in points]
     given = parameters.columns([parameters.of_job(job) for job in jobs], start, joints)
     return {name: _doubles(values) for name, values in given.items()} | {
@@ -244,7 +247,7 @@ def _parameters(points: Sequence[Point], start: np.ndarray, joints: Sequence[str
 
 
 def _doubles(values) -> pa.Array:
-    """Doubles with NaN as null."""
+    """Return doubles with NaN as null."""
     return pa.array(np.asarray(values, float), from_pandas=True)
 
 

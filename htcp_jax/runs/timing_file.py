@@ -1,20 +1,19 @@
-"""What `htcp program --all` and `htcp sweep --feed` leave in a run's folder: timing/<method>.parquet, a row a scenario.
+"""Times that `htcp program --all` and `htcp sweep --feed` write into a run: timing/<method>.parquet, a row a scenario.
 
     scenario            int32    its number
-    feed_m_s            double   that was asked for
-    cycle_time_s        double   from home over the path and back; null, as is all that follows, without a motion to the
-                                 last target
-    path_time_s         double   of it, from where the tool begins to follow the path to where it ends, with dwells
-    feed_held_share     double   of the path's length, where the feed is held within 1 %
-    feed_reached_m_s    double   the least feed between the path's run-up and its run-down; 0 where the arm stops there
-    feed_reason         string   what keeps it there: "stop", or which limit of which joint; null where it is held
-    <limit>_share       double   of velocity, acceleration, jerk: the largest share while the tool goes along the path
-    <limit>_joint       string   whose it is
-    torque_share, torque_joint   the same of the effort limits, all along; null where the arm's model states no inertias
-                                 or no limits
+    feed_m_s            double   the required feed
+    cycle_time_s        double   from home over the path and back; null, as are the next columns, without a motion to
+                                 the last target
+    path_time_s         double   part of it on the path, with dwells
+    feed_held_share     double   share of the path's length on which the feed is held within 1 %
+    feed_reached_m_s    double   minimum feed between the path's run-up and its run-down; 0 if the arm stops there
+    feed_reason         string   cause of the minimum: "stop", or the limit and its joint; null if the feed is held
+    <limit>_share       double   largest used share of the velocity, acceleration or jerk limits on the path
+    <limit>_joint       string   joint with this share
+    torque_share, torque_joint   as above for the effort limits, on the complete motion; null if the arm's model has no
+                                 inertias or no effort limits
 
-The file's metadata say what it was made with, and of which results: rows of results that are not those of the run any
-more do not count.
+The file's metadata hold its settings and the hashes of the timed results: rows for outdated results are ignored.
 """
 
 import json
@@ -30,7 +29,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.files import LARGEST, opened, parquet_bytes, read_parquet
 
 TIMING, MADE = "timing", b"htcp_jax"
-HELD_OVER = 0.99  # of the path's length: a scenario holds its feed
+HELD_OVER = 0.99  # share of the path's length from which a scenario holds its feed
 LIMITS = "velocity", "acceleration", "jerk"
 SCHEMA = pa.schema(
     [
@@ -50,7 +49,7 @@ COLUMNS = tuple(SCHEMA.names[1:])
 
 @runtime_checkable
 class Shard(Protocol):
-    """What must be known of a shard of results, as a run's manifest has it."""
+    """Required attributes of a shard of results; a manifest's `ShardRecord` has them."""
 
     method: str
     first: int
@@ -62,12 +61,13 @@ class Timing(NamedTuple):
     """The times of one method's scenarios."""
 
     feed_m_s: float
-    limits: dict[str, Any]  # what the job says of them: keys of `program`
-    rows: pa.Table  # in the order of the scenarios that are timed, or cannot be
+    limits: dict[str, Any]  # the job's keys in `program`
+    rows: pa.Table  # by scenario, including those without a motion
 
     @property
     def words(self) -> str:
-        """What it was made with: "20 mm/s; limits of the model, full speed in 0.2 s, full acceleration in 0.1 s"."""
+        """Settings as text: "20 mm/s; limits: velocity by the model, full speed in 0.2 s, full acceleration in 0.1
+        s"."""
         own = [name for name in LIMITS if self.limits.get(name) is not None]
         given = f"{', '.join(own)} by the job" if own else ""
         model = "" if "velocity" in own else "velocity by the model"
@@ -77,27 +77,27 @@ class Timing(NamedTuple):
 
     @property
     def timed(self) -> pa.Table:
-        """The rows of scenarios with a motion to their last target."""
+        """Rows of scenarios with a motion to their last target."""
         return self.rows.filter(pc.is_valid(self.rows["cycle_time_s"]))
 
     @property
     def held(self) -> int:
-        """Scenarios that hold their feed over HELD_OVER of their path."""
+        """Number of scenarios that hold their feed on at least HELD_OVER of their path."""
         return int((column(self.timed, "feed_held_share") >= HELD_OVER).sum())
 
 
 def column(rows: pa.Table, name: str) -> np.ndarray:
-    """Numbers of a column, NaN where there are none."""
+    """Return the numbers in a column, NaN for null."""
     return rows[name].to_numpy().astype(float)
 
 
 def timing_file(folder: Path, method: str) -> Path:
-    """Where the times of a method are."""
+    """Return the file of a method's times."""
     return folder / TIMING / f"{method}.parquet"
 
 
 def read_timing(folder: Path, shards: Iterable[Shard], method: str) -> Timing | None:
-    """The times of a method's results as they are; None where there are none. Raises InputError for a damaged file."""
+    """Read the times of a method's current results; None without any. Raises InputError for a damaged file."""
     file = timing_file(folder, method)
     if not file.exists():
         return None
@@ -115,7 +115,7 @@ def read_timing(folder: Path, shards: Iterable[Shard], method: str) -> Timing | 
 
 
 def timing_bytes(timing: Timing, shards: Iterable[Shard], method: str) -> bytes:
-    """The file's contents."""
+    """Return the file's contents."""
     of = set(timing.rows["scenario"].to_pylist())
     results = [s.targets.sha256 for s in shards if s.method == method and not of.isdisjoint(_numbers(s))]
     made = {"feed_m_s": timing.feed_m_s, "limits": timing.limits, "results": results}
@@ -124,8 +124,8 @@ def timing_bytes(timing: Timing, shards: Iterable[Shard], method: str) -> bytes:
 
 
 def with_timing(folder: Path, shards: Iterable[Shard], scenarios: pa.Table) -> pa.Table:
-    """Rows of the table of scenarios, with their times where any of these methods has been timed. Raises InputError as
-    `read_timing` does."""
+    """Add columns of times to rows of the table of scenarios, if any of the methods has been timed. Raises InputError
+    as `read_timing` does."""
     methods = dict.fromkeys(scenarios["method"].to_pylist())
     found = {method: known for method in methods if (known := read_timing(folder, shards, method)) is not None}
     if not found:
@@ -141,7 +141,7 @@ def with_timing(folder: Path, shards: Iterable[Shard], scenarios: pa.Table) -> p
 
 
 def _of_results(shards: Iterable[Shard], method: str, results: list[str]) -> set[int]:
-    """The scenarios whose results are still those."""
+    """Return the scenarios whose results are unchanged."""
     kept = [s for s in shards if s.method == method and s.targets.sha256 in results]
     return {number for shard in kept for number in _numbers(shard)}
 

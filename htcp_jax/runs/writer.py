@@ -1,4 +1,4 @@
-"""Writing a run folder: begin or continue it, then add shard by shard. Its caller holds the folder's lock."""
+"""Writing of a run folder: begin or continue it, then add shard by shard. The caller holds the folder's lock."""
 
 import hashlib
 import warnings
@@ -18,11 +18,11 @@ from htcp_jax.runs.run_folder import Run, fault, open_run
 
 
 def begin(folder: Path, asked: Manifest, keep: Any = None) -> Run:
-    """The run `asked` for in `folder`, with the finished shards that it holds already. Shards with a damaged file no
-    longer count as finished, and a warning a method says so.
+    """Create or continue the run `asked` in `folder`, and return it with its finished shards. Shards with a damaged
+    file become unfinished, with one warning per method.
 
-    Raises InputError when the folder holds another run, more scenarios of this one, or results without a manifest,
-    and when it cannot be written.
+    Raises InputError if the folder holds another run, more scenarios of this one, or results without a manifest, and if
+    it cannot be written.
     """
     _lay_out(folder)
     if not (folder / MANIFEST).exists():
@@ -43,8 +43,8 @@ def begin(folder: Path, asked: Manifest, keep: Any = None) -> Run:
 
 
 def add(run: Run, method: str, span: Span, tables: dict[str, pa.Table], plans: Plans, by: dict) -> Run:
-    """The run with one more shard; `by` is the `planned_by` of the process that planned it. Raises InputError when it
-    cannot be written; the run on disk is then as before."""
+    """Write one more shard and return the run with it; by: `planned_by` of the process that planned it. Raises
+    InputError if it cannot be written; the run on disk is then unchanged."""
     name, manifest = shard_name(method, span), run.manifest
     files = {table: _write_parquet(run.folder, table, name, rows) for table, rows in tables.items()}
     planned_by = manifest.planned_by if by in manifest.planned_by else (*manifest.planned_by, by)
@@ -80,7 +80,7 @@ def _identity(manifest: Manifest) -> dict:
 
 
 def _whole(run: Run, asked: tuple[str, ...]) -> tuple[ShardRecord, ...]:
-    """The shards on record that are as recorded. Those that a larger limit has outgrown are taken away."""
+    """Return the recorded shards whose files are valid. A partial last shard is deleted if the limit has grown."""
     known, whole, damaged = set(spans(run.manifest)), [], defaultdict(list)
     for shard in run.manifest.shards:
         files = run.shard_files(shard).values()
@@ -100,7 +100,7 @@ def _whole(run: Run, asked: tuple[str, ...]) -> tuple[ShardRecord, ...]:
 
 
 def _with_shards(run: Run, shards: tuple[ShardRecord, ...]) -> Run:
-    """The run with these shards, and their seconds summed up."""
+    """Return the run with these shards, and their total seconds."""
     seconds = {}
     for method in run.methods:
         own = [shard for shard in shards if shard.method == method]
@@ -128,6 +128,6 @@ def _lay_out(folder: Path) -> None:
 
 
 def _unlisted(folder: Path, expected: set[str]) -> list[Path]:
-    """Files among the results that have no business there."""
+    """Return the files among the results that do not belong to the run."""
     files = [file for table in TABLES for file in sorted((folder / table).glob("*.parquet"))]
     return [file for file in files if file.name not in expected]

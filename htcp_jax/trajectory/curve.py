@@ -1,12 +1,12 @@
-"""The joint polyline with rounded corners: a curve with three continuous derivatives.
+"""Joint polyline with blended corners: a curve with three continuous derivatives.
 
-Over a length u with the knots x_k at u_k and the slopes t_k between them, the curve is the polyline, but within d_k of
-a corner, where with Delta = t_k - t_{k-1} and w = (u - u_k) / d_k
+Over a length u with the via points x_k at u_k and the slopes t_k between them, the curve is the polyline, except within
+d_k of a corner, where with Delta = t_k - t_{k-1} and w = (u - u_k) / d_k
 
     q = x_k + t_{k-1} (u - u_k) + d_k Delta F(w),    F'' = 15/16 (1 - w^2)^2,    F(-1) = F'(-1) = 0,
 
 so that F(1) = F'(1) = 1. It is at most F(0) d_k Delta = 5/32 d_k Delta from the polyline, at the corner, always along
-Delta, and within the triangle that the corner spans: joint limits that hold for the knots hold for it.
+Delta, and within the triangle that the corner spans: joint limits that hold for the via points hold for it.
 """
 
 from typing import NamedTuple
@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-FARTHEST = 5 / 32  # F(0): how far a rounded corner is from its knot, in d Delta
+FARTHEST = 5 / 32  # F(0): distance of a blended corner from its via point, in d Delta
 
 
 class Derivatives(NamedTuple):
-    """A curve and its derivatives at n places."""
+    """A curve and its derivatives at n positions."""
 
     x: Float[np.ndarray, "n N"]
     first: Float[np.ndarray, "n N"]
@@ -27,28 +27,28 @@ class Derivatives(NamedTuple):
 
 
 class Curve(NamedTuple):
-    """k knots of N joints."""
+    """A blended polyline through k via points of N joints."""
 
     u: Float[np.ndarray, "k"]  # rises
     x: Float[np.ndarray, "k N"]  # [rad or m]
-    reach: Float[np.ndarray, "k"]  # d, in units of u: at most half of the legs beside it; 0 at both ends
+    reach: Float[np.ndarray, "k"]  # blend length d, in units of u: at most half of the adjacent legs; 0 at both ends
 
     @property
     def slopes(self) -> Float[np.ndarray, "k1 N"]:
-        """dx / du of the polyline's legs."""
+        """dx / du on the polyline's legs."""
         return np.diff(self.x, axis=0) / np.diff(self.u)[:, None]
 
     @property
     def turns(self) -> Float[np.ndarray, "k N"]:
-        """Delta at the knots; 0 at both ends."""
+        """Delta at the via points; 0 at both ends."""
         return np.pad(np.diff(self.slopes, axis=0), ((1, 1), (0, 0)))
 
     def leg(self, u: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-        """On which leg places are."""
+        """Return the leg of each position."""
         return np.clip(np.searchsorted(self.u, u, side="right") - 1, 0, len(self.u) - 2)
 
     def at(self, u: Float[np.ndarray, "n"]) -> Derivatives:
-        """The curve at places."""
+        """Evaluate the curve at positions u."""
         leg, slopes = self.leg(u), self.slopes
         ahead, slope = u - self.u[leg], slopes[leg]
         corner = leg + (2 * ahead > np.diff(self.u)[leg])
@@ -69,8 +69,8 @@ class Curve(NamedTuple):
         return Derivatives(x, first, second, third)
 
     def grid(self, on_corner: int, on_leg: int) -> Float[np.ndarray, "m"]:
-        """Places along the curve: so many on each corner, and between two corners so many halvings from the middle
-        towards either one; ends included."""
+        """Return positions along the curve: `on_corner` on each corner, and between two corners `on_leg` halvings from
+        the middle towards each one; ends included."""
         near = 0.5 ** np.arange(1, on_leg + 1)
         shares = np.concatenate([[0.0], near[::-1], 1 - near[1:], [1.0]])
         before, after = self.u[:-1] + self.reach[:-1], self.u[1:] - self.reach[1:]
@@ -81,8 +81,8 @@ class Curve(NamedTuple):
 
 
 class Stretch(NamedTuple):
-    """A curve from stop to stop, and of each of its legs the row of the motion that it leads to."""
+    """A curve from stop to stop, with the row of the motion to which each leg leads."""
 
-    curve: Curve  # over the TCP's way [m] where it feeds; else over the time at full speed [s]
+    curve: Curve  # over the TCP's path length [m] if it feeds; else over the time at full speed [s]
     row: Int[np.ndarray, "m"]
     feeds: bool

@@ -1,4 +1,4 @@
-"""What a program comes to: how long it takes, where the feed is held, and how much of each limit is used."""
+"""Figures of a program: duration, feed drops, and the used share of each limit."""
 
 from typing import NamedTuple
 
@@ -10,41 +10,41 @@ from htcp_jax.trajectory.limits import KINDS, Limits
 from htcp_jax.trajectory.program import Dip, Program
 from htcp_jax.trajectory.time_law import Law, instants
 
-ROUNDING = 1e-9  # of a cap
+ROUNDING = 1e-9  # of a speed limit
 
 
 class Share(NamedTuple):
-    """Of one kind of limit, the largest share that is used of it."""
+    """Largest used share of one kind of limit."""
 
     limit: str  # velocity, acceleration or jerk
-    share: float  # of it, 1 at the limit [1]
+    share: float  # 1 at the limit [1]
     joint: str
     time_s: float  # [s]
 
 
 class Figures(NamedTuple):
-    """Of a program."""
+    """Figures of a program."""
 
     duration_s: float  # [s]
-    seconds: dict[str, float]  # of it, by the name of a `status.Kind` [s]
-    feed_m_s: float  # asked for [m/s]
-    path_m: float  # how far the TCP goes along the path [m]
-    held_share: float  # of that, where the feed is held within 1 % [1]
-    reached_m_s: float  # the least feed between the path's run-up and its run-down; 0 where the arm stops between [m/s]
-    reason: str | None  # what keeps it there, as in `Dip`; None where the feed is held
+    seconds: dict[str, float]  # duration by the name of a `status.Kind` [s]
+    feed_m_s: float  # required [m/s]
+    path_m: float  # path length of the TCP on the path [m]
+    held_share: float  # share of it on which the feed is held within 1 % [1]
+    reached_m_s: float  # minimum feed between the path's run-up and run-down; 0 if the arm stops there [m/s]
+    reason: str | None  # cause of the minimum, as in `Dip`; None if the feed is held
     dips: list[Dip]
     shares: list[Share]
-    path_shares: list[Share]  # while the tool goes along the path; off it the arm is at a limit all the time
+    path_shares: list[Share]  # on the path; off it the arm is always at a limit
 
     @property
     def path_s(self) -> float:
-        """From where the tool begins to follow the path to where it ends, dwells included."""
+        """Duration on the path, with dwells [s]."""
         return sum(self.seconds.get(kind.words, 0.0) for kind in (Kind.FEED, Kind.DWELL))
 
 
 def figures(made: Program, limits: Limits) -> Figures:
-    """All of them. Where the TCP goes no way along a path, shares of it and the feed are NaN, and there are no
-    `path_shares`."""
+    """Compute the figures of a program. Without a motion along a path, shares of it and the feed are NaN, and
+    `path_shares` is empty."""
     feeding = [law for stretch, law in zip(made.stretches, made.laws, strict=True) if stretch.feeds]
     path, dips = float(sum(law.path.place[-1] for law in feeding)), made.dips()
     off = sum(dip.end_m - dip.begin_m for dip in dips)
@@ -74,7 +74,7 @@ def _seconds(made: Program) -> dict[str, float]:
 
 
 def _reached(feeding: list[Law], dips: list[Dip]) -> dict[str, float | str | None]:
-    """The least feed, and what says so. Between two stretches the arm stops."""
+    """Return the minimum feed and its cause. The arm stops between two stretches."""
     if not feeding:
         return {"reached_m_s": np.nan, "reason": None}
     if feeding[1:]:
@@ -87,8 +87,8 @@ def _reached(feeding: list[Law], dips: list[Dip]) -> dict[str, float | str | Non
 
 
 def _between_ends(law: Law) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Places and speeds between run-up and run-down: from where the law without its mean first comes to a cap, and the
-    mean sees nothing else, to where it last does so. The fastest place alone where there is nothing between them."""
+    """Return positions and speeds between run-up and run-down: from the first to the last position at which the time
+    scaling, before its moving mean, reaches a speed limit. Only the fastest position if there are none."""
     own, when = law.speed, instants(law.speed)
     place, speed = own.at(when)[:2]
     capped = np.flatnonzero(own.speed[1:-1] >= (1 - ROUNDING) * law.cap[1:-1]) + 1
@@ -102,7 +102,7 @@ def _between_ends(law: Law) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "
 
 
 def _looked_at(made: Program, limits: Limits) -> list[tuple[np.ndarray, list[np.ndarray]]]:
-    """Of each stretch: times, and the shares that the joints use of velocity, acceleration and jerk."""
+    """Return for each stretch times, and the joints' used shares of velocity, acceleration and jerk."""
     found = []
     for law, end in zip(made.laws, made.ends_s.tolist(), strict=True):
         when = instants(law.speed)

@@ -1,9 +1,9 @@
-"""Which of the postures with one pose of the TCP an arm of Yaskawa's is in, as INFORM's RCONF says it.
+"""Arm configuration flags of a Yaskawa arm, as in INFORM's RCONF, which select one of the IK solutions.
 
-Known of the built-in GP50 alone, whose controller's angles are q = (s, l - pi/2, -u, -r, -b, -t), see its model. By the
-NX100's manual, section Manipulator Types: flip where r is within 90 degrees of 0 or of a full turn; r, t and s are 180
-degrees or more beyond (-180, 180]; front or rear by the S axis, upper or lower arm by the L and U axes. What the last
-two mean behind the S axis stands in the manual's figures alone, so there the form is not known.
+Known only for the built-in GP50, whose controller's angles are q = (s, l - pi/2, -u, -r, -b, -t), see its model. By the
+NX100's manual, section Manipulator Types: flip if r is within 90 degrees of 0 or of a full turn; r, t and s are 180
+degrees or more outside (-180, 180]; front or rear by the S axis, upper or lower arm by the L and U axes. The meaning of
+the last two behind the S axis is only in the manual's figures, so the flags are unknown there.
 """
 
 import jax
@@ -14,13 +14,14 @@ from htcp_jax.errors import InputError
 from htcp_jax.model.kinematics import link_poses, tcp_position
 from htcp_jax.model.robot import Robot
 
-SHOULDER, ELBOW, WRIST = 1, 2, 4  # the joints whose frames' origins are on the L, U and B axes
+SHOULDER, ELBOW, WRIST = 1, 2, 4  # joints with frame origins on the L, U and B axes
 
 
 def form_of(model: str, robot: Robot, x: Float[np.ndarray, "n N"]) -> Int[np.ndarray, "n 6"]:
-    """At postures [rad]: 1 for no flip, lower arm, rear, and r, t and s of 180 degrees or more, else 0.
+    """Return the flags at configurations [rad]: 1 for no flip, lower arm, rear, and r, t and s of 180 degrees or more,
+    else 0.
 
-    model: as a job names it. Raises InputError for another arm, and where the arm is not in front of its S axis.
+    model: its name in a job. Raises InputError for another arm, and if the arm is not in front of its S axis.
     """
     if model != "gp50":
         raise InputError(f"jbi: which form (RCONF) {robot.name} is in is not known; jbi-pulses needs none")
@@ -35,8 +36,8 @@ def _beyond(angle: Float[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
 
 
 def _elbow_is_up(robot: Robot, x: Float[np.ndarray, "n N"]) -> Bool[np.ndarray, "n"]:
-    """Whether the U axis lies above the line from the L axis to the wrist. Raises InputError where the wrist or the TCP
-    is behind the S axis."""
+    """Return True if the U axis lies above the line from the L axis to the wrist. Raises InputError if the wrist or the
+    TCP is behind the S axis."""
     at = np.asarray(jax.vmap(link_poses, (None, 0))(robot, x))[:, :, :3, 3][:, [SHOULDER, ELBOW, WRIST]]
     tcp = np.asarray(jax.vmap(tcp_position, (None, 0))(robot, x))
     base = np.asarray(robot.T_parent_joint)[0]

@@ -1,4 +1,4 @@
-"""What the task of a plan's job leaves beside the legs of its motion, where it asks for more than the TCP's place."""
+"""Slack of a job's task next to the legs of a motion, if it constrains more than the TCP's position."""
 
 import numpy as np
 from jaxtyping import Float
@@ -13,10 +13,10 @@ from htcp_jax.trajectory.stretches import Spare
 
 
 def with_rows(left: Spare, job: PlanConfig, robot: Robot, motion: Motion, aims: Float[np.ndarray, "T G"]) -> Spare:
-    """What is left, with that of the job's task beside each leg; all there is before the path and on the way back.
-    Where the task does not hold the TCP at a place, the TCP has no tube.
+    """Add the slack of the job's task next to each leg, unlimited off the path. If the task does not constrain the
+    TCP's position, the TCP has no tube.
 
-    robot: with the job's tool; aims: what the task asks for at each target, see `Scenario`.
+    robot: with the job's tool; aims: goals of the task at each target, see `Scenario`.
     """
     task = task_of_job(job, robot)
     target, kind = motion.target[1:], motion.kind[1:]

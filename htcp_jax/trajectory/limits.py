@@ -1,4 +1,4 @@
-"""How fast joints may move: velocity, acceleration and jerk, each a column a joint."""
+"""Limits of the joints: velocity, acceleration and jerk."""
 
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ KINDS = "velocity", "acceleration", "jerk"
 
 
 class Limits(NamedTuple):
-    """Of N joints, either way."""
+    """Limits of N joints, in both directions."""
 
     velocity: Float[np.ndarray, "N"]  # [rad/s or m/s]
     acceleration: Float[np.ndarray, "N"]  # [rad/s2 or m/s2]
@@ -25,18 +25,18 @@ class Limits(NamedTuple):
         acceleration: Float[np.ndarray, "n N"],
         jerk: Float[np.ndarray, "n N"],
     ) -> Float[np.ndarray, "n M"]:
-        """By how much time must be stretched at n instants for each of M = 3 N limits to be kept, joint by joint; 1 or
-        less where it is."""
+        """Return the factor by which time must be stretched at n instants to keep each of M = 3 N limits, joint by
+        joint; at most 1 if it is kept."""
         v, a, j = np.abs(velocity), np.abs(acceleration), np.abs(jerk)
         found = [v / self.velocity, np.sqrt(a / self.acceleration), np.cbrt(j / self.jerk)]
         return np.stack(found, axis=2).reshape(len(v), -1)
 
 
 def joint_limits(robot: Robot, job: ProgramConfig | None = None) -> Limits:
-    """Those of an arm: the job's; else the model's where it states them; else full speed in `job.full_speed_s`, and
-    full acceleration in `job.full_acceleration_s`. job: None has the defaults.
+    """Return the limits of an arm: the job's; else the model's, if stated; else full speed in `job.full_speed_s`, and
+    full acceleration in `job.full_acceleration_s`. job: None means the defaults.
 
-    Raises InputError for a joint without a velocity limit, and for a list of the job that is not as long as the arm has
+    Raises InputError for a joint without a velocity limit, and for a list in the job whose length is not the number of
     joints.
     """
     job = ProgramConfig() if job is None else job
@@ -52,8 +52,8 @@ def joint_limits(robot: Robot, job: ProgramConfig | None = None) -> Limits:
 
 
 def own_of(robot: Robot, key: str, values: tuple[float, ...] | None) -> Float[np.ndarray, "N"] | None:
-    """A list that a job gives, a number a joint, in the units of its key [rad or m, or by s]. Raises InputError where
-    it is not as long as the arm has joints."""
+    """Return a job's list with one number per joint, in the units of its key [rad or m, or by s]. Raises InputError if
+    its length is not the number of joints."""
     if values is None:
         return None
     if len(values) != len(robot.joint_names):

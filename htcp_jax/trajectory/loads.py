@@ -1,8 +1,8 @@
-"""The torques that a timed motion asks of the joints, by inverse dynamics on the inertias that the arm's model states.
+"""Joint torques of a timed motion, by inverse dynamics with the inertias in the arm's model.
 
-Those of URDF's and MJCF's `<inertial>` alone: none is guessed from shapes, and where a link has none nothing is known
-of the loads. What the job mounts has no mass. Gravity is 9.81 m/s2 downwards in the world. Damping and armature count
-where the model has them. MJX computes many postures at once; it is held to MuJoCo by a test.
+Only inertias from URDF's and MJCF's `<inertial>` are used: none is estimated from shapes, and if a link has none the
+torques are unknown. A tool mounted by the job has no mass. Gravity is 9.81 m/s2 downwards in the world. Damping and
+armature are included if the model has them. MJX computes many configurations at once; a test compares it with MuJoCo.
 """
 
 import contextlib
@@ -24,15 +24,15 @@ from htcp_jax.model.tool import ZERO, pose
 from htcp_jax.trajectory.timed import Timed
 
 GRAVITY_M_S2 = 9.81
-AT_ONCE = 1024  # postures; more take memory and no less time. A row's torque is the same in any company
-LOOKED_AT_S = 0.01  # between the postures looked at
-# XLA's own fusion for CPUs computes the pose of each link anew for everything that hangs on it: 10,000 times the work.
+AT_ONCE = 1024  # configurations per call; more need memory and no less time. Rows are independent
+LOOKED_AT_S = 0.01  # time step between samples
+# XLA's fusion for CPUs recomputes the pose of each link for everything that depends on it: 10,000 times the work.
 PLAIN = {"xla_cpu_use_fusion_emitters": False}
 _OFF = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
 
 
 class Load(NamedTuple):
-    """The largest torque, or where there are limits the one that comes nearest to its own."""
+    """The largest torque, relative to the effort limits if there are any."""
 
     torque: float  # [N m or N]
     share: float  # of the joint's effort limit; 0 where it has none
@@ -41,7 +41,7 @@ class Load(NamedTuple):
 
 
 def model_of(arm: RobotConfig) -> mujoco.MjModel | None:
-    """The arm of a job with its inertias; None where a link has none. Raises InputError for an unreadable file."""
+    """Load the arm of a job with its inertias; None if a link has none. Raises InputError for an unreadable file."""
     path = GP50 if arm.model == "gp50" else Path(arm.model)
     with no_log():
         spec = read_spec(path)
@@ -57,8 +57,8 @@ def model_of(arm: RobotConfig) -> mujoco.MjModel | None:
 
 
 def torques(model: mujoco.MjModel) -> Callable[..., Float[np.ndarray, "n N"]]:
-    """Of postures, velocities and accelerations (n, N): torques of the joints [N m or N]."""
-    with contextlib.redirect_stdout(None):  # it prints what it lacks when it is imported
+    """Return a function from configurations, velocities and accelerations (n, N) to joint torques [N m or N]."""
+    with contextlib.redirect_stdout(None):  # its import prints messages about missing packages
         from mujoco import mjx
     device = mjx.put_model(model)
     blank = mjx.make_data(device)
@@ -82,7 +82,7 @@ def torques(model: mujoco.MjModel) -> Callable[..., Float[np.ndarray, "n N"]]:
 
 
 def load(timed: Timed, torque: Float[np.ndarray, "n N"], effort: Float[np.ndarray, "N"]) -> Load:
-    """Of one motion. effort: the joints' limits, inf where there is none [N m or N]."""
+    """Return the load of one motion. effort: the joints' limits, inf without one [N m or N]."""
     size = np.abs(torque)
     share = size / effort
     row, joint = np.unravel_index((share if share.any() else size).argmax(), size.shape)
@@ -92,7 +92,7 @@ def load(timed: Timed, torque: Float[np.ndarray, "n N"], effort: Float[np.ndarra
 def loads_of(
     torque: Callable[..., Float[np.ndarray, "n N"]], motions: Sequence[Timed], effort: Float[np.ndarray, "N"]
 ) -> list[Load]:
-    """Of many motions of one arm: the postures of all of them, AT_ONCE at a time. torque: see `torques`."""
+    """Return the loads of many motions of one arm, AT_ONCE configurations at a time. torque: see `torques`."""
     rows = [np.concatenate([getattr(each, name) for each in motions]) for name in ("x", "velocity", "acceleration")]
     ends = np.cumsum([len(each.x) for each in motions])
     return [load(each, own, effort) for each, own in zip(motions, np.split(torque(*rows), ends[:-1]), strict=True)]

@@ -1,4 +1,4 @@
-"""How far points of the arm move when its joints are nudged off the joint path that was proven.
+"""Displacement bounds of the arm's points when its joints are displaced from the proven joint path.
 
 Joints near x, each within w_j of it, are moved by n_j. With the levers r_j of a point at x, and M_j as in
 `motion_bound` for joints within w + n, the column of joint j is no longer than l_j = r_j + M_{j+1}, and its
@@ -6,8 +6,9 @@ derivative by joint i no larger than l_max(i, j), 0 for two slides. So the point
 
     sum_j l_j n_j    and    |J(x) n| + sum_ij l_max(i, j) (w_i + n_i / 2) n_j.
 
-The second one sees that joints undo each other's motion, as they do at a tool that keeps to its path. Both hold for a
-direction that is fixed to a link, too: hinges move its end as a point's, r_j = |z_j x direction|, and slides leave it.
+The second bound accounts for joints that compensate each other's motion, as for a tool that stays on its path. Both
+also hold for a direction that is fixed to a link: hinges move its end like a point, r_j = |z_j x direction|, slides do
+not.
 """
 
 from collections.abc import Callable
@@ -27,31 +28,31 @@ from htcp_jax.model.task import feature_at
 from htcp_jax.model.task_rows import Feature
 from htcp_jax.numerics import safe_norm
 
-ROWS = 256  # postures are padded to this times a power of two, so that few programs are compiled
+ROWS = 256  # configurations are padded to this times a power of two, so that few sizes are compiled
 
 
 class Arm(NamedTuple):
-    """An arm at k postures: both ends of each of its K bodies, the TCP and F features of a task, which may be
-    directions; P = 2 K + 1 + F points."""
+    """An arm at k configurations: both ends of its K bodies, the TCP and F features of a task, which may be directions;
+    P = 2 K + 1 + F points."""
 
-    levers: Float[np.ndarray, "k P N"]  # to each joint's axis; 0 of a joint that does not move the point [m]
+    levers: Float[np.ndarray, "k P N"]  # to each joint's axis; 0 for joints that do not move the point [m]
     jacobian: Float[np.ndarray, "k P 3 N"]
     tcp: Float[np.ndarray, "k 3"]  # world [m]
     hinge: Bool[np.ndarray, "N"]
     features: int = 0  # F
 
     def only(self, which: np.ndarray | slice) -> "Arm":
-        """At some of the postures."""
+        """Select some of the configurations."""
         return self._replace(levers=self.levers[which], jacobian=self.jacobian[which], tcp=self.tcp[which])
 
     def moved(self, bounds: Float[np.ndarray, "*S P"]) -> "Moved":
-        """What bounds of the points say of bodies, TCP and features."""
+        """Reduce bounds of the points to those of bodies, TCP and features."""
         tcp = self.levers.shape[-2] - 1 - self.features
         return Moved(bounds[..., :tcp].max(axis=-1), bounds[..., tcp], bounds[..., tcp + 1 :])
 
 
 class Moved(NamedTuple):
-    """How far at most."""
+    """Upper bounds on displacements."""
 
     bodies: Float[np.ndarray, "*S"]  # any point of any body [m]
     tcp: Float[np.ndarray, "*S"]  # [m]
@@ -59,7 +60,7 @@ class Moved(NamedTuple):
 
 
 def arm_at(robot: Robot, x: Float[np.ndarray, "k N"], features: tuple[Feature, ...] = ()) -> Arm:
-    """The arm at postures [rad or m]."""
+    """Evaluate the arm at configurations [rad or m]."""
     levers, slopes, tcp = padded(_points, robot, x)
     if features:
         more = padded(partial(_features, features), robot, x)[0]
@@ -69,15 +70,15 @@ def arm_at(robot: Robot, x: Float[np.ndarray, "k N"], features: tuple[Feature, .
 
 
 def tcp_at(robot: Robot, x: Float[np.ndarray, "k N"]) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3 N"]]:
-    """The TCP at postures, world [m], and its Jacobian."""
+    """Return the TCP at configurations, world [m], and its Jacobian."""
     return padded(_tcp, robot, x)
 
 
 def nudge_bound(
     arm: Arm, within: Float[np.ndarray, "*S k N"], nudge: Float[np.ndarray, "*S k N"]
 ) -> Float[np.ndarray, "*S k P"]:
-    """How far each point moves at most while joints within `within` of the arm's postures are moved by `nudge`
-    [rad or m]."""
+    """Return an upper bound on each point's displacement [m] when joints within `within` of the arm's configurations
+    are moved by `nudge` [rad or m]."""
     size = np.abs(nudge)
     lever = _levers(arm, within + size)
     along = np.linalg.norm(np.einsum("kpcn,...kn->...kpc", arm.jacobian, nudge), axis=-1)
@@ -85,18 +86,18 @@ def nudge_bound(
 
 
 def bend_bound(arm: Arm, within: Float[np.ndarray, "k N"], rates: Float[np.ndarray, "k N"]) -> Float[np.ndarray, "k P"]:
-    """How large each point's second derivative is on straight joint paths of these rates, while joints are within
-    `within` of the arm's postures."""
+    """Return an upper bound on each point's second derivative on straight joint paths with these rates, for joints
+    within `within` of the arm's configurations."""
     return _second(arm, _levers(arm, within), np.abs(rates), np.abs(rates))
 
 
 def _levers(arm: Arm, within: np.ndarray) -> np.ndarray:
-    """l_j, the joints within `within`."""
+    """Return l_j for joints within `within`."""
     return np.stack(np.broadcast_arrays(*lever_bounds(arm.levers, within, arm.hinge)[0]), axis=-1)
 
 
 def _second(arm: Arm, lever: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """sum_ij l_max(i, j) a_i b_j, without pairs of slides."""
+    """Return sum_ij l_max(i, j) a_i b_j, without pairs of slides."""
     turned_a, turned_b = a * arm.hinge, b * arm.hinge
     before_a, before_b = np.cumsum(turned_a, axis=-1) - turned_a, np.cumsum(turned_b, axis=-1) - turned_b
     pairs = a * before_b + b * before_a + turned_a * turned_b
@@ -104,7 +105,7 @@ def _second(arm: Arm, lever: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.nda
 
 
 def padded(function: Callable, robot: Robot, *tables: Float[np.ndarray, "k ..."]) -> tuple[np.ndarray, ...]:
-    """A function of many postures, row by row of tables; a few sizes of it are compiled."""
+    """Apply a function to the rows of tables, padded so that only a few sizes are compiled."""
     rows = len(tables[0])
     most = ROWS * 2 ** max(0, int(np.ceil(np.log2(rows / ROWS))))
     return tuple(np.asarray(part)[:rows] for part in function(robot, *(pad(table, most, most) for table in tables)))

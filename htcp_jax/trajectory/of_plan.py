@@ -1,4 +1,4 @@
-"""The program of a plan on record, as it is asked for: a feed in words, limits and the controller's numbers by the job.
+"""Robot program of a saved plan, with the feed, the limits and the controller data of its job.
 
 made = program_of(open_plans("out/plan"), feed_of("20mm/s"))
 made.text("jbi-pulses", "WELD")
@@ -38,7 +38,7 @@ __all__ = ["OfPlan", "asked_feed", "feed_of", "program_of", "timed_plan", "with_
 
 
 class OfPlan(NamedTuple):
-    """The program of one plan, and what it was made of."""
+    """The program of one plan, with its inputs."""
 
     program: Program
     robot: Robot  # with the job's tool
@@ -47,13 +47,14 @@ class OfPlan(NamedTuple):
     method: str
 
     def text(self, format: str, name: str, step_s: float | None = None) -> str:
-        """The file of it. name: of the program; step_s: between postures, see `writers.Format` [s]. Raises InputError
-        as `program_text` does, for a step that the format does not have, and for a table that is not the arm's."""
+        """Return the program's file. name: of the program; step_s: between samples, see `writers.Format` [s]. Raises
+        InputError as `program_text` does, for a step that the format does not support, and for tables of another
+        arm."""
         timed = self.timed(format, step_s)
         return program_text(format, timed, self.beside(format, name, timed))
 
     def timed(self, format: str, step_s: float | None = None) -> Timed:
-        """What the file holds."""
+        """Return the samples in the file. Raises InputError for a step that the format does not support."""
         own = format_of(format).step_s
         if own is None and step_s is not None:
             raise InputError(f"{format} holds the postures that the motion is made of, whatever the step")
@@ -65,7 +66,7 @@ class OfPlan(NamedTuple):
 
     @property
     def load(self) -> Load | None:
-        """What it asks of the joints; None where the arm's model does not state its inertias."""
+        """Largest joint torque; None if the arm's model has no inertias."""
         if (model := model_of(self.job.robot)) is None:
             return None
         timed = self.program.timed(LOOKED_AT_S)
@@ -73,7 +74,7 @@ class OfPlan(NamedTuple):
         return load(timed, torque, np.asarray(self.robot.effort))
 
     def beside(self, format: str, name: str, timed: Timed) -> Beside:
-        """What the job says beside it."""
+        """Return the job's controller data for a format."""
         asked, own = self.job.program, np.asarray(self.robot.speed, float)
         return Beside(
             name.upper() if format.startswith("jbi") else name,
@@ -113,11 +114,11 @@ def program_of(
     retract: bool = True,
     overrides: Sequence[str] = (),
 ) -> OfPlan:
-    """That of one plan, from home or the start to the last target, and back if `retract`.
+    """Make the program of one plan, from home or the start to the last target, and back if `retract`.
 
-    feed_m_s: of the TCP on the path [m/s]; method: the first one of the set where None; overrides: of the job's section
-    program, as on the command line. Raises InputError for a plan that is not there or not executable to its end, for
-    overrides of anything else, and as `program` and `joint_limits` do.
+    feed_m_s: of the TCP on the path [m/s]; method: None means the first one; overrides: of the job's section program,
+    as on the command line. Raises InputError for a plan that does not exist or is not completely executable, for
+    overrides of other sections, and as `program` and `joint_limits` do.
     """
     method = found.methods[0] if method is None else method
     plans = _plans(found, method, scenario)
@@ -128,7 +129,8 @@ def program_of(
 def program_of_plans(
     name: str, plans: Plans, scenario: int, job: PlanConfig, feed_m_s: float, method: str, *, retract: bool = True
 ) -> OfPlan:
-    """The same of plans in memory. name: of these; job: of the scenario. Raises InputError as `program_of` does."""
+    """Make the program of a plan in memory. name: of the plans; job: of the scenario. Raises InputError as
+    `program_of`."""
     end = plans.outcome(scenario)
     if not end.can_be_driven:
         why = end.way.message if end.executable < end.tracked else "the next one is not tracked"
@@ -149,8 +151,8 @@ def timed_plan(
     *,
     retract: bool = True,
 ) -> OfPlan:
-    """The program of a scenario that is executable to its end. robot: with the job's tool; aims: of its scenario, where
-    the job has a task [m, rad]. Raises InputError as `program` and `joint_limits` do."""
+    """Make the program of a completely executable scenario. robot: with the job's tool; aims: of its scenario, if the
+    job has a task [m, rad]. Raises InputError as `program` and `joint_limits` do."""
     limits = joint_limits(robot, job.program)
     whole = motion(plans, scenario, job.on_path, retract=retract)
     left = spare(plans, scenario, whole, job.settings.tube_m)
@@ -162,8 +164,7 @@ def timed_plan(
 
 
 def asked_feed(text: str | None, job: PlanConfig) -> float:
-    """The feed [m/s]: as it is asked for, else the job's. Raises InputError where neither says any, and as `feed_of`
-    does."""
+    """Return the feed [m/s]: `text`, else the job's. Raises InputError if neither is given, and as `feed_of` does."""
     text = job.program.feed if text is None else text
     if text is None:
         raise InputError("no feed: --feed 20mm/s gives one, or program.feed of the job")
@@ -171,7 +172,7 @@ def asked_feed(text: str | None, job: PlanConfig) -> float:
 
 
 def _plans(found: PlanSet, method: str, scenario: int) -> Plans:
-    """Those of a method. Raises InputError for one without plans, and for a scenario that is not there."""
+    """Return the plans of a method. Raises InputError for one without plans, and for an unknown scenario."""
     if method not in found.methods:
         raise InputError(f"{found.folder} has no plans by {method!r}; there are {', '.join(found.methods)}")
     plans = found.plans(method)
@@ -181,7 +182,7 @@ def _plans(found: PlanSet, method: str, scenario: int) -> Plans:
 
 
 def with_program(job: PlanConfig, overrides: Sequence[str]) -> PlanConfig:
-    """The job with another section `program`. Raises InputError for keys that are none of a program's."""
+    """Return the job with overrides in section `program`. Raises InputError for keys outside it."""
     raw = {"program": job.program.model_dump()}
     for override in overrides:
         key, value = parse_override(override)

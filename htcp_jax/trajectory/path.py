@@ -1,7 +1,7 @@
-"""A stretch over the length that its law of time is written in: the TCP's arc length where the tool feeds.
+"""Parameterisation of a stretch by s, the variable of its time scaling: the TCP's arc length if the tool feeds.
 
 With sigma(u) = |J(q) q'| the arc length is the integral of sigma over u, and u(s) is the cubic spline through its
-inverse at the places of a grid. The curve over s and its derivatives are those of q(u(s)), by the chain rule.
+inverse on a grid. The curve over s and its derivatives are those of q(u(s)), by the chain rule.
 """
 
 from typing import NamedTuple
@@ -14,24 +14,24 @@ from htcp_jax.model.robot import Robot
 from htcp_jax.trajectory.curve import Curve, Derivatives, Stretch
 from htcp_jax.trajectory.nudge import tcp_at
 
-FINE, HALVINGS = 13, 8  # places on a corner, and halvings between two corners
-CLOSE = 0.01  # of the step between places on a corner: what is closer is one place, or rounding is all that splines see
+FINE, HALVINGS = 13, 8  # positions on a corner, and halvings between two corners
+CLOSE = 0.01  # of the step between positions on a corner: closer ones are merged, else rounding dominates the splines
 
 
 class Path(NamedTuple):
     """A curve over s."""
 
     curve: Curve
-    place: Float[np.ndarray, "m"]  # the grid, of s: [m] where the tool feeds, else time at full speed [s]
-    at_corner: Float[np.ndarray, "k 2"]  # where corners begin and end, of s
+    place: Float[np.ndarray, "m"]  # the grid over s: [m] if the tool feeds, else time at full speed [s]
+    at_corner: Float[np.ndarray, "k 2"]  # s at begin and end of corners
     spline: CubicSpline | None  # u(s); None: s is u
 
     def u(self, place: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """The curve's own length at places."""
+        """Return the curve's own parameter u at positions s."""
         return place if self.spline is None else np.clip(self.spline(place), 0.0, self.curve.u[-1])
 
     def at(self, place: Float[np.ndarray, "n"]) -> Derivatives:
-        """Joints, and their derivatives by s."""
+        """Evaluate the joints and their derivatives by s."""
         found = self.curve.at(self.u(place))
         if self.spline is None:
             return found
@@ -43,7 +43,7 @@ class Path(NamedTuple):
 
 
 def path_of(robot: Robot, stretch: Stretch) -> Path:
-    """A stretch's."""
+    """Parameterise a stretch by s."""
     curve = stretch.curve
     u = curve.grid(FINE, HALVINGS)
     ends = curve.u[:, None] + np.array([-1, 1]) * curve.reach[:, None]
@@ -58,7 +58,7 @@ def path_of(robot: Robot, stretch: Stretch) -> Path:
 
 
 def _apart(curve: Curve, u: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k"]:
-    """Places without those that are next to nothing from the one before, as where two corners all but touch."""
+    """Drop positions that nearly coincide with the one before, as where two corners almost touch."""
     leg = curve.leg(u)
     corner = leg + (2 * (u - curve.u[leg]) > np.diff(curve.u)[leg])
     return u[np.diff(u, prepend=-np.inf) > CLOSE * 2 / (FINE - 1) * curve.reach[corner]]

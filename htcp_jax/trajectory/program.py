@@ -1,9 +1,9 @@
-"""A motion with time: `program(robot, motion, left, limits, feed_m_s)`, and what it comes to.
+"""Time-parameterised motion: `program(robot, motion, left, limits, feed_m_s)`.
 
 left = spare(plans, 0, motion, settings.tube_m)
 made = program(robot, motion, left, joint_limits(robot), feed_m_s=0.02)
 made.timed(0.001)   # arrays, 1 ms apart
-made.dips()         # where along the weld the feed is not held, how far, and which joint says so
+made.dips()         # feed drops along the weld, with the limiting joint
 """
 
 from typing import NamedTuple
@@ -21,20 +21,20 @@ from htcp_jax.trajectory.stretches import Spare, stretches
 from htcp_jax.trajectory.time_law import Law, instants, law_of
 from htcp_jax.trajectory.timed import Timed
 
-HELD, STANDS = 0.99, 1e-6  # shares of the feed, below which it counts as a dip, and as a stop
+HELD, STANDS = 0.99, 1e-6  # shares of the feed below which it is a feed drop, and a stop
 
 
 class Dip(NamedTuple):
-    """A part of the weld where the feed is not held."""
+    """A feed drop: a part of the weld on which the feed is not held."""
 
     begin_m: float  # along the weld, from its first point
     end_m: float
-    feed_m_s: float  # the least; 0 at a stop
-    reason: str  # "stop", or a joint and which limit of it
+    feed_m_s: float  # minimum; 0 at a stop
+    reason: str  # "stop", or a limit and its joint
 
 
 class Program(NamedTuple):
-    """Stretches one after the other, each with its law."""
+    """A sequence of stretches, each with its time scaling (law)."""
 
     motion: Motion
     stretches: list[Stretch]
@@ -44,28 +44,28 @@ class Program(NamedTuple):
 
     @property
     def ends_s(self) -> Float[np.ndarray, "m"]:
-        """When each stretch ends."""
+        """End time of each stretch [s]."""
         return np.cumsum([law.speed.duration_s for law in self.laws])
 
     @property
     def duration_s(self) -> float:
-        """From the first posture to the last."""
+        """Duration from the first configuration to the last [s]."""
         return float(self.ends_s[-1])
 
     def timed(self, step_s: float = 0.001) -> Timed:
-        """Every `step_s`, up to the first time at which the arm has come to its last posture."""
+        """Sample the motion every `step_s`, up to the first sample at or after its end."""
         count = int(np.ceil(self.duration_s / step_s - 1e-9))
         return self.at(step_s * np.arange(count + 1))
 
     def at_postures(self) -> Timed:
-        """The postures that the motion is made of, at the times at which their corners are passed: straight joint paths
-        between them are what was proven."""
+        """Return the motion's own configurations, at the times at which their corners are passed: the straight joint
+        paths between them are proven."""
         time, row = self.passes()
         x = np.concatenate([self.stretches[0].curve.x[:1], *(each.curve.x[1:] for each in self.stretches)])
         return self.at(time)._replace(x=x, kind=self.motion.kind[row], target=self.motion.target[row])
 
     def passes(self) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-        """When the postures are passed that the motion is made of [s], and their rows in it."""
+        """Return the times at which the motion's own configurations are passed [s], and their rows in it."""
         starts = np.append(0.0, self.ends_s[:-1])
         parts = zip(starts.tolist(), self.stretches, self.laws, strict=True)
         times = [start + law.passes(stretch.curve.u) for start, stretch, law in parts]
@@ -73,7 +73,7 @@ class Program(NamedTuple):
         return np.concatenate([times[0][:1], *(each[1:] for each in times)]), row
 
     def at(self, time: Float[np.ndarray, "n"]) -> Timed:
-        """At times that rise from 0; from `duration_s` on the arm stands."""
+        """Sample the motion at times that increase from 0; from `duration_s` on the arm stands still."""
         ends = self.ends_s
         bounds = [0, *np.searchsorted(time, ends[:-1]).tolist(), len(time)]
         parts = []
@@ -87,7 +87,7 @@ class Program(NamedTuple):
         return Timed(time, x, velocity, acceleration, kind, target, self.joint_names)
 
     def dips(self) -> list[Dip]:
-        """Along the weld, in order."""
+        """Return the feed drops along the weld, in order."""
         found, before = [], 0.0
         for stretch, law in zip(self.stretches, self.laws, strict=True):
             if stretch.feeds:
@@ -97,10 +97,10 @@ class Program(NamedTuple):
 
 
 def program(robot: Robot, motion: Motion, left: Spare, limits: Limits, feed_m_s: float) -> Program:
-    """A motion with time.
+    """Time-parameterise a motion.
 
-    left: what its proof leaves beside each leg. Raises InputError for a feed that is not above 0, and for a motion
-    without postures or in which the arm stands still.
+    left: slack of its proof next to each leg. Raises InputError for a feed that is not above 0, and for a motion
+    without configurations or in which the arm stands still.
     """
     if not 0 < feed_m_s < np.inf:
         raise InputError(f"feed is {feed_m_s} m/s, a speed above 0 is needed")
@@ -114,7 +114,7 @@ def program(robot: Robot, motion: Motion, left: Spare, limits: Limits, feed_m_s:
 
 
 def _dips(law: Law, before: float, feed: float, names: tuple[str, ...]) -> list[Dip]:
-    """Of one stretch that begins `before` metres along the weld."""
+    """Return the feed drops of one stretch that begins `before` metres along the weld."""
     place, speed, _, _ = law.speed.at(instants(law.speed))
     slow, found = np.flatnonzero(speed < HELD * feed), []
     limit = law.limit_at(place)
@@ -130,12 +130,12 @@ def _dips(law: Law, before: float, feed: float, names: tuple[str, ...]) -> list[
 
 
 def _is_ramp(limit: np.ndarray, share: np.ndarray) -> bool:
-    """Whether a run from or to a stop has no other reason."""
+    """Return True if a run that starts or ends at a stop has no other cause."""
     return bool(limit[0] < 0 and share.min() <= STANDS)
 
 
 def _runs(which: np.ndarray, breaks: np.ndarray) -> list[np.ndarray]:
-    """Cut behind every break."""
+    """Split after every break."""
     return [run for run in np.split(which, np.flatnonzero(breaks) + 1) if len(run)]
 
 

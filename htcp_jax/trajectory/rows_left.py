@@ -1,15 +1,15 @@
-"""What the rows of a task leave beside the legs of a motion, and how much a nudge of the arm takes of it.
+"""Slack of a task's rows next to the legs of a motion, and the part of it that a displacement of the arm uses.
 
-`row_proof` bounds, on an interval of a straight joint path, how far what a row looks at may be off the path
-before the row is not sure to hold between its two targets: a point by a length, an axis or a frame by the chord of an
-angle. That is what is left of the row, one number a row and leg in the row's own unit, the least of the leg's PIECES.
-A curve beside the leg holds every row for certain where it takes no more than that:
+`row_proof` bounds, on an interval of a straight joint path, how far a row's features may be off the path before the row
+may be violated between its two targets: a point by a length, an axis or a frame by the chord of an angle. This is the
+row's slack, one number per row and leg in the row's own unit, the minimum over the leg's PIECES. A curve next to the
+leg satisfies every row if it uses no more than the slack:
 
-    a point            takes as much as it moves
-    an axis            as its end moves, of length 1
-    a frame            the root of the squares of its three axes
-    an axis that looks at a place q away, q >= r
-                       as its end moves, and m / (r - m) where the point that it looks from moves by m, for
+    a point            uses its displacement
+    an axis            the displacement of its end, at length 1
+    a frame            the norm of its three axes' displacements
+    an axis that points at a place q away, q >= r
+                       the displacement of its end, and m / (r - m) if its origin moves by m, for
                        |q/|q| - q'/|q'|| <= |q - q'| / sqrt(|q| |q'|)
 """
 
@@ -27,32 +27,32 @@ from htcp_jax.model.task import Task
 from htcp_jax.model.task_rows import Feature, Row
 from htcp_jax.trajectory.nudge import padded
 
-PIECES = 32  # of a leg
+PIECES = 32  # per leg
 
 
 class RowsLeft(NamedTuple):
-    """Of R rows, beside m legs or at m knots."""
+    """Slack of R rows, next to m legs or at m via points."""
 
     rows: tuple[Row, ...]
     left: Float[np.ndarray, "m R"]  # points [m]; axes and frames, as a chord
-    apart: Float[np.ndarray, "m R"]  # how far the place that a row looks at is, at least [m]; inf: it looks at none
+    apart: Float[np.ndarray, "m R"]  # lower bound on the distance of the place that a row points at [m]; inf: none
 
     @property
     def features(self) -> tuple[Feature, ...]:
-        """What the rows look at, one row after another."""
+        """Features of the rows, one row after another."""
         return tuple(feature for row in self.rows for feature in row.features)
 
     def only(self, which: Int[np.ndarray, "k"]) -> "RowsLeft":
-        """Beside some of the legs."""
+        """Select some of the legs."""
         return self._replace(left=self.left[which], apart=self.apart[which])
 
     def beside(self) -> "RowsLeft":
-        """At the knots: the less of the legs before and after each."""
+        """Return the slack at the via points: the minimum of the legs before and after each."""
         least = (np.minimum(np.append(v[:1], v, axis=0), np.append(v, v[-1:], axis=0)) for v in (self.left, self.apart))
         return RowsLeft(self.rows, *least)
 
     def taken(self, moved: Float[np.ndarray, "*S m F"]) -> Float[np.ndarray, "*S m R"]:
-        """How much of it a nudge takes at most that moves the features by so much."""
+        """Return an upper bound on the slack used by a displacement that moves the features by `moved`."""
         found, first = [], 0
         for k, row in enumerate(self.rows):
             own = moved[..., first : first + len(row.features)]
@@ -69,8 +69,8 @@ class RowsLeft(NamedTuple):
 def rows_beside(
     task: Task, robot: Robot, x: Float[np.ndarray, "n N"], goals: Float[np.ndarray, "m 2 G"], on: Bool[np.ndarray, "m"]
 ) -> RowsLeft | None:
-    """What a task leaves beside the m = n - 1 legs between postures, that lead from one goal to another; all there is
-    where it does not hold. None of a task that asks for the TCP at a place alone, which its tube has."""
+    """Return the slack of a task next to the m = n - 1 legs between configurations, from one goal to the next;
+    unlimited where `on` is False. None for a task that only constrains the TCP's position, which has a tube."""
     if not (rows := heeded(task.parts)):
         return None
     left, apart = padded(partial(_left, task), robot, x[:-1], x[1:], goals)

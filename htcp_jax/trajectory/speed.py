@@ -1,12 +1,12 @@
-"""The speed along a curve from stop to stop, as high as caps and an acceleration allow, and the time that it takes.
+"""Fastest speed along a curve from stop to stop within limits of speed and acceleration, and its duration.
 
-Over a grid of places s with speeds z, z^2 is straight between two places: the acceleration is constant there. A moving
-mean of s over a window of time makes it smooth: with P the integral of s,
+On a grid of positions s with speeds z, z^2 is linear between two positions: the acceleration is constant there. A
+moving mean of s over a time window makes it smooth: with P the integral of s,
 
     s_T(t) = (P(t + T/2) - P(t - T/2)) / T,    s_T' = (s(t + T/2) - s(t - T/2)) / T,    and so on,
 
-so that the acceleration is continuous, and the jerk no more than the difference of two accelerations, over T. Speeds
-that are held longer than T are kept.
+so that the acceleration is continuous, and the jerk at most the difference of two accelerations, over T. Speeds that
+are held longer than T are kept.
 """
 
 from typing import NamedTuple
@@ -18,41 +18,41 @@ AT_ONCE_S = 1e-9
 
 
 class Speed(NamedTuple):
-    """A law on a grid of m places, with the window T."""
+    """A time scaling on a grid of m positions, with the window T."""
 
     time: Float[np.ndarray, "m"]  # [s]
     place: Float[np.ndarray, "m"]
     speed: Float[np.ndarray, "m"]
-    integral: Float[np.ndarray, "m"]  # of the place over time
+    integral: Float[np.ndarray, "m"]  # of the position over time
     window_s: float
-    slower: float = 1.0  # by how much all of it is stretched in time
+    slower: float = 1.0  # factor by which all times are stretched
 
     @property
     def duration_s(self) -> float:
-        """From stop to stop."""
+        """Duration from stop to stop [s]."""
         return self.slower * float(self.time[-1] + self.window_s)
 
     def at(self, time: Float[np.ndarray, "n"]) -> tuple[Float[np.ndarray, "n"], ...]:
-        """Place, speed, acceleration and jerk at times from 0 to `duration_s`."""
+        """Return position, speed, acceleration and jerk at times from 0 to `duration_s`."""
         late, early = self._raw(time / self.slower), self._raw(time / self.slower - self.window_s)
         scale = self.window_s * self.slower ** np.arange(4)
         place, *more = ((b - a) / by for a, b, by in zip(early, late, scale, strict=True))
         return np.clip(place, 0.0, self.place[-1]), *more
 
     def seen(self, time: Float[np.ndarray, "n"]) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """The first and the last place that the mean at these times is taken over."""
+        """Return the first and the last position in the window of the mean at these times."""
         time = time / self.slower
         return self._raw(time - self.window_s)[1], self._raw(time)[1]
 
     def jumps(self) -> Float[np.ndarray, "n"]:
-        """Shortly before and after each time at which the jerk jumps; between two of them it is constant."""
+        """Return times shortly before and after each jump of the jerk, which is constant between two jumps."""
         push = np.pad(np.diff(self.speed) / np.diff(self.time), 1)
         bends = self.time[np.abs(np.diff(push)) > 1e-9 * np.abs(push).max()]
         bends = self.slower * np.append(bends, bends + self.window_s)
         return np.clip(np.append(bends - AT_ONCE_S, bends + AT_ONCE_S), 0.0, self.duration_s)
 
     def _raw(self, time: np.ndarray) -> tuple[np.ndarray, ...]:
-        """P, s, s', s'' of the law without the mean; it stands before and after."""
+        """Return P, s, s', s'' without the mean; s is at rest before and after."""
         k = np.clip(np.searchsorted(self.time, time, side="right") - 1, 0, len(self.time) - 2)
         push = np.diff(self.speed) / np.diff(self.time)
         t, last = time - self.time[k], self.time[-1]
@@ -68,10 +68,10 @@ class Speed(NamedTuple):
 def fastest(
     place: Float[np.ndarray, "m"], cap: Float[np.ndarray, "m"], push: Float[np.ndarray, "m"], window_s: float
 ) -> Speed:
-    """The fastest law under speeds `cap` and accelerations `push`, that stands at both ends.
+    """Return the fastest time scaling within speeds `cap` and accelerations `push`, at rest at both ends.
 
-    z^2 grows by 2 push ds at most, either way: with C the integral of 2 push, z^2 = C + min(cap^2 - C) over what lies
-    before, and the same from behind.
+    z^2 grows by at most 2 push ds in both directions: with C the integral of 2 push, z^2 = C + min(cap^2 - C) over the
+    positions before, and likewise backwards.
     """
     square = cap * cap
     square[[0, -1]] = 0.0

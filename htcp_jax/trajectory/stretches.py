@@ -1,7 +1,7 @@
-"""A motion cut into stretches: from stop to stop, each a rounded curve that what was proven of the polyline covers.
+"""Split of a motion into stretches from stop to stop, each a blended curve that is covered by the polyline's proof.
 
-The arm stops where the tool begins or ends to follow the path, and before and after a dwell; and at a corner that
-cannot be rounded, because the way is too tight or the tool would all but turn round.
+The arm stops where the tool begins or ends to follow the path, before and after a dwell, and at a corner that cannot be
+blended, because the slack is too small or the tool would almost reverse.
 """
 
 from itertools import pairwise
@@ -19,28 +19,28 @@ from htcp_jax.trajectory.limits import Limits
 from htcp_jax.trajectory.nudge import Arm, Moved, arm_at, bend_bound, nudge_bound, tcp_at
 from htcp_jax.trajectory.rows_left import RowsLeft
 
-SHARE = 0.5  # of the proven clearance, and of what is left of the tolerance, that rounding may take
-HALVINGS = 12  # of a corner's reach, until the arm has to stop there
-ONE_MOMENT_S = 1e-3  # legs that take no longer at full speed are next to nothing
-SHARPEST = 0.5  # cosine of half the angle by which the tool's own path may turn without a stop
-PIECES = 8  # of a leg, between which the TCP's distance from its line is bounded
+SHARE = 0.5  # of the proven clearance, and of the remaining tolerance, that blending may use
+HALVINGS = 12  # of a corner's blend length before the arm stops there
+ONE_MOMENT_S = 1e-3  # duration at full speed up to which legs may be merged
+SHARPEST = 0.5  # cosine of half the angle by which the tool's path may turn without a stop
+PIECES = 8  # per leg, for the bound on the TCP's distance from its line
 SHARE_OF_LIMITS = 0.3  # of accelerations and jerks that a corner of the path should take at the feed
 
 
 class Spare(NamedTuple):
-    """What is left beside the n - 1 legs of a motion."""
+    """Slack next to the n - 1 legs of a motion."""
 
-    clearance: Float[np.ndarray, "m"]  # proven of the straight joint path [m]
-    tube: Float[np.ndarray, "m"]  # how far the TCP may be from the line between the postures' TCPs [m]; inf: anywhere
-    rows: RowsLeft | None = None  # of a task that asks for more than the TCP at a place
+    clearance: Float[np.ndarray, "m"]  # proven on the straight joint path [m]
+    tube: Float[np.ndarray, "m"]  # allowed distance of the TCP from the line between the legs' ends [m]; inf: any
+    rows: RowsLeft | None = None  # of a task that constrains more than the TCP's position
 
     def only(self, which: Int[np.ndarray, "k"]) -> "Spare":
-        """Beside some of the legs."""
+        """Select some of the legs."""
         return Spare(self.clearance[which], self.tube[which], self.rows and self.rows.only(which))
 
 
 def spare(plans: Plans, scenario: int, motion: Motion, tube_m: float) -> Spare:
-    """What the proof of a plan leaves beside the legs of its motion. tube_m: `Settings.tube_m`."""
+    """Return the slack of a plan's proof next to the legs of its motion. tube_m: `Settings.tube_m`."""
     there = int((motion.kind != Kind.RETRACT).sum())
     target, kind = motion.target[1:there], motion.kind[1:there]
     way = target + (kind == Kind.DWELL)
@@ -53,7 +53,7 @@ def spare(plans: Plans, scenario: int, motion: Motion, tube_m: float) -> Spare:
 
 
 def stretches(robot: Robot, motion: Motion, left: Spare, limits: Limits, feed_m_s: float) -> list[Stretch]:
-    """The motion's, in their order; legs on which nothing moves are left out."""
+    """Split a motion into stretches, in order; legs without motion are dropped."""
     way = _merged(_moving(robot, motion, left), limits)
     if not len(way.row):
         return []
@@ -69,7 +69,7 @@ def stretches(robot: Robot, motion: Motion, left: Spare, limits: Limits, feed_m_
 
 
 class _Way(NamedTuple):
-    """The polyline of a motion, or what is kept of it: k postures, and k - 1 legs between them."""
+    """The polyline of a motion, possibly reduced: k configurations, and k - 1 legs between them."""
 
     x: Float[np.ndarray, "k N"]
     row: Int[np.ndarray, "m"]
@@ -79,17 +79,17 @@ class _Way(NamedTuple):
 
     @property
     def length(self) -> Float[np.ndarray, "m"]:
-        """Between the TCP at both ends [m]."""
+        """Distance between the TCPs at both ends of each leg [m]."""
         return np.linalg.norm(np.diff(self.arm.tcp, axis=0), axis=1)
 
     @property
     def feeds(self) -> Bool[np.ndarray, "m"]:
-        """On which legs the tool follows the path."""
+        """True for legs on which the tool follows the path."""
         return (self.group == Kind.FEED) & (self.length >= ONE_POINT_M)
 
 
 def _moving(robot: Robot, motion: Motion, left: Spare) -> _Way:
-    """The legs on which joints move. Transfer and approach are one."""
+    """Return the legs on which joints move. Transfer and approach are one group."""
     kept = np.flatnonzero(np.append(True, np.any(np.diff(motion.x, axis=0) != 0, axis=1)))
     row = kept[1:]
     group = np.maximum(motion.kind[row], Kind.APPROACH).astype(int)
@@ -98,8 +98,8 @@ def _moving(robot: Robot, motion: Motion, left: Spare) -> _Way:
 
 
 def _merged(way: _Way, limits: Limits) -> _Way:
-    """Without the first posture of legs that are next to nothing, where the next one may stand for it, too: the leg to
-    it moves by less than is left beside it."""
+    """Merge very short legs with the leg before: the first configuration of a short leg is replaced by the next one, if
+    the displacement is within the slack."""
     short = (_duration(way.x, limits) < ONE_MOMENT_S) | ((way.group == Kind.FEED) & ~way.feeds)
     goes = np.flatnonzero(short[1:] & (way.group[1:] == way.group[:-1])) + 1
     if not len(goes):
@@ -114,15 +114,15 @@ def _merged(way: _Way, limits: Limits) -> _Way:
     left, fits = _less(way.left, before, moved._replace(tcp=moved.tcp + off))
     gone = np.zeros(len(way.x), bool)
     for k, fit in zip(goes[::-1], fits[::-1], strict=True):
-        gone[k] = fit and (gone[k + 1] or to[k] == k + 1)  # all up to the one that stands for it
+        gone[k] = fit and (gone[k + 1] or to[k] == k + 1)  # all up to its replacement
     kept = np.flatnonzero(~gone)
-    last, first = kept[1:] - 1, kept[:-1]  # of the legs that become one; on the path it is beside the first one's line
+    last, first = kept[1:] - 1, kept[:-1]  # of merged legs; on the path the first leg's line counts
     row = np.where(way.group[first] == Kind.FEED, way.row[first], way.row[last])
     return _Way(way.x[kept], row, way.group[last], left.only(first), way.arm.only(kept))
 
 
 def _less(left: Spare, legs: Int[np.ndarray, "k"], by: Moved) -> tuple[Spare, Bool[np.ndarray, "k"]]:
-    """What is left when some legs are nudged, and at which of them enough is."""
+    """Return the slack after a displacement of some legs, and True for those with enough of it."""
     whole = left.only(legs)
     rest = Spare(whole.clearance - by.bodies, whole.tube - by.tcp)
     fits = (rest.clearance >= SHARE * whole.clearance) & (rest.tube >= SHARE * whole.tube)
@@ -137,7 +137,7 @@ def _less(left: Spare, legs: Int[np.ndarray, "k"], by: Moved) -> tuple[Spare, Bo
 
 
 def _duration(x: np.ndarray, limits: Limits) -> Float[np.ndarray, "m"]:
-    """Of straight joint paths at full speed [s]."""
+    """Return the durations of straight joint paths at full speed [s]."""
     return np.max(np.abs(np.diff(x, axis=0)) / limits.velocity, axis=1)
 
 
@@ -148,7 +148,7 @@ def _cut(whole: Curve, reach: np.ndarray, a: int, b: int, way: _Way) -> Stretch:
 
 
 def _wanted(curve: Curve, feeds: np.ndarray, limits: Limits, feed_m_s: float) -> Float[np.ndarray, "k"]:
-    """How far corners should reach: no further than the feed needs, and half of the legs beside them at most."""
+    """Return the desired blend lengths of corners: as the feed requires, at most half of the adjacent legs."""
     step, turns = np.diff(curve.u), np.abs(curve.turns)
     room = 0.5 * np.append(np.minimum(step[:-1], step[1:]), 0.0)
     room = np.append(0.0, room)
@@ -160,7 +160,7 @@ def _wanted(curve: Curve, feeds: np.ndarray, limits: Limits, feed_m_s: float) ->
 
 
 def _reach(robot: Robot, way: _Way, curve: Curve, wanted: np.ndarray) -> Float[np.ndarray, "k"]:
-    """The largest reaches, wanted / 2^i, that what is left beside the legs covers; 0 where none is."""
+    """Return the largest blend lengths, wanted / 2^i, within the slack of the adjacent legs; 0 if none is."""
     arm, left = way.arm, way.left
     tries = np.append(wanted * 0.5 ** np.arange(HALVINGS)[:, None], np.zeros((1, len(wanted))), axis=0)
     slopes = np.abs(curve.slopes)
@@ -177,13 +177,13 @@ def _reach(robot: Robot, way: _Way, curve: Curve, wanted: np.ndarray) -> Float[n
 
 
 def _beside(legs: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k"]:
-    """At each knot, the less of the legs before and after it."""
+    """Return for each via point the minimum of the legs before and after it."""
     return np.minimum(np.append(legs[:1], legs), np.append(legs, legs[-1:]))
 
 
 def _sag(robot: Robot, arm: Arm, curve: Curve, which: np.ndarray) -> Float[np.ndarray, "m"]:
-    """How far the TCP is from the straight line between the ends of some legs at most, as the joints go straight [m];
-    0 of the others."""
+    """Return an upper bound on the chord deviation: the TCP's distance from the line between the ends of a leg on its
+    straight joint path [m]; 0 for legs not in `which`."""
     found, legs = np.zeros(len(which)), np.flatnonzero(which)
     if not len(legs):
         return found

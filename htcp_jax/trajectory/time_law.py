@@ -1,13 +1,13 @@
-"""The law of time of one stretch: at the feed, or as fast as it can be, within velocity, acceleration and jerk.
+"""Time scaling of one stretch: at the feed, or as fast as limits on velocity, acceleration and jerk allow.
 
 Over the length s a joint has velocity q' s', acceleration q'' s'^2 + q' s'', jerk q''' s'^3 + 3 q'' s' s'' + q' s'''.
-At constant speed each limit is a cap on it in closed form,
+At constant speed each limit is a speed limit (cap) in closed form,
 
     s' <= v / |q'|,    s' <= (a / |q''|)^(1/2),    s' <= (j / |q'''|)^(1/3),
 
-and what q'' s'^2 leaves of a may be spent on s''. A cap holds for as long as the law's moving mean sees it. What the
-mean or the mixed terms still exceed is found on the timed curve, and capped lower there; what remains after some rounds
-is made up for by more time for the whole stretch, so that no limit is exceeded at the places looked at.
+and the rest of a, after q'' s'^2, is available for s''. A cap holds for as long as it is in the window of the moving
+mean. Limits that the mean or the mixed terms still exceed are found on the timed curve, and the caps are lowered there;
+after ROUNDS the complete stretch is slowed down, so that no limit is exceeded at the sampled instants.
 """
 
 from typing import NamedTuple
@@ -20,34 +20,34 @@ from htcp_jax.trajectory.limits import Limits
 from htcp_jax.trajectory.path import Path
 from htcp_jax.trajectory.speed import Speed, fastest
 
-CURVED = 0.9  # the share of a limit that a corner may take of it at constant speed
+CURVED = 0.9  # share of a limit that a corner may use at constant speed
 ROUNDS = 12
-LOOKED_AT_S, INSTANTS = 0.004, 20_000  # how far instants are apart, and how many there are at most, beside those at
-# which the places of the grid are passed
-SPARE = 0.995, 0.995, 0.93  # of v, a and j, for what lies between them: jerks jump where accelerations bend
-NEAR, CLOSER_S, REACH_S = 0.9, 0.0005, 0.004  # from which share on, how closely and how far around is looked again
-ENOUGH = 1.001  # so little more time is none
+LOOKED_AT_S, INSTANTS = 0.004, 20_000  # interval of the evenly spaced instants, and their maximum number
+SPARE = 0.995, 0.995, 0.93  # of v, a and j, reserve for values between instants: the jerk jumps
+NEAR, CLOSER_S, REACH_S = 0.9, 0.0005, 0.004  # refinement: share of a limit, interval and range around it
+ENOUGH = 1.001  # accepted factor by which a limit is exceeded
 
 
 class _Caps(NamedTuple):
-    """On a path's grid."""
+    """Speed limits on a path's grid."""
 
     speed: Float[np.ndarray, "m"]
-    push: Float[np.ndarray, "m"]  # the law's own acceleration, either way
+    push: Float[np.ndarray, "m"]  # acceleration along the path, in both directions
     limit: Int[np.ndarray, "m"]  # as in `Law`
 
 
 class Law(NamedTuple):
-    """One stretch, timed."""
+    """Time scaling of one stretch."""
 
     path: Path
     speed: Speed
-    limit: Int[np.ndarray, "m"]  # on the path's grid, what keeps the speed low: -1 the feed, k + 3 j of joint j the
-    # velocity, acceleration or jerk, k = 0, 1, 2
-    cap: Float[np.ndarray, "m"]  # on the path's grid, that is kept to by the law before its mean is taken
+    limit: Int[np.ndarray, "m"]  # on the path's grid, the active limit: -1 the feed, k + 3 j the velocity,
+    # acceleration or jerk of joint j, k = 0, 1, 2
+    cap: Float[np.ndarray, "m"]  # on the path's grid, the speed limit before the moving mean
 
     def at(self, time: Float[np.ndarray, "n"]) -> tuple[Float[np.ndarray, "n"], Derivatives]:
-        """Places, and joints with their derivatives by time [rad or m, and s], at times from 0 to its duration."""
+        """Return positions, and joints with their derivatives by time [rad or m, and s], at times from 0 to the
+        duration."""
         place, v, a, j = self.speed.at(time)
         v, a, j = v[:, None], a[:, None], j[:, None]
         x, first, second, third = self.path.at(place)
@@ -56,11 +56,11 @@ class Law(NamedTuple):
         )
 
     def limit_at(self, place: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-        """What keeps the speed low at places, see `limit`."""
+        """Return the active limit at positions, see `limit`."""
         return self.limit[np.clip(np.searchsorted(self.path.place, place), 0, len(self.limit) - 1)]
 
     def passes(self, u: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
-        """When knots of the curve are passed, the ends of it at 0 and at the end [s]."""
+        """Return the times at which via points of the curve are passed, from 0 to the duration [s]."""
         when = instants(self.speed)
         found = np.interp(u, np.maximum.accumulate(self.path.u(self.speed.at(when)[0])), when)
         found[[0, -1]] = 0.0, self.speed.duration_s
@@ -68,8 +68,8 @@ class Law(NamedTuple):
 
 
 def law_of(path: Path, limits: Limits, feed: float = np.inf) -> Law:
-    """The law of a stretch. feed: the speed that it should have, and not exceed; for one that does not feed 1 is the
-    speed of its fastest joint."""
+    """Compute the time scaling of a stretch. feed: its desired and maximum speed; if the tool does not feed, 1 is the
+    full speed of the fastest joint."""
     whole = limits
     limits = Limits(*(share * part for share, part in zip(SPARE, limits, strict=True)))
     window = float(np.max(limits.acceleration / limits.jerk))
@@ -88,7 +88,7 @@ def law_of(path: Path, limits: Limits, feed: float = np.inf) -> Law:
 
 
 def _slower(law: Law, limits: Limits) -> Law:
-    """The law with as much more time as limits ask for that are exceeded between the instants looked at so far."""
+    """Slow the time scaling down as limits exceeded between the instants require."""
     time = instants(law.speed)
     near = time[limits.shares(*law.at(time)[1][1:]).max(axis=1) > NEAR]
     if not len(near):
@@ -101,14 +101,15 @@ def _slower(law: Law, limits: Limits) -> Law:
 
 
 def instants(law: Speed) -> Float[np.ndarray, "n"]:
-    """When limits are looked at: evenly, as the places of the grid are passed, and where the jerk jumps."""
+    """Return the times at which limits are checked: evenly spaced, at the positions of the grid, and at jumps of the
+    jerk."""
     even = np.linspace(0, law.duration_s, 2 + min(int(law.duration_s / LOOKED_AT_S), INSTANTS))
     passed = np.interp(law.place, np.maximum.accumulate(law.at(even)[0]), even)
     return np.sort(np.concatenate([even, passed, law.jumps()]))
 
 
 def _caps(path: Path, limits: Limits, feed: float) -> _Caps:
-    """In closed form, at every place of the grid."""
+    """Return the speed limits in closed form, at every position of the grid."""
     _, first, second, third = (np.maximum(np.abs(part), 1e-300) for part in path.at(path.place))
     by_joint = np.stack(
         [
@@ -126,7 +127,7 @@ def _caps(path: Path, limits: Limits, feed: float) -> _Caps:
 
 
 def _held(path: Path, cap: np.ndarray, window: float) -> np.ndarray:
-    """The caps, that of each corner held for as long before and after it as the mean sees it."""
+    """Return the caps, with each corner's extended by the window of the mean before and after it."""
     held = cap.copy()
     first, last = np.searchsorted(path.place, path.at_corner.T)
     slowest = np.array([cap[max(a - 1, 0) : b + 1].min() for a, b in zip(first, last, strict=True)])
@@ -140,7 +141,7 @@ def _held(path: Path, cap: np.ndarray, window: float) -> np.ndarray:
 
 
 def _slow_down(caps: _Caps, grid: np.ndarray, law: Speed, time: np.ndarray, shares: np.ndarray) -> None:
-    """Lower caps and pushes wherever the mean sees an instant at which a limit is exceeded, and note which one."""
+    """Lower caps and accelerations in the window of each instant at which a limit is exceeded, and record the limit."""
     over = shares.max(axis=1)
     bad = np.flatnonzero(over > ENOUGH)
     breaks = np.flatnonzero(np.diff(bad) > 1)

@@ -1,8 +1,8 @@
-"""The times of all scenarios of a run: `time_run(run, "20mm/s")`, into a file a method beside the run's results.
+"""Time parameterisation of all scenarios in a run: `time_run(run, "20mm/s")` writes one file per method into the run.
 
-Plans do not hang on it, and a run may be timed again with another feed or other limits, which replaces its times; with
-the same ones only what is missing is timed. Scenarios are timed one by one, so that neither their order nor the number
-of processes has any influence; torques are computed for the postures of a block of them at once.
+Plans do not depend on it, and a run may be timed again with another feed or other limits, which replaces its times;
+with the same ones only missing scenarios are timed. Scenarios are timed one by one, so that neither their order nor the
+number of processes has any influence; torques are computed for a block of scenarios at once.
 """
 
 import os
@@ -36,14 +36,14 @@ from htcp_jax.trajectory.loads import LOOKED_AT_S, Load, loads_of, model_of, tor
 from htcp_jax.trajectory.of_plan import OfPlan, asked_feed, timed_plan, with_program
 from htcp_jax.trajectory.timed import Timed
 
-BLOCK = 64  # scenarios timed between two writings, whose torques are computed together: what they take of memory
-EACH_PAYS, MOST = 128, 16  # scenarios that make up for the start of one more process; processes
-PART = 4  # scenarios that a process is given at a time
+BLOCK = 64  # scenarios per write and torque computation; limits memory
+EACH_PAYS, MOST = 128, 16  # scenarios that justify one more process; maximum of processes
+PART = 4  # scenarios per work unit of a process
 LIMITS = "velocity", "acceleration", "jerk", "full_speed_s", "full_acceleration_s"  # keys of `program`
 
 
 class _Asked(NamedTuple):
-    """What the run is timed with."""
+    """Settings with which a run is timed."""
 
     feed_m_s: float
     overrides: tuple[str, ...]
@@ -53,7 +53,7 @@ class _OfScenario(NamedTuple):
     """One scenario, timed."""
 
     figures: Figures
-    timed: Timed | None  # what torques follow from; None where the arm's model states no inertias
+    timed: Timed | None  # for the torques; None if the arm's model has no inertias
     effort: np.ndarray  # the joints' limits
 
 
@@ -69,13 +69,13 @@ def time_run(
     """Time every scenario of a run whose motion leads to its last target, and return the run, whose `scenarios()` have
     the times.
 
-    feed: of the TCP on the path, "20mm/s"; None: as the job says. methods: None are all with results. overrides: of the
-    job's section program, as on the command line. progress: called with a method, its scenarios that are done, and how
-    many there are. workers: processes; None are as many as pay.
+    feed: of the TCP on the path, "20mm/s"; None: the job's. methods: None means all with results. overrides: of the
+    job's section program, as on the command line. progress: called with a method, the number of its finished scenarios,
+    and their total. workers: processes; None: chosen by the number of scenarios.
 
-    Raises InputError for a feed that is none, a run without results, methods that it lacks, an arm without velocity
-    limits, files that have changed, and a folder that is in use or cannot be written; Interrupted on SIGINT and
-    SIGTERM, after which what is timed is kept.
+    Raises InputError for an invalid feed, a run without results, methods that it lacks, an arm without velocity limits,
+    files that have changed, and a folder that is in use or cannot be written; Interrupted on SIGINT and SIGTERM, after
+    which finished times are kept.
     """
     asked = _Asked(asked_feed(feed, with_program(run.config, overrides)), tuple(overrides))
     timer = _Timer(plans_of_run(run), asked)
@@ -90,7 +90,7 @@ def time_run(
 
 
 def check_limits(jobs: Iterable[PlanConfig]) -> None:
-    """Raise InputError for an arm of these jobs without velocity limits, and for limits that are not its own."""
+    """Raise InputError for an arm in these jobs without velocity limits, and for limits of another number of joints."""
     for job in {repr((arm_of(job), job.program)): job for job in jobs}.values():
         joint_limits(robot_of(job.robot), job.program)
 
@@ -103,7 +103,7 @@ def _chosen(found: RunPlans, methods: Sequence[str] | None) -> tuple[str, ...]:
 
 
 class _Timer:
-    """Times scenarios of one run; arms and parts that scenarios share are read once."""
+    """Timer for the scenarios of one run; shared arms and parts are read once."""
 
     def __init__(self, found: RunPlans, asked: _Asked):
         self.found, self.asked = found, asked
@@ -114,22 +114,22 @@ class _Timer:
         self._parts: dict[str, Workpiece] = {}
 
     def __reduce__(self):
-        """Pickle the folder, not what was read; a worker that is kept reads it again for the next `time_run`."""
+        """Pickle the folder, not its content; a reused worker reads it again for the next `time_run`."""
         return _opened, (self.found.folder.resolve(), self.asked, os.urandom(8))
 
     @cached_property
     def jobs(self) -> list[PlanConfig]:
-        """The scenarios' own, with the program that is asked for."""
+        """The scenarios' configurations, with the overrides of `program`."""
         return [with_program(job, self.asked.overrides) for job in self.found.jobs]
 
     @property
     def made_with(self) -> Timing:
-        """What the times are made with, without any rows."""
+        """Settings of the times, without rows."""
         program = with_program(self.found.config, self.asked.overrides).program.model_dump(mode="json")
         return Timing(self.asked.feed_m_s, {key: program[key] for key in LIMITS}, SCHEMA.empty_table())
 
     def known(self, method: str) -> Timing:
-        """What is there already that was made with the same; a damaged file is as none."""
+        """Return existing times with the same settings, else no rows; a damaged file is ignored."""
         try:
             there = read_timing(self.found.folder, self.found.run.manifest.shards, method)
         except InputError:
@@ -137,13 +137,13 @@ class _Timer:
         return there if there is not None and there[:2] == self.made_with[:2] else self.made_with
 
     def missing(self, method: str) -> list[int]:
-        """Scenarios with results and without a row."""
+        """Return the scenarios with results but without times."""
         shards = [shard for shard in self.found.run.manifest.shards if shard.method == method]
         planned = {number for shard in shards for number in range(shard.first, shard.last + 1)}
         return sorted(planned - set(self.known(method).rows["scenario"].to_pylist()))
 
     def one(self, method: str, scenario: int) -> _OfScenario | None:
-        """A scenario's; None where no motion leads to its last target."""
+        """Time a scenario; None if no motion leads to its last target."""
         plans, job = self.plans(method), self.jobs[scenario]
         if not plans.outcome(scenario).can_be_driven:
             return None
@@ -152,7 +152,7 @@ class _Timer:
         robot = lengthen_tool(arm, job.robot.tool_extension_m)
         try:
             made = timed_plan(plans, scenario, job, robot, aims, self.asked.feed_m_s, method)
-        except InputError:  # limits are there and so is the feed: the arm stands still all along
+        except InputError:  # limits and feed are valid: the arm never moves
             return None
         return _OfScenario(figures(made.program, made.limits), self._timed(made), np.asarray(robot.effort))
 
@@ -160,7 +160,7 @@ class _Timer:
         return None if self._model(made.job) is None else made.program.timed(LOOKED_AT_S)
 
     def loads(self, block: Sequence[int], found: Sequence[_OfScenario | None]) -> dict[int, Load]:
-        """What the motions of a block ask of the joints, by scenario; those of one arm at once."""
+        """Return the largest torques of a block's motions, by scenario; motions of one arm are computed at once."""
         arms: dict[str, dict[int, _OfScenario]] = {}
         for number, one in zip(block, found, strict=True):
             if one is not None and one.timed is not None:
@@ -177,7 +177,7 @@ class _Timer:
         return self._inverse[arm]
 
     def _model(self, job: PlanConfig) -> mujoco.MjModel | None:
-        """The arm of a job with its inertias, if it has any."""
+        """Return the arm of a job with its inertias, None without any."""
         key = repr(arm_of(job))
         if key not in self._models:
             self._models[key] = model_of(job.robot)
@@ -197,7 +197,7 @@ class _Timer:
 
 
 def _time_method(timer: _Timer, method: str, find: Callable, progress: Callable | None, came: list[int]) -> None:
-    """All that is missing, block by block; every block is written."""
+    """Time the missing scenarios, block by block; every block is written."""
     missing, known = timer.missing(method), timer.known(method)
     everything = len(missing) + len(known.rows)
     for first in range(0, len(missing), BLOCK):
@@ -226,7 +226,7 @@ def _write(run: Run, method: str, timing: Timing) -> None:
 
 
 def _row(number: int, feed_m_s: float, one: _OfScenario | None, load: Load | None) -> dict:
-    """A row of the file."""
+    """Return a row of the file."""
     row = {"scenario": number, "feed_m_s": feed_m_s}
     if one is None:
         return row
@@ -243,7 +243,7 @@ def _known(value: float) -> float | None:
 
 
 def _finder(timer: _Timer, methods: Sequence[str], workers: int | None) -> Callable[[str, Sequence[int]], list]:
-    """Return what times scenarios of a method, by as many processes as are requested, or as pay."""
+    """Return a function that times scenarios of a method, with the requested or a suitable number of processes."""
     if workers is None:
         missing = sum(len(timer.missing(method)) for method in methods)
         workers = min(os.cpu_count() or 1, MOST, missing // EACH_PAYS)
@@ -258,7 +258,7 @@ def _finder(timer: _Timer, methods: Sequence[str], workers: int | None) -> Calla
     return find
 
 
-# What follows happens in a worker
+# Functions that run in a worker
 
 
 def _opened(folder: Path, asked: _Asked, _: bytes) -> _Timer:

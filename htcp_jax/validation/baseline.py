@@ -1,4 +1,4 @@
-"""How a run stands, as a file to compare later runs with: one line a scenario, to be read and to be diffed.
+"""Baseline file of a run, to compare later runs with: one line per scenario, readable and easy to diff.
 
     methods:
       nspace-sqp:
@@ -6,10 +6,10 @@
         ...
         scenarios:
           0: 105 complete
-          1: 73 QP_INFEASIBLE     # targets in a row, and what became of the next one
+          1: 73 QP_INFEASIBLE     # targets in a row, and the status of the next one
 
-Tracked targets come from the planner's own record. The bounds on the TCP and on the clearance do not: they are
-measured by `validate`, with MuJoCo alone, so that a wrong formula in the planner cannot vouch for itself.
+Tracked targets are the planner's own results. The bounds on the TCP and on the clearance are not: they are measured by
+`validate`, with MuJoCo alone, so that a wrong formula in the planner cannot confirm itself.
 """
 
 from collections.abc import Callable
@@ -45,7 +45,7 @@ Millimetres = Annotated[float, Field(ge=0)]
 
 
 class End(NamedTuple):
-    """How far a scenario came: targets in a row, and the name of the next one's status, or COMPLETE."""
+    """Targets that a scenario tracked in a row, and the name of the next one's status, or COMPLETE."""
 
     tracked: int
     status: str
@@ -62,25 +62,25 @@ def _read_end(text: Any) -> End:
 
 
 class Times(Section):
-    """How long the programs of one method take, and at what feed; see `htcp program --all`."""
+    """Durations of one method's programs at a feed; see `htcp program --all`."""
 
     feed_m_s: float
     limits: dict[str, Any]  # keys of `program`
     held: Count  # scenarios that hold their feed
-    cycle_time_s: dict[Count, Annotated[float, Field(gt=0)]]  # of those with a motion to their last target
+    cycle_time_s: dict[Count, Annotated[float, Field(gt=0)]]  # of scenarios with a motion to their last target
 
 
 class Scores(Section):
-    """What one method came to."""
+    """Results of one method."""
 
     tracked: Count
     targets: Count
     executable: Count  # of the tracked
     complete: Count  # scenarios
-    tcp_error_max_mm: float | None  # over the tracked targets, as is the next; None where there are none
+    tcp_error_max_mm: float | None  # over the tracked targets, like the next; None if there are none
     clearance_min_mm: float | None
     clearance_less_cover_min_mm: float | None = Field(None, exclude=True)  # of a run; no part of the file
-    times: Times | None = None  # where the run is timed
+    times: Times | None = None  # if the run is timed
     scenarios: dict[Count, str]  # an `End` each, by the scenario's number
 
     @property
@@ -99,15 +99,15 @@ class Scores(Section):
 
 
 class Reachability(Section):
-    """What `htcp reachability` found."""
+    """Results of `htcp reachability`."""
 
     reachable: Count  # targets
-    resolution_rad: float | None  # of the search; None if postures spread over the joint limits were tried
+    resolution_rad: float | None  # of the search; None for configurations spread over the joint limits
     seed: int
 
     @property
     def searched(self) -> str:
-        """With what, in words."""
+        """Description of the search: resolution and seed."""
         spread = self.resolution_rad is None
         how = "spread postures" if spread else f"a resolution of {self.resolution_rad:.3g} rad"
         return f"{how} and seed {self.seed}"
@@ -125,16 +125,16 @@ class Allowance(Section):
 
 
 class Allowances(Section):
-    """`here`: on the device and with the versions of the baseline, where the same code plans the same bits.
-    `elsewhere`: on another one, whose rounding may flip a scenario that is close to the edge. With SSE 4.2 in place of
-    AVX-512, one scenario of the 49 poses by nine methods lost one target."""
+    """`here`: for the device and versions of the baseline, where the same code plans the same bits. `elsewhere`: for
+    others, whose rounding may flip a scenario close to a threshold. With SSE 4.2 in place of AVX-512, one scenario of
+    the 49 poses by nine methods lost one target."""
 
     here: Allowance = Allowance()
     elsewhere: Allowance = Allowance(targets=25, scenarios=2)
 
 
 class Baseline(Section):
-    """The file."""
+    """Contents of a baseline file."""
 
     format: Literal[1] = 1
     sweep: str
@@ -165,7 +165,7 @@ class Baseline(Section):
 
 
 class RunSummary(NamedTuple):
-    """How a run stands. What cannot be known is missing, and `problems` says why."""
+    """Results of a run. Unknown ones are missing, and `problems` gives the reasons."""
 
     methods: dict[str, Scores]
     checks: dict[str, MethodCheck]
@@ -175,7 +175,7 @@ class RunSummary(NamedTuple):
 
 
 def summarise_run(run: Run, progress: Callable[[int, int], None] | None = None) -> RunSummary:
-    """Read and validate a run. Nothing that is wrong with its files raises: it is told in `problems`."""
+    """Read and validate a run. Errors in its files do not raise but are listed in `problems`."""
     problems: list[str] = []
 
     def attempt(what: str, function: Callable) -> Any:
@@ -196,16 +196,16 @@ def summarise_run(run: Run, progress: Callable[[int, int], None] | None = None) 
 
 
 def read_baseline(file: Path) -> Baseline:
-    """Raises InputError for a file that cannot be read, is damaged, or is no baseline."""
+    """Read a baseline. Raises InputError for a file that cannot be read, is damaged, or is not a baseline."""
     return validate(read_yaml(file), Baseline, str(file))
 
 
 def bless(run: Run, file: Path, progress: Callable[[int, int], None] | None = None) -> Baseline:
-    """Write how the run stands into `file`; what an older baseline there allows stays.
+    """Write the results of the run into `file`, keeping the allowances of an older baseline there.
 
     Raises InputError, and leaves the file as it is, for a run that is limited, incomplete, damaged, refuted by
-    validation or planned by more than one commit or device; where the file is no baseline, or that of another sweep
-    or of methods that the run lacks; and when it cannot be written.
+    validation or planned by more than one commit or device; if the file is not a baseline, or is one of another sweep
+    or of methods that the run lacks; and if it cannot be written.
     """
     old = read_baseline(file) if file.exists() else None
     if reason := _not_to_be_blessed(run, old):
@@ -233,7 +233,7 @@ def bless(run: Run, file: Path, progress: Callable[[int, int], None] | None = No
 
 
 def planned(manifest: Manifest) -> dict:
-    """What a run planned; the same for the same sweep, wherever its files are."""
+    """Identity of a run: the same for the same sweep, independent of the location of its files."""
     return identity(manifest.config, manifest.grid, manifest.dtype, manifest.files)
 
 
@@ -298,7 +298,7 @@ def _rounded(value: float | None) -> float | None:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Lists of numbers on one line."""
+    """YAML dumper with lists of numbers on one line."""
 
     def represent_list(self, data):
         return self.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=True)

@@ -1,17 +1,17 @@
-"""The regression gate: a run held against a baseline. Whatever is missing or unreadable fails; time never counts.
+"""Regression gate: a run compared with a baseline. Missing or unreadable data fail; planning time is not compared.
 
 A method fails when
 
 - it tracks fewer targets in all, or more of its scenarios end earlier, than the baseline's `allow` permits; or more
-  targets, where `allow.more_targets` bounds them, as for figures that are to be reproduced;
-- it tracks a smaller share of the targets that are known to be reachable;
-- MuJoCo refutes a tracked target: the TCP is off by more than the tolerance, the arm touches, the record is wrong;
-- where the baseline has times, at the same feed and limits: fewer of its scenarios hold their feed or have a time, or
+  targets, if `allow.more_targets` bounds them, as for figures that are to be reproduced;
+- it tracks a smaller share of the reachable targets;
+- MuJoCo refutes a tracked target: a TCP error above the tolerance, a collision, a wrong saved value;
+- the baseline has times, and at the same feed and limits fewer of its scenarios hold their feed or have a time, or
   more of them take longer than is allowed;
-- its largest TCP error or its smallest clearance is worse than the baseline's by more than is allowed;
+- its largest TCP error or its minimum clearance is worse than the baseline's by more than is allowed;
 - the run lacks it, one of its scenarios, or one of these figures.
 
-What is better passes and is listed, so that somebody blesses it. Each of these is a `Check` of its own.
+Improvements pass and are listed, so that the baseline can be updated. Each of these is a `Check`.
 """
 
 from collections.abc import Callable
@@ -61,17 +61,17 @@ class Check(NamedTuple):
     method: str
     name: str  # of CHECKS, for a method
     failures: tuple[str, ...] = ()  # sentences
-    compared: bool = True  # False where the baseline or the run has nothing to compare
+    compared: bool = True  # False if the baseline or the run has nothing to compare
 
 
 class ChangedOutcome(NamedTuple):
-    """A scenario that does not end as it did."""
+    """A scenario that ends differently."""
 
     method: str
     scenario: int
     was: End
     now: End
-    label: str  # number of the scenario and what sets it apart
+    label: str  # number of the scenario and its varied parameters
 
     @property
     def worse(self) -> bool:
@@ -85,12 +85,12 @@ class ChangedOutcome(NamedTuple):
 
     @property
     def target(self) -> int:
-        """The first that differs."""
+        """First target that differs."""
         return min(self.was.tracked, self.now.tracked)
 
     @property
     def reason(self) -> str:
-        """What became of that target, in the run or, where that got further, in the baseline."""
+        """Status of that target, in the run or, if the run tracks more, in the baseline."""
         status = self.was.status if self.better else self.now.status
         return Status[status].message if status != COMPLETE else COMPLETE
 
@@ -100,7 +100,7 @@ class ChangedOutcome(NamedTuple):
 
 
 class Row(NamedTuple):
-    """One method, or what is reachable: the baseline's figure and the run's. None where there is none."""
+    """The baseline's and the run's figures for one method, or for reachability. None if there is none."""
 
     method: str
     was_tracked: int | None
@@ -123,25 +123,25 @@ class Row(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """The outcome. `failures` and `improvements` are sentences."""
+    """Result of the gate. `failures` and `improvements` are sentences."""
 
     passed: bool
     sweep: str
     baseline: Origin
-    run: tuple[Origin, ...]  # several where a run was planned in parts
-    elsewhere: bool  # whether the run was planned on another device, or with other versions, than the baseline
+    run: tuple[Origin, ...]  # several if a run was planned in parts
+    elsewhere: bool  # True if the run was planned on another device, or with other versions, than the baseline
     allow: Allowance
     rows: tuple[Row, ...]
     checks: tuple[Check, ...]
     changed: tuple[ChangedOutcome, ...]  # the worse ones first
     failures: tuple[str, ...]
-    improvements: tuple[str, ...]  # what is better or not in the baseline; it passes
+    improvements: tuple[str, ...]  # better or not in the baseline; these pass
 
 
 def judge(run: Run, baseline: Baseline, progress: Callable[[int, int], None] | None = None) -> Verdict:
-    """Hold the run against the baseline. progress: called with the plans validated and their number.
+    """Compare the run with the baseline. progress: called with the plans validated and their number.
 
-    Raises InputError when the baseline is of another sweep or configuration: there is nothing to compare then.
+    Raises InputError if the baseline is of another sweep or configuration, and cannot be compared.
     """
     if differing := differences(baseline.planned, planned(run.manifest)):
         more = f" (and {len(differing) - 1} more)" if differing[1:] else ""
@@ -210,7 +210,7 @@ def _more(row: Row) -> bool:
 def _lines(
     baseline: Baseline, found: RunSummary, method: str, changed: list[ChangedOutcome], allow: Allowance
 ) -> dict[str, list[str] | None]:
-    """Sentences on what a method fails by, for each of CHECKS; None where there is nothing to compare."""
+    """Sentences on a method's failures, for each of CHECKS; None if there is nothing to compare."""
     was, now = baseline.methods[method], found.methods.get(method)
     if now is None:
         return dict.fromkeys(CHECKS) | {SCENARIOS: ["missing"]}
@@ -308,7 +308,7 @@ def _row(baseline: Baseline, found: RunSummary, method: str, changed: list[Chang
 
 
 def _time_columns(was: Times | None, now: Times | None) -> dict[str, int | float | None]:
-    """Of a row; without any where the baseline has no times."""
+    """Time columns of a row; None if the baseline has no times."""
     now = was and now
     return {
         "was_held": was and was.held,

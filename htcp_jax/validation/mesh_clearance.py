@@ -1,7 +1,7 @@
-"""The triangles of a mesh, for validation: read again by trimesh, and measured as they are, not by points on them.
+"""Distances to the triangles of a mesh, for validation: read again by trimesh, not approximated by points.
 
-Nothing of mesh_points.py or tip_guard.py is used. The distance from a capsule's axis to a triangle is 0 where one goes
-through the other. Otherwise it is attained at an end of the axis or on an edge of the triangle.
+Nothing of mesh_points.py or tip_guard.py is used. The distance from a capsule's axis to a triangle is 0 if they
+intersect. Otherwise it is attained at an end of the axis or on an edge of the triangle.
 """
 
 import io
@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from htcp_jax.errors import InputError
 from htcp_jax.io.files import read_bytes
 
-GRAINS = 100_000  # pieces that the triangles are cut into, about, so that a tree of their middles says where they are
+GRAINS = 100_000  # approximate number of pieces of the triangles, so that a tree of their centres locates them
 AT_ONCE = 500_000  # pairs of an axis and a triangle in memory
 
 Triangles = Float[np.ndarray, "m 3 3"]
@@ -32,7 +32,7 @@ def read_triangles(path: str | Path) -> Triangles:
 
 
 def in_grains(triangles: Triangles) -> Float[np.ndarray, "g 3 3"]:
-    """The triangles cut in halves, across their longest edges, until none of these is much longer than a grain."""
+    """Bisect the triangles across their longest edges until no edge is much longer than a grain."""
     area = _size(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])).sum() / 2
     longest, done = 2 * np.sqrt(area / GRAINS), []
     while len(triangles):
@@ -46,7 +46,7 @@ def in_grains(triangles: Triangles) -> Float[np.ndarray, "g 3 3"]:
 
 
 def axis_distances(p: Points, q: Points, triangles: Triangles) -> Float[np.ndarray, "m"]:
-    """From the straight line p q to the triangle beside it [m], pair by pair."""
+    """Distance from each segment p q to its triangle [m]."""
     steps = range(0, len(p), AT_ONCE)
     parts = [_distances(*(values[k : k + AT_ONCE] for values in (p, q, triangles))) for k in steps]
     return np.concatenate(parts or [np.empty(0)])
@@ -60,8 +60,8 @@ def _distances(p: Points, q: Points, triangles: Triangles) -> Float[np.ndarray, 
 
 
 def goes_through(p: Points, q: Points, triangles: Triangles) -> Bool[np.ndarray, "m"]:
-    """Whether the straight line p q goes through the triangle beside it: its ends are on both sides of the plane, and
-    it turns about all three edges in the same sense."""
+    """True if a segment p q passes through its triangle: its ends are on both sides of the plane, and it turns about
+    all three edges in the same sense."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     sides = [_volume(a, b, c, end) for end in (p, q)]
     about = np.stack([_volume(p, q, *edge) for edge in ((a, b), (b, c), (c, a))])
@@ -69,8 +69,8 @@ def goes_through(p: Points, q: Points, triangles: Triangles) -> Bool[np.ndarray,
 
 
 def _between(p: Points, q: Points, a: Points, b: Points) -> Float[np.ndarray, "m"]:
-    """From the line p q to the line a b, at places where neither can come nearer: of two that are not parallel the
-    nearest; of parallel ones an end of p q or of a b is among the nearest."""
+    """Distance from each segment p q to its segment a b [m]. For non-parallel lines the minimum of the lines is
+    included; for parallel ones an end of p q or of a b is among the nearest points."""
     u, v, w = q - p, b - a, p - a
     uu, vv, uv = _dot(u, u), _dot(v, v), _dot(u, v)
     s = _share(uv * _dot(v, w) - vv * _dot(u, w), uu * vv - uv * uv)
@@ -86,7 +86,7 @@ def _apart(p: Points, u: Points, s: np.ndarray, a: Points, v: Points, t: np.ndar
 
 
 def _share(a: np.ndarray, b: np.ndarray) -> Float[np.ndarray, "m"]:
-    """a / b within 0 and 1; 0 where b is 0."""
+    """Return a / b, clipped to 0 and 1; 0 if b is 0."""
     return np.clip(np.divide(a, b, out=np.zeros_like(a), where=b > 0), 0.0, 1.0)
 
 

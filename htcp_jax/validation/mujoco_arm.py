@@ -1,7 +1,7 @@
-"""The arm as MuJoCo sees it, for validation: poses, capsules and distances come from MuJoCo's C code alone.
+"""The arm in MuJoCo, for validation: poses, capsules and distances come from MuJoCo's C code alone.
 
-Nothing of robot.py, kinematics.py or clearance.py is used, nor anything they rest on: what a model file means (which
-site is the TCP, what a longer tool is, which limits hold) is read here a second time.
+Nothing of robot.py, kinematics.py or clearance.py is used, nor anything they depend on: the meaning of a model file
+(the TCP's site, a longer tool, the limits) is implemented here a second time.
 """
 
 import copy
@@ -21,8 +21,8 @@ from htcp_jax.io.safe_xml import read_spec
 from htcp_jax.model.tool import ZERO, Tool
 from htcp_jax.types import Triple
 
-PROBE_M = 1e-9  # radius of the sphere that stands for a point of the cloud; distances are corrected by it
-FAR_M = 1e3  # MuJoCo looks no further
+PROBE_M = 1e-9  # radius of the sphere for a point of the cloud; distances are corrected by it
+FAR_M = 1e3  # cut-off of MuJoCo's distances
 _PROBE, _TCP = "probe of htcp validate", "TCP of htcp validate"
 _SPHERE, _CAPSULE = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE
 _OWN_FRAME = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)  # else MuJoCo may take the body's, and forget a changed position
@@ -30,7 +30,7 @@ _HINGE = mujoco.mjtJoint.mjJNT_HINGE
 
 
 class Postures(NamedTuple):
-    """n configurations: the TCP and the ends of the K capsules' axes, world [m]."""
+    """TCP and ends of the K capsules' axes at n configurations, world [m]."""
 
     tcp: Float[np.ndarray, "n 3"]
     p: Float[np.ndarray, "n K 3"]
@@ -38,12 +38,12 @@ class Postures(NamedTuple):
 
 
 class Arm:
-    """A model file in MuJoCo, with the base and the tool that a job gives it and the tool longer by `tool_extension_m`,
-    and a probe that can be put anywhere.
+    """A model file in MuJoCo, with the base and the tool of a job, the tool lengthened by `tool_extension_m`, and a
+    probe that can be placed anywhere.
 
     limits, tcp, base_m, base_rpy_rad, tool: see `robot_file.load_robot`. names, radius, length: of the K capsules and
-    spheres, and their axes' [m]; lower, upper: joint limits; speed: inf where the model gives none. Raises InputError
-    for a file that MuJoCo cannot read.
+    spheres, and their axes' [m]; lower, upper: joint limits; speed: inf if the model gives none. Raises InputError for
+    a file that MuJoCo cannot read.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class Arm:
         self._pose(np.zeros(self._model.njnt))
         fixed = self._model.body_weldid[self._model.geom_bodyid[self._geoms]] == 0
         ends = self._ends()
-        self.base = np.vstack([self._data.xanchor[:1], *ends[:, fixed]])  # what stands still, world
+        self.base = np.vstack([self._data.xanchor[:1], *ends[:, fixed]])  # fixed points, world
         joints = np.array([_joints_below(self._model, int(b)) for b in self._model.geom_bodyid[self._geoms]])
         self.links = joints  # 0: fixed to the world
         away = np.where(joints == joints.max(), np.linalg.norm(ends - self._data.site_xpos[self._site], axis=2), np.inf)
@@ -85,7 +85,7 @@ class Arm:
 
     @property
     def apart(self) -> list[tuple[int, int]]:
-        """Pairs of capsules that may meet: not on one link, nor excluded by the file."""
+        """Pairs of capsules that may collide: not on one link, nor excluded by the file."""
         bodies = self._model.geom_bodyid[self._geoms].tolist()
         excluded = {(int(pair) >> 16, int(pair) & 0xFFFF) for pair in self._model.exclude_signature}
         count = range(len(bodies))
@@ -94,8 +94,8 @@ class Arm:
 
     @property
     def stated(self) -> dict[tuple[int, int], str] | None:
-        """The rules of the pairs in the list of the arm's file; None without a list, or if the joint limits are wider
-        than those that it was made for."""
+        """Rules of the pairs in the list of the arm's file; None without a list, or if the joint limits are wider than
+        those that it was made for."""
         model_lower, model_upper = _limits(self._model, "model")
         if self._list is None or (self.lower < model_lower).any() or (self.upper > model_upper).any():
             return None
@@ -105,11 +105,11 @@ class Arm:
 
     @cached_property
     def meshes(self) -> LinkMeshes | None:
-        """The makers' meshes that the arm's file refers to, if they are there."""
+        """The vendor's meshes that the arm's file refers to; None without a list of pairs."""
         return None if self._list is None else LinkMeshes.read(self._path)
 
     def random(self, count: int, seed: int) -> Float[np.ndarray, "n N"]:
-        """Configurations within the joint limits; without limits within half a turn or a metre of zero."""
+        """Random configurations within the joint limits; without limits within half a turn or a metre of zero."""
         free = np.where(self._model.jnt_type == _HINGE, math.pi, 1.0)
         lower = np.where(np.isfinite(self.lower), self.lower, -free)
         upper = np.where(np.isfinite(self.upper), self.upper, free)
@@ -124,11 +124,11 @@ class Arm:
         return bool(self.links[pair[0]] == self.links[pair[1]] + 1)
 
     def slides(self, pair: tuple[int, int]) -> bool:
-        """True if that joint is a slide."""
+        """True if that joint is prismatic."""
         return self.adjacent(pair) and self._model.jnt_type[self.links[pair[0]] - 1] != _HINGE
 
     def same_links(self, pair: tuple[int, int], other: tuple[int, int]) -> bool:
-        """True if two pairs are of the same links."""
+        """True if two pairs belong to the same links."""
         return all(self.links[a] == self.links[b] for a, b in zip(pair, other, strict=True))
 
     @property
@@ -141,7 +141,7 @@ class Arm:
         return own
 
     def postures(self, x: Float[np.ndarray, "n N"]) -> Postures:
-        """Where MuJoCo's kinematics puts the arm."""
+        """Compute the arm's TCP and capsule axes by MuJoCo's kinematics."""
         tcp, ends = np.empty((len(x), 3)), np.empty((2, len(x), len(self._geoms), 3))
         for k, row in enumerate(x):
             self._pose(row)
@@ -152,8 +152,8 @@ class Arm:
     def frames(
         self, x: Float[np.ndarray, "n N"], name: str
     ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]:
-        """Where the TCP's frame, tcp, or that of a site or body of the model is: origins [m] and axes, world. Raises
-        InputError for another name."""
+        """Origins [m] and axes, world, of the TCP's frame (tcp), or of a site or body of the model. Raises InputError
+        for another name."""
         site = self._site if name == "tcp" else mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_SITE, name)
         body = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_BODY, name)
         if site < 0 and body < 0:
@@ -167,14 +167,14 @@ class Arm:
         return origin, rotation
 
     def tip_start(self, postures: Postures) -> Float[np.ndarray, "n 3"]:
-        """Where the bare tip begins: the end on the last link that is nearest to the TCP at the model's zero; world."""
+        """Start of the bare tip: the end on the last link that is nearest to the TCP at the model's zero; world."""
         end, body = self._tip
         return (postures.p, postures.q)[end][:, body]
 
     def distances(
         self, x: Float[np.ndarray, "N"], capsules: Int[np.ndarray, "c"], points: Float[np.ndarray, "c 3"]
     ) -> Float[np.ndarray, "c"]:
-        """Signed distance of each world point to the surface of the capsule beside it [m], by mj_geomDistance."""
+        """Signed distance of each world point to the surface of its capsule [m], by mj_geomDistance."""
         self._pose(x)
         found = np.empty(len(points))
         for k, (geom, point) in enumerate(zip(self._geoms[capsules].tolist(), points, strict=True)):
@@ -192,7 +192,7 @@ class Arm:
 
 
 def _compile(path: Path, tcp: str, tool: Tool | None) -> tuple[mujoco.MjModel, int]:
-    """The model with its capsules, its spheres, the tool's and the probe as its only geoms, and the site at the TCP."""
+    """The model with its capsules, its spheres, the tool's and the probe as its only geoms, and the TCP's site."""
     spec = read_spec(path, contacts=True)
     try:
         for geom in list(spec.geoms):
@@ -208,7 +208,7 @@ def _compile(path: Path, tcp: str, tool: Tool | None) -> tuple[mujoco.MjModel, i
         body, position, quaternion = _flange(model, tcp)
         flange = next(one for one in spec.bodies if one.id == body)
         if tool is not None:
-            if tool.bodies:  # a body of their own: what else is fixed to the flange is not the tool
+            if tool.bodies:  # in a body of their own: other geoms on the flange are not the tool
                 flange = flange.add_body(pos=position, quat=quaternion)
                 position, quaternion = np.zeros(3), np.array([1.0, 0, 0, 0])
             for part in tool.bodies:
@@ -230,7 +230,7 @@ def _list(path: Path) -> list[tuple[tuple[str, ...], str]] | None:
 
 
 def _flange(model: mujoco.MjModel, name: str) -> tuple[int, np.ndarray, np.ndarray]:
-    """The body that carries the frame of that name, and where on it: position, quaternion."""
+    """The body that carries the frame of that name, and the frame's position and quaternion on it."""
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
     body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
     if site < 0 and body < 0 and model.nsite == 1:
@@ -248,7 +248,7 @@ def _add_capsule(body: mujoco.MjsBody, name: str, p: tuple, q: tuple, radius: fl
 
 
 def _turn(rpy: tuple[float, float, float]) -> np.ndarray:
-    """The quaternion of turns about the fixed axes x, y and z, in this order."""
+    """Quaternion of rotations about the fixed axes x, y and z, in this order."""
     quaternion = np.empty(4)
     mujoco.mju_euler2Quat(quaternion, np.array(rpy), "XYZ")
     return quaternion
@@ -257,7 +257,7 @@ def _turn(rpy: tuple[float, float, float]) -> np.ndarray:
 def _composed(
     position: np.ndarray, quaternion: np.ndarray, then_position: np.ndarray, then_quaternion: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The pose of a frame that is given in another frame."""
+    """Pose of a frame that is given in another frame."""
     moved, turned = np.empty(3), np.empty(4)
     mujoco.mju_rotVecQuat(moved, then_position, quaternion)
     mujoco.mju_mulQuat(turned, quaternion, then_quaternion)
@@ -265,7 +265,7 @@ def _composed(
 
 
 def _stand(model: mujoco.MjModel, geoms: np.ndarray, position: tuple, rpy: tuple) -> None:
-    """Put all that is fixed to the world, but for the probe, where the robot's base is."""
+    """Move everything that is fixed to the world, except the probe, to the robot's base."""
     base = np.array(position), _turn(rpy)
     for body in np.flatnonzero(model.body_parentid == 0)[1:]:  # the world is its own parent
         model.body_pos[body], model.body_quat[body] = _composed(*base, model.body_pos[body], model.body_quat[body])
@@ -282,7 +282,7 @@ def _upwards(model: mujoco.MjModel, body: int) -> Iterator[int]:
 
 
 def _joints_below(model: mujoco.MjModel, body: int) -> int:
-    """How many joints there are between the world and the body, its own included."""
+    """Number of joints between the world and the body, including its own."""
     return int(model.body_jntnum[list(_upwards(model, body))].sum())
 
 
@@ -293,8 +293,8 @@ def _outermost_body(model: mujoco.MjModel) -> int:
 
 
 def _lengthen(model: mujoco.MjModel, site: int, geoms: np.ndarray, extension_m: float) -> None:
-    """Move the TCP and what hangs on its body outwards along the tool's z axis; the first capsule there keeps the end
-    that is nearer to the last joint, and is stretched. Worked out in the world, at the model's own zero."""
+    """Move the TCP and the geoms on its body outwards along the tool's z axis; the first capsule there keeps the end
+    nearer to the last joint, and is stretched. Computed in the world, at the model's own zero."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     shift = extension_m * data.site_xmat[site, 2::3]
@@ -313,7 +313,7 @@ def _lengthen(model: mujoco.MjModel, site: int, geoms: np.ndarray, extension_m: 
 
 
 def _put(model: mujoco.MjModel, data: mujoco.MjData, geom: int, p: np.ndarray, q: np.ndarray) -> None:
-    """Lay the axis of a geom from p to q, which are in the world."""
+    """Lay the axis of a geom from p to q, given in the world."""
     body, length = model.geom_bodyid[geom], math.dist(p, q)
     rotation = data.xmat[body].reshape(3, 3)
     model.geom_sameframe[geom] = _OWN_FRAME
@@ -334,7 +334,7 @@ def _limits(model: mujoco.MjModel, profile: str) -> tuple[np.ndarray, np.ndarray
 
 
 def _numeric(model: mujoco.MjModel, name: str, default: float) -> np.ndarray:
-    """The <numeric> of that name, a value a joint."""
+    """The <numeric> of that name, one value per joint."""
     at = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
     if at < 0:
         return np.full(model.njnt, default)

@@ -1,9 +1,8 @@
-"""What an arm keeps clear of besides its workpiece, as MuJoCo sees it: itself, the shapes of a cell, further clouds.
+"""Obstacles of an arm other than the workpiece, in MuJoCo: the arm itself, shapes of a cell, further clouds.
 
-The cell's file is read a second time, and where its shapes stand, which of them a body heeds and which bodies may touch
-each other is worked out anew. Capsules stand in for the arm's bodies in the cell's own model, put where MuJoCo's
-kinematics has these; distances are mj_geomDistance's. Of a mesh that is not convex MuJoCo knows the hull alone: its
-triangles are measured, as a workpiece's are.
+The cell's file is read a second time; the poses of its shapes, and the pairs of bodies to check, are determined
+independently. Capsules represent the arm's bodies in the cell's own model, placed by MuJoCo's kinematics; distances are
+by mj_geomDistance. MuJoCo represents a non-convex mesh by its hull: so its triangles are measured, like a workpiece's.
 """
 
 import math
@@ -28,10 +27,9 @@ _CAPSULE, _MESH = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_MESH
 
 
 class Beside:
-    """An arm, and what there is in a job's cell. Raises InputError for a file that MuJoCo cannot read.
-
-    plain: the arm without an extension of its tool, as the model draws it. bound: whether there are meshes of which a
-    planner may know points only."""
+    """An arm and the obstacles in a job's cell. Raises InputError for a file that MuJoCo cannot read. plain: the arm
+    without an extension of its tool, as in the model. bound: True if there are meshes that a planner may represent by
+    points only."""
 
     def __init__(self, cell: CellConfig, arm: Arm, plain: Arm):
         self._arm, self.walls, self.bound = arm, [], False
@@ -64,8 +62,8 @@ class Beside:
     def distances(
         self, x: Float[np.ndarray, "n N"], postures: Postures, may: Bool[np.ndarray, "n R"] | None = None
     ) -> Float[np.ndarray, "n R"]:
-        """The distances of all that must not touch: of pairs of shapes, then to the walls; last below zero
-        where meshes touch in capsules that are not checked. inf where `may` is False."""
+        """Distances of everything that must not touch [m]: pairs of shapes, then walls; the last one is below zero if
+        meshes touch in capsules that are not checked. inf if `may` is False."""
         may = np.ones((len(x), len(self._pairs) + len(self.walls) + 1), bool) if may is None else may
         to_walls = np.full((len(x), len(self.walls)), np.inf)
         for column, rows, wall in zip(to_walls.T, may[:, len(self._pairs) : -1].T, self.walls, strict=True):
@@ -74,7 +72,7 @@ class Beside:
         return np.hstack([self._distances(postures, self._pairs, may[:, : len(self._pairs)]), to_walls, excluded])
 
     def _of_excluded(self, x: Float[np.ndarray, "n N"], postures: Postures) -> Float[np.ndarray, "n"]:
-        """Below zero where meshes touch in capsules that are not checked; elsewhere inf."""
+        """Negative penetration depth [m] of meshes that touch in capsules that are not checked; inf elsewhere."""
         pairs, found = [*self._own.by_mesh, *self._own.excluded], np.full(len(x), np.inf)
         depth = -self._apart(postures, pairs)
         if depth.size and depth.max() > self.deepest[0]:
@@ -103,7 +101,7 @@ class Beside:
         return found
 
     def _pose(self, geom: int, p: Float[np.ndarray, "3"], q: Float[np.ndarray, "3"]) -> None:
-        """Put a body of the arm there."""
+        """Place a body of the arm with its axis from p to q."""
         axis, length = p - q, math.dist(p, q)
         self._data.geom_xpos[geom], self._model.geom_size[geom, 1] = (p + q) / 2, length / 2
         if length:
@@ -112,7 +110,7 @@ class Beside:
             mujoco.mju_quat2Mat(self._data.geom_xmat[geom], turn)
 
     def _is_hollow(self, geom: int) -> bool:
-        """Whether a geom is a mesh that is not convex; it becomes a wall of triangles."""
+        """Return True if a geom is a non-convex mesh, and add it as a wall of triangles."""
         model = self._model
         if model.geom_type[geom] != _MESH:
             return False
@@ -133,7 +131,7 @@ class Beside:
 
 
 def _spec(path: Path) -> mujoco.MjSpec:
-    """The file, its geoms for contact alone."""
+    """The cell's file, with its geoms for contact only."""
     spec = read_spec(path, meshes=True)
     spec.modelfiledir = str(path.parent.resolve())
     for geom in list(spec.geoms):
@@ -145,7 +143,7 @@ def _spec(path: Path) -> mujoco.MjSpec:
 
 
 def _move(model: mujoco.MjModel, data: mujoco.MjData, cell: CellConfig) -> None:
-    """Turn and shift what the job moves; the arm's stand-ins are put elsewhere anyway."""
+    """Rotate and shift the part of the cell that the job moves; the arm's capsules are placed later anyway."""
     body = 0 if cell.moved is None else model.body(cell.moved).id
     origin = np.zeros(3) if body == 0 else data.xpos[body].copy()
     R, shift = _frame(cell.shift_m, cell.rpy_rad)

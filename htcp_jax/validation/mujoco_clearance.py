@@ -1,17 +1,17 @@
-"""Clearance between MuJoCo's capsules and the walls, for validation: which few can be nearest, proven by a tree.
+"""Clearance between MuJoCo's capsules and the walls, for validation, with provably safe pruning by a tree.
 
-Of a cloud MuJoCo measures (`Arm.distances`); scipy's tree only says which points need not be measured. A capsule's axis
-is cut into pieces. Of a piece with the centre m and the half length h, let d be the distance from m to the nearest
-point of the cloud. Let the capsule's smallest distance, D = e - radius, be attained at the point s of its axis.
+For a cloud MuJoCo measures (`Arm.distances`); scipy's tree only excludes points that need not be measured. A capsule's
+axis is cut into pieces. For a piece with the centre m and the half length h, let d be the distance from m to the
+nearest point of the cloud. Let the capsule's smallest distance, D = e - radius, be attained at the point s of its axis.
 
 - d - radius is an upper bound on the clearance, because m lies on the axis.
 - If s is an end of the axis, the sample m = s with h = 0, which is among the samples, is at the distance e exactly.
 - Otherwise the arm of length e from s to its point is at right angles to the axis. The piece that holds s has
   |m - s| <= h, so that point lies within sqrt(e^2 + h^2) of m: e >= sqrt(d^2 - h^2).
 
-Of a mesh the triangles themselves are measured (`validate_mesh`), from MuJoCo's axes. The tree holds their middles. A
-middle is on the mesh, and no point of its triangle is further from it than the grain: above, d - grain takes the place
-of d where it bounds from below.
+For a mesh the triangles themselves are measured (`mesh_clearance`), from MuJoCo's axes. The tree holds their centres. A
+centre is on the mesh, and no point of its triangle is further from it than the grain: in the lower bound above,
+d - grain replaces d.
 
 So a piece whose sqrt(d^2 - h^2) - radius is above the least upper bound U of all pieces cannot hold s, and of a piece
 that may hold it only the points within sqrt((U + radius)^2 + h^2) of m can be the nearest. The pieces that are left
@@ -38,7 +38,7 @@ FACETS_AT_ONCE = 2_000_000  # heights in memory
 
 
 class Pieces(NamedTuple):
-    """Pieces of capsule axes: of which configuration and capsule, centre (0 at p, 1 at q), half length [m]."""
+    """Pieces of capsule axes: configuration, capsule, centre (0 at p, 1 at q), half length [m]."""
 
     row: Int[np.ndarray, "m"]
     capsule: Int[np.ndarray, "m"]
@@ -46,12 +46,12 @@ class Pieces(NamedTuple):
     half: Float[np.ndarray, "m"]
 
     def only(self, which: Bool[np.ndarray, "m"]) -> "Pieces":
-        """Those of them."""
+        """Select some of the pieces."""
         return Pieces(*(values[which] for values in self))
 
 
 class Wall:
-    """A cloud's points, or a mesh's triangles, in a tree, and their exact convex hull where `interior` is "hull";
+    """A cloud's points, or a mesh's triangles, in a tree, and their exact convex hull if `interior` is "hull";
     workpiece frame [m]. direction: into the part; None for the world's x."""
 
     def __init__(
@@ -71,15 +71,15 @@ class Wall:
         self.normal, self.offset, self.direction = planes[:, :3].copy(), -planes[:, 3], direction
 
     def outside(self, points: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m"]:
-        """How far each point lies beyond the facet of the hull that it is furthest beyond; negative inside."""
+        """Largest signed distance of each point to the planes of the hull's facets [m]; negative inside."""
         step = max(1, FACETS_AT_ONCE // max(1, len(self.offset)))
         parts = [points[k : k + step] @ self.normal.T - self.offset for k in range(0, len(points), step)]
         return np.concatenate([part.max(axis=1, initial=-np.inf) for part in parts] or [np.empty(0)])
 
 
 def wall_of(part: WorkpieceConfig, workpiece: Workpiece) -> Wall:
-    """The wall that a configuration speaks of. A mesh is read again. Of a part of one's own the inlet's direction,
-    where none is given, is that of the hull's facet nearest to the inlet; without an inlet there is no interior."""
+    """The wall that a configuration describes. A mesh is read again. For a user-supplied part the inlet's direction, if
+    none is given, is that of the hull's facet nearest to the inlet; without an inlet there is no interior."""
     triangles = read_triangles(part.cloud) if len(workpiece.triangles) else None
     if part.cloud == "duct" or part.interior != "hull" or part.inlet_direction is not None:
         given = part.inlet_direction
@@ -93,22 +93,22 @@ def wall_of(part: WorkpieceConfig, workpiece: Workpiece) -> Wall:
 
 
 class AtTargets(NamedTuple):
-    """What was found at n configurations, and what `Scene.between` reuses of it."""
+    """Results at n configurations, which `CheckedScene.between` reuses."""
 
     postures: Postures
     clearance: Float[np.ndarray, "n"]  # [m]
     samples: Float[np.ndarray, "n M 3"]  # world
     distance: Float[np.ndarray, "n M"]  # of the samples to their nearest points
-    ends: Float[np.ndarray, "n E 3"]  # of all capsules, world
-    outside: Float[np.ndarray, "n E"]  # NaN where the hull does not matter
-    beside: Float[np.ndarray, "n R"]  # what else must not touch, see `mujoco_cell.Beside.distances` [m]
+    ends: Float[np.ndarray, "n E 3"]  # ends of all capsules, world
+    outside: Float[np.ndarray, "n E"]  # NaN where the hull is not checked
+    beside: Float[np.ndarray, "n R"]  # other distances, see `mujoco_cell.Beside.distances` [m]
 
 
 class CheckedScene:
-    """An arm beside a wall that stands at x_world = rotate @ x + translate. Beyond `interior_depth_m` behind where the
-    wall begins along its direction, the ends of all axes must lie in the hull; unless the arm itself stands beyond it.
-    Along the world's x the rule holds wherever the arm stands. beside(x, postures, may): the distances (n, R) of all
-    else that must not touch, inf where `may` (n, R) is False; None: of all."""
+    """An arm next to a wall at x_world = rotate @ x + translate. Beyond `interior_depth_m` behind the start of the wall
+    along its direction, the ends of all axes must lie in the hull, unless the arm's base is beyond it, too. Along the
+    world's x the rule holds for any base. beside(x, postures, may): the distances (n, R) to everything else that must
+    not touch, inf where `may` (n, R) is False; None: of all."""
 
     def __init__(
         self,
@@ -127,7 +127,7 @@ class CheckedScene:
             self.interior_from = np.inf
 
     def at(self, x: Float[np.ndarray, "n N"]) -> AtTargets:
-        """The clearance of every configuration."""
+        """Compute the clearance of every configuration."""
         postures = self.arm.postures(x)
         pieces = _whole_axes(self.arm, len(x))
         samples = _centres(postures, pieces)
@@ -144,11 +144,11 @@ class CheckedScene:
     def between(
         self, x: Float[np.ndarray, "n N"], a: Int[np.ndarray, "n"], known: AtTargets, below: float
     ) -> tuple[Postures, Float[np.ndarray, "n"]]:
-        """The postures of configurations x between the configurations a and a + 1 of `known`, and the clearance (n,)
-        of those where it is `below` (at least 0) or less; inf elsewhere.
+        """TCP and capsules at configurations x between the configurations a and a + 1 of `known`, and the clearance
+        (n,) of those where it is at most `below` (at least 0); inf elsewhere.
 
-        No sample comes nearer to the cloud, and no end of an axis further out of the hull, than it moves, and no two
-        bodies come nearer to each other than both move: most are decided by what is known at a or at a + 1.
+        No sample approaches the cloud, and no end of an axis leaves the hull, by more than it moves, and no two bodies
+        approach each other by more than both move: so most are decided by the results at a or at a + 1.
         """
         postures = self.arm.postures(x)
         pieces = _whole_axes(self.arm, len(x))
@@ -169,7 +169,8 @@ class CheckedScene:
         return postures, np.where(clearance <= below, clearance, np.inf)
 
     def tip_goes_through(self, postures: Postures, contact_m: float) -> Bool[np.ndarray, "n"]:
-        """Whether the stretch from the last body to the TCP, but for its last `contact_m`, goes through a triangle."""
+        """True if the segment from the last body to the TCP, without its last `contact_m`, passes through a
+        triangle."""
         first, tcp = self.local(self.arm.tip_start(postures)), self.local(postures.tcp)
         length = np.linalg.norm(tcp - first, axis=1)
         last = tcp + (first - tcp) * np.minimum(1.0, contact_m / np.maximum(length, contact_m + 1e-12))[:, None]
@@ -181,7 +182,7 @@ class CheckedScene:
         return np.bincount(row[through], minlength=len(first)) > 0
 
     def _measured(self, x: np.ndarray, postures: Postures, pieces: Pieces, upper: np.ndarray) -> np.ndarray:
-        """The clearance to the points, by MuJoCo, or to the triangles; inf where no piece can hold any at `upper` or
+        """Clearance to the points, by MuJoCo, or to the triangles [m]; inf if no piece can have one of `upper` or
         less."""
         row, capsule, point = self._candidates(postures, pieces, upper)
         clearance = np.full(len(x), np.inf)
@@ -197,8 +198,8 @@ class CheckedScene:
         return clearance
 
     def _candidates(self, postures: Postures, pieces: Pieces, upper: np.ndarray) -> np.ndarray:
-        """Columns (row, capsule, point), sorted: all that can be a row's nearest, if its clearance is `upper` or less;
-        see the module."""
+        """Columns (row, capsule, point), sorted: everything that can be nearest in a row if its clearance is at most
+        `upper`; see the module."""
         radius = self.arm.radius
         if not len(self.wall.middle):
             return np.empty((3, 0), int)
@@ -221,7 +222,7 @@ class CheckedScene:
         return np.stack(np.unravel_index(np.unique(np.ravel_multi_index(triples, shape)), shape))
 
     def _reach(self, pieces: Pieces, upper: np.ndarray) -> np.ndarray:
-        """How far from a piece's centre the nearest point can be, if the clearance is `upper` or less."""
+        """Largest distance from a piece's centre to the nearest point, if the clearance is at most `upper` [m]."""
         reach = np.maximum(0.0, upper[pieces.row] + self.arm.radius[pieces.capsule])
         return np.hypot(reach, pieces.half) + self.wall.grain + ROOM_M
 
@@ -236,13 +237,13 @@ class CheckedScene:
         return found
 
     def local(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-        """World points in the workpiece's frame [m]."""
+        """Transform world points into the workpiece's frame [m]."""
         return (points - self.translate) @ self.rotate
 
 
 def _whole_axes(arm: Arm, n: int) -> Pieces:
-    """Every capsule's axis in pieces of COARSE radii, and its ends, the same for each of n configurations. Their number
-    comes from the model's lengths: those of a posture are rounded in its own way."""
+    """Every capsule's axis in pieces of COARSE radii, and its ends, for each of n configurations. Their number is
+    computed from the model's lengths: those at a configuration have rounding errors of their own."""
     capsule, centre, half = [], [], []
     for k, (length, radius) in enumerate(zip(arm.length.tolist(), arm.radius.tolist(), strict=True)):
         count = int(np.ceil(length / (2 * COARSE * radius)))
@@ -255,7 +256,7 @@ def _whole_axes(arm: Arm, n: int) -> Pieces:
 
 
 def _cut(pieces: Pieces, postures: Postures) -> Pieces:
-    """Each piece in four; an end stays as it is."""
+    """Cut each piece into four; an end stays as it is."""
     whole, split = pieces.only(pieces.half == 0), pieces.only(pieces.half > 0)
     length = np.linalg.norm((postures.p - postures.q)[split.row, split.capsule], axis=1)
     quarters = np.array([-0.75, -0.25, 0.25, 0.75])
@@ -276,13 +277,13 @@ def _runs(row: np.ndarray) -> Iterator[tuple[int, int]]:
 
 
 def _least(upper: np.ndarray, pieces: Pieces, values: np.ndarray) -> np.ndarray:
-    """`upper`, lowered to the least of each row's values."""
+    """Return `upper`, lowered to the minimum of each row's values."""
     upper = upper.copy()
     np.minimum.at(upper, pieces.row, values)
     return upper
 
 
 def _worse(clearance: np.ndarray, outside: np.ndarray) -> np.ndarray:
-    """An end outside the hull makes the clearance minus how far it is outside, at most."""
+    """Clearance, limited to minus the largest distance of an end outside the hull [m]."""
     furthest = np.where(outside > 0, outside, -np.inf).max(axis=1, initial=-np.inf)
     return np.where(furthest > 0, np.minimum(clearance, -furthest), clearance)

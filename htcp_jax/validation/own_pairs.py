@@ -1,8 +1,8 @@
-"""Which capsules of an arm need no check against each other, worked out by MuJoCo from configurations of its own.
+"""Pairs of an arm's capsules that need no check against each other, determined by MuJoCo from its own samples.
 
 A pair that the planner excludes is excluded here only if the model says so, if it nearly always overlaps here, too, or
-if it belongs to adjacent links. Where an arm's file says that meshes do not touch (rule c), the meshes are tested at
-every configuration that is validated, if they are still there.
+if it belongs to adjacent links. If an arm's file says that meshes do not touch (rule c), the meshes are tested at every
+configuration that is validated, if their files exist.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from htcp_jax.model.robot import TOUCHING_M
 from htcp_jax.validation.mujoco_arm import Arm, Postures
 
 SAMPLES, SEED = 10_000, 1
-ALWAYS, NEARLY = 0.95, 0.93  # of an arm without a list; of one whose list, from other configurations, says so
+ALWAYS, NEARLY = 0.95, 0.93  # smallest shares of overlaps, for an arm without a list; for one whose list has rule b
 Pair = tuple[int, int]
 Distances = Callable[[Postures, list[Pair]], Float[np.ndarray, "n R"]]
 
@@ -25,12 +25,12 @@ class OwnPairs(NamedTuple):
     """Pairs of capsules by their numbers."""
 
     checked: list[Pair]
-    by_mesh: list[Pair]  # that touch where their meshes do
+    by_mesh: list[Pair]  # decided by their meshes
     excluded: list[Pair]
 
 
 def own_pairs(arm: Arm, measured: Distances) -> OwnPairs:
-    """The pairs of an arm. measured: distances of pairs at postures [m]."""
+    """Classify the pairs of an arm. measured: distances of pairs [m]."""
     stated, found = arm.stated, OwnPairs([], [], [])
     doubtful = [pair for pair in arm.apart if stated is None or pair in stated or arm.is_tool(pair)]
     overlap = measured(arm.postures(arm.random(SAMPLES, SEED)), doubtful) <= 0
@@ -53,7 +53,7 @@ def own_pairs(arm: Arm, measured: Distances) -> OwnPairs:
 
 
 def touch_m(arm: Arm, pair: Pair, x: Float[np.ndarray, "N"]) -> float:
-    """How deep the meshes in a pair are in each other at x [m]; 0 up to TOUCHING_M."""
+    """Penetration depth of a pair's meshes at x [m]; 0 up to TOUCHING_M."""
     meshes: LinkMeshes = arm.meshes
     deep = meshes.deepest_m(*(arm.names[k] for k in pair), meshes.poses(x[None]))
     return deep if deep > TOUCHING_M else 0.0

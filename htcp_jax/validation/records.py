@@ -1,4 +1,4 @@
-"""What is to be validated, as recorded: read from a sweep's run folder or from the folder of one plan."""
+"""Saved results to validate: read from a sweep's run folder or from the folder of one plan."""
 
 from collections.abc import Callable, Iterator
 from functools import lru_cache
@@ -14,17 +14,17 @@ from htcp_jax.runs.open import PlanSet, open_plans
 from htcp_jax.status import Way
 from htcp_jax.validation.scene_rules import Results, Track
 
-MOST_WORKPIECES = 8  # of one run in memory
+MOST_WORKPIECES = 8  # largest number of one run in memory
 
 
 def read_results(folder: Path) -> Results:
-    """The results in `folder`. Raises InputError as `open_plans` does."""
+    """Read the results in `folder`. Raises InputError as `open_plans` does."""
     found = open_plans(folder)
     return Results(found.folder, _workpieces(), found.count, _tracks(found), found.files)
 
 
 def _tracks(found: PlanSet) -> Iterator[Track]:
-    """Method by method, so that only one method's results are in memory."""
+    """Tracks, method by method, so that only one method's results are in memory."""
     for method in found.methods:
         plans = found.plans(method)
         for number in np.flatnonzero(plans.outcomes.planned).tolist():
@@ -47,7 +47,7 @@ def _track(method: str, number: int, config: PlanConfig, plans: Plans) -> Track:
 
 
 def _workpieces() -> Callable[[PlanConfig], Workpiece]:
-    """Loads workpieces, and keeps the last few. Only their points, path and inlet are used, and that it is a mesh."""
+    """Return a cached loader of workpieces, of which only points, path, inlet and the presence of a mesh are used."""
 
     @lru_cache(maxsize=MOST_WORKPIECES)
     def load(part: WorkpieceConfig, arm: RobotConfig) -> Workpiece:

@@ -1,6 +1,6 @@
-"""What is validated, and the scene's rules over again in plain numpy, by which targets are worked out anew.
+"""Data to validate, and the scene's rules again in plain numpy, by which targets are recomputed.
 
-scenario.py and the pose rule of workpiece.py are among what is validated.
+scenario.py and the pose rule of workpiece.py are among the code under validation.
 """
 
 from collections.abc import Callable, Iterable
@@ -16,16 +16,16 @@ from htcp_jax.runs.parameters import Parameters
 
 
 class Track(NamedTuple):
-    """What one method recorded for one scenario with T targets; NaN where a target is not tracked."""
+    """Saved results of one method for one scenario with T targets; NaN where a target is not tracked."""
 
     method: str
     scenario: int
     config: PlanConfig  # the scenario's own
-    start: Float[np.ndarray, "N"]  # that the plan starts from
+    start: Float[np.ndarray, "N"]  # start of the plan
     tracked: Bool[np.ndarray, "T"]
-    blocked: Bool[np.ndarray, "T"]  # joint path from the row before, as recorded
-    proven: Bool[np.ndarray, "T"]  # whether the way from the row before is on record as a proven motion
-    knots: tuple[Float[np.ndarray, "k N"], ...]  # T times: the postures passed on that way
+    blocked: Bool[np.ndarray, "T"]  # joint path from the previous row, as saved
+    proven: Bool[np.ndarray, "T"]  # True if the segment from the previous row is saved as a proven motion
+    knots: tuple[Float[np.ndarray, "k N"], ...]  # T times: via points of that segment
     x: Float[np.ndarray, "T N"]
     tcp: Float[np.ndarray, "T 3"]
     target: Float[np.ndarray, "T 3"]
@@ -33,7 +33,7 @@ class Track(NamedTuple):
 
 
 class Results(NamedTuple):
-    """All that is to be validated."""
+    """Everything to validate."""
 
     folder: Path
     workpiece: Callable[[PlanConfig], Workpiece]  # of a track's configuration
@@ -43,8 +43,8 @@ class Results(NamedTuple):
 
 
 def turned_and_moved(part: WorkpieceConfig, pose: Parameters) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (3, 3) and translation (3,) from the workpiece frame to the world: about the pivot, first about world
-    x, then about y, then about z, applied to the neutral pose; then the shift."""
+    """Rotation (3, 3) and translation (3,) from the workpiece frame to the world [m]: the neutral pose is rotated about
+    the pivot, first about world x, then y, then z, and then shifted."""
     angles = pose.rotation_x_rad, pose.rotation_y_rad, pose.rotation_z_rad
     (cx, sx), (cy, sy), (cz, sz) = ((np.cos(angle), np.sin(angle)) for angle in angles)
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
@@ -57,8 +57,8 @@ def turned_and_moved(part: WorkpieceConfig, pose: Parameters) -> tuple[np.ndarra
 def targets_of(
     job: PlanConfig, tcp: np.ndarray, inlet: np.ndarray | None, path: np.ndarray
 ) -> Float[np.ndarray, "T 3"]:
-    """The targets, world: the start's TCP, steps to the inlet, steps from there to the path, the path. Where the start
-    is chosen at the path's first point, the path alone, and that point once more before it."""
+    """Targets, world [m]: the start's TCP, steps to the inlet, steps from there to the path, the path. If the start is
+    chosen at the path's first point: that point, then the path."""
     if job.start is None:
         return np.concatenate([path[:1], path])
     to_inlet, to_path = job.workpiece.approach_to_inlet, job.workpiece.approach_to_path

@@ -1,6 +1,6 @@
-"""The rows of a task looked at again, in plain numpy on poses by MuJoCo: how far off each is, and what is allowed.
+"""Independent check of a task's rows, in plain numpy on poses by MuJoCo: deviation and tolerance of each.
 
-Nothing of the planner's rows is used. Normals and tangents that the path's file does not have are the scene's.
+Nothing of the planner's rows is used. Normals and tangents missing in the path's file are the scene's.
 """
 
 from collections.abc import Sequence
@@ -21,14 +21,14 @@ HELD = TaskRow(point="tcp", on="path")
 
 
 class RowCheck(NamedTuple):
-    """One row at n points of the path, in metres or degrees."""
+    """Deviation from one row at n points of the path, in metres or degrees."""
 
     row: TaskRow
     off: Float[np.ndarray, "n"]
     most: float
 
     def reason(self, number: int, k: int) -> str | None:
-        """In words, why the row does not hold at the k-th of the points; None where it does."""
+        """Return a sentence on why the row does not hold at the k-th of the points; None if it holds."""
         if self.off[k] <= self.most + ROUNDING_M:
             return None
         off, most = self.factor * self.off[k], self.factor * self.most
@@ -36,17 +36,17 @@ class RowCheck(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """In which people are told."""
+        """Unit for display."""
         return "mm" if self.row.point else "degrees"
 
     @property
     def factor(self) -> float:
-        """To that unit."""
+        """Factor that converts to that unit."""
         return 1e3 if self.row.point else 1.0
 
 
 class Place(NamedTuple):
-    """Where the part is, and at which of its path's points the arm."""
+    """Pose of the part, and n points of its path."""
 
     rotate: Float[np.ndarray, "3 3"]  # from the workpiece frame to the world
     translate: Float[np.ndarray, "3"]  # [m]
@@ -54,7 +54,7 @@ class Place(NamedTuple):
     point: Int[np.ndarray, "n"]
 
     def world(self, row: TaskRow, vector: Sequence[float], is_place: bool = False) -> Float[np.ndarray, "3"]:
-        """A place or a direction that a row gives in numbers."""
+        """Transform a position [m] or direction that a row gives in numbers to the world."""
         if row.frame != "workpiece":
             return np.array(vector)
         return self.rotate @ np.array(vector) + (self.translate if is_place else 0.0)
@@ -68,7 +68,7 @@ def check_rows(
     tolerance_m: float,
     tolerance_rad: float,
 ) -> list[RowCheck]:
-    """Every row at configurations x."""
+    """Check every row at configurations x."""
     return [_check(row, arm, x, place, tolerance_m, float(np.rad2deg(tolerance_rad))) for row in rows or (HELD,)]
 
 
@@ -80,9 +80,9 @@ def hold_between(
     here: Place,
     settings: Settings,
 ) -> Bool[np.ndarray, "R n"]:
-    """Whether every row holds at configurations x on the way from one point of the path to the next: what is asked for
-    there is between what is asked for at both. A TCP that is held on the path counts as held; `from_line` looks at it.
-    One that is held at another place may be as far off as on a path."""
+    """True if a row holds at configurations x on the segment from one point of the path to the next, for a requirement
+    between those at both points. A TCP that is held on the path counts as held; `from_line` checks it. A TCP held at
+    another position has the tolerance of a path."""
     good = np.ones((len(rows), len(x)), bool)
     for own, row in zip(good, rows, strict=True):
         if row.point is None:
@@ -98,17 +98,17 @@ def hold_between(
 
 
 def follower(rows: Sequence[TaskRow], arm: Arm, x: Float[np.ndarray, "n N"]) -> Float[np.ndarray, "n 3"]:
-    """Where the point that follows the path is; the TCP where none does."""
+    """Position of the point that follows the path [m]; the TCP if no row defines one."""
     return _point(next((row for row in rows if row.on == "path"), HELD), arm, x)
 
 
 def holds_tcp(rows: Sequence[TaskRow]) -> bool:
-    """Whether the TCP is held on the path in all directions."""
+    """True if the TCP is held on the path in all directions."""
     return not rows or any(replace(row, frame=HELD.frame) == HELD for row in rows)
 
 
 def follows_all(rows: Sequence[TaskRow]) -> bool:
-    """Whether the point that follows the path is held in all directions."""
+    """True if the point that follows the path is held in all directions."""
     row = next((row for row in rows if row.on == "path"), None if rows else HELD)
     return row is not None and row.axes == "xyz" and row.within_m is None
 
@@ -129,7 +129,7 @@ def _point(row: TaskRow, arm: Arm, x: np.ndarray) -> Float[np.ndarray, "n 3"]:
 
 
 def _off_place(row: TaskRow, point: np.ndarray, place: Place) -> Float[np.ndarray, "n k"]:
-    """How far a point is from where it is to be, in the directions that count."""
+    """Deviation of a point from its required position in the constrained directions [m]."""
     if row.on == "plane":
         normal = place.world(row, row.normal) / np.linalg.norm(row.normal)
         return ((point - place.world(row, row.through_m, True)) @ normal)[:, None]
@@ -153,7 +153,7 @@ def _off_place(row: TaskRow, point: np.ndarray, place: Place) -> Float[np.ndarra
 
 
 def _off_axis(row: TaskRow, arm: Arm, x: np.ndarray, place: Place) -> Float[np.ndarray, "n"]:
-    """The angle between an axis and what it is turned to [rad]."""
+    """Angle between an axis and its required direction [rad]."""
     return _angle(_axis(row, arm, x), _turned_to(row, arm, x, place))
 
 
@@ -164,7 +164,7 @@ def _axis(row: TaskRow, arm: Arm, x: np.ndarray) -> Float[np.ndarray, "n 3"]:
 
 
 def _turned_to(row: TaskRow, arm: Arm, x: np.ndarray, place: Place) -> Float[np.ndarray, "n 3"]:
-    """The direction that an axis is turned in, of any length."""
+    """Required direction of an axis, of any length."""
     if row.looks_at_m is not None:
         origin, _ = arm.frames(x, row.axis_of[0])
         return place.world(row, row.looks_at_m, True) - origin
@@ -179,13 +179,13 @@ def _angle(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Float[np
 
 
 def _off_turn(row: TaskRow, arm: Arm, x: np.ndarray, place: Place) -> Float[np.ndarray, "n"]:
-    """The angle of the rotation between a frame and what it is to be [rad]."""
+    """Angle of the rotation between a frame and its required orientation [rad]."""
     _, rotation = arm.frames(x, row.of)
     return _turn(rotation, _orientation(row, len(x), place))
 
 
 def _orientation(row: TaskRow, count: int, place: Place) -> Float[np.ndarray, "n 3 3"]:
-    """What a frame is to be."""
+    """Required orientation of a frame."""
     if row.orientation == "path":
         return place.rotate @ place.workpiece.frames.rotations[place.point]
     own = Rotation.from_quat(row.orientation, scalar_first=True).as_matrix()
@@ -199,8 +199,8 @@ def _turn(a: Float[np.ndarray, "n 3 3"], b: Float[np.ndarray, "n 3 3"]) -> Float
 def _turned_between(
     row: TaskRow, arm: Arm, x: np.ndarray, places: tuple[Place, Place], tolerance_rad: float
 ) -> Bool[np.ndarray, "n"]:
-    """Whether an axis or a frame is turned as at either end of a way, or as half way between them, where the limit is
-    at least half of the turn; a place that is looked at is the same all along."""
+    """True if an axis or a frame is oriented as required at either end of a segment, or half way between, where the
+    limit is at least half of the rotation from end to end. A point that is looked at is fixed."""
     limit = np.deg2rad(row.limit_deg or 0.0)
     if row.axis is None:
         (_, now), off = arm.frames(x, row.of), _turn

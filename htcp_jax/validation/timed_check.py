@@ -1,8 +1,8 @@
-"""A motion with time, looked at by MuJoCo alone: is every posture of it clear, and does the task hold on its path?
+"""Validation of a timed motion by MuJoCo alone: collisions at every configuration, and the task on its path.
 
-Nothing is asked of the curve, its bounds or its law: postures as they are written are put where MuJoCo's kinematics has
-them, and measured to the plan's scene and to the rows of its task, as `htcp validate` does. Of a cloud the wall that
-the bare tip must not pass through is the discs that the planner has for it; a mesh's triangles are read again.
+Nothing of the curve, its bounds or its time scaling is used: configurations are placed as written by MuJoCo's
+kinematics, and measured against the plan's scene and the rows of its task, as `htcp validate` does. For a cloud, the
+wall that the bare tip must not pass through is the planner's discs; a mesh's triangles are read again.
 """
 
 from collections.abc import Callable
@@ -25,29 +25,29 @@ from htcp_jax.validation.task_check import Place, hold_between, holds_tcp
 from htcp_jax.validation.track import from_line, scene_of
 from htcp_jax.validation.validate import parts_of
 
-AT_ONCE = 256  # postures; what is near them all is in memory
-EVERY = 16  # posture is measured; of those between most are decided by how far the arm has moved from these
+AT_ONCE = 256  # configurations; everything near them is in memory
+EVERY = 16  # interval of measured configurations; most of those between are decided by the arm's displacement
 
 
 class TimedCheck(NamedTuple):
-    """What was found at n postures."""
+    """Results at n configurations."""
 
-    touches: Bool[np.ndarray, "n"]  # a body, or the bare tip passes through a wall
+    touches: Bool[np.ndarray, "n"]  # a body collides, or the bare tip passes through a wall
     leaves: Bool[np.ndarray, "n"]  # the TCP is further from its path than the tolerance
-    turns_back: Bool[np.ndarray, "n"]  # it has moved against its path since the posture before
-    breaks: Bool[np.ndarray, "n"]  # a row of the task does not hold, but for the TCP's place
+    turns_back: Bool[np.ndarray, "n"]  # it has moved against its path since the previous configuration
+    breaks: Bool[np.ndarray, "n"]  # a row of the task does not hold, other than the TCP's position
     beyond: Bool[np.ndarray, "n"]  # a joint is outside its limits
     clearance_min_m: float
-    off_max_m: float  # of the TCP, from the lines between the targets; 0 where the task does not hold it
+    off_max_m: float  # of the TCP, from the lines between the targets; 0 if the task does not hold it
 
     @property
     def refuted(self) -> int:
-        """How many of the postures do not stand."""
+        """Number of configurations that failed validation."""
         return int(np.any(self[:5], axis=0).sum())
 
 
 class _Held(NamedTuple):
-    """The postures at which the task holds, by their rows, and the targets before and after each."""
+    """Configurations at which the task holds, by their rows, and the targets before and after each."""
 
     rows: Int[np.ndarray, "m"]
     x: Float[np.ndarray, "m N"]
@@ -64,8 +64,8 @@ def check_timed(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> TimedCheck:
-    """Check the motion of a plan that is on record in `folder`. progress: called with the postures that are done and
-    their number. Raises InputError as `open_plans` does."""
+    """Check the motion of a saved plan in `folder`. progress: called with the configurations that are done and their
+    number. Raises InputError as `open_plans` does."""
     results = read_results(Path(folder))
     track = next(one for one in results.tracks if (one.method, one.scenario) == (method, scenario))
     arm, wall, beside = parts_of(results, track)
@@ -88,7 +88,7 @@ def check_timed(
 
 
 def _held(timed: Timed, tcp: np.ndarray) -> _Held:
-    """Those on the path. During a dwell the arm stays at its target."""
+    """Configurations on the path. During a dwell the arm stays at its target."""
     rows = np.flatnonzero(np.isin(timed.kind, (Kind.FEED, Kind.DWELL)))
     to = timed.target[rows]
     before = np.where(timed.kind[rows] == Kind.DWELL, to, to - 1)
@@ -96,8 +96,8 @@ def _held(timed: Timed, tcp: np.ndarray) -> _Held:
 
 
 def _turns_back(held: _Held, targets: Float[np.ndarray, "T 3"]) -> Bool[np.ndarray, "m"]:
-    """Whether the TCP moves against its line: against that of the posture before as against its own, for between two
-    postures it may pass a corner. It may move any way where its line is a point."""
+    """True if the TCP moves backwards along the line of the previous configuration and along its own, as it may pass a
+    corner between the two. A line of no length allows any motion."""
     line = targets[held.to] - targets[held.before]
     length = np.linalg.norm(line, axis=1, keepdims=True)
     forwards = line / np.maximum(length, ONE_POINT_M)
@@ -110,8 +110,8 @@ def _turns_back(held: _Held, targets: Float[np.ndarray, "T 3"]) -> Bool[np.ndarr
 def _at(
     scene: CheckedScene, x: Float[np.ndarray, "n N"], part: Workpiece, progress: Callable[[int, int], None]
 ) -> tuple[np.ndarray, ...]:
-    """Measure postures: the clearance [m], the TCP, and whether the bare tip passes through a wall. A clearance that is
-    above 0 and above the least so far may be infinite: it was not measured."""
+    """Measure configurations: the clearance [m], the TCP, and True if the bare tip passes through a wall. A clearance
+    above 0 and above the minimum so far may be infinite: it was not measured."""
     clearance, tcp, through = np.full(len(x), np.inf), np.empty((len(x), 3)), np.zeros(len(x), bool)
     rows = np.unique(np.append(np.arange(0, len(x), EVERY), len(x) - 1))  # that are measured
     for first in range(0, max(1, len(rows) - 1), AT_ONCE):

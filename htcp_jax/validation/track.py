@@ -1,4 +1,4 @@
-"""One method's results for one scenario, checked: at the targets, and along the joint paths between them."""
+"""Check of one method's results for one scenario: at the targets, and along the joint paths between them."""
 
 from typing import Any, NamedTuple
 
@@ -17,23 +17,23 @@ from htcp_jax.validation.task_check import RowCheck, check_rows, follower, follo
 
 
 class JointPaths(NamedTuple):
-    """The m straight joint paths that ways are made of."""
+    """The m straight joint paths that segments consist of."""
 
-    target: Int[np.ndarray, "m"]  # to which the way leads
-    row: Int[np.ndarray, "m"]  # of the postures measured, from which the way leads
+    target: Int[np.ndarray, "m"]  # at the end of the segment
+    row: Int[np.ndarray, "m"]  # of the measured configurations, at the start of the segment
     a: Float[np.ndarray, "m N"]
     b: Float[np.ndarray, "m N"]
-    line_a: Float[np.ndarray, "m 3"]  # the line that the TCP follows, or where it stays
+    line_a: Float[np.ndarray, "m 3"]  # the line that the TCP follows, or the point where it stays
     line_b: Float[np.ndarray, "m 3"]
 
 
 class Checked(NamedTuple):
-    """What was found at the n tracked targets with a configuration, and along the m joint paths that lead to them."""
+    """Results at the n tracked targets with a configuration, and along the m joint paths to them."""
 
     method: str
     scenario: int
-    tracked: int  # targets on record as such
-    blocked: int  # joint paths to them on record as blocked
+    tracked: int  # targets saved as tracked
+    blocked: int  # joint paths to them saved as blocked
     target: Int[np.ndarray, "n"]
     tcp_error: Float[np.ndarray, "n"]
     clearance: Float[np.ndarray, "n"]
@@ -44,17 +44,17 @@ class Checked(NamedTuple):
     refuted: list[Refuted]
     leads_to: Int[np.ndarray, "m"]  # target
     touches: Bool[np.ndarray, "m"] | None
-    clearance_between: Float[np.ndarray, "m"] | None  # least on the way; inf where more than at all the targets
+    clearance_between: Float[np.ndarray, "m"] | None  # minimum on the path; inf if larger than at all targets
     deviation: Float[np.ndarray, "m"] | None
     speed: Float[np.ndarray, "m N"]  # ratio to the limit at a feed rate of 1 m/s; 0 where the targets coincide
     in_place: Float[np.ndarray, "m"]  # largest joint change where the targets coincide [rad or m]
     on_path: Int[np.ndarray, "k"]  # those of the targets that are on the path
-    rows: list[RowCheck]  # of the task at these; none where the job has no task
+    rows: list[RowCheck]  # rows of the task at these; none if the job has no task
 
 
 def check(results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: Track, between: int) -> Checked:
-    """Check one track with the arm that has its tool; between: least steps of a joint path, 0 to look at none.
-    Raises InputError where the configuration leads to another number of targets than are on record."""
+    """Check one track with the arm and its tool; between: minimum number of steps per joint path, 0 to skip joint
+    paths. Raises InputError if the configuration leads to another number of targets than the saved one."""
     scene, targets, on_path = scene_of(results, arm, wall, beside, track)
     task, settings = track.config.task, track.config.settings
     t = np.flatnonzero(track.tracked & np.isfinite(track.x).all(axis=1))
@@ -108,8 +108,8 @@ def check(results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: 
 def scene_of(
     results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: Track
 ) -> tuple[CheckedScene, Float[np.ndarray, "T 3"], int]:
-    """The arm beside the wall as the track has it, its targets, and which of them is the path's first point. Raises
-    InputError where the configuration leads to another number of targets than are on record."""
+    """The arm and the wall as placed in the track, its targets, and the index of the path's first point among them.
+    Raises InputError if the configuration leads to another number of targets than the saved one."""
     part, pose, workpiece = track.config.workpiece, of_job(track.config), results.workpiece(track.config)
     rotate, translate = turned_and_moved(part, pose)
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
@@ -139,7 +139,8 @@ def _refuted(
 
 
 def _rows(results: Results, arm: Arm, track: Track, scene: CheckedScene, t: np.ndarray, on_path: int) -> list[RowCheck]:
-    """The rows of the task at targets t of the path. Without a task the one row is looked at as every plan's."""
+    """Check the rows of the task at targets t of the path; an empty list without a task, as every plan's one row is
+    checked elsewhere."""
     task, settings = track.config.task, track.config.settings
     place = RowPlace(scene.rotate, scene.translate, results.workpiece(track.config), t - on_path)
     return check_rows(task, arm, track.x[t], place, settings.tolerance_m, settings.tolerance_rad) if task else []
@@ -158,7 +159,7 @@ def _refuted_rows(track: Track, rows: list[RowCheck], t: np.ndarray) -> list[Ref
 def _refuted_between(
     results: Results, arm: Arm, track: Track, scene: CheckedScene, paths: JointPaths, between: int, on_path: int
 ) -> list[Refuted]:
-    """Ways along the path that are on record as proven, and on which a row of the task does not hold."""
+    """Segments along the path that are saved as proven, and on which a row of the task does not hold."""
     task, own = track.config.task, np.flatnonzero(track.proven[paths.target] & (paths.target > on_path))
     if not task or between < 2 or not len(own):
         return []
@@ -177,14 +178,14 @@ def _refuted_between(
 
 
 def _off(difference: np.ndarray) -> np.ndarray:
-    """Its size; a record that is missing is off by infinity."""
+    """Absolute difference; infinity if the saved value is missing."""
     return np.where(np.isnan(difference), np.inf, np.abs(difference))
 
 
 def _reasons(
     arm: Arm, tolerance_m: float, record_m: float, x: np.ndarray, recorded: float, found: dict[str, float]
 ) -> list[str]:
-    """In words, why a configuration does not stand."""
+    """Sentences on why a configuration fails."""
     reasons = []
     if found["tcp_error"] > tolerance_m + ROUNDING_M:
         reasons.append(f"the TCP is {1e3 * found['tcp_error']:.3f} mm from its target")
@@ -203,7 +204,7 @@ def _reasons(
 
 
 def _paths(track: Track, rows: np.ndarray, targets: np.ndarray, t: np.ndarray) -> JointPaths:
-    """The joint paths to the rows of the targets t that have a row before."""
+    """Joint paths to those of the targets t whose previous target is tracked, too, or is the start."""
     parts = []
     for k in np.flatnonzero(t == np.concatenate([[-1], t[:-1]])[: len(t)] + 1).tolist():
         way = np.concatenate([rows[k][None], track.knots[t[k]], rows[k + 1][None]])
@@ -218,7 +219,7 @@ def _paths(track: Track, rows: np.ndarray, targets: np.ndarray, t: np.ndarray) -
 
 
 def _refuted_ways(track: Track, paths: JointPaths, found: dict[str, Any]) -> list[Refuted]:
-    """Ways that are on record as proven motions and are none."""
+    """Segments that are saved as proven motions and fail."""
     if found["touches"] is None:
         return []
     proven, reasons = track.proven[paths.target], {}
@@ -233,8 +234,8 @@ def _refuted_ways(track: Track, paths: JointPaths, found: dict[str, Any]) -> lis
 
 
 def _walk(scene: CheckedScene, at: AtTargets, paths: JointPaths, between: int, on_path: int) -> dict[str, Any]:
-    """Along the joint paths: which of them touch, the least clearance where it is less than at all the rows, and how
-    far the TCP leaves the line of its targets, 0 up to `on_path`, the path's first point: the approach is free to."""
+    """Check the joint paths: collisions, minimum clearance where it is less than at all targets, and the TCP's
+    deviation from its line, 0 up to `on_path`, the path's first point: the approach may deviate."""
     if not between:
         return dict.fromkeys(("touches", "clearance_between", "deviation"))
     count = len(paths.target)
@@ -255,7 +256,7 @@ def _walk(scene: CheckedScene, at: AtTargets, paths: JointPaths, between: int, o
 
 
 def _looks(steps: Int[np.ndarray, "m"]) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Of paths in so many steps each: the path and the fraction of every point between two steps."""
+    """Path number and fraction of each point between two steps, for paths of `steps` steps each."""
     path = np.repeat(np.arange(len(steps)), steps - 1)
     before = np.cumsum(steps - 1) - (steps - 1)
     return path, (np.arange(len(path)) - before[path] + 1) / steps[path]
@@ -272,8 +273,8 @@ def from_line(
 
 
 def _speed(arm: Arm, moved: np.ndarray, length: np.ndarray, tolerance_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """`speed` and `in_place` of Checked, for joint changes (m, N) along lines of these lengths. Targets closer to each
-    other than the tolerance coincide: the feed rate gives a change of posture there no time."""
+    """`speed` and `in_place` of Checked, for joint changes (m, N) along lines of these lengths. Targets closer than the
+    tolerance coincide: the feed rate gives no time for a change of configuration there."""
     apart = length > tolerance_m
     speed = np.divide(moved / arm.speed, length[:, None], out=np.zeros(moved.shape), where=apart[:, None])
     return speed, np.where(apart, 0.0, moved.max(axis=1, initial=0.0))

@@ -1,15 +1,14 @@
-"""The independent check of results: MuJoCo's kinematics and distances, and nothing of the planner's.
+"""Independent validation of results by MuJoCo's kinematics and distances, without the planner's code.
 
     found = validate("out/workpiece")
-    found.validated                       # whether every tracked configuration stands as recorded
+    found.validated                       # True if every tracked configuration is confirmed
     found.methods["hybrid"].clearance_min_mm
 
-At the targets every tracked configuration must reach its target, be clear, keep the joint limits, and have the
-clearance, TCP and target on record; one that does not is refuted. The clearance
-to a mesh is to its triangles, and what is on record must be a bound on it from below; where the job asks for it, the
-tool's bare tip must not go through them. Between the targets the straight joint path is walked
-in small steps. What is found there refutes a target only where the way to it is on record as proven: a touch, a TCP off
-its line, a row of the task that does not hold. Else it is counted and recorded.
+At the targets every tracked configuration must reach its target, be collision-free, keep the joint limits, and have the
+saved clearance, TCP and target; otherwise it is refuted. The clearance to a mesh is to its triangles, and the saved one
+must be a lower bound on it; if the job requires it, the tool's bare tip must not pass through them. Between the targets
+the straight joint path is checked in small steps. A collision, a TCP off its line or a violated row of the task refutes
+a target only if the segment to it is saved as proven. Otherwise it is counted and saved.
 """
 
 import time
@@ -48,9 +47,10 @@ def validate(
 ) -> Validation:
     """Check the run or the plan in `folder`.
 
-    between: least steps of each joint path, more where a joint would turn by more than `STEP_RAD` in one; 0 to look at
-    the targets alone. feed_mm_s: speed of the TCP along the straight lines between the targets. progress: called
+    between: minimum number of steps of each joint path, more if a joint would turn by more than `STEP_RAD` in one; 0 to
+    check the targets only. feed_mm_s: speed of the TCP along the straight lines between the targets. progress: called
     with the tracks checked and their number.
+
     Raises InputError for a folder that holds no results, for damaged ones, and for numbers out of range.
     """
     if between < 0:
@@ -82,7 +82,7 @@ def validate(
 
 
 def record(found: Validation) -> dict[str, Any]:
-    """A validation as JSON has it."""
+    """A validation as a mapping for JSON."""
     refuted = [one._asdict() for one in found.refuted[:LISTED]]
     versions = {"mujoco": mujoco.__version__, "scipy": scipy.__version__, "numpy": np.__version__}
     return {
@@ -98,10 +98,11 @@ def record(found: Validation) -> dict[str, Any]:
 
 
 def write_validation(folder: Path, found: Validation) -> None:
-    """validation.json, and in the folder of a plan "validated" in summary.json; aside, then moved into place.
+    """Write validation.json and, in the folder of a plan, "validated" in summary.json, atomically.
 
-    A stronger validation of the very same results stays, and a warning says so: one that looked at more places between
-    the targets, whatever the feed rate. Raises InputError when the folder cannot be written."""
+    A stronger validation of the same results is kept, with a warning: one with more points between the targets, at any
+    feed rate. Raises InputError if the folder cannot be written.
+    """
     recorded = record(found)
     if _is_stronger(folder / VALIDATION, recorded):
         warnings.warn(
@@ -117,8 +118,8 @@ def write_validation(folder: Path, found: Validation) -> None:
 
 
 def _is_stronger(file: Path, recorded: dict[str, Any]) -> bool:
-    """Whether the validation in `file` is of the same results, says the same of their targets, tells no less than
-    `recorded`, and looked at more places between the targets."""
+    """Return True if the validation in `file` has the same results and verdict, at least the keys of `recorded`, and
+    more points between the targets."""
     try:
         known = read_json(file, file.parent)
         same = all(known[key] == recorded[key] for key in ("files", "validated"))
@@ -128,19 +129,19 @@ def _is_stronger(file: Path, recorded: dict[str, Any]) -> bool:
 
 
 def _keys(recorded: dict[str, Any]) -> set[str]:
-    """What a validation tells, of all and of the methods; later programs may tell more."""
+    """Keys of a validation, including its methods'; later versions may have more."""
     return {*recorded, *(f"{method}.{key}" for method, check in recorded["methods"].items() for key in check)}
 
 
 def parts_of(results: Results, track: Track) -> tuple[Arm, Wall, Beside | None]:
-    """What a track is checked with: the arm, the workpiece, and what else it keeps clear of. Raises InputError for a
-    model that cannot be read."""
+    """The arm, the workpiece and the other obstacles that a track is checked with. Raises InputError for a model that
+    cannot be read."""
     arms: dict[RobotConfig, Arm] = {}
     return _arm(arms, results, track), _wall({}, results, track), _beside({}, arms, track)
 
 
 def _arm(arms: dict[RobotConfig, Arm], results: Results, track: Track) -> Arm:
-    """The arm with the track's tool. Raises InputError for another number of joints than are on record."""
+    """The arm with the track's tool. Raises InputError if its number of joints differs from the saved one."""
     arm = _compiled(arms, track.config.robot)
     if len(arm.joints) != track.x.shape[1]:
         raise InputError(f"{results.folder}: {track.x.shape[1]} joints on record, {len(arm.joints)} in the model")
@@ -163,7 +164,7 @@ def _compiled(arms: dict[RobotConfig, Arm], robot: RobotConfig) -> Arm:
 
 
 def _beside(besides: dict[tuple, Beside], arms: dict[RobotConfig, Arm], track: Track) -> Beside | None:
-    """What the track's arm keeps clear of besides the workpiece; None where that is nothing."""
+    """Obstacles of the track's arm other than the workpiece; None if there are none."""
     robot, cell = track.config.robot, track.config.cell
     if not (cell.self_collision or cell.model or cell.clouds):
         return None
@@ -174,7 +175,7 @@ def _beside(besides: dict[tuple, Beside], arms: dict[RobotConfig, Arm], track: T
 
 
 def _wall(walls: dict[tuple, Wall], results: Results, track: Track) -> Wall:
-    """The track's workpiece; each is taken in once, whatever the paths along it."""
+    """The track's workpiece; each is loaded once, whatever the paths along it."""
     key = shape_of(part_of(track.config)), arm_of(track.config)  # the points on a mesh are as close as the arm needs
     if key not in walls:
         walls[key] = wall_of(track.config.workpiece, results.workpiece(track.config))
@@ -182,7 +183,7 @@ def _wall(walls: dict[tuple, Wall], results: Results, track: Track) -> Wall:
 
 
 def _sum_up(checked: Sequence[Checked], joints: Sequence[str], feed_mm_s: float) -> MethodCheck:
-    """One method's tracks together."""
+    """Combine one method's tracks."""
     targets = [(one.scenario, target) for one in checked for target in one.target.tolist()]
     paths = [(one.scenario, target) for one in checked for target in one.leads_to.tolist()]
     walked = checked[0].touches is not None
@@ -228,13 +229,13 @@ def _sum_up(checked: Sequence[Checked], joints: Sequence[str], feed_mm_s: float)
 
 
 def _rows(checked: Sequence[Checked]) -> tuple[RowHeld, ...]:
-    """Every row of the task where it is off by the largest share of what is allowed."""
+    """Every row of the task where it deviates by the largest share of its tolerance."""
     found = [[_held(one, number) for number in range(len(one.rows))] for one in checked if len(one.on_path)]
     return tuple(max(rows, key=lambda row: row.off / row.most) for rows in zip(*found, strict=True))
 
 
 def _held(one: Checked, number: int) -> RowHeld:
-    """A row of one track."""
+    """Largest deviation from a row of one track."""
     row = one.rows[number]
     k = int(np.argmax(row.off))
     at = one.scenario, int(one.on_path[k])
@@ -242,7 +243,7 @@ def _held(one: Checked, number: int) -> RowHeld:
 
 
 def _worst(which: Callable, values: np.ndarray, places: Sequence[Place]) -> tuple[float | None, Place | None]:
-    """The worst of values [m] in mm, and where it is; `which` is argmin or argmax."""
+    """The worst of values [m] in mm, and its place; `which` is argmin or argmax."""
     if not values.size:
         return None, None
     at = int(which(values))

@@ -1,7 +1,8 @@
-"""A viser server that answers its own page alone, and asks for a token where other machines can connect.
+"""A viser server that answers only its own page, and requires a token if other machines can connect.
 
-A browser lets every page open a websocket to this machine, and names the page in `Origin`. It also lets a page ask this
-machine whose own name was made to point here (DNS rebinding), and gives that name in `Host`. viser checks neither.
+A browser lets every page open a websocket to this machine, and names the page in `Origin`. It also lets a page send
+requests here if the page's host name resolves to this machine (DNS rebinding), and gives that name in `Host`. viser
+checks neither.
 """
 
 import contextlib
@@ -23,7 +24,7 @@ from websockets.http11 import Request, Response
 
 from htcp_jax.errors import InputError
 
-OWN_NAMES = "localhost", "127.0.0.1", "::1"  # that a machine has for itself
+OWN_NAMES = "localhost", "127.0.0.1", "::1"  # loopback names of every machine
 
 # viser's page is one file that unpacks itself. It needs no other server, but would take the address of one from its own
 # (?websocket=). It needs no handlers in attributes, by which HTML in a name would run, and no page around it.
@@ -34,7 +35,7 @@ POLICY = (
 
 
 class Access(NamedTuple):
-    """The rule for requests: with a token those that bring it, else those to this machine by a name of its own; of a
+    """Rule for requests: with a token, those that carry it; else those to this machine by one of its own names. For a
     websocket the page must be from here."""
 
     names: tuple[str, ...]  # without a port, which an SSH tunnel may change
@@ -68,11 +69,11 @@ class Access(NamedTuple):
 
     @property
     def _cookie(self) -> str:
-        """Its own of every server: the ports of a host share their cookies."""
+        """Cookie name, different for every server: the ports of a host share their cookies."""
         return f"htcp-view-{self.token[:6]}="
 
     def _given(self, request: Request) -> list[bytes]:
-        """The tokens in a request's address and cookies."""
+        """Tokens in a request's address and cookies."""
         cookies = (pair.strip() for line in request.headers.get_all("Cookie") for pair in line.split(";"))
         given = [pair.removeprefix(self._cookie) for pair in cookies if pair.startswith(self._cookie)]
         return [token.encode() for token in given + parse_qs(request.path.partition("?")[2]).get("token", [])]
@@ -80,7 +81,7 @@ class Access(NamedTuple):
 
 def serve(host: str, port: int) -> tuple[viser.ViserServer, str]:
     """Return a server on exactly that port, any for 0, and the address of its page, with a token unless only this
-    machine can connect. Raises InputError if the address cannot be had."""
+    machine can connect. Raises InputError if the address is not available."""
     try:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
         with socket.socket(found[0][0]) as trial:  # viser alone would take the next port that is free
@@ -102,14 +103,14 @@ def serve(host: str, port: int) -> tuple[viser.ViserServer, str]:
 
 
 def silent():
-    """Keep what viser writes to stdout off it."""
+    """Suppress viser's output to stdout."""
     return contextlib.redirect_stdout(io.StringIO())
 
 
 @contextlib.contextmanager
 def _guarded(access: Access) -> Iterator[list[bool]]:
-    """Put `access` in front of a server that is made in the block; viser has no setting for it. Yields a list, empty
-    unless that server was made by the function of websockets that viser 1.1 calls."""
+    """Put `access` in front of a server that is created in the block; viser has no setting for it. Yields a list, empty
+    unless that server was created by the function of websockets that viser 1.1 calls."""
     original, guarded = websockets.asyncio.server.serve, []
 
     def serve_guarded(*args, process_request, **how):
@@ -124,7 +125,7 @@ def _guarded(access: Access) -> Iterator[list[bool]]:
 
 
 def _name(host: str) -> str | None:
-    """A host without its port; None for what is none."""
+    """A host without its port; None if it is invalid."""
     try:
         return urlsplit(f"//{host}").hostname
     except ValueError:

@@ -1,7 +1,7 @@
-"""An imported arm in one picture: its capsules over the shapes that they hold, from two sides.
+"""An imported arm in one picture: its capsules over the shapes that they enclose, from two sides.
 
-What the arm's own file says of it is drawn, by MuJoCo's kinematics, in the posture nearest to zero that its limits
-allow. Drawing needs no screen.
+The arm's own file is drawn, by MuJoCo's kinematics, in the configuration nearest to zero within its limits. Drawing
+needs no screen.
 """
 
 import mujoco
@@ -17,12 +17,12 @@ from htcp_jax.viewer.colours import DWELL, INK, PAPER, TOOL, WALL
 from htcp_jax.viewer.picture import stadium
 
 FITTED, OWN, DRAWN = INK, DWELL, WALL[1]  # capsules made here, those of the model, shapes
-SIDES = {"seen along y": [0, 2], "seen against x": [1, 2]}  # what is right and up
+SIDES = {"seen along y": [0, 2], "seen against x": [1, 2]}  # axes to the right and up
 AXES, AXIS_M = ("#c0392b", "#27ae60", "#2c5fd1"), 0.1  # x, y, z of the TCP's frame
 
 
 def draw_arm(arm: ImportedArm, text: str, title: str) -> Figure:
-    """The arm that `text`, an MJCF file, is made of; `arm` has the shapes. Save it with `figure.savefig(path)`."""
+    """Draw the arm from `text`, its MJCF file; `arm` has the shapes. Save the figure with `figure.savefig(path)`."""
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     low, high = np.where(model.jnt_limited[:, None] > 0, model.jnt_range, [-np.inf, np.inf]).T

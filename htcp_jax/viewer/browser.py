@@ -1,7 +1,7 @@
-"""Plans in the browser: a stage in three dimensions and a panel to find one's way, served by viser.
+"""Plans in the browser: a 3D scene and a control panel, served by viser.
 
-Callbacks of the panel come in threads of their own; one lock lets them act one after another, and the properties wait
-for it, so that they describe what the page shows completely.
+Callbacks of the panel run in threads of their own; one lock serialises them, and the properties wait for it, so that
+they describe a consistent page.
 """
 
 import threading
@@ -22,19 +22,19 @@ from htcp_jax.viewer.course import ByTarget, ByTime, Course
 from htcp_jax.viewer.posture import together
 from htcp_jax.viewer.replay import Replay, Replays
 
-WAITING_S = 0.1  # between looks at the play button
+WAITING_S = 0.1  # polling interval of the play button
 
 
-Programs = Callable[[int, str], OfPlan]  # by the number of a scenario and a method
+Programs = Callable[[int, str], OfPlan]  # from the number of a scenario and a method
 
 
 class Viewer:
     """A running viewer of plans; `stop` ends it.
 
-    host, port: to listen on; port 0 takes any that is free. scenario, method: what is shown first; by default the first
-    method's first scenario that failed, or with programs its first that can be driven. programs: that of a scenario by
-    a method, to be played at its own time. Raises InputError for a scenario or method that is not there, for an address
-    that cannot be had, and as `programs` does for what is shown first.
+    host, port: address to listen on; port 0 takes any that is free. scenario, method: shown first; by default the first
+    method's first scenario that failed, or with programs its first that is executable. programs: returns the program of
+    a scenario and method, to be played in time. Raises InputError for an unknown scenario or method, for an address
+    that is not available, and as `programs` does for the first one.
     """
 
     def __init__(
@@ -61,33 +61,33 @@ class Viewer:
 
     @property
     def target(self) -> int:
-        """The target that is shown."""
+        """Target that is shown."""
         with self._lock:
             return self._target
 
     @property
     def place(self) -> float:
-        """What the slider counts; of a program its time [s]."""
+        """Position of the slider: a target; for a program, a time [s]."""
         with self._lock:
             return self._place
 
     @property
     def shown(self) -> tuple[int, str]:
-        """The scenario's number and the method."""
+        """Number of the scenario, and method."""
         with self._lock:
             return self._replay.number, self._replay.method
 
     @property
     def stage(self) -> Stage:
-        """What is shown."""
+        """The 3D scene."""
         return self._stage
 
     def wait(self) -> None:
-        """Return when the viewer is stopped."""
+        """Block until the viewer is stopped."""
         self._ended.wait()
 
     def stop(self) -> None:
-        """End the server; what plays shows its posture first, and no other."""
+        """Stop the server, after a frame in progress is shown."""
         with self._lock:
             self._ended.set()
         with silent():
@@ -115,11 +115,11 @@ class Viewer:
         self._running = False
 
     def _names(self, method: str) -> dict[str, int]:
-        """The scenarios as the picker lists them, failed first, with their numbers."""
+        """Labels of the scenarios in the picker, failed first, with their numbers."""
         return {describe(outcome, self._replays): outcome.scenario for outcome in self._replays.outcomes(method)}
 
     def _pick_method(self) -> None:
-        """The same scenario by another method, or that method's first."""
+        """Show the same scenario by the chosen method, or that method's first."""
         with self._lock:
             names = self._names(self._method.value)
             kept = name_of(names, self._replay.number) or next(iter(names))
@@ -135,7 +135,7 @@ class Viewer:
                 self._show(replay, self._course_of(replay))
 
     def _course_of(self, replay: Replay) -> Course:
-        """By time where there is a program."""
+        """Timeline of a replay: by time if there is a program, else by target."""
         try:
             return ByTime(self._programs(replay.number, replay.method)) if self._programs else ByTarget(replay)
         except InputError as refused:
@@ -153,7 +153,7 @@ class Viewer:
             self.go_to(0)
 
     def _show_course(self) -> None:
-        """A slider and rates of its own."""
+        """Replace the slider and the list of rates by the timeline's."""
         gui, course, order = self._server.gui, self._course, self._facts.order
         for each in (self._slider, self._rate):
             if each is not None:
@@ -171,7 +171,7 @@ class Viewer:
                 self.go_to(self._slider.value)
 
     def go_to(self, place: int | float) -> None:
-        """Show a target or, of a program, a time [s]; or what is between."""
+        """Show a target or, for a program, a time [s]; fractions of targets are between two targets."""
         with self._lock, self._server.atomic():
             self._place = float(min(place, self._course.last))
             posture, told = self._course.look(self._place)
@@ -192,13 +192,13 @@ class Viewer:
             self._looked_s = time.monotonic()
 
     def _play_or_pause(self, running: bool) -> None:
-        """Set what runs, and the button to the opposite."""
+        """Set the playing state, and the button to the opposite."""
         self._running = running
         self._playing.label = "Pause" if running else "Play"
         self._playing.icon = viser.Icon.PLAYER_PAUSE if running else viser.Icon.PLAYER_PLAY
 
     def _play(self) -> None:
-        """Move on while the play button says so."""
+        """Advance while playing."""
         pause = 0.0
         while not self._ended.wait(pause):
             with self._lock:
@@ -206,7 +206,7 @@ class Viewer:
                     pause = self._move_on() if self._running else WAITING_S
 
     def _move_on(self) -> float:
-        """Show the next place; returns for how long [s]."""
+        """Show the next position; returns the pause until the next [s]."""
         now, rate = time.monotonic(), float(self._rate.value)
         passed, self._looked_s = now - self._looked_s, now
         if self._place >= self._course.end:

@@ -1,4 +1,4 @@
-"""How one looks at the stage: from where, what of the workpiece is cut off, how much of the arm is seen through."""
+"""Display options: camera, cut of the workpiece, opacity of the arm."""
 
 import threading
 
@@ -12,13 +12,13 @@ from htcp_jax.viewer.camera import kept, open_side, sight
 from htcp_jax.viewer.replay import Replay
 from htcp_jax.viewer.sides import View
 
-FOVY_RAD, ASPECT = np.radians(40.0), 1.05  # of the first sight
-CLOSER_M = 0.25  # how far away the smallest distance is looked at from
-SIDES = "open side", "above", "front", "nothing"  # that the workpiece is cut from
+FOVY_RAD, ASPECT = np.radians(40.0), 1.05  # of the initial camera
+CLOSER_M = 0.25  # camera's distance from the minimum distance
+SIDES = "open side", "above", "front", "nothing"  # from which the workpiece is cut
 
 
 class Looks:
-    """The lower part of the panel. lock: what callbacks wait for."""
+    """The lower part of the panel. lock: serialises callbacks."""
 
     def __init__(self, server: viser.ViserServer, stage: Stage, lock: threading.RLock):
         self._server, self._stage, self._lock = server, stage, lock
@@ -42,8 +42,8 @@ class Looks:
         self._pair.on_update(lambda _: self._stage.show_smallest_distance(self._pair.value))
 
     def show(self, replay: Replay, arms: ArmShape) -> None:
-        """Put a plan on the stage as the panel says, and let new browsers, and everyone's reset of the view, see all of
-        the arms and the workpiece."""
+        """Show a plan with the panel's settings, and set the camera of new browsers, and of every reset of the view, to
+        show all of the arms and the workpiece."""
         self._replay = replay
         self._stage.show(replay, self._opacity.value / 100)
         self._stage.show_smallest_distance(self._pair.value)
@@ -71,7 +71,8 @@ class Looks:
 
 
 def _stand(event: viser.GuiEvent, position: np.ndarray, look_at: np.ndarray) -> None:
-    """Put the camera of the browser that asked; viser lets a new position take what is looked at along."""
+    """Move the camera of the browser that triggered the event; in viser a new position also shifts the look-at
+    point."""
     if event.client is not None:
         with event.client.atomic():
             event.client.camera.position = position
@@ -79,7 +80,7 @@ def _stand(event: viser.GuiEvent, position: np.ndarray, look_at: np.ndarray) -> 
 
 
 def grazing(gap: Float[np.ndarray, "3"], side: View) -> Float[np.ndarray, "3"]:
-    """The unit direction square to a gap, so that it is seen from beside, that is nearest to the open side."""
+    """Unit direction perpendicular to a gap, to see it from the side, that is nearest to the open side."""
     length = np.linalg.norm(gap)
     across = gap / length if length > 0 else side.up
     for wish in (side.near, side.up):
@@ -90,6 +91,6 @@ def grazing(gap: Float[np.ndarray, "3"], side: View) -> Float[np.ndarray, "3"]:
 
 
 def ahead(replay: Replay) -> np.ndarray:
-    """To the side of what is seen from the open side."""
+    """Direction to the right in the view from the open side."""
     side = open_side(replay)
     return np.cross(side.near, side.up) * -1

@@ -1,4 +1,4 @@
-"""The plots of the page: clearance over targets; of a program how fast the tool and the joints are, over time."""
+"""Plots of the page: clearance over targets; for a program, speeds of the TCP and the joints over time."""
 
 from html import escape
 
@@ -16,13 +16,13 @@ LOG, HEIGHT = 3, 210
 
 
 class Plots:
-    """Those of one page. order: where on the panel, from this number up to the next."""
+    """Plots of one page. order: position on the panel, from this number up to the next."""
 
     def __init__(self, gui: viser.GuiApi, order: float):
         self._gui, self._order, self._shown = gui, order, list[viser.GuiUplotHandle | viser.GuiHtmlHandle]()
 
     def show(self, replay: Replay, curves: Curves | None) -> None:
-        """Put new ones in the place of those that are there."""
+        """Replace the plots by those of a replay."""
         for each in self._shown:
             each.remove()
         self._replay, self._curves, self._shown, self._row = replay, curves, [], -1
@@ -42,7 +42,7 @@ class Plots:
         self.clearance.data = _curves(self._replay, target)
 
     def at_time(self, time_s: float) -> None:
-        """Put the line at the present time, where there is a program."""
+        """Move the line at the current time, if there is a program."""
         if self._curves is None:
             return
         row = int(np.searchsorted(self._curves.time_s, time_s, side="right")) - 1
@@ -63,7 +63,7 @@ class Plots:
         return self._shown[-1]
 
     def _legend(self, colours: dict[str, str]) -> None:
-        """Names, each behind a dot of its colour."""
+        """Add a legend: names, each with a dot in its colour."""
         one = '<span style="white-space:nowrap;margin-right:1em"><span style="color:{}">&#9679;</span> {}</span>'
         dots = (one.format(colour, escape(name)) for name, colour in colours.items())
         content = f'<div style="font-size:0.8em;padding:0 0.9em 0.5em">{" ".join(dots)}</div>'
@@ -74,7 +74,7 @@ class Plots:
 
 
 def _now(curves: Curves, row: int, bottom: float, top: float) -> np.ndarray:
-    """A line upright at a row: from the one to the other in the step to the next."""
+    """A vertical line at a row, drawn within the step to the next row."""
     line = np.full(len(curves.time_s), np.nan)
     row = min(row, len(line) - 2)
     line[row], line[row + 1] = bottom, top
@@ -106,7 +106,8 @@ def _line(label: str, colour: str) -> uplot.Series:
 
 
 def _curves(replay: Replay, target: int) -> tuple[np.ndarray, ...]:
-    """Clearance over the targets: in all, of each style, and at the target that is shown; a failed one at the least."""
+    """Clearance over the targets: of all, of each style, and of the target that is shown; a failed one at the
+    minimum."""
     index = np.arange(len(replay.target), dtype=float)
     clearance = 1e3 * replay.clearance
     least = np.nanmin(clearance, initial=np.inf)

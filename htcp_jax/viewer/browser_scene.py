@@ -1,6 +1,6 @@
-"""What the viewer shows in three dimensions: the arm, the workpiece cut open, the targets, the smallest distance.
+"""The viewer's 3D scene: the arm, the workpiece cut open, the targets, the minimum distance.
 
-One `Stage` belongs to a viser server. `show` puts a plan on it, `pose` moves the arm to a target.
+One `Stage` belongs to a viser server. `show` draws a plan, `pose` moves the arm to a target.
 """
 
 from collections.abc import Sequence
@@ -34,11 +34,11 @@ from htcp_jax.viewer.replay import Replay
 
 BEAD_M, FAILED_M, HERE_M, WITNESS_M, TIP_M, TIGHTEST_M = 0.007, 0.017, 0.012, 0.003, 0.007, 0.006  # radii
 BESIDE = 4  # targets
-LEADER_M = 0.12  # length of the line from the tightest place up to its label
-DWELL_M = 0.018  # the side of the cube at a target where the arm changes its posture
-LIT = 0.72  # share of a colour that viser's lights bring back to the whole of it
-LIGHT_UP = 0.8  # of the light's direction, which is else towards the open side
-AROUND_M, AROUND_SIZE_M = 0.05, 0.0015  # the cloud about the smallest distance is shown even where it is cut off
+LEADER_M = 0.12  # length of the line from the clearance's minimum up to its label
+DWELL_M = 0.018  # side of the cube at a dwell
+LIT = 0.72  # factor on a colour that compensates viser's lights
+LIGHT_UP = 0.8  # upward part of the light's direction, otherwise towards the open side
+AROUND_M, AROUND_SIZE_M = 0.05, 0.0015  # the cloud about the minimum distance is shown even if it is cut off
 ROUND = 72, 72  # facets of a capsule about its axis and along its ends
 
 Vector = Float[np.ndarray, "3"]
@@ -53,7 +53,7 @@ class Stage:
         self._replay: Replay | None = None
 
     def show(self, replay: Replay, opacity: float) -> None:
-        """Put a plan on the stage; the arm is at its first target, the workpiece whole. Thread-safe as viser is."""
+        """Draw a plan; the arm is at its first target, the workpiece is not cut. Thread-safe as viser is."""
         with self._server.atomic():
             self._scene.reset()
             self._replay = replay
@@ -87,7 +87,7 @@ class Stage:
             self._scene.add_point_cloud("/clouds", clouds.points, rgb(FIXTURE), **look)
 
     def pose(self, target: int) -> None:
-        """Move the arm, the mark of the target and the smallest distance."""
+        """Move the arm, the marker of the target and the minimum distance."""
         replay, self.target = self._replay, target
         with self._server.atomic():
             blocked = replay.obstruction if target == replay.failed else None
@@ -107,7 +107,7 @@ class Stage:
             self._label.text = near if blocked is None else blocked.description
 
     def move(self, arm: ArmShape) -> None:
-        """Move the arm alone, to anywhere on its way."""
+        """Move the arm only, to any configuration."""
         p, q = arm.axes()
         with self._server.atomic():
             for node, wxyz, middle in zip(self._arm, turned_to(q - p), (p + q) / 2, strict=True):
@@ -115,14 +115,14 @@ class Stage:
 
     @property
     def arm_positions(self) -> Float[np.ndarray, "K1 3"]:
-        """Where the capsules' middles are, and the tip's."""
+        """Centres of the capsules, and of the tip."""
         return np.array([node.position for node in self._arm])
 
     def cut(self, surface: Surface, near: Vector, size_m: float) -> None:
-        """Show what is left of the cloud, as it is lit where it is looked at from `near`."""
+        """Show the remaining points of the cloud, lit for a view from `near`."""
         light = near + np.array([0, 0, LIGHT_UP])
         slope = np.abs(surface.normals @ (light / np.linalg.norm(light)))[:, None]
-        inside = (surface.normals @ light > 0)[:, None]  # is what is seen of it from there
+        inside = (surface.normals @ light > 0)[:, None]  # True if the inner side is seen from there
         colours = np.where(inside, rgb(WALL[1]), rgb(OUTSIDE)) * (0.55 + 0.45 * slope)
         self._scene.add_point_cloud(
             "/cloud", surface.points, colours.astype(np.uint8), point_size=size_m, point_shape="circle",
@@ -130,7 +130,7 @@ class Stage:
         )  # fmt: skip
 
     def fade(self, opacity: float) -> None:
-        """Let the arm be seen through."""
+        """Set the opacity of the arm."""
         for node in self._arm:
             node.opacity = opacity
 
@@ -140,12 +140,12 @@ class Stage:
             node.visible = visible
 
     def show_marks(self, visible: bool) -> None:
-        """Show or hide the dwells and the tightest place of the proof."""
+        """Show or hide the dwells and the place of the guaranteed clearance's minimum."""
         for node in self._marks:
             node.visible = visible
 
     def _capsule(self, k: int, opacity: float) -> viser.MeshHandle:
-        """Capsule k, or the tool's bare tip after the last, along its own z axis."""
+        """Add capsule k, or the tool's bare tip after the last, along its own z axis."""
         robot = self._replay.robot
         p, q = (ends[k] for ends in self._replay.arm_at(0).axes())
         last = k == len(robot.capsule_link)
@@ -155,7 +155,7 @@ class Stage:
         return self._scene.add_mesh_simple(name, mesh.vertices, mesh.faces, color=colour, opacity=opacity)
 
     def _colour(self, k: int, blocked: Obstruction | None = None) -> str:
-        """Of capsule k, or of the tip after the last; the body in the way stands out."""
+        """Colour of capsule k, or of the tip after the last; the colliding body is highlighted."""
         robot = self._replay.robot
         if k == len(robot.capsule_names):
             return TOOL
@@ -185,7 +185,8 @@ class Stage:
             self._scene.add_line_segments("/targets/normals", replay.normals, rgb(NORMAL), **look)
 
     def _add_marks(self) -> list[viser.SceneNodeHandle]:
-        """A cube at every dwell and a ball where the proof is tightest, with labels; dwells side by side share one."""
+        """Add a cube at every dwell and a ball at the guaranteed clearance's minimum, with labels; neighbouring dwells
+        share one."""
         replay, marks = self._replay, []
         for target in replay.summary.dwells:
             cube = {"dimensions": (DWELL_M,) * 3, "color": lit(DWELL), "cast_shadow": False}
@@ -213,7 +214,7 @@ class Stage:
         return marks
 
     def _add_floor(self) -> None:
-        """A grid under everything, and at world z = 0 unless something is lower."""
+        """Add a grid below everything, at most at world z = 0."""
         replay = self._replay
         low = (np.minimum(replay.p, replay.q)[..., 2] - np.asarray(replay.robot.capsule_radius)).min()
         height = min(0.0, low, replay.cloud[:, 2].min())
@@ -224,7 +225,7 @@ class Stage:
 
 
 def side_by_side(targets: Sequence[int]) -> list[list[int]]:
-    """Targets in order, in groups of which the labels would hide each other."""
+    """Group targets, given in order, whose labels would overlap."""
     groups: list[list[int]] = []
     for target in targets:
         if groups and target - groups[-1][-1] <= BESIDE:
@@ -235,7 +236,8 @@ def side_by_side(targets: Sequence[int]) -> list[list[int]]:
 
 
 def turned_to(axes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:
-    """Return the quaternions wxyz of the shortest turns from z to the axes; no turn for an axis of no length."""
+    """Return the quaternions wxyz of the shortest rotations from z to the axes; the identity for an axis of no
+    length."""
     quaternions = np.empty((len(axes), 4))
     for quaternion, axis in zip(quaternions, axes, strict=True):
         mujoco.mju_quatZ2Vec(quaternion, axis)
@@ -243,5 +245,5 @@ def turned_to(axes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:
 
 
 def lit(colour: str) -> np.ndarray:
-    """A colour for what stands in the light, which brightens it."""
+    """Darken a colour, as the light brightens it."""
     return (LIT * np.array(rgb(colour))).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""What the page says in words: of scenarios and of targets."""
+"""Texts of the page about scenarios and targets."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from htcp_jax.viewer.replay import Replay, Replays
 
 
 def describe(outcome: Outcome, replays: Replays) -> str:
-    """Number of a scenario, the number of targets tracked, and its label, which may be cut off."""
+    """Number of a scenario, the number of targets tracked, and its label, which may be truncated."""
     count = (
         f"all {outcome.targets} tracked" if outcome.complete else f"failed at {outcome.tracked} of {outcome.targets}"
     )
@@ -22,7 +22,7 @@ def name_of(names: dict[str, int], number: int) -> str | None:
 
 
 def facts(replay: Replay, target: int) -> str:
-    """What is known of a target, in a few lines."""
+    """Describe a target's result in a few lines."""
     status = Status(int(replay.status[target]))
     what = f"**Target {target}** {status.message}"
     if target == replay.failed and replay.obstruction is not None:
@@ -38,7 +38,7 @@ def facts(replay: Replay, target: int) -> str:
 
 
 def _motion(replay: Replay, target: int) -> str:
-    """What is known of the way to a target, and whether the arm dwells there."""
+    """Describe the segment to a target, and a dwell there."""
     known = Way(int(replay.way[target]))
     text = f"The way here: {known.message}"
     if known == Way.PROVEN:

@@ -1,4 +1,4 @@
-"""From where to look at a plan: towards the side that is cut open, from as near as everything is seen."""
+"""Camera of a plan: towards the side that is cut open, as near as shows everything."""
 
 from typing import NamedTuple
 
@@ -10,31 +10,31 @@ from htcp_jax.viewer.colours import is_tool
 from htcp_jax.viewer.replay import Replay
 from htcp_jax.viewer.sides import ABOVE_RAD, View, towards_camera
 
-FILLED = 0.94  # share of the picture that what is looked at may fill
+FILLED = 0.94  # largest share of the picture that the objects fill
 
 
 class Sight(NamedTuple):
-    """A camera that stands upright; world [m]."""
+    """An upright camera; world [m]."""
 
     eye: Float[np.ndarray, "3"]
-    look_at: Float[np.ndarray, "3"]  # in the middle of what is seen, as far away as its centre
+    look_at: Float[np.ndarray, "3"]  # in the middle of the view, at the depth of the objects' centre
 
 
 def open_side(replay: Replay) -> View:
-    """The side from which the cloud is cut open."""
+    """Side from which the cloud is cut open."""
     return replay.side.view
 
 
 def kept(replay: Replay, share: float = 0.5, direction: Float[np.ndarray, "3"] | None = None) -> Bool[np.ndarray, "P"]:
-    """The points of the cloud that are left when a share of its extent is cut off, from the open side or from
+    """Mask of the cloud's points that remain when a share of its extent is cut off, from the open side or from
     `direction`."""
     depth = replay.cloud @ (open_side(replay).near if direction is None else direction)
     return depth <= depth.max() - share * np.ptp(depth)
 
 
 def sight(replay: Replay, arms: ArmShape, fovy_rad: float, aspect: float, close: bool = False) -> Sight:
-    """From where the cloud, the targets and n arms are seen whole; close: of the targets only the path, of the arms
-    only the tool."""
+    """Camera that shows the cloud, the targets and n arms completely; close: only the targets of the path, and only the
+    tools of the arms."""
     toward = towards_camera(*replay.side, 0.0)
     azimuth = np.arctan2(-toward[1], -toward[0])
     on_tool = is_tool(replay.robot)
@@ -49,7 +49,7 @@ def sight(replay: Replay, arms: ArmShape, fovy_rad: float, aspect: float, close:
 def fitted(
     centres: Float[np.ndarray, "n 3"], radii: Float[np.ndarray, "n"], azimuth: float, fovy_rad: float, aspect: float
 ) -> Sight:
-    """The nearest sight of all these spheres, along the azimuth [rad] and down by ABOVE_RAD."""
+    """Nearest camera that shows all these spheres, along the azimuth [rad] and down by ABOVE_RAD."""
     level = np.cos(ABOVE_RAD)
     ahead = np.array([level * np.cos(azimuth), level * np.sin(azimuth), -np.sin(ABOVE_RAD)])
     right = np.array([np.sin(azimuth), -np.cos(azimuth), 0])

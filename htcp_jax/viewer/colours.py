@@ -1,4 +1,4 @@
-"""What pictures of a plan share: how targets are told apart, and the colours of the arm, the wall and the curves."""
+"""Styles that pictures of a plan share: targets by status, and the colours of the arm, the wall and the curves."""
 
 from typing import NamedTuple
 
@@ -10,12 +10,12 @@ from htcp_jax.motion.plans import is_tracked
 from htcp_jax.status import Kind, Status
 
 LINKS, TOOL, INK, PAPER, FAILED = "#8d99a6", "#3c6e71", "#22303c", "#ffffff", "#c8102e"
-NEAREST, DWELL, HERE = "#b5179e", "#0b8f6a", "#f6c945"  # narrow places, changes of posture, what is shown
-WALL = "#8a7a5f", "#d9cfba", "#efe9dc"  # at the cut, and lighter the deeper
+NEAREST, DWELL, HERE = "#b5179e", "#0b8f6a", "#f6c945"  # minimum clearance, dwells, the target that is shown
+WALL = "#8a7a5f", "#d9cfba", "#efe9dc"  # at the cut, and lighter with depth
 OUTSIDE = "#a3917a"  # of the wall
-FIXTURE = "#5b7fb4"  # what else stands there
+FIXTURE = "#5b7fb4"  # other obstacles
 NORMAL = "#7a4fbf"  # of the path
-QUIET, RULE = "#5d6b77", "#dfe3e6"  # words beside a plot, lines behind it
+QUIET, RULE = "#5d6b77", "#dfe3e6"  # text next to a plot, lines behind it
 KINDS = {
     Kind.TRANSFER: "#8d99a6",
     Kind.APPROACH: "#b8860b",
@@ -23,11 +23,11 @@ KINDS = {
     Kind.DWELL: DWELL,
     Kind.RETRACT: "#a0569c",
 }
-JOINTS = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7", "#999933", "#332288"  # one after the other
+JOINTS = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7", "#999933", "#332288"  # in order
 
 
 class TargetStyle(NamedTuple):
-    """Targets of which the same became, told apart by colour (for colour-blind eyes too) and by marker."""
+    """Targets of one status, distinguished by colour (for colour-blind readers, too) and by marker."""
 
     name: str
     where: Bool[np.ndarray, "T"]
@@ -37,7 +37,7 @@ class TargetStyle(NamedTuple):
 
 
 def target_styles(status: Int8[np.ndarray, "T"]) -> list[TargetStyle]:
-    """What pictures tell apart; the failed one last, on top."""
+    """Styles of the targets by status; the failed one last, on top."""
     failed = ~is_tracked(status) & (status != Status.NOT_ATTEMPTED)
     return [
         TargetStyle("not attempted", status == Status.NOT_ATTEMPTED, "#9aa3ab", 10, "o"),
@@ -48,15 +48,15 @@ def target_styles(status: Int8[np.ndarray, "T"]) -> list[TargetStyle]:
 
 
 def is_tool(robot: Robot) -> Bool[np.ndarray, "K"]:
-    """Which capsules are the tool's."""
+    """Mask of the tool's capsules."""
     return np.asarray(robot.on_tool).any(axis=1)
 
 
 def joint_colour(joint: int) -> str:
-    """Of the joint's curve; those of an arm of many joints come again."""
+    """Colour of the joint's curve; repeated for an arm with many joints."""
     return JOINTS[joint % len(JOINTS)]
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
-    """#rrggbb as three numbers up to 255."""
+    """Convert #rrggbb to three numbers up to 255."""
     return tuple(int(colour[k : k + 2], 16) for k in (1, 3, 5))

@@ -1,7 +1,7 @@
-"""What the slider of the page counts, and how play goes on along it: targets of a plan, or seconds of a program.
+"""Playback timeline of the page: by target for a plan, by time [s] for a program.
 
-A place is a number on the slider, or between two numbers. Play runs from `begin` to `end`: of a plan to the last target
-that is tracked, though the slider goes on to `last`.
+A place is a number on the slider, or between two numbers. Playback runs from `begin` to `end`: for a plan to the last
+tracked target, though the slider goes on to `last`.
 """
 
 import numpy as np
@@ -12,14 +12,14 @@ from htcp_jax.viewer.posture import Posture
 from htcp_jax.viewer.replay import Replay
 from htcp_jax.viewer.timed_play import Curves, arms_of, played
 
-MOST_BETWEEN = 4  # postures that share the time of a target; where there are more, as in a dwell, it takes longer
-TICK_S = 0.05  # between postures of a program
-SEEN = 60  # postures of one that the camera is to see
+MOST_BETWEEN = 4  # configurations that share the time of a target; more of them, as in a dwell, take longer
+TICK_S = 0.05  # between frames of a program
+SEEN = 60  # number of its configurations that the camera is fitted to
 
 
 class ByTarget:
-    """The postures of a plan, target by target; those on the way to the next target are at places between the two, and
-    those before the first at places below 0. None is left out."""
+    """Configurations of a plan, target by target; those of the segment to the next target are at places between the
+    two, and those before the first at places below 0. None is skipped."""
 
     name, step, curves = "Target", 1, None
     rate_name, rates, usual_rate = "Targets a second", ("5", "10", "20", "40"), "10"
@@ -35,20 +35,20 @@ class ByTarget:
         self.begin, self.last = float(self._places[0]), len(replay.target) - 1
 
     def look(self, place: float) -> tuple[Posture, str]:
-        """The posture at a place, or the last before it, and what there is to say of it."""
+        """The arm at a place, or the last before it, and a note."""
         return self.passed[self._row(place)], self._note
 
     def on_slider(self, place: float) -> int:
-        """Where the slider stands: at the target that the arm came to last."""
+        """Value of the slider: the target that was reached last."""
         return max(int(np.floor(place)), 0)
 
     def after(self, place: float, passed_s: float, rate: float) -> float:
-        """The next place; however much time has passed, no posture is left out."""
+        """Next place; no configuration is skipped, however much time has passed."""
         del passed_s, rate
         return float(self._places[min(self._row(place) + 1, len(self._places) - 1)])
 
     def pause_s(self, place: float, rate: float) -> float:
-        """For how long the posture there is shown."""
+        """Display time of the arm at a place [s]."""
         return 1 / rate / min(self._count[self._row(place)], 1 + MOST_BETWEEN)
 
     def _row(self, place: float) -> int:
@@ -56,7 +56,7 @@ class ByTarget:
 
 
 class ByTime:
-    """A program at its own time; places are seconds. What the machine has no time to show is left out."""
+    """A program at its own time; places are seconds. Frames are dropped if rendering cannot keep up."""
 
     name, step, begin = "Time [s]", 0.01, 0.0
     rate_name, rates, usual_rate = "Times real time", ("0.25", "1", "4", "16"), "1"
@@ -67,20 +67,20 @@ class ByTime:
         self.passed = arms_of(made, played(made, np.linspace(0, self.last, SEEN)))
 
     def look(self, place: float) -> tuple[Posture, str]:
-        """The arm at a time, and what it does then."""
+        """The arm at a time, and a description of its motion."""
         play = played(self._made, np.array([float(place)]))
         return arms_of(self._made, play)[0], f"**{play.words(0)}**"
 
     def on_slider(self, place: float) -> float:
-        """Where the slider stands."""
+        """Value of the slider [s]."""
         return round(place, 2)
 
     def after(self, place: float, passed_s: float, rate: float) -> float:
-        """The place after some time."""
+        """Place after `passed_s` at a rate."""
         return min(place + rate * passed_s, self.last)
 
     def pause_s(self, place: float, rate: float) -> float:
-        """Until the next look."""
+        """Pause until the next frame [s]."""
         del place, rate
         return TICK_S
 

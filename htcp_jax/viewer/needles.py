@@ -1,4 +1,4 @@
-"""The normals of a path as they are drawn: needles from its points into the free space, where a task names them."""
+"""Normal glyphs of a path: lines from its points into the free space, if a task refers to the normals."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ NO_NEEDLES = np.empty((0, 2, 3))
 
 
 def needles(task: Sequence[TaskRow], workpiece: Workpiece, T_world_workpiece: Float[np.ndarray, "4 4"]) -> Needles:
-    """One a point of the path; none where no row of the task names the normals."""
+    """One glyph per point of the path; none if no row of the task refers to the normals."""
     if not any("normals" in row.uses for row in task):
         return NO_NEEDLES
     both = np.stack([workpiece.path, workpiece.path + LENGTH_M * workpiece.normals], axis=1)

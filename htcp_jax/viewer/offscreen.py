@@ -1,7 +1,7 @@
-"""OpenGL without a screen, for MuJoCo's renderer: EGL where the machine has it, else OSMesa.
+"""Off-screen OpenGL for MuJoCo's renderer: EGL if available, else OSMesa.
 
-MuJoCo chooses by MUJOCO_GL when it is imported, which is long done by then; PyOpenGL takes its platform once a process.
-So each is tried in a process of its own, and the first that works is taken here.
+MuJoCo chooses by MUJOCO_GL at its import, which is too early here; PyOpenGL fixes its platform once per process. So
+each is tried in a process of its own, and the first that works is used here.
 """
 
 import os
@@ -27,9 +27,9 @@ mujoco.MjrContext(mujoco.MjModel.from_xml_string("<mujoco/>"), 100)
 
 
 class Camera:
-    """Takes pictures of a model, which must allow for the size: `model.vis.global_.offwidth` and `offheight`.
+    """Renderer of a model, which must allow for the size: `model.vis.global_.offwidth` and `offheight`.
 
-    Use it as a context manager. Raises InputError where there is neither EGL nor OSMesa.
+    Use it as a context manager. Raises InputError if there is neither EGL nor OSMesa.
     """
 
     def __init__(self, model: mujoco.MjModel, most_geoms: int = 10_000):
@@ -50,7 +50,7 @@ class Camera:
         self._gl.free()
 
     def shoot(self, data: mujoco.MjData, view: mujoco.MjvCamera) -> UInt8[np.ndarray, "H W 3"]:
-        """The picture of a state from a view."""
+        """Render a state from a view."""
         self._gl.make_current()
         everything = mujoco.mjtCatBit.mjCAT_ALL
         mujoco.mjv_updateScene(self._model, data, self._option, None, view, everything, self._scene)
@@ -62,7 +62,7 @@ class Camera:
 
 @cache
 def platform() -> str:
-    """The platform that works here; MUJOCO_GL, if it names one, is the only one tried. Raises InputError."""
+    """The platform that works here; if MUJOCO_GL names one, only that is tried. Raises InputError."""
     wish = os.environ.get("MUJOCO_GL", "").strip().lower()
     tried = (wish,) if wish in PLATFORMS else PLATFORMS
     for name in tried:

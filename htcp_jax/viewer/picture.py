@@ -1,7 +1,7 @@
-"""One plan in one picture: the arm and its capsules in the workpiece cut open, and the clearance on the way.
+"""One plan in one picture: the arm and its capsules in the workpiece cut open, and the clearance along the path.
 
-The scene is drawn in orthographic projection from the side, where a capsule's outline is exactly two half
-circles and two lines. Drawing needs no screen.
+The scene is drawn in orthographic projection from the side, in which a capsule's outline is exactly two half circles
+and two lines. Drawing needs no screen.
 """
 
 import jax.numpy as jnp
@@ -54,9 +54,9 @@ def draw_plan(
     fixtures: Drawn = NOTHING,
     normals: Needles = NO_NEEDLES,
 ) -> Figure:
-    """The plan of `scenario`, which is row `row` of `plans`; `robot` has the scenario's tool. obstruction: what is in
-    the way at the target that failed, drawn in red; fixtures: what else stands there; normals: of the path, where the
-    task names them. Save it with `figure.savefig(path)`."""
+    """Draw the plan of `scenario`, which is row `row` of `plans`; `robot` has the scenario's tool. obstruction: the
+    colliding body at the failed target, drawn in red; fixtures: other obstacles; normals: of the path, if the task
+    refers to them. Save the figure with `figure.savefig(path)`."""
     figure = Figure(figsize=(14, 9.6), dpi=120, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.1, rect=(0, 0, 0.985, 1))
@@ -88,7 +88,7 @@ def _draw_scene(
     obstruction: Obstruction | None = None,
     fixtures: Drawn = NOTHING,
 ) -> View:
-    """Two views of the same, which is returned: of everything, and of the workpiece."""
+    """Draw two views in the same direction, which is returned: of everything, and of the workpiece."""
     shown = poses(plans, row)
     x = plans.x[row, shown] if shown else x_start
     arm = _shape(robot, x)
@@ -114,7 +114,7 @@ def draw_cell(
     title: str,
     fixtures: Drawn = NOTHING,
 ) -> Figure:
-    """The arm in the workpiece cut open and what stands about, of plans of one scenario; cloud: in the world [m]."""
+    """Draw the arm in the workpiece cut open, and the fixtures, for plans of one scenario; cloud: in the world [m]."""
     figure = Figure(figsize=(14, 5.6), dpi=120, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title, color=INK, fontsize=16, fontweight="bold", x=0.015, ha="left")
@@ -124,13 +124,13 @@ def draw_cell(
 
 
 def poses(plans: Plans, row: int) -> list[int]:
-    """Targets whose configuration is drawn: the first, one half way, and the last that is tracked."""
+    """Targets whose configuration is drawn: the first, the middle, and the last that is tracked."""
     tracked = np.flatnonzero(plans.tracked[row])
     return sorted({int(tracked[i]) for i in (0, tracked.size // 2, -1)}) if tracked.size else []
 
 
 def _draw_wall(axes: Axes, view: View, cloud: Float[np.ndarray, "P 3"]) -> None:
-    """The far half of the cloud, lighter the deeper; the cut itself is darkest."""
+    """Draw the far half of the cloud, lighter with depth; the cut itself is darkest."""
     depth = cloud @ view.near
     cut = (depth.max() + depth.min()) / 2
     behind = np.flatnonzero(depth <= cut)
@@ -140,7 +140,7 @@ def _draw_wall(axes: Axes, view: View, cloud: Float[np.ndarray, "P 3"]) -> None:
 
 
 def _draw_fixtures(axes: Axes, view: View, fixtures: Drawn) -> None:
-    """What stands about, seen through, the farther first."""
+    """Draw the fixtures, transparent, the farthest first."""
     triangles, clouds = fixtures
     if len(clouds.points):
         flat = view.flat(clouds.points)
@@ -159,7 +159,7 @@ def _shape(robot: Robot, x: Float[np.ndarray, "W N"]) -> ArmShape:
 
 
 def _draw_arm(axes: Axes, view: View, robot: Robot, arm: ArmShape) -> None:
-    """The capsules at several configurations: the last one solid, with its bare tip; the others shadows."""
+    """Draw the capsules at several configurations: the last one solid, with its bare tip; the others as shadows."""
     p, q, radius = arm.p, arm.q, np.asarray(robot.capsule_radius)
     colours = np.where(is_tool(robot), TOOL, LINKS)
     for pose in range(len(p)):
@@ -177,7 +177,7 @@ def _draw_arm(axes: Axes, view: View, robot: Robot, arm: ArmShape) -> None:
 
 
 def _draw_obstruction(axes: Axes, view: View, robot: Robot, found: Obstruction) -> None:
-    """The body in the way, where it would be at the failed target, and the point where it meets the wall."""
+    """Draw the colliding body as it would be at the failed target, and its contact point on the wall."""
     arm, k = _shape(robot, found.x[None]), robot.capsule_names.index(found.body)
     outline = stadium(view.flat(arm.p[0, k]), view.flat(arm.q[0, k]), float(robot.capsule_radius[k]))
     body = PolyCollection([outline], facecolors=[to_rgba(FAILED, 0.12)], edgecolors=FAILED, linewidths=1.2, zorder=4)
@@ -187,7 +187,7 @@ def _draw_obstruction(axes: Axes, view: View, robot: Robot, found: Obstruction) 
 
 
 def stadium(p: Float[np.ndarray, "2"], q: Float[np.ndarray, "2"], radius: float) -> Float[np.ndarray, "64 2"]:
-    """The outline of a capsule with flat ends p, q: the half circles about them, joined."""
+    """Outline of a capsule with projected ends p, q: the half circles about them, joined."""
     along = np.arctan2(*(q - p)[::-1])
     half = np.linspace(-np.pi / 2, np.pi / 2, 32)
     angles = along + np.concatenate([half, half + np.pi])
@@ -205,13 +205,13 @@ def _draw_targets(axes: Axes, view: View, plans: Plans, row: int) -> None:
 
 
 def _mark_dwells(axes: Axes, flat: Float[np.ndarray, "T 2"], motion: MotionSummary) -> None:
-    """Squares about the targets at which the arm changes its posture."""
+    """Draw squares about the targets at which the arm changes its configuration."""
     look = {"s": 90, "marker": "s", "facecolors": "none", "edgecolors": DWELL, "linewidths": 1.6}
     axes.scatter(*flat[list(motion.dwells)].T, zorder=6, **look)
 
 
 def _draw_motion(axes: Axes, motion: MotionSummary) -> None:
-    """Lines where the arm dwells, where the proof is tightest, and where the motion ends before the plan does."""
+    """Draw lines at dwells, at the guaranteed clearance's minimum, and where the motion ends before the plan does."""
     for k, target in enumerate(motion.dwells):
         axes.axvline(target, label="dwell" if k == 0 else None, color=DWELL, linewidth=1.4, zorder=1)
     if motion.tightest is not None:
@@ -221,14 +221,14 @@ def _draw_motion(axes: Axes, motion: MotionSummary) -> None:
 
 
 def _draw_line(axes: Axes, target: int, text: str, **look: str) -> None:
-    """An upright line with words along it."""
+    """Draw a vertical line with text along it."""
     axes.axvline(target, linewidth=1.2, zorder=1, **look)
     how = {"rotation": 90, "ha": "right", "va": "center", "fontsize": 9, "color": look["color"], "zorder": 4}
     axes.annotate(text, (target, 0.5), (-2, 0), ("data", "axes fraction"), "offset points", **how)
 
 
 def _frame(axes: Axes, around: Float[np.ndarray, "P 2"] | None) -> None:
-    """Equal scales; all that is drawn, or the neighbourhood of the points `around`; a bar for the scale."""
+    """Set equal scales, limits around everything or the points `around`, and a scale bar."""
     axes.set_aspect("equal", anchor="NW")
     axes.axis("off")
     if around is None:
@@ -258,7 +258,7 @@ def _heading(axes: Axes, text: str) -> None:
 
 
 def _draw_failure(axes: Axes, end: Outcome, targets: int, in_the_way: str) -> None:
-    """A line at the failed target, its reason where there is more room, grey where nothing was attempted."""
+    """Draw a line at the failed target, its reason on the wider side, and grey over the targets not attempted."""
     axes.axvspan(end.failed + 0.5, targets, color="#eef0f2", linewidth=0, zorder=0)
     axes.axvline(end.failed, color=FAILED, linewidth=1.2, zorder=1)
     side, align = (-7, "right") if end.failed > targets / 2 else (7, "left")
@@ -276,7 +276,7 @@ def _draw_failure(axes: Axes, end: Outcome, targets: int, in_the_way: str) -> No
 
 
 def _draw_clearance(axes: Axes, plans: Plans, row: int, margin_m: float, in_the_way: str) -> None:
-    """Clearance over target index, on a logarithmic scale: what matters happens where it is smallest."""
+    """Draw clearance over target index, on a logarithmic scale, which resolves its minimum."""
     status, clearance_mm = plans.status[row], 1e3 * plans.clearance[row]
     index = np.arange(len(status))
     axes.plot(index, clearance_mm, color=INK, linewidth=0.8, alpha=0.5, zorder=2)

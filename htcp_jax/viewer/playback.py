@@ -1,4 +1,4 @@
-"""A plan as it is played: the arm at the targets and on the ways between them, through the postures that it passes."""
+"""Playback of a plan: the arm at the targets and along the segments between them, through the via points."""
 
 import numpy as np
 from jaxtyping import Float
@@ -12,13 +12,13 @@ STRIDE_M = 0.04  # nothing moves further from one posture to the next
 
 
 def at(replay: Replay, target: int) -> Posture:
-    """The posture at a target."""
+    """The arm at a target."""
     return Posture(replay.arm_at(target), target)
 
 
 def way(replay: Replay) -> list[Posture]:
-    """The postures that the arm passes up to the last target that is tracked, and along the straight joint paths
-    between them so many that nothing moves further than STRIDE_M at once."""
+    """Configurations up to the last tracked target, interpolated along the straight joint paths so that nothing moves
+    further than STRIDE_M at once."""
     motion = replay.motion
     if not len(motion.x):
         return [at(replay, 0)]
@@ -38,5 +38,5 @@ def way(replay: Replay) -> list[Posture]:
 
 
 def _points(shape: ArmShape) -> Float[np.ndarray, "n P 3"]:
-    """What is watched so that it does not jump."""
+    """Points whose displacement limits the stride."""
     return np.concatenate([shape.p, shape.q, shape.tcp[:, None]], axis=1)

@@ -1,4 +1,4 @@
-"""The arm as it is shown: in one frame of a movie, at one moment of the page."""
+"""The arm as shown in one frame of a movie or of the page."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from htcp_jax.model.robot import Robot
 
 
 class Posture(NamedTuple):
-    """The arm in one frame, the last target it has come to, -1 before the first, and whether it dwells there."""
+    """The arm in one frame, the last target it has reached, -1 before the first, and True if it dwells there."""
 
     arm: ArmShape
     target: int
@@ -22,16 +22,16 @@ class Posture(NamedTuple):
 def postures(
     robot: Robot, x: Float[np.ndarray, "n N"], reached: Int[np.ndarray, "n"], dwells: Bool[np.ndarray, "n"]
 ) -> list[Posture]:
-    """The arm at n joint vectors, with the targets that it has come to and whether it dwells there."""
+    """The arm at n configurations, with the targets that it has reached, and the dwells."""
     arms = (ArmShape(*arm) for arm in zip(*arms_at(robot, x), strict=True))
     return [Posture(*frame) for frame in zip(arms, reached.tolist(), dwells.tolist(), strict=True)]
 
 
 def together(row: Sequence[Posture]) -> ArmShape:
-    """The arms of n postures in arrays."""
+    """Stack the arms of n postures in arrays."""
     return ArmShape(*map(np.stack, zip(*(posture.arm for posture in row), strict=True)))
 
 
 def arms_at(robot: Robot, x: Float[np.ndarray, "n N"]) -> ArmShape:
-    """The arm at n joint vectors."""
+    """The arm at n configurations."""
     return ArmShape(*map(np.asarray, capsules_and_tcp(robot, jnp.asarray(x))))

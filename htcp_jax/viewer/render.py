@@ -1,7 +1,7 @@
-"""Pictures and movies of a plan, drawn by MuJoCo without a screen.
+"""Pictures and movies of a plan, rendered by MuJoCo off screen.
 
-The arm's capsules are bodies that are put where the plan has them; the cloud, cut open on the side away from the path,
-is one mesh of small discs; the targets are beads in the colours of what became of them.
+The arm's capsules are bodies that are moved to the plan's configurations; the cloud, cut open on the side away from the
+path, is one mesh of small discs; the targets are beads coloured by status.
 """
 
 from collections.abc import Sequence
@@ -34,23 +34,22 @@ from htcp_jax.viewer.posture import Posture, together
 from htcp_jax.viewer.replay import Replay
 
 BEAD_M, FAILED_M, TIP_M = 0.008, 0.018, 0.007  # radii of the targets, the failed one, the tool's bare tip
-MARK_M, NOWHERE = 0.012, [0.0] * 4  # of where the body in the way meets the workpiece
+MARK_M, NOWHERE = 0.012, [0.0] * 4  # radius of a contact point's marker, and a transparent colour
 NEEDLE_M = 0.0012  # radius of a normal
-DWELL_M = 0.011  # half the side of the cube at a target where the arm changes its posture
+DWELL_M = 0.011  # half the side of the cube at a dwell
 FLOOR, EDGE, SKY = (0.95, 0.955, 0.96), (0.85, 0.87, 0.89), (0.92, 0.935, 0.95)
 FOVY_DEG = 32.0
-FEW_CORNERS = 4  # of a disc in a movie: half of the triangles, which is where the time goes
-UNTOUCHED = {"contype": 0, "conaffinity": 0}  # nothing collides: the plan is what it is
+FEW_CORNERS = 4  # of a disc in a movie: half of the triangles, which dominate the time
+UNTOUCHED = {"contype": 0, "conaffinity": 0}  # no contacts: the plan is only shown
 
 _Geom = mujoco.mjtGeom
 
 
 class Studio:
-    """A scene built once, to take frames of.
+    """A scene that is built once, to render frames of.
 
-    close: look at the cloud and the tool, not at the whole arm. fine: smooth edges and shadows, at three times the time
-    of a frame. Use it as a context manager. Raises InputError where OpenGL is
-    missing.
+    close: show the cloud and the tool, not the whole arm. fine: smooth edges and shadows, at three times the time per
+    frame. Use it as a context manager. Raises InputError if OpenGL is missing.
     """
 
     def __init__(self, replay: Replay, width: int = 1280, height: int = 880, close: bool = False, fine: bool = True):
@@ -72,22 +71,22 @@ class Studio:
 
     @property
     def width(self) -> int:
-        """Of a frame [pixels]."""
+        """Width of a frame [pixels]."""
         return self._model.vis.global_.offwidth
 
     def still(self, target: int) -> UInt8[np.ndarray, "H W 3"]:
-        """The arm at a target, all targets in their colours."""
+        """Render the arm at a target, with all targets in their colours."""
         posture = at(self._replay, target)
         return self._frame(posture, self._view([posture]), len(self._beads))
 
     def movie(self) -> Film:
-        """The way along the targets up to the last that is tracked, through all postures that the arm passes."""
+        """The motion along the targets up to the last that is tracked, through all its configurations."""
         postures = way(self._replay)
         return self.film([*postures, postures[-1]], HELD)
 
     def film(self, postures: Sequence[Posture], held: int = 0) -> Film:
-        """A frame a posture; targets take their colours as they are met, in the last frame all, and the cube at a dwell
-        is lit while the arm turns there."""
+        """A film with one frame per posture; targets are coloured when reached, in the last frame all, and the cube at
+        a dwell is lit while the arm dwells there."""
         met, view = np.maximum.accumulate([posture.target + 1 for posture in postures]), self._view(postures)
         met = [*met.tolist()[:-1], len(self._beads)]
         return Film(len(postures), lambda k: self._frame(postures[k], view, met[k]), held)
@@ -110,7 +109,7 @@ class Studio:
         return self._camera.shoot(self._data, view)
 
     def _view(self, postures: Sequence[Posture]) -> mujoco.MjvCamera:
-        """From where they are seen whole; from close up, at the targets alone: home may be far away."""
+        """Camera that shows the arms completely; close up, the arms at the targets only: home may be far away."""
         size = self._model.vis.global_
         aspect = size.offwidth / size.offheight
         arms = self._replay.shape if self._close and len(postures) > 1 else together(postures)
@@ -156,7 +155,7 @@ def _model(replay: Replay, width: int, height: int, fine: bool) -> mujoco.MjMode
 
 
 def _add_marks(spec: mujoco.MjSpec, replay: Replay) -> None:
-    """A cube at every dwell, a ball where the proof is tightest."""
+    """Add a cube at every dwell, and a ball at the guaranteed clearance's minimum."""
     for target in replay.summary.dwells:
         cube = {"type": _Geom.mjGEOM_BOX, "size": [DWELL_M] * 3, "pos": replay.target[target]}
         spec.worldbody.add_geom(name=f"dwell {target}", **cube, material="bead", rgba=_rgba(DWELL), **UNTOUCHED)
@@ -166,8 +165,8 @@ def _add_marks(spec: mujoco.MjSpec, replay: Replay) -> None:
 
 
 def _in_the_way(replay: Replay, model: mujoco.MjModel) -> list[tuple[int, list[float], np.ndarray]]:
-    """The geoms that stand out at the failed target, the body in the way and the place, with their colours there and
-    elsewhere."""
+    """Geoms that are highlighted at the failed target, the colliding body and the contact point, with their colours
+    there and elsewhere."""
     if replay.obstruction is None:
         return []
     names = f"body {replay.robot.capsule_names.index(replay.obstruction.body)}", "in the way"
@@ -177,7 +176,7 @@ def _in_the_way(replay: Replay, model: mujoco.MjModel) -> list[tuple[int, list[f
 
 
 def _add_cloud(spec: mujoco.MjSpec, replay: Replay, corners: int) -> None:
-    """The half of the cloud that the side view shows, as discs: lighter inside than outside."""
+    """Add the half of the cloud that the side view shows, as discs: lighter inside than outside."""
     surface = replay.surface.only(kept(replay))
     for name, side, colour in (("inside", 1, WALL[1]), ("outside", -1, OUTSIDE)):
         mesh = discs(surface, side, corners)
@@ -188,7 +187,7 @@ def _add_cloud(spec: mujoco.MjSpec, replay: Replay, corners: int) -> None:
 
 
 def _add_fixtures(spec: mujoco.MjSpec, replay: Replay) -> None:
-    """What stands about, in one mesh, seen through."""
+    """Add the fixtures, in one mesh, transparent."""
     both = [discs(replay.fixtures.clouds, side) for side in (1, -1)]
     corners = np.concatenate([replay.fixtures.triangles, *(mesh.vertices[mesh.faces] for mesh in both)]).reshape(-1, 3)
     if len(corners):
@@ -199,7 +198,7 @@ def _add_fixtures(spec: mujoco.MjSpec, replay: Replay) -> None:
 
 
 def _add_room(spec: mujoco.MjSpec, replay: Replay, low: float, fine: bool) -> None:
-    """Floor, sky and light."""
+    """Add floor, sky and light."""
     kind, drawn, mark = mujoco.mjtTexture, mujoco.mjtBuiltin, mujoco.mjtMark
     tiles = {"builtin": drawn.mjBUILTIN_FLAT, "mark": mark.mjMARK_EDGE, "rgb1": FLOOR, "rgb2": FLOOR, "markrgb": EDGE}
     spec.add_texture(name="tiles", type=kind.mjTEXTURE_2D, **tiles, width=512, height=512)

@@ -1,8 +1,8 @@
-"""Plans to look at: where the arm, the cloud and the targets are, target by target.
+"""Plans to display: the arm, the cloud and the targets, target by target.
 
     replays = open_replays("out/workpiece")     # a run of htcp sweep, a plan of htcp plan; or `replays_of` a Plan
     replay = replays.replay(12, "nspace-sqp")
-    replay.x[40]                                # the posture at target 40
+    replay.x[40]                                # the configuration at target 40
 
 A picture or a viewer needs nothing else of the package than a `Replay`.
 """
@@ -36,43 +36,43 @@ from htcp_jax.viewer.needles import Needles, needles
 from htcp_jax.viewer.sides import Bodies, Side, camera_side
 from htcp_jax.viewer.workcell import GivenCell, Placement, Workcell, Workcells, cells_of
 
-LOOKED_AT = 5  # postures by which the side to look from is chosen
-LOOKED_AT_ON_WAY = 33  # postures of one way, in which the narrowest place is looked for
+LOOKED_AT = 5  # configurations by which the viewpoint is chosen
+LOOKED_AT_ON_WAY = 33  # samples of one segment, of which the minimum is taken
 
 
 class Witness(NamedTuple):
-    """The pair of points of the smallest distance, at each of T targets."""
+    """Pair of points of the minimum distance, at each of T targets."""
 
     body: list[str]  # the capsule's name
     arm: Float[np.ndarray, "T 3"]  # on its surface, world [m]
     cloud: Float[np.ndarray, "T 3"]  # the cloud's point, or the one on the hull that the capsule's end has crossed
 
     def rows(self, which: slice) -> "Witness":
-        """That of some configurations."""
+        """Select some of the configurations."""
         return Witness(*(part[which] for part in self))
 
 
 class Narrow(NamedTuple):
-    """The way on which the least clearance is proven, and the narrowest place that is seen there."""
+    """Segment with the least guaranteed clearance, and the minimum distance sampled there."""
 
-    target: int  # to which the way leads
+    target: int  # at the end of the segment
     proven_m: float  # D all along it, at least
-    seen_m: float  # the smallest of LOOKED_AT_ON_WAY postures
+    seen_m: float  # minimum of LOOKED_AT_ON_WAY samples
     body: str  # the capsule's name
     arm: Float[np.ndarray, "3"]  # on its surface, world [m]
     cloud: Float[np.ndarray, "3"]
 
 
 class Replay(NamedTuple):
-    """One method's plan of one scenario. At the target that failed the arm is brought there all the same, into what is
-    in the way; where nothing was attempted it stays where it was tracked last."""
+    """One method's plan of one scenario. At the failed target the arm is shown all the same, in collision; at targets
+    not attempted it stays at the last tracked one."""
 
     method: str
     number: int  # of the scenario
-    label: str  # its number and what sets it apart
+    label: str  # its number and its varied parameters
     robot: Robot  # with the scenario's tool
-    surface: Surface  # of the cloud; world [m], as is all that follows
-    path: int  # targets from here on are the tool path; the ones before lead to it
+    surface: Surface  # of the cloud; world [m], like everything below
+    path: int  # first target of the tool path; the ones before lead to it
     target: Float[np.ndarray, "T 3"]
     status: Int8[np.ndarray, "T"]
     clearance: Float[np.ndarray, "T"]  # NaN where not tracked
@@ -81,49 +81,49 @@ class Replay(NamedTuple):
     x: Float[np.ndarray, "T N"]
     shape: ArmShape  # the arm at these
     witness: Witness
-    motion: Motion  # what the arm passes up to the last target that is tracked
-    summary: MotionSummary  # of what is executable
-    narrow: Narrow | None  # of that, too
+    motion: Motion  # motion up to the last tracked target
+    summary: MotionSummary  # of the executable part
+    narrow: Narrow | None  # of the executable part
     way: Int8[np.ndarray, "T"]  # `status.Way`
     way_clearance: Float[np.ndarray, "T"]  # D all along it, at least
     obstruction: Obstruction | None  # at the target that failed
-    side: Side  # to look from
-    fixtures: Drawn  # what else stands there
-    normals: Needles  # of the path, where the task names them
+    side: Side  # viewpoint
+    fixtures: Drawn  # other obstacles
+    normals: Needles  # of the path, if the task refers to them
 
     @property
     def cloud(self) -> Float[np.ndarray, "P 3"]:
-        """The points to draw; the clearance is to all of the workpiece's."""
+        """Points to draw; the clearance is to all of the workpiece's."""
         return self.surface.points
 
     @property
     def p(self) -> Float[np.ndarray, "T K 3"]:
-        """Ends of the capsules' axes, the first ones."""
+        """First ends of the capsules' axes."""
         return self.shape.p
 
     @property
     def q(self) -> Float[np.ndarray, "T K 3"]:
-        """The other ends."""
+        """Second ends of the capsules' axes."""
         return self.shape.q
 
     @property
     def tcp(self) -> Float[np.ndarray, "T 3"]:
-        """The tool centre points."""
+        """Tool centre points."""
         return self.shape.tcp
 
     @property
     def outcome(self) -> Outcome:
-        """How the scenario ended; nothing is said of its joint paths."""
+        """Outcome of the scenario, without its joint paths."""
         return outcomes(self.status[None]).of(0)._replace(scenario=self.number)
 
     @property
     def tracked(self) -> int:
-        """The number of tracked targets."""
+        """Number of tracked targets."""
         return self.outcome.tracked
 
     @property
     def failed(self) -> int | None:
-        """The first target that is not tracked."""
+        """First target that is not tracked."""
         return self.outcome.failed
 
     def arm_at(self, target: int) -> ArmShape:
@@ -132,9 +132,9 @@ class Replay(NamedTuple):
 
 
 class Replays:
-    """Plans to look at: several scenarios by several methods.
+    """Plans to display: several scenarios by several methods.
 
-    plans: by the name of a method; row s is scenario s. labels: what sets scenarios apart, by number.
+    plans: by the name of a method; row s is scenario s. labels: the scenarios' varied parameters, by number.
     """
 
     def __init__(
@@ -149,7 +149,7 @@ class Replays:
         self.plans, self._cells = lru_cache(maxsize=None)(plans), cells
 
     def outcomes(self, method: str) -> list[Outcome]:
-        """How every scenario ended that the method has planned; the failed ones first, each kind in order.
+        """Outcomes of all scenarios that the method has planned; failed ones first, each group in order.
 
         Raises InputError for a method without results.
         """
@@ -160,7 +160,7 @@ class Replays:
         return sorted(found, key=lambda outcome: outcome.complete)
 
     def replay(self, number: int, method: str) -> Replay:
-        """The plan of a scenario by a method. Raises InputError for one that is not there, naming those that are."""
+        """The plan of a scenario by a method. Raises InputError for an unknown one, listing the known."""
         numbers = sorted(outcome.scenario for outcome in self.outcomes(method))
         if number not in numbers:
             raise InputError(f"{self.name} has no scenario {number} by {method}; it has {_spans(numbers)}")
@@ -206,11 +206,11 @@ class Replays:
         )
 
     def label(self, number: int) -> str:
-        """A scenario's number and what sets it apart."""
+        """A scenario's number and its varied parameters."""
         return f"{number}: {self.labels[number]}" if self.labels.get(number) else str(number)
 
     def obstructions(self, method: str, numbers: Sequence[int] | None = None) -> dict[int, Obstruction]:
-        """What is in the way in the scenarios that failed, of those numbers or of all; one call for hundreds."""
+        """Colliding bodies in the failed scenarios, of these numbers or of all; in one call for hundreds."""
         plans, together = self.plans(method), dict[Hashable, dict[int, int]]()
         for number in range(len(plans.status)) if numbers is None else numbers:
             if (target := blocked_target(plans, number)) is not None:
@@ -221,8 +221,8 @@ class Replays:
         return {number: found[number] for number in sorted(found)}
 
     def _in_the_way(self, cell: Workcell, plans: Plans, targets: dict[int, int]) -> dict[int, Obstruction]:
-        """The same for scenarios of one workcell, by number the target that failed; nothing where the job has a task,
-        whose goals are not on record."""
+        """Colliding bodies in scenarios of one workcell. targets: the failed target by scenario. Empty if the job has a
+        task, whose goals are not saved."""
         if cell.config.task:
             return {}
         where = jax.tree.map(lambda *leaves: np.stack(leaves), *map(self._cells.placement, targets))
@@ -232,20 +232,19 @@ class Replays:
 
 
 def open_replays(folder: str | Path) -> Replays:
-    """The plans in the folder of a sweep or of one plan. Raises InputError as `open_plans` does, and for a plan that
-    is not of the configuration beside it."""
+    """Open the plans in the folder of a sweep or of one plan. Raises InputError as `open_plans` does, and for a plan
+    that does not match the configuration next to it."""
     return recorded_replays(open_plans(folder))
 
 
 def recorded_replays(found: PlanSet, plans: Callable[[str], Plans] | None = None) -> Replays:
-    """The replays of plans on record. plans: by method, where they are read already. Raises InputError as
-    `open_replays` does."""
+    """Replays of saved plans. plans: by method, if they are read already. Raises InputError as `open_replays` does."""
     return Replays(str(found.folder), found.methods, plans or found.plans, cells_of(found), found.labels)
 
 
 @runtime_checkable
 class Planned(Protocol):
-    """A job and what became of it, as `htcp_jax.plan` returns it; the robot has its tool."""
+    """A job and its result, as `htcp_jax.plan` returns it; the robot has its tool."""
 
     job: PlanConfig
     robot: Robot
@@ -255,20 +254,21 @@ class Planned(Protocol):
 
 
 def replays_of(name: str, plan: Planned) -> Replays:
-    """The one replay of a plan in memory."""
+    """The replay of a plan in memory, as `Replays`."""
     cells = GivenCell(Workcell(plan.job, plan.robot, plan.workpiece), plan.scenario)
     return Replays(name, (plan.job.method,), lambda _: plan.plans, cells)
 
 
 def _looked_at(shape: ArmShape, robot: Robot, tracked: np.ndarray, path: int) -> Bodies:
-    """The arm at a few tracked targets, of the tool path where there are any; else at the first."""
+    """The arm at a few tracked targets, on the tool path if possible; else at the first target."""
     shown = tracked[tracked >= path] if (tracked >= path).any() else tracked if tracked.size else np.zeros(1, int)
     shown = shown[np.linspace(0, len(shown) - 1, LOOKED_AT).round().astype(int)]
     return Bodies(shape.p[shown], shape.q[shown], np.asarray(robot.capsule_radius), is_tool(robot))
 
 
 def _tightest_way(plans: Plans, target: int | None) -> Float[np.ndarray, "n N"]:
-    """Postures of the way to a target, evenly along its straight joint paths; of none where there is no such way."""
+    """Configurations of the segment to a target, evenly along its straight joint paths; the start if there is no such
+    segment."""
     if target is None:
         return np.repeat(plans.start, LOOKED_AT_ON_WAY, axis=0)
     x = [plans.before(0, target)[None], plans.knots.on_the_way(0, target), plans.x[:1, target]]
@@ -278,7 +278,7 @@ def _tightest_way(plans: Plans, target: int | None) -> Float[np.ndarray, "n N"]:
 
 
 def _narrow(summary: MotionSummary, seen: Witness) -> Narrow | None:
-    """The narrowest place of the postures that were looked at on the tightest way."""
+    """Minimum distance of the sampled configurations in the segment with the least guaranteed clearance."""
     if summary.tightest is None:
         return None
     apart = np.linalg.norm(seen.arm - seen.cloud, axis=1)
@@ -294,7 +294,7 @@ def _witness(robot: Robot, obstacle: Obstacles, where: Placement, x: Float[np.nd
 
 @jax.jit
 def _nearest(robot: Robot, obstacle: Obstacles, where: Placement, x: Float[jax.Array, "T N"]):
-    """The witness of the smallest distance (row, point on the body, point of the obstacle), of every configuration."""
+    """Witness of the minimum distance (row, point on the body, point of the obstacle), of every configuration."""
     bodies = jnp.asarray(rows_of(robot, obstacle).body)
 
     def one(x):
@@ -308,14 +308,14 @@ def _nearest(robot: Robot, obstacle: Obstacles, where: Placement, x: Float[jax.A
 
 
 def _held(x: Float[np.ndarray, "T N"], start: Float[np.ndarray, "N"]) -> Float[np.ndarray, "T N"]:
-    """The configurations, with the last known one in the place of those that are not known."""
+    """Replace unknown configurations by the last known one."""
     rows = np.concatenate([start[None], x])
     known = np.where(np.isnan(rows).any(axis=1), 0, np.arange(len(rows)))
     return rows[np.maximum.accumulate(known)][1:]
 
 
 def _spans(numbers: list[int]) -> str:
-    """Sorted numbers as a person writes them: 0 to 3, 7."""
+    """Format sorted numbers as spans: 0 to 3, 7."""
     parts, first = [], 0
     for k, number in enumerate(numbers):
         if k + 1 == len(numbers) or numbers[k + 1] != number + 1:

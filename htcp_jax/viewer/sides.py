@@ -1,8 +1,8 @@
-"""From which side to look at a plan: where the arm and the workpiece, cut open, hide least of the path and the tool.
+"""Viewpoint of a plan: the side from which the arm and the workpiece, cut open, hide least of the path and the tool.
 
-Level directions all round are tried. What is hidden is counted along parallel lines of sight, with the half of the
-cloud that faces the camera cut off; a side from where the path is foreshortened counts as hiding some of it, and so
-does one where the cut takes away the wall along the path. The same plan always gives the same side.
+Horizontal directions all round are tried. Occlusion is counted along parallel rays, with the half of the cloud that
+faces the camera cut off; a side from which the path is foreshortened counts as hiding some of it, and so does one for
+which the cut removes the wall along the path. The result is deterministic.
 """
 
 from collections.abc import Sequence
@@ -13,11 +13,11 @@ from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 DIRECTIONS = 16
-ABOVE_RAD = np.radians(16.0)  # that a camera looks down by
-ASIDE_RAD = np.radians(-28.0), np.radians(28.0)  # that a camera stands beside the side that is cut open
-SQUARE = 0.05  # by so much more may be hidden from square to the path
-FORESHORTENED, CUT_OFF = 0.3, 0.3  # what the worst of these counts as
-MOST_POINTS, ALONG = 3000, 12  # of the cloud that are looked at, and of an axis
+ABOVE_RAD = np.radians(16.0)  # downward angle of a camera
+ASIDE_RAD = np.radians(-28.0), np.radians(28.0)  # angles of a camera to the side that is cut open
+SQUARE = 0.05  # bonus of the view perpendicular to the path, in shares hidden
+FORESHORTENED, CUT_OFF = 0.3, 0.3  # weights, in shares hidden
+MOST_POINTS, ALONG = 3000, 12  # samples of the cloud, and of an axis
 
 
 class View(NamedTuple):
@@ -28,19 +28,19 @@ class View(NamedTuple):
     near: Float[np.ndarray, "3"]
 
     def flat(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
-        """Points projected along the view [m]."""
+        """Project points along the view [m]."""
         return np.stack([points @ self.right, points @ self.up], axis=-1)
 
 
 class Side(NamedTuple):
-    """The side that is cut open, and how far beside it a camera stands [rad]."""
+    """The side that is cut open, and the camera's angle to it [rad]."""
 
     view: View
     aside_rad: float
 
 
 class Bodies(NamedTuple):
-    """Capsules at F postures: their ends, world [m], and which of them are the tool's."""
+    """Capsules at F configurations: their ends, world [m], and a mask of the tool's."""
 
     p: Float[np.ndarray, "F K 3"]
     q: Float[np.ndarray, "F K 3"]
@@ -49,17 +49,17 @@ class Bodies(NamedTuple):
 
 
 def flat_side(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], arm: Bodies) -> View:
-    """The side of an orthographic, level view."""
+    """Side of an orthographic, horizontal view."""
     return _best(cloud, path, arm, (0.0,), 0.0).view
 
 
 def camera_side(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], arm: Bodies) -> Side:
-    """The side of a camera that looks down a little, from beside the cut."""
+    """Side of a camera that looks down a little, at an angle to the cut."""
     return _best(cloud, path, arm, ASIDE_RAD, ABOVE_RAD)
 
 
 def side_view(cloud: Float[np.ndarray, "P 3"], targets: Float[np.ndarray, "T 3"]) -> View:
-    """Level, square to the way the targets lead, from the side of the cloud where they are not."""
+    """Horizontal view, perpendicular to the direction of the targets, from the side of the cloud opposite to them."""
     ahead = (targets[-1] - targets[0]) * [1, 1, 0]
     ahead = ahead / np.linalg.norm(ahead) if np.linalg.norm(ahead) > 1e-6 else np.array([1.0, 0, 0])
     near = np.cross(ahead, [0.0, 0, 1])
@@ -91,7 +91,7 @@ def _view(near: Float[np.ndarray, "3"]) -> View:
 
 
 def towards_camera(view: View, aside_rad: float, above_rad: float) -> Float[np.ndarray, "3"]:
-    """The unit direction towards a camera that stands beside a side."""
+    """Unit direction towards a camera at an angle to a side."""
     level = np.cos(aside_rad) * view.near + np.sin(aside_rad) * view.right
     return np.cos(above_rad) * level + np.sin(above_rad) * view.up
 
@@ -103,8 +103,8 @@ def hidden(
     arm: Bodies,
     toward: Float[np.ndarray, "3"],
 ) -> float:
-    """The share of the path and the tool that links of the arm, or discs of that radius about the cloud's points, hide
-    from a camera far away in a direction; the mean over the arm's postures."""
+    """Share of the path and the tool that links of the arm, or discs of that radius about the cloud's points, hide from
+    a camera far away in a direction; the mean over the arm's configurations."""
     plane = np.linalg.svd(toward[None])[2][1:].T  # two directions across
     shares = np.linspace(0, 1, ALONG)[:, None, None]
     path = path[:: -(-len(path) // 40)]
@@ -126,7 +126,7 @@ def hidden(
 
 
 def _foreshortened(path: Float[np.ndarray, "T 3"], toward: Float[np.ndarray, "3"]) -> float:
-    """The share of the path's length that is lost to a look from there."""
+    """Share of the path's length that is lost by projection along a direction."""
     legs = np.diff(path, axis=0)
     whole = np.linalg.norm(legs, axis=1).sum()
     across = np.linalg.norm(legs - (legs @ toward)[:, None] * toward, axis=1).sum()

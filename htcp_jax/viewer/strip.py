@@ -1,4 +1,4 @@
-"""Plots of a program beneath its movie: how fast the tool and the joints are, with a line at the present time."""
+"""Plot strip of a program below its movie: speeds of the TCP and the joints, with a line at the current time."""
 
 import numpy as np
 from jaxtyping import UInt8
@@ -11,15 +11,15 @@ from htcp_jax.trajectory.of_plan import OfPlan
 from htcp_jax.viewer.colours import INK, KINDS, PAPER, QUIET, RULE, joint_colour
 from htcp_jax.viewer.timed_play import BOUNDS, Curves, Played
 
-INCHES, ASPECT = 6.4, 0.38  # of the strip, however many pixels it has
+INCHES, ASPECT = 6.4, 0.38  # of the strip, for any number of pixels
 SMALL, WORDS = 7, 8.5  # points
-EDGE = 0.25  # of a pixel, so that rounding loses none
+EDGE = 0.25  # of a pixel, so that rounding down loses none
 
 
 class Strip:
-    """Drawn once; then only the line and the words move.
+    """A plot strip, drawn once; then only the line and the text change.
 
-    play: the instants of the frames; width: in pixels; speed: how many times as fast as it runs the program is shown.
+    play: the instants of the frames; width: in pixels; speed: playback rate of the program.
     """
 
     def __init__(self, made: OfPlan, play: Played, width: int, speed: float = 1.0):
@@ -41,7 +41,7 @@ class Strip:
         self._empty = self._canvas.copy_from_bbox(self.figure.bbox)
 
     def at(self, frame: int) -> UInt8[np.ndarray, "H W 3"]:
-        """The strip beneath a frame."""
+        """The strip below a frame."""
         self._canvas.restore_region(self._empty)
         self._now.set_text(self._play.words(frame))
         self.figure.draw_artist(self._now)
@@ -52,7 +52,7 @@ class Strip:
 
 
 def shown_as(speed: float) -> str:
-    """How fast a program is shown, in words."""
+    """Description of the playback rate."""
     return "in real time" if speed == 1 else f"at {speed:g} times real time"
 
 

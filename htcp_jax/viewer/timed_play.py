@@ -1,4 +1,4 @@
-"""A program as it is played, and what is plotted of it: what the arm does, how fast the tool and the joints are."""
+"""Playback and plots of a program: kind of motion, speeds of the TCP and the joints."""
 
 from typing import NamedTuple
 
@@ -13,8 +13,8 @@ from htcp_jax.viewer.movie import RATE
 from htcp_jax.viewer.posture import Posture, postures
 
 INSTANTS = 600
-BOUNDS = 0.1, 100.0  # of a joint's limit [%]: on the path joints are slow by two powers of ten
-ROOM = 1.5  # over the feed that was asked for; off the path the TCP is faster, and its curve leaves the plot
+BOUNDS = 0.1, 100.0  # of a joint's limit [%]: on the path joints are slower by two orders of magnitude
+ROOM = 1.5  # factor on the required feed; off the path the TCP is faster, and its curve leaves the plot
 
 
 class Played(NamedTuple):
@@ -23,26 +23,26 @@ class Played(NamedTuple):
     time_s: Float[np.ndarray, "n"]
     x: Float[np.ndarray, "n N"]  # [rad or m]
     kind: Int8[np.ndarray, "n"]  # `status.Kind`
-    target: Int[np.ndarray, "n"]  # the last one that the arm has come to, -1 before the first
-    tcp_m_s: Float[np.ndarray, "n"]  # how fast the TCP is
-    share: Float[np.ndarray, "n N"]  # how fast each joint is, of its limit [1]
+    target: Int[np.ndarray, "n"]  # the last one reached, -1 before the first
+    tcp_m_s: Float[np.ndarray, "n"]  # speed of the TCP
+    share: Float[np.ndarray, "n N"]  # speed of each joint by its limit [1]
 
     def words(self, k: int) -> str:
-        """What is done at the k-th instant, and how fast."""
+        """Description of the motion at the k-th instant."""
         return f"{self.time_s[k]:.2f} s: {Kind(int(self.kind[k])).words}, TCP {1e3 * self.tcp_m_s[k]:.1f} mm/s"
 
 
 class Curves(NamedTuple):
-    """n instants, evenly apart, from the first posture to the last."""
+    """Curves of a program at n equidistant instants, from its begin to its end."""
 
     time_s: Float[np.ndarray, "n"]
-    tcp_mm_s: dict[Kind, Float[np.ndarray, "n"]]  # by what the arm does; NaN where it does something else
-    feed_mm_s: float  # asked for
-    share_percent: dict[str, Float[np.ndarray, "n"]]  # by the joint: its speed, of its limit
+    tcp_mm_s: dict[Kind, Float[np.ndarray, "n"]]  # by kind of motion; NaN during other kinds
+    feed_mm_s: float  # required
+    share_percent: dict[str, Float[np.ndarray, "n"]]  # by joint: its speed by its limit
 
     @classmethod
     def of(cls, made: OfPlan, instants: int = INSTANTS) -> "Curves":
-        """Those of a program."""
+        """Curves of a program."""
         play = played(made, np.linspace(0, made.program.duration_s, instants))
         tcp = {
             kind: np.where(play.kind == kind, 1e3 * play.tcp_m_s, np.nan) for kind in Kind if (play.kind == kind).any()
@@ -52,12 +52,12 @@ class Curves(NamedTuple):
 
     @property
     def top_mm_s(self) -> float:
-        """How far up the TCP's speed is shown."""
+        """Upper limit of the plot of the TCP's speed."""
         return ROOM * self.feed_mm_s
 
 
 def played(made: OfPlan, time_s: Float[np.ndarray, "n"]) -> Played:
-    """A program at times that rise from 0; from its end on the arm stands."""
+    """Sample a program at times that increase from 0; after its end the arm stands still."""
     timed = made.program.at(time_s)
     _, jacobian = tcp_at(made.robot, timed.x)
     tcp = np.linalg.norm(np.einsum("nij,nj->ni", jacobian, timed.velocity), axis=1)
@@ -71,14 +71,14 @@ def arms_of(made: OfPlan, play: Played) -> list[Posture]:
 
 
 def frame_times(duration_s: float, speed: float = 1.0) -> Float[np.ndarray, "n"]:
-    """When the frames of a movie are taken [s], RATE a second, of a program that is shown at `speed` times real time.
-    The movie takes the program's duration over `speed`, to within a frame."""
+    """Times of a movie's frames [s], RATE a second, for a program that is shown at `speed` times real time. The movie
+    takes the program's duration over `speed`, to within a frame."""
     return np.arange(int(duration_s * RATE / speed) + 1) * speed / RATE
 
 
 def _come_to(program: Program, time_s: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-    """By the postures that are passed: on the way there the last one of those that lead to a target is at it; on the
-    way back each is at or behind its own."""
+    """Last target reached at each time, by the program's configurations: on the way there the last one of those that
+    lead to a target is at it; on the way back each is at or behind its own."""
     passed = program.at_postures()
     back = passed.kind == Kind.RETRACT
     leads = passed.target + (passed.kind == Kind.DWELL)

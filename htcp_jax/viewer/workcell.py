@@ -1,4 +1,4 @@
-"""Where the plans of a plan set take place: robot, workpiece and settings, and where each scenario has them."""
+"""Workcells of a plan set: robot, workpiece and settings, and their placement in each scenario."""
 
 from collections.abc import Hashable
 from functools import cached_property, lru_cache
@@ -24,7 +24,8 @@ MOST_CELLS = 8  # robots and workpieces of one run in memory
 
 
 class Placement(NamedTuple):
-    """Where one scenario has the workpiece and the TCP: what `clearance.Posed` asks for, and the tool's length."""
+    """Workpiece pose and interior plane of one scenario, as `clearance.Posed` requires, and the tool's extension
+    [m]."""
 
     T_world_workpiece: Float[np.ndarray, "4 4"]
     interior_plane: Float[np.ndarray, "4"]
@@ -32,34 +33,34 @@ class Placement(NamedTuple):
 
 
 class Workcell:
-    """A robot beside a workpiece, and the configuration that their scenarios share."""
+    """A robot and a workpiece, and the configuration that their scenarios share."""
 
     def __init__(self, config: PlanConfig, robot: Robot, workpiece: Workpiece):
         self.config, self.robot, self.workpiece = config, robot, workpiece
 
     @property
     def approach(self) -> int:
-        """Targets that lead to the tool path."""
+        """Number of targets before the tool path."""
         return self.config.on_path
 
     @cached_property
     def obstacle(self) -> Obstacles:
-        """The workpiece, and what else there is, as the clearance has it."""
+        """The workpiece and the other obstacles, for clearance queries."""
         return all_obstacles(self.workpiece, obstacles_of(self.config.cell, self.robot))
 
     @cached_property
     def fixtures(self) -> Drawn:
-        """What stands about, as it is drawn."""
+        """The other obstacles, for drawing."""
         return drawn_of(self.config.cell)
 
     @cached_property
     def surface(self) -> Surface:
-        """The workpiece as it is drawn."""
+        """The workpiece, for drawing."""
         return surface_of(self.workpiece.shown)
 
 
 class RecordedCells:
-    """Those of plans on record: made from the configurations when they are first asked for; the last few are kept.
+    """Workcells of saved plans, built from the configurations at first use; the last few are cached.
 
     cell(key): the workcell of the scenarios with that key. Raises InputError for files that cannot be read.
     """
@@ -69,12 +70,12 @@ class RecordedCells:
         self.cell = lru_cache(maxsize=MOST_CELLS)(self._make)
 
     def key(self, number: int) -> Hashable:
-        """Equal for scenarios that share a workcell. The targets are on record, so that the paths of a run's scenarios
-        are not needed."""
+        """Key that is equal for scenarios that share a workcell. The paths of a run's scenarios do not matter, as the
+        targets are saved."""
         return self._keys[number] if self._found.mixed else None
 
     def placement(self, number: int) -> Placement:
-        """Where a scenario has things in its workcell."""
+        """Placement of a scenario in its workcell."""
         cell = self.cell(self.key(number))
         return _placement(cell.robot, cell.workpiece, self._found.parameters[number])
 
@@ -91,23 +92,23 @@ class RecordedCells:
 
 
 class GivenCell:
-    """One workcell in memory, at one placement for all scenarios; it is asked as `RecordedCells` are."""
+    """One workcell in memory, with one placement for all scenarios; same interface as `RecordedCells`."""
 
     def __init__(self, cell: Workcell, scenario: Scenario):
         T, plane = np.asarray(scenario.T_world_workpiece), np.asarray(scenario.interior_plane)
         self._cell, self._placement = cell, Placement(T, plane, float(scenario.tool_extension_m))
 
     def key(self, number: int) -> Hashable:
-        """The same for all."""
+        """Key of every scenario: None."""
         del number
 
     def cell(self, key: Hashable) -> Workcell:
-        """The only one."""
+        """The only workcell."""
         del key
         return self._cell
 
     def placement(self, number: int) -> Placement:
-        """The same for all."""
+        """Placement of every scenario."""
         del number
         return self._placement
 
@@ -116,8 +117,8 @@ Workcells = RecordedCells | GivenCell
 
 
 def cells_of(found: PlanSet) -> RecordedCells:
-    """The workcells of plans on record, the first of them made. Raises InputError where it cannot be, and for a plan
-    of another number of targets or joints than its configuration leads to."""
+    """Workcells of saved plans, with the first one built. Raises InputError if that fails, and for a plan whose number
+    of targets or joints differs from its configuration's."""
     cells = RecordedCells(found)
     cell = cells.cell(cells.key(min(found.parameters)))
     if isinstance(found, FolderPlan):
@@ -128,7 +129,7 @@ def cells_of(found: PlanSet) -> RecordedCells:
 
 
 def _shared(job: PlanConfig) -> tuple:
-    """What scenarios in one workcell agree in."""
+    """Properties that scenarios in one workcell share."""
     return arm_of(job), part_of(job), job.approach, job.settings, job.cell
 
 

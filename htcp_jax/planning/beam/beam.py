@@ -1,14 +1,16 @@
-"""The roadmap: per scenario and target a front of postures, each connected to the start by a proven motion.
+"""Beam search over configurations: per scenario and target a beam, each configuration connected to the start by a
+proven motion.
 
-    feed     every posture of the front to the next target; it arrives where its joint path is a proven motion
-    spread   where few arrive, by walks in the null space of the target, every step of them proven
-    go on    with those that are far apart; where nothing arrives, spread the front itself and feed what is new
-    approach where no straight line leads to the path: once more from postures at its first point, joined in free space
-    transfer where all that is exhausted, and it is allowed: once more from other postures at the first target
+    extend   every configuration of the beam to the next target; accepted if its joint path is a proven motion
+    spread   if few are accepted, by self-motions at the target, every step of them proven
+    select   those that are far apart; if none is accepted, spread the beam itself and extend what is new
+    approach if no straight line leads to the path: search again from configurations at its first point, joined in free
+             space
+    transfer if all that fails, and it is allowed: search again from other configurations at the first target
 
-A local optimiser carries one posture along and is lost in the first dead end; the front holds many, on both sides of
-what forks the way. All that arrived is a tree whose root is the start, and the path that is chosen is that of the leaf
-with the fewest changes of posture, and then the least cost of equation (3).
+A local optimiser follows one configuration and stops at the first dead end; the beam holds many, on both sides of each
+fork. All accepted configurations form a tree whose root is the start, and the chosen path leads to the leaf with the
+fewest changes of configuration, and then the least cost of equation (3).
 
 Random keys are folded from the scenario's number, the target, the round and the walk, so results do not depend on which
 scenarios are planned together.
@@ -40,13 +42,13 @@ from htcp_jax.planning.beam.record import Knotted, RoadmapRecord
 from htcp_jax.planning.beam.searches import NONE, Members, Searches
 from htcp_jax.status import Status, Way
 
-MOST_TRANSFERS = 3  # searches from other postures, each from others
-IN_FLIGHT = 4  # scenarios are planned together, a quarter as many as a table has lanes
+MOST_TRANSFERS = 3  # searches from other configurations, each from new ones
+IN_FLIGHT = 4  # scenarios planned together: the number of lanes divided by this
 
 
 @dataclass(frozen=True)
 class Roadmap:
-    """The planner. A `registry.Method`."""
+    """Beam search as a `registry.Method`."""
 
     name: str
     title: str
@@ -54,15 +56,15 @@ class Roadmap:
     smooth = True  # unless the settings say otherwise
 
     def first_calls(self, problem: Problem) -> list[tuple]:
-        """See `Kernels.preparing`."""
+        """Return the first kernel calls, see `Kernels.preparing`."""
         return _calls(problem)
 
     def plan(self, problem: Problem) -> Plans:
-        """Plan all scenarios; threads take them in turn, and write into different rows."""
+        """Plan all scenarios; they are dealt out to threads, which write into different rows."""
         plans = problem.empty_plans()
         kernels = problem.kernels  # made here, before there are threads
         tips = tip_checks(kernels, problem.tip_guard)
-        # Two a GPU: while it computes for one, the other makes its tables.
+        # Two per GPU: while it computes for one, the other builds its tables.
         threads = problem.threads if kernels[0].pays_by_lane else max(problem.threads, 2 * len(kernels))
 
         def work(number: int) -> list[Knotted]:
@@ -76,7 +78,7 @@ class Roadmap:
 
 
 def _calls(problem: Problem) -> list[tuple]:
-    """One of each kernel that will be called, in the order in which they are waited for, see `Kernels.preparing`."""
+    """Return one call of each kernel, in the order in which they are needed, see `Kernels.preparing`."""
     one, zero = problem.to_plan[:1], np.zeros(1, int)
     x, turns = problem.scenarios.x_start[one], np.zeros(1, bool)
     inputs = lane_inputs(problem.scenarios, one, zero)
@@ -87,7 +89,7 @@ def _calls(problem: Problem) -> list[tuple]:
 
 
 class Growing:
-    """Plans scenarios, many at a time, in dense batches of all their postures."""
+    """Plan many scenarios at a time, in dense batches of all their configurations."""
 
     def __init__(self, problem: Problem, plans: Plans, kernels: Kernels, tip: TipCheck | None):
         self._problem, self._kernels, self._tip = problem, kernels, tip
@@ -96,7 +98,7 @@ class Growing:
         self._record = RoadmapRecord(problem, plans, kernels, tip, self._searches)
 
     def run(self, scenarios: Iterator[int]) -> list[Knotted]:
-        """Plan until the iterator is empty."""
+        """Plan until the iterator is exhausted."""
         ways, searches, most = [], self._searches, max(1, self._kernels.lanes // IN_FLIGHT)
         while True:
             before = searches.tracked
@@ -116,7 +118,8 @@ class Growing:
             self._problem.progress(tracked, len(finished))
 
     def _begin(self, new: list[int]) -> None:
-        """Searches from the starts of some scenarios; or, where one may begin anywhere, from what is found there."""
+        """Begin searches at the starts of some scenarios; without a given start, at configurations sampled at the first
+        target."""
         if not new:
             return
         start, unknown = self._problem.scenarios.x_start[new], np.full((len(new), 3), np.nan)
@@ -127,8 +130,8 @@ class Growing:
         self._searches.begin(new, self._problem.scenarios.count[new].tolist(), roots)
 
     def _begin_elsewhere(self, search: int) -> bool:
-        """Where the start's own part is exhausted: a search from other postures, at the path's first point where
-        nothing comes to the path, else at the first target, if it may be. Whether there is one."""
+        """Begin a search from other configurations after one has failed: at the path's first point if it was not
+        reached, else at the first target, if allowed. Returns True if there is one."""
         columns, chain = self._searches.columns, self._searches.chain(search)
         s, scenarios, first = int(columns.scenario[search]), self._problem.scenarios, int(columns.target[chain[-1]])
         on_path, anywhere = int(scenarios.on_path[s]), bool(self._problem.begins_anywhere[s])
@@ -145,7 +148,7 @@ class Growing:
         return self._tree.plant(other_postures(self._problem, self._kernels, self._tip, s, round_, target), target)
 
     def _feed(self) -> None:
-        """All that is unfed to the next target; it arrives where its joint path is a proven motion."""
+        """Extend pending configurations to the next target; accepted if the joint path is a proven motion."""
         searches, unfed = self._searches, self._searches.unfed
         if not len(unfed.node):
             return
@@ -162,7 +165,7 @@ class Growing:
         searches.take_fed(arrived)
 
     def _walk(self) -> None:
-        """In the null space, from postures of searches that have none to feed; as far as every step is proven."""
+        """Move in the null space, in searches without configurations to extend; as far as every step is proven."""
         searches, (walkers, walker) = self._searches, self._searches.walkers()
         if not len(walkers.node):
             return
@@ -187,8 +190,8 @@ class Growing:
     def _proven(
         self, inputs: LaneInputs, a: np.ndarray, b: np.ndarray, tube: Tube, lane: np.ndarray | None = None
     ) -> np.ndarray:
-        """Which straight joint paths from a to b are motions, one a lane, with the bare tip out of the walls all along;
-        or, with `lane`, the steps of its walk, whose tip is looked at where it ends."""
+        """True for each straight joint path from a to b that is a motion, one per lane, with the bare tip out of the
+        walls all along; or, with `lane`, for each step of its walk, whose tip is checked only at the end."""
         if not len(a):
             return np.zeros(0, bool)
         good = proofs_of(self._kernels, inputs, a, b, tube, lane=lane).verdict == Way.PROVEN
@@ -197,8 +200,8 @@ class Growing:
         return good
 
     def _say_why(self, fed: np.ndarray, arrived: np.ndarray, reached: np.ndarray) -> None:
-        """What to say of those searches that were fed, if nothing more arrives at the next target. Where something did,
-        the start is clear: the way from there is proven."""
+        """Set the status of the extended searches in case no more configurations reach the next target. If some did,
+        the start is clear, as the motion from there is proven."""
         columns, scenarios = self._searches.columns, self._problem.scenarios
         columns.failure[fed] = np.where(reached, Status.PATH_BLOCKED, Status.ESCAPE_EXHAUSTED)[fed]
         lost = np.flatnonzero(fed & ~arrived & (columns.target < 0))
@@ -209,7 +212,7 @@ class Growing:
             columns.failure[lost[collides]] = Status.START_IN_COLLISION
 
     def _inputs(self, scenario: np.ndarray, target: np.ndarray, draws: np.ndarray, turns: bool):
-        """What lanes are about, and their tubes: on the way to their target, or while they turn at it."""
+        """Return the lanes' inputs and tubes: on the segment to their target, or during a self-motion at it."""
         problem = self._problem
         inputs = lane_inputs(problem.scenarios, scenario, target, seed=problem.settings.seed, round_=draws)
         towards, which = target + turns, np.full(len(target), turns)

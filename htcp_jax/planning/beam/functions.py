@@ -1,7 +1,6 @@
-"""What the roadmap asks of a device: to feed a posture on to the next target, and to walk on in the null space of one.
+"""Device functions of the beam search: extend a configuration to the next target, and move in the null space of one.
 
-Pure functions of one lane, as in `kernels`. Whether what they find is a motion is for `proofs` to say, for many
-lanes' ways at once.
+Pure functions of one lane, as in `kernels`. `proofs` verifies whether the results are motions, for many lanes at once.
 """
 
 from functools import partial
@@ -24,33 +23,33 @@ from htcp_jax.settings import Settings
 from htcp_jax.solvers.active_set import solve_step
 from htcp_jax.solvers.step_qp import QPStatus, assemble
 
-ENOUGH = 0.9  # of what is aimed at above the margin
-PATIENCE = 6  # step QPs that aim high, before they aim low
-LEAST_STEP = 0.3  # of a walk's step; a shorter one is held by the joint limits
+ENOUGH = 0.9  # sufficient share of the goal above the margin
+PATIENCE = 6  # step QPs with the higher goal before the lower one is used
+LEAST_STEP = 0.3  # minimum share of a step's length; shorter ones are blocked by joint limits
 
 
 class Fed(NamedTuple):
     """A lane at its next target."""
 
     at: Posture
-    reached: jax.Array  # whether it counts there
+    reached: jax.Array  # True if it meets the success criterion there
     step_qps: jax.Array
 
 
 class Walked(NamedTuple):
-    """A lane's walk, step by step."""
+    """A lane's self-motion, step by step."""
 
-    path: Posture  # (steps, ...), of which the first `steps` are walked
+    path: Posture  # (steps, ...), of which the first `steps` are valid
     steps: jax.Array
 
 
 def feed(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Loop:
-    """From x at the target before: by inverse kinematics where that keeps clear of everything by `front_aim_m`, and
-    else by step QPs, which aim as high at first, and in the end at what must be kept. The loop's result is `Fed`."""
+    """Extend x from the target before: by inverse kinematics if that keeps a clearance of `front_aim_m`, else by step
+    QPs with the same goal at first, and in the end with the required margin. The loop's result is `Fed`."""
     robot, task = own_scene(scene, lane.tool_extension_m).robot, scene.task
     above = jnp.array([settings.front_aim_m, settings.aim_above_m])
     aims, enough = lane.margin_m + above, lane.margin_m + ENOUGH * above
-    look = jax.jit(partial(advance, settings))  # so that Python traces it once, for what it returns as for the loop
+    look = jax.jit(partial(advance, settings))  # traced once, for the result and for the loop
     measured = partial(look, scene, lane)
 
     def going(state):
@@ -67,7 +66,7 @@ def feed(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Loop:
         )  # fmt: skip
         found = solve_step(qp, settings.qp_tolerance)
         stuck = (found.status != QPStatus.SOLVED) | ((aim == 0) & (count > PATIENCE))
-        # First it looks where the inverse kinematics leads, then at x; step QPs lead on from there.
+        # First the result of inverse kinematics, then x, from which step QPs continue.
         goes_to = jnp.where(count < 0, straight, x)
         y = jnp.where(stuck | (count < 1), goes_to - here.x, found.y)
         return measured(here.x, y), straight, jnp.where(stuck & (count > 0), aim + 1, aim), count + 1
@@ -84,8 +83,8 @@ def feed(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Loop:
 
 
 def walk(settings: Settings, scene: Scene, lane: LaneInputs, x, walker) -> Loop:
-    """From x, on its target, along a random direction of the null space, which is carried along by projection, for a
-    random number of steps, as far as every posture counts. walker: tells the walks of one round from each other. The
+    """Move from x, on its target, along a random direction of the null space, carried along by projection, for a random
+    number of steps, as long as every configuration is valid. walker: distinguishes the self-motions of one round. The
     loop's result is `Walked`."""
     scene = own_scene(scene, lane.tool_extension_m)
     robot, task = scene.robot, scene.task
@@ -114,7 +113,7 @@ def walk(settings: Settings, scene: Scene, lane: LaneInputs, x, walker) -> Loop:
 
     n, most = len(x), settings.walk_steps
     path = Posture(*(jnp.zeros((most, *shape)) for shape in ((n,), (), (), (3,))))
-    # The first direction is drawn in the null space; there is room for it among the joints.
+    # The first direction is drawn in the null space, in the first entries of this vector.
     first = jax.random.normal(towards, x.shape)
     start = (jnp.full((), True), x, first, path, jnp.zeros((), jnp.int32))
     return Loop(start, going, step, lambda state: Walked(*state[3:]))

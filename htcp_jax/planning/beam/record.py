@@ -1,4 +1,4 @@
-"""What is written down of a roadmap whose search has ended: the path to its best leaf, and how the arm gets to it."""
+"""Record of a beam search that has ended: the path to its best leaf, and the motion from the start to its root."""
 
 from itertools import pairwise
 
@@ -14,20 +14,20 @@ from htcp_jax.motion.transfers import joined
 from htcp_jax.planning.beam.searches import NONE, Searches
 from htcp_jax.status import Status
 
-TRANSFERRED = 1  # the escape of a first target that is reached by a transfer
-Knotted = tuple[int, int, np.ndarray]  # a way that is no straight joint path: (scenario, target, postures)
+TRANSFERRED = 1  # `Plans.escape` of a first target that is reached by a transfer
+Knotted = tuple[int, int, np.ndarray]  # via points of a segment: (scenario, target, configurations)
 
 
 class RoadmapRecord:
-    """Writes into `plans` what searches have come to."""
+    """Write the results of searches into `plans`."""
 
     def __init__(self, problem: Problem, plans: Plans, kernels: Kernels, tip: TipCheck | None, searches: Searches):
         self._problem, self._plans, self._kernels, self._tip = problem, plans, kernels, tip
         self._searches, self._tree = searches, searches.tree
 
     def chosen(self, last: int) -> tuple[int, int, np.ndarray | None]:
-        """What to write down of a scenario whose last search has ended: the search that came furthest, the leaf of its
-        best path, and the knots of the transfer to it."""
+        """Return the result of a scenario whose last search has ended: the search that reached the farthest target, the
+        leaf of its best path, and the via points of the transfer to it."""
         searches, scenarios = self._searches, self._problem.scenarios
         s, chain = int(searches.columns.scenario[last]), searches.chain(last)
         for search in sorted(chain[::-1], key=lambda one: -searches.columns.target[one]):
@@ -44,7 +44,7 @@ class RoadmapRecord:
         raise AssertionError("the first search begins at the start, and needs no transfer")
 
     def write(self, search: int, leaf: int, transfer: np.ndarray | None) -> list[Knotted]:
-        """Write down the path to a leaf, and how the search ended; returns the knots of its ways."""
+        """Record the path to a leaf, and the search's status; returns the via points of its segments."""
         columns, plans, path = self._searches.columns, self._plans, self._tree.path(leaf)
         s, nodes = int(columns.scenario[search]), self._tree.nodes(path)
         ways, fed = [], np.flatnonzero(~nodes.walked)
@@ -62,18 +62,18 @@ class RoadmapRecord:
         return ways
 
     def _is_approach(self, search: int) -> bool:
-        """Whether it begins at the path's first point, and not at the first target."""
+        """True if the search begins at the path's first point instead of the first target."""
         root = self._tree.path(self._searches.front_of(search)[0])[0]
         return bool(self._searches.columns.earlier[search] != NONE and self._tree.target[root] > 0)
 
     def _row_0(self, first: int) -> int:
-        """The posture at the first target, from the start, of the best that the first search has come to."""
+        """Return the configuration at the first target on the best path of the first search."""
         path = self._tree.path(self._searches.front_of(first)[0])
         nodes = self._tree.nodes(path)
         return int(path[(nodes.target == 0) & ~nodes.walked][0])
 
     def _write_rows(self, s: int, target: np.ndarray, nodes: Nodes) -> None:
-        """A row a node, at its target; the start has none."""
+        """Write one row per node, at its target; the start has none."""
         plans, (target, nodes) = self._plans, gather((target, nodes), target >= 0)
         plans.x[s, target], plans.tcp[s, target] = nodes.at.x, nodes.at.tcp
         plans.clearance[s, target], plans.residual[s, target] = nodes.at.clearance, nodes.at.residual
@@ -81,8 +81,8 @@ class RoadmapRecord:
         plans.path_clear[s, target] = 1
 
     def _write_joined(self, search: int, root: int) -> int:
-        """How the arm gets to the posture in which a search begins; returns the target to which that leads. An approach
-        leaves its lines: all of its targets but the first are the path's first point."""
+        """Record the motion to the configuration at which a search begins; returns the target at its end. An approach
+        leaves its lines: all of its targets but the first become the path's first point."""
         s, plans, x = int(self._searches.columns.scenario[search]), self._plans, self._tree.x
         if not self._is_approach(search):
             plans.joint_step[s, 0] = np.linalg.norm(x[root] - plans.start[s])

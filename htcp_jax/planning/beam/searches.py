@@ -1,5 +1,6 @@
-"""How far the searches of a roadmap have come, which postures each holds, and what it does next: columns with a row a
-search, so that thousands go on together."""
+"""State of the beam searches: progress, configurations and next steps, in columns with one row per search, so that
+thousands run together.
+"""
 
 from typing import NamedTuple
 
@@ -15,52 +16,52 @@ NONE = -1  # no status yet; no earlier search
 
 
 class Members(NamedTuple):
-    """Rows of the tree that searches hold: search by search, those of a search in an order of its own."""
+    """Tree rows that searches hold: search by search, in an order of each search's own."""
 
     search: Int[np.ndarray, "n"]
     node: Int[np.ndarray, "n"]
 
     @classmethod
     def none(cls) -> "Members":
-        """Nobody holds any."""
+        """No rows for any search."""
         return cls(np.zeros(0, int), np.zeros(0, int))
 
     def of(self, which: Bool[np.ndarray, "searches"]) -> "Members":
-        """Those of some searches."""
+        """Select the rows of some searches."""
         return gather(self, which[self.search])
 
     def and_(self, others: "Members") -> "Members":
-        """With others of the same searches after their own."""
+        """Append the rows of `others` to those of the same searches."""
         both = concatenate([self, others])
         return gather(both, np.argsort(both.search, kind="stable"))
 
 
 class Columns(NamedTuple):
-    """A row a search, all numbers."""
+    """Columns with one row per search, all integers."""
 
     scenario: Int[np.ndarray, "n"]
-    target: Int[np.ndarray, "n"]  # that of its front
-    targets: Int[np.ndarray, "n"]  # how many there are
-    earlier: Int[np.ndarray, "n"]  # the search before, where this one is from other postures; or NONE
-    rounds: Int[np.ndarray, "n"]  # of walks from the front since something arrived
-    draws: Int[np.ndarray, "n"]  # rounds of walks in all
-    failure: Int[np.ndarray, "n"]  # what to say of it if nothing more arrives: a Status
-    status: Int[np.ndarray, "n"]  # why the search ended where it did not come to the last target; or NONE
+    target: Int[np.ndarray, "n"]  # of its beam
+    targets: Int[np.ndarray, "n"]  # number of targets
+    earlier: Int[np.ndarray, "n"]  # the search before, if this one begins at other configurations; or NONE
+    rounds: Int[np.ndarray, "n"]  # rounds of self-motions at this target
+    draws: Int[np.ndarray, "n"]  # rounds of self-motions in total
+    failure: Int[np.ndarray, "n"]  # its Status if no more configurations reach the next target
+    status: Int[np.ndarray, "n"]  # Status of a search that ended before the last target; or NONE
 
 
 class Searches:
-    """All searches of one tree. `front` is what a search holds at its target, `unfed` what of that is still to be fed
-    to the next one, and `arrived` what has come there while more is looked for."""
+    """All searches of one tree. `front` is the beam of each search at its target, `unfed` the part of it that is still
+    to be extended to the next target, and `arrived` what has reached that while the search spreads."""
 
     def __init__(self, settings: Settings, tree: BeamTree, can_walk: bool):
         self._settings, self._can_walk, self.tree = settings, can_walk, tree
         self.columns = Columns(*(np.zeros(0, int) for _ in Columns._fields))
         self.going = np.zeros(0, bool)
         self.front = self.unfed = self.arrived = Members.none()
-        self._ended: dict[int, np.ndarray] = {}  # the fronts of searches that are over
+        self._ended: dict[int, np.ndarray] = {}  # the beams of searches that have ended
 
     def begin(self, scenario: list[int], targets: list[int], roots: list[np.ndarray], earlier: int = NONE) -> None:
-        """New searches, each of a scenario and from its own roots, one or more, which are all at one target."""
+        """Add searches, each of a scenario and from its own roots, one or more, all at one target."""
         count, draws = len(scenario), 0 if earlier == NONE else self.columns.draws[earlier]
         first = len(self.going)
         held = Members(np.repeat(np.arange(first, first + count), [len(own) for own in roots]), np.concatenate(roots))
@@ -75,26 +76,26 @@ class Searches:
         self.front, self.unfed = concatenate([self.front, held]), concatenate([self.unfed, held])
 
     def has(self, members: Members) -> Bool[np.ndarray, "searches"]:
-        """Which of the searches hold any of these."""
+        """True for searches that hold any of these."""
         return self._count(members) > 0
 
     def chain(self, search: int) -> list[int]:
-        """Itself and those before it."""
+        """Return the search and those before it, latest first."""
         earlier = int(self.columns.earlier[search])
         return [search, *(self.chain(earlier) if earlier != NONE else [])]
 
     @property
     def tracked(self) -> int:
-        """Targets that first searches which are going have come to."""
+        """Number of targets reached by running searches that are their scenario's first."""
         return int((self.columns.target[self.going & (self.columns.earlier == NONE)] + 1).sum())
 
     def front_of(self, search: int) -> list[int]:
-        """What a search held when it ended, the best first."""
+        """Return the beam of a search when it ended, the best first."""
         rows = self._ended[search]
         return rows[best_first(self.tree.nodes(rows))].tolist()
 
     def take_fed(self, arrived: Members) -> None:
-        """What came of feeding all that was unfed."""
+        """Store the results of extending all `unfed` rows."""
         now, count, fed = self.columns, self._count(arrived), self.has(self.unfed)
         last = now.target == now.targets - 2
         thin = fed & (count > 0) & (count < self._settings.thin_front) & ~last & self._can_walk
@@ -103,7 +104,8 @@ class Searches:
         self._go_on(arrived.of(~thin))
 
     def walkers(self) -> tuple[Members, Int[np.ndarray, "n"]]:
-        """The postures to walk from now, one a walk, and its number among those of its search."""
+        """Return the configurations to move from in the null space, one per self-motion, and its number among its
+        search's."""
         resting = self.going & ~self._done & ~self.has(self.unfed)
         among = self.arrived.and_(self.front.of(resting & ~self.has(self.arrived)))
         rows, count = np.flatnonzero(resting), self._count(among)
@@ -113,7 +115,7 @@ class Searches:
         return Members(np.repeat(rows, len(walker)), node.ravel()), np.tile(walker, len(rows))
 
     def take_walked(self, walkers: Members, found: Members) -> None:
-        """What came of a round of walks."""
+        """Store the results of one round of self-motions."""
         walked, wide = self.has(walkers), self.has(self.arrived)
         self.columns.draws[walked] += 1
         arrived, self.arrived = self.arrived.and_(found.of(wide)), Members.none()
@@ -125,7 +127,7 @@ class Searches:
         self._lose(stuck & ~self.has(new) & self._walked_enough)
 
     def take_ended(self) -> list[int]:
-        """Searches that have come to their end, one way or the other: they go on no more."""
+        """Stop and return the searches that have ended, by success or failure."""
         ended = self.going & self._done
         held = self.front.of(ended)
         self.going &= ~ended
@@ -135,12 +137,12 @@ class Searches:
         return searches
 
     def forget(self, ended: list[int]) -> None:
-        """What these held."""
+        """Drop the beams of ended searches."""
         for search in ended:
             del self._ended[search]
 
     def prune(self) -> None:
-        """Forget all postures that lead nowhere, where there are many."""
+        """Remove all configurations without descendants in a beam, if there are many."""
         if self.tree.is_overgrown:
             moved = self.tree.prune(np.concatenate([self.front.node, *self._ended.values()]))
             self.front = self.front._replace(node=moved[self.front.node])
@@ -162,7 +164,7 @@ class Searches:
         self.columns.status[which] = self.columns.failure[which]
 
     def _go_on(self, arrived: Members) -> None:
-        """With the best of what has arrived, at the next target."""
+        """Make the best of the configurations at the next target the new beams."""
         which = self.has(arrived)
         new = self._dispersed(arrived, most=self._settings.front)
         self.front, self.unfed = self.front.of(~which).and_(new), self.unfed.and_(new)
@@ -170,7 +172,7 @@ class Searches:
         self.columns.rounds[which] = 0
 
     def _dispersed(self, members: Members, most: int | None = None, known: Members | None = None) -> Members:
-        """The best of them that are far apart, and from those known."""
+        """Return the best of them that are far apart, and far from the known ones."""
         members = gather(members, best_first(self.tree.nodes(members.node), members.search))
         most = len(members.node) if most is None else most
         where = None if known is None else (self.tree.x[known.node], known.search)

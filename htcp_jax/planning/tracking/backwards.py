@@ -1,11 +1,12 @@
-"""Planning backwards: at a lost target clear postures are drawn, and each is carried back target by target to the first
-one. A chain that is clear all along, from the given start to its first posture too, replaces the rows so far.
+"""Planning backwards: at a lost target clear configurations are sampled, and each is carried back target by target to
+the first one. A chain that is clear all along, including from the given start to its first configuration, replaces the
+rows so far.
 
-It advances as everything does, one kernel call a round for all lanes in the same phase:
+One kernel call per round advances all lanes in the same phase:
 
-    draw    a round of postures at the lost target; those that count there begin a chain each
-    push    every chain one target further back; those that do not count there end
-    check   one chain that has come to the first target: the joint paths between its rows, and from the start
+    draw    a round of configurations at the lost target; each valid one begins a chain
+    push    every chain one target further back; chains whose new configuration is not valid end
+    check   one chain that has reached the first target: the joint paths between its rows, and from the start
 """
 
 from dataclasses import dataclass
@@ -24,22 +25,22 @@ from htcp_jax.planning.tracking.stages import DRAW, PUSH, Escapes
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 
-LOST = -6  # in place of a phase
+LOST = -6  # instead of a phase
 
 
 @dataclass
 class Chains:
-    """Of one scenario: configurations (C, rows, N) from the target that they have come back to, to the lost one."""
+    """Chains of one scenario: configurations (C, rows, N) from the target reached so far to the lost one."""
 
     x: np.ndarray
-    rounds: int = 0  # of draws so far
+    rounds: int = 0  # rounds of draws so far
 
 
 class Replanned(NamedTuple):
-    """What a round has come to; lanes that are in neither are lost."""
+    """Result of a round; lanes that are in neither are lost."""
 
     going: Lanes  # in their next phases
-    found: Lanes  # of which a chain is recorded; they are at their target
+    found: Lanes  # with a recorded chain; they are at their target
     now: Measured | None  # of these; None where there are none
     lost: int  # scenarios
 
@@ -61,13 +62,13 @@ class BackwardPlans:
         self._chains: dict[int, Chains] = {}
 
     def begin(self, lanes: Lanes) -> Replanned:
-        """Lanes that have lost their target, before their first step; all stay lost where there are to be no rounds."""
+        """Begin with lanes that have lost their target; all stay lost if the method has no rounds of this."""
         none = np.zeros((0, 1, lanes.x_ref.shape[1]))
         self._chains.update({scenario: Chains(none) for scenario in lanes.scenario.tolist()})
         return self._replanned(lanes, np.zeros(lanes.size, bool))
 
     def advance(self, lanes: Lanes, phase: int) -> Replanned:
-        """Lanes in one phase, one step further."""
+        """Advance lanes in one phase by one step."""
         if phase == CHECKING:
             return self._check(lanes)
         (self._draw if phase == DRAWING else self._push)(lanes)
@@ -77,7 +78,7 @@ class BackwardPlans:
         return [self._chains[scenario] for scenario in lanes.scenario.tolist()]
 
     def _draw(self, lanes: Lanes) -> None:
-        """Postures at the lost targets, the clearest first; those that count are chains of one row."""
+        """Sample configurations at the lost targets, the clearest first; valid ones are chains of one row."""
         chains = self._of(lanes)
         drawn = self._checks.kernels(DRAW, self._checks.inputs(lanes, np.array([each.rounds for each in chains])))
         count = drawn.x.shape[1]
@@ -87,7 +88,7 @@ class BackwardPlans:
             each.x, each.rounds = x[keep][:, None], each.rounds + 1
 
     def _push(self, lanes: Lanes) -> None:
-        """All chains to the target before their first one."""
+        """Push all chains to the target before their first one."""
         chains = self._of(lanes)
         owner = np.repeat(np.arange(lanes.size), [len(each.x) for each in chains])
         many = gather(lanes, owner)
@@ -100,7 +101,7 @@ class BackwardPlans:
             each.x = np.concatenate([here.x[own][:, None], each.x], axis=1)[good[own]]
 
     def _check(self, lanes: Lanes) -> Replanned:
-        """The first chain of every lane: recorded where all its paths are clear, else dropped."""
+        """Record the first chain of every lane if all its paths are clear, else drop it."""
         chains = self._of(lanes)
         rows = [each.x.shape[1] for each in chains]
         owner, end = np.repeat(np.arange(lanes.size), rows), np.cumsum(rows) - 1
@@ -119,8 +120,8 @@ class BackwardPlans:
         return self._replanned(lanes, clear)
 
     def _rows(self, many: Lanes, x: np.ndarray, end: np.ndarray) -> Lanes:
-        """The lanes of whole chains x (rows of all chains, N), whose last rows are at `end`. Only the lost target, the
-        last row, has had step QPs that count: its rows were pushed there by none."""
+        """Return the lanes of complete chains x (rows of all chains, N), whose last rows are at `end`. Only the last
+        row, the lost target, has a count of step QPs: the other rows were pushed there without any."""
         first = np.concatenate([[0], end[:-1] + 1])
         before = np.concatenate([x[:1], x[:-1]])
         before[first] = self._starts[many.scenario[first]]
@@ -131,10 +132,10 @@ class BackwardPlans:
 
     def _write(self, many: Lanes, now: Measured) -> None:
         self._record.track(many, now, Status.TRACKED_AFTER_ESCAPE, self._escape, np.ones(many.size, np.int8))
-        self._record.tracked -= many.size - len(np.unique(many.scenario))  # but the lost one all were counted before
+        self._record.tracked -= many.size - len(np.unique(many.scenario))  # all but the lost one were counted before
 
     def _replanned(self, lanes: Lanes, found: np.ndarray) -> Replanned:
-        """Where the lanes go from here, but for those with a chain, `found`."""
+        """Return the lanes in their next phases, except those with a chain, `found`."""
         phases = np.array(
             [self._next(each, int(lost)) for each, lost in zip(self._of(lanes), lanes.target, strict=True)]
         )
@@ -145,7 +146,7 @@ class BackwardPlans:
         return Replanned(going, gather(lanes, found), None, int((over & ~found).sum()))
 
     def _next(self, chains: Chains, lost: int) -> int:
-        """The phase of a scenario that has lost its target number `lost`."""
+        """Return the next phase of a scenario that has lost its target number `lost`."""
         if len(chains.x):
             return CHECKING if chains.x.shape[1] == lost + 1 else PUSHING
         return DRAWING if chains.rounds < self._rounds else LOST

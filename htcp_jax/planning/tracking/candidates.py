@@ -1,5 +1,6 @@
 """Candidates: a sampling stage proposes configurations for a stuck scenario, which waits while the step QPs track its
-target from each of them. Of those that reach it, the nearest by a clear joint path is where the scenario goes on."""
+target from each of them. The scenario continues from the nearest one that reaches it by a clear joint path.
+"""
 
 import threading
 from dataclasses import dataclass, field
@@ -16,7 +17,7 @@ from htcp_jax.planning.tracking.stages import Escapes
 
 
 class Ends(NamedTuple):
-    """Candidates that reached their target, and where they are."""
+    """Candidates that reached their target, and their state there."""
 
     number: np.ndarray
     now: Measured
@@ -24,19 +25,18 @@ class Ends(NamedTuple):
 
 @dataclass
 class PendingCandidates:
-    """A stuck scenario whose candidates are being tracked. Rows stay in the tables that they came in until they are
-    asked for."""
+    """A stuck scenario whose candidates are being tracked. Rows stay in their original tables until they are read."""
 
-    lane: tuple[Lanes, np.ndarray]  # the table and the row of the one lane that is stuck
-    stage: int  # in which it is
+    lane: tuple[Lanes, np.ndarray]  # the table and the row of the stuck lane
+    stage: int  # its stage
     left: int  # candidates not decided yet
     qps: int = 0  # step QPs that the candidates took
-    ends: list[tuple[Ends, np.ndarray]] = field(default_factory=list)  # the rows of those that reached the target
+    ends: list[tuple[Ends, np.ndarray]] = field(default_factory=list)  # those that reached the target, by rows
 
 
 @dataclass
 class Waiting:
-    """The scenarios that wait for their candidates; these may be tracked by any engine."""
+    """The scenarios that wait for their candidates; any engine may track these."""
 
     of: dict[int, PendingCandidates] = field(default_factory=dict)  # by scenario
     lock: threading.Lock = field(default_factory=threading.Lock)
@@ -47,11 +47,11 @@ class Arrived(NamedTuple):
 
     lanes: Lanes
     now: Measured
-    clear: np.ndarray  # whether the joint path there is; -1: not checked
+    clear: np.ndarray  # the joint path there: 1 clear, 0 not; -1: not checked
 
 
 class Outcome(NamedTuple):
-    """What a stage has come to; lanes that are in none of the three wait for their candidates."""
+    """Result of a stage; lanes that are in none of the three wait for their candidates."""
 
     stage: int
     spent: Lanes  # the stage has nothing left for these
@@ -67,7 +67,8 @@ class CandidateSearch:
         self._waiting = waiting
 
     def sample(self, lanes: Lanes, stage: int) -> Outcome:
-        """Propose candidates for every lane. Where some are done as they are, take the best of them; elsewhere try."""
+        """Propose candidates for every lane. If some are done as they are, take the best of them; else track from
+        all."""
         found: Candidates = self._checks.kernels(self._kernels[stage], self._checks.inputs(lanes), lanes.x_previous)
         found = found._replace(done=self._without_passing_tips(lanes, found))
         done = found.done.any(axis=1)
@@ -80,7 +81,7 @@ class CandidateSearch:
         return outcome._replace(arrived=Arrived(lanes, self._checks.measured(lanes, x[best]), clear))
 
     def _without_passing_tips(self, lanes: Lanes, found: Candidates) -> np.ndarray:
-        """Which candidates (lanes, C) are done, but for those whose tip passes through a wall."""
+        """True for candidates (lanes, C) that are done and whose tip passes through no wall."""
         owner, number = np.nonzero(found.done)
         x = found.x[owner, number]
         through = self._checks.tip_passes(gather(lanes, owner), x, np.ones(len(owner), bool))
@@ -89,7 +90,8 @@ class CandidateSearch:
         return done
 
     def track_from(self, lanes: Lanes, x: np.ndarray, valid: np.ndarray, stage: int) -> Outcome:
-        """Have the target of each lane tracked from its valid configurations, x (lanes, C, N), while the lane waits."""
+        """Return the outcome with lanes that track each lane's target from its valid configurations, x (lanes, C, N),
+        while the lane waits."""
         left = valid.sum(axis=1)
         for k in np.flatnonzero(left):
             pending = PendingCandidates((lanes, np.array([k])), stage, int(left[k]))
@@ -104,7 +106,8 @@ class CandidateSearch:
         )
 
     def decide(self, lanes: Lanes, now: Measured, reached: np.ndarray, stuck: np.ndarray) -> list[Outcome]:
-        """Candidates that reached the target, and those that did not; outcomes where these were the last ones."""
+        """Register candidates that reached the target, and those that did not; returns outcomes of scenarios whose last
+        candidate is decided."""
         decided = np.flatnonzero(reached | stuck)
         if not len(decided):
             return []
@@ -129,7 +132,7 @@ class CandidateSearch:
         return [self._choose([each for each in ready if each.stage == stage], stage) for stage in stages]
 
     def _choose(self, ready: list[PendingCandidates], stage: int) -> Outcome:
-        """The best of the candidates that reached the target."""
+        """Choose the best of the candidates that reached the target."""
         lanes = gather_from([each.lane for each in ready])
         lanes = lanes._replace(iteration=lanes.iteration + np.array([each.qps for each in ready], np.int32))
         found = np.array([bool(each.ends) for each in ready])
@@ -144,15 +147,16 @@ class CandidateSearch:
         return Outcome(stage, spent, Arrived(lanes, gather(now, best), clear))
 
     def _best(self, lanes: Lanes, owner: np.ndarray, number: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, ...]:
-        """For every lane, which of the configurations x (M, N) that it owns has the smallest joint change of those
-        whose path is clear, and whether that is clear (-1: not checked)."""
+        """Return, for every lane, which of its configurations in x (M, N) has the smallest joint change among those
+        with a clear path, and its path's result: 1 clear, 0 not, -1 not checked."""
         clear = self._checks.path_clear(gather(lanes, owner), x, self._checks.of_escapes)
         best = nearest(owner, number, np.linalg.norm(x - lanes.x_previous[owner], axis=1), clear)
         return best, clear[best]
 
 
 def nearest(owner: np.ndarray, number: np.ndarray, change: np.ndarray, clear: np.ndarray) -> np.ndarray:
-    """For every owner, the place of its candidate of the smallest change among those whose path is clear or unchecked,
-    of equals the first by number; one that is not clear only where none is. All (M,); the result is one a owner."""
+    """Return, for every owner, the place of its candidate with the smallest change among those whose path is clear or
+    unchecked, the first by number if several are; one that is not clear only if none is. All (M,); one result per
+    owner."""
     order = np.lexsort((number, np.where(clear != 0, change, np.inf), owner))
     return order[np.unique(owner[order], return_index=True)[1]]

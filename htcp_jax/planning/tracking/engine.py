@@ -4,17 +4,17 @@
     solve     (host)    step QPs -> steps, verdicts Clarabel
     advance   (device)  lane, step -> lane          linearised and measured at the new x_ref
 
-or, when the step QPs are solved on the device too (`qp: device`), a burst of these rounds at a time.
+or, if the step QPs are solved on the device too (`qp: device`), a chunk of these steps at a time.
 
-A lane tracks one target by step QPs until it is reached, then the next one; or it is stuck and in a stage of its
-escape, which walks the null space a few steps at a time or samples; or it is one of many candidates of a sampling
-stage, tracking the stuck target on behalf of a scenario that waits (`candidates`); or its target is lost and a way
-there is planned backwards (`backwards`). Each lane has its own target, phase and count; finished ones leave, new
-scenarios take their place. Lanes in the same phase go through one kernel together. Which lanes those happen to be has
-no influence on any of them: a scenario's result is the same alone, in any batch, in any order and on any thread.
+A lane tracks one target by step QPs until it is reached, then the next one; or it is stuck and in a recovery stage,
+which moves in the null space a few steps at a time or samples; or it is one of many candidates of a sampling stage,
+tracking the stuck target on behalf of a scenario that waits (`candidates`); or its target is lost and the path to it is
+planned backwards (`backwards`). Each lane has its own target, phase and count; finished ones leave, new scenarios take
+their place. Lanes in the same phase go through one kernel together, and do not influence each other: a scenario's
+result is the same alone, in any batch, in any order and on any thread.
 
-Everything here is bookkeeping on numpy tables (`lanes`). The mathematics is in `kernels` and below; `batching` runs it
-over tables.
+This module does the bookkeeping on numpy tables (`lanes`). The mathematics is in `kernels` and below; `batching` runs
+it over tables.
 """
 
 from collections.abc import Callable
@@ -41,9 +41,9 @@ from htcp_jax.status import Status
 
 
 class Engine:
-    """Plans the scenarios that an iterator hands out, writing into `plans`; one engine per thread. Without a solver the
-    step QPs are solved on the device. work, waiting: shared by all engines. With `tip`, no target counts at which the
-    tool's bare tip passes through a wall."""
+    """Plan scenarios taken from `work`, writing into `plans`; one engine per thread. Without a solver the step QPs are
+    solved on the device. work, waiting: shared by all engines. With `tip`, no target counts as reached if the tool's
+    bare tip passes through a wall there."""
 
     def __init__(
         self,
@@ -69,7 +69,8 @@ class Engine:
         self._walks = [stage.kernel(k) for k, stage in enumerate(escapes.stages)]
 
     def run(self, progress: Callable[[int, int], None]) -> None:
-        """Plan until no work is left; progress(targets newly tracked, scenarios newly finished) every round."""
+        """Plan until no work is left; progress(targets newly tracked, scenarios newly finished) is called every
+        round."""
         while self._table.fill():
             self._record.tracked = self._record.finished = 0
             for phase, lanes in self._table.turn():
@@ -91,14 +92,14 @@ class Engine:
     # Tracking by step QPs
 
     def _linearise(self, lanes: Lanes) -> None:
-        """Linearise new scenarios where they are. One whose start is in collision is over."""
+        """Linearise new scenarios at their start. Those whose start is in collision end."""
         lanes, clearance = self._checks.linearised(lanes)
         collides = clearance <= 0
         self._record.collide(gather(lanes, collides))
         self._table.keep(gather(lanes, ~collides))
 
     def _track(self, lanes: Lanes) -> None:
-        """One step QP for every lane, or on the device a burst of them."""
+        """Solve one step QP for every lane, or a chunk of them on the device."""
         now, iteration, verdict = self._burst(lanes) if self._solver is None else self._step(lanes)
         lanes = lanes._replace(x_ref=now.x, linear=now.linear, iteration=iteration)
         solved = verdict == QPStatus.SOLVED
@@ -130,7 +131,7 @@ class Engine:
         return self._kernels(TRACK_BURST, self._checks.inputs(lanes), *state)
 
     def _reached(self, lanes: Lanes, now: Measured) -> None:
-        """Main lanes whose step QP reached the target: ascend if the method does, check the path, go on."""
+        """Continue main lanes whose step QP reached the target: ascend if the method does, check the path, accept."""
         if not lanes.size:
             return
         if self._escapes.keep_clear and self._kernels.freedom:
@@ -141,7 +142,8 @@ class Engine:
         self._enter(gather(lanes, blocked), 0, Status.PATH_BLOCKED)
 
     def _ascended(self, lanes: Lanes, now: Measured) -> tuple[Lanes, Measured]:
-        """Keep clear: move on in the null space where D is small, unless that blocks a path that was clear."""
+        """Return the lanes moved in the null space to larger D where D is small, unless that blocks a path that was
+        clear."""
         low = now.clearance < self._settings.keep_clear_m
         if not low.any():
             return lanes, now
@@ -154,7 +156,7 @@ class Engine:
         return lanes._replace(x_ref=now.x, linear=now.linear), now
 
     def _accept(self, lanes: Lanes, now: Measured, status: Status, escape: int, clear: np.ndarray) -> None:
-        """Record the target and go on to the next one, or finish."""
+        """Record the target and continue with the next one, or finish."""
         if lanes.size:
             self._record.track(lanes, now, status, escape, clear)
             self._go_on(lanes, now)
@@ -173,11 +175,11 @@ class Engine:
         self._record.finished += int(done.sum())
         self._table.keep(gather(lanes, ~done))
 
-    # Escapes
+    # Recovery stages
 
     def _enter(self, lanes: Lanes, stage: int, reason: np.ndarray | Status) -> None:
-        """Main lanes that have not come to their target: the given stage of the escape is next; without one the target
-        is lost, and with it the rest of the scenario, unless another posture leads there."""
+        """Enter the given recovery stage with main lanes that have not reached their target; without one the target is
+        lost, and with it the rest of the scenario, unless it can be planned backwards."""
         if not lanes.size:
             return
         while stage < len(self._possible) and not self._possible[stage]:
@@ -190,7 +192,7 @@ class Engine:
             self._continue(self._backwards.begin(lanes))
 
     def _walk(self, lanes: Lanes, stage: int) -> None:
-        """A burst of null-space steps for every lane; one that enters is brought onto its target first."""
+        """Take a chunk of null-space steps with every lane; one that enters is first brought onto its target."""
         entering = lanes.walked == ENTERING
         if entering.any():
             new = gather(lanes, entering)
@@ -204,8 +206,8 @@ class Engine:
             self._table.keep(self._arrived(lanes._replace(walked=walked), now, stage))
 
     def _arrived(self, lanes: Lanes, now: Measured, stage: int) -> Lanes:
-        """Lanes that have come some way in the null space: those that are out of it, or at the end of it, leave; the
-        others come back."""
+        """Return the lanes whose recovery in the null space continues; those that meet the success criterion, or have
+        spent their steps, leave it."""
         lanes = lanes._replace(x_ref=now.x)
         out = self._checks.at_target(lanes, now)
         spent = ~out & (lanes.walked >= self._settings.max_null_space_steps)
@@ -221,13 +223,13 @@ class Engine:
         return gather(lanes, ~out & ~spent)
 
     def _escaped(self, lanes: Lanes, now: Measured, clear: np.ndarray, stage: int) -> None:
-        """Lanes that a stage has brought to their target: go on where the path there is clear, or not checked."""
+        """Accept lanes that a stage has brought to their target if the path there is clear, or not checked."""
         good = clear != 0
         self._accept(gather(lanes, good), gather(now, good), Status.TRACKED_AFTER_ESCAPE, stage + 1, clear[good])
         self._enter(gather(lanes, ~good), stage + 1, Status.PATH_BLOCKED)
 
     def _come_to(self, outcome: Outcome) -> None:
-        """What a sampling stage has come to."""
+        """Continue with the outcome of a sampling stage."""
         if outcome.candidates is not None:
             self._table.queue(self._checks.linearised(outcome.candidates)[0])
         if outcome.arrived is not None:
@@ -235,7 +237,7 @@ class Engine:
         self._enter(outcome.spent, outcome.stage + 1, Status.ESCAPE_EXHAUSTED)
 
     def _continue(self, replanned: Replanned) -> None:
-        """What a step on the way back from lost targets has come to."""
+        """Continue with the result of a step of planning backwards."""
         self._table.keep(replanned.going)
         self._record.finished += replanned.lost
         if replanned.now is not None:

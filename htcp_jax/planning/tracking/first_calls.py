@@ -1,4 +1,4 @@
-"""The kernels that engines will surely ask for, so that they are compiled side by side, see `Kernels.preparing`."""
+"""Kernel calls that engines will certainly make, to be compiled in parallel, see `Kernels.preparing`."""
 
 import numpy as np
 
@@ -10,8 +10,8 @@ from htcp_jax.planning.tracking.lanes import new_lanes
 
 
 def first_calls(problem: Problem) -> list[tuple]:
-    """One of each kernel, in the order in which they are waited for; but what takes no time does not keep the largest
-    waiting."""
+    """Return one call of each kernel, in the order in which they are needed; but quick compilations do not delay the
+    largest."""
     kernels, one, zero = problem.kernels[0], problem.to_plan[:1], np.zeros(1, int)
     x, inputs = problem.scenarios.x_start[one], lane_inputs(problem.scenarios, one, zero)
     lanes = new_lanes(kernels.sizes, one, zero, x, x)

@@ -1,4 +1,4 @@
-"""What an engine asks about its lanes: where they are, whether they count there, whether the way there is clear."""
+"""Checks of an engine's lanes: measurement, success criterion, and clearance of the joint path."""
 
 from concurrent.futures import ThreadPoolExecutor
 
@@ -20,7 +20,7 @@ from htcp_jax.settings import Settings
 
 
 class LaneChecks:
-    """Asks the kernels. With `tip`, no target counts at which the tool's bare tip passes through a wall."""
+    """Checks by kernels. With `tip`, no target counts as reached if the tool's bare tip passes through a wall there."""
 
     def __init__(
         self, kernels: Kernels, scenarios: Scenario, settings: Settings, check_paths: bool, tip: TipCheck | None
@@ -28,45 +28,46 @@ class LaneChecks:
         self.kernels = kernels
         self._scenarios, self._settings, self._tip = scenarios, settings, tip
         self._advance = advance_of(settings)
-        self.of_steps = check_paths or settings.path_check == "all"  # whether joint paths are checked
+        self.of_steps = check_paths or settings.path_check == "all"  # True if joint paths are checked
         self.of_escapes = self.of_steps or settings.path_check == "escapes"
 
     def inputs(self, lanes: Lanes, round_: int | np.ndarray = 0) -> LaneInputs:
-        """What the kernels are told about the lanes. round_: of draws."""
+        """Return the lanes' kernel inputs. round_: of draws."""
         return lane_inputs(self._scenarios, lanes.scenario, lanes.target, seed=self._settings.seed, round_=round_)
 
     def advanced(self, lanes: Lanes, y: np.ndarray) -> Measured:
-        """The lanes after steps y (lanes, N)."""
+        """Return the lanes measured after steps y (lanes, N)."""
         return self.kernels(self._advance, self.inputs(lanes), lanes.x_ref, y)
 
     def measured(self, lanes: Lanes, x: np.ndarray) -> Measured:
-        """The lanes at configurations x (lanes, N)."""
+        """Return the lanes measured at configurations x (lanes, N)."""
         return self.kernels(self._advance, self.inputs(lanes), x, np.zeros_like(x))
 
     def linearised(self, lanes: Lanes) -> tuple[Lanes, np.ndarray]:
-        """New lanes as they are tracked, and their clearance."""
+        """Return new lanes with their linearisation, ready to be tracked, and their clearance."""
         now = self.measured(lanes, lanes.x_ref)
         return lanes._replace(x_ref=now.x, linear=now.linear, phase=np.full_like(lanes.phase, TRACK)), now.clearance
 
     def keeps_margin(self, lanes: Lanes, here: Measured | Anchored) -> np.ndarray:
-        """Which lanes are on their target with the margin asked for."""
+        """True for lanes on their target with the required margin."""
         margin_m = self._scenarios.margin_m[lanes.scenario]
         return self.kernels.task.counts(here.clearance, here.residual, margin_m)
 
     def tip_passes(self, lanes: Lanes, x: np.ndarray, among: np.ndarray) -> np.ndarray:
-        """In which of some lanes, `among`, the tip of the tool passes through a wall at x."""
+        """True for each lane of `among` whose tool tip passes through a wall at x."""
         through = np.zeros(len(x), bool)
         if self._tip is not None and among.any():
             through[among] = self._tip.at(self.inputs(gather(lanes, among)), x[among])
         return through
 
     def at_target(self, lanes: Lanes, here: Measured | Anchored) -> np.ndarray:
-        """Which lanes count: they keep their margin on their target, and the tool's tip is out of the walls."""
+        """True for lanes that meet the success criterion: margin kept on the target, and the tool's tip out of the
+        walls."""
         good = self.keeps_margin(lanes, here)
         return good & ~self.tip_passes(lanes, here.x, good)
 
     def path_clear(self, lanes: Lanes, x: np.ndarray, asked: bool) -> np.ndarray:
-        """Whether the joint path from each lane's last target to x is clear; -1 where nobody asked."""
+        """Return 1 for each clear joint path from a lane's last target to x, 0 if it is not; -1 if not `asked`."""
         if not (asked and len(x)):
             return np.full(len(x), -1, np.int8)
         inputs = self.inputs(lanes)
@@ -77,7 +78,7 @@ class LaneChecks:
 
 
 def check_remaining_paths(problem: Problem, plans: Plans) -> None:
-    """Fill in path_clear where a tracked target's path was not checked while planning."""
+    """Fill in path_clear for tracked targets whose path was not checked while planning."""
     s, t = np.nonzero(plans.tracked & (plans.path_clear < 0))
     if not len(s):
         return
@@ -96,8 +97,8 @@ def check_remaining_paths(problem: Problem, plans: Plans) -> None:
 
 
 def _clear(kernels: Kernels, settings: Settings, inputs: LaneInputs, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Whether joint paths are clear by the test of `settings.path_test`. By proof it is the program for motions that
-    tells, with `motion_proof.proven_clear`'s resolution: there is none to compile besides."""
+    """True for joint paths that are clear by the test of `settings.path_test`. The test by proof uses the executable
+    for motions, with `motion_proof.proven_clear`'s resolution, so that no other one has to be compiled."""
     if settings.path_test == "bisection":
         return clear_paths(kernels, inputs, a, b, RESOLUTION_M)
     return kernels(CHECK_PATH, inputs, a, b)

@@ -1,4 +1,4 @@
-"""The lanes that an engine has in flight, at most as many as the kernels' table takes, and those that wait for room."""
+"""Lanes that an engine has in flight, at most as many as the kernels' table takes, and its queue of others."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from htcp_jax.planning.tracking.work import Work
 
 
 class LaneTable:
-    """One engine's, topped up from the work of all."""
+    """One engine's lanes, refilled from the shared work."""
 
     def __init__(self, kernels: Kernels, scenarios: Scenario, work: Work):
         self._kernels, self._starts, self._work = kernels, scenarios.x_start, work
@@ -18,16 +18,16 @@ class LaneTable:
         self._queue: list[Lanes] = []
 
     def keep(self, lanes: Lanes) -> None:
-        """Put lanes that go on back into the table."""
+        """Put unfinished lanes back into the table."""
         if lanes.size:
             self._kept.append(lanes)
 
     def queue(self, lanes: Lanes) -> None:
-        """Lanes for when there is room."""
+        """Queue lanes until slots are free."""
         self._queue.append(lanes)
 
     def fill(self) -> bool:
-        """Leave an engine that waits some of the lanes, and top the table up. False when nothing is left to do."""
+        """Leave some lanes to an idle engine, and fill the table. Returns False if no work is left."""
         if self._work.wanted:
             self._leave()
         while not self._top_up():
@@ -38,8 +38,8 @@ class LaneTable:
         return True
 
     def _leave(self) -> None:
-        """Half of the lanes that wait, or else of those in flight. Where a way back is planned, the engine knows more
-        than its lanes."""
+        """Leave half of the queued lanes, or else of those in flight. Lanes planned backwards stay, as the engine holds
+        more of their state."""
         if self._queue:
             block = self._queue.pop()
             self._work.leave(gather(block, slice(0, None, 2)))
@@ -53,7 +53,7 @@ class LaneTable:
                 self._kept = [gather(lanes, ~np.isin(np.arange(lanes.size), movable))]
 
     def _top_up(self) -> bool:
-        """From the queue, then with new scenarios. False where there is nothing."""
+        """Fill the table from the queue, then with new scenarios. Returns False if there are no lanes."""
         free = self._kernels.lanes - sum(lanes.size for lanes in self._kept)
         while free > 0 and self._queue:
             block = self._queue.pop(0)
@@ -68,8 +68,8 @@ class LaneTable:
         return bool(self._kept)
 
     def turn(self) -> list[tuple[int, Lanes]]:
-        """Take the lanes whose turn it is out of the table, by phase. Where a call takes its time however few lanes
-        there are, it is the turn of the phase that has most: the others grow meanwhile."""
+        """Take the lanes to advance next out of the table, by phase: all of them or, if a call takes as long for few
+        lanes, only the phase with the most lanes, while the others fill up."""
         lanes, self._kept = concatenate(self._kept), []
         phases, counts = np.unique(lanes.phase, return_counts=True)
         if not self._kernels.pays_by_lane:

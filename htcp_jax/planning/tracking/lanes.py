@@ -1,4 +1,4 @@
-"""The engine's table: a lane a row, every column a numpy array."""
+"""The engine's table: one lane per row, every column a numpy array."""
 
 from typing import NamedTuple
 
@@ -8,21 +8,21 @@ from htcp_jax.clearance.obstacles.linearisation import Linearisation, TaskRows
 from htcp_jax.clearance.obstacles.obstacles import ClearanceRows
 
 MAIN = -1  # `candidate` of a lane that tracks for its scenario itself
-# Phases; of a lane that is in a stage of its escape, the phase is the number of that stage. The last three are those of
-# a lane that is planned backwards: postures are drawn at its lost target, carried back row by row, and checked.
+# Phases; for a lane in a recovery stage, the number of that stage. The last three are those of
+# lanes planned backwards: configurations are drawn at the lost target, carried back row by row, and checked.
 NEW, TRACK, DRAWING, PUSHING, CHECKING = -2, -1, -3, -4, -5
 BACKWARDS = DRAWING, PUSHING, CHECKING
-ENTERING = -1  # `walked` of a lane that is not in the null space yet
+ENTERING = -1  # `walked` of a lane before its first null-space step
 KINDS = TaskRows, ClearanceRows
 
 
 class Lanes(NamedTuple):
-    """Lanes, one row each."""
+    """Lanes, one per row."""
 
     scenario: np.ndarray
     target: np.ndarray
     candidate: np.ndarray  # MAIN, or the number of a candidate
-    phase: np.ndarray  # NEW: to be linearised; TRACK: by step QPs; a stage of the escape; or of the way back
+    phase: np.ndarray  # NEW: to be linearised; TRACK: by step QPs; a recovery stage; or planned backwards
     iteration: np.ndarray  # step QPs at this target so far
     walked: np.ndarray  # ENTERING, or null-space steps so far
     x_previous: np.ndarray
@@ -31,12 +31,12 @@ class Lanes(NamedTuple):
 
     @property
     def size(self) -> int:
-        """How many lanes."""
+        """Number of lanes."""
         return len(self.scenario)
 
 
 def new_lanes(sizes: tuple[int, int], scenario, target, x_previous, x_ref, candidate=MAIN) -> Lanes:
-    """Lanes that start at x_ref (L, N); sizes: values that the task looks at, rows of the clearance."""
+    """Return lanes that start at x_ref (L, N); sizes: number of values in the task, and of clearance rows."""
     lanes, n = x_ref.shape
 
     def column(value):

@@ -23,19 +23,19 @@ from htcp_jax.settings import Settings, settings_of
 from htcp_jax.solvers import sphere
 from htcp_jax.types import Array, Float, Int, Joints, Scalar
 
-READS = ("alpha_rad", "include_proximal_bodies", "j1_weight", "q_weights")  # settings, by any step in the null space
-DRAWS, PUSHED, PUSHES = 256, 6, 60  # of `draw_clear`: draws, how many are pushed clear, null-space steps of a push
+READS = ("alpha_rad", "include_proximal_bodies", "j1_weight", "q_weights")  # settings that any null-space step reads
+DRAWS, PUSHED, PUSHES = 256, 6, 60  # of `draw_clear`: draws, number pushed clear, null-space steps per push
 
 
 @runtime_checkable
 class Asked(Posed, Protocol):
-    """Where the workpiece is, and the clearance that a configuration has to keep: a scenario, or a lane's task."""
+    """Pose of the workpiece, and the required clearance: a scenario, or a lane's inputs."""
 
     margin_m: Scalar
 
 
 class Stuck(NamedTuple):
-    """Where one scenario is stuck."""
+    """State of one stuck scenario."""
 
     x_previous: Joints  # x_{t-1}
     target: Float[Array, "G"]  # C_next, the task's goal [m]
@@ -43,7 +43,7 @@ class Stuck(NamedTuple):
 
 
 def seen_rows(scene: Scene, include_proximal_bodies: bool) -> tuple[bool, ...]:
-    """Which rows J2 sees: all, or those of bodies on the outer half of the chain (capsules 4 to 8 of the GP50)."""
+    """True for the rows in J2: all, or those of bodies on the outer half of the chain (capsules 4 to 8 of the GP50)."""
     half = len(scene.robot.slides) // 2
     return tuple(include_proximal_bodies or scene.robot.capsule_link[body] >= half for body in scene.rows.body)
 
@@ -51,8 +51,8 @@ def seen_rows(scene: Scene, include_proximal_bodies: bool) -> tuple[bool, ...]:
 def sphere_problem(
     scene: Scene, settings: Settings, where: Posed, x_ref: Joints, target: Float[Array, "G"] | None = None
 ) -> tuple[sphere.Sphere, HeldContacts, Float[Array, "N D"]]:
-    """Equation (11) at x_ref: the problem, the contacts at x_ref, and alpha N(x_ref) [rad]. Nothing where D = 0.
-    target: the task's goal; of a task of points any, and so None."""
+    """Equation (11) at x_ref: the problem, the contacts at x_ref, and alpha N(x_ref) [rad]. Undefined if D = 0. target:
+    the task's goal; any for a task of points, hence None."""
     robot, obstacles, task = scene
     rows = scene.rows
     held = task.linear_at(robot, x_ref, jnp.zeros(task.numbers) if target is None else target)
@@ -61,7 +61,7 @@ def sphere_problem(
     # J1 = |x - x_ref|_Q^2 = w' (alpha N)' Q (alpha N) w
     half = settings.j1_weight * product(step_basis.T, weights[:, None] * step_basis)
     unseen = ~jnp.asarray(seen_rows(scene, settings.include_proximal_bodies))
-    # What J2 does not see is as far away as it ever gets.
+    # Rows that are not in J2 get a distance that is never the smallest.
     far = jnp.where(unseen, 10.0, 0.0)
 
     def observe(w):
@@ -101,12 +101,12 @@ def null_space_objective(
 ) -> Scalar:
     """J2 of equation (11a): -D(x, O) + J1(x, x_ref) [m] at x = x_ref + alpha N(x_ref) w of (11c).
 
-    The smaller, the clearer: the planners minimise it over |w| = 1, within the joint limits, which it does not look at.
-    robot: with its tool, as a plan's is. where: a scenario, or whatever else is `Posed`. w: D = N - 3 numbers.
-    settings: `alpha_rad`; `j1_weight` and `q_weights` of J1 = j1_weight (x - x_ref)' Q (x - x_ref), where the paper's
-    weight is 1; and `include_proximal_bodies`. None is the defaults, whose `j1_weight` is 0: then J2 = -D.
+    Smaller is clearer: the planners minimise it over |w| = 1, within the joint limits, which it does not check.
+    robot: with its tool, as in a plan. where: a scenario, or anything else that is `Posed`. w: D = N - 3 numbers.
+    settings: `alpha_rad`; `j1_weight` and `q_weights` of J1 = j1_weight (x - x_ref)' Q (x - x_ref), with weight 1 in
+    the paper; and `include_proximal_bodies`. None: the defaults, whose `j1_weight` is 0: then J2 = -D.
 
-    Raises InputError for an x_ref or w of another shape, many at once among them, and for `q_weights` of another arm.
+    Raises InputError for an x_ref or w of another shape, including batches, and for `q_weights` of another length.
 
     ```python
     >>> import jax
@@ -144,7 +144,7 @@ def _objective(
 
 
 class Anchored(NamedTuple):
-    """A configuration on (or near) the target, and how good it is."""
+    """A configuration on (or near) the target, its clearance and its error."""
 
     x: Joints
     clearance: Scalar  # D [m]
@@ -152,7 +152,7 @@ class Anchored(NamedTuple):
 
 
 def anchor(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Float[Array, "G"]) -> Anchored:
-    """Re-anchor x, (5b), where it is off the target [m] by more than xi, Algorithm 1, line 13; then measure it."""
+    """Re-anchor x, (5b), if it is off the target [m] by more than xi, Algorithm 1, line 13; then measure it."""
     robot, obstacles, task = scene
     off = task.off(robot, x, target)
     anchored, _ = reanchor(robot, x, target, task.fine_m, task=task)
@@ -189,9 +189,9 @@ def keep_clear_ascent(
     steps: int | None = None,
 ) -> Anchored:
     """Max-min null-space steps away from the workpiece while D is below `enough_m`, at most `steps` of them (by default
-    `keep_clear_m` and `keep_clear_steps`); never ends worse than it began. target: where the task stays [m].
+    `keep_clear_m` and `keep_clear_steps`); the result is never worse than the start. target: where the task stays [m].
 
-    One observation a step: the best direction for the contacts seen at x, at most alpha long, halved on failure.
+    One linearisation per step: the best direction for the contacts at x, at most alpha long, halved on failure.
     """
     enough_m = settings.keep_clear_m if enough_m is None else enough_m
     steps = settings.keep_clear_steps if steps is None else steps
@@ -218,17 +218,18 @@ def keep_clear_ascent(
 
 
 def push_clear(scene: Scene, settings: Settings, where: Asked, x: Joints, target: Float[Array, "G"]) -> Anchored:
-    """x brought onto the target and pushed in the null space until it keeps the margin, or as clear as it gets."""
+    """Bring x onto the target and push it in the null space until it keeps the margin, or as far as possible."""
     enough_m = jnp.maximum(1e-9, where.margin_m)
     x = anchor(scene, settings, where, x, target).x
     return keep_clear_ascent(scene, settings, where, x, target, enough_m, PUSHES)
 
 
 def stuck_key(seed, number, row, stage: int, round_) -> jax.Array:
-    """Random key of one escape: of scenario `number`, at target `row`. The seed is data, so none is compiled for."""
+    """Random key of one recovery: of scenario `number`, at target `row`. The seed is data, so a new one compiles
+    nothing."""
     return fold_keys(jax.random.key(seed), number, row, stage, round_)
 
 
 def stuck_at(lane: LaneInputs, x_previous: Joints, stage: int) -> Stuck:
-    """A lane that is stuck, with the random key of one stage."""
+    """Return a stuck lane's state, with the random key of one stage."""
     return Stuck(x_previous, lane.target, stuck_key(lane.seed, lane.number, lane.row, stage, lane.round))

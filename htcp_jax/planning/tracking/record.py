@@ -1,4 +1,4 @@
-"""What an engine writes down: targets that are tracked, and those that are lost."""
+"""Record of an engine: targets that are tracked, and those that are lost."""
 
 import jax
 import numpy as np
@@ -12,14 +12,14 @@ from htcp_jax.status import Status
 
 
 class Record:
-    """Writes into the plans, and counts targets newly tracked and scenarios newly finished."""
+    """Write into the plans, and count newly tracked targets and newly finished scenarios."""
 
     def __init__(self, plans: Plans):
         self._plans = plans
         self.tracked = self.finished = 0
 
     def track(self, lanes: Lanes, now: Measured, status: Status, escape: int, clear: np.ndarray) -> None:
-        """Every lane is at its target now; clear: see `Plans.path_clear`."""
+        """Record that every lane has reached its target; clear: see `Plans.path_clear`."""
         s, t, plans = lanes.scenario, lanes.target, self._plans
         plans.x[s, t], plans.tcp[s, t] = now.x, now.tcp
         plans.clearance[s, t], plans.residual[s, t] = now.clearance, now.residual
@@ -30,12 +30,12 @@ class Record:
         self.tracked += len(s)
 
     def lose(self, lanes: Lanes, reason: np.ndarray | Status) -> None:
-        """No lane came to its target, each for its reason."""
+        """Record that no lane has reached its target, each with its reason."""
         self._plans.status[lanes.scenario, lanes.target] = reason
         self._plans.iterations[lanes.scenario, lanes.target] = lanes.iteration
 
     def collide(self, lanes: Lanes) -> None:
-        """The lanes' scenarios are over before they began."""
+        """Record that the starts of the lanes' scenarios are in collision."""
         self._plans.status[lanes.scenario, lanes.target] = Status.START_IN_COLLISION
         self.finished += lanes.size
 

@@ -1,4 +1,4 @@
-"""Sampling escapes: configurations proposed many at once, from which the step QP then tracks the target. Each is a pure
+"""Sampling stages: configurations proposed many at once, from which the step QP then tracks the target. Each is a pure
 function of one scenario.
 """
 
@@ -20,11 +20,11 @@ from htcp_jax.types import Array, Bool, Float
 
 
 class Candidates(NamedTuple):
-    """Configurations from which the step QP tracks the stuck target; those not valid are never tried."""
+    """Configurations from which the step QP tracks the stuck target; invalid ones are not tried."""
 
     x: Float[Array, "C N"]  # [rad or m]
     valid: Bool[Array, "C"]
-    done: Bool[Array, "C"]  # on the target and clear as they are: where a stage takes them so, no QP is needed
+    done: Bool[Array, "C"]  # on the target and clear as they are: no QP is needed
 
 
 Propose = Callable[[Scene, Settings, Posed, Stuck], Candidates]
@@ -77,8 +77,8 @@ def nspace_samples(
 def best_nspace_samples(
     scene: Scene, settings: Settings, where: Asked, stuck: Stuck, step_rad: tuple[float, ...], keep: int = 24
 ) -> Candidates:
-    """N-Space samples that know their clearance: those that are clear on the target are done; of the others, only the
-    `keep` clearest are worth tracking from."""
+    """N-Space samples with their clearance: those that are clear on the target are done; of the others, only the `keep`
+    clearest are tracked."""
     x, near, _ = nspace_samples(scene, settings, where, stuck, step_rad)
     here = jax.vmap(lambda x: anchor(scene, settings, where, x, stuck.target))(x)
     done = near & scene.task.counts(here.clearance, here.residual, where.margin_m)
@@ -91,7 +91,7 @@ def draw_clear(scene: Scene, settings: Settings, where: Asked, stuck: Stuck, spr
     """The best of a round of seeded uniform draws within the joint limits, clearest first (PUSHED rows): each draw is
     brought onto the target, and some are pushed clear: the clearest, or with `spread` any of the clearer quarter.
 
-    The clearest alone are often of one kind, all on the same side of the workpiece, say, from where no way leads back.
+    The clearest alone are often similar, for example all on the same side of the workpiece, with no path back.
     """
     robot = scene.robot
     lower, upper = jnp.maximum(robot.lower, -jnp.pi), jnp.minimum(robot.upper, jnp.pi)

@@ -1,4 +1,4 @@
-"""What a method made of step QPs does when these are stuck: stages tried in turn, each with a kernel of its own."""
+"""Recovery stages of a method with step QPs: tried in order when these are stuck, each with its own kernel."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -27,21 +27,21 @@ from htcp_jax.planning.tracking.sampling import Candidates, Propose, draw_clear
 from htcp_jax.settings import Settings
 from htcp_jax.types import Int, Joints
 
-SPREAD_EVERY = 3  # rounds of draws: in every third any of the better draws are pushed clear, not the clearest alone
-DRAW_STAGE = 99  # random keys of draws lie apart from those of the stages
+SPREAD_EVERY = 3  # in every third round of draws any of the better draws are pushed clear, not only the clearest
+DRAW_STAGE = 99  # stage number in the random keys of draws, beyond those of all stages
 
 
 @dataclass(frozen=True)
 class NullSpace:
-    """A stage that walks the null space, one minimisation a step."""
+    """A stage that moves in the null space, one minimisation per step."""
 
     minimise: Minimise
-    settings: tuple[str, ...] = ()  # that `minimise` reads
+    settings: tuple[str, ...] = ()  # read by `minimise`
 
     in_null_space = True
 
     def kernel(self, index: int) -> Kernel:
-        """A burst of the walk, as stage `index` of a method."""
+        """Return the kernel for a chunk of null-space steps, as stage `index` of a method."""
         reads = (*READS, *MEASURED, *self.settings)
         return Kernel(f"walk {index}", walk_null_space, WALKED, reads, (self.minimise, index))
 
@@ -51,31 +51,31 @@ class Sample:
     """A stage that proposes candidates for the step QP to track from."""
 
     propose: Propose
-    settings: tuple[str, ...] = ()  # that `propose` reads
-    in_null_space: bool = True  # whether it has nothing to propose where there is none
+    settings: tuple[str, ...] = ()  # read by `propose`
+    in_null_space: bool = True  # True if it proposes nothing without a null space
 
     def kernel(self, index: int) -> Kernel:
-        """The candidates of a lane, as stage `index` of a method."""
+        """Return the kernel that proposes a lane's candidates, as stage `index` of a method."""
         return Kernel(f"sample {index}", propose, SAMPLED, self.settings, (self.propose, index))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Escapes:
-    """What is done when the step QPs are stuck, and between targets."""
+    """Recovery stages, tried when the step QPs are stuck, and steps between targets."""
 
-    stages: tuple[NullSpace | Sample, ...] = ()  # tried in turn at a stuck target
+    stages: tuple[NullSpace | Sample, ...] = ()  # tried in order at a stuck target
     keep_clear: bool = False  # ascend after every target
-    replan_backwards: bool = False  # when all stages fail, draw a clear posture there and plan the way to it backwards
-    check_paths: bool = False  # every joint path must be clear, whatever the settings say
+    replan_backwards: bool = False  # if all stages fail, draw a clear configuration there and plan backwards from it
+    check_paths: bool = False  # every joint path must be clear, regardless of the settings
 
     @property
     def backwards(self) -> int:
-        """`Plans.escape` of targets that were planned backwards: one beyond the last stage."""
+        """`Plans.escape` of targets that were planned backwards: one more than the last stage."""
         return len(self.stages) + 1
 
 
 class Walked(NamedTuple):
-    """A lane after a burst of null-space steps: where it is, and how many there were so far."""
+    """A lane after a chunk of null-space steps: its state, and the number of steps so far."""
 
     now: Measured
     walked: jax.Array
@@ -93,7 +93,7 @@ def walk_null_space(
     most: Int[jax.Array, ""],
 ) -> Loop:
     """Algorithm 1, lines 10 to 14: null-space steps of the method's stage `index`, after those `walked`, until the
-    target is kept with the margin, or there have been as many as there may be, `most`. The loop's state is `Walked`."""
+    target is held with the margin, or `walked` reaches `most`. The loop's state is `Walked`."""
     stuck, own = stuck_at(lane, x_previous, index), own_scene(scene, lane.tool_extension_m)
 
     def going(there: Walked):
@@ -111,7 +111,7 @@ def walk_null_space(
 def propose(
     proposed: Propose, index: int, settings: Settings, scene: Scene, lane: LaneInputs, x_previous
 ) -> Candidates:
-    """Candidates of a sampling stage, the method's stage `index`."""
+    """Return the candidates of a sampling stage, the method's stage `index`."""
     scene = own_scene(scene, lane.tool_extension_m)
     return proposed(scene, settings, lane, stuck_at(lane, x_previous, index))
 
@@ -124,19 +124,19 @@ def enter_null_space(settings: Settings, scene: Scene, lane: LaneInputs, x_previ
 
 
 def push(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Anchored:
-    """x carried over to the lane's target and pushed clear."""
+    """Carry x over to the lane's target and push it clear."""
     return push_clear(own_scene(scene, lane.tool_extension_m), settings, lane, x, lane.target)
 
 
 def draw(settings: Settings, scene: Scene, lane: LaneInputs) -> Anchored:
-    """The best of a round of draws at the lane's target; which round is the lane's."""
+    """Return the best of a round of draws at the lane's target; the lane holds the round's number."""
     scene = own_scene(scene, lane.tool_extension_m)
     stuck = stuck_at(lane, jnp.zeros_like(scene.robot.lower), DRAW_STAGE)
     return draw_clear(scene, settings, lane, stuck, lane.round % SPREAD_EVERY == SPREAD_EVERY - 1)
 
 
 def ascend(settings: Settings, scene: Scene, lane: LaneInputs, x):
-    """Keep-clear ascent at the target just reached."""
+    """Ascend D in the null space at the target just reached."""
     scene = own_scene(scene, lane.tool_extension_m)
     return keep_clear_ascent(scene, settings, lane, x, lane.target)
 

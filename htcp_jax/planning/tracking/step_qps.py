@@ -1,4 +1,4 @@
-"""The method that the built-in ones are kinds of: targets are tracked by step QPs, and what is stuck escapes."""
+"""Base of the built-in methods that track targets by step QPs and try recovery stages when stuck."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -23,20 +23,20 @@ from htcp_jax.solvers.step_qp import QPSolver, row_count
 
 @dataclass(frozen=True)
 class StepQPs(Escapes):
-    """Step QPs along the path, equation (9), with these escapes. A `registry.Method`."""
+    """Step QPs along the path, equation (9), with these recovery stages. A `registry.Method`."""
 
     name: str  # in files and on the command line
     title: str
-    description: str  # what it does, in words
+    description: str  # short description
 
     def first_calls(self, problem: Problem) -> list[tuple]:
-        """See `Kernels.preparing`."""
+        """Return the first kernel calls, see `Kernels.preparing`."""
         return first_calls(problem)
 
     def plan(self, problem: Problem) -> Plans:
-        """Plan all scenarios. Raises InputError for a QP solver that is not there.
+        """Plan all scenarios. Raises InputError for a QP solver that is not installed.
 
-        One engine a thread; all share the work, and write into different rows.
+        One engine per thread; all share the work, and write into different rows.
         """
         plans = problem.empty_plans()
         count = len(problem.scenarios.number)
@@ -61,15 +61,15 @@ class StepQPs(Escapes):
             run(0)
             return plans
         with ThreadPoolExecutor(threads) as pool:
-            # Not `map`: where one breaks it cancels those that have not begun, and the others would wait for them.
+            # Not `map`: if one fails it cancels those that have not begun, and the others would wait for them.
             for engine in [pool.submit(run, number) for number in range(threads)]:
                 engine.result()
         return plans
 
 
 def make_solver(settings: Settings, joints: int, rows: int, task_rows: int = 3) -> QPSolver | None:
-    """The solver that `settings.qp` names; None for the one on the device, which the kernels call themselves. Raises
-    InputError for a name that is not installed."""
+    """Return the solver that `settings.qp` names; None for the one on the device, which the kernels call themselves.
+    Raises InputError for a name that is not installed."""
     if settings.qp == "device":
         return None
     name, _, backend = settings.qp.partition(":")

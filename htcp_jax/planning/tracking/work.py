@@ -1,7 +1,7 @@
-"""What several engines share: scenarios that none has begun, and lanes that one engine leaves to another that has none.
+"""Work shared by several engines: scenarios not begun, and lanes that one engine leaves to an idle one.
 
-A lane brings along all that an engine needs to go on with it. So towards the end, when only hard scenarios are left,
-they are halved among the engines again and again, and none waits for another for long.
+A lane holds all that an engine needs to continue it. So towards the end, when only hard scenarios are left, they are
+divided among the engines again and again, and no engine is idle for long.
 """
 
 import threading
@@ -12,7 +12,7 @@ from htcp_jax.planning.tracking.lanes import Lanes
 
 
 class Work:
-    """Scenarios for so many engines, one a thread."""
+    """Scenarios for so many engines, one per thread."""
 
     def __init__(self, scenarios: Sequence[int], engines: int):
         # Neighbours in a grid are alike: dealt out in turn, every engine gets its part of the hard ones.
@@ -23,23 +23,23 @@ class Work:
         self._changed = threading.Condition()
 
     def take(self, most: int) -> list[int]:
-        """New scenarios, at most an engine's share of all."""
+        """Return new scenarios, at most an engine's share of all."""
         with self._changed:
             return list(islice(self._scenarios, min(most, self._share)))
 
     @property
     def wanted(self) -> bool:
-        """Whether an engine waits for whom no lanes are left yet."""
+        """True if an idle engine has no work assigned."""
         return self._waiting > len(self._left)
 
     def leave(self, lanes: Lanes) -> None:
-        """Lanes for an engine that waits."""
+        """Leave lanes to an idle engine."""
         with self._changed:
             self._left.append(lanes)
             self._changed.notify_all()
 
     def wait(self) -> Lanes | None:
-        """Lanes that another engine leaves; None once none has any."""
+        """Wait for lanes that another engine leaves; None once no engine has any."""
         with self._changed:
             self._waiting += 1
             self._changed.notify_all()
@@ -50,7 +50,7 @@ class Work:
             return self._left.pop()
 
     def end(self) -> None:
-        """An engine is done, or broken: nobody waits for what it leaves."""
+        """Deregister an engine that is done or has failed, so that no engine waits for its lanes."""
         with self._changed:
             self._engines -= 1
             self._changed.notify_all()

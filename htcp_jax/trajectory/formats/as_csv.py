@@ -1,4 +1,4 @@
-"""A program as a table, a line a posture; numbers read back exactly."""
+"""CSV format: one line per sample; numbers round-trip exactly."""
 
 import csv
 import io
@@ -11,8 +11,9 @@ from htcp_jax.trajectory.timed import Timed
 
 
 def csv_text(timed: Timed, beside: Beside) -> str:
-    """Comments after #, a header, and rows: `time_s`, `kind`, `target`; of each joint its value in `<joint>_rad`, its
-    velocity in `<joint>_rad_s` and its acceleration in `<joint>_rad_s2`, or with m in place of rad where it slides."""
+    """Return comments after #, a header, and rows: `time_s`, `kind`, `target`; for each joint its value in
+    `<joint>_rad`, its velocity in `<joint>_rad_s` and its acceleration in `<joint>_rad_s2`, with m in place of rad for
+    a slide."""
     stream = io.StringIO()
     stream.writelines(f"# {line}\n" for line in header(timed))
     units = ["m" if slides else "rad" for slides in beside.slides]

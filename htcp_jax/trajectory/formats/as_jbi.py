@@ -1,12 +1,12 @@
-"""A program as a job of Yaskawa's INFORM (JBI): positions first, then an instruction for each.
+"""Yaskawa's INFORM job format (JBI): positions first, then one instruction for each.
 
 Positions are poses of the TCP (RECTAN: mm, and degrees about fixed x, then y, then z) in a numbered user frame with a
-numbered tool, or pulses of the joints. A job holds no times. Speeds stand for them: of `MOVJ` in percent of the joints'
-full speed, of `MOVL`, which feeds the TCP along the path, in mm/s. Pulses go by `MOVJ` alone: the straight joint paths
-that were proven.
+numbered tool, or pulses of the joints. A job contains speeds in place of times: for `MOVJ` in percent of the joints'
+full speed, for `MOVL`, which feeds the TCP along the path, in mm/s. Pulses use only `MOVJ`: the straight joint paths,
+which are proven.
 
 Sources: Yaskawa's knowledge base, INFORM header fields; NX100 and DX100 manuals, job data format; FS100 manual, INFORM
-structure. The angles' order is that of Basler's and Balluff's pages on Yaskawa's pose format.
+structure. The order of the angles follows Basler's and Balluff's pages on Yaskawa's pose format.
 """
 
 import re
@@ -35,10 +35,10 @@ MORE = (
 
 
 def jbi_text(timed: Timed, beside: Beside) -> str:
-    """A relative job of RECTAN positions in the user frame.
+    """Return a relative job of RECTAN positions in the user frame.
 
-    Raises InputError without that frame or for a number that it cannot have, without joint speeds or for speeds over
-    them, for an arm of other than six joints, for more postures than a job holds, and for a name that is none of a job.
+    Raises InputError without that frame or for an invalid number of it, without joint speeds or for speeds over them,
+    for an arm without exactly six joints, for too many lines, and for an invalid job name.
     """
     if (frame := beside.user_frame) is None:
         raise InputError("jbi: RECTAN positions are in a user frame; program.user_frame names it, {number: 1 to 63}")
@@ -55,10 +55,10 @@ def jbi_text(timed: Timed, beside: Beside) -> str:
 
 
 def jbi_pulses_text(timed: Timed, beside: Beside) -> str:
-    """A job of joint pulses, by the job's table.
+    """Return a job of joint pulses, by the table in `beside`.
 
-    Raises InputError without that table, without joint speeds or for speeds over them, for an arm of more joints than a
-    job holds, for more postures than it holds, and for a name that is none of a job.
+    Raises InputError without that table, without joint speeds or for speeds over them, for too many joints or lines,
+    and for an invalid job name.
     """
     if (pulses := beside.pulses) is None:
         raise InputError("jbi-pulses: no table; program.pulses gives one: {per_rad: [...], source: ...}")
@@ -92,7 +92,7 @@ def _remarks(about: list[str]) -> Iterator[str]:
 
 
 def _poses(frame: UserFrame) -> Iterator[str]:
-    """The positions, with the arm's form before those that it changes at."""
+    """Yield the positions, with the arm configuration flags before positions where they change."""
     at_mm = _rounded(1e3 * frame.T_frame_tcp[:, :3, 3], 3)
     turn_deg = _rounded(np.degrees(_fixed_xyz_rad(frame.T_frame_tcp[:, :3, :3])), 4)
     last = None
@@ -104,12 +104,13 @@ def _poses(frame: UserFrame) -> Iterator[str]:
 
 
 def _rounded(values: np.ndarray, digits: int) -> np.ndarray:
-    """Without the sign of what becomes zero."""
+    """Round without negative zeros."""
     return np.round(values, digits) + 0.0
 
 
 def _fixed_xyz_rad(R: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
-    """Rx, Ry, Rz with R = Rz Ry Rx. Where Ry is a right angle only the difference of the others is known: Rz = 0."""
+    """Return Rx, Ry, Rz with R = Rz Ry Rx. If Ry is a right angle only the difference of the others is known: Rz =
+    0."""
     flat = np.hypot(R[:, 0, 0], R[:, 1, 0])
     locked = flat < 1e-9
     about_x = np.where(locked, np.arctan2(-R[:, 1, 2], R[:, 1, 1]), np.arctan2(R[:, 2, 1], R[:, 2, 2]))
@@ -124,13 +125,14 @@ def _moves(timed: Timed, percent: Float[np.ndarray, "n"], feed_mm_s: Float[np.nd
 
 
 def _feed_mm_s(timed: Timed, frame: UserFrame) -> Float[np.ndarray, "n"]:
-    """The TCP's speed on its way to a row, where that is the path; 0 elsewhere."""
+    """Return the TCP's speed on the segment to each row if it is on the path, else 0."""
     way = np.linalg.norm(np.diff(frame.T_frame_tcp[:, :3, 3], axis=0), axis=1)
     return np.where(timed.kind == Kind.FEED, np.append(0.0, 1e3 * way / np.diff(timed.time_s)), 0.0)
 
 
 def _percent(timed: Timed, beside: Beside, format: str) -> Float[np.ndarray, "n"]:
-    """The fastest joint's share of its full speed on the way to a row, in percent; slow to the first."""
+    """Return the fastest joint's share of its full speed on the segment to each row, in percent; slow to the first.
+    Raises InputError without joint speeds, and for more than 100 %."""
     if beside.speed is None or not np.isfinite(beside.speed).all():
         raise InputError(f"{format}: speeds are in percent of full joint speed; program.velocity gives them")
     share = 100 * np.abs(np.diff(timed.x, axis=0)) / (np.diff(timed.time_s)[:, None] * beside.speed)

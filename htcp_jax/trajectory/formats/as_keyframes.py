@@ -1,9 +1,9 @@
-"""A program as MuJoCo's keyframes: a file that a model includes.
+"""MuJoCo keyframes: a file that a model includes.
 
     <include file="weld.xml"/>
 
 Each `key` holds a time, qpos and qvel (MJCF reference, keyframe/key). The model must have these joints and no others,
-in their order. Numbers read back exactly.
+in their order. Numbers round-trip exactly.
 """
 
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
@@ -14,7 +14,7 @@ from htcp_jax.trajectory.timed import Timed
 
 
 def keyframes_text(timed: Timed, beside: Beside) -> str:
-    """The file's text, a key a posture, named by its number and what the arm does on its way there."""
+    """Return the file's text, one key per sample, named by its number and `status.Kind`."""
     about = header(timed, f"qpos and qvel are those of {', '.join(timed.joint_names)}, in this order.")
     root = Element("mujoco")
     root.append(Comment("\n  " + "\n  ".join(about).replace("--", "- -") + "\n"))

@@ -1,7 +1,7 @@
-"""A program as ROS 2's trajectory_msgs/msg/JointTrajectory, in YAML and in JSON.
+"""ROS 2's trajectory_msgs/msg/JointTrajectory, in YAML and in JSON.
 
-Both hold the message's fields by their names, so that they can be set from the file one by one. Numbers read back
-exactly, times to the nanosecond that the message counts in. Sources: the message definitions of trajectory_msgs
+Both contain the message's fields by name, so that they can be set one by one from the file. Numbers round-trip
+exactly, times to the message's nanoseconds. Sources: the message definitions of trajectory_msgs
 (JointTrajectory, JointTrajectoryPoint), std_msgs (Header) and builtin_interfaces (Time, Duration).
 """
 
@@ -16,7 +16,7 @@ NO_FRAME = "The message's frame_id is empty: joint values need none."
 
 
 def ros_yaml_text(timed: Timed, beside: Beside) -> str:
-    """The message in YAML, with the header as comments."""
+    """Return the message in YAML, with the header as comments."""
     lines = [f"# {TYPE}", *(f"# {line}" for line in header(timed, NO_FRAME))]
     lines += ["header:", "  stamp: {sec: 0, nanosec: 0}", '  frame_id: ""']
     lines += [f"joint_names: [{', '.join(map(_quoted, timed.joint_names))}]", "points:"]
@@ -29,8 +29,8 @@ def ros_yaml_text(timed: Timed, beside: Beside) -> str:
 
 
 def ros_json_text(timed: Timed, beside: Beside) -> str:
-    """A JSON object with the message under `message`, its type under `type` and the header under `about`: neither JSON
-    nor the message has room for a comment."""
+    """Return a JSON object with the message under `message`, its type under `type` and the header under `about`, as
+    JSON has no comments."""
     message = {
         "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""},
         "joint_names": timed.joint_names,
@@ -48,7 +48,7 @@ def _points(timed: Timed) -> Iterator[dict]:
 
 
 def _numbers(values: Iterable[float]) -> Iterator[str]:
-    """As YAML 1.1 reads them, too, to which 1e-05 is a word."""
+    """Yield numbers as text that YAML 1.1 also reads as numbers, unlike 1e-05."""
     for text in map(repr, values):
         yield text.replace("e", ".0e") if "e" in text and "." not in text else text
 

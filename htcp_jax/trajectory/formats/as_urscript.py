@@ -1,9 +1,9 @@
-"""A program as URScript: a list of `servoj`, each of which holds the controller for its time.
+"""URScript: a list of `servoj`, each of which blocks the controller for its time.
 
-`servoj` carries times and passes every posture without a stop. `movej` with a time stops at each one, or is blended
-around it with a radius, along a course that nobody proved. What `servoj` costs: the controller follows with a lag and
-smooths what it is told (`lookahead_time`, `gain`), so the postures have to be dense, at its own steps. Source: the
-script manual of Universal Robots, module motion.
+`servoj` has times and passes every configuration without a stop. `movej` with a time stops at each one, or blends it
+with a radius, along a path that is not proven. The drawback of `servoj`: the controller follows with a lag and smooths
+its inputs (`lookahead_time`, `gain`), so the samples must be dense, at its own steps. Source: the script manual of
+Universal Robots, module motion.
 """
 
 import re
@@ -28,10 +28,10 @@ MORE = (
 
 
 def urscript_text(timed: Timed, beside: Beside) -> str:
-    """A function with the program's name, and its call.
+    """Return a function with the program's name, and its call.
 
-    Raises InputError for an arm of other than six turning joints, a name that is none of a function, and times that are
-    no multiples of the controller's step.
+    Raises InputError for an arm without exactly six revolute joints, an invalid function name, and times that are no
+    multiples of the controller's step.
     """
     if len(timed.joint_names) != JOINTS or any(beside.slides):
         raise InputError(f"urscript: {_arm(beside)}; these arms have {JOINTS} turning joints")
@@ -47,7 +47,7 @@ def urscript_text(timed: Timed, beside: Beside) -> str:
 
 
 def _steps(timed: Timed, step_s: float) -> Int[np.ndarray, "m"]:
-    """How many of the controller's steps each posture but the first is held."""
+    """Return the number of controller steps for each sample except the first."""
     elapsed_s = timed.time_s - timed.time_s[0]
     steps = np.round(elapsed_s / step_s)
     wrong = np.abs(steps * step_s - elapsed_s) > ONE_TIME_S

@@ -1,4 +1,4 @@
-"""The formats by name."""
+"""Registry of the formats by name."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -16,10 +16,10 @@ from htcp_jax.trajectory.timed import Timed
 
 
 class Format(NamedTuple):
-    """How a program is written."""
+    """A file format of programs."""
 
     write: Callable[[Timed, Beside], str]
-    step_s: float | None  # between postures, where nobody says otherwise; None: the postures that the motion is made of
+    step_s: float | None  # default time step of samples; None: the motion's own configurations
 
 
 FORMATS = {
@@ -34,17 +34,17 @@ FORMATS = {
 
 
 def format_of(name: str) -> Format:
-    """One of FORMATS. Raises InputError for another name."""
+    """Return a format in FORMATS. Raises InputError for another name."""
     if name not in FORMATS:
         raise InputError(f"{name!r} is no format of a program; valid: {', '.join(FORMATS)}")
     return FORMATS[name]
 
 
 def program_text(format: str, timed: Timed, beside: Beside) -> str:
-    """The file of a program, in one of FORMATS.
+    """Return the file of a program in a format of FORMATS.
 
-    Raises InputError for an unknown format, for what a format needs and `beside` lacks, for a motion without postures,
-    and for times that do not increase.
+    Raises InputError for an unknown format, for controller data that the format needs and `beside` lacks, for a motion
+    without configurations, and for times that do not increase.
     """
     write = format_of(format).write
     if len(timed.x) == 0:
