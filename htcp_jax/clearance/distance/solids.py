@@ -44,7 +44,7 @@ class HalfSpace(NamedTuple):
     offset: Float[Array, "*n"]
 
     def seen(self, p: Vector3, q: Vector3) -> Seen:
-        """Return the signed distance from a segment, by its lower end."""
+        """Return the contact with a segment, at its lower end, see `Seen`."""
         heights = jnp.stack([product(p, self.normal), product(q, self.normal)]) - self.offset
         return Seen(jnp.argmin(heights).astype(float), self.normal, jnp.min(heights), jnp.ones((), bool), jnp.zeros(()))
 
@@ -57,7 +57,7 @@ class Rod(NamedTuple):
     radius: Float[Array, "*n"]
 
     def seen(self, p: Vector3, q: Vector3) -> Seen:
-        """Return the signed distance from a segment; where the axes cross, there is no normal."""
+        """Return the contact with a segment, see `Seen`; where the axes cross, there is no normal."""
         t, _, on, other = nearest_points(p, q, self.p, self.q)
         length = safe_norm(on - other)
         normal = safe_divide(on - other, jnp.broadcast_to(length, (3,)))
@@ -72,7 +72,7 @@ class Box(NamedTuple):
     half: Float[Array, "*n 3"]
 
     def seen(self, p: Vector3, q: Vector3) -> Seen:
-        """Return the signed distance from a segment."""
+        """Return the contact with a segment, see `Seen`."""
         p, q = _within(self, p), _within(self, q)
         d = q - p
         faces = jnp.concatenate([safe_divide(self.half - p, d), safe_divide(-self.half - p, d)])
@@ -103,15 +103,15 @@ class Cylinder(NamedTuple):
     half: Float[Array, "*n"]
 
     def seen(self, p: Vector3, q: Vector3) -> Seen:
-        """Return the signed distance from a segment."""
+        """Return the contact with a segment, see `Seen`."""
         p, q = _within(self, p), _within(self, q)
         d = q - p
         t = _halved(lambda t: product(self._off(p + t * d), d) <= 0, jnp.zeros(()))
         return _turned(self, _either(_outside(t, self._off(p + t * d)), self._across(p, q)))
 
     def _across(self, p: Vector3, q: Vector3) -> Seen:
-        """Return the signed distance from a segment that crosses: along normals of the caps, of the side, and
-        perpendicular to the segment."""
+        """Return the contact with a segment that crosses: along normals of the caps, of the side, and perpendicular to
+        the segment."""
         x, z, flat = jnp.array([1.0, 0.0, 0.0]), jnp.array([0.0, 0.0, 1.0]), jnp.array([1.0, 1.0, 0.0])
         d = q - p
         middle = segment_parameter(p * flat, q * flat, jnp.zeros(3))
@@ -166,7 +166,7 @@ class Piece(NamedTuple):
     beside: Int[Array, "*n E 2"]  # the faces on both sides of an edge
 
     def seen(self, p: Vector3, q: Vector3) -> Seen:
-        """Return the signed distance from a segment."""
+        """Return the contact with a segment, see `Seen`."""
         many = jnp.broadcast_to(p, (len(self.edges), 3)), jnp.broadcast_to(q, (len(self.edges), 3))
         along, _, on, witness = nearest_points(*many, self.edges[:, 0], self.edges[:, 1])
         first, second = self._above(p), self._above(q)
@@ -225,7 +225,7 @@ def _turned(solid: Box | Cylinder, seen: Seen) -> Seen:
 
 
 def _outside(t: Scalar, arm: Vector3) -> Seen:
-    """Return the result for a segment outside, from the vector between the nearest points."""
+    """Return the contact with a segment outside, from the vector between the nearest points."""
     length = safe_norm(arm)
     normal = safe_divide(arm, jnp.broadcast_to(length, (3,)))
     return Seen(t, normal, length, length <= TOUCHES_M, jnp.zeros(()))
@@ -234,7 +234,7 @@ def _outside(t: Scalar, arm: Vector3) -> Seen:
 def _best(
     normals: Float[Array, "n 3"], p: Vector3, q: Vector3, reach: Float[Array, "n"], places: Float[Array, "n"]
 ) -> Seen:
-    """Return the result along the normal of least penetration; `reach` is h(n), `places` are the segment's parameters
+    """Return the contact along the normal of least penetration; `reach` is h(n), `places` are the segment's parameters
     nearest to the surface. A normal of length 0 is ignored."""
     ends = product(jnp.stack([p, q]), normals.T)
     depth = jnp.where(jnp.any(normals != 0, axis=1), jnp.min(ends, axis=0) - reach, -jnp.inf)
