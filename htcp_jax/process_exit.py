@@ -1,11 +1,11 @@
 """The end of a command's process: its exit code at once, one line after a signal, and no unfinished file.
 
 Python runs signal handlers in the main thread alone, and not while that is inside compiled code: XLA compiles for many
-seconds. So the first SIGINT or SIGTERM raises KeyboardInterrupt in the main thread, and a thread of its own, which is
-woken by the signal itself, ends the process if that has not come to an end `GRACE_S` later, or at a second signal.
+seconds. So the first SIGINT or SIGTERM raises KeyboardInterrupt in the main thread, and a separate thread, which the
+signal itself wakes, ends the process if it still runs `GRACE_S` later, or at a second signal.
 
-For the command line alone: in a notebook or a test, nothing here is called but what changes nothing. Imports the
-standard library alone, as handlers are to be there before JAX is imported.
+For the command line only: in a notebook or a test, only functions without side effects are called. Imports only the
+standard library, as handlers must be installed before JAX is imported.
 """
 
 import atexit
@@ -27,9 +27,9 @@ try:
 except ImportError:  # no POSIX system
     resource = None
 
-GRACE_S = 3.0  # to end by itself after a signal, and for functions that are called at the end
+GRACE_S = 3.0  # for the main thread after a signal, and for exit functions
 ECHO_S = 0.5  # so soon after the first signal the next is the same one: `timeout` sends it to a process and its group
-PART = ".part-"  # how names of files that are being written begin
+PART = ".part-"  # prefix of files that are being written
 LEAST_BYTES = 3 * 2**29  # of address space: no plan needs less, and with less, libraries abort the process
 FAILED, SIGNALLED = 1, 128
 HANDLED = signal.SIGINT, signal.SIGTERM
@@ -125,7 +125,7 @@ class _Process:
         sys.addaudithook(self._note)
         sys.unraisablehook = self._unless_signalled(sys.unraisablehook)
         threading.excepthook = self._unless_signalled(threading.excepthook)
-        # Of multiprocessing's resource tracker, which tidies up when this process is gone and says so.
+        # Silences multiprocessing's resource tracker, which cleans up after this process with a warning.
         os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker:UserWarning")
 
     def _raise(self, number: int, frame: FrameType | None) -> None:
@@ -210,7 +210,7 @@ def _print(line: str) -> None:
 
 
 def _imports(frame: FrameType | None) -> bool:
-    """Return True within an import."""
+    """Return True if the frame is within an import."""
     while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
         frame = frame.f_back
     return frame is not None

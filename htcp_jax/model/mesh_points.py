@@ -1,7 +1,7 @@
 """Points that cover a mesh: no point of its triangles is further than a known distance from one of them.
 
 Every triangle is cut at the middle of its longest edge until its own three corners cover it. Nothing is drawn at
-random: the same mesh gives the same points, evenly spread whatever the shapes of its triangles.
+random: the same mesh gives the same points, evenly spread for any shapes of its triangles.
 
 A triangle's covering radius is the largest distance of any of its points to the nearest corner. Where no angle is
 obtuse, that is attained at the circumcentre. Otherwise the circumcentre lies outside, and it is attained where the

@@ -1,7 +1,7 @@
 """Rotations: exponential and logarithm map, quaternions, and turns between directions.
 
-jaxlie has these maps too, but keeps a rotation as a quaternion, through which matrices would pass here and be rounded
-in another way; it brings jax_dataclasses and tyro with it.
+jaxlie has these maps too, but stores a rotation as a quaternion, so matrices would be converted and rounded
+differently; it also depends on jax_dataclasses and tyro.
 """
 
 import jax.numpy as jnp
@@ -32,7 +32,7 @@ def rotation_vector(rotation: Float[Array, "3 3"]) -> Vector3:
     turn = jnp.arctan2(sine, cosine)
     flat = sine < 1e-12
     small = 0.5 * twice * jnp.where(flat, 1.0, turn / jnp.where(flat, 1.0, sine))
-    # Near half a turn the sine says nothing of the axis; the symmetric part is (1 - cos) axis axis' + cos I.
+    # Near half a turn the sine does not determine the axis; the symmetric part is (1 - cos) axis axis' + cos I.
     symmetric = 0.5 * (rotation + rotation.T) - cosine * jnp.eye(3)
     best = jnp.argmax(jnp.diagonal(symmetric))
     column = jnp.where(cosine < -0.5, symmetric[:, best], jnp.array([1.0, 0.0, 0.0]))

@@ -162,7 +162,7 @@ def with_own_tool(robot: Robot, scenario: Scenario) -> tuple[Robot, Scenario]:
 
 
 def stack(scenarios: Sequence[Scenario]) -> Scenario:
-    """Stack scenarios to one batch (numpy leaves with a leading axis S); shorter target lists are padded with their
+    """Stack scenarios into one batch (numpy leaves with a leading axis S); shorter target lists are padded with their
     last. Raises InputError for an empty list."""
     if not scenarios:
         raise InputError("no scenarios to plan")

@@ -42,8 +42,8 @@ class TaskRow:
     direction: Triple | None = None  # of the line, any length
     axes: str = "xyz"  # in which a point on the path or at a place is held
     frame: str = "world"
-    within_m: float | None = None  # either way in each direction; without it exactly
-    axis: str | None = None  # a name and x, y or z of its frame, tcp.z; with a minus the other way
+    within_m: float | None = None  # tolerance to both sides in each direction; None: exactly
+    axis: str | None = None  # a name and x, y or z of its frame, tcp.z; a minus reverses it
     towards: str | Triple | None = None  # one of DIRECTIONS, or in numbers, of any length
     looks_at_m: Triple | None = None  # a place, from the origin of the axis's frame
     cone_deg: float | None = None  # half angle [degrees, pi rad are 180]; 0 or none: exactly

@@ -56,7 +56,7 @@ class TaskPoint:
 
     @property
     def equalities(self) -> int:
-        """One per coordinate."""
+        """Number of equations: one per coordinate."""
         return len(self.axes)
 
     @property
@@ -94,12 +94,12 @@ class PointAlong:
 
     @property
     def equalities(self) -> int:
-        """One per direction, without a band."""
+        """Number of equations: one per direction, without a band."""
         return 0 if self.band else self.count
 
     @property
     def inequalities(self) -> int:
-        """Two per direction, with a band."""
+        """Number of inequalities: two per direction, with a band."""
         return 2 * self.count if self.band else 0
 
     @property
@@ -134,25 +134,25 @@ class AxisTowards:
 
     link: int | None
     axis: Triple  # of length 1, in the frame of the link
-    looks_from_m: Triple | None = None  # the point that looks, in the frame of the link; None: at no place
+    looks_from_m: Triple | None = None  # origin of the view, in the frame of the link; None: no place
     cone: bool = True
 
     angular: ClassVar[bool] = True
 
     @property
     def features(self) -> tuple[Feature, ...]:
-        """The axis and, if it points at a place, the point that it looks from."""
+        """The axis and, if it points at a place, the point `looks_from_m`."""
         axis = Feature(self.link, self.axis, is_direction=True)
         return (axis,) if self.looks_from_m is None else (axis, Feature(self.link, self.looks_from_m))
 
     @property
     def equalities(self) -> int:
-        """Two without a cone: an axis may turn about itself."""
+        """Number of equations: two without a cone, as an axis may turn about itself."""
         return 0 if self.cone else 2
 
     @property
     def inequalities(self) -> int:
-        """One with a cone."""
+        """Number of inequalities: one with a cone."""
         return int(self.cone)
 
     @property
@@ -202,12 +202,12 @@ class Turned:
 
     @property
     def equalities(self) -> int:
-        """Three without a tolerance."""
+        """Number of equations: three without a tolerance."""
         return 0 if self.cone else 3
 
     @property
     def inequalities(self) -> int:
-        """One with a tolerance."""
+        """Number of inequalities: one with a tolerance."""
         return int(self.cone)
 
     @property

@@ -35,7 +35,7 @@ class _Opened(NamedTuple):
     count: Int[Array, ""]
 
 
-Lists = list[_Opened]  # a level each, from the second
+Lists = list[_Opened]  # one per level, from the second
 
 
 def nearest_leaves(index: CloudIndex, p, q, radius, limit, shared: bool) -> Int[Array, "K"]:

@@ -37,7 +37,7 @@ class Interior:
         """Return, for every body, the facet that its furthest deep end has crossed, if any."""
         rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
         outside, second, inwards = self._outside(where, bodies)
-        # By way of the workpiece frame, as the cloud's: the same end is the same point to the last bit.
+        # Through the workpiece frame, as for the cloud: the same end is the same point to the last bit.
         end = jnp.where(second[:, None], bodies.q_workpiece, bodies.p_workpiece)
         return Contacts(
             distance=jnp.where(outside > 0, -outside, jnp.inf),

@@ -1,6 +1,6 @@
 """Bounds on the motion of the arm while every joint stays within a distance of its position.
 
-Let joint j turn by at most d_j either way. In the frame of the link before it, a point of a body moves by
+Let joint j turn by at most d_j to either side. In the frame of the link before it, a point of a body moves by
 
     M_j <= M_{j+1} + d_j (r_j + M_{j+1}),
 
@@ -55,8 +55,8 @@ class _Bounds(NamedTuple):
 
 
 def motion_bound(robot: Robot, x: Joints, turns: Joints) -> Float[Array, "K"]:
-    """Return a bound on the displacement of any point of each body from x, while every joint stays within `turns` [rad
-    or m] of x [m]."""
+    """Return a bound [m] on the displacement of any point of each body from x, while every joint stays within `turns`
+    [rad or m] of x."""
     return _larger(point_motion_bound(robot, x, turns, *_ends(robot, capsule_segments(robot, x))))
 
 
@@ -84,16 +84,16 @@ def tcp_sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> TcpSweep:
 
 
 def travel_bound(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "K"]:
-    """Return a bound on the displacement of any point of each body from x on the joint path x + s `rates` [rad or m]
-    with |s| <= half [m]."""
+    """Return a bound [m] on the displacement of any point of each body from x on the joint path x + s `rates` [rad or
+    m] with |s| <= half."""
     return sweep(robot, x, rates, half).travel
 
 
 def point_bend_bound(
     robot: Robot, x: Joints, rates: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Array, "P"]
 ) -> Float[Array, "P"]:
-    """Return a bound on the second derivative |p''| of points fixed to links, at x in the world [m], on a straight
-    joint path of x' = `rates` [rad or m], while every joint stays within `turns` of x [m]."""
+    """Return a bound [m] on the second derivative |p''| of points fixed to links, at x in the world [m], on a straight
+    joint path of x' = `rates` [rad or m], while every joint stays within `turns` of x."""
     return _bounds(robot, x, rates, turns, points, links).bend
 
 

@@ -5,7 +5,7 @@ On a segment a row's goal lies between that of the previous target, 0, and that 
     a place       f_k = u_k p - o_k, its deviation in a direction by either: min f_k <= w and max f_k >= -w
     an axis       the angle to d_0, to d_1, or to the direction half way, is at most the limit
     a frame       so is the angle of the rotation to R_0, to R_1, or to the rotation half way
-    a look        so is the angle to the direction in which the place is seen
+    a view        so is the angle to the direction of the place
 
 w is the band plus the tolerance of lengths; the limit is the half angle, half way at least half the turn from 0 to 1,
 plus the tolerance of angles.
