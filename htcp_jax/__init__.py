@@ -3,10 +3,10 @@
     import htcp_jax
 
     plan = htcp_jax.plan()                                               # one job: the default one, or a YAML file
-    plan.frame(), plan.figure()                                          # a row a target, and the picture
+    plan.frame(), plan.figure()                                          # one row per target, and the picture
     run = htcp_jax.sweep("sweeps/workpiece", "baseline,hybrid")          # a grid of jobs by several methods
-    run.frame()                                                          # a row a method and scenario
-    htcp_jax.time_run(run, "20mm/s").frame()                             # and how long each takes at that feed
+    run.frame()                                                          # one row per method and scenario
+    htcp_jax.time_run(run, "20mm/s").frame()                             # and execution times at that feed rate
     report = htcp_jax.make_report(run)                                   # the paper's tables, and all charts
     report.frame("results"), report.figures["success"]
 
@@ -15,7 +15,7 @@ Kinematics, clearance and the null-space objective are pure functions of arrays,
     jax.grad(htcp_jax.clearance.clearance, argnums=3)(plan.robot, obstacle, plan.scenario, x)
 
 The names in `__all__` are public; each is loaded when it is first used. That also turns on the cache of compiled
-programs (see `compile_cache`), as the command does, and lets a notebook show figures.
+functions (see `compile_cache`), as the command does, and lets a notebook show figures.
 """
 
 import importlib

@@ -45,47 +45,47 @@ if TYPE_CHECKING:
     import pandas
 
 
-NOTABLE_RAD = 0.1  # by which a first posture differs from the start that was given
+NOTABLE_RAD = 0.1  # difference between the first configuration and the given start
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
-    """A job and what became of it."""
+    """A job and its result."""
 
     job: PlanConfig
     robot: Robot  # with the job's tool
     workpiece: Workpiece
     scenario: Scenario  # adds nothing to the tool
     plans: Plans  # of this one scenario: the first axis of every array has length 1
-    obstacles: Obstacles = ()  # besides the workpiece
+    obstacles: Obstacles = ()  # in addition to the workpiece
 
     @cached_property
     def summary(self) -> Summary:
-        """Counts, times and distances."""
+        """Counts, times and distances of the plan."""
         return summarise(self.plans)
 
     @cached_property
     def motion_summary(self) -> MotionSummary:
-        """How far a proven motion leads, where it is tightest, where the arm dwells, how smooth it is."""
+        """Length of the proven motion, its minimum clearance, its dwells and its smoothness."""
         return summarise_motion(self.plans, int(self.scenario.on_path))
 
     def motion(self, *, retract: bool = False) -> Motion:
-        """The postures that the arm passes, from home or the start to the last executable target, and back if
+        """Return the configurations of the motion, from home or the start to the last executable target, and back if
         `retract`."""
         return motion(self.plans, 0, int(self.scenario.on_path), retract=retract)
 
     @property
     def complete(self) -> bool:
-        """Whether a proven motion leads from the given start to the last target."""
+        """True if a proven motion leads from the given start to the last target."""
         return self.outcome.can_be_driven
 
     @property
     def outcome(self) -> Outcome:
-        """How the scenario ended."""
+        """The scenario's outcome."""
         return self.plans.outcome(0)
 
     def facts(self) -> dict[str, str]:
-        """The summary as a person reads it."""
+        """Return the summary as labelled text."""
         s = self.summary
         return {
             "targets tracked": f"{s.tracked} of {s.targets}",
@@ -102,7 +102,7 @@ class Plan:
         }
 
     def _beside(self) -> dict[str, str]:
-        """What the arm keeps clear of besides the workpiece."""
+        """Return the self-collision pairs and the fixtures that the arm keeps clear of, as labelled text."""
         own = [each.described(self.robot) for each in self.obstacles if isinstance(each, SelfCollision)]
         names = [name for each in self.obstacles for name in getattr(each, "names", ())]
         facts = {"self-collision": own[0]} if own else {}
@@ -121,7 +121,7 @@ class Plan:
         }
 
     def _joint_paths(self) -> str:
-        """What is known of the straight joint paths to the tracked targets."""
+        """Return the results for the straight joint paths to the tracked targets, as text."""
         end = self.outcome
         text = f"{end.blocked_paths} blocked of {end.tracked}"
         as_given = end.tracked and not self.motion_summary.transfer_legs
@@ -131,7 +131,7 @@ class Plan:
 
     @cached_property
     def obstruction(self) -> Obstruction | None:
-        """What is in the way at the target that failed; None of a complete plan."""
+        """The colliding body and obstacle at the failed target; None if the plan is complete."""
         if (failed := blocked_target(self.plans, 0)) is None:
             return None
         x_last = self.plans.before(0, failed)
@@ -140,7 +140,8 @@ class Plan:
         return obstruction(*known, x_last, failed, self.job.settings, self.obstacles, task)
 
     def failure(self) -> dict[str, str]:
-        """Where the plan ended, why, and what is in the way, in words; nothing of a complete one."""
+        """Return the failed target, the reason and the colliding body as labelled text; empty if the plan is
+        complete."""
         end = self.outcome
         facts = {} if end.failed is None else {f"failed at target {end.failed}": end.status.message}
         if self.obstruction is not None:
@@ -150,11 +151,12 @@ class Plan:
         return facts
 
     def frame(self) -> "pandas.DataFrame":
-        """One row a target; the columns are those of a sweep's `targets` table, see `run_tables`."""
+        """Return a table with one row per target; the columns are those of a sweep's `targets` table, see
+        `run_tables`."""
         return frame_of(target_table(self.job.method, np.zeros(1, int), self.plans, joint_columns(self.robot)))
 
     def figure(self) -> Figure:
-        """The arm in the workpiece cut open, and the clearance along the path."""
+        """Draw the arm in the workpiece, cut open, and the clearance along the path."""
         title = f"{self.job.method}: {self.summary.tracked} of {self.summary.targets} targets"
         blocked = self.obstruction
         more = {"obstruction": blocked, "fixtures": drawn_of(self.job.cell)}
@@ -162,8 +164,8 @@ class Plan:
         return draw_plan(self.robot, self.workpiece, self.scenario, self.plans, title=title, **more)
 
     def record(self) -> dict[str, Any]:
-        """What summary.json holds: the summary, the failed target in words, versions, the whole configuration, and the
-        SHA-256 of the files that it names, which are absolute."""
+        """Return the contents of summary.json: the summary, a description of the failed target, versions, the complete
+        configuration, and the SHA-256 of the files that it names, whose paths are absolute."""
         known = {"method": self.job.method, "validated": None, **summary_record(self.summary)}
         known["motion"] = self.motion_summary.record()
         known["in_the_way"] = self.obstruction and self.obstruction.record()
@@ -173,7 +175,7 @@ class Plan:
 
     def write(self, folder: Path, *, retract: bool = False) -> None:
         """Write motion.csv, trajectory.csv, trajectory.npz, summary.json and plan.png into an existing folder. retract:
-        whether motion.csv leads back to home or the start, too."""
+        True appends the motion back to home or the start to motion.csv."""
         write_motion_csv(folder / "motion.csv", self.robot, self.motion(retract=retract))
         write_trajectory_csv(folder / "trajectory.csv", self.robot, self.plans)
         write_trajectory_npz(folder / "trajectory.npz", self.robot, self.plans)
@@ -181,8 +183,7 @@ class Plan:
         self.figure().savefig(folder / "plan.png")
 
     def save(self, folder: str | Path, *, retract: bool = False) -> None:
-        """Write the five files into `folder`, see `write`, all of them or none. Raises InputError where that cannot be
-        done."""
+        """Write the five files into `folder`, see `write`, all of them or none. Raises InputError if that fails."""
         with written_whole(Path(folder)) as scratch:
             self.write(scratch, retract=retract)
         forget_validation(Path(folder))
@@ -198,7 +199,7 @@ class Plan:
 
 
 def forget_validation(folder: Path) -> None:
-    """Remove what `htcp validate` said of the plan that was in the folder before."""
+    """Remove the `htcp validate` results of the plan that was in the folder before."""
     (folder / VALIDATION).unlink(missing_ok=True)
 
 
@@ -212,8 +213,8 @@ def plan(
 ) -> Plan:
     """Plan one job.
 
-    config: a YAML file, or a mapping that spells one, {"workpiece": {"rotation_y_rad": 0.5}}; None is the default job.
-    overrides: what differs from it, as on the command line, ["margin_m=0.001"], or as values, {"margin_m": 0.001,
+    config: a YAML file, or a mapping of its keys, {"workpiece": {"rotation_y_rad": 0.5}}; None is the default job.
+    overrides: changes to it, as on the command line, ["margin_m=0.001"], or as values, {"margin_m": 0.001,
     "workpiece.rotation_y_rad": 0.5}. method: see `methods`. progress: called as targets are tracked. device:
     see `device.devices`.
     Raises InputError for bad input and for a start in collision.
@@ -233,8 +234,8 @@ def plan(
 
 
 def methods() -> "pandas.DataFrame":
-    """The planners: their titles, and what each does. One of another package that cannot be imported is a UserWarning
-    that says why."""
+    """Return the planners with their titles and descriptions. A method of another package that cannot be imported
+    causes a UserWarning with the reason."""
     known = registry.all_methods().items()
     rows = [{"method": name, "title": method.title, "description": method.description} for name, method in known]
     return frame_of(pa.Table.from_pylist(rows)).set_index("method")

@@ -10,11 +10,11 @@ class InputError(ValueError):
 
 
 class Note(UserWarning):
-    """Something that was assumed, and that the user may want to know. The command line prints it in one line."""
+    """An assumption that the user may want to know. The command line prints it in one line."""
 
 
 class Interrupted(Exception):
-    """A signal ended the work. The message says what was kept; `code` is the command's exit code."""
+    """A signal ended the work. The message names what was kept; `code` is the command's exit code."""
 
     def __init__(self, message: str, signal: int):
         super().__init__(message)
@@ -22,7 +22,7 @@ class Interrupted(Exception):
 
 
 class Lost(Exception):
-    """The machines that did the work are gone. The message says what was kept."""
+    """The machines that did the work are gone. The message names what was kept."""
 
 
 def described(error: dict[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""GPU kernels of our own, for what XLA would make loops of: every turn of such a loop is some launches.
+"""GPU kernels in Pallas, in place of XLA loops, whose every iteration costs several launches.
 
 They are written in Pallas for its Triton backend; with `interpret` they run on any machine.
 """
@@ -17,12 +17,13 @@ HAS_KERNEL = triton is not None
 
 
 def has_gpu() -> bool:
-    """Whether there is one that runs such kernels."""
+    """True if JAX's default device is a GPU that runs these kernels."""
     return jax.default_backend() == "gpu" and HAS_KERNEL
 
 
 def kernel(program: Callable, out, programs: int, interpret: bool, warps: int = 1) -> Callable:
-    """A function of tables that so many programs fill other ones by, of the shapes `out`."""
+    """Return a function that maps arrays to arrays of the shapes `out`, computed by `programs` instances of
+    `program`."""
     return pl.pallas_call(
         program,
         out_shape=out,

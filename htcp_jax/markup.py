@@ -1,4 +1,4 @@
-"""Text that others wrote, names above all, for Markdown that shows it as it is."""
+"""Escape text from outside, names above all, so that Markdown shows it literally."""
 
 import re
 
@@ -8,10 +8,10 @@ UNPRINTABLE = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]") 
 
 
 def printable(text: str) -> str:
-    """The text without control characters and halves of surrogate pairs, which neither XML nor UTF-8 can hold."""
+    """Return the text without control characters and unpaired surrogates, which neither XML nor UTF-8 can hold."""
     return UNPRINTABLE.sub("\N{REPLACEMENT CHARACTER}", text)
 
 
 def escaped(text: str) -> str:
-    """The text for Markdown, on one line, that reads as it is."""
+    """Return the text on one line, escaped so that Markdown shows it literally."""
     return MARKS.sub(r"\\\g<0>", " ".join(printable(text).splitlines()))

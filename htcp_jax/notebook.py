@@ -1,4 +1,4 @@
-"""How things show themselves in a notebook: an object as a title and a short table of facts, a figure as a picture."""
+"""Notebook display: objects as a title and a short table of facts, figures as pictures."""
 
 import sys
 from collections.abc import Mapping
@@ -6,14 +6,14 @@ from html import escape
 
 
 def html_facts(title: str, facts: Mapping[str, str]) -> str:
-    """The facts as an HTML table, a row a fact."""
+    """Return the facts as an HTML table, one row per fact."""
     cell = '<td style="text-align: left; vertical-align: top">{}</td>'
     rows = "".join(f"<tr>{cell.format(escape(name))}{cell.format(escape(text))}</tr>" for name, text in facts.items())
     return f"<div><b>{escape(title)}</b><table><tbody>{rows}</tbody></table></div>"
 
 
 def show_figures() -> None:
-    """In a notebook, let a cell that returns a figure show it, as IPython does once pyplot is imported."""
+    """Let a notebook cell that returns a figure display it, as IPython does once pyplot is imported."""
     if "IPython" not in sys.modules:
         return
     from IPython import get_ipython

@@ -15,8 +15,8 @@ from htcp_jax.types import Array, Float, Joints, Scalar
 
 
 def of_shape(value: object, shape: tuple[int, ...], name: str) -> Float[Array, "..."]:
-    """`value`, an array or lists of numbers, as floats. Raises InputError where it has another shape: while a function
-    is traced, so it costs nothing when the function runs."""
+    """Return `value`, an array or lists of numbers, as floats. Raises InputError for another shape; the check runs
+    while a function is traced, so it costs nothing when the function runs."""
     array = jnp.asarray(value, float)
     if array.shape != shape:
         raise InputError(f"{name} has the shape {array.shape}, {shape} is needed; for many at once use jax.vmap")
@@ -24,7 +24,7 @@ def of_shape(value: object, shape: tuple[int, ...], name: str) -> Float[Array, "
 
 
 def safe_divide(a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "..."]:
-    """a / b, and 0 where b is 0. The inner `where` keeps the NaN out of the gradient too."""
+    """Return a / b, and 0 where b is 0. The inner `where` keeps the NaN out of the gradient too."""
     zero = b == 0
     return jnp.where(zero, 0.0, a / jnp.where(zero, 1.0, b))
 
@@ -55,7 +55,7 @@ def capsule_point_distance(
 
     To the closest point of the segment: Ericson, Real-Time Collision Detection, section 5.1.2.
     A sphere has p == q. The gradient is defined everywhere: 0 for a point on the capsule's own axis, and where
-    p == q that of the sphere about p. Raises InputError for what is no point or points in its last axis.
+    p == q that of the sphere about p. Raises InputError for a last axis other than 3.
 
     ```python
     >>> import jax
@@ -79,7 +79,7 @@ def capsule_point_distance(
 def axis_contact(
     p: Float[Array, "K 3"], q: Float[Array, "K 3"], point: Float[Array, "K 3"]
 ) -> tuple[Float[Array, "K 3"], Float[Array, "K 3"]]:
-    """Return where the segments p q are closest to their points [m], and the unit vectors from the points to there."""
+    """Return the points of the segments p q nearest to `point` [m], and the unit vectors from `point` to them."""
     nearest = p + segment_parameter(p, q, point)[:, None] * (q - p)
     arm = nearest - point
     return nearest, safe_divide(arm, jnp.broadcast_to(safe_norm(arm)[:, None], arm.shape))
@@ -129,10 +129,11 @@ def value_and_jacobian(function: Callable, x: Float[Array, "N"]) -> tuple[Float[
 
 @jax.jit
 def product(a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "..."]:
-    """a @ b for small matrices and vectors, batched over leading axes like `jnp.matmul`, as a plain sum of products.
+    """Return a @ b for small matrices and vectors, batched over leading axes like `jnp.matmul`, as a plain sum of
+    products.
 
-    A matrix product proper may be a call into a library, on a GPU with a launch of its own; this becomes part of what
-    is around it. Traced once for every shape.
+    `jnp.matmul` may call a library, on a GPU with a launch of its own; this is fused into the surrounding code. Traced
+    once for every shape.
     """
     left, right = a.ndim == 1, b.ndim == 1
     a, b = a[None, :] if left else a, b[:, None] if right else b
@@ -143,7 +144,7 @@ def product(a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "...
 
 @partial(jax.jit, static_argnames="floor")
 def solve_spd(a: Float[Array, "n n"], b: Float[Array, "n"], floor: float = 1e-300) -> Float[Array, "n"]:
-    """Solution of a x = b for a small symmetric positive definite a, by an unrolled Cholesky factorisation.
+    """Solve a x = b for a small symmetric positive definite a, by an unrolled Cholesky factorisation.
 
     Batched LAPACK calls cost microseconds per 3 x 3 system under vmap; the unrolled form fuses. A pivot below
     `floor` is lifted to it, so that a singular matrix gives a large, finite answer and not NaN.
@@ -152,7 +153,7 @@ def solve_spd(a: Float[Array, "n n"], b: Float[Array, "n"], floor: float = 1e-30
 
 
 def solve_spd_scalars(a, b, floor: float) -> list[Scalar]:
-    """`solve_spd` of whatever a[i, j], of which j <= i is read, and b[i] are scalars."""
+    """Solve as `solve_spd` does, for any a[i, j] (only j <= i is read) and b[i] that are scalars."""
     n = len(b)
     factor = [[None] * n for _ in range(n)]
     for j in range(n):
@@ -172,7 +173,8 @@ def solve_spd_scalars(a, b, floor: float) -> list[Scalar]:
 
 
 def fold_keys(key: jax.Array, *data) -> jax.Array:
-    """The random key of one (scenario, target, ...): folded one by one, so it depends on nothing else."""
+    """Return the random key of one (scenario, target, ...): the numbers are folded in one by one, so it depends on
+    nothing else."""
     values = jnp.stack([jnp.asarray(value).astype(jnp.uint32) for value in data])
     # One loop in place of a program for each, but on a GPU, where every turn is a launch.
     unroll = 1 if jax.default_backend() == "cpu" else len(data)
@@ -180,11 +182,11 @@ def fold_keys(key: jax.Array, *data) -> jax.Array:
 
 
 def one_by_one(function: Callable) -> Callable:
-    """`function(shared, *arguments)`, a search whose effort differs from lane to lane, with a batching rule of its own:
-    under vmap over the arguments, lanes go one after the other on a CPU, side by side on anything else.
+    """Return `function(shared, *arguments)`, a search whose effort differs from lane to lane, with its own batching
+    rule: under vmap over the arguments, lanes run one after the other on a CPU and in parallel on other devices.
 
     Under a plain vmap every lane waits for the slowest one, and a branch not taken is computed all the same; a CPU,
-    which gains nothing from vectorising over lanes here, would only lose.
+    which gains nothing from vectorising over lanes here, would be slower.
     """
     alone = custom_vmap(function)
 
@@ -210,8 +212,8 @@ def null_basis(task_jacobian: Float[Array, "M N"]) -> Float[Array, "N D"]:
     """Orthonormal basis of the null space (10) of a task Jacobian of full rank M; D = N - M columns, none where D = 0.
 
     (The paper prints its shape as M x (N - M); N x (N - M) is meant.) Gram-Schmidt on the rows, then on the unit
-    vectors, each time the one that sticks out furthest (the first of equals), positive along it: unlike a singular
-    value decomposition, sign and rotation are the same on every machine. Raises InputError for what is no matrix.
+    vectors, each time the one furthest from the span (the first of equals), positive along it: unlike a singular
+    value decomposition, sign and rotation are the same on every machine. Raises InputError unless it is a matrix.
     """
     task_jacobian = jnp.asarray(task_jacobian)
     if task_jacobian.ndim != 2:
@@ -222,7 +224,7 @@ def null_basis(task_jacobian: Float[Array, "M N"]) -> Float[Array, "N D"]:
         v = _without(found, task_jacobian[row])
         found.append(v / jnp.maximum(safe_norm(v), 1e-12))
     for _ in range(n - m):
-        # How far a unit vector sticks out of the span of those found: the rest of its square.
+        # Squared distance of each unit vector from the span of those found.
         furthest = jnp.argmax(1.0 - sum(u * u for u in found))
         v = _without(found, jnp.where(jnp.arange(n) == furthest, 1.0, 0.0))
         found.append(v / safe_norm(v))
@@ -230,7 +232,7 @@ def null_basis(task_jacobian: Float[Array, "M N"]) -> Float[Array, "N D"]:
 
 
 def _without(found: list[Joints], v: Joints) -> Joints:
-    """v less its components along the unit vectors found; twice, because once leaves rounding behind."""
+    """Return v less its components along the unit vectors found; twice, because once leaves rounding errors."""
     for _ in range(2):
         for u in found:
             v = v - product(v, u) * u

@@ -1,11 +1,11 @@
 """The end of a command's process: its exit code at once, one line after a signal, and no unfinished file.
 
 Python runs signal handlers in the main thread alone, and not while that is inside compiled code: XLA compiles for many
-seconds. So the first SIGINT or SIGTERM raises KeyboardInterrupt in the main thread, and a thread of its own, which is
-woken by the signal itself, ends the process if that has not come to an end `GRACE_S` later, or at a second signal.
+seconds. So the first SIGINT or SIGTERM raises KeyboardInterrupt in the main thread, and a separate thread, which the
+signal itself wakes, ends the process if it still runs `GRACE_S` later, or at a second signal.
 
-For the command line alone: in a notebook or a test, nothing here is called but what changes nothing. Imports the
-standard library alone, as handlers are to be there before JAX is imported.
+For the command line only: in a notebook or a test, only functions without side effects are called. Imports only the
+standard library, as handlers must be installed before JAX is imported.
 """
 
 import atexit
@@ -27,9 +27,9 @@ try:
 except ImportError:  # no POSIX system
     resource = None
 
-GRACE_S = 3.0  # to end by itself after a signal, and for functions that are called at the end
+GRACE_S = 3.0  # for the main thread after a signal, and for exit functions
 ECHO_S = 0.5  # so soon after the first signal the next is the same one: `timeout` sends it to a process and its group
-PART = ".part-"  # how names of files that are being written begin
+PART = ".part-"  # prefix of files that are being written
 LEAST_BYTES = 3 * 2**29  # of address space: no plan needs less, and with less, libraries abort the process
 FAILED, SIGNALLED = 1, 128
 HANDLED = signal.SIGINT, signal.SIGTERM
@@ -47,8 +47,8 @@ def is_watched() -> bool:
 
 @contextlib.contextmanager
 def stop_message(message: Callable[[], str]) -> Iterator[None]:
-    """Have `message` called if the process is ended within the block: it removes what is unfinished and returns the
-    line to print. The outermost block counts."""
+    """Call `message` if the process is ended within the block: it removes unfinished files and returns the line to
+    print. The outermost block counts."""
     _messages.append(message)
     try:
         yield
@@ -58,8 +58,8 @@ def stop_message(message: Callable[[], str]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def signals_blocked() -> Iterator[None]:
-    """A block whose new processes ignore SIGINT and SIGTERM from the first moment: a terminal and `timeout` send them
-    to all, and the parent handles them. Those of this process go to another thread."""
+    """Make processes started within the block ignore SIGINT and SIGTERM from the first moment: a terminal and `timeout`
+    send them to all, and the parent handles them. Signals to this process go to another thread."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -103,7 +103,7 @@ def _code_of(command: Callable[[], int], process: "_Process") -> int:
 
 
 class _Process:
-    """This process, its signals, and what it has made."""
+    """This process, its signals, and the files and folders that it has made."""
 
     def __init__(self):
         self.number = 0  # of the first signal
@@ -113,7 +113,7 @@ class _Process:
         self.folders: list[str] = []
 
     def watch(self) -> None:
-        """Handle signals from here on, but those that are ignored, as of a script's background."""
+        """Handle signals from now on, except ignored ones, such as those of a script's background job."""
         _watched.append(self)
         reading, writing = os.pipe()
         os.set_blocking(writing, False)
@@ -125,7 +125,7 @@ class _Process:
         sys.addaudithook(self._note)
         sys.unraisablehook = self._unless_signalled(sys.unraisablehook)
         threading.excepthook = self._unless_signalled(threading.excepthook)
-        # Of multiprocessing's resource tracker, which tidies up when this process is gone and says so.
+        # Silences multiprocessing's resource tracker, which cleans up after this process with a warning.
         os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker:UserWarning")
 
     def _raise(self, number: int, frame: FrameType | None) -> None:
@@ -138,7 +138,7 @@ class _Process:
         raise KeyboardInterrupt
 
     def _unless_signalled(self, hook: Callable) -> Callable:
-        """What a signal breaks off in a destructor, a callback or a thread is no error."""
+        """Return the hook, silenced after a signal: errors in destructors, callbacks and threads are then expected."""
         return lambda error: None if self.number else hook(error)
 
     def _note(self, event: str, args: tuple) -> None:
@@ -163,7 +163,7 @@ class _Process:
         self._end()
 
     def _end(self) -> NoReturn:
-        """End the process, whatever its main thread is at."""
+        """End the process, whatever its main thread is doing."""
         self._ends.acquire()  # for good: the first thread here ends all
         line = INTERRUPTED
         with contextlib.suppress(Exception):
@@ -173,7 +173,7 @@ class _Process:
         self._exit(SIGNALLED)
 
     def leave(self, code: int) -> NoReturn:
-        """End the process as the interpreter would, without what follows: threads in compiled code that want the
+        """End the process as the interpreter would, but without its last steps: threads in compiled code that need the
         interpreter then abort it."""
         self.leaving = True
         last = threading.Timer(GRACE_S, self._exit, [code])
@@ -188,7 +188,7 @@ class _Process:
         self._exit(code)
 
     def _exit(self, code: int) -> NoReturn:
-        """End at once; what is in a buffer is lost, as the main thread may hold it."""
+        """End at once; buffered output is lost, as the main thread may hold the buffer."""
         if self.number and code:
             code = SIGNALLED + self.number
         _kill_children()
@@ -203,21 +203,21 @@ class _Process:
 
 
 def _print(line: str) -> None:
-    """One line on stderr, past its buffer. On a terminal it replaces a progress bar, which hides the cursor."""
+    """Write one line to stderr, past its buffer. On a terminal it replaces a progress bar, which hides the cursor."""
     begin = "\r\x1b[2K\x1b[?25h" if os.isatty(2) else ""
     with contextlib.suppress(OSError):
         os.write(2, f"{begin}htcp: {line}\n".encode(errors="replace"))
 
 
 def _imports(frame: FrameType | None) -> bool:
-    """True within an import."""
+    """Return True if the frame is within an import."""
     while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
         frame = frame.f_back
     return frame is not None
 
 
 def _kill_children() -> None:
-    """End all child processes but resource trackers, which end with this one and remove what it had shared."""
+    """End all child processes but resource trackers, which end with this one and remove its shared resources."""
     for file in Path("/proc/self/task").glob("*/children"):
         with contextlib.suppress(OSError):
             for child in file.read_text().split():
@@ -231,7 +231,7 @@ def _address_space() -> float:
 
 
 def _of_memory(error: BaseException) -> str | None:
-    """What an error says of memory; None for any other error."""
+    """Return the text of an out-of-memory error; None for any other error."""
     words = str(error)
     signs = "RESOURCE_EXHAUSTED", "bad_alloc", "llocate memory", "t start new thread", "failed to map segment"
     is_one = isinstance(error, MemoryError) or any(sign in words for sign in signs)

@@ -10,7 +10,8 @@ import jax
 
 
 def register_pytree(cls: type) -> type:
-    """Class decorator, above `@dataclass(frozen=True)`. Fields with metadata {"static": True} are not leaves."""
+    """Register a dataclass as a pytree: a class decorator above `@dataclass(frozen=True)`. Fields with metadata
+    {"static": True} are not leaves."""
     fields = dataclasses.fields(cls)
     leaves = [f.name for f in fields if not f.metadata.get("static")]
     static = [f.name for f in fields if f.metadata.get("static")]

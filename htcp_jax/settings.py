@@ -1,4 +1,4 @@
-"""Every number and choice of the method. The scene (robot, workpiece, start, margin) is not here.
+"""Numbers and choices of the method. The scene (robot, workpiece, start, margin) is not here.
 
 The defaults are what works best; `configs/paper.yaml` holds the paper's choices.
 """
@@ -19,7 +19,7 @@ def _could_be_a_solver(name: str) -> str:
     return name
 
 
-# Beyond these a value is a slip of the pen or of the unit: a target "reached" within a kilometre, a step of many turns.
+# Values beyond these are typing or unit errors: a target "reached" within a kilometre, a step of many turns.
 SMALLEST = 1e-15  # of numbers that divide or that steps are made of
 Weight = Annotated[float, Field(ge=SMALLEST, le=1e6)]
 Distance = Annotated[float, Field(ge=0, le=1)]  # [m]
@@ -40,13 +40,13 @@ class Settings:
     """
 
     # Step QP, equation (9)
-    q_weights: tuple[Weight, ...] = (5.0, 5.0, 2.0, 1.0, 5.0, 10.0)  # diagonal of Q, one weight a joint
+    q_weights: tuple[Weight, ...] = (5.0, 5.0, 2.0, 1.0, 5.0, 10.0)  # diagonal of Q, one weight per joint
     cost_about: Literal["reference", "previous"] = "reference"  # J1 about x_ref (9) or about x_{t-1} (4)
-    clearance_rows: Literal["per-body", "smallest"] = "per-body"  # a row a body (8), or that of the smallest D (9)
-    aim_above_m: Distance = 5e-4  # how far above the margin that must be kept the step QP's clearance rows aim
+    clearance_rows: Literal["per-body", "smallest"] = "per-body"  # one row per body (8), or only the smallest D's (9)
+    aim_above_m: Distance = 5e-4  # distance above the required margin at which the step QP's clearance rows aim
     max_step_qps: Steps = 20  # step QPs at one target before it counts as stuck
     tolerance_m: Tolerance = 1e-3  # a target is reached at this TCP error or less; also xi of the re-anchoring
-    tolerance_rad: Annotated[float, Field(ge=SMALLEST, le=0.2)] = 2e-3  # and of angles that the task holds
+    tolerance_rad: Annotated[float, Field(ge=SMALLEST, le=0.2)] = 2e-3  # and for the angles that the task constrains
     qp: Solver = "clarabel"  # solver: clarabel, device, or qpsolvers:<name>
     qp_tolerance: Annotated[float, Field(ge=SMALLEST, le=0.01)] = (
         1e-8  # of Clarabel's residuals and gap, no unit; at margin 0 it decides what gets stuck
@@ -56,16 +56,16 @@ class Settings:
     alpha_rad: Angle = 0.1  # length of a null-space step, alpha in (11c)
     j1_weight: Annotated[float, Field(ge=0, le=1e6)] = 0.0  # of J1 in J2 = -D + J1, (5a) and (11a); the paper's is 1
     max_null_space_steps: Steps = 20  # null-space steps of one escape
-    include_proximal_bodies: bool = True  # whether J2 sees the capsules far from the workpiece
+    include_proximal_bodies: bool = True  # True: J2 includes the capsules far from the workpiece
     # Where the optimisers start on the sphere; random_for_cmaes: CMA-ES alone at random, as in configs/paper.yaml
     first_direction: Literal["best_of_64", "random", "random_for_cmaes"] = "best_of_64"
     after_escape: Literal["accept", "track"] = "accept"  # Algorithm 1 accepts; the prose tracks again
 
     # Between consecutive configurations
-    path_check: Literal["none", "escapes", "all"] = "all"  # which of them must be clear
+    path_check: Literal["none", "escapes", "all"] = "all"  # segments that must be clear
     path_test: Literal["bisection", "samples"] = "bisection"  # by proof, or at the ends of `path_steps` equal steps
     path_steps: Steps = 20
-    path_tolerance_m: Tolerance | None = None  # how far the TCP may leave the line between targets; None: the tolerance
+    path_tolerance_m: Tolerance | None = None  # allowed TCP distance from the line between targets; None: the tolerance
 
     # Sampling escapes
     samples: Count = 50  # configurations or directions tried at one stuck target
@@ -82,33 +82,33 @@ class Settings:
     keep_clear_steps: Count = 5
 
     # Roadmap
-    front: Count = 64  # most postures kept at one target
-    thin_front: Count = 16  # with fewer, the front is spread by walks
-    front_apart_rad: Angle = 0.12  # closer postures are one
-    front_aim_m: Distance = 5e-3  # how far above the margin a posture is brought, where it can be
-    walks: Count = 32  # of one round
-    walk_steps: Steps = 12  # the most of one walk
+    front: Count = 64  # beam width: most configurations kept at one target
+    thin_front: Count = 16  # with fewer, the beam is widened by self-motions
+    front_apart_rad: Angle = 0.12  # closer configurations count as one
+    front_aim_m: Distance = 5e-3  # distance above the margin to which a configuration is moved, if possible
+    walks: Count = 32  # self-motions in one round
+    walk_steps: Steps = 12  # most steps of one self-motion
     walk_step_rad: Angle = 0.1  # length of each of them
-    walk_rounds: Count = 12  # at a target from which nothing leads on
-    transfers: bool = False  # whether the arm may change its posture before the path, where that leads further
+    walk_rounds: Count = 12  # at a target without a successor
+    transfers: bool = False  # True: the arm may change its configuration before the path, if that leads further
 
     # The whole path, equation (3)
-    smooth: bool | None = None  # whether motions are smoothed; None: where the method asks for it, as roadmap does
-    path_weights: tuple[Weight, ...] | None = None  # of the joints in equation (3); None: 1 each, as in the paper
+    smooth: bool | None = None  # True: motions are smoothed; None: if the method requires it, as roadmap does
+    path_weights: tuple[Weight, ...] | None = None  # joint weights in equation (3); None: 1 each, as in the paper
 
-    # Joining two postures in free space: transfers, approaches
-    search_rounds: Count = 1000  # of draws, before a pair of postures counts as not joined
+    # Connecting two configurations in free space: transfers, approaches
+    search_rounds: Count = 1000  # sampling rounds before a pair of configurations counts as not connected
     search_step_rad: Angle = 0.3  # longest step that is proven at a time
-    search_shortcuts: Rounds = 8  # rounds of them
+    search_shortcuts: Rounds = 8  # rounds of shortcuts
 
     # Hybrid
-    restart_rounds: Rounds = 9  # rounds of draws for a posture at a lost target that leads back to the first
+    restart_rounds: Rounds = 9  # sampling rounds for a configuration at a lost target that leads back to the first
 
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # every scenario's random key is folded from it
 
     @property
     def tube_m(self) -> float:
-        """How far the TCP of a motion may be from the line between two targets [m]."""
+        """Allowed distance of a motion's TCP from the line between two targets [m]."""
         return self.tolerance_m if self.path_tolerance_m is None else self.path_tolerance_m
 
     def __post_init__(self):
@@ -119,7 +119,8 @@ _RANGES = TypeAdapter(create_model("_Ranges", **{one.name: (one.type, ...) for o
 
 
 def settings_of(values: Settings | Mapping[str, Any] | None) -> Settings:
-    """Settings as they are; of a mapping, {"alpha_rad": 0.05}, the defaults with these values; of None, the defaults.
+    """Return the settings as they are; for a mapping, {"alpha_rad": 0.05}, the defaults with these values; for None,
+    the defaults.
 
     Raises InputError for an unknown name and for a value of the wrong type or outside its range.
     """

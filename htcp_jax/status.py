@@ -1,11 +1,11 @@
-"""What became of one target of one scenario. A failure is data: it has a number, a name and a sentence."""
+"""Results for targets, segments and motions. A failure is data: it has a number, a name and a message."""
 
 import enum
 
 
 class Status(enum.IntEnum):
-    """The answer for one target; stored as int8. The first target of a scenario that is not tracked ends it,
-    and all later ones are NOT_ATTEMPTED."""
+    """Result for one target; stored as int8. The first target of a scenario that is not tracked ends it, and all later
+    ones are NOT_ATTEMPTED."""
 
     TRACKED = 0
     TRACKED_AFTER_ESCAPE = 1
@@ -25,7 +25,7 @@ class Status(enum.IntEnum):
 
     @property
     def tracked(self) -> bool:
-        """Whether the target was reached within the tolerance, with the clearance that was asked for."""
+        """True if the target was reached within the tolerance, with the required clearance."""
         return self <= Status.TRACKED_AFTER_ESCAPE
 
     @property
@@ -35,16 +35,16 @@ class Status(enum.IntEnum):
 
     @property
     def ended(self) -> str:
-        """What ended the search at a target at which no body collides, in a few words."""
+        """Short reason why the search ended at a target at which no body collides."""
         return _ENDED.get(self, self.words)
 
     @property
     def message(self) -> str:
-        """One sentence for a person."""
+        """Description in one sentence."""
         return _MESSAGES[self]
 
 
-# Ends of scenarios of which nothing was tried.
+# Results of scenarios that were not planned.
 AT_HOME = Status.HOME_IN_COLLISION, Status.HOME_NOT_JOINED, Status.NO_START
 NOT_TRIED = Status.START_IN_COLLISION, Status.OUT_OF_REACH, *AT_HOME
 
@@ -75,7 +75,7 @@ _MESSAGES = {
 
 
 class Way(enum.IntEnum):
-    """What is known of the way from one row of a plan to the next, as a motion; stored as int8."""
+    """Verification result for the motion segment from one row of a plan to the next; stored as int8."""
 
     UNKNOWN = -1
     PROVEN = 0
@@ -87,12 +87,12 @@ class Way(enum.IntEnum):
 
     @property
     def words(self) -> str:
-        """The name of the result in tables."""
+        """Name of the result in tables."""
         return _WAY_WORDS[self]
 
     @property
     def message(self) -> str:
-        """One sentence for a person."""
+        """Description in one sentence."""
         return _WAYS[self]
 
 
@@ -117,13 +117,13 @@ _WAYS = {
 
 
 class Kind(enum.IntEnum):
-    """What the arm does on its way to one posture of a motion."""
+    """Kind of motion that leads to one configuration of a motion."""
 
-    TRANSFER = 0  # it goes from home, or from the start, to another posture, in which the plan begins
-    APPROACH = 1  # it goes to the path's first point
-    FEED = 2  # the tool goes on along the path
-    DWELL = 3  # the tool stays at a target while the arm changes its posture
-    RETRACT = 4  # it goes back, the way it came
+    TRANSFER = 0  # from home, or from the start, to the configuration in which the plan begins
+    APPROACH = 1  # to the path's first point
+    FEED = 2  # along the path
+    DWELL = 3  # the tool stays at a target while the arm changes its configuration
+    RETRACT = 4  # back along the same motion
 
     @property
     def words(self) -> str:
@@ -132,5 +132,5 @@ class Kind(enum.IntEnum):
 
 
 def words(status: Status) -> str:
-    """The name of a status as text."""
+    """Return a status's name as text."""
     return status.name.replace("_", " ").lower().replace("qp", "QP")

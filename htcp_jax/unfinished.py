@@ -1,4 +1,4 @@
-"""Files and folders that are unfinished: locked by their owner, and removed once its process is gone.
+"""Unfinished files and folders: locked by their owner, and removed once its process is gone.
 
 Their names begin with PART, or with SCRATCH in the folder for temporary files. Their owner holds a lock on each, so
 that `clear` removes those of killed processes alone.
@@ -24,8 +24,8 @@ NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 
 @contextlib.contextmanager
 def temporary_folder(folder: Path | None = None) -> Iterator[Path]:
-    """A new folder, in `folder` or in the one for temporary files, which vanishes at the end of the block; before that,
-    those of killed processes do. Raises OSError if it cannot be made."""
+    """Yield a new folder, in `folder` or in the one for temporary files, and remove it at the end of the block;
+    leftovers of killed processes are removed first. Raises OSError if it cannot be made."""
     place, prefix = (tempfile.gettempdir(), SCRATCH) if folder is None else (folder, PART)
     clear(Path(place), prefix)
     made = Path(tempfile.mkdtemp(prefix=prefix, dir=place))
@@ -50,15 +50,15 @@ def _held_folder(folder: Path) -> Iterator[None]:
 
 
 def hold(handle: int) -> None:
-    """Lock a file that is being written, where the file system can."""
+    """Lock a file that is being written, if the file system supports locks."""
     if fcntl is not None:
         with contextlib.suppress(OSError):
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def clear(folder: Path, prefix: str = PART) -> None:
-    """Remove what killed processes of this user left in a folder: files and folders whose names begin with `prefix`
-    and that no process holds."""
+    """Remove what killed processes of this user left in a folder: files and folders whose names begin with `prefix` and
+    that no process has locked."""
     with contextlib.suppress(OSError):
         for left in [each for each in os.scandir(folder) if each.name.startswith(prefix)]:
             with contextlib.suppress(OSError):
@@ -66,7 +66,7 @@ def clear(folder: Path, prefix: str = PART) -> None:
 
 
 def clear_all(folder: Path) -> None:
-    """Clear a folder and the folders inside it, not those that are links."""
+    """Clear a folder and the folders inside it, except links."""
     for each in [folder, *(each for each in folder.iterdir() if each.is_dir() and not each.is_symlink())]:
         clear(each)
 

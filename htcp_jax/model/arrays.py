@@ -1,4 +1,4 @@
-"""Numbers that were given or read, as arrays that are checked."""
+"""Conversion of given or read numbers to checked arrays."""
 
 import numpy as np
 from jaxtyping import Float
@@ -9,7 +9,8 @@ LARGEST_COORDINATE = 1e9  # [m]
 
 
 def points(value: object, source: str, at_least: int) -> Float[np.ndarray, "P 3"]:
-    """The value as points [m]. Raises InputError, naming `source`, for another shape and as `check_points` does."""
+    """Return the value as points [m]. Raises InputError, naming `source`, for another shape and as `check_points`
+    does."""
     found = _numbers(value, source)
     if found.ndim != 2 or found.shape[1] != 3:
         raise InputError(f"{source}: shape {found.shape}, (points, 3) is needed")
@@ -18,7 +19,7 @@ def points(value: object, source: str, at_least: int) -> Float[np.ndarray, "P 3"
 
 
 def triple(value: object, source: str) -> Float[np.ndarray, "3"]:
-    """The value as three numbers [m]. Raises InputError, naming `source`, for another shape and for NaN."""
+    """Return the value as three numbers [m]. Raises InputError, naming `source`, for another shape and for NaN."""
     found = _numbers(value, source)
     if found.shape != (3,) or not np.isfinite(found).all():
         raise InputError(f"{source} is {value!r}; three finite numbers [m] are needed")
@@ -26,7 +27,7 @@ def triple(value: object, source: str) -> Float[np.ndarray, "3"]:
 
 
 def check_points(points: Float[np.ndarray, "P 3"], source: str, at_least: int) -> None:
-    """Raise InputError unless there are `at_least` points, all finite and none absurdly far."""
+    """Raise InputError unless there are `at_least` points, all finite and within LARGEST_COORDINATE [m]."""
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:
         raise InputError(f"{source}: row {bad[0] + 1} holds NaN or an infinite number ({bad.size} such rows)")

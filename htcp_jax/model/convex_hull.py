@@ -14,13 +14,13 @@ class Hull(NamedTuple):
 
     normal: Float[np.ndarray, "F 3"]
     offset: Float[np.ndarray, "F"]
-    vertices: Float[np.ndarray, "V 3"]  # of the exact hull, whatever the tolerance
+    vertices: Float[np.ndarray, "V 3"]  # of the exact hull, for any tolerance
 
 
 def convex_hull(points: Float[np.ndarray, "P 3"], tolerance_m: float, source: str) -> Hull:
-    """The hull of P points [m]: exact at tolerance 0, else with fewer facets.
+    """Return the hull of P points [m]: exact at tolerance 0, else with fewer facets.
 
-    With a tolerance the half-spaces still hold every point and each touches one; they reach farther out than
+    With a tolerance the half-spaces still hold every point and each touches one; they extend beyond
     the exact hull by about the tolerance at most. A smooth convex surface needs that: nearly all points on
     it are vertices, and each vertex costs two facets.
 
@@ -42,6 +42,6 @@ def convex_hull(points: Float[np.ndarray, "P 3"], tolerance_m: float, source: st
 
 
 def _distinct(equations: Float[np.ndarray, "E 4"]) -> Float[np.ndarray, "F 4"]:
-    """Each plane once: Qhull cuts a flat facet into triangles that share its equation."""
+    """Return each plane once: Qhull cuts a flat facet into triangles that share its equation."""
     _, first = np.unique(equations.round(9), axis=0, return_index=True)
     return equations[np.sort(first)]

@@ -50,7 +50,7 @@ _sections = PchipInterpolator(STATIONS[:, 0], STATIONS[:, 1:], extrapolate=False
 
 
 class Section(NamedTuple):
-    """The figures of the sections at P positions along x; lengths in m. NaN outside the duct's length."""
+    """Parameters of the sections at P positions along x; lengths in m. NaN outside the duct's length."""
 
     a: Float[np.ndarray, "P"]
     zc: Float[np.ndarray, "P"]
@@ -60,18 +60,18 @@ class Section(NamedTuple):
     n_below: Float[np.ndarray, "P"]
 
     def half(self, above) -> tuple[Float[np.ndarray, "P"], Float[np.ndarray, "P"]]:
-        """b and n of the half that each point lies in; `above` holds P booleans."""
+        """Return b and n of the half that each point lies in; `above` holds P booleans."""
         return np.where(above, self.b_above, self.b_below), np.where(above, self.n_above, self.n_below)
 
 
 def section(x: Float[np.ndarray, "P"]) -> Section:
-    """The duct's sections at `x` [m]."""
+    """Return the duct's sections at `x` [m]."""
     return Section(*np.moveaxis(_sections(x), -1, 0))
 
 
 def section_value(points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P"]:
-    """|y/a|^n + |(z - zc)/b|^n - 1 of P points [m]: 0 on the surface, negative in the bore, NaN before the
-    inlet and behind the outlet. It is no distance."""
+    """Return |y/a|^n + |(z - zc)/b|^n - 1 at P points [m]: 0 on the surface, negative in the bore, NaN before the inlet
+    and behind the outlet. It is not a distance."""
     x, y, z = points.T
     at = section(x)
     b, n = at.half(z >= at.zc)
@@ -79,7 +79,7 @@ def section_value(points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P"]:
 
 
 def surface(x: Float[np.ndarray, "P"], angle: Float[np.ndarray, "P"]) -> Float[np.ndarray, "P 3"]:
-    """Surface points [m] at `x` [m] and `angle` [rad].
+    """Return surface points [m] at `x` [m] and `angle` [rad].
 
     The angle is the polar one of the section scaled to unit half axes. It spaces points evenly even where
     n = 6; the usual superellipse angle leaves gaps there.
@@ -91,7 +91,7 @@ def surface(x: Float[np.ndarray, "P"], angle: Float[np.ndarray, "P"]) -> Float[n
 
 
 def duct_cloud(points: int = POINTS, seed: int = 0) -> Float[np.ndarray, "{points} 3"]:
-    """`points` points [m] uniform by area on the duct's surface. Same seed, same bytes.
+    """Return `points` points [m], uniform by area on the duct's surface. Same seed, same bytes.
 
     A cell of a fine grid is drawn by its area, then a place in the cell: cells of 2 mm are nearly flat, so
     what is uniform in a cell is uniform on the surface.
@@ -112,8 +112,8 @@ def duct_cloud(points: int = POINTS, seed: int = 0) -> Float[np.ndarray, "{point
 
 
 def weld(points: int = WELD_POINTS) -> Float[np.ndarray, "{points} 3"]:
-    """The weld on the duct's wall, from the inlet inwards: `points` points [m], equally spaced by arc length
-    along the cubic spline through the knots."""
+    """Return the weld on the duct's wall, from the inlet inwards: `points` points [m], equally spaced by arc length
+    along the cubic spline through WELD_KNOTS."""
     chord = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(WELD_KNOTS, axis=0), axis=1)))
     return equal_steps(CubicSpline(chord, WELD_KNOTS), chord[-1], points)
 
@@ -121,8 +121,8 @@ def weld(points: int = WELD_POINTS) -> Float[np.ndarray, "{points} 3"]:
 def equal_steps(
     curve: Callable[[Float[np.ndarray, "n"]], Float[np.ndarray, "n 3"]], end: float, points: int, closed: bool = False
 ) -> Float[np.ndarray, "{points} 3"]:
-    """Points on a curve, whose parameter runs from 0 to `end`, equally spaced by arc length; where it is closed, the
-    last is one step short of the first."""
+    """Return points on a curve, whose parameter runs from 0 to `end`, equally spaced by arc length; on a closed curve
+    the last is one step short of the first."""
     fine = np.linspace(0.0, end, 20_001)
     length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(curve(fine), axis=0), axis=1)))
     return curve(np.interp(np.linspace(0.0, length[-1], points, endpoint=not closed), length, fine))

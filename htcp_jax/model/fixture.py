@@ -1,4 +1,4 @@
-"""A shape that stands in a cell."""
+"""Shapes fixed in the work cell."""
 
 from typing import NamedTuple
 
@@ -9,8 +9,8 @@ from scipy.spatial import ConvexHull, QhullError
 from htcp_jax.model.mesh_points import area
 
 KINDS = "plane", "box", "sphere", "capsule", "cylinder", "mesh"
-CONVEX = 1e-6  # of its hull's size, that a convex mesh may lack
-MOST_FACES = 400  # of a mesh that is measured as a convex solid; more are points
+CONVEX = 1e-6  # tolerance of the convexity test, relative to the hull's size
+MOST_FACES = 400  # most faces of a mesh treated as a convex solid; larger ones are sampled
 
 
 class Fixture(NamedTuple):
@@ -18,13 +18,13 @@ class Fixture(NamedTuple):
 
     name: str
     kind: str  # one of KINDS
-    T_world: Float[np.ndarray, "4 4"]  # MuJoCo's frame of it; of a mesh the world's
+    T_world: Float[np.ndarray, "4 4"]  # MuJoCo's frame; for a mesh the world's
     size: Float[np.ndarray, "3"]  # MuJoCo's [m]
     triangles: Float[np.ndarray, "F 3 3"]  # of a mesh, world [m]
 
     @property
     def surface(self) -> Float[np.ndarray, "F 3 3"]:
-        """Triangles to draw it by, world [m]; none of a plane."""
+        """Triangles for pictures, world [m]; none for a plane."""
         import trimesh  # here, because it takes a while to load, and only pictures need it
 
         make, size = trimesh.creation, self.size
@@ -43,7 +43,8 @@ class Fixture(NamedTuple):
 
     @property
     def convex(self) -> bool:
-        """Whether a mesh is closed and convex, of a few faces: its triangles lie on its hull, and have its area."""
+        """True if a mesh is closed and convex and has few faces: its triangles lie on its hull and have the hull's
+        area."""
         if len(self.triangles) > MOST_FACES:
             return False
         try:

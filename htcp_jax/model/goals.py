@@ -1,7 +1,7 @@
-"""From the rows that a person writes to the planner's: a task for a robot, and what it asks for at every target.
+"""Convert the rows of a task list to the planner's: a task for a robot, and its goals at every target.
 
-Before the path's first point the rows are eased: what they ask for goes evenly from what the start has to what the
-first point asks for, as the tool's place does. So the start is always on its target.
+Before the path's first point the goals are interpolated evenly from the start's values to those of the first point, as
+the tool's position is. So the start always satisfies its goal.
 """
 
 from collections.abc import Sequence
@@ -23,14 +23,14 @@ from htcp_jax.model.task_list import TaskRow
 from htcp_jax.model.task_rows import AIM_RAD, AxisTowards, PointAlong, Row, TaskPoint, Turned
 from htcp_jax.model.workpiece import Workpiece
 
-ON_PATH = (TaskRow(point="tcp", on="path"),)  # the paper's, and that of a job that says nothing
+ON_PATH = (TaskRow(point="tcp", on="path"),)  # the paper's, and the default
 TCP = ArmFrame("tcp", None, (0.0, 0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
-DRAWS, FLAT = 8, 1e-6  # postures at which the rank of a task is looked at; singular values, of the largest
+DRAWS, FLAT = 8, 1e-6  # configurations for a task's rank; relative tolerance of singular values
 SLACK = 1e-6  # [rad]
 
 
 class Posed(NamedTuple):
-    """Where a path's directions are in the world."""
+    """A workpiece's pose and its path in the world."""
 
     rotate: Float[np.ndarray, "3 3"]  # of the workpiece
     translate: Float[np.ndarray, "3"]  # [m]
@@ -39,10 +39,10 @@ class Posed(NamedTuple):
 
 
 def task_of(rows: Sequence[TaskRow], robot: Robot, tolerance_m: float = 1e-3, tolerance_rad: float = 2e-3) -> Task:
-    """The task that rows make for a robot; without any the paper's.
+    """Return the task of the given rows for a robot; without rows, the paper's.
 
-    Raises InputError for a name that the robot lacks, for more equalities than joints, and for a row that asks for what
-    those before it fix already, or for the opposite.
+    Raises InputError for a name that the robot lacks, for more equalities than joints, and for a row that repeats or
+    contradicts those before it.
     """
     parts: list[Row] = []
     for k, row in enumerate(rows or ON_PATH, 1):
@@ -59,18 +59,18 @@ def task_of(rows: Sequence[TaskRow], robot: Robot, tolerance_m: float = 1e-3, to
 
 
 def follower(rows: Sequence[TaskRow], robot: Robot, x: Float[np.ndarray, "N"]) -> Float[np.ndarray, "3"]:
-    """Where the point that follows the path is at x [rad or m], in the world [m]; the TCP where none does. Raises
-    InputError for a name that the robot lacks."""
+    """Return the position at x [rad or m], in the world [m], of the point that follows the path; the TCP if no row
+    names one. Raises InputError for a name that the robot lacks."""
     row = next((row for row in rows if row.on == "path"), ON_PATH[0])
     part = PointAlong(*_place(row, robot), 3)
     return np.asarray(_VALUE(robot, jnp.asarray(x), Task((part,))))
 
 
 def with_goals(scenario: Scenario, rows: Sequence[TaskRow], task: Task, robot: Robot, workpiece: Workpiece) -> Scenario:
-    """The scenario with what the rows ask for at all of its targets, the last of which are the path.
+    """Return the scenario with the rows' goals at all of its targets, the last of which are the path.
 
-    task: what `task_of` makes of the rows. robot: without the scenario's tool extension.
-    Raises InputError for a path without what the rows ask for, and for axes that no posture turns as they are to be.
+    task: the rows' task, see `task_of`. robot: without the scenario's tool extension.
+    Raises InputError for a path without the frames that the rows require, and for axes that contradict each other.
     """
     rows = rows or ON_PATH
     if task.parts == (TaskPoint(),) and rows[0].on == "path":
@@ -117,7 +117,7 @@ def _part(row: TaskRow, robot: Robot) -> Row:
 
 
 def _place(row: TaskRow, robot: Robot) -> tuple[int | None, tuple[float, float, float]]:
-    """The link and the place on it of a row's point."""
+    """Return the link of a row's point and the point's position in its frame."""
     frame = _frame(row.point, robot, "point")
     place = np.array(frame.origin_m) + np.array(frame.columns).T @ np.array(row.offset_m)
     return frame.link, tuple(place.tolist())
@@ -131,7 +131,7 @@ def _frame(name: str, robot: Robot, what: str) -> ArmFrame:
 
 
 def _rank(robot: Robot, task: Task) -> int:
-    """Of the equalities' Jacobian: the largest of some draws, with directions and places drawn, too."""
+    """Return the rank of the equalities' Jacobian: the largest of some random configurations and goals."""
     rng = np.random.default_rng(0)
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     found = 0
@@ -156,11 +156,11 @@ _VALUE = jax.jit(lambda robot, x, task: task.value(robot, x), static_argnums=2)
 _JACOBIAN = jax.jit(lambda robot, x, goal, task: task.linear_at(robot, x, goal).jacobian, static_argnums=3)
 
 
-# What they ask for
+# Their goals
 
 
 def _wanted(row: TaskRow, part: Row, posed: Posed) -> Float[np.ndarray, "T g"]:
-    """The goals of one part at the points of the path."""
+    """Return the goals of one part at the points of the path."""
     count = len(posed.path)
     if isinstance(part, TaskPoint):
         return _places(row, posed)[:, list(part.axes)]
@@ -181,7 +181,7 @@ def _places(row: TaskRow, posed: Posed) -> Float[np.ndarray, "T 3"]:
 
 
 def _across(row: TaskRow, posed: Posed) -> Float[np.ndarray, "T k 3"]:
-    """The directions in which a point is held."""
+    """Return the directions in which a point is constrained."""
     count = len(posed.path)
     if row.on == "plane":
         normal = _in_world(row, np.array(row.normal), posed)
@@ -200,7 +200,7 @@ def _across(row: TaskRow, posed: Posed) -> Float[np.ndarray, "T k 3"]:
 
 
 def _directions(row: TaskRow, posed: Posed) -> Float[np.ndarray, "T 3"]:
-    """That an axis is turned in; of one that looks at a place, the place."""
+    """Return the wanted directions of an axis; for a row with looks_at_m, the place."""
     count = len(posed.path)
     if row.looks_at_m is not None:
         return np.tile(_in_world(row, np.array(row.looks_at_m), posed, is_place=True), (count, 1))
@@ -234,8 +234,9 @@ def _eased(
     share: Float[np.ndarray, "A"],
     places: Float[np.ndarray, "A 3"] | None,
 ) -> Float[np.ndarray, "A g"]:
-    """The goals of one part before the path. start: its features at the start; first: its goal at the path's first
-    point. share: how much of the way to that each target is. places: of the point that follows the path."""
+    """Return the goals of one part before the path. start: its features at the start; first: its goal at the path's
+    first point. share: fraction of the interpolation at each target. places: positions of the point that follows the
+    path."""
     goals = np.tile(first, (len(share), 1))
     if isinstance(part, TaskPoint):
         wanted = start + share[:, None] * (first - start)
@@ -260,7 +261,7 @@ def _eased(
     return goals
 
 
-# What cannot be
+# Checks
 
 
 def _check_frames(rows: Sequence[TaskRow], workpiece: Workpiece) -> None:
@@ -276,7 +277,7 @@ def _check_frames(rows: Sequence[TaskRow], workpiece: Workpiece) -> None:
 
 
 def _check_axes(rows: Sequence[TaskRow], task: Task, goals: Sequence[np.ndarray], before: int) -> None:
-    """Raise InputError where two axes of one link are asked to be turned further together, or apart, than they are."""
+    """Raise InputError if the wanted angle between two axes of one link differs from the actual one."""
     parts = task.parts
     axes = [k for k, part in enumerate(parts) if isinstance(part, AxisTowards) and part.looks_from_m is None]
     for k, i in ((k, i) for k in axes for i in axes if i < k and parts[i].link == parts[k].link):

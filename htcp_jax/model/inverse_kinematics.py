@@ -1,4 +1,4 @@
-"""The way back onto a target: damped Newton inverse kinematics inside the joint limits."""
+"""Inverse kinematics: damped Newton steps within the joint limits."""
 
 from functools import partial
 
@@ -11,7 +11,7 @@ from htcp_jax.model.task import TCP_POSITION, Task
 from htcp_jax.numerics import of_shape, product, safe_norm, solve_spd
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar
 
-DAMPING = 1e-6  # of a step back onto a target [m2/rad2]
+DAMPING = 1e-6  # damping of a step [m2/rad2]
 
 
 @partial(jax.jit, static_argnames=("tolerance_m", "iterations", "task"))
@@ -25,9 +25,9 @@ def reanchor(
 ) -> tuple[Joints, Scalar]:
     """Damped Newton inverse kinematics inside the joint limits: (x, residual [m]), equation (5b).
 
-    target: the task's goal, of its kinds of rows. Stops at tolerance_m or after `iterations`. The damping
-    (1e-3 m/rad)^2 keeps singular postures bounded and costs 1e-6 of a Newton step elsewhere; a joint at its limit is
-    held there while the others make up for it. A band or cone is a row of a step where it is broken. Raises InputError
+    target: the task's goal, in the format of its rows. Stops at tolerance_m or after `iterations`. The damping
+    (1e-3 m/rad)^2 keeps steps bounded at singularities and costs 1e-6 of a Newton step elsewhere; a joint at its limit
+    stays there while the others compensate. A violated band or cone is a row of a step. Raises InputError
     for more than one configuration or target.
     """
     x, target = configuration(robot, x), of_shape(target, (task.numbers,), "target")
@@ -44,7 +44,7 @@ def reanchor(
         (_, error, _), count = state
         return (count < 0) | (safe_norm(error) > tolerance_m) & (count < iterations)
 
-    # The first turn looks where it is: the arm is in the program once.
+    # The first iteration evaluates x itself: so the kinematics is compiled once.
     blank = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(look, x))
     (x, error, _), _ = jax.lax.while_loop(going, step, ((x, *blank[1:]), jnp.full((), -1, jnp.int32)))
     return x, task.off(robot, x, target) if task.bands else safe_norm(error)
@@ -56,8 +56,8 @@ def damped_step(robot: Robot, x: Joints, error: Float[Array, "M"], jac: Float[Ar
     A joint at its limit that the step would push further out takes no part.
 
     Args:
-        error: What the step makes up for [m].
-        jac: How fast it does so [m/rad or m/m].
+        error: The error that the step removes [m].
+        jac: Its Jacobian [m/rad or m/m].
         damping: Added to the diagonal of J J^T [m2/rad2].
     """
 
@@ -70,7 +70,7 @@ def damped_step(robot: Robot, x: Joints, error: Float[Array, "M"], jac: Float[Ar
 
 
 def _off(robot: Robot, task: Task, target: Float[Array, "G"], x: Joints) -> Float[Array, "R"]:
-    """What a step has to make up for [m]: the error, and as much as bands and cones lack."""
+    """Return the residual that a step has to remove [m]: the error, and the violations of bands and cones."""
     if not task.bands:
         return task.error(task.value(robot, x), target)
     linear = task.linear_at(robot, x, target)
@@ -78,7 +78,7 @@ def _off(robot: Robot, task: Task, target: Float[Array, "G"], x: Joints) -> Floa
 
 
 def _slopes(robot: Robot, task: Task, target: Float[Array, "G"], x: Joints) -> Float[Array, "R N"]:
-    """How fast a step makes up for that [m/rad or m/m]."""
+    """Return minus the Jacobian of that residual [m/rad or m/m]."""
     if task.is_points:
         return task.jacobian(robot, x)
     linear = task.linear_at(robot, x, target)
@@ -86,5 +86,5 @@ def _slopes(robot: Robot, task: Task, target: Float[Array, "G"], x: Joints) -> F
 
 
 def inside(robot: Robot, x: Joints) -> Bool[Array, ""]:
-    """Whether x respects the joint limits."""
+    """Return True if x respects the joint limits."""
     return jnp.all((x >= robot.lower) & (x <= robot.upper))

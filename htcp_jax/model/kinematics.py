@@ -20,33 +20,33 @@ from htcp_jax.types import Array, Float, Int, Joints, Pose, Vector3
 
 
 def link_poses(robot: Robot, x: Joints) -> Float[Array, "N 4 4"]:
-    """T_world_link, the frame of every link in the world [m]."""
+    """Return T_world_link, the frame of every link in the world [m]."""
     return _homogeneous(_link_frames(robot, x))
 
 
 def tcp_pose(robot: Robot, x: Joints) -> Pose:
-    """T_world_tcp, the frame of the tool centre point in the world [m]."""
+    """Return T_world_tcp, the frame of the tool centre point in the world [m]."""
     last = _row(_link_frames(robot, x), -1)
     T = robot.T_link_tcp
     return _homogeneous(_Frames(product(last.rotation, T[:3, :3]), _to_world(last, T[:3, 3])))
 
 
 def tcp_position(robot: Robot, x: Joints) -> Vector3:
-    """The tool centre point in the world [m]; the paper's Gamma_j(x), equation (1)."""
+    """Return the tool centre point in the world [m]; the paper's Gamma_j(x), equation (1)."""
     return _to_world(_row(_link_frames(robot, x), -1), robot.T_link_tcp[:3, 3])
 
 
 def capsule_segments(robot: Robot, x: Joints) -> tuple[Float[Array, "K 3"], Float[Array, "K 3"]]:
-    """Ends p, q of the capsules' segments in the world [m]."""
+    """Return the ends p, q of the capsules' segments in the world [m]."""
     own = _frames_of(robot, x, robot.capsule_link)
     return _to_world(own, robot.capsule_p), _to_world(own, robot.capsule_q)
 
 
 def tip_segment(robot: Robot, x: Joints) -> Float[Array, "2 3"]:
-    """The bare tip in the world [m]: from the end of a capsule that is nearest to the TCP, to the TCP.
+    """Return the bare tip in the world [m]: from the capsule end nearest to the TCP, to the TCP.
 
-    Of the capsules on the last link, or else on the last that has any; nearest at the model's zero, so that it is the
-    same end in every posture.
+    Only capsules on the last link count, or else on the last link that has any; nearest at x = 0, so that it is the
+    same end in every configuration.
     """
     last = np.flatnonzero(np.array(robot.capsule_link) == max(robot.capsule_link))
     zero, here = (jnp.concatenate([e[last] for e in capsule_segments(robot, at)]) for at in (jnp.zeros_like(x), x))
@@ -55,21 +55,22 @@ def tip_segment(robot: Robot, x: Joints) -> Float[Array, "2 3"]:
 
 
 class ArmShape(NamedTuple):
-    """What there is to draw of an arm, at W configurations or at one, world [m]."""
+    """Geometry of an arm for drawing, at W configurations or at one, world [m]."""
 
     p: Float[Array, "*W K 3"]  # ends of the capsules' axes
     q: Float[Array, "*W K 3"]
-    tip: Float[Array, "*W 3"]  # where the tool's bare tip begins, see `tip_segment`
-    tcp: Float[Array, "*W 3"]  # and where it ends
+    tip: Float[Array, "*W 3"]  # start of the tool's bare tip, see `tip_segment`
+    tcp: Float[Array, "*W 3"]  # its end
 
     def axes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Ends of the capsules' axes and, last, of the bare tip, of one configuration (K + 1, 3)."""
+        """Return the ends of the capsules' axes and, last, of the bare tip, for one configuration (K + 1, 3)."""
         return np.vstack([self.p, self.tip]), np.vstack([self.q, self.tcp])
 
 
 @jax.jit
 def capsules_and_tcp(robot: Robot, x: Float[Array, "W N"]) -> ArmShape:
-    """The arm at several configurations [rad or m]; compiled once a robot's kind and number of configurations."""
+    """Return the arm at several configurations [rad or m]; compiled once per robot structure and number of
+    configurations."""
 
     def one(x: Joints) -> ArmShape:
         return ArmShape(*capsule_segments(robot, x), *tip_segment(robot, x))
@@ -78,7 +79,8 @@ def capsules_and_tcp(robot: Robot, x: Float[Array, "W N"]) -> ArmShape:
 
 
 def jacobian(robot: Robot, x: Joints) -> Float[Array, "3 N"]:
-    """Geometric Jacobian of the TCP's position, d tcp_position / dx [m/rad or m/m]; the paper's Jac(x) of (7)."""
+    """Return the geometric Jacobian of the TCP's position, d tcp_position / dx [m/rad or m/m]; the paper's Jac(x) of
+    (7)."""
     links = _link_frames(robot, x)
     tcp = _to_world(_row(links, -1), robot.T_link_tcp[:3, 3])
     return _velocities(robot, links, tcp[None])[0].T
@@ -87,10 +89,10 @@ def jacobian(robot: Robot, x: Joints) -> Float[Array, "3 N"]:
 def point_jacobians(
     robot: Robot, x: Joints, points: Float[Array, "P 3"], links: tuple[int, ...] | Int[Array, "P"]
 ) -> Float[Array, "P 3 N"]:
-    """Translational Jacobians at x of points that are fixed to links [m/rad or m/m].
+    """Return the translational Jacobians at x of points that are fixed to links [m/rad or m/m].
 
-    points: where they are at x, in the world [m].
-    links: each point's link, -1 for the world; `robot.capsule_link` for one point a capsule.
+    points: their positions at x, in the world [m]. links: each point's link, -1 for the world; `robot.capsule_link` for
+    one point per capsule.
 
     Joints beyond its link do not move a point: their columns are zero.
     """
@@ -102,17 +104,17 @@ def point_jacobians(
 def point_positions(
     robot: Robot, x: Joints, points: Float[Array, "P 3"], links: tuple[int, ...]
 ) -> Float[Array, "P 3"]:
-    """Where points that are fixed to links are at x, in the world [m].
+    """Return the positions at x, in the world [m], of points that are fixed to links.
 
-    points: in the frames of their links [m]; links: each point's, -1 for the world.
+    points: in the frames of their links [m]; links: each point's link, -1 for the world.
     """
     return _to_world(_frames_of(robot, x, links), points)
 
 
 def directions(robot: Robot, x: Joints, vectors: Float[Array, "P 3"], links: tuple[int, ...]) -> Float[Array, "P 3"]:
-    """How directions that are fixed to links stand in the world at x, of the same lengths and without a unit.
+    """Rotate directions that are fixed to links into the world at x; lengths are kept, without a unit.
 
-    vectors: in the frames of their links; links: each one's, -1 for the world.
+    vectors: in the frames of their links; links: each one's link, -1 for the world.
     """
     return product(_frames_of(robot, x, links).rotation, vectors[:, :, None])[..., 0]
 
@@ -120,9 +122,9 @@ def directions(robot: Robot, x: Joints, vectors: Float[Array, "P 3"], links: tup
 def direction_jacobians(
     robot: Robot, x: Joints, directions: Float[Array, "P 3"], links: tuple[int, ...]
 ) -> Float[Array, "P 3 N"]:
-    """The derivatives of `directions` at x, axis x direction for a hinge [1/rad] and 0 for a slide [1/m].
+    """Return the derivatives of `directions` at x: axis x direction for a hinge [1/rad], 0 for a slide [1/m].
 
-    directions: how they stand in the world at x; links: each one's, -1 for the world.
+    directions: in the world at x; links: each one's link, -1 for the world.
     """
     frames = _link_frames(robot, x)
     axes = product(frames.rotation, robot.axis[:, :, None])[..., 0]
@@ -133,13 +135,14 @@ def direction_jacobians(
 
 
 def configuration(robot: Robot, x: Joints, name: str = "x") -> Joints:
-    """x as an array of N joint positions. Raises InputError for another shape, and for many configurations at once."""
+    """Return x as an array of N joint positions. Raises InputError for another shape, and for several
+    configurations."""
     return of_shape(x, (len(robot.slides),), f"{name} of {robot.name}")
 
 
 def reach(robot: Robot) -> float:
-    """A bound on the TCP's distance from the origin of the first joint's frame [m]: the links laid out straight, and
-    the travel of the slides; infinite where a slide has no limits."""
+    """Return a bound on the TCP's distance from the origin of the first joint's frame [m]: the summed lengths of links
+    and tool, and the travel of the slides; infinite if a slide has no limits."""
     links = np.linalg.norm(np.asarray(robot.T_parent_joint)[1:, :3, 3], axis=1)
     travel = np.maximum(np.abs(robot.lower), np.abs(robot.upper))[np.array(robot.slides)]
     return float(links.sum() + travel.sum() + np.linalg.norm(np.asarray(robot.T_link_tcp)[:3, 3]))
@@ -154,7 +157,7 @@ class _Frames(NamedTuple):
 
 @jax.jit
 def _link_frames(robot: Robot, x: Joints) -> _Frames:
-    """Frames of the N links: the motion of each joint, then the product along the chain."""
+    """Return the frames of the N links: the motion of each joint, then the product along the chain."""
     x = configuration(robot, x)
     fixed = _Frames(robot.T_parent_joint[:, :3, :3], robot.T_parent_joint[:, :3, 3])
     slides = np.array(robot.slides)
@@ -167,12 +170,12 @@ def _link_frames(robot: Robot, x: Joints) -> _Frames:
         return link, link
 
     world = _Frames(jnp.eye(3, dtype=x.dtype), jnp.zeros(3, x.dtype))
-    # A loop where that costs next to nothing: the arm is in every program, several times.
+    # A loop on the CPU, where it costs little: every executable contains the kinematics several times.
     return jax.lax.scan(then, world, steps, unroll=1 if jax.default_backend() == "cpu" else len(slides))[1]
 
 
 def _frames_of(robot: Robot, x: Joints, links: tuple[int, ...]) -> _Frames:
-    """The frame of each of some links, -1 for the world."""
+    """Return the frames of the given links, -1 for the world."""
     moving = _link_frames(robot, x)
     world = jnp.eye(3, 4, dtype=moving.origin.dtype)[None]
     with_world = _Frames(  # last, so that link -1 finds it
@@ -183,7 +186,7 @@ def _frames_of(robot: Robot, x: Joints, links: tuple[int, ...]) -> _Frames:
 
 @jax.jit
 def _velocities(robot: Robot, links: _Frames, points: Float[Array, "P 3"]) -> Float[Array, "P N 3"]:
-    """Velocity of each world point per unit velocity of each joint, as if it were fixed to the last link."""
+    """Return the velocity of each world point per unit velocity of each joint, as if it were fixed to the last link."""
     axes = product(links.rotation, robot.axis[:, :, None])[..., 0]
     turning = jnp.cross(axes[None], points[:, None] - links.origin[None])
     return jnp.where(np.array(robot.slides)[None, :, None], axes[None], turning)

@@ -1,7 +1,7 @@
 """Points that cover a mesh: no point of its triangles is further than a known distance from one of them.
 
 Every triangle is cut at the middle of its longest edge until its own three corners cover it. Nothing is drawn at
-random: the same mesh gives the same points, evenly spread whatever the shapes of its triangles.
+random: the same mesh gives the same points, evenly spread for any shapes of its triangles.
 
 A triangle's covering radius is the largest distance of any of its points to the nearest corner. Where no angle is
 obtuse, that is attained at the circumcentre. Otherwise the circumcentre lies outside, and it is attained where the
@@ -16,7 +16,7 @@ from jaxtyping import Float
 from htcp_jax.errors import InputError
 
 MOST = 3_000_000  # points
-ABOUT = 200_000  # points that a mesh gets by itself, where the bodies do not ask for more
+ABOUT = 200_000  # default number of points, unless the bodies require more
 ROUNDING = 1e-6  # of a covering radius: nearly flat triangles cost digits
 KEY = "workpiece.mesh_spacing_m"
 
@@ -25,19 +25,19 @@ Corners = Float[np.ndarray, "3 3 F"]  # the same, corner and coordinate first: n
 
 
 class Cover(NamedTuple):
-    """P points on a mesh, and the distance within which every point of the mesh has one of them [m]."""
+    """P points on a mesh, and the distance [m] from any point of the mesh within which one of them lies."""
 
     points: Float[np.ndarray, "P 3"]
     radius_m: float
 
 
 def cover(triangles: Triangles, source: str, spacing: float | None = None, thinnest_m: float = np.inf) -> Cover:
-    """The corners of F >= 1 triangles [m], and of their pieces, until these cover the mesh.
+    """Sample F >= 1 triangles [m]: their corners and those of their pieces, until these cover the mesh.
 
     spacing: the widest gap between points [m], that is, every point of the mesh has one of them within half of it.
-    By itself about ABOUT points, and more where half the radius `thinnest_m` of the thinnest body asks for them. A
-    finer mesh keeps all of its corners. Raises InputError, naming `source`, for a mesh without an area, a spacing that
-    is not positive, and where more than MOST points would be needed.
+    None: about ABOUT points, and more if half the radius `thinnest_m` of the thinnest body requires them. A finer mesh
+    keeps all of its corners. Raises InputError, naming `source`, for a mesh without an area, a spacing that is not
+    positive, and if more than MOST points would be needed.
     """
     total = area(triangles).sum()
     if not total > 0:
@@ -62,7 +62,7 @@ def cover(triangles: Triangles, source: str, spacing: float | None = None, thinn
 
 
 def pieces(triangles: Triangles, edge_m: float, source: str) -> Float[np.ndarray, "G 3 3"]:
-    """The triangles, cut until no edge is longer than `edge_m`. Raises InputError for more than 2 MOST."""
+    """Cut the triangles until no edge is longer than `edge_m`. Raises InputError for more than 2 MOST."""
     left = np.ascontiguousarray(np.moveaxis(triangles, 0, 2))
     done, count = [], 0
     while left.shape[2]:
@@ -76,18 +76,18 @@ def pieces(triangles: Triangles, edge_m: float, source: str) -> Float[np.ndarray
 
 
 def area(triangles: Triangles) -> Float[np.ndarray, "F"]:
-    """Of each triangle [m2]."""
+    """Return the area of each triangle [m2]."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
 
 
 def covering_radius(triangles: Triangles) -> Float[np.ndarray, "F"]:
-    """Of each triangle by its own corners [m], exact; see the module."""
+    """Return the exact covering radius of each triangle by its own corners [m]; see the module."""
     return _covering_radius(_longest_edge_first(np.moveaxis(triangles, 0, 2)))
 
 
 def _covering_radius(corners: Corners) -> Float[np.ndarray, "F"]:
-    """The longest edge is from b to c; the angle opposite to it, the largest, is at a."""
+    """Return the covering radius. The longest edge is from b to c; the opposite angle, the largest, is at a."""
     b, c, a = corners
     bc, ba, ca = c - b, a - b, a - c
     square, square_b, square_c = _square(bc), _square(ba), _square(ca)
@@ -100,15 +100,15 @@ def _covering_radius(corners: Corners) -> Float[np.ndarray, "F"]:
 
 
 def _halves(corners: Corners) -> tuple[Float[np.ndarray, "3 3 2*F"], Float[np.ndarray, "3 F"]]:
-    """Each triangle in two, cut from the middle of its longest edge, the first; and these middles. Two neighbours with
-    this edge have the same middle to the last bit."""
+    """Cut each triangle in two at the middle of its longest edge, the first; return the halves and these middles. Two
+    neighbours with this edge have the same middle to the last bit."""
     b, c, a = corners
     middle = (b + c) / 2
     return np.concatenate([np.stack([a, b, middle]), np.stack([c, a, middle])], axis=2), middle
 
 
 def _longest_edge_first(corners: Corners) -> Corners:
-    """The corners in the same sense of rotation, from where the longest edge begins."""
+    """Return the corners in the same sense of rotation, beginning with the longest edge."""
     a, b, c = corners
     ab, bc, ca = _square(b - a), _square(c - b), _square(a - c)
     from_b, from_c = (bc > ab) & (bc >= ca), (ca > ab) & (ca > bc)

@@ -1,6 +1,5 @@
-"""The directions along a tool path: its normals, which point from the wall into the free space, its tangents, and whole
-orientations; from its file, or worked out from the path and the cloud.
-"""
+"""Directions along a tool path: normals, which point from the wall into the free space, tangents, and orientations;
+read from its file, or computed from the path and the cloud."""
 
 from typing import NamedTuple
 
@@ -11,26 +10,26 @@ from scipy.spatial import cKDTree
 from htcp_jax.errors import InputError
 from htcp_jax.model.surface import fitted_normals
 
-NEIGHBOURS = 60  # points of the wall that a normal is fitted to
+NEIGHBOURS = 60  # wall points used to fit a normal
 
 
 class PathFrames(NamedTuple):
-    """Of the T points of a path, in the workpiece frame; None: its file has none."""
+    """Directions at the T points of a path, in the workpiece frame; None: not in its file."""
 
     normals: Float[np.ndarray, "T 3"] | None = None  # unit
-    tangents: Float[np.ndarray, "T 3"] | None = None  # unit, the way the path goes
+    tangents: Float[np.ndarray, "T 3"] | None = None  # unit, in the path's direction
     rotations: Float[np.ndarray, "T 3 3"] | None = None  # of the tool's frame
 
 
 def wall_normals(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
-    """The normals of the wall at a path, unit, see `surface.fitted_normals`."""
+    """Return the unit normals of the wall at a path, see `surface.fitted_normals`."""
     _, near = cKDTree(cloud).query(path, k=min(NEIGHBOURS, len(cloud)))
     return fitted_normals(path, cloud[near], cloud)
 
 
 def tangents(path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
-    """The way that a path goes, unit, by central differences; points at one place are one. Raises InputError for a path
-    that goes nowhere."""
+    """Return the unit tangents of a path, by central differences; coincident neighbours share one. Raises InputError
+    for a path of zero length."""
     ahead = np.linalg.norm(np.diff(path, axis=0), axis=1)
     apart = np.concatenate([[True], ahead > 1e-9])
     if not (ahead > 1e-9).any():

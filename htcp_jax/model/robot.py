@@ -1,7 +1,7 @@
 """The robot: a serial arm with capsules around its links.
 
-A link is what moves with a joint: its frame sits on that joint's axis, and bodies fixed to it, tools too,
-belong to it. A Robot is plain arrays, made once from a model file (`robot_file`); kinematics.py needs nothing else.
+A link moves with a joint: its frame lies on that joint's axis, and bodies fixed to it, including tools, belong to it. A
+Robot consists of plain arrays, read once from a model file (`robot_file`); kinematics.py needs nothing else.
 """
 
 import dataclasses
@@ -17,23 +17,23 @@ from htcp_jax.types import Array, Float, Joints, Pose, Scalar, Triple
 
 GP50 = Path(__file__).parent / "robots" / "gp50.xml"  # the built-in arm
 
-TOUCHING_M = 1e-3  # depth up to which meshes that touch by design may overlap
+TOUCHING_M = 1e-3  # allowed overlap of meshes that touch by design
 _STATIC = {"static": True}
 
 
 class ArmFrame(NamedTuple):
-    """A site or a body of the model, by its name."""
+    """A site or a body of the model with its name and frame."""
 
     name: str
-    link: int | None  # that it is fixed to; None: the TCP's own frame
+    link: int | None  # to which it is fixed; None: the TCP's own frame
     origin_m: Triple  # in the frame of the link
     columns: tuple[Triple, Triple, Triple]  # its axes x, y, z, there
 
 
 class Exclusion(NamedTuple):
-    """Two capsules that are not checked against each other, by their numbers, and why."""
+    """Two capsules, by their numbers, that are not checked against each other, and the reason."""
 
-    first: int  # further from the base than the second
+    first: int  # farther from the base than the second
     second: int
     rule: str  # of `clearance.obstacles.self_exclusions`: a, b or c
     share: float  # of the sampled configurations in which the capsules overlap [1]; 0 of rule a
@@ -41,7 +41,7 @@ class Exclusion(NamedTuple):
 
 @runtime_checkable
 class LinkMeshes(Protocol):
-    """The makers' meshes in an arm's capsules. Equal and hashable by what they are read from."""
+    """The vendor's meshes in an arm's capsules. Equal and hashable by the files that they are read from."""
 
     def deepest_m(self, first: str, second: str, x: Float[np.ndarray, "N"]) -> float:
         """Return the depth of the deepest contact between the meshes in two capsules at x [m]; 0 without meshes."""
@@ -66,7 +66,7 @@ class Robot:
     T_link_tcp: Pose  # in the last link; z points out of the tool
     lower: Joints  # [rad or m], -inf where the model sets no limit
     upper: Joints
-    speed: Joints  # [rad/s or m/s], inf where the model says nothing
+    speed: Joints  # [rad/s or m/s], inf if the model states none
     acceleration: Joints  # [rad/s2 or m/s2], likewise
     effort: Joints  # [N m or N], likewise
     capsule_p: Float[Array, "K 3"]  # ends of the segment in the frame of the capsule's link
@@ -80,7 +80,7 @@ class Robot:
     capsule_link: tuple[int, ...] = dataclasses.field(metadata=_STATIC)  # -1 is the world
     ignored_geoms: tuple[str, ...] = dataclasses.field(metadata=_STATIC)  # neither capsule nor sphere
     exclusions: tuple[Exclusion, ...] = dataclasses.field(default=(), metadata=_STATIC)  # that the model states
-    listed: bool = dataclasses.field(default=False, metadata=_STATIC)  # these are all but those of `mounted`
+    listed: bool = dataclasses.field(default=False, metadata=_STATIC)  # True: these are all except those of `mounted`
     mounted: tuple[int, ...] = dataclasses.field(default=(), metadata=_STATIC)  # capsules of the job's own tool
     meshes: LinkMeshes | None = dataclasses.field(default=None, metadata=_STATIC)  # None if its file refers to none
     frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=_STATIC)  # that a task may name
@@ -96,7 +96,7 @@ class Robot:
 
 
 def capsule_in_words(name: str) -> str:
-    """A capsule in a message: what collides is the capsule, and not yet the link in it."""
+    """Return a capsule's name for a message, which names the capsule, not the link inside it."""
     return name if name.startswith("capsule") else f"capsule {name}"
 
 
@@ -110,10 +110,10 @@ def mesh_note(robot: Robot, capsule: str, x: Float[np.ndarray, "N"], point: Floa
 
 
 def lengthen_tool(robot: Robot, extension_m: float | Scalar) -> Robot:
-    """The robot with its tool longer by `extension_m` [m] along the tool's z axis; negative shortens.
+    """Return the robot with its tool longer by `extension_m` [m] along the tool's z axis; negative shortens.
 
-    The TCP moves, and so does what hangs on the tool: the capsules of the body that carries the TCP. The
-    first of them starts at the flange: it keeps that end and is stretched. The extension may be traced.
+    The TCP moves, and so do the capsules of the body that carries the TCP. The first of them starts at the flange: it
+    keeps that end and is stretched. The extension may be traced.
     """
     shift = extension_m * robot.T_link_tcp[:3, 2]
     ends = robot.on_tool[:, :, None] * shift[None, None, :]

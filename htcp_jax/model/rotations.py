@@ -1,7 +1,7 @@
 """Rotations: exponential and logarithm map, quaternions, and turns between directions.
 
-jaxlie has these maps too, but keeps a rotation as a quaternion, through which matrices would pass here and be rounded
-in another way; it brings jax_dataclasses and tyro with it.
+jaxlie has these maps too, but stores a rotation as a quaternion, so matrices would be converted and rounded
+differently; it also depends on jax_dataclasses and tyro.
 """
 
 import jax.numpy as jnp
@@ -32,7 +32,7 @@ def rotation_vector(rotation: Float[Array, "3 3"]) -> Vector3:
     turn = jnp.arctan2(sine, cosine)
     flat = sine < 1e-12
     small = 0.5 * twice * jnp.where(flat, 1.0, turn / jnp.where(flat, 1.0, sine))
-    # Near half a turn the sine says nothing of the axis; the symmetric part is (1 - cos) axis axis' + cos I.
+    # Near half a turn the sine does not determine the axis; the symmetric part is (1 - cos) axis axis' + cos I.
     symmetric = 0.5 * (rotation + rotation.T) - cosine * jnp.eye(3)
     best = jnp.argmax(jnp.diagonal(symmetric))
     column = jnp.where(cosine < -0.5, symmetric[:, best], jnp.array([1.0, 0.0, 0.0]))
@@ -64,8 +64,8 @@ def angle(a: Vector3, b: Vector3) -> Scalar:
 
 
 def axis_error(axis: Vector3, direction: Vector3) -> Float[Array, "2"]:
-    """The rotation vector [rad] from one direction of length 1 to another in two directions square to the latter, the
-    logarithm map; of opposite ones half a turn, any way."""
+    """Return the rotation vector [rad], the logarithm map, from one direction of length 1 to another, as components in
+    two directions perpendicular to the latter; for opposite directions half a turn about any axis."""
     least = jnp.argmin(jnp.abs(direction))
     first = jnp.cross(direction, jnp.where(jnp.arange(3) == least, 1.0, 0.0))
     first = first / safe_norm(first)
@@ -79,7 +79,7 @@ def axis_error(axis: Vector3, direction: Vector3) -> Float[Array, "2"]:
 
 
 def least_turn(a: Float[np.ndarray, "3"], b: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """The rotation vector that turns a direction into another one the shortest way; any of opposite ones."""
+    """Return the smallest rotation vector that turns one direction into another; about any axis for opposite ones."""
     square, cosine = np.cross(a, b), float(a @ b)
     if (sine := float(np.linalg.norm(square))) < 1e-12:
         square, sine = np.cross(a, np.eye(3)[np.abs(a).argmin()]), 1.0

@@ -1,4 +1,4 @@
-"""One scenario: where the arm starts, where the workpiece is, and the targets in between; checked, then stacked."""
+"""Scenarios: start, workpiece pose and targets of one plan; checked, then stacked."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,36 +19,36 @@ NOT_REFUSED = -1
 
 
 class OutOfReach(InputError):
-    """A target that no posture of the arm comes near."""
+    """Raised for a target beyond the arm's maximum reach."""
 
 
 @register_pytree
 @dataclass(frozen=True)
 class Scenario:
-    """What differs between the members of a batch. Stacked, every leaf has a leading axis S."""
+    """The data that differs between members of a batch. Stacked, every leaf has a leading axis S."""
 
-    x_start: Float[Anywhere, "*S N"]  # [rad or m]; home or any, until it is chosen, where `auto_start` says so
-    x_home: Float[Anywhere, "*S N"]  # where the motion begins [rad or m]; NaN: at the start, which is to be chosen
-    auto_start: Bool[Anywhere, "*S"]  # whether the planner chooses the start, at the path's first point
+    x_start: Float[Anywhere, "*S N"]  # [rad or m]; with `auto_start` home or any, until it is chosen
+    x_home: Float[Anywhere, "*S N"]  # start of the motion [rad or m]; NaN: x_start, still to be chosen
+    auto_start: Bool[Anywhere, "*S"]  # True: the planner chooses the start, at the path's first point
     T_world_workpiece: Float[Anywhere, "*S 4 4"]  # [m]
     interior_plane: Float[Anywhere, "*S 4"]  # normal, and offset [m], see `interior_plane_of`
-    targets: Float[Anywhere, "*S T M"]  # where the tool goes, world [m]; rows from `count` on are padding
+    targets: Float[Anywhere, "*S T M"]  # positions of the tool, world [m]; rows from `count` on are padding
     count: Int[Anywhere, "*S"]  # targets to track
     on_path: Int[Anywhere, "*S"]  # the first target that is a point of the path; those before it lead there
     margin_m: Float[Anywhere, "*S"]  # least clearance with which a target counts
     tool_extension_m: Float[Anywhere, "*S"]
     number: Int[Anywhere, "*S"]  # identity: the random keys are folded from it
-    refused: Int[Anywhere, "*S"]  # NOT_REFUSED, or the Status for which nothing is planned
+    refused: Int[Anywhere, "*S"]  # NOT_REFUSED, or the Status of a scenario that is not planned
     goals: Float[Anywhere, "*S T G"] | None = None  # of the task, see `task_rows` [m]; None: the targets
 
     @property
     def begins_anywhere(self) -> Bool[Anywhere, "*S"]:
-        """Whether the motion begins at the start, and that is still to be chosen."""
+        """True if the motion begins at the start, and the planner still has to choose it."""
         return np.asarray(np.isnan(self.x_home).any(axis=-1))
 
     @property
     def aims(self) -> Float[Anywhere, "*S T G"]:
-        """What the task is held to at every target."""
+        """The task's goals at every target."""
         return self.targets if self.goals is None else self.goals
 
 
@@ -58,9 +58,9 @@ def path_targets(
     path: Float[np.ndarray, "W 3"],
     approach: tuple[int, int] = (5, 5),
 ) -> Float[np.ndarray, "T 3"]:
-    """Targets of one scenario [m], all in one frame: the start TCP itself, `approach[0]` equal steps to the inlet's
-    centre, `approach[1]` equal steps from there to the first path point, then the whole path (so that its first point
-    is met again). Without an inlet the steps go straight from the start to the path."""
+    """Return the targets of one scenario [m], all in one frame: the start TCP itself, `approach[0]` equal steps to the
+    inlet's centre, `approach[1]` equal steps from there to the first path point, then the complete path (so that its
+    first point is met again). Without an inlet the steps lead straight from the start to the path."""
     stops = [tcp, path[0]] if inlet is None else [tcp, inlet, path[0]]
     steps = [sum(approach)] if inlet is None else approach
     legs = [
@@ -85,15 +85,16 @@ def make_scenario(
     beyond_reach: Literal["raise", "record"] = "raise",
     follows: Float[np.ndarray, "3"] | None = None,
 ) -> Scenario:
-    """One scenario of the scene's rules.
+    """Build a scenario: a start, a workpiece pose and the targets.
 
-    start: N joint positions [rad or m]; None: the planner is to choose them, at the path's first point, which is the
-    first target then, without an approach. home: those in which the motion begins; None: the start. rotation:
+    start: N joint positions [rad or m]; None: the planner chooses them, at the path's first point, which is then the
+    first target, without an approach. home: joint positions in which the motion begins; None: the start. rotation:
     workpiece about world y, then z [rad], after rotation_x_rad about world x; shift: of the workpiece, world [m];
     margin_m: least clearance with which a target counts; tool_extension_m: see `robot.lengthen_tool`; number: identity
-    for the random keys. beyond_reach: what to do about a target beyond the arm's reach; "record" makes a scenario that
-    is planned as a failure, with that reason. follows: where the point that is to follow the path is at the start,
-    world [m]; None: the TCP.
+    for the random keys. beyond_reach: "raise" an OutOfReach for a target beyond the arm's reach, or "record" it: the
+    scenario is then planned as a failure with that reason. follows: position at the start of the point that follows the
+    path, world [m]; None: the TCP.
+
     Raises InputError for a start or home of the wrong length or outside the joint limits, and OutOfReach, which is one.
     """
     x_start, x_home = _begins(robot, start, home)
@@ -132,10 +133,11 @@ def make_scenario(
 def interior_plane_of(
     robot: Robot, workpiece: Workpiece, T_world_workpiece: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "4"]:
-    """Unit normal n, offset [m]: capsule ends with n @ x > offset in the world must lie inside the workpiece.
+    """Return the unit normal n and offset [m]: capsule ends with n @ x > offset in the world must lie inside the
+    workpiece.
 
-    Where the robot itself stands beyond that plane, beside the workpiece, it divides nothing: the offset is infinite,
-    and the rule off. The paper's rule, along the world's x, holds anywhere.
+    If the robot itself stands beyond that plane, next to the workpiece, the plane separates nothing: the offset is
+    infinite and the rule off. The paper's rule, along the world's x, always applies.
     """
     plane = workpiece.interior_plane(T_world_workpiece)
     fixed = np.asarray(robot.capsule_link) < 0
@@ -147,20 +149,21 @@ def interior_plane_of(
 
 
 def interior_rule(workpiece: Workpiece, scenario: Scenario) -> str:
-    """Whether bodies deep in the workpiece must be in its hull, in words."""
+    """Describe the rule that bodies deep in the workpiece must lie in its hull, or why it is off."""
     beside = np.isinf(scenario.interior_plane[3]) and len(workpiece.hull_offset)
     return "off: the robot stands beyond the inlet" if beside else workpiece.interior_rule
 
 
 def with_own_tool(robot: Robot, scenario: Scenario) -> tuple[Robot, Scenario]:
-    """The robot with the tool of one scenario, and the scenario that adds nothing to it: together what they were."""
+    """Return the robot with one scenario's tool, and the scenario without its tool extension: together they are
+    equivalent to the originals."""
     own = replace(scenario, tool_extension_m=np.zeros_like(scenario.tool_extension_m))
     return _LONGER(robot, float(scenario.tool_extension_m)), own
 
 
 def stack(scenarios: Sequence[Scenario]) -> Scenario:
-    """Scenarios as one batch (numpy leaves with a leading axis S); shorter target lists are padded with their last.
-    Raises InputError for none."""
+    """Stack scenarios into one batch (numpy leaves with a leading axis S); shorter target lists are padded with their
+    last. Raises InputError for an empty list."""
     if not scenarios:
         raise InputError("no scenarios to plan")
     longest = max(len(s.targets) for s in scenarios)
@@ -179,7 +182,7 @@ _TCP, _LONGER = jax.jit(tcp_position), jax.jit(lengthen_tool)
 
 
 def _begins(robot: Robot, start: Sequence[float] | Anywhere | None, home: Sequence[float] | Anywhere | None):
-    """x_start and x_home of a scenario."""
+    """Return x_start and x_home of a scenario."""
     if start is None and home is None:
         anywhere = np.clip(np.zeros(len(robot.joint_names)), robot.lower, robot.upper)
         return anywhere, np.full_like(anywhere, np.nan)
@@ -188,7 +191,7 @@ def _begins(robot: Robot, start: Sequence[float] | Anywhere | None, home: Sequen
 
 
 def _posture(robot: Robot, positions: Sequence[float] | Anywhere, what: str) -> Float[np.ndarray, "N"]:
-    """Joint positions that the robot can take. Raises InputError that calls them `what`."""
+    """Return joint positions within the robot's limits. Raises InputError that calls them `what`."""
     x, lower, upper = np.asarray(positions, float), np.asarray(robot.lower), np.asarray(robot.upper)
     if x.shape != lower.shape:
         raise InputError(f"{what} has {x.size} joint positions, the robot {robot.name} has {lower.size} joints")

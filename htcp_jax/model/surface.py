@@ -1,4 +1,4 @@
-"""A cloud of points as a surface to look at: for every point a normal and a small disc that meets its neighbours."""
+"""Surface of a point cloud for drawing: for every point a normal and a small disc that meets its neighbours."""
 
 from typing import NamedTuple
 
@@ -6,30 +6,30 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-MOST = 60_000  # points that are shown
-NEIGHBOURS, REACHED = 24, 8  # that a normal is fitted to; the one that a disc reaches beyond
+MOST = 60_000  # points drawn at most
+NEIGHBOURS, REACHED = 24, 8  # points per fitted normal; a disc extends beyond this neighbour
 CORNERS, SURROUNDINGS = 6, 500
 
 
 class Surface(NamedTuple):
-    """P points of a cloud [m]."""
+    """P points of a cloud [m], each with a normal and a disc."""
 
     points: Float[np.ndarray, "P 3"]
     normals: Float[np.ndarray, "P 3"]  # unit, to the inside
     radius: Float[np.ndarray, "P"]  # of the discs
 
     def only(self, which: Bool[np.ndarray, "P"] | Int[np.ndarray, "n"]) -> "Surface":
-        """Those of the points, or the ones with these numbers."""
+        """Return the points of a mask, or with these numbers."""
         return Surface(*(values[which] for values in self))
 
     def placed(self, T: Float[np.ndarray, "4 4"]) -> "Surface":
-        """The surface moved."""
+        """Return the surface transformed by T."""
         rotate, translate = T[:3, :3], T[:3, 3]
         return Surface(self.points @ rotate.T + translate, self.normals @ rotate.T, self.radius)
 
 
 class Drawn(NamedTuple):
-    """What stands in the world, to be looked at."""
+    """Geometry in the world, for pictures."""
 
     triangles: Float[np.ndarray, "F 3 3"]  # [m]
     clouds: Surface
@@ -39,7 +39,7 @@ NOTHING = Drawn(np.empty((0, 3, 3)), Surface(np.empty((0, 3)), np.empty((0, 3)),
 
 
 class Mesh(NamedTuple):
-    """Triangles, anticlockwise as seen from where their normals point."""
+    """Triangles, counterclockwise as seen from the side that their normals point to."""
 
     vertices: Float[np.ndarray, "V 3"]
     normals: Float[np.ndarray, "V 3"]
@@ -47,7 +47,7 @@ class Mesh(NamedTuple):
 
 
 def surface_of(cloud: Float[np.ndarray, "P 3"]) -> Surface:
-    """The surface of a cloud: all of its points, or MOST of them drawn at random, the same each time."""
+    """Return the surface of a cloud: all of its points, or MOST of them drawn at random, the same each time."""
     if len(cloud) > MOST:
         cloud = cloud[np.sort(np.random.default_rng(0).choice(len(cloud), MOST, replace=False))]
     count = min(NEIGHBOURS, len(cloud) - 1)
@@ -59,8 +59,8 @@ def surface_of(cloud: Float[np.ndarray, "P 3"]) -> Surface:
 def fitted_normals(
     points: Float[np.ndarray, "P 3"], near: Float[np.ndarray, "P K 3"], cloud: Float[np.ndarray, "C 3"]
 ) -> Float[np.ndarray, "P 3"]:
-    """The normals of the cloud's surface at points, unit: across the planes that fit the points near to each, on the
-    side on which most of the surroundings lie, the inside."""
+    """Return the unit normals of the cloud's surface at points: perpendicular to the planes fitted to the points near
+    each, towards the side on which most of the surroundings lie, the inside."""
     spread = near - near.mean(axis=1, keepdims=True)
     _, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", spread, spread))
     return _inwards(points, axes[:, :, 0], cloud)
@@ -69,7 +69,7 @@ def fitted_normals(
 def _inwards(
     points: Float[np.ndarray, "P 3"], normals: Float[np.ndarray, "P 3"], cloud: Float[np.ndarray, "C 3"]
 ) -> Float[np.ndarray, "P 3"]:
-    """The normals turned to the side on which, seen from a point, its wider surroundings in the cloud lie."""
+    """Return the normals turned to the side on which the point's wider surroundings in the cloud lie."""
     some = cloud[:: max(1, len(cloud) // SURROUNDINGS)]
     width = max(np.ptp(cloud, axis=0).max() / 4, 1e-9)
     squared = (points**2).sum(axis=1)[:, None] - 2 * points @ some.T + (some**2).sum(axis=1)
@@ -79,8 +79,8 @@ def _inwards(
 
 
 def discs(surface: Surface, side: int = 1, corners: int = CORNERS) -> Mesh:
-    """A hexagon for every point, or with fewer corners, seen from where its normal points, or with `side` -1 from where
-    it does not."""
+    """Return a polygon with `corners` corners for every point, visible from the side of its normal, or with `side` -1
+    from the other side."""
     normals = side * surface.normals
     first = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
     first *= (surface.radius / np.linalg.norm(first, axis=1))[:, None]

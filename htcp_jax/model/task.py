@@ -1,11 +1,11 @@
-"""The task: M equations that hold the arm where the path wants it, equation (1), and B inequalities beside them.
+"""The task: M equations that constrain the arm at a target, equation (1), and B inequalities.
 
     error(x) = 0        M rows, with the Jacobian -d error / dx, M x N; the paper's are target - Gamma(x) of the TCP
     room(x) >= 0        B rows: cones and bands
 
-The kinds of rows are in `task_rows`. They look at features of the arm, `value`, which hang on x alone; what is asked of
-these at one target are the numbers of its goal. With N - M = 0 the arm has no freedom left, and no null space. Nobody
-else forms an error, or says when it is small enough.
+The kinds of rows are in `task_rows`. They compare features of the arm, `value`, which depend on x alone, with the
+numbers of a target's goal. With N - M = 0 the arm has no redundancy, and no null space. Errors and their tolerances are
+defined here only.
 """
 
 from dataclasses import dataclass
@@ -30,25 +30,25 @@ from htcp_jax.numerics import product, safe_norm
 from htcp_jax.types import Anywhere, Array, Float, Joints, Scalar
 
 Numbers = Anywhere | np.generic | float | bool
-EXACT = 1e-9  # [m or rad]; a row of room that is broken by less is broken by rounding
+EXACT = 1e-9  # [m or rad]; smaller violations of an inequality are rounding
 
 
 class TaskLinear(NamedTuple):
-    """A task at one configuration, to first order; angles count as lengths, see `Task`."""
+    """A task at one configuration, to first order; angles are converted to lengths, see `Task`."""
 
-    error: Float[Array, "M"]  # what a step has to make up for [m]
+    error: Float[Array, "M"]  # the error that a step has to remove [m]
     jacobian: Float[Array, "M N"]  # [m/rad or m/m]; the paper's Jac(x)
-    room: Float[Array, "B"]  # less the little that a step aims inside [m]
+    room: Float[Array, "B"]  # less the small distance inside at which a step aims [m]
     gradient: Float[Array, "B N"]
 
 
 @jax.tree_util.register_static
 @dataclass(frozen=True)
 class Task:
-    """The constraint on the arm: the rows that hold it, and how near is near enough. Static: a goal is data.
+    """The constraint on the arm: its rows, and their tolerances. Static: a goal is data.
 
-    An angle counts as the length that has the same share of its tolerance, so that one number, the residual [m], says
-    how far a configuration is off.
+    An angle is converted to the length with the same share of its tolerance, so that one number, the residual [m],
+    measures how far a configuration is from satisfying the task.
     """
 
     parts: tuple[Row, ...] = (TaskPoint(),)
@@ -57,42 +57,42 @@ class Task:
 
     @property
     def rows(self) -> int:
-        """M."""
+        """Number of equations, M."""
         return sum(part.equalities for part in self.parts)
 
     @property
     def bands(self) -> int:
-        """B."""
+        """Number of inequalities, B."""
         return sum(part.inequalities for part in self.parts)
 
     @property
     def values(self) -> int:
-        """How many numbers the features have."""
+        """Number of coordinates of all features, V."""
         return sum(len(feature.rows) for feature in self._features)
 
     @property
     def numbers(self) -> int:
-        """How many a goal has."""
+        """Number of coordinates of a goal, G."""
         return sum(part.numbers for part in self.parts)
 
     @property
     def is_points(self) -> bool:
-        """Whether all rows are world coordinates of points: then a goal is what the value has to be."""
+        """True if all rows are world coordinates of points: then a goal is the value itself."""
         return all(isinstance(part, TaskPoint) for part in self.parts)
 
     @property
     def holds_tcp(self) -> bool:
-        """Whether the TCP is held at a place."""
+        """True if the TCP's position is a row of the task."""
         return TaskPoint() in self.parts
 
     def tcp_place(self, goal: Float[Anywhere, "*S G"]) -> Float[Anywhere, "*S 3"]:
-        """Where a goal holds the TCP, of a task that does, in the world [m]."""
+        """Return the TCP position in a goal, for a task with `holds_tcp`, in the world [m]."""
         start = self.starts[self.parts.index(TaskPoint())]
         return goal[..., start : start + 3]
 
     @property
     def starts(self) -> tuple[int, ...]:
-        """Where in a goal the numbers of each part begin."""
+        """Index in a goal of each part's first number."""
         return tuple(np.cumsum([0, *(part.numbers for part in self.parts[:-1])]).tolist())
 
     @property
@@ -107,15 +107,15 @@ class Task:
         return joints - self.rows
 
     def value(self, robot: Robot, x: Joints) -> Float[Array, "V"]:
-        """The features of the arm: points [m], and directions without a unit."""
+        """Return the features of the arm: points [m], and directions without a unit."""
         return _joined([_held(feature, feature_at(robot, x, feature)) for feature in self._features])
 
     def jacobian(self, robot: Robot, x: Joints) -> Float[Array, "V N"]:
-        """d value / dx [m/rad or m/m, of directions 1/rad]."""
+        """Return d value / dx [m/rad or m/m, of directions 1/rad]."""
         return _joined([_held(feature, _moves(robot, x, feature)) for feature in self._features])
 
     def linear(self, value: Float[Array, "V"], slopes: Float[Array, "V N"], goal: Float[Array, "G"]) -> TaskLinear:
-        """The rows where the features have this value [m] and Jacobian [m/rad], to first order; equation (7)."""
+        """Return the rows to first order, given the features' value [m] and Jacobian [m/rad]; equation (7)."""
         if self.is_points:
             return TaskLinear(goal - value, slopes, jnp.zeros(0), jnp.zeros((0, slopes.shape[1])))
         error, room = self.error(value, goal), self._room(value, goal) - self._together("aim", value, goal)
@@ -127,19 +127,19 @@ class Task:
         )
 
     def linear_at(self, robot: Robot, x: Joints, goal: Float[Array, "G"]) -> TaskLinear:
-        """The same at x [rad or m]; goal: as the rows have it, in metres and without a unit."""
+        """Return the rows to first order at x [rad or m]; goal: as the rows have it, in metres and without a unit."""
         return self.linear(self.value(robot, x), self.jacobian(robot, x), goal)
 
     def error(self, value: Float[Array, "V"], goal: Float[Array, "G"]) -> Float[Array, "M"]:
-        """Delta C = C_next - C_ref of equation (9) [m]."""
+        """Return Delta C = C_next - C_ref of equation (9) [m]."""
         return goal - value if self.is_points else self._together("error", value, goal)
 
     def room(self, value: Float[Array, "V"], goal: Float[Array, "G"]) -> Scalar:
-        """The least room in any band or cone [m]; infinite without one."""
+        """Return the smallest slack of all bands and cones [m]; infinite without one."""
         return jnp.min(self._room(value, goal), initial=jnp.inf)
 
     def residual(self, value: Float[Array, "V"], goal: Float[Array, "G"]) -> Scalar:
-        """The error's norm [m], which a plan records; where a band or cone is broken, more than the tolerance."""
+        """Return the error's norm [m], which a plan records; if a band or cone is broken, more than the tolerance."""
         off = safe_norm(self.error(value, goal))
         if not self.bands:
             return off
@@ -148,12 +148,12 @@ class Task:
 
     @property
     def holds_angles(self) -> bool:
-        """Whether an axis or a frame is held exactly, so that the residual is more than a distance."""
+        """True if an axis or a frame is an equality, so that the residual is not only a distance."""
         return any(part.angular and part.equalities for part in self.parts)
 
     def errors(self, robot: Robot, x: Joints, goal: Float[Array, "G"]) -> tuple[Scalar, Scalar]:
-        """The distance of the points that are held from their goals [m], and the largest angle from what is held [rad]:
-        what the residual puts together."""
+        """Return the distance of the constrained points from their goals [m] and the largest angle error [rad], which
+        the residual combines."""
         value, v = self.value(robot, x), 0
         lengths, angles = [jnp.zeros(0)], [jnp.zeros(())]
         for start, part in zip(self.starts, self.parts, strict=True):
@@ -164,12 +164,12 @@ class Task:
         return safe_norm(jnp.concatenate(lengths)), jnp.max(jnp.stack(angles))
 
     def off(self, robot: Robot, x: Joints, goal: Float[Array, "G"]) -> Scalar:
-        """The residual at x [m]."""
+        """Return the residual at x [m]."""
         return self.residual(self.value(robot, x), goal)
 
     def least_turn(self, robot: Robot, rotation: Float[Array, "3 3"], goal: Float[Array, "G"]) -> Scalar:
-        """How far the last link has to turn from a rotation at the least, before every row holds [rad]; of the rows
-        that look at nothing but how it is turned. Turned by an angle, none of its axes turns by more."""
+        """Return a lower bound on the turn of the last link from a rotation until every row holds [rad]. Only rows that
+        depend on nothing but its orientation count. Turned by an angle, none of its axes turns by more."""
         found = [jnp.zeros(())]
         for start, part in zip(self.starts, self.parts, strict=True):
             if all(_turns_with_last(robot, feature) for feature in part.features):
@@ -181,18 +181,19 @@ class Task:
 
     @property
     def fine_m(self) -> float:
-        """The residual that inverse kinematics stops at [m]: a tenth of the tolerance."""
+        """Residual at which inverse kinematics stops [m]: a tenth of the tolerance."""
         return 0.1 * self.tolerance_m
 
     def reached(self, residual: Numbers) -> Numbers:
-        """Whether the residual [m] is within the tolerance; elementwise, numpy or JAX."""
+        """Return True where the residual [m] is within the tolerance; elementwise, numpy or JAX."""
         return residual <= self.tolerance_m
 
     def counts(self, clearance: Numbers, residual: Numbers, margin_m: Numbers) -> Numbers:
-        """Whether a configuration counts: D > 0 and D >= margin_m [m], and the target reached; elementwise.
+        """Return True where a configuration is accepted: D > 0 and D >= margin_m [m], and the target reached;
+        elementwise.
 
-        Everything that accepts or refuses a configuration asks here, on the host and on the device alike. A margin of 0
-        asks for D > 0, as the paper does: touching is not clear.
+        The only acceptance test, on the host and on the device. A margin of 0 requires D > 0, as the paper does:
+        touching is not clear.
         """
         return (clearance > 0) & (clearance >= margin_m) & self.reached(residual)
 
@@ -200,7 +201,7 @@ class Task:
         return self._together("room", value, goal)
 
     def _together(self, what: str, value: Array, goal: Array) -> Array:
-        """Of all parts, angles as lengths."""
+        """Return one quantity of all parts, with angles as lengths."""
         found, v, g = [], 0, 0
         for part in self.parts:
             size = sum(len(feature.rows) for feature in part.features)
@@ -214,7 +215,7 @@ TCP_POSITION = Task()  # the paper's
 
 
 def feature_at(robot: Robot, x: Joints, feature: Feature) -> Float[Array, "3"]:
-    """Where a point is in the world [m], or how a direction is turned there, of length 1; of all three coordinates."""
+    """Return a point's position in the world [m], or a direction in the world, of length 1; all three coordinates."""
     if _is_tcp(feature):
         return tcp_position(robot, x)
     vector, links = _fixed(robot, feature)
@@ -237,7 +238,7 @@ def _turns_with_last(robot: Robot, feature: Feature) -> bool:
 
 
 def _fixed(robot: Robot, feature: Feature) -> tuple[Float[Array, "3"], tuple[int]]:
-    """The vector in the frame of its link, and that link; the TCP's frame is part of the last one."""
+    """Return the vector in the frame of its link, and that link; the TCP's frame is part of the last one."""
     vector = jnp.asarray(feature.vector)
     if feature.link is not None:
         return vector, (feature.link,)

@@ -1,10 +1,10 @@
-"""What a person writes of a task: a list of rows, each a point held, an axis turned, or a whole orientation.
+"""A task in a job file: a list of rows, each a point, an axis or an orientation that is constrained.
 
     task:
       - {point: tcp, on: path}
       - {axis: tcp.z, towards: -path.normal, cone_deg: 60}
 
-`goals` makes rows of the planner's kinds of them, and goals at every target.
+`goals` converts them to the planner's kinds of rows, with goals at every target.
 """
 
 import math
@@ -15,7 +15,7 @@ from htcp_jax.types import Triple
 
 FRAMES = "world", "workpiece", "path"
 DIRECTIONS = "path.normal", "-path.normal", "path.tangent", "-path.tangent"
-# What may stand beside the key that says what a row is.
+# Allowed keys by the key that names the row's kind.
 KINDS = {
     "point": ("offset_m", "on", "through_m", "normal", "direction", "axes", "frame", "within_m"),
     "axis": ("towards", "looks_at_m", "frame", "cone_deg", "within_deg"),
@@ -26,11 +26,11 @@ NEEDED = {"path": (), "plane": ("through_m", "normal"), "line": ("through_m", "d
 
 @dataclass(frozen=True)
 class TaskRow:
-    """One row; which of the fields belong together, `KINDS` says. Raises InputError for others, for a place or a
-    direction that is none, and for an angle out of its range.
+    """One row; `KINDS` lists which fields belong together. Raises InputError for others, for a place or a direction
+    that is none, and for an angle out of its range.
 
-    A name is the TCP's, tcp, or that of a site or body of the model. frame: of places and directions that are given in
-    numbers, the workpiece's or the world's; of a point on the path what its axes are of, and then also the path's own,
+    A name is the TCP's, tcp, or that of a site or body of the model. frame: for places and directions given in numbers,
+    the workpiece's or the world's; for a point on the path, the frame of its axes, which may also be the path's own,
     with x along the tangent and z along the normal.
     """
 
@@ -42,8 +42,8 @@ class TaskRow:
     direction: Triple | None = None  # of the line, any length
     axes: str = "xyz"  # in which a point on the path or at a place is held
     frame: str = "world"
-    within_m: float | None = None  # either way in each direction; without it exactly
-    axis: str | None = None  # a name and x, y or z of its frame, tcp.z; with a minus the other way
+    within_m: float | None = None  # tolerance to both sides in each direction; None: exactly
+    axis: str | None = None  # a name and x, y or z of its frame, tcp.z; a minus reverses it
     towards: str | Triple | None = None  # one of DIRECTIONS, or in numbers, of any length
     looks_at_m: Triple | None = None  # a place, from the origin of the axis's frame
     cone_deg: float | None = None  # half angle [degrees, pi rad are 180]; 0 or none: exactly
@@ -68,18 +68,18 @@ class TaskRow:
 
     @property
     def limit_deg(self) -> float | None:
-        """Of a cone or a tolerance of angle; None where the row is an equality."""
+        """Half angle of a cone or an angle tolerance; None if the row is an equality."""
         return (self.cone_deg if self.cone_deg is not None else self.within_deg) or None
 
     @property
     def axis_of(self) -> tuple[str, int, float]:
-        """Of an axis the frame's name, which of its axes it is, and 1 or -1."""
+        """Name of an axis's frame, the index of the axis, and its sign, 1 or -1."""
         name, _, letter = self.axis.lstrip("-").rpartition(".")
         return name, "xyz".index(letter), -1.0 if self.axis.startswith("-") else 1.0
 
     @property
     def uses(self) -> set[str]:
-        """What of the path's frames it asks for: normals, tangents, rotations."""
+        """Path frames that the row requires: normals, tangents, rotations."""
         found = {"rotations"} if self.orientation == "path" else set()
         if isinstance(self.towards, str):
             found.add("normals" if self.towards.endswith("normal") else "tangents")

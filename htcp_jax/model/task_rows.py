@@ -1,8 +1,8 @@
-"""The kinds of rows that a task is made of: what of the arm each looks at, what it asks of that, and how far off it is.
+"""The kinds of rows of a task: the features of the arm that each compares with its goal, and their errors.
 
-A row looks at features of the arm: points and directions that are fixed to a link. Given their values, and the numbers
-of its goal at one target, it says by how much they are off (`error`, an equality) or how much room is left (`room`, an
-inequality, broken below 0). Kinds are static; goals are data, so a cone's angle may differ from scenario to scenario.
+Features are points and directions that are fixed to a link. From their values and the numbers of its goal at one
+target, a row computes the deviation (`error`, an equality) or the slack (`room`, an inequality, violated below 0).
+Kinds are static; goals are data, so a cone's angle may differ from scenario to scenario.
 
 Errors of angles are rotation vectors, the logarithm map (Lynch and Park, Modern Robotics, section 3.2.3) [rad].
 """
@@ -18,14 +18,14 @@ from htcp_jax.numerics import product, safe_norm
 from htcp_jax.types import Array, Float, Triple, Vector3
 
 XYZ = (0, 1, 2)
-AIM_RAD, AIM_M = 1e-3, 2e-4  # a step aims so far inside an inequality, which linear rows cut too short,
-AIM_SHARE = 0.25  # but by no more than this share of it
+AIM_RAD, AIM_M = 1e-3, 2e-4  # distance inside an inequality at which a step aims, as rows are linearised,
+AIM_SHARE = 0.25  # at most this share of it
 
 
 class Feature(NamedTuple):
     """A point or a direction of the arm, in the world."""
 
-    link: int | None  # that it is fixed to; None: the TCP's frame
+    link: int | None  # to which it is fixed; None: the TCP's frame
     vector: Triple  # in that frame: of a point [m], of a direction of length 1
     is_direction: bool = False
     rows: tuple[int, ...] = XYZ  # the coordinates that count
@@ -33,10 +33,10 @@ class Feature(NamedTuple):
 
 @dataclass(frozen=True)
 class TaskPoint:
-    """A point of the arm and the world coordinates of it that are held; a goal is these coordinates [m]. Raises
-    InputError for none, or for others."""
+    """A point of the arm and its constrained world coordinates; a goal is these coordinates [m]. Raises InputError for
+    no coordinates, or for others than 0, 1, 2."""
 
-    link: int | None = None  # that it is fixed to; None: the TCP
+    link: int | None = None  # to which it is fixed; None: the TCP
     offset_m: Triple = (0.0, 0.0, 0.0)  # in the frame of the link; the TCP has none
     axes: tuple[int, ...] = XYZ  # of the world: 0, 1, 2 are x, y, z
 
@@ -56,20 +56,20 @@ class TaskPoint:
 
     @property
     def equalities(self) -> int:
-        """One a coordinate."""
+        """Number of equations: one per coordinate."""
         return len(self.axes)
 
     @property
     def numbers(self) -> int:
-        """Of a goal."""
+        """Number of coordinates of a goal."""
         return len(self.axes)
 
     def error(self, value: Float[Array, "m"], goal: Float[Array, "m"]) -> Float[Array, "m"]:
-        """From where it is to where it is wanted [m]."""
+        """Return the vector from the point to its goal [m]."""
         return goal - value
 
     def room(self, value: Float[Array, "m"], goal: Float[Array, "m"]) -> Float[Array, "0"]:
-        """There are no inequalities."""
+        """Return no inequalities."""
         return jnp.zeros(0)
 
     aim = room
@@ -77,8 +77,8 @@ class TaskPoint:
 
 @dataclass(frozen=True)
 class PointAlong:
-    """A point of the arm that is held in `count` directions u: u p = offset, or within a band about that. A goal is u
-    and the offset [m] of each direction and, with a band, its half width [m]."""
+    """A point of the arm that is constrained in `count` directions u: u p = offset, or within a band about that. A goal
+    is u and the offset [m] of each direction and, with a band, its half width [m]."""
 
     link: int | None
     offset_m: Triple
@@ -94,32 +94,32 @@ class PointAlong:
 
     @property
     def equalities(self) -> int:
-        """One a direction, without a band."""
+        """Number of equations: one per direction, without a band."""
         return 0 if self.band else self.count
 
     @property
     def inequalities(self) -> int:
-        """Two a direction, with a band."""
+        """Number of inequalities: two per direction, with a band."""
         return 2 * self.count if self.band else 0
 
     @property
     def numbers(self) -> int:
-        """Of a goal."""
+        """Number of coordinates of a goal."""
         return 4 * self.count + self.band
 
     def error(self, value: Vector3, goal: Float[Array, "g"]) -> Float[Array, "m"]:
-        """How much further it has to go in each direction [m]."""
+        """Return the remaining distance in each direction [m]."""
         return jnp.zeros(0) if self.band else self._ahead(value, goal)
 
     def room(self, value: Vector3, goal: Float[Array, "g"]) -> Float[Array, "b"]:
-        """To either side of the band [m]."""
+        """Return the distances to both sides of the band [m]."""
         if not self.band:
             return jnp.zeros(0)
         ahead = self._ahead(value, goal)
         return jnp.concatenate([goal[-1] - ahead, goal[-1] + ahead])
 
     def aim(self, value: Vector3, goal: Float[Array, "g"]) -> Float[Array, "b"]:
-        """How far inside the band a step aims [m]."""
+        """Return how far inside the band a step aims [m]."""
         return jnp.broadcast_to(jnp.minimum(AIM_M, AIM_SHARE * goal[-1]), (self.inequalities,))
 
     def _ahead(self, point: Vector3, goal: Float[Array, "g"]) -> Float[Array, "count"]:
@@ -129,52 +129,52 @@ class PointAlong:
 
 @dataclass(frozen=True)
 class AxisTowards:
-    """An axis of the arm turned in a direction, or towards a place, which it looks at from a point beside it: exactly,
-    or within a cone. A goal is the direction, or the place [m], and with a cone its half angle [rad]."""
+    """An axis of the arm turned in a direction, or towards a place as seen from `looks_from_m`: exactly, or within a
+    cone. A goal is the direction, or the place [m], and with a cone its half angle [rad]."""
 
     link: int | None
     axis: Triple  # of length 1, in the frame of the link
-    looks_from_m: Triple | None = None  # the point that looks, in the frame of the link; None: at no place
+    looks_from_m: Triple | None = None  # origin of the view, in the frame of the link; None: no place
     cone: bool = True
 
     angular: ClassVar[bool] = True
 
     @property
     def features(self) -> tuple[Feature, ...]:
-        """The axis and, where it looks at a place, the point that it looks from."""
+        """The axis and, if it points at a place, the point `looks_from_m`."""
         axis = Feature(self.link, self.axis, is_direction=True)
         return (axis,) if self.looks_from_m is None else (axis, Feature(self.link, self.looks_from_m))
 
     @property
     def equalities(self) -> int:
-        """Two without a cone: an axis may turn about itself."""
+        """Number of equations: two without a cone, as an axis may turn about itself."""
         return 0 if self.cone else 2
 
     @property
     def inequalities(self) -> int:
-        """One with a cone."""
+        """Number of inequalities: one with a cone."""
         return int(self.cone)
 
     @property
     def numbers(self) -> int:
-        """Of a goal."""
+        """Number of coordinates of a goal."""
         return 3 + self.cone
 
     def error(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "m"]:
-        """The rotation vector from the axis to the direction, which is square to both: in two directions that are
-        square to the latter [rad]."""
+        """Return the rotation vector from the axis to the direction, as components in two directions perpendicular to
+        the latter [rad]."""
         if self.cone:
             return jnp.zeros(0)
         return axis_error(value[:3], self._direction(value, goal))
 
     def room(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
-        """From the axis to the cone [rad]."""
+        """Return the angle from the axis to the cone [rad]."""
         if not self.cone:
             return jnp.zeros(0)
         return (goal[3] - angle(value[:3], self._direction(value, goal)))[None]
 
     def aim(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
-        """How far inside the cone a step aims [rad]."""
+        """Return how far inside the cone a step aims [rad]."""
         return jnp.broadcast_to(jnp.minimum(AIM_RAD, AIM_SHARE * goal[-1]), (self.inequalities,))
 
     def _direction(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Vector3:
@@ -186,8 +186,8 @@ class AxisTowards:
 
 @dataclass(frozen=True)
 class Turned:
-    """A frame of the arm turned as a rotation says: exactly, or within an angle. A goal is the rotation matrix,
-    row by row, and with a tolerance the angle [rad]."""
+    """A frame of the arm turned to a rotation: exactly, or within an angle. A goal is the rotation matrix, row by row,
+    and with a tolerance the angle [rad]."""
 
     link: int | None
     columns: tuple[Triple, Triple, Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # the frame's axes
@@ -202,29 +202,29 @@ class Turned:
 
     @property
     def equalities(self) -> int:
-        """Three without a tolerance."""
+        """Number of equations: three without a tolerance."""
         return 0 if self.cone else 3
 
     @property
     def inequalities(self) -> int:
-        """One with a tolerance."""
+        """Number of inequalities: one with a tolerance."""
         return int(self.cone)
 
     @property
     def numbers(self) -> int:
-        """Of a goal."""
+        """Number of coordinates of a goal."""
         return 9 + self.cone
 
     def error(self, value: Float[Array, "9"], goal: Float[Array, "g"]) -> Float[Array, "m"]:
-        """The rotation vector from the frame to what is wanted [rad]."""
+        """Return the rotation vector from the frame to the wanted rotation [rad]."""
         return jnp.zeros(0) if self.cone else self._to_go(value, goal)
 
     def room(self, value: Float[Array, "9"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
-        """What is left of the tolerance [rad]."""
+        """Return the rest of the angle tolerance [rad]."""
         return (goal[-1] - safe_norm(self._to_go(value, goal)))[None] if self.cone else jnp.zeros(0)
 
     def aim(self, value: Float[Array, "9"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
-        """How far inside the tolerance a step aims [rad]."""
+        """Return how far inside the tolerance a step aims [rad]."""
         return jnp.broadcast_to(jnp.minimum(AIM_RAD, AIM_SHARE * goal[-1]), (self.inequalities,))
 
     def _to_go(self, value: Float[Array, "9"], goal: Float[Array, "g"]) -> Vector3:

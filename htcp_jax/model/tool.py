@@ -1,4 +1,4 @@
-"""A tool that a job mounts on its robot, without a change of the model's file."""
+"""A tool that a job mounts on its robot, without changes to the model file."""
 
 import math
 from dataclasses import dataclass
@@ -34,9 +34,9 @@ class ToolBody:
 
 @dataclass(frozen=True)
 class Tool:
-    """What is mounted on the flange, the frame that would be the TCP without it; all in that frame.
+    """A tool on the flange, the frame that would be the TCP without it; all in that frame.
 
-    tip_m, tip_rpy_rad: the TCP; its z axis points out of the tool. bodies: what has to keep clear; a longer tool
+    tip_m, tip_rpy_rad: the TCP; its z axis points out of the tool. bodies: collision bodies; a longer tool
     (`robot.lengthen_tool`) moves them, and stretches the first. Without any, the capsules of the flange's own body are
     the tool. Raises InputError for a number that is not finite and two bodies of one name.
     """
@@ -55,7 +55,8 @@ class Tool:
 
 
 def pose(position_m: Triple, rpy_rad: Triple) -> Float[np.ndarray, "4 4"]:
-    """A frame at `position_m`, turned about the fixed axes x (roll), then y (pitch), then z (yaw), as in a URDF."""
+    """Return a frame at `position_m`, turned about the fixed axes x (roll), then y (pitch), then z (yaw), as in a
+    URDF."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy_rad), np.sin(rpy_rad)
     T = np.eye(4)
     T[:3, :3] = [

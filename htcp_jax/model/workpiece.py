@@ -1,8 +1,8 @@
 """The workpiece: its walls and tool path in its own frame, its pose in the world, and its convex hull.
 
-Host side, numpy. Walls are points. Those of a mesh cover it within a known distance, which every clearance is less.
-The hull serves the interior rule of the clearance: deep behind the inlet, a point of the robot that left the hull has
-pierced the wall.
+Host side, numpy. Walls are points. Those of a mesh cover it within a known distance, which is subtracted from every
+clearance. The hull is for the interior rule of the clearance: deep behind the inlet, a point of the robot outside the
+hull has pierced the wall.
 """
 
 from dataclasses import dataclass, field
@@ -21,7 +21,7 @@ from htcp_jax.model.path_frames import PathFrames, tangents, wall_normals
 from htcp_jax.notebook import html_facts
 from htcp_jax.types import Triple
 
-NO_CLOUD = "none"  # in place of a cloud: there is a path, and no wall
+NO_CLOUD = "none"  # in place of a cloud: a path without walls
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,21 +30,21 @@ class Workpiece:
 
     inlet: centre of the inlet, via-point of the approach; None means none.
     pivot, neutral_translation: see `T_world`.
-    interior_depth_m: how far behind its nearest point the interior begins, see `interior_plane`.
+    interior_depth_m: distance behind its nearest point at which the interior begins, see `interior_plane`.
     interior: "hull" computes the half-spaces below; "none" leaves them empty (F = 0), for flat clouds.
-    hull_tolerance_m: 0 for the exact hull; above, fewer facets that reach out farther by about that much at
-        most and still hold all of the cloud.
-    inlet_direction: into the part, made unit; None is the world's x, however the part is turned; "facet" the inward
+    hull_tolerance_m: 0 for the exact hull; above, fewer facets that extend beyond it by about that much at
+        most and still enclose the cloud.
+    inlet_direction: into the part, made unit; None is the world's x, for any rotation of the part; "facet" the inward
         normal of the hull's facet nearest to the inlet, and without an inlet no interior.
     triangles: of the mesh that the cloud was sampled on [m]; none for a cloud.
-    covering_radius_m: no point of the mesh is further from one of the cloud; 0 for a cloud.
-    tip_contact_m: how near to the TCP the stretch between the last body and the TCP may touch walls; None: anywhere.
-    frames: the path's normals, tangents and orientations, where they are known.
+    covering_radius_m: largest distance from the mesh to its nearest point of the cloud; 0 for a cloud.
+    tip_contact_m: length at the TCP of the bare tip (last body to TCP) that may touch walls; None: all of it.
+    frames: the path's normals, tangents and orientations, as far as given.
 
     Computed once: the cloud's convex hull is where hull_normal @ x <= hull_offset (unit outward normals);
     hull_vertices are the vertices of the exact hull (the whole cloud with interior "none").
 
-    A cloud of no points is none: there is a path alone.
+    Without points there is no cloud, only a path.
 
     Raises InputError for wrong shapes and counts, NaN, 1 to 3 points, no path, and a flat cloud with "hull".
     """
@@ -96,7 +96,7 @@ class Workpiece:
     def T_world(
         self, wy: float, wz: float, shift: Triple = (0.0, 0.0, 0.0), wx: float = 0.0
     ) -> Float[np.ndarray, "4 4"]:
-        """T_world_workpiece: x_world = pivot + Rz(wz) Ry(wy) Rx(wx) (x + neutral_translation - pivot) + shift.
+        """Return T_world_workpiece: x_world = pivot + Rz(wz) Ry(wy) Rx(wx) (x + neutral_translation - pivot) + shift.
 
         wx, wy, wz [rad] about world x, then world y, then world z; shift [m] in the world.
         """
@@ -111,7 +111,7 @@ class Workpiece:
 
     @cached_property
     def normals(self) -> Float[np.ndarray, "T 3"]:
-        """The path's normals, unit, from the wall into the free space: those known, else those of the cloud."""
+        """The path's unit normals, from the wall into the free space: as given, else fitted to the cloud."""
         if self.frames.normals is not None:
             return self.frames.normals
         if not len(self.cloud):
@@ -120,22 +120,22 @@ class Workpiece:
 
     @cached_property
     def tangents(self) -> Float[np.ndarray, "T 3"]:
-        """The way that the path goes, unit: as known, else by central differences."""
+        """The path's unit tangents: as given, else by central differences."""
         return tangents(self.path) if self.frames.tangents is None else self.frames.tangents
 
     @property
     def shown(self) -> Float[np.ndarray, "P 3"]:
-        """What a picture of it is of [m]: its cloud, or without one its path."""
+        """The points that a picture shows [m]: the cloud, or without one the path."""
         return self.cloud if len(self.cloud) else self.path
 
     @cached_property
     def largest_gap_m(self) -> float:
-        """The largest distance from a point of the cloud to the next one: holes are at least as wide."""
+        """The largest distance from a point of the cloud to its neighbour: holes are at least as wide."""
         return float(cKDTree(self.cloud).query(self.cloud, k=2)[0][:, 1].max())
 
     @property
     def walls(self) -> str:
-        """What clearance is measured to, in words."""
+        """Description of the walls that clearance is measured to."""
         if not len(self.cloud):
             return NO_CLOUD
         if len(self.triangles):
@@ -145,7 +145,7 @@ class Workpiece:
 
     @property
     def interior_rule(self) -> str:
-        """Whether bodies deep in the part must be in its hull, in words."""
+        """Description of the rule that bodies deep in the part must lie in its hull."""
         if len(self.hull_offset):
             along = "world x" if self.inlet_direction is None else f"({_numbers(self.inlet_direction)})"
             return f"convex hull, {self.interior_depth_m:.3g} m deep along {along}"
@@ -164,8 +164,8 @@ class Workpiece:
         return html_facts(self.name, facts)
 
     def interior_plane(self, T_world_workpiece: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4"]:
-        """Unit normal n, offset: a point of the robot with n @ x > offset [m] in the world must lie in the hull. n is
-        the inlet's direction; it lies interior_depth_m behind the point of the part that comes first along n."""
+        """Return the unit normal n and offset: a point of the robot with n @ x > offset [m] in the world must lie in
+        the hull. n is the inlet's direction; the plane lies interior_depth_m behind the part's first point along n."""
         rotate, translate = T_world_workpiece[:3, :3], T_world_workpiece[:3, 3]
         n = np.array([1.0, 0.0, 0.0]) if self.inlet_direction is None else rotate @ self.inlet_direction
         along = self.hull_vertices @ (rotate.T @ n) + translate @ n
@@ -173,7 +173,7 @@ class Workpiece:
 
 
 def _direction(value: object, hull: Hull, inlet: np.ndarray | None) -> Float[np.ndarray, "3"] | None:
-    """The unit vector into the part."""
+    """Return the unit vector into the part."""
     if value is None or (isinstance(value, str) and not len(hull.offset)):
         return None
     if isinstance(value, str):

@@ -1,9 +1,9 @@
 """The step QP solved on the device: a dual active-set method in the null space of the task, exact to rounding.
 
-The equalities leave N - 3 unknowns. In coordinates u in which the cost is 1/2 |u - u0|^2, the QP asks for the point of
-a polyhedron closest to u0, and at most N - 3 of its rows hold it there. Goldfarb and Idnani (1983) start at u0 and take
-in the most violated row, one after the other; a row taken in before leaves when its multiplier would turn negative. The
-cost rises all along, so it ends; and when a violated row is a combination of the active ones with multipliers of the
+The equalities leave N - 3 unknowns. In coordinates u in which the cost is 1/2 |u - u0|^2, the solution is the point of
+a polyhedron closest to u0, with at most N - 3 active rows. Goldfarb and Idnani (1983) start at u0 and add the most
+violated row, one after the other; an active row leaves when its multiplier would become negative. The cost rises in
+every step, so the method ends; and when a violated row is a combination of the active ones with multipliers of the
 wrong sign only, these multipliers are Farkas' certificate that no point satisfies all rows.
 """
 
@@ -16,12 +16,12 @@ from htcp_jax.numerics import null_basis, product, safe_norm
 from htcp_jax.solvers.step_qp import QPSolution, QPStatus, StepQP
 from htcp_jax.types import Array, Bool, Float, Int, Scalar
 
-ITERATIONS = 60  # rows taken in or dropped; 4 are usual, 20 rare
+ITERATIONS = 60  # rows added or dropped; 4 are usual, 20 rare
 PARALLEL = 1e-9  # a unit row this close to the span of the active ones adds nothing to it
 
 
 class _Active(NamedTuple):
-    """State of the method: a point, the rows that hold it, and the row being taken in."""
+    """State of the method: a point, its active rows, and the row that enters."""
 
     u: Float[Array, "D"]
     row: Int[Array, "D"]  # active rows, -1 for none
@@ -34,9 +34,9 @@ class _Active(NamedTuple):
 
 
 def solve_step(qp: StepQP, tolerance: float = 1e-8) -> QPSolution:
-    """Solution of one step QP, equation (9); a row counts as violated beyond `tolerance`, in its own unit.
+    """Solve one step QP, equation (9); a row counts as violated beyond `tolerance`, in its own unit.
 
-    Infinite limits are no rows. FAILED where numbers are not finite or the method does not end.
+    Infinite limits add no rows. FAILED if numbers are not finite or the method does not end.
     """
     n = qp.q.shape[0]
     if qp.A.shape[0] == n:
@@ -53,7 +53,7 @@ def solve_step(qp: StepQP, tolerance: float = 1e-8) -> QPSolution:
     bound = jnp.where(has_bound, bound, 0.0) - product(rows, y_task)
     rows = product(rows, to_y)
     length = jnp.where(has_bound, safe_norm(rows), 0.0)
-    flat = length < 1e-12  # such a row says nothing about u: true or false wherever it is
+    flat = length < 1e-12  # such a row does not depend on u: always true or always false
     normal = rows / jnp.where(flat, 1.0, length)[:, None]
     offset = jnp.where(flat, jnp.inf, bound / jnp.where(flat, 1.0, length))
     hopeless = jnp.any((flat & has_bound & (bound < -tolerance)) | jnp.isneginf(bound))
@@ -67,7 +67,7 @@ def solve_step(qp: StepQP, tolerance: float = 1e-8) -> QPSolution:
 
 
 def _only_step(qp: StepQP, tolerance: float) -> QPSolution:
-    """The step that the task leaves no choice of, where there are as many of its rows as joints."""
+    """Return the only step that satisfies the task, if it has as many rows as there are joints."""
     y = _on_task(qp)
     over = jnp.concatenate([product(qp.G, y) - qp.h, y - qp.ub, qp.lb - y])
     status = jnp.where(jnp.any(over > tolerance), QPStatus.INFEASIBLE, QPStatus.SOLVED)
@@ -76,7 +76,7 @@ def _only_step(qp: StepQP, tolerance: float) -> QPSolution:
 
 
 def _closest_point(normal, offset, tolerance, u0) -> _Active:
-    """The point of {u : normal @ u <= offset} closest to u0; `normal` has unit rows."""
+    """Return the point of {u : normal @ u <= offset} closest to u0; `normal` has unit rows."""
     dimension = u0.shape[0]
 
     def step(state: _Active) -> _Active:
@@ -123,7 +123,7 @@ def _closest_point(normal, offset, tolerance, u0) -> _Active:
 
 
 def _split(normal, rows, new):
-    """A unit vector as across + sum along_k normal[rows_k]: its part off the span of the active rows, and its
+    """Return a unit vector as across + sum along_k normal[rows_k]: its part orthogonal to the active rows, and its
     coordinates in them. By Gram-Schmidt, twice, and back substitution."""
     dimension = new.shape[0]
     unit, factor = [], [[jnp.zeros(())] * dimension for _ in range(dimension)]
@@ -152,7 +152,7 @@ def _split(normal, rows, new):
 
 
 def _on_task(qp: StepQP) -> Float[Array, "N"]:
-    """A solution of A y = b in the span of A's rows."""
+    """Return a solution of A y = b in the span of A's rows."""
     y = jnp.zeros_like(qp.q)
     unit: list[Array] = []
     for row, bound in zip(qp.A, qp.b, strict=True):
@@ -167,7 +167,7 @@ def _on_task(qp: StepQP) -> Float[Array, "N"]:
 
 
 def _inverse_factor(H: Float[Array, "D D"]) -> Float[Array, "D D"]:
-    """L^-1 for H = L L', unrolled: by the rows of [H | I], each freed of those before it."""
+    """Return L^-1 for H = L L', unrolled, by Gram-Schmidt on the unit vectors in the inner product of H."""
     dimension = H.shape[0]
     rows = []
     for k in range(dimension):

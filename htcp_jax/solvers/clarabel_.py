@@ -1,4 +1,4 @@
-"""Clarabel, an interior point solver with infeasibility certificates, fed through one fixed sparsity pattern.
+"""Clarabel, an interior point solver with infeasibility certificates, with one fixed sparsity pattern.
 
 Building a solver costs more than solving, and so does building sparse matrices: one solver is built from a fixed first
 problem, later ones only write their numbers into it. Presolve and equilibration stay off, so a solver remembers nothing
@@ -20,10 +20,10 @@ _VERDICT = {
 
 
 class ClarabelSolver:
-    """Step QPs, equation (9), with `rows` clearance rows, `task_rows` of the task and the cost diag(P), one after the
-    other, on the caller's thread.
+    """Solver of step QPs, equation (9), with `rows` clearance rows, `task_rows` of the task and the cost diag(P), one
+    after the other, on the caller's thread.
 
-    The lock of the interpreter is released while a QP is solved: give every thread its own solver.
+    The interpreter's lock is released while a QP is solved: give every thread its own solver.
     """
 
     def __init__(self, P: np.ndarray, rows: int, tolerance: float = 1e-8, task_rows: int = 3):
@@ -47,7 +47,7 @@ class ClarabelSolver:
         return clarabel.DefaultSolver(cost, np.zeros(n), pattern, bound, cones, self._settings)
 
     def solve(self, qps: StepQP) -> QPSolution:
-        """Steps (B, N) and verdicts (B,) of a batch."""
+        """Return the steps (B, N) and verdicts (B,) of a batch."""
         # What is infinitely far away, and a joint without a limit: the row 0 y <= 1. Clarabel takes no infinite bounds.
         far = np.isposinf(qps.h) & np.isfinite(qps.G).all(axis=2)
         G, h = np.where(far[:, :, None], 0.0, qps.G), np.where(far, 1.0, qps.h)

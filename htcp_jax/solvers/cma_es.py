@@ -1,7 +1,7 @@
 """CMA-ES with positive weights (Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv:1604.00772), as pure functions.
 
-Its own file and not a library's, because the whole strategy runs under vmap for thousands of scenarios in 64-bit, and
-one update must equal the `cma` package's on the same population: a test holds it to that.
+Not from a library, because the complete strategy runs under vmap for thousands of scenarios in 64-bit, and one update
+must equal the `cma` package's on the same population, which a test checks.
 """
 
 from typing import NamedTuple
@@ -28,7 +28,7 @@ class Distribution(NamedTuple):
 
 
 class Rates(NamedTuple):
-    """Strategy parameters of a population size and dimension; Table 1 of the tutorial, negative weights left out."""
+    """Strategy parameters for a population size and dimension; Table 1 of the tutorial, without negative weights."""
 
     weights: Float[np.ndarray, "parents"]
     mu_eff: float
@@ -41,7 +41,7 @@ class Rates(NamedTuple):
 
 
 def rates(population: int, n: int) -> Rates:
-    """Defaults of the tutorial: equations (49) to (58)."""
+    """Return the tutorial's default parameters, equations (49) to (58)."""
     parents = population // 2
     raw = np.log((population + 1) / 2) - np.log(np.arange(1, parents + 1))
     weights = raw / raw.sum()
@@ -61,13 +61,13 @@ def rates(population: int, n: int) -> Rates:
 
 
 def start(mean: Float[Array, "n"], sigma: float) -> Distribution:
-    """The isotropic distribution about `mean`."""
+    """Return the isotropic distribution about `mean`."""
     zero = jnp.zeros_like(mean)
     return Distribution(mean, jnp.full((), sigma), jnp.eye(len(mean)), zero, zero, jnp.zeros(()))
 
 
 def ask(distribution: Distribution, key: jax.Array, population: int) -> Float[Array, "population n"]:
-    """A population drawn from the distribution."""
+    """Draw a population from the distribution."""
     n = distribution.mean.shape[0]
     axes, _ = _square_roots(distribution.C)
     normal = jax.random.normal(key, (population, n), distribution.mean.dtype)
@@ -77,7 +77,7 @@ def ask(distribution: Distribution, key: jax.Array, population: int) -> Float[Ar
 def tell(
     distribution: Distribution, samples: Float[Array, "population n"], cost: Float[Array, "population"], r: Rates
 ) -> Distribution:
-    """The distribution after ranking the samples by cost, lowest first; equations (41) to (47)."""
+    """Update the distribution from samples ranked by cost, lowest first; equations (41) to (47)."""
     n = distribution.mean.shape[0]
     best = samples[jnp.argsort(cost)[: len(r.weights)]]
     steps = (best - distribution.mean[None, :]) / distribution.sigma
@@ -99,7 +99,7 @@ def tell(
 
 
 def _square_roots(C):
-    """B D with B D^2 B' = C, and C^(-1/2)."""
+    """Return B D with B D^2 B' = C, and C^(-1/2)."""
     if has_gpu():
         return square_roots_gpu.square_roots(C)
     square, B = jnp.linalg.eigh(C)
@@ -111,12 +111,12 @@ def _square_roots(C):
 
 
 def _times(a, b):
-    """a @ b."""
+    """Return a @ b."""
     return product(a, b) if jax.default_backend() == "gpu" else a @ b
 
 
 def _scatter(weights, steps):
-    """Sum of weight * step step'."""
+    """Return the sum of weight * step step'."""
     if jax.default_backend() == "gpu":
         return product((weights[:, None] * steps).T, steps)
     return jnp.einsum("p,pi,pj->ij", weights, steps, steps)

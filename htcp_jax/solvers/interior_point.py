@@ -4,8 +4,8 @@ Mehrotra's predictor-corrector on the normal equations. With 2 to 6 unknowns and
 algebra is an n x n Cholesky factorisation, unrolled, so thousands of these fuse into a few vectorised loops. The
 caller guarantees that a feasible point exists (here: t can always be lowered).
 
-Its own file and not qpax, which takes two QR factorisations an iteration, library calls for each lane, and returns the
-last iterate: here the best one counts, so that a tolerance near rounding can be asked for.
+Not qpax, which needs two QR factorisations per iteration, library calls for each lane, and returns the last iterate:
+here the best one is returned, so that a tolerance near rounding can be required.
 """
 
 from typing import NamedTuple
@@ -28,13 +28,13 @@ class DenseSolution(NamedTuple):
 
 
 class _Iterate(NamedTuple):
-    """Where the method is."""
+    """State of the method."""
 
     y: Float[Array, "n"]
     slack: Float[Array, "m"]
     multipliers: Float[Array, "m"]
     best: DenseSolution
-    count: Int[Array, ""]  # iterations; all of them once it goes astray
+    count: Int[Array, ""]  # iterations; set to their maximum on divergence
 
 
 def solve_dense(

@@ -1,8 +1,8 @@
-"""`interior_point.solve_dense` as one GPU kernel: a program solves a QP from start to end, its rows side by side.
+"""`interior_point.solve_dense` as one GPU kernel: each program solves a QP from start to end, its rows in parallel.
 
-As XLA code every iteration is some twenty launches, and the host looks after each whether another is wanted; QPs that
-are solved one after the other within loops wait for little else. The same formulas in the same order: sums over rows
-alone round otherwise.
+As XLA code every iteration would be some twenty launches, after each of which the host checks for convergence; QPs that
+are solved one after the other in loops would mostly wait for that. Same formulas in the same order: only sums over rows
+are rounded differently.
 """
 
 from functools import partial
@@ -17,9 +17,10 @@ ROWS_OF_A_WARP = 64  # two rows a thread: fewer threads wait for each other less
 
 
 def solve(H, c, G, h, tolerance: float, iterations: int, interpret: bool = False):
-    """(y, multipliers, error) as `solve_dense` has them.
+    """Return (y, multipliers, error) as `solve_dense` does.
 
-    Arrays have 2^k rows in Triton: the rest are 0 y <= 1 with multiplier 0, which stay what they are."""
+    Arrays have 2^k rows in Triton: the padding is 0 y <= 1 with multiplier 0, which stays constant.
+    """
     m, n = G.shape
     size = max(16, 1 << (m - 1).bit_length())
     rows = jnp.pad(G.T, ((0, 0), (0, size - m)))
@@ -31,7 +32,7 @@ def solve(H, c, G, h, tolerance: float, iterations: int, interpret: bool = False
 
 
 def _solve(m, tolerance, iterations, H, c, G, h, out_y, out_multipliers, out_error):
-    """Numbers of the n unknowns are scalars in lists, those of the rows are vectors."""
+    """Solve one QP: numbers of the n unknowns are scalars in lists, those of the rows are vectors."""
     n = c.shape[0]
     unknowns = range(n)
     H, c = [[H[i, j] for j in unknowns] for i in unknowns], [c[i] for i in unknowns]

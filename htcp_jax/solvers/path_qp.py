@@ -1,12 +1,12 @@
-"""Equation (3) about a path: all its postures at once, as one sparse QP in their steps y_1 .. y_P.
+"""Smoothing QP, equation (3) about a path: all its configurations at once, as one sparse QP in their steps y_1 .. y_P.
 
     minimise    sum_i  w' (x_i + y_i - x_{i-1} - y_{i-1})^2      ||x||_Q^2 with Q = V' V; the start x_0 is held, y_0 = 0
     subject to  A_i y_i = 0                        where the task is held: it stays so, to first order
-                G_i y_i <= h_i                     the clearance rows (8) of a posture,
+                G_i y_i <= h_i                     the clearance rows (8) of a configuration,
                 C_i (y_{i-1} + y_i) / 2 <= c_i     and those half way to it
                 lower_i <= y_i <= upper_i          the trust region, inside the joint limits
 
-With h, c >= 0 and bounds on either side of 0 the step 0 is feasible, so there is always an answer.
+With h, c >= 0 and bounds on either side of 0 the step 0 is feasible, so a solution always exists.
 """
 
 from functools import lru_cache
@@ -21,11 +21,11 @@ SOLVED = ("Solved", "AlmostSolved")
 
 
 class PathQP(NamedTuple):
-    """The QP of one path; P postures after the start."""
+    """The QP of one path; P configurations after the start."""
 
-    x: Float[np.ndarray, "P1 N"]  # the start, then the postures [rad or m]
+    x: Float[np.ndarray, "P1 N"]  # the start, then the configurations [rad or m]
     weights: Float[np.ndarray, "N"]  # w, of the joints
-    held: Bool[np.ndarray, "P"]  # which postures hold the task
+    held: Bool[np.ndarray, "P"]  # configurations at which the task is constrained
     A: Float[np.ndarray, "P M N"]
     G: Float[np.ndarray, "P R N"]
     h: Float[np.ndarray, "P R"]  # [m]
@@ -33,17 +33,17 @@ class PathQP(NamedTuple):
     c: Float[np.ndarray, "P R"]  # [m]
     lower: Float[np.ndarray, "P N"]
     upper: Float[np.ndarray, "P N"]
-    begins_anywhere: bool = False  # whether the way to the first posture costs nothing
+    begins_anywhere: bool = False  # True: the segment to the first configuration costs nothing
 
 
 def path_cost(x: Float[np.ndarray, "P1 N"], weights: Float[np.ndarray, "N"]) -> float:
-    """Equation (3), ||x||_Q^2 [rad2 where the joints are hinges of weight 1]."""
+    """Return the cost of equation (3), ||x||_Q^2 [rad2 if the joints are hinges of weight 1]."""
     steps = np.diff(x, axis=0)
     return float((steps * steps * weights).sum())
 
 
 def solve_path_qp(qp: PathQP) -> Float[np.ndarray, "P N"]:
-    """The steps y of its postures [rad or m]; zeros where the solver breaks down."""
+    """Return the steps y of the path's configurations [rad or m]; zeros if the solver fails."""
     count, joints = qp.lower.shape
     differences = _differences(count)[1:] if qp.begins_anywhere else _differences(count)
     cost = 2 * sparse.kron(differences.T @ differences, sparse.diags(qp.weights))
@@ -60,7 +60,8 @@ def solve_path_qp(qp: PathQP) -> Float[np.ndarray, "P N"]:
 
 
 def _constraints(qp: PathQP) -> tuple[sparse.csc_matrix, np.ndarray, int]:
-    """Rows, bounds, and how many of the rows are equations. Clearance rows that no step breaks are left out."""
+    """Return rows, bounds, and the number of equations among the rows. Clearance rows that no step can violate are
+    excluded."""
     count, joints = qp.lower.shape
     most = np.maximum(-qp.lower, qp.upper)
     between = 0.5 * (most + np.concatenate([np.zeros((1, joints)), most[:-1]]))
@@ -76,7 +77,7 @@ def _constraints(qp: PathQP) -> tuple[sparse.csc_matrix, np.ndarray, int]:
 
 
 def _rows(posture: np.ndarray, coefficients: np.ndarray, count: int) -> sparse.csc_matrix:
-    """Rows that have the coefficients of one posture's step each; those of the start, -1, are empty."""
+    """Return rows with the coefficients of one configuration's step each; those of the start, -1, are empty."""
     joints, there = coefficients.shape[1], posture >= 0
     row = np.repeat(np.flatnonzero(there), joints)
     column = (posture[there][:, None] * joints + np.arange(joints)).ravel()
@@ -86,5 +87,5 @@ def _rows(posture: np.ndarray, coefficients: np.ndarray, count: int) -> sparse.c
 
 @lru_cache(maxsize=128)
 def _differences(count: int) -> sparse.csc_matrix:
-    """V without the start's column: row i takes y_{i-1} from y_i."""
+    """Return V without the start's column: row i is y_i - y_{i-1}."""
     return sparse.diags([np.ones(count), -np.ones(count - 1)], [0, -1], format="csc")

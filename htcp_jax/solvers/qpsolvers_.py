@@ -1,4 +1,4 @@
-"""Any solver that qpsolvers knows, one QP at a time: an oracle for the tests, and a way to try another solver."""
+"""Any solver in qpsolvers, one QP at a time: a reference for the tests, and a way to try another solver."""
 
 import numpy as np
 import qpsolvers
@@ -8,9 +8,9 @@ from htcp_jax.solvers.step_qp import QPSolution, QPStatus, StepQP
 
 
 class QPSolversSolver:
-    """Step QPs through `qpsolvers.solve_problem`. Raises InputError for a solver that is not installed.
+    """Solver of step QPs by `qpsolvers.solve_problem`. Raises InputError for a solver that is not installed.
 
-    qpsolvers does not tell an infeasible problem from a failure to converge: both count as INFEASIBLE unless the
+    qpsolvers does not distinguish an infeasible problem from a failure to converge: both count as INFEASIBLE unless the
     solver raised or returned NaN.
     """
 
@@ -20,7 +20,7 @@ class QPSolversSolver:
         self._name = name
 
     def solve(self, qps: StepQP) -> QPSolution:
-        """Steps (B, N) and verdicts (B,) of a batch."""
+        """Return the steps (B, N) and verdicts (B,) of a batch."""
         y = np.zeros(qps.q.shape)
         status = np.full(len(y), QPStatus.FAILED, np.int32)
         for k in range(len(y)):

@@ -1,11 +1,11 @@
-"""Minimisers of J2 over the unit sphere, equation (11): one null-space step looks for the direction w that clears best.
+"""Minimisers of J2 over the unit sphere, equation (11): the null-space direction w with the largest clearance.
 
     maximise  min_k f_k(w)   over |w| = 1,  G w <= h,     f_k(w) = D_k(x_ref + alpha N w) - J1
 
 f_k belongs to body k, so the objective is a minimum of functions, each itself a minimum over points: kinked where it
-matters most. `observe` measures it exactly and is dear; every observation leaves K contacts behind, one a body.
+matters most. `observe` measures it exactly and is expensive; every observation returns K contacts, one per body.
 `predict` measures the distance to the contacts seen so far at another w: cheap, never below f_k, and equal to it where
-the right ones have been seen. The minimisers know nothing else of robots or clouds.
+the right ones have been seen. The minimisers depend on nothing else of robots or clouds.
 """
 
 from collections.abc import Callable
@@ -27,8 +27,8 @@ Held = PyTree[Array]  # contacts: leaves have a leading axis R, of all rows, or 
 
 
 class Sphere(NamedTuple):
-    """The problem above. J1(w) = 1/2 w' curvature w is already inside the f_k [m] that observe, measure and predict
-    return, which are differentiable in w; w and with it G and h have no unit."""
+    """The problem above. J1(w) = 1/2 w' curvature w is already subtracted in the f_k [m] that observe, measure and
+    predict return, which are differentiable in w; w and with it G and h have no unit."""
 
     observe: Callable[[Direction], tuple[Float[Array, "K"], Held]]
     measure: Callable[[Direction], Scalar]  # min_k f_k(w) alone: cheaper than observe
@@ -43,14 +43,14 @@ class Sphere(NamedTuple):
 
 
 class Best(NamedTuple):
-    """A direction and what it attains."""
+    """A direction and its objective."""
 
     w: Direction
     value: Scalar  # min_k f_k(w), exact
 
 
 def spread_directions(count: int, dimension: int) -> Float[np.ndarray, "count dimension"]:
-    """Fixed unit vectors, the same on every machine: the positive and negative axes, then seeded random ones."""
+    """Return fixed unit vectors, the same on every machine: the positive and negative axes, then seeded random ones."""
     axes = np.concatenate([np.eye(dimension), -np.eye(dimension)])
     more = np.random.Generator(np.random.PCG64(0)).standard_normal((max(count, len(axes)), dimension))
     return np.concatenate([axes, more / np.linalg.norm(more, axis=1, keepdims=True)])[:count]
@@ -61,13 +61,13 @@ def _unit(v: Direction) -> Direction:
 
 
 def _merit(sphere: Sphere, w: Direction, value: Scalar) -> Scalar:
-    """Objective less an exact penalty on joint limits: 10 m/rad is steeper than any clearance."""
+    """Return the objective less an exact penalty on joint limits: 10 m/rad is steeper than any clearance."""
     return value - 10.0 * jnp.max(jnp.maximum(product(sphere.G, w) - sphere.h, 0.0), initial=0.0)
 
 
 def first_direction(sphere: Sphere, seen: Held, key: jax.Array | None = None, count: int = 64) -> Direction:
-    """Return where a minimiser starts: the best of `count` spread directions by the contacts at hand, which costs no
-    observation, or with a key a random one, uniform on the sphere."""
+    """Return a minimiser's start: the best of `count` spread directions by the given contacts, without an observation,
+    or with a key a random one, uniform on the sphere."""
     if key is not None:
         return _unit(jax.random.normal(key, sphere.curvature.shape[:1]))
     directions = jnp.asarray(spread_directions(count, sphere.curvature.shape[0]))
@@ -76,7 +76,7 @@ def first_direction(sphere: Sphere, seen: Held, key: jax.Array | None = None, co
 
 
 def _better_of_two(sphere: Sphere) -> Best:
-    """The whole sphere where it has one dimension (an arm with four joints): its two directions."""
+    """Return the better of the two directions of a one-dimensional sphere (an arm with four joints)."""
     directions = jnp.array([[1.0], [-1.0]])
     merit = jnp.stack([_merit(sphere, w, sphere.measure(w)) for w in directions])
     return Best(directions[jnp.argmax(merit)], jnp.max(merit))
@@ -87,9 +87,9 @@ def sqp(
 ) -> Best:
     """Sequential quadratic programming on the epigraph: maximise t with t <= the distance to every contact seen.
 
-    An outer approximation: climb on what the contacts seen predict, observe where that leads, and so on from the best
-    direction observed. The prediction is never below the truth, so when nothing near is predicted to be better, nothing
-    near is. Three observations are usual; the contacts of the last `memory` are kept.
+    An outer approximation: climb on the prediction by the contacts seen, observe the result, and repeat from the best
+    direction observed. The prediction is never below the truth, so the search ends at a local maximum once nothing near
+    is predicted to be better. Usually three observations are needed; the contacts of the last `memory` are kept.
     """
     if sphere.curvature.shape[0] == 1:
         return _better_of_two(sphere)
@@ -111,12 +111,12 @@ def sqp(
 
 
 class _Search(NamedTuple):
-    """How far SQP has come."""
+    """State of the SQP search."""
 
-    best: Best  # of what was observed
-    proposed: Direction  # to be observed next
+    best: Best  # best observed direction
+    proposed: Direction  # next direction to observe
     store: Held  # contacts of the last observations
-    more: Bool[Array, ""]  # whether the proposal is predicted to be better
+    more: Bool[Array, ""]  # True: the proposal is predicted to be better
     count: Int[Array, ""]  # observations
 
 
@@ -124,28 +124,28 @@ class _Climb(NamedTuple):
     """A climb on the predicted merit."""
 
     w: Direction
-    value: Float[Array, "R"]  # predicted at w, one a contact seen
+    value: Float[Array, "R"]  # predicted at w, one per contact seen
     gradient: Float[Array, "R D"]
     merit: Scalar
-    multipliers: Float[Array, "R"]  # of the QP before
+    multipliers: Float[Array, "R"]  # of the previous QP
     radius: Scalar  # of the trust region, 0 at the end
     steps: Int[Array, ""]
 
     @property
     def ended(self) -> Bool[Array, ""]:
-        """Whether no step, however short, is predicted to gain anything."""
+        """True if no step, however short, is predicted to raise the merit."""
         return self.radius < 1e-6
 
 
 def _climb(sphere: Sphere, w: Direction, seen: Held, steps: int = 12) -> _Climb:
-    """Towards the local maximum of the predicted merit from w, by SQP steps within a trust region."""
+    """Climb from w to a local maximum of the predicted merit, by SQP steps within a trust region."""
 
     def body(climb):
         step, multipliers, gain = _tangent_step(sphere, climb)
         w = _unit(climb.w + step)
         value, gradient = sphere.predict_with_gradient(w, seen)
         merit = _merit(sphere, w, jnp.min(value))
-        # A step that gains too little was too long: the next is a quarter of it. A QP that hopes for nothing ends it.
+        # A step that gains too little was too long: the next is a quarter of it. A QP without predicted gain ends it.
         shorter = 0.25 * jnp.max(jnp.abs(step))
         radius = jnp.where(merit - climb.merit > 0.1 * gain, jnp.minimum(2 * climb.radius, 0.5), shorter)
         radius = jnp.where(gain > 1e-10, radius, 0.0)
@@ -161,11 +161,12 @@ def _climb(sphere: Sphere, w: Direction, seen: Held, steps: int = 12) -> _Climb:
 
 
 def _tangent_step(sphere: Sphere, climb: _Climb) -> tuple[Direction, Float[Array, "R"], Scalar]:
-    """Step in R^D from the tangent QP at w, no longer than the radius along any axis; its multipliers of the contacts,
-    and the gain it predicts.
+    """Solve the tangent QP at w: return a step in R^D, no longer than the radius along any axis, the contacts'
+    multipliers, and the predicted gain.
 
-    Along the arc w -> unit(w + T d), a function with gradient g gains g'T d - 1/2 (g'w) |d|^2 to second order; with the
-    curvature of J1 that is all the curvature that the QP knows."""
+    Along the arc w -> unit(w + T d), a function with gradient g gains g'T d - 1/2 (g'w) |d|^2 to second order; the QP
+    contains this curvature and that of J1.
+    """
     w, value, gradient, multipliers, radius = climb.w, climb.value, climb.gradient, climb.multipliers, climb.radius
     dimension = w.shape[0]
     tangent = null_basis(w[None, :])
@@ -187,9 +188,11 @@ def _tangent_step(sphere: Sphere, climb: _Climb) -> tuple[Direction, Float[Array
 
 
 def max_min_step(sphere: Sphere, seen: Held, longest: Scalar) -> Direction:
-    """Step w, |w| <= longest, that raises the smallest contact seen from w = 0 the most: one QP, no observation.
+    """Return the step w, |w| <= longest, that raises the smallest contact seen from w = 0 the most: one QP, no
+    observation.
 
-    The epigraph at first order with a trace of damping, so that a flat optimum gives the shortest step."""
+    The epigraph at first order with slight damping, so that a flat optimum gives the shortest step.
+    """
     dimension = sphere.curvature.shape[0]
     value, gradient = sphere.predict_with_gradient(jnp.zeros(dimension), seen)
     up = jnp.eye(dimension + 1)[-1]
@@ -205,9 +208,9 @@ def max_min_step(sphere: Sphere, seen: Held, longest: Scalar) -> Direction:
 def interior_point(sphere: Sphere, seen: Held, iterations: int = 24, start_key: jax.Array | None = None) -> Best:
     """Log barrier on the sphere: maximise t + mu (sum log(f_k(w) - t) + sum log(h - G w)), mu falling to 1e-7 m.
 
-    t is eliminated (its optimum solves sum mu / (f_k - t) = 1), which leaves a smooth minimum of the bodies, pushed
-    away from the joint limits. Newton steps in the tangent plane with the barrier's own curvature; a step that does
-    not raise the barrier is halved; two steps for every mu.
+    t is eliminated (its optimum solves sum mu / (f_k - t) = 1), which leaves a smooth minimum over the bodies, repelled
+    by the joint limits. Newton steps in the tangent plane with the barrier's own curvature; a step that does not raise
+    the barrier is rejected and the next is shorter; two steps for every mu.
     """
     dimension = sphere.curvature.shape[0]
     if dimension == 1:
@@ -258,7 +261,8 @@ def interior_point(sphere: Sphere, seen: Held, iterations: int = 24, start_key: 
 
 
 def _epigraph(values, mu):
-    """t below all values with sum mu / (values - t) = 1: between min - K mu and min - mu; Newton on the convex side."""
+    """Return t below all values with sum mu / (values - t) = 1: between min - K mu and min - mu; Newton on the convex
+    side."""
     low = jnp.min(values) - values.shape[0] * mu
 
     def newton(_, t):
@@ -310,7 +314,7 @@ def cmaes(
     sigma: float = 0.5,
     start_key: jax.Array | None = None,
 ) -> Best:
-    """CMA-ES over directions: samples are normalised before they are measured; the best one ever measured is kept.
+    """CMA-ES over directions: samples are normalised before they are measured; the best measured direction is kept.
 
     population and generations are the paper's; sigma (no unit), which the paper leaves open, covers a hemisphere at
     0.5.

@@ -1,8 +1,7 @@
-"""The square roots of a small symmetric matrix as one GPU kernel, for `cma_es`: a program takes one matrix.
+"""Square roots of a small symmetric matrix as one GPU kernel, for `cma_es`: one program per matrix.
 
-An eigendecomposition is a call into a library there, which stands between launches that could go out together. Jacobi's
-cyclic method (Golub and Van Loan, Matrix Computations, section 8.5) wants nothing but rotations of two rows, written
-out.
+On a GPU an eigendecomposition is a library call, which separates launches that could be issued together. Jacobi's
+cyclic method (Golub and Van Loan, Matrix Computations, section 8.5) needs only rotations of two rows, written out.
 """
 
 import jax
@@ -10,11 +9,12 @@ import jax.numpy as jnp
 
 from htcp_jax.gpu_kernel import kernel
 
-SWEEPS = 8  # they converge quadratically: matrices of 3 x 3 take four, of 7 x 7 six
+SWEEPS = 8  # quadratic convergence: 3 x 3 matrices need four, 7 x 7 six
 
 
 def square_roots(C, interpret: bool = False):
-    """B D with B D^2 B' = C, and C^(-1/2); eigenvalues in ascending order, each axis positive where it is longest."""
+    """Return B D with B D^2 B' = C, and C^(-1/2); eigenvalues in ascending order, each axis positive in its largest
+    component."""
     shape = jax.ShapeDtypeStruct(C.shape, C.dtype)
     return kernel(_square_roots, (shape, shape), 1, interpret)(C)
 
@@ -30,7 +30,7 @@ def _square_roots(C, axes, whiten):
 
 
 def _eigen(C):
-    """Eigenvalues of a symmetric matrix, and unit eigenvectors; all in lists, of scalars."""
+    """Return the eigenvalues of a symmetric matrix and unit eigenvectors; all in lists of scalars."""
     n = len(C)
 
     def sweep(_, state):
@@ -47,7 +47,8 @@ def _eigen(C):
 
 
 def _rotate(A, B, p, q):
-    """A after the rotation that makes A[p][q] zero; B's rows, the eigenvectors to be, go along."""
+    """Return A after the rotation that makes A[p][q] zero, and B, whose rows become the eigenvectors, rotated with
+    it."""
     off = A[p][q]
     # The smaller of two rotations, by its tangent; none where there is nothing to do.
     ratio = (A[q][q] - A[p][p]) / (2 * jnp.where(off == 0, 1.0, off))
@@ -67,7 +68,8 @@ def _rotate(A, B, p, q):
 
 
 def _ordered(square, B):
-    """Eigenvalues from low to high and their vectors, by exchanges of neighbours; signs by the longest component."""
+    """Return the eigenvalues from low to high and their vectors, by exchanges of neighbours; signs by the largest
+    component."""
     n = len(square)
     pairs = [(square[i], *_positive(B[i])) for i in range(n)]
     for last in reversed(range(n)):
@@ -80,7 +82,7 @@ def _ordered(square, B):
 
 
 def _positive(v):
-    """v or -v: its longest component, the first of equals, is positive."""
+    """Return v or -v: its largest component in magnitude, the first of equals, is positive."""
     longest = v[0]
     for component in v[1:]:
         longest = jnp.where(jnp.abs(component) > jnp.abs(longest), component, longest)

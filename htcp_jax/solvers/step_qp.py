@@ -1,12 +1,12 @@
-"""The step QP, equation (9), in the step y = x - x_ref, and the seam behind which its solvers stand.
+"""The step QP, equation (9), in the step y = x - x_ref, and the interface of its solvers.
 
     minimise    1/2 y' diag(P) y + q' y
     subject to  A y = b          the task, linearised (7) with sigma = 0
                 G y <= h         the clearance rows (8), then the task's bands and cones
                 lb <= y <= ub
 
-A solver takes a batch of them on the host and gives back steps and verdicts. Infeasible is a normal answer: it means
-that the arm is stuck. FAILED is a solver's own breakdown (no convergence, NaN), and never passes for an answer.
+A solver takes a batch of them on the host and returns steps and verdicts. INFEASIBLE is a normal result: the arm is
+stuck. FAILED is a failure of the solver itself (no convergence, NaN), and never counts as infeasible.
 """
 
 import enum
@@ -48,10 +48,11 @@ class QPSolution(NamedTuple):
 
 @runtime_checkable
 class QPSolver(Protocol):
-    """Solves a batch of step QPs given as numpy arrays with a leading axis B; results must not depend on the batch."""
+    """Solver of a batch of step QPs given as numpy arrays with a leading axis B; results must not depend on the
+    batch."""
 
     def solve(self, qps: StepQP) -> QPSolution:
-        """Solutions of the batch, as numpy arrays with the same leading axis B."""
+        """Return the solutions of the batch, as numpy arrays with the same leading axis B."""
 
 
 def assemble(
@@ -68,10 +69,11 @@ def assemble(
     room: Float[Array, "B"] | None = None,
     room_gradient: Float[Array, "B N"] | None = None,
 ) -> StepQP:
-    """Equation (9) about x_ref: `to_target` is Delta C = C_next - C_ref [m]; see `Settings` for the two options.
+    """Assemble equation (9) about x_ref: `to_target` is Delta C = C_next - C_ref [m]; see `Settings` for the two
+    options.
 
-    cost_about: J1 about x_ref (9), or about x_{t-1} (4). clearance_rows: all (8), or that of the smallest D (9).
-    room: in the task's bands and cones [m], if there are any.
+    cost_about: J1 about x_ref (9), or about x_{t-1} (4). clearance_rows: all (8), or only the smallest D's (9). room:
+    slack of the task's bands and cones [m], if there are any.
     """
     weights = jnp.asarray(settings.q_weights)
     about = x_ref if settings.cost_about == "reference" else x_previous
@@ -94,5 +96,5 @@ def assemble(
 
 
 def row_count(settings: Settings, rows: int, bands: int = 0) -> int:
-    """Inequality rows of one step QP, of so many clearance rows that there are; bands: the task's rows."""
+    """Return the number of inequality rows of one step QP, for `rows` clearance rows; bands: the task's rows."""
     return (1 if settings.clearance_rows == "smallest" else rows) + bands

@@ -1,4 +1,4 @@
-"""Flat discs that bound clusters of points, and their distance to a segment.
+"""Flat discs that bound clusters of points, and lower bounds on their distance to a segment.
 
 A cluster is bounded by a disc: middle m, normal n, half thickness e, radius r. Let c be the point of the segment
 closest to m, and v the unit vector from m to c. Every point of the segment lies beyond the plane through c normal to v
@@ -7,8 +7,8 @@ closest to m, and v the unit vector from m to c. Every point of the segment lies
 
     distance(segment, cluster) >= |c - m| - |v.n| e - sqrt(1 - (v.n)^2) r,
 
-which for a patch of a wall seen face on is the wall's thickness away from exact. It is 32-bit, rounded down by `SLACK`.
-The middle is that of the smallest circle about the cluster, very nearly: about its most central point instead, discs
+which for a patch of a wall seen face on is exact up to the wall's thickness. It is 32-bit, rounded down by `SLACK`.
+The middle is very nearly that of the smallest circle about the cluster: about its most central point instead, discs
 would be a fifth larger, and a search would measure half as many leaves again.
 """
 
@@ -32,7 +32,7 @@ class Segments(NamedTuple):
 
 
 def as_segments(p: Float[Array, "K 3"], q: Float[Array, "K 3"]) -> Segments:
-    """Segments between p and q [m]."""
+    """Return the segments between p and q [m]."""
     d = q - p
     square = jnp.sum(d * d, axis=1)
     # A segment shorter than 1e-15 m is as good as a point; its inverse would be infinite in 32-bit.
@@ -40,17 +40,17 @@ def as_segments(p: Float[Array, "K 3"], q: Float[Array, "K 3"]) -> Segments:
 
 
 def single(segments: Segments) -> Segments:
-    """The segments in 32-bit."""
+    """Convert the segments to 32-bit."""
     return jax.tree.map(lambda a: a.astype(jnp.float32), segments)
 
 
 def spread(segments: Segments, axes: int) -> Segments:
-    """The segments with axes for what each of them is measured against."""
+    """Return the segments with extra axes, to broadcast against what each is measured against."""
     return jax.tree.map(lambda a: a.reshape(*a.shape, *[1] * axes), segments)
 
 
 def arm(segment: Segments, points):
-    """From the closest point of the segment to each point (3, ...)."""
+    """Return the vector from the closest point of the segment to each point (3, ...)."""
     a = [points[i] - segment.p[i] for i in range(3)]
     s = sum(a[i] * segment.d[i] for i in range(3)) * segment.inverse
     s = jnp.where(s > 0, s, 0)  # one instruction each; jnp.clip takes two more, to pass on a NaN
@@ -59,13 +59,13 @@ def arm(segment: Segments, points):
 
 
 def squared_distance(segment: Segments, points):
-    """Of points (3, ...) to a segment [m^2]."""
+    """Return the squared distance of points (3, ...) to a segment [m^2]."""
     a = arm(segment, points)
     return a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
 
 
 def lower_bounds(segment: Segments, bound):
-    """Of the distance to discs (8, ...) [m]."""
+    """Return lower bounds on the distance to discs (8, ...) [m]."""
     a = arm(segment, bound)
     square = a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
     distance = jnp.sqrt(square)
@@ -78,7 +78,7 @@ def lower_bounds(segment: Segments, bound):
 
 
 def bounding_discs(groups: Float[np.ndarray, "n points 3"]) -> Float[np.ndarray, "n 8"]:
-    """Bounding disc of each group: middle, normal, half thickness, radius."""
+    """Return the bounding disc of each group: middle, normal, half thickness, radius."""
     mean = groups.mean(axis=1)
     offset = groups - mean[:, None]
     axes = np.linalg.eigh(np.einsum("npi,npj->nij", offset, offset))[1]
@@ -90,8 +90,8 @@ def bounding_discs(groups: Float[np.ndarray, "n points 3"]) -> Float[np.ndarray,
 
 
 def _middle(a, b):
-    """Of the smallest circle about the points (a, b) of each group, to about 1 % of its radius: from the middle of
-    their box, steps towards the furthest point, each shorter than the one before."""
+    """Return the middle of the smallest circle about the points (a, b) of each group, to about 1 % of its radius: from
+    the middle of their box, steps towards the furthest point, each shorter than the one before."""
     x, y = (a.max(1) + a.min(1)) / 2, (b.max(1) + b.min(1)) / 2
     groups = np.arange(len(a))
     for step in 0.25 * 0.85 ** np.arange(10):

@@ -1,4 +1,4 @@
-"""Clusters for branch and bound: cut evenly, and taken in the order of their bounds.
+"""Clusters for branch and bound: balanced cuts, and searches in the order of the bounds.
 
 A bound is a 32-bit float that carries the number of its cluster in its low bits (rounded down), so that one integer
 minimum finds both; a sort or an argmin costs ten times that on a CPU.
@@ -10,12 +10,12 @@ import numpy as np
 
 from htcp_jax.types import Array, Float, Int
 
-FAN = 16  # what a cluster is made of: points, facets, or clusters
+FAN = 16  # members of a cluster: points, facets, or clusters
 NONE_LEFT = np.int32(2**31 - 1)
 
 
 def cut(points: Float[np.ndarray, "P d"], rows: Int[np.ndarray, "n"], parts: int) -> list[Int[np.ndarray, "..."]]:
-    """Rows cut into `parts` groups of nearly equal size, each time across the longest axis of inertia."""
+    """Cut rows into `parts` groups of nearly equal size, each time across the longest axis of inertia."""
     if parts == 1 or len(rows) <= 1:
         return [rows] * parts
     centred = points[rows] - points[rows].mean(axis=0)
@@ -29,21 +29,21 @@ def cut(points: Float[np.ndarray, "P d"], rows: Int[np.ndarray, "n"], parts: int
 
 
 def padded(rows: Int[np.ndarray, "n"]) -> Int[np.ndarray, "FAN"]:
-    """The rows of one cluster, the last one repeated."""
+    """Return the rows of one cluster, padded with the last one."""
     return np.concatenate([rows, np.repeat(rows[-1:], FAN - len(rows))])
 
 
 def order_keys(bound: Float[Array, "... n"]) -> Int[Array, "... n"]:
-    """Keys of bounds >= 0. Non-negative 32-bit floats order like their bits."""
+    """Return keys of bounds >= 0. Non-negative 32-bit floats order like their bits."""
     number = jax.lax.broadcasted_iota(jnp.int32, bound.shape, bound.ndim - 1)
     return jax.lax.bitcast_convert_type(bound, jnp.int32) & ~number_mask(bound.shape[-1]) | number
 
 
 def least_number(bound: Float[Array, "... n"]) -> Int[Array, "..."]:
-    """The number of the smallest bound, as far as keys tell them apart."""
+    """Return the number of the smallest bound, as far as keys distinguish them."""
     return jnp.min(order_keys(bound), axis=-1) & number_mask(bound.shape[-1])
 
 
 def number_mask(count: int) -> int:
-    """The low bits of a key that its cluster's number takes."""
+    """Return the mask of a key's low bits that hold its cluster's number."""
     return (1 << max(1, (count - 1).bit_length())) - 1

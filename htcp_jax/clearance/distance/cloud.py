@@ -1,9 +1,9 @@
-"""The workpiece's points: the paper's D, per body the distance between the capsule's segment and the nearest of all
-points, less the radius.
+"""The workpiece's points: the paper's D, per body the distance from the capsule's segment to the nearest of all points,
+less the radius.
 
-Where the points were sampled on a mesh, D is less by the distance within which they cover it: a bound on the clearance
-to the mesh itself. The nearest point is found once and then held, so the gradient is that of a distance to a fixed
-point: exact wherever D is differentiable, and one of its one-sided gradients elsewhere.
+Where the points were sampled on a mesh, D is reduced by their covering radius: a bound on the clearance to the mesh
+itself. The nearest point is found once and then fixed, so the gradient is that of a distance to a fixed point: exact
+wherever D is differentiable, and one of its one-sided gradients elsewhere.
 """
 
 from dataclasses import dataclass
@@ -25,8 +25,7 @@ from htcp_jax.types import Bool, Float, Int, Scalar
 @register_pytree
 @dataclass(frozen=True)
 class Cloud:
-    """P points in the workpiece frame, their index, and how far from a point there may be wall [m], which makes every
-    body that much thicker."""
+    """P points in the workpiece frame, their index, and the covering radius [m], by which every body is thickened."""
 
     points: Float[jax.Array, "P 3"]
     index: CloudIndex
@@ -35,22 +34,22 @@ class Cloud:
     per_body = True
 
     def rows(self, robot: Robot) -> Rows:
-        """One a body."""
+        """Return one row per body."""
         return Rows.of_bodies(robot)
 
     def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
-        """The nearest point of every body."""
+        """Return the contact of every body with its nearest point."""
         rows = nearest_rows(self.index, bodies.p_workpiece, bodies.q_workpiece)
         return self._contacts(robot, where, bodies, self.points[rows])
 
     def closest(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
-        """Every body against the point that is nearest of all to any of them: one search, as in `smallest`."""
+        """Return the contact of every body with the point nearest to any of them: one search, as in `smallest`."""
         reach = robot.capsule_radius + self.cover
         row = nearest_body(self.index, bodies.p_workpiece, bodies.q_workpiece, reach).row
         return self._contacts(robot, where, bodies, self.points[jnp.broadcast_to(row, reach.shape)])
 
     def _contacts(self, robot: Robot, where: Posed, bodies: Bodies, witness: Float[jax.Array, "K 3"]) -> Contacts:
-        """Every body against a point of its own."""
+        """Return the contact of every body with a given point."""
         rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
         p, q = bodies.p_workpiece, bodies.q_workpiece
         reach = robot.capsule_radius + self.cover
@@ -64,25 +63,25 @@ class Cloud:
         )
 
     def smallest(self, robot: Robot, where: Posed, bodies: Bodies) -> Scalar:
-        """One search for all bodies, cheaper than every body's own."""
+        """Return the smallest distance [m]: one search for all bodies, cheaper than one per body."""
         reach = robot.capsule_radius + self.cover
         body, row = nearest_body(self.index, bodies.p_workpiece, bodies.q_workpiece, reach)
         p, q = bodies.p_workpiece[body], bodies.q_workpiece[body]
         return capsule_point_distance(p, q, reach[body], self.points[row])
 
     def touches(self, robot: Robot, where: Posed, bodies: Bodies) -> Bool[jax.Array, ""]:
-        """Cheaper still, because the search passes over all points beyond the capsules' radii."""
+        """Return True in collision; cheaper still, because the search skips all points beyond the capsules' radii."""
         reach = robot.capsule_radius + self.cover
         return nearest_body(self.index, bodies.p_workpiece, bodies.q_workpiece, reach, below=0.0).row >= 0
 
     def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "K"]:
-        """The distance itself."""
+        """Return the distance itself."""
         return self.contacts(robot, where, bodies).distance
 
     def clear_along(
         self, robot: Robot, where: Posed, bodies: Bodies, sweep: Sweep, asked: Bool[jax.Array, "K"], wanted: Wanted
     ) -> Float[jax.Array, "K"]:
-        """To second order: see `cloud_sweep`."""
+        """Return lower bounds on the clearance along the sweep, to second order: see `cloud_sweep`."""
         rotate, reach = where.T_world_workpiece[:3, :3], robot.capsule_radius + self.cover
         own = sweep._replace(p=product(sweep.p, rotate), q=product(sweep.q, rotate))
         return clear_along(self.index, bodies.p_workpiece, bodies.q_workpiece, own, reach, asked, wanted)
@@ -94,20 +93,20 @@ class Cloud:
         q: Float[jax.Array, "n 3"],
         within: Float[jax.Array, "n"],
     ) -> Bool[jax.Array, ""]:
-        """Whether a point is closer to any of n segments of the world than its `within` [m]; never where that is
-        negative."""
+        """Return True if a point is closer to any of n segments in the world than its `within` [m]; a negative `within`
+        never counts."""
         own = in_workpiece(where, p), in_workpiece(where, q)
         return nearest_body(self.index, *own, within + self.cover, below=0.0).row >= 0
 
     def touches_along(
         self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
     ) -> Bool[jax.Array, ""]:
-        """Whether a point is within the body's radius at any of the postures."""
+        """Return True if a point is within the body's radius at any of the marked configurations."""
         within = jnp.where(asked, robot.capsule_radius[body] + self.cover, -1.0)
         return jnp.any(nearest_rows(self.index, bodies.p_workpiece[:, body], bodies.q_workpiece[:, body], within) >= 0)
 
 
 def cloud_of(points: Float[np.ndarray, "P 3"], covering_radius_m: float) -> Cloud:
-    """The obstacle. The order of its points does not change any distance."""
+    """Return the obstacle of a cloud. The order of its points does not change any distance."""
     points = np.asarray(points)
     return Cloud(jax.device_put(points), build_index(points), jax.device_put(np.asarray(covering_radius_m, float)))

@@ -1,4 +1,4 @@
-"""A cloud cut into clusters of clusters: what `cloud_tree` builds, and all searches go through."""
+"""Data structure of a cloud's cluster tree: built by `cloud_tree`, used by all searches."""
 
 from typing import NamedTuple
 

@@ -1,15 +1,15 @@
-"""How clear a capsule stays of a cloud while it moves, to second order.
+"""Lower bound on a moving capsule's clearance to a cloud, to second order.
 
-Let the ends of its axis move by p(s) = p + s p' and less than b beside that, for |s| <= h, and let n be the unit vector
+Let the ends of its axis move by p(s) = p + s p' with an error below b, for |s| <= h, and let n be the unit vector
 from a point w of the cloud to the nearest point of the axis at the middle (Ericson, Real-Time Collision Detection,
 section 5.1.2). The plane through w normal to n keeps the axis from w by at least as much as the lower of its two ends,
-so that on all of the way
+so that on the complete motion
 
     distance >= min(n.(p - w) - h |n.p'|, n.(q - w) - h |n.q'|) - b.
 
 Only motion towards the point counts, as in the directed bounds of conservative advancement (Tang, Kim and Manocha, C2A,
-ICRA 2009): motion along a wall costs nothing, where a bound on how far a body moves has to have that much room. Points
-that are further away than the body moves are passed over, and found to be so by the bounds of their clusters.
+ICRA 2009): motion along a wall costs nothing, while a bound by travel needs that much clearance. Points farther
+away than the body's travel are skipped by the bounds of their clusters.
 """
 
 import jax
@@ -34,16 +34,16 @@ def clear_along(
     asked: Bool[Array, "K"],
     wanted: Wanted,
 ) -> Float[Array, "K"]:
-    """How clear bodies of radius `reach` about the segments p q stay while they sweep, all in the cloud's frame, at
-    least [m]; at most as much as is enough, which is also what one counts as that was not asked about. Once one does
-    not stay clear by the least that will do, the search ends, for the other bodies as well."""
+    """Return lower bounds on the clearance [m] of bodies of radius `reach` about the segments p q along the sweep, all
+    in the cloud's frame; at most `wanted.enough`, which is also the value of bodies not in `asked`. Once a body has
+    less than `wanted.least`, the search ends, for the other bodies as well."""
     return _clear_along(index, p, q, *sweep, reach, asked, *wanted)
 
 
 @one_by_one
 def _clear_along(index: CloudIndex, p, q, p_moves, q_moves, bend, travel, reach, asked, least, enough):
     seen, moving = jnp.where(asked, enough + travel + reach, -1.0), (p, q, p_moves, q_moves, bend, travel, reach)
-    if has_gpu():  # where none waits for what another one finds
+    if has_gpu():  # where bodies do not wait for each other's results
         return least_in_reach(index, p, q, seen, jnp.broadcast_to(enough, reach.shape), _stays_clear, *moving)
     segments, moving = as_segments(p, q), tuple(a.T for a in moving)
     top = in_reach(spread(single(segments), 1), index.levels[0][0][:, None, :], seen[:, None])
@@ -51,7 +51,7 @@ def _clear_along(index: CloudIndex, p, q, p_moves, q_moves, bend, travel, reach,
     def look(k, state):
         clear, lists = state
         segment, own = jax.tree.map(lambda a: a[..., k], (segments, moving))
-        beyond = jnp.all(clear >= least)  # nothing is in reach of a body that need not be looked at
+        beyond = jnp.all(clear >= least)  # skip the remaining bodies
 
         def measure(leaf, clear):
             return jnp.minimum(clear, _stays_clear(segment, *own, index.points[leaf]))
@@ -65,7 +65,8 @@ def _clear_along(index: CloudIndex, p, q, p_moves, q_moves, bend, travel, reach,
 
 
 def _stays_clear(segment: Segments, p, q, p_moves, q_moves, bend, travel, reach, points):
-    """How clear one body stays of points (3, n), by the plane between each of them and the body, or by its travel."""
+    """Return one body's least clearance to points (3, n), by the plane between each of them and the body, or by its
+    travel."""
     towards = [-a for a in arm(segment, points)]
     distance = jnp.sqrt(sum(a * a for a in towards))
     first, second = (

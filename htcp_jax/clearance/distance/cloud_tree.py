@@ -1,9 +1,9 @@
 """Exact nearest point of a cloud to a line segment, by branch and bound over a tree of clusters.
 
 The cloud is cut once into balanced leaves of 16 points; 16 neighbouring leaves make a cluster, 16 of these the next
-larger one, and so on up to a top of few. Each is bounded by a flat disc (see `bounding_discs`). A search opens every
-cluster whose bound is not above the smallest distance found: that is the certificate, and nothing is returned without
-it. How it goes about that depends on the machine: `cloud_tree_walk`, and `cloud_tree_gpu` for GPUs.
+larger one, and so on up to a small top level. Each is bounded by a flat disc (see `bounding_discs`). A search opens
+every cluster whose bound is not above the smallest distance found: that is the certificate, and nothing is returned
+without it. The implementation depends on the machine: `cloud_tree_walk`, and `cloud_tree_gpu` for GPUs.
 """
 
 from typing import NamedTuple
@@ -24,7 +24,7 @@ TOP = 31  # clusters at the top, at most: a search keeps them as bits of one num
 
 
 def build_index(points: Float[np.ndarray, "P 3"]) -> CloudIndex:
-    """Index of a cloud of P >= 1 points [m]. Clusters that are short of points repeat one of their own."""
+    """Build the index of a cloud of P >= 1 points [m]. Clusters with too few points repeat one of their own."""
     depth = 2
     while len(points) > TOP * FAN**depth:
         depth += 1
@@ -43,7 +43,7 @@ def build_index(points: Float[np.ndarray, "P 3"]) -> CloudIndex:
 
 
 def _tree(points, rows, parts: int, levels: int):
-    """Rows cut into `parts` clusters, each of these into FAN, and so on: (parts, FAN, ..., FAN)."""
+    """Cut rows into `parts` clusters, each of these into FAN, and so on: (parts, FAN, ..., FAN)."""
     groups = branch_and_bound.cut(points, rows, parts)
     if levels == 1:
         return np.stack([branch_and_bound.padded(group) for group in groups])
@@ -51,7 +51,7 @@ def _tree(points, rows, parts: int, levels: int):
 
 
 class Nearest(NamedTuple):
-    """Which point of the cloud is nearest to which of several segments; -1, -1 where none is within the limit."""
+    """The nearest pair of a segment and a point of the cloud, by their numbers; -1, -1 if none is within the limit."""
 
     body: Int[Array, ""]
     row: Int[Array, ""]
@@ -63,10 +63,10 @@ def nearest_rows(
     q: Float[Array, "K 3"],
     within: Float[Array, "K"] | None = None,
 ) -> Int[Array, "K"]:
-    """Row of the cloud nearest to each of K segments p q [m], exact (ties: one of the nearest).
+    """Return the row of the cloud nearest to each of K segments p q [m], exact (ties: one of the nearest).
 
     within: -1 where no point is nearer than this [m]. An integer carries no gradient: differentiate the distance to the
-    point it names.
+    point with that number.
     """
     limit = jnp.full(p.shape[0], 1e150, float) if within is None else within
     return _nearest_rows(index, *jax.lax.stop_gradient((p, q, limit)))
@@ -79,9 +79,11 @@ def nearest_body(
     radius: Float[Array, "K"],
     below: float = 1e150,
 ) -> Nearest:
-    """The pair of body and point with the smallest distance(segment, point) - radius, if that is below `below` [m].
+    """Return the pair of body and point with the smallest distance(segment, point) - radius, if that is below `below`
+    [m].
 
-    Cheaper than the nearest point of every body, because what is nearer to one body rules out all others.
+    Cheaper than the nearest point of every body, because each point found excludes all points of other bodies farther
+    away.
     """
     return _nearest_body(index, *jax.lax.stop_gradient((p, q, radius, jnp.asarray(below, float))))
 
@@ -99,15 +101,15 @@ def _nearest_body(index: CloudIndex, p, q, radius, below):
 
 
 def _search(index: CloudIndex, p, q, radius, limit, shared: bool):
-    """Row of the nearest point of each of K bodies, -1 where none has distance - radius below its limit; with a shared
-    limit only the body that is nearest of all gets a row."""
+    """Return the row of the nearest point of each of K bodies, -1 if none has distance - radius below its limit; with a
+    shared limit only the body that is nearest of all gets a row."""
     leaf = (cloud_tree_gpu if has_gpu() else cloud_tree_walk).nearest_leaves(index, p, q, radius, limit, shared)
     square = squared_distance(spread(as_segments(p, q), 1), index.points[leaf].transpose(1, 0, 2))
     return jnp.where(leaf < 0, -1, _row_of_least(square, index.rows[leaf]))
 
 
 def _row_of_least(square: Float[Array, "K FAN"], rows: Int[Array, "K FAN"]) -> Int[Array, "K"]:
-    """By halves: an argmin goes through them one by one, and takes three times as long."""
+    """Return the row with the smallest square, by halves: an argmin takes three times as long."""
     while square.shape[1] > 1:
         (a, b), (row_a, row_b) = jnp.split(square, 2, axis=1), jnp.split(rows, 2, axis=1)
         square, rows = jnp.minimum(a, b), jnp.where(a <= b, row_a, row_b)

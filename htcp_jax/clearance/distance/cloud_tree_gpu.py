@@ -1,8 +1,8 @@
-"""The searches of `cloud_tree` and `cloud_sweep` as GPU kernels: a program for each body, or for each configuration,
-walks the tree.
+"""The searches of `cloud_tree` and `cloud_sweep` as GPU kernels: one program per body, or per configuration, traverses
+the tree.
 
-As a series of XLA loops every turn would be a launch, and a turn would read and write the keys of all bodies. A program
-takes the tree as two levels, however many it has: the clusters of 16 leaves, its branches, and these leaves.
+As XLA loops every iteration would be a launch that reads and writes the keys of all bodies. A program treats a tree of
+any depth as two levels: the clusters of 16 leaves, its branches, and these leaves.
 """
 
 from collections.abc import Callable
@@ -21,8 +21,8 @@ from htcp_jax.types import Array, Float, Int
 
 
 def nearest_leaves(index, p, q, radius, limit, shared: bool, interpret: bool = False) -> Int[Array, "K"]:
-    """The leaf of each body's nearest point, -1 for none below the body's limit; with a shared limit, for the nearest
-    body only."""
+    """Return the leaf of each body's nearest point, -1 for none below the body's limit; with a shared limit, for the
+    nearest body only."""
     bodies, count = p.shape[0], _branch_count(index)
     walk = partial(_walk, shared, count, bodies)
     tables = p, q, radius, limit, _branches(index), index.levels[-1], index.points
@@ -33,9 +33,9 @@ def nearest_leaves(index, p, q, radius, limit, shared: bool, interpret: bool = F
 def least_in_reach(
     index: CloudIndex, p, q, reach, start, measure: Callable, *rows, interpret: bool = False
 ) -> Float[Array, "K"]:
-    """The least that measure(segment, *a body's rows, points) is, of points (3, n) of the cloud, for each body p q: of
-    all its points within reach [m], none where that is negative, and of some others; at most its `start`. rows: tables
-    (K,), or (K, 3), of which a body's row is a list."""
+    """Return, for each body p q, the smallest measure(segment, *a body's rows, points) over points (3, n) of the cloud:
+    over all points within reach [m], none if that is negative, and over some others; at most its `start`. rows: tables
+    (K,), or (K, 3), from which a body's row is a list."""
     least = partial(_least, measure, _branch_count(index), len(rows))
     tables = p, q, reach, start, *rows, _branches(index), index.points
     return kernel(least, jax.ShapeDtypeStruct(start.shape, start.dtype), start.shape[0], interpret)(*tables)
@@ -46,7 +46,7 @@ def _branch_count(index: CloudIndex) -> int:
 
 
 def _branches(index: CloudIndex) -> Float[Array, "8 n"]:
-    """Their discs in one row, as long as a power of two."""
+    """Return the branches' discs in one row, padded to a power of two."""
     branches = index.levels[-2].transpose(1, 0, 2).reshape(8, -1)
     room = (1 << (branches.shape[1] - 1).bit_length()) - branches.shape[1]
     return jnp.pad(branches, ((0, 0), (0, room)), mode="edge")
@@ -71,7 +71,7 @@ def _walk(shared, branch_count, bodies, p, q, radius, limit, branches, leaves, p
 
 
 def _nearest_leaf(branch_count, p, q, radius, branches, leaves, points, body, limit):
-    """(limit, leaf): the limit of one body lowered to what it attains, and where."""
+    """Return (limit, leaf): one body's limit lowered to the distance found, and the leaf with that distance."""
     segment, r = _segment(p, q, body), radius[body]
 
     def measure(leaf, state):
@@ -96,7 +96,7 @@ def _nearest_leaf(branch_count, p, q, radius, branches, leaves, points, body, li
 
 
 def _least(measure, branch_count, rows, p, q, reach, start, *refs):
-    """All points of a branch at once: with 32 threads to work at them, picking leaves takes longer."""
+    """Measure all points of a branch at once: with 32 threads, selecting leaves takes longer."""
     *refs, branches, points, out = refs
     body = pl.program_id(0)
     segment, within = _segment(p, q, body), reach[body]
@@ -111,12 +111,12 @@ def _least(measure, branch_count, rows, p, q, reach, start, *refs):
 
 
 def _row(table, body):
-    """Of one body: a number, or a list of coordinates."""
+    """Return one body's row: a number, or a list of coordinates."""
     return table[body] if len(table.shape) == 1 else [table[body, i] for i in range(table.shape[1])]
 
 
 def _segment(p, q, body) -> Segments:
-    """Of one body."""
+    """Return one body's segment."""
     start, end = _row(p, body), _row(q, body)
     along = [b - a for a, b in zip(start, end, strict=True)]
     square = along[0] * along[0] + along[1] * along[1] + along[2] * along[2]
@@ -124,8 +124,9 @@ def _segment(p, q, body) -> Segments:
 
 
 def _for_each(segment: Segments, load: Callable, count: int, reach: Callable, take: Callable, state: Any) -> Any:
-    """state = take(cluster, state) for each of `count` clusters that may have a point within reach(state) [m] of the
-    segment, in the order of their bounds. load: of a row of their discs, which may go on after the last one."""
+    """Return state after state = take(cluster, state) for each of `count` clusters that may have a point within
+    reach(state) [m] of the segment, in the order of their bounds. load: reads a row of their discs, which may continue
+    after the last one."""
     keys = order_keys(jnp.maximum(lower_bounds(single(segment), [load(i) for i in range(8)]), 0.0))
     mask = number_mask(len(keys))
     keys = jnp.where((keys & mask) < count, keys, NONE_LEFT)

@@ -1,10 +1,10 @@
-"""The search of `cloud_tree` in plain JAX, made for a CPU: level by level, every cluster in reach.
+"""The search of `cloud_tree` in plain JAX, for a CPU: level by level, every cluster in reach.
 
-First two quick descents, all bodies side by side: from each of the two nearest clusters at the top always on to the one
-whose middle is nearest, down to a leaf, which is measured. What that finds is millimetres from the truth, mostly. So
-the search need not weigh what to open first: it opens whatever is in reach, one body after the other, and each level
-before the next. No turn of a loop waits for what the one before has found, so a CPU works at several of them at once;
-one that opens the most promising cluster each time waits for every square root, and takes two and a half times as long.
+It begins with two quick descents for all bodies in parallel: from each of the two nearest clusters at the top to the
+child with the nearest middle, down to a leaf, which is measured. The result is usually within millimetres of the
+minimum. So the search needs no priority order: it opens every cluster in reach, one body after the other, and each
+level before the next. Iterations do not depend on each other's results, so a CPU overlaps them; a best-first search
+waits for every square root, and takes two and a half times as long.
 """
 
 from collections.abc import Callable
@@ -27,20 +27,20 @@ from htcp_jax.types import Array, Int, Scalar
 
 
 class _Opened(NamedTuple):
-    """Groups of clusters, the first `count` of a list: their numbers, and which of their clusters are in reach, a bit
-    each, never none."""
+    """Groups of clusters, the first `count` of a list: their numbers, and a bit mask of their clusters in reach, never
+    0."""
 
     group: Int[Array, "n"]
     bits: Int[Array, "n"]
     count: Int[Array, ""]
 
 
-Lists = list[_Opened]  # a level each, from the second
+Lists = list[_Opened]  # one per level, from the second
 
 
 def nearest_leaves(index: CloudIndex, p, q, radius, limit, shared: bool) -> Int[Array, "K"]:
-    """The leaf of each body's nearest point, -1 for none below the body's limit; with a shared limit, for the nearest
-    body only."""
+    """Return the leaf of each body's nearest point, -1 for none below the body's limit; with a shared limit, for the
+    nearest body only."""
     segments, body = as_segments(p, q), jnp.arange(p.shape[0])
     distance, leaf = _descend(index, segments)
     found = distance - radius
@@ -62,7 +62,7 @@ def nearest_leaves(index: CloudIndex, p, q, radius, limit, shared: bool) -> Int[
 
 
 def _descend(index: CloudIndex, segments: Segments):
-    """The nearest of the leaves that two descents end at: its distance from each body, and its number."""
+    """Return the nearer of the two leaves that the descents end at: its distance from each body, and its number."""
     segments32 = spread(single(segments), 1)
 
     def descent(cluster):
@@ -79,7 +79,8 @@ def _descend(index: CloudIndex, segments: Segments):
 
 
 def _search_one(index: CloudIndex, segment: Segments, radius, limit, top, lists: Lists):
-    """One body's limit, lowered to what it attains, and the leaf where it does, -1 where none does; and the lists."""
+    """Return one body's limit, lowered to the distance found, the leaf with that distance, -1 for none, and the
+    lists."""
 
     def measure(leaf, state):
         limit, best = state
@@ -91,15 +92,15 @@ def _search_one(index: CloudIndex, segment: Segments, radius, limit, top, lists:
 
 
 def empty_lists(index: CloudIndex) -> Lists:
-    """As long as they can ever get, so that they are made once: clearing them would cost more than a search."""
+    """Return lists of maximum length, made once: clearing them would cost more than a search."""
     return [_Opened(*jnp.zeros((2, len(level)), jnp.int32), jnp.int32(0)) for level in index.levels[1:]]
 
 
 def for_each_leaf(
     index: CloudIndex, segment: Segments, reach: Scalar, top: Int[Array, ""], take: Callable, state: Any, lists: Lists
 ) -> tuple[Any, Lists]:
-    """state = take(leaf, state) for every leaf that may have a point within reach [m] of a segment, and the lists, for
-    the next one. top: the clusters at the top that are `in_reach`."""
+    """Return state after state = take(leaf, state) for every leaf that may have a point within reach [m] of a segment,
+    and the lists, for the next search. top: the clusters at the top that are `in_reach`."""
     segment32 = single(segment)
     opened, filled = _Opened(jnp.zeros(1, jnp.int32), top[None], (top != 0).astype(jnp.int32)), []
     for above, level, room in zip(index.levels[:-1], index.levels[1:], lists, strict=True):
@@ -119,7 +120,7 @@ def for_each_leaf(
 
 
 def _for_each(opened: _Opened, fan: int, take: Callable, state):
-    """state = take(cluster, state) for every cluster in reach, in turn."""
+    """Return state after state = take(cluster, state) for every cluster in reach, in order."""
 
     def step(carry):
         entry, bits, state = carry
@@ -134,7 +135,8 @@ def _for_each(opened: _Opened, fan: int, take: Callable, state):
 
 
 def in_reach(segment: Segments, bound, reach):
-    """Which discs (8, ..., n) may have a point within reach of the segment, a bit each. None where that is negative."""
+    """Return a bit mask of the discs (8, ..., n) that may have a point within reach of the segment; none if reach is
+    negative."""
     reach32 = jnp.where(reach < 0, -jnp.inf, jnp.minimum(reach * (1 + 1e-6), 1e30)).astype(jnp.float32)
     near = lower_bounds(segment, bound) <= reach32
     bit = jnp.left_shift(jnp.int32(1), jax.lax.broadcasted_iota(jnp.int32, near.shape, near.ndim - 1))
@@ -142,7 +144,7 @@ def in_reach(segment: Segments, bound, reach):
 
 
 def _distance(segment: Segments, points):
-    """From a segment to the nearest of points (3, ..., n). Squares order like their bits, and the smallest of integers
-    is found in half the time: there is no NaN among them."""
+    """Return the distance from a segment to the nearest of points (3, ..., n). Squares order like their bits, and an
+    integer minimum takes half the time: there is no NaN among them."""
     bits = jax.lax.bitcast_convert_type(squared_distance(segment, points), jnp.int64)
     return jnp.sqrt(jax.lax.bitcast_convert_type(jnp.min(bits, axis=-1), float))

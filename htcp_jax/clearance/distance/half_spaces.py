@@ -1,8 +1,8 @@
-"""Which facet of a convex hull a point has crossed, for the clearance's interior rule.
+"""The facet of a convex hull that a point has crossed, for the clearance's interior rule.
 
-Nearly always none. Most points lie inside a small polytope within the hull, its core, and are done: that is asked in
-32-bit, with room for its error. The others, one in ten, are measured against every facet, in 64-bit: one after another
-on a CPU, side by side on a GPU (`half_spaces_gpu`).
+Usually none. Most points lie inside a small polytope within the hull, its core, which is tested in 32-bit with a
+tolerance for its error. The others, one in ten, are measured against every facet in 64-bit: one after another on a CPU,
+in parallel on a GPU (`half_spaces_gpu`).
 """
 
 from functools import partial
@@ -20,12 +20,12 @@ from htcp_jax.types import Array, Bool, Float, Int
 
 ROOM = 1e-5  # [m]; a 32-bit height is wrong by less than this within 20 m of the origin
 CORE_VERTICES = 96  # at most
-FAN = 16  # facets in a row of the table: which is highest takes ten times as long to ask as how high the highest is
+FAN = 16  # facets in a row of the table, as an argmax takes ten times as long as a maximum
 
 
 class HalfSpaces(NamedTuple):
     """The convex set normal @ x <= offset, unit normals outwards, F facets; its core likewise, C facets; and the facets
-    once more as a table, filled up with the last one: normal xyz, offset."""
+    again as a table, padded with the last one: normal xyz, offset."""
 
     normal: Float[Array, "F 3"]
     offset: Float[Array, "F"]
@@ -37,7 +37,7 @@ class HalfSpaces(NamedTuple):
 def half_spaces(
     normal: Float[np.ndarray, "F 3"], offset: Float[np.ndarray, "F"], vertices: Float[np.ndarray, "V 3"]
 ) -> HalfSpaces:
-    """The set with F facets, where `vertices` are points of it [m] that reach well into its corners."""
+    """Return the set with F facets; `vertices` are points of it [m] that extend well into its corners."""
     core = _core(vertices) if len(offset) else np.zeros((0, 4))
     facets = np.column_stack([normal, offset])
     filled = np.concatenate([facets, np.repeat(facets[-1:], -len(facets) % FAN, axis=0)])
@@ -46,7 +46,7 @@ def half_spaces(
 
 
 def _core(vertices: np.ndarray) -> Float[np.ndarray, "C 4"]:
-    """Planes of the hull of the vertices that reach out furthest along directions spread evenly (golden angle)."""
+    """Return planes of the hull of the vertices that are outermost along directions spread evenly (golden angle)."""
     k = np.arange(CORE_VERTICES) + 0.5
     z, turn = 1 - 2 * k / CORE_VERTICES, np.pi * (1 + 5**0.5) * k
     directions = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z])
@@ -58,12 +58,13 @@ def _core(vertices: np.ndarray) -> Float[np.ndarray, "C 4"]:
 
 
 def crossed_facets(hull: HalfSpaces, points: Float[Array, "n 3"], asked: Bool[Array, "n"]) -> Int[Array, "n"]:
-    """For each point asked about that lies outside: the facet that it is furthest beyond; otherwise -1. F >= 1."""
+    """Return, for each point in `asked` that lies outside, the facet that it is furthest beyond; otherwise -1. F >=
+    1."""
     return _crossed(hull, *jax.lax.stop_gradient((points, asked)))
 
 
 def depths(hull: HalfSpaces, points: Float[Array, "n 3"], asked: Bool[Array, "n"]) -> Float[Array, "n"]:
-    """A depth [m] that each point asked about has inside the hull at least; 0 where it may be outside."""
+    """Return a lower bound on the depth [m] inside the hull of each point in `asked`; 0 if it may be outside."""
     return _depths(hull, *jax.lax.stop_gradient((points, asked)))
 
 
@@ -82,7 +83,7 @@ def _depths(hull: HalfSpaces, points, asked):
 
 
 def _measured(hull: HalfSpaces, take, left, points, results):
-    """The results, with what is taken from each point's highest facet in place of those that are left."""
+    """Return the results, with take(highest facet) for the points in `left`."""
     if has_gpu():
         return jnp.where(left, take(_Highest(*highest(hull.table, points, left))), results)
     if jax.default_backend() != "cpu":
@@ -99,7 +100,7 @@ def _measured(hull: HalfSpaces, take, left, points, results):
 
 
 class _Highest(NamedTuple):
-    """The facet that a point is highest above, or least deep below, and how high [m]."""
+    """The facet that a point is highest above, or least deep below, and the height [m]."""
 
     facet: Int[Array, ""]
     height: Float[Array, ""]
@@ -117,7 +118,7 @@ def _heights(facets, point):
 
 
 def _core_heights(hull: HalfSpaces, points):
-    """Of the points above each facet of the core, 32-bit (n, C)."""
+    """Return the heights of the points above each facet of the core, 32-bit (n, C)."""
     x, y, z = (a.astype(jnp.float32)[:, None] for a in points.T)
     core = [a.astype(jnp.float32)[None] for a in (*hull.core_normal.T, hull.core_offset)]
     return _heights(core, (x, y, z))

@@ -1,7 +1,8 @@
-"""The points of two segments that are nearest to each other.
+"""Nearest points of two segments.
 
-Either both lie within their segments, or one is an end. The first is Ericson's (Real-Time Collision Detection, section
-5.1.9), which loses its digits where the segments are nearly parallel; there an end is as near. All five are measured.
+Either both lie within their segments, or one is an end. The first case is Ericson's (Real-Time Collision Detection,
+section 5.1.9), which loses precision for nearly parallel segments; there an end is as near. All five candidates are
+measured.
 """
 
 from typing import NamedTuple
@@ -14,7 +15,7 @@ from htcp_jax.types import Array, Float
 
 
 class Nearest(NamedTuple):
-    """Of two segments, row by row: where on them, 0 to 1, and the points [m]."""
+    """Nearest points of two segments, row by row: parameters from 0 to 1, and the points [m]."""
 
     t: Float[Array, "*n"]
     u: Float[Array, "*n"]
@@ -25,7 +26,8 @@ class Nearest(NamedTuple):
 def nearest_points(
     p: Float[Array, "*n 3"], q: Float[Array, "*n 3"], r: Float[Array, "*n 3"], s: Float[Array, "*n 3"]
 ) -> Nearest:
-    """Of the segments p q and r s, row by row; where they lie is held, which leaves the gradient of the distance."""
+    """Return the nearest points of the segments p q and r s, row by row; the parameters carry no gradient, which leaves
+    the gradient of the distance unchanged."""
     t, u = _parameters(*jax.lax.stop_gradient((p, q, r, s)))
     return Nearest(t, u, p + t[..., None] * (q - p), r + u[..., None] * (s - r))
 

@@ -1,4 +1,4 @@
-"""How far a segment is from the solids of a cell: half-spaces, capsules, boxes, cylinders and convex pieces.
+"""Signed distance from a segment to the solids of a cell: half-spaces, capsules, boxes, cylinders and convex pieces.
 
 The signed distance of a segment to a convex solid S is the largest, over all unit normals n, of
 
@@ -6,11 +6,11 @@ The signed distance of a segment to a convex solid S is the largest, over all un
 
 Outside, n points from the nearest point of S to the nearest of the segment, which closed forms find: for a half-space
 and a capsule at once; for a box the slope of the squared distance along the segment is piecewise linear, and its zero
-lies between two of eight places; for a cylinder it is found by halving; for a convex piece the nearest is an end of the
-segment above a face, or a point of an edge. Where the segment crosses S, n is the best of those that may be the best:
-normals of S swept along the segment, whose surface is nearest within a face and never at an edge. Of a box and a piece
-these are the normals of faces, and those at right angles to the segment and an edge; of a cylinder those of its caps
-and side, and one at right angles to the segment, found by halving, too.
+lies between two of eight places; for a cylinder it is found by bisection; for a convex piece the nearest is an end of
+the segment above a face, or a point of an edge. Where the segment crosses S, n is the best of finitely many candidates:
+normals of S swept along the segment, whose surface is nearest within a face and never at an edge. For a box and a piece
+these are the normals of faces, and those perpendicular to the segment and an edge; for a cylinder those of its caps and
+side, and one perpendicular to the segment, found by bisection, too.
 """
 
 from collections.abc import Callable
@@ -23,28 +23,28 @@ from htcp_jax.clearance.distance.segments import nearest_points
 from htcp_jax.numerics import product, safe_divide, safe_norm, segment_parameter
 from htcp_jax.types import Array, Bool, Float, Int, Scalar, Vector3
 
-HALVINGS = 48  # of a segment: to 1e-14 of its length
+HALVINGS = 48  # bisections of a segment: to 1e-14 of its length
 TOUCHES_M = 1e-9  # nearer, a normal would be rounding
 
 
 class Seen(NamedTuple):
-    """A solid as a segment sees it."""
+    """Signed distance from a solid to a segment, and where it is attained."""
 
-    t: Scalar  # which point of the segment, 0 to 1
+    t: Scalar  # parameter on the segment, 0 to 1
     normal: Vector3  # from the solid to the segment, unit
     distance: Scalar  # signed [m]
-    plane: Bool[Array, ""]  # whether the distance is to the plane n.x = h(n): it is held, not a point
-    reach: Scalar  # from the point that is held to the solid's surface [m]
+    plane: Bool[Array, ""]  # True: the distance is to the plane n.x = h(n), not to a point
+    reach: Scalar  # from the fixed point to the solid's surface [m]
 
 
 class HalfSpace(NamedTuple):
-    """What lies below a plane: normal . x <= offset."""
+    """The half-space below a plane: normal . x <= offset."""
 
     normal: Float[Array, "*n 3"]
     offset: Float[Array, "*n"]
 
     def seen(self, p: Vector3, q: Vector3) -> Seen:
-        """By the lower end of a segment."""
+        """Return the contact with a segment, at its lower end, see `Seen`."""
         heights = jnp.stack([product(p, self.normal), product(q, self.normal)]) - self.offset
         return Seen(jnp.argmin(heights).astype(float), self.normal, jnp.min(heights), jnp.ones((), bool), jnp.zeros(()))
 
@@ -57,7 +57,7 @@ class Rod(NamedTuple):
     radius: Float[Array, "*n"]
 
     def seen(self, p: Vector3, q: Vector3) -> Seen:
-        """By a segment; where the axes cross, there is no normal."""
+        """Return the contact with a segment, see `Seen`; where the axes cross, there is no normal."""
         t, _, on, other = nearest_points(p, q, self.p, self.q)
         length = safe_norm(on - other)
         normal = safe_divide(on - other, jnp.broadcast_to(length, (3,)))
@@ -65,14 +65,14 @@ class Rod(NamedTuple):
 
 
 class Box(NamedTuple):
-    """A box of half these sizes about its centre."""
+    """A box with these half sizes about its centre."""
 
     rotation: Float[Array, "*n 3 3"]
     centre: Float[Array, "*n 3"]
     half: Float[Array, "*n 3"]
 
     def seen(self, p: Vector3, q: Vector3) -> Seen:
-        """By a segment."""
+        """Return the contact with a segment, see `Seen`."""
         p, q = _within(self, p), _within(self, q)
         d = q - p
         faces = jnp.concatenate([safe_divide(self.half - p, d), safe_divide(-self.half - p, d)])
@@ -95,7 +95,7 @@ class Box(NamedTuple):
 
 
 class Cylinder(NamedTuple):
-    """A cylinder of a radius and half a length along its own z."""
+    """A cylinder with a radius and a half length along its own z."""
 
     rotation: Float[Array, "*n 3 3"]
     centre: Float[Array, "*n 3"]
@@ -103,14 +103,15 @@ class Cylinder(NamedTuple):
     half: Float[Array, "*n"]
 
     def seen(self, p: Vector3, q: Vector3) -> Seen:
-        """By a segment."""
+        """Return the contact with a segment, see `Seen`."""
         p, q = _within(self, p), _within(self, q)
         d = q - p
         t = _halved(lambda t: product(self._off(p + t * d), d) <= 0, jnp.zeros(()))
         return _turned(self, _either(_outside(t, self._off(p + t * d)), self._across(p, q)))
 
     def _across(self, p: Vector3, q: Vector3) -> Seen:
-        """By a segment that crosses: along normals of the caps, of the side, and at right angles to the segment."""
+        """Return the contact with a segment that crosses: along normals of the caps, of the side, and perpendicular to
+        the segment."""
         x, z, flat = jnp.array([1.0, 0.0, 0.0]), jnp.array([0.0, 0.0, 1.0]), jnp.array([1.0, 1.0, 0.0])
         d = q - p
         middle = segment_parameter(p * flat, q * flat, jnp.zeros(3))
@@ -121,12 +122,13 @@ class Cylinder(NamedTuple):
         return _best(normals, p, q, reach, places.at[4].set(self._beside(p, d, normals[4])))
 
     def _rim(self, p: Vector3, d: Vector3) -> Vector3:
-        """Along the best normal at right angles to a segment through p.
+        """Return the best normal perpendicular to a segment through p.
 
-        Looked at along the segment the cylinder is an ellipse swept up and down, p a point (u, v) about the upper one's
-        centre. The normal at the ellipse's angle f leads to it where u sin f - v c cos f = r s^2 sin f cos f, with `c`
-        and `s` the segment's rise and run. Of two such f, as there are where v < 0, the larger one is a nearest point;
-        they are on both sides of tan^3 f = -v c / u."""
+        In the projection along the segment the cylinder is an ellipse swept up and down, p a point (u, v) about the
+        upper one's centre. The normal at the ellipse's angle f leads to it where u sin f - v c cos f = r s^2 sin f cos
+        f, with `c` and `s` the segment's rise and run. Of two such f, which exist where v < 0, the larger one is a
+        nearest point; they are on both sides of tan^3 f = -v c / u.
+        """
         along = _units(d[None])[0]
         aside = _towards(_units(jnp.array([[-d[1], d[0], 0.0]]))[0], p)
         up = _towards(jnp.cross(aside, along), p)
@@ -142,13 +144,13 @@ class Cylinder(NamedTuple):
         return c * jnp.sqrt(1 - sine * sine) * aside + sine * up
 
     def _beside(self, p: Vector3, d: Vector3, normal: Vector3) -> Scalar:
-        """Where along a segment from p the cylinder's outermost point along a normal is."""
+        """Return the parameter on a segment from p that is nearest to the cylinder's outermost point along a normal."""
         round_ = jnp.array([1.0, 1.0, 0.0]) * normal
         outermost = self.radius * _units(round_[None])[0] + (self.half * jnp.sign(normal)).at[:2].set(0.0)
         return jnp.clip(safe_divide(product(outermost - p, d), product(d, d)), 0, 1)
 
     def _off(self, x: Vector3) -> Vector3:
-        """From the nearest point of the cylinder."""
+        """Return the vector from the nearest point of the cylinder to x."""
         flat = jnp.array([1.0, 1.0, 0.0])
         away = safe_norm(x * flat)
         aside = jnp.maximum(away - self.radius, 0.0) * safe_divide(x * flat, jnp.broadcast_to(away, (3,)))
@@ -156,7 +158,7 @@ class Cylinder(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """A convex polyhedron in the world; of stacked ones the last face and edge are repeated."""
+    """A convex polyhedron in the world; stacked ones repeat the last face and edge."""
 
     corners: Float[Array, "*n F 3 3"]  # of its triangles
     normal: Float[Array, "*n F 3"]  # theirs, unit, outwards
@@ -164,7 +166,7 @@ class Piece(NamedTuple):
     beside: Int[Array, "*n E 2"]  # the faces on both sides of an edge
 
     def seen(self, p: Vector3, q: Vector3) -> Seen:
-        """By a segment."""
+        """Return the contact with a segment, see `Seen`."""
         many = jnp.broadcast_to(p, (len(self.edges), 3)), jnp.broadcast_to(q, (len(self.edges), 3))
         along, _, on, witness = nearest_points(*many, self.edges[:, 0], self.edges[:, 1])
         first, second = self._above(p), self._above(q)
@@ -183,7 +185,7 @@ class Piece(NamedTuple):
         return jnp.sum(self.normal * self.corners[:, 0], axis=1)
 
     def _above(self, x: Vector3) -> Float[Array, "F 3"]:
-        """From every face to a point that stands over it; infinitely long where it does not."""
+        """Return the vector from every face to a point above it; infinite for faces that it is not above."""
         height = product(self.normal, x) - self._offset
         sides = jnp.roll(self.corners, -1, axis=1) - self.corners
         inwards = jnp.cross(self.normal[:, None], sides)
@@ -191,15 +193,15 @@ class Piece(NamedTuple):
         return jnp.where(over[:, None], height[:, None] * self.normal, jnp.inf)
 
     def _clipped(self, heights: Float[Array, "2 F"]) -> Bool[Array, ""]:
-        """Whether a part of the segment is inside: its ends' heights over all faces."""
+        """Return True if a part of the segment is inside, by its ends' heights over all faces."""
         at = safe_divide(heights[0], heights[0] - heights[1])
         enters = jnp.max(jnp.where(heights[0] > 0, jnp.where(heights[1] > 0, 2.0, at), 0.0))
         leaves = jnp.min(jnp.where((heights[1] > 0) & (heights[0] <= 0), at, 1.0))
         return enters <= leaves
 
     def _normals(self, p: Vector3, q: Vector3):
-        """Those of the faces, and of planes along an edge that the segment's direction touches the piece at; with the
-        segment, their reach and where the segment meets their planes."""
+        """Return the normals of the faces and of planes along silhouette edges as seen along the segment; with the
+        segment, their support values h(n) and the segment's parameters nearest to the surface."""
         ways = product(self.normal, q - p)[self.beside]
         outline = ways[:, 0] * ways[:, 1] <= 0
         edges = self.edges[:, 1] - self.edges[:, 0]
@@ -223,7 +225,7 @@ def _turned(solid: Box | Cylinder, seen: Seen) -> Seen:
 
 
 def _outside(t: Scalar, arm: Vector3) -> Seen:
-    """By the way from the solid's nearest point to the segment's."""
+    """Return the contact with a segment outside, from the vector between the nearest points."""
     length = safe_norm(arm)
     normal = safe_divide(arm, jnp.broadcast_to(length, (3,)))
     return Seen(t, normal, length, length <= TOUCHES_M, jnp.zeros(()))
@@ -232,8 +234,8 @@ def _outside(t: Scalar, arm: Vector3) -> Seen:
 def _best(
     normals: Float[Array, "n 3"], p: Vector3, q: Vector3, reach: Float[Array, "n"], places: Float[Array, "n"]
 ) -> Seen:
-    """Along the normal by which the segment sticks in the least; `reach` is h(n), `places` are where on the segment the
-    nearest point of the surface is. A normal of length 0 is none."""
+    """Return the contact along the normal of least penetration; `reach` is h(n), `places` are the segment's parameters
+    nearest to the surface. A normal of length 0 is ignored."""
     ends = product(jnp.stack([p, q]), normals.T)
     depth = jnp.where(jnp.any(normals != 0, axis=1), jnp.min(ends, axis=0) - reach, -jnp.inf)
     k = jnp.argmax(depth)
@@ -241,20 +243,22 @@ def _best(
 
 
 def _lower(normals: Float[Array, "n 3"], p: Vector3, q: Vector3) -> Float[Array, "n"]:
-    """The end that is lower along each normal: 0 or 1."""
+    """Return the end that is lower along each normal: 0 or 1."""
     return (product(normals, q - p) < 0).astype(float)
 
 
 def _level(
     normals: Float[Array, "n 3"], p: Vector3, q: Vector3, points: Float[Array, "n 3"], edges: Float[Array, "n 3"]
 ) -> Float[Array, "n"]:
-    """Where the segment passes over an edge through each point, looked at along a normal at right angles to both."""
+    """Return the segment's parameter at which it passes over an edge through each point, in the projection along a
+    normal perpendicular to both."""
     over = jnp.sum(jnp.cross(points - p[None], edges) * normals, axis=1)
     return jnp.clip(safe_divide(over, jnp.sum(jnp.cross((q - p)[None], edges) * normals, axis=1)), 0, 1)
 
 
 def _halved(short: Callable[[Scalar], Bool[Array, ""]], low: Scalar) -> Scalar:
-    """Between `low` and 1 where something is no longer short; exactly `low` or 1 where it is nowhere or everywhere."""
+    """Bisect between `low` and 1 for the place where `short` becomes false; exactly `low` or 1 if it is false or true
+    everywhere."""
 
     def halve(_, between):
         low, high = between
@@ -272,7 +276,7 @@ def _either(outside: Seen, across: Seen) -> Seen:
 
 
 def _towards(normal: Vector3, p: Vector3) -> Vector3:
-    """A normal, or its opposite, that points from the origin to p's side."""
+    """Return a normal or its opposite, whichever points from the origin to p's side."""
     return jnp.where(product(normal, p) < 0, -1.0, 1.0) * normal
 
 

@@ -1,4 +1,4 @@
-"""Bodies that move about where they are, and how clear they are to stay."""
+"""Motion of bodies about a configuration, and the clearance that is wanted along it."""
 
 from typing import NamedTuple
 
@@ -6,16 +6,16 @@ from htcp_jax.types import Array, Float, Scalar
 
 
 class Sweep(NamedTuple):
-    """How K bodies move about where they are, while a joint path goes some way back and forth."""
+    """Bounds on the motion of K bodies about their positions, along a joint path that extends to both sides."""
 
-    p: Float[Array, "K 3"]  # how far the first end of each axis goes along its velocity, either way [m]
-    q: Float[Array, "K 3"]  # and the second
-    bend: Float[Array, "K"]  # how far from there any point of the axis is, at most [m]
-    travel: Float[Array, "K"]  # and from where it was
+    p: Float[Array, "K 3"]  # travel of each axis's first end along its velocity, to either side [m]
+    q: Float[Array, "K 3"]  # the same for the second end
+    bend: Float[Array, "K"]  # largest distance of any point of the axis from that linear motion [m]
+    travel: Float[Array, "K"]  # largest distance from its position in the middle [m]
 
 
 class Wanted(NamedTuple):
-    """How clear bodies are to stay [m]."""
+    """Clearance that bodies have to keep [m]."""
 
-    least: Scalar  # less will not do
-    enough: Scalar  # more need not be found out
+    least: Scalar  # required
+    enough: Scalar  # larger values need not be computed

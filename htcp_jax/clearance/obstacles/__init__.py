@@ -1,5 +1,5 @@
-"""Obstacles: what the arm keeps clear of, behind one protocol.
+"""Obstacles: collision objects of the arm, behind one protocol.
 
-`obstacle.Obstacle` states what is asked of a kind; `of_workpiece` and `of_cell` make the obstacles of a part and of a
-work cell; `self_collision` keeps the arm clear of itself; `scene.Scene` is a robot with its obstacles and task.
+`obstacle.Obstacle` is the protocol of a kind; `of_workpiece` and `of_cell` make the obstacles of a part and of a work
+cell; `self_collision` keeps the arm clear of itself; `scene.Scene` is a robot with its obstacles and task.
 """

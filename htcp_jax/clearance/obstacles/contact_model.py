@@ -1,9 +1,9 @@
-"""The clearance as the contacts held so far give it: never too small, exact where they were seen, and cheap.
+"""Clearance predicted from the contacts held so far: an upper bound, exact where they were seen, and cheap.
 
-A contact seen at one configuration stays true of its body at every other one: the obstacle's point is still there, or
-where its link has carried it. So the distance to it bounds the row's from above, and the smallest over all contacts
-held is a model of D that becomes D itself once the right ones have been seen. A plane in place of the point would be
-cheaper still, but false away from where it was seen: it cuts off configurations that are clear.
+A contact seen at one configuration stays valid for its body at every other one: the obstacle's point is still there, or
+moved with its link. So the distance to it bounds the row's from above, and the smallest over all contacts held is a
+model of D that equals D once the right ones have been seen. A plane in place of the point would be cheaper still, but
+false away from where it was seen: it excludes configurations that are clear.
 """
 
 from functools import partial
@@ -20,10 +20,10 @@ from htcp_jax.types import Array, Bool, Float, Joints
 
 
 class HeldContacts(NamedTuple):
-    """Contacts of all rows in turn, from one observation or several (H = R, 2 R, ...)."""
+    """Contacts of all rows in order, from one observation or several (H = R, 2 R, ...)."""
 
-    witness: Float[Array, "H 3"]  # the obstacle's point, in the frame of what it is fixed to [m]
-    plane: Bool[Array, "H"]  # whether it is a plane instead, crossed by an end of the body:
+    witness: Float[Array, "H 3"]  # the obstacle's point, in the frame of its link or the world [m]
+    plane: Bool[Array, "H"]  # True: a plane instead, crossed by an end of the body:
     end: Float[Array, "H 3"]  # that end, in the frame of the body's link
     normal: Float[Array, "H 3"]  # of the plane, inwards, world
     offset: Float[Array, "H"]  # distance = normal . end - offset
@@ -31,7 +31,7 @@ class HeldContacts(NamedTuple):
 
 
 def hold_contacts(robot: Robot, x: Joints, rows: Rows, touch: Contacts) -> HeldContacts:
-    """The contacts at x, to be held."""
+    """Return the contacts at x in the frames of their links."""
     T = _poses(robot, x, _links(robot, rows))
     witness = touch.witness
     if _moves(rows):
@@ -50,7 +50,7 @@ def hold_contacts(robot: Robot, x: Joints, rows: Rows, touch: Contacts) -> HeldC
 def predict_distances(
     robot: Robot, x: Joints, rows: Rows, held: HeldContacts
 ) -> tuple[Float[Array, "H"], Float[Array, "H N"]]:
-    """Distance at x [m] by each contact held, and its gradient [m/rad]."""
+    """Return the distance at x [m] by each contact held, and its gradient [m/rad]."""
     rounds = held.offset.shape[0] // len(rows.body)
     T = _poses(robot, x, _links(robot, rows))
     body = slice(None) if rows.body == tuple(range(len(robot.capsule_link))) else jnp.asarray(rows.body)

@@ -1,10 +1,10 @@
-"""The solids of a cell as an obstacle: what stands still beside the arm, wherever the workpiece is.
+"""Solids of the work cell as an obstacle, fixed in the world.
 
-A body that stands still itself, as the arm's base does, keeps clear of nothing. Nor do bodies of the first link that
-touch a solid where the model is drawn, at zero, of that solid: an arm stands on its pedestal.
+A body that is fixed in the world, such as the arm's base, is not checked. Nor are bodies of the first link against a
+solid that they touch at x = 0: an arm stands on its pedestal.
 
-Of half-spaces, capsules, boxes and cylinders all are measured. Of convex pieces those alone whose bounding ball is
-nearer than what is known: one after the other, the nearest ball first.
+Half-spaces, capsules, boxes and cylinders are all measured. Convex pieces are measured only if their bounding ball is
+nearer than the smallest distance so far: one after the other, the nearest ball first.
 """
 
 import dataclasses
@@ -28,7 +28,7 @@ Ends = Float[Array, "K 3"]
 @register_pytree
 @dataclass(frozen=True)
 class Fixtures(Exact):
-    """Solids in the world, stacked, a kind after the other; which of them each of the K bodies heeds."""
+    """Solids in the world, stacked by kind, and the mask of pairs of solid and body (K bodies) that are checked."""
 
     simple: tuple[HalfSpace | Rod | Box | Cylinder, ...]
     pieces: Piece | None
@@ -39,34 +39,34 @@ class Fixtures(Exact):
     per_body = True
 
     def rows(self, robot: Robot) -> Rows:
-        """One a body."""
+        """Return one row per body."""
         return Rows.of_bodies(robot)
 
     def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
-        """The nearest solid of every body."""
+        """Return the contact of every body with its nearest solid."""
         return self._nearest(bodies.p, bodies.q, robot.capsule_radius, self.heeds)
 
     def touches_along(
         self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
     ) -> Bool[jax.Array, ""]:
-        """Whether a body touches at any of the postures."""
+        """Return True if a body touches at any of the marked configurations."""
         heeds = self.heeds[:, body, None] & asked[None]
         radius = jnp.broadcast_to(robot.capsule_radius[body], asked.shape)
         return jnp.any(self._nearest(bodies.p[:, body], bodies.q[:, body], radius, heeds).distance <= 0)
 
     def distances(self, robot: Robot, p: Ends, q: Ends) -> Float[jax.Array, "G K"]:
-        """Of every solid to every body, in the order of the names, whatever is heeded."""
+        """Return the distance of every solid to every body, in the order of the names, without the mask."""
         kinds = (*self.simple, *(() if self.pieces is None else (self.pieces,)))
         found = jnp.concatenate([_each_seen(kind, p, q).distance for kind in kinds])
         return found - robot.capsule_radius[None]
 
     def hit(self, robot: Robot, row: int, p: Ends, q: Ends) -> str:
-        """The solid that is nearest to a body, in words."""
+        """Return the name of the solid nearest to a body, for messages."""
         distance = np.where(self.heeds, _distances(self, robot, p, q), np.inf)[:, row]
         return f"the fixture {self.names[distance.argmin()]!r}"
 
     def _nearest(self, p: Ends, q: Ends, radius: Float[Array, "K"], heeds: Bool[Array, "G K"]) -> Contacts:
-        """Of the solids that some capsules heed the nearest to each."""
+        """Return the contact of each capsule with the nearest of its solids in the mask `heeds`."""
         seen = self._simple(p, q, heeds) if self.simple else _nothing(len(p))
         if self.pieces is not None:
             heeds = heeds[len(heeds) - len(self.balls) :]
@@ -74,7 +74,7 @@ class Fixtures(Exact):
         return _contacts(seen, p, q, radius)
 
     def _simple(self, p: Ends, q: Ends, heeds: Bool[Array, "G K"]) -> Seen:
-        """The nearest of the solids that are all measured."""
+        """Return the nearest of the solids that are always measured."""
         parts = [_each_seen(kind, p, q) for kind in self.simple]
         seen = jax.tree.map(lambda *each: jnp.concatenate(each), *parts)
         distance = jnp.where(heeds[: len(seen.distance)], seen.distance, jnp.inf)
@@ -83,7 +83,7 @@ class Fixtures(Exact):
 
 
 def fixtures(robot: Robot, named: list[tuple[str, Solid]]) -> Fixtures:
-    """The obstacle that some solids with their names are, at least one, to a robot."""
+    """Return the obstacle of at least one named solid for a robot."""
     order = (HalfSpace, Rod, Box, Cylinder, Piece)
     named = sorted(named, key=lambda each: order.index(type(each[1])))
     stacks = [[solid for _, solid in named if isinstance(solid, kind)] for kind in order]
@@ -101,7 +101,7 @@ _distances = jax.jit(Fixtures.distances)
 
 
 def _stacked(solids: list[Solid]) -> Solid:
-    """Several of a kind; pieces get as many faces and edges as the largest, the last one repeated."""
+    """Stack several solids of a kind; pieces are padded to the faces and edges of the largest with their last one."""
     if isinstance(solids[0], Piece):
         faces, edges = (max(len(each) for each in column) for column in list(zip(*solids, strict=True))[1:3])
         sizes = Piece(faces, faces, edges, edges)
@@ -120,7 +120,7 @@ def _ball(piece: Piece) -> np.ndarray:
 
 
 def _each_seen(stack: Solid, p: Ends, q: Ends) -> Seen:
-    """Every solid as every segment sees it (n, K)."""
+    """Return the contact of every solid with every segment (n, K)."""
     return jax.vmap(lambda solid: jax.vmap(solid.seen)(p, q))(stack)
 
 
@@ -130,7 +130,7 @@ def _nothing(bodies: int) -> Seen:
 
 
 def _contacts(seen: Seen, p: Ends, q: Ends, radius: Float[Array, "K"]) -> Contacts:
-    """What is seen, held: its distance depends on the ends alone, to first order exactly."""
+    """Return the contacts, fixed: their distances depend on the ends alone, exactly to first order."""
     seen = jax.lax.stop_gradient(seen)
     point = p + seen.t[:, None] * (q - p)
     still = jax.lax.stop_gradient(point)
@@ -140,7 +140,7 @@ def _contacts(seen: Seen, p: Ends, q: Ends, radius: Float[Array, "K"]) -> Contac
 
 @one_by_one
 def _with_pieces(search, heeds, p, q, radius, seen):
-    """What is seen, or a piece where one is nearer."""
+    """Return `seen`, or the contact with a piece where one is nearer."""
     pieces, balls = search
     p_, q_, centre = jnp.broadcast_arrays(p[None], q[None], balls[:, None, :3])
     apart = p_ + segment_parameter(p_, q_, centre)[..., None] * (q_ - p_) - centre

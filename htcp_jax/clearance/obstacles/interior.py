@@ -1,8 +1,8 @@
 """The interior rule: "outside the tunnel is negative".
 
 A capsule end in the interior (deeper than a set depth behind where the cloud begins, along its inlet's direction) must
-lie in the cloud's convex hull; where it does not, the body's clearance is at most minus how far outside it is. A body
-whose deep ends lie inside is infinitely far from this obstacle. The crossed facet is found once and then held.
+lie in the cloud's convex hull; where it does not, the body's clearance is at most minus its distance outside. A body
+whose deep ends lie inside is infinitely far from this obstacle. The crossed facet is found once and then fixed.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from htcp_jax.numerics import product
 from htcp_jax.pytree import register_pytree
 from htcp_jax.types import Bool, Float, Int, Scalar
 
-NEAR_M = 0.05  # before the interior, where being inside the hull already gives room
+NEAR_M = 0.05  # distance before the interior within which depth in the hull already counts
 
 
 @register_pytree
@@ -30,14 +30,14 @@ class Interior:
     per_body = True
 
     def rows(self, robot: Robot) -> Rows:
-        """One a body."""
+        """Return one row per body."""
         return Rows.of_bodies(robot)
 
     def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
-        """The facet that the further deep end of every body has crossed, if any."""
+        """Return, for every body, the facet that its furthest deep end has crossed, if any."""
         rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
         outside, second, inwards = self._outside(where, bodies)
-        # By way of the workpiece frame, as the cloud's: the same end is the same point to the last bit.
+        # Through the workpiece frame, as for the cloud: the same end is the same point to the last bit.
         end = jnp.where(second[:, None], bodies.q_workpiece, bodies.p_workpiece)
         return Contacts(
             distance=jnp.where(outside > 0, -outside, jnp.inf),
@@ -48,16 +48,16 @@ class Interior:
         )
 
     def smallest(self, robot: Robot, where: Posed, bodies: Bodies) -> Scalar:
-        """Minus how far the furthest end lies outside; infinite where none does."""
+        """Return minus the largest distance of an end outside; infinite if none is outside."""
         outside, _, _ = self._outside(where, bodies)
         return jnp.min(jnp.where(outside > 0, -outside, jnp.inf))
 
     def touches(self, robot: Robot, where: Posed, bodies: Bodies) -> Bool[jax.Array, ""]:
-        """Whether any deep end lies outside."""
+        """Return True if any deep end lies outside."""
         return jnp.any(self._outside(where, bodies)[0] > 0)
 
     def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "K"]:
-        """How far before the interior the ends are, or how deep inside the hull: whichever is more."""
+        """Return the ends' distance before the interior or depth inside the hull, whichever is more."""
         beyond = _beyond(where, bodies.p, bodies.q)
         asked = beyond > -NEAR_M
         depth = depths(self.hull, jnp.concatenate([bodies.p_workpiece, bodies.q_workpiece]), asked)
@@ -70,7 +70,8 @@ class Interior:
         q: Float[jax.Array, "n 3"],
         moves: Float[jax.Array, "n"],
     ) -> Bool[jax.Array, ""]:
-        """Whether an end of any of n segments of the world is further outside, and deeper, than it can move [m]."""
+        """Return True if an end of any of n segments in the world is outside, and deep, by more than it can move
+        [m]."""
         own, moves = in_workpiece(where, jnp.concatenate([p, q])), jnp.concatenate([moves, moves])
         facet = crossed_facets(self.hull, own, _beyond(where, p, q) > moves)
         outside = jnp.sum(self.hull.normal[facet] * own, axis=1) - self.hull.offset[facet]
@@ -79,14 +80,14 @@ class Interior:
     def touches_along(
         self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
     ) -> Bool[jax.Array, ""]:
-        """Whether a deep end of the body lies outside at any of the postures."""
+        """Return True if a deep end of the body lies outside at any of the marked configurations."""
         deep = _beyond(where, bodies.p[:, body], bodies.q[:, body]) > 0
         ends = jnp.concatenate([bodies.p_workpiece[:, body], bodies.q_workpiece[:, body]])
         return jnp.any(crossed_facets(self.hull, ends, jnp.concatenate([asked, asked]) & deep) >= 0)
 
     def _outside(self, where: Posed, bodies: Bodies):
-        """Per body: how far its further deep end lies outside the hull [m] (-inf when none does), whether that is the
-        second end, the inward normal of the facet it crossed (workpiece frame)."""
+        """Return per body the distance of its furthest deep end outside the hull [m] (-inf if none is outside), True if
+        that is the second end, and the inward normal of the facet it crossed (workpiece frame)."""
         both = jnp.concatenate([bodies.p_workpiece, bodies.q_workpiece])
         facet = crossed_facets(self.hull, both, _beyond(where, bodies.p, bodies.q) > 0)
         normal = self.hull.normal[facet]
@@ -101,5 +102,5 @@ class Interior:
 
 
 def _beyond(where: Posed, p: Float[jax.Array, "n 3"], q: Float[jax.Array, "n 3"]) -> Float[jax.Array, "ends"]:
-    """How far the ends, all p then all q, are beyond the plane [m]."""
+    """Return the distances of the ends, all p then all q, beyond the plane [m]."""
     return product(jnp.concatenate([p, q]), where.interior_plane[:3]) - where.interior_plane[3]

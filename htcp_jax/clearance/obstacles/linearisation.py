@@ -1,4 +1,4 @@
-"""Task and clearance at one configuration, to first order: what a step QP is made of."""
+"""Task and clearance at one configuration, to first order: the data of a step QP."""
 
 from typing import NamedTuple
 
@@ -28,11 +28,12 @@ class Linearisation(NamedTuple):
 def linearise(
     robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, task: Task = TCP_POSITION, smallest: bool = False
 ) -> Linearisation:
-    """Task and clearance at x [rad or m], with their Jacobian and gradients; `where` is a scenario, or another `Posed`.
+    """Return task and clearance at x [rad or m], with their Jacobian and gradients; `where` is a scenario, or another
+    `Posed`.
 
     Equations (6) and (7) for the task, (8), the convex feasible set, for the clearance. The default task is the TCP's
-    position. smallest: of the clearance only the row of the smallest distance, which costs less. Raises
-    InputError for an x of another shape.
+    position. smallest: only the clearance row of the smallest distance, which costs less. Raises InputError for an x of
+    another shape.
     """
     held = TaskRows(task.value(robot, x), task.jacobian(robot, x))
     rows = clearance_rows(robot, obstacles, where, x, smallest)

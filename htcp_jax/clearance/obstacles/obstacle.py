@@ -1,8 +1,8 @@
-"""What an obstacle is to the planner: rows of distances, and the cheap questions about them.
+"""The obstacle protocol: rows of distances, and cheap queries about them.
 
 A kind of obstacle is a small pytree with the methods of `Obstacle`, in a file of its own. Its rows are distances [m]
 between a body of the arm and something: the surroundings, or another body. Kinds with `per_body`, `Surroundings`, have
-one row a body, which they share: the nearest decides. Any other kind brings rows of its own.
+one row per body, which they share: the nearest counts. Any other kind has its own rows.
 """
 
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -19,33 +19,33 @@ from htcp_jax.types import Bool, Float, Int, Joints, Pose, Scalar
 
 @runtime_checkable
 class Posed(Protocol):
-    """Where the workpiece is: a scenario, or whatever else knows."""
+    """Workpiece pose: a scenario, or any object with these fields."""
 
     T_world_workpiece: Pose
     interior_plane: Float[jax.Array, "4"]  # unit normal n, offset [m]: ends with n @ x > offset must lie in the tunnel
 
 
 class Rows(NamedTuple):
-    """What R rows of distances are between; static."""
+    """The pairs that R rows of distances are between; static."""
 
     body: tuple[int, ...]  # the number of the capsule
     other: tuple[int, ...]  # the link, before the body's, that the obstacle's nearest point is fixed to; -1: the world
 
     @classmethod
     def of_bodies(cls, robot: Robot) -> "Rows":
-        """One a body, against something that stands still: those of every kind with `per_body`."""
+        """Return one row per body, against the world: the rows of every kind with `per_body`."""
         bodies = len(robot.capsule_link)
         return cls(tuple(range(bodies)), (-1,) * bodies)
 
 
 class Contacts(NamedTuple):
-    """Per row, what is nearest: the point on the body's axis, and the direction away from the obstacle."""
+    """Nearest points per row: the point on the body's axis, and the direction away from the obstacle."""
 
     distance: Float[jax.Array, "R"]  # D [m]
     point: Float[jax.Array, "R 3"]  # on the body's axis, world [m]
     normal: Float[jax.Array, "R 3"]  # unit, from the obstacle to the body, world
     reach: Float[jax.Array, "R"]  # from the axis to where D is 0 [m]: see `witness`
-    plane: Bool[jax.Array, "R"]  # whether it is a plane fixed in the world that an end of the body has crossed
+    plane: Bool[jax.Array, "R"]  # True: a plane fixed in the world that an end of the body has crossed
 
     @property
     def witness(self) -> Float[jax.Array, "R 3"]:
@@ -63,82 +63,83 @@ class Bodies(NamedTuple):
 
 
 def bodies_at(robot: Robot, where: Posed, x: Joints) -> Bodies:
-    """Where the bodies are at configuration x [rad or m]."""
+    """Return the bodies' positions at configuration x [rad or m]."""
     p, q = capsule_segments(robot, x)
     return Bodies(p, q, in_workpiece(where, p), in_workpiece(where, q))
 
 
 def in_workpiece(where: Posed, points: Float[jax.Array, "n 3"]) -> Float[jax.Array, "n 3"]:
-    """World points [m] in the workpiece's frame."""
+    """Return world points [m] in the workpiece's frame."""
     rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
     return product(points - translate[None, :], rotate)
 
 
 @runtime_checkable
 class Obstacle(Protocol):
-    """A kind of obstacle. Distances are exact or bounds from below, in metres; `bodies` are those at one posture."""
+    """A kind of obstacle. Distances are exact or lower bounds, in metres; `bodies` are those at one configuration."""
 
-    per_body: bool  # whether its rows are the K bodies', shared with other such kinds
+    per_body: bool  # True: its rows are the K bodies', shared with other such kinds
 
     def rows(self, robot: Robot) -> Rows:
-        """What its rows are between."""
+        """Return the pairs that its rows are between."""
         ...
 
     def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
-        """Every row's nearest. Held where it is, a contact must never predict less than the truth, see
-        `contact_model`. A body that a kind with `per_body` has nothing to say of is infinitely far from it."""
+        """Return every row's contact. At other configurations, a fixed contact must never predict less than the true
+        distance, see `contact_model`. For a kind with `per_body`, a body without a contact has infinite distance."""
         ...
 
     def smallest(self, robot: Robot, where: Posed, bodies: Bodies) -> Scalar:
-        """The smallest distance of all rows."""
+        """Return the smallest distance of all rows."""
         ...
 
     def touches(self, robot: Robot, where: Posed, bodies: Bodies) -> Bool[jax.Array, ""]:
-        """Whether any distance is 0 or less."""
+        """Return True if any distance is 0 or less."""
         ...
 
     def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "R"]:
-        """How far all points of a row's body may move, any way, as seen from the link of the row's other, and it surely
-        stays clear; at most 0 in collision."""
+        """Return each row's free radius: a displacement of all points of its body, in any direction, as seen from the
+        link of the row's other, within which it surely stays clear; at most 0 in collision."""
         ...
 
 
 @runtime_checkable
 class Surroundings(Obstacle, Protocol):
-    """A kind with `per_body`: what surrounds the arm."""
+    """An obstacle kind with `per_body`, around the arm."""
 
     def touches_along(
         self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
     ) -> Bool[jax.Array, ""]:
-        """Whether one body touches at any of S postures that are asked about; `bodies` are those at all of them."""
+        """Return True if one body touches at any of the S configurations marked in `asked`; `bodies` are those at all
+        of them."""
         ...
 
 
 @runtime_checkable
 class Sweepable(Surroundings, Protocol):
-    """One that knows more of bodies that move than that they come no nearer than they travel."""
+    """An obstacle with a bound on clearance along a motion that is tighter than distance minus travel."""
 
     def clear_along(
         self, robot: Robot, where: Posed, bodies: Bodies, sweep: Sweep, asked: Bool[jax.Array, "K"], wanted: Wanted
     ) -> Float[jax.Array, "K"]:
-        """How clear each body stays while it sweeps, at least, of those that are asked about. Once one does not stay
-        clear by the least that will do, the others need not be looked at: any numbers will do for them."""
+        """Return a lower bound on the clearance of each body in `asked` along the sweep. Once one has less than
+        `wanted.least`, the values of the others are arbitrary."""
         ...
 
 
 class Exact:
-    """Of a kind whose distances are exact: its contacts answer the cheap questions, too."""
+    """Base class of kinds with exact distances: its contacts answer the cheap queries, too."""
 
     def smallest(self, robot: Robot, where: Posed, bodies: Bodies) -> Scalar:
-        """Of all rows."""
+        """Return the smallest distance of all rows."""
         return jnp.min(self.contacts(robot, where, bodies).distance)
 
     def touches(self, robot: Robot, where: Posed, bodies: Bodies) -> Bool[jax.Array, ""]:
-        """Whether any row does."""
+        """Return True if any distance is 0 or less."""
         return self.smallest(robot, where, bodies) <= 0
 
     def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "R"]:
-        """The distance itself."""
+        """Return the distance itself."""
         return self.contacts(robot, where, bodies).distance
 
 
@@ -146,13 +147,13 @@ Obstacles = tuple[Obstacle, ...]
 
 
 def rows_of(robot: Robot, obstacles: Obstacles) -> Rows:
-    """What the rows of all obstacles together are between."""
+    """Return the pairs that the rows of all obstacles together are between."""
     parts = [own[0].rows(robot) for own in grouped(obstacles)]
     return Rows(*(sum(columns, start=()) for columns in zip(*parts, strict=True)))
 
 
 def grouped(obstacles: Obstacles) -> list[Obstacles]:
-    """Those that share the rows of the bodies, then every other one by itself."""
+    """Return the obstacles that share the bodies' rows as one group, then every other one by itself."""
     shared = tuple(each for each in obstacles if each.per_body)
     return [own for own in (shared, *((each,) for each in obstacles if not each.per_body)) if own]
 
@@ -165,7 +166,8 @@ def slopes(
     point: Float[jax.Array, "R 3"],
     witness: Float[jax.Array, "R 3"],
 ) -> Float[jax.Array, "R N"]:
-    """How fast a point of each row's body leaves the obstacle's along the normal [m/rad]; both where they are at x."""
+    """Return the rate at which a point of each row's body leaves the obstacle's along the normal [m/rad]; both points
+    at x."""
     motion = point_jacobians(robot, x, point, tuple(robot.capsule_link[body] for body in rows.body))
     if any(link >= 0 for link in rows.other):
         motion = motion - point_jacobians(robot, x, witness, rows.other)

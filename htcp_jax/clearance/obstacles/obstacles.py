@@ -1,8 +1,8 @@
-"""The paper's D(x, O), equation (2): the smallest distance between the arm and its obstacles, and where it is attained.
+"""The paper's D(x, O), equation (2): the smallest distance between the arm and its obstacles, and its contact.
 
-O is a tuple of obstacles, see `obstacle`; a workpiece's are its points and, where it has one, the interior rule. Their
-rows are put together here: those of the bodies first, each the nearest of all kinds that have one a body, then every
-other kind's own.
+O is a tuple of obstacles, see `obstacle`; a workpiece's are its points and, if it has one, the interior rule. Their
+rows are combined here: those of the bodies first, each with the nearest contact of all kinds with `per_body`, then
+every other kind's own.
 """
 
 from collections.abc import Callable
@@ -36,9 +36,9 @@ class ClearanceRows(NamedTuple):
 
 @partial(jax.jit, static_argnames="smallest")
 def contacts(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, smallest: bool = False) -> Contacts:
-    """What is nearest in every row at configuration x [rad]; the robot's tool is the scenario's. smallest: only the row
-    of the smallest distance has to be right, any other may be further from what is nearest to it: kinds with a method
-    `closest` answer that for less."""
+    """Return the nearest contact of every row at configuration x [rad]; the robot's tool is the scenario's. smallest:
+    only the row of the smallest distance has to be exact, others may be overestimated: kinds with a method `closest`
+    compute that faster."""
     bodies = bodies_at(robot, where, x)
     ask = lambda each: getattr(each, "closest", each.contacts) if smallest else each.contacts  # noqa: E731
     groups = [[ask(each)(robot, where, bodies) for each in own] for own in grouped(obstacles)]
@@ -48,30 +48,31 @@ def contacts(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, smalle
 def clearances(
     robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, smallest: bool = False
 ) -> Float[jax.Array, "R"]:
-    """D per row [m]. Its derivative in x [m/rad] is n' (J_body - J_other) at the points that are nearest, which are
-    held (envelope theorem). smallest: only the row of the smallest distance has to be right, see `contacts`."""
+    """Return D per row [m]. Its derivative in x [m/rad] is n' (J_body - J_other) at the nearest points, which are fixed
+    (envelope theorem). smallest: only the row of the smallest distance has to be exact, see `contacts`."""
     distance = lambda x, *scene: contacts(*scene, x, smallest).distance  # noqa: E731
     return with_gradient(distance, partial(_rows, smallest))(configuration(robot, x), robot, obstacles, where)
 
 
 @jax.jit
 def clearance(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Scalar:
-    """D(x, O) [m], the smallest over all rows, exact: cheaper than `clearances`. Its derivative is that row's."""
+    """Return D(x, O) [m], the smallest over all rows, exact: cheaper than `clearances`. Its derivative is that
+    row's."""
     return _smallest(configuration(robot, x), robot, obstacles, where)
 
 
 def is_clear(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Bool[jax.Array, ""]:
-    """Whether D(x, O) > 0; cheaper still."""
+    """Return True if D(x, O) > 0; cheaper still."""
     bodies = bodies_at(robot, where, x)
     return ~_together(jnp.logical_or, [each.touches(robot, where, bodies) for each in obstacles])
 
 
 def all_clear(robot: Robot, obstacles: Obstacles, where: Posed, x: Float[jax.Array, "S N"]) -> Bool[jax.Array, ""]:
-    """Whether D(x_s, O) > 0 at all of S >= 1 configurations that lie close together: a path.
+    """Return True if D(x_s, O) > 0 at all of S >= 1 configurations that lie close together: a path.
 
-    Only the middle one is measured in full. A body is clear wherever its ends, and so all its points, have moved from
-    there by less than its room; where they have moved further, it is searched for what touches it. Kinds of obstacles
-    that are not one row a body are asked everywhere.
+    Only the middle one is measured completely. A body is clear wherever its ends, and so all its points, have moved
+    from there by less than its free radius; where they have moved further, it is tested for collision. Obstacle kinds
+    without `per_body` are tested everywhere.
     """
     if jax.default_backend() != "cpu":  # where a loop costs more than the measurements that it saves
         return jnp.all(jax.vmap(partial(is_clear, robot, obstacles, where))(x))
@@ -96,8 +97,8 @@ def all_clear(robot: Robot, obstacles: Obstacles, where: Posed, x: Float[jax.Arr
 
 
 def room(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Float[jax.Array, "R"]:
-    """How far all points of a row's body may move from x, any way, as seen from the link of the row's other, and it
-    surely stays clear [m]; at most 0 in collision."""
+    """Return each row's free radius [m]: a displacement of all points of its body from x, in any direction, as seen
+    from the link of the row's other, within which it surely stays clear; at most 0 in collision."""
     bodies = bodies_at(robot, where, x)
     groups = [[each.room(robot, where, bodies) for each in own] for own in grouped(obstacles)]
     return _one_after_another([_together(jnp.minimum, own) for own in groups])
@@ -106,7 +107,8 @@ def room(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Float[j
 def clearance_rows(
     robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, smallest: bool = False
 ) -> ClearanceRows:
-    """Distances and their gradients at x [rad]: `clearances` and its autodiff Jacobian, from one evaluation."""
+    """Return the distances and their gradients at x [rad]: `clearances` and its autodiff Jacobian, from one
+    evaluation."""
     return ClearanceRows(*value_and_jacobian(lambda x: clearances(robot, obstacles, where, x, smallest), x))
 
 
@@ -116,7 +118,7 @@ def _distance(x: Joints, robot: Robot, obstacles: Obstacles, where: Posed) -> Sc
 
 
 def _distance_and_gradient(x: Joints, robot: Robot, obstacles: Obstacles, where: Posed) -> tuple[Scalar, Joints]:
-    """The smallest distance and, in closed form, its gradient."""
+    """Return the smallest distance and, in closed form, its gradient."""
     rows = _rows(True, x, robot, obstacles, where)
     lowest = jnp.argmin(rows.distance)
     return rows.distance[lowest], rows.gradient[lowest]
@@ -126,7 +128,7 @@ _smallest = with_gradient(_distance, _distance_and_gradient)
 
 
 def _rows(smallest: bool, x: Joints, robot: Robot, obstacles: Obstacles, where: Posed) -> ClearanceRows:
-    """The distances and, in closed form, their gradients."""
+    """Return the distances and, in closed form, their gradients."""
     touch, rows = contacts(robot, obstacles, where, x, smallest), rows_of(robot, obstacles)
     return ClearanceRows(touch.distance, slopes(robot, x, rows, touch.normal, touch.point, touch.witness))
 
@@ -135,7 +137,8 @@ _clearances, _bodies_at = jax.jit(clearances), jax.jit(bodies_at)
 
 
 def nearest_to(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, row: int) -> str:
-    """What the body of a row is nearest to at x, in words: kinds that have some tell it by `hit`."""
+    """Return a description of the obstacle nearest to a row's body at x; kinds with a method `hit` describe
+    themselves."""
     if not any(hasattr(each, "hit") for each in obstacles):
         return "the workpiece"
     rows = 0
@@ -155,7 +158,7 @@ def nearest_to(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, row:
 
 
 def _nearest(parts: list[Contacts]) -> Contacts:
-    """Row by row the contact with the smallest distance; the first of equals."""
+    """Return row by row the contact with the smallest distance; the first of equals."""
     nearest = parts[0]
     for other in parts[1:]:
         decides = other.distance < nearest.distance

@@ -1,7 +1,7 @@
-"""The obstacles that a cell is, and clouds that stand where they stand, whatever becomes of the workpiece.
+"""Obstacles of the work cell, fixed in the world.
 
-A mesh that is closed and convex is a solid. Any other is points on it, as a workpiece's are: they cover it, and what
-they may miss makes every body that much thicker.
+A mesh that is closed and convex is a solid. Any other is sampled by points, as a workpiece's is; every body is
+thickened by their covering radius.
 """
 
 import dataclasses
@@ -27,9 +27,9 @@ from htcp_jax.numerics import product
 from htcp_jax.pytree import register_pytree
 from htcp_jax.types import Bool, Float, Int, Pose, Scalar
 
-FINER, COARSEST_M = 4, 0.01  # points on a mesh: their widest gap, by the radius of the thinnest body, and at most;
-MANY = 300_000  # but about so many points are enough for one mesh, however thin a body is
-FAR_M = 1e6  # from everything that stands still: a body that does so itself
+FINER, COARSEST_M = 4, 0.01  # points on a mesh: thinnest radius by widest gap, and the largest gap;
+MANY = 300_000  # about the most points on one mesh, for any body
+FAR_M = 1e6  # distance between bodies and obstacles that are both fixed in the world
 
 
 class _Place(NamedTuple):
@@ -40,7 +40,7 @@ class _Place(NamedTuple):
 @register_pytree
 @dataclass(frozen=True)
 class PlacedCloud:
-    """A cloud that stands in the world by itself. Bodies that stand still keep clear of nothing."""
+    """A cloud fixed in the world. Bodies that are fixed in the world are not checked."""
 
     cloud: Cloud
     T_world: Pose
@@ -49,48 +49,49 @@ class PlacedCloud:
     per_body = True
 
     def rows(self, robot: Robot) -> Rows:
-        """One a body."""
+        """Return one row per body."""
         return Rows.of_bodies(robot)
 
     def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
-        """The nearest point of every body."""
+        """Return the contact of every body with its nearest point."""
         return self.cloud.contacts(*self._seen(robot, bodies))
 
     def smallest(self, robot: Robot, where: Posed, bodies: Bodies) -> Scalar:
-        """Of all bodies."""
+        """Return the smallest distance of all bodies."""
         return self.cloud.smallest(*self._seen(robot, bodies))
 
     def touches(self, robot: Robot, where: Posed, bodies: Bodies) -> Bool[jax.Array, ""]:
-        """Whether any body does."""
+        """Return True if any distance is 0 or less."""
         return self.cloud.touches(*self._seen(robot, bodies))
 
     def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "K"]:
-        """The distance itself."""
+        """Return the distance itself."""
         return self.cloud.room(*self._seen(robot, bodies))
 
     def clear_along(
         self, robot: Robot, where: Posed, bodies: Bodies, sweep: Sweep, asked: Bool[jax.Array, "K"], wanted: Wanted
     ) -> Float[jax.Array, "K"]:
-        """To second order."""
+        """Return lower bounds on the clearance along the sweep, to second order."""
         return self.cloud.clear_along(*self._seen(robot, bodies), sweep, asked, wanted)
 
     def touches_along(
         self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
     ) -> Bool[jax.Array, ""]:
-        """Whether a body touches at any of the postures."""
+        """Return True if a body touches at any of the marked configurations."""
         return self.cloud.touches_along(*self._seen(robot, bodies), body, asked)
 
     @property
     def names(self) -> tuple[str]:
-        """Its own alone."""
+        """The cloud's name, as a tuple."""
         return (self.name,)
 
     def hit(self, robot: Robot, row: int, p: Float[jax.Array, "K 3"], q: Float[jax.Array, "K 3"]) -> str:
-        """What it is, in words."""
+        """Return the cloud's name, for messages."""
         return f"the fixture {self.name!r}"
 
     def _seen(self, robot: Robot, bodies: Bodies) -> tuple[Robot, _Place, Bodies]:
-        """The robot, with bodies that stand still infinitely thin, the place, and the bodies as seen from there."""
+        """Return the robot, with bodies that are fixed in the world infinitely thin, the pose, and the bodies in the
+        cloud's frame."""
         R, t = self.T_world[:3, :3], self.T_world[:3, 3].reshape((1,) * (bodies.p.ndim - 1) + (3,))
         own = bodies._replace(p_workpiece=product(bodies.p - t, R), q_workpiece=product(bodies.q - t, R))
         radius = jnp.where(np.array(robot.capsule_link) >= 0, robot.capsule_radius, -FAR_M)
@@ -98,8 +99,7 @@ class PlacedCloud:
 
 
 def make_fixtures(robot: Robot, shapes: Sequence[Fixture]) -> Obstacles:
-    """The obstacles that the shapes of a cell are to a robot. Raises InputError, naming it, for a mesh without an
-    area."""
+    """Return the obstacles of a cell's shapes for a robot. Raises InputError, naming it, for a mesh without an area."""
     solids = [(each.name, found) for each in shapes if (found := solid_of(each)) is not None]
     meshes = [each for each in shapes if each.kind == "mesh" and not each.convex]
     clouds = []
@@ -117,8 +117,8 @@ def placed_cloud(
     source: str,
     name: str,
 ) -> PlacedCloud:
-    """Points [m], or points on a mesh if there are triangles [m], where they stand. Raises InputError, naming
-    `source`, as `mesh_points.cover` does."""
+    """Return a cloud of points [m], or of points on a mesh if there are triangles [m], at the pose `T_world`. Raises
+    InputError, naming `source`, as `mesh_points.cover` does."""
     found = _covered(robot, triangles, source) if len(triangles) else Cover(points, 0.0)
     return PlacedCloud(cloud_of(*found), jnp.asarray(T_world), name)
 
@@ -130,7 +130,7 @@ def _covered(robot: Robot, triangles: HostFloat[np.ndarray, "F 3 3"], source: st
 
 
 def solid_of(shape: Fixture) -> Solid | None:
-    """A shape as it is measured; None for a mesh that is not convex."""
+    """Return a shape as a solid; None for a mesh that is not convex."""
     R, t, size = shape.T_world[:3, :3], shape.T_world[:3, 3], shape.size
     if shape.kind == "plane":
         return HalfSpace(R[:, 2], R[:, 2] @ t)
@@ -146,7 +146,7 @@ def solid_of(shape: Fixture) -> Solid | None:
 
 
 def convex_piece(points: HostFloat[np.ndarray, "V 3"]) -> Piece:
-    """The convex hull of points that are not in one plane, world [m]."""
+    """Return the convex hull of points that are not in one plane, world [m]."""
     hull = ConvexHull(points)
     corners, normal = points[hull.simplices], hull.equations[:, :3]
     backwards = np.einsum("fi,fi->f", np.cross(*np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)), normal) < 0

@@ -1,4 +1,4 @@
-"""The obstacles that a workpiece is: the paper's O."""
+"""Obstacles of a workpiece: the paper's O."""
 
 from functools import lru_cache
 
@@ -12,8 +12,8 @@ from htcp_jax.model.workpiece import Workpiece
 
 @lru_cache(maxsize=2)
 def make_obstacle(workpiece: Workpiece) -> Obstacles:
-    """The obstacles that a workpiece is, on the device, kept for the next plan: its points, and its interior rule.
-    None of them where it is a path alone."""
+    """Return a workpiece's obstacles, on the device, cached for the next plan: its points, and its interior rule.
+    Without a cloud there are none."""
     if not len(workpiece.cloud):
         return ()
     cloud = cloud_of(workpiece.cloud, workpiece.covering_radius_m)
@@ -23,7 +23,7 @@ def make_obstacle(workpiece: Workpiece) -> Obstacles:
 
 
 def all_obstacles(workpiece: Workpiece, others: Obstacles) -> Obstacles:
-    """The workpiece's and the others. Raises InputError where there are none."""
+    """Return the workpiece's obstacles and the others. Raises InputError if there are none."""
     found = (*make_obstacle(workpiece), *others)
     if not found:
         raise InputError(

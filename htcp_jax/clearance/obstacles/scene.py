@@ -1,4 +1,4 @@
-"""The scene: what all scenarios of a plan share, the robot, its obstacles and its task."""
+"""The scene: robot, obstacles and task that all scenarios of a plan share."""
 
 from typing import NamedTuple
 
@@ -9,7 +9,7 @@ from htcp_jax.types import Scalar
 
 
 class Scene(NamedTuple):
-    """What all scenarios of a plan share."""
+    """Robot, obstacles and task that all scenarios of a plan share."""
 
     robot: Robot
     obstacles: Obstacles
@@ -17,10 +17,10 @@ class Scene(NamedTuple):
 
     @property
     def rows(self) -> Rows:
-        """What the rows of clearance are between."""
+        """The pairs that the rows of clearance are between."""
         return rows_of(self.robot, self.obstacles)
 
 
 def own_scene(scene: Scene, tool_extension_m: Scalar) -> Scene:
-    """The scene with a scenario's own tool."""
+    """Return the scene with a scenario's own tool."""
     return scene._replace(robot=lengthen_tool(scene.robot, tool_extension_m))

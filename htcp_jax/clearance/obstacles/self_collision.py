@@ -1,6 +1,6 @@
 """The arm's own bodies as an obstacle: pairs of capsules that must not touch.
 
-A row is a body against those of one link before it, of which the nearest counts.
+A row is a body against those of one link before it, with the nearest pair.
 
 Pairs that need no check are excluded, see self_exclusions.py.
 """
@@ -29,7 +29,7 @@ from htcp_jax.numerics import safe_divide, safe_norm
 from htcp_jax.pytree import register_pytree
 from htcp_jax.types import Float, Int
 
-USUAL = 0.99  # of random configurations, in which an excluded pair is less deep than at a start
+USUAL = 0.99  # share of random configurations in which an excluded pair must be less deep than at a start
 RULES = {"a": "by the model", "b": "that nearly always overlap", "c": "whose links do not touch where they overlap"}
 Ends = Float[jax.Array, "K 3"]
 
@@ -37,8 +37,7 @@ Ends = Float[jax.Array, "K 3"]
 @register_pytree
 @dataclass(frozen=True)
 class SelfCollision(Exact):
-    """Pairs of bodies by their numbers, the one further out first: those that are kept apart, at least one, and those
-    that are not checked."""
+    """Pairs of bodies by their numbers, the one further out first: at least one checked pair, and the excluded ones."""
 
     pairs: Pairs = field(metadata={"static": True})
     excluded: tuple[Exclusion, ...] = field(default=(), metadata={"static": True})
@@ -46,37 +45,37 @@ class SelfCollision(Exact):
     per_body = False
 
     def rows(self, robot: Robot) -> Rows:
-        """A body further out against those of one link."""
+        """Return one row per body and link before it with a checked pair."""
         return Rows(*zip(*self._rows(robot), strict=True))
 
     def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
-        """The nearest points of the axes of the nearest pair of every row."""
+        """Return the nearest points of the axes of the nearest pair of every row."""
         every, nearest = self._nearest(robot, bodies.p, bodies.q)
         return jax.tree.map(lambda leaf: leaf[nearest], every)
 
     def distances(self, robot: Robot, p: Ends, q: Ends) -> Float[jax.Array, "n"]:
-        """Of every pair, in their order."""
+        """Return the distance of every pair, in their order."""
         return _contacts(robot, self.pairs, p, q).distance
 
     def hit(self, robot: Robot, row: int, p: Ends, q: Ends) -> str:
-        """What the body of a row is nearest to, in words."""
+        """Return the name of the capsule nearest to the body of a row, for messages."""
         return capsule_in_words(robot.capsule_names[self.pairs[int(_nearest(self, robot, p, q)[row])][1]])
 
     def described(self, robot: Robot) -> str:
-        """How many pairs are kept apart, and how many are not, by which rule."""
+        """Describe the number of checked pairs and of excluded pairs by rule."""
         counts = Counter(each.rule for each in self.excluded)
         excluded = ", ".join(f"{counts[rule]} {RULES[rule]}" for rule in RULES if counts[rule])
         return f"{len(self.pairs)} pairs of bodies" + (f"; excluded: {excluded}" if excluded else "")
 
     def _rows(self, robot: Robot) -> dict[tuple[int, int], list[int]]:
-        """Of every row the body, the link, and its pairs by their numbers."""
+        """Return the pairs' numbers by each row's body and link."""
         found = {}
         for number, (a, b) in enumerate(self.pairs):
             found.setdefault((a, robot.capsule_link[b]), []).append(number)
         return found
 
     def _nearest(self, robot: Robot, p: Ends, q: Ends) -> tuple[Contacts, Int[jax.Array, "R"]]:
-        """The contacts of all pairs, and which of them is nearest in every row."""
+        """Return the contacts of all pairs, and the number of the nearest pair in every row."""
         every, rows = _contacts(robot, self.pairs, p, q), list(self._rows(robot).values())
         most = max(map(len, rows))
         table = np.array([(own + own[-1:] * most)[:most] for own in rows])
@@ -85,8 +84,8 @@ class SelfCollision(Exact):
 
 
 def self_collision(robot: Robot) -> SelfCollision | None:
-    """The robot's pairs, with the tool that it has; None where there are none to keep apart. A UserWarning names pairs
-    with the job's own tool that are excluded. Raises InputError for a model that excludes every pair."""
+    """Return the robot's pairs, with its current tool; None if no pair is left to check. A UserWarning names excluded
+    pairs with the job's own tool. Raises InputError for a model that excludes every pair."""
     excluded = (*robot.exclusions, *_found(_Hashable(robot)))
     ours = {(each.first, each.second) for each in excluded}
     known = candidates(robot)
@@ -104,10 +103,10 @@ def self_collision(robot: Robot) -> SelfCollision | None:
 
 
 def refused_overlap(own: SelfCollision, robot: Robot, x: Float[np.ndarray, "N"]) -> str | None:
-    """Name an excluded pair that is in collision at a start x [rad or m] all the same, and its depth; None without one.
+    """Describe an excluded pair that nevertheless collides at a start x [rad or m], with its depth; None without one.
 
-    A pair of rule c, if the meshes in it touch. One of rule a or b, if its links are not adjacent and it is deeper than
-    in USUAL of the `samples`.
+    A pair of rule c counts if the meshes in it touch. One of rule a or b counts if its links are not adjacent and it is
+    deeper than in USUAL of the `samples`.
     """
     link, names = robot.capsule_link, robot.capsule_names
     pairs = [each for each in own.excluded if link[each.first] != link[each.second]]
@@ -126,7 +125,7 @@ def refused_overlap(own: SelfCollision, robot: Robot, x: Float[np.ndarray, "N"])
 
 
 class _Hashable:
-    """A robot that equals another one with the same numbers."""
+    """A robot that compares equal to another one with the same numbers."""
 
     def __init__(self, robot: Robot):
         self.robot = robot

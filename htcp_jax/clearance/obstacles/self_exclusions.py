@@ -5,7 +5,7 @@ Capsules are larger than links, so some of them overlap wherever the arm is. A p
 a  the model excludes it: an <exclude> of MJCF, a <disable_collisions> of SRDF; or
 b  it overlaps in at least 95 % of 10,000 random configurations within the joint limits; or its links are joined by a
    slide, telescopes, and some of their capsules overlap in as many; or
-c  it overlaps in some of them, although the parts of the makers' meshes in the two capsules touch by more than 1 mm in
+c  it overlaps in some of them, although the parts of the vendor's meshes in the two capsules touch by more than 1 mm in
    none. Without meshes this applies to adjacent links only.
 
 A pair with a capsule of the job's own tool is excluded by b alone.
@@ -35,14 +35,14 @@ Touch = Callable[[tuple[int, int], Bool[np.ndarray, "n"]], bool]
 
 
 def candidates(robot: Robot) -> Pairs:
-    """All pairs of capsules that can move relative to each other, the one further out first."""
+    """Return all pairs of capsules that can move relative to each other, the one further out first."""
     link, bodies = robot.capsule_link, range(len(robot.capsule_link))
     return tuple((a, b) for a in bodies for b in bodies if link[a] > link[b])
 
 
 def samples(robot: Robot) -> Samples:
-    """Random configurations, uniform within the joint limits [rad or m]; joints without limits within half a turn, or
-    SLIDE_M, of zero."""
+    """Return random configurations, uniform within the joint limits [rad or m]; joints without limits within half a
+    turn, or SLIDE_M, of zero."""
     free = np.where(robot.slides, SLIDE_M, np.pi)
     lower, upper = np.asarray(robot.lower), np.asarray(robot.upper)
     lower, upper = np.where(np.isfinite(lower), lower, -free), np.where(np.isfinite(upper), upper, free)
@@ -50,13 +50,13 @@ def samples(robot: Robot) -> Samples:
 
 
 def distances(robot: Robot, pairs: Sequence[tuple[int, int]], x: Samples) -> Float[np.ndarray, "n R"]:
-    """Signed distance of the capsules of every pair at every configuration [m]."""
+    """Return the signed distance of the capsules of every pair at every configuration [m]."""
     return np.asarray(_distances(robot, tuple(pairs), x))
 
 
 def find_exclusions(robot: Robot, touch: Touch | None = None) -> tuple[Exclusion, ...]:
-    """The pairs that rules b and c exclude and the model does not. touch: True if the makers' meshes in two capsules
-    touch in some of the `samples` that are marked, see `LinkMeshes.touch`; None without meshes."""
+    """Return the pairs that rules b and c exclude and the model does not. touch: True if the vendor's meshes in two
+    capsules touch in some of the marked `samples`, see `LinkMeshes.touch`; None without meshes."""
     stated = {(each.first, each.second) for each in robot.exclusions}
     pairs = [pair for pair in candidates(robot) if pair not in stated]
     if robot.listed:
@@ -82,7 +82,7 @@ def _adjacent(robot: Robot, pair: tuple[int, int]) -> bool:
 def _telescopes(
     robot: Robot, pairs: Sequence[tuple[int, int]], overlap: Bool[np.ndarray, "n R"], pair: tuple[int, int]
 ) -> bool:
-    """True if a slide joins the links of a pair, and some of their capsules overlap in ALWAYS of the samples."""
+    """Return True if a slide joins the links of a pair, and some of their capsules overlap in ALWAYS of the samples."""
     links = tuple(robot.capsule_link[k] for k in pair)
     if not (_adjacent(robot, pair) and robot.slides[links[0]]):
         return False

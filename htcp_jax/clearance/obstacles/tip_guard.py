@@ -1,13 +1,13 @@
-"""Whether the tool's bare tip, the stretch between the last body and the TCP, passes through a wall.
+"""Test for walls that the tool's bare tip, the segment between the last body and the TCP, passes through.
 
-The tip has to come near the wall, so it is no body that keeps clear. But what it passes through, but for its very end,
-is a wall between the tool and its target. The walls are the triangles of a mesh, or for a cloud one flat disc a point,
-as pictures draw them: each reaches beyond its point's eighth neighbour, so that discs overlap where points are spread
+The tip has to come near the wall, so it is not a collision body. But a wall that it crosses, except with its very end,
+lies between the tool and its target. The walls are the triangles of a mesh, or for a cloud one flat disc per point, as
+pictures draw them: each extends beyond its point's eighth neighbour, so that discs overlap where points are spread
 evenly.
 
 A triangle or disc lies in a ball about its middle; the radius of the largest of these balls is the grain. The tip is
-cut into stretches of a grain at most: what a stretch passes through has its middle within one and a half grains of the
-stretch's. What a tree of the middles finds there is tested exactly.
+cut into samples of a grain at most: anything that a sample crosses has its middle within one and a half grains of the
+sample's. The candidates from a tree of the middles are tested exactly.
 """
 
 from functools import lru_cache
@@ -21,8 +21,8 @@ from htcp_jax.model.mesh_points import pieces
 from htcp_jax.model.surface import Surface, surface_of
 from htcp_jax.model.workpiece import Workpiece
 
-GRAINS = 100_000  # pieces of a mesh, about, that its triangles are cut into for the search
-INCLUSIVE = 1e-9  # of a triangle's size: what meets an edge meets one of its triangles
+GRAINS = 100_000  # approximate number of pieces that a mesh is cut into for the search
+INCLUSIVE = 1e-9  # tolerance relative to a triangle's size: a line through an edge meets one of its triangles
 Ends = Float[np.ndarray, "n 3"]
 
 
@@ -37,10 +37,11 @@ class Triangles:
         self.grain = float(np.linalg.norm(self._corners - self.middle[:, None], axis=2).max())
 
     def crossed(self, rows: Int[np.ndarray, "n"], p: Ends, q: Ends) -> Bool[np.ndarray, "n"]:
-        """Whether the straight line from p to q passes through the piece in that row.
+        """Return True where the straight line from p to q passes through the piece in that row.
 
-        By Moeller and Trumbore: the line meets the plane between its ends, at a point with barycentric coordinates
-        u, v, 1 - u - v that are not negative. What runs within the plane passes through nothing."""
+        By Moeller and Trumbore: the line meets the plane between its ends, at a point with barycentric coordinates u,
+        v, 1 - u - v that are not negative. A line within the plane passes through nothing.
+        """
         a, b, c = np.moveaxis(self._corners[rows], 1, 0)
         way, ab, ac = q - p, b - a, c - a
         across = np.cross(way, ac)
@@ -59,8 +60,8 @@ class Discs:
         self._surface, self.middle, self.grain = surface, surface.points, float(surface.radius.max())
 
     def crossed(self, rows: Int[np.ndarray, "n"], p: Ends, q: Ends) -> Bool[np.ndarray, "n"]:
-        """Whether the straight line from p to q passes through the disc in that row: its ends lie on both sides of the
-        plane, and its point in the plane within the disc."""
+        """Return True where the straight line from p to q passes through the disc in that row: its ends lie on both
+        sides of the plane, and its point in the plane within the disc."""
         disc = self._surface.only(rows)
         before, after = _dot(p - disc.points, disc.normals), _dot(q - disc.points, disc.normals)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -69,7 +70,7 @@ class Discs:
 
 
 class TipGuard:
-    """What the tip must not pass through, in the workpiece frame; `contact_m` of its end may touch [m]."""
+    """Walls that the tip must not pass through, in the workpiece frame; its end of length `contact_m` [m] may touch."""
 
     def __init__(self, wall: Triangles | Discs, contact_m: float):
         self._wall, self._contact = wall, contact_m
@@ -77,7 +78,7 @@ class TipGuard:
         self._reach = 1.5 * wall.grain * (1 + INCLUSIVE)
 
     def passes(self, p: Ends, q: Ends) -> Bool[np.ndarray, "n"]:
-        """Whether the stretches from p to q, shortened at q by what may touch, pass through a wall."""
+        """Return True where the segments from p to q, shortened at q by the contact length, pass through a wall."""
         length = np.linalg.norm(q - p, axis=1)
         kept = np.maximum(length - self._contact, 0.0)
         way = (q - p) * np.divide(kept, length, out=np.zeros_like(kept), where=length > 0)[:, None]
@@ -94,7 +95,7 @@ class TipGuard:
 
 @lru_cache(maxsize=2)
 def make_tip_guard(workpiece: Workpiece) -> TipGuard | None:
-    """The guard of a workpiece, kept for the next plan; None where its tip may touch anywhere."""
+    """Return the guard of a workpiece, cached for the next plan; None if its tip may touch anywhere."""
     if workpiece.tip_contact_m is None:
         return None
     wall = Triangles(workpiece.triangles) if len(workpiece.triangles) else Discs(surface_of(workpiece.cloud))
@@ -107,7 +108,8 @@ class _Stretches(NamedTuple):
 
 
 def _stretches(p: Ends, way: Ends, counts: Int[np.ndarray, "n"]) -> _Stretches:
-    """The ways from p on, each in so many equal stretches: whose each is, and its middle."""
+    """Cut the segments that begin at p into `counts` equal samples each; return each sample's segment number and
+    middle."""
     row = np.repeat(np.arange(len(p)), counts)
     before = np.cumsum(counts) - counts
     fraction = (np.arange(len(row)) - before[row] + 0.5) / counts[row]

@@ -1,9 +1,10 @@
-"""Where the arm up to its wrist cannot be, and where the wrist is: what joins that to the exclusion of the tool.
+"""Exclusion proofs for an arm with a spherical wrist: the arm before the wrist, joined to the exclusion of the tool.
 
-Where the last three joints are hinges whose axes meet in a point, the wrist, that point is fixed to the tool and to the
+If the last three joints are hinges whose axes meet in a point, the wrist, that point is fixed to the tool and to the
 arm before it. A cell of the tool's orientations puts the wrist into a ball, a box of the joints before it another. A
-posture is in one of either sort, and its wrist in both balls. So a target has no clear posture if, whatever does not
-collide for sure, no ball of one sort meets one of the other. Joint limits of the last three are not heeded.
+configuration is in one of either kind, and its wrist in both balls. So a target has no clear configuration if, among
+the cells that are not proven to collide, no ball of one kind meets one of the other. Joint limits of the last three are
+ignored.
 """
 
 from typing import NamedTuple
@@ -28,20 +29,21 @@ class Wrist(NamedTuple):
     """The point in which the last three axes meet."""
 
     on_arm: Vector3  # in the frame of the link of the first of them [m]
-    on_tool: Vector3  # in that of the last link
-    missed_m: Scalar  # how far the axes pass each other
+    on_tool: Vector3  # in the last link's frame [m]
+    missed_m: Scalar  # distance between the axes [m]
 
 
 class Cell(NamedTuple):
-    """What is known of a cell of postures."""
+    """Bounds on a cell of configurations."""
 
-    collides: Bool[Array, ""]  # whether all of them do
-    wrist: Vector3  # world [m], that of one of them
-    moves: Scalar  # how far from there it is in any other, at most [m]
+    collides: Bool[Array, ""]  # True: all of them collide
+    wrist: Vector3  # position for one of them, world [m]
+    moves: Scalar  # bound on its distance from there for all others [m]
 
 
 def has_wrist(robot: Robot) -> bool:
-    """Whether the last three joints are hinges whose axes meet, behind others of which no slide is endless."""
+    """Return True if the last three joints are hinges whose axes meet, behind others among which every slide has
+    limits."""
     if len(robot.slides) <= WRIST or any(robot.slides[-WRIST:]):
         return False
     endless = np.array(robot.slides) & ~np.isfinite(np.asarray(robot.upper - robot.lower))
@@ -49,8 +51,8 @@ def has_wrist(robot: Robot) -> bool:
 
 
 def wrist(robot: Robot) -> Wrist:
-    """The point of the second of the last three axes that is nearest to the first of them; infinitely far off for an
-    arm of fewer joints."""
+    """Return the point of the second of the last three axes nearest to the first of them; infinitely far off for an arm
+    with fewer joints."""
     if len(robot.slides) < WRIST:
         return Wrist(jnp.zeros(3), jnp.zeros(3), jnp.asarray(jnp.inf))
     first, second, third = robot.axis[-WRIST:]
@@ -67,7 +69,7 @@ def wrist(robot: Robot) -> Wrist:
 def tool_cell(
     scene: Scene, where: Posed, margin_m: Scalar, target: Vector3, quaternion: Float[Array, "4"], rho: Scalar
 ) -> Cell:
-    """Of all postures of `exclusion.tool_collides`."""
+    """Return the cell of all configurations of `exclusion.tool_collides`."""
     arm = wrist(scene.robot).on_tool - scene.robot.T_link_tcp[:3, 3]
     moves = 2 * safe_norm(arm) * jnp.sin(0.5 * jnp.minimum(rho, jnp.pi)) + scene.task.tolerance_m
     collides = tool_collides(scene, where, margin_m, target, quaternion, rho)
@@ -75,9 +77,9 @@ def tool_cell(
 
 
 def arm_cell(scene: Scene, where: Posed, margin_m: Scalar, target: Vector3, x: Joints, turns: Joints) -> Cell:
-    """Of all postures that have the TCP within the tolerance of the target, world [m], and every joint before the
-    wrist within `turns` of x [rad or m]; what both say of the last three does not count. They collide, too, where the
-    wrist is too near to the target for the tool, or too far; see docs/equations.md, section Exclusion."""
+    """Return the cell of all configurations that have the TCP within the tolerance of the target, world [m], and every
+    joint before the wrist within `turns` of x [rad or m]; the values for the last three are ignored. They also collide
+    if the wrist is too near to the target for the tool, or too far; see docs/equations.md, section Exclusion."""
     robot, tool = scene.robot, wrist(scene.robot)
     first = len(robot.slides) - WRIST
     free = jnp.arange(len(robot.slides)) < first
@@ -94,8 +96,9 @@ def arm_cell(scene: Scene, where: Posed, margin_m: Scalar, target: Vector3, x: J
 
 
 def _before_wrist(robot: Robot):
-    """The pieces of the bodies up to the link that carries the wrist, in their links' frames, and their links. That
-    link turns with the first joint of the wrist: its bodies are seen from that axis, as far away as they are."""
+    """Return the pieces of the bodies up to the link that carries the wrist, in their links' frames, and their links.
+    That link turns with the first joint of the wrist: its bodies are placed on that axis, with their distance from
+    it."""
     first = len(robot.slides) - WRIST
     links = np.array(robot.capsule_link)
     here = np.flatnonzero((links >= 0) & (links <= first))

@@ -1,4 +1,4 @@
-"""How far the bisection of a joint path has come, see `motion_proof`; and what it found."""
+"""State and result of the bisection of a joint path, see `motion_proof`."""
 
 import enum
 from functools import partial
@@ -11,12 +11,12 @@ from jax.typing import ArrayLike
 
 from htcp_jax.types import Array, Bool, Int, Scalar
 
-WHOLE_DEPTH = 52  # places on a path are numbers of its 2^-52; nothing may be halved as often
+WHOLE_DEPTH = 52  # places on a path are multiples of 2^-52; the depth must stay below
 WHOLE = 1 << WHOLE_DEPTH
 
 
 class Verdict(enum.IntEnum):
-    """What is known of a joint path; the numbers of `status.Way`, where they have words."""
+    """Result for a joint path; the same numbers as `status.Way`, which has the texts."""
 
     PROVEN = 0
     COLLIDES = 1  # refuted: a body touches
@@ -26,18 +26,18 @@ class Verdict(enum.IntEnum):
 
 
 class Proof(NamedTuple):
-    """What bisection found on a joint path, or on a stretch of one."""
+    """Result of the bisection of a joint path, or of a chunk of one."""
 
     verdict: Int[Array, ""]
     place: Scalar  # 0 to 1: the middle of the interval that is refuted or open; 1 where all are proven
-    clearance: Scalar  # D all along what is proven, at least [m]
-    queries: Int[Array, ""]  # places looked at
+    clearance: Scalar  # lower bound on D along the proven part [m]
+    queries: Int[Array, ""]  # checked intervals
     depth: Int[Array, ""]  # halvings of the shortest interval
 
 
 class Bisection(NamedTuple):
-    """How far the proof of a stretch of a joint path has come: up to interval number `index` of those of length
-    2^-depth, which is next. It ends at `end`, of WHOLE."""
+    """State of the proof for a chunk of a joint path: up to interval number `index` of those of length 2^-depth, which
+    is next. It ends at `end`, in units of 1/WHOLE."""
 
     index: Int[Array, "*n"]
     depth: Int[Array, "*n"]
@@ -46,24 +46,24 @@ class Bisection(NamedTuple):
 
     @property
     def place(self) -> Int[ArrayLike, "*n"]:
-        """Where the next interval begins, of WHOLE."""
+        """Start of the next interval, in units of 1/WHOLE."""
         return self.index << (WHOLE_DEPTH - self.depth)
 
     @property
     def going(self) -> Bool[ArrayLike, "*n"]:
-        """Whether there is more to look at."""
+        """True while intervals are left to check."""
         return (self.proof.verdict == Verdict.PROVEN) & (self.place < self.end)
 
 
 def begun() -> Bisection:
-    """Of a whole path of which nothing is known."""
+    """Return the initial state for a complete path."""
     proof = Proof(np.int32(Verdict.PROVEN), np.float64(1), np.float64(np.inf), np.int32(0), np.int32(0))
     return Bisection(np.int64(0), np.int64(0), np.int64(WHOLE), proof)
 
 
 def of_proven(proof: Proof) -> Proof:
-    """The same; of a path that is not proven its verdict and place alone, and nothing known of the rest, which depends
-    on the order of looks."""
+    """Return the proof; for a path that is not proven only its verdict and place, and initial values otherwise, as the
+    rest depends on the order of the checks."""
     proven = proof.verdict == Verdict.PROVEN
     told = jax.tree.map(partial(jnp.where, proven), proof, begun().proof)
     return told._replace(verdict=proof.verdict, place=proof.place)

@@ -1,12 +1,12 @@
-"""Where the end of an arm cannot be: proofs that every posture of a kind collides.
+"""Exclusion proofs: every configuration of a cell collides.
 
-A posture of a kind is known up to a bound on how far each point of a body is from where it stands in the kind's middle.
-A body whose axis comes so near to a wall that it still touches after moving by that much, touches in all of them; so
-does one with an end further outside of the interior's hull than it can move.
+A configuration in a cell is known up to a bound on the distance of each point of a body from its position in the cell's
+middle. A body whose axis comes so near to a wall that it still touches after moving by that much touches in all of
+them; so does one with an end further outside of the interior's hull than it can move.
 
 With its tip on the target, the tool is known but for its orientation: turned by at most rho, a point of it at distance
-r from the tip moves by at most 2 r sin(rho / 2). The link before it turns about the last joint's axis, which the tool
-carries along: seen from the axis, a body of that link is never further away than its own distance from it.
+r from the tip moves by at most 2 r sin(rho / 2). The link before it turns about the last joint's axis, which moves with
+the tool: as seen from the axis, a body of that link is never further away than its own distance from it.
 """
 
 from functools import partial
@@ -26,11 +26,11 @@ from htcp_jax.model.rotations import quaternion_matrix
 from htcp_jax.numerics import product, safe_norm
 from htcp_jax.types import Array, Bool, Float, Scalar, Vector3
 
-PIECES = 3  # of every capsule: the part near to the tip moves less than the whole
+PIECES = 3  # per capsule: the part near the tip moves less than the complete one
 
 
 class Segments(NamedTuple):
-    """Capsules, and how far each one's points may be from there at most."""
+    """Capsules, and bounds on the displacement of each one's points."""
 
     p: Float[Array, "n 3"]  # ends of the axes [m]
     q: Float[Array, "n 3"]
@@ -39,9 +39,9 @@ class Segments(NamedTuple):
 
 
 def surely_touches(obstacles: Obstacles, where: Posed, margin_m: Scalar, bodies: Segments) -> Bool[jax.Array, ""]:
-    """Whether some body keeps less than margin_m [m] wherever its points are within `moves` of the segments, which are
-    in the world. Other kinds of obstacles than points and the interior say nothing. By the
-    triangle inequality (docs/equations.md, section Exclusion)."""
+    """Return True if some body has clearance less than margin_m [m] wherever its points are within `moves` of the
+    segments, which are in the world. Obstacles other than points and the interior are ignored. By the triangle
+    inequality (docs/equations.md, section Exclusion)."""
     p, q, radius, moves = bodies
     moves, found = moves + ROUNDING_M, jnp.zeros((), bool)
     for each in obstacles:
@@ -60,9 +60,9 @@ def tool_collides(
     quaternion: Float[Array, "4"],
     rho: Scalar,
 ) -> Bool[jax.Array, ""]:
-    """Whether the tool, or the link before it, keeps less than margin_m [m] in every posture that has the TCP within
-    the tolerance of the target, world [m], and the last link turned by at most rho [rad] from the quaternion; see
-    docs/equations.md, section Exclusion."""
+    """Return True if the tool, or the link before it, has clearance less than margin_m [m] in every configuration that
+    has the TCP within the tolerance of the target, world [m], and the last link turned by at most rho [rad] from the
+    quaternion; see docs/equations.md, section Exclusion."""
     R, own = quaternion_matrix(quaternion), _about_tip(scene.robot)
     farthest = jnp.maximum(safe_norm(own.p), safe_norm(own.q))
     moves = own.moves + 2 * farthest * jnp.sin(0.5 * jnp.minimum(rho, jnp.pi)) + scene.task.tolerance_m
@@ -73,8 +73,8 @@ def tool_collides(
 
 
 def _about_tip(robot: Robot) -> Segments:
-    """The tool's bodies as seen from the TCP, in the last link's frame; those of the link before it, on the last
-    joint's axis."""
+    """Return the tool's bodies relative to the TCP, in the last link's frame, and those of the link before it, placed
+    on the last joint's axis."""
     last = len(robot.slides) - 1
     links, tip = np.array(robot.capsule_link), robot.T_link_tcp[:3, 3]
     tool, wrist = np.flatnonzero(links == last), np.flatnonzero((links == last - 1) & (links >= 0))
@@ -88,21 +88,21 @@ def _about_tip(robot: Robot) -> Segments:
 
 
 def _on_axis(robot: Robot, points: Float[Array, "n 3"]):
-    """The points of the last joint's axis nearest to points of the link before it, in the last link's frame, and how
-    far they are."""
+    """Return the points of the last joint's axis nearest to points of the link before it, in the last link's frame, and
+    their distances."""
     T, axis = robot.T_parent_joint[-1], robot.axis[-1]
     own = product(points - T[None, :3, 3], T[:3, :3])
     return seen_from(axis, own)
 
 
 def seen_from(axis: Vector3, points: Float[Array, "n 3"]):
-    """The points of an axis through the origin nearest to others, and how far they are [m]."""
+    """Return the points of an axis through the origin nearest to others, and their distances [m]."""
     on = product(points, axis)[:, None] * axis[None]
     return on, safe_norm(points - on)
 
 
 def cut(bodies: Segments) -> Segments:
-    """The same capsules, each in PIECES."""
+    """Return the capsules, each cut into PIECES."""
     p, q, radius, moves = bodies
     ends = [p + (q - p) * (k / PIECES) for k in range(PIECES + 1)]
     many = partial(jnp.tile, reps=PIECES)

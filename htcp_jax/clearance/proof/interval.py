@@ -1,8 +1,8 @@
-"""How clear the arm stays on an interval of a straight joint path, seen from its middle.
+"""Lower bound on the clearance on an interval of a straight joint path, from its middle.
 
-First by how far every body moves, whichever way. Where that is too much, by what a kind of obstacle itself knows of
-bodies that move (`obstacle.Sweepable`), if it does. Adaptive bisection by such bounds is Schwarzer, Saha and Latombe's
-(Adaptive Dynamic Collision Checking for Single and Multiple Articulated Robots, T-RO 2005).
+First by each body's travel, in any direction. If that is too much, by the obstacle's own bound for moving bodies
+(`obstacle.Sweepable`), if it has one. Adaptive bisection by such bounds is Schwarzer, Saha and Latombe's (Adaptive
+Dynamic Collision Checking for Single and Multiple Articulated Robots, T-RO 2005).
 """
 
 from typing import NamedTuple
@@ -28,11 +28,11 @@ from htcp_jax.types import Array, Bool, Float, Joints, Scalar
 
 
 class Interval(NamedTuple):
-    """Of an interval of a joint path."""
+    """Clearance on an interval of a joint path."""
 
-    middle: Scalar  # D in its middle, or less [m]
-    clear: Scalar  # D on all of it, at least [m]
-    proven: Bool[Array, ""]  # whether that is what was wanted
+    middle: Scalar  # lower bound on D in its middle [m]
+    clear: Scalar  # lower bound on D on all of it [m]
+    proven: Bool[Array, ""]  # True: `clear` is at least the required clearance
 
 
 def on_interval(
@@ -47,16 +47,16 @@ def on_interval(
     keeps: Bool[Array, ""],
     asked: Bool[Array, ""],
 ) -> Interval:
-    """D on the joint path x + s `rates` [rad or m] with |s| <= half.
+    """Return bounds on D on the joint path x + s `rates` [rad or m] with |s| <= half.
 
-    least: what is wanted of it [m]; where it `keeps`, the share `kept` of D in the middle, too. Where it is not asked
-    for, the bodies' travel alone is looked at.
+    least: the required clearance [m]; where it `keeps`, also the share `kept` of D in the middle. Where it is not
+    `asked`, only the bodies' travel is used.
     """
     bodies, moves = bodies_at(robot, where, x), sweep(robot, x, rates, half)
     room = [each.room(robot, where, bodies) for each in obstacles]
     middle = jnp.min(jnp.concatenate(room))
     good = jnp.maximum(kept * middle, least)
-    # More is found out than has to be: it goes on record.
+    # A larger bound than required is computed, as it is recorded.
     wanted = Wanted(jnp.where(keeps, good, least), jnp.maximum(jnp.sqrt(kept) * middle, least))
     clear = []
     for each, own in zip(obstacles, room, strict=True):
@@ -79,8 +79,8 @@ def _closer(
     wanted: Wanted,
     asked: Bool[Array, ""],
 ) -> Float[Array, "K"]:
-    """How clear bodies stay of a kind that is asked about those that travel too far; not where one of them hardly can,
-    as it would come too near if it moved along a flat wall."""
+    """Return a lower bound on the bodies' clearance, by the obstacle's own bound for those that travel too far; it is
+    skipped if for one of them it can hardly succeed, as the body would come too near even along a flat wall."""
     by_travel = room - moves.travel
     open_, nearer = by_travel < good, moves.travel**2 / (2 * robot.capsule_radius)  # of a point that it moves towards
     asked &= jnp.all(~open_ | (room - moves.bend >= wanted.least) & (nearer <= 4 * room))
@@ -88,8 +88,8 @@ def _closer(
 
 
 def row_travel_bound(robot: Robot, rows: Rows, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "R"]:
-    """`travel_bound` of each row's body, as seen from the link of the row's other, before it in the chain [m]: with all
-    joints up to that link at rest."""
+    """Return `travel_bound` of each row's body, relative to the link of the row's other, before it in the chain [m]:
+    with all joints up to that link at rest."""
     if any(0 <= other >= robot.capsule_link[body] for body, other in zip(*rows, strict=True)):
         raise ValueError("the body of a row must lie beyond the link of its other")
     seen_from = sorted(set(rows.other))

@@ -1,6 +1,6 @@
-"""How far the arm can move while every joint stays within a distance of where it is.
+"""Bounds on the motion of the arm while every joint stays within a distance of its position.
 
-Let joint j turn by at most d_j either way. In the frame of the link before it, a point of a body moves by
+Let joint j turn by at most d_j to either side. In the frame of the link before it, a point of a body moves by
 
     M_j <= M_{j+1} + d_j (r_j + M_{j+1}),
 
@@ -18,7 +18,7 @@ A slide's own column is of length 1, does not change along itself, and turns wit
 
     |p(s) - p(m)| <= h |p'(m)| + A h^2 / 2,
 
-which sees that joints undo each other's motion, as they do near a tool that hardly moves.
+which accounts for joints that cancel each other's motion, as they do near a tool that hardly moves.
 
 Seen from a link before it in the chain, a body moves by the joints beyond that link alone: as if the others rested.
 """
@@ -35,40 +35,40 @@ from htcp_jax.model.robot import Robot
 from htcp_jax.numerics import safe_norm
 from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints, Scalar, Vector3
 
-ROUNDING_M = 1e-9  # more than that of any position: what is proven is proven with so much to spare
+ROUNDING_M = 1e-9  # above the rounding error of any position; margin of every proof
 
 
 class TcpSweep(NamedTuple):
-    """How the TCP moves about where it is."""
+    """Motion of the TCP about its position."""
 
     position: Vector3  # world [m]
     velocity: Vector3
-    bend: Scalar  # how large its second derivative |p''| is at most [m]
+    bend: Scalar  # bound on its second derivative |p''| [m]
 
 
 class _Bounds(NamedTuple):
-    """Of P points that are fixed to links."""
+    """Bounds on the motion of P points that are fixed to links."""
 
     velocity: Float[Array, "P 3"]
-    moved: Float[Array, "P"]  # how far each is from where it was, at most [m]
-    bend: Float[Array, "P"]  # and how large its |p''| is
+    moved: Float[Array, "P"]  # bound on each one's displacement [m]
+    bend: Float[Array, "P"]  # bound on its |p''| [m]
 
 
 def motion_bound(robot: Robot, x: Joints, turns: Joints) -> Float[Array, "K"]:
-    """How far any point of each body is from where it is at x, at most, while every joint stays within `turns`
-    [rad or m] of x [m]."""
+    """Return a bound [m] on the displacement of any point of each body from x, while every joint stays within `turns`
+    [rad or m] of x."""
     return _larger(point_motion_bound(robot, x, turns, *_ends(robot, capsule_segments(robot, x))))
 
 
 def point_motion_bound(
     robot: Robot, x: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Array, "P"]
 ) -> Float[Array, "P"]:
-    """The same of points at x, world [m], that are fixed to links, -1 for the world."""
+    """Return `motion_bound` for points at x, world [m], that are fixed to links, -1 for the world."""
     return _bounds(robot, x, jnp.zeros_like(x), turns, points, links).moved
 
 
 def sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Sweep:
-    """How the bodies move on the joint path x + s `rates` [rad or m] with |s| <= half."""
+    """Return the motion of the bodies on the joint path x + s `rates` [rad or m] with |s| <= half."""
     within = jax.tree.map(lambda bounds: bounds[:-1], _of_arm(robot, x, rates, half)[1])
     off = 0.5 * half * half * within.bend
     along = half * safe_norm(within.velocity) + off
@@ -78,28 +78,29 @@ def sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Sweep:
 
 
 def tcp_sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> TcpSweep:
-    """How the TCP moves on that path. In a program that asks for both, it costs next to nothing."""
+    """Return the motion of the TCP on that path. In a function that also calls `sweep`, it costs next to nothing."""
     points, within = _of_arm(robot, x, rates, half)
     return TcpSweep(points[-1], within.velocity[-1], within.bend[-1])
 
 
 def travel_bound(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "K"]:
-    """How far any point of each body is from where it is at x, at most, on the joint path x + s `rates` [rad or m] with
-    |s| <= half [m]."""
+    """Return a bound [m] on the displacement of any point of each body from x on the joint path x + s `rates` [rad or
+    m] with |s| <= half."""
     return sweep(robot, x, rates, half).travel
 
 
 def point_bend_bound(
     robot: Robot, x: Joints, rates: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Array, "P"]
 ) -> Float[Array, "P"]:
-    """How large the second derivative |p''| of points fixed to links, at x in the world [m], is at most on a straight
-    joint path of x' = `rates` [rad or m], while every joint stays within `turns` of x [m]."""
+    """Return a bound [m] on the second derivative |p''| of points fixed to links, at x in the world [m], on a straight
+    joint path of x' = `rates` [rad or m], while every joint stays within `turns` of x."""
     return _bounds(robot, x, rates, turns, points, links).bend
 
 
 @jax.jit
 def _of_arm(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> tuple[Float[Array, "P 3"], _Bounds]:
-    """The ends of the bodies' axes and, last, the TCP, and their bounds: in one, as programs then have it once."""
+    """Return the ends of the bodies' axes and, last, the TCP, and their bounds: in one function, so that it is compiled
+    once."""
     points, links = arm_points(robot, x)
     return points, _bounds(robot, x, rates, half * jnp.abs(rates), points, links)
 
@@ -111,19 +112,19 @@ def arm_points(robot: Robot, x: Joints) -> tuple[Float[Array, "P 3"], Int[Array,
 
 
 def _ends(robot: Robot, segments: tuple[Float[Array, "K 3"], Float[Array, "K 3"]]):
-    """Both ends of every body's axis, the first ones first, and their links."""
+    """Return both ends of every body's axis, the first ones first, and their links."""
     return jnp.concatenate(segments), jnp.tile(jnp.asarray(robot.capsule_link), 2)
 
 
 def _larger(bounds: Float[Array, "P"]) -> Float[Array, "K"]:
-    """The larger of the bounds of each body's two ends."""
+    """Return the larger of the bounds of each body's two ends."""
     return jnp.max(bounds.reshape(2, -1), axis=0)
 
 
 def _bounds(
     robot: Robot, x: Joints, rates: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Array, "P"]
 ) -> _Bounds:
-    """Of points at x, while every joint stays within `turns` of x, and moves by `rates`."""
+    """Return bounds for points at x, while every joint stays within `turns` of x, and moves by `rates`."""
     columns = point_jacobians(robot, x, points, links).swapaxes(1, 2)
     speeds, hinge, bend = jnp.abs(rates), ~np.array(robot.slides), jnp.zeros(len(points))
     own = jnp.where(~hinge[None] & (np.arange(len(hinge))[None] <= links[:, None]), 1.0, safe_norm(columns))

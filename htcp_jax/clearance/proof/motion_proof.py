@@ -1,9 +1,9 @@
-"""Whether a straight joint path is a motion: the arm clear all along it, and the TCP within a tube about a line.
+"""Proof that a straight joint path is a motion: the arm is clear along it, and the TCP stays in a tube about a line.
 
-By bisection. An interval of the path is proven when, seen from its middle, every body has more room than its points can
-move within the interval, as seen from what it must not touch, and the TCP can neither leave the tube nor turn back. It
-is refuted when the middle itself is in collision, out of the tube, or on its way back; otherwise it is halved. So there
-are three answers: proven, refuted at a place, and open, where the halves have become as short as they may.
+By bisection. An interval of the path is proven when every body's free radius in the middle is larger than the motion of
+its points within the interval, relative to the obstacle, and the TCP can neither leave the tube nor reverse. It is
+refuted when the middle itself is in collision, out of the tube, or moving backwards; otherwise it is halved. So there
+are three results: proven, refuted at a place, and undecided at the finest subdivision.
 
 The TCP p(s) is bounded to second order. With |p''| <= A on an interval of half-width h about m,
 
@@ -11,7 +11,7 @@ The TCP p(s) is bounded to second order. With |p''| <= A on an interval of half-
 
 and as the distance to a line is convex, the ends of the straight piece p(m) +- h p'(m) bound it on all of the piece.
 
-What else the task asks for is bounded in the same way, see `row_proof`.
+The task's other rows are bounded in the same way, see `row_proof`.
 """
 
 from collections.abc import Callable
@@ -33,20 +33,21 @@ from htcp_jax.numerics import capsule_point_distance, product, safe_norm
 from htcp_jax.settings import Settings
 from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
 
-RESOLUTION_M = 1e-5  # what `path_clear` may touch unnoticed: grazing paths take many halvings to prove
-KEPT_DEPTH = 6  # halvings for the sake of a clearance that means something
+RESOLUTION_M = 1e-5  # penetration that `path_clear` may miss: grazing paths take many halvings to prove
+KEPT_DEPTH = 6  # halvings to raise the proven clearance
 DEEPEST = 30  # halvings; a joint turns by less than 1e-8 rad then
 
 
 class Tube(NamedTuple):
-    """Where the TCP may be: within `radius` of the line from `start` to `end`, along which it only advances. Where the
-    two are one point it may move any way; with an infinite radius it may be anywhere. And what the task asks for."""
+    """Allowed region of the TCP: within `radius` of the line from `start` to `end`, along which it only advances. If
+    the two are one point it may move in any direction; with an infinite radius it may be anywhere. And the task's other
+    goals."""
 
     start: Vector3  # world [m]
     end: Vector3
     radius: Scalar  # [m]
-    goals: Float[Array, "2 G"] | None = None  # of the task, at the target before and at this one; None: the paper's
-    held: Bool[Array, ""] | None = None  # whether these hold on the way
+    goals: Float[Array, "2 G"] | None = None  # of the task, at the previous target and at this one; None: the paper's
+    held: Bool[Array, ""] | None = None  # True: these are required on the segment
 
 
 def prove(
@@ -59,12 +60,13 @@ def prove(
     deepest: Int[ArrayLike, ""] = DEEPEST,
     kept: Float[ArrayLike, ""] = 0.0,
 ) -> Proof:
-    """Whether the straight joint path from a to b [rad or m] is clear, and keeps the TCP in the tube, if there is one.
+    """Prove or refute that the straight joint path from a to b [rad or m] is clear, and keeps the TCP in the tube, if
+    there is one.
 
-    resolution_m: D is proven to be more than minus that; what is looked at has to be clear in any case. deepest: the
-    most halvings; with fewer, what is nearly touched is open. kept: the share of D in the middle that is to be left
-    over all of an interval; else it is halved further, up to KEPT_DEPTH times. Without, the clearance of a proof may be
-    next to nothing where D is not.
+    resolution_m: D is proven to be more than minus that; sampled configurations have to be clear in any case. deepest:
+    the most halvings; with fewer, near contacts remain undecided. kept: the share of D in the middle that must remain
+    on all of an interval; else it is halved further, up to KEPT_DEPTH times. Without it, the clearance of a proof may
+    be next to nothing where D is not.
     """
     look = look_on(scene, where, a, b, tube, resolution_m, deepest, kept)
     return jax.lax.while_loop(lambda far: far.going, look, begun()).proof
@@ -80,7 +82,7 @@ def look_on(
     deepest: Int[ArrayLike, ""],
     kept: Float[ArrayLike, ""],
 ) -> Callable[[Bisection], Bisection]:
-    """What `prove` repeats: a look at the interval that bisection has come to."""
+    """Return the function that `prove` repeats: it checks the next interval of the bisection."""
     line = jnp.zeros(3) if tube is None else tube.end - tube.start
     length = safe_norm(line)
     forwards = line / jnp.where(length > 0, length, 1.0)
@@ -118,8 +120,8 @@ def look_on(
 
 
 def path_clear(scene: Scene, settings: Settings, where: Posed, a: Joints, b: Joints) -> Bool[jax.Array, ""]:
-    """Whether the straight joint path from a to b is clear by the test of `settings.path_test`, the ends left out:
-    `bisection`, or `samples`, which looks at a number of places and knows nothing of what lies between them."""
+    """Return True if the straight joint path from a to b, without its ends, is clear by the test of
+    `settings.path_test`: `bisection`, or `samples`, which tests a number of places and nothing between them."""
     if settings.path_test == "bisection":
         return proven_clear(scene, where, a, b)
     if settings.path_steps == 1:
@@ -129,12 +131,13 @@ def path_clear(scene: Scene, settings: Settings, where: Posed, a: Joints, b: Joi
 
 
 def proven_clear(scene: Scene, where: Posed, a: Joints, b: Joints) -> Bool[jax.Array, ""]:
-    """Whether D > 0 wherever bisection looks, and D > -RESOLUTION_M for certain everywhere else on the path."""
+    """Return True if D > 0 wherever bisection samples it, and D > -RESOLUTION_M is proven everywhere else on the
+    path."""
     return prove(scene, where, a, b, resolution_m=RESOLUTION_M).verdict == Verdict.PROVEN
 
 
 def _in_tube(scene: Scene, tube: Tube, forwards: Vector3, x: Joints, rates: Joints, half: Scalar):
-    """Whether the TCP surely stays in the tube on an interval about x, and what is wrong at x itself."""
+    """Return True if the TCP surely stays in the tube on an interval about x, and the verdict at x itself."""
     p, v, bend = tcp_sweep(scene.robot, x, rates, half)
     bend = bend * half
     off, before, after = _off_line(tube, jnp.stack([p, p - half * v, p + half * v]))
@@ -153,7 +156,7 @@ def _off_line(tube: Tube, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
 
 
 def _next_interval(index, depth):
-    """The interval after number `index` of those of length 2^-depth: as long a one as begins there."""
+    """Return the interval after number `index` of those of length 2^-depth: the longest that begins there."""
     index = index + 1
     up = jnp.minimum(jax.lax.population_count((index & -index) - 1), depth)
     return index >> up, depth - up

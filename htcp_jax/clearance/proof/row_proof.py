@@ -1,17 +1,17 @@
-"""Whether the rows of a task hold between two targets, on an interval of a straight joint path, to second order.
+"""Proof that the rows of a task hold between two targets, on an interval of a straight joint path, to second order.
 
-What a row asks for on the way lies between what it asks for at the target before, 0, and at this one, 1:
+On a segment a row's goal lies between that of the previous target, 0, and that of this one, 1:
 
-    a place       f_k = u_k p - o_k, how far off it is in a direction by either: min f_k <= w and max f_k >= -w
+    a place       f_k = u_k p - o_k, its deviation in a direction by either: min f_k <= w and max f_k >= -w
     an axis       the angle to d_0, to d_1, or to the direction half way, is at most the limit
     a frame       so is the angle of the rotation to R_0, to R_1, or to the rotation half way
-    a look        so is the angle to the direction in which the place is seen
+    a view        so is the angle to the direction of the place
 
-w is the band and the tolerance of lengths more; the limit is the half angle, half way at least half the turn from 0 to
-1, and the tolerance of angles more.
+w is the band plus the tolerance of lengths; the limit is the half angle, half way at least half the turn from 0 to 1,
+plus the tolerance of angles.
 
-What is left of a row is by how much the point [m] or the vectors, as a chord, may yet be elsewhere: no more is asked of
-a motion that stays that close to the joint path, see `trajectory.rows_left`.
+A row's slack is the displacement of the point [m], or of the vectors as a chord, that it still permits: a motion that
+stays that close to the joint path satisfies the row, see `trajectory.rows_left`.
 
 Where |g''| <= B within h of the middle m, g is within B h^2 / 2 of g(m) + (s - m) g'(m), the ends of which bound every
 convex function of it. Angles are compared as chords, which are lengths of vectors: |a - d| = 2 sin(angle / 2), and of
@@ -39,7 +39,8 @@ HELD_ELSEWHERE = TaskPoint()  # the TCP at a place: by its tube
 
 
 class Slabs(NamedTuple):
-    """Where a point may be: c directions and, of either target, how far along them, and how far off that [m]."""
+    """Allowed region of a point: c directions and, for either target, the offsets along them and the allowed deviation
+    [m]."""
 
     across: Float[Array, "2 c 3"]
     offset: Float[Array, "2 c"]
@@ -47,14 +48,14 @@ class Slabs(NamedTuple):
 
 
 class Chords(NamedTuple):
-    """What vectors of the arm may be: within a distance of one of k; axes of length 1, one after another."""
+    """Allowed vectors of the arm: within a distance of one of k; axes of length 1, concatenated."""
 
     vectors: Float[Array, "k v"]
     radius: Float[Array, "k"]
 
 
 class Look(NamedTuple):
-    """The place that an axis looks at [m], and how long a chord the axis may be off it."""
+    """The place that an axis points at [m], and the allowed deviation of the axis as a chord."""
 
     place: Vector3
     radius: Scalar
@@ -64,15 +65,16 @@ Between = Slabs | Chords | Look | None
 
 
 class Left(NamedTuple):
-    """Of a part, or of each of P: on an interval of a joint path."""
+    """Slack of a part, or of each of P, on an interval of a joint path."""
 
-    left: Float[Array, "*P"]  # what its features' vectors may be off the path, and it holds; negative: it may be broken
-    broken: Bool[Array, "*P"]  # whether it is at the middle
-    apart: Float[Array, "*P"]  # how far the place that an axis looks at is, at least [m]; inf: it looks at none
+    left: Float[Array, "*P"]  # allowed deviation of its features' vectors from the path; negative: it may be violated
+    broken: Bool[Array, "*P"]  # True: it is violated at the middle
+    apart: Float[Array, "*P"]  # lower bound on the distance of the place that an axis points at [m]; inf: none
 
 
 def between(task: Task, goals: Float[Array, "2 G"]) -> tuple[Between, ...]:
-    """What every part of a task asks for between two targets of these goals; None of a TCP that is held at a place."""
+    """Return the constraint of every part of a task between two targets with these goals; None for the TCP at a
+    place."""
     return tuple(
         None if part == HELD_ELSEWHERE else _BETWEEN[type(part)](task, part, goals[:, start : start + part.numbers])
         for start, part in zip(task.starts, task.parts, strict=True)
@@ -80,14 +82,14 @@ def between(task: Task, goals: Float[Array, "2 G"]) -> tuple[Between, ...]:
 
 
 def heeded(parts: tuple[Row, ...]) -> tuple[Row, ...]:
-    """Those of a task's parts that `rows_left` speaks of."""
+    """Return the parts of a task that `rows_left` covers."""
     return tuple(part for part in parts if part != HELD_ELSEWHERE)
 
 
 def rows_left(
     robot: Robot, parts: tuple[Row, ...], asked: tuple[Between, ...], x: Joints, rates: Joints, half: Scalar
 ) -> Left:
-    """What is left of each of `heeded` parts on the joint path x + s `rates` [rad or m] with |s| <= half."""
+    """Return the slack of each of the `heeded` parts on the joint path x + s `rates` [rad or m] with |s| <= half."""
     given = [(part, own) for part, own in zip(parts, asked, strict=True) if own is not None]
     found = [_LEFT[type(own)](robot, part.features, own, x, rates, half) for part, own in given]
     return Left(*(jnp.stack(each) for each in zip(*found, strict=True)))
@@ -96,12 +98,12 @@ def rows_left(
 def rows_hold(
     robot: Robot, parts: tuple[Row, ...], asked: tuple[Between, ...], x: Joints, rates: Joints, half: Scalar
 ) -> tuple[Bool[Array, "P"], Bool[Array, "P"]]:
-    """Which parts surely hold on such a joint path; which are broken at x."""
+    """Return True for parts that surely hold on such a joint path, and True for parts that are violated at x."""
     found = rows_left(robot, parts, asked, x, rates, half)
     return found.left >= 0, found.broken
 
 
-# What is asked
+# Constraints between two targets
 
 
 def _point_between(task: Task, part: TaskPoint, goals: Float[Array, "2 g"]) -> Slabs:
@@ -140,16 +142,16 @@ _BETWEEN = {TaskPoint: _point_between, PointAlong: _along_between, AxisTowards: 
 
 
 def _limits(limit: Float[Array, "2"], turn: Scalar) -> Float[Array, "3"]:
-    """Half angles about either end of a turn, and half way."""
+    """Return the half angles about both ends of a turn, and half way."""
     return jnp.append(limit, jnp.maximum(limit.mean(), 0.5 * turn))
 
 
 def _chord(half_angle: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """As long as it is in a circle of radius 1; from half a turn on anything is near enough."""
+    """Return the chord of a half angle in a circle of radius 1; infinite from half a turn on."""
     return jnp.where(half_angle < np.pi, 2 * jnp.sin(0.5 * half_angle), jnp.inf)
 
 
-# What is left of it
+# Slack
 
 
 def _in_slabs(robot: Robot, features: tuple[Feature], own: Slabs, x: Joints, rates: Joints, half: Scalar) -> Left:
@@ -201,7 +203,7 @@ _LEFT = {Slabs: _in_slabs, Chords: _in_chords, Look: _in_look}
 
 
 def _moving(robot: Robot, x: Joints, rates: Joints, feature: Feature) -> tuple[Vector3, Vector3]:
-    """Where a feature is, and how fast it moves."""
+    """Return a feature's position or direction, and its velocity."""
     return jax.jvp(partial(feature_at, robot, feature=feature), (x,), (rates,))
 
 
@@ -211,7 +213,7 @@ def _bend(robot: Robot, x: Joints, rates: Joints, half: Scalar, feature: Feature
 
 
 def _turning(robot: Robot, rates: Joints) -> Scalar:
-    """By how much the hinges turn in all."""
+    """Return the sum of the hinges' turns."""
     return jnp.sum(jnp.where(np.array(robot.slides), 0.0, jnp.abs(rates)))
 
 
