@@ -24,8 +24,8 @@ grid:
 FAULTS = {
     "kinematics": """
 from htcp_jax.model import kinematics
-turned = kinematics.turned
-kinematics.turned = lambda axis, turn: turned(axis, 1.0005 * turn)
+matrix = kinematics.axis_angle_matrix
+kinematics.axis_angle_matrix = lambda axis, turn: matrix(axis, 1.0005 * turn)
 """,
     "clearance sign": """
 from htcp_jax.clearance.obstacles import obstacles
