@@ -37,7 +37,7 @@ def small_job(arm: Path, folder: Path, out: tuple = (0, 0, 1), seed: int = 0) ->
 
 
 def _handy_posture(robot: Robot, draw: np.random.Generator) -> np.ndarray:
-    """Random configuration in the middle half of the limits, with the largest minimum singular value of its Jacobian."""
+    """Random configuration in the middle half of the limits with the largest minimum singular value of the Jacobian."""
     low, high = (np.clip(np.asarray(limit), -np.pi, np.pi) for limit in (robot.lower, robot.upper))
     tried = draw.uniform(0.75 * low + 0.25 * high, 0.25 * low + 0.75 * high, (TRIED, len(low)))
     slopes = np.asarray(jax.vmap(lambda x: jacobian(robot, x))(jnp.asarray(tried)))
