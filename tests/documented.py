@@ -2,8 +2,8 @@
 
 A block may have a comment before it, `<!-- runs: HOW -->`:
 
-    (none)                   by a quick test, as it stands
-    slow                     by a slow test, as it stands
+    (none)                   by a quick test, unchanged
+    slow                     by a slow test, unchanged
     slow, two scenarios      by a slow test, with --limit 2: it would take longer than all other tests together
     slow, in a fresh copy    by a slow test, in a copy of the repository without a virtual environment
     in CI                    by .ci/run, which is made of such commands

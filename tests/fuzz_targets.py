@@ -76,7 +76,7 @@ NUMBERS = ["0", "-1", "1e999", "nan", "inf", "-0.0", "1e-300", "9999999999999999
 
 
 def damaged(seeds: list[bytes], words: list[str]) -> st.SearchStrategy[bytes]:
-    """One of the seeds with up to five changes: cut short, a part taken out, doubled or replaced, a byte changed."""
+    """One of the seeds with up to five changes: truncated, a part removed, doubled or replaced, a byte changed."""
     token = st.one_of(st.sampled_from([word.encode() for word in [*words, *NUMBERS]]), st.binary(max_size=8))
     change = st.tuples(st.integers(0, 5), SPOT, SPOT, token)
     return st.builds(_changed, st.sampled_from(seeds), st.lists(change, max_size=5))
@@ -107,7 +107,7 @@ ODD = st.one_of(
 
 
 def altered(seeds: list) -> st.SearchStrategy:
-    """One of the seeds, plain data, with up to four of its values replaced, doubled or taken out."""
+    """One of the seeds, plain data, with up to four of its values replaced, doubled or removed."""
     change = st.tuples(SPOT, st.integers(0, 3), ODD)
     return st.builds(_altered, st.sampled_from([json.dumps(seed) for seed in seeds]), st.lists(change, max_size=4))
 

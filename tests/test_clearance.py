@@ -61,7 +61,7 @@ _ENDS = jax.jit(capsule_segments)
 
 
 def numpy_clearances(robot, workpiece: Workpiece, where: Where, x):
-    """D per body by brute force in numpy: all points, all facets; and where the hull decides."""
+    """D per body by brute force in numpy over all points and facets, and True where the hull decides it."""
     p, q = (np.asarray(end) for end in _ENDS(robot, x))
     T = np.asarray(where.T_world_workpiece)
     points = workpiece.cloud @ T[:3, :3].T + T[:3, 3]
