@@ -1,7 +1,7 @@
 """Time-parameterised motions.
 
 Within every limit at 1 ms, at the feed rate on the weld, and no further from the plan than its proof allows. All is
-measured on the result, by finite differences and by MuJoCo, not asked of the time scaling itself.
+measured on the result, by finite differences and by MuJoCo, not taken from the time scaling itself.
 """
 
 from dataclasses import replace
@@ -105,7 +105,7 @@ def whole_motion(seed=0, rough=0.002):
 
 
 def room(motion, clearance=5e-3, tube=1e-3):
-    """The same slack for every segment."""
+    """Equal slack for every segment."""
     kept = np.isin(motion.kind[1:], (F, D))
     return Spare(np.full(len(kept), clearance), np.where(kept, tube, np.inf))
 

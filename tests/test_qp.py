@@ -22,7 +22,7 @@ ORACLE = pytest.param(
     "quadprog",
     marks=pytest.mark.skipif("quadprog" not in qpsolvers.available_solvers, reason="quadprog is not installed"),
 )
-# qpsolvers says that it converts matrices from dense to sparse and back: not our hot path.
+# qpsolvers warns of converting matrices from dense to sparse and back: not our hot path.
 pytestmark = pytest.mark.filterwarnings("ignore::qpsolvers.warnings.SparseConversionWarning")
 
 

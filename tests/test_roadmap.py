@@ -172,7 +172,7 @@ def example():
 
 
 def judged(one, settings=SMALL, threads=1, **changes):
-    """Its plans with these arrays, validated anew."""
+    """Plans of `example` with these arrays, validated anew."""
     plans = example()[1]
     plans = plans._replace(**{name: array.copy() for name, array in plans.arrays().items()})._replace(**changes)
     plans.way[:], plans.way_clearance[:] = Way.UNKNOWN, np.nan

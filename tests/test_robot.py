@@ -45,7 +45,7 @@ CAPSULES = {
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
 
 # The manufacturer's convention, as in ROS-Industrial's public description: link origins and axes in the zero
-# posture (lower arm upright, upper arm horizontal), limits and speeds of the data sheet [deg, deg/s].
+# configuration (lower arm upright, upper arm horizontal), limits and speeds of the data sheet [deg, deg/s].
 MANUFACTURER = """
 <mujoco>
   <worldbody>

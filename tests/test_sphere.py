@@ -61,7 +61,7 @@ EACH = ["sqp", "interior_point", "cmaes", pytest.param("adam", marks=pytest.mark
 def test_a_minimiser_returns_a_unit_vector_inside_the_limits_and_what_it_attains(name):
     """Result of a minimiser: a unit vector inside the limits, with its measured value, never below its start.
 
-    The value is that of the subproblem's own linearisation.
+    The reference problem's merit gives the same value.
     """
     found = solved(name, count=COUNT.get(name, 200))
     np.testing.assert_allclose(np.linalg.norm(found.w, axis=1), 1.0, atol=1e-14)

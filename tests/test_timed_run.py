@@ -42,7 +42,7 @@ def untimed(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def timed(untimed, tmp_path_factory):
-    """The same run, timed; not to be changed."""
+    """A timed copy of the run; not to be changed."""
     folder = shutil.copytree(untimed, tmp_path_factory.mktemp("timed") / "run")
     assert main(["program", str(folder), "--all", "--feed", "20mm/s"]) == 0
     return folder

@@ -519,7 +519,7 @@ def test_bad_input_is_one_line_and_exit_2(folder, capsys, arguments, line):
 
 
 def test_a_port_in_use_is_refused_and_not_replaced_by_another(folder, viewer, capsys, monkeypatch):
-    monkeypatch.setattr(Viewer, "wait", lambda _: None)  # to serve is a failure, and must not block
+    monkeypatch.setattr(Viewer, "wait", lambda _: None)  # serving would be a failure, and must not block
     port = viewer.address.rpartition(":")[2]
     assert main(["view", str(folder), "--port", port]) == 2
     output = capsys.readouterr()
