@@ -1,4 +1,4 @@
-"""Strict JAX for every test: no implicit promotion of ranks and dtypes; compiled programs are kept between runs."""
+"""Shared fixtures; strict JAX (no implicit promotion of ranks and dtypes), with compiled programs kept between runs."""
 
 import shutil
 import signal
@@ -21,14 +21,14 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # in the background of a 
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 BROWSERS = "chromium", "chromium-browser", "chromium-headless-shell", "google-chrome"
-REBOUND = "rebound.test"  # a name that the browser takes for this machine, as DNS may come to
+REBOUND = "rebound.test"  # a name that the browser resolves to this machine, as in DNS rebinding
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 FLAGS += [f"--host-resolver-rules=MAP {REBOUND} 127.0.0.1"]
 
 
 @pytest.fixture(autouse=True, scope="module")
 def forget_programs():
-    """Forget compiled programs before they use up the 65,530 memory maps of a process: then the compiler crashes."""
+    """Clear compiled programs before they use up the 65,530 memory maps of a process, which crashes the compiler."""
     yield
     if not MAPS.exists() or MAPS.read_bytes().count(b"\n") > MAX_MAPS:
         jax.clear_caches()
@@ -36,7 +36,7 @@ def forget_programs():
 
 @pytest.fixture(autouse=True, scope="session")
 def no_lines_of_progress():
-    """What commands print does not depend on how busy the machine is."""
+    """Switch progress lines off, so that the output of commands does not depend on the load of the machine."""
     from htcp_jax.cli import output  # here, because what is imported before the tests has unchecked annotations
 
     output.LINE_S = 3600.0
@@ -44,7 +44,7 @@ def no_lines_of_progress():
 
 @pytest.fixture(scope="session")
 def planned(tmp_path_factory):
-    """The folder with a small real run, see small_run.py; not to be changed."""
+    """Folder with a small real run, see small_run.py; read-only."""
     from small_run import plan_small_run
 
     return plan_small_run(tmp_path_factory.mktemp("planned"))
@@ -52,7 +52,7 @@ def planned(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def screenless():
-    """Skips a test where OpenGL is missing."""
+    """Skip the test where OpenGL is missing."""
     from htcp_jax.viewer import offscreen  # here, as few tests draw
 
     try:
@@ -63,7 +63,7 @@ def screenless():
 
 @pytest.fixture(scope="module")
 def browser():
-    """A browser without a screen; skips the test where none is installed."""
+    """Headless browser; skips the test where none is installed."""
     driver = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed (extra `test`)")
     found = next(filter(None, map(shutil.which, BROWSERS)), None)
     if found is None:

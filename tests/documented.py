@@ -1,16 +1,16 @@
-"""What the README and the documentation tell a reader to type: every shell and Python block, and how it is run here.
+"""Shell and Python blocks of the README and the documentation, and how each of them is tested.
 
 A block may have a comment before it, `<!-- runs: HOW -->`:
 
-    (none)                   by a quick test, as it stands
-    slow                     by a slow test, as it stands
+    (none)                   by a quick test, unchanged
+    slow                     by a slow test, unchanged
     slow, two scenarios      by a slow test, with --limit 2: it would take longer than all other tests together
     slow, in a fresh copy    by a slow test, in a copy of the repository without a virtual environment
     in CI                    by .ci/run, which is made of such commands
-    suite                    it is a part of the tests itself
+    suite                    it is itself part of the tests
 
-Commands within sentences are held to what there is: commands and their options, targets of make, extras. Those that
-name files run as well, in a slow test.
+Commands within sentences are checked against the existing commands and options, targets of make and extras. Those that
+name files also run, in a slow test.
 
 `python tests/documented.py` lists them all.
 """
@@ -46,31 +46,31 @@ class Block(NamedTuple):
 
 
 def pages() -> list[str]:
-    """All pages that a reader may follow, from the root of the repository."""
+    """Paths of all documentation pages, relative to the root of the repository."""
     found = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
     return [str(path.relative_to(ROOT)) for path in found]
 
 
 def blocks(page: str) -> list[Block]:
-    """The blocks of a page that do something, in order; examples of files come without their snippets."""
+    """Blocks of a page that are run or written to a file, in order, without files that include snippets."""
     text = (ROOT / page).read_text(encoding="utf-8")
     found = [Block(page, m["kind"].strip(), m["text"], m["how"] or QUICK) for m in FENCE.finditer(text)]
     return [b for b in found if b.kind in ("sh", "python") or (FILE.match(b.kind) and "--8<--" not in b.text)]
 
 
 def in_sentences(page: str) -> list[str]:
-    """Commands that stand within sentences, in the order of the page."""
+    """Commands within sentences, in the order of the page."""
     text = re.sub(r"^```.*?^```$", "", (ROOT / page).read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
     return [" ".join(found.split()) for found in re.findall(r"`((?:htcp|make|\.venv/bin/pip) [^`]+)`", text)]
 
 
 def runs(command: str) -> bool:
-    """Whether a command within a sentence is whole, and not the mention of one."""
+    """True if a command within a sentence is complete and can be run, False if it is only mentioned."""
     return command == "htcp plan" or (command.startswith("htcp ") and "/" in command)
 
 
 def indented_commands(page: str) -> list[str]:
-    """Commands that stand in an indented block, where nothing runs them."""
+    """Commands in indented blocks, which no test runs."""
     text = re.sub(r"^```.*?^```$", "", (ROOT / page).read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
     return re.findall(r"^ {4}((?:htcp|make|python|pip|git|\.venv/bin)\b[^\n]*)$", text, flags=re.MULTILINE)
 

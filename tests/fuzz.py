@@ -1,8 +1,8 @@
-"""The fuzzing of a night: `make fuzz`, or python tests/fuzz.py [INPUTS] [SEED].
+"""Nightly fuzzing: `make fuzz`, or python tests/fuzz.py [INPUTS] [SEED].
 
-Inputs of every kind in `fuzz_targets`, each kind in a process of its own, as many at a time as there are cores. Ends
-with a table of how many there were, and with exit code 1 when one was answered by anything but a result or one line: a
-traceback, a wrong result, a crash, or no answer within a minute.
+Generates inputs of every kind in `fuzz_targets`, each kind in its own process, one process per core. Prints a table of
+the counts. The exit code is 1 if any input led to something other than a result or a one-line error: a traceback, a
+wrong result, a crash, or no answer within a minute.
 """
 
 import contextlib
@@ -23,8 +23,11 @@ A_MINUTE = 60
 
 
 def fuzz(name: str, inputs: int, first: int, folder: Path) -> tuple[int, int]:
-    """How many inputs of a kind were taken and how many refused. Raises what an input brings about, the smallest that
-    does; ends the process, with the tracebacks of all threads, when an answer takes more than a minute."""
+    """Return the numbers of accepted and refused inputs of a kind.
+
+    Raises the error of the smallest failing input. Ends the process, with the tracebacks of all threads, if an answer
+    takes more than a minute.
+    """
     target: Target = TARGETS[name]
     target.prepare(folder)
     counts = [0, 0]
@@ -47,8 +50,10 @@ def fuzz(name: str, inputs: int, first: int, folder: Path) -> tuple[int, int]:
 
 
 def in_a_process(name: str, inputs: int, first: int) -> tuple[int, int, str]:
-    """`fuzz`, in rounds of other seeds until there were enough (a round ends early when it runs out of new inputs);
-    and what went wrong."""
+    """Run `fuzz` in subprocesses with new seeds until there were enough inputs; return accepted, refused and the error.
+
+    A round ends early when it runs out of new inputs.
+    """
     taken = refused = 0
     with tempfile.TemporaryDirectory() as folder:
         while taken + refused < inputs:

@@ -1,8 +1,8 @@
-"""What is fuzzed: every reader of files, configurations, and the QP solver.
+"""Fuzz targets: every reader of files, the configurations, and the QP solver.
 
 A target is a strategy for inputs and a check of one input. The check writes the input into a folder, reads it, and
-returns whether it was taken; a refusal must be an InputError of one line. What is taken is compared with another
-reading of the same bytes, so that no wrong result passes in silence.
+returns whether it was accepted; a refusal must be an InputError of one line. Accepted input is compared with an
+independent reading of the same bytes, so that no wrong result passes unnoticed.
 """
 
 import copy
@@ -48,7 +48,7 @@ CONFIGS, SWEEPS = HERE.parent / "configs", HERE.parent / "sweeps"
 
 
 class Target(NamedTuple):
-    """share: of all inputs. check(folder, input): whether it was taken. prepare(folder): what takes long, once."""
+    """Share of all inputs, strategy, check(folder, input) -> accepted, and prepare(folder), which runs once."""
 
     share: int
     inputs: st.SearchStrategy
@@ -57,7 +57,7 @@ class Target(NamedTuple):
 
 
 def refusal(act: Callable):
-    """What `act` returns, or None when it refuses its input by one line. Warnings other than ours are errors."""
+    """Result of `act`, or None if it refuses its input by one line. Warnings other than ours are errors."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -71,12 +71,12 @@ def refusal(act: Callable):
 
 # Inputs: good files with random changes
 
-SPOT = st.integers(0, 2**16 - 1)  # a place in a file, in its 65,536ths
+SPOT = st.integers(0, 2**16 - 1)  # a position in a file, in 65,536ths of its length
 NUMBERS = ["0", "-1", "1e999", "nan", "inf", "-0.0", "1e-300", "99999999999999999999", "1_0", "0x10", ".5", "1e3", ""]
 
 
 def damaged(seeds: list[bytes], words: list[str]) -> st.SearchStrategy[bytes]:
-    """One of the seeds with up to five changes: cut short, a part taken out, doubled or replaced, a byte changed."""
+    """One of the seeds with up to five changes: truncated, a part removed, doubled or replaced, a byte changed."""
     token = st.one_of(st.sampled_from([word.encode() for word in [*words, *NUMBERS]]), st.binary(max_size=8))
     change = st.tuples(st.integers(0, 5), SPOT, SPOT, token)
     return st.builds(_changed, st.sampled_from(seeds), st.lists(change, max_size=5))
@@ -107,7 +107,7 @@ ODD = st.one_of(
 
 
 def altered(seeds: list) -> st.SearchStrategy:
-    """One of the seeds, plain data, with up to four of its values replaced, doubled or taken out."""
+    """One of the seeds, plain data, with up to four of its values replaced, doubled or removed."""
     change = st.tuples(SPOT, st.integers(0, 3), ODD)
     return st.builds(_altered, st.sampled_from([json.dumps(seed) for seed in seeds]), st.lists(change, max_size=4))
 
@@ -165,7 +165,7 @@ def check_yaml(folder: Path, data: bytes) -> bool:
 
 
 def check_config(folder: Path, raw: dict) -> bool:
-    """Values of every kind; what is accepted makes a scenario, or is refused there."""
+    """Check a configuration with values of every kind: if accepted, it makes a scenario or is refused there."""
     if not isinstance(raw, dict):
         return False
     text = json.dumps(raw)
@@ -180,7 +180,7 @@ def check_config(folder: Path, raw: dict) -> bool:
 
 
 def _leaves(data, prefix="") -> set:
-    """What a configuration says, number by number; what is null, empty or a file says nothing."""
+    """Finite numbers in a configuration, as (key, value); null, empty and text values are excluded."""
     if isinstance(data, dict):
         return set().union(*(_leaves(value, f"{prefix}.{key}") for key, value in data.items()))
     if isinstance(data, list | tuple):
@@ -305,7 +305,7 @@ XML_WORDS = ["<body>", "</body>", '<geom size="0.1"/>', '<joint type="ball"/>', 
 
 
 def check_robot(folder: Path, case: tuple[str, bytes]) -> bool:
-    """An arm that is accepted has MuJoCo's own kinematics, where MuJoCo takes the file as it is."""
+    """Check that an accepted arm has MuJoCo's own kinematics, where MuJoCo reads the unmodified file."""
     ending, data = case
     fields = refusal(lambda: read_robot_file(written(folder, f"arm{ending}", data), "tcp", "model", np.eye(4), None))
     if fields is None:
@@ -315,7 +315,7 @@ def check_robot(folder: Path, case: tuple[str, bytes]) -> bool:
     try:
         model = mujoco.MjModel.from_xml_string(data.decode())
     except (ValueError, mujoco.FatalError):
-        return True  # the mesh that is not there, for one
+        return True  # a missing mesh, for example
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "tcp")
     if site >= 0:
         state = mujoco.MjData(model)
@@ -330,7 +330,7 @@ def _size(arrays: dict) -> float:
 
 
 def tcp_of(fields: RobotFields, q: np.ndarray) -> np.ndarray:
-    """Forward kinematics in plain numpy, by Rodrigues' formula."""
+    """TCP position in plain numpy, by Rodrigues' formula."""
     T = np.eye(4)
     arrays = zip(fields.arrays["T_parent_joint"], fields.arrays["axis"], fields.facts["slides"], q, strict=True)
     for T_parent_joint, axis, slides, value in arrays:
@@ -348,7 +348,7 @@ def tcp_of(fields: RobotFields, q: np.ndarray) -> np.ndarray:
 
 @cache
 def finished(folder: Path) -> tuple[dict, dict[str, bytes], dict]:
-    """A finished run: its manifest, its row files, and its two tables as they are. Made once."""
+    """Manifest, row files and both tables of a finished run, made once."""
     make_sweep(folder)
     shutil.rmtree(folder / "run", ignore_errors=True)
     run = sweep(folder / "grid.yaml", "baseline", folder / "run", shard_scenarios=4)
@@ -358,12 +358,12 @@ def finished(folder: Path) -> tuple[dict, dict[str, bytes], dict]:
 
 
 def as_set(table: pa.Table) -> set[tuple]:
-    """The rows of a table, in no order."""
+    """Rows of a table as a set."""
     return set(zip(*(column.to_pylist() for column in table.columns), strict=True))
 
 
 def lay_out(folder: Path) -> tuple[Path, dict]:
-    """The run folder of `finished`, whole again, and its tables."""
+    """Restore the run folder of `finished`; return it and its tables."""
     manifest, files, tables = finished(folder)
     run = folder / "run"
     (run / "manifest.json").write_text(json.dumps(manifest))
@@ -373,7 +373,7 @@ def lay_out(folder: Path) -> tuple[Path, dict]:
 
 
 def check_manifest(folder: Path, change: tuple) -> bool:
-    """Whatever the manifest says, rows that are read are rows that were written."""
+    """Check a changed manifest: the rows read are the rows written, or the run is refused."""
     folder_run, tables = lay_out(folder)
     kind, value = change
     text = json.dumps(finished(folder)[0])
@@ -383,7 +383,7 @@ def check_manifest(folder: Path, change: tuple) -> bool:
 
 
 def check_parquet(folder: Path, change: tuple) -> bool:
-    """A damaged or foreign row file: refused, or no other than it was. With `forged` the manifest vouches for it."""
+    """Check a damaged or foreign row file: refused, or read unchanged. With `forged` the manifest agrees with it."""
     folder_run, tables = lay_out(folder)
     which, changes, forged = change
     name = sorted(finished(folder)[1])[which]
@@ -396,7 +396,7 @@ def check_parquet(folder: Path, change: tuple) -> bool:
 
 
 def vouch(run: Path, name: str, data: bytes) -> None:
-    """Put the size and the hash of a file into the manifest."""
+    """Write the size and the hash of a file into the manifest."""
     manifest = json.loads((run / "manifest.json").read_text())
     table, _, file = name.partition("/")
     for shard in manifest["shards"]:
@@ -420,7 +420,7 @@ def _reads_what_was_written(folder: Path, tables: dict) -> bool:
 
 
 def check_plan(folder: Path, change: tuple) -> bool:
-    """summary.json and trajectory.npz of htcp plan, read back by htcp validate."""
+    """Check changed summary.json and trajectory.npz of htcp plan, read back by htcp validate."""
     plan = folder / "plan"
     plan.mkdir(exist_ok=True)
     (plan / "trajectory.npz").write_bytes(_changed(trajectory(), change[1]))
@@ -449,7 +449,7 @@ QP_NUMBER = st.one_of(
 
 
 def check_qp(_folder: Path, case: tuple) -> bool:
-    """An answer is feasible and no worse than a random feasible point about it; NaN and infinity never pass."""
+    """Check that a solution is feasible and no worse than a random feasible point near it; never NaN or infinite."""
     seed, odd = case
     draw = np.random.default_rng(seed)
     qp = {
@@ -505,7 +505,7 @@ MODELS = [(".xml", [ARM, SMALL]), (".urdf", [URDF])]
 
 
 def with_endings(choices, words: list[str]) -> st.SearchStrategy:
-    """Pairs of an ending and the damaged contents of a file that ends so."""
+    """Strategy for pairs of a file extension and damaged contents of such a file."""
     return st.one_of([st.tuples(st.just(ending), damaged(seeds, words)) for ending, seeds in choices])
 
 

@@ -1,4 +1,4 @@
-"""Plans made by hand, for tests of what comes after planning."""
+"""Hand-made plans, for tests of the steps after planning."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Whether capsules hold triangles, without anything of how they were made."""
+"""Enclosure check of triangles in capsules, independent of the capsule fit."""
 
 import numpy as np
 
@@ -15,11 +15,11 @@ def from_axis(points: np.ndarray, capsule: Capsule) -> np.ndarray:
 
 
 def are_held(triangles: np.ndarray, capsules: list[Capsule]) -> bool:
-    """Every triangle (F, 3, 3) lies in the union of the capsules.
+    """True if every triangle (F, 3, 3) lies in the union of the capsules.
 
-    A capsule is convex: it holds a triangle when it holds the corners. A triangle that none holds alone is cut in
-    four, again and again, until each part is whole in one capsule; a corner outside of all ends it. Parts that are
-    left at last, where two capsules just meet, are 1/1024 of the triangle's size, and their corners are inside.
+    A capsule is convex: it encloses a triangle if it encloses the corners. A triangle that no single capsule encloses
+    is split into four, recursively, until one capsule encloses each part; a corner outside all capsules gives False.
+    Parts that remain, where two capsules just meet, are 1/1024 of the triangle's size and have their corners inside.
     """
     for _ in range(FINEST):
         inside = np.stack([from_axis(triangles, capsule) <= capsule.radius for capsule in capsules])

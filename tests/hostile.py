@@ -1,6 +1,6 @@
-"""Folders of a run, a plan and a search as a stranger could prepare them, and what opens them.
+"""Malicious folders of a run, a plan and a search, and the commands that open them.
 
-python hostile.py WORDS...    runs this command line; prints its exit code, what it said on stderr, and the peak of
+python hostile.py WORDS...    runs this command line; prints its exit code, its stderr output, and the peak of
                               memory [bytes] as JSON
 """
 
@@ -27,16 +27,16 @@ MIB = 2**20
 
 
 class Kind(NamedTuple):
-    """What a stranger does to a folder, and the commands that have to refuse it; the others may not read the file."""
+    """A change to a folder, and the commands that have to refuse it; the others do not have to read the file."""
 
     of: str  # run, plan or search
-    spoil: Callable[[Path, Path], None]  # of the folder, with another one that must stay as it is
+    spoil: Callable[[Path, Path], None]  # (folder, outside); the folder `outside` must stay unchanged
     refused_by: tuple[str, ...]
-    named: str  # what their line must name
+    named: str  # text that their error line must contain
 
 
 def replaced(name: str, make: Callable[[Path, Path], None]) -> Callable[[Path, Path], None]:
-    """Put something else in the place of a file."""
+    """Return a function that replaces a file by what `make` creates."""
 
     def spoil(folder: Path, outside: Path) -> None:
         file = folder / name
@@ -54,13 +54,13 @@ def text(content: str) -> Callable[[Path, Path], None]:
 
 
 def sparse(file: Path, _: Path) -> None:
-    """100 GB of zeros that take no room on the disk."""
+    """Write a sparse file: 100 GB of zeros that use no disk space."""
     with file.open("wb") as stream:
         stream.truncate(100 * 2**30)
 
 
 def changed(name: str, *keys: str | int, to: object) -> Callable[[Path, Path], None]:
-    """Change one value of a JSON file."""
+    """Return a function that changes one value of a JSON file."""
 
     def spoil(folder: Path, _: Path) -> None:
         record = within = json.loads((folder / name).read_text())
@@ -73,7 +73,7 @@ def changed(name: str, *keys: str | int, to: object) -> Callable[[Path, Path], N
 
 
 def listed(rows: pa.Table | None = None, data: bytes | None = None, promised: int | None = None):
-    """Replace a shard, and have the manifest agree: its size, its SHA-256, and the rows that it promises."""
+    """Return a function that replaces a shard and makes the manifest agree: size, SHA-256, and number of rows."""
 
     def spoil(folder: Path, _: Path) -> None:
         file, content = folder / SHARD, data
@@ -93,7 +93,7 @@ def listed(rows: pa.Table | None = None, data: bytes | None = None, promised: in
 
 
 def long_words(folder: Path, outside: Path) -> None:
-    """A word of 4 MB, stored once, in every row."""
+    """Write a word of 4 MB, stored once, into every row."""
     rows = pq.read_table(folder / SHARD)
     place = rows.schema.get_field_index("way")
     words = pa.array(["x" * (4 * MIB)] * len(rows)).cast(rows.schema.field("way").type)
@@ -101,7 +101,7 @@ def long_words(folder: Path, outside: Path) -> None:
 
 
 def archive(size: int, shape: str | None = None) -> Callable[[Path, Path], None]:
-    """An .npz file with an array of zeros; shape: what its header says."""
+    """Return a function that writes an .npz file with an array of zeros; shape: the shape in its header."""
 
     def make(file: Path, outside: Path) -> None:
         stream = io.BytesIO()
@@ -117,7 +117,7 @@ def archive(size: int, shape: str | None = None) -> Callable[[Path, Path], None]
 
 
 def linked_folder(name: str) -> Callable[[Path, Path], None]:
-    """Put a link to another folder in the place of one inside the folder."""
+    """Return a function that replaces a subfolder by a link to another folder."""
 
     def spoil(folder: Path, outside: Path) -> None:
         if (folder / name).exists():
@@ -136,7 +136,7 @@ def of_another_run(folder: Path, _: Path) -> None:
 
 
 def device_named(folder: Path, _: Path) -> None:
-    """A device among the files of a run, which agrees with itself."""
+    """Add a device to the files of a run, with a matching configuration hash."""
     record = json.loads((folder / "manifest.json").read_text())
     record["files"]["/dev/zero"] = "0"
     same = identity(record["config"], record["grid"], record["dtype"], record["files"])
@@ -207,7 +207,7 @@ def pipe_named(folder: Path) -> None:
 
 
 def commands(kind: str, folder: Path, place: Path) -> dict[str, list[str]]:
-    """What opens a folder; what is made goes into `place`, where the files of run and search are, too."""
+    """Command lines that open a folder; output goes into `place`, which also has the files of run and search."""
     name, out = str(folder), place / "out"
     looks = {
         "validate": ["validate", name, "--between", "0"],
@@ -230,13 +230,13 @@ def commands(kind: str, folder: Path, place: Path) -> dict[str, list[str]]:
 
 
 def run(words: list[str]) -> dict:
-    """The exit code of a command, what it said, and the peak of memory [bytes]."""
+    """Run a command; return its exit code, its stderr output, and its peak memory [bytes]."""
     from htcp_jax.cli.main import main
 
     said = io.StringIO()
     with redirect_stderr(said), redirect_stdout(io.StringIO()):
         code = main(words)
-    status = Path("/proc/self/status").read_text()  # what getrusage says counts the process that started it, too
+    status = Path("/proc/self/status").read_text()  # getrusage would include the parent process
     return {"code": code, "said": said.getvalue(), "peak": 1024 * int(status.partition("VmHWM:")[2].split()[0])}
 
 

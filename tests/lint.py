@@ -1,21 +1,21 @@
-"""Style checks that ruff has no rule for: `python tests/lint.py` prints a line a fault and ends with 1 if there is one.
+"""Style checks that ruff has no rule for: `python tests/lint.py` prints one line per fault and exits with 1 if any.
 
 **Imports.** A package imports from itself and from the packages before it in PACKAGES, at the top of a file or inside a
-function; no modules import one another in a circle. Each folder is one of these packages.
+function; no import cycles. Each folder is one of these packages.
 
 **Files.** `io/files.py` alone opens, reads and writes files: its readers take regular files of a bounded size and
 follow no link out of a folder, its writer replaces a file completely or not at all. Other modules make none of the
-calls in OPENS, except where OWN_FILES names them and says why.
+calls in OPENS, except those that OWN_FILES lists with the reason.
 
 **Docstrings and shapes of public names.** Public is every function and class in `htcp_jax.__all__`, and every one
 without an underscore that a page under docs shows: `::: htcp_jax.x.y` shows y or, if y is a module, all of it except
 what `members` excludes. A function is complete when
 
 - it has a docstring, and each of its arguments a type;
-- the shape of every array stands in its annotation, or behind the argument's name in the docstring, "x (N,)";
+- the shape of every array is in its annotation, or follows the argument's name in the docstring, "x (N,)";
 - its numbers have a unit: a name that ends in one (margin_m), a type that always has one (`types`, a Pose), or one in
   brackets in the docstring, [m], or the docstring names the unit in words; counts and shares need none (COUNTED);
-- it says "InputError" if it raises one, by itself or by a function with an underscore in the same module;
+- it mentions "InputError" if it raises one, directly or through a function with an underscore in the same module;
 - if it is mathematics, which docs/equations.md and docs/reference/mathematics.md show, it or its module names the
   source: an equation, an algorithm, a section, a book.
 
@@ -37,13 +37,13 @@ PACKAGES = [  # from the bottom up
     *("io", "jobs", "runs", "trajectory", "placement", "validation", "viewer", "report", "cli"),
 ]
 ABOVE = {"api": "viewer", "__main__": "cli"}  # modules at the root that import from this package and those before it
-OPENS = re.compile(  # calls by the end of their names, which reach a file by its path
+OPENS = re.compile(  # calls that access a file by its path, by the end of their names
     r"(^|\.)open$|\.(read_text|write_text|read_bytes|write_bytes|touch)$"
     r"|^(np|pq|pa|json|trimesh|pickle)\.(load|loadtxt|genfromtxt|fromfile|save|savez|savez_compressed|savetxt|memmap|dump"
     r"|read_table|read_schema|write_table|ParquetFile|ParquetWriter|OSFile|memory_map)$"
     r"|^tempfile\.|^shutil\.(copy|copyfile|copy2|move)$|\.savefig$"
 )
-OWN_FILES = {  # modules that do it by themselves, and why that is safe
+OWN_FILES = {  # modules that open files themselves, and why that is safe
     "io.files": "the one",
     "unfinished": "a lock on each of them",
     "process_exit": "the processes of this one, in /proc",
@@ -77,13 +77,13 @@ NUMBERS = re.compile(r"\b(Float|float)\b")
 
 
 def faults(root: Path) -> list[str]:
-    """Faults of a checkout, a line each."""
+    """Faults of a checkout, one line each."""
     incomplete_names = (f"{name}: {'; '.join(why)}" for name, why in incomplete(root).items() if why)
     return [*import_faults(root / PACKAGE), *file_faults(root / PACKAGE), *incomplete_names]
 
 
 def file_faults(package: Path) -> Iterator[str]:
-    """Calls in a package's files that open, read or write a file in any other way than by `io/files.py`."""
+    """Calls in a package's files that open, read or write a file other than through `io/files.py`."""
     for file in sorted(package.rglob("*.py")):
         name = _dotted(file.relative_to(package))
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if name not in OWN_FILES else ():
@@ -92,7 +92,7 @@ def file_faults(package: Path) -> Iterator[str]:
 
 
 def import_faults(package: Path) -> Iterator[str]:
-    """Imports of a package's files that run upwards or in a circle, and folders that PACKAGES does not name."""
+    """Upward imports and import cycles in a package, and folders that are missing in PACKAGES."""
     files = {_dotted(file.relative_to(package)): file for file in sorted(package.rglob("*.py"))}
     graph = {name: _imported(file, files.keys()) - {name} for name, file in files.items()}
     for folder in sorted({name.partition(".")[0] for name in files if "." in name} - set(PACKAGES)):
@@ -112,7 +112,7 @@ def _dotted(file: Path) -> str:
 
 
 def _imported(file: Path, known: set[str]) -> set[str]:
-    """Those of the `known` modules that a file imports."""
+    """The `known` modules that a file imports."""
     found = set()
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -131,7 +131,7 @@ def _level(module: str) -> float:
 
 
 class Public(NamedTuple):
-    """A public function or class, and the module that it stands in."""
+    """A public function or class, and its module."""
 
     node: ast.AST
     module: ast.Module
@@ -140,13 +140,13 @@ class Public(NamedTuple):
 
 
 def incomplete(root: Path) -> dict[str, list[str]]:
-    """What each public name of a checkout lacks; an empty list if it is complete."""
+    """Missing documentation of each public name of a checkout; an empty list if it is complete."""
     lost = {name: ["is not where a page or `__all__` says"] for name in _named(root).keys() - public(root).keys()}
     return lost | {name: list(_lacks(one)) for name, one in public(root).items()}
 
 
 def public(root: Path) -> dict[str, Public]:
-    """The public functions and classes of a checkout by their dotted names within the package."""
+    """Public functions and classes of a checkout, by dotted name within the package."""
     found = {}
     for name, is_mathematics in sorted(_named(root).items()):
         module, _, own = name.rpartition(".")
@@ -160,7 +160,10 @@ def public(root: Path) -> dict[str, Public]:
 
 
 def _named(root: Path) -> dict[str, bool]:
-    """What is said to be public, and whether as mathematics. A module of that very name is public as a whole."""
+    """Names that `__all__` or a page makes public -> True if documented as mathematics.
+
+    A name in `__all__` that equals its module's name stands for the module as a whole and is excluded.
+    """
     named = {f"{home}.{name}": False for name, home in _homes(root).items() if name != home.rpartition(".")[2]}
     for page in sorted((root / "docs").rglob("*.md")):
         for name in _shown(page.read_text(encoding="utf-8"), root):
@@ -169,7 +172,7 @@ def _named(root: Path) -> dict[str, bool]:
 
 
 def _homes(root: Path) -> dict[str, str]:
-    """The names of `__all__` with the modules that they come from."""
+    """Names in `__all__` -> the module of each."""
     tree = ast.parse((root / PACKAGE / "__init__.py").read_text(encoding="utf-8"))
     for node in tree.body:
         if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "_HOME":
@@ -191,7 +194,7 @@ def _shown(page: str, root: Path) -> Iterator[str]:
 
 
 def _file(root: Path, module: str) -> Path | None:
-    """The file of a module; None where there is no such module."""
+    """File of a module; None if there is no such module."""
     stem = root / PACKAGE / module.replace(".", "/")
     return next((file for file in (stem.with_suffix(".py"), stem / "__init__.py") if file.is_file()), None)
 
@@ -237,7 +240,7 @@ def _value_lacks(name: str, annotation: ast.expr | None, text: str) -> Iterator[
 
 
 def _raises(node: ast.AST, module: ast.Module, seen: set[str]) -> bool:
-    """Whether a function raises an InputError, by itself or through the module's own functions with an underscore."""
+    """True if a function raises an InputError, directly or through the module's own functions with an underscore."""
     for inner in ast.walk(node):
         if isinstance(inner, ast.Raise) and inner.exc is not None and "InputError" in ast.unparse(inner.exc):
             return True

@@ -1,4 +1,4 @@
-"""What several tests need and is slow to make: made once a session."""
+"""Objects that several tests need and that are slow to make: made once per session."""
 
 from functools import cache
 from pathlib import Path
@@ -18,7 +18,7 @@ from htcp_jax.model.workpiece import Workpiece
 
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
 MEASURED = Path(__file__).parents[2] / "shared" / "data" / "duct"
-PAPER_CHOICES = {  # of `configs/paper.yaml` that decide what gets stuck, and how paths are looked at
+PAPER_CHOICES = {  # settings of `configs/paper.yaml` that decide which targets fail and how paths are checked
     "clearance_rows": "smallest",
     "cost_about": "previous",
     "aim_above_m": 0.0,
@@ -35,7 +35,7 @@ def robot() -> Robot:
 
 @cache
 def duct() -> Workpiece:
-    """The generated duct."""
+    """Generated duct."""
     return load_workpiece()
 
 
@@ -46,13 +46,13 @@ def scene() -> Scene:
 
 @cache
 def nominal() -> Scenario:
-    """The robot sweep's middle scenario on the generated duct, as device arrays."""
+    """Middle scenario of the robot sweep on the generated duct, as device arrays."""
     return jax.tree.map(jnp.asarray, make_scenario(robot(), duct(), START))
 
 
 @cache
 def measured_duct() -> Workpiece:
-    """The measured workpiece; skips the test where its data is not there."""
+    """Measured workpiece; skips the test where its data is missing."""
     if not MEASURED.exists():
         pytest.skip("the measured workpiece is not here (../shared/data/duct beside the repository)")
     return load_workpiece(MEASURED / "cloud.xyz", MEASURED / "weld.csv", inlet=(0.0, 0.0, 0.19138))
@@ -60,7 +60,7 @@ def measured_duct() -> Workpiece:
 
 @cache
 def seven_joints(folder: Path) -> Robot:
-    """An arm with seven hinges in a row, whose last capsule is a sphere; its model file goes into `folder`."""
+    """Arm with seven hinges in a row, whose last capsule is a sphere; its model file is written into `folder`."""
     links, close = "", ""
     for i in range(7):
         axis = "0 0 1" if i % 2 == 0 else "0 1 0"

@@ -1,4 +1,4 @@
-"""A plan made by hand, to be shown: the GP50 reaches towards a coarse duct, at the speed of no planner."""
+"""Hand-made plan for display tests: the GP50 reaches towards a coarse duct, without running a planner."""
 
 from pathlib import Path
 
@@ -22,7 +22,7 @@ END = (-0.05, -1.7, 0.3, -0.1, 0.25, -2.0)
 
 
 def made_plan(folder: Path) -> api.Plan:
-    """A plan of the first scenario; the files of its job go into `folder`."""
+    """Plan of the first scenario; the files of its job are written into `folder`."""
     folder.mkdir(exist_ok=True)
     np.save(folder / "cloud.npy", duct_cloud(3000))
     np.savetxt(folder / "path.csv", weld()[::14], delimiter=",")
@@ -37,7 +37,7 @@ def made_plan(folder: Path) -> api.Plan:
 
 
 def made_plans(targets: np.ndarray, statuses: list[list[Status]]) -> Plans:
-    """Rows on the way from START to END; the second half of a scenario's way ends short of that of the one before."""
+    """Plans that interpolate from START to END; scenario k ends at (1 - 0.02 k) of these configurations."""
     plans = plans_with([list(row) for row in statuses], joints=6)
     ends = [np.linspace(START, END, len(targets)) * (1 - 0.02 * k) for k in range(len(statuses))]
     x = np.where(np.isnan(plans.x), np.nan, np.stack(ends))
@@ -49,7 +49,7 @@ def made_plans(targets: np.ndarray, statuses: list[list[Status]]) -> Plans:
 
 
 def with_a_dwell(plans: Plans) -> Plans:
-    """The same as motions up to target 6: at target 4 the arm turns its wrist, and the way to target 5 is tight."""
+    """Plans with proven motions to targets 0 to 6, a wrist turn at target 4 and a small clearance before target 5."""
     turning = np.stack([plans.x[:, 4] + turn * np.eye(6)[3] for turn in (0.2, 0.5)], axis=1)
     target = np.broadcast_to(np.arange(plans.way.shape[1]), plans.way.shape)
     way = np.where(target < 7, Way.PROVEN, Way.UNKNOWN).astype(np.int8)
@@ -59,7 +59,7 @@ def with_a_dwell(plans: Plans) -> Plans:
 
 
 def driven(plans: Plans) -> Plans:
-    """The same as motions to their last targets, as far as they are tracked."""
+    """Plans with proven motions to all tracked targets."""
     way = np.where(plans.tracked, Way.PROVEN, Way.UNKNOWN).astype(np.int8)
     clear = np.where(plans.tracked, 3e-3, np.nan)
     return plans._replace(way=way, way_clearance=clear, residual=np.where(plans.tracked, 1e-4, np.nan))

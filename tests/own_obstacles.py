@@ -1,4 +1,4 @@
-"""A kind of obstacle that nothing in the package knows: a floor."""
+"""User-defined kind of obstacle that the package does not contain: a floor."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ from htcp_jax.pytree import register_pytree
 @register_pytree
 @dataclass(frozen=True)
 class Floor:
-    """All of the arm but what stands still stays above a height in the world; one row a body, shared."""
+    """Floor at a height in the world that all moving bodies stay above; one shared row per body."""
 
     height_m: jax.Array
 

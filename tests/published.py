@@ -1,5 +1,7 @@
-"""Robots' models as their makers published them, where this machine has them: measured data beside the repository, or
-packages from PyPI that hold models; none of these is imported."""
+"""Published robot models, where this machine has them.
+
+They come from the data folder next to the repository, or from PyPI packages with models; no such package is imported.
+"""
 
 import importlib.util
 from pathlib import Path
@@ -8,11 +10,11 @@ from typing import NamedTuple
 import pytest
 
 DATA = Path(__file__).parents[2] / "shared/data/paths/robots"
-ROBOT_DATA = "example-robot-data/robots"  # in the wheel of that name, which installs into cmeel.prefix/share
+ROBOT_DATA = "example-robot-data/robots"  # in the wheel of the same name, which installs into cmeel.prefix/share
 
 
 class Model(NamedTuple):
-    """A model's file: in `DATA`, or in a package, and what its TCP is and where its flange looks."""
+    """Model file in `DATA` or in a package, its TCP, and the outward direction of its flange."""
 
     package: str  # "" for DATA
     file: str
@@ -33,7 +35,7 @@ MODELS = {
 
 
 def path_of(name: str) -> Path:
-    """The model's file; the test is skipped where it is not here."""
+    """File of a model; skips the test where it is missing."""
     model = MODELS[name]
     path = _folder(model.package) / model.file
     if not path.is_file():

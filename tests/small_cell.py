@@ -1,4 +1,4 @@
-"""A short job for any arm: a line of points in front of a flat plate that stands square to its tool."""
+"""Short job for any arm: a line of points in front of a flat plate perpendicular to its tool."""
 
 from pathlib import Path
 
@@ -13,11 +13,11 @@ from htcp_jax.model.tool import Tool, ToolBody
 
 LENGTH_M, POINTS, STEP_M = 0.16, 6, 0.005  # of the tool, the path
 PLATE_M, GAP_M = 0.005, 0.004  # between points of the plate, between it and the path
-TRIED = 64  # postures
+TRIED = 64  # random configurations
 
 
 def small_job(arm: Path, folder: Path, out: tuple = (0, 0, 1), seed: int = 0) -> dict:
-    """The job's configuration; its files are written into `folder`. out: where the flange looks, in its frame."""
+    """Job configuration; its files are written into `folder`. out: outward direction of the flange, in its frame."""
     ahead = np.array(out, float)
     tip, p, q = (tuple((length * ahead).tolist()) for length in (LENGTH_M, 0.02, 0.1))
     body = {"name": "spindle of the job", "p_m": p, "q_m": q, "radius_m": 0.015}
@@ -37,7 +37,7 @@ def small_job(arm: Path, folder: Path, out: tuple = (0, 0, 1), seed: int = 0) ->
 
 
 def _handy_posture(robot: Robot, draw: np.random.Generator) -> np.ndarray:
-    """Of random ones within the middle half of the limits the one that moves its tool best in all directions."""
+    """Random configuration in the middle half of the limits with the largest minimum singular value of the Jacobian."""
     low, high = (np.clip(np.asarray(limit), -np.pi, np.pi) for limit in (robot.lower, robot.upper))
     tried = draw.uniform(0.75 * low + 0.25 * high, 0.25 * low + 0.75 * high, (TRIED, len(low)))
     slopes = np.asarray(jax.vmap(lambda x: jacobian(robot, x))(jnp.asarray(tried)))

@@ -1,4 +1,4 @@
-"""Small scenarios for the roadmap, and motions looked at place by place, by brute force."""
+"""Small scenarios for the roadmap, and brute-force checks of motions at sampled points."""
 
 from dataclasses import replace
 from functools import cache, partial
@@ -17,9 +17,9 @@ from htcp_jax.motion.plans import ARRAYS
 from htcp_jax.planning.batch import plan
 from htcp_jax.settings import Settings
 
-# A small search: of these settings none is compiled into a program.
+# A small search: none of these settings is compiled into a program.
 SMALL = Settings(front=6, thin_front=6, walks=6, walk_rounds=2, smooth=False)
-PLACES = 200  # of every straight joint path
+PLACES = 200  # samples on every straight joint path
 D_everywhere = jax.jit(lambda robot, obstacle, where, x: jax.lax.map(partial(clearance, robot, obstacle, where), x))
 _TCPS = jax.jit(jax.vmap(tcp_position, in_axes=(None, 0)))
 
@@ -29,14 +29,14 @@ def scenario(number=0, rotation=(0.4, 0.1), start=made_once.START, **changes):
 
 
 def first_of(one, targets):
-    """The scenario with its first targets alone."""
+    """Scenario with only its first targets."""
     goals = None if one.goals is None else one.goals[:targets]
     return replace(one, targets=one.targets[:targets], goals=goals, count=np.asarray(targets, np.int32))
 
 
 @cache
 def poses():
-    """Where the search has to spread its front and to go on elsewhere; of different lengths, margins, and tools."""
+    """Scenarios that need a wide beam and reconfigurations, with different lengths, margins, and tools."""
     return (
         scenario(0, (0.4, -0.3)),
         scenario(1, (0.2, -0.3), approach=(3, 2), margin_m=0.0),
@@ -54,7 +54,7 @@ def planned():
 
 
 def same(one, row, other, other_row, count):
-    """Whether two plans say the same of a scenario, to the last bit."""
+    """Check that two plans of a scenario are equal to the last bit."""
     for name in ARRAYS:
         here, there = (getattr(p, name)[r] for p, r in ((one, row), (other, other_row)))
         if name != "start":
@@ -65,7 +65,7 @@ def same(one, row, other, other_row, count):
 
 
 def ways(plans, s):
-    """(target, postures from the row before to its own) of the executable targets."""
+    """Yield (target, configurations from the previous row to its own) of the executable targets."""
     before = plans.start[s]
     for t in np.flatnonzero(plans.executable[s]).tolist():
         yield t, np.concatenate([before[None], plans.knots.on_the_way(s, t), plans.x[s, t][None]])
@@ -79,8 +79,11 @@ def off_line(start, end, points):
 
 
 def check_way(one, t, postures, radius):
-    """By brute force: clear everywhere, and on the path the TCP near its line, along which it never turns back; or,
-    while the arm changes its posture, near the target before. Returns the smallest D."""
+    """Check one segment by brute force; return the smallest D.
+
+    It is clear everywhere. On the path the TCP stays near its line and never reverses; while the arm changes its
+    configuration, the TCP stays near the previous target.
+    """
     robot, where = lengthen_tool(made_once.robot(), float(one.tool_extension_m)), jax.tree.map(jnp.asarray, one)
     smallest = np.inf
     for k, (a, b) in enumerate(pairwise(postures)):
@@ -104,7 +107,7 @@ def check_motions(scenarios, plans, radius):
 
 
 def check_rows(scenarios, plans, settings):
-    """Tracked rows are reached, with the margin, within the limits; and what is recorded is what the posture has."""
+    """Check tracked rows: on target, within margin and limits, and with the recorded values of the configuration."""
     lower, upper = np.asarray(made_once.robot().lower), np.asarray(made_once.robot().upper)
     for s, one in enumerate(scenarios):
         robot = lengthen_tool(made_once.robot(), float(one.tool_extension_m))

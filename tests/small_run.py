@@ -1,4 +1,4 @@
-"""A run of four scenarios by two methods, small but real, and ways to spoil a copy of it."""
+"""Small real run of four scenarios by two methods, and functions that damage a copy of it."""
 
 import hashlib
 import json
@@ -26,7 +26,7 @@ grid:
 
 
 def plan_small_run(place: Path) -> Path:
-    """Two tools, two poses, every twelfth point of the generated weld; in `place` its files and the folder run."""
+    """Plan two tools and two poses on every twelfth point of the generated weld; `place` gets files and the run."""
     np.savetxt(place / "weld.csv", duct.weld()[::12], delimiter=",")
     (place / "job.yaml").write_text("workpiece: {path: weld.csv}\nmethod: baseline\nsettings: {path_check: none}\n")
     (place / "grid.yaml").write_text(SWEEP)
@@ -47,7 +47,7 @@ def spoil(folder: Path, scenario: int, target: int, method: str = METHODS[0], **
 
 
 def end_early(folder: Path, scenario: int, target: int, status: Status, method: str = METHODS[0]) -> None:
-    """As if the scenario had been lost at that target."""
+    """Change the rows of a scenario as if it had failed at this target."""
     lost = {"tracked": False, "clearance_m": None, "residual_m": None, "joint_step_rad": None, "path_clear": None}
     for later in range(target, int(open_run(folder).scenarios(method)["targets"][scenario].as_py())):
         name = (status if later == target else Status.NOT_ATTEMPTED).name

@@ -1,4 +1,4 @@
-"""Other people's minimisers on the subproblems of equation (11), for the tests of ours."""
+"""Reference minimisers of the subproblems of equation (11): scipy and the `cma` package."""
 
 from collections.abc import Callable
 from functools import cache
@@ -24,7 +24,7 @@ class Where(NamedTuple):
 
 @cache
 def recorded() -> tuple[np.ndarray, Where]:
-    """x (200, N) and poses of the recorded subproblems, see benchmarks/record_subproblems.py."""
+    """Configurations x (200, N) and poses of the recorded subproblems, see benchmarks/record_subproblems.py."""
     data = np.load(made_once.RECORDED)
     return data["x"], Where(data["T_world_workpiece"], data["gate"])
 
@@ -36,7 +36,7 @@ def place(k: int) -> tuple[Where, jax.Array]:
 
 
 class Problem(NamedTuple):
-    """One subproblem for scipy: f(w) -> (values (K,), gradients (K, D)), exact; G w <= h; where ours starts."""
+    """One subproblem for scipy: f(w) -> exact (values (K,), gradients (K, D)); G w <= h; the start of our solver."""
 
     f: Callable
     G: np.ndarray
@@ -44,14 +44,14 @@ class Problem(NamedTuple):
     start: np.ndarray
 
     def merit(self, w: np.ndarray) -> float:
-        """Objective at the unit vector along w, -inf outside the joint limits."""
+        """Objective at the unit vector along w; -inf outside the joint limits."""
         w = w / np.linalg.norm(w)
         return float(self.f(w)[0].min()) if np.all(self.G @ w <= self.h + 1e-9) else -np.inf
 
 
 @cache
 def _compiled(settings: Settings):
-    """Exact values and gradients, by the linearisation at x and not by the sphere's own functions; limits and start."""
+    """Compiled functions for exact values and gradients, by the linearisation at x, and for limits and start."""
     weights = np.diag(settings.q_weights)
 
     def exact(robot, obstacle, where, x_ref, reach, w):
@@ -83,7 +83,7 @@ def problem(k: int, settings: Settings, scene=None) -> Problem:
 
 
 class _Remembered:
-    """f once a point, whichever of objective, constraints and gradients asks first."""
+    """Cache of f, evaluated once per point for objective, constraints and gradients."""
 
     def __init__(self, f):
         self._f, self._seen = f, {}
@@ -96,12 +96,12 @@ class _Remembered:
 
 
 def _epigraph(p: Problem):
-    """(f at z, start) for z = (w, t): maximise t with t <= f_k(w)."""
+    """Epigraph form (f at z, start) for z = (w, t): maximise t with t <= f_k(w)."""
     return _Remembered(p.f), np.append(p.start, p.f(p.start)[0].min())
 
 
 def slsqp(p: Problem) -> np.ndarray:
-    """scipy's SLSQP on the epigraph form from the same start: w."""
+    """Minimiser w by scipy's SLSQP on the epigraph form from the same start."""
     f, z0 = _epigraph(p)
     constraints = [
         {
@@ -122,7 +122,7 @@ def slsqp(p: Problem) -> np.ndarray:
 
 
 def trust_constr(p: Problem) -> np.ndarray:
-    """scipy's trust-constr, an interior point method, on the epigraph form from the same start: w."""
+    """Minimiser w by scipy's trust-constr, an interior point method, on the epigraph form from the same start."""
     f, z0 = _epigraph(p)
     rows = np.c_[p.G, np.zeros(len(p.h))]
 
@@ -144,7 +144,7 @@ def trust_constr(p: Problem) -> np.ndarray:
 
 
 def cma_package(p: Problem, population: int, generations: int, sigma: float, seed: int) -> float:
-    """The best objective that the `cma` package measures with our budget, our start and normalised samples."""
+    """Best objective that the `cma` package finds with our budget, our start and normalised samples."""
     options = {"CMA_active": False, "popsize": population, "seed": seed, "verbose": -9}
     es, best = cma.CMAEvolutionStrategy(list(p.start), sigma, options), -np.inf
     for _ in range(generations):

@@ -1,8 +1,8 @@
-"""Jobs as a stranger brings them: an arm like the UR10e with a thin tool, and parts with thin walls, as files.
+"""Jobs with user-supplied files: an arm like the UR10e with a thin tool, and parts with thin walls.
 
     job = box_job(folder)         # an open box, its opening towards the arm
     job = tub_job(folder)         # the same box with its opening upwards; the seam in the corner nearest to the arm
-    job = car_job(folder)         # a cavity with a window, and a rib plate of 2 mm before the seam
+    job = car_job(folder)         # a cavity with a window, and a rib plate of 2 mm in front of the seam
 
 Each writes arm.xml, part.obj, seam.csv and job.yaml, and returns the path of the last.
 """
@@ -50,22 +50,24 @@ Point = Sequence[float]
 
 
 def box_job(folder: Path) -> Path:
-    """Seam along the far lower edge, 10 to 15 mm off the walls."""
+    """Open box: seam along the far lower edge, 10 to 15 mm from the walls."""
     seam = np.column_stack([np.linspace(0.385, 0.39, 41), np.linspace(-0.12, 0.12, 41), np.full(41, -0.165)])
     faces = [face for face in _box((0, -0.18, -0.18), (0.4, 0.18, 0.18)) if np.ptp(face[:, 0]) or face[0, 0]]
     return _job(folder, faces, seam, inlet=(0, 0, 0), at=(0.6, 0, 0.6), start=(-1.03, -2.4, 2.18, 0.22, -0.54, 0))
 
 
 def tub_job(folder: Path) -> Path:
-    """Seam along the lower edge on the arm's side, 15 mm off it."""
+    """Tub: seam along the lower edge on the arm's side, 15 mm from it."""
     seam = np.column_stack([np.full(41, -0.165), np.linspace(-0.12, 0.12, 41), np.full(41, -0.385)])
     faces = [face for face in _box((-0.18, -0.18, -0.4), (0.18, 0.18, 0)) if np.ptp(face[:, 2]) or face[0, 2]]
     return _job(folder, faces, seam, inlet=(0, 0, 0), at=(0.8, 0, 0.4), start=(-0.22, -0.99, 0.8, 1.75, -1.57, 0))
 
 
 def car_job(folder: Path) -> Path:
-    """Seam 60 mm behind the rib, at the height of the window and 200 mm lower than the rib's edge: right before the
-    arm, on the other side of the plate."""
+    """Cavity with a rib: seam 60 mm behind the rib plate, as seen from the arm, and 200 mm lower than the rib's edge.
+
+    The seam is at the height of the window.
+    """
     seam = np.column_stack([np.full(21, RIB[1] + 0.06), np.linspace(-0.2, 0.2, 21), np.full(21, 0.6)])
     walls = [face for face in _box((0, -0.9, 0), (1.4, 0.9, 1.1)) if np.ptp(face[:, 0]) or face[0, 0]]
     front = [(-0.9, 0.9, 0, 0.4), (-0.9, 0.9, 1.0, 1.1), (-0.9, -0.4, 0.4, 1.0), (0.4, 0.9, 0.4, 1.0)]

@@ -1,4 +1,4 @@
-"""`htcp sweep` as a process of its own, to be killed: its folder, its command, what it leaves behind."""
+"""`htcp sweep` as a separate process that tests can kill: its folder, its command line, its output."""
 
 import os
 import re
@@ -16,7 +16,7 @@ grid:
   - start_rad.joint3: {offsets: [-0.1, 0, 0.1]}
   - start_rad.joint4: {offsets: [0, 0.1]}
 """
-# A plate behind the path, too dense for any body to fit through, in the duct's place.
+# A plate behind the path, in place of the duct, too dense for any body to pass through.
 PLATE = "\n".join(f"{x} {y / 20} {z / 20}" for x in (0.35, 0.4) for y in range(-6, 1) for z in range(7))
 JOB = """
 workpiece:
@@ -29,13 +29,13 @@ workpiece:
   rotation_y_rad: 0.4
   rotation_z_rad: 0.1
 """
-SHARDS = 6  # a scenario each
+SHARDS = 6  # one scenario each
 HALF = 3
-COLD = {"HTCP_CACHE": "off"}  # compiles everything first, which takes many seconds whatever the machine
+COLD = {"HTCP_CACHE": "off"}  # compiles everything first, which takes many seconds on any machine
 
 
 def make_sweep(folder: Path) -> None:
-    """Six starts before a plate, 13 targets each, planned in a fraction of a second."""
+    """Write a sweep of six starts in front of a plate, 13 targets each, planned in a fraction of a second."""
     (folder / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n")
     (folder / "plate.xyz").write_text(PLATE)
     (folder / "job.yaml").write_text(JOB)
@@ -43,30 +43,32 @@ def make_sweep(folder: Path) -> None:
 
 
 def command(out: str, *more: str) -> list[str]:
-    """The command line of the sweep into `out`, a shard a scenario."""
+    """Command line of the sweep into `out`, one shard per scenario."""
     options = ["--methods", "baseline", "--shard", "1", "--out", out]
     return [sys.executable, "-m", "htcp_jax", "sweep", "grid.yaml", *options, *more]
 
 
 def environment() -> dict[str, str]:
-    """The caller's, with this source tree."""
+    """Environment of the caller, with this source tree on the Python path."""
     return os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
 
 
 def start(folder: Path, out: str, *more: str, **environs: str) -> subprocess.Popen:
-    """The sweep, running; `environs` are further variables of its environment."""
+    """Start the sweep; `environs` are further environment variables."""
     known, pipe = environment() | environs, subprocess.PIPE
     return subprocess.Popen(command(out, *more), cwd=folder, env=known, stdout=pipe, stderr=pipe, text=True)
 
 
 def plan_half(folder: Path, out: str) -> None:
-    """The first shards of the sweep, planned here: what goes on with them and is COLD has rows to lose and cannot end
-    before it is disturbed."""
+    """Plan the first shards of the sweep in this process.
+
+    A COLD process that continues from them has rows to lose and cannot end before it is disturbed.
+    """
     assert sweep(folder / "grid.yaml", "baseline", folder / out, shard_scenarios=1, limit=HALF).complete
 
 
 def wait_for_work(process: subprocess.Popen, run: Path) -> None:
-    """Until a process that goes on with a run has taken it over; it writes the manifest anew then."""
+    """Wait until a process that continues a run has rewritten its manifest."""
     before = (run / MANIFEST).stat().st_ino
     while (run / MANIFEST).stat().st_ino == before:
         assert process.poll() is None, process.communicate()
@@ -74,15 +76,15 @@ def wait_for_work(process: subprocess.Popen, run: Path) -> None:
 
 
 def finish(folder: Path, out: str, *more: str) -> subprocess.CompletedProcess:
-    """The sweep, ended by itself."""
+    """Run the sweep to its end."""
     return subprocess.run(command(out, *more), cwd=folder, env=environment(), capture_output=True, text=True)
 
 
 def without_progress(errors: str) -> list[str]:
-    """Lines on stderr but those of progress, whose number depends on how busy the machine is."""
+    """Lines on stderr without the progress lines, whose number depends on the load of the machine."""
     return [line for line in errors.splitlines() if not re.search(r" [-\d]+:[-\d]{2}(:[-\d]{2})?$", line)]
 
 
 def rows(folder: Path) -> dict[str, bytes]:
-    """The row files of a run folder."""
+    """Row files of a run folder: path -> contents."""
     return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.glob("*/*"))}

@@ -1,4 +1,4 @@
-"""The package as a notebook uses it: public names, frames, figures, and objects that show themselves."""
+"""Python API for notebooks: public names, data frames, figures, and the display of objects."""
 
 import json
 import subprocess
@@ -25,7 +25,7 @@ TURNS = {"grid": [{"workpiece.rotation_z_rad": [0.1, 0.2]}]}
 
 @pytest.fixture
 def short(tmp_path):
-    """What shortens a job to a path of two points: 13 targets."""
+    """Overrides that shorten a job to a path of two points: 13 targets."""
     (tmp_path / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n")
     return {"workpiece.path": str(tmp_path / "path.csv")}
 
@@ -58,7 +58,7 @@ def test_a_plan_is_a_frame_a_figure_and_a_table(short, tmp_path):
 
 
 def test_a_saved_plan_is_read_where_its_planner_is_not(short, tmp_path, capsys):
-    """Rough: the plan of a planner of one's own was saved, and then no command took it: `is no method`."""
+    """Regression: a saved plan of a user-defined planner was refused by every command: `is no method`."""
     htcp_jax.register(StepQPs("of-ones-own", "Own", "the baseline by another name"))
     plan = htcp_jax.plan(overrides=short, method="of-ones-own")
     plan.save(tmp_path / "out")
@@ -72,7 +72,7 @@ def test_a_saved_plan_is_read_where_its_planner_is_not(short, tmp_path, capsys):
 
 
 def test_a_failed_plan_says_where_and_why(short, tmp_path):
-    (tmp_path / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.1857,-0.25,0.1708\n")  # the second lies in the wall
+    (tmp_path / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.1857,-0.25,0.1708\n")  # the second is in the wall
     plan = htcp_jax.plan(overrides=short, method="baseline")
     reason, in_the_way = plan.failure().values()
     assert not plan.complete and "failed at target 12</td>" in plan._repr_html_() and reason in plan._repr_html_()
@@ -136,10 +136,10 @@ def test_frames_keep_whole_numbers_and_truths_beside_nulls(monkeypatch):
 
 
 def test_a_job_is_a_mapping_as_a_sweep_is(short):
-    """Rough: plan({...}) was a TypeError."""
+    """Regression: plan({...}) raised a TypeError."""
     job = {"workpiece": {"path": short["workpiece.path"], "rotation_z_rad": 0.05}, "method": "baseline", "ray": None}
     spelled = htcp_jax.plan(job)
-    assert job["ray"] is None  # what is the caller's stays as it is
+    assert job["ray"] is None  # the caller's mapping is unchanged
     same = htcp_jax.plan(overrides=short | {"workpiece.rotation_z_rad": 0.05}, method="baseline")
     assert spelled.job == same.job
     np.testing.assert_array_equal(spelled.plans.x, same.plans.x)
@@ -156,7 +156,7 @@ def pixels(figure: Figure) -> np.ndarray:
 
 
 def test_a_plan_s_robot_is_the_one_with_its_tool(short, tmp_path):
-    """Rough: plan.robot was the arm without the job's tool extension, and what was measured with it was another arm."""
+    """Regression: plan.robot lacked the job's tool extension, so that distances measured with it were wrong."""
     plan = htcp_jax.plan(overrides=short | {"robot.tool_extension_m": 0.05}, method="baseline")
     obstacle = htcp_jax.make_obstacle(plan.workpiece)
     longer = lengthen_tool(htcp_jax.gp50(), 0.05)
@@ -174,4 +174,4 @@ def test_a_plan_s_robot_is_the_one_with_its_tool(short, tmp_path):
         for replays in shelves:
             np.testing.assert_allclose(replays.replay(0, "baseline").tcp[t], plan.plans.tcp[0, t], atol=1e-12)
     again = batch.plan(plan.robot, plan.workpiece, plan.scenario, "baseline", plan.job.settings)
-    np.testing.assert_allclose(again.x, plan.plans.x, atol=1e-9)  # the same arm, not one with the tool twice
+    np.testing.assert_allclose(again.x, plan.plans.x, atol=1e-9)  # the tool extension is not applied twice

@@ -1,4 +1,4 @@
-"""Plans made backwards: which chain is taken, what its rows say, and that nobody waits for it."""
+"""Backward planning: choice of the chain, its rows in the plan, and no delay for other scenarios."""
 
 from typing import NamedTuple
 
@@ -23,7 +23,7 @@ from htcp_jax.planning.tracking.stages import Escapes
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 
-DRAWN = 3  # postures of a round, in the toy below
+DRAWN = 3  # configurations drawn per round, in the toy below
 [HYBRID] = [method for method in BUILT_IN if method.name == "hybrid"]
 
 
@@ -33,9 +33,9 @@ class Inputs(NamedTuple):
 
 
 class Toy(LaneChecks):
-    """An arm of one joint whose posture has a name: x = 100 scenario + 10 round + number of the draw. A push adds 0.1.
+    """One-joint arm whose configuration encodes its origin: x = 100 scenario + 10 round + number of the draw.
 
-    good(x, row): whether posture x counts at a row; clear(x): whether the chain of it is clear.
+    A push adds 0.1. good(x, row): True if configuration x is valid at a row; clear(x): True if its chain is clear.
     """
 
     def __init__(self, good, clear):
@@ -65,19 +65,19 @@ class Toy(LaneChecks):
 
 
 def lost(*targets: int) -> Lanes:
-    """Scenarios 0, 1, ... that have lost these targets after seven step QPs each."""
+    """Lanes of scenarios 0, 1, ... that failed at these targets after seven step QPs each."""
     x = np.zeros((len(targets), 1))
     lanes = new_lanes((3, 1), np.arange(len(targets)), np.array(targets), x, x)
     return lanes._replace(iteration=np.full_like(lanes.iteration, 7))
 
 
 def empty(scenarios: int, rows: int) -> Plans:
-    """Plans in which nothing is tracked, of an arm with one joint."""
+    """Plans of a one-joint arm in which nothing is tracked."""
     return Plans.empty(np.zeros((scenarios, 1)), np.zeros((scenarios, rows, 3)))
 
 
 def planned_backwards(toy: Toy, lanes: Lanes, postures: int = 2) -> tuple[Plans, Record, dict[int, Lanes], int]:
-    """What becomes of lost lanes: the plans, what was counted, where scenarios go on, and rounds of the engine."""
+    """Plan failed lanes backwards; return plans, record, the continued lanes by scenario, and the number of rounds."""
     count = int(lanes.scenario.max()) + 1
     plans = empty(count, 6)
     record, found, rounds = Record(plans), {}, 0
@@ -97,16 +97,16 @@ def planned_backwards(toy: Toy, lanes: Lanes, postures: int = 2) -> tuple[Plans,
 
 
 def test_the_clearest_chain_whose_paths_are_clear_replaces_the_rows_so_far():
-    """Draw 0 ends at row 1, draw 1 is blocked, draw 2 goes all the way."""
+    """Three draws: draw 0 fails at row 1, draw 1 is blocked, draw 2 reaches the start."""
     toy = Toy(good=lambda x, row: not (x == 0 and row == 1), clear=lambda x: x == 2)
     plans, record, found, _ = planned_backwards(toy, lost(3))
     np.testing.assert_allclose(plans.x[0, :4, 0], [2.3, 2.2, 2.1, 2.0])
-    np.testing.assert_allclose(plans.joint_step[0, :4], [3.3, 0.1, 0.1, 0.1])  # the first from the given start, -1
+    np.testing.assert_allclose(plans.joint_step[0, :4], [3.3, 0.1, 0.1, 0.1])  # the first is from the start, -1
     np.testing.assert_array_equal(plans.status[0], [Status.TRACKED_AFTER_ESCAPE] * 4 + [Status.NOT_ATTEMPTED] * 2)
     np.testing.assert_array_equal(plans.iterations[0, :4], [0, 0, 0, 7])
-    np.testing.assert_array_equal(plans.escape[0, :4], 1)  # without a stage, one beyond the last is the first
+    np.testing.assert_array_equal(plans.escape[0, :4], 1)  # no stages here: the number after the last stage is 1
     np.testing.assert_array_equal(plans.path_clear[0, :4], 1)
-    assert found[0].target == 3 and record.tracked == 1  # the three before it were tracked already
+    assert found[0].target == 3 and record.tracked == 1  # the three targets before it were tracked already
 
 
 def test_when_a_round_leads_nowhere_there_is_another_and_after_the_last_the_target_is_lost():
@@ -124,7 +124,7 @@ def test_the_first_target_itself_can_be_lost():
 
 
 def test_scenarios_advance_together_and_each_comes_to_what_it_does_alone():
-    """Calls are shared, and the longest way back takes all the rounds that there are."""
+    """Scenarios share kernel calls, and the number of rounds is that of the longest chain."""
 
     def toy():
         return Toy(good=lambda x, row: x % 10 != 1 or row > 1, clear=lambda x: x % 100 >= 10 or x >= 200)
@@ -140,7 +140,7 @@ def test_scenarios_advance_together_and_each_comes_to_what_it_does_alone():
 
 @pytest.fixture(scope="module")
 def crossed():
-    """Three poses of the workpiece sweep: at the first and the last, hybrid plans backwards; between, it need not."""
+    """Three poses of the workpiece sweep: hybrid plans backwards at the first and the last only."""
     arm, duct = made_once.robot(), made_once.duct()
     poses = {1: (0.2, -0.2), 2: (0.2, -0.1), 3: (0.2, 0.0)}  # by their number in the sweep
     return arm, duct, [make_scenario(arm, duct, made_once.START, rotation=at, number=k) for k, at in poses.items()]
@@ -148,7 +148,7 @@ def crossed():
 
 @pytest.mark.slow
 def test_a_plan_made_backwards_says_so_and_holds_up_nobody(crossed, monkeypatch):
-    """In real plans: the rows of the chain by their name and counts; and step QPs of others between its pushes."""
+    """Check status and counts of a backward chain in real plans, and step QPs of other scenarios between its pushes."""
     run, calls = Kernels.__call__, []
 
     def followed(self, kernel, inputs, *tables):

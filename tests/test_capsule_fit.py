@@ -1,4 +1,4 @@
-"""Capsules hold every triangle of what they are fitted to, and little else."""
+"""Fitted capsules: they enclose every triangle of the mesh, tightly."""
 
 from functools import cache
 
@@ -39,7 +39,7 @@ def test_every_triangle_is_held(name, most):
 
 
 def test_a_capsule_that_is_too_thin_is_found_out():
-    """The test above can fail: 10 um are missed, and so is the inside of a triangle whose corners are held."""
+    """Sensitivity of the enclosure check: it finds 10 um, and a triangle whose corners alone are enclosed."""
     capsule = fit_capsule(SOLIDS["rod"][0].vertices)
     assert not are_held(triangles_of("rod"), [capsule._replace(radius=capsule.radius - 2 * GRID_M)])
     triangle = np.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]])
@@ -59,7 +59,7 @@ def test_what_a_closed_mesh_encloses_is_held(name):
 @settings(max_examples=40)
 @given(of_numpy.arrays(float, st.tuples(st.integers(1, 30), st.just(3)), elements=coordinates))
 def test_any_points_are_held_by_a_capsule_on_the_grid(points):
-    """A single point, and points in a line or a plane, too."""
+    """Random points, including a single point and points in a line or a plane."""
     capsule = fit_capsule(points)
     assert (from_axis(points, capsule) <= capsule.radius).all() and capsule.radius > 0
     numbers = np.array([*capsule.p, *capsule.q, capsule.radius]) / GRID_M
@@ -68,7 +68,7 @@ def test_any_points_are_held_by_a_capsule_on_the_grid(points):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_capsule_is_found_again(seed):
-    """Points on a capsule: the smallest one about them is as large as it, to 1 %."""
+    """Fit to points on a capsule: as large as this capsule, to 1 %."""
     draw = np.random.default_rng(seed)
     true = Capsule(*draw.uniform(-0.5, 0.5, (2, 3)), float(draw.uniform(0.02, 0.3)))
     directions = draw.normal(size=(4000, 3))
@@ -84,7 +84,7 @@ def test_a_capsule_is_found_again(seed):
     ("name", "most", "ratio"), [("rod", 1, 1.25), ("cube", 1, 2.73), ("slab", 3, 7), ("elbow", 3, 1.1)]
 )
 def test_capsules_are_tight(name, most, ratio):
-    """By the volume of the convex hull. A cube's ball has 2.72 of it; an elbow's hull is mostly empty."""
+    """Capsule volume relative to the convex hull. A cube's ball has 2.72 of it; an elbow's hull is mostly empty."""
     volume = sum(capsule.volume for capsule in covered(name, most))
     assert volume <= ratio * hull_volume(triangles_of(name).reshape(-1, 3))
 
@@ -96,12 +96,12 @@ def test_capsules_are_tight(name, most, ratio):
     st.sampled_from([0.0, 0.25, 1.0]),
 )
 def test_a_plane_leaves_nothing_out(triangles, normal, offset):
-    """What is on either side of it adds up to the whole, and stays on its side."""
+    """Check both halves of a cut: each stays on its side, and their areas add up to the original."""
     cuts = Cut(tuple(normal.tolist()), offset), Cut(tuple((-normal).tolist()), -offset)
     halves = [clip(triangles, cut) for cut in cuts]
     for half, sign in zip(halves, (1, -1), strict=True):
         assert (sign * (half @ normal - offset) <= 1e-12).all()
-    flat = (triangles @ normal == offset).all(axis=1)  # in the plane: on both sides
+    flat = (triangles @ normal == offset).all(axis=1)  # triangles in the plane are in both halves
     area = [_area(each) for each in (*halves, triangles, triangles[flat])]
     assert area[0] + area[1] == pytest.approx(area[2] + area[3], abs=1e-9)
 

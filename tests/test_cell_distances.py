@@ -1,4 +1,4 @@
-"""Distances between capsules and the solids of a cell are MuJoCo's, and a contact held predicts what they do."""
+"""Distances between capsules and the solids of a cell: equal to MuJoCo's, with correct contacts and gradients."""
 
 from functools import cache, partial
 
@@ -26,7 +26,7 @@ from htcp_jax.model.robot import GP50
 
 POSE = 'pos="0.1 -0.2 0.3" euler="20 30 40"'
 WEDGE = "0 0 0  0.3 0 0  0 0.2 0  0 0 0.4  0.2 0.15 0.1  0.1 0.1 0.35"
-SHAPES = {  # and how far from MuJoCo we may be
+SHAPES = {  # with the tolerance relative to MuJoCo
     "plane": (f'<geom name="it" type="plane" size="1 1 1" {POSE}/>', 1e-9),
     "sphere": (f'<geom name="it" type="sphere" size="0.2" {POSE}/>', 1e-9),
     "capsule": (f'<geom name="it" type="capsule" size="0.1 0.3" {POSE}/>', 1e-9),
@@ -47,7 +47,7 @@ def cell_of(kind: str, folder):
 
 
 def segments(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Ends and radii: anywhere about, long and short, some of them points, some along an axis of the world."""
+    """Ends (count, 3) and radii of random segments around the solid, from short to long."""
     rng = np.random.default_rng(seed)
     p = rng.uniform(-0.7, 0.9, (count, 3))
     q = p + rng.normal(size=(count, 3)) * rng.choice([0.02, 0.2, 0.5], (count, 1))
@@ -89,9 +89,9 @@ def compare(kind: str, folder, count: int) -> None:
     p, q, radius = segments(count)
     ours = np.asarray(seen(kind, folder, p, q).distance) - radius
     theirs = by_mujoco(cell_of(kind, folder), p, q, radius)
-    inside = ours < -radius - 1e-9  # the axis itself is, partly
+    inside = ours < -radius - 1e-9  # the axis itself is partly inside
     assert inside.sum() > 0.005 * count and (~inside).sum() > 0.2 * count
-    if kind == "box":  # where an axis crosses a box, MuJoCo's routine for the two says anything; of a mesh it does not
+    if kind == "box":  # MuJoCo's capsule-box routine is unreliable where the axis crosses the box
         theirs[inside] = by_mujoco(cell_of("box as mesh", folder), p, q, radius)[inside]
     np.testing.assert_allclose(ours, theirs, atol=SHAPES[kind][1])
 
@@ -108,8 +108,10 @@ def test_ten_thousand_distances_are_mujocos(kind, tmp_path):
 
 
 def crossing(kind: str, folder, count: int) -> tuple:
-    """Segments that cross a solid or lie in it, and what is seen of them: some through its middle, some along its axes,
-    some points."""
+    """Segments that cross a solid or lie in it, and their contacts.
+
+    Some pass near its middle, some are parallel to axes, some are points.
+    """
     shape, rng = load_cell(cell_of(kind, folder))[0], np.random.default_rng(1)
     p = rng.uniform(-0.25, 0.25, (count, 3)) * rng.choice([0.02, 1], (count, 1))
     q = p + rng.normal(size=(count, 3)) * rng.choice([0.003, 0.1, 0.5], (count, 1))
@@ -122,7 +124,7 @@ def crossing(kind: str, folder, count: int) -> tuple:
 
 
 def outermost(shape, normals: np.ndarray) -> np.ndarray:
-    """h(n): how far a solid reaches along directions, world."""
+    """Support function h(n) of a solid along directions, world."""
     if shape.kind == "mesh":
         return (normals @ shape.triangles.reshape(-1, 3).T).max(axis=-1)
     own, size = normals @ shape.T_world[:3, :3], shape.size
@@ -135,8 +137,10 @@ def outermost(shape, normals: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", ["box", "cylinder", "mesh"])
 def test_of_a_segment_that_crosses_no_other_normal_is_better(kind, tmp_path):
-    """What is found is the depth along its own normal; of 2,000 others, and ever closer ones about the best of them,
-    none comes up to it."""
+    """Check that the depth along the returned normal is optimal.
+
+    None of 2,000 other directions, nor ever closer ones around the best of them, gives a better one.
+    """
     rng = np.random.default_rng(4)
     sphere = rng.normal(size=(2000, 3))
     sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
@@ -156,12 +160,12 @@ def test_of_a_segment_that_crosses_no_other_normal_is_better(kind, tmp_path):
         best = np.take_along_axis(tried, each.argmax(axis=1)[:, None, None], axis=1)
         tried = best + closer * rng.normal(size=(len(p), 200, 3)) * rng.choice([0, 1], (len(p), 200, 1))
         tried = tried / np.linalg.norm(tried, axis=2, keepdims=True)
-    assert np.quantile(found.distance - depth(tried).max(axis=1), 0.5) < 1e-3  # it is the others that come up to it
+    assert np.quantile(found.distance - depth(tried).max(axis=1), 0.5) < 1e-3  # the search around it is fine enough
 
 
 @pytest.mark.parametrize("kind", ["box", "cylinder", "mesh"])
 def test_of_a_segment_that_crosses_the_depth_changes_where_it_is_said_to_be_held(kind, tmp_path):
-    """Each end moved at random, by finite differences: it counts by its share of the place."""
+    """Check by finite differences: an end that moves changes the depth in proportion to its share of the contact."""
     p, q, found, _ = crossing(kind, tmp_path, 200)
     rng, h = np.random.default_rng(0), 1e-7
     dp, dq = rng.normal(size=(2, *p.shape))
@@ -169,13 +173,13 @@ def test_of_a_segment_that_crosses_the_depth_changes_where_it_is_said_to_be_held
     slope = np.asarray(ahead.distance - behind.distance) / (2 * h)
     moved = (1 - found.t)[:, None] * dp + found.t[:, None] * dq
     lasts = np.abs(np.column_stack([ahead.normal - behind.normal, ahead.t - behind.t])).max(axis=1) < 1e-3
-    lasts &= found.plane  # of two normals that are as good, or two places, neither does
+    lasts &= found.plane  # excludes two equally good normals or places
     assert lasts.sum() > 50 and (lasts & (found.t > 0) & (found.t < 1)).sum() > 10
     np.testing.assert_allclose(np.sum(found.normal * moved, axis=1)[lasts], slope[lasts], atol=1e-5)
 
 
 def test_segments_along_faces_and_edges_and_points_are_measured_too(tmp_path):
-    """Against ten thousand places of the segment: no closed form divides by nothing."""
+    """Compare degenerate segments with 51 points on each: no closed form divides by zero."""
     rng = np.random.default_rng(2)
     for kind in ("box", "cylinder", "mesh"):
         T = load_cell(cell_of(kind, tmp_path))[0].T_world
@@ -192,7 +196,7 @@ def test_segments_along_faces_and_edges_and_points_are_measured_too(tmp_path):
 
 
 def compare_arm(file, folder, count: int) -> None:
-    """A whole arm, by the benchmark that measures the same at more configurations."""
+    """Compare a complete arm with MuJoCo, by the benchmark that does so at more configurations."""
     for row in cell_distances.compare(file, folder, count):
         assert row.off_m <= (1e-6 if row.kind in ("box", "cylinder", "piece") else 1e-9)
         assert row.others == 0 < row.touching < row.count
@@ -213,7 +217,7 @@ def test_published_arms_are_as_far_from_a_cell_and_themselves_as_mujoco_says(nam
 
 
 def everything(folder) -> Fixtures:
-    """All shapes at once, and pieces of several sizes, beside the default arm."""
+    """All shapes, in several sizes, next to the default arm."""
     file = folder / "cell.xml"
     geoms = "".join(
         geom.replace('"it"', f'"{kind}"').replace(POSE, f'pos="{np.cos(k)} {np.sin(k)} 1.1" euler="20 30 40"')
@@ -221,7 +225,7 @@ def everything(folder) -> Fixtures:
     )
     more = '<geom type="mesh" mesh="tent" pos="1.6 -0.4 -1"/><geom type="mesh" mesh="wedge" pos="-1.5 0.4 1"/>'
     asset = f'<mesh name="wedge" vertex="{WEDGE}"/><mesh name="tent" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/>'
-    geoms = geoms.replace('pos="1.0 0.0 1.1" euler="20 30 40"', 'pos="0 0 -1.3"')  # of the plane
+    geoms = geoms.replace('pos="1.0 0.0 1.1" euler="20 30 40"', 'pos="0 0 -1.3"')  # the plane's
     file.write_text(f"<mujoco><asset>{asset}</asset><worldbody>{geoms}{more}</worldbody></mujoco>")
     (found,) = make_fixtures(made_once.robot(), load_cell(file))
     return found
@@ -246,8 +250,10 @@ def test_of_many_solids_the_nearest_decides_whatever_is_searched_first(tmp_path)
 
 
 def test_gradients_and_what_is_held_are_those_of_the_distance(tmp_path):
-    """By finite differences, where the same point stays the nearest; a contact held never predicts less than the truth,
-    but for planes."""
+    """Compare gradients with finite differences where the nearest point stays the same.
+
+    A fixed contact never predicts less than the true distance, except for planes.
+    """
     robot, where, own, h = made_once.robot(), made_once.nominal(), (everything(tmp_path),), 1e-6
     rows, rng, odd = rows_of(robot, own), np.random.default_rng(0), 0
     value = partial(jitted(clearances), robot, own, where)

@@ -1,4 +1,4 @@
-"""A job's `cell:` section: itself, what stands about, clouds of their own; what is hit is named."""
+"""Section `cell:` of a job: self-collision, fixtures, point clouds, and the names of colliding bodies."""
 
 import dataclasses
 import json
@@ -63,7 +63,7 @@ def test_an_arm_of_one_s_own_keeps_clear_of_itself_and_the_gp50_where_it_is_aske
 
 @pytest.fixture
 def afar(tmp_path) -> list[str]:
-    """A few points that nothing touches, as the settings of a job."""
+    """Job settings with a few points that the arm does not touch."""
     points = np.random.default_rng(0).uniform(1.0, 1.1, (20, 3))
     for name, rows in (("part.xyz", points), ("path.csv", points[:2])):
         np.savetxt(tmp_path / name, rows, delimiter=",")
@@ -107,7 +107,7 @@ def test_shapes_stand_where_mujoco_puts_them_and_where_they_are_moved(cell):
         np.testing.assert_allclose(each.T_world[:3, :3], turn.reshape(3, 3), atol=1e-15)
     moved = load_cell(cell, moved="bench", shift_m=(0.0, 0.0, 1.0), rpy_rad=(np.pi / 2, 0.0, 0.0))
     np.testing.assert_allclose(moved[3].T_world[:3, 3], [-1.6, -1.2, 1.0], atol=1e-15)
-    np.testing.assert_allclose(moved[4].T_world[:3, 3], [-1.6, -1.3, 1.0], atol=1e-15)  # it is over the table no more
+    np.testing.assert_allclose(moved[4].T_world[:3, 3], [-1.6, -1.3, 1.0], atol=1e-15)  # no longer above the table
     np.testing.assert_array_equal(moved[0].T_world, as_drawn[0].T_world)
     whole = load_cell(cell, shift_m=(1.0, 0.0, 0.0))
     assert all(
@@ -163,7 +163,7 @@ def test_what_a_job_says_wrongly_of_its_cell_is_named_in_one_line(settings, mess
 
 
 def refused(settings, message: str, capsys) -> str:
-    """The one line by which `htcp plan` ends. Without a check of paths it compiles less for a plan that is not made."""
+    """Error line of `htcp plan`. The path check is off, so that less is compiled for a plan that is never made."""
     settings = [*settings, "settings.path_check=none"]
     assert main(["plan", "--method", "baseline", *(word for each in settings for word in ("--set", each))]) == 2
     errors = capsys.readouterr().err
@@ -177,7 +177,7 @@ def test_a_body_that_is_not_there_cannot_be_moved(cell):
 
 
 def test_a_mesh_that_is_not_convex_is_a_bound_on_its_triangles(tmp_path):
-    """A ring, by trimesh: the arm may reach through it."""
+    """Compare a ring, which the arm may reach through, with trimesh."""
     ring = trimesh.creation.annulus(0.35, 0.4, 0.2)
     ring.export(tmp_path / "ring.stl")
     (tmp_path / "cell.xml").write_text(
@@ -193,7 +193,7 @@ def test_a_mesh_that_is_not_convex_is_a_bound_on_its_triangles(tmp_path):
         apart = trimesh.proximity.closest_point_naive(ring, axes.reshape(-1, 3))[1].reshape(axes.shape[:2]).min(axis=1)
         truth = (apart - radius).min()
         D = float(clearance(robot, (hoop,), where, jnp.asarray(x)))
-        assert truth - 2 * float(hoop.cloud.cover) - 1e-3 < D <= truth + 1e-3  # the axes are cut into pieces
+        assert truth - 2 * float(hoop.cloud.cover) - 1e-3 < D <= truth + 1e-3  # the axes are sampled
 
 
 def test_a_cloud_of_its_own_stands_where_the_job_says(tmp_path):
@@ -210,7 +210,7 @@ def test_a_cloud_of_its_own_stands_where_the_job_says(tmp_path):
 
 
 def axes_of(robot, x) -> tuple[np.ndarray, np.ndarray]:
-    """Places along the axes of the bodies (K, 201, 3), and their radii."""
+    """Points on the axes of the bodies (K, 201, 3), and their radii."""
     p, q = (np.asarray(end) for end in capsule_segments(robot, jnp.asarray(x)))
     return p[:, None] + np.linspace(0, 1, 201)[:, None] * (q - p)[:, None], np.asarray(robot.capsule_radius)
 
@@ -236,13 +236,13 @@ def test_the_picture_of_a_plan_shows_its_cell(cell, tmp_path):
 
 @pytest.fixture
 def job(tmp_path, cell):
-    """A line before a plate, for the GP50 beside a cell."""
+    """Job with a line in front of a plate, for the GP50 in a cell."""
     return small_job(GP50, tmp_path) | {"cell": {"self_collision": True, "model": str(cell)}, "method": "baseline"}
 
 
 @pytest.mark.slow
 def test_a_plan_beside_a_fixture_is_as_mujoco_measures_it_and_refuted_where_the_fixture_is_in_the_way(job, tmp_path):
-    """A post beside the tool is what is nearest at the targets; put into the tool, it is what is touched."""
+    """A post next to the tool is nearest at the targets; moved into the tool, it collides."""
     p, q = (np.asarray(end)[-1] for end in capsule_segments(htcp_jax.load_robot(GP50), jnp.array(job["start_rad"])))
     aside = np.linalg.svd((q - p)[None])[2][1]
     job["cell"] |= {"moved": "post", "shift_m": (0.5 * (p + q) + 0.06 * aside - [2, 2, 1]).tolist()}
@@ -276,13 +276,13 @@ def test_a_sweep_moves_a_fixture(job, tmp_path):
 def test_a_sweep_plans_with_and_without_a_cell(job):
     model = job.pop("cell")["model"]
     batch = load_sweep({"grid": [{"cell.model": [None, model]}]}, job).batch()
-    assert [len(cell.obstacles) for cell in batch.cells] == [1, 2]  # itself, too
+    assert [len(cell.obstacles) for cell in batch.cells] == [1, 2]  # the arm's self-collision is one of them
     with pytest.raises(InputError, match=r"unknown parameter cell\.clouds"):
         load_sweep({"grid": [{"cell.clouds": [[], []]}]}, job)
 
 
 def test_the_meshes_of_a_cell_and_what_models_include_are_part_of_a_runs_identity(tmp_path):
-    """By their contents, wherever they lie; a mesh that is there for the eye alone is none of it."""
+    """Files count by their contents, not by their location; purely visual meshes are excluded."""
 
     def made(name: str):
         folder = tmp_path / name

@@ -1,4 +1,4 @@
-"""The charts: every one draws whatever results there are, tells its methods apart, and counts only what is planned."""
+"""Charts: each draws any results, distinguishes its methods, and counts only what is planned."""
 
 import itertools
 
@@ -25,7 +25,7 @@ TURN, TOOL = charts.Axis("turn [rad]", [0.1, 0.2, 0.30000000000000004]), charts.
 
 
 def texts(figure: Figure) -> str:
-    """Everything that is written in a figure."""
+    """All texts of a figure."""
     figure.canvas.draw()
     return "\n".join(text.get_text() for text in figure.findobj(lambda artist: hasattr(artist, "get_text")))
 
@@ -54,7 +54,7 @@ def test_every_chart_draws_a_figure_that_names_every_method_even_where_nothing_i
     for name, figure in figures.items():
         written = texts(figure)
         assert isinstance(figure, Figure), name
-        silent = {"keep-clear"} if name == "success_line" else set()  # nothing of it is planned there
+        silent = {"keep-clear"} if name == "success_line" else set()  # it has no planned scenarios there
         assert all(method in written for method in PLANS.keys() - silent), name
 
 
@@ -103,7 +103,7 @@ def test_values_of_an_axis_read_as_they_were_written():
     assert TURN.names == ["0.1", "0.2", "0.3"]
 
 
-# Linear RGB as eyes without one kind of cone see it: Vienot, Brettel, Mollon (1999)
+# Linear RGB as seen by dichromats: Vienot, Brettel, Mollon (1999)
 VISIONS = {
     "all cones": np.eye(3),
     "protanopia": np.array([[0.11238, 0.88762, 0], [0.11238, 0.88762, 0], [0.00401, -0.00401, 1]]),
@@ -120,7 +120,7 @@ def test_methods_are_told_apart_by_colour_or_by_line_style(vision):
 
 
 def test_a_method_of_your_own_has_a_line_that_no_other_has():
-    """Anagrams, too, which once shared one."""
+    """Check distinct line styles, also for anagrams, which once shared one."""
     own = ["mine", "enim", "nime", *(f"planner-{k}" for k in range(60))]
     lines = {line_of(method) for method in own}
     assert len(lines) == len(own) and not lines & set(LINES.values())

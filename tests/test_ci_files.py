@@ -1,4 +1,4 @@
-"""The workflow of GitHub Actions calls what there is, and so does the one that the documentation hands out."""
+"""GitHub Actions workflows, ours and the documented one: every command and target that they call exists."""
 
 import re
 import shlex
@@ -15,7 +15,7 @@ DOCUMENTED = re.search(r"^```yaml\n(name: gate\n.*?)^```$", (ROOT / "docs" / "ga
 
 
 def commands(workflow: str) -> list[str]:
-    """The lines of all steps, those of a matrix once for each target."""
+    """Command lines of all steps; those of a matrix once per target."""
     found = []
     for job in yaml.safe_load(workflow)["jobs"].values():
         for target in job.get("strategy", {}).get("matrix", {}).get("target", [""]):

@@ -1,4 +1,4 @@
-"""D(x, O) against plain numpy over all points, against MuJoCo's own distances, and against the recorded run."""
+"""Clearance D(x, O): equal to plain numpy over all points, to MuJoCo's distances, and to the recorded run."""
 
 from functools import cache, partial
 from typing import NamedTuple
@@ -61,7 +61,7 @@ _ENDS = jax.jit(capsule_segments)
 
 
 def numpy_clearances(robot, workpiece: Workpiece, where: Where, x):
-    """D per body by brute force in numpy: all points, all facets; and where the hull decides."""
+    """D per body by brute force in numpy over all points and facets, and True where the hull decides it."""
     p, q = (np.asarray(end) for end in _ENDS(robot, x))
     T = np.asarray(where.T_world_workpiece)
     points = workpiece.cloud @ T[:3, :3].T + T[:3, 3]
@@ -94,7 +94,7 @@ def test_D_is_the_smallest_distance_to_all_points_and_minus_the_depth_outside_th
 
 
 def test_all_forms_of_D_agree():
-    """The scalar, the verdict, and the linearisation take shorter ways to the same number."""
+    """Scalar, verdict, and linearisation compute the same number with fewer operations."""
     robot, obstacle = made_once.scene()[:2]
     signs = []
     for wy, wz in ((0.4, 0.1), (0.8, 0.3)):
@@ -110,7 +110,7 @@ def test_all_forms_of_D_agree():
 
 
 def test_where_only_the_smallest_row_is_asked_for_it_is_right_and_no_other_is_nearer():
-    """A linearisation then is that row alone."""
+    """Check the smallest row, which then is the only row of a linearisation."""
     robot, obstacle = made_once.scene()[:2]
     where, x = posed(made_once.duct()), postures()
 
@@ -128,7 +128,7 @@ def test_where_only_the_smallest_row_is_asked_for_it_is_right_and_no_other_is_ne
 
 
 def test_contacts_lie_where_they_say():
-    """The point is on the body's axis; from it against the normal by distance plus radius is the cloud's point."""
+    """The contact point is on the body's axis; point - (distance + radius) normal is the cloud's point."""
     robot, obstacle = made_once.scene()[:2]
     duct, where = made_once.duct(), posed(made_once.duct())
     T = np.asarray(where.T_world_workpiece)
@@ -145,8 +145,10 @@ def test_contacts_lie_where_they_say():
 
 
 def gradients(robot, obstacle, where, x):
-    """By the rule for D's derivative; by autodiff through what is nearest, forward and reverse; by central differences
-    (4, K, N)."""
+    """Gradients of D (4, K, N) by four methods.
+
+    The rule for D's derivative; autodiff through the nearest points, forward and reverse; and central differences.
+    """
     function = partial(jitted(clearances), robot, obstacle, where)
     step = 1e-7 * np.eye(len(x))
     differences = [(np.asarray(function(x + h)) - np.asarray(function(x - h))) / 2e-7 for h in step]
@@ -159,7 +161,7 @@ def gradients(robot, obstacle, where, x):
 
 
 def nearest(robot, obstacle, where, x):
-    """D per row, without the rule for its derivative."""
+    """D per row, without the custom derivative rule."""
     return contacts(robot, obstacle, where, x).distance
 
 
@@ -182,18 +184,18 @@ def test_the_derivative_of_D_is_that_of_autodiff_through_what_is_nearest_and_of_
     assert hull > 20
 
 
-FEW = 50  # points: as many in all tests, so that one compiled program serves them
+FEW = 50  # points: the same number in all tests, so that they share one compiled program
 
 
 def few_points(cloud) -> Workpiece:
-    """A workpiece that is just these points, in the world's frame."""
+    """Workpiece of just these points, in the world frame."""
     cloud = np.resize(cloud, (FEW, 3))
     home = (0.0, 0.0, 0.0)
     return Workpiece("points", cloud, np.zeros((1, 3)), pivot=home, neutral_translation=home, interior="none")
 
 
 def test_the_gradient_is_finite_where_a_point_lies_on_a_capsules_axis():
-    """On an axis, at an end of it, and in the middle of a sphere: the distance is 0 there and has no direction."""
+    """Points on an axis, at its end, and in the centre of a sphere: their distance is 0 and has no direction."""
     robot = made_once.robot()
     x = jnp.asarray(made_once.START)
     p, q = (np.asarray(end) for end in _ENDS(robot, x))
@@ -206,7 +208,7 @@ def test_the_gradient_is_finite_where_a_point_lies_on_a_capsules_axis():
 
 
 def test_without_an_interior_only_the_points_count():
-    """A workpiece without a hull calls nothing outside, however deep the arm reaches."""
+    """Check a workpiece without a hull: no point is in its interior, however deep the arm reaches."""
     robot, rng = made_once.robot(), np.random.default_rng(0)
     workpiece = few_points(rng.normal((1.5, 0.0, 1.0), 1.0, (FEW, 3)))
     obstacle = make_obstacle(workpiece)
@@ -230,7 +232,7 @@ def _without_hull(workpiece):
 
 @pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.6, -0.8, 0.0)])
 def test_the_gate_is_a_plane_and_only_ends_beyond_it_must_be_inside(direction):
-    """W1: in any direction, not along the world's x alone."""
+    """Regression: the gate was only correct along the world's x axis."""
     robot, obstacle = made_once.scene()[:2]
     x = jnp.asarray(postures()[0])
     p, q = (np.asarray(end) for end in _ENDS(robot, x))
@@ -243,7 +245,7 @@ def test_the_gate_is_a_plane_and_only_ends_beyond_it_must_be_inside(direction):
 
 
 def test_mujocos_own_geometry_measures_the_same():
-    """Every capsule of the model against tiny spheres, through MuJoCo's collision functions and kinematics."""
+    """Compare every capsule of the model with MuJoCo's distances to tiny spheres."""
     rng = np.random.default_rng(1)
     cloud = rng.normal((1.2, 0.0, 1.2), 0.6, (FEW, 3))
     radius = 1e-4
@@ -268,7 +270,7 @@ def test_mujocos_own_geometry_measures_the_same():
 
 
 def test_the_recorded_run_comes_within_a_quarter_of_a_millimetre():
-    """Smallest clearance of capsules 4 to 6c over the recorded run: -0.25 mm (scene), each row at its own pose."""
+    """Minimum clearance of capsules 4 to 6c over the recorded run: -0.25 mm (scene.md), each row at its own pose."""
     duct, robot = made_once.measured_duct(), made_once.robot()
     run = np.loadtxt(made_once.MEASURED / "reference_run.csv", delimiter=",")
     obstacle = make_obstacle(duct)
@@ -281,7 +283,7 @@ def test_the_recorded_run_comes_within_a_quarter_of_a_millimetre():
 
 @pytest.mark.parametrize("extension", [-0.05, 0.1])
 def test_a_longer_tool_is_measured_longer(extension):
-    """A scenario's own tool moves its capsules, so that D changes by what numpy says it does."""
+    """Compare D with numpy for a longer and a shorter tool."""
     robot = lengthen_tool(made_once.robot(), extension)
     obstacle, where = made_once.scene().obstacles, posed(made_once.duct())
     for x in postures()[100:110]:
@@ -297,7 +299,7 @@ def test_the_nominal_start_is_clear():
 
 
 def test_what_other_devices_compute_is_the_same(monkeypatch):
-    """Off a CPU, bodies are searched side by side, all facets are measured, and a path is measured whole."""
+    """Other devices search bodies in parallel and evaluate all facets and complete paths; the results are equal."""
     robot, obstacle = made_once.scene()[:2]
     where = posed(made_once.duct())
     x = postures()[::3]

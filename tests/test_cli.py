@@ -1,4 +1,4 @@
-"""The command as a person meets it: exit codes, the table, the files, and one line for whatever is wrong."""
+"""Command line interface: exit codes, table, files, and one-line errors."""
 
 import csv
 import json
@@ -15,7 +15,7 @@ SHORT = ["--set", "workpiece.path=path.csv"]
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
-    """A working folder with a short path alone: two points of the generated duct's weld, so 13 targets."""
+    """Working folder with only a short path: two points of the generated duct's weld, 13 targets."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n")
     return tmp_path
@@ -56,7 +56,7 @@ def test_the_motion_leads_back_where_that_is_asked_for(here, capsys):
 
 
 def test_an_incomplete_plan_exits_3_saves_what_it_has_and_names_the_failure(here, capsys):
-    (here / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.1857,-0.25,0.1708\n")  # the second lies in the wall
+    (here / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.1857,-0.25,0.1708\n")  # the second point lies in the wall
     assert main(["plan", *SHORT, "--method", "baseline", "--out", "out"]) == 3
     assert "failed at target 12: " in capsys.readouterr().out
     (failure,) = json.loads((here / "out" / "summary.json").read_text())["failures"]

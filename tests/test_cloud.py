@@ -1,4 +1,4 @@
-"""Readers take every format they name, and give one line for whatever is wrong."""
+"""Readers of clouds and paths: every listed format is read, and bad files give one-line errors."""
 
 import io
 import os
@@ -14,7 +14,7 @@ from htcp_jax.io.scan import PARTS, SCANS
 
 POINTS = np.random.default_rng(0).uniform(-1.0, 1.0, (40, 3))
 BOX = trimesh.creation.box(extents=(1.0, 2.0, 3.0))
-HERE = [ending for ending in CLOUDS if ending not in SCANS and ending not in PARTS]  # the others: test_scan
+HERE = [ending for ending in CLOUDS if ending not in SCANS and ending not in PARTS]  # for the others see test_scan
 
 
 def write(folder, name, content):
@@ -34,7 +34,7 @@ def npy(array):
 
 
 def fails(file, *words, **options):
-    """The reader's message: one line that names the file and holds the words."""
+    """Error message of the reader: one line with the file's name and the words."""
     with pytest.raises(InputError) as caught:
         load_cloud(file, **options)
     message = str(caught.value)
@@ -81,15 +81,15 @@ def test_a_mesh_is_its_triangles_whatever_the_file(tmp_path, kind):
     assert sorted(map(tuple, found.points.round(6))) == sorted(map(tuple, BOX.triangles.reshape(-1, 3).round(6)))
     points = load_cloud(file, spacing=0.1)
     depth = np.array([0.5, 1.0, 1.5]) - np.abs(points)
-    assert np.abs(depth.min(axis=1)).max() < 1e-6  # on a face, and none outside
+    assert np.abs(depth.min(axis=1)).max() < 1e-6  # on a face, not outside
     assert np.array_equal(points, load_cloud(file, spacing=0.1))
 
 
 def test_an_obj_opens_no_other_file(tmp_path, monkeypatch):
-    """A material library is a reference to another file. Nothing may follow it."""
+    """Check that references to other files, such as material libraries, are not followed."""
     file = write(tmp_path, "box.obj", "mtllib secret.mtl\n" + BOX.export(file_type="obj"))
     write(tmp_path, "secret.mtl", "newmtl secret\nmap_Kd secret.png\n")
-    load_cloud(file, spacing=0.5)  # trimesh's own imports come first
+    load_cloud(file, spacing=0.5)  # first, so that trimesh's own imports do not count
     opened = []
 
     def note(name, *args, **kwargs):
@@ -107,7 +107,7 @@ def test_files_that_are_not_there_or_no_files(tmp_path):
     fails(tmp_path / ("x" * 300 + ".csv"), "cannot be read")
     (tmp_path / "folder.csv").mkdir()
     fails(tmp_path / "folder.csv", "not a regular file")
-    os.mkfifo(tmp_path / "pipe.xyz")  # opening it would wait for ever
+    os.mkfifo(tmp_path / "pipe.xyz")  # opening it would block without end
     fails(tmp_path / "pipe.xyz", "not a regular file")
 
 
@@ -182,7 +182,7 @@ def test_garbage_and_truncation_give_one_line_and_print_nothing(tmp_path, capfd,
 
 
 def test_a_parsers_own_log_stays_silent(tmp_path, caplog):
-    """trimesh logs a whole traceback for a bad normal, which it then does without."""
+    """Check that no log appears: trimesh logs a traceback for a bad normal and ignores it."""
     stl = BOX.export(file_type="stl_ascii").replace("normal ", "normal abc ")
     assert load_cloud(write(tmp_path, "a.stl", stl), spacing=0.5).shape[1] == 3
     assert not caplog.records

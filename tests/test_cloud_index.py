@@ -1,4 +1,4 @@
-"""The index against brute force in numpy over all points: the same distance to the last bits, whatever the segment."""
+"""Nearest-point index: the same distance as brute force in numpy, to the last bits, for any segment."""
 
 from functools import cache, partial
 
@@ -14,12 +14,12 @@ from htcp_jax.clearance.distance.cloud_tree import TOP, build_index, nearest_bod
 from htcp_jax.clearance.distance.cloud_tree_gpu import nearest_leaves
 from htcp_jax.gpu_kernel import HAS_KERNEL
 
-LANES = 8  # segments that a search takes side by side, as a configuration's capsules do
+LANES = 8  # segments per search, as the capsules of a configuration
 EPS = np.finfo(float).eps
 
 
 def distances(p, q, points):
-    """Distance of every point to every segment (K, P), numpy alone."""
+    """Distances of every point to every segment (K, P), in plain numpy."""
     d = q - p
     square = np.sum(d * d, axis=1)
     arm = points[None] - p[:, None]
@@ -33,7 +33,7 @@ def smallest_distances(p, q, points):
 
 @cache
 def cloud(name: str) -> np.ndarray:
-    """Clouds of 1 to 127,000 points: ordinary ones, and those that a tree finds hard to cut."""
+    """Clouds of 1 to 127,000 points: ordinary ones, and ones that are hard to split into a tree."""
     rng = np.random.default_rng(len(name))
     made = {
         "one": lambda: rng.normal(size=(1, 3)),
@@ -60,12 +60,12 @@ SMALL = [
 
 
 def segments(points, count, seed):
-    """Segments near and far, touching and through the cloud, of no length, tiny, short, long and huge."""
+    """Random segments near, far, touching and crossing the cloud, from zero to huge length."""
     rng = np.random.default_rng(seed)
     middle, extent = points.mean(0), np.ptp(points, axis=0).max() + 0.1
     near = points[rng.integers(len(points), size=count)]
     offset = rng.normal(size=(count, 3))
-    offset *= (10.0 ** rng.uniform(-9, 0, count) * (rng.random(count) < 0.8))[:, None]  # a fifth starts on a point
+    offset *= (10.0 ** rng.uniform(-9, 0, count) * (rng.random(count) < 0.8))[:, None]  # one in five starts on a point
     p = np.where(rng.random((count, 1)) < 0.6, near + offset, middle + extent * rng.normal(size=(count, 3)))
     length = np.choose(
         rng.integers(5, size=count),
@@ -73,7 +73,7 @@ def segments(points, count, seed):
     )
     direction = rng.normal(size=(count, 3))
     q = p + length[:, None] * direction / np.linalg.norm(direction, axis=1, keepdims=True)
-    # Some end on a point too, and some start at the very origin, where rounding makes no difference to a tiny length.
+    # Some also end on a point, and some start at the origin, where rounding does not affect a tiny length.
     other = points[rng.integers(len(points), size=count)]
     q = np.where(rng.random((count, 1)) < 0.15, other, q)
     home = rng.random((count, 1)) < 0.05
@@ -84,7 +84,7 @@ _NEAREST = jax.jit(lambda index, p, q, within: jax.lax.map(lambda s: nearest_row
 
 
 def nearest(index, p, q, within=None):
-    """Rows of the nearest points, LANES segments at a time."""
+    """Rows of the nearest points, for LANES segments at a time."""
     within = np.full(len(p), 1e150) if within is None else within
     batches = (np.reshape(a, (-1, LANES, *a.shape[1:])) for a in (p, q, within))
     return np.asarray(_NEAREST(index, *batches)).ravel()
@@ -132,7 +132,7 @@ def test_the_nearest_point_of_the_duct_is_the_nearest_of_all():
 
 @pytest.mark.parametrize("length", 10.0 ** -np.arange(12, 200, 9))
 def test_a_segment_shorter_than_rounding_is_a_point(length):
-    """Its squared length, or the inverse of that, is beyond 32-bit floats, or beyond 64-bit ones."""
+    """Segments whose squared length, or its inverse, exceeds the range of 32-bit or 64-bit floats."""
     p = np.zeros((LANES, 3))
     q = p + length * np.concatenate([np.eye(3), -np.eye(3), [[1, 1, 0], [0.3, -0.2, 0.1]]])
     for points in (np.eye(3)[:1], cloud("on a grid"), cloud("on a grid") - 0.3, cloud("three hundred")):
@@ -165,7 +165,7 @@ def test_within_a_limit_the_nearest_point_is_found_and_beyond_it_none(name):
     limit = factor * exact
     rows = nearest(build_index(points), p, q, limit)
     inside = (factor > 1) & (exact > 1e-12)
-    apart = exact > 1e-12  # of segments that touch, rounding alone decides
+    apart = exact > 1e-12  # for touching segments only rounding decides
     np.testing.assert_array_equal((rows >= 0)[apart], inside[apart])
     found = np.linalg.norm(points[rows] - closest_points(p, q, points[rows]), axis=1)
     np.testing.assert_allclose(found[inside], exact[inside], rtol=0, atol=16 * EPS)
@@ -179,7 +179,7 @@ def closest_points(p, q, points):
 
 
 def test_every_segment_has_its_own_limit():
-    """A limit that stops one segment's search leaves its neighbours' alone."""
+    """Check that a limit that stops one segment's search does not affect the others."""
     points = cloud("three hundred")
     p, q = segments(points, LANES, seed=5)
     index, exact = build_index(points), smallest_distances(p, q, points)
@@ -204,7 +204,7 @@ def nearest_bodies(index, p, q, radius, below=1e150):
 
 @pytest.mark.parametrize("name", ["one", "four", "three hundred", "far apart", "duct"])
 def test_the_nearest_body_is_the_one_with_the_smallest_distance_less_its_radius(name):
-    """In one search for all of them, whatever their radii; below a limit only where there is one."""
+    """One search for all bodies with any radii; with a limit, only bodies below it are found."""
     points, count = cloud(name), 100
     p, q = (a.reshape(count, LANES, 3) for a in segments(points, count * LANES, seed=7))
     radius = np.random.default_rng(8).choice([0.0, 0.03, 0.4], (count, LANES))
@@ -218,7 +218,7 @@ def test_the_nearest_body_is_the_one_with_the_smallest_distance_less_its_radius(
     assert (np.abs(found - exact.min(1)) <= 16 * EPS * scale).all()
     assert (exact.min(1) < -0.02).any() or name == "one"
 
-    # All radii larger or smaller by the same: then the smallest distance is just below or just above the limit.
+    # All radii changed by the same amount, so that the smallest distance is just below or just above the limit.
     short = np.tile([1e-9, -1e-9, 0.1, -0.1], count // 4)
     body, row = nearest_bodies(index, p, q, radius + (exact.min(1) + short)[:, None], below=0.0)
     np.testing.assert_array_equal(row >= 0, short > 0)
@@ -243,7 +243,7 @@ def test_no_gradient_passes_through_the_search():
 @pytest.mark.parametrize("shared", [False, True])
 @pytest.mark.parametrize("name", ["one", "three hundred", "on a plane", "far apart"])
 def test_the_kernel_for_gpus_finds_the_same_leaves(name, shared):
-    """Interpreted here, where there is no GPU. Both end at a leaf with a point as near as the nearest one."""
+    """Compare the GPU kernel, interpreted: both searches end at a leaf with a point as near as the nearest one."""
     rng = np.random.default_rng(0)
     index, radius = build_index(cloud(name)), rng.uniform(0, 0.1, LANES)
     p, q = (a.reshape(-1, LANES, 3) for a in segments(cloud(name), 5 * LANES, seed=5))

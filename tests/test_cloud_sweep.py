@@ -1,4 +1,4 @@
-"""A body that moves past points stays as clear as is said of it, and one that slides along them is found clear."""
+"""Clearance bound of moving bodies to a cloud: valid, and tight for bodies that slide along the points."""
 
 from functools import partial
 
@@ -30,7 +30,7 @@ _FOUND = jax.jit(clear_along)
 
 
 def swept(rng, points):
-    """Bodies among the points, and how they sweep: (p, q, sweep, reach)."""
+    """Random bodies near the points and their motions: (p, q, sweep, reach)."""
     centre = points[rng.integers(len(points), size=BODIES)] + rng.normal(0, 0.05, (BODIES, 3))
     half = rng.normal(0, 0.1, (BODIES, 3)) * rng.choice([0.0, 1e-3, 1.0], (BODIES, 1))
     moves = rng.normal(0, 1, (2, BODIES, 3)) * 10.0 ** rng.uniform(-4, -1, (BODIES, 1))
@@ -40,7 +40,7 @@ def swept(rng, points):
 
 
 def by_hand(points, p, q, sweep, reach):
-    """The bound in the module's words, of all points."""
+    """Bound by its definition in the module, over all points."""
     d = (q - p)[:, None]
     s = np.einsum("kpi,kpi->kp", points[None] - p[:, None], np.broadcast_to(d, (len(p), len(points), 3)))
     s = np.clip(s / np.maximum(np.einsum("kpi,kpi->kp", d, d), 1e-30), 0, 1)
@@ -85,7 +85,7 @@ def test_the_search_ends_at_the_first_body_that_will_not_do_and_leaves_out_what_
 
 @pytest.fixture
 def as_on_a_gpu(monkeypatch):
-    """The kernels for GPUs, interpreted here, where there is none."""
+    """Use the GPU kernels, interpreted, as there is no GPU here."""
     places = (cloud_sweep, "least_in_reach"), (cloud_tree_gpu, "nearest_leaves"), (half_spaces, "highest")
     for module, kernel in places:
         monkeypatch.setattr(module, kernel, partial(getattr(module, kernel), interpret=True))
@@ -95,7 +95,7 @@ def as_on_a_gpu(monkeypatch):
 @pytest.mark.skipif(not HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
 @pytest.mark.parametrize("name", ["one", "seventeen", "three hundred", "on a plane", "as few as take four levels"])
 def test_the_kernel_for_gpus_finds_the_same(name, as_on_a_gpu, monkeypatch):
-    """Lanes side by side, of which each asks about some of its bodies; and whether they will do, where they may not."""
+    """Compare a batch of lanes, each with some of its bodies requested, and the verdicts at a required clearance."""
     rng, points = np.random.default_rng(2), cloud(name)
     index, lanes = build_index(points), []
     for _ in range(10):
@@ -120,7 +120,7 @@ def test_the_kernel_for_gpus_finds_the_same(name, as_on_a_gpu, monkeypatch):
 
 @pytest.mark.skipif(not HAS_KERNEL, reason="this JAX has no Triton backend of Pallas")
 def test_a_proof_as_on_a_gpu_is_the_same_proof(as_on_a_gpu, monkeypatch):
-    """Lanes side by side, searched by the kernels for GPUs, with all that is outside the hull or inside it."""
+    """Compare proofs of a batch of motions by the GPU kernels, with points inside and outside the hull."""
     ways = jax.tree.map(lambda *leaves: jnp.stack(leaves), *motions()[:40])
     scene = Scene(*made_once.scene())
     proof = partial(prove, scene, kept=0.5)
@@ -134,7 +134,7 @@ def test_a_proof_as_on_a_gpu_is_the_same_proof(as_on_a_gpu, monkeypatch):
 
 
 def test_the_arm_is_as_clear_on_an_interval_as_is_said_and_clearer_than_travel_alone_says():
-    """At 200 places of joint paths from recorded configurations, of all lengths."""
+    """Check 200 samples on joint paths of all lengths from recorded configurations."""
     scene, gained = Scene(*made_once.scene()), 0
     look, travel = jax.jit(on_interval), jax.jit(travel_bound)
     everywhere = jax.jit(lambda where, xs: jax.lax.map(lambda x: clearance(*scene[:2], where, x), xs))
@@ -143,7 +143,7 @@ def test_the_arm_is_as_clear_on_an_interval_as_is_said_and_clearer_than_travel_a
         near = float(look(*scene[:2], where, x, rates, 0.0, 0.0, 0.5, jnp.array(True), jnp.array(False)).middle)
         if near <= 0:
             continue
-        reached = near / float(travel(scene.robot, x, rates, 1.0).max())  # where travel is about all the room there is
+        reached = near / float(travel(scene.robot, x, rates, 1.0).max())  # where travel is about the clearance
         for half in (0.3 * reached, 0.6 * reached, 1.2 * reached):
             asked = *scene[:2], where, x, rates, half, 0.0, 0.5, jnp.array(True)
             there, by_travel = (look(*asked, jnp.array(closely)) for closely in (True, False))
@@ -156,18 +156,18 @@ def test_the_arm_is_as_clear_on_an_interval_as_is_said_and_clearer_than_travel_a
 
 
 def floor_below(robot, where, x, gap_m):
-    """A floor of points on circles about the first joint's axis, so far below the arm as it turns past them."""
+    """Floor of points on circles about the first joint's axis, `gap_m` below the turning arm."""
     radius, angle = (each.ravel() for each in np.meshgrid(np.arange(0.6, 2.0, 0.01), np.arange(-0.5, 1.0, STEP)))
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(len(angle), -2.0)], axis=1)
     turned = x[None] + jnp.linspace(0, STEP, 21)[:, None] * jnp.eye(6)[:1]
     least = jax.jit(lambda floor: jnp.min(jax.lax.map(lambda x: clearance(robot, (floor,), where, x), turned)))
-    for _ in range(6):  # what is nearest is not straight below
+    for _ in range(6):  # the nearest point is not straight below
         points[:, 2] += float(least(cloud_of(points, 0.0))) - gap_m
     return cloud_of(points, 0.0)
 
 
 def test_a_way_along_a_wall_takes_few_looks(monkeypatch):
-    """A turn about the vertical, a micrometre above a floor: by travel alone it takes thousands."""
+    """A turn about the vertical, 1 um above a floor: by travel alone it needs over 20 times as many queries."""
     robot, where, x = made_once.robot(), Where(jnp.eye(4), jnp.zeros(4)), jnp.array([0.0, 0.6, -0.3, 0.0, -0.6, 0.0])
     scene, turned = Scene(robot, (floor_below(robot, where, x, 1e-6),)), x.at[0].set(0.02)
     proof = jax.jit(prove)(scene, where, x, turned)

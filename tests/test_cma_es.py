@@ -1,4 +1,4 @@
-"""One update against the `cma` package's on the same population, and the rates against the tutorial's formulas."""
+"""CMA-ES: updates equal to the `cma` package's on the same population, rates equal to the tutorial's formulas."""
 
 import cma
 import jax
@@ -13,20 +13,20 @@ TELL = jax.jit(cma_es.tell, static_argnames="r")
 
 
 class Hashable(cma_es.Rates):
-    """Rates that jit can take as static; compared by identity, one object for a test."""
+    """Rates as a static argument of jit; compared by identity, one object per test."""
 
     __hash__ = object.__hash__
     __eq__ = object.__eq__
 
 
 def package(mean, sigma, population, seed=1):
-    """The package's strategy with positive weights alone, as ours."""
+    """Strategy of the package with positive weights only, as ours."""
     options = {"CMA_active": False, "popsize": population, "seed": seed, "verbose": -9}
     return cma.CMAEvolutionStrategy(list(mean), sigma, options)
 
 
 def rates_of(es) -> cma_es.Rates:
-    """The package's strategy parameters. Its two for the step size differ from the tutorial's by choice."""
+    """Strategy parameters of the package, whose two for the step size deliberately differ from the tutorial's."""
     weights = es.sp.weights
     es.adapt_sigma.initialize(es)
     return Hashable(
@@ -36,7 +36,7 @@ def rates_of(es) -> cma_es.Rates:
 
 
 def start_of(es) -> cma_es.Distribution:
-    """Ours where the package starts: its first covariance is the identity but for 1e-4, to tell its axes apart."""
+    """Our state at the package's start, whose covariance is the identity up to 1e-4, which makes the axes distinct."""
     return cma_es.start(jnp.asarray(es.mean), es.sigma)._replace(C=jnp.asarray(es.sm.covariance_matrix))
 
 
@@ -51,7 +51,7 @@ def ridge(x):
 @pytest.mark.parametrize(("n", "population"), [(3, 100), (4, 20), (6, 12)])
 @pytest.mark.parametrize("cost", [ellipsoid, ridge])
 def test_updates_equal_those_of_the_package(n, population, cost):
-    """Ten generations: mean, step size, covariance and both paths, from the very same samples."""
+    """Compare mean, step size, covariance and both paths over ten generations from the same samples."""
     mean = np.linspace(-1, 1, n)
     es = package(mean, 0.5, population)
     rates, ours = rates_of(es), start_of(es)
@@ -68,13 +68,13 @@ def test_updates_equal_those_of_the_package(n, population, cost):
 
 
 def test_a_long_path_stalls_the_covariance_path_as_in_the_package():
-    """All samples far to one side of the mean: the step size grows and the rank-one update waits."""
+    """Samples far to one side of the mean: the step size grows and the rank-one update is stalled."""
     n, population = 3, 30
     es = package(np.zeros(n), 0.1, population)
     rates, ours = rates_of(es), start_of(es)
     samples = [x + np.array([0.25, 0.0, 0.0]) for x in es.ask()]
     costs = [ellipsoid(x) for x in samples]
-    es.repair_genotype = lambda x, copy_if_changed=False: x  # the package would pull foreign samples back
+    es.repair_genotype = lambda x, copy_if_changed=False: x  # the package would move external samples back
     es.tell(samples, costs)
     ours = TELL(ours, jnp.asarray(samples), jnp.asarray(costs), r=rates)
     np.testing.assert_array_equal(es.pc, 0.0)
@@ -85,7 +85,7 @@ def test_a_long_path_stalls_the_covariance_path_as_in_the_package():
 
 @pytest.mark.parametrize(("population", "n"), [(100, 3), (12, 6), (7, 4)])
 def test_the_default_rates_are_the_tutorials(population, n):
-    """Equations (49) to (58) with negative weights left out; the covariance's are the package's too."""
+    """Equations (49) to (58) without negative weights; those of the covariance also equal the package's."""
     rates, es = cma_es.rates(population, n), package(np.zeros(n), 1.0, population)
     theirs = rates_of(es)
     for name in ("weights", "mu_eff", "c_c", "c_1", "c_mu", "chi_n"):

@@ -1,4 +1,4 @@
-"""What makes the command pleasant: help that teaches, completion, JSON for programs, colours for terminals alone."""
+"""Usability of the command line: help with examples, completion, JSON output, colours on terminals only."""
 
 import json
 import re
@@ -20,7 +20,7 @@ COLOUR = re.compile(r"\x1b\[[0-9;]*(?:3[0-7]|9[0-7])[0-9;]*m")
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
-    """A working folder with a path of two points and a sweep of two scenarios along it."""
+    """Working folder with a path of two points and a sweep of two scenarios along it."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n")
     (tmp_path / "two.yaml").write_text("grid: [{workpiece.rotation_z_rad: [0.1, 0.2]}]")
@@ -28,7 +28,7 @@ def here(tmp_path, monkeypatch):
 
 
 def json_of(capsys, arguments: list[str], code: int = 0):
-    """What a command prints with --json: one JSON document, and nothing beside it."""
+    """Output of a command with --json: one JSON document and nothing else."""
     assert main([*arguments, "--json"]) == code
     output = capsys.readouterr()
     assert output.err == ""
@@ -41,11 +41,11 @@ def test_every_command_has_help_with_an_example_of_itself(capsys):
         assert main([name, "--help"]) == 0
         shown = capsys.readouterr().out
         assert f"  htcp {name}" in shown
-        assert "--json" in shown or name == "view"  # which prints no table
+        assert "--json" in shown or name == "view"  # `view` prints no table
     assert main(["--help"]) == 0
     shown = capsys.readouterr().out
     assert all(f"\n  {name}" in shown for name in names)
-    assert "..." not in shown.split("Commands:")[1]  # every command's line is whole
+    assert "..." not in shown.split("Commands:")[1]  # no command's summary is truncated
 
 
 def test_completion_offers_commands_options_and_methods(monkeypatch, capsys):
@@ -72,7 +72,7 @@ def test_completion_scripts_are_printed(capsys):
 
 def test_methods_are_listed_with_their_sentences(capsys):
     assert main(["methods"]) == 0
-    shown = " ".join(capsys.readouterr().out.split())  # sentences are folded at the terminal's width
+    shown = " ".join(capsys.readouterr().out.split())  # sentences are wrapped at the terminal's width
     assert all(name in shown and method.description in shown for name, method in all_methods().items())
     assert [row["method"] for row in json_of(capsys, ["methods"])] == list(all_methods())
 

@@ -1,4 +1,4 @@
-"""What is compiled: once, side by side, nothing besides, and the same whichever way it comes to be."""
+"""Compilation: once per kernel, in parallel, nothing unused, and with results that do not depend on batching."""
 
 import threading
 import time
@@ -22,7 +22,7 @@ from htcp_jax.settings import Settings
 
 
 def asked(count):
-    """Lanes of the nominal scenario, and joint paths from about its start, of which some are not clear."""
+    """Lanes of the nominal scenario, and joint paths from near its start, some of them not clear."""
     scenarios = jax.tree.map(np.asarray, stack([made_once.nominal()]))
     a = made_once.configurations_near(np.array(made_once.START), count, 0.3)
     b = a + 1.5 * np.random.default_rng(1).standard_normal(a.shape)
@@ -30,7 +30,7 @@ def asked(count):
 
 
 def test_what_is_prepared_is_what_is_called():
-    """And is compiled once, whoever comes first; who calls waits for it, and nobody does for what is there."""
+    """Check that a kernel is compiled once: the first call waits for the prepared program, later calls do not wait."""
     programs = Programs()
     kernels = Kernels(made_once.scene(), Settings(), programs=programs)
     inputs, a, b = asked(20)
@@ -59,7 +59,7 @@ def test_what_is_prepared_is_there_in_the_end_and_a_fault_of_it_is_told():
 
 
 def test_a_clock_goes_while_anybody_waits():
-    """Two who wait at a time are one wait: what is left of the wall time is what was computed in."""
+    """Time with two concurrent waits counts once, so that the rest of the wall time is computing time."""
     waiting, both, began = Stopwatch(), threading.Barrier(2), time.perf_counter()
 
     def wait():
@@ -73,7 +73,7 @@ def test_a_clock_goes_while_anybody_waits():
 
 
 def test_lanes_one_by_one_are_lanes_side_by_side():
-    """A loop whose length differs from lane to lane, and an integer beside a float."""
+    """Loop whose length differs between lanes, with a float and an integer result."""
 
     def kernel(scene, x, n):
         return jax.lax.fori_loop(0, n, lambda k, x: x + scene * k.astype(float), x), n + 1
@@ -86,8 +86,10 @@ def test_lanes_one_by_one_are_lanes_side_by_side():
 
 
 def test_lanes_that_leave_their_slot_to_others_are_lanes_one_by_one():
-    """Loops of 0 to 40 steps in fewer slots than lanes, as many, and more: each lane is computed as by itself, written
-    to its own row, and nothing is written for rows that were not asked for."""
+    """Loops of 0 to 40 steps in fewer slots than lanes, as many, and more.
+
+    Each lane gives the same result as alone, in its own row; rows that were not requested stay zero.
+    """
 
     def kernel(scene, x, n):
         each = n.astype(float)
@@ -115,6 +117,6 @@ def test_a_key_is_folded_number_by_number():
 
 @pytest.mark.parametrize("platform", COMPILER)
 def test_what_the_compiler_is_told_it_understands(platform):
-    """An option that it has no more would stop every plan on that platform."""
+    """Compile with our options: an option that XLA has removed would stop every plan on this platform."""
     compiled = jax.jit(jnp.sin).lower(1.0).compile(COMPILER[platform])
     assert compiled(1.0) == pytest.approx(np.sin(1.0))

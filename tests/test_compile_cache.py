@@ -1,4 +1,4 @@
-"""Where compiled programs are kept: the user's cache folder, or where a person says, or nowhere."""
+"""Folder of the compilation cache: the user's cache folder, a given folder, or none."""
 
 import jax
 import pytest

@@ -1,4 +1,4 @@
-"""Configurations: the default is the shipped file, and whatever a person gets wrong is one clear line."""
+"""Configurations: the default is the shipped file, and every mistake gives one clear line."""
 
 from pathlib import Path
 

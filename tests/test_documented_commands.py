@@ -1,4 +1,4 @@
-"""Every command and every Python block of the README and of the documentation is run. `documented` says how each is."""
+"""Documented commands and Python blocks: each of them runs, in the way that `documented` lists."""
 
 import os
 import re
@@ -40,7 +40,7 @@ def pages_with(how: str) -> list[str]:
 
 @pytest.fixture
 def reader(tmp_path, monkeypatch):
-    """The working folder of a reader: what ships is there, and what a page writes stays apart from it."""
+    """Working folder of a reader: links to the shipped files; files that a page writes stay separate."""
     for name in ("configs", "sweeps", "tests", "htcp_jax", "pyproject.toml"):
         (tmp_path / name).symlink_to(ROOT / name)
     monkeypatch.chdir(tmp_path)
@@ -51,7 +51,7 @@ def reader(tmp_path, monkeypatch):
 
 
 def follow(page: str, how: str) -> None:
-    """Do what the blocks of a page say, those that are run `how`, in their order."""
+    """Run the blocks of a page that are marked `how`, in order."""
     for block in blocks(page):
         if block.how != how:
             continue
@@ -67,7 +67,7 @@ def follow(page: str, how: str) -> None:
 
 
 def run(words: list[str]) -> int:
-    """The exit code of one command; `htcp` runs within this process, whose compiled programs it shares."""
+    """Run one command and return its exit code; `htcp` runs in this process and shares its compiled programs."""
     if words[:2] == ["htcp", "view"]:
         return serve(words)
     if words[0] == "htcp":
@@ -81,7 +81,7 @@ def run(words: list[str]) -> int:
 
 
 def serve(words: list[str]) -> int:
-    """The exit code of a command that goes on until Ctrl-C, which comes once it serves; 0 if that ends it."""
+    """Start a server command, send Ctrl-C once it serves, and return 0 if that ends it with 130."""
     command = [sys.executable, "-u", "-m", "htcp_jax", *words[1:], "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert "http://" in process.stdout.readline()

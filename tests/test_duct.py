@@ -1,4 +1,4 @@
-"""The generated duct is what its table says, and is of the measured duct's kind."""
+"""Generated duct: it agrees with its table of dimensions and resembles the measured duct."""
 
 from pathlib import Path
 
@@ -30,7 +30,7 @@ def real_weld():
 
 
 def spacing(points):
-    """Distance of each point to its nearest neighbour [m]."""
+    """Distances of the points to their nearest neighbours [m]."""
     return cKDTree(points).query(points, k=2)[0][:, 1]
 
 
@@ -67,7 +67,7 @@ def test_the_bore_is_negative_and_beyond_the_ends_is_undefined():
 
 
 def test_points_are_uniform_by_area(cloud):
-    """Counts in patches of known area: the straight inlet in twelve patches, the whole duct in slices."""
+    """Check point counts in patches of known area: twelve patches of the straight inlet, slices of the duct."""
     inlet = cloud[cloud[:, 0] < 0.18]
     angle = np.arctan2(inlet[:, 2] - 0.189, inlet[:, 1])
     edges = np.linspace(0.0, 0.18, 4), np.linspace(-np.pi, np.pi, 5)
@@ -91,14 +91,17 @@ def test_same_seed_same_bytes_other_seed_other_points(cloud):
 
 
 def test_both_ends_are_open(cloud):
-    """No point lies in the bore at either end: a lid would put some there."""
+    """Check that no point lies in the bore at either end, as points of a lid would."""
     for end in (cloud[cloud[:, 0] < 0.01], cloud[cloud[:, 0] > 0.95]):
         assert np.hypot(end[:, 1], end[:, 2] - 0.19).min() > 0.06
 
 
 def test_density(cloud):
-    """50,015 points on the one surface of 1.02 m2: a median spacing of 2.1 mm. The measured cloud spreads as
-    many over about 2.3 m2, both faces, at 3.2 mm; 15 % of its points are more than 5 mm from the next."""
+    """Check 50,015 points on the single surface of 1.02 m2, with a median spacing of 2.1 mm.
+
+    The measured cloud has as many on about 2.3 m2, both faces, at 3.2 mm; 15 % of its points are more than 5 mm from
+    the next.
+    """
     near = spacing(cloud)
     assert np.median(near) == pytest.approx(2.12e-3, abs=0.05e-3)
     assert (near > 5e-3).mean() == pytest.approx(0.020, abs=0.004)
@@ -116,7 +119,7 @@ def test_the_weld_is_equally_spaced_on_a_smooth_curve_through_its_knots():
 
 
 def test_the_weld_lies_near_the_wall(cloud):
-    """1.5 to 7.9 mm from the nearest point, median 4.8 (measured weld and cloud: 0.8 to 5.3, median 2.3)."""
+    """Distance to the nearest point: 1.5 to 7.9 mm, median 4.8 (measured weld and cloud: 0.8 to 5.3, median 2.3)."""
     distance = cKDTree(cloud).query(duct.weld())[0]
     assert distance.min() > 0.8e-3
     assert np.median(distance) == pytest.approx(4.8e-3, abs=0.2e-3)

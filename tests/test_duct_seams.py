@@ -1,4 +1,4 @@
-"""The seams of the generated duct: beads on its wall, by name, in any job and any sweep."""
+"""Seams of the generated duct: beads on its wall, available by name in any job and any sweep."""
 
 from pathlib import Path
 
@@ -27,7 +27,7 @@ beads = pytest.mark.parametrize("name", BEADS)
 def test_a_bead_lies_on_the_wall(name):
     assert np.abs(duct.section_value(seam(name))).max() < 1e-12
     near = cKDTree(duct.duct_cloud()).query(seam(name))[0]
-    assert np.median(near) < 2.5e-3 and near.max() < 10e-3  # as between the points of the cloud themselves
+    assert np.median(near) < 2.5e-3 and near.max() < 10e-3  # the same as the spacing of the cloud itself
 
 
 @beads
@@ -54,7 +54,7 @@ def test_beads_along_the_duct_begin_at_the_inlet_and_never_turn_back():
 
 
 def test_beads_along_a_side_keep_to_it():
-    """Seen from the inlet, z up, y points to the left."""
+    """Check the sides as seen from the inlet: z up, y to the left."""
     left, right, crown, invert = map(seam, ALONG[:4])
     np.testing.assert_allclose(right, left * (1, -1, 1), atol=1e-12)
     at = duct.section(left[:, 0])
@@ -87,7 +87,7 @@ def test_a_job_names_its_seam_in_a_file_of_any_folder_and_on_the_command_line(tm
     (tmp_path / "job.yaml").write_text("workpiece: {path: crown}\n")
     for job in (load_config(tmp_path / "job.yaml"), load_config(None, ["workpiece.path=crown"])):
         assert np.array_equal(workpiece_of(job.workpiece, gp50()).path, seam("crown"))
-        assert anchor_files(job.model_dump()) == []  # a seam is no file that a run would have to know
+        assert anchor_files(job.model_dump()) == []  # a seam is not a file that belongs to a run's identity
 
 
 def test_the_weld_is_a_seam_like_the_others():

@@ -1,4 +1,4 @@
-"""The engine: who else is in the batch has no influence, nothing compiles twice, one broken QP breaks one scenario."""
+"""Planning engine: results do not depend on the batch, nothing compiles twice, a failed QP fails one scenario only."""
 
 import itertools
 import threading
@@ -32,7 +32,7 @@ from htcp_jax.solvers.step_qp import QPSolution, QPStatus
 from htcp_jax.status import Status
 
 START = np.array([0.0, -2.3, 0.5, 0.0, 0.5, -2.0])
-# With one row and margin 0 the last bit of rounding decides who gets stuck.
+# With one row and margin 0 the last bit of rounding decides which scenarios get stuck.
 PAPER = Settings(**made_once.PAPER_CHOICES)
 COMPARED = ("x", "status", "clearance", "residual", "iterations", "escape", "path_clear")
 
@@ -60,7 +60,7 @@ def planned(request, scene, scenarios):
 
 @pytest.fixture
 def calls(monkeypatch):
-    """Every call of a kernel from now on: its name, its tables, and what came back."""
+    """Log of all further kernel calls: name, tables, and result."""
     run, made = Kernels.__call__, []
 
     def followed(self, kernel, *tables):
@@ -75,7 +75,7 @@ def calls(monkeypatch):
 @pytest.mark.parametrize("method", ["nspace-sqp", "cspace-sample"])
 @pytest.mark.parametrize("after_escape", ["accept", "track"])
 def test_which_phase_goes_first_has_no_influence(method, after_escape, scene, scenarios, calls, monkeypatch):
-    """On a GPU the one that most lanes are in, so that an escape's calls are fewer and fuller; on a CPU all of them."""
+    """Compare both orders: a GPU runs the phase with most lanes, with fewer, fuller calls; a CPU runs all phases."""
     settings = replace(PAPER, after_escape=after_escape)
     together, all_phases = plan(*scene, scenarios, method, settings, threads=1), list(calls)
     calls.clear()
@@ -87,7 +87,7 @@ def test_which_phase_goes_first_has_no_influence(method, after_escape, scene, sc
 
 
 def test_the_best_candidate_is_the_nearest_whose_path_is_clear():
-    """Of equals the first; one that is not clear only where none is; one not checked (-1) as if it were clear."""
+    """Check ties and path flags: the first of equal candidates wins, unchecked paths (-1) count as clear."""
     random = np.random.default_rng(0)
     for _ in range(200):
         owner = np.sort(random.integers(0, 4, 12))
@@ -103,7 +103,7 @@ def test_the_best_candidate_is_the_nearest_whose_path_is_clear():
 
 
 def test_a_walk_goes_on_from_where_it_came_to(scene, scenarios, calls):
-    """Every burst of null-space steps but the first begins where the one before it ended, and counts on from there."""
+    """Check that each chunk of null-space steps continues from the configuration and step count of the previous one."""
     plan(*scene, scenarios, "nspace-sqp", PAPER, threads=1)
     ends, longest = {}, 0
     for name, (inputs, *tables), result in calls:
@@ -132,7 +132,7 @@ def test_a_scenario_is_planned_the_same_to_the_last_bit_alone_in_a_batch_and_on_
 
 @pytest.mark.parametrize("method", ["nspace-sqp", "cspace-sample"])
 def test_an_engine_without_work_goes_on_with_lanes_of_another(method, scene, scenarios, monkeypatch):
-    """Whatever these are in the middle of."""
+    """Check equal results when lanes move between engines in any phase."""
     alone = plan(*scene, scenarios, method, PAPER, threads=1)
     left, leave = [], Work.leave
     monkeypatch.setattr(Work, "leave", lambda self, lanes: left.append(lanes) or leave(self, lanes))
@@ -144,7 +144,7 @@ def test_an_engine_without_work_goes_on_with_lanes_of_another(method, scene, sce
 
 @pytest.mark.parametrize("before_others_begin", [False, True])
 def test_an_engine_that_breaks_lets_the_others_end(before_others_begin, scene, scenarios, monkeypatch):
-    """They wait for lanes that it might leave; and it may break while none of them has begun."""
+    """Check that waiting engines end when one fails, also if it fails before the others have begun."""
     broken, advance, begun = threading.Event(), Engine._advance, ThreadPoolExecutor.submit
 
     def breaking(self, phase, lanes):
@@ -211,13 +211,13 @@ def test_a_setting_compiles_the_kernels_that_read_it_and_no_others(scene, scenar
     plan(*scene, scenarios[:2], "cspace-sample", replace(PAPER, samples=8))
     before = len(PROGRAMS)
     plan(*scene, scenarios[:2], "cspace-sample", replace(PAPER, samples=9))
-    assert len(PROGRAMS) == before + 1  # that of the samples
+    assert len(PROGRAMS) == before + 1  # the kernel that draws the samples
     plan(*scene, scenarios[:2], "cspace-sample", replace(PAPER, samples=9, max_null_space_steps=7, population=9))
     assert len(PROGRAMS) == before + 1
 
 
 def test_a_kernel_sees_no_setting_that_it_does_not_name():
-    """Else its programs, made for the settings that it names, would answer for others."""
+    """Check that reading an undeclared setting fails: programs are shared by declared settings only."""
     kernel = Kernel("mine", lambda settings, x: x + settings.alpha_rad + settings.samples, STEP, ("alpha_rad",))
     with pytest.raises(AttributeError, match="kernel 'mine' reads the setting samples, which it does not name"):
         kernel.of(PAPER)(1.0)
@@ -237,8 +237,11 @@ def test_programs_can_be_given_back(scene, scenarios):
 
 @pytest.mark.skipif(jax.default_backend() != "cpu", reason="a GPU launches a loop's kernels one by one")
 def test_on_a_cpu_a_kernel_is_one_native_function(planned):
-    """A library call in a loop, to LAPACK say, would have XLA dispatch its parts one by one: nothing else would
-    fail, and everything take twice the time. Those that every method needs, and the walks' way in."""
+    """Check the kernels that every method needs, and the start of self-motions, for loops outside native code.
+
+    A library call in a loop, for example to LAPACK, would make XLA dispatch its parts one by one. No other test would
+    fail, and everything would take twice the time.
+    """
     programs = PROGRAMS.of(PREPARE, ADVANCE, ADVANCE_SMALLEST, CHECK_PATH, ENTER)
     assert {kernel.name for kernel, _ in programs} >= {"prepare", "advance", "check_path"}
     for kernel, program in programs:
@@ -246,7 +249,7 @@ def test_on_a_cpu_a_kernel_is_one_native_function(planned):
 
 
 class Broken(ClarabelSolver):
-    """Clarabel that breaks down on every QP of the workpiece pose whose first target step is `victim`."""
+    """Clarabel solver that fails on every QP whose TCP step (right-hand side b) is `victim`."""
 
     victim: np.ndarray
 
@@ -258,7 +261,7 @@ class Broken(ClarabelSolver):
 
 def test_a_qp_that_breaks_down_fails_its_scenario_and_no_other(scene, scenarios, monkeypatch):
     whole = plan(*scene, scenarios[:3], "baseline", PAPER)
-    # Target 1 of scenario 1 is where its first real step goes.
+    # The first actual step of scenario 1 leads to target 1.
     Broken.victim = scenarios[1].targets[1] - whole.tcp[1, 0]
     monkeypatch.setattr(step_qps, "make_solver", lambda s, joints, rows, *_: Broken(2 * np.array(s.q_weights), rows))
     broken = plan(*scene, scenarios[:3], "baseline", PAPER)
@@ -288,7 +291,7 @@ def test_a_hundred_starts_in_one_call_are_planned_as_each_is_alone(scene, method
 
 
 def test_rows_of_many_places_come_in_their_order():
-    """Of two tables in turn, some places empty, each row as it would be taken by itself."""
+    """Compare rows gathered from two alternating tables, some selections empty, with plain concatenation."""
     rng = np.random.default_rng(0)
     tables = [(rng.normal(size=(9, 2)), rng.integers(0, 99, 9)) for _ in range(2)]
     places = [(tables[k % 2], rng.integers(0, 9, k % 4)) for k in range(1, 12)]

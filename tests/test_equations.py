@@ -1,4 +1,4 @@
-"""docs/equations.md: each equation of the paper has its row, and what a row names exists."""
+"""docs/equations.md: each equation of the paper has a row, and every name in a row exists."""
 
 import re
 from pathlib import Path
@@ -7,7 +7,7 @@ from pkgutil import resolve_name
 import pytest
 
 ROOT = Path(__file__).parents[1]
-# As LaTeX numbers the paper's source; letters are the lines of subequations.
+# Numbers as in the paper; letters are the lines of subequations.
 NUMBERS = "1 2 3 4 4a 4b 4c 4d 5 5a 5b 5c 6 7 8 9 10 11 11a 11b 11c".split()
 PAGE = (ROOT / "docs/equations.md").read_text(encoding="utf-8")
 TABLE = PAGE[PAGE.index("| equation |") : PAGE.index("## Readings")]
@@ -15,7 +15,7 @@ ROWS = [[cell.strip() for cell in line.split(" | ")] for line in TABLE.splitline
 FUNCTIONS = sorted(set(re.findall(r"\]\[htcp_jax\.([\w.]+)\]", PAGE)))
 TESTS = sorted(set(re.findall(r"`(test_\w+\.py)::(test_\w+)`", PAGE)))
 CITED = re.compile(r"[Ee]quations? \(?(\d+[a-d]?)\b(?:\)? (?:and|to) \(?(\d+[a-d]?)\b)?")
-OTHER_BOOKS = {"cma_es.py", "test_cma_es.py"}  # the tutorial on CMA-ES
+OTHER_BOOKS = {"cma_es.py", "test_cma_es.py"}  # these cite the tutorial on CMA-ES
 
 
 def test_the_table_has_the_papers_equations_in_their_order():

@@ -1,4 +1,4 @@
-"""Escapes one by one: each does what the paper's algorithm says, and none gives back what it may not."""
+"""Recovery strategies: each follows the paper's algorithm and returns only valid configurations."""
 
 from dataclasses import replace
 from functools import cache, partial
@@ -36,7 +36,7 @@ SETTINGS = Settings()
 
 @cache
 def jitted(function, settings):
-    """`function(scene, settings, ...)` compiled once for all tests."""
+    """`function(scene, settings, ...)`, compiled once for all tests."""
     return jax.jit(lambda scene, *rest: function(scene, settings, *rest))
 
 
@@ -57,7 +57,7 @@ def tcp(x):
 
 
 def stuck_places(count):
-    """(where, x, target): recorded configurations at which the baseline got stuck, or near them."""
+    """Yield (where, x, target) at or near recorded configurations at which the baseline got stuck."""
     for k in range(0, 200, 200 // count):
         where, x = place(k)
         yield where, x, jnp.asarray(tcp(x))
@@ -98,8 +98,10 @@ def test_j2_is_minus_D_plus_j1_on_a_step_of_length_alpha_in_the_null_space(setti
 
 
 def _predict(scene, settings, where, x_ref, seen_at, w):
-    """Values and gradients at w by the contacts seen at `seen_at` (R, D), one observation after the other, and the
-    gradients by central differences."""
+    """Predict values and gradients at w from the contacts observed at `seen_at` (R, D).
+
+    Also returns the gradients by central differences, the true values, and whether the contacts are planes.
+    """
     problem, _, reach = sphere_problem(scene, settings, where, x_ref)
     looks = [problem.observe(v)[1] for v in seen_at]
     seen = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *looks)
@@ -110,8 +112,11 @@ def _predict(scene, settings, where, x_ref, seen_at, w):
 
 
 def test_contacts_seen_predict_the_truth_where_they_were_seen_and_never_less_elsewhere(settings=PAPER):
-    """What is missing in the prediction are points not seen yet. (An end that leaves the hull through another facet, or
-    comes out of the interior, is the one exception: those contacts are left out here.)"""
+    """Check predictions: equal to the true value where observed and never less elsewhere, as they lack unseen points.
+
+    The only exception is an end that leaves the hull through another facet or leaves the interior: these contacts are
+    excluded here.
+    """
     loose = 0
     for where, x_ref, _ in stuck_places(8):
         first, second, other = jnp.asarray(directions(3))
@@ -139,7 +144,7 @@ _STEP = partial(null_space_step, _best_guess)
 
 
 def test_a_null_space_step_ends_on_the_target_and_says_how_clear_it_is():
-    """Algorithm 1, lines 11 to 13: a step of about alpha, re-anchored where it is off by more than the tolerance."""
+    """Algorithm 1, lines 11 to 13: a step of about alpha, re-anchored if the residual exceeds the tolerance."""
     better = []
     for where, x_ref, target in stuck_places(10):
         here = run(_STEP, where, Stuck(x_ref, target, jax.random.key(0)), x_ref, 0)
@@ -152,7 +157,7 @@ def test_a_null_space_step_ends_on_the_target_and_says_how_clear_it_is():
 
 
 def test_an_escape_begins_on_its_target_next_to_the_configuration_before():
-    """Algorithm 1, line 9: by the shortest joint motion, to first order, whatever is in the way."""
+    """Algorithm 1, line 9: the shortest joint motion, to first order, regardless of obstacles."""
     enter, robot = jax.jit(ENTER.of(SETTINGS)), made_once.robot()
     for where, x, target in stuck_places(4):
         ahead = target + jnp.array([0.0, 3e-3, 0.0])
@@ -180,7 +185,7 @@ def test_keep_clear_never_ends_worse_and_stays_on_the_target():
         here = run(keep_clear_ascent, where, x, target)
         assert here.clearance >= before and here.residual <= SETTINGS.tolerance_m
         np.testing.assert_allclose(here.clearance, D(where, here.x), atol=1e-14)
-        again = run(keep_clear_ascent, where, jnp.asarray(here.x), target)  # from where there is little left to gain
+        again = run(keep_clear_ascent, where, jnp.asarray(here.x), target)  # with little left to gain
         assert again.clearance >= here.clearance
         if before >= SETTINGS.keep_clear_m:
             np.testing.assert_array_equal(here.x, x)
@@ -195,7 +200,7 @@ def test_keep_clear_never_ends_worse_and_stays_on_the_target():
 
 
 def test_cspace_samples_are_feasible_and_move_joints_3_to_6_alone():
-    """+-1 rad on joint 3 and +-2 rad on the others, at most `samples` of them, the first feasible draws."""
+    """Check the first `samples` feasible draws within +-1 rad on joint 3 and +-2 rad on joints 4 to 6."""
     robot, obstacle = made_once.scene()[:2]
     for where, x, target in stuck_places(3):
         found = run(cspace_samples, where, Stuck(x, target, jax.random.key(1)))
@@ -218,7 +223,7 @@ def _nspace(scene, settings, where, stuck):
 
 
 def test_nspace_samples_walk_their_length_and_stay_on_the_target():
-    """Directions all over the null space, each walked at every length; about 25 steps far where the way is straight."""
+    """Check self-motions in random directions at each step length: about 25 steps long where they are straight."""
     for where, x, target in stuck_places(2):
         stuck = Stuck(x, target, jax.random.key(1))
         found = run(_nspace, where, stuck, settings=SHORT)
@@ -264,7 +269,7 @@ QUICK = replace(SHORT, population=8, generations=2)
 
 @pytest.mark.parametrize("name", STAGES)
 def test_every_stage_gives_what_its_kind_promises(name):
-    """A walk a configuration on the target; a sampler candidates, of which those that are done keep the margin."""
+    """A self-motion returns a configuration on the target; a sampler returns candidates, and those done are clear."""
     kernel = STAGES[name].kernel(0)
     where, x, target = next(stuck_places(1))
     lane = LaneInputs(*where, margin_m=0.0, tool_extension_m=0.0, number=0, target=target, row=0, round=0, seed=0)

@@ -1,4 +1,4 @@
-"""`htcp example`, and the names of examples in place of files."""
+"""Command `htcp example`, and names of examples in place of files."""
 
 import json
 from pathlib import Path
@@ -19,7 +19,7 @@ LOAD = {"htcp plan": load_config, "htcp sweep": load_sweep, "htcp place": load_s
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
-    """An empty working folder."""
+    """Empty working folder."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

@@ -1,4 +1,4 @@
-"""How commands end: the exit code at once, one line after Ctrl-C or SIGTERM in every phase, and nothing unfinished."""
+"""Exit of commands: prompt exit codes, one line after Ctrl-C or SIGTERM in any phase, and no unfinished files."""
 
 import json
 import os
@@ -25,7 +25,7 @@ from htcp_jax.runs.sweep import sweep
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="phases are seen in /proc")
 LIMIT_S = 30.0  # 5 on a quiet machine
-CODES = 0, 1, 3  # of commands that are done before a signal comes
+CODES = 0, 1, 3  # exit codes of commands that end before the signal
 WORDS = {
     "plan": "plan job.yaml --out out",
     "program": "program plan --feed 20mm/s --out out/weld.csv --check",
@@ -46,7 +46,7 @@ WORDS = {
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory) -> Path:
-    """A folder with jobs, a grid and its run; not to be changed."""
+    """Folder with jobs, a grid and its run; read-only."""
     folder = make(tmp_path_factory.mktemp("swept"))
     sweep(folder / "grid.yaml", "baseline", folder / "run")
     return folder
@@ -54,7 +54,7 @@ def swept(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def prepared(swept, tmp_path_factory) -> Path:
-    """A folder with what all commands take; not to be changed."""
+    """Folder with the inputs of all commands; read-only."""
     folder = tmp_path_factory.mktemp("prepared")
     shutil.copytree(swept, folder, dirs_exist_ok=True)
     for words in ("plan job.yaml --out plan", "gate run --baseline baseline.yaml --bless"):
@@ -80,7 +80,7 @@ def environment(**more: str) -> dict[str, str]:
 
 
 def start(here: Path, words: str, **more: str) -> subprocess.Popen:
-    """The command, running in a folder whose `tmp` has its temporary files."""
+    """Start a command in a folder whose `tmp` gets its temporary files."""
     (here / "tmp").mkdir(exist_ok=True)
     given, pipe = environment(TMPDIR=str(here / "tmp"), **more), subprocess.PIPE
     command = [sys.executable, "-m", "htcp_jax", *words.split()]
@@ -113,10 +113,10 @@ def contents(folder: Path) -> set[str]:
 
 
 def ended(here: Path, process: subprocess.Popen, numbers: Sequence[int], began: float) -> None:
-    """Check what a signal leaves of a process, and of its files."""
+    """Check exit code, message and files of a process after a signal."""
     _, errors = process.communicate(timeout=LIMIT_S)
     assert time.monotonic() - began < LIMIT_S
-    if process.returncode in CODES:  # it was done already
+    if process.returncode in CODES:  # it ended before the signal
         return
     assert process.returncode == 128 + numbers[0], errors
     (line,) = sweep_process.without_progress(errors)
@@ -152,7 +152,7 @@ def test_a_signal_while_modules_load_is_one_line(here, phase, number):
 
 
 def compiles(here: Path) -> Callable:
-    """Wait until a program is compiled, for which there is a lock in the folder of compiled programs."""
+    """Wait until a program is being compiled, which creates a lock in the folder of compiled programs."""
     return lambda process: wait(process, lambda: any((here / "cache").glob("*.lock")))
 
 
@@ -206,7 +206,7 @@ def test_a_stopped_reachability_keeps_what_it_found_marked_as_incomplete(here, m
 
 
 def test_a_process_ends_with_its_code_while_a_thread_is_at_work():
-    """As C++ threads of libraries are at the end, which the interpreter's own end makes abort."""
+    """Check the exit code with a running thread: the interpreter's own shutdown can abort C++ threads of libraries."""
     code = (
         "import atexit, threading, time\nfrom htcp_jax.process_exit import run\n"
         "atexit.register(print, 'closed')\nthreading.Thread(target=time.sleep, args=(600,)).start()\nrun(lambda: 3)"
@@ -253,7 +253,7 @@ def test_a_viewer_that_serves_ends_as_other_commands_do(all_here, number):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("command", WORDS)
 def test_a_signal_in_any_phase_of_any_command_is_one_line(all_here, command, number):
-    """While the entry point starts, while modules load, while programs are compiled, at work, and near the end."""
+    """Send a signal at the start, while modules load, while programs are compiled, during work, and near the end."""
     began = time.monotonic()
     if command != "view":
         process = start(all_here, WORDS[command])
@@ -264,14 +264,14 @@ def test_a_signal_in_any_phase_of_any_command_is_one_line(all_here, command, num
     waits = [lambda _, share=share: time.sleep(share * took) for share in (0.4, 0.7, 0.9, 1.0)]
     for phase in (handled, imports, *waits):
         interrupt(all_here, WORDS[command], phase, number)
-        shutil.rmtree(all_here / "out", ignore_errors=True)  # of a command that was done already
+        shutil.rmtree(all_here / "out", ignore_errors=True)  # left by a command that ended before the signal
     interrupt(all_here, WORDS[command], lambda _: time.sleep(1.5 * took), number, HTCP_CACHE=str(all_here / "cache"))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", ["validate", "report", "gate"])
 def test_commands_that_read_a_run_never_abort(all_here, command):
-    """They did in 8 of 40 runs, when all was written."""
+    """Regression: they aborted in 8 of 40 runs, after all output was written."""
     for _ in range(int(os.environ.get("HTCP_ENDS", "40"))):
         process = start(all_here, WORDS[command])
         _, errors = process.communicate()

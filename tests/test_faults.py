@@ -1,5 +1,8 @@
-"""What may befall a sweep from outside, for real: signals, kill -9, a full and a read-only disk, a second sweep on its
-folder. Continuing always gives the bytes of an undisturbed run. Ray's faults are in test_sweep_ray.py."""
+"""Fault tolerance of sweeps: a resumed sweep gives the same bytes as an undisturbed one.
+
+The faults are real: signals, kill -9, a full and a read-only disk, a second sweep on the same folder. For faults of Ray
+see test_sweep_ray.py.
+"""
 
 import dataclasses
 import random
@@ -26,7 +29,7 @@ KILLS = 20
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory) -> dict[str, bytes]:
-    """The row files of a sweep that nothing befell."""
+    """Row files of an undisturbed sweep."""
     folder = tmp_path_factory.mktemp("undisturbed")
     make_sweep(folder)
     return rows(sweep(folder / "grid.yaml", "baseline", folder / "run", shard_scenarios=1).folder)
@@ -40,7 +43,7 @@ def here(tmp_path, monkeypatch):
 
 
 def wait_for_rows(process: subprocess.Popen, folder: Path, count: int) -> None:
-    """Until the run folder holds so many row files, or the sweep has ended."""
+    """Wait until the run folder has `count` row files, or the sweep has ended."""
     while process.poll() is None and len(list(folder.glob("*/*.parquet"))) < count:
         time.sleep(0.002)
 
@@ -76,16 +79,16 @@ def test_a_signal_before_anything_is_finished_leaves_nothing(here):
 
 
 def killed_somewhere(here: Path, out: str, draw: random.Random) -> None:
-    """Begin the sweep into `out` and kill it: a random time after a random number of files is written."""
+    """Start the sweep into `out` and kill it a random time after a random number of files is written."""
     with start(here, out) as process:
         wait_for_rows(process, here / out, draw.randrange(2 * SHARDS))
         time.sleep(draw.uniform(0.0, 0.05))
         process.kill()
-    assert process.returncode in (-signal.SIGKILL, 0)  # 0: it was done already
+    assert process.returncode in (-signal.SIGKILL, 0)  # 0: it ended before
 
 
 def goes_on_to(here: Path, out: str, undisturbed: dict[str, bytes]) -> None:
-    """The same sweep, called again, completes to the same bytes."""
+    """Check that the same sweep, called again, completes with the same bytes."""
     run = sweep(here / "grid.yaml", "baseline", here / out, shard_scenarios=1)
     assert run.complete and rows(run.folder) == undisturbed
     assert not list(run.folder.glob(".part-*"))
@@ -128,7 +131,7 @@ def mount(*words: str) -> None:
 
 @pytest.fixture
 def mounted(here):
-    """An empty folder to mount something on."""
+    """Empty folder as a mount point."""
     folder = here / "disk"
     folder.mkdir()
     yield folder
@@ -158,11 +161,11 @@ def test_on_a_read_only_disk_a_sweep_writes_nothing_and_a_finished_run_is_read(m
     assert open_run(mounted / "run").scenarios().num_rows == SHARDS
 
 
-# One scenario among others
+# One failing scenario in a batch
 
 
 def test_a_scenario_that_is_not_a_number_fails_and_the_others_are_as_without_it(here):
-    """A margin of 1e300 m, which no configuration may ask for, overflows the step QP of its own scenario."""
+    """A margin of 1e300 m, which no job file may request, overflows the step QPs of its own scenario only."""
     asked = load_sweep({"config": "job.yaml", "grid": [{"margin_m": [0, 0.0001, 0.0002]}]}).batch()
     odd = dataclasses.replace(asked.scenarios, margin_m=np.array([0.0, 1e300, 0.0002]))
     good, bad = (batch.plan(asked.robot, asked.workpiece, each, "baseline") for each in (asked.scenarios, odd))

@@ -1,4 +1,4 @@
-"""The front of a roadmap: what is kept at a target is far apart and the best there is, and a way costs what it is."""
+"""Beam of the roadmap search: the best, mutually distant configurations per target, and exact path costs."""
 
 from itertools import pairwise
 
@@ -26,7 +26,7 @@ def at(x) -> Posture:
 
 @st.composite
 def of_searches(draw, least=0):
-    """Postures, and of which search each is, search by search."""
+    """Strategy for configurations and the search of each, sorted by search."""
     parts = [draw(st.lists(st.tuples(numbers, numbers), min_size=least, max_size=12)) for _ in range(EACH)]
     return array(x for part in parts for x in part), np.repeat(np.arange(EACH), [len(part) for part in parts])
 
@@ -42,12 +42,12 @@ def test_the_best_has_the_fewest_dwells_and_then_the_least_cost(ranks):
     order = best_first(Nodes(at([(0, 0)] * len(zero)), zero, zero, zero > 0, zero, dwells, cost), search)
     assert sorted(order) == list(range(len(ranks)))
     ranked = [(search[k], dwells[k], cost[k], k) for k in order]
-    assert ranked == sorted(ranked)  # of equals the one found first
+    assert ranked == sorted(ranked)  # ties are broken by the order of discovery
 
 
 @given(of_searches(), st.floats(0.01, 1.0), of_searches())
 def test_of_close_postures_the_first_is_kept_and_all_that_are_kept_are_apart(given_, apart, known):
-    """Search by search, with room for all: one after the other, as one would by hand."""
+    """Compare with a plain loop, with a beam wide enough for all."""
     x, search = given_
     kept = dispersed(x, search, len(x), apart, known)
     expected = []
@@ -62,8 +62,10 @@ def test_of_close_postures_the_first_is_kept_and_all_that_are_kept_are_apart(giv
 
 @given(of_searches(least=1), st.floats(0.01, 0.5), st.integers(1, 6))
 def test_where_there_are_too_many_those_far_from_each_other_are_kept(given_, apart, most):
-    """Farthest-point selection: none that is left out is further from those kept than these are from each other. The
-    best is among them."""
+    """Check farthest-point selection, which always keeps the best.
+
+    No excluded configuration is further from the kept ones than these are from each other.
+    """
     x, search = given_
     every, kept = dispersed(x, search, len(x), apart), dispersed(x, search, most, apart)
     assert [k for k in every if k in kept] == kept.tolist()
@@ -79,7 +81,7 @@ def test_nothing_is_kept_of_what_is_known_already():
     none = x[:0], one[:0]
     assert dispersed(x, one, 5, 0.1, (x, one)).size == 0 == dispersed(*none, 5, 0.1).size
     assert dispersed(x, one, 5, 0.1, (x[:1], one[:1])).tolist() == [1]
-    assert dispersed(x, one, 5, 0.1, (x, one + 1)).tolist() == [0, 1]  # of another search
+    assert dispersed(x, one, 5, 0.1, (x, one + 1)).tolist() == [0, 1]  # known to another search only
     assert dispersed(x, one, 1, 0.1, (array([(0.5, 0)]), one[:1])).tolist() == [0]
 
 
@@ -88,7 +90,7 @@ legs = st.lists(st.tuples(st.booleans(), postures), min_size=1, max_size=6)
 
 @given(st.tuples(numbers, numbers), legs)
 def test_a_way_costs_the_squares_of_its_steps_and_has_the_dwells_of_its_parts(start, legs):
-    """Of a leg that is walked every posture is a step, of one that is fed its end alone."""
+    """Compare costs with plain sums: a self-motion counts all its configurations, a process segment only its end."""
     tree, passed, dwells = BeamTree(2), [start], 0
     here = tree.plant(at([start]), -1)
     for is_walked, leg in legs:

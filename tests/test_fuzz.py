@@ -1,5 +1,7 @@
-"""A few hundred of the inputs of `make fuzz`, and the attacks that a random change would not find: no file executes
-code, names a file outside its folder, or asks for more time or memory than it is worth."""
+"""Malformed and malicious input: a few hundred inputs of `make fuzz`, and attacks that random changes do not find.
+
+No file executes code, opens a file outside its folder, or takes a disproportionate amount of time or memory.
+"""
 
 import ctypes
 import io
@@ -29,7 +31,7 @@ def test_no_input_brings_about_more_than_a_result_or_a_line(name, tmp_path):
 
 
 def test_no_results_bring_about_more_than_a_result_or_a_line(tmp_path):
-    """In one folder, so that the run is planned once."""
+    """Fuzz all readers of results in one folder, so that the run is planned once."""
     for name in ("manifest", "row file", "plan"):
         assert sum(fuzz(name, INPUTS // 2, 0, tmp_path)) >= INPUTS // 2
 
@@ -75,7 +77,7 @@ def test_numbers_and_words_are_those_of_yaml_1_2(tmp_path):
 
 
 class Watch:
-    """Which files of a folder are opened, by inotify: MuJoCo opens files without Python."""
+    """Detector of opened files in a folder, by inotify, as MuJoCo opens files without Python."""
 
     OPENED = 0x20
 
@@ -93,7 +95,7 @@ class Watch:
 
 @pytest.fixture
 def outside(tmp_path):
-    """A folder beside the model's with files worth reading, watched."""
+    """Watched folder next to the model's, with readable files."""
     folder = tmp_path / "outside"
     folder.mkdir()
     (folder / "part.xml").write_text("<mujoco><worldbody><body name='stranger'/></worldbody></mujoco>")
@@ -126,7 +128,7 @@ def test_an_include_cannot_leave_the_models_folder(tmp_path, outside, way):
 
 @pytest.mark.parametrize("way", WAYS_OUT)
 def test_no_file_that_a_model_names_is_opened(tmp_path, outside, way):
-    """Meshes, textures and height fields are ignored, where they are too."""
+    """Meshes, textures and height fields are ignored, even if the files exist."""
     folder, watch = outside
     at = way.format(outside=folder)
     assets = f'<mesh name="m" file="{at}m.obj"/><texture name="t" type="2d" file="{at}t.png"/>'
@@ -225,6 +227,6 @@ def test_a_pickle_among_a_plans_arrays_is_never_run(tmp_path):
 def test_a_mesh_that_names_a_file_outside_does_not_open_it(tmp_path, outside):
     folder, watch = outside
     (tmp_path / "a.obj").write_text("mtllib ../outside/m.obj\n" + (folder / "m.obj").read_text())
-    assert watch.opened()  # that was us
+    assert watch.opened()  # opened by this test
     load_cloud(tmp_path / "a.obj", spacing=1.0)
     assert not watch.opened()

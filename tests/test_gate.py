@@ -1,4 +1,4 @@
-"""The gate: what stands as it stood passes, what is worse or missing or unreadable fails, time never counts."""
+"""Regression gate: an unchanged run passes; a worse, missing or unreadable one fails; planning time never counts."""
 
 import json
 import shutil
@@ -16,7 +16,7 @@ from htcp_jax.status import Status
 from htcp_jax.validation.baseline import Baseline, read_baseline
 
 PASSED, REGRESSION, BAD_INPUT = 0, 1, 2
-TARGETS = 19  # of each of the four scenarios
+TARGETS = 19  # per scenario, in all four scenarios
 
 
 def write_reachability(run, prefix, resolution_rad=0.1):
@@ -26,7 +26,7 @@ def write_reachability(run, prefix, resolution_rad=0.1):
 
 @pytest.fixture(scope="session")
 def blessed(planned):
-    """The small run that knows what is reachable, and its baseline."""
+    """Small run with its reachability, and its baseline."""
     run = shutil.copytree(planned / "run", planned / "with-reachability")
     write_reachability(run, [TARGETS] * 4)
     assert main(["gate", str(run), "--baseline", str(planned / "baseline.yaml"), "--bless"]) == PASSED
@@ -35,13 +35,13 @@ def blessed(planned):
 
 @pytest.fixture
 def run(blessed, tmp_path):
-    """A copy of the run that a test may spoil."""
+    """Copy of the run that a test may damage."""
     return shutil.copytree(blessed / "with-reachability", tmp_path / "run")
 
 
 @pytest.fixture
 def baseline(blessed, tmp_path):
-    """A copy of the baseline that a test may edit."""
+    """Copy of the baseline that a test may edit."""
     return shutil.copy(blessed / "baseline.yaml", tmp_path / "baseline.yaml")
 
 
@@ -50,7 +50,7 @@ def gate(run, baseline, *options) -> int:
 
 
 def outcome(run, baseline, capsys) -> dict:
-    """The verdict as JSON, which must agree with the exit code."""
+    """Verdict as JSON; checked against the exit code."""
     code = gate(run, baseline, "--json")
     verdict = json.loads(capsys.readouterr().out)
     assert code == (PASSED if verdict["passed"] else REGRESSION)

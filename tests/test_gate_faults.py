@@ -1,7 +1,7 @@
-"""The gate notices a fault in each part that a plan rests on.
+"""Sensitivity of the regression gate: it detects a fault in each part that a plan depends on.
 
-Every fault is seeded where the number is computed, in a process of its own that then plans the same small sweep: no
-program compiled without the fault can hide it, as programs on disk are found by what they compute.
+Every fault is injected where the number is computed, in a process of its own that then plans the same small sweep.
+Cached programs cannot hide a fault, as the cache identifies programs by what they compute.
 """
 
 import os
@@ -88,7 +88,7 @@ PLANNED_BY = {fault: "nspace-sqp" if fault in ("escape", "J1's weight") else "ba
 
 
 def plan(place: Path, method: str, out: str, fault: str = "") -> Path:
-    """The run of the sweep, planned in a process of its own."""
+    """Plan the sweep in a separate process, with a fault or without; return its run folder."""
     command = ["sweep", "grid.yaml", "--methods", method, "--out", out]
     program = f"{fault}\nfrom htcp_jax.cli.main import main\nraise SystemExit(main({command}))"
     environment = os.environ | {"PYTHONPATH": str(Path(htcp_jax.__file__).parents[1])}
@@ -99,7 +99,7 @@ def plan(place: Path, method: str, out: str, fault: str = "") -> Path:
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """Nine of the gated poses under the gated choices, and their baselines."""
+    """Folder with nine of the gated poses under the gated settings, and their baselines."""
     place = tmp_path_factory.mktemp("faults")
     (place / "grid.yaml").write_text(GRID)
     for method in dict.fromkeys(PLANNED_BY.values()):

@@ -1,4 +1,4 @@
-"""The gate's files for CI: JUnit XML as junitparser reads it, Markdown as markdown-it does, annotations of GitHub."""
+"""Gate output for CI: JUnit XML as read by junitparser, Markdown as read by markdown-it, GitHub annotations."""
 
 import json
 import resource
@@ -31,7 +31,7 @@ READER = MarkdownIt("commonmark").enable(["table", "strikethrough"])
 
 @pytest.fixture(scope="module")
 def place(planned, tmp_path_factory):
-    """The small run, its baseline, and a run that is worse: two scenarios end earlier, one by a single target."""
+    """Folder with the small run, its baseline, and a worse run: two scenarios end earlier, one by a single target."""
     place = tmp_path_factory.mktemp("gate")
     run, worse = (shutil.copytree(planned / "run", place / name) for name in ("run", "worse"))
     end_early(worse, 2, 12, Status.QP_INFEASIBLE)
@@ -47,7 +47,7 @@ def verdict(place):
 
 @pytest.fixture(autouse=True)
 def no_actions(monkeypatch):
-    """As on a machine of one's own, where the tests themselves may run on GitHub Actions."""
+    """Unset GITHUB_ACTIONS, as the tests may run on GitHub Actions themselves."""
     monkeypatch.delenv("GITHUB_ACTIONS", raising=False)
 
 
@@ -56,7 +56,7 @@ def gate(place, run, *options) -> int:
 
 
 def texts(markdown_text: str) -> list[str]:
-    """Contents of all cells, paragraphs and headings, each of which must hold nothing but text."""
+    """Contents of all cells, paragraphs and headings; anything but plain text becomes `?`."""
     tokens = READER.parse(markdown_text)
     assert "html_block" not in {token.type for token in tokens}
     shown = {"text": str, "strong_open": lambda _: "", "strong_close": lambda _: ""}

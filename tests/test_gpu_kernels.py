@@ -1,7 +1,7 @@
-"""What a GPU runs as one kernel, interpreted here: against what a CPU runs, against answers known, and others' solvers.
+"""GPU kernels, interpreted: equal to the CPU code, to known solutions, and to other solvers.
 
-How a sum over rows is rounded is all that tells the interior point methods apart. Near the end it is what steers them:
-a QP whose rows are written down in another order ends as far away.
+The interior point methods differ only in the rounding of sums over rows. Near the end rounding decides their steps:
+reordering the rows of a QP changes the result as much.
 """
 
 from functools import partial
@@ -29,7 +29,7 @@ by_xla = jax.jit(jax.vmap(solve_dense))
 
 
 def random_qps(n, m, count=64, seed=0):
-    """Strictly convex, with 0 strictly inside: H (count, n, n), c, G, h."""
+    """Strictly convex QPs with 0 strictly feasible: H (count, n, n), c, G, h."""
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(count, n, n))
     H = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(n)
@@ -37,7 +37,7 @@ def random_qps(n, m, count=64, seed=0):
 
 
 def residuals(qps, found: DenseSolution):
-    """What the conditions of Karush, Kuhn and Tucker are violated by, in numpy: (count, 4)."""
+    """Violations of the KKT conditions, in numpy (count, 4)."""
     H, c, G, h = qps
     y, multipliers = np.asarray(found.y), np.asarray(found.multipliers)
     room = h - np.einsum("bmn,bn->bm", G, y)
@@ -59,7 +59,7 @@ def test_the_interior_point_kernel_ends_where_the_loops_of_xla_do(n, m):
 @pytest.mark.parametrize("degenerate", [False, True])
 @pytest.mark.parametrize("n", [2, 3, 5])
 def test_the_interior_point_kernel_finds_the_answer_that_a_qp_was_built_from(n, degenerate):
-    """With rows nearly active the answer is ill-conditioned, and the objective is not."""
+    """Compare objectives: with nearly active rows the minimiser is ill-conditioned, the objective is not."""
     rng = np.random.default_rng(n)
     made = [dense_answer(rng, n, 40, degenerate) for _ in range(20)]
     H, c, G, h, y = (np.array(part) for part in zip(*made, strict=True))
@@ -81,7 +81,7 @@ def test_the_interior_point_kernel_agrees_with_another_solver(name):
 
 
 def test_rows_that_say_the_same_or_nothing_do_not_mislead_the_kernel():
-    """Each row twice, rows of zeros, and limits out of reach: the answer stays. A limit at infinity is for neither."""
+    """Duplicate rows, zero rows, and inactive limits do not change the solution; infinite limits behave as on a CPU."""
     H, c, G, h = random_qps(3, 10)
     plain = by_xla(H, c, G, h).y
     more = np.concatenate([G, G, 0 * G, G], axis=1), np.concatenate([h, h, h, 0 * h + 1e3], axis=1)
@@ -102,7 +102,7 @@ def test_the_interior_point_kernel_keeps_its_best_iterate_where_rounding_ends_it
 
 
 def test_a_lane_of_the_interior_point_kernel_does_not_notice_the_others():
-    """Alone, among others, and under two vmaps: the same bits."""
+    """Compare a lane alone, in a batch, and under two vmaps: the same bits."""
     qps = random_qps(3, 20, count=6)
     together = by_kernel(*qps)
     twice = jax.jit(jax.vmap(jax.vmap(one_by_kernel)))(*(part.reshape(2, 3, *part.shape[1:]) for part in qps))
@@ -114,7 +114,7 @@ def test_a_lane_of_the_interior_point_kernel_does_not_notice_the_others():
 
 
 def test_a_gpu_gets_the_kernels_and_a_cpu_what_it_had(monkeypatch):
-    """By what is traced: that is when it is decided."""
+    """Count the kernels in the traced program, as the choice is made when tracing."""
     qp = [part[0] for part in random_qps(3, 20)]
 
     def kernels():
@@ -136,7 +136,7 @@ def square_roots(C):
 
 
 def covariances(n, count=50):
-    """Symmetric and positive definite, up to a condition of 1e6; diagonal ones and equal eigenvalues among them."""
+    """Symmetric positive definite matrices up to condition 1e6, including diagonal ones and equal eigenvalues."""
     rng = np.random.default_rng(n)
     turn = np.linalg.qr(rng.normal(size=(count, n, n)))[0]
     C = turn * 10.0 ** rng.uniform(-4, 2, (count, 1, n)) @ turn.transpose(0, 2, 1)
@@ -169,14 +169,14 @@ def test_the_longest_component_of_each_axis_is_positive_whatever_the_order_of_th
 
 
 def test_a_covariance_that_is_none_gives_finite_axes():
-    """A matrix with a negative eigenvalue by rounding is taken for the nearest one that has none."""
+    """Check a matrix with an eigenvalue that rounding made negative: it is replaced by the nearest valid one."""
     axes, whiten = square_roots(np.array([[[1.0, 1.0], [1.0, 1.0 - 1e-15]], [[0.0, 0.0], [0.0, 0.0]]]))
     assert np.isfinite(axes).all() and np.isfinite(whiten).all()
 
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_generation_by_the_gpus_formulas_is_that_of_the_cpu_but_for_signs(monkeypatch, seed):
-    """From the same samples: mean, step size, covariance and paths to rounding."""
+    """Compare mean, step size, covariance and paths from the same samples, to rounding."""
     rng, r = np.random.default_rng(seed), cma_es.rates(20, 3)
     state = cma_es.start(jnp.array([1.0, -2.0, 0.5]), 0.3)._replace(C=jnp.asarray(covariances(3)[seed + 5]))
     samples, cost = rng.normal(size=(20, 3)), rng.normal(size=20)

@@ -1,4 +1,4 @@
-"""Sweep files: what a grid spells, and one line for whatever is wrong in it."""
+"""Sweep files: the scenarios of a grid, and one-line errors for mistakes."""
 
 from pathlib import Path
 
@@ -90,7 +90,7 @@ def test_scenarios_of_one_batch_may_differ_in_path_tool_and_pose(tmp_path):
 
 
 def test_scenarios_with_one_start_begin_where_their_own_arm_tool_and_task_have_them_begin(tmp_path):
-    """What several scenarios share is looked up once: each is what it would be alone."""
+    """Compare with single scenarios: shared parts are computed once, and each scenario is the same as alone."""
     file = written(
         tmp_path,
         "grid:\n"
@@ -101,7 +101,7 @@ def test_scenarios_with_one_start_begin_where_their_own_arm_tool_and_task_have_t
         "  - start_rad.3: [0.5, 0.4]\n",
     )
     batch = load_sweep(file, {"task": [{"point": "tcp", "on": "path"}]}).batch()
-    assert len({row.tobytes() for row in batch.scenarios.targets[:, 0]}) == 16  # of 32, in two poses
+    assert len({row.tobytes() for row in batch.scenarios.targets[:, 0]}) == 16  # of 32 scenarios
     for point in batch.points:
         _, _, alone = scene(point.config)
         np.testing.assert_array_equal(batch.scenarios.targets[point.number], alone.targets)

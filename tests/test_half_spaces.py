@@ -28,7 +28,7 @@ def crossed(normal, offset, points, asked=None, vertices=None):
 
 
 def points_about(normal, offset, count):
-    """Points everywhere about the duct, and points from 1e-12 m to 0.1 m on either side of a facet."""
+    """Random points around the duct, and points 1e-12 m to 0.1 m from a facet, on either side."""
     cloud = made_once.duct().cloud
     everywhere = RNG.uniform(cloud.min(0) - 0.3, cloud.max(0) + 0.3, (count, 3))
     facet = RNG.integers(len(normal), size=count)
@@ -60,7 +60,7 @@ def test_a_point_not_asked_about_has_crossed_nothing():
 
 
 def test_one_point_near_the_boundary_does_not_change_the_others():
-    """The exact measurement is made for all points as soon as one needs it: the other answers must not depend on it."""
+    """Check other points: if one point needs the exact evaluation, all get it, and their results must not change."""
     normal, offset = duct_hull()
     middle = made_once.duct().cloud.mean(0)
     far = middle + 3.0
@@ -135,7 +135,7 @@ def test_a_depth_is_never_more_than_the_true_one():
 @pytest.mark.parametrize("kernel", [pytest.param(True, marks=NEEDS_KERNEL), False])
 @pytest.mark.parametrize("ask", [crossed_facets, depths])
 def test_a_gpu_finds_the_same_with_a_kernel_and_without(ask, kernel, monkeypatch):
-    """Of many points side by side, some of them asked about; the kernel is interpreted, as there is no GPU here."""
+    """Compare a batch of points, some requested; the kernel is interpreted, as there is no GPU here."""
     normal, offset = duct_hull()
     hull = half_spaces(normal, offset, made_once.duct().hull_vertices)
     points = jnp.asarray(points_about(normal, offset, 200)).reshape(25, 16, 3)
@@ -145,4 +145,4 @@ def test_a_gpu_finds_the_same_with_a_kernel_and_without(ask, kernel, monkeypatch
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     monkeypatch.setattr(module, "has_gpu", lambda: kernel)
     monkeypatch.setattr(module, "highest", partial(highest, interpret=True))
-    np.testing.assert_allclose(find(hull, points, asked), expected, rtol=0, atol=1e-7)  # what a core knows is 32-bit
+    np.testing.assert_allclose(find(hull, points, asked), expected, rtol=0, atol=1e-7)  # the kernel uses 32-bit values

@@ -1,5 +1,7 @@
-"""A motion begins at home, at the start that was given or at one that is chosen, and goes back there; and the approach
-leaves its lines where these lead nowhere. By brute force, every motion is looked at place by place."""
+"""Home configuration, start and approach: motions begin and end at home, and approaches avoid infeasible lines.
+
+A start is given or chosen. All motions are checked at sampled points by brute force.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -27,7 +29,7 @@ def at_home(number, rotation=(0.4, 0.1), start=None, targets=4, **changes):
 
 @cache
 def begun():
-    """A start that is chosen, one that is given, and no home at all; together."""
+    """Scenarios with chosen starts, a given start, and no home, and their plans from one batch."""
     scenarios = at_home(0), at_home(1, start=made_once.START), first_of(scenario(2), 14), at_home(3, (0.2, -0.3))
     return scenarios, roadmap(scenarios, threads=1)
 
@@ -53,7 +55,7 @@ def test_a_chosen_start_is_at_the_first_point_of_the_path():
 
 
 def test_a_start_that_was_given_is_passed_on_the_way_from_home():
-    """Also where the motion is smoothed, which moves all else."""
+    """Check this also for a smoothed motion, where all other points move."""
     scenarios, plans = begun()
     smoothed = roadmap(scenarios, replace(SMALL, smooth=True), threads=1)
     for found in (plans, smoothed):
@@ -82,7 +84,7 @@ def test_who_else_begins_at_home_has_no_influence(threads):
 
 
 def test_any_method_begins_at_home():
-    """What it tracks from its start is what it tracks from there; only the way to the first target is another."""
+    """Compare with a plan without home: only the segment to the first target differs."""
     one = at_home(0, start=made_once.START)
     without = replace(one, x_home=one.x_start)
     from_start, from_home = (plan(made_once.robot(), made_once.duct(), s, "baseline", SMALL) for s in (without, one))
@@ -92,11 +94,11 @@ def test_any_method_begins_at_home():
 
 
 def test_a_home_from_which_there_is_no_way_is_a_scenario_with_that_reason():
-    """Those beside it are planned as ever."""
+    """Check the status of each scenario, and that a valid scenario in the same batch is unaffected."""
     collides = at_home(5, start=made_once.START)
     collides = replace(collides, x_home=np.array(TOUCHES))
     starts_in_it = at_home(6, start=TOUCHES)
-    nowhere = at_home(7, margin_m=0.5)  # no posture keeps so far from the part
+    nowhere = at_home(7, margin_m=0.5)  # no configuration keeps this margin
     fine, plans = begun()
     found = roadmap([collides, starts_in_it, nowhere, fine[2]])
     ends = Status.HOME_IN_COLLISION, Status.START_IN_COLLISION, Status.NO_START
@@ -112,7 +114,7 @@ def test_a_home_in_collision_is_named_with_its_body_and_depth():
 
 
 def off_its_lines(number, rotation=(0.4, 0.1)):
-    """By its straight lines the way to the path leads beyond the reach of the arm."""
+    """Scenario whose straight approach leads beyond the reach of the arm."""
     one = first_of(scenario(number, rotation), 16)
     targets = one.targets.copy()
     targets[5] = 9.0
@@ -120,7 +122,10 @@ def off_its_lines(number, rotation=(0.4, 0.1)):
 
 
 def test_an_approach_leaves_its_lines_where_these_lead_nowhere():
-    """By a proven way through free space: its targets are the path's first point then. Nobody else's approach does."""
+    """Check the replacement by a proven motion through free space, and that feasible approaches stay unchanged.
+
+    The targets of the new approach are the first point of the path.
+    """
     scenarios = off_its_lines(0), first_of(scenario(1), 16), off_its_lines(2, (0.2, -0.3))
     plans = roadmap(scenarios, threads=1)
     assert (plans.executable == plans.exists).all() and not transfers(plans).any()
@@ -134,7 +139,7 @@ def test_an_approach_leaves_its_lines_where_these_lead_nowhere():
         np.testing.assert_allclose(plans.tcp[s], asked, atol=SMALL.tolerance_m)
         there = motion(plans, s, first)
         assert (there.kind[there.target < first] == Kind.APPROACH).all()
-    assert (scenarios[0].targets[5] == 9).all()  # what was asked for is what it was
+    assert (scenarios[0].targets[5] == 9).all()  # the scenario itself is unchanged
     same(plans, 2, roadmap(scenarios[2:], threads=1), 0, 16)
     same(plans, 1, roadmap(scenarios[1:], threads=2), 0, 16)
 
@@ -142,8 +147,10 @@ def test_an_approach_leaves_its_lines_where_these_lead_nowhere():
 @pytest.mark.slow
 @pytest.mark.parametrize("how", [{"start_rad": "auto"}, {}, {"method": "baseline", "start_rad": "auto"}])
 def test_a_stranger_s_arm_goes_behind_a_rib_from_home_and_mujoco_refutes_nothing(tmp_path, how):
-    """A part for which nothing was prepared: the start is chosen behind the rib; or the straight lines of the approach
-    lead through it, and the approach leaves them."""
+    """Check a user-supplied part: the start is chosen behind the rib, or the approach avoids the rib.
+
+    The straight lines of the approach would lead through it.
+    """
     home = {"home_rad": [0.0, -2.4, 2.3, 0.0, -1.57, 0.0]}
     made = htcp_jax.plan(car_job(tmp_path), {"method": "roadmap", **home, **how})
     made.save(tmp_path / "out", retract=True)

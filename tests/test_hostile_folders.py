@@ -1,5 +1,4 @@
-"""T5, T6, T7: whatever a stranger has put into a folder, a command that opens it ends with one line, soon, in little
-memory, and changes nothing outside of it."""
+"""Malicious folders: commands that open one end soon, with one line, in little memory, and change nothing outside."""
 
 import json
 import shutil
@@ -22,14 +21,14 @@ from htcp_jax.trajectory.whole_run import TIMING
 from htcp_jax.unfinished import SCRATCH, clear, temporary_folder
 
 PEAK = 10**9  # bytes
-WAITS_FOR_EVER_S = 120  # so long that no command takes it, on any machine
+WAITS_FOR_EVER_S = 120  # longer than any command takes on any machine
 PLACE = "place: {workpiece.rotation_y_rad: [0.3, 0.5]}\nwithin: {scenarios: 4}\n"
 HERE = Path(__file__).parent
 
 
 @pytest.fixture(scope="module")
 def good(planned, tmp_path_factory):
-    """A run, a plan and a search, and the files of their jobs."""
+    """Folder with a run, a plan and a search, and the files of their jobs."""
     place = shutil.copytree(planned, tmp_path_factory.mktemp("good") / "place")
     found = {"prefix": [1] * 4, "most": [9] * 4, "resolution_rad": 0.1, "seed": 0}
     (place / "run" / "reachability.json").write_text(json.dumps(found))
@@ -41,7 +40,7 @@ def good(planned, tmp_path_factory):
 
 
 def spoiled(good: Path, tmp_path: Path, kind: str) -> tuple[Path, Path, dict[str, list[str]]]:
-    """A spoiled folder, one outside of it, and the command lines that open the first."""
+    """Make a damaged folder and one outside of it; return both and the command lines that open the first."""
     folder, outside = tmp_path / "folder", tmp_path / "outside"
     shutil.copytree(good / KINDS[kind].of, folder)
     outside.mkdir()
@@ -54,7 +53,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def check(kind: str, command: str, code: int, said: str) -> None:
-    """One line and exit 2 where the command has to refuse the folder, 1 by the gate; else no more than a warning."""
+    """Check for one line and exit code 2 (gate: 1) if the command has to refuse the folder, and no traceback."""
     if command in KINDS[kind].refused_by:
         assert code == (1 if command == "gate" else 2), (command, code, said)
         lines = [line for line in said.splitlines() if not line.startswith(("htcp: warning: ", "htcp: note: "))]
@@ -66,7 +65,7 @@ def check(kind: str, command: str, code: int, said: str) -> None:
 
 @pytest.fixture
 def in_time():
-    """Ends a test that waits for ever."""
+    """Fail a test that takes too long."""
     before = signal.signal(signal.SIGALRM, lambda *_: pytest.fail("it waits for ever"))
     signal.alarm(WAITS_FOR_EVER_S)
     yield
@@ -90,7 +89,7 @@ def test_a_command_that_reads_what_a_stranger_has_changed_refuses_it_in_a_line(g
 def test_no_command_waits_fills_the_memory_or_writes_outside_of_a_strangers_folder(good, tmp_path, kind):
     _, outside, lines = spoiled(good, tmp_path, kind)
     if "view" not in KINDS[kind].refused_by:
-        lines.pop("view", None)  # it would serve the page for ever
+        lines.pop("view", None)  # it would serve the page without end
     before = contents(outside)
     for command, words in lines.items():
         own = [sys.executable, str(HERE / "hostile.py"), *words]
@@ -98,7 +97,7 @@ def test_no_command_waits_fills_the_memory_or_writes_outside_of_a_strangers_fold
         assert done.returncode == 0, done.stderr.decode()
         found = json.loads(done.stdout)
         check(kind, command, found["code"], found["said"])
-        assert found["peak"] < PEAK or command not in KINDS[kind].refused_by, command  # a picture takes more
+        assert found["peak"] < PEAK or command not in KINDS[kind].refused_by, command  # rendering takes more
     assert contents(outside) == before
 
 

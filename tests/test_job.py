@@ -1,4 +1,4 @@
-"""Jobs: what a job leaves out is its own robot's and part's, jobs build on each other, plans find their files."""
+"""Job files: defaults from the job's own robot and workpiece, jobs that extend other jobs, files of saved plans."""
 
 import shutil
 from pathlib import Path
@@ -26,7 +26,7 @@ OWN = {"robot": {"model": str(ARM)}, "start_rad": START}
 
 @pytest.fixture
 def pipe(tmp_path):
-    """A copy of the pipe's job, with two points of its seam."""
+    """Copy of the pipe's job, with two points of its seam."""
     folder = Path(shutil.copytree(CONFIGS / "pipe", tmp_path / "jobs"))
     np.savetxt(folder / "seam.csv", np.loadtxt(folder / "seam.csv", delimiter=",", ndmin=2)[:2], delimiter=",")
     text = (folder / "job.yaml").read_text().replace("workpiece:", "workpiece:\n  approach_to_path: 1", 1)
@@ -35,7 +35,7 @@ def pipe(tmp_path):
 
 
 def plan_of(job: str | Path) -> api.Plan:
-    """Of a planner that gave up at once."""
+    """Plan of a job in which the first target failed."""
     config = load_config(job)
     robot, workpiece, scenario = scene(config)
     lost = [Status.ITERATION_LIMIT, *[Status.NOT_ATTEMPTED] * (len(scenario.targets) - 1)]
@@ -51,7 +51,7 @@ def refusal(config, overrides=()) -> str:
 
 
 def test_another_robot_has_its_model_s_limits_and_weights_of_one():
-    """W4: a job without limits was planned with +-pi, beyond what its model allows, and validated with the same."""
+    """Regression: a job without limits was planned and validated with +-pi, beyond the limits of its model."""
     job = load_config(OWN)
     assert job.robot.limits == "model" and job.settings.q_weights == (1.0,) * 7
     limits = robot_of(load_config(OWN | {"robot.limits": "simulation"}).robot).upper
@@ -59,7 +59,7 @@ def test_another_robot_has_its_model_s_limits_and_weights_of_one():
 
 
 def test_another_robot_without_a_start_is_refused_and_its_joints_are_named(tmp_path):
-    """W4: the GP50's start was taken silently, or refused for its length."""
+    """Regression: the GP50's start was used silently, or refused for its length."""
     (tmp_path / "job.yaml").write_text(f"robot: {{model: {ARM}}}\n")
     told = refusal(tmp_path / "job.yaml")
     assert told.startswith(f"{tmp_path / 'job.yaml'}: robot.model is arm.xml, so start_rad must be given: ")
@@ -67,7 +67,7 @@ def test_another_robot_without_a_start_is_refused_and_its_joints_are_named(tmp_p
 
 
 def test_another_cloud_stands_at_its_own_origin_and_is_not_turned():
-    """W4: a cloud of one's own was tilted by 0.4 and 0.1 rad about a point of the duct, and moved as the duct is."""
+    """Regression: a user-supplied cloud got the duct's pose: 0.4 and 0.1 rad about the duct's pivot, and its shift."""
     part = load_config({"workpiece": {"cloud": "box.stl"}}).workpiece
     assert (part.rotation_x_rad, part.rotation_y_rad, part.rotation_z_rad) == (0, 0, 0)
     assert part.neutral_translation_m == part.pivot_m == (0, 0, 0)
@@ -99,7 +99,7 @@ def test_a_mapping_an_override_and_a_file_say_the_same(tmp_path):
 
 
 def test_jobs_build_on_each_other_with_files_of_their_own_folders(tmp_path):
-    """B3: a job could not build on another; ten jobs of one cell repeated all of it."""
+    """Check `config:`, by which jobs of one cell share a common file."""
     (tmp_path / "cell").mkdir()
     (tmp_path / "cell" / "base.yaml").write_text(
         f"robot: {{model: {ARM}, base_m: [0, 0, 0.5]}}\nstart_rad: {START}\n"
@@ -131,7 +131,7 @@ def test_paper_yaml_builds_on_duct_yaml():
     ],
 )
 def test_a_base_that_cannot_be_is_one_line(tmp_path, text, line):
-    """B3: bad input of `config:`."""
+    """Check the error line for each bad value of `config:`."""
     (tmp_path / "job.yaml").write_text(text)
     (tmp_path / "other.yaml").write_text("config: job.yaml")
     (tmp_path / "typo.yaml").write_text("margin: 1")
@@ -163,7 +163,7 @@ def test_a_base_that_cannot_be_is_one_line(tmp_path, text, line):
     ],
 )
 def test_a_cell_that_cannot_be_is_one_line(tmp_path, robot, line):
-    """B3: bad input of the robot's section."""
+    """Check the error line for each bad value in the section `robot:`."""
     (tmp_path / "job.yaml").write_text(f"robot:\n  model: {ARM}\n  {robot}\nstart_rad: {START}\n")
     with pytest.raises(InputError) as error:
         robot_of(load_config(tmp_path / "job.yaml").robot)
@@ -171,7 +171,7 @@ def test_a_cell_that_cannot_be_is_one_line(tmp_path, robot, line):
 
 
 def test_a_part_turns_about_world_x_before_y_and_z():
-    """B3: with two angles a part on a tilting table could not be placed."""
+    """Check the rotation with three angles; two could not describe a part on a tilting table."""
     part = load_workpiece(points=100)
     cx, sx, cy, sy, cz, sz = (f(angle) for angle in (0.3, 0.4, 0.1) for f in (np.cos, np.sin))
     about = [[[1, 0, 0], [0, cx, -sx], [0, sx, cx]], [[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]]]
@@ -192,7 +192,7 @@ def test_a_turn_about_x_is_the_scenario_s(tmp_path):
 
 
 def test_a_plan_s_folder_is_opened_from_anywhere(pipe, monkeypatch):
-    """B5: summary.json held names relative to the folder where the command was typed."""
+    """Regression: summary.json had file names relative to the working directory of the command."""
     monkeypatch.chdir(pipe)
     plan_of("job.yaml").save("../out")
     monkeypatch.chdir("/")
@@ -203,7 +203,7 @@ def test_a_plan_s_folder_is_opened_from_anywhere(pipe, monkeypatch):
 
 @pytest.mark.parametrize("name", ["seam.csv", "pipe.obj", "arm.xml"])
 def test_a_plan_whose_file_has_changed_is_refused(pipe, monkeypatch, name, capsys):
-    """B5: with another file of the same name, validate took it, and refuted all for a reason that it did not name."""
+    """Regression: validate accepted a changed file of the same name and refuted everything without the reason."""
     plan_of(pipe / "job.yaml").save(pipe / "out")
     assert open_replays(pipe / "out").methods == ("baseline",)
     (pipe / name).write_text((pipe / name).read_text() + "\n")

@@ -1,4 +1,4 @@
-"""Joint paths: what is called clear is clear all along, and the bound on how far the arm moves holds."""
+"""Joint paths: those proven clear are clear everywhere, and the bounds on the motion of the arm hold."""
 
 from functools import cache, partial
 
@@ -30,7 +30,7 @@ def _tested(settings):
 
 
 def smallest_D(where, a, b, places):
-    """The smallest D at so many places of the path, its ends apart."""
+    """Smallest D at samples of the path, without its ends."""
     x = a[None] + jnp.linspace(0, 1, places + 2)[1:-1, None] * (b - a)[None]
     return float(jnp.min(_D_everywhere(*made_once.scene()[:2], where, x)))
 
@@ -45,8 +45,10 @@ def D(where, x):
 
 @cache
 def paths():
-    """(where, a, b): from the start towards recorded configurations at which the baseline got stuck, some
-    of them inside the wall; short steps about them; and long swings past them."""
+    """Joint paths (where, a, b) near recorded configurations at which the baseline got stuck.
+
+    From the start towards them, some ending inside the wall; short steps from them; and long swings past them.
+    """
     rng, found = np.random.default_rng(0), []
     for k in range(0, 200, 8):
         where, x = place(k)
@@ -57,7 +59,7 @@ def paths():
 
 
 def test_what_bisection_calls_clear_is_clear_at_a_thousand_places():
-    """And what it calls blocked touches somewhere, by a finer look."""
+    """Check by fine sampling, also that blocked paths nearly touch."""
     verdicts = []
     for where, a, b in paths():
         smallest, verdict = smallest_D(where, a, b, 999), clear(where, a, b)
@@ -67,7 +69,7 @@ def test_what_bisection_calls_clear_is_clear_at_a_thousand_places():
 
 
 def test_bisection_finds_what_twenty_samples_miss():
-    """A swing through the wall and out again between two of the samples: the sampled test is shown to pass it."""
+    """Check paths that cross the wall between two samples, which the sampled test accepts."""
     missed = [p for p in paths() if clear(*p, settings=Settings(path_test="samples", path_steps=2)) and not clear(*p)]
     assert missed
     for where, a, b in missed:
@@ -82,7 +84,7 @@ def test_a_path_of_no_length_is_as_clear_as_its_ends():
 
 @pytest.mark.parametrize("model", ["gp50", "rail"])
 def test_no_point_of_a_body_moves_further_than_the_bound(model, tmp_path):
-    """Random postures, turns up to half a radian, random points along the axes; hinges, and a slide."""
+    """Check random configurations, steps up to 0.5 rad, and random points on the axes, for hinges and a slide."""
     robot = made_once.robot() if model == "gp50" else load_robot(rail(tmp_path), limits="model")
     rng, n = np.random.default_rng(1), len(robot.slides)
     bound, ends = jax.jit(motion_bound), jax.jit(capsule_segments)
@@ -96,13 +98,15 @@ def test_no_point_of_a_body_moves_further_than_the_bound(model, tmp_path):
         moved = np.linalg.norm((1 - s) * (p2 - p) + s * (q2 - q), axis=1)
         assert (moved <= most + 1e-12).all()
         tightest = max(tightest, float((moved / np.maximum(most, 1e-9)).max()))
-    assert tightest > 0.9  # and it is no more than it has to be
+    assert tightest > 0.9  # and the bound is tight
 
 
 @pytest.mark.parametrize("model", ["gp50", "rail"])
 def test_no_point_of_a_body_travels_further_on_a_joint_path_than_the_bound(model, tmp_path):
-    """Random joint paths, random places on them; never more than the bound by turns alone says, and less than half of
-    it where the joints undo each other's motion."""
+    """Check random samples on random joint paths.
+
+    The bound never exceeds the one by joint angles alone, and is less than half of it where joints compensate.
+    """
     robot = made_once.robot() if model == "gp50" else load_robot(rail(tmp_path), limits="model")
     rng, n = np.random.default_rng(3), len(robot.slides)
     bound, by_turns, ends = jax.jit(travel_bound), jax.jit(motion_bound), jax.jit(capsule_segments)

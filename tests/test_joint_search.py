@@ -1,4 +1,4 @@
-"""Joining postures: what is found is clear at a thousand places of every step, and found only where there is a way."""
+"""Joint-space path search: every path found is proven clear, and none is found where none exists."""
 
 from dataclasses import replace
 from functools import cache, partial
@@ -40,7 +40,7 @@ def kernels():
 
 @cache
 def scenarios():
-    """One for the pose of each recorded configuration."""
+    """Scenarios with the pose of each recorded configuration."""
     nominal = jax.tree.map(np.asarray, made_once.nominal())
     poses = [jax.tree.map(np.asarray, place(k)[0]) for k in NUMBERS]
     return stack(
@@ -57,7 +57,7 @@ def scenarios():
 
 
 def ends():
-    """From the start, outside, to the recorded configuration in the duct."""
+    """Path ends: the start, outside, and the recorded configuration in the duct."""
     b = np.stack([np.asarray(place(k)[1]) for k in NUMBERS])
     return np.broadcast_to(np.array(made_once.START), b.shape).copy(), b
 
@@ -74,7 +74,7 @@ def found():
 
 
 def ways(knots=None):
-    """(scenario, postures from end to end) of those joined."""
+    """Paths found, as (scenario, configurations from end to end)."""
     a, b = ends()
     knots = found() if knots is None else knots
     return [(s, np.concatenate([a[s][None], own, b[s][None]])) for s, own in enumerate(knots) if own is not None]
@@ -107,7 +107,7 @@ def test_another_engine_finds_nothing_that_touches_at_a_thousand_places_of_every
 
 
 def test_every_step_is_proven_and_within_the_limits():
-    """As a plan's ways are, by the kernel that judges them; knots repeat neither each other nor the ends."""
+    """Check with the kernel that validates the segments of plans; no two successive configurations are equal."""
     lower, upper = kernels().limits
     for s, way in ways():
         assert (verdicts(s, way[:-1], way[1:]) == Verdict.PROVEN).all()
@@ -127,7 +127,7 @@ def test_where_the_straight_joint_path_is_proven_there_are_no_knots_and_elsewher
 
 
 def test_an_end_in_collision_is_joined_with_nothing():
-    """On either side; and all others of these pairs, whose ends are clear, are joined."""
+    """Check a collision at either end; all other pairs, whose ends are clear, are joined."""
     a, b = ends()
     clear = [(verdicts(s, b[s][None], b[s][None]) == Verdict.PROVEN).all() for s in range(len(NUMBERS))]
     assert [own is not None for own in found()] == clear and not all(clear)
@@ -136,12 +136,12 @@ def test_an_end_in_collision_is_joined_with_nothing():
 
 
 def test_who_else_is_joined_has_no_influence():
-    """Alone, in another order, and several times over: the same to the last bit."""
+    """Compare paths found alone, in another order, and repeatedly: the same to the last bit."""
     order = [6, 0, 3, 8, 3, 1, 5, 2, 7, 4]
     for s, own in [*zip(order, joined(order), strict=True), *((s, joined([s])[0]) for s in (0, 5, 8))]:
         assert (own is None) == (found()[s] is None)
         assert own is None or np.array_equal(own, found()[s])
-    many = joined(order * 4)  # more than are in flight at a time
+    many = joined(order * 4)  # more than are searched at a time
     assert all(one is other or np.array_equal(one, other) for one, other in zip(many[:10], many[-10:], strict=True))
 
 
@@ -159,7 +159,7 @@ def _steps(s, knots):
 
 
 def test_shortcuts_make_a_way_shorter_and_never_longer():
-    """Round after round of the same search; the steps that are not shortened yet are no longer than asked for."""
+    """Compare path lengths over rounds of shortcuts; without shortcuts, no step is longer than `search_step_rad`."""
     before, longest = None, 0.0
     for rounds in (0, 1, 4, 8):
         now = [way for _, way in ways(joined(range(len(NUMBERS)), replace(SETTINGS, search_shortcuts=rounds)))]
@@ -174,7 +174,7 @@ def test_shortcuts_make_a_way_shorter_and_never_longer():
 
 
 def columns(*angles):
-    """Points of upright columns about an arm's base."""
+    """Points of upright columns around an arm's base."""
     height = np.arange(-0.3, 0.31, 0.02)
     return np.concatenate([np.column_stack([np.full((len(height), 2), _at(angle)), height]) for angle in angles])
 
@@ -185,7 +185,7 @@ def _at(angle, radius=0.35):
 
 @pytest.mark.parametrize(("angles", "way"), [((-1.0, 1.0), False), ((-1.0,), True)])
 def test_an_arm_between_two_columns_does_not_get_out_and_beside_one_it_does(angles, way, tmp_path):
-    """Its first link reaches past them and can only turn, and not all the way round."""
+    """The first link extends beyond the columns and cannot turn past 175 degrees to get around them."""
     links = "".join(
         f'<body pos="{0.5 * (k > 0)} 0 0"><joint name="j{k}" axis="0 0 1" range="-175 175"/>'
         '<geom type="capsule" size="0.05" fromto="0 0 0 0.5 0 0"/>'
@@ -205,7 +205,7 @@ def test_an_arm_between_two_columns_does_not_get_out_and_beside_one_it_does(angl
 
 
 def test_the_bare_tip_keeps_out_of_the_walls():
-    """Of the pairs that are joined without heed to it some pass through a wall; with it none does."""
+    """Compare searches with and without the tip check: without it some paths pass through a wall, with it none."""
     tip = TipCheck(kernels(), make_tip_guard(load_workpiece(tip_contact_m=0.01)))
 
     def passes(s, knots):
@@ -229,7 +229,7 @@ def test_settings_out_of_range_are_refused(name, value):
 
 
 def test_of_each_scenario_s_pairs_that_is_joined_which_takes_least_whoever_else_is_joined():
-    """Far ends first, then one a step away: it is joined at once, and the search for the others is given up."""
+    """Check two far ends and one a step away: the near one is joined, and the other searches are cancelled."""
     a, b = ends()
     s = np.flatnonzero([own is not None and len(own) > 0 for own in found()])[:2]
     scenario, pair = np.repeat(s, 3), np.tile(np.arange(3), 2)
@@ -237,7 +237,7 @@ def test_of_each_scenario_s_pairs_that_is_joined_which_takes_least_whoever_else_
     of = partial(join, kernels(), None, scenarios())
     ways = of(scenario, pair, a[scenario], to, SETTINGS, soonest=True)
     assert [way is None for way in ways] == [True, True, False] * 2
-    far = np.arange(6) % 3 < 2  # now the two searches that take long, of which the one that asks less often wins
+    far = np.arange(6) % 3 < 2  # only the two long searches, where the one with fewer queries wins
     every = of(scenario[far], pair[far], a[scenario[far]], to[far], SETTINGS)
     sooner = of(scenario[far], pair[far], a[scenario[far]], to[far], SETTINGS, soonest=True)
     for k in range(2):

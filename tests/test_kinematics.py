@@ -1,4 +1,4 @@
-"""Kinematics against MuJoCo's C code, MJX, autodiff, finite differences and a recorded run of the cell."""
+"""Kinematics: equal to MuJoCo, MJX, autodiff, finite differences, and a recorded run of the cell."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -16,7 +16,7 @@ from htcp_jax.model.robot import GP50, Robot
 
 DUCT = Path(__file__).parents[2] / "shared" / "data" / "duct"
 
-# A 7-joint arm with what the GP50 lacks: slides, skew axes, anchors off the body's origin, two joints on one
+# A 7-joint arm with features that the GP50 lacks: slides, skew axes, anchors off the body's origin, two joints on one
 # body, joints drawn at values other than 0, a capsule on the base, a fixed body in between, a geom to ignore.
 SEVEN = """
 <mujoco model="seven">
@@ -56,7 +56,7 @@ SEVEN = """
 
 
 class Truth(NamedTuple):
-    """What MuJoCo says of S configurations, from its own reading of the file."""
+    """MuJoCo's results for S configurations, from its own reading of the file."""
 
     body_position: np.ndarray  # (S, bodies, 3)
     body_rotation: np.ndarray  # (S, bodies, 3, 3)
@@ -123,10 +123,10 @@ def round_geoms(model: mujoco.MjModel) -> np.ndarray:
 
 
 def test_links_are_mujocos_bodies(arm):
-    """Each link has the orientation of its body, and its origin on the joint's anchor."""
+    """Compare the orientation of each link with its body's, and its origin with the joint's anchor."""
     T_world_link = np.asarray(over(kinematics.link_poses, arm.robot, arm.xs))
     bodies = arm.model.jnt_bodyid
-    last = np.flatnonzero(np.append(bodies[1:] != bodies[:-1], True))  # no frame between a body's two joints
+    last = np.flatnonzero(np.append(bodies[1:] != bodies[:-1], True))  # MuJoCo has no frame between a body's two joints
     rotation = arm.truth.body_rotation[:, bodies[last]]
     anchor = np.einsum("snij,nj->sni", rotation, arm.model.jnt_pos[last])
     anchor += arm.truth.body_position[:, bodies[last]]
@@ -143,7 +143,7 @@ def test_tcp_is_mujocos_site(arm):
 
 
 def test_capsule_ends_are_mujocos_geoms(arm):
-    """Capsules and spheres alone, in the model's order, p at the +z end; those of the base never move."""
+    """Compare the ends of capsules and spheres, in the model's order, with p at the +z end, also on the base."""
     p, q = over(kinematics.capsule_segments, arm.robot, arm.xs)
     geoms = round_geoms(arm.model)
     capsule = arm.model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_CAPSULE
@@ -156,7 +156,7 @@ def test_capsule_ends_are_mujocos_geoms(arm):
 
 @pytest.mark.parametrize("arm", ["gp50"], indirect=True)
 def test_mjx_agrees(arm):
-    """Site and geoms of MJX, MuJoCo's port to JAX."""
+    """Compare with site and geoms of MJX, MuJoCo's port to JAX."""
 
     def mjx_says(x: jax.Array) -> tuple:
         data = mjx.kinematics(model, start.replace(qpos=x))
@@ -173,13 +173,13 @@ def test_mjx_agrees(arm):
 
 
 def test_jacobian_is_mujocos_and_the_derivative(arm):
-    """mj_jacSite, jacfwd, jacrev and central differences all give the geometric Jacobian."""
+    """Compare the geometric Jacobian with mj_jacSite, jacfwd, jacrev and central differences."""
     jacobian = over(kinematics.jacobian, arm.robot, arm.xs)
     assert_close(jacobian, arm.truth.jacobian)
     for derivative in (jax.jacfwd, jax.jacrev):
         differentiated = derivative(kinematics.tcp_position, argnums=1)
         assert_close(jacobian, over(differentiated, arm.robot, arm.xs))
-    # Central differences are off by h^2 / 6 times the third derivative, some metres, and by 1e-15 / h.
+    # The errors of central differences: h^2 / 6 times the third derivative, some metres, and 1e-15 / h.
     h = 1e-5
     steps = h * np.concatenate([np.eye(len(arm.robot.slides)), -np.eye(len(arm.robot.slides))])
     around = np.repeat(arm.xs, len(steps), axis=0) + np.tile(steps, (len(arm.xs), 1))
@@ -188,7 +188,7 @@ def test_jacobian_is_mujocos_and_the_derivative(arm):
 
 
 def test_point_jacobians_are_the_derivative(arm):
-    """For points fixed to each link and to the world, in closed form as by autodiff."""
+    """Compare the closed form with autodiff for points fixed to each link and to the world."""
     links = (-1, *range(len(arm.robot.slides)), 1, 0, -1)
     local = jnp.asarray(np.random.default_rng(1).normal(size=(len(links), 3)))
     index = np.array(links)
@@ -204,7 +204,7 @@ def test_point_jacobians_are_the_derivative(arm):
 
 
 def test_batch_equals_the_loop(arm):
-    """Bit for bit, so that a scenario's result cannot depend on its batch."""
+    """Compare bit by bit, so that the result of a scenario cannot depend on its batch."""
 
     def everything(robot: Robot, x: jax.Array) -> tuple:
         p, q = kinematics.capsule_segments(robot, x)
@@ -221,11 +221,11 @@ def test_batch_equals_the_loop(arm):
         jax.tree.map(lambda few, all_, n=size: np.testing.assert_array_equal(few, all_[:n]), part, batch)
 
 
-# The recorded run: scene.md gives its figures.
+# The recorded run, with its figures from scene.md.
 
 
 def recorded_run() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Configurations (76, 6), and the workpiece's rotations (76, 3, 3) and origins (76, 3) in the world."""
+    """Configurations (76, 6), workpiece rotations (76, 3, 3) and origins (76, 3) in the world."""
     if not DUCT.is_dir():
         pytest.skip(f"the measured duct is not here: {DUCT}")
     rows = np.loadtxt(DUCT / "reference_run.csv", delimiter=",")[11:]
@@ -245,7 +245,7 @@ def distance(points: np.ndarray, p: np.ndarray, q: np.ndarray) -> float:
 
 
 def test_recorded_run_follows_its_path():
-    """Row k, from 11 on, puts the TCP on the path's row k - 11, 0.496 mm off in the mean, 0.996 at most."""
+    """Row k >= 11 has its TCP at the path's row k - 11, with an error of 0.496 mm on average, 0.996 at most."""
     xs, rotation, origin = recorded_run()
     path = np.loadtxt(DUCT / "reference_path.csv", delimiter=",")[: len(xs)]
     target = np.einsum("sij,sj->si", rotation, path + np.array([0, 0.02, 0])) + origin
@@ -255,7 +255,7 @@ def test_recorded_run_follows_its_path():
 
 
 def test_recorded_run_just_touches_the_cloud():
-    """Capsules 4 to 6c come to -0.25 mm of the cloud's points: brute force over all of them, in numpy."""
+    """Minimum clearance of capsules 4 to 6c to the cloud: -0.25 mm, by brute force in numpy."""
     xs, rotation, origin = recorded_run()
     cloud = np.loadtxt(DUCT / "cloud.xyz")
     robot = gp50()

@@ -1,4 +1,4 @@
-"""Knots: the postures on ways that are no straight joint path stay with their scenario and target, in their order."""
+"""Via points of segments: they stay with their scenario and target, in their order."""
 
 from itertools import pairwise
 
@@ -15,7 +15,7 @@ SCENARIOS, TARGETS, JOINTS = 4, 5, 2
 
 @st.composite
 def some_ways(draw, scenarios=SCENARIOS):
-    """(scenario, target) -> postures, no two of them alike; in any order."""
+    """Strategy for via points: (scenario, target) -> distinct configurations, in any order."""
     keys = st.tuples(st.integers(0, scenarios - 1), st.integers(0, TARGETS - 1))
     counts = draw(st.dictionaries(keys, st.integers(1, 3), max_size=6))
     first = draw(st.integers(0, 1000))
@@ -31,7 +31,7 @@ def knots_of(ways):
 
 
 def ways_in(knots, scenarios=SCENARIOS):
-    """What `knots_of` was given, for as many scenarios."""
+    """Via points by (scenario, target): the inverse of `knots_of`."""
     found = {(s, t): knots.on_the_way(s, t) for s in range(scenarios) for t in range(TARGETS)}
     return {key: x for key, x in found.items() if len(x)}
 
@@ -43,13 +43,13 @@ def same(found, expected):
 
 
 def in_order(knots):
-    """Whether they are as they are passed: scenario by scenario, target by target."""
+    """True if via points are sorted by scenario and target."""
     keys = list(zip(knots.scenario.tolist(), knots.target.tolist(), strict=True))
     return keys == sorted(keys)
 
 
 def plans_along(knots, scenarios=SCENARIOS, targets=TARGETS):
-    """Plans of which nothing is known but the starts, which tell scenarios apart, and the knots."""
+    """Plans with only via points and starts, which are distinct for each scenario."""
     starts = np.arange(scenarios * JOINTS, dtype=float).reshape(scenarios, JOINTS)
     return Plans.empty(starts, np.zeros((scenarios, targets, 3)))._replace(knots=knots)
 
@@ -118,7 +118,7 @@ def test_plans_of_different_lengths_keep_their_knots_when_they_are_put_together(
 
 @given(some_ways(), st.lists(st.booleans(), min_size=SCENARIOS * TARGETS, max_size=SCENARIOS * TARGETS))
 def test_ways_are_taken_apart_from_posture_to_posture(ways, wanted):
-    """Those to the rows that are asked for, in their order; the arm turns on the way to every knot."""
+    """Compare the joint paths to requested rows, in order; those to via points count as reconfigurations."""
     plans, rows = plans_along(knots_of(ways)), np.reshape(wanted, (SCENARIOS, TARGETS))
     plans.x[:] = -1.0 - np.arange(plans.x.size).reshape(plans.x.shape)
     expected = []

@@ -1,4 +1,4 @@
-"""The style checks of `lint` notice each kind of fault in hand-made packages, and look at what is public here."""
+"""Style checks of `lint`: they find each kind of fault in hand-made packages and cover the public names here."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ import htcp_jax
 
 @pytest.fixture
 def package(tmp_path):
-    """A checkout of which `made.f` is public, without the module."""
+    """Checkout with `made.f` as public name, but without the module."""
     (tmp_path / "htcp_jax").mkdir()
     (tmp_path / "docs").mkdir()
     (tmp_path / "htcp_jax/__init__.py").write_text('_HOME = {"f": "made"}\n')

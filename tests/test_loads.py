@@ -1,4 +1,4 @@
-"""Torques by inverse dynamics: MJX against MuJoCo, on published arms and on one that is worked out by hand."""
+"""Joint torques by inverse dynamics: MJX equals MuJoCo on published arms and a manual calculation on a simple arm."""
 
 import math
 
@@ -43,7 +43,7 @@ def test_torques_of_published_arms_are_mujocos_to_a_millionth_of_the_largest(nam
 
 
 def test_an_arm_held_out_straight_bears_its_weights_by_their_levers(tmp_path):
-    """Of the stated masses alone: 2, 1 and 3 kg, 0.5, 1.5 and 2 m away; the shape of 50 kg counts for nothing."""
+    """Check torques of the given inertials only: 2, 1 and 3 kg at 0.5, 1.5 and 2 m; the geom of 50 kg is ignored."""
     (tmp_path / "arm.xml").write_text(ARM)
     model = model_of(RobotConfig(model=str(tmp_path / "arm.xml")))
     still = np.zeros((1, 3))
@@ -66,7 +66,7 @@ def test_without_inertias_in_the_file_there_are_no_loads(tmp_path):
 
 
 def test_a_torque_is_the_same_in_any_company_and_at_any_place(tmp_path):
-    """Motions of 1 to 1,500 postures: one by one, all at once, and in another order; by the bit."""
+    """Compare motions of 1 to 1,500 configurations one by one, together, and in another order, bit by bit."""
     (tmp_path / "arm.xml").write_text(ARM)
     torque, rng = torques(model_of(RobotConfig(model=str(tmp_path / "arm.xml")))), np.random.default_rng(3)
     motions = []

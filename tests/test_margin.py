@@ -1,6 +1,6 @@
-"""A margin is a promise: no target counts with less clearance than the job asks for, whatever the planner.
+"""Margin: no planner accepts a target with less clearance than the job requires.
 
-And what was not even tried says why: a start in collision, a target out of reach.
+Scenarios that are not planned give the reason: a start in collision, or a target out of reach.
 """
 
 from functools import cache
@@ -31,7 +31,7 @@ def scene():
 
 @cache
 def tight(margin_m):
-    """Poses at which every planner comes near to the wall."""
+    """Scenarios in which every planner comes close to the wall."""
     return [
         make_scenario(*scene(), made_once.START, rotation=rotation, margin_m=margin_m, number=k)
         for k, rotation in enumerate([(0.8, -0.3), (0.4, 0.1), (0.2, -0.2)])
@@ -40,7 +40,7 @@ def tight(margin_m):
 
 @pytest.mark.parametrize("method", [pytest.param(m, marks=pytest.mark.slow if m in SLOW else ()) for m in names()])
 def test_no_tracked_target_has_less_than_the_margin(method):
-    """W3: the default job's 0.5 mm came out as 0.0461 mm, and nothing said so."""
+    """Regression: with a margin of 0.5 mm, targets had 0.0461 mm of clearance without any message."""
     margin_m = 2e-3
     plans = plan(*scene(), tight(margin_m), method)
     tracked = is_tracked(plans.status)
@@ -50,7 +50,7 @@ def test_no_tracked_target_has_less_than_the_margin(method):
 
 
 def test_on_the_device_too():
-    """The burst of step QPs asks the same of a target as the host does."""
+    """Check the margin with step QPs on the device, which have the same success criterion as on the host."""
     plans = plan(*scene(), tight(2e-3), "baseline", Settings(qp="device"))
     assert plans.clearance[is_tracked(plans.status)].min() >= 2e-3
 
@@ -76,7 +76,7 @@ COLLIDES = (0.1, -1.6, 0.3, 0.0, 0.4, -2.0)
 
 @pytest.mark.parametrize("method", ["baseline", "nspace-sqp", pytest.param("hybrid", marks=pytest.mark.slow)])
 def test_a_start_in_collision_is_a_scenario_without_targets(method):
-    """W5: in a sweep such scenarios were "complete" after a jump of 0.94 rad; beside it a good one plans as alone."""
+    """Regression: such scenarios were "complete" after a jump of 0.94 rad. A valid one in the batch is unaffected."""
     good = tight(5e-4)[1]
     bad = make_scenario(*scene(), COLLIDES, margin_m=5e-4, number=7)
     plans = plan(*scene(), [bad, good], method)
@@ -87,7 +87,7 @@ def test_a_start_in_collision_is_a_scenario_without_targets(method):
 
 
 def test_a_target_out_of_reach_is_a_scenario_without_targets():
-    """B4: one pose out of reach ended the whole sweep."""
+    """Regression: one pose out of reach ended the complete sweep."""
     with pytest.raises(OutOfReach, match="reaches"):
         make_scenario(*scene(), made_once.START, shift=(5.0, 0.0, 0.0))
     far = make_scenario(*scene(), made_once.START, shift=(5.0, 0.0, 0.0), beyond_reach="record")
@@ -98,8 +98,10 @@ def test_a_target_out_of_reach_is_a_scenario_without_targets():
 
 @pytest.mark.slow
 def test_a_plan_that_leaves_its_start_says_so_and_its_way_there_is_clear(tmp_path):
-    """W5: hybrid went on from another posture than the given start without a line about it. The way there is measured
-    by MuJoCo and the mesh's own triangles, at 1,000 places."""
+    """Regression: hybrid continued from a configuration other than the given start without a message.
+
+    MuJoCo and the triangles of the mesh check the segment to it at 1,000 samples.
+    """
     job = stranger_jobs.box_job(tmp_path)
     plan = htcp_jax.plan(job, method="hybrid")
     assert plan.plans.joint_step[0, 0] > 0.1 and plan.plans.path_clear[0, 0] == 1

@@ -1,4 +1,4 @@
-"""The mathematics as a user calls it: by name, differentiable everywhere, equal to what the planners use."""
+"""Public mathematical functions: available by name, differentiable everywhere, equal to those of the planners."""
 
 import doctest
 import importlib
@@ -27,7 +27,7 @@ capsule_point_distance = htcp_jax.capsule_point_distance
 
 
 def capsules(count: int):
-    """Axes, of which some are points, with radii and points, of which some lie inside."""
+    """Random capsules, some with an axis of length 0, and points, some of them inside."""
     rng = np.random.default_rng(0)
     p, q, point = rng.uniform(-1, 1, (3, count, 3))
     q[::5] = p[::5]
@@ -50,7 +50,7 @@ def test_its_gradient_is_that_of_differences_and_turns_with_what_it_belongs_to()
     dp, dq, dr, dpoint = map(np.asarray, gradient(p, q, radius, point))
     np.testing.assert_allclose(dr, -1.0)
     np.testing.assert_allclose(np.linalg.norm(dpoint, axis=1), 1.0, atol=1e-14)
-    np.testing.assert_allclose(dp + dq + dpoint, 0.0, atol=1e-14)  # moved together, all stays as it is
+    np.testing.assert_allclose(dp + dq + dpoint, 0.0, atol=1e-14)  # invariant under translation
     for axis in np.eye(3) * 1e-6:
         moved = [capsule_point_distance(p, q, radius, point + sign * axis[None]) for sign in (1.0, -1.0)]
         np.testing.assert_allclose(2 * dpoint @ axis, moved[0] - moved[1], atol=1e-14)
@@ -78,7 +78,7 @@ def objective(settings):
 
 @cache
 def both(settings):
-    """J2 and its gradient by the public function; what the planners maximise, and the gradient that they predict."""
+    """Compiled J2 with its gradient by the public function, and the planners' objective and predicted gradient."""
 
     scene = made_once.scene()
 
@@ -107,7 +107,7 @@ def test_the_null_space_objective_is_what_the_planners_minimise_and_so_is_its_gr
 
 
 def test_its_gradient_costs_no_more_operations_than_the_closed_form_and_fewer_than_autodiff_through_the_arm():
-    """Counted by the compiler, at one configuration: the search is the same, so what differs is the derivative."""
+    """Compare the compiler's operation counts at one configuration; only the derivative differs."""
     scene, x = (*made_once.scene()[:2], made_once.nominal()), jnp.asarray(made_once.START)
 
     def operations(function):
@@ -115,14 +115,14 @@ def test_its_gradient_costs_no_more_operations_than_the_closed_form_and_fewer_th
 
     ours = operations(jax.value_and_grad(partial(htcp_jax.clearance.clearance, *scene)))
     rows = operations(partial(clearance_rows, *scene))
-    assert ours <= rows  # D alone, as J2 has it, against what every step QP linearises
+    assert ours <= rows  # only D, as in J2, compared with the rows that every step QP linearises
     closed = operations(lambda x: closed_form(*scene, x))
     through = operations(jax.jacfwd(lambda x: contacts(*scene, x).distance))
     assert rows <= 1.01 * closed and through > 1.05 * closed
 
 
 def closed_form(robot, obstacles, where, x):
-    """Distances and n' (J_body - J_other), without any autodiff."""
+    """Distances and their gradients n' (J_body - J_other), without autodiff."""
     touch = contacts(robot, obstacles, where, x)
     return touch.distance, slopes(robot, x, rows_of(robot, obstacles), touch.normal, touch.point, touch.witness)
 
@@ -134,7 +134,7 @@ def test_its_gradient_is_that_of_differences():
         gradient = both(WEIGHED)[0](where, x_ref, w)[1]
         sides = [[J2(where, x_ref, w + sign * h * axis) for sign in (1, -1)] for axis in jnp.eye(3)]
         off.append(max(abs((float(a) - float(b)) / (2 * h) - g) for (a, b), g in zip(sides, gradient, strict=True)))
-    assert np.sort(off)[-2] < 1e-8  # one of them may lie on a kink of D
+    assert np.sort(off)[-2] < 1e-8  # one of them may be at a kink of D
 
 
 def test_many_directions_at_once_are_each_as_alone():
@@ -156,7 +156,7 @@ def test_without_settings_it_is_minus_the_clearance_for_an_arm_of_any_number_of_
         htcp_jax.null_space_objective(arm, obstacle, where, x_ref, w, Settings())
 
 
-# How a user meets them
+# The public interface
 
 LISTS_AND_BATCHES = """
 import numpy as np, htcp_jax
@@ -200,7 +200,7 @@ assert htcp_jax.capsule_point_distance([0, 0, 0], [0, 0, 1], 0.25, [2, 0, 0.5]) 
 
 
 def test_lists_are_taken_and_a_batch_is_refused_in_one_line_that_names_vmap():
-    """Rough: raw TypeErrors. In a process of its own, where the tests do not execute the annotations."""
+    """Regression: these raised bare TypeErrors. Runs in a separate process, where annotations are not checked."""
     done = subprocess.run([sys.executable, "-c", LISTS_AND_BATCHES], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 

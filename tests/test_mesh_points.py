@@ -1,4 +1,4 @@
-"""Points on a mesh: whatever lies between them is known."""
+"""Sampled points on a mesh: they cover it within a known radius."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ ROOM = 1e-12
 
 
 def on(triangles: np.ndarray, count: int, seed: int = 0) -> np.ndarray:
-    """Random points on the triangles, as many on small ones as on large ones."""
+    """Random points on the triangles, equally many on small and large ones."""
     rng = np.random.default_rng(seed)
     weights = rng.dirichlet(np.ones(3), count)
     return np.einsum("pk,pkc->pc", weights, triangles[rng.integers(len(triangles), size=count)])
@@ -28,7 +28,7 @@ def on(triangles: np.ndarray, count: int, seed: int = 0) -> np.ndarray:
 @pytest.mark.parametrize("shape", MESHES)
 @pytest.mark.parametrize("spacing", [0.03, 0.011])
 def test_no_point_of_a_mesh_is_further_from_a_sample_than_it_says(shape, spacing):
-    """W2: and that is at most half the spacing asked for, on every kind of triangle."""
+    """Check the covering radius, which is at most half the requested spacing, for all kinds of triangles."""
     triangles = np.asarray(MESHES[shape].triangles)
     found = cover(triangles, "mesh", spacing)
     distance, _ = cKDTree(found.points).query(on(triangles, 20_000))
@@ -45,7 +45,7 @@ def test_the_points_are_on_the_mesh_and_the_same_each_time():
 
 
 def test_the_points_are_spread_evenly():
-    """W2: drawn at random, neighbours of 1 mm and gaps of 30 mm stood side by side."""
+    """Regression: random sampling had neighbours at 1 mm next to gaps of 30 mm."""
     found = cover(np.asarray(trimesh.creation.box((1, 1, 1)).triangles), "mesh", 0.05)
     near = cKDTree(found.points).query(found.points, k=2)[0][:, 1]
     assert near.max() < 2 * near.min()
@@ -56,7 +56,7 @@ corner = st.tuples(*[st.floats(-1, 1, allow_subnormal=False)] * 3)
 
 @given(st.tuples(corner, corner, corner))
 def test_a_triangles_covering_radius_is_attained_and_never_exceeded(corners):
-    """Against a dense grid of barycentric coordinates; flat and pointed triangles among them."""
+    """Compare with a dense grid of barycentric coordinates, also for flat and acute triangles."""
     triangle = np.array(corners, float).round(9)
     grid = np.array([(i, j, 120 - i - j) for i in range(121) for j in range(121 - i)]) / 120
     points = grid @ triangle

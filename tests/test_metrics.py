@@ -1,4 +1,4 @@
-"""The summary's numbers, on plans whose numbers are known."""
+"""Metrics of the summary, on plans with known values."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ def test_counts_times_and_distances():
     assert (summary.scenarios, summary.complete) == (2, 1)
     assert (summary.tracked, summary.targets, summary.after_escape, summary.blocked_paths) == (4, 6, 1, 4)
     assert summary.success_rate == pytest.approx(4 / 6)
-    assert summary.step_ms == pytest.approx(1000 / 5)  # the target that failed was worked on too
+    assert summary.step_ms == pytest.approx(1000 / 5)  # the failed target took a step, too
     assert (summary.compile_s, summary.run_s) == (3, 1)
     assert summary.clearance_min_mm == pytest.approx(1)
     assert summary.clearance_mean_mm == pytest.approx((1 + 2 + 3 + 4) / 4)

@@ -1,4 +1,4 @@
-"""B3: sweeps over robots, workpieces and settings: each scenario is what it would be alone, and is opened as that."""
+"""Sweeps over robots, workpieces and settings: each scenario is planned and opened as if it were alone."""
 
 import json
 from dataclasses import replace
@@ -45,7 +45,7 @@ grid:
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """A grid of two robots, two clouds with a setting each, and two starts with a turn each."""
+    """Folder with a grid of two robots, two clouds with a setting each, and two starts with a rotation each."""
     place = tmp_path_factory.mktemp("mixed")
     for name, upper, limit in (("short", 0.5, 120), ("long", 0.7, 110)):
         (place / name).mkdir()
@@ -131,7 +131,7 @@ def test_the_report_has_the_axes(place, run):
 
 
 def test_a_changed_file_of_an_axis_is_refused(place, run):
-    """B5 for sweeps over files."""
+    """Check that a run whose cloud has changed is not opened or continued."""
     text = (place / "far.xyz").read_text()
     try:
         (place / "far.xyz").write_text(text + "1.2 0 0\n")
@@ -172,7 +172,7 @@ def test_an_axis_that_cannot_be_is_one_line(place, grid, line):
 
 
 def test_robots_of_a_sweep_need_a_start_that_is_theirs(place):
-    """W4 in sweeps: an axis over robots takes no limits and no start of the GP50 along."""
+    """Regression: an axis over robots kept the limits and the start of the GP50."""
     (place / "robots.yaml").write_text("grid: [robot.model: [short/arm.xml, long/arm.xml]]")
     with pytest.raises(InputError, match=r"robot\.model is arm\.xml, so start_rad must be given: 4 joint positions"):
         load_sweep(place / "robots.yaml")

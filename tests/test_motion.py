@@ -1,5 +1,4 @@
-"""A motion is the start, the knots and the rows in the order in which an arm passes them, and its figures are those
-that a plain loop over them finds."""
+"""Motions: start, via points and rows in the order of execution, with the same metrics as a plain loop computes."""
 
 from itertools import pairwise
 
@@ -32,7 +31,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 
 def some_plans(seed: int, scenarios: int = 3) -> Plans:
-    """Plans whose rows are executable up to a drawn target, with knots on some ways and points that meet again."""
+    """Random plans, executable up to some target, with via points on some segments and repeated path points."""
     rng = np.random.default_rng(seed)
     ends = rng.integers(0, TARGETS, scenarios, endpoint=True)
     tracked = np.arange(TARGETS) < TARGETS - 1 + (np.arange(scenarios) % 2)[:, None]
@@ -53,7 +52,7 @@ def some_plans(seed: int, scenarios: int = 3) -> Plans:
 
 
 def walked(plans: Plans, s: int) -> list[tuple[int, Kind, np.ndarray]]:
-    """Target, kind and posture of all that scenario s passes, one by one."""
+    """Target, kind and configuration of each point in the motion of scenario s, by a plain loop."""
     rows, count = [], int(plans.executable[s].sum())
     for t in range(count):
         knots = plans.knots.on_the_way(s, t)
@@ -86,8 +85,8 @@ def test_the_way_back_is_the_way_there_reversed(seed):
 
 
 def curved(plans: Plans, s: int) -> dict[int, float]:
-    """|q''| at targets of scenario s, point by point."""
-    points: list[tuple[int, bool]] = []  # the last target of each, and whether the arm turns on the way to it
+    """Curvature |q''| at targets of scenario s, by a plain loop."""
+    points: list[tuple[int, bool]] = []  # the last target of each, and True if the arm reconfigures before it
     turns = False
     for t in range(ON_PATH, int(plans.executable[s].sum())):
         turns |= bool(len(plans.knots.on_the_way(s, t))) and t > ON_PATH
@@ -115,7 +114,7 @@ def test_the_figures_are_those_of_a_plain_loop(seed):
     for s in range(len(plans.x)):
         rows, count = walked(plans, s), int(plans.executable[s].sum())
         x = np.array([x for *_, x in rows]).reshape(-1, JOINTS)
-        V = np.kron(np.eye(max(len(x), 1))[1:] - np.eye(max(len(x), 1))[:-1], np.eye(JOINTS))  # equation (3)'s
+        V = np.kron(np.eye(max(len(x), 1))[1:] - np.eye(max(len(x), 1))[:-1], np.eye(JOINTS))  # of equation (3)
         assert costs[s] == pytest.approx(x.ravel() @ V.T @ V @ x.ravel() if len(x) else 0.0)
         own = [np.linalg.norm(b[2] - a[2]) for a, b in pairwise(rows) if b[1] in (F, D)]
         np.testing.assert_allclose(steps[s], max(own, default=np.nan))
@@ -130,7 +129,7 @@ def test_the_figures_are_those_of_a_plain_loop(seed):
 
 
 def test_a_joint_that_follows_a_parabola_over_the_arc_length_has_its_curvature():
-    """q = s^2 / 2 along a straight path of uneven steps: |q''| is 1 at every inner point."""
+    """Check q = s^2 / 2 on a straight path with uneven steps: |q''| is 1 at every inner point."""
     plans = plans_with([[Status.TRACKED] * 9], joints=1)
     length = np.array([0.0, 0.1, 0.15, 0.3, 0.33, 0.5, 0.6, 0.8, 0.9])
     target = length[None, :, None] * np.array([0.6, 0.0, 0.8])

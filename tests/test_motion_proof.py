@@ -1,4 +1,4 @@
-"""Motions: what is proven of a joint path is so at a thousand places of it, and what is refuted is so where it says."""
+"""Proofs of motions: proven joint paths hold at a thousand samples, refuted ones fail at the reported place."""
 
 from functools import cache, partial
 
@@ -33,7 +33,7 @@ def tcp(x):
 
 
 def straight(a, b, places=PLACES):
-    """So many places of the joint path, its ends among them."""
+    """Samples of the joint path, including its ends."""
     return np.asarray(a) + np.linspace(0, 1, places)[:, None] * (np.asarray(b) - np.asarray(a))
 
 
@@ -46,7 +46,7 @@ def tube(start, end, radius):
 
 
 def off_line(start, end, points):
-    """Distances of points (n, 3) to the line from start to end, by hand."""
+    """Distances of points (n, 3) to the segment from start to end, in numpy."""
     line = end - start
     along = np.clip((points - start) @ line / (line @ line or 1.0), 0, 1)
     return np.linalg.norm(points - start - along[:, None] * line, axis=1)
@@ -54,14 +54,16 @@ def off_line(start, end, points):
 
 @cache
 def motions():
-    """(where, a, b, tube): from recorded configurations and from the start, of all lengths, and in tubes that fit some
-    of them: about the line from end to end, off it, against it, and about a point."""
+    """Motions (where, a, b, tube) of all lengths from recorded configurations and from the start.
+
+    The tubes contain some of them: around the line from end to end, reversed, or around a point.
+    """
     rng, found = np.random.default_rng(0), []
     for k in range(0, 200, 2):
         where, x = place(k)
         a = np.asarray(x) if k % 4 else np.array(made_once.START)
         step = 10.0 ** rng.uniform(-3, -0.3) * rng.normal(size=6)
-        if k % 3 == 0:  # the TCP hardly moves, and goes to and fro
+        if k % 3 == 0:  # the TCP hardly moves, and reverses
             jac = np.asarray(_JACOBIAN(made_once.robot(), jnp.asarray(a)))
             step -= 0.9 * np.linalg.pinv(jac) @ jac @ step
         start, end = tcp(a), tcp(a + step)
@@ -81,7 +83,7 @@ def proofs():
 
 
 def those(*verdicts):
-    """The motions of which that was said, and what was said; not too few of them."""
+    """Motions with one of these verdicts, and their proofs; at least five."""
     found = [(m, proof) for m, proof in zip(motions(), proofs(), strict=True) if proof.verdict in verdicts]
     assert len(found) >= 5
     return found
@@ -89,7 +91,7 @@ def those(*verdicts):
 
 @pytest.mark.parametrize("model", ["gp50", "rail"])
 def test_the_tcp_bends_no_more_than_the_bound(model, tmp_path):
-    """At random places on the interval, by automatic differentiation along the joint path; hinges, and a slide."""
+    """Check random points of the interval by autodiff along the joint path, for hinges and a slide."""
     robot = made_once.robot() if model == "gp50" else load_robot(rail(tmp_path), limits="model")
     n, rng = len(robot.slides), np.random.default_rng(2)
     along = lambda x, rates: jax.jacfwd(jax.jacfwd(lambda s: tcp_position(robot, x + s * rates)))(0.0)  # noqa: E731
@@ -105,11 +107,11 @@ def test_the_tcp_bends_no_more_than_the_bound(model, tmp_path):
         part = bend / max(most, 1e-9)
         tightest = max(tightest, part)
         alone = max(alone, part if np.count_nonzero(rates) > 1 and half else 0.0)
-    assert tightest > 0.99 and alone > 0.5  # one hinge alone bends it as much as is said, at the posture itself
+    assert tightest > 0.99 and alone > 0.5  # with a single hinge the bound is attained, at the configuration itself
 
 
 def test_a_slide_does_not_bend_the_way_of_the_tcp(tmp_path):
-    """Alone it does not, and before a hinge it adds nothing to what that one does."""
+    """Check a slide alone, and before a hinge, where it does not change the bound."""
     robot, sweep = load_robot(rail(tmp_path), limits="model"), jax.jit(tcp_sweep)
     of = lambda *rates: float(sweep(robot, jnp.zeros(3), jnp.array(rates), 0.3).bend)  # noqa: E731
     assert of(1.0, 0.0, 0.0) == 0.0 and of(1.0, 0.5, 0.2) == of(0.0, 0.5, 0.2) > 0
@@ -143,7 +145,7 @@ def test_a_refuted_motion_is_wrong_where_it_says():
 
 
 def test_nothing_is_left_open_but_what_grazes():
-    """Every motion here has an answer; and one that is refuted stays so when it ends just after where it was."""
+    """Check that no motion is undecided, and that a motion cut just after the refuted place is not proven."""
     assert not [proof for proof in proofs() if proof.verdict == Verdict.OPEN]
     for (where, a, b, around), proof in those(Verdict.LEAVES, Verdict.COLLIDES, Verdict.TURNS_BACK):
         assert 0 < proof.place < 1
@@ -162,7 +164,7 @@ def test_with_fewer_halvings_what_needs_more_is_open_and_nothing_else_changes():
 
 
 def test_what_touches_its_tube_all_along_is_open():
-    """The arm stands still, its TCP exactly as far from the line as it may be: too close to call, and never proven."""
+    """Check an arm at rest with its TCP exactly on the tube: undecided, never proven."""
     where, start = place(0)[0], jnp.asarray(made_once.START)
     here = tcp(start)
     line = tube(here + np.array([0, 0, 0.25]), here + np.array([1, 0, 0.25]), 0.25)
@@ -174,8 +176,11 @@ def test_what_touches_its_tube_all_along_is_open():
 
 @pytest.mark.parametrize("turn", [0.3, 1.5, 1.65, 2.5])
 def test_a_turn_of_the_base_leaves_its_tangent_and_turns_back_where_a_circle_does(turn):
-    """By that much either way, far from any workpiece. In the middle the TCP is on the line, and advances; at the ends
-    it is off it by r (1 - cos turn), and beyond a right angle it comes back."""
+    """Check a turn by +-`turn`, far from any workpiece, along its tangent.
+
+    In the middle the TCP is on the line and advances. At the ends it is r (1 - cos turn) away from the line, and beyond
+    a right angle it reverses.
+    """
     where, start, first = (
         Where(jnp.eye(4).at[:3, 3].set(1e3), jnp.array([1.0, 0, 0, jnp.inf])),
         made_once.START,
@@ -193,7 +198,7 @@ def test_a_turn_of_the_base_leaves_its_tangent_and_turns_back_where_a_circle_doe
 
 
 def test_with_an_infinite_radius_the_tcp_may_be_anywhere():
-    """Far from the line, and against it: the same as if there were no tube."""
+    """Check a distant, reversed line: the same result as without a tube."""
     clear = 0
     for where, a, b, around in motions()[::3]:
         anywhere = tube(around.end + 1.0, around.start, np.inf)
@@ -204,7 +209,7 @@ def test_with_an_infinite_radius_the_tcp_may_be_anywhere():
 
 
 def test_about_a_point_the_tcp_may_move_any_way():
-    """A motion that goes back on its line is none in its tube; in a ball that holds it, it is."""
+    """Check motions that reverse on their line: valid in a ball that contains them, if they are clear."""
     turned = 0
     for (where, a, b, _), _ in those(Verdict.TURNS_BACK):
         points = np.asarray(_TCPS(made_once.robot(), jnp.asarray(straight(a, b))))
@@ -231,7 +236,7 @@ def test_the_verdicts_are_those_that_a_plan_records():
 
 
 def test_another_engine_finds_nothing_that_touches_on_a_proven_motion():
-    """MuJoCo, at a hundred places of each: the least it finds is no less than what was proven."""
+    """Compare with MuJoCo at 100 samples of each: its minimum clearance is at least the guaranteed one."""
     duct, arm = made_once.duct(), Arm(GP50, 0.0, "simulation")
     wall = Wall(np.asarray(duct.cloud), "hull")
     for (where, a, b, _), proof in those(Verdict.PROVEN)[::4]:

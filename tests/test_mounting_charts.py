@@ -1,4 +1,4 @@
-"""What people see of a search: the map has every mounting, the front what none beats, and the folder opens."""
+"""Results of a mounting search: the map shows every mounting, the Pareto front the best, and the folder opens."""
 
 import json
 import shutil
@@ -23,7 +23,7 @@ COMPLETE, NEARLY = 25, 4
 
 
 def write_search(folder, d, aims=("clearance",), ranked=3, complete=COMPLETE):
-    """A folder as a search leaves it: `complete` mountings that do it all, NEARLY of the others almost."""
+    """Folder of a finished search: `complete` mountings complete the path, NEARLY others nearly do."""
     rng, n = np.random.default_rng(d), complete + len(LOST)
     values = rng.random((n, d))
     columns = {"round": np.zeros(n, int)} | {name: values[:, k] for k, name in enumerate(NAMES[:d])}
@@ -113,7 +113,7 @@ def test_the_front_joins_what_none_beats_and_every_axis_has_its_unit(tmp_path):
     assert line.get_xydata().tolist() == [
         [1000.0, 1.0],
         [3000.0, 3.0],
-    ]  # as a person reads them: mm, and rad from below
+    ]  # in display units: mm, and rad with a positive sign
     assert written(axes) == ["1", "2", "3"]
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("clearance [mm]", "joint motion [rad]")
 

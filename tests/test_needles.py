@@ -1,4 +1,4 @@
-"""The normals of a path are drawn where the task names them: from its points, into the free space, in every picture."""
+"""Normal glyphs of a path: drawn where the task names the normals, from the points into free space, in all pictures."""
 
 import made_once
 import numpy as np

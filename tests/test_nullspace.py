@@ -31,7 +31,7 @@ def test_the_basis_spans_what_a_singular_value_decomposition_spans():
 
 
 def test_near_a_singular_posture_the_basis_is_still_orthonormal():
-    """Two rows of the task Jacobian nearly alike: J N = 0 may suffer, N' N = 1 must not."""
+    """Orthonormal basis near a singularity: N' N = 1 exactly, even where two rows of J are nearly parallel."""
     for parallel in (1e-4, 1e-8, 1e-12):
         J = RNG.normal(size=(3, 6))
         J[2] = J[1] + parallel * RNG.normal(size=6)
@@ -41,7 +41,7 @@ def test_near_a_singular_posture_the_basis_is_still_orthonormal():
 
 
 def test_a_jacobian_a_little_different_has_a_basis_a_little_different():
-    """Neither sign nor rotation jumps, except where two unit vectors stick out equally far and the pivot switches."""
+    """Continuity of the basis in J, except where two unit vectors project equally far and the pivot switches."""
     moved = []
     for _ in range(300):
         J = RNG.normal(size=(3, 6))
@@ -52,8 +52,11 @@ def test_a_jacobian_a_little_different_has_a_basis_a_little_different():
 
 
 def test_each_column_is_positive_along_the_joint_that_sticks_out_furthest():
-    """The rule behind sign and rotation, told apart from its code: the first column is the projection of a unit vector
-    onto the null space, of the one whose projection is longest."""
+    """Sign and rotation of the basis, by its rule.
+
+    The first column is the projection of a unit vector onto the null space, of the one whose projection is longest; the
+    others follow in the remaining space.
+    """
     for _ in range(50):
         J = RNG.normal(size=(3, 6))
         N = np.asarray(BASIS(jnp.asarray(J)))
@@ -90,7 +93,7 @@ REANCHOR = jax.jit(reanchor, static_argnames=("tolerance_m", "iterations"))
 
 
 def test_reanchoring_ends_inside_the_limits_and_on_the_target_or_says_that_it_did_not(arm):
-    """Targets reachable (another posture's TCP, near or far) and out of reach; starts at and between the limits."""
+    """Re-anchoring to reachable targets (near or far) and unreachable ones, from any start."""
     count = 150
     starts = made_once.configurations(arm, count, seed=1)
     at_limit = RNG.random(starts.shape) < 0.2
@@ -105,7 +108,7 @@ def test_reanchoring_ends_inside_the_limits_and_on_the_target_or_says_that_it_di
         np.testing.assert_allclose(error, actual, rtol=0, atol=1e-14)
         on_target += bool(error <= TOLERANCE_M)
         if k % 10 == 9:
-            assert error > 1.0  # out of reach: it says so
+            assert error > 1.0  # out of reach: the error is large
         elif k < count // 2:
             assert error <= TOLERANCE_M, (k, float(error))
     assert on_target > 0.7 * count
@@ -119,7 +122,7 @@ def test_reanchoring_leaves_a_configuration_on_its_target_alone(arm):
 
 
 def test_reanchoring_stops_at_its_iterations(arm):
-    """None leaves x alone; two are one and one more."""
+    """Iteration limit of re-anchoring: 0 leaves x unchanged; 2 iterations equal 1 and 1 more."""
     x = jnp.asarray(made_once.configurations(arm, 1, seed=3)[0])
     target = tcp_position(arm, x) + 0.1
     after = {n: REANCHOR(arm, x, target, tolerance_m=1e-12, iterations=n)[0] for n in (0, 1, 2)}
@@ -130,7 +133,7 @@ def test_reanchoring_stops_at_its_iterations(arm):
 
 
 def test_reanchoring_moves_the_joints_about_as_little_as_it_must():
-    """The damped pseudo-inverse takes the shortest way: no joint motion in the null space to first order."""
+    """Step of re-anchoring: to first order the pseudo-inverse's, without motion in the null space."""
     robot = made_once.robot()
     for start in made_once.configurations(robot, 20, seed=4):
         x = jnp.asarray(np.clip(start, -2.5, 2.5))
@@ -144,7 +147,7 @@ def test_reanchoring_moves_the_joints_about_as_little_as_it_must():
 
 
 def test_a_joint_at_its_limit_is_held_there_while_the_others_make_up_for_it():
-    """The step is the shortest one of the joints that are free to take part in it, not a full one cut off."""
+    """Step with a joint at its limit: the shortest of the joints that are free to move, not a full step cut off."""
     robot, held = made_once.robot(), 0
     for start in made_once.configurations(robot, 40, seed=5):
         for joint, limit in ((1, robot.upper[1]), (2, robot.lower[2])):
@@ -163,7 +166,7 @@ def test_a_joint_at_its_limit_is_held_there_while_the_others_make_up_for_it():
 
 
 def test_reanchoring_survives_a_singular_posture(arm):
-    """The GP50 upright and stretched, and the seven joints in a line: large damping, no NaN."""
+    """Finite re-anchoring at singular configurations: the GP50 upright, the seven joints in a line."""
     x = jnp.zeros(len(arm.slides))
     for offset in ([0.0, 0.0, -0.05], [0.02, 0.0, 0.0], [0.0, 0.02, 0.0]):
         x_new, error = REANCHOR(arm, x, tcp_position(arm, x) + jnp.asarray(offset), tolerance_m=TOLERANCE_M)

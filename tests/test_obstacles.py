@@ -1,5 +1,7 @@
-"""A kind of obstacle is a file of its own: one that the package does not know, and the arm's own bodies, are measured,
-held, proven and planned with as the workpiece is."""
+"""Obstacle types from outside the package, and the arm's own bodies.
+
+They are measured, linearised, proven and planned with as the workpiece is.
+"""
 
 from functools import cache
 
@@ -27,7 +29,7 @@ from htcp_jax.clearance.obstacles.self_collision import SelfCollision
 from htcp_jax.clearance.proof.motion_proof import proven_clear
 from htcp_jax.model.kinematics import capsule_segments
 
-PAIRS = ((7, 1), (7, 2), (6, 1), (5, 0))  # the tool and what carries it against the lower arm
+PAIRS = ((7, 1), (7, 2), (6, 1), (5, 0))  # the tool and the wrist against the lower arm
 
 
 @cache
@@ -42,7 +44,7 @@ def jitted(function):
 
 @cache
 def postures() -> np.ndarray:
-    """Anywhere, and about the start (M, 6)."""
+    """Random configurations, then some near the start (M, 6)."""
     robot = made_once.robot()
     return np.concatenate(
         [made_once.configurations(robot, 60), made_once.configurations_near(made_once.START, 40, 0.6)]
@@ -50,7 +52,7 @@ def postures() -> np.ndarray:
 
 
 def by_hand(x) -> np.ndarray:
-    """Distances of the floor's and the pairs' rows by numpy: ends, and axes cut into 400 pieces."""
+    """Distances of the floor's and the pairs' rows by numpy: capsule ends, and axes cut into 400 pieces."""
     robot = made_once.robot()
     p, q = (np.asarray(end) for end in jitted(capsule_segments)(robot, jnp.asarray(x)))
     radius = np.asarray(robot.capsule_radius)
@@ -92,7 +94,7 @@ def test_the_gradient_is_that_of_the_distance_also_where_both_bodies_move():
         steps = h * np.eye(6)
         ends = [[np.asarray(jitted(clearances)(robot, obstacles(), where, x + s * d)) for d in steps] for s in (1, -1)]
         slope = ((np.array(ends[0]) - np.array(ends[1])) / (2 * h)).T
-        kink = np.abs(slope - rows.gradient).max(axis=1) > 1e-4  # another point, or another kind, is nearest beside x
+        kink = np.abs(slope - rows.gradient).max(axis=1) > 1e-4  # another point, or another kind, is nearest next to x
         assert kink.mean() < 0.2
         np.testing.assert_allclose(np.asarray(rows.gradient)[~kink], slope[~kink], atol=1e-4)
 
@@ -115,7 +117,7 @@ def test_paths_are_clear_where_no_place_of_them_touches_any_kind():
     robot, where, scene = made_once.robot(), made_once.nominal(), Scene(made_once.robot(), obstacles())
     proven = jax.jit(lambda a, b: proven_clear(scene, where, a, b))
     verdicts, rng = [], np.random.default_rng(1)
-    for x in postures()[20:80]:  # the first forty of them anywhere, often through something
+    for x in postures()[20:80]:  # the first forty are random, often in collision
         end = x + rng.uniform(-0.2, 0.2, 6)
         places = x + np.linspace(0, 1, 41)[:, None] * (end - x)
         truth = all(bool(jitted(is_clear)(robot, obstacles(), where, place)) for place in places)

@@ -1,4 +1,4 @@
-"""What is in the way of a failed target: the body, the place and the depth, as brute force finds them."""
+"""Colliding body, contact point and depth at a failed target, as brute force finds them."""
 
 from dataclasses import replace
 
@@ -37,7 +37,7 @@ def scenario(workpiece):
 
 
 def nearest(x, scenario, workpiece):
-    """Per body, the smallest distance to the cloud by brute force, and the point of the cloud."""
+    """Smallest distance of each body to the cloud by brute force, and the nearest point of the cloud."""
     p, q = map(np.asarray, capsule_segments(robot(), jnp.asarray(x)))
     T = np.asarray(scenario.T_world_workpiece)
     cloud = workpiece.cloud @ T[:3, :3].T + T[:3, 3]
@@ -50,7 +50,7 @@ def nearest(x, scenario, workpiece):
 
 @pytest.mark.parametrize("target", TARGETS)
 def test_the_body_the_place_and_the_depth_are_those_of_brute_force(target, scenario, workpiece):
-    """Rough: `escape exhausted` gave no hint what is in the way; now the body, the place and the depth are told."""
+    """Body, point, depth and residual at a target, by brute force."""
     found = obstruction(robot(), workpiece, scenario, np.array(START), target, SETTINGS)
     distance, points = nearest(found.x, scenario, workpiece)
     worst = int(distance.argmin())
@@ -63,7 +63,7 @@ def test_the_body_the_place_and_the_depth_are_those_of_brute_force(target, scena
 
 
 def test_the_arm_is_brought_to_where_the_task_is_held():
-    """A tool that looks into the wall: the free arm comes to another posture, in which it does not."""
+    """Configuration of the obstruction with an orientation task: the cone holds, where a free tool leaves it."""
     rows = [{"point": "tcp", "on": "path"}, {"axis": "tcp.z", "towards": "-path.normal", "cone_deg": 40}]
     job = load_config({"task": rows})
     arm, part, scenario = scene(job)
@@ -98,7 +98,7 @@ def test_the_sentence_tells_how_deep_how_free_or_how_far_off(scenario, workpiece
 
 
 def test_a_body_that_is_clear_of_everything_is_no_cause(scenario, workpiece):
-    """Rough P1: bodies were counted as in the way that are 41 to 75 mm clear."""
+    """Cause of a failure where no body collides: never a body that is clear by 41 mm (regression)."""
     found = obstruction(robot(), workpiece, scenario, np.array(START), 80, SETTINGS)
     known, ended = found._replace(body="spindle", reached=True), Status.QP_INFEASIBLE.ended
     assert known._replace(depth_m=0.003).cause(ended) == "spindle"
@@ -124,7 +124,7 @@ def test_a_body_is_in_the_way_at_the_first_failed_target_unless_the_status_says_
 
 
 def test_a_failed_plan_tells_it_in_its_table_its_files_and_its_picture(tmp_path):
-    """Rough: which body is in the way, and where, stood nowhere for the failed target."""
+    """Colliding body of a failed plan in its table, its record and its picture (regression)."""
     plan = made_plan(tmp_path)
     sentence = plan.obstruction.description
     assert plan.failure()["in the way"] == sentence

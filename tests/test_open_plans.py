@@ -1,4 +1,4 @@
-"""One opener for runs and plans: whoever looks and whoever checks read the same; another format is refused."""
+"""Readers of runs and plans: the viewer and the validation read the same; another format is refused."""
 
 import json
 import shutil
@@ -22,7 +22,7 @@ OTHER = "was written by another version of the format and must be planned again"
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A plan made by hand and the folder that it was written into."""
+    """A plan made by hand, and the folder it is saved in."""
     place = tmp_path_factory.mktemp("made")
     plan = made_plan(place)
     plan.save(place / "plan")
@@ -30,7 +30,7 @@ def made(tmp_path_factory):
 
 
 def rewritten(folder, place, **changes):
-    """A copy of a plan's folder whose arrays differ; None takes one away."""
+    """A copy of a plan's folder with other arrays; None removes an array."""
     shutil.copytree(folder, place)
     with np.load(place / TRAJECTORY) as file:
         arrays = {name: file[name] for name in file} | changes

@@ -1,4 +1,4 @@
-"""A planner in a package of its own is known wherever a built-in one is: to commands, to Ray's workers, in files."""
+"""Planners in a separate package: known to commands, to Ray's workers and in files like a built-in one."""
 
 import json
 import os
@@ -28,7 +28,7 @@ GRID = "config: job.yaml\ngrid:\n  - workpiece.rotation_z_rad: [0.1, 0.2]\n  - r
 
 
 def install(target: Path, points: dict[str, str], package: str, *modules: Path) -> Path:
-    """What an installer leaves of a package with entry points in the folder `target`."""
+    """Write into the folder `target` what an installer leaves of a package with entry points."""
     target.mkdir(exist_ok=True)
     for module in modules:
         shutil.copy(module, target)
@@ -41,14 +41,14 @@ def install(target: Path, points: dict[str, str], package: str, *modules: Path) 
 
 
 def installed(target: Path) -> Path:
-    """The example package, as its pyproject.toml says."""
+    """The example package, installed as its pyproject.toml describes."""
     project = tomllib.loads((SOURCE / "pyproject.toml").read_text())
     modules = [SOURCE / f"{name}.py" for name in project["tool"]["setuptools"]["py-modules"]]
     return install(target, project["project"]["entry-points"][registry.GROUP], project["project"]["name"], *modules)
 
 
 class Place:
-    """A working folder, and commands run in it by a Python that has some more packages."""
+    """A working folder, and commands run in it by a Python with additional packages."""
 
     def __init__(self, folder: Path, *packages: Path):
         self.folder = folder
@@ -63,7 +63,7 @@ class Place:
         return subprocess.Popen(command, cwd=self.folder, env=self._environment, stdout=pipe, stderr=pipe, text=True)
 
     def run(self, *words: str, before: str = "") -> tuple[int, str, str]:
-        """The exit code, and what stdout and stderr got."""
+        """Return the exit code, stdout and stderr."""
         process = self.start(*words, before=before)
         out, err = process.communicate()
         return process.returncode, out, err
@@ -116,7 +116,7 @@ def test_it_sweeps_on_ray_as_it_does_here(place):
     assert code == 0, err
     assert place.run("report", "ray", "--out", "report")[0] == 0
     assert "Random restarts" in (place.folder / "report" / "report.html").read_text()
-    # Where the package is not, what it planned can still be looked at.
+    # Without the package, its plans can still be viewed.
     assert htcp_jax.open_run(place.folder / "ray").plans(NAME).status.shape[0] == 4
 
 
@@ -161,7 +161,7 @@ def test_a_method_of_this_process_plans_and_is_listed(standstill, tmp_path):
     plan = htcp_jax.plan(job, method="standstill")
     assert plan.summary.tracked == 0 and np.isnan(plan.plans.x).all()
     assert "standstill" in htcp_jax.methods().index
-    htcp_jax.register(standstill)  # the same one again, as a notebook does
+    htcp_jax.register(standstill)  # again, as a notebook does
     with pytest.raises(InputError, match="method 'standstill' is registered in this process alone"):
         htcp_jax.sweep({"grid": [{"margin_m": [0.0]}]}, "standstill", config=job, on="ray")
 
@@ -189,7 +189,7 @@ def test_plans_of_other_scenarios_are_refused(monkeypatch, standstill, tmp_path)
 
 
 def test_nothing_is_imported_before_a_name_is_looked_up():
-    """Reading a configuration needs no planner."""
+    """Imports for reading a configuration: no planner is loaded."""
     code = (
         "import sys, htcp_jax.jobs.config, htcp_jax.planning.registry; "
         "own = tuple(f'htcp_jax.{package}.' for package in ('device', 'motion', 'planning')); "

@@ -1,4 +1,4 @@
-"""What stands around the modules: files that are installed with them, the command, and the commit that runs record."""
+"""Package metadata: the command, the commit that runs record, and the imports of the core."""
 
 import importlib
 import shutil
@@ -31,7 +31,7 @@ def test_a_run_records_whether_anything_of_the_package_was_edited(edited, tmp_pa
     _git(tmp_path, "add", "htcp_jax")
     _git(tmp_path, "-c", "user.name=n", "-c", "user.email=e", "commit", "--quiet", "--message", "all of it")
     monkeypatch.setattr(htcp_jax, "__file__", str(copy / "__init__.py"))
-    commit = provenance.commit.__wrapped__  # without its memory
+    commit = provenance.commit.__wrapped__  # without its cache
     clean = commit()
     assert clean == _git(tmp_path, "rev-parse", "HEAD").strip()
     (copy / edited).write_text((copy / edited).read_text() + "\n")

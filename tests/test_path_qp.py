@@ -1,4 +1,4 @@
-"""The QP of a whole path, equation (3): a minimum by its multipliers, closed forms, and what every answer keeps."""
+"""QP of a whole path, equation (3): minima by their multipliers, closed forms, and what every answer satisfies."""
 
 from itertools import pairwise
 
@@ -9,11 +9,11 @@ from scipy.linalg import block_diag
 
 from htcp_jax.solvers.path_qp import PathQP, path_cost, solve_path_qp
 
-EXACT = 2e-6  # what an interior-point method leaves of a unit
+EXACT = 2e-6  # accuracy of an interior-point method, relative to 1
 
 
 def random_path(rng, count=4, joints=3, rows=2, radius=0.3):
-    """Postures anywhere, some held by one equation; rows of all directions, near enough to stop some steps."""
+    """Random configurations, some with an equality; rows of all directions, close enough to stop some steps."""
     shape = count, rows, joints
     stays = (rng.random(count) < 0.2)[:, None]
     most, least = (np.where(stays, 0.0, rng.uniform(0.1, 1, (count, joints)) * radius) for _ in range(2))
@@ -25,7 +25,7 @@ def random_path(rng, count=4, joints=3, rows=2, radius=0.3):
 
 
 def free(x, weights=None, **changes):
-    """The same without any constraint, but for those that are given."""
+    """A path QP without constraints, except for those in `changes`."""
     count, joints = len(x) - 1, x.shape[1]
     rows, far = np.zeros((count, 0, joints)), np.full((count, joints), 1e3)
     nothing = PathQP(
@@ -36,13 +36,13 @@ def free(x, weights=None, **changes):
 
 
 def cost(qp, y):
-    """Sum over the path of w' (x_i - x_{i-1})^2, posture by posture."""
+    """Sum over the path of w' (x_i - x_{i-1})^2, one configuration after another."""
     x = [qp.x[0], *(qp.x[1:] + y)]
     return sum(float(qp.weights @ (b - a) ** 2) for a, b in pairwise(x))
 
 
 def left(qp, y):
-    """What all inequalities but the bounds leave, as they are written down; the start does not move."""
+    """Slack of all inequalities except the bounds, from their definition; the start does not move."""
     y = np.concatenate([np.zeros((1, y.shape[1])), y])
     at = [qp.h[i] - qp.G[i] @ y[i + 1] for i in range(len(qp.h))]
     half_way = [qp.c[i] - qp.C[i] @ (y[i] + y[i + 1]) / 2 for i in range(len(qp.c))]
@@ -54,8 +54,11 @@ def task(qp, y):
 
 
 def is_a_minimum(qp, y):
-    """Whether what pulls at y is held by the equations and by the inequalities that have nothing left, dense: for a
-    convex QP that is enough (Karush, Kuhn and Tucker). Says also which inequalities hold it."""
+    """Return whether y is a minimum, and which inequalities are active.
+
+    The cost's gradient must be a combination of the equations and, with non-negative weights, of the active
+    inequalities (dense). For a convex QP these Karush-Kuhn-Tucker conditions suffice.
+    """
     zero, size = np.zeros_like(y), y.size
     pull = optimize.approx_fprime(y.ravel(), lambda flat: cost(qp, flat.reshape(y.shape)), 1e-7)
     slope = lambda of: np.stack([of(qp, e.reshape(y.shape)) - of(qp, zero) for e in np.eye(size)], axis=1)  # noqa: E731
@@ -73,7 +76,7 @@ def is_a_minimum(qp, y):
 
 
 def test_it_finds_the_minimum():
-    """All kinds of constraints hold some of the paths, those half way to the first posture among them."""
+    """Minima of random paths, with all kinds of active constraints, also halfway to the first one."""
     stopped = np.zeros(4, int)
     for seed in range(25):
         qp = random_path(np.random.default_rng(seed))
@@ -87,7 +90,7 @@ def test_it_finds_the_minimum():
 
 
 def test_without_an_active_inequality_it_solves_the_equations_of_its_multipliers():
-    """A dense system: stationary along the path, and the held postures stay on their task."""
+    """Solution of the dense KKT system: stationary along the path, with the held configurations on their task."""
     for seed in range(10):
         rng = np.random.default_rng(seed)
         x, held = rng.normal(size=(9, 4)), np.arange(8) % 3 > 0
@@ -102,7 +105,7 @@ def test_without_an_active_inequality_it_solves_the_equations_of_its_multipliers
 
 
 def test_a_path_whose_last_posture_stays_becomes_straight_and_even():
-    """Whatever the weights: from the start, which is held, to the end, in steps of one length."""
+    """Straight path with even steps from the fixed start to the fixed end, for any weights."""
     rng = np.random.default_rng(3)
     x, bound = rng.normal(size=(7, 5)), np.full((6, 5), 1e3)
     bound[-1] = 0.0
@@ -118,7 +121,7 @@ def test_a_path_that_may_end_anywhere_stays_at_its_start():
 
 
 def test_one_posture_on_its_task_gives_way_where_joints_are_light():
-    """In closed form: nearest to the start in the weighted norm, on the plane of the task."""
+    """Closed form for one configuration: the nearest to the start in the weighted norm, on the plane of the task."""
     rng = np.random.default_rng(5)
     for weights in (np.ones(3), np.array([1.0, 30.0, 1.0])):
         x, a = rng.normal(size=(2, 3)), rng.normal(size=3)
@@ -130,7 +133,7 @@ def test_one_posture_on_its_task_gives_way_where_joints_are_light():
 
 @pytest.mark.parametrize("factor", [0.0, 1e-6, 1.0, 100.0])
 def test_every_answer_keeps_what_it_has_to_and_costs_no_more_than_before(factor):
-    """Paths of a hundred postures; rows that have nothing left, or much; postures that stay, and tiny trust regions."""
+    """Constraints and cost of answers for 100 configurations: tight and loose rows, tiny trust regions."""
     for seed in range(6):
         rng = np.random.default_rng(seed)
         qp = random_path(rng, count=100, joints=6, rows=5, radius=[0.2, 1e-4][seed % 2])
@@ -142,7 +145,7 @@ def test_every_answer_keeps_what_it_has_to_and_costs_no_more_than_before(factor)
 
 
 def test_a_row_that_no_step_breaks_changes_nothing():
-    """To the last bit, at the postures and half way; and the same row, once it is near, does."""
+    """Inactive rows: bitwise the same answer, at configurations and halfway; once a row is near, another one."""
     qp = random_path(np.random.default_rng(7), count=8, joints=4)
     y, rng = solve_path_qp(qp), np.random.default_rng(8)
     more, far = rng.normal(size=(8, 1, 4)), np.full((8, 1), 3.0)  # beyond any step of 0.3
@@ -166,7 +169,7 @@ def test_the_cost_of_a_path_is_that_of_its_steps():
 
 
 def test_a_row_is_kept_that_only_the_longest_step_breaks():
-    """Every joint is pulled to the end of its trust region; a row at a posture, or half way, stops it just before."""
+    """Rows that only the longest step violates: they stop a joint just before the end of its trust region."""
     pulled = np.array([1.0, -1.0, 1.0])
     x, bound, none = np.outer([0, 20, 30], pulled), np.full((2, 3), 0.3), np.zeros((2, 0))
     towards = np.tile(-pulled, (2, 1, 1))

@@ -1,6 +1,6 @@
-"""The peers whose plans are judged as motions: what they are told of a scenario, and what they make of it.
+"""Other planners whose plans are validated as motions: the scenarios they get, and the plans they return.
 
-OMPL and tesseract-robotics-nanobind are no requirements of the tests: what needs them is skipped where they are absent.
+OMPL and tesseract-robotics-nanobind are not required by the tests: tests that need them are skipped without them.
 """
 
 import itertools
@@ -22,7 +22,7 @@ from htcp_jax.planning.batch import plan
 
 
 def module(name):
-    """That of a peer; skips where its package is absent."""
+    """Module of a peer; skip the test if its package is absent."""
     return pytest.importorskip(PEERS[name][0], reason=PEERS[name][2], exc_type=ImportError)
 
 
@@ -52,7 +52,7 @@ def test_postures_that_are_brought_onto_a_target_are_there_and_clear_by_mujoco(b
 
 @pytest.mark.slow
 def test_a_way_off_the_path_is_not_proven_on_it_and_may_be_before_it(problem):
-    """The two targets about the path's first point; a joint path there that swings the TCP out and back."""
+    """Proof of a segment that swings the TCP out and back: refused on the path, accepted before it."""
     cell = Cell(problem, 0)
     a, x = cell.start[None], cell.start[None] + np.array([0.02, 0, 0, 0, 0, 0])
     assert cell.proven(a, x, 1)[0] and not cell.proven(a, x, cell.on_path + 1)[0]
@@ -93,7 +93,7 @@ def test_ompls_constraint_has_the_jacobian_of_its_function():
 
 
 def test_descartes_finds_the_shortest_path_through_a_ladder():
-    """Against all paths of a small one, one edge in three of which is missing."""
+    """Shortest path through a small ladder graph with one edge in three missing, compared with all paths."""
     descartes, draw = module("descartes-ladder"), np.random.default_rng(1)
     postures = [draw.normal(size=(count, 6)) for count in (1, 4, 5, 4)]
     rungs = [Brought(x, *np.zeros((2, len(x))), np.zeros((len(x), 3))) for x in postures]

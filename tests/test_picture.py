@@ -1,4 +1,4 @@
-"""The picture: exact outlines, the side that shows the inside, and no plan that cannot be drawn."""
+"""The picture: exact outlines, the side that shows the inside, and a drawing for every plan."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -46,7 +46,7 @@ def test_the_shape_of_the_arm_is_that_of_its_kinematics_with_one_rule_for_the_ba
 
 
 def test_the_shapes_of_as_many_postures_are_compiled_once():
-    """A fresh lambda was jitted, and so compiled, for every picture."""
+    """One compilation for every picture with as many configurations (regression: each picture compiled anew)."""
     x = jnp.zeros((4, 6))
     capsules_and_tcp(gp50(), x)
     before = capsules_and_tcp._cache_size()

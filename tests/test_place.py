@@ -1,6 +1,9 @@
-"""Searches of a small part by real planners: what is ranked holds when it is planned alone, off or measured by MuJoCo,
-and neither threads nor kills have any influence on it. The part is a plate behind a path of two points, moved towards
-the arm until nothing fits."""
+"""Placement searches of a small part by real planners.
+
+Each ranked result holds when it is planned alone, when it is perturbed and when MuJoCo measures it; neither threads nor
+kills have any influence on it. The part is a plate behind a path of two points, moved towards the arm until nothing
+fits.
+"""
 
 import json
 import random
@@ -53,14 +56,14 @@ def make(folder: Path) -> Path:
 
 
 def results(folder: Path) -> dict[str, bytes]:
-    """What a search leaves, and the rows of all its stages."""
+    """Ranking files of a search, and the row files of all its stages."""
     rows = {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*/*.parquet")}
     return {name: (folder / name).read_bytes() for name in RESULTS[:2]} | rows
 
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory) -> Placed:
-    """An undisturbed search."""
+    """An uninterrupted search."""
     folder = make(tmp_path_factory.mktemp("placed"))
     return place(folder / "place.yaml", folder / "out")
 
@@ -72,14 +75,14 @@ def here(tmp_path, monkeypatch):
 
 
 def start(folder: Path, out: str) -> subprocess.Popen:
-    """The command as a process of its own."""
+    """Start the command as a process of its own."""
     words = [sys.executable, "-m", "htcp_jax", "place", "place.yaml", "--out", out]
     pipe = subprocess.PIPE
     return subprocess.Popen(words, cwd=folder, env=environment(), stdout=pipe, stderr=pipe, text=True)
 
 
 def killed_somewhere(folder: Path, out: str, files: int, later_s: float) -> None:
-    """Begin, and kill it a while after so many files of rows are written."""
+    """Start the command, and kill it some time after it has written that many row files."""
     with start(folder, out) as process:
         while process.poll() is None and len(list((folder / out).rglob("*.parquet"))) < files:
             time.sleep(0.002)
@@ -104,7 +107,7 @@ def test_a_driver_killed_goes_on_to_the_same_bytes_with_another_number_of_thread
 
 
 def test_every_ranked_mounting_planned_alone_is_the_motion_that_the_table_says(found):
-    """Rough P2: 22.6 mm for the best mounting, and 2.04 mm where it was planned: the margin stood nowhere."""
+    """Plans of the ranked placements: the same motion, margin and clearance as in the table (regression)."""
     assert found.mountings
     told = json.loads((found.folder / "ranked.json").read_text())["ranked"]
     for rank, one in enumerate(found.mountings):
@@ -117,7 +120,7 @@ def test_every_ranked_mounting_planned_alone_is_the_motion_that_the_table_says(f
 
 
 def test_complete_are_mountings_in_which_a_motion_leads_to_the_end(found):
-    """Rough P5: of 1,280 disturbed plans 1,265 were called complete, and 17 had a motion to the end."""
+    """Complete placements: only those with a proven motion to the end (regression: tracked ones counted, too)."""
     for judged in found.judged:
         assert (judged.complete == judged.plans.outcomes.can_be_driven).all()
     no_motion = found.judged[0].plans
@@ -128,7 +131,7 @@ def test_complete_are_mountings_in_which_a_motion_leads_to_the_end(found):
 
 
 def test_the_default_screen_finds_motions_in_a_box_whether_the_start_is_given_or_chosen(tmp_path):
-    """Rough P3: with `start_rad: auto` 0 of 160 mountings were complete; in this box, with a given start, 0 of 150."""
+    """Complete placements of the default screen in a box, for a given start and `start_rad: auto` (regression)."""
     job = box_job(tmp_path)
     ranges = {"workpiece.shift_m.z": [0.14, 0.18]}
     for start in ({}, {"start_rad": "auto"}):
@@ -138,7 +141,7 @@ def test_the_default_screen_finds_motions_in_a_box_whether_the_start_is_given_or
 
 
 def test_a_search_that_is_stopped_before_the_end_leaves_a_ranking_that_says_so(here):
-    """Rough P4: no ranking was written before the last stage ended."""
+    """Ranking of an interrupted search: written, and marked as unfinished (regression)."""
 
     def stop(now) -> None:
         if now.stage == "tolerance":
@@ -182,7 +185,7 @@ def test_the_ranking_is_by_what_is_left_when_off_and_the_best_of_either_aim_are_
 
 
 def disturbances_hold(found: Placed, folder: Path, count: int, seed: int) -> None:
-    """So many mountings within the stated tolerance of the first, planned anew, are complete."""
+    """Check that `count` random placements within the stated tolerance of the first are complete when planned anew."""
     first, axes, off = found.mountings[0], found.search.ranges.axes, found.search.file.off
     half = np.array([axis.disturbed(1e-3 * off.mm, off.deg) for axis in axes]) * first.tolerance.together
     assert (half > 0).all()

@@ -1,4 +1,7 @@
-"""`htcp place` from the command line: bad input is one line, code 2 and nothing written; no mounting is code 3."""
+"""`htcp place` on the command line.
+
+Bad input is one line, exit code 2 and nothing written; no placement is exit code 3.
+"""
 
 import json
 import re
@@ -56,7 +59,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(here, capsys, text, words, say
 
 
 def test_where_every_start_collides_the_body_is_named_and_nothing_is_left(here, capsys):
-    points = np.random.default_rng(0).uniform((-0.3, -0.3, 0.2), (0.3, 0.3, 1.0), (20_000, 3))  # where the arm stands
+    points = np.random.default_rng(0).uniform((-0.3, -0.3, 0.2), (0.3, 0.3, 1.0), (20_000, 3))  # at the arm
     np.savetxt(here / "plate.xyz", points)
     job = JOB + "  pivot_m: [0, 0, 0]\n  neutral_translation_m: [0, 0, 0]\n"
     lines = [line for line in job.splitlines() if not line.startswith(("  pivot_m: [1", "  neutral_translation_m: [1"))]
@@ -80,12 +83,12 @@ def test_without_a_mounting_it_exits_with_3_and_says_which_seam_prevents_the_bes
 
 
 def test_the_number_of_plans_is_printed_first_and_the_command_that_plans_the_best_last(here, capsys):
-    """Rough P4: 150 scenarios became 1,454 plans without a word. P2: the printed names are refused by `plan`."""
+    """Number of plans, printed first, and the command that plans the best placement, printed last (regression)."""
     assert place("place: {workpiece.shift_m.x: [-0.1, 0.1]}\nbest: 1", "--scenarios", "2") == 0
     output = capsys.readouterr().out
     most = int(re.match(r"up to ([\d,]+) plans: 8 to search, 7 to confirm, ", output)[1].replace(",", ""))
     made = [json.loads(file.read_text())["shards"] for file in (here / "out").rglob("manifest.json")]
-    assert sum(shard["last"] - shard["first"] + 1 for shards in made for shard in shards) <= most + 1  # the ranked one
+    assert sum(shard["last"] - shard["first"] + 1 for shards in made for shard in shards) <= most + 1  # the ranked
     (command,) = (line.split()[1:] for line in output.splitlines() if line.startswith("plan "))
     clearance = re.search(r"\n +1 +\S+ +(\S+)", output)[1]
     assert main([*command[1:], "--json"]) == 0

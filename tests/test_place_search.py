@@ -1,4 +1,4 @@
-"""Ranges of mountings and where to look in them: pure functions, held to brute force and to themselves."""
+"""Ranges of placements and the search in them: pure functions, compared with brute force."""
 
 import math
 
@@ -31,7 +31,7 @@ def test_every_point_of_the_unit_cube_is_a_value_within_the_range_and_leads_back
     found = ranges({"workpiece.shift_m.y": [low, high]})
     values = found.values(np.array(u)[:, None])
     assert (values >= low).all() and (values <= high).all()
-    came = (values - found.low)[:, 0]  # by the share of the width that was asked for, however narrow the range is
+    came = (values - found.low)[:, 0]  # relative to the required width, however narrow the range is
     np.testing.assert_allclose(came, np.array(u) * found.width, atol=1e-12 * max(1, abs(low), abs(high)))
 
 
@@ -120,7 +120,7 @@ def test_what_is_wrong_with_the_file_is_refused_in_one_line(more, says):
     assert "\n" not in str(refused.value)
 
 
-# Where to look
+# The search
 
 
 def known(u, spare, complete=None, done=None) -> Known:
@@ -130,7 +130,7 @@ def known(u, spare, complete=None, done=None) -> Known:
 
 
 def bowl(u) -> Known:
-    """Best at 0.3 in every parameter; only what is near to it is complete."""
+    """An objective with its optimum at 0.3 in every parameter; only points near it are complete."""
     off = np.abs(np.asarray(u) - 0.3).max(axis=1)
     complete = off < 0.2
     return known(u, np.where(complete, -off, -np.inf), complete, np.where(complete, 1.0, 1 - off))

@@ -1,4 +1,4 @@
-"""plan(): what comes back keeps its promises, checked by plain numpy over all points and all facets."""
+"""plan(): its results hold, checked by plain numpy over all points and all facets."""
 
 import itertools
 from functools import cache
@@ -19,7 +19,7 @@ from htcp_jax.planning.tracking.step_qps import StepQPs
 from htcp_jax.settings import Settings, settings_of
 from htcp_jax.status import Status
 
-# As in test_engine.py, whose compiled programs serve here too.
+# As in test_engine.py, whose executables are reused here.
 PAPER = Settings(**made_once.PAPER_CHOICES)
 PATH_STEPS = PAPER.path_steps
 QUICK = {"baseline", "nspace-sqp", "keep-clear", "cspace-sample"}
@@ -38,7 +38,7 @@ def scenario(number=0, rotation=(0.4, 0.1), start=made_once.START, **changes):
 
 @cache
 def poses():
-    """Three poses of the workpiece sweep at which the baseline gets stuck: soon, later, and near the end."""
+    """Three poses of the workpiece sweep in which the baseline gets stuck: soon, later, and near the end."""
     return [scenario(0, (0.8, -0.3)), scenario(1, (0.4, 0.1)), scenario(2, (0.6, 0.0))]
 
 
@@ -68,7 +68,7 @@ def numpy_D(robot, workpiece, scenario, x):
 
 @every_method
 def test_a_tracked_target_is_reached_clear_and_within_the_limits(method):
-    """By independent means: TCP error at most 1 mm, D > 0 over all points; and what was recorded says the same."""
+    """Tracked targets, checked independently: TCP error at most 1 mm, D > 0 over all points, and the same on record."""
     plans, (robot, duct) = planned(method), scene()
     tracked = np.argwhere(plans.status <= Status.TRACKED_AFTER_ESCAPE)
     assert len(tracked) > 60
@@ -88,7 +88,7 @@ def test_a_tracked_target_is_reached_clear_and_within_the_limits(method):
 
 @every_method
 def test_plans_are_consistent(method):
-    """Nothing after the first failure; escapes only where the status says so; steps and paths as they were walked."""
+    """Consistency of plans: nothing after the first failure; recoveries and steps as the statuses say."""
     plans, own = planned(method), find(method)
     assert plans.compile_s >= 0 and plans.run_s > 0
     np.testing.assert_array_equal(plans.target, stack(poses()).targets)
@@ -112,7 +112,7 @@ def test_plans_are_consistent(method):
 
 
 def test_paths_are_called_clear_where_their_interpolated_configurations_are():
-    """Densely, by the clearance itself, for the jumps of an escape and for small steps."""
+    """`path_clear`, compared with the clearance at many interpolated configurations, for jumps and for small steps."""
     plans, (robot, obstacle) = planned("cspace-sample"), made_once.scene()[:2]
     verdict = jax.jit(jax.vmap(is_clear, in_axes=(None, None, None, 0)))
     blocked = 0
@@ -136,7 +136,7 @@ def test_an_unchecked_path_is_unknown():
 
 
 def test_ten_starts_in_one_call_are_planned_as_each_is_alone():
-    """Statuses and configurations to the last bit. (A hundred of them: test_engine.py, slow.)"""
+    """Ten starts in one call: bitwise the plans of single calls. (100 of them: test_engine.py, slow.)"""
     offsets = list(itertools.product((-0.2, 0.1), (-0.1, 0.2), (-0.2, 0.0, 0.2)))[:10]
     starts = [scenario(k, start=np.add(made_once.START, (0, 0, *offset, 0))) for k, offset in enumerate(offsets)]
     together = plan(*scene(), starts, "nspace-sqp", PAPER, check_paths=False)
@@ -147,7 +147,7 @@ def test_ten_starts_in_one_call_are_planned_as_each_is_alone():
 
 
 def test_scenarios_of_different_lengths_and_tools_share_a_batch():
-    """A shorter target list ends early; a longer tool is planned with its own TCP and capsules."""
+    """Shorter target lists and longer tools in one batch: each scenario with its own end, TCP and capsules."""
     mixed = [scenario(0, approach=(2, 2)), scenario(1, tool_extension_m=0.03), scenario(2)]
     plans = plan(*scene(), mixed, "baseline", PAPER)
     assert not plans.exists[0, 99:].any() and plans.exists[0, :99].all() and np.isnan(plans.x[0, 99:]).all()
@@ -178,7 +178,7 @@ def test_progress_counts_up_to_everything_that_was_done():
 
 
 def test_the_start_itself_is_the_first_target():
-    """Reached at once, without moving, where the start is clear."""
+    """First target at the start: tracked at once, without motion, where the start is clear."""
     plans = planned("baseline")
     assert (plans.status[:, 0] == Status.TRACKED).all()
     np.testing.assert_allclose(plans.joint_step[:, 0], 0.0, atol=1e-5)
@@ -202,8 +202,11 @@ def test_every_path_of_the_hybrid_is_clear():
 
 @pytest.mark.slow
 def test_the_prose_of_the_paper_tracks_again_after_an_escape():
-    """after_escape="track": the step QP has the last word, so an escaped target is reached like any other. With its
-    cost about x_{t-1}, equation (4), it goes straight back to where it was stuck: no escape lasts."""
+    """after_escape="track", as in the paper's prose: the step QP tracks again after a recovery.
+
+    An escaped target is reached like any other. With the QP's cost about x_{t-1}, equation (4), it goes straight back
+    to where it was stuck: no recovery lasts.
+    """
     lasted = {}
     for about in ("reference", "previous"):
         settings = Settings(**{**made_once.PAPER_CHOICES, "cost_about": about}, after_escape="track")
@@ -251,7 +254,7 @@ def test_a_start_in_collision_is_refused_with_its_body_and_depth():
 
 
 def test_settings_are_a_mapping_too():
-    """Rough: planner.plan(settings={...}) was an AttributeError."""
+    """Settings given as a mapping: the same plan (regression: an AttributeError)."""
     spelled = {**made_once.PAPER_CHOICES, "q_weights": [5, 5, 2, 1, 5, 10]}
     assert settings_of(spelled) == PAPER and settings_of(None) == settings_of({}) == Settings()
     assert settings_of(PAPER) is PAPER

@@ -1,4 +1,4 @@
-"""Plans say what became of their scenarios: the same as one reads off the statuses, row by row."""
+"""Outcomes of plans: the same as read off the statuses, row by row."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ MOST = 6  # targets of a scenario
 
 @st.composite
 def scenarios(draw):
-    """A row of statuses as a planner leaves it: tracked ones, then perhaps a failure and the rest; then no targets."""
+    """Statuses as a planner leaves them: tracked ones, then perhaps a failure and the rest; then no targets."""
     targets = draw(st.integers(0, MOST))
     tracked = draw(st.lists(st.sampled_from([A, E]), max_size=targets))
     rest = targets - len(tracked)
@@ -26,7 +26,7 @@ def scenarios(draw):
 
 @st.composite
 def some_plans(draw):
-    """Plans of a few scenarios, with joint paths that are clear, blocked or unknown, and with ways of all kinds."""
+    """Plans of a few scenarios, with joint paths that are clear, blocked or unknown, and segments of all kinds."""
     plans = plans_with(draw(st.lists(scenarios(), min_size=1, max_size=4)))
     size, shape = plans.status.size, plans.status.shape
     known = draw(st.lists(st.sampled_from([-1, 0, 1]), min_size=size, max_size=size))
@@ -91,7 +91,7 @@ def test_parts_put_together_are_the_whole_in_any_order(plans, order):
         there, here = getattr(whole, name)[whole.exists], getattr(plans, name)[plans.exists]
         np.testing.assert_array_equal(there, here, err_msg=name)
     np.testing.assert_array_equal(whole.start, plans.start)
-    assert whole.run_s == pytest.approx(len(rows) * plans.run_s)  # each part says the seconds of all
+    assert whole.run_s == pytest.approx(len(rows) * plans.run_s)  # each part has the seconds of all
 
 
 def test_empty_plans_attempt_nothing_and_have_the_targets_that_they_are_given():

@@ -1,4 +1,4 @@
-"""Whole poses along a path, by an arm with a joint to spare, in empty space; public problems by their own rules."""
+"""Full poses along a path, by an arm with one redundant joint, in free space; public problems by their own rules."""
 
 from itertools import combinations
 from pathlib import Path
@@ -26,7 +26,7 @@ POINTS, STEP_M, TURN_RAD = 4, 0.01, 0.02
 
 @pytest.fixture
 def job(tmp_path):
-    """Seven joints, and a short line of poses that turn on the way; nothing stands about."""
+    """Job of seven joints with a short line of poses that turn along it; without obstacles."""
     arm = made_once.seven_joints(tmp_path)
     T = np.asarray(tcp_pose(arm, jnp.asarray(MIDDLE)))
     places = T[:3, 3] + np.outer(STEP_M * np.arange(POINTS), [0, 0.6, 0.8])

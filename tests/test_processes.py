@@ -1,4 +1,4 @@
-"""Plans by several processes: the same to the last bit, heard of meanwhile, and over with the one that asked."""
+"""Planning in several processes: the same plans bitwise, progress meanwhile, and no workers left at the end."""
 
 import contextlib
 import os
@@ -38,7 +38,7 @@ def scene():
 
 
 def poses():
-    """The third is refused before anything is planned."""
+    """Five scenarios, the third of which is refused before planning."""
     made = [make_scenario(*scene(), made_once.START, rotation=rotation, margin_m=0.0, number=k)
             for k, rotation in enumerate(ROTATIONS)]  # fmt: skip
     scenarios = stack(made)
@@ -55,7 +55,7 @@ def same(a, b):
 
 @pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_the_number_of_processes_has_no_influence(count):
-    """All arrays to the last bit, and all knots of motions: beside one process with one engine, and with two."""
+    """All arrays and via points, bitwise the same as in one process, with one engine or with two."""
     here = plan(*scene(), poses(), "cspace-sample", PAPER, threads=2)
     same(here, plan(*scene(), poses(), "cspace-sample", PAPER, processes=count))
     same(small_motions.planned(), small_motions.roadmap(small_motions.poses(), processes=count))
@@ -63,7 +63,7 @@ def test_the_number_of_processes_has_no_influence(count):
 
 
 def again(progress=None):
-    """Plans by two processes, with the fewest programs that each has to compile."""
+    """Plan in two processes, with the fewest executables to compile in each."""
     return plan(*scene(), poses(), "baseline", PAPER, progress=progress, processes=2, check_paths=False)
 
 
@@ -93,11 +93,11 @@ def test_what_progress_raises_ends_the_work_and_the_next_plan_begins_anew():
 
 
 def test_a_worker_that_is_killed_is_told_of():
-    """Whatever it was at: nobody waits for it."""
+    """A killed worker: an error at once, and the next call works."""
 
     def kill(now):
         for worker in list(processes._workers[0]._processes):
-            with contextlib.suppress(ProcessLookupError):  # when one is gone, loky ends the others
+            with contextlib.suppress(ProcessLookupError):  # when one has ended, loky ends the others
                 os.kill(worker, signal.SIGKILL)
 
     with pytest.raises(Lost, match="a worker process is gone"):
@@ -106,7 +106,7 @@ def test_a_worker_that_is_killed_is_told_of():
 
 
 class Here:
-    """A method that no other process can know."""
+    """A planner that no other process can have."""
 
     name, title, description = "here", "Here", "says which process has planned"
     seen = ()
@@ -158,7 +158,7 @@ print(plans.tracked.sum())
 
 
 def script(then):
-    """A running one, without a guard, given by standard input as a notebook's cells are."""
+    """Start a script without a guard from standard input, like the cells of a notebook."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])}
     piped = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     started = subprocess.Popen([sys.executable, "-"], env=environment, **piped)
@@ -175,7 +175,7 @@ def test_a_script_needs_no_guard():
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="a process is not told that its parent is gone")
 def test_workers_end_with_the_process_that_started_them():
-    """Even one that is killed, and can tell nobody."""
+    """End of the workers after their parent process ended, even if it was killed."""
     with script("import os; os.kill(os.getpid(), 9)") as running:
         workers = [int(word) for word in running.stdout.read().splitlines()[-1].split()]
     assert len(workers) == 2
@@ -187,7 +187,7 @@ def test_workers_end_with_the_process_that_started_them():
 
 
 def alive(process):
-    """Whether it is there, and not over and forgotten."""
+    """Return True if the process exists and is no zombie."""
     stat = Path(f"/proc/{process}/stat")
     try:
         os.kill(process, 0)
@@ -225,7 +225,7 @@ def test_fewer_processes_than_one_are_refused():
 
 @pytest.mark.skipif(compile_cache.fcntl is None, reason="no locks here")
 def test_who_comes_second_compiles_after_the_first(monkeypatch, tmp_path):
-    """And loads what it finds, see `compile_cache.alone`; another program does not wait."""
+    """Compilation of one executable by two threads: the second waits and loads the result; other ones do not wait."""
     before = jax.config.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))
     entered = threading.Event()

@@ -1,6 +1,7 @@
-"""A motion with time: within every limit at 1 ms, at the feed on the weld, and never further off than the proof allows.
+"""Time-parameterised motions.
 
-Everything is measured on what comes out, by finite differences and by MuJoCo; nothing is asked of the law itself.
+Within every limit at 1 ms, at the feed rate on the weld, and no further from the plan than its proof allows. All is
+measured on the result, by finite differences and by MuJoCo, not taken from the time scaling itself.
 """
 
 from dataclasses import replace
@@ -43,7 +44,7 @@ def mujoco_model():
 
 
 def tcp_by_mujoco(x):
-    """Of the GP50, world [m]."""
+    """TCP of the GP50 in the world frame [m]."""
     model = mujoco_model()
     data, found = mujoco.MjData(model), []
     for posture in x:
@@ -54,8 +55,10 @@ def tcp_by_mujoco(x):
 
 
 def weld(count=40, seed=0, rough=0.0, length=0.3):
-    """Postures of the GP50 whose TCP is on a line of `count` points along y, found by Gauss-Newton in MuJoCo; `rough`:
-    how far the postures are drawn aside in the null space [rad]."""
+    """Configurations of the GP50 with the TCP on a line of `count` points along y, by Gauss-Newton in MuJoCo.
+
+    `rough`: random displacement of each configuration in the null space [rad].
+    """
     model, rng = mujoco_model(), np.random.default_rng(seed)
     data, x, found = mujoco.MjData(model), np.array([0.1, -2.0, 0.6, 0.2, 0.6, -1.0]), []
     begin = tcp_by_mujoco([x])[0]
@@ -74,7 +77,7 @@ def weld(count=40, seed=0, rough=0.0, length=0.3):
 
 
 def whole_motion(seed=0, rough=0.002):
-    """Home, an approach with corners, a weld with a dwell and a point that is there twice, and back."""
+    """Home, an approach with corners, a weld with a dwell and a repeated point, and the way back."""
     line = weld(seed=seed, rough=rough)
     home = np.array([0.0, -1.5, 0.3, 0.0, 0.3, 0.0])
     turned = line[20] + np.array([[0, 0, 0, 0, 0, 0.2], [0, 0, 0, 0, 0, 0.4]])
@@ -102,7 +105,7 @@ def whole_motion(seed=0, rough=0.002):
 
 
 def room(motion, clearance=5e-3, tube=1e-3):
-    """As much beside every leg."""
+    """Equal slack for every segment."""
     kept = np.isin(motion.kind[1:], (F, D))
     return Spare(np.full(len(kept), clearance), np.where(kept, tube, np.inf))
 
@@ -114,7 +117,7 @@ def made(feed=0.02, seed=0, rough=0.002):
 
 
 def shares(timed, limits):
-    """The largest shares of velocity, acceleration and jerk, by finite differences of postures 1 ms apart."""
+    """Largest shares of the limits on velocity, acceleration and jerk, by finite differences over 1 ms."""
     differences = [np.diff(timed.x, n=n, axis=0) / STEP_S**n for n in (1, 2, 3)]
     return [float((np.abs(part) / limit).max()) for part, limit in zip(differences, limits, strict=True)]
 
@@ -172,7 +175,7 @@ def test_the_feed_is_held_by_mujoco_but_where_the_arm_stops():
     speed = np.linalg.norm(np.diff(tcp, axis=0), axis=1)[:-1] / STEP_S
     feeding = feeding[feeding < len(speed)]
     dips = one.dips()
-    assert [dip.reason for dip in dips].count("stop") >= 3  # where it begins, at the dwell, where it ends
+    assert [dip.reason for dip in dips].count("stop") >= 3  # at the start, the dwell and the end
     dipping = sum(dip.end_m - dip.begin_m for dip in dips)
     off = np.abs(speed[feeding] - 0.02) > 0.01 * 0.02
     assert speed[feeding].max() < 1.001 * 0.02
@@ -181,7 +184,7 @@ def test_the_feed_is_held_by_mujoco_but_where_the_arm_stops():
 
 
 def test_the_table_of_dips_names_the_joint_whose_limit_is_reached():
-    """One joint is made slow: it, and none else, keeps the feed below the one asked for."""
+    """Feed drops of a motion with one slow joint: each names that joint as its reason."""
     motion, robot = whole_motion(rough=0.0), made_once.robot()
     slopes = np.abs(np.diff(motion.x[3:24], axis=0)).max(axis=0) / (0.3 / 39)
     joint = int(slopes.argmax())
@@ -192,7 +195,10 @@ def test_the_table_of_dips_names_the_joint_whose_limit_is_reached():
 
 
 def test_the_feed_reached_is_the_least_speed_by_mujoco_between_run_up_and_run_down_and_the_joint_is_named():
-    """A weld alone, whose slowest joint may go at three quarters of what the feed asks for at its fastest place."""
+    """Reached feed rate of a weld with one slow joint.
+
+    The minimum between run-up and run-down by MuJoCo, and the joint as the reason.
+    """
     x, robot, limits = weld(rough=0.0), made_once.robot(), joint_limits(made_once.robot())
     motion = Motion(x, np.arange(len(x)), np.full(len(x), F, np.int8))
     slopes = np.abs(np.diff(x, axis=0)).max(axis=0) / (0.3 / 39)
@@ -248,7 +254,7 @@ def test_the_tool_stays_within_the_share_of_the_tolerance_by_mujoco(tube):
 
 @pytest.mark.parametrize("model", ["gp50", "rail"])
 def test_no_point_of_the_arm_is_nudged_further_than_the_bound(model, tmp_path):
-    """Random postures about one, random nudges from there; ends of the bodies and the TCP; hinges, and a slide."""
+    """Bound on the displacement of the arm's points, by random configurations and displacements; also with a slide."""
     robot = made_once.robot() if model == "gp50" else load_robot(rail(tmp_path), limits="model")
     rng, n = np.random.default_rng(1), len(robot.slides)
     x = rng.uniform(-1, 1, (50, n))
@@ -299,7 +305,10 @@ def one_leg(robot, ends, kind=A):
 
 
 def test_a_single_leg_takes_as_long_as_the_double_s_of_the_joint_that_takes_longest():
-    """Where full speed is reached: way / v + v / a + a / j (Biagiotti and Melchiorri, section 3.4)."""
+    """Duration of a single segment at full speed.
+
+    distance / v + v / a + a / j of the slowest joint (Biagiotti and Melchiorri, section 3.4).
+    """
     robot, limits = made_once.robot(), joint_limits(made_once.robot())
     way = np.array([0.1, -0.2, 1.5, 0.3, 0.0, 0.1])
     times = np.abs(way) / limits.velocity + limits.velocity / limits.acceleration + limits.acceleration / limits.jerk
@@ -328,7 +337,7 @@ def test_a_corner_with_room_is_passed_faster_than_one_that_is_as_good_as_a_stop(
 
 @pytest.mark.parametrize("off", [1e-9, 1e-7, 1e-6, 3e-6])
 def test_corners_that_all_but_touch_do_not_slow_the_tool_down(off):
-    """However little is between two corners that are as wide as they can be."""
+    """Duration with two wide corners that nearly touch: independent of the small distance between them."""
     robot, line, durations = made_once.robot(), weld(count=6, length=0.025, rough=1e-4), []
     for more in (0.0, off):
         u = np.cumsum([0.0, 0.005, 0.005, 0.005 + more, 0.005, 0.005])
@@ -380,7 +389,7 @@ def test_a_motion_in_which_nothing_moves_is_refused():
 
 
 def test_what_is_left_beside_a_leg_is_that_of_its_way_there_and_back():
-    """At target 4 the arm dwells over two postures: the way to target 5, of three legs, is tight."""
+    """Slack of each segment there and back: the arm dwells at target 4; the three segments to target 5 are tight."""
     plans = with_a_dwell(made_plans(np.zeros((10, 3)), STATUSES[:1]))
     plans.residual[:] = 3e-4
     there_and_back = motion_of(plans, 0, 2, retract=True)

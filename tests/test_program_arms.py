@@ -1,4 +1,4 @@
-"""Programs of other arms, held by more than the TCP's place, in a cell: limits, clearance, rows, loads, by MuJoCo."""
+"""Robot programs of other arms, with orientation tasks, in a cell: limits, clearance, rows and torques, by MuJoCo."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -25,7 +25,7 @@ FLOOR = '<mujoco><worldbody><geom name="floor" type="plane" size="3 3 .1" pos="0
 
 
 def rows(kind: str, job: dict) -> list[dict]:
-    """A task that the start of a job holds: the tool's axis in a cone, along a direction, or all of its orientation."""
+    """A task that holds at the job's start: the tool's axis in a cone, along a direction, or its full orientation."""
     config = load_config(job)
     R = np.asarray(tcp_pose(robot_of(config.robot), jnp.array(config.start)))[:3, :3]
     more = {

@@ -1,5 +1,4 @@
-"""`htcp program` as a person meets it: the table, the file, what is proven of it by MuJoCo, and one line for what is
-wrong."""
+"""`htcp program` on the command line: its table, its file, the check by MuJoCo, and one line for each error."""
 
 import csv
 import json
@@ -115,7 +114,7 @@ def test_a_motion_that_leaves_its_path_or_goes_through_the_wall_is_refuted(plans
 
 
 def changed(plans, folder, **sections) -> Path:
-    """The plan with other sections in the job on record."""
+    """A copy of the plan with other sections in the recorded job."""
     shutil.copytree(plans / "good", folder)
     record = json.loads((folder / SUMMARY).read_text())
     for name, section in sections.items():
@@ -125,7 +124,7 @@ def changed(plans, folder, **sections) -> Path:
 
 
 def tool_axis(plans) -> list[float]:
-    """Where the tool points as it comes to the weld."""
+    """Direction of the tool where the weld begins."""
     x = open_plans(plans / "good").plans("roadmap").x[0, -3]
     return np.asarray(tcp_pose(gp50(), jnp.asarray(x)))[:3, 2].tolist()
 
@@ -146,7 +145,10 @@ OFF = [
 
 @pytest.mark.parametrize("row", OFF, ids=lambda row: " ".join(map(str, row.values())))
 def test_every_kind_of_row_is_looked_at_every_millisecond_of_the_path(plans, here, row):
-    """A plan of the TCP alone, with a row on record that it does not hold."""
+    """Check of every kind of row at each sample on the path.
+
+    A plan of the TCP alone, with a recorded row that it violates.
+    """
     timed = program_of(open_plans(plans / "good"), 0.02, retract=False).program.timed(0.02)
     folder = changed(plans, here / "other", task=[{"point": "tcp", "on": "path"}, row])
     found = check_timed(folder, timed, "roadmap")
@@ -174,7 +176,7 @@ def test_a_tool_that_goes_back_along_its_path_is_refuted(plans):
 
 
 def test_a_bare_tip_that_passes_through_a_wall_is_refuted_where_the_job_guards_it(plans, here):
-    """The arm reaches on until its tip is in the wall, and its bodies are not."""
+    """A bare tip in a wall: refuted if the job guards the tip; the bodies stay clear."""
     timed = program_of(open_plans(plans / "good"), 0.02, retract=False).program.timed(0.02)
     on = timed._replace(x=timed.x + np.array([0, 0.04, 0, 0, 0, 0]))
     free = check_timed(plans / "good", on, "roadmap")
@@ -184,7 +186,10 @@ def test_a_bare_tip_that_passes_through_a_wall_is_refuted_where_the_job_guards_i
 
 
 def test_an_arm_that_heeds_itself_is_rounded_by_half_for_two_bodies_may_move_towards_each_other(plans, here):
-    """The record says that little is proven clear, so that corners are as wide as that allows."""
+    """Corner rounding with self-collision: half as wide, as two bodies may move towards each other.
+
+    The recorded clearance is made small, so that corners are as wide as it allows.
+    """
     little, farthest = 2e-4, []
     for heeds in (False, True):
         folder = changed(plans, here / str(heeds), cell={"self_collision": heeds})
@@ -199,7 +204,7 @@ def test_an_arm_that_heeds_itself_is_rounded_by_half_for_two_bodies_may_move_tow
 
 
 def from_polyline(curve) -> float:
-    """How far any body's end is from where it is on the straight joint paths between the knots [m]."""
+    """Largest distance of any body's end from the straight joint paths between the curve's via points [m]."""
     u = curve.grid(9, 3)
     straight = np.stack([np.interp(u, curve.u, joint) for joint in curve.x.T], axis=1)
     rounded, straight = (capsules_and_tcp(gp50(), jnp.asarray(x)) for x in (curve.at(u).x, straight))
@@ -282,8 +287,10 @@ def test_a_plan_that_is_not_executable_says_how_far_it_is(plans, here, capsys):
 
 @pytest.mark.parametrize("self_collision", [False, True])
 def test_the_check_says_of_every_posture_what_measuring_each_says(plans, here, self_collision):
-    """T11: most postures are decided by how far the arm has moved; where it swings into the part and out of its limits,
-    too."""
+    """Clearances and contacts of the check, equal to those measured at each sample.
+
+    Most samples are decided by how far the arm has moved; some motions swing into the part and out of the limits.
+    """
     folder = changed(plans, here / "other", cell={"self_collision": self_collision})
     timed = program_of(open_plans(folder), 0.05).program.timed(2e-3)
     swing = np.sin(np.linspace(0, 6 * np.pi, len(timed.x)))[:, None] * np.array([0.5, 0.2, 0.3, 0.4, 1.5, 0.5])
@@ -312,7 +319,7 @@ WEAK = """<mujoco model="arm"><compiler angle="radian"/><worldbody>
 
 @pytest.mark.parametrize(("effort", "flags", "code"), [(1, [], 3), (1, ["--allow-effort"], 0), (1e3, [], 0)])
 def test_an_effort_beyond_its_limit_is_a_warning_and_exit_3_unless_it_is_allowed(here, capsys, effort, flags, code):
-    """T11: `torque 163.5 % of the effort limit` came with exit 0 and no warning."""
+    """Effort beyond its limit: a warning and exit code 3, unless it is allowed (regression: exit code 0)."""
     (here / "arm.xml").write_text(WEAK.format(-effort, effort))
     start = [0.3, 0.6, 0.2]
     robot = htcp_jax.load_robot(here / "arm.xml")

@@ -1,4 +1,4 @@
-"""Files of a program, each read back by a reader that was written from the format's description and knows no writer."""
+"""Formats of robot programs, each read back by a reader written from the format's description."""
 
 import csv
 import datetime
@@ -22,7 +22,7 @@ from htcp_jax.trajectory.formats.writers import FORMATS, program_text
 from htcp_jax.trajectory.timed import Timed
 
 STEP_S = 0.002
-FULL_SPEED = 1e4  # [rad/s], so that no motion of these tests is over it
+FULL_SPEED = 1e4  # [rad/s], so high that no motion of these tests exceeds it
 ALL = st.floats(-3.2, 3.2) | st.floats(-1e-4, 1e-4)
 NAMES = st.text("abcXYZ019_-: #,'\"é", min_size=1, max_size=8)
 FEW = settings(max_examples=25)
@@ -34,7 +34,7 @@ def states(n: int, joints: int):
 
 @st.composite
 def motions(draw, joints=None):
-    """Any few postures, at multiples of a controller's step."""
+    """Motions of one to six configurations, at multiples of a controller's step."""
     n, N = draw(st.integers(1, 6)), joints or draw(st.integers(1, 8))
     steps = draw(st.lists(st.integers(1, 700), min_size=n, max_size=n))
     return Timed(
@@ -122,11 +122,11 @@ def test_a_ros_message_is_as_defined_and_reads_back_exactly_and_to_half_a_nanose
     assert np.abs(nanoseconds - 1e9 * timed.time_s).max() <= 0.5 + 1e-6
 
 
-# --- JBI: pseudo instructions before //INST, instructions behind it
+# --- JBI: pseudo instructions before //INST, instructions after it
 
 
 class Job:
-    """A job of INFORM, read from its text."""
+    """A job in INFORM, parsed from its text."""
 
     def __init__(self, text: str):
         assert text.endswith("\r\n") and text.isascii()
@@ -153,7 +153,7 @@ class Job:
         assert all(len(remark) <= 32 for remark in self.remarks)
 
     def array(self) -> np.ndarray:
-        """The positions, in the order in which the instructions go to them."""
+        """Positions in the order of their instructions."""
         return np.array([self.positions[move[1]] for move in self.moves])
 
 
@@ -208,7 +208,7 @@ def test_a_jobs_speeds_are_those_of_the_motion():
 
 
 def read_urscript(text: str) -> tuple[np.ndarray, np.ndarray]:
-    """Postures and times from the first one on: movej(q, a, v), then servoj(q, a, v, t, lookahead_time, gain)."""
+    """Configurations and times from the first: movej(q, a, v), then servoj(q, a, v, t, lookahead_time, gain)."""
     lines = [line.strip() for line in text.splitlines() if not line.startswith("#")]
     name = re.fullmatch(r"def (\w+)\(\):", lines[0])[1]
     assert lines[-3:] == ["stopj(1.0)", "end", f"{name}()"]
@@ -255,7 +255,7 @@ def table_of(joints: int) -> Pulses:
 
 
 def whole(timed: Timed) -> Beside:
-    """With all that any format asks for."""
+    """Controller data with all that any format needs."""
     frame = UserFrame(1, np.tile(np.eye(4), (len(timed.x), 1, 1)), np.zeros((len(timed.x), 6), int))
     return beside(timed, user_frame=frame, pulses=table_of(timed.x.shape[1]))
 

@@ -1,4 +1,4 @@
-"""Rounded corners hold every row of a task: what is left of one is what a nudge may take, by MuJoCo, for each kind."""
+"""Rounded corners keep every row of a task: its slack bounds the displacement, by MuJoCo, for each kind of row."""
 
 from functools import cache, partial
 
@@ -17,21 +17,21 @@ from htcp_jax.trajectory.nudge import arm_at, nudge_bound
 from htcp_jax.trajectory.rows_left import rows_beside
 from htcp_jax.validation.task_check import Place, hold_between
 
-SHARES = np.linspace(0, 1, 9)  # of a leg, at which it is looked at
-SIZES = np.geomspace(0.3, 1e-7, 60)  # of nudges, tried in turn
+SHARES = np.linspace(0, 1, 9)  # of a segment, where it is checked
+SIZES = np.geomspace(0.3, 1e-7, 60)  # of displacements, tried in turn
 ON = np.ones(WAYS, bool)
 
 
 @cache
 def beside():
-    """What the rows leave beside the legs of `test_row_proof`'s postures, and the arm there."""
+    """Slack of the rows along the segments of `test_row_proof`'s configurations, and the arm there."""
     task, goals, _ = held()
     left = rows_beside(task, made_once.robot(), postures(), np.stack([goals[:-1], goals[1:]], axis=1), ON)
     return left, arm_at(made_once.robot(), postures()[:-1], left.features)
 
 
 def holds(row: int, way: int, nudge: np.ndarray) -> bool:
-    """Whether a row holds all along a leg that is nudged, by MuJoCo."""
+    """Return True if a row holds all along a displaced segment, by MuJoCo."""
     _, _, part = held()
     a, b = postures()[way : way + 2]
     places = [Place(np.eye(3), np.zeros(3), part, np.full(len(SHARES), k)) for k in (way, way + 1)]
@@ -65,7 +65,7 @@ def test_off_the_path_anything_may_be_taken():
 def test_a_row_that_looks_past_its_place_has_nothing_left():
     left, _ = beside()
     looks = np.isfinite(left.apart).any(axis=0)
-    far = np.full((WAYS, len(left.features)), 1.0)  # further than the place is away
+    far = np.full((WAYS, len(left.features)), 1.0)  # more than the feature's distance
     assert looks.any() and np.isinf(left.taken(far)[:, looks]).all()
 
 
@@ -78,7 +78,10 @@ FEATURES = {
 
 @pytest.mark.parametrize("model", ["gp50", "rail"])
 def test_no_feature_is_nudged_further_than_its_bound_by_points_of_a_rigid_body(model, tmp_path):
-    """Random postures about one, random nudges from there; a direction is the difference of two points."""
+    """Bound on the displacement of features, by points of a rigid body.
+
+    Random configurations and displacements; a direction is the difference of two points.
+    """
     robot = made_once.robot() if model == "gp50" else load_robot(rail(tmp_path), limits="model")
     last, n = len(robot.slides) - 1, len(robot.slides)
     features = tuple(each._replace(link=last if each.link is None else min(3, last)) for each in FEATURES.values())
@@ -95,7 +98,7 @@ def test_no_feature_is_nudged_further_than_its_bound_by_points_of_a_rigid_body(m
 
 
 def ends(robot, features, x) -> np.ndarray:
-    """Of features, by the poses of their links."""
+    """Features in the world frame, by the poses of their links."""
     T = np.asarray(jax.jit(jax.vmap(partial(link_poses, robot)))(jnp.asarray(x)))
     own = [T[:, each.link, :3, :3] @ np.array(each.vector) for each in features]
     place = [0.0 if each.is_direction else T[:, each.link, :3, 3] for each in features]

@@ -1,4 +1,4 @@
-"""Published arms, as they are: capsules that hold every triangle, and a job that is planned with them."""
+"""Published arms, unmodified: capsules that enclose every triangle, and a job planned with them."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from htcp_jax.io.robot_xml import arm_xml
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
 def test_capsules_hold_every_triangle_tightly(name):
-    """At most 2.5 times the volume of the convex hull in the mean over the bodies."""
+    """Capsules around every triangle, with at most 2.5 times the convex hull's volume in the mean."""
     arm = import_robot(path_of(name), MODELS[name].tcp)
     fitted = [cover for cover in arm.covers.values() if cover.fitted]
     assert fitted and all(are_held(cover.held, list(cover.fitted.values())) for cover in fitted)

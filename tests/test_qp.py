@@ -1,4 +1,4 @@
-"""Step QPs built backwards from a known answer and judged by their KKT conditions; solvers against one another."""
+"""Step QPs built backwards from a known answer: their KKT conditions, and solvers compared with each other."""
 
 from concurrent.futures import ThreadPoolExecutor
 
@@ -22,12 +22,12 @@ ORACLE = pytest.param(
     "quadprog",
     marks=pytest.mark.skipif("quadprog" not in qpsolvers.available_solvers, reason="quadprog is not installed"),
 )
-# qpsolvers says that it converts matrices from dense to sparse and back: not our hot path.
+# qpsolvers warns of converting matrices from dense to sparse and back: not our hot path.
 pytestmark = pytest.mark.filterwarnings("ignore::qpsolvers.warnings.SparseConversionWarning")
 
 
 def random_answer(rng, rows):
-    """A step QP and its minimiser y, chosen first: then multipliers, and the linear cost and bounds that fit both."""
+    """A step QP and its minimiser y, chosen first. Then multipliers, and the linear cost and bounds that fit both."""
     y = rng.normal(size=N) * 10.0 ** rng.uniform(-3, 0)
     A, G = rng.normal(size=(3, N)), 0.5 * rng.normal(size=(rows, N))
     active = rng.random(rows) < 0.3
@@ -55,7 +55,7 @@ def random_batch(count, rows, seed):
 
 
 def infeasible(rng, rows, kind):
-    """A random QP made infeasible: by a clearance row and the limits, by the task and the limits, by two rows."""
+    """A random QP made infeasible: by a clearance row and the limits, by the task and the limits, or by two rows."""
     qp, _ = random_answer(rng, rows)
     if kind == "limits":
         G = qp.G.copy()
@@ -68,7 +68,7 @@ def infeasible(rng, rows, kind):
         return qp._replace(A=A, b=A @ qp.ub + 0.05)
     G, h = qp.G.copy(), qp.h.copy()
     A, b = qp.A.copy(), qp.b.copy()
-    A[0], b[0] = G[0], h[0] + 0.01  # the task asks for what the row forbids
+    A[0], b[0] = G[0], h[0] + 0.01  # the task requires what the row forbids
     return qp._replace(A=A, b=b, G=G, h=h)
 
 
@@ -84,7 +84,10 @@ def test_a_solver_finds_the_answer_that_a_qp_was_built_from(name, rows):
 
 @pytest.mark.parametrize("rows", [1, 8])
 def test_an_answer_fulfils_the_kkt_conditions(rows):
-    """Feasible, and minus the cost's gradient lies in the cone of what is active (by non-negative least squares)."""
+    """KKT conditions of the answers.
+
+    Feasible, and minus the cost's gradient lies in the cone of the active constraints (non-negative least squares).
+    """
     qps, _ = random_batch(50, rows, seed=10 + rows)
     y, _ = ClarabelSolver(WEIGHTS, rows).solve(qps)
     for k in range(50):
@@ -111,7 +114,7 @@ def test_infeasible_is_an_answer(name, kind, rows):
 
 @pytest.mark.parametrize("name", ["clarabel", ORACLE])
 def test_a_joint_without_limits_has_infinite_bounds(name):
-    """Those of the model are, where it sets none: all of them, or those that the answer does not touch."""
+    """Infinite bounds for joints without limits: all bounds that the answer does not touch."""
     solver = ClarabelSolver(WEIGHTS, 8) if name == "clarabel" else QPSolversSolver(name)
     qps, answers = random_batch(40, 8, seed=2)
     above, below = qps.ub > answers + 1e-9, qps.lb < answers - 1e-9
@@ -121,7 +124,7 @@ def test_a_joint_without_limits_has_infinite_bounds(name):
 
 
 def mixed_batch(rows=8):
-    """Solvable QPs with infeasible ones and broken ones in between; and which are broken."""
+    """A batch of solvable, infeasible and broken QPs, and the indices of the broken ones."""
     rng = np.random.default_rng(5)
     qps = [infeasible(rng, rows, "limits") if k % 5 == 3 else random_answer(rng, rows)[0] for k in range(60)]
     broken = {}
@@ -141,7 +144,7 @@ def pick(qps: StepQP, which) -> StepQP:
 
 @pytest.mark.parametrize("name", ["clarabel", ORACLE])
 def test_a_broken_qp_fails_and_leaves_no_trace(name):
-    """NaN or infinity in any field: FAILED, never an answer; the others are the same to the last bit as without it."""
+    """Broken QPs (NaN or infinity in any field): FAILED and zero; all others bitwise as without them."""
     make = (lambda: ClarabelSolver(WEIGHTS, 8)) if name == "clarabel" else lambda: QPSolversSolver(name)
     qps, broken = mixed_batch()
     y, status = make().solve(qps)
@@ -177,7 +180,10 @@ def test_answers_are_bitwise_the_same_in_any_order_alone_and_on_any_thread():
 
 
 def test_a_panic_of_the_core_fails_one_qp_and_the_solver_is_built_anew():
-    """Clarabel's Rust core panics outside Exception; an interrupt from the keyboard must still get through."""
+    """Panic of Clarabel's Rust core: one QP fails and the solver is rebuilt.
+
+    Such a panic is no subclass of Exception; a keyboard interrupt must still get through.
+    """
     solver, (qps, _) = ClarabelSolver(WEIGHTS, 8), random_batch(3, 8, seed=0)
     clean = ClarabelSolver(WEIGHTS, 8).solve(qps)
     working = solver._solver
@@ -209,7 +215,10 @@ def test_a_panic_of_the_core_fails_one_qp_and_the_solver_is_built_anew():
 @pytest.mark.parametrize("rows", ["per-body", "smallest"])
 @pytest.mark.parametrize("cost_about", ["reference", "previous"])
 def test_the_step_qp_is_equation_9_row_by_row(rows, cost_about):
-    """In x: |x - about|_Q^2, Jac (x - x_ref) = C_next - C_ref, D_k + grad D_k (x - x_ref) >= margin, limits."""
+    """Step QP of equation (9).
+
+    In x: |x - about|_Q^2, Jac (x - x_ref) = C_next - C_ref, D_k + grad D_k (x - x_ref) >= margin, limits.
+    """
     rng = np.random.default_rng(0)
     bodies, margin = 8, 5e-4
     x_ref, x_previous = rng.normal(size=(2, N))
@@ -260,7 +269,7 @@ def test_a_looser_tolerance_gives_a_looser_answer():
 
 
 def dense_answer(rng, n, m, degenerate=False):
-    """An epigraph QP as the minimisers on the sphere pose it, and its answer: the last unknown has no curvature."""
+    """An epigraph QP as posed by the minimisers on the sphere, and its answer: the last unknown has no curvature."""
     root = rng.normal(size=(n - 1, n - 1)) * 0.1
     H = np.zeros((n, n))
     H[:-1, :-1] = root @ root.T + 1e-3 * np.eye(n - 1)
@@ -278,7 +287,10 @@ def dense_answer(rng, n, m, degenerate=False):
 @pytest.mark.parametrize("n", [2, 3, 4, 5])
 @pytest.mark.parametrize("degenerate", [False, True])
 def test_the_dense_solver_finds_the_answer_that_a_qp_was_built_from(n, degenerate):
-    """Judged by objective, feasibility and stationarity: with rows nearly active, the answer is ill-conditioned."""
+    """Answers of the dense solver: objective, feasibility and stationarity.
+
+    With nearly active rows the answer itself is ill-conditioned.
+    """
     rng = np.random.default_rng(n)
     for m in (1, 5, 40, 100):
         for _ in range(5):
@@ -295,7 +307,10 @@ def test_the_dense_solver_finds_the_answer_that_a_qp_was_built_from(n, degenerat
 
 
 def test_the_dense_solver_keeps_its_best_iterate_where_rounding_ends_it():
-    """Planes through the very point it starts from, and hardly any curvature: past its best the error grew again."""
+    """Best iterate of the dense solver where rounding ends it.
+
+    Planes through the starting point and hardly any curvature: past its best iterate the error grew again.
+    """
     H, c = jnp.diag(jnp.array([1e-3, 1e-3, 0.0])), jnp.array([0.0, 0.0, -1.0])
     G = np.array([[0.0, 0.0, 1.0], [1e-9, 0.0, 1.0], [0.0, 1e-9, 1.0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
     for radius in (0.5, 1e-3, 1e-6):

@@ -1,4 +1,4 @@
-"""The device's step QP: built backwards from known answers, judged by KKT, and held against Clarabel on real ones."""
+"""Step QP on the device: known answers, KKT conditions, and a comparison with Clarabel on real problems."""
 
 import jax
 import jax.numpy as jnp
@@ -51,7 +51,7 @@ def test_rows_that_say_the_same_or_nothing_change_nothing():
     y, status = solved(qps._replace(G=G, h=h))
     assert (status == QPStatus.SOLVED).all()
     np.testing.assert_allclose(y, answers, rtol=0, atol=1e-9)
-    # 0 y <= -1 is no small thing.
+    # 0 y <= -1 is clearly infeasible.
     assert (solved(qps._replace(G=G, h=np.concatenate([h[:, :-1], h[:, -1:] - 1], axis=1))).status == 1).all()
 
 
@@ -82,7 +82,7 @@ def test_a_qp_with_a_nan_fails_and_the_others_do_not_notice(field):
 
 
 class Recorder:
-    """Clarabel, and every QP that it was given."""
+    """Clarabel, with a record of every QP it was given."""
 
     def __init__(self, *sizes):
         self._solver, self.seen = make_solver(*sizes), []
@@ -93,7 +93,7 @@ class Recorder:
 
 
 def recorded(monkeypatch, settings, margin_m) -> StepQP:
-    """The step QPs of a few hard poses."""
+    """Step QPs of a few hard poses."""
     made = []
     monkeypatch.setattr(step_qps, "make_solver", lambda *a: made.append(Recorder(*a)) or made[-1])
     scene = gp50(), load_workpiece()
@@ -109,7 +109,7 @@ def recorded(monkeypatch, settings, margin_m) -> StepQP:
 def test_it_agrees_with_clarabel_on_the_step_qps_of_real_plans(monkeypatch, settings, margin_m, least):
     qps = recorded(monkeypatch, settings, margin_m)
     assert len(qps.b) > 200
-    tighter = qps._replace(h=qps.h - 0.05)  # as if the wall were 5 cm nearer: for many there is no way then
+    tighter = qps._replace(h=qps.h - 0.05)  # as if the wall were 5 cm nearer: then many are infeasible
     qps = jax.tree.map(lambda a, b: np.concatenate([a, b]), qps, tighter)
     ours = solved(qps)
     theirs = ClarabelSolver(WEIGHTS, qps.h.shape[1], tolerance=1e-10).solve(qps)

@@ -1,4 +1,4 @@
-"""What is reachable: what is found is clear and on target, what is excluded is not there, whatever the batch."""
+"""Reachability bounds: what is found is clear and on target, what is excluded is unreachable, whatever the batch."""
 
 from dataclasses import replace
 
@@ -39,7 +39,7 @@ def found():
 def test_a_complete_scenario_is_found_reachable_and_one_that_dead_ends_is_not(found):
     _, _, scenarios, result = found
     assert result.prefix[0] == scenarios[0].count
-    assert 71 <= result.prefix[1] < scenarios[1].count  # how far a walk of random draws comes
+    assert 71 <= result.prefix[1] < scenarios[1].count  # reached by the random search
     assert np.isnan(result.best[0]) and result.best[1] < 5e-4
 
 
@@ -64,7 +64,7 @@ def test_a_scenario_reaches_as_far_alone(found):
 
 
 def test_the_arm_behind_the_tool_proves_that_the_end_of_a_path_is_out_of_reach(found):
-    """The search finds nothing there, of course, and a planner that got so far would refute the proof."""
+    """Proof that the end of a path is out of reach, by the bodies behind the tool."""
     _, _, scenarios, result = found
     assert result.most[0] == result.prefix[0] == scenarios[0].count
     assert result.prefix[1] < result.most[1] < scenarios[1].count
@@ -103,7 +103,7 @@ def test_an_arm_whose_last_axes_pass_each_other_has_no_wrist(found):
 
 
 def test_no_orientation_near_that_of_a_clear_posture_is_excluded(found):
-    """Whatever the radius: the tool of a clear posture is in the cell."""
+    """No orientation near a clear configuration's is excluded, for any radius."""
     robot, workpiece, scenarios, result = found
     scene, draw = Scene(robot, make_obstacle(workpiece)), np.random.default_rng(0)
     excluded = jax.jit(lambda s, target, q, rho: tool_collides(scene, s, jnp.asarray(s.margin_m), target, q, rho))
@@ -118,7 +118,10 @@ def test_no_orientation_near_that_of_a_clear_posture_is_excluded(found):
 
 
 def test_an_approach_whose_lines_lead_out_of_reach_is_at_the_path_s_first_point(found):
-    """As planners leave the lines there; the scenario that was given stays as it is."""
+    """Approach over an unreachable point: the configurations stay at the path's first point.
+
+    Planners leave the straight lines there, too; the given scenario is not changed.
+    """
     robot, workpiece, (scenario, _), _ = found
     targets, first = scenario.targets[:14].copy(), int(scenario.on_path)
     targets[5] = 9.0
@@ -130,7 +133,7 @@ def test_an_approach_whose_lines_lead_out_of_reach_is_at_the_path_s_first_point(
 
 
 def walled_in(radius_m):
-    """A target in the middle of a ball of points, and all else free."""
+    """A target in the centre of a ball of points, and free space around it."""
     k = np.arange(8000) + 0.5
     z, turn = 1 - 2 * k / 8000, np.pi * (1 + 5**0.5) * k
     ball = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
@@ -150,7 +153,11 @@ def test_a_target_behind_walls_all_around_is_proven_unreachable_and_one_in_the_o
 
 
 def test_the_cells_cover_every_orientation_in_which_the_tool_is_clear(found):
-    """Held to brute force: postures all over, with the part carried to their tip, and only tool and wrist measured."""
+    """Cells that cover every orientation in which the tool is clear.
+
+    Compared with brute force: random configurations, with the part carried to their tip, and only tool and wrist
+    measured.
+    """
     robot, workpiece, scenarios, _ = found
     scene, where, row = Scene(robot, make_obstacle(workpiece)[:1]), scenarios[0], 60
     inputs = lane_inputs(stack([where]), np.zeros(1, int), np.array([row]))

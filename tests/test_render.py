@@ -1,4 +1,4 @@
-"""Pictures and movies: not blank, moving, all in view, the targets' colours; and one line for what is wrong."""
+"""Pictures and movies: not blank, moving, all in view, targets coloured by status; and one line for each error."""
 
 import json
 import subprocess
@@ -30,7 +30,7 @@ SIZE = 320, 220
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A plan made by hand and the folder that it is saved in."""
+    """A plan made by hand, and the folder it is saved in."""
     folder = tmp_path_factory.mktemp("made")
     plan = made_plan(folder)
     plan.save(folder / "plan")
@@ -44,7 +44,7 @@ def replay(made):
 
 @pytest.fixture(scope="module")
 def frames(replay, screenless):
-    """The frames of a small movie."""
+    """Frames of a small movie."""
     with Studio(replay, *SIZE, fine=False) as studio:
         movie = studio.movie()
         return [movie[k] for k in range(len(movie))]
@@ -55,8 +55,7 @@ def film_of(frames: list[np.ndarray]) -> Film:
 
 
 def near(frame: np.ndarray, colour: str) -> int:
-    """The number of pixels whose hue is that colour's: light and shade change a colour's length more than its
-    direction."""
+    """Number of pixels with the colour's hue: light and shade change a colour's length more than its direction."""
     pixels, wanted = frame.reshape(-1, 3) - frame.reshape(-1, 3).mean(axis=1, keepdims=True), np.array(rgb(colour))
     wanted = (wanted - wanted.mean()) / np.linalg.norm(wanted - wanted.mean())
     return int(((pixels @ wanted) > np.maximum(40, 0.97 * np.linalg.norm(pixels, axis=1))).sum())
@@ -94,18 +93,21 @@ def test_the_way_passes_every_tracked_target_in_small_strides(replay):
         np.testing.assert_allclose(first.p, replay.p[t], atol=1e-12)
         np.testing.assert_allclose(first.tcp, replay.tcp[t], atol=1e-12)
     points = np.array([np.vstack([arm.p, arm.q, arm.tcp]) for arm, *_ in postures])
-    # Along an arc a point moves a little further than its share of the chord.
+    # Along an arc a point moves a little further than along its chord.
     assert np.linalg.norm(np.diff(points, axis=0), axis=2).max() < 1.3 * STRIDE_M
 
 
 @pytest.fixture(scope="module")
 def dwelling(made):
-    """The plan, with a change of posture at target 4."""
+    """The plan, with a change of configuration at target 4."""
     return replays_of("by hand", replace(made[0], plans=with_a_dwell(made[0].plans))).replay(0, "baseline")
 
 
 def test_the_way_passes_the_postures_between_targets_and_knows_where_the_arm_dwells(dwelling):
-    """Its joints are not shown, so that postures are told by where the arm is."""
+    """Frames of a motion with a dwell: they pass all its configurations, and mark where the arm dwells.
+
+    Joint values are not part of a frame, so configurations are identified by the arm's shape.
+    """
     postures = way(dwelling)
     at_target = [k for k, posture in enumerate(postures) if posture.target == 4]
     turning = [k for k, posture in enumerate(postures) if posture.dwells]
@@ -177,7 +179,10 @@ def test_a_gif_holds_all_frames_and_runs_for_ever(frames, tmp_path):
 
 
 def test_a_gif_keeps_a_colour_that_its_last_frame_has_lost(tmp_path):
-    """A tracked path is blue until, in the last frame, the tool hides it among a thousand other colours."""
+    """Colours of a GIF whose last frame lacks them.
+
+    A tracked path is blue until, in the last frame, the tool hides it among a thousand other colours.
+    """
     noise = np.random.default_rng(0).integers(60, 200, (24, 32, 3), dtype=np.uint8)
     blue = noise.copy()
     blue[8:16] = 30, 60, 250
@@ -222,7 +227,7 @@ def test_any_arm_is_drawn(made, screenless, tmp_path):
 
 
 def test_at_the_failed_target_the_body_in_the_way_stands_out(replay, screenless):
-    """Rough: the picture of a failed target did not tell which body is in the way."""
+    """Colliding body at the failed target: coloured as failed (regression: it was not marked)."""
     assert replay.obstruction is not None
     with Studio(replay, *SIZE, close=True, fine=False) as studio:
         failed, before = studio.still(replay.failed), studio.still(replay.failed - 1)
@@ -230,7 +235,7 @@ def test_at_the_failed_target_the_body_in_the_way_stands_out(replay, screenless)
 
 
 def test_the_command_says_what_is_in_the_way_and_which_scenario_it_is(made, planned, screenless, tmp_path, capsys):
-    """Rough: scenarios were named by their number alone."""
+    """Colliding body and scenario parameters in the output of the command (regression: only the scenario's number)."""
     words = ["--movie", "none", "--width", "160", "--out", str(tmp_path)]
     assert main(["render", str(made[1]), *words]) == 0
     assert f"in the way          {made[0].obstruction.description}" in capsys.readouterr().out
@@ -264,7 +269,7 @@ def test_no_such_run_is_one_line(screenless, tmp_path, capsys):
 def test_without_opengl_the_packages_are_named(made, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(offscreen, "TRIAL", "import no_such_library_of_opengl")
-    monkeypatch.setattr(offscreen, "platform", offscreen.platform.__wrapped__)  # without its memory
+    monkeypatch.setattr(offscreen, "platform", offscreen.platform.__wrapped__)  # without its cache
     assert main(["render", str(made[1])]) == 2
     error = capsys.readouterr().err
     assert "libegl1 and libgl1-mesa-dri (EGL), or libosmesa6 (OSMesa)" in error and error.count("\n") == 1

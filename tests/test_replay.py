@@ -1,4 +1,4 @@
-"""Plans to look at: the same from a run, a plan's folder and memory; failed ones first; the smallest distance."""
+"""Plans prepared for viewing: the same from a run, a folder and memory; failed ones first; minimum clearance."""
 
 import json
 from pathlib import Path
@@ -18,13 +18,13 @@ from htcp_jax.status import Status
 from htcp_jax.viewer.replay import Replays, open_replays, replays_of
 
 A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_ESCAPE, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
-DUCT = Path(__file__).parents[1] / "configs" / "duct.yaml"  # where the cloud stands
+DUCT = Path(__file__).parents[1] / "configs" / "duct.yaml"  # the pose of the cloud
 GRID = "config: job.yaml\ngrid:\n  - start_rad.joint3: {offsets: [-0.1, 0, 0.1]}\n"
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A run of three scenarios with 13 targets, of which the last lies in the wall, and the plan of the second."""
+    """A run of three scenarios with 13 targets, the last of which lies in the wall, and the plan of the second."""
     folder = tmp_path_factory.mktemp("shelf")
     (folder / "path.csv").write_text("0.1857,-0.1737,0.1708\n0.1857,-0.25,0.1708\n")
     np.save(folder / "cloud.npy", duct_cloud(3000))
@@ -68,7 +68,7 @@ def test_the_witnesses_are_as_far_apart_as_the_clearance_says(replay):
 
 
 def test_at_the_failed_target_the_arm_is_brought_into_what_is_in_the_way(replay):
-    """Rough: the viewer knew what is near for tracked targets, not for the failed one."""
+    """Configuration at the failed target: in collision with the blocking obstacle (regression: it was unknown)."""
     found = replay.obstruction
     assert np.isnan(replay.clearance[12]) and replay.failed == 12
     np.testing.assert_array_equal(replay.x[12], found.x)
@@ -79,7 +79,7 @@ def test_at_the_failed_target_the_arm_is_brought_into_what_is_in_the_way(replay)
 
 
 def by_hand(status: list[list[Status]], folder) -> Replays:
-    """Plans of an arm that is not the GP50, whose joints rest at zero, its tool 0.1 m longer."""
+    """Replays of an arm other than the GP50, at rest at zero, with a tool 0.1 m longer."""
     robot = seven_joints(folder)
     rng = np.random.default_rng(0)
     workpiece = Workpiece("ball", rng.normal(size=(200, 3)) * 0.2, np.zeros((3, 3)))
@@ -103,8 +103,8 @@ def test_any_arm_is_shown_with_its_scenario_s_tool(tmp_path):
     replays = by_hand([[LIMIT, NOT, NOT]], tmp_path)
     replay = replays.replay(0, "roadmap")
     assert replay.p.shape == (3, 8, 3) and replay.tracked == 0
-    held = replay.tcp[1:]  # at the failed target the arm is brought there
-    # The seven links of 0.3 m stand upright; the TCP is 0.05 m aside and 0.35 m above the last, its z axis upwards.
+    held = replay.tcp[1:]  # at the failed target the arm is moved there
+    # The seven links of 0.3 m stand upright; the TCP is offset 0.05 m and 0.35 m above the last, z axis up.
     np.testing.assert_allclose(held, [[0.05, 0, 7 * 0.3 + 0.35 + 0.1]] * 2, atol=1e-12)
 
 

@@ -1,4 +1,4 @@
-"""The report: its numbers from plans made by hand, on the paper's own grids; its files; what it refuses."""
+"""The report: its numbers from plans made by hand, on the paper's own grids; its files; and the inputs it rejects."""
 
 import csv
 import json
@@ -31,7 +31,7 @@ from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.sweep import sweep
 from htcp_jax.status import Status, Way
 
-pytestmark = pytest.mark.filterwarnings("ignore:.*a gap of")  # a cloud of eight points is no wall
+pytestmark = pytest.mark.filterwarnings("ignore:.*a gap of")  # a cloud of eight points
 ALONG = "along-task-2-cone_deg"
 POSES = """
   - workpiece.rotation_y_rad: [0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
@@ -43,8 +43,11 @@ BOX = "\n".join(f"{1.3 * x} {y} {z}" for x in (0, 1) for y in (-1, 1) for z in (
 
 
 def by_hand(robot, workpiece, scenarios, method, settings, *, progress=None, **how):
-    """Instead of the planner: the baseline loses scenario k's last k % 4 targets, the others none; each second target
-    of the baseline lies behind a blocked joint path."""
+    """Plans made by hand, as returned by the planner.
+
+    The baseline loses scenario k's last k % 4 targets, the others none; each second target of the baseline lies behind
+    a blocked joint path.
+    """
     targets = scenarios.targets.shape[1]
     lost = [number % 4 if method == "baseline" else 0 for number in scenarios.number.tolist()]
     ends = [[Status.ITERATION_LIMIT] + [Status.NOT_ATTEMPTED] * (n - 1) if n else [] for n in lost]
@@ -91,7 +94,7 @@ HOSTILE = '<img src=x onerror="owned=1">', "[x](https:x)", "![x](x)", "<script>o
 
 @pytest.mark.parametrize("name", HOSTILE)
 def test_no_script_in_the_name_of_a_run_runs_in_its_report(folder, tmp_path, browser, name):
-    """Rough: in the Markdown, headings and paragraphs held names as they were."""
+    """Escaped names in reports: no script in the name of a run is run (regression)."""
     shutil.copytree(folder / "one", tmp_path / name)
     report = make_report(tmp_path / name)
     write_report(report, tmp_path)
@@ -187,7 +190,7 @@ def test_cells_are_means_over_the_other_axes_and_leave_out_what_is_not_known(fol
 
 
 def test_the_headline_counts_what_can_be_driven_beside_what_is_tracked(folder):
-    """W6: the headline said 97.28 % where 69.66 % can be driven to; now a proven motion has to lead there."""
+    """Headline with executable targets next to tracked ones (regression: 97.28 % tracked, 69.66 % executable)."""
     part = part_of(folder, "one")
     base, hybrid = tables.results(part).records()
     assert (base["tracked"], base["executable"], base["targets"]) == (25, 2, 26)
@@ -199,7 +202,7 @@ def test_the_headline_counts_what_can_be_driven_beside_what_is_tracked(folder):
 
 
 def test_the_maps_count_what_can_be_driven(folder):
-    """W6: the map held the tracked targets alone."""
+    """Maps of executable targets (regression: the map showed tracked targets only)."""
     part = part_of(folder, "poses")
     figure = make_report([folder / "poses"]).figures["map"]
     cells = [text.get_text() for text in figure.axes[0].texts]
@@ -208,7 +211,7 @@ def test_the_maps_count_what_can_be_driven(folder):
 
 
 def test_the_report_shows_the_cell_and_the_best_scenarios_with_their_parameters(folder):
-    """Rough: no picture of cell, arm and part, and no best pose."""
+    """Picture of the cell, and the best scenarios with their parameters (regression: neither was shown)."""
     made = make_report([folder / "poses"])
     assert "cell" in made.figures
     rows = made.frame("best").to_dict("records")
@@ -245,7 +248,7 @@ def test_a_run_whose_cloud_is_gone_is_reported_without_its_picture(folder):
 
 
 def test_the_stops_say_which_bodies_are_in_the_way(folder):
-    """Rough: `escape exhausted` gave no hint what is in the way."""
+    """Colliding bodies in the table of stops (regression: only `escape exhausted`)."""
     part = part_of(folder, "poses")
     (row,) = tables.stops(part).records()
     counts = [int(count) for count in re.findall(r"\((\d+)\)", row["in_the_way"])]
@@ -253,7 +256,7 @@ def test_the_stops_say_which_bodies_are_in_the_way(folder):
 
 
 class _Found:
-    """The scene of a run: a body is inside the workpiece at the failed target of scenario 1 alone."""
+    """Scene of a run in which a body is inside the workpiece at the failed target of scenario 1 only."""
 
     problem = ""
 
@@ -266,7 +269,7 @@ class _Found:
 
 
 def test_a_body_counts_as_colliding_only_where_it_collides_and_else_the_end_of_the_search_is_told(folder):
-    """Rough P1: `QP infeasible ... capsule_6b (5)`, which scenarios.csv called 41 to 75 mm clear."""
+    """Stops by colliding body, else by the end of the search (regression: bodies that were 41 to 75 mm clear)."""
     part = replace(part_of(folder, "poses"), scene=_Found())
     (row,) = tables.stops(part).records()
     assert row["in_the_way"] == f"none: step QPs out of iterations ({row['scenarios'] - 1}), spindle (1)"
@@ -275,7 +278,7 @@ def test_a_body_counts_as_colliding_only_where_it_collides_and_else_the_end_of_t
 
 
 def test_tracked_targets_that_are_not_executable_are_counted_by_the_result_of_the_motion_check(folder):
-    """Rough P1: 426 tracked, 232 executable, and no word why."""
+    """Tracked targets that are not executable, by the result of the motion check (regression: no reason given)."""
     part = part_of(folder, "poses")
     plans = part.plans["baseline"]
     way = plans.way.copy()
@@ -291,7 +294,7 @@ def test_tracked_targets_that_are_not_executable_are_counted_by_the_result_of_th
 
 
 def test_a_study_with_a_scene_of_its_own_is_not_compared_with_the_paper_s(folder):
-    """Rough: 15 rows compared a study of another arm and part with duct.yaml and paper.yaml."""
+    """Comparison with the paper's configuration: none for a study with its own scene (regression)."""
     names = [block.name for block in make_report([folder / "one"]).blocks if isinstance(block, Table)]
     assert "configuration" not in names
     (table,) = (
@@ -304,7 +307,7 @@ def test_a_study_with_a_scene_of_its_own_is_not_compared_with_the_paper_s(folder
 
 
 def test_ranges_and_slices_carry_their_units(folder):
-    """Rough: "workpiece about y = 0.2", without a unit."""
+    """Units of ranges and slices (regression: "workpiece about y = 0.2", without a unit)."""
     told = " ".join(facts(part_of(folder, "poses")))
     assert "workpiece about y (0.2 to 0.8 rad, 11.5 to 45.8 degrees)" in told
     titles = [axes.get_title() for axes in make_report([folder / "starts"]).figures["map"].axes]
@@ -395,8 +398,10 @@ def test_the_command_prints_the_table_and_writes_a_report_that_stands_alone(fold
 
 
 def test_the_motions_of_a_part_are_counted_and_measured(folder):
-    """The arm of `by_hand` goes from its start to zero, and rests; the baseline's motions end before the second
-    target."""
+    """Motions in the report: counts, costs and dwells.
+
+    The arm of `by_hand` goes from its start to zero, and rests; the baseline's motions end before the second target.
+    """
     rows = rows_of(motions(part_of(folder, "poses")))
     base, hybrid = rows["baseline"], rows["hybrid"]
     assert (base["executable"], base["whole"], hybrid["executable"], hybrid["whole"]) == (49, 0, 5145, 49)
@@ -406,7 +411,10 @@ def test_the_motions_of_a_part_are_counted_and_measured(folder):
 
 
 def test_costs_are_compared_where_every_method_s_motion_leads_to_the_end(folder):
-    """Scenarios 0 to 3, of three targets; one method loses the last of 1, nobody knows what the motion of 2 costs."""
+    """Common cost of the scenarios that every method completes.
+
+    Scenarios 0 to 3, of three targets; one method loses the last of 1, and the cost of 2 is unknown.
+    """
     part = part_of(folder, "one")
     plans = plans_with([[Status.TRACKED] * 3] * 4)
     plans = plans._replace(way=np.full_like(plans.way, Way.PROVEN))

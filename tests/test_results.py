@@ -1,4 +1,4 @@
-"""The files of a plan: they read back exactly, and none is ever half-written."""
+"""Files of a plan: they read back exactly, and none is ever half-written."""
 
 import csv
 import json

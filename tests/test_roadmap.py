@@ -1,4 +1,4 @@
-"""The roadmap: what it tracks are motions from the given start, looked at place by place; and motions are judged."""
+"""The beam search: its tracked targets are motions from the given start, checked densely; and motions are validated."""
 
 from dataclasses import replace
 from functools import cache
@@ -36,17 +36,21 @@ from htcp_jax.status import Kind, Status, Way
 
 
 def test_what_is_tracked_is_a_motion_from_the_given_start():
-    """Two hundred places of every straight joint path, by the clearance itself; every tracked target is executable."""
+    """Tracked targets: proven motions from the start.
+
+    200 configurations on every straight joint path are checked by the clearance itself; every tracked target is
+    executable.
+    """
     plans = planned()
     assert (plans.executable == plans.tracked).all() and (plans.tracked.sum(axis=1) > 60).all()
     assert (plans.way[plans.tracked] == Way.PROVEN).all()
     check_motions(poses(), plans, SMALL.tolerance_m)
     on_path = np.array([int(one.on_path) for one in poses()])
-    assert (plans.knots.target > on_path[plans.knots.scenario]).any()  # one changed its posture on the path
+    assert (plans.knots.target > on_path[plans.knots.scenario]).any()  # a change of configuration on the path
 
 
 def test_targets_count_as_those_of_any_method():
-    """And nothing is said of what comes after them."""
+    """Rows of the targets, as for every method; rows after the last tracked target are NaN."""
     plans = planned()
     check_rows(poses(), plans, SMALL)
     for s, one in enumerate(poses()):
@@ -63,7 +67,10 @@ def test_targets_count_as_those_of_any_method():
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_who_else_is_planned_has_no_influence(threads):
-    """Alone, together, in another order, by two threads: all arrays and all knots to the last bit."""
+    """Plans that do not depend on the other scenarios.
+
+    Alone, together, in another order, by two threads: all arrays and via points, bitwise.
+    """
     plans, backwards = planned(), roadmap(poses()[::-1], threads=threads)
     for s, one in enumerate(poses()):
         same(plans, s, backwards, 2 - s, int(one.count))
@@ -82,7 +89,10 @@ def test_another_seed_is_another_search_for_motions():
 
 
 def test_a_change_of_posture_may_be_several_walks_one_after_the_other():
-    """One posture and one walk at a time, each from where those before came to: the first of them is not enough."""
+    """Changes of configuration by several self-motions in sequence.
+
+    One configuration and one self-motion at a time, each from the end of the previous ones: the first is not enough.
+    """
     one, settings = first_of(scenario(14, (0.4, -0.3)), 60), replace(SMALL, front=1, thin_front=1, walks=1)
     once, often = (roadmap([one], replace(settings, walk_rounds=rounds)) for rounds in (1, 12))
     (lost,) = set(often.knots.target.tolist())
@@ -109,7 +119,7 @@ def test_progress_counts_every_target_and_every_scenario():
 
 
 def test_a_start_in_collision_ends_it_at_once():
-    """However deep: also where a clear posture with its TCP there is near at hand."""
+    """Start in collision: the end of the search, also if a clear configuration with the same TCP is near."""
     starts = np.load(made_once.RECORDED)["x"][:20]
     scenarios = [first_of(scenario(k, start=x), 3) for k, x in enumerate(starts)]
     depths = [start_clearance(made_once.robot(), made_once.duct(), one)[0] for one in scenarios]
@@ -137,7 +147,7 @@ def test_a_target_that_cannot_be_reached_ends_it_and_leaves_what_came_before(whe
 
 
 def test_points_of_the_path_that_are_met_twice_are_no_obstacle():
-    """Doubled, and a hair apart, where no line says which way is forwards."""
+    """Repeated points of a path: duplicates, and points 1 nm apart, between which no line has a direction."""
     one = first_of(scenario(2, (0.4, 0.0)), 20)
     first = int(one.on_path)
     again = np.repeat(one.targets[first:], 2, axis=0)
@@ -149,12 +159,12 @@ def test_points_of_the_path_that_are_met_twice_are_no_obstacle():
     check_motions([twice], plans, SMALL.tolerance_m)
 
 
-# Judging motions
+# Validating motions
 
 
 @cache
 def example():
-    """A scenario of which 40 targets are a motion, and its plans."""
+    """A scenario whose 40 targets are a motion, and its plans."""
     one = first_of(scenario(2, (0.4, 0.0)), 40)
     plans = roadmap([one])
     assert plans.executable.all() and not len(plans.knots.target)
@@ -162,7 +172,7 @@ def example():
 
 
 def judged(one, settings=SMALL, threads=1, **changes):
-    """Its plans with these arrays, judged again."""
+    """Plans of `example` with these arrays, validated anew."""
     plans = example()[1]
     plans = plans._replace(**{name: array.copy() for name, array in plans.arrays().items()})._replace(**changes)
     plans.way[:], plans.way_clearance[:] = Way.UNKNOWN, np.nan
@@ -173,7 +183,7 @@ def judged(one, settings=SMALL, threads=1, **changes):
 
 
 def ends(plans, target, *verdicts):
-    """Whether the motion ends there, for one of these reasons."""
+    """Check that the motion ends at this target, for one of these reasons."""
     end = plans.outcome(0)
     assert end.executable == target and end.way in verdicts and plans.way[0, target] in verdicts
     assert (plans.way[0, :target] == Way.PROVEN).all() and np.isfinite(plans.way_clearance[0, :target]).all()
@@ -187,7 +197,7 @@ def with_posture(target, x):
 
 
 def posture_at(target, point):
-    """Near that of the row before, with the TCP at a point."""
+    """Configuration near the previous row's, with the TCP at a point."""
     x, off = reanchor(made_once.robot(), jnp.asarray(example()[1].x[0, target - 1]), jnp.asarray(point), 1e-6)
     assert off <= 1e-6
     return np.asarray(x)
@@ -203,7 +213,10 @@ def test_judging_again_says_the_same(threads):
 
 @pytest.mark.parametrize("target", [15, 16, 31])
 def test_a_tool_that_leaves_its_path_is_no_motion(target):
-    """The next targets are still tracked, as far as statuses tell; nothing after the first that is lost is a motion."""
+    """Tool off its path: no motion from there on.
+
+    The statuses of the next targets are still tracked; nothing after the first lost one is executable.
+    """
     one, _ = example()
     line = one.targets[target] - one.targets[target - 1]
     beside = np.cross(line, [0.3, 0.5, 0.8])
@@ -232,7 +245,7 @@ def test_at_a_point_that_is_met_twice_the_tool_may_go_any_way():
 
 @pytest.mark.parametrize("target", [0, 5, 20])
 def test_an_arm_that_touches_on_its_way_is_no_motion(target):
-    """There and back within one row, so that the places of the targets themselves are clear."""
+    """Arm in collision within one segment: no motion, although the targets themselves are clear."""
     one, plans = example()
     where, scene = jax.tree.map(jnp.asarray, one), made_once.scene()
     before = plans.start[0] if target == 0 else plans.x[0, target - 1]
@@ -246,7 +259,10 @@ def test_an_arm_that_touches_on_its_way_is_no_motion(target):
 
 
 def test_a_change_of_posture_has_to_stay_at_the_target_before():
-    """On the way to a target of the path; before the path it may go anywhere that is clear."""
+    """Dwell on the path: the TCP must stay at the previous target.
+
+    Before the path the TCP may go anywhere that is clear.
+    """
     one, _ = example()
     for target, point, verdict in (
         (20, one.targets[19] + [0, 0, 5e-4], Way.PROVEN),
@@ -281,7 +297,7 @@ def test_nobody_looks_beyond_a_failure_or_where_nobody_is_asked_to():
 
 
 def test_what_another_method_makes_is_judged_as_well():
-    """In a batch, one of which is a motion as far as it goes: by brute force, the verdicts are right."""
+    """Motions of another method, validated as well: by brute force, the verdicts are right."""
     scenarios = [first_of(scenario(k, rotation), 24) for k, rotation in enumerate([(0.4, 0.0), (0.8, -0.3)])]
     plans = plan(made_once.robot(), made_once.duct(), scenarios, "baseline", SMALL)
     check_motions(scenarios, plans, SMALL.tolerance_m)
@@ -289,8 +305,12 @@ def test_what_another_method_makes_is_judged_as_well():
 
 
 def test_other_postures_at_the_first_target_lead_further_by_a_transfer():
-    """A start in a dead end: the arm changes its posture before the path, by a proven joint path, and goes on; every
-    way is looked at place by place. Where transfers are not allowed, or the start itself leads on, nothing changes."""
+    """Transfers to other configurations at the first target.
+
+    From a start in a dead end the arm changes its configuration before the path, by a proven joint path, and gets
+    further; every segment is checked densely. Where transfers are not allowed, or the start itself leads on, nothing
+    changes.
+    """
     without, settings = Settings(smooth=False), Settings(smooth=False, transfers=True)
     lost, easy = scenario(1, (0.2, -0.2)), first_of(poses()[2], 30)
     own, plans = roadmap([lost, easy], without), roadmap([lost, easy], settings)
@@ -298,7 +318,7 @@ def test_other_postures_at_the_first_target_lead_further_by_a_transfer():
     assert (plans.executable == plans.tracked).all()
     assert plans.joint_step[0, 0] > 1.0 > own.joint_step[0, 0]
     assert transfers(plans).tolist() == [True, False] and not transfers(own).any()
-    straight = plans._replace(knots=Knots.none(plans.x.shape[2]))  # as it is on record where nothing is in the way
+    straight = plans._replace(knots=Knots.none(plans.x.shape[2]))  # as recorded if the straight path is clear
     kinds = motion(straight, 0, int(lost.on_path)).kind
     assert (kinds[:2] == Kind.TRANSFER).all() and (kinds[2:] > Kind.TRANSFER).all()
     check_motions([lost, easy], plans, settings.tube_m)
@@ -307,7 +327,10 @@ def test_other_postures_at_the_first_target_lead_further_by_a_transfer():
 
 
 def test_who_else_is_transferred_has_no_influence():
-    """Searches from other postures are begun when those before have ended, so they stand in another order."""
+    """Transfers that do not depend on the other scenarios.
+
+    Searches from other configurations begin when earlier ones have ended, so they get another order.
+    """
     settings = replace(SMALL, transfers=True)
     rotations = ((0.8, 0.3), (0.2, -0.3), (0.5, 0.1), (0.7, -0.1), (0.4, -0.3), (0.6, 0.2), (0.3, 0.3))
     lost = [scenario(k, rotation) for k, rotation in enumerate(rotations)]

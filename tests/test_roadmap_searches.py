@@ -1,4 +1,4 @@
-"""How the roadmap's searches go on: each by itself, from what has come to its next target, until it ends."""
+"""Searches of the beam: each on its own, from the configurations at its next target, until it ends."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ def at(x) -> Posture:
 
 
 def begun(targets, settings=FEW, can_walk=True) -> Searches:
-    """A search for each of these counts of targets, from one start."""
+    """Start a search for each of these counts of targets, from one start."""
     searches = Searches(settings, BeamTree(2), can_walk)
     roots = searches.tree.plant(at(np.zeros((len(targets), 2))), -1)
     searches.begin(list(range(len(targets))), list(targets), list(roots[:, None]))
@@ -27,7 +27,7 @@ def begun(targets, settings=FEW, can_walk=True) -> Searches:
 
 
 def fed(searches, counts) -> None:
-    """Of every search so many postures arrive at its next target, all far apart."""
+    """Add that many distant configurations at each search's next target."""
     first = {int(s): int(node) for s, node in zip(*searches.unfed, strict=True)}
     search = np.repeat(list(first), [counts[s] for s in first])
     parent = np.array([first[int(s)] for s in search], int)
@@ -38,7 +38,10 @@ def fed(searches, counts) -> None:
 
 
 def test_a_search_that_has_ended_is_fed_and_walked_no_more():
-    """One comes to its last target, one goes on, and to one nothing comes from the start."""
+    """Ended searches: neither extended nor spread.
+
+    One reaches its last target, one goes on, and one gets nothing from the start.
+    """
     searches = begun([2, 4, 4])
     fed(searches, [3, 3, 0])
     assert searches.take_ended() == [2] and searches.columns.status.tolist() == [NONE, NONE, Status.PATH_BLOCKED]
@@ -52,7 +55,10 @@ def test_a_search_that_has_ended_is_fed_and_walked_no_more():
 
 
 def test_a_thin_front_is_spread_once_and_goes_on_with_what_was_found_and_what_was_not():
-    """The walks begin from what has arrived; of a search with a full front none does."""
+    """Thin beam: spread once by self-motions, then extended even if these found nothing.
+
+    The self-motions start from the configurations at the target; a search with a full beam has none.
+    """
     searches = begun([4, 4])
     fed(searches, [1, 3])
     walkers, number = searches.walkers()
@@ -64,7 +70,10 @@ def test_a_thin_front_is_spread_once_and_goes_on_with_what_was_found_and_what_wa
 
 
 def test_a_dead_end_is_walked_from_in_turn_until_the_rounds_are_over():
-    """What walks find is fed in its turn, but for what the front has already."""
+    """Dead end: self-motions from the beam's members in turn, until the rounds are over.
+
+    Configurations found are extended in their turn, unless the beam already has them.
+    """
     searches = begun([4])
     fed(searches, [4])
     front = searches.front.node.tolist()
@@ -77,7 +86,7 @@ def test_a_dead_end_is_walked_from_in_turn_until_the_rounds_are_over():
     assert searches.unfed.node.tolist() == [found[1]] and searches.front.node.tolist() == [*front, found[1]]
     fed(searches, [0])
     walkers, _ = searches.walkers()
-    assert walkers.node.tolist() == [front[3], found[1], front[0]]  # on from where the last round ended
+    assert walkers.node.tolist() == [front[3], found[1], front[0]]  # continued after the last round
     assert searches.columns.status.tolist() == [NONE]
     searches.take_walked(walkers, Members.none())
     assert searches.columns.status.tolist() == [Status.PATH_BLOCKED] and searches.take_ended() == [0]

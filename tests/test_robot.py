@@ -1,4 +1,4 @@
-"""The GP50 is the scene's robot; models of one's own load; what is wrong with a model is said in one line."""
+"""The GP50 is the scene's robot; user-supplied models load; each error in a model is one line."""
 
 import os
 from pathlib import Path
@@ -45,7 +45,7 @@ CAPSULES = {
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
 
 # The manufacturer's convention, as in ROS-Industrial's public description: link origins and axes in the zero
-# posture (lower arm upright, upper arm horizontal), limits and speeds of the data sheet [deg, deg/s].
+# configuration (lower arm upright, upper arm horizontal), limits and speeds of the data sheet [deg, deg/s].
 MANUFACTURER = """
 <mujoco>
   <worldbody>
@@ -67,7 +67,7 @@ DATASHEET_LOWER = (-180, -90, -80, -360, -125, -360)
 DATASHEET_UPPER = (180, 135, 206, 360, 125, 360)
 DATASHEET_SPEED = (180, 178, 178, 250, 250, 360)
 
-# Lift, turn, turn, with a tool frame that only a fixed link names, and a mesh that cannot be found.
+# Lift, turn, turn, with a tool frame on a fixed link, and a mesh that cannot be found.
 URDF = """
 <robot name="lifter">
   <link name="base"><collision><geometry><capsule radius="0.2" length="0.6"/></geometry></collision></link>
@@ -134,13 +134,13 @@ def test_gp50_is_the_scenes_robot():
 
 
 def test_gp50_start_posture():
-    """The scene's check figure; its y is 0.28 um off what its own table gives."""
+    """TCP at the start, as the scene states it; its y is 0.28 um off what its own table gives."""
     tcp = kinematics.tcp_position(gp50(), jnp.array(START))
     np.testing.assert_allclose(tcp, (1.1213389, -0.0983330, 1.4193919), rtol=0, atol=3e-7)
 
 
 def test_gp50_fields():
-    """Six hinges, each capsule on its link, a sphere with equal ends, 64-bit floats, names."""
+    """Fields of the GP50: six hinges, each capsule on its link, a sphere with equal ends, 64-bit floats, names."""
     robot = gp50()
     assert robot.name == "gp50"
     assert robot.joint_names == tuple(f"joint{i}" for i in range(1, 7))
@@ -159,13 +159,13 @@ def test_gp50_simulation_limits_are_pi():
 
 
 def to_theta(manufacturer) -> np.ndarray:
-    """Manufacturer's joint values [rad] -> the DH angles of this package."""
+    """Convert the manufacturer's joint values [rad] to the DH angles of this package."""
     s, l_, u, r, b, t = np.asarray(manufacturer).T
     return np.stack([s, l_ - np.pi / 2, -u, -r, -b, -t], axis=-1)
 
 
 def test_datasheet_convention_moves_the_same_arm(tmp_path):
-    """An arm built from the manufacturer's axes and origins has the GP50's flange, up to a fixed turn."""
+    """Flange of an arm built from the manufacturer's axes and origins: the GP50's, up to a constant rotation."""
     robot, other = gp50(), load_robot(written(tmp_path, MANUFACTURER))
     xs = configurations(50)
     links = over(kinematics.link_poses, robot, to_theta(xs))
@@ -177,7 +177,7 @@ def test_datasheet_convention_moves_the_same_arm(tmp_path):
 
 
 def test_datasheet_limits_and_speeds():
-    """The ends of the data sheet's ranges, converted, are the profile's; the start posture is inside."""
+    """Ranges and speeds of the data sheet, converted: those of the profile; the start is inside."""
     robot = gp50("datasheet")
     ends = to_theta(np.radians([DATASHEET_LOWER, DATASHEET_UPPER]))
     np.testing.assert_allclose(robot.lower, ends.min(axis=0), rtol=0, atol=1e-15)
@@ -190,7 +190,7 @@ def test_datasheet_limits_and_speeds():
 
 
 def test_lengthened_tool_moves_the_tcp_along_its_axis():
-    """By exactly e; the flange's end and the arm stay, all else on the tool follows."""
+    """TCP of a longer tool: moved by exactly e; the flange's end and the arm stay, the rest of the tool follows."""
     robot, x, e = gp50(), jnp.array(START), 0.07
     longer = lengthen_tool(robot, e)
     T_world_tcp = kinematics.tcp_pose(robot, x)
@@ -214,7 +214,7 @@ def test_tool_lengthened_by_nothing_is_identical():
 
 
 def test_tool_length_may_be_traced():
-    """It can be swept in one compiled call, and differentiated: the TCP moves along the tool's z."""
+    """Traced tool length: swept in one compiled call, and differentiated; the TCP moves along the tool's z."""
     robot, x = gp50(), jnp.array(START)
 
     def tcp(e: jax.Array) -> jax.Array:
@@ -227,11 +227,14 @@ def test_tool_length_may_be_traced():
     np.testing.assert_allclose(jax.jacfwd(tcp)(jnp.array(0.0)), z, rtol=0, atol=1e-15)
 
 
-# Models of one's own
+# User-supplied models
 
 
 def test_urdf_with_a_slide_joint(tmp_path):
-    """The TCP is the outermost link, capsules of fixed bodies ride along, meshes are never opened."""
+    """URDF with a slide joint.
+
+    The TCP is the outermost link, fixed bodies keep their capsules, meshes are never opened.
+    """
     robot = load_robot(written(tmp_path, URDF, "lifter.urdf"))
     assert robot.joint_names == ("lift", "turn", "spin")
     assert robot.slides == (True, False, False)
@@ -250,7 +253,7 @@ def test_urdf_with_a_slide_joint(tmp_path):
 
 
 def test_speeds_of_a_urdf_are_its_joints_wherever_they_stand_in_the_file(tmp_path):
-    """Rough: they were not read, so that validation had no speed column for most arms."""
+    """Speeds of a URDF, by joint, in any order of the file (regression: they were not read)."""
     joints = URDF[URDF.index('  <joint name="lift"') : URDF.index("</robot>")].split("  <joint")[1:]
     text = URDF[: URDF.index('  <joint name="lift"')] + "".join(f"  <joint{each}" for each in reversed(joints))
     text = text.replace('upper="1.5" effort="1" velocity="1"', 'upper="1.5" effort="1" velocity="2.5"') + "</robot>"
@@ -260,13 +263,13 @@ def test_speeds_of_a_urdf_are_its_joints_wherever_they_stand_in_the_file(tmp_pat
 
 
 def test_a_urdf_range_that_is_turned_round_is_refused(tmp_path):
-    """MuJoCo takes it for no limit at all."""
+    """Descending range in a URDF: refused, as MuJoCo takes it for no limit at all."""
     with pytest.raises(InputError, match=r"joint 'turn' has range 1.5 to -2; it must ascend"):
         load_robot(written(tmp_path, URDF.replace('lower="-2" upper="1.5"', 'lower="1.5" upper="-2"'), "lifter.urdf"))
 
 
 def test_urdf_with_simulation_limits(tmp_path):
-    """+-pi on hinges; a slide keeps its own range."""
+    """Simulation limits of a URDF: +-pi for hinges; a slide keeps its own range."""
     robot = load_robot(written(tmp_path, URDF, "lifter.urdf"), limits="simulation")
     np.testing.assert_array_equal(robot.lower, (-0.2, -np.pi, -np.pi))
     np.testing.assert_array_equal(robot.upper, (0.8, np.pi, np.pi))
@@ -278,7 +281,7 @@ def test_tcp_may_be_any_body(tmp_path):
 
 
 def arm(body: str = "", joints: tuple[str, str, str] = ("", "", ""), geom: str = "", top: str = "") -> str:
-    """A plain 3-joint MJCF, with something put into it."""
+    """A plain 3-joint MJCF with additional elements."""
     body = body or '<site name="tcp"/>'
     geom = geom or '<geom name="rod" type="capsule" fromto="0 0 0  0 0 1" size="0.1"/>'
     first, second, third = joints
@@ -390,7 +393,7 @@ BAD_MODELS = {
 
 @pytest.mark.parametrize("case", BAD_MODELS)
 def test_bad_model_gets_one_line(case, tmp_path, monkeypatch):
-    """The line starts with the file and names the offender; no log of MuJoCo's is left behind."""
+    """Error for a bad model: one line that starts with the file and names the cause; no log file of MuJoCo remains."""
     monkeypatch.chdir(tmp_path)
     text, options, message = BAD_MODELS[case]
     path = written(tmp_path, text)

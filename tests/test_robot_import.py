@@ -1,4 +1,4 @@
-"""`htcp robot`: what moves and what is frozen, where the TCP is, what capsules hold; against MuJoCo's own reading."""
+"""`htcp robot`: moving and frozen joints, the TCP, enclosing capsules; compared with MuJoCo's own reading."""
 
 import json
 from pathlib import Path
@@ -78,7 +78,7 @@ MJCF = """
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """A package of ROS: the model in one folder, its meshes in another."""
+    """A ROS package: the model in one folder, its meshes in another."""
     package = tmp_path_factory.mktemp("ros") / "crane_description"
     for name in ("urdf/meshes", "meshes"):
         (package / name).mkdir(parents=True)
@@ -90,14 +90,14 @@ def folder(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def crane(folder):
-    """The file that the command writes, and its answer."""
+    """The file that the command writes."""
     out = folder.parent / "arms/crane.xml"
     assert main(["robot", str(folder / "crane.urdf"), "--tcp", "grasp", "--out", str(out), "--most", "1"]) == 0
     return out
 
 
 def mujoco_reading(path: Path) -> mujoco.MjModel:
-    """As MuJoCo itself reads and compiles a file, its meshes too; no body is merged with another."""
+    """Model as MuJoCo itself reads and compiles a file, with its meshes; no bodies are merged."""
     spec = mujoco.MjSpec.from_file(str(path))
     spec.compiler.fusestatic = False
     spec.compiler.boundmass = spec.compiler.boundinertia = 1e-9
@@ -130,7 +130,7 @@ def test_the_tcp_moves_as_in_the_model_with_its_gripper_closed(crane, folder):
 
 
 def test_limits_of_a_urdf_are_read_back(crane, folder):
-    """Each by its joint, whatever branches off before; 0 is none."""
+    """Limits of a URDF, by joint, despite other branches; 0 means none."""
     arm = htcp_jax.load_robot(crane)
     np.testing.assert_array_equal(arm.lower, [0.1, -np.inf, -1, -3])
     np.testing.assert_array_equal(arm.speed, [0.2, 1.5, 2.5, np.inf])
@@ -162,7 +162,10 @@ def mujoco_turn(rpy: str) -> np.ndarray:
 
 
 def test_meshes_lie_where_mujoco_has_them(folder, tmp_path):
-    """Shifted, turned and scaled in its order, in the frame of the body; MuJoCo keeps them in frames of its own."""
+    """Meshes in the frames of their bodies, as MuJoCo has them.
+
+    Shifted, rotated and scaled in MuJoCo's order; MuJoCo itself keeps them in frames of its own.
+    """
     model, arm = mujoco_reading(folder / "mixed.xml"), import_robot(folder / "mixed.xml", "flange", most=1)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -173,7 +176,7 @@ def test_meshes_lie_where_mujoco_has_them(folder, tmp_path):
     body = model.body("a").id
     ours = arm.covers[arm.model.body("a").id].held.reshape(-1, 3) @ data.xmat[body].reshape(3, 3).T + data.xpos[body]
     apart = np.linalg.norm(ours[:, None] - theirs[None], axis=2)
-    assert apart.min(axis=0).max() < 1e-6 and apart.min(axis=1).max() < 1e-6  # MuJoCo keeps floats of 32 bits
+    assert apart.min(axis=0).max() < 1e-6 and apart.min(axis=1).max() < 1e-6  # MuJoCo keeps 32-bit floats
 
 
 def test_a_capsule_that_mujoco_fits_to_a_mesh_is_read_as_it_fits_it(folder):
@@ -194,7 +197,7 @@ def test_a_capsule_that_mujoco_fits_to_a_mesh_is_read_as_it_fits_it(folder):
 
 
 def test_what_is_no_part_of_the_arm_is_left_out(folder):
-    arm = import_robot(folder / "mixed.xml", most=1)  # the only site but the mouse's
+    arm = import_robot(folder / "mixed.xml", most=1)  # the only site except the mouse's
     assert arm.tip.name == "flange" and arm.joint_names == ("j1", "j2", "j3") and not arm.frozen
     assert arm.left_out == ("floor of world", "table of world") and arm.shapeless == ("c",)
     assert "target" not in [arm.model.body(b).name for b in arm.bodies] and len(arm.covers) == 3
@@ -230,7 +233,7 @@ def test_the_picture_shows_the_arm(crane):
 
 
 def test_an_arm_of_our_own_comes_out_as_it_is(tmp_path):
-    """Capsules, limits and the TCP, also of links without a capsule; MuJoCo itself reads the file, too."""
+    """Import of a native model: unchanged capsules, limits and TCP, and a file that MuJoCo reads."""
     source, out = Path(__file__).parents[1] / "configs/pipe/arm.xml", tmp_path / "arm.xml"
     assert main(["robot", str(source), "--out", str(out)]) == 0
     mujoco.MjModel.from_xml_path(str(out))
@@ -312,7 +315,10 @@ def test_an_arm_that_is_there_is_not_written_over(crane, folder, capsys):
 
 
 def test_a_job_that_names_the_model_itself_is_told_the_next_step(folder):
-    """It has joints off the chain; or a capsule that is fitted to a mesh."""
+    """Message for a job with an unconverted model: the command to run.
+
+    The model has joints off the chain, or a capsule that is fitted to a mesh.
+    """
     path = folder / "crane.urdf"
     with pytest.raises(InputError, match=r"htcp robot .*crane.urdf --out arm.xml"):
         htcp_jax.load_robot(path, tcp_site="grasp")

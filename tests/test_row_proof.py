@@ -1,4 +1,4 @@
-"""What is proven of a task's rows between targets is so at a thousand places by MuJoCo; what is broken is broken."""
+"""Proof of a task's rows between targets: at a thousand points by MuJoCo proven rows hold, refuted ones do not."""
 
 from functools import cache, partial
 
@@ -31,7 +31,7 @@ NOWHERE = jnp.zeros(3)
 
 @cache
 def postures() -> np.ndarray:
-    """(WAYS + 1, 6): steps of all lengths, there and back, about the start."""
+    """Steps of all lengths, there and back, from the start (WAYS + 1, 6)."""
     way = np.zeros((WAYS + 1, 6))
     way[1::2] = np.random.default_rng(0).normal(size=(WAYS // 2, 6)) * np.geomspace(2e-4, 0.1, WAYS // 2)[:, None]
     return np.array(made_once.START) + way
@@ -39,14 +39,14 @@ def postures() -> np.ndarray:
 
 @cache
 def ways() -> tuple[np.ndarray, np.ndarray]:
-    """(WAYS, 6) twice: from one posture to the next, but for a little that is anything between none and a lot."""
+    """Ends of the segments, twice (WAYS, 6): the configurations, each with a displacement of random size."""
     rng = np.random.default_rng(1)
     beside = rng.normal(size=(2, WAYS, 6)) * rng.permutation(np.geomspace(1e-5, 0.05, WAYS))[:, None]
     return postures()[:-1] + beside[0], postures()[1:] + beside[1]
 
 
 class Posed(Arm):
-    """An arm that is asked for the same frames again and again."""
+    """An arm that caches the frames of each configuration."""
 
     def frames(self, x, name):
         known = self.__dict__.setdefault("known", {})
@@ -62,7 +62,7 @@ def tool() -> np.ndarray:
 
 @cache
 def rows() -> tuple[TaskRow, ...]:
-    """One of each kind, which hold at the postures, or nearly so."""
+    """One row of each kind, which hold at the configurations, at least approximately."""
     T, fourth = tool()[0], np.asarray(link_poses(made_once.robot(), jnp.asarray(made_once.START)))[3]
     ahead, elbow = tuple(T[:3, 3] + 0.4 * T[:3, 2]), tuple(fourth[:3, 3])
     return (
@@ -84,7 +84,7 @@ def rows() -> tuple[TaskRow, ...]:
 
 @cache
 def held():
-    """The task, its goals at the postures, and the part whose path the tool follows with them."""
+    """The task, its goals at the configurations, and the part whose path the tool follows with them."""
     T, parts = tool(), [task_of([row], made_once.robot()).parts[0] for row in rows()]
     frames = PathFrames(-T[:, :3, 2], T[:, :3, 0], T[:, :3, :3])
     here = {"pivot": np.zeros(3), "neutral_translation": np.zeros(3)}
@@ -96,8 +96,10 @@ def held():
 
 @cache
 def bounded():
-    """(WAYS, rows): which rows surely hold on every interval of a way; (WAYS, INTERVALS, rows): which are broken at
-    their middles."""
+    """Rows proven on each segment, and rows refuted at the middles of its intervals.
+
+    Shapes (WAYS, rows) and (WAYS, INTERVALS, rows).
+    """
     task, goals, _ = held()
     half = jnp.asarray(0.5 / INTERVALS)
 
@@ -117,7 +119,7 @@ def arm() -> Posed:
 
 
 def by_mujoco(way: int, share: np.ndarray) -> np.ndarray:
-    """(rows, n): which rows hold at these places of a way."""
+    """Rows that hold at these points of a segment, by MuJoCo (rows, n)."""
     _, _, part = held()
     a, b = (end[way] for end in ways())
     points = [np.full(len(share), t) for t in (way, way + 1)]
@@ -133,14 +135,14 @@ def test_a_row_that_is_proven_to_hold_does_so_at_a_thousand_places_and_one_that_
         good = by_mujoco(way, np.linspace(0, 1, PLACES)).all(axis=1)
         assert good[inside[way]].all(), [str(rows()[k]) for k in np.flatnonzero(inside[way] & ~good)]
         assert not (by_mujoco(way, middles).T & broken[way]).any()
-    # Of every kind some ways are proven, some are not, and nearly all are decided.
+    # For every kind some segments are proven, some are not, and nearly all are decided.
     assert ((inside.sum(axis=0) >= 3) & (broken.any(axis=1).sum(axis=0) >= 3)).all(), inside.sum(axis=0)
     assert ((inside | broken.any(axis=1)).mean(axis=0) > 0.8).all()
 
 
 @pytest.mark.slow
 def test_the_proof_of_a_motion_heeds_them_where_they_are_asked_for():
-    """The rows alone: whatever the path the arm is clear, or the proof says that it is not."""
+    """Proof of a motion with the task's rows: it implies them by MuJoCo; without rows the verdict is as before."""
     task, goals, _ = held()
     scene, proven = Scene(*made_once.scene()[:2], task), jax.jit(prove)
     inside, broken = bounded()

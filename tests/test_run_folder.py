@@ -1,4 +1,4 @@
-"""The run folder: what is written reads back; what is damaged, foreign or in use is named in one line."""
+"""The run folder: its files read back; a damaged, foreign or locked one is reported in one line."""
 
 import errno
 import os
@@ -27,7 +27,7 @@ from htcp_jax.runs.run_folder import Run, open_run
 from htcp_jax.status import Status
 
 A, E, LIMIT, NOT = Status.TRACKED, Status.TRACKED_AFTER_ESCAPE, Status.ITERATION_LIMIT, Status.NOT_ATTEMPTED
-STATUS = [[A, A, A], [A, E, LIMIT], [A, LIMIT, NOT], [A, A, NO_TARGET]]  # the last scenario has a target less
+STATUS = [[A, A, A], [A, E, LIMIT], [A, LIMIT, NOT], [A, A, NO_TARGET]]  # the last scenario has one target fewer
 JOINTS = tables.joint_columns(gp50())
 PLANS = plans_with(STATUS, joints=6)._replace(start=np.arange(24.0).reshape(4, 6) / 7)
 POINTS = tuple(Point(k, "starts", load_config(None, [f"margin_m={k / 10}"])) for k in range(4))
@@ -47,7 +47,7 @@ def manifest(**changes) -> Manifest:
 
 
 def rows(method: str, span: Span) -> tuple:
-    """The tables of a shard and its plans."""
+    """Tables and plans of a shard."""
     part = slice(span.first, span.last + 1)
     plans = PLANS.rows(part)
     numbers = np.arange(span.first, span.last + 1)
@@ -153,7 +153,7 @@ def test_a_damaged_file_is_named_its_shard_planned_again_and_the_rest_kept(tmp_p
 
 
 def test_lost_files_are_one_line_a_method_and_only_those_asked_for_are_planned_again(tmp_path):
-    """W7: two lines a shard, and `planned again` of methods that nobody asked for."""
+    """Lost files: one line per method; only the requested methods are planned again (regression)."""
     both = manifest(methods=("baseline", "hybrid"))
     run = writer.begin(tmp_path, both)
     for method in both.methods:
@@ -171,7 +171,7 @@ def test_lost_files_are_one_line_a_method_and_only_those_asked_for_are_planned_a
 
 
 def test_the_folder_of_a_plan_is_told_from_one_that_holds_nothing(tmp_path):
-    """Rough: `htcp report out/plan` said that there was no manifest.json."""
+    """Error for a plan's folder opened as a run: it names the commands for plans (regression: no manifest.json)."""
     (tmp_path / "summary.json").write_text("{}")
     with pytest.raises(InputError, match="holds a plan of htcp plan, no run; htcp view, htcp render and htcp validate"):
         open_run(tmp_path)

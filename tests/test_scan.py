@@ -1,4 +1,4 @@
-"""Scans and STEP parts are read by libraries that are extras, and no damaged file does more than give one line."""
+"""Scans and STEP parts, read by optional libraries; a damaged file gives one line at most."""
 
 import os
 import pickle
@@ -42,7 +42,7 @@ def las(file, points=POINTS):
 
 
 def e57(file, *scans):
-    """scans: pairs of a quaternion and a translation."""
+    """Write an E57 file of scans, given as pairs of a quaternion and a translation."""
     with pye57.E57(str(file), mode="w") as written:
         for rotation, translation in scans or [(np.array([1.0, 0, 0, 0]), np.zeros(3))]:
             data = dict(zip(("cartesianX", "cartesianY", "cartesianZ"), POINTS.T.copy(), strict=True))
@@ -72,7 +72,7 @@ def test_every_ending_is_tested():
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
 def test_a_pcd_cloud_comes_back(tmp_path, encoding):
-    """Rough: scan formats."""
+    """Points of a PCD file, in every encoding."""
     flat = np.concatenate([POINTS, np.zeros((400, 3))])  # something to compress
     file = pcd(tmp_path / "scan.PCD", encoding, flat)
     assert f"DATA {encoding}\n".encode() in file.read_bytes()
@@ -93,12 +93,12 @@ def test_a_pcd_cloud_keeps_its_normals_and_leaves_out_what_was_not_seen(tmp_path
 
 @pytest.mark.parametrize("ending", [".las", ".laz"])
 def test_a_las_cloud_comes_back_to_its_resolution(tmp_path, ending):
-    """Rough: scan formats."""
+    """Points of a LAS or LAZ file, to its resolution."""
     np.testing.assert_allclose(load_cloud(las(tmp_path / f"scan{ending}")), POINTS, atol=1e-6)
 
 
 def test_the_scans_of_an_e57_file_come_back_in_one_frame(tmp_path):
-    """Rough: scan formats."""
+    """Scans of an E57 file, all in one frame."""
     quarter = np.sqrt([0.5, 0.0, 0.0, 0.5])  # about z
     file = e57(tmp_path / "scan.e57", (np.array([1.0, 0, 0, 0]), np.zeros(3)), (quarter, np.array([1.0, 2.0, 3.0])))
     turned = np.stack([1.0 - POINTS[:, 1], 2.0 + POINTS[:, 0], 3.0 + POINTS[:, 2]], axis=1)
@@ -107,7 +107,7 @@ def test_the_scans_of_an_e57_file_come_back_in_one_frame(tmp_path):
 
 @pytest.mark.parametrize("unit, size", [(MILLIMETRE, 200.0), (METRE, 0.2), (INCH, 7.874015748)])
 def test_a_step_part_comes_in_metres_whatever_its_unit(tmp_path, capfd, unit, size):
-    """Rough: no STEP. A curved face is left by its triangles by a twentieth of a millimetre at most."""
+    """Triangles of a STEP part in metres, for every unit; at most 0.05 mm from a curved face."""
     assert CYLINDER.count(MILLIMETRE) == 1
     text = CYLINDER.replace(MILLIMETRE, unit).replace("200.0", str(size)).replace("900.0", str(4.5 * size))
     triangles = read_part(step(tmp_path / "part.stp", text), ".stp")
@@ -121,7 +121,7 @@ def test_a_step_part_comes_in_metres_whatever_its_unit(tmp_path, capfd, unit, si
 
 
 def test_a_step_part_is_a_mesh_like_any_other(tmp_path):
-    """Rough: no STEP."""
+    """Points on a STEP part, as on any other mesh."""
     points = load_cloud(step(tmp_path / "part.STEP"))
     outside = np.maximum(np.hypot(*points[:, :2].T) - 0.2, np.abs(points[:, 2] - 0.45) - 0.45)
     assert len(points) > 1000 and np.abs(outside).max() < 5e-5
@@ -131,7 +131,7 @@ def test_a_step_part_is_a_mesh_like_any_other(tmp_path):
     ("old", "new"), [(b"COUNT 1 1 1", b"COUNT 1 1 1000000000"), (b"POINTS 40", b"POINTS 4000000000")]
 )
 def test_a_pcd_that_promises_more_than_it_can_hold_is_refused_before_it_is_laid_out(tmp_path, monkeypatch, old, new):
-    """T6: 200 bytes that promise 1e9 columns took 3.9 GB and 53 s."""
+    """PCD headers that announce too much: refused before memory is allocated (regression: 3.9 GB and 53 s)."""
     file = pcd(tmp_path / "scan.pcd")
     assert old in file.read_bytes()
     file.write_bytes(file.read_bytes().replace(old, new).replace(b"WIDTH 40", b"WIDTH 4000000000"))
@@ -141,7 +141,7 @@ def test_a_pcd_that_promises_more_than_it_can_hold_is_refused_before_it_is_laid_
 
 @pytest.mark.parametrize("ending", WRITE)
 def test_without_the_extra_one_line_says_how_to_get_it(tmp_path, monkeypatch, capsys, ending):
-    """Rough: No STEP; scan formats: the extra is named, exit code 2."""
+    """Error without the optional library: one line that names the extra, exit code 2."""
     monkeypatch.chdir(tmp_path)
     WRITE[ending](Path(f"part{ending}"))
     Path("seam.csv").write_text("0,0,0\n")
@@ -166,7 +166,7 @@ def test_garbage_and_damage_give_one_line_and_print_nothing(tmp_path, capfd, end
 def test_no_file_and_no_regular_file(tmp_path):
     for ending in WRITE:
         assert refusal(tmp_path / f"missing{ending}") == "no such file"
-    os.mkfifo(tmp_path / "pipe.e57")  # opening it would wait for ever
+    os.mkfifo(tmp_path / "pipe.e57")  # opening it would block without end
     assert refusal(tmp_path / "pipe.e57") == "not a regular file"
 
 
@@ -190,7 +190,10 @@ def test_a_parser_may_crash_hang_and_talk(tmp_path, monkeypatch, capfd, parser, 
 
 
 def test_a_header_that_promises_too_much_takes_neither_time_nor_memory(tmp_path):
-    """laspy would look for four thousand million records, pypcd4 make room for as many points."""
+    """Headers that announce too much: refused at once.
+
+    laspy would look for four thousand million records, pypcd4 allocate memory for as many points.
+    """
     data = bytearray(las(tmp_path / "scan.las").read_bytes())
     data[100:104] = b"\xff\xff\xff\xff"
     (tmp_path / "scan.las").write_bytes(data)

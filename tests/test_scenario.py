@@ -1,4 +1,4 @@
-"""Scenarios by the scene's rules: its own figures for the start, the pose, the targets, and what is refused."""
+"""Scenarios by the scene's rules: its own figures for start, pose and targets, and the rejected inputs."""
 
 from dataclasses import replace
 
@@ -40,7 +40,10 @@ def test_the_approach_goes_in_equal_steps():
 
 
 def test_the_measured_weld_is_where_the_scene_says():
-    """To 1e-5 m: the scene's own figures are 5.4 um farther apart than the weld's ends (see test_workpiece.py)."""
+    """Measured weld in the world frame, to 1e-5 m.
+
+    The scene's own figures are 5.4 um farther apart than the weld's ends (see test_workpiece.py).
+    """
     weld = make_scenario(made_once.robot(), made_once.measured_duct(), made_once.START, rotation=POSE).targets[11:]
     np.testing.assert_allclose(weld[0], (1.6560575, -0.1859774, 1.1261086), rtol=0, atol=1e-5)
     np.testing.assert_allclose(weld[-1], (2.3518327, -0.1180665, 0.8345056), rtol=0, atol=1e-5)
@@ -56,7 +59,7 @@ def test_without_an_inlet_the_steps_go_straight_to_the_path():
 
 
 def test_the_pose_turns_about_the_pivot_first_by_wy_then_by_wz():
-    """The pivot stays where it is; a turn about y then z is not one about z then y."""
+    """Pose of the workpiece: about the pivot, first by wy, then by wz; the pivot stays where it is."""
     duct = made_once.duct()
     home = duct.T_world(0.0, 0.0)
     np.testing.assert_allclose(home[:3, 3], duct.neutral_translation)

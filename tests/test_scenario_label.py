@@ -1,4 +1,4 @@
-"""What sets the scenarios of a run apart, in a few words."""
+"""Labels of a run's scenarios: the parameters that vary, in a few words."""
 
 import pyarrow as pa
 from small_run import LONGER
@@ -10,7 +10,7 @@ from htcp_jax.viewer.replay import open_replays
 
 
 def test_scenarios_are_named_by_what_varies_in_their_run(planned):
-    """Rough: that 24 is tilt -0.2, height -0.1, tool +0.05 stood only in the report's CSV and the Parquet files."""
+    """Labels of scenarios by the parameters that vary (regression: only the data files had the values)."""
     labels = labels_of(open_run(planned / "run").scenarios())
     assert labels == {
         0: "tilt y 0.4 rad, tool 0 m",
@@ -36,7 +36,7 @@ def test_any_column_that_is_no_result_is_a_parameter():
 
 
 def test_no_result_of_a_sweep_is_a_parameter():
-    """That the targets are executable, and how smoothly, was told as if it had been asked for."""
+    """Parameters of a run: inputs only, no results such as executable targets or smoothness."""
     table = empty_tables(("joint1_rad",))["scenarios"]
     own = "rotation_x_rad rotation_y_rad rotation_z_rad shift_x_m shift_y_m shift_z_m tool_extension_m margin_m path"
     assert parameter_names(table) == ["start_joint1_rad", *own.split()]

@@ -1,4 +1,4 @@
-"""The arm's own bodies are kept apart: pairs of capsules as MuJoCo measures them, joint paths proven clear of them."""
+"""Self-collision: pairs of capsules as MuJoCo measures them, and joint paths proven clear of them."""
 
 from functools import partial
 
@@ -27,7 +27,7 @@ PLACES = 1000
 
 
 def arm(name: str, folder) -> tuple[Robot, mujoco.MjModel]:
-    """A robot and MuJoCo's own reading of its file."""
+    """A robot, and MuJoCo's own reading of its file."""
     if name == "seven":
         return made_once.seven_joints(folder), mujoco.MjModel.from_xml_path(str(folder / "seven.xml"))
     file = GP50 if name == "gp50" else rail(folder)
@@ -35,7 +35,7 @@ def arm(name: str, folder) -> tuple[Robot, mujoco.MjModel]:
 
 
 def mujoco_distances(model: mujoco.MjModel, pairs, postures) -> np.ndarray:
-    """Of every pair of geoms at every posture (n, R)."""
+    """Distances of all pairs of geoms at all configurations (n, R)."""
     data, found = mujoco.MjData(model), np.empty((len(postures), len(pairs)))
     for k, x in enumerate(postures):
         data.qpos[:] = x
@@ -56,7 +56,7 @@ def test_the_distances_of_pairs_are_mujocos(name, tmp_path):
 
 
 def test_nearly_parallel_segments_and_points_are_measured_as_exactly():
-    """Against a thousand places on both, refined by scipy's bounded minimiser."""
+    """Distances of nearly parallel segments and of points, compared with scipy's bounded minimiser."""
     from scipy.optimize import minimize
 
     rng = np.random.default_rng(0)
@@ -74,7 +74,10 @@ def test_nearly_parallel_segments_and_points_are_measured_as_exactly():
 
 
 def test_a_pairs_body_moves_no_further_than_the_bound_as_seen_from_the_other(tmp_path):
-    """Random joint paths, random places on them; joints up to the other's link count for nothing."""
+    """Bound on the motion of a pair's body relative to the other.
+
+    Random joint paths, random points on them; joints up to the other's link do not count.
+    """
     for name in ("gp50", "rail"):
         robot, _ = arm(name, tmp_path)
         own, rng, n = SelfCollision(((2, 0), (2, 1))), np.random.default_rng(3), len(robot.slides)
@@ -117,7 +120,7 @@ def test_a_proven_joint_path_keeps_the_pairs_apart_at_a_thousand_places_and_a_re
 
 
 def test_turning_the_base_moves_no_pair_that_turns_with_it(tmp_path):
-    """Both bodies of a pair are carried along, so one look proves a whole turn."""
+    """Rotation of the base: a single clearance query proves it, as both bodies of each pair move along."""
     robot, _ = arm("seven", tmp_path)
     own = SelfCollision(tuple(pair for pair in self_collision(robot).pairs if robot.capsule_link[pair[1]] >= 0))
     x = jnp.array([0.0, 0.3, 0.0, 0.3, 0.0, 0.3, 0.0])
@@ -136,7 +139,7 @@ def test_the_gradient_of_a_pair_is_that_of_its_distance(tmp_path):
         odd += int((np.abs(slope - rows(x).gradient) > 1e-5).any(axis=1).sum())
         by_autodiff = jax.jacfwd(value)(jnp.asarray(x))
         np.testing.assert_allclose(by_autodiff, rows(x).gradient, atol=1e-9)
-    assert odd <= 4  # other points have become the nearest, within a micrometre
+    assert odd <= 4  # other points became the nearest, within a micrometre
 
 
 CHAIN = """<mujoco><worldbody>
@@ -148,7 +151,7 @@ CHAIN = """<mujoco><worldbody>
   </body></body></body></body></worldbody>{more}</mujoco>"""
 
 
-RADIAN = '<compiler angle="radian"/>'  # else a joint turns by 2 degrees
+RADIAN = '<compiler angle="radian"/>'  # otherwise the limit is 2 degrees
 
 
 def named(robot, pairs) -> list[str]:
@@ -168,8 +171,11 @@ def named(robot, pairs) -> list[str]:
 def test_pairs_are_checked_unless_the_model_excludes_them_or_they_nearly_always_overlap(
     size, more, pairs, excluded, tmp_path
 ):
-    """Overlap at zero or at a keyframe decides nothing: C of 0.45 m overlaps A where the chain is straight, and E comes
-    back to B in the keyframe."""
+    """Checked pairs: all, unless the model excludes them or they nearly always overlap.
+
+    Overlap at zero or at a keyframe decides nothing: C of 0.45 m overlaps A where the chain is straight, and E comes
+    back to B in the keyframe.
+    """
     file = tmp_path / "chain.xml"
     file.write_text(CHAIN.format(size=size, more=more))
     robot = load_robot(file)
@@ -180,7 +186,10 @@ def test_pairs_are_checked_unless_the_model_excludes_them_or_they_nearly_always_
 
 
 def test_without_meshes_adjacent_links_that_overlap_in_some_configurations_are_not_checked(tmp_path):
-    """G overlaps A where joint 2 is folded far enough; the same capsule two links out is checked."""
+    """Unchecked adjacent links without meshes: those that overlap in some configurations.
+
+    G overlaps A where joint 2 is folded far enough; the same capsule two links out is checked.
+    """
     folded = '<geom name="G" type="sphere" size="0.05" pos="0.25 0.05 0"/>'
     own = CHAIN.replace('<body name="c"', folded + '<body name="c"').replace('range="-2 2"', 'range="-2.9 2.9"')
     (tmp_path / "chain.xml").write_text(own.format(size=0.1, more=RADIAN))
@@ -190,7 +199,10 @@ def test_without_meshes_adjacent_links_that_overlap_in_some_configurations_are_n
 
 
 def test_of_several_bodies_on_a_link_the_nearest_decides(tmp_path):
-    """A row for each body and each link before it; by hand, of spheres."""
+    """Rows for links with several bodies: the nearest decides.
+
+    A row for each body and each link before it; by hand, of spheres.
+    """
     first = '<geom name="A" type="sphere" size="0.1"/>'
     more = [f'<geom name="{name}" type="sphere" size="0.1" pos="0 {y} 0"/>' for name, y in (("F", 0.3), ("G", -0.3))]
     (tmp_path / "chain.xml").write_text(CHAIN.format(size=0.1, more="").replace(first, "".join([first, *more])))

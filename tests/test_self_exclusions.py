@@ -1,4 +1,4 @@
-"""Which capsules need no check: by the meshes of a published arm, by its SRDF, by hand; starts and plans in between."""
+"""Excluded capsule pairs: by an arm's meshes, by its SRDF, by hand; and the starts and plans they affect."""
 
 import csv
 import re
@@ -33,7 +33,7 @@ PANDA_START = [0, 0, 0, -0.0698, 0, 0.05, 0.785]
 @pytest.fixture
 def htcp(capsys):
     def run(*words, code: int = 0) -> str:
-        """All that a command printed, in one line."""
+        """Return all that a command printed, in one line."""
         assert main([str(word) for word in words]) == code
         return " ".join("".join(capsys.readouterr()).split())
 
@@ -42,7 +42,7 @@ def htcp(capsys):
 
 @pytest.fixture
 def imported(htcp, tmp_path):
-    """Imports the arm with its plate at a height [m]; further words for htcp robot."""
+    """A function that imports the arm with its plate at a height [m], with further arguments of `htcp robot`."""
 
     def made(z: float, *words):
         (tmp_path / "shelf.xml").write_text(ARM.format(z=z))
@@ -65,7 +65,7 @@ def with_pair(arm, rule: str, one: str = "c", other: str = "a") -> None:
 
 
 def job(arm, tmp_path, start) -> dict:
-    """Two points where the TCP is, and a little above."""
+    """Job of two points, at the TCP and slightly below."""
     from htcp_jax.model.kinematics import tcp_pose
 
     x, y, z = np.asarray(tcp_pose(load_robot(arm), jnp.array(start, float)))[:3, 3].tolist()
@@ -76,7 +76,10 @@ def job(arm, tmp_path, start) -> dict:
 
 
 def test_capsules_whose_meshes_never_touch_are_not_checked_and_those_whose_meshes_do_are(imported):
-    """The capsule about the plate reaches 0.2 m up; the arm passes 0.1 m over the plate, or through it."""
+    """Exclusion by meshes: only pairs whose meshes never touch.
+
+    The capsule about the plate reaches 0.2 m up; the arm passes 0.1 m over the plate, or through it.
+    """
     over = rules(load_robot(imported(-0.1)))
     assert over["a", "c"] == "c" and over["a", "d"] == "c"
     through = rules(load_robot(imported(0.0)))
@@ -150,7 +153,7 @@ def test_validate_works_out_for_itself_that_an_excluded_pair_does_not_always_ove
     robot = load_robot(arm)
     x = samples(robot)
     depth = -distances(robot, [(2, 0)], x)[:, 0]
-    start = x[int(np.abs(depth - 0.01).argmin())].tolist()  # 10 mm, as many random configurations are
+    start = x[int(np.abs(depth - 0.01).argmin())].tolist()  # 10 mm deep, as many random configurations are
     plan = htcp_jax.plan(job(arm, tmp_path, start))
     plan.save(tmp_path / "plan")
     assert "refuted" in htcp("validate", tmp_path / "plan", code=1)
@@ -165,7 +168,7 @@ def test_validate_names_the_deepest_overlap_of_capsules_that_are_not_checked(htc
 
 
 def test_a_message_about_a_collision_says_how_far_the_capsule_is_from_its_mesh_there(imported, tmp_path):
-    """By hand: the capsule's radius is about half the plate's diagonal, its surface over the plate as far above it."""
+    """Message about a collision: the distance between the capsule and its mesh there."""
     arm = imported(0.0)
     with pytest.raises(
         InputError, match=r"capsule \w is .* mm inside capsule \w; the surface of this capsule is [\d.]+ mm from"
@@ -241,7 +244,10 @@ def test_a_list_that_leaves_nothing_to_check_is_refused(htcp, tmp_path):
 
 
 def test_a_tool_that_passes_through_a_link_is_refused_at_a_start_outside_of_the_models_zero(htcp, tmp_path):
-    """The Panda's zero is beyond its own limits; the shaft of a long tool passes through its links 3 and 4."""
+    """Tool through a link: refused at the start.
+
+    The Panda's zero is outside its own limits; the shaft of a long tool passes through its links 3 and 4.
+    """
     model = path_of("panda")
     htcp("robot", model, "--tcp", "panda_hand", "--out", tmp_path / "arm.xml")
     points = [(0.10486, 0, 0.52578 + 0.03 * k / 9) for k in range(10)]

@@ -1,4 +1,4 @@
-"""From which side a plan is looked at: where the arm hides least of the path and the tool."""
+"""Viewpoint of a plan: the side from which the arm hides least of the path and the tool."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def test_of_a_lone_arm_far_away_the_square_side_without_the_path_is_taken(side):
 
 
 def test_an_arm_that_stands_before_the_square_side_is_looked_at_from_another():
-    """Rough: viewer and render opened with the arm between the camera and the part."""
+    """Viewpoint if the arm covers the square view: another side (regression: the arm hid the part)."""
     square = side_view(WALL, PATH)
     before = [hidden(WALL[:0], 0.0, PATH, arm(), towards_camera(square, aside, 0.28)) for aside in ASIDE_RAD]
     chosen = camera_side(WALL, PATH, arm())

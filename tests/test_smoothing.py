@@ -1,4 +1,4 @@
-"""Smoothing: motions become cheaper in equation (3), and stay motions; nothing else of a plan changes."""
+"""Smoothing: motions become cheaper in equation (3) and stay motions; nothing else in a plan changes."""
 
 from dataclasses import replace
 from functools import cache
@@ -36,7 +36,7 @@ from htcp_jax.planning.batch import plan
 from htcp_jax.status import Way
 
 SMOOTH = replace(SMALL, smooth=True)
-NARROW = replace(SMALL, path_tolerance_m=3e-4, path_check="none")  # motions of step QPs end early in that
+NARROW = replace(SMALL, path_tolerance_m=3e-4, path_check="none")  # with these, motions of step QPs end early
 _TCPS, _JACOBIANS = (jax.jit(jax.vmap(of, in_axes=(None, 0))) for of in (tcp_position, jacobian))
 
 
@@ -47,27 +47,27 @@ def smoothed():
 
 @cache
 def of_baseline(smooth):
-    """Tracked further than it is a motion."""
+    """Baseline plans, tracked further than they are a motion."""
     return plan(made_once.robot(), made_once.duct(), poses(), "baseline", replace(NARROW, smooth=smooth), threads=1)
 
 
 def steps(plans, s):
-    """Of all joint paths of a motion, knots included (n, N)."""
+    """Steps of all joint paths of a motion, via points included (n, N)."""
     return np.concatenate([np.diff(postures, axis=0) for _, postures in ways(plans, s)])
 
 
 def cost(plans, s):
-    """Equation (3) with weights of 1."""
+    """Cost of equation (3) with weights of 1."""
     return float((steps(plans, s) ** 2).sum())
 
 
 def dwells(plans, s):
-    """The targets on whose ways the arm changes its posture."""
+    """Targets before which the arm changes its configuration."""
     return set(plans.knots.target[plans.knots.scenario == s].tolist())
 
 
 def smooth_again(scenarios, plans, settings=SMOOTH, **changes):
-    """These plans, changed, smoothed and judged, as if a method had made them."""
+    """Change these plans, validate and smooth them, as if a method had made them."""
     plans = plans._replace(**{name: array.copy() for name, array in plans.arrays().items()})._replace(**changes)
     scene, devices, task = made_once.scene(), choose(None), Task(tolerance_m=settings.tolerance_m)
     problem = Problem(scene[0], made_once.duct(), stack(scenarios), settings, task, scene[1], devices, 1)
@@ -83,7 +83,10 @@ def smooth_again(scenarios, plans, settings=SMOOTH, **changes):
     ids=["roadmap", "baseline"],
 )
 def test_the_same_targets_by_a_cheaper_motion(before, after, settings):
-    """Looked at in two hundred places of every joint path; rows keep the margin; dwells are dropped, none is new."""
+    """Cheaper motions to the same targets.
+
+    200 configurations on every joint path are checked; rows keep the margin; dwells are dropped, none is added.
+    """
     before, after = before(), after()
     assert (after.executable == before.executable).all() and (after.status == before.status).all()
     check_motions(poses(), after, settings.tube_m)
@@ -100,7 +103,7 @@ def test_dwells_go_where_there_is_a_straight_way():
 
 
 def test_what_is_no_motion_stays_to_the_last_bit():
-    """All that is said of rows behind the end of a motion, the first of them, which it does not lead to, among them."""
+    """Rows after the end of a motion, and its last configuration before a lost target: bitwise unchanged."""
     before, after = of_baseline(False), of_baseline(True)
     assert (before.tracked.sum(axis=1) > before.executable.sum(axis=1)).sum() >= 2
     for s, one in enumerate(poses()):
@@ -126,7 +129,7 @@ def test_knots_behind_the_end_of_a_motion_stay():
 
 
 def test_a_scenario_without_a_motion_is_left_alone():
-    """Beside one that has one."""
+    """Scenario without a motion: unchanged, next to one with a motion."""
     one = first_of(scenario(2, (0.4, 0.0)), 6)
     lost = replace(one, targets=one.targets + 5.0)
     plans = roadmap([lost, one], SMOOTH)
@@ -137,7 +140,10 @@ def test_a_scenario_without_a_motion_is_left_alone():
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_who_else_is_smoothed_has_no_influence(threads):
-    """Alone, together, in another order, by two threads: all arrays to the last bit."""
+    """Smoothing that does not depend on the other scenarios.
+
+    Alone, together, in another order, by two threads: all arrays, bitwise.
+    """
     backwards = roadmap(poses()[::-1], SMOOTH, threads=threads)
     for s, one in enumerate(poses()):
         same(smoothed(), s, backwards, 2 - s, int(one.count))
@@ -146,14 +152,17 @@ def test_who_else_is_smoothed_has_no_influence(threads):
 
 
 def test_a_smooth_motion_has_next_to_nothing_left_to_gain():
-    """Another time changes its cost by a few per cent at most, and never for the worse."""
+    """Second smoothing: it reduces the cost by a few per cent at most, and never increases it."""
     again = smooth_again(poses(), smoothed())
     for s in range(3):
         assert 0.95 * cost(smoothed(), s) < cost(again, s) <= cost(smoothed(), s)
 
 
 def test_where_nothing_is_in_the_way_it_is_the_shortest_path_over_the_targets():
-    """A few targets of the approach, before the walls are near, against a dense optimiser that knows them alone."""
+    """Shortest path over the targets where no obstacle is near, by a dense optimiser.
+
+    A few targets of the approach, before the walls are near.
+    """
     one, robot = first_of(scenario(2, (0.4, 0.0)), 8), made_once.robot()
     plans = roadmap([one], SMOOTH)
     shape = 8, 6
@@ -174,7 +183,7 @@ def test_where_nothing_is_in_the_way_it_is_the_shortest_path_over_the_targets():
 
 
 def test_a_heavy_joint_moves_less():
-    """The one that moves most of all; and the cost with that weight falls more than without it."""
+    """Weighted joint: it moves less, and the weighted cost falls more than without the weight."""
     weights = np.ones(6)
     free = steps(smoothed(), 0)
     most = int((free**2).sum(axis=0).argmax())
@@ -193,7 +202,10 @@ def test_weights_of_another_arm_are_refused():
 
 
 def test_ways_that_take_long_to_prove_do_not_hold_up_the_rest(monkeypatch):
-    """Where nothing new may take more than one query, what has not moved still counts as what it was."""
+    """Segments with long proofs: they do not block the others.
+
+    No new segment may take more than one query; segments that did not move keep their result.
+    """
     monkeypatch.setattr(smoothing, "GRAZES", 1)
     after = smooth_again(poses(), planned())
     assert (after.executable == planned().executable).all() and (after.way[after.executable] == Way.PROVEN).all()
@@ -201,7 +213,11 @@ def test_ways_that_take_long_to_prove_do_not_hold_up_the_rest(monkeypatch):
 
 
 def test_it_is_for_the_settings_to_say_and_for_the_method_to_wish():
-    """The roadmap is smoothed unless told otherwise, the baseline is not; without checks there are no motions."""
+    """Smoothing by the settings, else by the method's default.
+
+    The `roadmap` method is smoothed by default, the baseline is not; without path checks there are no motions to
+    smooth.
+    """
     one = first_of(scenario(2, (0.4, 0.0)), 6)
 
     def made(method, smooth, **more):

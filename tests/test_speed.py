@@ -1,7 +1,7 @@
-"""`python -m benchmarks speed`: what it runs in two checkouts, compares, records and refuses.
+"""`python -m benchmarks speed`: its runs in two checkouts, its comparison, its records, and the inputs it rejects.
 
-The other checkout is this one, but that its tables are read off the printed text, as those of older trees are, and that
-its workpiece's sweep keeps 4 mm clear.
+The other checkout is this one, except that its tables are parsed from the printed text, as those of older trees are,
+and that its workpiece's sweep has a margin of 4 mm.
 """
 
 import argparse
@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[1]
 
 @pytest.fixture
 def ran(monkeypatch, capsys):
-    """Runs the command; its exit code and the lines that it printed, those of errors last."""
+    """Run the command; return its exit code and the lines that it printed, errors last."""
 
     def run(*words):
         monkeypatch.setattr(sys, "argv", ["speed", *map(str, words)])

@@ -48,7 +48,7 @@ def compiled(name: str, settings: Settings):
 
 @cache
 def solved(name: str, settings: Settings = SETTINGS, count: int = 200) -> Solved:
-    """The first `count` recorded subproblems by one of our minimisers."""
+    """Solutions of the first `count` recorded subproblems by one of our minimisers."""
     found = [compiled(name, settings)(made_once.scene(), *references.place(k)) for k in range(count)]
     return Solved(*(np.array(column) for column in zip(*found, strict=True)))
 
@@ -59,7 +59,10 @@ EACH = ["sqp", "interior_point", "cmaes", pytest.param("adam", marks=pytest.mark
 
 @pytest.mark.parametrize("name", EACH)
 def test_a_minimiser_returns_a_unit_vector_inside_the_limits_and_what_it_attains(name):
-    """The value is measured, not predicted; the linearisation says the same. And it never ends below its start."""
+    """Result of a minimiser: a unit vector inside the limits, with its measured value, never below its start.
+
+    The reference problem's merit gives the same value.
+    """
     found = solved(name, count=COUNT.get(name, 200))
     np.testing.assert_allclose(np.linalg.norm(found.w, axis=1), 1.0, atol=1e-14)
     gained = []
@@ -72,14 +75,17 @@ def test_a_minimiser_returns_a_unit_vector_inside_the_limits_and_what_it_attains
 
 
 def behind_slsqp(settings, which):
-    """How far ours ends below SLSQP [m], one subproblem a row; negative where it is ahead."""
+    """Gap of our SQP to SLSQP [m], one subproblem a row; negative where ours is better."""
     ours = solved("sqp", settings).value[list(which)]
     problems = (references.problem(k, settings) for k in which)
     return np.array([p.merit(references.slsqp(p)) for p in problems]) - ours
 
 
 def test_sqp_is_no_worse_than_slsqp_on_the_same_epigraph_form():
-    """By 1e-6 m in 99 % of 200 subproblems, from the same start. (In two SLSQP finds another, better maximum.)"""
+    """Gap of our SQP to SLSQP: at most 1e-6 m in 99 % of 200 subproblems, from the same start.
+
+    In two SLSQP finds another, better maximum.
+    """
     gap = behind_slsqp(SETTINGS, range(200))
     assert np.mean(gap <= 1e-6) >= 0.99, np.flatnonzero(gap > 1e-6)
     assert gap.max() < 1e-3
@@ -88,13 +94,13 @@ def test_sqp_is_no_worse_than_slsqp_on_the_same_epigraph_form():
 
 @pytest.mark.slow
 def test_sqp_is_no_worse_than_slsqp_with_the_cost_of_the_paper():
-    """J1 at weight 1 bends the objective: the quadratic term of the tangent QP."""
+    """Gap of our SQP to SLSQP with cost J1 at weight 1: the quadratic term of the tangent QP."""
     gap = behind_slsqp(PAPER, range(0, 200, 4))
     assert np.sum(gap > 1e-6) <= 1, gap[gap > 1e-6]
 
 
 def test_sqp_is_no_worse_than_slsqp_at_joint_limits():
-    """Limits 0.07 rad around each configuration: most answers lie on one."""
+    """Gap of our SQP to SLSQP at joint limits 0.07 rad around each configuration: most answers lie on one."""
     robot, obstacle = made_once.scene()[:2]
     gaps, active = [], 0
     for k in range(0, 200, 10):
@@ -111,14 +117,14 @@ def test_sqp_is_no_worse_than_slsqp_at_joint_limits():
 
 
 def trust_constr_gap(which):
-    """How far our interior point method ends below scipy's [m]."""
+    """Gap of our interior-point method to scipy's [m]."""
     ours = solved("interior_point").value[list(which)]
     problems = (references.problem(k, SETTINGS) for k in which)
     return np.array([p.merit(references.trust_constr(p)) for p in problems]) - ours
 
 
 def test_interior_point_keeps_up_with_trust_constr():
-    """Stated gap: in the median of 10 subproblems no more than 1e-6 m below, in the mean no more than 0.1 mm."""
+    """Gap of the interior-point method to trust-constr: median at most 1e-6 m, mean at most 0.1 mm."""
     gap = trust_constr_gap(range(0, 200, 20))
     assert np.median(gap) <= 1e-6 and np.mean(gap) <= 1e-4, gap
 
@@ -131,8 +137,10 @@ def test_interior_point_keeps_up_with_trust_constr_on_100_subproblems():
 
 @pytest.mark.parametrize("name", EACH[1:])
 def test_the_minimisers_agree_about_what_is_attainable(name):
-    """Stated gaps to the SQP, over 200 subproblems (CMA-ES: 40): in the mean interior point and Adam end less than
-    0.1 mm below it, CMA-ES less than 0.05 mm; in the median all less than 0.01 mm."""
+    """Gaps of the minimisers to our SQP, over 200 subproblems (CMA-ES: 40).
+
+    Mean gap below 0.1 mm for interior point and Adam, below 0.05 mm for CMA-ES; median below 0.01 mm for all.
+    """
     value = solved(name, count=COUNT.get(name, 200)).value
     gap = solved("sqp").value[: len(value)] - value
     assert np.mean(gap) < {"cmaes": 5e-5}.get(name, 1e-4)
@@ -140,8 +148,10 @@ def test_the_minimisers_agree_about_what_is_attainable(name):
 
 
 def test_cmaes_keeps_up_with_the_cma_package():
-    """Population 100, 5 generations, same start and step size; over 12 subproblems ours ends, in the mean, at most
-    0.02 mm below the package (both are random: a single one may differ by more)."""
+    """Gap of our CMA-ES to the `cma` package: in the mean of 12 subproblems at most 0.02 mm.
+
+    Population 100, 5 generations, same start and step size. Both are random: a single gap may be larger.
+    """
     which = range(0, 40, 3)[:12]
     ours = solved("cmaes", count=40).value[list(which)]
     theirs = [references.cma_package(references.problem(k, SETTINGS), 100, 5, 0.5, seed=k + 1) for k in which]
@@ -153,7 +163,7 @@ def test_cmaes_keeps_up_with_the_cma_package():
 
 
 def planes_problem(a, b, G=None, h=None):
-    """f_k(w) = a_k . w + b_k, and the observation that goes with it."""
+    """Planes f_k(w) = a_k . w + b_k as a problem on the sphere, and its observation."""
     a, b, dimension = jnp.asarray(a), jnp.asarray(b), a.shape[1]
     G = jnp.zeros((1, dimension)) if G is None else jnp.asarray(G)
     h = jnp.ones(1) if h is None else jnp.asarray(h)
@@ -173,7 +183,10 @@ def planes_problem(a, b, G=None, h=None):
     [("sqp", 1), ("sqp", 4), ("interior_point", 1), ("interior_point", 4), ("cmaes", 1), ("adam", 1)],
 )
 def test_a_single_plane_is_climbed_to_its_pole(name, dimension):
-    """Arms of four to seven joints have null spaces of one to four dimensions; see below for two, above for three."""
+    """Maximum of a single plane: its pole.
+
+    Arms of four to seven joints have null spaces of one to four dimensions; see below for two, above for three.
+    """
     a = np.linspace(1.0, 2.0, dimension)[None] * 0.05
     best = jax.jit(lambda: MINIMISERS[name](*planes_problem(a, np.array([0.01]))))()
     exact = 0.01 + np.linalg.norm(a)
@@ -182,7 +195,7 @@ def test_a_single_plane_is_climbed_to_its_pole(name, dimension):
 
 @pytest.mark.parametrize("name", ["sqp", "interior_point"])
 def test_planes_that_meet_in_a_kink_are_climbed_to_it(name):
-    """On a circle, where a scan finds the answer; from one to many planes."""
+    """Maximum at a kink between planes on a circle, from a dense scan; one plane to many."""
     rng = np.random.default_rng(0)
     angle = np.linspace(0, 2 * np.pi, 200_001)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -196,7 +209,10 @@ def test_planes_that_meet_in_a_kink_are_climbed_to_it(name):
 
 
 def test_the_step_of_keep_clear_is_that_of_its_linear_programme():
-    """At first order it raises the smallest of the contacts seen as far as a box of that size allows."""
+    """Step of `keep-clear`, compared with its linear programme.
+
+    To first order it raises the smallest contact as far as possible in a box of that size.
+    """
     rng = np.random.default_rng(1)
     longest = 0.3
     step = jax.jit(lambda a, b: sphere.max_min_step(*planes_problem(a, b), jnp.asarray(longest)))
@@ -222,7 +238,7 @@ def test_the_first_direction_is_the_best_of_its_directions_by_what_was_seen():
 
 
 def test_a_direction_beyond_a_joint_limit_is_never_the_answer():
-    """The pole of the plane is forbidden: the answer lies on the limit."""
+    """Maximum with a forbidden pole: the answer lies on the joint limit."""
     a = np.array([[0.0, 0.0, 0.1]])
     limit = planes_problem(a, np.zeros(1), G=np.array([[0.0, 0.0, 1.0]]), h=np.array([0.5]))
     for name in ("sqp", "interior_point"):

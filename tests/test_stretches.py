@@ -1,4 +1,4 @@
-"""Paths that are proven in stretches, side by side, come out as if each had been looked at from end to end."""
+"""Proofs of paths in chunks, in parallel: the same results as from one end to the other."""
 
 from dataclasses import replace
 from functools import cache
@@ -31,7 +31,7 @@ def kernels():
 
 @cache
 def asked():
-    """Of each motion's path, with its tube and without: (inputs, a, b, tube, kept, resolution_m, deepest)."""
+    """Inputs of the proofs, each path with its tube and without. (inputs, a, b, tube, kept, resolution_m, deepest)."""
     nominal = jax.tree.map(np.asarray, made_once.nominal())
     ways, a, b, tubes = zip(*motions(), strict=True)
     poses = [replace(nominal, **jax.tree.map(np.asarray, where)._asdict()) for where in ways]
@@ -64,8 +64,11 @@ def test_several_paths_of_a_lane_are_proven_as_those_of_as_many_lanes():
 
 @pytest.mark.parametrize("table", [Table(16, 1, True), Table(64, 8, True), Table(512, 300, True)])
 def test_proofs_in_stretches_are_unbroken_ones(table, monkeypatch):
-    """Verdicts, places, and how many places were looked at how closely; clearances but for what rounds otherwise where
-    lanes are computed side by side. Whatever other paths there are, and however many slots."""
+    """Proofs in chunks, equal to unbroken ones.
+
+    Verdicts, places, queries and depths are equal; clearances up to rounding, as lanes computed in parallel round
+    differently. Other paths and the number of slots have no influence.
+    """
     expected = unbroken()
     assert np.unique(expected.verdict).tolist() == [Way.PROVEN, Way.COLLIDES, Way.LEAVES, Way.TURNS_BACK, Way.OPEN]
     monkeypatch.setattr(Load, "on", lambda load, device: table)
@@ -79,15 +82,21 @@ def test_proofs_in_stretches_are_unbroken_ones(table, monkeypatch):
 
 
 def test_of_a_path_that_is_not_proven_nothing_else_is_told():
-    """What was looked at before it was refuted depends on the order."""
+    """Result of a path that is not proven: its verdict and place only.
+
+    The queries made before its refutation depend on the order.
+    """
     found = gather(unbroken(), unbroken().verdict != Way.PROVEN)
     assert not found.queries.any() and not found.depth.any() and np.isinf(found.clearance).all()
     assert (found.place < 1).all()
 
 
 def made_up(scene, room, place, bad, kind) -> Loop:
-    """A bisection that needs no arm: an interval holds that is shorter than there is room at its middle; a middle near
-    one of the bad places is refuted, whether its interval holds or not."""
+    """A bisection without an arm.
+
+    An interval holds if it is shorter than the slack at its middle; a middle near one of the bad places is refuted,
+    whether its interval holds or not.
+    """
 
     def look(far: Bisection) -> Bisection:
         half = 0.5 * jnp.ldexp(1.0, -far.depth)
@@ -113,8 +122,10 @@ def made_up(scene, room, place, bad, kind) -> Loop:
 
 @pytest.mark.parametrize(("capacity", "width"), [(300, 16), (64, 64), (40, 100), (5, 3), (1, 8)])
 def test_made_up_paths_come_out_as_from_end_to_end(capacity, width):
-    """To the last bit, of any number of paths and slots; also where two refute each other's path at once, and where a
-    look that refutes has moved on."""
+    """Made-up paths, bitwise as from end to end, for any number of paths and slots.
+
+    Including two chunks that refute their path at once, and a refuting query that has moved on.
+    """
     rng = np.random.default_rng([capacity, width])
     room, place = 10.0 ** rng.uniform(-5, 0, capacity), rng.uniform(0, 1, capacity)
     bad = rng.uniform(-4, 1, (capacity, 3))

@@ -1,4 +1,4 @@
-"""The cloud as discs: their normals point inwards, their corners lie in the surface, every point has one."""
+"""The cloud as discs: normals point inwards, corners lie in the surface, and every point has a disc."""
 
 import numpy as np
 from hypothesis import given

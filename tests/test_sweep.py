@@ -1,4 +1,4 @@
-"""A sweep by its public call and by its command: results, what continues, what is refused."""
+"""Sweeps by the public call and by the command: results, resumption, and rejected inputs."""
 
 import itertools
 import json
@@ -40,7 +40,7 @@ def here(tmp_path, monkeypatch):
 
 @pytest.fixture
 def planned(here, monkeypatch):
-    """The same before a plate, which is quicker to plan. Returns what is planned: methods and scenarios."""
+    """List of the planned (method, scenarios), in the folder with a plate, which is quicker to plan."""
     (here / "job.yaml").write_text(JOB)
     calls, plan = [], batch.plan
 
@@ -87,7 +87,7 @@ def test_what_is_finished_is_not_planned_again(planned):
     sweep("grid.yaml", "baseline", "run", shard_scenarios=2)
     assert planned == [("baseline", [0, 1]), ("baseline", [2])]
     run = sweep("grid.yaml", "baseline,keep-clear", "run")
-    assert planned[2:] == [("keep-clear", [0, 1]), ("keep-clear", [2])]  # cut as the folder was at first
+    assert planned[2:] == [("keep-clear", [0, 1]), ("keep-clear", [2])]  # same shards as at first
     assert run.methods == ("baseline", "keep-clear") and run.complete
 
 
@@ -147,7 +147,7 @@ def test_a_signal_ends_a_sweep_that_the_same_call_completes(here, planned, numbe
 
 
 def test_a_sweep_continued_with_fewer_methods_tells_what_it_planned_and_what_is_left(here, planned, capsys):
-    """W7: it planned all that it was asked for, printed no table and ended with 2."""
+    """Sweep resumed with fewer methods: its output lists the planned ones and the remaining ones (regression)."""
 
     def interrupt(now):
         if now.method == "baseline" and now.scenarios_done == 1:
@@ -188,7 +188,7 @@ def test_the_command_says_how_to_go_on_after_a_signal(here, capsys, monkeypatch)
 
 
 class Killed(BaseException):
-    """Stands for kill -9: nothing may tidy up after it."""
+    """Stand-in for kill -9: no cleanup may run after it."""
 
 
 def test_killed_at_any_write_a_sweep_continues_to_the_same_bytes(here, planned, monkeypatch):
@@ -273,7 +273,7 @@ def test_bad_input_is_one_line_exit_2_and_no_file(here, capsys, arguments, line)
 
 
 def same(a: Summary, b: Summary) -> bool:
-    """Bit for bit, NaN being NaN."""
+    """Return True if both are bitwise equal, NaN being NaN."""
     return all(one == other or (one != one and other != other) for one, other in zip(a, b, strict=True))
 
 

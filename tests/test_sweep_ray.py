@@ -1,4 +1,4 @@
-"""A sweep on a real Ray: the same bytes as in one process, also when workers, nodes or the whole cluster are killed."""
+"""Sweeps on a real Ray: the same bytes as in one process, also if workers, nodes or the whole cluster are killed."""
 
 import os
 import signal
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.filterwarnings(r"ignore:os\.fork\(\) was called:Runtime
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory) -> dict[str, bytes]:
-    """The row files of a sweep in one process."""
+    """Row files of a sweep in one process."""
     folder = tmp_path_factory.mktemp("undisturbed")
     make_sweep(folder)
     return rows(sweep(folder / "grid.yaml", "baseline", folder / "run", shard_scenarios=1).folder)
@@ -42,7 +42,7 @@ def here(tmp_path, monkeypatch):
 
 @pytest.fixture
 def one_worker():
-    """A Ray of this process with room for one task."""
+    """A Ray of this process with a slot for one task."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Ray's own
         ray.init("local", num_cpus=1, include_dashboard=False, log_to_driver=False, configure_logging=False)
@@ -63,7 +63,7 @@ def processes() -> dict[int, tuple[int, str]]:
 
 
 def under(top: int) -> list[int]:
-    """Processes below `top` that plan a shard just now."""
+    """Processes below `top` that are planning a shard."""
     all_ = processes()
 
     def is_below(pid: int) -> bool:
@@ -75,7 +75,7 @@ def under(top: int) -> list[int]:
 
 
 def wait_for_worker(top: int, driver: subprocess.Popen, known: Collection[int] = ()) -> int:
-    """The first process below `top` seen planning that is not `known`."""
+    """First process below `top` seen planning that is not `known`."""
     while driver.poll() is None:
         if found := [pid for pid in under(top) if pid not in known]:
             return found[0]
@@ -91,7 +91,7 @@ def test_ray_plans_the_same_bytes_as_one_process(here, undisturbed, one_worker):
 
 
 def test_the_methods_that_last_longest_begin_first(here, one_worker):
-    """Whatever their order in the command: none is left for one worker at the end."""
+    """Order of the methods: slowest first, whatever the order in the command, so that none remains for one worker."""
     began = []
     methods = "baseline,nspace-sample,cspace-sample"
     sweep("grid.yaml", methods, limit=1, on="ray", finished=lambda shard: began.append(shard.method))
@@ -100,7 +100,7 @@ def test_the_methods_that_last_longest_begin_first(here, one_worker):
 
 @pytest.mark.slow
 def test_the_command_on_ray_prints_what_it_prints_without_and_nothing_else(here, undisturbed):
-    """On a new Ray of this machine, by the command; it prints what it prints without Ray, and nothing else."""
+    """Output of the command on a new Ray of this machine: the same as without Ray, and nothing else."""
     done = finish(here, "run", "--on", "ray:local")
     assert done.returncode == 0, done.stderr
     assert without_progress(done.stderr) == [] and done.stdout.splitlines()[0] == "grid"
@@ -141,7 +141,10 @@ def test_a_cluster_that_is_started_here_listens_to_this_machine_alone_and_requir
 
 
 def test_a_device_beside_ray_and_gpus_that_this_machine_has_not_are_one_line(here, capsys, one_worker):
-    """GPUs are the workers'; on a Ray of this machine nobody waits for one that never comes."""
+    """Errors for a device next to Ray and for missing GPUs: one line, and no waiting.
+
+    GPUs belong to the workers; a Ray of this machine would wait for one that never comes.
+    """
     for words, line in (
         (
             ("--device", "gpu"),
@@ -155,7 +158,10 @@ def test_a_device_beside_ray_and_gpus_that_this_machine_has_not_are_one_line(her
 
 
 def test_with_ray_the_command_leaves_gpus_to_the_workers():
-    """It would take three quarters of a GPU's memory, which the worker beside it needs."""
+    """Device of the command with Ray: the CPU.
+
+    It would allocate three quarters of a GPU's memory, which the worker next to it needs.
+    """
     assert device_of("ray", None) == device_of("ray:local", "cpu") == "cpu"
     assert device_of("here", None) is None and device_of("here", "gpu:2") == "gpu:2"
 
@@ -203,8 +209,10 @@ def test_a_signal_drops_the_shards_at_hand_and_the_same_command_goes_on(here, un
 
 @pytest.fixture
 def cluster(monkeypatch):
-    """Two real nodes on this machine: the head, which plans nothing, and another. Their workers are COLD, so that they
-    are at work when the node is killed."""
+    """Two real nodes on this machine: the head, which plans nothing, and another.
+
+    Their workers are COLD, so that they are at work when the node is killed.
+    """
     from ray.cluster_utils import Cluster
 
     for name, value in COLD.items():
@@ -217,7 +225,7 @@ def cluster(monkeypatch):
 
 
 def raylet(node) -> int:
-    """The process that is a node."""
+    """Process id of a node."""
     return node.all_processes["raylet"][0].process.pid
 
 
@@ -244,7 +252,7 @@ def test_when_the_whole_cluster_is_lost_what_is_finished_is_kept(here, undisturb
             os.kill(raylet(each), signal.SIGKILL)
         _, errors = driver.communicate()
     assert driver.returncode == 1, errors
-    (line,) = [line for line in errors.splitlines() if line.startswith("htcp: ")]  # among what Ray itself has to say
+    (line,) = [line for line in errors.splitlines() if line.startswith("htcp: ")]  # among Ray's own output
     assert line.startswith("htcp: Ray lost its workers") and line.endswith("the same command goes on from there")
     assert f"{HALF} of {SHARDS} shards are finished" in line
     assert finish(here, "run").returncode == 0 and rows(here / "run") == undisturbed
@@ -252,7 +260,10 @@ def test_when_the_whole_cluster_is_lost_what_is_finished_is_kept(here, undisturb
 
 @pytest.mark.slow
 def test_a_sweep_of_cells_on_ray_is_the_same_bytes_and_none_is_continued_with_another_mesh(here, one_worker):
-    """A fixture of every kind of obstacle, shifted by the grid."""
+    """Sweep of cells on Ray: the same bytes, and no resumption with another mesh.
+
+    A fixture of every kind of obstacle, shifted by the grid.
+    """
     trimesh.creation.box([0.1, 0.1, 0.1]).export("vice.stl")
     trimesh.creation.annulus(0.35, 0.4, 0.2).export("ring.stl")
     Path("cell.xml").write_text(

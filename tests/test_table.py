@@ -1,4 +1,4 @@
-"""Tables as scanners and CAM programs write them: more columns than three, in any order, and decimal commas."""
+"""Tables as written by scanners and CAM programs: more than three columns, in any order, and decimal commas."""
 
 import io
 import warnings
@@ -29,7 +29,7 @@ def write(folder, content, name="scan.xyz"):
 
 
 def read(file):
-    """What a file holds and what was said of it. It is the same cloud, and the same path."""
+    """The points read from a file and the notes about it. As a cloud and as a path it gives the same points."""
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         found = read_points(file)
@@ -65,7 +65,7 @@ def close(normals, expected):
 
 @pytest.mark.parametrize("separator", [" ", ",", "; ", "\t"])
 def test_six_columns_are_points_and_normals(tmp_path, separator):
-    """Rough: 6 columns are the normal case."""
+    """Six columns: points and normals (regression)."""
     found, said = read(write(tmp_path, table(POINTS, NORMALS, separator=separator)))
     assert np.array_equal(found.xyz, POINTS) and close(found.normals, NORMALS)
     assert said == ["6 columns; the first three are taken as x, y, z, the others as normals"]
@@ -73,7 +73,7 @@ def test_six_columns_are_points_and_normals(tmp_path, separator):
 
 @pytest.mark.parametrize("others", [COLOURS, COLOURS[:, :1], np.hstack([NORMALS, COLOURS]), NORMALS[:, :2]])
 def test_what_follows_the_points_and_is_no_normal_is_left_out_with_a_note(tmp_path, others):
-    """Rough: 6 columns are the normal case: scanner clouds with colour."""
+    """Further columns that are no normals: excluded, with a note (regression: coloured scanner clouds)."""
     found, said = read(write(tmp_path, table(POINTS, others)))
     assert np.array_equal(found.xyz, POINTS) and found.normals is None
     count = 3 + others.shape[1]
@@ -95,7 +95,7 @@ def test_a_few_points_without_a_normal_do_not_hide_the_others(tmp_path):
     ("k,j,i,z,y,x\n", (NORMALS[:, ::-1], POINTS[:, ::-1]), ","),
 ])  # fmt: skip
 def test_a_header_names_the_columns_in_any_order(tmp_path, header, columns, separator):
-    """Rough: 6 columns: what is named needs no note."""
+    """Columns by the names in a header, in any order and without a note (regression)."""
     found, said = read(write(tmp_path, table(*columns, separator=separator, header=header)))
     assert np.array_equal(found.xyz, POINTS) and close(found.normals, NORMALS) and said == []
 
@@ -148,7 +148,7 @@ def test_rows_of_different_lengths_are_refused_by_line(tmp_path, rows, words):
     ("P1;1,5;2,5;3,5", "'1,5' has a decimal comma"), ("1,5;2,5", "'1,5' has a decimal comma"),
 ])  # fmt: skip
 def test_decimal_commas_are_named_in_the_first_row_already(tmp_path, row, first):
-    """Rough: decimal commas: the first row silently passed for a header."""
+    """Error for decimal commas, already in the first row (regression: it silently passed for a header)."""
     assert refusal(write(tmp_path, f"{row}\n" * 5)).startswith(f"line 1: {first}")
     assert refusal(write(tmp_path, f"# c\n{row}\n" * 5)).startswith(f"line 2: {first}")
     assert refusal(write(tmp_path, f"a;b;c\n{row}\n" * 5)).startswith(f"line 2: {first}")
@@ -156,7 +156,7 @@ def test_decimal_commas_are_named_in_the_first_row_already(tmp_path, row, first)
 
 @pytest.mark.parametrize("row", ["1,234,5,678,9,012", "0,1,0,0", "-1,5,2,3,5"])
 def test_decimal_commas_among_commas_are_suspected(tmp_path, row):
-    """Rough: decimal commas: in 1,5,2,5,3,5 nothing else tells them."""
+    """Suspicion of decimal commas among commas: 1,5,2,5,3,5 is ambiguous (regression)."""
     assert refusal(write(tmp_path, f"{row}\n" * 5)).startswith("line 1: decimal commas?")
     assert "columns" in read(write(tmp_path, f"{row}\n" * 5 + row.replace(",", ".1,") + "\n"))[1][0]
 
@@ -169,7 +169,7 @@ def test_whole_numbers_in_three_columns_or_under_names_are_no_decimal_commas(tmp
 
 @pytest.mark.parametrize("others, kept", [(NORMALS, True), (COLOURS, False), (NORMALS[:, :2], False)])
 def test_an_array_has_more_columns_too(tmp_path, others, kept):
-    """Rough: 6 columns."""
+    """Further columns of an array (regression)."""
     array = np.hstack([POINTS, others])
     found, said = read(write(tmp_path, npy(np.asfortranarray(array)), "scan.npy"))
     assert np.array_equal(found.xyz, POINTS) and (found.normals is not None) is kept
@@ -177,7 +177,7 @@ def test_an_array_has_more_columns_too(tmp_path, others, kept):
 
 
 def test_the_command_prints_the_note_in_one_line(tmp_path, capsys, monkeypatch):
-    """Rough: 6 columns: take the first three with a note."""
+    """Note about the columns in one line of the command's output (regression)."""
     monkeypatch.chdir(tmp_path)
     normals = np.tile([0.0, 0.0, 1.0], (2, 1))
     write(tmp_path, table(np.array([[0.1857, -0.1737, 0.1708], [0.19, -0.1738, 0.1705]]), normals), "path.csv")

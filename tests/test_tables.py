@@ -1,4 +1,4 @@
-"""Tables on the terminal fit it: 80 columns, or as many as COLUMNS says."""
+"""Tables on the terminal: within 80 columns, or within COLUMNS."""
 
 import re
 
@@ -21,14 +21,14 @@ def printed(table: Table, capsys) -> list[str]:
 
 
 def rows_of(text: str) -> list[str]:
-    """The lines of tables: those with cells apart, but for the line that names a file."""
+    """Lines of tables: those with separated cells, except a line that names a file."""
     apart = (line for line in text.splitlines() if re.search(r"\S {2,}\S", line))
     return [line for line in apart if not line.startswith(("files", "report"))]
 
 
 @pytest.mark.parametrize("command", ["sweep", "validate", "validate fast", "report", "gate", "methods"])
 def test_every_table_of_the_command_line_fits_80_columns(planned, tmp_path, monkeypatch, capsys, command):
-    """Rough: the tables of validate (with speeds) and sweep were about 105 wide, that of gate 138."""
+    """Width of every table of the command line: at most 80 columns (regression: up to 138)."""
     monkeypatch.setenv("COLUMNS", "80")
     run = str(planned / "run")
     if command == "gate":

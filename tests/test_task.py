@@ -67,7 +67,7 @@ def test_inverse_kinematics_reaches_any_task_and_its_null_space_leaves_it_alone(
 
 
 def step_for(task: Task, x: np.ndarray, ahead: np.ndarray) -> step_qp.StepQP:
-    """The step QP at x with the target where the task is at `ahead`, without obstacles near."""
+    """Step QP at x with its target at the task's value at `ahead`, without obstacles near."""
     robot = made_once.robot()
     error = task.error(task.value(robot, jnp.asarray(x)), task.value(robot, jnp.asarray(ahead)))
     far = jnp.full(1, 10.0), jnp.zeros((1, 6))
@@ -120,11 +120,11 @@ def test_the_default_task_is_the_papers():
     assert TCP_POSITION.rows == 3 and TCP_POSITION.freedom(robot) == 3
 
 
-# Planned with
+# Planning with tasks
 
 
 def along(task: Task, xs: np.ndarray, number: int = 0) -> Scenario:
-    """A scenario in the duct whose targets are where the task is at these postures, from the first of them."""
+    """A scenario in the duct whose targets are the task's values at these configurations, starting at the first."""
     robot = made_once.robot()
     given = make_scenario(robot, made_once.duct(), xs[0], margin_m=0.0, number=number)
     targets = np.stack([np.asarray(task.value(robot, jnp.asarray(x))) for x in xs])
@@ -136,12 +136,12 @@ def test_a_task_with_as_many_rows_as_joints_is_planned_and_says_where_there_is_n
     start = np.array(made_once.START)
     xs = start + np.linspace(0, 1, 4)[:, None] * np.array([0.02, 0.03, -0.02, 0.04, 0.03, 0.05])
     free, lost = along(task, xs), along(task, xs, number=1)
-    lost.targets[2:] += 5.0  # where the arm never comes
+    lost.targets[2:] += 5.0  # out of the arm's reach
     plans = plan(made_once.robot(), made_once.duct(), [free, lost], "nspace-sqp", task=task)
     assert plans.tracked[0].all() and plans.outcome(0).complete
     for x, target in zip(plans.x[0], plans.target[0], strict=True):
         assert task.reached(task.off(made_once.robot(), jnp.asarray(x), jnp.asarray(target)))
-    np.testing.assert_allclose(plans.x[0], xs, atol=5e-3)  # it has no choice but these postures
+    np.testing.assert_allclose(plans.x[0], xs, atol=5e-3)  # these are the only solutions
     assert plans.tracked[1].tolist() == [True, True, False, False]
     assert plans.outcome(1).status == Status.NO_NULL_SPACE and "no null space" in Status.NO_NULL_SPACE.message
 
@@ -153,7 +153,10 @@ def test_targets_must_have_as_many_numbers_as_the_task_has_rows():
 
 
 def test_a_further_obstacle_is_kept_clear_of_as_the_workpiece_is():
-    """A floor in the way of the way down: with it no tracked posture is nearer to it than the margin."""
+    """Additional obstacle, kept clear of by the margin like the workpiece.
+
+    A floor blocks the way down: with it no tracked configuration is nearer to it than the margin.
+    """
     robot, duct, margin_m = made_once.robot(), made_once.duct(), 5e-3
     xs = np.array(made_once.START) + np.linspace(0, 1, 6)[:, None] * np.array([0.0, 0.25, -0.1, 0.0, 0.1, 0.0])
     scenario = dataclasses.replace(along(TCP_POSITION, xs), margin_m=np.asarray(margin_m))
@@ -161,7 +164,7 @@ def test_a_further_obstacle_is_kept_clear_of_as_the_workpiece_is():
     def above(height_m: float, x) -> float:
         return float(Floor(jnp.asarray(height_m)).smallest(robot, scenario, bodies_at(robot, scenario, jnp.asarray(x))))
 
-    height_m = sorted(above(0.0, x) for x in xs)[1]  # some of the postures come nearer than the margin
+    height_m = sorted(above(0.0, x) for x in xs)[1]  # some configurations are nearer than the margin
     free = plan(robot, duct, scenario, "baseline")
     kept = plan(robot, duct, scenario, "baseline", obstacles=(Floor(jnp.asarray(height_m)),))
     assert free.tracked.all() and min(above(height_m, x) for x in free.x[0]) < margin_m

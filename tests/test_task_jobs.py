@@ -29,7 +29,7 @@ NO_WAYS = {"path_check": "none"}
 
 @cache
 def free_plan():
-    """The default job with the tool's orientation free: its postures at the targets."""
+    """Configurations of the default job with a free tool orientation, and the workpiece's pose."""
     job = load_config({"method": "baseline", "settings": NO_WAYS})
     robot, part, scenario = scene(job)
     plans = plan(robot, part, scenario, "baseline", job.settings, check_paths=False)
@@ -38,7 +38,7 @@ def free_plan():
 
 
 def tool_frames() -> np.ndarray:
-    """The tool's orientations on that plan's path, in the workpiece frame."""
+    """Orientations of the tool on that plan's path, in the workpiece frame."""
     x, T_world_workpiece = free_plan()
     T = jax.vmap(lambda x: tcp_pose(made_once.robot(), x))(jnp.asarray(x[11:]))
     return T_world_workpiece[:3, :3].T @ np.asarray(T)[:, :3, :3]
@@ -46,7 +46,7 @@ def tool_frames() -> np.ndarray:
 
 @pytest.fixture
 def as_planned(tmp_path):
-    """A path's file with the orientations of that plan; its normals are against the tool's axis."""
+    """A path's file with that plan's orientations; its normals are against the tool's axis."""
     frames = tool_frames()
     quaternions = Rotation.from_matrix(frames).as_quat(scalar_first=True)
     table = np.column_stack([made_once.duct().path, quaternions, -frames[:, :, 2]])
@@ -60,8 +60,11 @@ def elbow() -> list[float]:
 
 
 def tasks() -> dict[int, list[dict]]:
-    """For each number of equalities a task that arms are given: to hold a height, to follow a line seen from one side,
-    a point, that with the elbow in a plane, with the tool's axis, with its whole orientation."""
+    """Typical tasks by their number of equalities.
+
+    To hold a height, to follow a line seen from one side, a point, a point with the elbow in a plane, with the tool's
+    axis, with its full orientation.
+    """
     return {
         1: [{**ON_PATH, "axes": "z"}],
         2: [{**ON_PATH, "axes": "yz", "frame": "workpiece"}],
@@ -73,8 +76,8 @@ def tasks() -> dict[int, list[dict]]:
 
 
 def planned(task: list[dict], path: str = "weld", method: str = "baseline"):
-    """The plan of a job, its task, and the rows as MuJoCo sees them at the tracked targets of the path."""
-    settings = NO_WAYS | {"aim_above_m": 0.0}  # as clear as it was with a free orientation, and no clearer
+    """The plan of a job, its task, and its rows by MuJoCo at the tracked targets of the path."""
+    settings = NO_WAYS | {"aim_above_m": 0.0}  # as clear as with a free orientation, and no clearer
     job = load_config({"task": task, "workpiece": {"path": path}, "method": method, "settings": settings})
     robot, part, scenario = scene(job)
     held = task_of_job(job, robot)
@@ -104,7 +107,10 @@ def test_a_job_of_any_number_of_equalities_is_planned_to_its_end_and_every_row_c
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["nspace-sqp", "hybrid", "roadmap"])
 def test_no_method_leaves_its_cone_where_a_free_tool_would(method):
-    """The cone is about the direction into the wall, from which the free tool is 60 degrees off in the middle."""
+    """Cone constraint in every method, where a free tool would leave the cone.
+
+    The cone is about the direction into the wall, from which the free tool deviates by 60 degrees in the middle.
+    """
     plans, _, checks = planned([ON_PATH, {**CONE, "cone_deg": 55}], method=method)
     assert plans.tracked.sum() > 40
     assert not [why for k in range(len(checks[1].off)) if (why := checks[1].reason(2, k))]
@@ -120,7 +126,7 @@ def test_a_band_and_a_cone_alone_leave_every_joint_free_and_hold_all_the_same():
     task = [{**ON_PATH, "within_m": 0.004}, {"axis": "tcp.z", "looks_at_m": [3.5, -1.0, 0.8], "cone_deg": 40}]
     plans, held, checks = planned(task)
     assert (held.rows, held.bands) == (0, 7) and plans.tracked.all()
-    assert checks[0].off.max() > 1e-3  # it makes use of the band
+    assert checks[0].off.max() > 1e-3  # it uses the band
     assert not [why for n, one in enumerate(checks, 1) for k in range(94) if (why := one.reason(n, k))]
 
 

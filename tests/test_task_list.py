@@ -1,4 +1,4 @@
-"""What a person writes of a task: which rows there are, what they ask for at every target, and what cannot be."""
+"""Tasks as written by a user: rows, their goals at every target, and the rejected ones."""
 
 import jax.numpy as jnp
 import made_once
@@ -69,7 +69,7 @@ def test_before_the_path_rows_are_eased_so_that_the_start_is_on_its_target():
         task, scenario = made(*rows)
         robot, x = made_once.robot(), jnp.asarray(made_once.START)
         assert task.off(robot, x, jnp.asarray(scenario.goals[0])) < 1e-9
-        np.testing.assert_allclose(scenario.goals[10], scenario.goals[11], atol=1e-9)  # that of the first point
+        np.testing.assert_allclose(scenario.goals[10], scenario.goals[11], atol=1e-9)  # of the first point
         assert scenario.goals.shape == (105, task.numbers)
 
 
@@ -82,7 +82,7 @@ def test_a_cone_is_data_so_scenarios_of_one_grid_share_their_programs():
     assert len(batch.cells) == 1 and batch.scenarios.goals.shape == (6, 105, 7)
     np.testing.assert_allclose(np.rad2deg(batch.scenarios.goals[:, -1, 6]), [90, 90, 60, 60, 30, 30])
     assert dict(batch.points[0].varied) == {"task.2.cone_deg": "90.0"}
-    assert sweep.config.task[1].cone_deg == 60  # the configuration stays as it is
+    assert sweep.config.task[1].cone_deg == 60  # the configuration is unchanged
 
 
 def test_a_row_is_addressed_by_its_number_on_the_command_line():
@@ -137,7 +137,7 @@ def test_what_cannot_be_is_named_before_planning(rows, message):
 def test_the_wall_normals_of_the_duct_are_those_of_its_sections_and_point_into_its_bore():
     duct = made_once.duct()
     found, path = wall_normals(duct.cloud, duct.path), duct.path
-    inside = section_value(path[5:-8] + 0.02 * found[5:-8])  # the ends lie where the duct ends
+    inside = section_value(path[5:-8] + 0.02 * found[5:-8])  # the duct ends at the path's ends
     assert (inside < section_value(path[5:-8])).all() and (inside < 0).all()
     slope = np.stack([section_value(path + d) - section_value(path - d) for d in 1e-5 * np.eye(3)], axis=1)
     across = -slope / np.linalg.norm(slope, axis=1, keepdims=True)

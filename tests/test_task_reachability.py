@@ -1,4 +1,4 @@
-"""What is reachable with a task, and free approaches to one: all that is found holds every row, by MuJoCo's poses."""
+"""Reachability with a task, and approaches in free space: all results satisfy every row, by MuJoCo's poses."""
 
 from dataclasses import replace
 
@@ -32,7 +32,7 @@ def job_of(task, **more):
 
 
 def broken(job, part, one, x, t):
-    """Which rows of the job's task postures x at targets t of the path break, in words."""
+    """Violated rows of the job's task at configurations x and targets t of the path, in words."""
     T = np.asarray(one.T_world_workpiece)
     place = Place(T[:3, :3], T[:3, 3], part, np.maximum(t - int(one.on_path), 0))
     arm = Arm(GP50, limits="simulation")
@@ -52,7 +52,7 @@ def reached(task, targets, **more):
 
 @pytest.mark.slow
 def test_what_is_reachable_in_a_cone_is_in_it_and_what_is_not_is_proven_so():
-    """With the tool's orientation free all of the path is reachable in this pose."""
+    """Reachability bounds with a cone; with a free tool orientation all of the path is reachable in this pose."""
     found, one = reached([ON_PATH, CONE], 56, resolution_rad=0.3)
     assert one.on_path < found.prefix[0] <= found.most[0] < one.count
     assert reached([ON_PATH], 56, resolution_rad=0.3, proof_cells=0)[0].prefix[0] == one.count
@@ -101,7 +101,7 @@ def test_a_start_is_chosen_in_the_cone_and_joined_to_home():
 
 @pytest.mark.slow
 def test_an_approach_in_free_space_ends_in_the_cone():
-    """By its straight lines it leads beyond the reach of the arm."""
+    """Approach in free space to a target in the cone: its straight lines lead out of the arm's reach."""
     job = job_of([ON_PATH, {**CONE, "cone_deg": 60}])
     robot, part, one = scene(job)
     one = first_of(one, 16)

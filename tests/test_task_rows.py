@@ -46,7 +46,7 @@ def frame(link, x) -> np.ndarray:
 
 
 def by_scipy(name: str, x) -> np.ndarray:
-    """|error| where the part is an equality, room where it is none, in the units of the row."""
+    """|error| of an equality, slack of an inequality, in the units of the row."""
     part, goal = PARTS[name]
     T, goal = frame(part.link, jnp.asarray(x)), np.asarray(goal, float)
     if isinstance(part, TaskPoint):
@@ -68,7 +68,7 @@ def by_scipy(name: str, x) -> np.ndarray:
 
 @pytest.mark.parametrize("name", PARTS)
 def test_a_row_is_off_by_what_scipy_says_in_its_own_unit(name):
-    task, goal = task_of(name, tolerance_m=1e-3, tolerance_rad=1e-3)  # an angle counts as its own number
+    task, goal = task_of(name, tolerance_m=1e-3, tolerance_rad=1e-3)  # with equal tolerances an angle is not scaled
     robot = made_once.robot()
     error, room = (jax.jit(lambda x, f=f: f(task.value(robot, x), goal)) for f in (task.error, task.room))
     for x in made_once.configurations(robot, 10):
@@ -93,7 +93,10 @@ def test_its_jacobian_is_that_of_jacfwd_and_of_differences(name):
 
 @pytest.mark.parametrize("name", PARTS)
 def test_the_least_turn_of_the_last_link_is_what_scipy_says_and_none_where_a_row_looks_at_more(name):
-    """Whatever the arm, each of these rows hangs on the last link's rotation alone, or is not counted."""
+    """Least rotation of the last link by scipy, and 0 for a row that depends on more.
+
+    For every arm the counted rows depend on the last link's rotation alone.
+    """
     part, _ = PARTS[name]
     task, goal = task_of(name, tolerance_rad=0.01)
     robot = made_once.robot()
@@ -107,7 +110,7 @@ def test_the_least_turn_of_the_last_link_is_what_scipy_says_and_none_where_a_row
 
 
 def rooms(task, robot, x, goal):
-    """Room of every row, without what a step aims inside: that hangs on the goal alone."""
+    """Slack of every row, without the inner margin of a step, which depends on the goal alone."""
     linear = task.linear_at(robot, x, goal)
     return linear.room
 
@@ -135,7 +138,7 @@ def test_inverse_kinematics_comes_onto_it_and_its_null_space_leaves_it_alone(nam
 
 
 def linear_at(task, robot, x, goal):
-    """The Jacobian of the equalities."""
+    """Jacobian of the equalities."""
     return task.linear_at(robot, x, goal).jacobian
 
 

@@ -1,4 +1,4 @@
-"""A thousand scenarios of an arm with inertias, timed in one go: what they take of memory; each is as it is alone."""
+"""A thousand scenarios of an arm with inertias, timed in one call: their memory, and each as if timed alone."""
 
 import subprocess
 import sys
@@ -35,7 +35,7 @@ def test_a_thousand_timed_scenarios_with_torques_stay_within_4_gib_and_each_is_a
     grid = [{f"workpiece.shift_m.{axis}": few} for axis in "xyz"]
     sweep({"grid": grid}, "baseline", tmp_path / "run", config=job)
     out = subprocess.run([sys.executable, "-c", TIME_ALL, str(tmp_path / "run")], capture_output=True, check=True)
-    peak = 1024 * int(out.stdout)  # what getrusage says counts the process that started it, too
+    peak = 1024 * int(out.stdout)  # getrusage includes the parent process
     rows = open_run(tmp_path / "run").scenarios().to_pylist()
     timed = [row for row in rows if row["torque_share"] is not None]
     assert len(rows) == SCENARIOS and len(timed) > 0.5 * SCENARIOS

@@ -1,4 +1,4 @@
-"""A program as it is played: frames at true speed, plots of the timed curve, and one line for what is wrong."""
+"""Playback of a robot program: frames at true speed, plots of the timed curve, and one line for each error."""
 
 import json
 import subprocess
@@ -22,12 +22,12 @@ from htcp_jax.viewer.strip import Strip
 from htcp_jax.viewer.timed_play import Curves, arms_of, frame_times, played
 
 FEED, SIZE = "200mm/s", (320, 220)
-DARK, STEP_S = 90, 1e-5  # of a line's pixels; between postures of a difference
+DARK, STEP_S = 90, 1e-5  # of a line's pixels; of a finite difference
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A plan made by hand whose motion leads to its last target, beside one whose motion does not."""
+    """A plan made by hand whose motion leads to its last target, next to one whose motion does not."""
     folder = tmp_path_factory.mktemp("driven")
     plan = made_plan(folder)
     plan.save(folder / "bad")
@@ -68,9 +68,9 @@ def test_the_targets_are_come_to_when_the_tool_passes_them(made, folder):
 
 
 def test_what_is_plotted_is_how_fast_the_timed_curve_is(made):
-    """By central differences of joints and of the TCP's place."""
+    """Plotted speeds, by central differences of the joints and the TCP."""
     curves, limits = Curves.of(made, 40), made.limits.velocity
-    inner = slice(1, -1)  # at its ends the arm stands
+    inner = slice(1, -1)  # at its ends the arm is at rest
     before, after = (made.program.at(curves.time_s[inner] + d).x for d in (-STEP_S, STEP_S))
     rates = np.abs(after - before) / (2 * STEP_S)
     np.testing.assert_allclose(
@@ -79,7 +79,7 @@ def test_what_is_plotted_is_how_fast_the_timed_curve_is(made):
     tcp = [np.asarray(capsules_and_tcp(made.robot, x).tcp) for x in (before, after)]
     speed = 1e3 * np.linalg.norm(tcp[1] - tcp[0], axis=1) / (2 * STEP_S)
     plotted = np.stack(list(curves.tcp_mm_s.values()))
-    assert ((~np.isnan(plotted)).sum(axis=0) == 1).all()  # the arm does one thing at a time
+    assert ((~np.isnan(plotted)).sum(axis=0) == 1).all()  # each instant has one kind
     np.testing.assert_allclose(np.nansum(plotted, axis=0)[inner], speed, atol=0.05)
     kinds = made.program.at(curves.time_s).kind
     assert {kind: (~np.isnan(row)).tolist() for kind, row in curves.tcp_mm_s.items()} == {

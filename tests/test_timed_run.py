@@ -1,4 +1,4 @@
-"""A run whose scenarios are timed: columns as of the single programs, whatever the way there; report and gate know."""
+"""A run whose scenarios are timed: the same columns as for single programs; report and gate know them."""
 
 import json
 import os
@@ -42,7 +42,7 @@ def untimed(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def timed(untimed, tmp_path_factory):
-    """The same, timed; not to be changed."""
+    """A timed copy of the run; not to be changed."""
     folder = shutil.copytree(untimed, tmp_path_factory.mktemp("timed") / "run")
     assert main(["program", str(folder), "--all", "--feed", "20mm/s"]) == 0
     return folder
@@ -50,13 +50,13 @@ def timed(untimed, tmp_path_factory):
 
 @pytest.fixture
 def run(untimed, tmp_path):
-    """An untimed copy."""
+    """A copy without times."""
     return shutil.copytree(untimed, tmp_path / "run")
 
 
 @pytest.fixture
 def timed_copy(timed, tmp_path):
-    """A timed one."""
+    """A copy with times."""
     return shutil.copytree(timed, tmp_path / "timed")
 
 
@@ -164,7 +164,7 @@ def test_a_damaged_file_is_named_and_made_again(timed, timed_copy):
 def test_the_report_has_a_table_charts_and_columns(timed):
     report = make_report(timed)
     (row,) = report.frame("timing").to_dict("records")
-    assert (row["timed"], row["scenarios"], row["held"]) == (3, 4, 0)  # of 9 mm much is run-up
+    assert (row["timed"], row["scenarios"], row["held"]) == (3, 4, 0)  # much of 9 mm is run-up
     assert row["cycle_max_s"] == max(each["cycle_time_s"] for each in rows(timed)[:LOST])
     assert {"cycle-time", "feed-held"} <= set(report.figures)
     drawn = [line.get_ydata() for line in report.figures["cycle-time"].axes[0].lines]

@@ -1,5 +1,7 @@
-"""B3: a tool, a flange and a base that the job says, without a change of the model; MuJoCo and the planner agree on
-them, and a model with all of it written into its file is the same arm."""
+"""Tool, flange and base from the job, without a change of the model.
+
+MuJoCo and the planner agree on them, and a model with all of it written into its file is the same arm.
+"""
 
 from pathlib import Path
 
@@ -58,7 +60,7 @@ def test_mujoco_and_the_planner_see_the_same_tool_and_base(path, tool, extension
 
 
 def test_a_cell_in_the_job_is_the_cell_written_into_the_model(tmp_path):
-    """Nested frames, turned one axis at a time, say what roll, pitch and yaw about fixed axes mean."""
+    """Cell from the job, equal to one in the model: nested single-axis frames give roll, pitch and yaw."""
     (tmp_path / "bare.xml").write_text(FLANGED.format(open="", close="", tool=""))
     inside = """<frame pos="0.15 0 0" euler="0 90 0">
       <geom name="spindle" type="capsule" fromto="0 0 0.05 0.01 0 0.22" size="0.008"/>
@@ -90,5 +92,5 @@ def test_a_tool_of_the_job_is_lengthened_and_the_wrist_is_not(tmp_path):
 
 
 def test_without_a_cell_of_the_job_not_a_bit_changes():
-    """The frame of a base that is not moved is the one in which models were read before."""
+    """Base that is not moved: bitwise the frame in which models were read before."""
     assert pose(ZERO, ZERO).tobytes() == np.eye(4).tobytes()

@@ -1,4 +1,4 @@
-"""A part or a path in another unit than metres is named before anything is planned with it."""
+"""Parts and paths in units other than metres: refused or warned of before planning."""
 
 import dataclasses
 import re
@@ -27,7 +27,7 @@ SEAM = np.linspace((0.02, 0.01, 0.015), (0.38, 0.015, 0.01), 41)
 
 
 def box(part=1.0, path=1.0, at=(0.0, 0.0, 0.0)) -> Workpiece:
-    """An open box of 0.40 x 0.36 x 0.36 m with a seam in a corner, both in metres times these."""
+    """An open box of 0.40 x 0.36 x 0.36 m with a seam in a corner, each scaled by a factor."""
     u, v = np.meshgrid(np.linspace(0, 0.36, 20), np.linspace(0, 0.40, 20))
     u, v, o = u.ravel(), v.ravel(), np.zeros(u.size)
     sides = [(v, u, o), (v, u, o + 0.36), (v, o, u), (v, o + 0.36, u), (o + 0.4, 0.9 * u, 0.9 * v)]
@@ -50,7 +50,10 @@ def refusal(part: Workpiece) -> str:
 @pytest.mark.parametrize("at", [(0.0, 0.0, 0.0), (1.0, -0.3, 0.5)])
 @pytest.mark.parametrize("unit, factor", [("millimetres", "0.001"), ("inches", "0.0254")])
 def test_a_part_far_larger_than_the_arm_is_refused_with_its_unit(unit, factor, at):
-    """W9: 52 of 52, clearance 180 m, was the answer. Of a part in centimetres the size alone may mean inches."""
+    """Part far larger than the arm: refused with its probable unit (regression).
+
+    For a part in centimetres the size alone may also mean inches.
+    """
     said = refusal(box(UNITS[unit], UNITS[unit], at))
     assert f"box extends over {0.4 * UNITS[unit]:.3g} m, gp50 reaches 3.07 m; it and its path seem" in said
     assert said.endswith(f"in {unit}, metres are needed (factor {factor})")
@@ -58,28 +61,28 @@ def test_a_part_far_larger_than_the_arm_is_refused_with_its_unit(unit, factor, a
 
 @pytest.mark.parametrize("unit", ["millimetres", "inches"])
 def test_a_path_in_metres_is_not_called_wrong_with_its_part(unit):
-    """W9"""
+    """Path in metres with a part in another unit: only the part is named."""
     assert f"; it seems to be in {unit}" in refusal(box(UNITS[unit], 1.0))
 
 
 @pytest.mark.parametrize("at", [(0.0, 0.0, 0.0), (1.0, -0.3, 0.5)])
 @pytest.mark.parametrize("unit, factor", [("millimetres", "0.001"), ("inches", "0.0254"), ("centimetres", "0.01")])
 def test_a_path_that_stays_far_from_its_part_is_refused_with_its_unit(unit, factor, at):
-    """W9"""
+    """Path far from its part: refused with its probable unit."""
     said = refusal(box(1.0, UNITS[unit], at))
     assert said.startswith("half of the path is ")
     assert said.endswith(f"; the path seems to be in {unit}, metres are needed (factor {factor})")
 
 
 def test_a_path_in_another_frame_is_refused_without_a_guess():
-    """W9"""
+    """Path in another frame: refused without a guess."""
     part = box()
     said = refusal(Workpiece("box", part.cloud, part.path + np.array([7.0, 7.0, 7.0])))
     assert said.endswith("from box; both have to be in metres and in the same frame")
 
 
 def test_a_part_far_smaller_than_the_thinnest_body_is_refused():
-    """W9"""
+    """Part far smaller than the thinnest body: refused."""
     said = refusal(box(1e-3, 1e-3))
     assert "box extends over 0.0004 m, the thinnest body of gp50 over 0.06 m" in said
     assert "in kilometres, metres are needed (factor 1000)" in said
@@ -87,7 +90,7 @@ def test_a_part_far_smaller_than_the_thinnest_body_is_refused():
 
 @pytest.mark.parametrize("scale, words", [(0.1, "the thinnest body"), (20.0, "gp50 reaches")])
 def test_a_size_that_is_possible_but_odd_is_warned_of(scale, words):
-    """W9"""
+    """Part of an unusual, but possible size: a warning."""
     with pytest.warns(UserWarning, match=f"box extends over .*{words}"):
         check(box(scale, scale))
 
@@ -103,7 +106,7 @@ def test_ordinary_parts_pass_in_silence(part):
 
 
 def test_the_command_refuses_a_part_in_millimetres(tmp_path, capsys, monkeypatch):
-    """W9: it was warned of, planned, and exited with 0."""
+    """Part in millimetres on the command line: refused (regression: exit code 0)."""
     monkeypatch.chdir(tmp_path)
     np.savetxt("box.xyz", box(1e3).cloud)
     np.savetxt("seam.csv", SEAM, delimiter=",")
@@ -118,7 +121,10 @@ def test_the_command_refuses_a_part_in_millimetres(tmp_path, capsys, monkeypatch
 
 @pytest.mark.parametrize("ending", [".stl", ".ply"])
 def test_a_mesh_in_millimetres_is_named_before_points_are_laid_on_it(tmp_path, ending):
-    """W9: at the spacing that the arm's bodies need it would take millions of points."""
+    """Mesh in millimetres: refused before it is sampled.
+
+    At the spacing that the arm's bodies need it would take millions of points.
+    """
     part = trimesh.creation.box(extents=(400.0, 360.0, 360.0))
     (tmp_path / f"box{ending}").write_bytes(part.export(file_type=ending[1:]))
     np.savetxt(tmp_path / "seam.csv", 1e3 * SEAM, delimiter=",")
@@ -127,7 +133,7 @@ def test_a_mesh_in_millimetres_is_named_before_points_are_laid_on_it(tmp_path, e
 
 
 def test_a_sweep_refuses_a_part_in_inches(tmp_path):
-    """W9: in a sweep poses out of reach are results, a part in another unit is none."""
+    """Sweep of a part in inches: refused, whereas poses out of reach are results of a sweep."""
     np.savetxt(tmp_path / "box.xyz", box(UNITS["inches"]).cloud)
     np.savetxt(tmp_path / "seam.csv", UNITS["inches"] * SEAM, delimiter=",")
     (tmp_path / "job.yaml").write_text("workpiece: {cloud: box.xyz, path: seam.csv}\n")
@@ -137,7 +143,7 @@ def test_a_sweep_refuses_a_part_in_inches(tmp_path):
 
 
 def sliding():
-    """The GP50 whose first joint slides along a rail of 4 m."""
+    """The GP50 with a first joint that slides along a rail of 4 m."""
     arm = gp50()
     return dataclasses.replace(
         arm, slides=(True, *arm.slides[1:]), lower=arm.lower.at[0].set(-1.0), upper=arm.upper.at[0].set(3.0)
@@ -171,6 +177,6 @@ def test_a_rail_adds_its_travel_to_the_reach_of_the_targets():
     ],
 )
 def test_a_tool_in_millimetres_and_a_base_in_degrees_are_refused(change, told):
-    """W9, of the cell: a TCP 270 m from the flange was planned with, and found its tip in the wall."""
+    """Tool in millimetres, base in degrees: refused (regression: planned with a TCP 270 m from the flange)."""
     with pytest.raises(InputError, match=re.escape(told)):
         scene(load_config(None, change))

@@ -1,4 +1,4 @@
-"""Validation: what is right validates, what is wrong is refuted and named, and no point is left out unmeasured."""
+"""Validation: correct plans pass, wrong ones are refuted and named, and no point is left unmeasured."""
 
 import json
 import re
@@ -36,12 +36,12 @@ PIPE = Path(__file__).parents[1] / "configs" / "pipe" / "job.yaml"
 
 @pytest.fixture
 def run(planned, tmp_path):
-    """A copy that a test may spoil."""
+    """A copy that a test may change."""
     return shutil.copytree(planned / "run", tmp_path / "run")
 
 
 def scene(extension_m: float, rotation_y_rad: float, points: int | None = None) -> CheckedScene:
-    """A scenario of the run, its pose by workpiece.py; or with a smaller cloud."""
+    """Scene of a scenario of the run, posed by workpiece.py; optionally with a smaller cloud."""
     part = load_workpiece(points=points)
     T = part.T_world(rotation_y_rad, 0.1)
     wall = Wall(np.asarray(part.cloud), "hull")
@@ -53,7 +53,7 @@ def clearance(where: CheckedScene, x: np.ndarray) -> float:
 
 
 def into_the_wall(where: CheckedScene, x: np.ndarray, depth_m: float) -> np.ndarray:
-    """The configuration moved down the gradient of its clearance, until it is that deep in the wall."""
+    """Move a configuration down the gradient of its clearance until it is that deep in the wall."""
     for _ in range(100):
         now = clearance(where, x)
         if abs(now + depth_m) < 1e-5:
@@ -64,7 +64,7 @@ def into_the_wall(where: CheckedScene, x: np.ndarray, depth_m: float) -> np.ndar
 
 
 def inside(planned, spread_rad: float, count: int) -> np.ndarray:
-    """Configurations about one that is deep in the duct."""
+    """Random configurations about one that is deep in the duct."""
     x = open_run(planned / "run").plans("baseline").x[0]
     last = x[np.isfinite(x).all(axis=1)][-1]
     return last + np.random.default_rng(2).uniform(-spread_rad, spread_rad, (count, 6))
@@ -94,7 +94,7 @@ def test_a_run_validates_and_the_report_says_so(run, capsys):
 
 
 def test_a_mesh_has_both_distances_and_a_long_check_is_announced(tmp_path, monkeypatch, capsys):
-    """Rough P6: 6.99 mm by validate where sweep and report print 2 mm, and ten minutes without a word."""
+    """Both distances to a mesh, and an announcement of long checks (regression: only one distance)."""
     job, run = box_job(tmp_path), tmp_path / "run"
     sweep({"grid": [{"workpiece.shift_m": [[0, 0, 0.1], [0, 0, 0.12]]}]}, ["baseline"], run, config=job)
     monkeypatch.setattr("htcp_jax.cli.validate.WORTH_SAYING_S", 0)
@@ -118,7 +118,7 @@ def test_a_report_does_not_call_other_results_validated_than_those_that_were(run
 
 
 def test_a_weaker_validation_never_replaces_a_stronger_one_of_the_same_results(run, capsys):
-    """W8: `--between 0` after a whole validation, and the report lost what touches between the targets."""
+    """Validation on record: a weaker one never replaces a stronger one of the same results (regression)."""
     main(["validate", str(run), "--between", "2"])
     before = (run / VALIDATION).read_bytes()
     capsys.readouterr()
@@ -203,7 +203,7 @@ def test_a_longer_tool_is_the_planner_s():
 
 
 def _assert_same_postures(arm: Arm, robot: Robot, x: np.ndarray) -> None:
-    """MuJoCo has the ends of an axis in either order."""
+    """Check both readings of the arm; MuJoCo has the ends of an axis in either order."""
     at = arm.postures(x)
     p, q = jax.vmap(capsule_segments, (None, 0))(robot, jnp.asarray(x))
     np.testing.assert_allclose(at.tcp, jax.vmap(tcp_position, (None, 0))(robot, jnp.asarray(x)), atol=1e-12)
@@ -227,7 +227,7 @@ OWN = """
 
 
 def test_models_of_one_s_own_are_read_as_the_planner_reads_them(tmp_path):
-    """A slide, a box to be ignored, a TCP that is the only site, and a sphere that a longer tool stretches."""
+    """User-supplied models, read as by the planner: a slide, an ignored box, a site as TCP, a longer tool."""
     file = tmp_path / "own.xml"
     file.write_text(OWN)
     robot, x = load_robot(file, limits="simulation"), np.random.default_rng(4).uniform(-1, 1, (20, 3))
@@ -237,7 +237,7 @@ def test_models_of_one_s_own_are_read_as_the_planner_reads_them(tmp_path):
 
 
 def test_no_point_is_left_out_that_could_be_the_nearest(planned):
-    """Against every capsule and every point, measured one by one; among them configurations deep in the wall."""
+    """Nearest point, by brute force over every capsule and point, also for configurations deep in the wall."""
     where = scene(0.0, 0.4, points=400)
     x = inside(planned, 0.03, 25)
     points = where.wall.middle @ where.rotate.T + where.translate
@@ -251,7 +251,7 @@ def test_no_point_is_left_out_that_could_be_the_nearest(planned):
 
 
 def test_between_two_configurations_nothing_below_the_bound_is_missed(planned):
-    """Against the clearance of each step by itself."""
+    """Clearance between configurations: all below the bound, as measured at each step."""
     where = scene(0.0, 0.4, points=2000)
     ends = inside(planned, 0.02, 12)
     steps = np.arange(1, 10) / 10
@@ -277,7 +277,10 @@ ROUND = """
 
 
 def test_round_numbers_in_a_model_are_cut_into_the_same_pieces_in_every_posture(tmp_path):
-    """B1: axes of 4, 10 and 6 radii. Taken from postures, rounding decided between n and n + 1 pieces."""
+    """Samples of an axis in a model with round numbers: the same count in every configuration.
+
+    Axes of 4, 10 and 6 radii. If computed from poses, rounding decided between n and n + 1 samples (regression).
+    """
     file = tmp_path / "round.xml"
     file.write_text(ROUND)
     cloud = np.random.default_rng(0).uniform(-1, 1, (500, 3))
@@ -293,7 +296,7 @@ def test_round_numbers_in_a_model_are_cut_into_the_same_pieces_in_every_posture(
 
 @pytest.mark.slow
 def test_the_documented_job_validates(tmp_path):
-    """B1: the forearm of configs/pipe is 0.32 m long and 0.08 m thick."""
+    """Validation of the documented job (regression): the forearm of configs/pipe is 0.32 m long and 0.08 m thick."""
     out = tmp_path / "pipe"
     main(["plan", str(PIPE), "--out", str(out)])
     assert main(["validate", str(out)]) == 0
@@ -347,7 +350,7 @@ def test_a_path_that_has_changed_since_is_bad_input(planned, run, monkeypatch, c
 
 
 def test_without_a_column_of_joint_speeds_the_notes_say_why():
-    """Rough: for models without speeds validate had no speed column and did not say why."""
+    """Notes on missing joint speeds: the reason is named (regression)."""
     method = {"paths": 3, "speed_ratio_max": None}
     told = {"between": 0, "feed_mm_s": 10.0, "methods": {"baseline": method}}
     assert notes(told) == ["There is no column of joint speeds, because the model states none to hold them against."]

@@ -1,4 +1,4 @@
-"""The viewer in a real browser: the page loads, the slider moves the arm, what is seen is not blank.
+"""The viewer in a real browser: the page loads, the slider moves the arm, the view is not blank.
 
 Needs a Chromium of the system and Playwright (of the extra `test`); without either, the tests in the browser skip.
 """
@@ -59,10 +59,10 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def replays(tmp_path_factory) -> Replays:
-    """Two scenarios by three methods: one fails in scenario 1, the others in none; the last changes its posture."""
+    """Two scenarios by three methods: one fails in scenario 1, the others in none; the last has a dwell."""
     plan = made_plan(tmp_path_factory.mktemp("shelf"))
     plans = {
-        "baseline": made_plans(plan.scenario.targets, STATUSES[::-1]),  # scenario 1 is the one that fails
+        "baseline": made_plans(plan.scenario.targets, STATUSES[::-1]),  # scenario 1 fails
         "hybrid": made_plans(plan.scenario.targets, [STATUSES[1], STATUSES[1]]),
         "roadmap": with_a_dwell(made_plans(plan.scenario.targets, [STATUSES[1], STATUSES[1]])),
     }
@@ -87,7 +87,7 @@ def page(browser, viewer):
 
 
 def opened(browser, viewer):
-    """The page, drawn, and a list of what it complains of, as of asking another machine."""
+    """Open the page; return it, drawn, and a list of its errors and foreign requests."""
     page, problems = browser.new_page(viewport={"width": 900, "height": 560}), []
     page.set_default_timeout(180_000)  # a busy machine without a GPU draws slowly
     page.on("pageerror", lambda error: problems.append(str(error)))
@@ -101,7 +101,7 @@ def opened(browser, viewer):
 
 
 def until(done: Callable[[], bool], seconds: float = 180.0) -> None:
-    """Wait until it is so."""
+    """Wait until a condition holds."""
     end = time.monotonic() + seconds
     while not done():
         assert time.monotonic() < end, "it did not come to be so"
@@ -109,9 +109,9 @@ def until(done: Callable[[], bool], seconds: float = 180.0) -> None:
 
 
 def seen(page) -> np.ndarray:
-    """What is left of the panel, without the notice at the top, once it does not change any more.
+    """Screenshot left of the panel, without the notice at the top, as soon as it is stable.
 
-    A pixel here and there may: where two surfaces meet, some flicker for as long as one looks.
+    Single pixels may change: where two surfaces meet, some flicker all the time.
     """
     box = {"x": 0, "y": 160, "width": 560, "height": 400}
     shots = []
@@ -160,7 +160,7 @@ def test_the_pickers_show_failed_scenarios_first_and_other_methods(page, viewer)
 
 
 def test_the_picker_names_scenarios_by_what_sets_them_apart(replays):
-    """Rough: that 24 is tilt -0.2, height -0.1, tool +0.05 was nowhere to be seen in the viewer."""
+    """Scenarios in the picker, named by the parameters that vary (regression)."""
     labels = {0: "tilt y 0.2 rad", 1: "tilt y 0.4 rad"}
     named = Replays("two", replays.methods, replays.plans, replays._cells, labels)
     viewer = Viewer(named, port=0)
@@ -170,7 +170,7 @@ def test_the_picker_names_scenarios_by_what_sets_them_apart(replays):
 
 
 def test_at_the_failed_target_the_body_in_the_way_is_red_and_named(viewer, replays):
-    """Rough: the viewer knew what is near for tracked targets, not for the failed one."""
+    """Colliding body at the failed target: red and named (regression)."""
     replay = replays.replay(*viewer.shown)
     body = replay.robot.capsule_names.index(replay.obstruction.body)
     viewer.go_to(replay.failed)
@@ -182,7 +182,7 @@ def test_at_the_failed_target_the_body_in_the_way_is_red_and_named(viewer, repla
 
 
 def test_play_stops_at_the_last_target_that_is_tracked(page, viewer, replays):
-    """Rough: it went on past the target that failed, with the arm at rest."""
+    """Playback: it stops at the last tracked target (regression: it went past the failed one)."""
     play = page.get_by_role("button", name="Play")
     icon = play.locator("svg").inner_html()
     play.click()
@@ -195,7 +195,7 @@ def test_play_stops_at_the_last_target_that_is_tracked(page, viewer, replays):
 
 
 def test_play_passes_the_postures_between_targets(page, viewer):
-    """The plan changes its posture at target 4: the arm is seen where it is at no target, and its place is marked."""
+    """Playback through a dwell: the arm is shown between targets, and the dwell is marked at target 4."""
     seen_at: list[np.ndarray] = []
     move = viewer.stage.move
     viewer.stage.move = lambda arm: (seen_at.append(arm.tcp), move(arm))
@@ -213,7 +213,7 @@ def test_play_passes_the_postures_between_targets(page, viewer):
 
 @pytest.fixture(scope="module")
 def timed(tmp_path_factory):
-    """Two scenarios, of which the second fails, with the programs of those that do not."""
+    """Two scenarios, of which the second fails, with the program of the first."""
     plan = made_plan(tmp_path_factory.mktemp("timed"))
     plans = driven(made_plans(plan.scenario.targets, STATUSES[::-1]))
     cell = GivenCell(Workcell(plan.job, plan.robot, plan.workpiece), plan.scenario)
@@ -232,7 +232,7 @@ def test_a_program_is_played_at_its_own_time_over_plots_of_its_speeds(browser, t
     slider.focus()
 
     def at_300_ms() -> bool:
-        """Press a key as often as it takes, one by one: the server sets the slider, too, and others are lost."""
+        """Press keys one by one until the slider is at 0.3 s: the server moves it, too, and faster keys are lost."""
         settled = slider.get_attribute("aria-valuenow") == f"{viewer.place:g}"
         if settled and viewer.place != 0.3:
             page.keyboard.press("ArrowRight" if viewer.place < 0.3 else "ArrowLeft")
@@ -246,7 +246,7 @@ def test_a_program_is_played_at_its_own_time_over_plots_of_its_speeds(browser, t
     began, from_s = time.monotonic(), viewer.place
     page.get_by_role("button", name="Play").click()
     until(lambda: viewer.place >= made.program.duration_s)
-    assert time.monotonic() - began >= made.program.duration_s - from_s  # never faster than it is run
+    assert time.monotonic() - began >= made.program.duration_s - from_s  # never faster than real time
     page.get_by_role("button", name="Play").wait_for()
     page.get_by_role("combobox").nth(1).click()
     page.get_by_role("option", name="1: failed at 8 of 10").click()
@@ -270,7 +270,7 @@ def test_the_page_holds_the_times_and_the_speeds_of_the_program(timed):
         line = np.flatnonzero(~np.isnan(plot.data[-1]))
         np.testing.assert_allclose(plot.data[0][line], 1.5, atol=made.program.duration_s / 500)
         assert len(plot.series) == len(plot.data)
-    assert (tcp.data[1] == 200).all()  # asked for
+    assert (tcp.data[1] == 200).all()  # requested
     viewer.stop()
 
 
@@ -310,7 +310,7 @@ HOSTILE += (
 
 
 def test_no_script_in_a_name_runs(browser, tmp_path):
-    """Rough: JavaScript in the names of joints and of bodies ran in the page."""
+    """Names of joints and bodies as text: JavaScript in them does not run (regression)."""
     plan, name = made_plan(tmp_path / "plan"), "".join(HOSTILE)
     bodies = tuple(f"{k} {HOSTILE[k % len(HOSTILE)]}" for k in range(len(plan.robot.capsule_names)))
     robot = replace(plan.robot, joint_names=HOSTILE, capsule_names=bodies)
@@ -330,7 +330,7 @@ def test_no_script_in_a_name_runs(browser, tmp_path):
     page.get_by_role("combobox").nth(1).click()
     page.get_by_role("option", name="1: ").click()
     page.get_by_text(f"Not timed: {name}.").wait_for()
-    for target in range(9):  # near each a body, of the last in what is in the way
+    for target in range(9):  # near each a body, for the last the blocking obstacle
         viewer.go_to(target)
         replay = viewer._replay
         known = replay.obstruction.body if target == 8 else replay.witness.body[target]
@@ -357,7 +357,7 @@ ask("%s");
 
 @pytest.fixture
 def elsewhere(viewer):
-    """The address of a page of somebody else, which tries to read the viewer."""
+    """Address of a foreign page, which tries to read the viewer."""
 
     class Page(http.server.BaseHTTPRequestHandler):
         def do_GET(self):
@@ -377,7 +377,7 @@ def elsewhere(viewer):
 
 
 def test_a_page_of_somebody_else_gets_nothing(browser, viewer, elsewhere):
-    """Rough: it read the whole scene, and could move the slider."""
+    """Requests of a foreign page: refused (regression: it read the whole scene and could move the slider)."""
     page = browser.new_page()
     page.goto(elsewhere)
     page.wait_for_function("window.got.length >= 2")
@@ -387,7 +387,7 @@ def test_a_page_of_somebody_else_gets_nothing(browser, viewer, elsewhere):
 
 
 def test_a_name_that_was_pointed_to_this_machine_gets_nothing(browser, viewer):
-    """Rough: the server took any host, so that a page could come to be of the viewer's own origin."""
+    """Unknown host names for this machine: refused (regression: pages could come to share the viewer's origin)."""
     page, port = browser.new_page(), viewer.address.rpartition(":")[2]
     answer = page.goto(f"http://{REBOUND}:{port}")
     assert (answer.status, answer.text()) == (403, "htcp view: unknown host\n")
@@ -395,7 +395,10 @@ def test_a_name_that_was_pointed_to_this_machine_gets_nothing(browser, viewer):
 
 
 def test_the_page_does_not_take_another_server_from_its_address(browser, viewer):
-    """A link to the viewer's own page that names a foreign server would let that server write the page."""
+    """Server address in the page's own address: ignored.
+
+    A link to the viewer's page that names a foreign server would let that server write the page.
+    """
     asked = threading.Event()
     with websockets.sync.server.serve(lambda _: asked.set(), "127.0.0.1", 0) as other:
         threading.Thread(target=other.serve_forever, daemon=True).start()
@@ -408,7 +411,7 @@ def test_the_page_does_not_take_another_server_from_its_address(browser, viewer)
 
 
 def ask(address: str, **headers: str) -> int:
-    """The status of the answer to a request."""
+    """Status of the answer to a request."""
     try:
         return urllib.request.urlopen(urllib.request.Request(address, headers=headers)).status
     except urllib.error.HTTPError as error:
@@ -423,12 +426,12 @@ def test_a_server_for_other_machines_shows_nothing_without_the_token(browser, re
     viewer = Viewer(replays, host="0.0.0.0", port=0)
     own, _, token = viewer.address.partition("/?token=")
     port = own.rpartition(":")[2]
-    own = f"http://127.0.0.1:{port}"  # whatever this machine is called
+    own = f"http://127.0.0.1:{port}"  # independent of this machine's name
     assert len(token) > 40 and ask(own) == ask(f"{own}/?token=") == ask(f"{own}/?token={token[:-1]}") == 403
     with pytest.raises(websockets.exceptions.InvalidStatus, match="403"):
         websockets.sync.client.connect(f"ws://127.0.0.1:{port}", origin=own)
     given = {"Cookie": f"htcp-view-{token[:6]}={token}"}
-    with pytest.raises(websockets.exceptions.InvalidStatus, match="403"):  # a page of this machine's, at another port
+    with pytest.raises(websockets.exceptions.InvalidStatus, match="403"):  # a page on this machine, at another port
         websockets.sync.client.connect(f"ws://127.0.0.1:{port}", origin="http://127.0.0.1:1", additional_headers=given)
     viewer.address = f"{own}/?token={token}"
     page, problems = opened(browser, viewer)
@@ -443,7 +446,7 @@ def test_a_server_for_other_machines_shows_nothing_without_the_token(browser, re
 
 
 def test_two_servers_of_one_machine_do_not_take_each_others_token(browser, replays):
-    """Browsers share cookies between the ports of a host."""
+    """Tokens of two servers on one machine: kept apart, although browsers share cookies between the ports of a host."""
     viewers = [Viewer(replays, host="0.0.0.0", port=0) for _ in range(2)]
     context = browser.new_context()
     for viewer in viewers:
@@ -458,7 +461,7 @@ def test_two_servers_of_one_machine_do_not_take_each_others_token(browser, repla
 
 @pytest.mark.parametrize("host", ["localhost", "127.0.0.1", "[::1]", "LOCALHOST:9000"])
 def test_own_names_of_this_machine_show_the_page_at_any_port(viewer, host):
-    """An SSH tunnel may lead to the viewer from another port."""
+    """Names of this machine: accepted at any port, as an SSH tunnel may lead to the viewer from another one."""
     assert ask(viewer.address, Host=host) == ask(viewer.address, Host=host, Origin=f"http://{host}") == 200
 
 
@@ -481,7 +484,10 @@ def test_requests_of_others_are_refused(viewer, headers):
 
 
 def test_a_viser_that_cannot_be_guarded_is_not_served(replays, monkeypatch):
-    """An update of viser may serve by another function; then there is no page, and not one for everybody."""
+    """A viser that cannot be protected: not served.
+
+    An update of viser may serve by another function; then there is no page rather than an open one.
+    """
     monkeypatch.setattr(access, "_guarded", lambda _: contextlib.nullcontext([]))
     with pytest.raises(InputError, match="cannot protect the page of viser"):
         Viewer(replays, port=0)
@@ -490,7 +496,7 @@ def test_a_viser_that_cannot_be_guarded_is_not_served(replays, monkeypatch):
 def test_only_this_machine_can_connect(viewer):
     port = int(viewer.address.rpartition(":")[2])
     assert b"viser" in urllib.request.urlopen(viewer.address).read().lower()
-    with pytest.raises(OSError):  # another address of the loopback device, as good as one from outside
+    with pytest.raises(OSError):  # another loopback address, equivalent to an external one
         socket.create_connection(("127.0.0.2", port), timeout=5)
 
 
@@ -513,7 +519,7 @@ def test_bad_input_is_one_line_and_exit_2(folder, capsys, arguments, line):
 
 
 def test_a_port_in_use_is_refused_and_not_replaced_by_another(folder, viewer, capsys, monkeypatch):
-    monkeypatch.setattr(Viewer, "wait", lambda _: None)  # that it would serve is a failure, and not for ever
+    monkeypatch.setattr(Viewer, "wait", lambda _: None)  # serving would be a failure, and must not block
     port = viewer.address.rpartition(":")[2]
     assert main(["view", str(folder), "--port", port]) == 2
     output = capsys.readouterr()
@@ -562,7 +568,7 @@ def test_the_smallest_distance_is_looked_at_from_beside(gap):
 
 
 def test_what_plays_shows_nothing_once_it_is_stopped(replays):
-    """Rough: the thread that plays went on with a server that was gone, and died of it."""
+    """Stopped playback: nothing is shown any more (regression: its thread went on and failed without the server)."""
     viewer, stopped, late = Viewer(replays, port=0), threading.Event(), threading.Event()
     move, shown = viewer.stage.move, threading.Event()
 

@@ -1,4 +1,4 @@
-"""Walls are walls: a mesh is measured by its triangles, whatever points were put on it."""
+"""Walls: a mesh is measured by its triangles, whatever its sample points."""
 
 from functools import partial
 from pathlib import Path
@@ -38,7 +38,7 @@ def car(tmp_path_factory) -> tuple[Robot, Workpiece, Scenario]:
 
 
 def sampled_distances(robot: Robot, part: Workpiece, where: Scenario, x: np.ndarray) -> np.ndarray:
-    """Of every capsule to the triangles, by trimesh, at 200 places of its axis: never less than the true one (K,)."""
+    """Upper bounds on the distances of the capsules to the triangles, by trimesh at 200 points of each axis (K,)."""
     p, q = (np.asarray(end) for end in capsule_segments(robot, jnp.asarray(x)))
     s = np.linspace(0, 1, 200)[:, None, None]
     places = (p + s * (q - p) - where.T_world_workpiece[:3, 3]) @ where.T_world_workpiece[:3, :3]
@@ -51,8 +51,10 @@ def sampled_distances(robot: Robot, part: Workpiece, where: Scenario, x: np.ndar
 
 
 def on_the_way(robot: Robot, part: Workpiece, where: Scenario, a: np.ndarray, b: np.ndarray) -> tuple[float, bool]:
-    """The smallest distance of any capsule to the triangles at 200 places of a joint path, and whether the bare tip,
-    but for its last 10 mm, goes through one anywhere there."""
+    """Minimum distance to the triangles along a joint path, and True if the bare tip goes through one.
+
+    At 200 configurations; the last 10 mm of the tip may pass.
+    """
 
     def in_the_part(points):
         return (np.asarray(points) - where.T_world_workpiece[:3, 3]) @ where.T_world_workpiece[:3, :3]
@@ -88,7 +90,7 @@ def near_the_rib(robot: Robot, where: Scenario, count: int) -> np.ndarray:
 
 
 def test_a_spindle_through_a_plate_is_never_clear(car):
-    """W2: 50,015 points on 14 m2, drawn at random, let a spindle of 16 mm through; its plans validated."""
+    """Spindle through a plate: never clear (regression: 50,015 random points on 14 m2 let a 16 mm spindle through)."""
     robot, part, where = car
     obstacle = make_obstacle(part)
     assert part.covering_radius_m <= stranger_jobs.SPINDLE_M / 2
@@ -99,7 +101,7 @@ def test_a_spindle_through_a_plate_is_never_clear(car):
 
 
 def test_the_clearance_is_a_bound_on_that_to_the_triangles(car):
-    """W2: less than the truth everywhere, and by little more than the covering radius at most."""
+    """Clearance to the points: below the distance to the triangles, by little more than twice the covering radius."""
     robot, part, where = car
     obstacle = make_obstacle(part)
     measure = jax.jit(lambda x: (contacts(robot, obstacle, where, x), clearance(robot, obstacle, where, x)))
@@ -120,7 +122,7 @@ def test_the_clearance_is_a_bound_on_that_to_the_triangles(car):
 
 
 def test_validation_measures_the_triangles(car, tmp_path):
-    """W2: its distances against trimesh's, and its hull and plane against the planner's."""
+    """Validation by triangles: distances by trimesh; hull and plane as in the planner."""
     robot, part, where = car
     job = load_config(stranger_jobs.car_job(tmp_path))
     walls = wall_of(job.workpiece, part)
@@ -141,7 +143,7 @@ def test_validation_measures_the_triangles(car, tmp_path):
 
 
 def test_an_axis_and_a_triangle_are_measured_exactly():
-    """Against a dense grid of both, crossing, parallel and flat ones among them."""
+    """Distance of an axis and a triangle, by a dense grid on both; crossing, parallel and flat ones included."""
     rng = np.random.default_rng(0)
     p, q = rng.normal(size=(2, 60, 3))
     triangles = rng.normal(size=(60, 3, 3))
@@ -159,14 +161,14 @@ def test_an_axis_and_a_triangle_are_measured_exactly():
 
 
 def test_a_spacing_that_a_body_fits_through_is_refused_with_both_figures(tmp_path):
-    """W2: the figures to compare are at hand."""
+    """Sample spacing that lets a body through: refused with both figures."""
     job = load_config(stranger_jobs.box_job(tmp_path), ["workpiece.mesh_spacing_m=0.05"])
     with pytest.raises(InputError, match=r"up to .* mm from its points, and the thinnest body has a radius of 8 mm"):
         scene(job)
 
 
 def test_a_cloud_says_its_gap_and_warns_where_a_body_fits_through(tmp_path):
-    """W2: nothing told how far apart the points were."""
+    """Largest gap of a cloud, and a warning where a body fits through."""
     job = load_config(stranger_jobs.box_job(tmp_path), ["workpiece.mesh_spacing_m=0.01"])
     robot = robot_of(job.robot)
     points = workpiece_of(job.workpiece, robot).cloud
@@ -179,7 +181,7 @@ def test_a_cloud_says_its_gap_and_warns_where_a_body_fits_through(tmp_path):
 
 
 def test_the_interior_is_looked_for_along_the_inlet_and_says_when_it_is_off(tmp_path):
-    """W1: an inlet that faces another way than the world's x switched the rule off in effect, and nothing said so."""
+    """Direction of the interior: along the inlet; and the reason if the rule is off (regression)."""
     told, makers = {}, {"box": stranger_jobs.box_job, "tub": stranger_jobs.tub_job}
     laid_down = [f"workpiece.rotation_y_rad={-np.pi / 2}", "workpiece.pivot_m=[0.8, 0, 0.4]"]
     changes = {"": [], " laid down": laid_down, " no inlet": ["workpiece.inlet_m=null"]}
@@ -216,8 +218,10 @@ PLANNED = [(part, method) for part in ("car", "tub") for method in names()] + [(
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "method"), PLANNED)
 def test_no_plan_through_a_wall_is_called_tracked(tmp_path, name, method):
-    """W1, W2: at every tracked target, and at 200 places of every step there. With 50,015 points
-    drawn at random nspace-sqp tracked all 32 targets of the car, 22 of them with its spindle through the rib."""
+    """Plans near walls: clear at every tracked target, and at 200 points of every step (regression).
+
+    With 50,015 random points nspace-sqp tracked all 32 targets of the car, 22 of them with its spindle through the rib.
+    """
     job, out = JOBS[name](tmp_path), tmp_path / "out"
     main(["plan", str(job), "--method", method, "--out", str(out)])
     robot, part, where = scene(load_config(job))

@@ -15,7 +15,7 @@ from documented import ROOT
 from htcp_jax.cli.main import COMMANDS
 from htcp_jax.device import compile_cache
 
-# What would take longer than all other tests together is done in part.
+# Examples that would take longer than all other tests together are shortened.
 PART = {
     "sweep sweeps/robot": "--limit 2",
     "sweep sweeps/cross": "--limit 2",
@@ -37,7 +37,7 @@ def wheel(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def shell(wheel, tmp_path_factory) -> dict[str, str]:
-    """Environment variables of a shell with the `htcp` of the wheel. All dependencies are those of the tests."""
+    """Environment variables of a shell with the `htcp` of the wheel; its dependencies are those of the tests."""
     folder = tmp_path_factory.mktemp("environment")
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True)
     pip("--python", folder / "bin" / "python", "install", "--no-deps", wheel)
@@ -53,7 +53,7 @@ def pip(*words: str | Path) -> None:
 
 
 def run(line: str, shell: dict[str, str], folder: Path) -> str:
-    """The output of a line that is typed into a shell and succeeds. Ctrl-C ends `htcp view`, once it serves."""
+    """Output of a line typed into a shell, which must succeed. Ctrl-C ends `htcp view`, as soon as it serves."""
     if not line.startswith("htcp view") or "--help" in line:
         done = subprocess.run(["bash", "-c", f"{line}; exit"], env=shell, cwd=folder, capture_output=True, text=True)
         assert done.returncode == 0, f"{line}: {done.returncode}: {done.stdout}{done.stderr}"
@@ -68,7 +68,7 @@ def run(line: str, shell: dict[str, str], folder: Path) -> str:
 
 
 def examples(text: str) -> list[str]:
-    """The commands of a help text: paragraphs of lines that begin with `htcp`, without headings and explanations."""
+    """Commands of a help text: paragraphs of lines that begin with `htcp`, without headings and explanations."""
     found = []
     for paragraph in re.split(r"\n\s*\n", text):
         lines = [line.strip() for line in paragraph.strip().splitlines()]

@@ -40,7 +40,7 @@ def place(T, points):
 
 
 def height(workpiece, points):
-    """How far points [m] lie outside the hull's half-spaces: the largest over the facets."""
+    """Distance of points outside the hull's half-spaces [m]: the largest over the facets."""
     blocks = np.array_split(points, max(1, len(points) // 500))
     return np.concatenate([
         (block @ workpiece.hull_normal.T - workpiece.hull_offset).max(axis=1) for block in blocks
@@ -78,8 +78,11 @@ def test_pivot_and_neutral_translation_are_parameters():
 
 @needs_real_duct
 def test_the_measured_weld_lands_where_the_scene_says(real):
-    """To 1e-5 m. No reading of the pose rule is exact: the stated points are 5.4 um farther apart than the
-    weld's ends, and no rigid pose stretches."""
+    """Measured weld in the world frame, to 1e-5 m.
+
+    No reading of the pose rule is exact: the stated points are 5.4 um farther apart than the weld's ends, and no rigid
+    pose stretches.
+    """
     ends = place(real.T_world(0.4, 0.1), real.path[[0, -1]])
     stated = np.array([[1.6560575, -0.1859774, 1.1261086], [2.3518327, -0.1180665, 0.8345056]])
     np.testing.assert_allclose(ends, stated, atol=1e-5)
@@ -91,7 +94,7 @@ def test_the_measured_weld_lands_where_the_scene_says(real):
 
 
 def test_a_cubes_hull_is_its_six_faces():
-    """Qhull gives twelve triangles; those of one face share a plane."""
+    """Hull of a cube: six planes, although Qhull gives twelve triangles."""
     cloud = np.concatenate([CUBE, np.random.default_rng(0).uniform(size=(100, 3))])
     cube = Workpiece("cube", cloud, PATH)
     planes = np.column_stack([cube.hull_normal, cube.hull_offset]).round(12)
@@ -116,7 +119,10 @@ def test_the_hull_holds_the_duct_and_reaches_no_farther_than_its_tolerance(gener
 
 
 def test_the_ducts_exact_hull_has_two_facets_to_a_vertex():
-    """A smooth wall makes most points vertices, hence thousands of facets and the duct's coarser default."""
+    """Exact hull of the duct: two facets per vertex.
+
+    A smooth wall makes most points vertices, hence thousands of facets and the duct's coarser default.
+    """
     duct_points = load_workpiece(hull_tolerance_m=0.0, points=5000)
     assert len(duct_points.hull_normal) == 2 * len(duct_points.hull_vertices) - 4
     assert len(duct_points.hull_normal) > 2000
@@ -184,7 +190,7 @@ def test_arrays_are_read_only_copies():
     ({"interior": "mesh"}, "interior is 'mesh'; valid are hull, none"),
 ])  # fmt: skip
 def test_bad_figures_give_one_line(monkeypatch, change, words):
-    # As users run it: the annotations, which only tests check, would answer first.
+    # As users run it: the type checks, which only run in tests, would fail first.
     monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
     with pytest.raises(InputError, match=words) as caught:
         Workpiece(**{"name": "w", "cloud": CUBE, "path": PATH, **change})
@@ -243,7 +249,7 @@ def test_a_path_is_a_text_table_that_may_be_one_point(tmp_path):
 
 
 def test_a_workpiece_of_arrays_is_that_of_their_files(tmp_path):
-    """Rough: load_workpiece(array) was a TypeError."""
+    """Workpiece from arrays: the same as from their files (regression: a TypeError)."""
     cloud, seam = duct.duct_cloud(500), duct.weld()[::9]
     np.save(tmp_path / "part.npy", cloud)
     np.savetxt(tmp_path / "seam.csv", seam, delimiter=",")

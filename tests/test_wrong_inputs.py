@@ -1,5 +1,7 @@
-"""Wrong inputs, over 300: each ends in exit code 2 and one line on stderr that names the offender, and leaves no file
-behind. Whoever finds another one adds it here."""
+"""Wrong inputs, over 300: each gives exit code 2, one line on stderr that names the cause, and no new file.
+
+Add every new one here.
+"""
 
 import os
 import shlex
@@ -41,11 +43,11 @@ FILES = {"path.csv": "0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n", "box.xyz": 
 
 
 class Wrong(NamedTuple):
-    """What is typed, what its line must say, the files that there are beside FILES, and which the line must name."""
+    """Command line, expected message, additional files, and the name the message must contain."""
 
     words: list[str]
     says: str
-    files: dict[str, str | bytes] = {}  # noqa: RUF012 - nobody changes it
+    files: dict[str, str | bytes] = {}  # noqa: RUF012 - never changed
     name: str = ""
 
 
@@ -101,13 +103,13 @@ def urdf(old: str, new: str, says: str) -> Wrong:
 
 
 def folder(command: str, says: str, **files: str | bytes) -> Wrong:
-    """`command` on the folder run, which holds the files; "_" stands for a full stop."""
+    """A `command` on the folder run, which holds the files; "_" stands for a full stop."""
     more = ["--baseline", BASELINE] if command == "gate" else []
     return Wrong([command, "run", *more], says, {f"run/{name.replace('_', '.')}": data for name, data in files.items()})
 
 
 def task(rows: str, says: str, **files: str) -> Wrong:
-    """A job with these rows, whose path is the file path.csv where there is one."""
+    """A job with these rows, whose path is the file path.csv if given."""
     named = {f"{name}.csv": text for name, text in files.items()}
     path = ", workpiece: {path: path.csv}" if named else ""
     return Wrong(["plan", "job.yaml"], says, {"job.yaml": f"{{task: [{rows}]{path}}}", **named})
@@ -615,7 +617,7 @@ def contents(folder: Path) -> dict[Path, bytes | None]:
 
 
 def named(wrong: Wrong) -> str:
-    """What a failing test is called."""
+    """Name of a failing test."""
     return " ".join([*wrong.words, *map(repr, wrong.files.values())]).replace("\0", "NUL")[:60]
 
 
@@ -643,7 +645,7 @@ def can_draw() -> None:
         pytest.skip(str(lacks))
 
 
-# What the system says of the command's own output
+# System errors on the command's own output
 
 
 def command(words: str, out: int, **environs: str) -> subprocess.CompletedProcess:
@@ -659,7 +661,10 @@ FULL = Path("/dev/full")
 @pytest.mark.skipif(not FULL.exists(), reason="needs /dev/full")
 @pytest.mark.parametrize(("words", "unbuffered"), [("methods", ""), ("methods", "1"), ("plan --help", "")])
 def test_output_without_room_is_one_line_and_exit_2(here, words, unbuffered):
-    """Rough: `> /dev/full` was a traceback. 2, because 1 is what validate and gate say of results."""
+    """Output to a full device: one line and exit code 2 (regression).
+
+    Not 1, which is the result of a failed validate or gate.
+    """
     with FULL.open("wb") as full:
         done = command(words, full, PYTHONUNBUFFERED=unbuffered)
     assert (done.returncode, done.stderr) == (2, "htcp: cannot write the output: No space left on device\n")
@@ -670,7 +675,7 @@ def test_output_without_room_is_one_line_and_exit_2(here, words, unbuffered):
 def test_every_command_whose_output_has_no_room_says_so_and_has_done_its_work(here, planned):
     lay_out(here, FILES | GRID)
     run, short = here / "planned", "--set workpiece.path=path.csv"
-    shutil.copytree(planned / "run", run)  # with no word of what other tests have validated
+    shutil.copytree(planned / "run", run)  # without other tests' validation
     (run / VALIDATION).unlink(missing_ok=True)
     words = [
         f"plan {short}",
@@ -704,7 +709,7 @@ def test_a_pipe_that_nobody_reads_any_more_is_quiet(here):
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a folder that nobody can make one in")
 def test_without_a_home_folder_nothing_is_said(here):
-    """Rough: matplotlib wrote two lines to stderr."""
+    """No home folder: no output (regression: matplotlib wrote two lines to stderr)."""
     nowhere = {"HOME": "/proc/none", "XDG_CONFIG_HOME": "", "XDG_CACHE_HOME": "", "MPLCONFIGDIR": ""}
     done = command("methods", subprocess.DEVNULL, **nowhere)
     assert (done.returncode, done.stderr) == (0, "")

@@ -1,8 +1,8 @@
-"""A planner in a package of its own: inverse kinematics from many restarts at every target.
+"""Planner in a separate package: inverse kinematics from many restarts at every target.
 
-No step QPs here. At each target the last configuration and random neighbours of it are brought onto the target; of
-those that count there, the nearest is taken. Whether the joint path there is clear is looked at afterwards, by whoever
-called (`Plans.path_clear`).
+It solves no step QPs. At each target the last configuration and random neighbours of it are moved onto the target; of
+those that satisfy the task and are clear, the nearest is taken. The caller checks the joint path there afterwards
+(`Plans.path_clear`).
 """
 
 from dataclasses import dataclass
@@ -36,14 +36,14 @@ def restarts(robot, obstacles, task, scenario, x, target, key):
 
 @dataclass(frozen=True)
 class RandomRestarts:
-    """See above."""
+    """A planner with random restarts at every target, described above."""
 
     name: str = "random-restarts"
     title: str = "Random restarts"
     description: str = "inverse kinematics from 64 random neighbours at every target, no step QPs"
 
     def plan(self, problem: Problem) -> Plans:
-        """One scenario after the other, on one device, by one thread."""
+        """Plan one scenario after the other, on one device, in one thread."""
         plans = problem.empty_plans()
         for s in problem.to_plan:
             scenario = jax.tree.map(lambda leaf, s=s: leaf[s], problem.scenarios)
