@@ -1,3 +1,5 @@
+"""Choice of the device: the default, `--device`, and the message for one that is not here."""
+
 import jax
 import pytest
 

@@ -1,3 +1,5 @@
+"""Facets that points lie beyond: the same by brute force, in a batch, and for any core of the hull."""
+
 from functools import partial
 
 import jax

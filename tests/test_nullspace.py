@@ -1,3 +1,5 @@
+"""The null-space basis of a Jacobian, steps along it, and the re-anchoring of configurations on a target."""
+
 import jax
 import jax.numpy as jnp
 import made_once

@@ -1,3 +1,5 @@
+"""Safe norms and divisions with finite gradients, distances of segments, Cholesky, folded keys."""
+
 import jax
 import jax.numpy as jnp
 import numpy as np
