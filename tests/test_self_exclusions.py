@@ -86,6 +86,20 @@ def test_capsules_whose_meshes_never_touch_are_not_checked_and_those_whose_meshe
     assert ("a", "c") not in through and ("a", "d") not in through
 
 
+def test_a_pair_that_is_always_nearer_than_any_margin_is_not_checked(tmp_path):
+    """Regression: the UR5's wrist, whose capsules are 0.08 mm apart at every configuration, could not plan at all."""
+    bodies = "".join(
+        f'<body name="{name}" pos="{pos} 0 0"><joint axis="0 0 1" range="-1 1"/><geom name="{name}" size="0.02"/>'
+        for name, pos in (("a", 0), ("b", 0.04008), ("c", 0.3), ("d", 0.3))
+    )
+    arm = tmp_path / "arm.xml"
+    arm.write_text(f'<mujoco><worldbody>{bodies}<site name="tcp" pos="0.1 0 0"/>{4 * "</body>"}</worldbody></mujoco>')
+    robot = load_robot(arm)
+    own, names = self_collision(robot), robot.capsule_names
+    assert {(names[a], names[b]): (rule, share) for a, b, rule, share in own.excluded} == {("b", "a"): ("b", 1.0)}
+    assert len(own.pairs) == 5
+
+
 def test_without_its_list_an_arm_checks_links_that_are_not_adjacent(imported, tmp_path):
     arm = imported(-0.1)
     arm.write_text(re.sub("<custom>.*</custom>", "", arm.read_text(), flags=re.DOTALL))

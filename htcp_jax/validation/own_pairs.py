@@ -16,7 +16,8 @@ from htcp_jax.model.robot import TOUCHING_M
 from htcp_jax.validation.mujoco_arm import Arm, Postures
 
 SAMPLES, SEED = 10_000, 1
-ALWAYS, NEARLY = 0.95, 0.93  # smallest shares of overlaps, for an arm without a list; for one whose list has rule b
+ALWAYS, NEARLY = 0.95, 0.93  # smallest shares within NEAR_M, for an arm without a list; for one whose list has rule b
+NEAR_M = 1e-3  # a pair that is always as near could keep no usual margin
 Pair = tuple[int, int]
 Distances = Callable[[Postures, list[Pair]], Float[np.ndarray, "n R"]]
 
@@ -33,11 +34,12 @@ def own_pairs(arm: Arm, measured: Distances) -> OwnPairs:
     """Classify the pairs of an arm. measured: distances of pairs [m]."""
     stated, found = arm.stated, OwnPairs([], [], [])
     doubtful = [pair for pair in arm.apart if stated is None or pair in stated or arm.is_tool(pair)]
-    overlap = measured(arm.postures(arm.random(SAMPLES, SEED)), doubtful) <= 0
+    distance = measured(arm.postures(arm.random(SAMPLES, SEED)), doubtful)
+    overlap, near = distance <= 0, dict(zip(doubtful, (distance <= NEAR_M).mean(axis=0).tolist(), strict=True))
     share = dict(zip(doubtful, overlap.mean(axis=0).tolist(), strict=True))
     for pair in arm.apart:
         rule = (stated or {}).get(pair)
-        always = share.get(pair, 0.0) >= (NEARLY if rule == "b" else ALWAYS)
+        always = near.get(pair, 0.0) >= (NEARLY if rule == "b" else ALWAYS)
         telescopes = (
             arm.slides(pair) and overlap[:, [arm.same_links(pair, each) for each in doubtful]].any(axis=1).mean()
         )

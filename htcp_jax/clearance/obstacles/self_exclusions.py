@@ -3,8 +3,8 @@
 Capsules are larger than links, so some of them overlap wherever the arm is. A pair is excluded only if
 
 a  the model excludes it: an <exclude> of MJCF, a <disable_collisions> of SRDF; or
-b  it overlaps in at least 95 % of 10,000 random configurations within the joint limits; or its links are joined by a
-   slide, telescopes, and some of their capsules overlap in as many; or
+b  it overlaps, or is within NEAR_M, in at least 95 % of 10,000 random configurations within the joint limits; or its
+   links are joined by a slide, telescopes, and some of their capsules overlap in as many; or
 c  it overlaps in some of them, although the parts of the vendor's meshes in the two capsules touch by more than 1 mm in
    none. Without meshes this applies to adjacent links only.
 
@@ -26,6 +26,7 @@ from htcp_jax.types import Float, Joints
 
 SAMPLES, SEED = 10_000, 0
 ALWAYS = 0.95
+NEAR_M = 1e-3  # a pair that is always as near could keep no usual margin
 SLIDE_M = 1.0  # range of a slide without limits, to either side
 TOGETHER = 500  # configurations measured at a time
 
@@ -63,12 +64,13 @@ def find_exclusions(robot: Robot, touch: Touch | None = None) -> tuple[Exclusion
         pairs = [pair for pair in pairs if set(pair) & set(robot.mounted)]
     if not pairs:
         return ()
-    overlap = distances(robot, pairs, samples(robot)) <= 0
+    measured = distances(robot, pairs, samples(robot))
+    overlap, near = measured <= 0, (measured <= NEAR_M).mean(axis=0).tolist()
     found = []
     for k, (pair, share) in enumerate(zip(pairs, overlap.mean(axis=0).tolist(), strict=True)):
         own = not set(pair) & set(robot.mounted)
-        if share >= ALWAYS or (own and share and _telescopes(robot, pairs, overlap, pair)):
-            found.append(Exclusion(*pair, "b", share))
+        if near[k] >= ALWAYS or (own and share and _telescopes(robot, pairs, overlap, pair)):
+            found.append(Exclusion(*pair, "b", max(share, near[k] if near[k] >= ALWAYS else 0.0)))
         elif own and share and (_adjacent(robot, pair) if touch is None else not touch(pair, overlap[:, k])):
             found.append(Exclusion(*pair, "c", share))
     return tuple(found)
