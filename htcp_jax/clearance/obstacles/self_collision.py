@@ -112,8 +112,9 @@ def refused_overlap(own: SelfCollision, robot: Robot, x: Float[np.ndarray, "N"])
     pairs = [each for each in own.excluded if link[each.first] != link[each.second]]
     if not pairs:
         return None
-    depth = -distances(robot, [(each.first, each.second) for each in pairs], np.vstack([samples(robot), x]))
-    for each, d, usual in zip(pairs, depth[-1], np.quantile(depth[:-1], USUAL, axis=0), strict=True):
+    numbers = tuple((each.first, each.second) for each in pairs)
+    depth = -distances(robot, numbers, x[None])[0]
+    for each, d, usual in zip(pairs, depth, _usual_depths(_Hashable(robot), numbers), strict=True):
         pair = f"the capsules {names[each.first]} and {names[each.second]}"
         if each.rule == "c" and robot.meshes and d > 0:
             touch_m = robot.meshes.deepest_m(names[each.first], names[each.second], x)
@@ -142,6 +143,12 @@ class _Hashable:
 @lru_cache(maxsize=256)
 def _found(arm: _Hashable) -> tuple[Exclusion, ...]:
     return find_exclusions(arm.robot)
+
+
+@lru_cache(maxsize=256)
+def _usual_depths(arm: _Hashable, pairs: Pairs) -> Float[np.ndarray, "R"]:
+    """Return the depth that each pair exceeds in 1 - USUAL of the `samples` [m]: the same for every start."""
+    return np.quantile(-distances(arm.robot, pairs, samples(arm.robot)), USUAL, axis=0)
 
 
 def _contacts(robot: Robot, pairs: Pairs, p: Ends, q: Ends) -> Contacts:

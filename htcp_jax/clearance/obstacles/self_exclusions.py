@@ -70,7 +70,7 @@ def find_exclusions(robot: Robot, touch: Touch | None = None) -> tuple[Exclusion
     for k, (pair, share) in enumerate(zip(pairs, overlap.mean(axis=0).tolist(), strict=True)):
         own = not set(pair) & set(robot.mounted)
         if near[k] >= ALWAYS or (own and share and _telescopes(robot, pairs, overlap, pair)):
-            found.append(Exclusion(*pair, "b", max(share, near[k] if near[k] >= ALWAYS else 0.0)))
+            found.append(Exclusion(*pair, "b", near[k] if near[k] >= ALWAYS else share))
         elif own and share and (_adjacent(robot, pair) if touch is None else not touch(pair, overlap[:, k])):
             found.append(Exclusion(*pair, "c", share))
     return tuple(found)
