@@ -11,12 +11,14 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from htcp_jax.process_exit import PART
+
 try:
     import fcntl
 except ImportError:  # no POSIX system: there, nothing is locked
     fcntl = None
 
-PART, SCRATCH = ".part-", "htcp-tmp-"
+SCRATCH = "htcp-tmp-"
 # No device becomes the terminal, no pipe waits, and no link is followed at the end of a name
 READ = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
 NO_LINK = getattr(os, "O_NOFOLLOW", 0)
