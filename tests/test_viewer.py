@@ -188,10 +188,10 @@ def test_play_stops_at_the_last_target_that_is_tracked(page, viewer, replays):
     play.click()
     pause = page.get_by_role("button", name="Pause")
     pause.wait_for()
-    assert pause.locator("svg").inner_html() != icon
+    until(lambda: pause.locator("svg").inner_html() != icon)
     play.wait_for()
     assert viewer.target == replays.replay(1, "baseline").failed - 1 == 7
-    assert play.locator("svg").inner_html() == icon
+    until(lambda: play.locator("svg").inner_html() == icon)
 
 
 def test_play_passes_the_postures_between_targets(page, viewer):
