@@ -15,7 +15,7 @@ from stranger_jobs import box_job
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.io.robot_file import gp50, load_robot
-from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.io.workpiece_file import GeneratedDuct, load_workpiece
 from htcp_jax.jobs.build import part_of, robot_of, workpiece_of
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.model.kinematics import capsule_segments, tcp_position
@@ -42,7 +42,7 @@ def run(planned, tmp_path):
 
 def scene(extension_m: float, rotation_y_rad: float, points: int | None = None) -> CheckedScene:
     """Scene of a scenario of the run, posed by workpiece.py; optionally with a smaller cloud."""
-    part = load_workpiece(points=points)
+    part = load_workpiece(GeneratedDuct(points=points))
     T = part.T_world(rotation_y_rad, 0.1)
     wall = Wall(np.asarray(part.cloud), "hull")
     return CheckedScene(Arm(GP50, extension_m, "simulation"), wall, T[:3, :3], T[:3, 3], part.interior_depth_m)

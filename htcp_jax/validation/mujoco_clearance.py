@@ -81,9 +81,9 @@ def wall_of(part: WorkpieceConfig, workpiece: Workpiece) -> Wall:
     """The wall that a configuration describes. A mesh is read again. For a user-supplied part the inlet's direction, if
     none is given, is that of the hull's facet nearest to the inlet; without an inlet there is no interior."""
     triangles = read_triangles(part.cloud) if len(workpiece.triangles) else None
-    if part.cloud == "duct" or part.interior != "hull" or part.inlet_direction is not None:
-        given = part.inlet_direction
-        direction = None if given in (None, "world-x") else np.array(given) / np.linalg.norm(given)
+    given = None if part.is_along_world_x else part.inlet_direction
+    if part.is_along_world_x or part.interior != "hull" or given is not None:
+        direction = None if given is None else np.array(given) / np.linalg.norm(given)
         return Wall(workpiece.cloud, part.interior, direction, triangles)
     if workpiece.inlet is None:
         return Wall(workpiece.cloud, "none", None, triangles)
