@@ -94,7 +94,7 @@ def check(results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: 
         blocked=int((track.tracked & track.blocked).sum()),
         target=t,
         **found,
-        cover=float(results.workpiece(track.config).covering_radius_m),
+        cover=results.workpiece(track.config).cover_m,
         refuted=refuted,
         leads_to=paths.target,
         **between_rows,
