@@ -211,6 +211,23 @@ def test_a_pair_that_is_none_is_refused(pair, message, imported):
         load_robot(arm)
 
 
+def test_a_capsule_that_is_paired_with_itself_is_refused(imported):
+    arm = imported(0.0)
+    with_pair(arm, "c", one="a")
+    with pytest.raises(InputError, match="'excluded 99, rule c' pairs 'a' with itself; a pair has two capsules"):
+        load_robot(arm)
+
+
+def test_a_pair_without_a_list_is_refused(imported):
+    arm = imported(0.0)
+    with_pair(arm, "c", one="nobody")
+    arm.write_text(re.sub('<text name="self_collision".*?/>', "", arm.read_text()))
+    with pytest.raises(
+        InputError, match="tuple 'excluded 1, rule b' has no effect without <text name='self_collision'>"
+    ):
+        load_robot(arm)
+
+
 SRDF = '<robot name="{}"><disable_collisions link1="{}" link2="{}" reason="Never"/></robot>'
 
 

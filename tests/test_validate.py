@@ -112,6 +112,17 @@ def test_a_mesh_has_both_distances_and_a_long_check_is_announced(tmp_path, monke
     assert one["clearance_less_cover_min_mm"] <= recorded + 1e-6 < one["clearance_min_mm"]
 
 
+def test_the_cover_of_a_mesh_is_not_subtracted_from_distances_to_the_cell(tmp_path):
+    job, run, table = box_job(tmp_path), tmp_path / "run", tmp_path / "table.xml"
+    top = 0.1807 - 0.02 - 0.078 - 1e-3  # 1 mm below the shoulder, whatever the arm does
+    table.write_text(
+        f'<mujoco><worldbody><geom type="box" size="1 1 .01" pos="0 0 {top - 0.01}"/></worldbody></mujoco>'
+    )
+    sweep({"grid": [{"cell.model": [str(table)]}]}, ["baseline"], run, config=job)
+    found = validate(run, between=0).methods["baseline"]
+    np.testing.assert_allclose([found.clearance_min_mm, found.clearance_less_cover_min_mm], 1.0, atol=1e-3)
+
+
 def test_a_report_does_not_call_other_results_validated_than_those_that_were(run):
     main(["validate", str(run), "--between", "0"])
     spoil(run, 0, 5, iterations=1)

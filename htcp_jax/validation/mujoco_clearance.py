@@ -109,6 +109,11 @@ class AtTargets(NamedTuple):
     ends: Float[np.ndarray, "n E 3"]  # ends of all capsules, world
     outside: Float[np.ndarray, "n E"]  # NaN where the hull is not checked
     beside: Float[np.ndarray, "n R"]  # other distances, see `mujoco_cell.Beside.distances` [m]
+    to_wall: Float[np.ndarray, "n"]  # distance to the cloud's points or the mesh's triangles [m]
+
+    def less_cover(self, cover_m: float) -> Float[np.ndarray, "n"]:
+        """Clearance [m] to points on the mesh, which may be that far from its triangles, and to everything else."""
+        return _worse(np.minimum(self.to_wall - cover_m, self.beside.min(axis=1, initial=np.inf)), self.outside)
 
 
 class CheckedScene:
@@ -142,11 +147,13 @@ class CheckedScene:
         upper = _least(np.full(len(x), np.inf), pieces, distance - self.arm.radius[pieces.capsule])
         kept = pieces.only(self._may_hold(pieces, distance, upper))
         beside = self.beside(x, postures, None)
-        clearance = np.minimum(self._measured(x, postures, kept, upper), beside.min(axis=1, initial=np.inf))
+        to_wall = self._measured(x, postures, kept, upper)
         ends = np.concatenate([postures.p, postures.q], axis=1)
         outside = self._outside(ends, ends @ self.along > self.interior_from)
-        each, clearance = (len(x), len(pieces.row) // len(x)), _worse(clearance, outside)
-        return AtTargets(postures, clearance, samples.reshape(*each, 3), distance.reshape(each), ends, outside, beside)
+        each = len(x), len(pieces.row) // len(x)
+        clearance = _worse(np.minimum(to_wall, beside.min(axis=1, initial=np.inf)), outside)
+        samples, distance = samples.reshape(*each, 3), distance.reshape(each)
+        return AtTargets(postures, clearance, samples, distance, ends, outside, beside, to_wall)
 
     def between(
         self, x: Float[np.ndarray, "n N"], a: Int[np.ndarray, "n"], known: AtTargets, below: float

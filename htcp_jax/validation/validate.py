@@ -198,8 +198,9 @@ def _sum_up(checked: Sequence[Checked], joints: Sequence[str], feed_mm_s: float)
         between_min, between_at = _worst(np.argmin, along, [*targets, *paths])
         deviation_max, deviation_at = _worst(np.argmax, all_of("deviation"), paths)
     less_cover = None
-    if any(one.cover for one in checked):
-        less_cover, _ = _worst(np.argmin, np.concatenate([one.clearance - one.cover for one in checked]), targets)
+    if any(one.less_cover is not None for one in checked):
+        each = [one.clearance if one.less_cover is None else one.less_cover for one in checked]
+        less_cover, _ = _worst(np.argmin, np.concatenate(each), targets)
     ratio = all_of("speed") * feed_mm_s / 1e3
     path, joint = np.unravel_index(ratio.argmax(), ratio.shape) if ratio.any() else (None, None)
     return MethodCheck(
