@@ -52,6 +52,10 @@ _HOME = {
     "gp50": "io.robot_file",
     "load_robot": "io.robot_file",
     "load_workpiece": "io.workpiece_file",
+    "GeneratedDuct": "io.workpiece_file",
+    "PointCloud": "io.workpiece_file",
+    "TriangleMesh": "io.workpiece_file",
+    "NoCloud": "io.workpiece_file",
     "make_scenario": "model.scenario",
     "InputError": "errors",
     # The mathematics, for jax.grad, jax.vmap and jax.jit; the smallest distance is clearance.clearance.
@@ -69,8 +73,12 @@ _HOME = {
     "null_space_objective": "planning.tracking.null_space",
 }
 __all__ = [
+    "GeneratedDuct",
     "InputError",
+    "NoCloud",
     "Plan",
+    "PointCloud",
+    "TriangleMesh",
     "capsule_point_distance",
     "capsule_segments",
     "charts",

@@ -3,6 +3,9 @@
 **Imports.** A package imports from itself and from the packages before it in PACKAGES, at the top of a file or inside a
 function; no import cycles. Each folder is one of these packages.
 
+**Validation.** `validation` imports nothing of the planner's mathematics: from other packages only the names in
+TO_VALIDATION, which are data, files and constants.
+
 **Files.** `io/files.py` alone opens, reads and writes files: its readers take regular files of a bounded size and
 follow no link out of a folder, its writer replaces a file completely or not at all. Other modules make none of the
 calls in OPENS, except those that OWN_FILES lists with the reason.
@@ -37,6 +40,30 @@ PACKAGES = [  # from the bottom up
     *("io", "jobs", "runs", "trajectory", "placement", "validation", "viewer", "report", "cli"),
 ]
 ABOVE = {"api": "viewer", "__main__": "cli"}  # modules at the root that import from this package and those before it
+TO_VALIDATION = {  # package or module at the root -> names that `validation` imports from it ("*": any) -> reason
+    "errors": {"InputError": "how a bad file is refused"},
+    "types": {"*": "types of arrays"},
+    "status": {"*": "numbers in saved results"},
+    "settings": {"Settings": "tolerances of a job"},
+    "model": {
+        "Tool ZERO TaskRow": "what a job's file states",
+        "TOUCHING_M": "overlap of meshes that a job's arm is allowed",
+        "Workpiece": "type of what `workpiece_of` loads; its points, path and inlet are copied at once",
+    },
+    "motion": {"Plans Outcome": "saved results"},
+    "trajectory": {"Timed": "saved results"},
+    "io": {
+        "read_bytes read_json read_yaml read_spec load_geometry Section validate": "readers of files",
+        "LinkMeshes": "meshes to which an arm's file refers, placed by MuJoCo and measured by FCL",
+    },
+    "jobs": {
+        "CellConfig PlanConfig RobotConfig WorkpieceConfig": "what a job's file states",
+        "arm_of part_of shape_of": "keys of a job, to load each part once",
+        "robot_of workpiece_of": "loading of a workpiece; points on a mesh, which only normals are fitted to, are as "
+        "close as the arm needs",
+    },
+    "runs": {"*": "files of runs"},
+}
 OPENS = re.compile(  # calls that access a file by its path, by the end of their names
     r"(^|\.)open$|\.(read_text|write_text|read_bytes|write_bytes|touch)$"
     r"|^(np|pq|pa|json|trimesh|pickle)\.(load|loadtxt|genfromtxt|fromfile|save|savez|savez_compressed|savetxt|memmap|dump"
@@ -79,7 +106,30 @@ NUMBERS = re.compile(r"\b(Float|float)\b")
 def faults(root: Path) -> list[str]:
     """Faults of a checkout, one line each."""
     incomplete_names = (f"{name}: {'; '.join(why)}" for name, why in incomplete(root).items() if why)
-    return [*import_faults(root / PACKAGE), *file_faults(root / PACKAGE), *incomplete_names]
+    package = root / PACKAGE
+    return [*import_faults(package), *validation_faults(package), *file_faults(package), *incomplete_names]
+
+
+def validation_faults(package: Path) -> Iterator[str]:
+    """Imports of `validation` that TO_VALIDATION does not list."""
+    for file in sorted((package / "validation").rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            for home, name in _imported_names(node):
+                known = {each for names in TO_VALIDATION.get(home, {}) for each in names.split()}
+                if home != "validation" and not known & {name, "*"}:
+                    here = _dotted(file.relative_to(package))
+                    yield f"{here} imports {name} of {home}, which is not in TO_VALIDATION"
+
+
+def _imported_names(node: ast.AST) -> Iterator[tuple[str, str]]:
+    """Names that a statement imports from the package, each with the folder, or the module at the root."""
+    if isinstance(node, ast.Import):
+        modules = [alias.name.split(".") for alias in node.names]
+    elif isinstance(node, ast.ImportFrom):
+        modules = [[*str(node.module).split("."), alias.name] for alias in node.names]
+    else:
+        return
+    yield from ((parts[1], parts[-1]) for parts in modules if parts[0] == PACKAGE and len(parts) > 1)
 
 
 def file_faults(package: Path) -> Iterator[str]:

@@ -9,8 +9,9 @@ from scipy.spatial import cKDTree
 from htcp_jax.errors import InputError
 from htcp_jax.io.duct_seams import BEADS, SEAMS, seam
 from htcp_jax.io.robot_file import gp50
-from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.io.workpiece_file import GeneratedDuct, load_workpiece
 from htcp_jax.jobs.build import workpiece_of
+from htcp_jax.jobs.config import WorkpieceConfig
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.jobs.grid_axes import from_record, record
 from htcp_jax.jobs.load_config import load_config
@@ -94,19 +95,19 @@ def test_the_weld_is_a_seam_like_the_others():
     assert SEAMS == ("weld", *BEADS)
     assert np.array_equal(seam("weld"), duct.weld())
     for name in SEAMS:
-        assert np.array_equal(load_workpiece(path=name, points=1000).path, seam(name))
+        assert np.array_equal(load_workpiece(GeneratedDuct(points=1000, seam=name)).path, seam(name))
 
 
 def test_an_unknown_seam_gives_a_line_with_those_that_there_are():
     line = rf"^ceiling: no seam of the generated duct, nor a table.*seams are {', '.join(SEAMS)}, tables end in .xyz"
     with pytest.raises(InputError, match=line):
-        load_workpiece(path="ceiling")
+        load_workpiece(GeneratedDuct(seam="ceiling"))
 
 
 def test_a_seam_of_the_duct_is_none_of_another_cloud(tmp_path):
     np.savetxt(tmp_path / "part.xyz", duct.duct_cloud(1000))
     with pytest.raises(InputError, match=r"part.xyz: a cloud needs a tool path of its own"):
-        load_workpiece(tmp_path / "part.xyz", "crown")
+        workpiece_of(WorkpieceConfig(cloud=str(tmp_path / "part.xyz"), path="crown"), gp50())
 
 
 def test_the_sweep_takes_every_bead_to_every_pose_of_the_workpiece_sweep():

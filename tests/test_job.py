@@ -10,7 +10,7 @@ from hand_made import plans_with
 from htcp_jax import api
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
-from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.io.workpiece_file import GeneratedDuct, load_workpiece
 from htcp_jax.jobs.build import robot_of, scene
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.load_config import load_config
@@ -172,7 +172,7 @@ def test_a_cell_that_cannot_be_is_one_line(tmp_path, robot, line):
 
 def test_a_part_turns_about_world_x_before_y_and_z():
     """Check the rotation with three angles; two could not describe a part on a tilting table."""
-    part = load_workpiece(points=100)
+    part = load_workpiece(GeneratedDuct(points=100))
     cx, sx, cy, sy, cz, sz = (f(angle) for angle in (0.3, 0.4, 0.1) for f in (np.cos, np.sin))
     about = [[[1, 0, 0], [0, cx, -sx], [0, sx, cx]], [[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]]]
     about.append([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])

@@ -47,6 +47,29 @@ def test_an_import_that_runs_the_wrong_way_is_found(package, files, message):
 
 
 @pytest.mark.parametrize(
+    "line",
+    [
+        "from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard",
+        "from htcp_jax.clearance import make_tip_guard",
+        "from htcp_jax.model import kinematics",
+        "from htcp_jax.model.kinematics import tcp_pose",
+        "import htcp_jax.numerics",
+        "from htcp_jax import numerics",
+        "def f(): from htcp_jax.motion.motion_check import check",
+    ],
+)
+def test_validation_that_imports_the_planners_mathematics_is_found(package, line):
+    (package / "htcp_jax/made.py").write_text('def f():\n    """Nothing."""\n')
+    (package / "htcp_jax/validation").mkdir()
+    (package / "htcp_jax/validation/a.py").write_text(
+        "from htcp_jax.motion import Plans\nfrom htcp_jax.jobs.build import arm_of\nfrom htcp_jax.validation.b import c"
+    )
+    assert not faults(package)
+    (package / "htcp_jax/validation/a.py").write_text(line)
+    assert ["which is not in TO_VALIDATION" in fault for fault in faults(package)] == [True]
+
+
+@pytest.mark.parametrize(
     "call",
     ["open('a')", "a.read_text()", "a.write_bytes(b'')", "np.load('a')", "pq.read_table('a')", "a.open('w')"],
 )

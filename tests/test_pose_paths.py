@@ -67,7 +67,7 @@ def test_an_arm_with_a_joint_to_spare_follows_poses_in_empty_space_from_where_it
 def test_a_job_without_a_cloud_keeps_clear_of_itself_and_needs_no_wall(job):
     made = load_config(job)
     assert made.cell.self_collision and made.workpiece.rotation_y_rad == 0.0 and made.workpiece.tip_contact_m is None
-    part = htcp_jax.load_workpiece("none", job["workpiece"]["path"])
+    part = htcp_jax.load_workpiece(htcp_jax.NoCloud(), job["workpiece"]["path"])
     assert len(part.cloud) == 0 and part.walls == "none" and not htcp_jax.make_obstacle(part)
     with pytest.raises(InputError, match="without a cloud, normals stand in the path's file"):
         part.normals  # noqa: B018

@@ -15,6 +15,7 @@ from htcp_jax.model.kinematics import link_poses
 from htcp_jax.model.task_rows import Feature
 from htcp_jax.trajectory.nudge import arm_at, nudge_bound
 from htcp_jax.trajectory.rows_left import rows_beside
+from htcp_jax.validation.records import data_of
 from htcp_jax.validation.task_check import Place, hold_between
 
 SHARES = np.linspace(0, 1, 9)  # of a segment, where it is checked
@@ -34,7 +35,7 @@ def holds(row: int, way: int, nudge: np.ndarray) -> bool:
     """Return True if a row holds all along a displaced segment, by MuJoCo."""
     _, _, part = held()
     a, b = postures()[way : way + 2]
-    places = [Place(np.eye(3), np.zeros(3), part, np.full(len(SHARES), k)) for k in (way, way + 1)]
+    places = [Place(np.eye(3), np.zeros(3), data_of(part), np.full(len(SHARES), k)) for k in (way, way + 1)]
     x = a + SHARES[:, None] * (b - a) + nudge
     return bool(hold_between(rows()[row : row + 1], arm(), x, *places, SETTINGS).all())
 

@@ -21,6 +21,7 @@ from htcp_jax.model.task_list import TaskRow
 from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.settings import Settings
 from htcp_jax.validation.mujoco_arm import Arm
+from htcp_jax.validation.records import data_of
 from htcp_jax.validation.task_check import Place, hold_between
 
 WAYS, PLACES, INTERVALS = 32, 1000, 128
@@ -123,7 +124,7 @@ def by_mujoco(way: int, share: np.ndarray) -> np.ndarray:
     _, _, part = held()
     a, b = (end[way] for end in ways())
     points = [np.full(len(share), t) for t in (way, way + 1)]
-    places = [Place(np.eye(3), np.zeros(3), part, point) for point in points]
+    places = [Place(np.eye(3), np.zeros(3), data_of(part), point) for point in points]
     x = a + share[:, None] * (b - a)
     return hold_between(rows(), arm(), x, *places, SETTINGS)
 

@@ -194,6 +194,7 @@ def test_a_damaged_manifest_is_one_line(tmp_path, data):
     with pytest.raises(InputError, match=r"manifest\.json is damaged or no manifest of a run") as error:
         open_run(tmp_path)
     assert "\n" not in str(error.value)
+    assert str(error.value).count("manifest.json") == str(error.value).count(" is damaged") == 1
 
 
 @pytest.mark.parametrize(

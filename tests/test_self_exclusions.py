@@ -1,6 +1,7 @@
 """Excluded capsule pairs: by an arm's meshes, by its SRDF, by hand; and the starts and plans they affect."""
 
 import csv
+import json
 import re
 
 import jax.numpy as jnp
@@ -15,6 +16,7 @@ from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.io.link_meshes import LinkMeshes
 from htcp_jax.io.robot_file import load_robot
+from htcp_jax.io.robot_import import import_robot
 
 ARM = """<mujoco model="shelf"><compiler angle="radian"/><worldbody>
   <body name="a"><joint axis="0 0 1" range="-2.5 2.5"/>
@@ -181,6 +183,17 @@ def test_validate_names_the_deepest_overlap_of_capsules_that_are_not_checked(htc
     )
 
 
+def test_the_deepest_overlap_is_named_where_the_model_excludes_all_pairs_that_overlap(htcp, imported, tmp_path):
+    pairs = "".join(f'<disable_collisions link1="{a}" link2="{b}"/>' for a, b in ("ab", "ac", "bc", "cd"))
+    (tmp_path / "shelf.srdf").write_text(f'<robot name="shelf">{pairs}</robot>')
+    arm = imported(-0.1, "--srdf", tmp_path / "shelf.srdf")
+    arm.write_text(re.sub("<tuple.*?</tuple>", "", arm.read_text(), flags=re.DOTALL))  # the other pairs are checked
+    htcp_jax.plan(job(arm, tmp_path, [0.0, 0.1, 0.1, 0.1])).save(tmp_path / "plan")
+    assert set(rules(load_robot(arm)).values()) == {"a"}
+    found = json.loads(htcp("validate", tmp_path / "plan", "--json"))
+    assert re.fullmatch(r"\w and \w, [\d.]+ mm", found["excluded"])
+
+
 def test_a_message_about_a_collision_says_how_far_the_capsule_is_from_its_mesh_there(imported, tmp_path):
     """Message about a collision: the distance between the capsule and its mesh there."""
     arm = imported(0.0)
@@ -211,6 +224,23 @@ def test_a_pair_that_is_none_is_refused(pair, message, imported):
         load_robot(arm)
 
 
+def test_a_capsule_that_is_paired_with_itself_is_refused(imported):
+    arm = imported(0.0)
+    with_pair(arm, "c", one="a")
+    with pytest.raises(InputError, match="'excluded 99, rule c' pairs 'a' with itself; a pair has two capsules"):
+        load_robot(arm)
+
+
+def test_a_pair_without_a_list_is_refused(imported):
+    arm = imported(0.0)
+    with_pair(arm, "c", one="nobody")
+    arm.write_text(re.sub('<text name="self_collision".*?/>', "", arm.read_text()))
+    with pytest.raises(
+        InputError, match="tuple 'excluded 1, rule b' has no effect without <text name='self_collision'>"
+    ):
+        load_robot(arm)
+
+
 SRDF = '<robot name="{}"><disable_collisions link1="{}" link2="{}" reason="Never"/></robot>'
 
 
@@ -222,19 +252,25 @@ def test_an_srdf_excludes_bodies(imported, tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (SRDF.format("panda", "a", "d"), "an SRDF of 'panda'; the model is 'shelf'"),
+        (
+            SRDF.format("panda", "a", "d"),
+            "the model is 'shelf'; if they are one robot, write <robot name='shelf'>",
+        ),
+        ("<robot", "other.srdf: not an SRDF file: "),
         (SRDF.format("shelf", "a", "hand"), "a and hand: the model has no link hand; it has a, b, c, d"),
         ('<robot name="shelf"/>', "it has no <disable_collisions>"),
         ("<mujoco/>", "the root is <mujoco>; an SRDF has <robot>"),
     ],
 )
-def test_the_srdf_of_another_robot_is_refused(htcp, text, message, tmp_path):
-    (tmp_path / "shelf.xml").write_text(ARM.format(z=0.0))
-    (tmp_path / "other.srdf").write_text(text)
-    told = htcp(
-        "robot", tmp_path / "shelf.xml", "--srdf", tmp_path / "other.srdf", "--out", tmp_path / "arm.xml", code=2
-    )
+def test_the_srdf_of_another_robot_is_refused_before_capsules_are_fitted(htcp, text, message, tmp_path):
+    model, other, fitted = tmp_path / "shelf.xml", tmp_path / "other.srdf", []
+    model.write_text(ARM.format(z=0.0))
+    other.write_text(text)
+    told = htcp("robot", model, "--srdf", other, "--out", tmp_path / "arm.xml", code=2)
     assert message in told and not (tmp_path / "arm.xml").exists()
+    with pytest.raises(InputError, match=re.escape(message)):
+        import_robot(model, srdf=other, progress=lambda *numbers: fitted.append(numbers))
+    assert not fitted
 
 
 def test_a_list_that_leaves_nothing_to_check_is_refused(htcp, tmp_path):

@@ -19,6 +19,7 @@ from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.planning.batch import plan
 from htcp_jax.runs.plan_folder import SUMMARY, write_json
 from htcp_jax.validation.mujoco_arm import Arm
+from htcp_jax.validation.records import data_of
 from htcp_jax.validation.task_check import Place, check_rows
 from htcp_jax.validation.validate import validate
 
@@ -88,7 +89,7 @@ def planned(task: list[dict], path: str = "weld", method: str = "baseline"):
 def confirmed(job, part: Workpiece, scenario, plans):
     t = np.flatnonzero(plans.tracked[0] & (np.arange(plans.tracked.shape[1]) >= scenario.on_path))
     T = np.asarray(scenario.T_world_workpiece)
-    place = Place(T[:3, :3], T[:3, 3], part, t - int(scenario.on_path))
+    place = Place(T[:3, :3], T[:3, 3], data_of(part), t - int(scenario.on_path))
     settings = job.settings
     arm = Arm(GP50, limits="simulation")
     return check_rows(job.task, arm, plans.x[0, t], place, settings.tolerance_m, settings.tolerance_rad)

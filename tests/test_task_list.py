@@ -166,7 +166,7 @@ def weld_file(tmp_path, names: str, columns: np.ndarray):
 def test_a_path_file_brings_its_normals_tangents_and_quaternions(tmp_path):
     turn = Rotation.from_rotvec([0.1, 0.4, -0.3])
     columns = np.concatenate([[0, 0.6, 0.8], [1, 0, 0], 2 * turn.as_quat(scalar_first=True)])
-    part = load_workpiece(None, weld_file(tmp_path, "nx,ny,nz,tx,ty,tz,qw,qx,qy,qz", columns))
+    part = load_workpiece(path=weld_file(tmp_path, "nx,ny,nz,tx,ty,tz,qw,qx,qy,qz", columns))
     np.testing.assert_array_equal(part.normals, np.tile([0, 0.6, 0.8], (94, 1)))
     np.testing.assert_array_equal(part.tangents, np.tile([1, 0, 0], (94, 1)))
     np.testing.assert_allclose(part.frames.rotations[7], turn.as_matrix(), atol=1e-15)
@@ -192,10 +192,10 @@ def test_a_path_file_brings_its_normals_tangents_and_quaternions(tmp_path):
 )
 def test_directions_that_are_none_are_refused(names, columns, message, tmp_path):
     with pytest.raises(InputError, match=message):
-        load_workpiece(None, weld_file(tmp_path, names, np.array(columns)))
+        load_workpiece(path=weld_file(tmp_path, names, np.array(columns)))
 
 
 def test_as_many_directions_as_points_are_needed():
     duct = made_once.duct()
     with pytest.raises(InputError, match="normals of the path: 3 for its 94 points"):
-        load_workpiece(None, duct.path, frames=PathFrames(normals=np.tile([0.0, 0.0, 1.0], (3, 1))))
+        load_workpiece(path=duct.path, frames=PathFrames(normals=np.tile([0.0, 0.0, 1.0], (3, 1))))

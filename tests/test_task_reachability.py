@@ -19,6 +19,7 @@ from htcp_jax.planning.batch import plan
 from htcp_jax.reachability.posture_search import known_postures, search
 from htcp_jax.reachability.reachability import reachable_prefixes
 from htcp_jax.validation.mujoco_arm import Arm
+from htcp_jax.validation.records import data_of
 from htcp_jax.validation.task_check import Place, check_rows
 
 ON_PATH = {"point": "tcp", "on": "path"}
@@ -34,7 +35,7 @@ def job_of(task, **more):
 def broken(job, part, one, x, t):
     """Violated rows of the job's task at configurations x and targets t of the path, in words."""
     T = np.asarray(one.T_world_workpiece)
-    place = Place(T[:3, :3], T[:3, 3], part, np.maximum(t - int(one.on_path), 0))
+    place = Place(T[:3, :3], T[:3, 3], data_of(part), np.maximum(t - int(one.on_path), 0))
     arm = Arm(GP50, limits="simulation")
     checks = check_rows(job.task, arm, x, place, job.settings.tolerance_m, job.settings.tolerance_rad)
     return [why for n, row in enumerate(checks, 1) for k in range(len(x)) if (why := row.reason(n, k))]

@@ -9,7 +9,7 @@ import stranger_jobs
 import trimesh
 
 from htcp_jax.clearance.obstacles.tip_guard import TipGuard, Triangles, make_tip_guard
-from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.io.workpiece_file import GeneratedDuct, load_workpiece
 from htcp_jax.jobs.build import robot_of, workpiece_of
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.model.kinematics import capsule_segments, tcp_position, tip_segment
@@ -84,7 +84,7 @@ def test_the_discs_of_a_cloud_are_a_wall_too():
 
 
 def test_the_guard_is_off_for_the_duct_and_on_for_a_part_of_one_s_own(tmp_path):
-    assert make_tip_guard(load_workpiece(points=1000)) is None
+    assert make_tip_guard(load_workpiece(GeneratedDuct(points=1000))) is None
     job = stranger_jobs.box_job(tmp_path)
     parts = [load_config(job, more).workpiece for more in ([], ["workpiece.tip_contact_m=null"])]
     assert [part.tip_contact_m for part in parts] == [0.01, None]

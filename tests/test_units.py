@@ -14,7 +14,7 @@ from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.io import units
 from htcp_jax.io.robot_file import gp50
-from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.io.workpiece_file import GeneratedDuct, load_workpiece
 from htcp_jax.jobs.build import scene
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.jobs.load_config import load_config
@@ -96,7 +96,7 @@ def test_a_size_that_is_possible_but_odd_is_warned_of(scale, words):
 
 
 @pytest.mark.parametrize("part", [
-    load_workpiece(points=1000), box(), box(0.3, 0.3), box(10.0, 10.0), box(at=(1.0, 2.0, -3.0)),
+    load_workpiece(GeneratedDuct(points=1000)), box(), box(0.3, 0.3), box(10.0, 10.0), box(at=(1.0, 2.0, -3.0)),
     Workpiece("box", box().cloud, SEAM + np.array([0.0, -0.3, 0.0])),  # a stand-off, as for a spray gun
 ])  # fmt: skip
 def test_ordinary_parts_pass_in_silence(part):

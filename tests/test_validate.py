@@ -12,12 +12,15 @@ import pytest
 from small_run import LONGER, spoil
 from stranger_jobs import box_job
 
+from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
+from htcp_jax.io.duct_seams import SEAMS
 from htcp_jax.io.robot_file import gp50, load_robot
-from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.io.workpiece_file import GeneratedDuct, load_workpiece
 from htcp_jax.jobs.build import part_of, robot_of, workpiece_of
 from htcp_jax.jobs.load_config import load_config
+from htcp_jax.model.duct import POINTS
 from htcp_jax.model.kinematics import capsule_segments, tcp_position
 from htcp_jax.model.robot import GP50, Robot, lengthen_tool
 from htcp_jax.report.document import markdown
@@ -28,6 +31,7 @@ from htcp_jax.runs.run_folder import open_run
 from htcp_jax.runs.sweep import sweep
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
+from htcp_jax.validation.records import data_of
 from htcp_jax.validation.result import STEP_RAD
 from htcp_jax.validation.validate import validate
 
@@ -40,9 +44,9 @@ def run(planned, tmp_path):
     return shutil.copytree(planned / "run", tmp_path / "run")
 
 
-def scene(extension_m: float, rotation_y_rad: float, points: int | None = None) -> CheckedScene:
+def scene(extension_m: float, rotation_y_rad: float, points: int = POINTS) -> CheckedScene:
     """Scene of a scenario of the run, posed by workpiece.py; optionally with a smaller cloud."""
-    part = load_workpiece(points=points)
+    part = load_workpiece(GeneratedDuct(points=points))
     T = part.T_world(rotation_y_rad, 0.1)
     wall = Wall(np.asarray(part.cloud), "hull")
     return CheckedScene(Arm(GP50, extension_m, "simulation"), wall, T[:3, :3], T[:3, 3], part.interior_depth_m)
@@ -108,6 +112,17 @@ def test_a_mesh_has_both_distances_and_a_long_check_is_announced(tmp_path, monke
     assert one["clearance_less_cover_min_mm"] <= recorded + 1e-6 < one["clearance_min_mm"]
 
 
+def test_the_cover_of_a_mesh_is_not_subtracted_from_distances_to_the_cell(tmp_path):
+    job, run, table = box_job(tmp_path), tmp_path / "run", tmp_path / "table.xml"
+    top = 0.1807 - 0.02 - 0.078 - 1e-3  # 1 mm below the shoulder, whatever the arm does
+    table.write_text(
+        f'<mujoco><worldbody><geom type="box" size="1 1 .01" pos="0 0 {top - 0.01}"/></worldbody></mujoco>'
+    )
+    sweep({"grid": [{"cell.model": [str(table)]}]}, ["baseline"], run, config=job)
+    found = validate(run, between=0).methods["baseline"]
+    np.testing.assert_allclose([found.clearance_min_mm, found.clearance_less_cover_min_mm], 1.0, atol=1e-3)
+
+
 def test_a_report_does_not_call_other_results_validated_than_those_that_were(run):
     main(["validate", str(run), "--between", "0"])
     spoil(run, 0, 5, iterations=1)
@@ -163,6 +178,31 @@ def test_between_two_targets_no_joint_turns_far_from_one_look_to_the_next(planne
     validate(planned / "run", between=3)
     furthest = max(abs(np.diff(way, axis=0)).max() for way in ways)
     assert 0.8 * STEP_RAD < furthest <= STEP_RAD * (1 + 1e-9) and min(map(len, ways)) == 2
+
+
+def test_the_tip_passes_through_the_discs_that_the_planner_places_in_its_own_way():
+    part = load_workpiece(tip_contact_m=0.01)
+    where = scene(0.0, 0.4)
+    nominal, rng = np.array([0.0, -2.3, 0.5, 0.0, 0.5, -2.0]), np.random.default_rng(0)
+    postures = where.arm.postures(nominal + rng.uniform(-0.05, 0.05, (1000, 6)))
+    where.translate = postures.tcp[0] - where.rotate @ part.cloud[0]  # the wall lies at the TCP
+    ends = (where.local(end) for end in (where.arm.tip_start(postures), postures.tcp))
+    expected = make_tip_guard(part).passes(*ends)
+    assert where.tip_goes_through(postures, 0.01).tolist() == expected.tolist() and 100 < expected.sum() < 900
+
+
+@pytest.mark.parametrize("seam", SEAMS)
+def test_normals_and_tangents_are_those_that_the_planner_computes_in_its_own_way(seam):
+    part = load_workpiece(GeneratedDuct(points=5000, seam=seam))
+    data = data_of(part)
+    np.testing.assert_allclose(data.normals, part.normals, atol=1e-12)
+    np.testing.assert_allclose(data.tangents, part.tangents, atol=1e-12)
+
+
+def test_tangents_of_a_path_that_pauses_and_reverses_are_the_planners():
+    path = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 0], [2, 1, 0], [1, 0, 0], [0, 0, 3]], float)
+    own = load_workpiece(GeneratedDuct(points=100), path)
+    np.testing.assert_allclose(data_of(own).tangents, own.tangents, atol=1e-12)
 
 
 def test_a_configuration_5_mm_in_the_wall_is_refuted_and_named(run, capsys):

@@ -29,6 +29,7 @@ from htcp_jax.runs.plan_folder import read_plan
 from htcp_jax.validation.mesh_clearance import axis_distances, goes_through
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, wall_of
+from htcp_jax.validation.records import data_of
 from htcp_jax.validation.scene_rules import turned_and_moved
 
 
@@ -125,7 +126,7 @@ def test_validation_measures_the_triangles(car, tmp_path):
     """Validation by triangles: distances by trimesh; hull and plane as in the planner."""
     robot, part, where = car
     job = load_config(stranger_jobs.car_job(tmp_path))
-    walls = wall_of(job.workpiece, part)
+    walls = wall_of(job.workpiece, data_of(part))
     arm = Arm(Path(job.robot.model), 0.0, "model")
     T = where.T_world_workpiece
     beside = CheckedScene(arm, walls, T[:3, :3], T[:3, 3], job.workpiece.interior_depth_m)

@@ -7,12 +7,13 @@ import jax.numpy as jnp
 import jaxtyping
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.point_cloud import load_cloud
-from htcp_jax.io.workpiece_file import load_workpiece, read_path
+from htcp_jax.io.workpiece_file import GeneratedDuct, PointCloud, TriangleMesh, load_workpiece, read_path, read_source
 from htcp_jax.model import duct
 from htcp_jax.model.duct import NEUTRAL_TRANSLATION, PIVOT
 from htcp_jax.model.workpiece import Workpiece
@@ -123,7 +124,7 @@ def test_the_ducts_exact_hull_has_two_facets_to_a_vertex():
 
     A smooth wall makes most points vertices, hence thousands of facets and the duct's coarser default.
     """
-    duct_points = load_workpiece(hull_tolerance_m=0.0, points=5000)
+    duct_points = load_workpiece(GeneratedDuct(points=5000), hull_tolerance_m=0.0)
     assert len(duct_points.hull_normal) == 2 * len(duct_points.hull_vertices) - 4
     assert len(duct_points.hull_normal) > 2000
     assert height(duct_points, duct_points.cloud).max() < 1e-12
@@ -140,7 +141,7 @@ def test_the_measured_hull_is_exact_and_small(real):
 
 @pytest.mark.parametrize("tolerance", [1e-12, 1e-3, 0.05, 5.0])
 def test_at_any_tolerance_the_hull_is_closed_and_holds_the_cloud(tolerance):
-    part = load_workpiece(hull_tolerance_m=tolerance, points=2000)
+    part = load_workpiece(GeneratedDuct(points=2000), hull_tolerance_m=tolerance)
     assert height(part, part.cloud).max() < 1e-12
     far = np.random.default_rng(0).normal(size=(200, 3))
     assert (height(part, 20.0 * far / np.linalg.norm(far, axis=1)[:, None]) > 0).all()
@@ -221,12 +222,12 @@ def test_another_cloud_brings_its_path_and_has_no_inlet_unless_given(tmp_path):
 
 def test_the_duct_takes_another_path_and_can_lose_its_inlet(tmp_path):
     np.savetxt(tmp_path / "seam.csv", PATH, delimiter=",")
-    workpiece = load_workpiece(path=tmp_path / "seam.csv", inlet=None, points=1000, seed=5)
+    workpiece = load_workpiece(GeneratedDuct(1000, seed=5), tmp_path / "seam.csv", inlet=None)
     assert workpiece.inlet is None and np.array_equal(workpiece.path, PATH)
     assert np.array_equal(workpiece.cloud, duct.duct_cloud(1000, seed=5))
-    for wrong in ({"spacing": 0.01}, {"points": 3}, {"seed": -1}):
+    for wrong in (GeneratedDuct(points=3), GeneratedDuct(seed=-1)):
         with pytest.raises(InputError):
-            load_workpiece(**wrong)
+            load_workpiece(wrong)
 
 
 @pytest.mark.parametrize("content, words", [
@@ -263,20 +264,39 @@ def test_a_workpiece_of_arrays_is_that_of_their_files(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("cloud", "path", "how", "line"),
+    ("cloud", "path", "line"),
     [
-        (np.zeros((5, 2)), np.zeros((1, 3)), {}, r"cloud: shape \(5, 2\), \(points, 3\) is needed"),
-        (np.zeros((3, 3)), np.zeros((1, 3)), {}, "cloud: 3 points, at least 4 are needed"),
-        (np.full((9, 3), np.nan), np.zeros((1, 3)), {}, "cloud: row 1 holds NaN"),
-        (np.eye(4)[:, :3], None, {}, "cloud: a cloud needs a tool path of its own"),
-        (np.eye(4)[:, :3], np.zeros(3), {}, r"path: shape \(3,\), \(points, 3\) is needed"),
-        (np.eye(4)[:, :3], np.zeros((0, 3)), {}, "path: 0 points, at least 1 are needed"),
-        (np.eye(4)[:, :3], np.zeros((1, 3)), {"points": 9}, "cloud: the number of points is for the generated duct"),
+        (np.zeros((5, 2)), np.zeros((1, 3)), r"cloud: shape \(5, 2\), \(points, 3\) is needed"),
+        (np.zeros((3, 3)), np.zeros((1, 3)), "cloud: 3 points, at least 4 are needed"),
+        (np.full((9, 3), np.nan), np.zeros((1, 3)), "cloud: row 1 holds NaN"),
+        (np.eye(4)[:, :3], None, "cloud: a cloud needs a tool path of its own"),
+        (np.eye(4)[:, :3], np.zeros(3), r"path: shape \(3,\), \(points, 3\) is needed"),
+        (np.eye(4)[:, :3], np.zeros((0, 3)), "path: 0 points, at least 1 are needed"),
     ],
 )
-def test_bad_arrays_give_one_line(cloud, path, how, line):
+def test_bad_arrays_give_one_line(cloud, path, line):
     with pytest.raises(InputError, match=line):
-        load_workpiece(cloud, path, **how)
+        load_workpiece(cloud, path)
+
+
+def test_a_files_content_decides_whether_its_source_is_a_cloud_or_a_mesh(tmp_path):
+    box = trimesh.creation.box()
+    trimesh.PointCloud(box.vertices).export(tmp_path / "points.ply")
+    box.export(tmp_path / "faces.ply")
+    points, faces = read_source(tmp_path / "points.ply"), read_source(tmp_path / "faces.ply", 0.5)
+    assert isinstance(points, PointCloud) and len(points.points) == 8
+    assert isinstance(faces, TriangleMesh) and len(faces.triangles) == 12 and faces.spacing_m == 0.5
+
+
+def test_a_workpiece_of_a_source_is_that_of_its_file(tmp_path):
+    trimesh.creation.box().export(tmp_path / "part.ply")
+    made = load_workpiece(read_source(tmp_path / "part.ply"), PATH)
+    for part in (
+        load_workpiece(tmp_path / "part.ply", PATH),
+        load_workpiece(TriangleMesh(made.triangles, "part"), PATH),
+    ):
+        for name in ("name", "cloud", "triangles", "covering_radius_m", "hull_offset"):
+            np.testing.assert_array_equal(getattr(part, name), getattr(made, name), err_msg=name)
 
 
 @needs_real_duct

@@ -19,7 +19,6 @@ from htcp_jax.io.link_meshes import LinkMeshes
 from htcp_jax.io.robot_file import load_robot
 from htcp_jax.io.robot_import import ImportedArm, body_name, import_robot
 from htcp_jax.io.robot_xml import Listed, arm_xml, in_words
-from htcp_jax.io.srdf import disabled_pairs
 from htcp_jax.model.robot import Robot
 from htcp_jax.report.document import Column, Table
 from htcp_jax.runs.plan_folder import write_text, written_whole
@@ -75,16 +74,15 @@ def robot(
         if file.exists() and not replace:
             raise InputError(f"{file} is there already; --replace writes over it, with what was corrected by hand")
     with progress_bar("bodies") as progress:
-        arm = import_robot(model, tcp, most=most, visual=visual, progress=progress)
+        arm = import_robot(model, tcp, most=most, visual=visual, srdf=srdf, progress=progress)
     source = os.path.relpath(model, out.parent)
-    disabled = disabled_pairs(srdf, arm.name, [body_name(arm.model, b) for b in arm.bodies]) if srdf else []
     from htcp_jax.viewer.arm_picture import draw_arm  # here, because bad input is refused before matplotlib is loaded
 
     with written_whole(out.parent) as folder:
-        write_text(folder / out.name, arm_xml(arm, source, disabled))
+        write_text(folder / out.name, arm_xml(arm, source))
         with progress_bar("pairs of capsules") as progress:
             listed = _listed(arm, load_robot(folder / out.name), progress)
-        text = arm_xml(arm, source, disabled, listed)
+        text = arm_xml(arm, source, listed)
         write_text(folder / out.name, text)
         made = load_robot(folder / out.name)
         own = self_collision(made)

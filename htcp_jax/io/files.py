@@ -15,6 +15,7 @@ import json
 import logging
 import math
 import os
+import re
 import secrets
 import stat
 import warnings
@@ -263,6 +264,12 @@ def one_line(error: BaseException) -> str:
     """Format an exception as one short line, without control characters from a damaged file."""
     words = "".join(letter if letter.isprintable() else " " for letter in str(error)[:120]).split()
     return " ".join([f"{type(error).__name__}:", *words]) if words else type(error).__name__
+
+
+def cause(error: BaseException, file: Path) -> str:
+    """Return an error's message without the file's name, for a message that begins with it."""
+    found = re.fullmatch(rf"{re.escape(str(file))}(?:: (.*)| is damaged \((.*)\))", str(error), re.DOTALL)
+    return str(error) if found is None else found[1] or found[2]
 
 
 @contextlib.contextmanager

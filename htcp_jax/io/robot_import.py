@@ -16,6 +16,7 @@ from htcp_jax.io.robot_model import check_joints, compile_spec, joint_name, join
 from htcp_jax.io.robot_shapes import Geom, Shape, Shapes
 from htcp_jax.io.robot_tcp import Tip, find_tip
 from htcp_jax.io.safe_xml import read_spec
+from htcp_jax.io.srdf import disabled_pairs
 
 PER_JOINT = "speed", "acceleration", "datasheet_lower", "datasheet_upper"  # <numeric>s that an arm keeps
 NOT_OF_AN_ARM = "plane", "hfield", "sdf"
@@ -68,11 +69,12 @@ class ImportedArm(NamedTuple):
     left_out: tuple[str, ...]  # excluded shapes, which no capsule represents
     visual: bool  # True if the capsules enclose visual geometry
     shapeless: tuple[str, ...]  # bodies with visual but no collision geometry
+    disabled: tuple[tuple[str, str], ...]  # bodies that an SRDF excludes from self-collision checks
 
     @property
     def name(self) -> str:
         """Name of the model."""
-        return self.model.names.partition(b"\0")[0].decode(errors="replace")
+        return model_name(self.model)
 
 
 def import_robot(
@@ -81,20 +83,22 @@ def import_robot(
     *,
     most: int = MOST,
     visual: bool = False,
+    srdf: Path | None = None,
     progress: Callable[[int, int], None] = lambda done, count: None,
 ) -> ImportedArm:
     """Read a URDF or MJCF file with its meshes.
 
     tcp: see `robot_tcp.find_tip`. most: fitted capsules per body. visual: enclose the visual geometry; else the
-    collision geometry, or the visual geometry if the model has no other. progress: called with the number of bodies
-    done and their total.
+    collision geometry, or the visual geometry if the model has no other. srdf: see `disabled_pairs`. progress: called
+    with the number of bodies done and their total.
     Raises InputError for a file or a mesh that cannot be read, for a missing or ambiguous TCP, ball and free joints on
-    the chain to it, fewer than three joints, and a model without shapes.
+    the chain to it, fewer than three joints, a model without shapes, and the SRDF of another robot.
     """
     spec, shapes, model = _read(path, visual)
     tip = find_tip(model, path, tcp, _bodies(model, ()))
     on_the_way = tuple(upwards(model, tip.body))
     bodies = _bodies(model, on_the_way)
+    disabled = disabled_pairs(srdf, model_name(model), [body_name(model, b) for b in bodies]) if srdf else ()
     joints = tuple(j for j in range(model.njnt) if model.jnt_bodyid[j] in on_the_way)
     geoms = [geom for geom in shapes.geoms if _body(model, geom) in bodies]
     chosen = _chosen(geoms, model, visual)
@@ -122,6 +126,7 @@ def import_robot(
         tuple(f"{model.geom(g.at).name or g.kind} of {body_name(model, _body(model, g))}" for g in left_out),
         visual,
         tuple(body_name(model, b) for b in _shapeless(geoms, chosen, model)),
+        tuple(disabled),
     )
 
 
@@ -144,6 +149,11 @@ def _read(path: Path, visual: bool) -> tuple[mujoco.MjSpec, Shapes, mujoco.MjMod
         spec.delete(each)
     shapes = Shapes(spec, path)
     return spec, shapes, compile_spec(spec, path)
+
+
+def model_name(model: mujoco.MjModel) -> str:
+    """Return the model's own name."""
+    return model.names.partition(b"\0")[0].decode(errors="replace")
 
 
 def body_name(model: mujoco.MjModel, body: int) -> str:

@@ -118,6 +118,8 @@ def _compile_model(path: Path) -> tuple[mujoco.MjModel, str, list[_Pair] | None]
     _forget_shapes(spec)
     pairs = [_Pair(each.name, tuple(each.objname), float(each.objprm[0])) for each in spec.tuples if len(each.objname)]
     has_list = any(text.name == LIST for text in spec.texts)
+    if pairs and not has_list:
+        raise InputError(f"{path}: tuple {pairs[0].name!r} has no effect without <text name={LIST!r}>")
     for each in list(spec.tuples):
         spec.delete(each)
     return compile_spec(spec, path), ", ".join(geom_types), pairs if has_list else None
@@ -382,6 +384,8 @@ def _listed(path: Path, pairs: Sequence[_Pair], capsules: list[_Capsule]) -> Ite
             raise InputError(f"{path}: {name!r} has {len(pair)} capsules; a pair has 2")
         if unknown := [each for each in pair if each not in numbers]:
             raise InputError(f"{path}: {name!r} names {unknown[0]!r}; the capsules are {', '.join(numbers)}")
+        if pair[0] == pair[1]:
+            raise InputError(f"{path}: {name!r} pairs {pair[0]!r} with itself; a pair has two capsules")
         yield _exclusion(capsules, *(numbers[each] for each in pair), rule[1], share)
 
 

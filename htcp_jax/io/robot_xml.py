@@ -30,13 +30,12 @@ MANY = {"mesh": "meshes", "box": "boxes", "cylinder": "cylinders", "ellipsoid": 
 def arm_xml(
     arm: ImportedArm,
     source: str,
-    disabled: Sequence[tuple[str, str]] = (),
     listed: Sequence[Listed] | None = None,
 ) -> str:
     """Return the file's text.
 
-    source: path of the model, relative to the file. disabled: pairs of bodies that an SRDF excludes. listed: other
-    pairs of capsules that are not checked; None: determined when the file is read.
+    source: path of the model, relative to the file. listed: pairs of capsules that are not checked, of bodies that
+    neither the model nor an SRDF excludes; None: determined when the file is read.
     """
     model = arm.model
     frozen = f"\n  Frozen as drawn: {', '.join(arm.frozen)}." if arm.frozen else ""
@@ -58,7 +57,7 @@ def arm_xml(
     position, turn = arm.tip.T_body_tcp[:3, 3], np.empty(4)
     mujoco.mju_mat2Quat(turn, arm.tip.T_body_tcp[:3, :3].ravel())
     SubElement(elements[arm.tip.body], "site", name="tcp", **_pose(position, turn))
-    _add_exclusions(root, arm, disabled)
+    _add_exclusions(root, arm)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
@@ -89,12 +88,12 @@ def _add_list(custom: Element, arm: ImportedArm, source: str, listed: Sequence[L
             SubElement(custom, "text", name=CUTS + name, data=cuts_text(piece.cuts) or " ")
 
 
-def _add_exclusions(root: Element, arm: ImportedArm, disabled: Sequence[tuple[str, str]]) -> None:
+def _add_exclusions(root: Element, arm: ImportedArm) -> None:
     """Add the pairs of bodies that the model and an SRDF exclude."""
     model = arm.model
     names = {0: "world"} | {b: body_name(model, b) for b in arm.bodies if b > 0}
     own = [pair for pair in sorted(excluded_bodies(model)) if set(pair) <= names.keys()]
-    if pairs := dict.fromkeys([*((names[a], names[b]) for a, b in own), *disabled]):
+    if pairs := dict.fromkeys([*((names[a], names[b]) for a, b in own), *arm.disabled]):
         contact = SubElement(root, "contact")
         for one, other in pairs:
             SubElement(contact, "exclude", body1=one, body2=other)

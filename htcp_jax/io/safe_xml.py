@@ -132,9 +132,9 @@ def unreadable(path: Path, error: Exception) -> InputError:
     return InputError(f"{path}: not a model that MuJoCo can read: {reason}")
 
 
-def parse(path: Path) -> ElementTree.Element:
-    """Return the root of an XML file. Raises InputError for one that cannot be read, is too large, or defines
-    entities."""
+def parse(path: Path, kind: str = "a model that MuJoCo can read") -> ElementTree.Element:
+    """Return the root of an XML file. kind: named if it is damaged. Raises InputError for a file that cannot be read,
+    is too large, or defines entities."""
     try:
         with opened(path, largest=LARGEST_FILE) as stream:
             return _tree(stream.read(), _Builder(path))
@@ -144,7 +144,7 @@ def parse(path: Path) -> ElementTree.Element:
         raise InputError(f"{path}: cannot read the model: {error.strerror}") from None
     except (expat.ExpatError, ValueError, LookupError) as error:  # LookupError: an unknown encoding
         reason = " ".join(str(error).split())
-        raise InputError(f"{path}: not a model that MuJoCo can read: {reason}") from None
+        raise InputError(f"{path}: not {kind}: {reason}") from None
 
 
 def _tree(text: bytes, builder: _Builder) -> ElementTree.Element:

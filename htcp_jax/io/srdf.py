@@ -10,11 +10,13 @@ from htcp_jax.io.safe_xml import parse
 def disabled_pairs(path: Path, robot: str, bodies: Collection[str]) -> list[tuple[str, str]]:
     """Return the pairs of the <disable_collisions>. Raises InputError for a file that cannot be read, for the SRDF of
     another robot, for a pair with a link that the model lacks, and if there are none."""
-    root = parse(path)
+    root = parse(path, "an SRDF file")
     if root.tag != "robot":
         raise InputError(f"{path}: the root is <{root.tag}>; an SRDF has <robot>")
     if (name := root.get("name", "")) != robot:
-        raise InputError(f"{path}: an SRDF of {name!r}; the model is {robot!r}")
+        raise InputError(
+            f"{path}: an SRDF of {name!r}; the model is {robot!r}; if they are one robot, write <robot name={robot!r}>"
+        )
     pairs = [(each.get("link1", ""), each.get("link2", "")) for each in root.iter("disable_collisions")]
     if not pairs:
         raise InputError(f"{path}: it has no <disable_collisions>; the links are {', '.join(sorted(bodies))}")

@@ -12,19 +12,20 @@ from htcp_jax.clearance.obstacles.of_cell import make_fixtures, placed_cloud
 from htcp_jax.clearance.obstacles.self_collision import self_collision
 from htcp_jax.errors import InputError
 from htcp_jax.io.cell import load_cell
+from htcp_jax.io.duct_seams import SEAMS
 from htcp_jax.io.point_cloud import load_geometry
 from htcp_jax.io.robot_file import load_robot
 from htcp_jax.io.units import check_tool
-from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.io.workpiece_file import GeneratedDuct, NoCloud, WorkpieceSource, load_workpiece, read_source
 from htcp_jax.jobs.config import CellConfig, PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.model.fixture import Fixture
 from htcp_jax.model.goals import follower, task_of, with_goals
-from htcp_jax.model.robot import GP50, Robot, lengthen_tool
+from htcp_jax.model.robot import Robot, lengthen_tool
 from htcp_jax.model.scenario import Scenario, make_scenario
 from htcp_jax.model.surface import NOTHING, Drawn, Surface, surface_of
 from htcp_jax.model.task import Task
 from htcp_jax.model.tool import pose
-from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.model.workpiece import InletDirection, Workpiece
 
 
 def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
@@ -43,7 +44,7 @@ def robot_of(arm: RobotConfig) -> Robot:
     """Load the robot, without the tool's extension, which belongs to the scenario. A tool longer than the arm is
     refused."""
     robot = load_robot(
-        GP50 if arm.model == "gp50" else arm.model,
+        arm.file,
         tcp_site="tcp" if arm.tcp is None else arm.tcp,
         limits=arm.limits,
         base_m=arm.base_m,
@@ -57,22 +58,21 @@ def robot_of(arm: RobotConfig) -> Robot:
 def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
     """Load the workpiece, without its pose, which belongs to the scenario. Points on a mesh are as dense as the robot's
     thinnest body requires; a UserWarning reports a cloud between whose points that body fits."""
-    radii = np.asarray(robot.capsule_radius)
-    thinnest, radius = int(radii.argmin()), float(radii.min())
+    direction = InletDirection.WORLD_X if part.is_along_world_x else part.inlet_direction
+    stated = {"inlet": part.inlet_m, "inlet_direction": direction}
     workpiece = load_workpiece(
-        None if part.cloud == "duct" else part.cloud,
-        part.path,
-        inlet="auto" if part.inlet_m is None else part.inlet_m,
+        source_of(part),
+        path_of(part),
         interior=part.interior,
         interior_depth_m=part.interior_depth_m,
-        inlet_direction=part.inlet_direction,
         tip_contact_m=part.tip_contact_m,
         pivot=part.pivot_m,
         neutral_translation=part.neutral_translation_m,
-        spacing=part.mesh_spacing_m if part.cloud != "duct" else None,
-        thinnest_m=radius,
         robot=robot,
+        **{name: value for name, value in stated.items() if value is not None},
     )
+    radii = np.asarray(robot.capsule_radius)
+    thinnest, radius = int(radii.argmin()), float(radii.min())
     if len(workpiece.cloud) and not len(workpiece.triangles) and workpiece.largest_gap_m > 2 * radius:
         warnings.warn(
             f"{part.cloud}: a gap of {1e3 * workpiece.largest_gap_m:.3g} mm between its points; "
@@ -81,6 +81,19 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
             stacklevel=2,
         )
     return workpiece
+
+
+def source_of(part: WorkpieceConfig) -> WorkpieceSource:
+    """Return the source of the workpiece's walls; a file is read."""
+    if part.is_duct:
+        return GeneratedDuct(seam=part.path) if path_of(part) is None else GeneratedDuct()
+    return read_source(part.cloud, part.mesh_spacing_m) if part.has_cloud else NoCloud()
+
+
+def path_of(part: WorkpieceConfig) -> str | None:
+    """Return the path's file; None if a seam of the generated duct is named."""
+    is_seam = part.path in SEAMS or (part.is_duct and not Path(part.path).suffix)
+    return None if is_seam else part.path
 
 
 def scenario_of(

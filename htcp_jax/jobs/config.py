@@ -6,14 +6,17 @@ A PlanConfig is made by `load_config`. Some defaults are for the GP50 and the du
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, PlainSerializer, WrapValidator, field_validator
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.strict_model import Section
+from htcp_jax.jobs.config_file import BUILT_IN_ARM, DUCT, NO_CLOUD
 from htcp_jax.jobs.feed import feed_of
 from htcp_jax.model.duct import INTERIOR_DEPTH_M, NEUTRAL_TRANSLATION, PIVOT
+from htcp_jax.model.robot import GP50
 from htcp_jax.model.task_list import TaskRow
 from htcp_jax.model.tool import Tool
 from htcp_jax.planning.registry import NAME
@@ -56,7 +59,7 @@ DEPENDENT = (
 class RobotConfig(Section):
     """The arm, its pose, and its tool."""
 
-    model: str = "gp50"  # or an MJCF or URDF file
+    model: str = BUILT_IN_ARM  # or an MJCF or URDF file
     limits: Literal["simulation", "datasheet", "model"] = "simulation"
     tcp: str | None = None  # site or body at the TCP, or at the flange of a `tool`; default: see `load_robot`
     base_m: Point = (0.0, 0.0, 0.0)  # of the model's own frame, in the world
@@ -64,16 +67,26 @@ class RobotConfig(Section):
     tool: Tool | None = None
     tool_extension_m: Number = 0.0
 
+    @property
+    def is_gp50(self) -> bool:
+        """True for the built-in arm."""
+        return self.model == BUILT_IN_ARM
+
+    @property
+    def file(self) -> Path:
+        """The model's file."""
+        return GP50 if self.is_gp50 else Path(self.model)
+
 
 class WorkpieceConfig(Section):
     """The cloud, the tool path in its frame, its pose, and the approach to the path."""
 
-    cloud: str = "duct"  # the generated duct, a file of points or a mesh, or none
+    cloud: str = DUCT  # the generated duct, a file of points or a mesh, or none
     path: str = "weld"  # a seam of the generated duct, see `duct_seams`, or a CSV file of x,y,z [m]
     inlet_m: Point | None = None  # centre of the inlet; None: the duct's, or none for another cloud
     interior: Literal["hull", "none"] = "hull"  # boundary of the interior deeper than interior_depth_m
     interior_depth_m: float = Field(INTERIOR_DEPTH_M, ge=0, le=LARGEST)
-    inlet_direction: Point | Literal["world-x"] | None = "world-x"  # into the part; see `load_workpiece`
+    inlet_direction: Point | Literal["world-x"] | None = "world-x"  # into the part; see `InletDirection`
     mesh_spacing_m: Annotated[float, Field(ge=1e-5, le=LARGEST)] | None = None  # widest gap of the points on a mesh
     tip_contact_m: Annotated[float, Field(ge=0, le=LARGEST)] | None = None  # of the bare tip, from the TCP; null: all
     pivot_m: Point = PIVOT  # world point that the rotations turn about
@@ -84,6 +97,21 @@ class WorkpieceConfig(Section):
     shift_m: Point = (0.0, 0.0, 0.0)
     approach_to_inlet: Steps = 5  # equal steps from the start's TCP to the inlet
     approach_to_path: Steps = 5  # and from there to the first point of the path
+
+    @property
+    def is_duct(self) -> bool:
+        """True for the generated duct."""
+        return self.cloud == DUCT
+
+    @property
+    def has_cloud(self) -> bool:
+        """True unless the job has a path without walls."""
+        return self.cloud != NO_CLOUD
+
+    @property
+    def is_along_world_x(self) -> bool:
+        """True if the interior lies along the world's x, for any rotation of the part."""
+        return self.inlet_direction == "world-x" or (self.is_duct and self.inlet_direction is None)
 
 
 class CloudConfig(Section):

@@ -16,10 +16,11 @@ from htcp_jax.io.duct_seams import SEAMS
 from htcp_jax.io.strict_yaml import parse_yaml, read_yaml
 
 BASE = "config"  # the key for the base file
+BUILT_IN_ARM, DUCT, NO_CLOUD = "gp50", "duct", "none"  # words of a job, which `config` resolves
 # Keys that name files, each with the names of the built-in parts.
 FILES = {
-    ("robot", "model"): ("gp50",),
-    ("workpiece", "cloud"): ("duct", "none"),
+    ("robot", "model"): (BUILT_IN_ARM,),
+    ("workpiece", "cloud"): (DUCT, NO_CLOUD),
     ("workpiece", "path"): SEAMS,
     ("cell", "model"): (None,),
 }

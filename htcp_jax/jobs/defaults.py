@@ -10,7 +10,7 @@ import numpy as np
 from htcp_jax.errors import InputError
 from htcp_jax.io.robot_model import read_robot_file
 from htcp_jax.jobs.config import AUTO, DEPENDENT, PlanConfig
-from htcp_jax.jobs.config_file import FILES, put
+from htcp_jax.jobs.config_file import FILES, NO_CLOUD, put
 
 TIP_CONTACT_M = 0.01  # for a user-supplied part
 
@@ -39,7 +39,7 @@ def own_defaults(raw: dict, stated: Collection[str]) -> dict[str, Any]:
         found["workpiece.neutral_translation_m"] = (0.0, 0.0, 0.0)
         found["workpiece.pivot_m"] = tuple(origin) if known else (0.0, 0.0, 0.0)
         found["workpiece.inlet_direction"], found["workpiece.tip_contact_m"] = None, TIP_CONTACT_M
-    if value_at(raw, "workpiece.cloud") == "none":
+    if value_at(raw, "workpiece.cloud") == NO_CLOUD:
         found["cell.self_collision"], found["workpiece.tip_contact_m"] = True, None
     return found
 

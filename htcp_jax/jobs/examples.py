@@ -30,7 +30,7 @@ def example_or_path(path: str | Path) -> Path:
     return Path(path) if os.path.exists(path) else examples().get(str(path), Path(path))
 
 
-def read_spec(spec: str | Path | Mapping[str, Any], name: str) -> tuple[Path, dict[str, Any]]:
+def read_mapping(spec: str | Path | Mapping[str, Any], name: str) -> tuple[Path, dict[str, Any]]:
     """Return the path and the content of a YAML file or an example, or of a mapping in place of a file, whose path is
     then `name` in the working folder. Raises InputError for a file that cannot be read."""
     if isinstance(spec, Mapping):

@@ -38,7 +38,7 @@ from htcp_jax.jobs.build import (
 from htcp_jax.jobs.config import DEPENDENT, CellConfig, PlanConfig, RobotConfig, WorkpieceConfig
 from htcp_jax.jobs.config_file import put
 from htcp_jax.jobs.defaults import fill_in, is_other, keys_of
-from htcp_jax.jobs.examples import read_spec
+from htcp_jax.jobs.examples import read_mapping
 from htcp_jax.jobs.grid_axes import FILE_KEYS, KEYS, MOST, Group, Point, read_grid
 from htcp_jax.jobs.grid_points import points_of
 from htcp_jax.jobs.load_config import read_config
@@ -153,7 +153,7 @@ def load_sweep(
 
     Raises InputError for an invalid file, for an unknown parameter and for an empty grid.
     """
-    path, raw = read_spec(spec, "sweep")
+    path, raw = read_mapping(spec, "sweep")
     file: SweepFile = validate(raw, SweepFile, str(path))
     if config is None and file.config is not None:
         config = path.parent / file.config

@@ -5,6 +5,7 @@ clearance. The hull is for the interior rule of the clearance: deep behind the i
 hull has pierced the wall.
 """
 
+import enum
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
@@ -21,7 +22,12 @@ from htcp_jax.model.path_frames import PathFrames, tangents, wall_normals
 from htcp_jax.notebook import html_facts
 from htcp_jax.types import Triple
 
-NO_CLOUD = "none"  # in place of a cloud: a path without walls
+
+class InletDirection(enum.Enum):
+    """Directions into the part that are not given in numbers."""
+
+    WORLD_X = enum.auto()  # the world's x, for any rotation of the part, as in the paper
+    HULL_FACET = enum.auto()  # inward normal of the hull's facet nearest to the inlet; without an inlet no interior
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +40,7 @@ class Workpiece:
     interior: "hull" computes the half-spaces below; "none" leaves them empty (F = 0), for flat clouds.
     hull_tolerance_m: 0 for the exact hull; above, fewer facets that extend beyond it by about that much at
         most and still enclose the cloud.
-    inlet_direction: into the part, made unit; None is the world's x, for any rotation of the part; "facet" the inward
-        normal of the hull's facet nearest to the inlet, and without an inlet no interior.
+    inlet_direction: into the part, made unit; once constructed an array, or None for the world's x.
     triangles: of the mesh that the cloud was sampled on [m]; none for a cloud.
     covering_radius_m: largest distance from the mesh to its nearest point of the cloud; 0 for a cloud.
     tip_contact_m: length at the TCP of the bare tip (last body to TCP) that may touch walls; None: all of it.
@@ -58,7 +63,7 @@ class Workpiece:
     interior_depth_m: float = INTERIOR_DEPTH_M
     interior: Literal["hull", "none"] = "hull"
     hull_tolerance_m: float = 0.0
-    inlet_direction: Float[np.ndarray, "3"] | Triple | Literal["facet"] | None = None
+    inlet_direction: Float[np.ndarray, "3"] | Triple | InletDirection | None = InletDirection.WORLD_X
     triangles: Float[np.ndarray, "M 3 3"] = field(default_factory=lambda: np.empty((0, 3, 3)))
     covering_radius_m: float = 0.0
     tip_contact_m: float | None = None
@@ -79,7 +84,7 @@ class Workpiece:
                 raise InputError(f"{name} of the path: {len(directions)} for its {len(path)} points")
         triangles = np.array(self.triangles, dtype=np.float64)
         corners = triangles.reshape(-1, 3) if len(triangles) else cloud  # what is sampled between adds no vertex
-        lost = inlet is None and self.inlet_direction == "facet"
+        lost = inlet is None and self.inlet_direction is InletDirection.HULL_FACET
         hull = _hull(corners, "none" if lost else self.interior, self.hull_tolerance_m, self.name)
         arrays = {
             "cloud": cloud, "path": path, "inlet": inlet, "triangles": triangles,
@@ -137,7 +142,7 @@ class Workpiece:
     def walls(self) -> str:
         """Description of the walls that clearance is measured to."""
         if not len(self.cloud):
-            return NO_CLOUD
+            return "none"
         if len(self.triangles):
             reach = f"{len(self.triangles):,} triangles within {1e3 * self.covering_radius_m:.3g} mm of"
             return f"{reach} {len(self.cloud):,} points, subtracted"
@@ -173,10 +178,10 @@ class Workpiece:
 
 
 def _direction(value: object, hull: Hull, inlet: np.ndarray | None) -> Float[np.ndarray, "3"] | None:
-    """Return the unit vector into the part."""
-    if value is None or (isinstance(value, str) and not len(hull.offset)):
+    """Return the unit vector into the part; None for the world's x, and without an interior."""
+    if value is InletDirection.WORLD_X or (value is InletDirection.HULL_FACET and not len(hull.offset)):
         return None
-    if isinstance(value, str):
+    if value is InletDirection.HULL_FACET:
         return -hull.normal[np.argmax(hull.normal @ inlet - hull.offset)]
     direction = triple(value, "inlet_direction")
     if not np.linalg.norm(direction) > 0:

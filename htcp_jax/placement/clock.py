@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.files import read_json
+from htcp_jax.io.files import cause, read_json
 from htcp_jax.runs.plan_folder import write_json
 
 FILE = "seconds.json"
@@ -40,4 +40,4 @@ def _read(file: Path) -> list[float]:
     try:
         return [float(end) for end in read_json(file, file.parent)["ends_s"]]
     except (OSError, ValueError, TypeError, LookupError) as error:
-        raise InputError(f"{file} is damaged: {error}") from None
+        raise InputError(f"{file} is damaged: {cause(error, file)}") from None

@@ -19,7 +19,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.strict_model import Section, validate
 from htcp_jax.jobs.build import robot_of
 from htcp_jax.jobs.config import PlanConfig
-from htcp_jax.jobs.examples import read_spec
+from htcp_jax.jobs.examples import read_mapping
 from htcp_jax.jobs.grid_axes import FILE_KEYS, absolute
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.placement.ranges import Ranges, read_ranges
@@ -106,7 +106,7 @@ def load_search(
 
     Raises InputError for errors in either file, and for a seam that is missing.
     """
-    path, raw = read_spec(spec, "place")
+    path, raw = read_mapping(spec, "place")
     file: PlaceFile = validate({**raw, **(changes or {})}, PlaceFile, str(path))
     if config is None and file.config is not None:
         config = path.parent / file.config

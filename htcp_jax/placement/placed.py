@@ -163,7 +163,7 @@ def _begin(folder: Path, search: Search) -> None:
     try:
         there = dict(files.read_json(file, folder))
     except (OSError, ValueError, TypeError) as error:
-        raise InputError(f"{file} is damaged: {error}") from None
+        raise InputError(f"{file} is damaged: {files.cause(error, file)}") from None
     asked = json.loads(json.dumps(asked))
     differing = [key for key in {**there, **asked} if there.get(key) != asked.get(key) and key != "config"]
     if differing:

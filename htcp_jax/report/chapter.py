@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from htcp_jax.jobs.config import PlanConfig
+from htcp_jax.jobs.config_file import BUILT_IN_ARM, DUCT
 from htcp_jax.jobs.examples import examples
 from htcp_jax.jobs.load_config import load_config
 from htcp_jax.motion.plans import Plans
@@ -28,7 +29,7 @@ BLOCKED = (
     "A joint step is blocked when the straight joint path from the configuration before collides on the way; not every "
     "planner checks that. Tracked before it: the targets of each scenario up to its first blocked step."
 )
-BUILT_IN = {"gp50": "GP50", "duct": "the generated duct", "weld": "its weld"}
+BUILT_IN = {BUILT_IN_ARM: "GP50", DUCT: "the generated duct", "weld": "its weld"}
 
 
 TABLES = (

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.files import read_json
+from htcp_jax.io.files import cause, read_json
 from htcp_jax.report.document import Block, Column, Heading, Table
 from htcp_jax.runs.plan_folder import VALIDATION
 from htcp_jax.runs.run_folder import Run
@@ -56,7 +56,7 @@ def read_validation(run: Run) -> dict[str, Any] | None:
     except FileNotFoundError:
         return None
     except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
-        raise InputError(f"{file} is damaged or no result of htcp validate: {error}") from None
+        raise InputError(f"{file} is damaged or no result of htcp validate: {cause(error, file)}") from None
 
 
 def validated(found: dict[str, Any] | None) -> bool | None:

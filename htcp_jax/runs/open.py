@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.files import read_json
+from htcp_jax.io.files import cause, read_json
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.motion.knots import Knots
 from htcp_jax.motion.plans import Plans
@@ -151,7 +151,7 @@ def _ranked(folder: Path) -> RankedPlans:
     try:
         seams = read_json(folder / SEARCH, folder)["seams"]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{folder / SEARCH} is damaged: {error!r}") from None
+        raise InputError(f"{folder / SEARCH} is damaged: {cause(error, folder / SEARCH)}") from None
     _refuse_unfit(run)
     return RankedPlans(run, max(1, len(seams)))
 

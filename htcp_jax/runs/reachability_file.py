@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.files import read_json
+from htcp_jax.io.files import cause, read_json
 from htcp_jax.runs.run_folder import Run
 
 REACHABILITY = "reachability.json"
@@ -35,7 +35,7 @@ def read_reachability(run: Run) -> Reachable | None:
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
-        raise InputError(f"{file} is damaged or no result of htcp reachability: {error}") from None
+        raise InputError(f"{file} is damaged or no result of htcp reachability: {cause(error, file)}") from None
     if any(counts.shape != (run.manifest.count,) for counts in found[:2]):
         raise InputError(f"{file} holds {found.prefix.size} scenarios, the run has {run.manifest.count}")
     return found

@@ -20,7 +20,7 @@ import pyarrow as pa
 from pydantic import ValidationError
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.files import opened, read_json, read_parquet
+from htcp_jax.io.files import cause, opened, read_json, read_parquet
 from htcp_jax.jobs.config import PlanConfig
 from htcp_jax.jobs.grid_axes import Point, from_record, varied_keys
 from htcp_jax.jobs.grid_points import points_of
@@ -208,7 +208,7 @@ def open_run(folder: str | Path) -> Run:
             raise InputError(f"{folder} {what}") from None
         raise InputError(f"{folder} holds no run: cannot read {MANIFEST}: {error.strerror}") from None
     except InputError as error:
-        what = str(error).removeprefix(f"{folder / MANIFEST}: ")
+        what = cause(error, folder / MANIFEST)
         raise InputError(f"{folder / MANIFEST} is damaged or no manifest of a run: {what}") from None
     if isinstance(raw, dict) and raw.get("format", FORMAT) != FORMAT:
         raise other_format(folder, f"{MANIFEST} has format {raw['format']}, not {FORMAT}")

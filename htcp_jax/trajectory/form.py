@@ -11,19 +11,20 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.errors import InputError
+from htcp_jax.jobs.config import RobotConfig
 from htcp_jax.model.kinematics import link_poses, tcp_position
 from htcp_jax.model.robot import Robot
 
 SHOULDER, ELBOW, WRIST = 1, 2, 4  # joints with frame origins on the L, U and B axes
 
 
-def form_of(model: str, robot: Robot, x: Float[np.ndarray, "n N"]) -> Int[np.ndarray, "n 6"]:
+def form_of(arm: RobotConfig, robot: Robot, x: Float[np.ndarray, "n N"]) -> Int[np.ndarray, "n 6"]:
     """Return the flags at configurations [rad]: 1 for no flip, lower arm, rear, and r, t and s of 180 degrees or more,
     else 0.
 
-    model: its name in a job. Raises InputError for another arm, and if the arm is not in front of its S axis.
+    Raises InputError for another arm, and if the arm is not in front of its S axis.
     """
-    if model != "gp50":
+    if not arm.is_gp50:
         raise InputError(f"jbi: which form (RCONF) {robot.name} is in is not known; jbi-pulses needs none")
     s, r, t = x[:, 0], -x[:, 3], -x[:, 5]
     lower = ~_elbow_is_up(robot, x)

@@ -8,7 +8,6 @@ armature are included if the model has them. MJX computes many configurations at
 import contextlib
 from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -19,7 +18,6 @@ from jaxtyping import Float
 from htcp_jax.io.robot_model import compile_spec, no_log
 from htcp_jax.io.safe_xml import read_spec
 from htcp_jax.jobs.config import RobotConfig
-from htcp_jax.model.robot import GP50
 from htcp_jax.model.tool import ZERO, pose
 from htcp_jax.trajectory.timed import Timed
 
@@ -42,7 +40,7 @@ class Load(NamedTuple):
 
 def model_of(arm: RobotConfig) -> mujoco.MjModel | None:
     """Load the arm of a job with its inertias; None if a link has none. Raises InputError for an unreadable file."""
-    path = GP50 if arm.model == "gp50" else Path(arm.model)
+    path = arm.file
     with no_log():
         spec = read_spec(path)
     for shape in [*spec.geoms, *spec.meshes]:

@@ -89,7 +89,7 @@ class OfPlan(NamedTuple):
     def _user_frame(self, timed: Timed) -> UserFrame | None:
         if (asked := self.job.program.user_frame) is None:
             return None
-        form = form_of(self.job.robot.model, self.robot, timed.x)
+        form = form_of(self.job.robot, self.robot, timed.x)
         T_world = np.asarray(jax.vmap(tcp_pose, (None, 0))(self.robot, timed.x))
         if asked.on == "workpiece":
             T_world = np.linalg.inv(scene(self.job)[2].T_world_workpiece) @ T_world

@@ -85,12 +85,16 @@ class Arm:
 
     @property
     def apart(self) -> list[tuple[int, int]]:
-        """Pairs of capsules that may collide: not on one link, nor excluded by the file."""
+        """Pairs of capsules that are not on one link."""
+        count = range(len(self.names))
+        return [(a, b) for a in count for b in count if self.links[a] > self.links[b]]
+
+    @property
+    def excluded(self) -> set[tuple[int, int]]:
+        """Pairs of capsules whose bodies the file excludes from contact."""
         bodies = self._model.geom_bodyid[self._geoms].tolist()
         excluded = {(int(pair) >> 16, int(pair) & 0xFFFF) for pair in self._model.exclude_signature}
-        count = range(len(bodies))
-        pairs = [(a, b) for a in count for b in count if self.links[a] > self.links[b]]
-        return [(a, b) for a, b in pairs if not {(bodies[a], bodies[b]), (bodies[b], bodies[a])} & excluded]
+        return {(a, b) for a, b in self.apart if {(bodies[a], bodies[b]), (bodies[b], bodies[a])} & excluded}
 
     @property
     def stated(self) -> dict[tuple[int, int], str] | None:

@@ -19,6 +19,7 @@ are cut finer until that ball holds few points, and all of these are measured.
 """
 
 from collections.abc import Callable, Iterator
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -26,9 +27,10 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import ConvexHull, cKDTree
 
 from htcp_jax.jobs.config import WorkpieceConfig
-from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.validation.cloud_discs import Discs
 from htcp_jax.validation.mesh_clearance import axis_distances, goes_through, in_grains, read_triangles
 from htcp_jax.validation.mujoco_arm import Arm, Postures
+from htcp_jax.validation.scene_rules import WorkpieceData
 
 COARSE = 0.5  # half length of the first pieces, in radii
 FINE_M = 0.01  # half length at which a ball holds few points
@@ -70,6 +72,11 @@ class Wall:
         planes = ConvexHull(self.corners).equations if interior == "hull" else np.empty((0, 4))
         self.normal, self.offset, self.direction = planes[:, :3].copy(), -planes[:, 3], direction
 
+    @cached_property
+    def discs(self) -> Discs:
+        """Discs at the points of a cloud."""
+        return Discs(self.middle, self.tree)
+
     def outside(self, points: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m"]:
         """Largest signed distance of each point to the planes of the hull's facets [m]; negative inside."""
         step = max(1, FACETS_AT_ONCE // max(1, len(self.offset)))
@@ -77,13 +84,13 @@ class Wall:
         return np.concatenate([part.max(axis=1, initial=-np.inf) for part in parts] or [np.empty(0)])
 
 
-def wall_of(part: WorkpieceConfig, workpiece: Workpiece) -> Wall:
+def wall_of(part: WorkpieceConfig, workpiece: WorkpieceData) -> Wall:
     """The wall that a configuration describes. A mesh is read again. For a user-supplied part the inlet's direction, if
     none is given, is that of the hull's facet nearest to the inlet; without an inlet there is no interior."""
-    triangles = read_triangles(part.cloud) if len(workpiece.triangles) else None
-    if part.cloud == "duct" or part.interior != "hull" or part.inlet_direction is not None:
-        given = part.inlet_direction
-        direction = None if given in (None, "world-x") else np.array(given) / np.linalg.norm(given)
+    triangles = read_triangles(part.cloud) if workpiece.is_mesh else None
+    given = None if part.is_along_world_x else part.inlet_direction
+    if part.is_along_world_x or part.interior != "hull" or given is not None:
+        direction = None if given is None else np.array(given) / np.linalg.norm(given)
         return Wall(workpiece.cloud, part.interior, direction, triangles)
     if workpiece.inlet is None:
         return Wall(workpiece.cloud, "none", None, triangles)
@@ -102,6 +109,11 @@ class AtTargets(NamedTuple):
     ends: Float[np.ndarray, "n E 3"]  # ends of all capsules, world
     outside: Float[np.ndarray, "n E"]  # NaN where the hull is not checked
     beside: Float[np.ndarray, "n R"]  # other distances, see `mujoco_cell.Beside.distances` [m]
+    to_wall: Float[np.ndarray, "n"]  # distance to the cloud's points or the mesh's triangles [m]
+
+    def less_cover(self, cover_m: float) -> Float[np.ndarray, "n"]:
+        """Clearance [m] to points on the mesh, which may be that far from its triangles, and to everything else."""
+        return _worse(np.minimum(self.to_wall - cover_m, self.beside.min(axis=1, initial=np.inf)), self.outside)
 
 
 class CheckedScene:
@@ -135,11 +147,13 @@ class CheckedScene:
         upper = _least(np.full(len(x), np.inf), pieces, distance - self.arm.radius[pieces.capsule])
         kept = pieces.only(self._may_hold(pieces, distance, upper))
         beside = self.beside(x, postures, None)
-        clearance = np.minimum(self._measured(x, postures, kept, upper), beside.min(axis=1, initial=np.inf))
+        to_wall = self._measured(x, postures, kept, upper)
         ends = np.concatenate([postures.p, postures.q], axis=1)
         outside = self._outside(ends, ends @ self.along > self.interior_from)
-        each, clearance = (len(x), len(pieces.row) // len(x)), _worse(clearance, outside)
-        return AtTargets(postures, clearance, samples.reshape(*each, 3), distance.reshape(each), ends, outside, beside)
+        each = len(x), len(pieces.row) // len(x)
+        clearance = _worse(np.minimum(to_wall, beside.min(axis=1, initial=np.inf)), outside)
+        samples, distance = samples.reshape(*each, 3), distance.reshape(each)
+        return AtTargets(postures, clearance, samples, distance, ends, outside, beside, to_wall)
 
     def between(
         self, x: Float[np.ndarray, "n N"], a: Int[np.ndarray, "n"], known: AtTargets, below: float
@@ -169,16 +183,25 @@ class CheckedScene:
         return postures, np.where(clearance <= below, clearance, np.inf)
 
     def tip_goes_through(self, postures: Postures, contact_m: float) -> Bool[np.ndarray, "n"]:
-        """True if the segment from the last body to the TCP, without its last `contact_m`, passes through a
-        triangle."""
+        """True if the segment from the last body to the TCP, without its last `contact_m`, passes through a triangle of
+        a mesh or a disc of a cloud."""
+        if not len(self.wall.middle):
+            return np.zeros(len(postures.tcp), bool)
+        mesh = self.wall.triangles
+        grain = self.wall.grain if mesh is not None else float(self.wall.discs.radius.max())
         first, tcp = self.local(self.arm.tip_start(postures)), self.local(postures.tcp)
         length = np.linalg.norm(tcp - first, axis=1)
         last = tcp + (first - tcp) * np.minimum(1.0, contact_m / np.maximum(length, contact_m + 1e-12))[:, None]
-        reach = np.linalg.norm(last - first, axis=1) / 2 + self.wall.grain + ROOM_M
-        found = self.wall.tree.query_ball_point((first + last) / 2, reach, return_sorted=False)
-        row = np.repeat(np.arange(len(first)), [len(near) for near in found])
+        length = np.linalg.norm(last - first, axis=1)
+        row, share = _samples(np.maximum(1, np.ceil(length / (2 * grain))).astype(int))
+        reach = grain + ROOM_M + np.minimum(length[row] / 2, grain)  # from a sample's middle: its half length is less
+        found = self.wall.tree.query_ball_point(
+            first[row] + share[:, None] * (last - first)[row], reach, return_sorted=False
+        )
+        row = np.repeat(row, [len(near) for near in found])
         near = np.concatenate([np.empty(0, int), *(np.array(near, int) for near in found)])
-        through = goes_through(first[row], last[row], self.wall.triangles[near])
+        ends = first[row], last[row]
+        through = self.wall.discs.crossed(*ends, near) if mesh is None else goes_through(*ends, mesh[near])
         return np.bincount(row[through], minlength=len(first)) > 0
 
     def _measured(self, x: np.ndarray, postures: Postures, pieces: Pieces, upper: np.ndarray) -> np.ndarray:
@@ -253,6 +276,12 @@ def _whole_axes(arm: Arm, n: int) -> Pieces:
         capsule += [k] * (count + 2 if count else 1)
     each = len(capsule)
     return Pieces(np.repeat(np.arange(n), each), *(np.tile(column, n) for column in (capsule, centre, half)))
+
+
+def _samples(count: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "m"], Float[np.ndarray, "m"]]:
+    """Row and share of the middle of each sample, for n segments of `count` equal samples each."""
+    row = np.repeat(np.arange(len(count)), count)
+    return row, (np.arange(len(row)) - (np.cumsum(count) - count)[row] + 0.5) / count[row]
 
 
 def _cut(pieces: Pieces, postures: Postures) -> Pieces:

@@ -32,12 +32,13 @@ class OwnPairs(NamedTuple):
 
 def own_pairs(arm: Arm, measured: Distances) -> OwnPairs:
     """Classify the pairs of an arm. measured: distances of pairs [m]."""
-    stated, found = arm.stated, OwnPairs([], [], [])
-    doubtful = [pair for pair in arm.apart if stated is None or pair in stated or arm.is_tool(pair)]
+    stated, excluded = arm.stated, arm.excluded
+    found, left = OwnPairs([], [], sorted(excluded)), [pair for pair in arm.apart if pair not in excluded]
+    doubtful = [pair for pair in left if stated is None or pair in stated or arm.is_tool(pair)]
     distance = measured(arm.postures(arm.random(SAMPLES, SEED)), doubtful)
     overlap, near = distance <= 0, dict(zip(doubtful, (distance <= NEAR_M).mean(axis=0).tolist(), strict=True))
     share = dict(zip(doubtful, overlap.mean(axis=0).tolist(), strict=True))
-    for pair in arm.apart:
+    for pair in left:
         rule = (stated or {}).get(pair)
         always = near.get(pair, 0.0) >= (NEARLY if rule == "b" else ALWAYS)
         telescopes = (

@@ -12,7 +12,7 @@ from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.motion.plans import Plans
 from htcp_jax.runs.open import PlanSet, open_plans
 from htcp_jax.status import Way
-from htcp_jax.validation.scene_rules import Results, Track
+from htcp_jax.validation.scene_rules import Results, Track, WorkpieceData
 
 MOST_WORKPIECES = 8  # largest number of one run in memory
 
@@ -46,11 +46,17 @@ def _track(method: str, number: int, config: PlanConfig, plans: Plans) -> Track:
     )
 
 
-def _workpieces() -> Callable[[PlanConfig], Workpiece]:
-    """Return a cached loader of workpieces, of which only points, path, inlet and the presence of a mesh are used."""
+def data_of(loaded: Workpiece) -> WorkpieceData:
+    """Data of a loaded workpiece; its hull, its normals and its tangents are not used."""
+    is_mesh, cover_m = len(loaded.triangles) > 0, loaded.covering_radius_m
+    return WorkpieceData(loaded.cloud, loaded.path, loaded.inlet, is_mesh, cover_m, *loaded.frames)
+
+
+def _workpieces() -> Callable[[PlanConfig], WorkpieceData]:
+    """Return a cached loader of workpieces; the points on a mesh are as close as the arm needs."""
 
     @lru_cache(maxsize=MOST_WORKPIECES)
-    def load(part: WorkpieceConfig, arm: RobotConfig) -> Workpiece:
-        return workpiece_of(part, robot_of(arm))
+    def load(part: WorkpieceConfig, arm: RobotConfig) -> WorkpieceData:
+        return data_of(workpiece_of(part, robot_of(arm)))
 
     return lambda config: load(part_of(config), arm_of(config))

@@ -67,3 +67,4 @@ class Validation(NamedTuple):
 ROUNDING_M = 1e-9  # two ways to compute a clearance differ by 1e-15; width of comparisons with 0 and the tolerance
 RECORD_M = 1e-5  # a saved value with a larger error is refuted; 32-bit planners are within it
 STEP_RAD = 0.002  # largest joint step between two checks; a point 2 m away moves by 4 mm
+ONE_POINT_M = 1e-5  # targets closer to each other coincide: a line between them has no direction

@@ -1,18 +1,24 @@
 """Data to validate, and the scene's rules again in plain numpy, by which targets are recomputed.
 
-scenario.py and the pose rule of workpiece.py are among the code under validation.
+scenario.py, path_frames.py and the pose rule of workpiece.py are among the code under validation.
 """
 
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from htcp_jax.jobs.config import PlanConfig, WorkpieceConfig
-from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.runs.parameters import Parameters
+
+NEAREST, SURROUNDINGS = 60, 500  # points of the wall to which a normal is fitted, and for its side
+DISTINCT_M = 1e-9  # points of a path closer than this coincide
 
 
 class Track(NamedTuple):
@@ -32,11 +38,35 @@ class Track(NamedTuple):
     clearance: Float[np.ndarray, "T"]
 
 
+@dataclass(frozen=True, eq=False)
+class WorkpieceData:
+    """A workpiece as loaded, in its own frame [m]; directions that the path's file lacks are computed here."""
+
+    cloud: Float[np.ndarray, "P 3"]  # on a mesh: the planner's points, which only normals are fitted to
+    path: Float[np.ndarray, "T 3"]
+    inlet: Float[np.ndarray, "3"] | None
+    is_mesh: bool
+    cover_m: float  # covering radius of the planner's points on a mesh; 0 for a cloud
+    given_normals: Float[np.ndarray, "T 3"] | None
+    given_tangents: Float[np.ndarray, "T 3"] | None
+    rotations: Float[np.ndarray, "T 3 3"] | None
+
+    @cached_property
+    def normals(self) -> Float[np.ndarray, "T 3"]:
+        """Unit normals of the path."""
+        return fitted_normals(self.cloud, self.path) if self.given_normals is None else self.given_normals
+
+    @cached_property
+    def tangents(self) -> Float[np.ndarray, "T 3"]:
+        """Unit tangents of the path."""
+        return tangents_of(self.path) if self.given_tangents is None else self.given_tangents
+
+
 class Results(NamedTuple):
     """Everything to validate."""
 
     folder: Path
-    workpiece: Callable[[PlanConfig], Workpiece]  # of a track's configuration
+    workpiece: Callable[[PlanConfig], WorkpieceData]  # of a track's configuration
     count: int  # of the tracks
     tracks: Iterable[Track]
     files: dict[str, str]  # SHA-256 of the files that hold the results
@@ -68,3 +98,24 @@ def targets_of(
         legs = [(tcp, inlet, to_inlet), (inlet, path[0], to_path)]
     steps = [a + (b - a) * (k / count) for a, b, count in legs for k in range(1, count + 1)]
     return np.array([tcp, *steps, *path])
+
+
+def fitted_normals(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
+    """Unit normals of the planes fitted to the points near a path, towards the side on which most of the cloud lies, by
+    weights that decrease over a quarter of its extent."""
+    near = cloud[cKDTree(cloud).query(path, k=min(NEAREST, len(cloud)))[1]]
+    normals = np.linalg.svd(near - near.mean(axis=1, keepdims=True), full_matrices=False)[2][:, 2]
+    some = cloud[:: max(1, len(cloud) // SURROUNDINGS)]
+    width = max(float(np.ptp(cloud, axis=0).max()) / 4, DISTINCT_M)
+    weight = np.exp(-((cdist(path, some) / width) ** 2) / 2)
+    inwards = weight @ some / weight.sum(axis=1, keepdims=True) - path
+    return np.where((inwards * normals).sum(axis=1) < 0, -1.0, 1.0)[:, None] * normals
+
+
+def tangents_of(path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
+    """Unit tangents of a path: from the distinct point before to the one after, or ahead where the path reverses."""
+    new = np.append(True, np.linalg.norm(np.diff(path, axis=0), axis=1) > DISTINCT_M)
+    padded = np.pad(path[new], ((1, 1), (0, 0)), "edge")
+    along, ahead = padded[2:] - padded[:-2], padded[2:] - padded[1:-1]
+    along = np.where(np.linalg.norm(along, axis=1)[:, None] > DISTINCT_M, along, ahead)
+    return (along / np.linalg.norm(along, axis=1)[:, None])[np.cumsum(new) - 1]

@@ -1,6 +1,6 @@
 """Independent check of a task's rows, in plain numpy on poses by MuJoCo: deviation and tolerance of each.
 
-Nothing of the planner's rows is used. Normals and tangents missing in the path's file are the scene's.
+Nothing of the planner's rows is used.
 """
 
 from collections.abc import Sequence
@@ -12,10 +12,10 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from htcp_jax.model.task_list import TaskRow
-from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.settings import Settings
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.result import ROUNDING_M
+from htcp_jax.validation.scene_rules import WorkpieceData
 
 HELD = TaskRow(point="tcp", on="path")
 
@@ -50,7 +50,7 @@ class Place(NamedTuple):
 
     rotate: Float[np.ndarray, "3 3"]  # from the workpiece frame to the world
     translate: Float[np.ndarray, "3"]  # [m]
-    workpiece: Workpiece
+    workpiece: WorkpieceData
     point: Int[np.ndarray, "n"]
 
     def world(self, row: TaskRow, vector: Sequence[float], is_place: bool = False) -> Float[np.ndarray, "3"]:
@@ -187,7 +187,7 @@ def _off_turn(row: TaskRow, arm: Arm, x: np.ndarray, place: Place) -> Float[np.n
 def _orientation(row: TaskRow, count: int, place: Place) -> Float[np.ndarray, "n 3 3"]:
     """Required orientation of a frame."""
     if row.orientation == "path":
-        return place.rotate @ place.workpiece.frames.rotations[place.point]
+        return place.rotate @ place.workpiece.rotations[place.point]
     own = Rotation.from_quat(row.orientation, scalar_first=True).as_matrix()
     return np.tile(place.rotate @ own if row.frame == "workpiece" else own, (count, 1, 1))
 

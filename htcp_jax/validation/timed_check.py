@@ -1,8 +1,8 @@
 """Validation of a timed motion by MuJoCo alone: collisions at every configuration, and the task on its path.
 
 Nothing of the curve, its bounds or its time scaling is used: configurations are placed as written by MuJoCo's
-kinematics, and measured against the plan's scene and the rows of its task, as `htcp validate` does. For a cloud, the
-wall that the bare tip must not pass through is the planner's discs; a mesh's triangles are read again.
+kinematics, and measured against the plan's scene and the rows of its task, as `htcp validate` does. The bare tip must
+not pass through the triangles of a mesh, or the discs of a cloud.
 """
 
 from collections.abc import Callable
@@ -12,15 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
-from htcp_jax.model.workpiece import Workpiece
-from htcp_jax.motion.motion import ONE_POINT_M
 from htcp_jax.status import Kind
 from htcp_jax.trajectory.timed import Timed
 from htcp_jax.validation.mujoco_arm import Postures
 from htcp_jax.validation.mujoco_clearance import CheckedScene
 from htcp_jax.validation.records import read_results
-from htcp_jax.validation.result import ROUNDING_M
+from htcp_jax.validation.result import ONE_POINT_M, ROUNDING_M
 from htcp_jax.validation.task_check import Place, hold_between, holds_tcp
 from htcp_jax.validation.track import from_line, scene_of
 from htcp_jax.validation.validate import parts_of
@@ -71,7 +68,8 @@ def check_timed(
     arm, wall, beside = parts_of(results, track)
     scene, targets, on_path = scene_of(results, arm, wall, beside, track)
     part, settings, task = results.workpiece(track.config), track.config.settings, track.config.task
-    clearance, tcp, through = _at(scene, timed.x, part, progress or (lambda done, count: None))
+    contact_m = track.config.workpiece.tip_contact_m
+    clearance, tcp, through = _at(scene, timed.x, contact_m, progress or (lambda done, count: None))
     off, (turns_back, breaks) = np.zeros(len(timed.x)), np.zeros((2, len(timed.x)), bool)
     held = _held(timed, tcp)
     if holds_tcp(task):
@@ -108,7 +106,7 @@ def _turns_back(held: _Held, targets: Float[np.ndarray, "T 3"]) -> Bool[np.ndarr
 
 
 def _at(
-    scene: CheckedScene, x: Float[np.ndarray, "n N"], part: Workpiece, progress: Callable[[int, int], None]
+    scene: CheckedScene, x: Float[np.ndarray, "n N"], contact_m: float | None, progress: Callable[[int, int], None]
 ) -> tuple[np.ndarray, ...]:
     """Measure configurations: the clearance [m], the TCP, and True if the bare tip passes through a wall. A clearance
     above 0 and above the minimum so far may be infinite: it was not measured."""
@@ -120,7 +118,7 @@ def _at(
         clearance[own], tcp[own], through[own] = (
             known.clearance,
             known.postures.tcp,
-            _through(scene, known.postures, part),
+            _through(scene, known.postures, contact_m),
         )
         between = np.setdiff1d(np.arange(own[0], own[-1]), own)
         below = max(0.0, float(clearance.min()))
@@ -128,14 +126,10 @@ def _at(
             if len(some):
                 before = np.searchsorted(own, some) - 1
                 postures, clearance[some] = scene.between(x[some], before, known, below)
-                tcp[some], through[some] = postures.tcp, _through(scene, postures, part)
+                tcp[some], through[some] = postures.tcp, _through(scene, postures, contact_m)
         progress(int(own[-1]) + 1, len(x))
     return clearance, tcp, through
 
 
-def _through(scene: CheckedScene, postures: Postures, part: Workpiece) -> Bool[np.ndarray, "n"]:
-    if part.tip_contact_m is None:
-        return np.zeros(len(postures.tcp), bool)
-    if scene.wall.triangles is not None:
-        return scene.tip_goes_through(postures, part.tip_contact_m)
-    return make_tip_guard(part).passes(scene.local(scene.arm.tip_start(postures)), scene.local(postures.tcp))
+def _through(scene: CheckedScene, postures: Postures, contact_m: float | None) -> Bool[np.ndarray, "n"]:
+    return np.zeros(len(postures.tcp), bool) if contact_m is None else scene.tip_goes_through(postures, contact_m)

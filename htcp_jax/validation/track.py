@@ -37,7 +37,7 @@ class Checked(NamedTuple):
     target: Int[np.ndarray, "n"]
     tcp_error: Float[np.ndarray, "n"]
     clearance: Float[np.ndarray, "n"]
-    cover: float  # covering radius of the points on the workpiece's mesh [m]; 0 for a cloud
+    less_cover: Float[np.ndarray, "n"] | None  # clearance to the planner's points on a mesh [m]; None for a cloud
     clearance_off: Float[np.ndarray, "n"]
     tcp_off: Float[np.ndarray, "n"]
     target_off: Float[np.ndarray, "n"]
@@ -94,7 +94,7 @@ def check(results: Results, arm: Arm, wall: Wall, beside: Beside | None, track: 
         blocked=int((track.tracked & track.blocked).sum()),
         target=t,
         **found,
-        cover=float(results.workpiece(track.config).covering_radius_m),
+        less_cover=at.less_cover(results.workpiece(track.config).cover_m)[1:] if mesh else None,
         refuted=refuted,
         leads_to=paths.target,
         **between_rows,

@@ -25,7 +25,6 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.files import read_json
 from htcp_jax.jobs.build import arm_of, part_of, shape_of
 from htcp_jax.jobs.config import RobotConfig
-from htcp_jax.model.robot import GP50
 from htcp_jax.runs.plan_folder import SUMMARY, VALIDATION, write_json
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_cell import Beside
@@ -152,7 +151,7 @@ def _compiled(arms: dict[RobotConfig, Arm], robot: RobotConfig) -> Arm:
     """An arm; each is compiled once."""
     if robot not in arms:
         arms[robot] = Arm(
-            GP50 if robot.model == "gp50" else Path(robot.model),
+            robot.file,
             robot.tool_extension_m,
             robot.limits,
             tcp="tcp" if robot.tcp is None else robot.tcp,
@@ -199,8 +198,9 @@ def _sum_up(checked: Sequence[Checked], joints: Sequence[str], feed_mm_s: float)
         between_min, between_at = _worst(np.argmin, along, [*targets, *paths])
         deviation_max, deviation_at = _worst(np.argmax, all_of("deviation"), paths)
     less_cover = None
-    if any(one.cover for one in checked):
-        less_cover, _ = _worst(np.argmin, np.concatenate([one.clearance - one.cover for one in checked]), targets)
+    if any(one.less_cover is not None for one in checked):
+        each = [one.clearance if one.less_cover is None else one.less_cover for one in checked]
+        less_cover, _ = _worst(np.argmin, np.concatenate(each), targets)
     ratio = all_of("speed") * feed_mm_s / 1e3
     path, joint = np.unravel_index(ratio.argmax(), ratio.shape) if ratio.any() else (None, None)
     return MethodCheck(
