@@ -155,13 +155,13 @@ def _print(
             record["program"] = {**_lasts(made), "speed": speed}
         print_json({**record, "motion": replay.summary.record(), "files": files})
         return
-    facts = {"targets tracked": tracked, **replay.summary.facts()}
+    facts = {**replay.summary.facts(), "targets tracked": tracked}
     if shown is not None:
         facts["the arm is at"] = f"target {shown}"
     if replay.failed is not None:
         facts["failed at"] = f"target {replay.failed}"
     if replay.obstruction is not None:
-        facts["in the way"] = replay.obstruction.description
+        facts[replay.obstruction.heading] = replay.obstruction.description
     if made is not None:
         facts["program"] = "{duration_s:.2f} s at {feed_mm_s:g} mm/s, shown {how}".format(
             **_lasts(made), how=shown_as(speed)
