@@ -80,7 +80,7 @@ def test_the_command_prints_a_table_that_lines_up_and_nothing_else_when_piped(he
         assert [row.split()[0] for row in table[2:]] == ["baseline", "keep-clear"]
         assert len({len(line) for line in table}) == 1 and len(table[0]) <= 80
     assert lines[2].split()[1:5] == ["100.00", "26", "26", "26"]
-    assert lines[-1] == "Tracked: with at least the 0.5 mm of clearance that were asked for."
+    assert lines[-1] == "Tracked: reached with the required clearance of 0.5 mm or more."
 
 
 def test_what_is_finished_is_not_planned_again(planned):

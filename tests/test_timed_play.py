@@ -186,7 +186,7 @@ def test_play_by_targets_leaves_no_posture_out_and_stands_where_nothing_is_track
         np.testing.assert_allclose(posture.arm.tcp, replay.tcp[target], atol=1e-12)
 
 
-NO_FEED = "is of a program, which --feed gives its time; there is no --feed"
+NO_FEED = "needs --feed: it belongs to a timed motion"
 FEEDS = "20mm/s"
 WRONG = [
     (["--speed", "2"], f"--speed {NO_FEED}"),

@@ -353,5 +353,5 @@ def test_without_a_column_of_joint_speeds_the_notes_say_why():
     """Notes on missing joint speeds: the reason is named (regression)."""
     method = {"paths": 3, "speed_ratio_max": None}
     told = {"between": 0, "feed_mm_s": 10.0, "methods": {"baseline": method}}
-    assert notes(told) == ["There is no column of joint speeds, because the model states none to hold them against."]
+    assert notes(told) == ["There are no joint speeds, because the model states no limits."]
     assert "feed rate of 10 mm/s" in notes(told | {"methods": {"baseline": method | {"speed_ratio_max": 0.5}}})[0]

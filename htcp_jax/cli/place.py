@@ -23,14 +23,16 @@ from htcp_jax.report.place_pictures import draw_search
 from htcp_jax.runs import sweep as sweeps
 
 NONE_FOUND = 3
-File = Annotated[Path, typer.Argument(metavar="PLACE.yaml", help="Ranges, seams, and what is to be spare.")]
-Out = Annotated[Path | None, typer.Option(metavar="DIR", help="The folder; by default out/<name of the file>.")]
-JobFile = Annotated[Path | None, typer.Option(metavar="CONFIG.yaml", help="In place of the file's own job.")]
-Seed = Annotated[int | None, typer.Option(metavar="S", help="Of the search.")]
+File = Annotated[Path, typer.Argument(metavar="PLACE.yaml", help="Placement file: search ranges, seams, objective.")]
+Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Output folder; by default out/<name of the file>.")]
+JobFile = Annotated[Path | None, typer.Option(metavar="CONFIG.yaml", help="Job file to use instead of the file's own.")]
+Seed = Annotated[int | None, typer.Option(metavar="S", help="Random seed of the search.")]
 Overrides = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key of the job.")]
-WithinN = Annotated[int | None, typer.Option("--scenarios", metavar="N", help="Judge so many, in place of within.")]
-WithinS = Annotated[float | None, typer.Option("--seconds", metavar="S", help="Search so long, in place of within.")]
-On = Annotated[str, typer.Option(metavar="here|ray[:ADDRESS]", help="This process, or the workers of a Ray cluster.")]
+WithinN = Annotated[int | None, typer.Option("--scenarios", metavar="N", help="Plans in the search; overrides within.")]
+WithinS = Annotated[
+    float | None, typer.Option("--seconds", metavar="S", help="Duration of the search; overrides within.")
+]
+On = Annotated[str, typer.Option(metavar="here|ray[:ADDRESS]", help="Run in this process or on a Ray cluster.")]
 
 
 def place(
@@ -45,24 +47,26 @@ def place(
     device: Device = None,
     as_json: Json = False,
 ) -> int:
-    """Find the mountings that do the whole seam, or several, with something to spare.
+    """Search for mountings of the workpiece or the arm at which the path, or several, can be completed.
 
-    Quick plans judge mountings all over the ranges and then about the best of them; the best are planned as proven
-    motions, and once more a little off. The folder gets ranked.json, a job file of each ranked mounting, every mounting
-    that was judged, pictures, and the motions as a run that view, render, validate and program open. A first ranking is
-    written before mountings are disturbed. The same command again goes on where the last one stopped. Exits with 0 when
-    a mounting is found, with 3 when none is, with 2 on bad input.
+    Quick plans evaluate mountings over the ranges and then near the best; the best are planned as proven motions, with
+    the largest possible margin, and again with perturbed mountings. Writes ranked.json, a job file for each ranked
+    mounting, all evaluated mountings, pictures, and a run folder with the motions for view, render, validate and
+    program. A first ranking is written before mountings are perturbed. The same command resumes an interrupted search.
+
+    Exit codes: 0 if a mounting is found, 3 if none is, 2 on bad input.
 
     \b
-    htcp place place/duct                                  the mountings of the weld in the generated duct
-    htcp place place/duct --scenarios 500 --out out/try
-    htcp plan out/duct/best-1.yaml                         the best one as a plan of its own
-    htcp view out/duct                                     the ranked ones in the browser
+    Examples:
+      htcp place place/duct                                  the mountings of the weld in the generated duct
+      htcp place place/duct --scenarios 500 --out out/try
+      htcp plan out/duct/best-1.yaml                         the best one as a plan of its own
+      htcp view out/duct                                     the ranked ones in the browser
     """
     choose(sweeps.device_of(on, device))  # before anything is read
     changes: dict[str, Any] = {} if seed is None else {"seed": seed}
     if scenarios is not None and seconds is not None:
-        raise InputError("--scenarios and --seconds say the same; leave out one")
+        raise InputError("--scenarios and --seconds exclude each other; omit one")
     if scenarios is not None or seconds is not None:
         changes["within"] = {"scenarios": scenarios} if seconds is None else {"seconds": seconds}
     with _bar(said=as_json) as progress:

@@ -26,6 +26,7 @@ Retract = Annotated[
     bool, typer.Option("--retract", help="Append the motion back to the start, or to home, to motion.csv.")
 ]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Output folder.")]
+Seed = Annotated[int | None, typer.Option(metavar="S", help="Random seed.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print more rows: smoothness, joint paths, clearance.")]
 
 
@@ -34,6 +35,7 @@ def plan(
     method: Method = None,
     overrides: Overrides = None,
     out: Out = Path("out/plan"),
+    seed: Seed = None,
     retract: Retract = False,
     device: Device = None,
     verbose: Verbose = False,
@@ -43,14 +45,17 @@ def plan(
 
     Writes motion.csv (the configurations to execute), trajectory.csv and trajectory.npz (one row per target),
     summary.json and plan.png.
+
     Exit codes: 0 if a proven motion leads to the last target, 3 if not (what was tracked is saved), 2 on bad input.
 
     \b
-    htcp plan                                 the default job, the generated duct
-    htcp plan pipe                            another example; htcp example lists them
-    htcp plan cone --method hybrid            a third one, by another method
-    htcp plan --set settings.alpha_rad=0.05 --set "start_rad=[0, -2.3, 0.5, 0, 0.5, 0]"
+    Examples:
+      htcp plan                                 the default job, the generated duct
+      htcp plan pipe                            another example; htcp example lists them
+      htcp plan cone --method hybrid            a third one, by another method
+      htcp plan --set settings.alpha_rad=0.05 --set "start_rad=[0, -2.3, 0.5, 0, 0.5, 0]"
     """
+    overrides = [*(overrides or ()), *([] if seed is None else [f"settings.seed={seed}"])]
     with written_whole(out) as folder:
         made = plan_with_progress(config, overrides, method, device)
         made.write(folder, retract=retract)
