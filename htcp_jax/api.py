@@ -134,10 +134,8 @@ class Plan:
             return {"clearance": required}
         facts = {"clearance": f"{s.clearance_min_mm:.3g} mm minimum, {s.clearance_mean_mm:.3g} mm mean; {required}"}
         if cover_mm := 1e3 * self.workpiece.covering_radius_m:
-            facts["clearance measured"] = (
-                f"at least {s.clearance_min_mm + cover_mm:.3g} mm to the points on the mesh; their covering radius of "
-                f"{cover_mm:.3g} mm is subtracted"
-            )
+            measured = f"at least {s.clearance_min_mm + cover_mm:.3g} mm to the mesh's points"
+            facts["clearance measured"] = f"{measured}, less their covering radius of {cover_mm:.3g} mm"
         facts["TCP distance"] = f"{s.tcp_distance_mean_mm:.3g} mm mean, {s.tcp_distance_max_mm:.3g} mm maximum"
         mean, largest = s.orientation_error_mean_deg, s.orientation_error_max_deg
         if mean is not None:

@@ -39,7 +39,7 @@ def test_a_complete_plan_exits_0_with_a_table_and_five_files(here, capsys):
         assert arrays["x"].shape == (13, 6)
     motion, told = summary["motion"], output.out
     assert (motion["executable"], motion["way"], motion["dwells"]) == (13, "PROVEN", [])
-    assert f" along the whole motion; minimum on the segment to target {motion['tightest']}\n" in told
+    assert f" mm; minimum on the segment to target {motion['tightest']}\n" in told
     with open(here / "out" / "motion.csv", newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["kind"] for row in rows] == ["APPROACH"] * 13 + ["FEED"]

@@ -23,6 +23,9 @@ from htcp_jax.report.place_pictures import draw_search
 from htcp_jax.runs import sweep as sweeps
 
 NONE_FOUND = 3
+WORDS = {  # purpose of each stage
+    "search": "search", "confirm": "confirm", "perturb": "perturb the best", "tolerance": "determine the tolerance",
+}  # fmt: skip
 File = Annotated[Path, typer.Argument(metavar="PLACE.yaml", help="Placement file: search ranges, seams, objective.")]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Output folder; by default out/<name of the file>.")]
 JobFile = Annotated[Path | None, typer.Option(metavar="CONFIG.yaml", help="Job file to use instead of the file's own.")]
@@ -100,14 +103,13 @@ def _bar(said: bool) -> Iterator[Callable[[PlaceProgress], None]]:
             if not (said or tasks):
                 print(_most(now.most), flush=True)
             if now.stage not in tasks:
-                tasks[now.stage] = bars.add_task(now.stage, total=None, text="")
+                for task in bars.tasks:
+                    bars.update(task.id, total=task.completed)  # a finished stage is not shown again
+                tasks[now.stage] = bars.add_task(now.stage, total=now.of, text="")
+            text = f"{now.scenarios:,} {'plans' if now.of is None else f'of up to {now.of:,} plans'}"
             if now.stage == "search":
-                done, of = now.scenarios + now.sweep.scenarios_done, now.of
-                text = f"{done:,} scenarios, {now.complete:,} mountings do it all"
-            else:
-                done, of = now.sweep.scenarios_done, now.sweep.scenarios
-                text = f"{done:,} of {of:,} scenarios"
-            bars.update(tasks[now.stage], completed=done, total=of, text=text)
+                text += f", {now.complete:,} complete mountings"
+            bars.update(tasks[now.stage], completed=now.scenarios, text=text)
 
         yield show
 
@@ -116,9 +118,7 @@ def _most(most: dict[str, int | None]) -> str:
     """Message with the largest number of plans, in total and by stage."""
     searched, *others = most.values()
     first = "those of the search, as many as its time allows, and " if searched is None else ""
-    words = {"search": "to search", "confirm": "to confirm", "disturbed": "of disturbed mountings",
-             "tolerance": "for tolerances"}  # fmt: skip
-    parts = ", ".join(f"{count:,} {words[stage]}" for stage, count in most.items() if count)
+    parts = ", ".join(f"{count:,} to {WORDS[stage]}" for stage, count in most.items() if count)
     return f"up to {first}{(searched or 0) + sum(others):,} plans: {parts}"
 
 
@@ -126,9 +126,8 @@ def _print(found: Placed) -> None:
     search, console = found.search, stdout()
     off = search.file.off
     facts = {
-        "judged": f"{found.scenarios:,} scenarios, {sum(len(each.values) for each in found.judged):,} mountings by "
-        f"{search.file.screen}",
-        "do the whole work": f"{found.complete:,} of them",
+        "evaluated": f"{sum(len(each.values) for each in found.judged):,} mountings by {search.file.screen}",
+        "complete": f"{found.complete:,} of them",
         **_seams(found),
         "confirmed": f"{len(found.mountings)} as proven motions by {search.file.confirm}",
     }
@@ -139,8 +138,8 @@ def _print(found: Placed) -> None:
         console.print()
         text = (
             f"Margin: the clearance that a mounting is planned with; its job file, {found.jobs[0][0]} and on, has it. "
-            f"When off: the least while every parameter is off by up to {off.mm:g} mm and {off.deg:g}°. Tolerates: "
-            f"within this a motion to the end was found with a margin of {1e3 * search.job.margin_m:g} mm every time."
+            f"Perturbed: the minimum if every parameter changes by up to {off.mm:g} mm and {off.deg:g}°. Tolerates: up "
+            f"to this, every motion tried could be completed with a margin of {1e3 * search.job.margin_m:g} mm."
         )
         console.print(Text(text, style="dim"))
         console.print(Text.assemble(("plan   ", "cyan"), f"htcp plan {found.folder / found.jobs[0][0]}"))
@@ -167,7 +166,7 @@ def _table(found: Placed) -> Table:
     columns += [Column(axis.name, axis.name.rpartition(".")[2] if axis.element is None else _short(axis.name),
                        axis.unit[0], ".4g") for axis in axes]  # fmt: skip
     for name in aims:
-        columns += [Column(name, name, UNITS[name][0], ".3g"), Column(f"{name} off", "when off", UNITS[name][0], ".3g")]
+        columns += [Column(name, name, UNITS[name][0], ".3g"), Column(f"{name} off", "perturbed", UNITS[name][0], ".3g")]
     columns += [Column("margin_mm", "margin", "mm", ".4g"), Column("tolerates", "tolerates")]
     rows = [
         (
@@ -192,7 +191,7 @@ def _told(aim: str, value: float) -> float:
 
 def _tolerated(found: Placed, one) -> str:
     if one.tolerance is None:
-        return f"{100 * one.held:.0f} % of those off do it" if one.held < 1 else ""
+        return f"{100 * one.held:.0f} % of the perturbed mountings are complete" if one.held < 1 else ""
     off = found.search.file.off
     if not one.tolerance.together:
         return f"less than {LEVELS[0] * off.mm:g} mm and {LEVELS[0] * off.deg:g}°"

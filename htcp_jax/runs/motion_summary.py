@@ -31,7 +31,7 @@ class MotionSummary(NamedTuple):
         end, there = self.end, self._can_be_run()
         if not end.executable:
             return {"can be run": there}
-        least = f"{self.proven} along the whole motion; minimum on the segment to target {self.tightest}"
+        least = f"{self.proven}; minimum on the segment to target {self.tightest}"
         return {"can be run": there, "guaranteed clearance": least, **self._transfer()}
 
     def _can_be_run(self) -> str:
