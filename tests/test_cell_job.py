@@ -92,7 +92,7 @@ def test_a_start_in_a_fixture_names_it(afar, cell, capsys):
     p = np.asarray(capsule_segments(made_once.robot(), jnp.asarray(x))[0])[-1]
     there = (p - [-1.6, -1.2, 0]).tolist()
     own = [f"cell.model={cell}", "cell.moved=bench", f"cell.shift_m={there}"]
-    found = refused([*afar, *own], "start is in collision: capsule_", capsys)
+    found = refused([*afar, *own], "start is in collision: link6 (capsule_", capsys)
     assert re.search(r"is [\d.]+ mm inside the fixture 'table'$", found.strip())
 
 

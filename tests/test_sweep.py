@@ -158,7 +158,7 @@ def test_a_sweep_continued_with_fewer_methods_tells_what_it_planned_and_what_is_
     words = ["sweep", "grid.yaml", "--methods", "baseline", "--out", "run"]
     assert main(words) == 0
     shown = capsys.readouterr()
-    told = "unfinished  hybrid: 3 of 3 scenarios left; --methods hybrid plans them"
+    told = "unfinished  hybrid: 3 of 3 scenarios left; run again with --methods hybrid to plan them"
     assert shown.err == "" and told in shown.out and "baseline" in shown.out
     assert main([*words, "--json"]) == 0
     record = json.loads(capsys.readouterr().out)

@@ -26,6 +26,7 @@ from htcp_jax.trajectory.of_plan import OfPlan, asked_feed, program_of, with_pro
 from htcp_jax.validation.timed_check import check_timed
 
 REFUTED, OVERLOADED = 1, 3  # exit codes
+STOP = "stop"  # reason of a feed drop to 0
 CHECKED = (
     "{refuted} of {postures:,} configurations refuted; minimum clearance {clearance_min_mm:.3g} mm, "
     "maximum path deviation {off_max_mm:.3g} mm"
@@ -127,6 +128,8 @@ def program(
     if found.dips:
         stdout().print()
         print_table(stdout(), dips)
+        if any(dip.reason == STOP for dip in found.dips):
+            stdout().print(Text(f"{STOP}: the arm starts or stops there, as at both ends of the path.", style="dim"))
     return code
 
 
