@@ -109,6 +109,6 @@ def test_ctrl_c_leaves_nothing_behind(here, capsys, monkeypatch):
 
 
 def test_help_and_version_are_answers(capsys):
-    for arguments in ([], ["--help"], ["plan", "--help"], ["--version"]):
+    for arguments in ([], ["--help"], ["-h"], ["--version"], ["plan", "--help"], ["plan", "-h"]):
         assert main(arguments) == 0
     assert "htcp plan pipe" in capsys.readouterr().out

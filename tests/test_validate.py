@@ -126,7 +126,7 @@ def test_a_weaker_validation_never_replaces_a_stronger_one_of_the_same_results(r
     shown = capsys.readouterr()
     assert json.loads(shown.out)["between"] == 0 and (run / VALIDATION).read_bytes() == before
     assert "validation.json is kept: of the same results, it looks closer" in shown.err and shown.err.count("\n") == 1
-    assert main(["validate", str(run), "--between", "2", "--feed-mm-s", "50"]) == 0
+    assert main(["validate", str(run), "--between", "2", "--feed", "3m/min"]) == 0
     assert json.loads((run / VALIDATION).read_text())["feed_mm_s"] == 50  # as strong: the later one stays
     spoil(run, 0, 5, iterations=1)
     assert main(["validate", str(run), "--between", "0"]) == 0

@@ -166,7 +166,10 @@ def _table(found: Placed) -> Table:
     columns += [Column(axis.name, axis.name.rpartition(".")[2] if axis.element is None else _short(axis.name),
                        axis.unit[0], ".4g") for axis in axes]  # fmt: skip
     for name in aims:
-        columns += [Column(name, name, UNITS[name][0], ".3g"), Column(f"{name} off", "perturbed", UNITS[name][0], ".3g")]
+        columns += [
+            Column(name, name, UNITS[name][0], ".3g"),
+            Column(f"{name} off", "perturbed", UNITS[name][0], ".3g"),
+        ]
     columns += [Column("margin_mm", "margin", "mm", ".4g"), Column("tolerates", "tolerates")]
     rows = [
         (

@@ -122,12 +122,13 @@ def most_plans(search: Search) -> dict[str, int | None]:
     """Largest number of plans that each stage makes; None if time decides."""
     file, k = search.file, max(1, len(search.seams))
     is_raised = CLEARANCE in file.spare
-    scenarios = file.within.scenarios
+    scenarios, aims = file.within.scenarios, len(file.spare)
+    best = aims * -(-file.best // aims)  # as many by each objective
     return {
         "search": None if scenarios is None else scenarios // k * k * (1 + RAISED * is_raised),
-        "confirm": k * file.best * (len(MARGINS) if is_raised else 1),
-        "perturb": k * file.best * TRIED * (1 + len(LOWERED) * is_raised),
-        "tolerance": k * min(TOLERANCES, file.best) * most_tried(len(search.ranges.axes)),
+        "confirm": k * best * (len(MARGINS) if is_raised else 1),
+        "perturb": k * best * TRIED * (1 + len(LOWERED) * is_raised),
+        "tolerance": k * min(TOLERANCES, best) * most_tried(len(search.ranges.axes)),
     }
 
 
