@@ -84,50 +84,66 @@ class Plan:
         """The scenario's outcome."""
         return self.plans.outcome(0)
 
-    def facts(self) -> dict[str, str]:
-        """Return the summary as labelled text."""
-        s = self.summary
-        return {
-            "targets tracked": f"{s.tracked} of {s.targets}",
-            "success rate": f"{100 * s.success_rate:.2f} %",
-            "time per step": f"{s.step_ms:.2f} ms",
-            "run, compile time": f"{s.run_s:.2f} s, {s.compile_s:.2f} s",
-            **self._distances(),
-            "escapes": str(s.after_escape),
-            "joint paths": self._joint_paths(),
-            **self.motion_summary.facts(),
-            "walls": self.workpiece.walls,
-            "interior": interior_rule(self.workpiece, self.scenario),
-            **self._beside(),
-        }
+    def facts(self, *, verbose: bool = False) -> dict[str, str]:
+        """Return the summary as labelled text: first how far the motion can be run, and how close it comes.
 
-    def _beside(self) -> dict[str, str]:
-        """Return the self-collision pairs and the fixtures that the arm keeps clear of, as labelled text."""
+        Args:
+            verbose: True appends details on the search, the motion, and what clearance is measured to.
+        """
+        s = self.summary
+        recovered = f", {s.after_escape} of them by a recovery" if s.after_escape else ""
+        facts = {
+            **self.motion_summary.facts(),
+            **self._length(),
+            "targets tracked": f"{s.tracked} of {s.targets} ({100 * s.success_rate:.2f} %){recovered}",
+            **self._distances(),
+            "planning time": f"{s.run_s:.2f} s ({s.step_ms:.2f} ms per target), and {s.compile_s:.2f} s of compilation",
+            **self._checked(),
+        }
+        return facts | self._details() if verbose else facts
+
+    def _length(self) -> dict[str, str]:
+        """Return the length of the motion in the joints and of the executable part of the tool's path, as text."""
+        x, plans = self.motion().x, self.plans
+        here = plans.executable[0] & (np.arange(plans.x.shape[1]) >= self.scenario.on_path)
+        if not len(x):
+            return {}
+        joints, path = (np.linalg.norm(np.diff(p, axis=0), axis=1).sum() for p in (x, plans.tcp[0, here]))
+        return {"motion length": f"{joints:.3g} rad in the joints; {1e3 * path:.4g} mm of the tool's path"}
+
+    def _checked(self) -> dict[str, str]:
+        """Return the self-collision pairs and the fixtures that are checked, as labelled text."""
         own = [each.described(self.robot) for each in self.obstacles if isinstance(each, SelfCollision)]
         names = [name for each in self.obstacles for name in getattr(each, "names", ())]
         facts = {"self-collision": own[0]} if own else {}
         return facts | ({"fixtures": ", ".join(names)} if names else {})
 
-    def _distances(self) -> dict[str, str]:
-        s, asked = self.summary, f"{1e3 * self.job.margin_m:g} mm asked for"
-        if not s.tracked:
-            return {"clearance": asked}
-        mean, largest = s.orientation_error_mean_deg, s.orientation_error_max_deg
-        held = {"orientation error": f"{mean:.3g} deg mean, {largest:.3g} deg largest"} if mean is not None else {}
+    def _details(self) -> dict[str, str]:
+        end = self.outcome
         return {
-            "TCP distance": f"{s.tcp_distance_mean_mm:.3g} mm mean, {s.tcp_distance_max_mm:.3g} mm largest",
-            **held,
-            "clearance": f"{s.clearance_min_mm:.3g} mm smallest, {s.clearance_mean_mm:.3g} mm mean; {asked}",
+            **self.motion_summary.details(),
+            "straight joint paths": f"{end.blocked_paths} of {end.tracked} between consecutive targets collide",
+            "clearance is to": self.workpiece.walls,
+            "interior rule": f"{interior_rule(self.workpiece, self.scenario)} "
+            "(deep inside the part, bodies must stay within its convex hull)",
         }
 
-    def _joint_paths(self) -> str:
-        """Return the results for the straight joint paths to the tracked targets, as text."""
-        end = self.outcome
-        text = f"{end.blocked_paths} blocked of {end.tracked}"
-        as_given = end.tracked and not self.motion_summary.transfer_legs
+    def _distances(self) -> dict[str, str]:
+        s, required = self.summary, f"{1e3 * self.job.margin_m:g} mm required"
+        if not s.tracked:
+            return {"clearance": required}
+        facts = {"clearance": f"{s.clearance_min_mm:.3g} mm minimum, {s.clearance_mean_mm:.3g} mm mean; {required}"}
+        if cover_mm := 1e3 * self.workpiece.covering_radius_m:
+            measured = f"at least {s.clearance_min_mm + cover_mm:.3g} mm to the mesh's points"
+            facts["clearance measured"] = f"{measured}, less their covering radius of {cover_mm:.3g} mm"
+        facts["TCP distance"] = f"{s.tcp_distance_mean_mm:.3g} mm mean, {s.tcp_distance_max_mm:.3g} mm maximum"
+        mean, largest = s.orientation_error_mean_deg, s.orientation_error_max_deg
+        if mean is not None:
+            facts["orientation error"] = f"{mean:.3g} deg mean, {largest:.3g} deg maximum"
+        as_given = not self.motion_summary.transfer_legs
         if as_given and (turn := self.plans.joint_step[0, 0]) > NOTABLE_RAD:
-            text += f"; the first leaves the start by {turn:.2f} rad"
-        return text
+            facts["first segment"] = f"{turn:.2f} rad in the joints, from the given start to the first configuration"
+        return facts
 
     @cached_property
     def obstruction(self) -> Obstruction | None:
@@ -145,9 +161,9 @@ class Plan:
         end = self.outcome
         facts = {} if end.failed is None else {f"failed at target {end.failed}": end.status.message}
         if self.obstruction is not None:
-            facts["in the way"] = self.obstruction.description
+            facts[self.obstruction.heading] = self.obstruction.description
         if end.executable < end.tracked:
-            facts[f"no motion to target {end.executable}"] = end.way.message
+            facts[f"no segment to target {end.executable}"] = end.way.message
         return facts
 
     def frame(self) -> "pandas.DataFrame":
@@ -192,7 +208,7 @@ class Plan:
         return f"{self.job.method}: {self.robot.name}, {self.workpiece.name}"
 
     def __repr__(self) -> str:
-        return f"Plan({self}, {self.facts()['targets tracked']} targets tracked)"
+        return f"Plan({self}, {self.summary.tracked} of {self.summary.targets} targets tracked)"
 
     def _repr_html_(self) -> str:
         return html_facts(str(self), self.facts() | self.failure())

@@ -82,7 +82,7 @@ def test_a_start_that_hits_itself_names_the_pair_and_the_depth(afar, capsys):
     ]
     depth, a, b = min(each for each in apart if not (each[1] > 4 and each[2] > 4))
     assert depth < 0
-    first, second = (model.geom(k).name for k in (a, b))
+    first, second = (f"{model.body(model.geom(k).bodyid[0]).name} ({model.geom(k).name})" for k in (a, b))
     message = f"start is in collision: {first} is {-1e3 * depth:.3f} mm inside {second}"
     refused([*afar, "cell.self_collision=true", f"start_rad={folded}"], message, capsys)
 
@@ -92,7 +92,7 @@ def test_a_start_in_a_fixture_names_it(afar, cell, capsys):
     p = np.asarray(capsule_segments(made_once.robot(), jnp.asarray(x))[0])[-1]
     there = (p - [-1.6, -1.2, 0]).tolist()
     own = [f"cell.model={cell}", "cell.moved=bench", f"cell.shift_m={there}"]
-    found = refused([*afar, *own], "start is in collision: capsule_", capsys)
+    found = refused([*afar, *own], "start is in collision: link6 (capsule_", capsys)
     assert re.search(r"is [\d.]+ mm inside the fixture 'table'$", found.strip())
 
 

@@ -213,7 +213,7 @@ def test_an_annotation_is_one_line_that_holds_any_text(verdict, text):
         (["--markdown", "gate.md", "--junit", f"new/{'x' * 300}"], "File name too long"),
         (["--junit", "gate.xml", "--markdown", "./gate.xml"], "gate.xml is named twice"),
         (["--markdown", "baseline.yaml"], "baseline.yaml is named twice"),
-        (["--junit", "gate.xml", "--bless"], "--bless compares nothing that gate.xml could hold"),
+        (["--junit", "gate.xml", "--bless"], "--bless compares nothing, so gate.xml would be empty"),
     ],
 )
 def test_a_report_file_that_cannot_be_written_is_one_line_and_exit_2(

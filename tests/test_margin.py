@@ -105,7 +105,7 @@ def test_a_plan_that_leaves_its_start_says_so_and_its_way_there_is_clear(tmp_pat
     job = stranger_jobs.box_job(tmp_path)
     plan = htcp_jax.plan(job, method="hybrid")
     assert plan.plans.joint_step[0, 0] > 0.1 and plan.plans.path_clear[0, 0] == 1
-    assert "the first leaves the start by" in plan.facts()["joint paths"]
+    assert " rad to the first configuration, by " in plan.facts()["transfer"]
     plan.save(tmp_path / "out")
     found = validate(tmp_path / "out", between=1000).methods["hybrid"]
     assert found.refuted == 0 and found.paths_touching == 0 and found.paths == found.checked == 52

@@ -74,6 +74,20 @@ def test_the_arm_is_brought_to_where_the_task_is_held():
     assert held.reached and off[0] <= SETTINGS.tolerance_m < off[1]
 
 
+def test_a_pose_out_of_reach_is_off_by_a_length_and_an_angle():
+    """Distance and angle from an unreached pose, separately (regression: one length that combined both)."""
+    rows = [{"point": "tcp", "on": "path"}, {"orientation": [1.0, 0.0, 0.0, 0.0]}]
+    job = load_config({"task": rows})
+    arm, part, scenario = scene(job)
+    targets, goals = scenario.targets.copy(), scenario.goals.copy()
+    targets[60] = goals[60, :3] = [0.0, 0.0, 9.0]
+    far = replace(scenario, targets=targets, goals=goals)
+    found = obstruction(arm, part, far, np.array(START), 60, SETTINGS, task=task_of_job(job, arm))
+    off = np.linalg.norm(np.asarray(tcp_position(arm, jnp.asarray(found.x))) - targets[60])
+    assert not found.reached and found.residual_m == pytest.approx(off, abs=1e-9) and found.angle_rad > 1e-3
+    assert " mm and " in found.description and " deg of it" in found.description
+
+
 def test_hundreds_at_once_are_each_as_alone(scenario, workpiece):
     rows = np.array(TARGETS * 50)
     inputs = lane_inputs(stack([scenario]), np.zeros(len(rows), int), rows)
@@ -86,7 +100,8 @@ def test_hundreds_at_once_are_each_as_alone(scenario, workpiece):
 
 def test_the_sentence_tells_how_deep_how_free_or_how_far_off(scenario, workpiece):
     found = obstruction(robot(), workpiece, scenario, np.array(START), 80, SETTINGS)
-    known = found._replace(body="spindle", point=np.array([0.81, 0.1, 0.42]), reached=True)
+    where = {"point": np.array([0.81, 0.1, 0.42]), "reached": True}
+    known = found._replace(body="spindle", in_words="capsule spindle", **where)
     inside = known._replace(depth_m=0.0032).description
     assert inside == "capsule spindle is 3.2 mm inside the workpiece at (0.81, 0.10, 0.42) m there"
     assert (
@@ -95,6 +110,8 @@ def test_the_sentence_tells_how_deep_how_free_or_how_far_off(scenario, workpiece
     )
     off = known._replace(reached=False, residual_m=0.054)
     assert off.description == "the arm comes only to within 54 mm of it"
+    turned = off._replace(angle_rad=0.1, within_bands=False).description
+    assert turned == "the arm comes only to within 54 mm and 5.73 deg of it, outside of the task's cones and bands"
 
 
 def test_a_body_that_is_clear_of_everything_is_no_cause(scenario, workpiece):
@@ -127,7 +144,7 @@ def test_a_failed_plan_tells_it_in_its_table_its_files_and_its_picture(tmp_path)
     """Colliding body of a failed plan in its table, its record and its picture (regression)."""
     plan = made_plan(tmp_path)
     sentence = plan.obstruction.description
-    assert plan.failure()["in the way"] == sentence
+    assert plan.failure()["colliding body"] == sentence
     assert plan.record()["in_the_way"]["description"] == sentence
     texts = [text.get_text() for axes in plan.figure().axes for text in axes.texts]
     assert any(sentence in text for text in texts)

@@ -155,6 +155,18 @@ def test_a_search_that_is_stopped_before_the_end_leaves_a_ranking_that_says_so(h
     assert htcp_jax.plan(here / "out" / "best-1.yaml").complete
 
 
+def test_progress_counts_the_plans_of_each_stage_that_was_announced(here):
+    """Stages and counts of the progress (regression: "tolerance 64 of 32 scenarios", a search that stayed at 0)."""
+    seen = []
+    place("place.yaml", "out", changes={"best": 1}, progress=seen.append)
+    most = seen[0].most
+    assert list(dict.fromkeys(now.stage for now in seen)) == list(most)
+    assert all(now.scenarios <= now.of == most[now.stage] for now in seen)
+    for stage in most:
+        counts = [now.scenarios for now in seen if now.stage == stage]
+        assert counts == sorted(counts) and counts[-1] > 0
+
+
 def test_the_aims_are_those_of_the_programs_and_plans(found):
     for judged in found.judged:
         told = judged.spare[judged.complete]

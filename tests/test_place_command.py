@@ -39,7 +39,7 @@ def place(text: str, *words: str) -> int:
         ("place: {method: [0, 1]}", (), "method cannot vary in a search"),
         ("place: {task.1.cone_deg: [10, 40]}", (), "task.1.cone_deg: the task has 0 rows"),
         ("place: {cell.shift_m.z: [0, 1]}", (), "cell.shift_m is given, and no cell.model"),
-        (PLACE, ("--scenarios", "4", "--seconds", "5"), "--scenarios and --seconds say the same; leave out one"),
+        (PLACE, ("--scenarios", "4", "--seconds", "5"), "--scenarios and --seconds exclude each other"),
         (PLACE, ("--scenarios", "0"), "within.scenarios is 0"),
         (PLACE, ("--on", "moon"), "on is 'moon'; valid: here, ray"),
         (PLACE + "feed: '20'", (), "feed '20' is no speed above 0 with a unit"),

@@ -193,6 +193,6 @@ def test_the_command_writes_the_prefixes_and_refuses_a_resolution_of_nothing(tmp
         str(tmp_path / "run"),
     ]
     assert main(words) == 0
-    assert "reachable at least" in capsys.readouterr().out
+    assert "lower bound" in capsys.readouterr().out
     assert (tmp_path / "run" / "reachability.json").exists()
     assert main([*words[:5], "0"]) == 2 and main([*words[:7], "-1"]) == 2

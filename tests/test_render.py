@@ -238,7 +238,7 @@ def test_the_command_says_what_is_in_the_way_and_which_scenario_it_is(made, plan
     """Colliding body and scenario parameters in the output of the command (regression: only the scenario's number)."""
     words = ["--movie", "none", "--width", "160", "--out", str(tmp_path)]
     assert main(["render", str(made[1]), *words]) == 0
-    assert f"in the way          {made[0].obstruction.description}" in capsys.readouterr().out
+    assert f"{made[0].obstruction.description}\n" in capsys.readouterr().out
     assert main(["render", str(planned / "run"), "--scenario", "1", *words]) == 0
     assert "baseline, scenario 1: tilt y 0.5 rad, tool 0 m" in capsys.readouterr().out
 

@@ -80,7 +80,7 @@ def test_the_command_prints_a_table_that_lines_up_and_nothing_else_when_piped(he
         assert [row.split()[0] for row in table[2:]] == ["baseline", "keep-clear"]
         assert len({len(line) for line in table}) == 1 and len(table[0]) <= 80
     assert lines[2].split()[1:5] == ["100.00", "26", "26", "26"]
-    assert lines[-1] == "Tracked: with at least the 0.5 mm of clearance that were asked for."
+    assert lines[-1] == "Tracked: reached with the required clearance of 0.5 mm or more."
 
 
 def test_what_is_finished_is_not_planned_again(planned):
@@ -158,7 +158,7 @@ def test_a_sweep_continued_with_fewer_methods_tells_what_it_planned_and_what_is_
     words = ["sweep", "grid.yaml", "--methods", "baseline", "--out", "run"]
     assert main(words) == 0
     shown = capsys.readouterr()
-    told = "unfinished  hybrid: 3 of 3 scenarios left; --methods hybrid plans them"
+    told = "unfinished  hybrid: 3 of 3 scenarios left; run again with --methods hybrid to plan them"
     assert shown.err == "" and told in shown.out and "baseline" in shown.out
     assert main([*words, "--json"]) == 0
     record = json.loads(capsys.readouterr().out)

@@ -69,7 +69,7 @@ def test_the_tcp_distance_is_the_position_alone_and_the_orientation_has_a_row_of
     np.testing.assert_allclose(held.orientation_error[0], angle, atol=1e-9)
     assert angle.max() > 1e-6 and s.orientation_error_max_deg == pytest.approx(np.degrees(angle.max()))
     assert plan.facts()["orientation error"] == f"{s.orientation_error_mean_deg:.3g} deg mean, " + (
-        f"{s.orientation_error_max_deg:.3g} deg largest"
+        f"{s.orientation_error_max_deg:.3g} deg maximum"
     )
     plan.save(tmp_path / "plan")
     read = open_plans(tmp_path / "plan").plans("baseline")

@@ -152,7 +152,7 @@ def test_an_mp4_takes_as_long_as_the_program_to_within_a_frame(made, folder, scr
 def test_a_gif_takes_its_time_too_and_the_way_back_can_be_left_out(folder, screenless, tmp_path, capsys):
     assert run(folder, "--out", str(tmp_path), "--one-way", "--speed", "2") == 0
     there = program_of(open_plans(folder), 0.2, retract=False).program.duration_s
-    assert f"program             {there:.2f} s at 200 mm/s, shown at 2 times real time" in capsys.readouterr().out
+    assert f"  {there:.2f} s at 200 mm/s, shown at 2 times real time" in capsys.readouterr().out
     with Image.open(tmp_path / "scenario-0-baseline.gif") as gif:
         assert abs(gif.n_frames / RATE - there / 2) <= 1 / RATE
         shown_s = []
@@ -186,7 +186,7 @@ def test_play_by_targets_leaves_no_posture_out_and_stands_where_nothing_is_track
         np.testing.assert_allclose(posture.arm.tcp, replay.tcp[target], atol=1e-12)
 
 
-NO_FEED = "is of a program, which --feed gives its time; there is no --feed"
+NO_FEED = "needs --feed: it belongs to a timed motion"
 FEEDS = "20mm/s"
 WRONG = [
     (["--speed", "2"], f"--speed {NO_FEED}"),

@@ -141,7 +141,7 @@ def test_a_weaker_validation_never_replaces_a_stronger_one_of_the_same_results(r
     shown = capsys.readouterr()
     assert json.loads(shown.out)["between"] == 0 and (run / VALIDATION).read_bytes() == before
     assert "validation.json is kept: of the same results, it looks closer" in shown.err and shown.err.count("\n") == 1
-    assert main(["validate", str(run), "--between", "2", "--feed-mm-s", "50"]) == 0
+    assert main(["validate", str(run), "--between", "2", "--feed", "3m/min"]) == 0
     assert json.loads((run / VALIDATION).read_text())["feed_mm_s"] == 50  # as strong: the later one stays
     spoil(run, 0, 5, iterations=1)
     assert main(["validate", str(run), "--between", "0"]) == 0
@@ -393,5 +393,5 @@ def test_without_a_column_of_joint_speeds_the_notes_say_why():
     """Notes on missing joint speeds: the reason is named (regression)."""
     method = {"paths": 3, "speed_ratio_max": None}
     told = {"between": 0, "feed_mm_s": 10.0, "methods": {"baseline": method}}
-    assert notes(told) == ["There is no column of joint speeds, because the model states none to hold them against."]
+    assert notes(told) == ["There are no joint speeds, because the model states no limits."]
     assert "feed rate of 10 mm/s" in notes(told | {"methods": {"baseline": method | {"speed_ratio_max": 0.5}}})[0]

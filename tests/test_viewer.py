@@ -536,19 +536,20 @@ def test_the_command_serves_a_job_that_it_plans_until_it_is_told_to_stop(tmp_pat
         assert urllib.request.urlopen(line.split()[1]).status == 200
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=60)
-    assert (process.returncode, out, err) == (130, "", f"htcp: {INTERRUPTED}\n") and "Ctrl-C" in line
+    assert (process.returncode, out, err) == (130, "", "htcp: closed\n") and "Ctrl-C" in line
 
 
-def test_ctrl_c_before_the_page_is_up_ends_like_one_after_it(folder, capsys, monkeypatch):
+def test_ctrl_c_before_the_page_is_up_ends_with_the_code_of_one_after_it(folder, capsys, monkeypatch):
 
     def interrupt(_):
         raise KeyboardInterrupt
 
-    for place in ("htcp_jax.cli.view.open_plans", "htcp_jax.viewer.browser.Viewer.wait"):
+    ends = {"htcp_jax.cli.view.open_plans": INTERRUPTED, "htcp_jax.viewer.browser.Viewer.wait": "closed"}
+    for place, line in ends.items():
         with monkeypatch.context() as patch:
             patch.setattr(place, interrupt)
             assert main(["view", str(folder), "--port", "0"]) == 130
-            assert capsys.readouterr().err == f"htcp: {INTERRUPTED}\n"
+            assert capsys.readouterr().err == f"htcp: {line}\n"
 
 
 def test_capsules_are_turned_to_their_axes():

@@ -9,15 +9,16 @@ SOUND, UNSOUND = 0, 1
 
 
 def doctor(as_json: Json = False) -> int:
-    """Look at this installation, and plan a short path whose answer is known.
+    """Check the installation: versions, devices, rendering, compile cache, and a short plan with a known result.
 
-    Tells versions, devices, cores, what pictures are drawn with, and where compiled programs are kept. The self-test
-    takes about 2 s, and longer where its programs are not compiled yet. Exits with 0 when it passes, with 1 when it
-    does not; what is missing for pictures is told, but no plan needs it.
+    Takes about 2 s, and longer until its functions are compiled. Writes nothing.
+
+    Exit codes: 0 if the self-test passes (rendering may be missing: no plan needs it), 1 if it fails.
 
     \b
-    htcp doctor                               before the first plan, and in a report of a fault
-    htcp doctor --json                        the same for another program
+    Examples:
+      htcp doctor                               before the first plan, and for a bug report
+      htcp doctor --json                        for another program
     """
     found = examine()
     if as_json:

@@ -24,22 +24,26 @@ def complete_example(start: str) -> list[str]:
 
 Name = Annotated[
     str | None,
-    typer.Argument(metavar="NAME", help="An example; without one, all are listed.", autocompletion=complete_example),
+    typer.Argument(
+        metavar="NAME", help="Example to copy; without it, all are listed.", autocompletion=complete_example
+    ),
 ]
-Folder = Annotated[Path | None, typer.Argument(metavar="DIR", help="A new or empty folder to write it to.")]
+Folder = Annotated[Path | None, typer.Argument(metavar="DIR", help="New or empty output folder.")]
 
 
 def example(name: Name = None, folder: Folder = None, as_json: Json = False) -> int:
-    """List the jobs, sweeps and placements that ship with htcp, or write one to a folder.
+    """List the example jobs, sweeps and placement searches, or copy one with its files to a folder.
 
-    The files that an example refers to are written, too. A command that reads such a file takes the name of an example
-    as well. Exits with 2 on an unknown name and if DIR is not empty.
+    Every command that reads such a file also accepts the name of an example.
+
+    Exit codes: 0, 2 if the name is unknown or DIR is not empty.
 
     \b
-    htcp example                              the list
-    htcp example pipe my-job                  the files of one example, as the beginning of a job of your own
-    htcp plan my-job/job.yaml --set margin_m=0.001
-    htcp plan pipe                            the example as it is
+    Examples:
+      htcp example                              the list
+      htcp example pipe my-job                  copy one example as a start for your own job
+      htcp plan my-job/job.yaml --set margin_m=0.001
+      htcp plan pipe                            the example itself
     """
     known = examples()
     if name is None:

@@ -7,14 +7,13 @@ import typer
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.feed import UNITS, feed_of
 
-_OF_PATH = f"Of the TCP on the path, 20mm/s say; in {', '.join(UNITS)}."
-Feed = Annotated[str | None, typer.Option(metavar="SPEED", help=f"{_OF_PATH} Else the job's.")]
-PlayedFeed = Annotated[
-    str | None, typer.Option("--feed", metavar="SPEED", help=f"Play the program at its own time. {_OF_PATH}")
-]
-OneWay = Annotated[bool, typer.Option("--one-way", help="End at the last target, without the way back.")]
+_FEED = f"Feed rate of the TCP along the path, for example 20mm/s; units: {', '.join(UNITS)}."
+Feed = Annotated[str | None, typer.Option(metavar="SPEED", help=f"{_FEED} By default the job's.")]
+PlayedFeed = Annotated[str | None, typer.Option("--feed", metavar="SPEED", help=f"Show the timed motion. {_FEED}")]
+OneWay = Annotated[bool, typer.Option("--one-way", help="Stop at the last target; do not return to the start.")]
 ProgramKeys = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key of program; may be repeated.")
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change one key of the job's section program; may be repeated."),
 ]
 
 
@@ -26,5 +25,5 @@ def played_feed(feed: str | None, **others: object) -> float | None:
     if feed is not None:
         return feed_of(feed)
     for name in (name for name, given in others.items() if given):
-        raise InputError(f"--{name.replace('_', '-')} is of a program, which --feed gives its time; there is no --feed")
+        raise InputError(f"--{name.replace('_', '-')} needs --feed: it belongs to a timed motion")
     return None

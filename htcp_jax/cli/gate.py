@@ -25,15 +25,15 @@ from htcp_jax.validation.gate import ChangedOutcome, Verdict, judge, unreadable
 PASSED, REGRESSION = 0, 1
 LISTED, INDENT = 20, 12  # scenarios, and columns for a name, on the terminal
 
-RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="The folder that htcp sweep wrote.")]
-File = Annotated[Path, typer.Option(metavar="FILE", help="The baseline.")]
-Bless = Annotated[bool, typer.Option("--bless", help="Write RUN into FILE as the new baseline.")]
+RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Output folder of htcp sweep.")]
+File = Annotated[Path, typer.Option(metavar="FILE", help="Baseline file.")]
+Bless = Annotated[bool, typer.Option("--bless", help="Update the baseline: write RUN into FILE.")]
 Junit = Annotated[
-    Path | None, typer.Option("--junit", metavar="FILE", help="Write JUnit XML: a test case per method and check.")
+    Path | None, typer.Option("--junit", metavar="FILE", help="Write JUnit XML, one test case per method and check.")
 ]
 Markdown = Annotated[
     Path | None,
-    typer.Option("--markdown", metavar="FILE", help="Append tables in Markdown, to $GITHUB_STEP_SUMMARY for example."),
+    typer.Option("--markdown", metavar="FILE", help="Append Markdown tables, for example to $GITHUB_STEP_SUMMARY."),
 ]
 
 COUNTS = (
@@ -72,23 +72,25 @@ def gate(
     markdown_file: Markdown = None,
     as_json: Json = False,
 ) -> int:
-    """Hold a run against a baseline: targets tracked, scenarios that flipped, the share of what is reachable, and, by
-    MuJoCo alone, the TCP and the clearance of every tracked target; where the baseline has them, cycle times and feeds.
+    """Compare a run with a baseline and fail if it got worse.
 
-    A method, a scenario or a figure that is missing is a failure, and so is a run that cannot be read. How long
-    planning takes never counts. Exits with 0 when the run passes, with 1 when it does not, with 2 on bad input. On
-    GitHub Actions each method that fails becomes an annotation.
+    Compared are tracked targets, scenarios that changed their outcome, the share of reachable targets, TCP error and
+    clearance as MuJoCo measures them, and cycle times if the baseline has them; planning time is not. Missing results
+    count as failures. On GitHub Actions, every method that fails becomes an annotation.
+
+    Exit codes: 0 if the run passes, 1 if not, 2 on bad input.
 
     \b
-    htcp sweep sweeps/seams-part --methods baseline,nspace-sqp
-    htcp gate out/seams-part --baseline mine.yaml --bless    the run is the new baseline
-    htcp gate out/seams-part --baseline mine.yaml            later runs are held to it
-    htcp gate out/seams-part --baseline mine.yaml --junit gate.xml --markdown gate.md    for CI
+    Examples:
+      htcp sweep sweeps/seams-part --methods baseline,nspace-sqp
+      htcp gate out/seams-part --baseline mine.yaml --bless    update the baseline
+      htcp gate out/seams-part --baseline mine.yaml            compare a later run
+      htcp gate out/seams-part --baseline mine.yaml --junit gate.xml --markdown gate.md    for CI
     """
     files = [file for file in (junit_file, markdown_file) if file]
     if bless:
         if files:
-            raise InputError(f"--bless compares nothing that {files[0]} could hold; leave one of them out")
+            raise InputError(f"--bless compares nothing, so {files[0]} would be empty; omit one of them")
         with progress_bar("plans", time_left=True) as progress:
             write_baseline(open_run(run), baseline, progress)
         print_json({"baseline": str(baseline)}) if as_json else print(f"{run} is the baseline now: {baseline}")

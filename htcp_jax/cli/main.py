@@ -26,20 +26,20 @@ from htcp_jax.process_exit import INTERRUPTED as STOPPED
 logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
 COMMANDS = {
-    "plan": "Plan one job; a table, the trajectory, a picture.",
-    "program": "Give a plan its time, and write what a controller takes.",
-    "robot": "Make an arm of capsules of a robot's model, URDF or MJCF.",
-    "sweep": "Plan every scenario of a grid by several methods.",
-    "report": "Tables and charts of sweeps, beside the paper's figures.",
-    "validate": "Check results by MuJoCo alone.",
-    "view": "Look at plans in the browser, target by target.",
-    "render": "A picture and a movie of one plan.",
-    "place": "Where to mount it: search ranges, rank what does the whole work.",
-    "reachability": "How much is reachable at all, whatever the method.",
-    "gate": "Hold a sweep to a baseline: does it still reach what it did?",
-    "methods": "List the planners and what each does.",
-    "example": "List the jobs and sweeps that ship, or write one to a folder.",
-    "doctor": "Look at this installation and test it in 2 s.",
+    "plan": "Plan one job: motion, summary, picture.",
+    "program": "Time a plan and write it as a robot program.",
+    "robot": "Convert a URDF or MJCF model to an arm of capsules.",
+    "sweep": "Plan every scenario of a parameter grid by several methods.",
+    "report": "Summarise sweeps in tables and charts.",
+    "validate": "Check results independently with MuJoCo.",
+    "view": "Show plans in the browser.",
+    "render": "Draw a picture and a movie of one plan.",
+    "place": "Search for the best mounting of the workpiece or the arm.",
+    "reachability": "Bound the number of targets that any method can reach.",
+    "gate": "Compare a sweep with a baseline (regression test).",
+    "methods": "List the planning methods.",
+    "example": "List the examples, or copy one to a folder.",
+    "doctor": "Check the installation with a self-test of 2 s.",
 }
 
 LOST, UNREAD, BAD_INPUT, INTERRUPTED = 1, 1, 2, 130  # UNREAD: the pipe is closed
@@ -68,7 +68,8 @@ def _listed() -> None:
     """Placeholder of a command that is not imported yet."""
 
 
-app = typer.Typer(cls=Commands, rich_markup_mode=None, pretty_exceptions_enable=False)
+HELP = {"help_option_names": ["-h", "--help"]}  # commands inherit them
+app = typer.Typer(cls=Commands, rich_markup_mode=None, pretty_exceptions_enable=False, context_settings=HELP)
 for _name, _line in COMMANDS.items():
     app.command(_name, short_help=_line)(_listed)
 
@@ -86,36 +87,37 @@ def htcp(
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
-    """Plan the motion of a redundant arm that follows a path inside a narrow part.
+    """Plan collision-free motions of a robot arm whose tool follows a path, inside narrow parts.
 
     \b
     First steps:
-      htcp plan                                  plan the default job; look at out/plan/plan.png
-      htcp plan --method baseline                the same without a way out where it gets stuck
-      htcp plan pipe --set margin_m=0.001        an example, one key changed; htcp example lists them
-      htcp example pipe mine                     its files, as the beginning of a job of your own: mine/job.yaml
+      htcp plan                                  plan the default job; the picture is out/plan/plan.png
+      htcp plan --method baseline                the same job by another method
+      htcp plan pipe --set margin_m=0.001        an example with one key changed; htcp example lists them
+      htcp example pipe mine                     copy its files as a start for your own job: mine/job.yaml
 
     \b
-    Many plans at once:
-      htcp sweep sweeps/workpiece --methods baseline,hybrid    49 poses; results in out/workpiece
+    Many plans:
+      htcp sweep sweeps/workpiece --methods baseline,hybrid    49 poses of the part, into out/workpiece
       htcp report out/workpiece                  tables and charts: out/report/report.html
-      htcp validate out/workpiece                every tracked target again, by MuJoCo alone
-      htcp view out/workpiece                    look at them in the browser, failed ones first
+      htcp validate out/workpiece                check every tracked target with MuJoCo
+      htcp view out/workpiece                    show them in the browser, failed ones first
       htcp render out/workpiece --scenario 24    a picture and a movie of one of them
 
     \b
-    A robot of your own:
-      htcp robot mine/arm.xml --out mine/capsules.xml    its model, URDF or MJCF, as an arm of capsules
+    Your own robot:
+      htcp robot mine/arm.xml --out mine/capsules.xml    convert its URDF or MJCF model
 
     \b
-    Good to know:
-      htcp methods                               what --method may name
-      htcp doctor                                is this installation sound?
+    Help:
+      htcp methods                               list the planning methods
+      htcp doctor                                check the installation
       htcp COMMAND --help                        options and examples of one command
-      htcp --install-completion                  let the shell complete commands, options and methods
+      htcp --install-completion                  install shell completion
 
-    A job is a YAML file that says what differs from the default one. Tables go to stdout, progress to stderr, as a
-    line every ten seconds where that is no terminal; --json prints the same for another program; NO_COLOR is respected.
+    A job is a YAML file with the keys that differ from the default job. Tables go to stdout, progress to stderr.
+    --json prints JSON instead of a table. NO_COLOR disables colours. Exit codes: 0 success, 2 bad input, 130 or 143
+    ended by a signal; each command lists its own.
     """
 
 

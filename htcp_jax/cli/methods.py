@@ -8,11 +8,14 @@ COLUMNS = Column("method", "method"), Column("title", "name"), Column("descripti
 
 
 def methods(as_json: Json = False) -> int:
-    """List the methods that --method and --methods take, and what each does; those of other packages too.
+    """List the planning methods, including those of installed plugins. Their names are values of --method, --methods.
+
+    Exit code: 0.
 
     \b
-    htcp methods                              the table
-    htcp methods --json                       the same for another program
+    Examples:
+      htcp methods                              the table
+      htcp methods --json                       for another program
     """
     rows = tuple((name, method.title, method.description) for name, method in registry.all_methods().items())
     table = Table("methods", COLUMNS, rows)

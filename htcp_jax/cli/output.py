@@ -35,15 +35,17 @@ LINE_S = 10.0  # between lines of progress
 GAP, LEAST_TEXT = 2, 30  # between columns; minimum width of a last column of text
 TIED = "of", "at", "scenario:"  # heads of columns that belong to the one before them
 
-Device = Annotated[str | None, typer.Option(metavar="cpu|gpu[:N]", help="Where to compute; by default GPUs, if any.")]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON, and nothing else, in place of the table.")]
+Device = Annotated[
+    str | None, typer.Option(metavar="cpu|gpu[:N]", help="Device to plan on; by default a GPU if there is one.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of the table.")]
 
 # Options of the commands that plan.
-SweepFile = Annotated[Path, typer.Argument(metavar="SWEEP.yaml", help="The grid; a file or an example.")]
+SweepFile = Annotated[Path, typer.Argument(metavar="SWEEP.yaml", help="Sweep file or example.")]
 Limit = Annotated[int | None, typer.Option(metavar="N", help="Plan only the first N scenarios.")]
-Config = Annotated[Path | None, typer.Option(metavar="CONFIG.yaml", help="In place of the sweep file's own job.")]
+Config = Annotated[Path | None, typer.Option(metavar="CONFIG.yaml", help="Job file to use instead of the sweep's own.")]
 Overrides = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key; may be repeated.")
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key of the job; may be repeated.")
 ]
 
 

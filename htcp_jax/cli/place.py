@@ -23,14 +23,19 @@ from htcp_jax.report.place_pictures import draw_search
 from htcp_jax.runs import sweep as sweeps
 
 NONE_FOUND = 3
-File = Annotated[Path, typer.Argument(metavar="PLACE.yaml", help="Ranges, seams, and what is to be spare.")]
-Out = Annotated[Path | None, typer.Option(metavar="DIR", help="The folder; by default out/<name of the file>.")]
-JobFile = Annotated[Path | None, typer.Option(metavar="CONFIG.yaml", help="In place of the file's own job.")]
-Seed = Annotated[int | None, typer.Option(metavar="S", help="Of the search.")]
+WORDS = {  # purpose of each stage
+    "search": "search", "confirm": "confirm", "perturb": "perturb the best", "tolerance": "determine the tolerance",
+}  # fmt: skip
+File = Annotated[Path, typer.Argument(metavar="PLACE.yaml", help="Placement file: search ranges, seams, objective.")]
+Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Output folder; by default out/<name of the file>.")]
+JobFile = Annotated[Path | None, typer.Option(metavar="CONFIG.yaml", help="Job file to use instead of the file's own.")]
+Seed = Annotated[int | None, typer.Option(metavar="S", help="Random seed of the search.")]
 Overrides = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key of the job.")]
-WithinN = Annotated[int | None, typer.Option("--scenarios", metavar="N", help="Judge so many, in place of within.")]
-WithinS = Annotated[float | None, typer.Option("--seconds", metavar="S", help="Search so long, in place of within.")]
-On = Annotated[str, typer.Option(metavar="here|ray[:ADDRESS]", help="This process, or the workers of a Ray cluster.")]
+WithinN = Annotated[int | None, typer.Option("--scenarios", metavar="N", help="Plans in the search; overrides within.")]
+WithinS = Annotated[
+    float | None, typer.Option("--seconds", metavar="S", help="Duration of the search; overrides within.")
+]
+On = Annotated[str, typer.Option(metavar="here|ray[:ADDRESS]", help="Run in this process or on a Ray cluster.")]
 
 
 def place(
@@ -45,24 +50,26 @@ def place(
     device: Device = None,
     as_json: Json = False,
 ) -> int:
-    """Find the mountings that do the whole seam, or several, with something to spare.
+    """Search for mountings of the workpiece or the arm at which the path, or several, can be completed.
 
-    Quick plans judge mountings all over the ranges and then about the best of them; the best are planned as proven
-    motions, and once more a little off. The folder gets ranked.json, a job file of each ranked mounting, every mounting
-    that was judged, pictures, and the motions as a run that view, render, validate and program open. A first ranking is
-    written before mountings are disturbed. The same command again goes on where the last one stopped. Exits with 0 when
-    a mounting is found, with 3 when none is, with 2 on bad input.
+    Quick plans evaluate mountings over the ranges and then near the best; the best are planned as proven motions, with
+    the largest possible margin, and again with perturbed mountings. Writes ranked.json, a job file for each ranked
+    mounting, all evaluated mountings, pictures, and a run folder with the motions for view, render, validate and
+    program. A first ranking is written before mountings are perturbed. The same command resumes an interrupted search.
+
+    Exit codes: 0 if a mounting is found, 3 if none is, 2 on bad input.
 
     \b
-    htcp place place/duct                                  the mountings of the weld in the generated duct
-    htcp place place/duct --scenarios 500 --out out/try
-    htcp plan out/duct/best-1.yaml                         the best one as a plan of its own
-    htcp view out/duct                                     the ranked ones in the browser
+    Examples:
+      htcp place place/duct                                  the mountings of the weld in the generated duct
+      htcp place place/duct --scenarios 500 --out out/try
+      htcp plan out/duct/best-1.yaml                         the best one as a plan of its own
+      htcp view out/duct                                     the ranked ones in the browser
     """
     choose(sweeps.device_of(on, device))  # before anything is read
     changes: dict[str, Any] = {} if seed is None else {"seed": seed}
     if scenarios is not None and seconds is not None:
-        raise InputError("--scenarios and --seconds say the same; leave out one")
+        raise InputError("--scenarios and --seconds exclude each other; omit one")
     if scenarios is not None or seconds is not None:
         changes["within"] = {"scenarios": scenarios} if seconds is None else {"seconds": seconds}
     with _bar(said=as_json) as progress:
@@ -96,14 +103,13 @@ def _bar(said: bool) -> Iterator[Callable[[PlaceProgress], None]]:
             if not (said or tasks):
                 print(_most(now.most), flush=True)
             if now.stage not in tasks:
-                tasks[now.stage] = bars.add_task(now.stage, total=None, text="")
+                for task in bars.tasks:
+                    bars.update(task.id, total=task.completed)  # a finished stage is not shown again
+                tasks[now.stage] = bars.add_task(now.stage, total=now.of, text="")
+            text = f"{now.scenarios:,} {'plans' if now.of is None else f'of up to {now.of:,} plans'}"
             if now.stage == "search":
-                done, of = now.scenarios + now.sweep.scenarios_done, now.of
-                text = f"{done:,} scenarios, {now.complete:,} mountings do it all"
-            else:
-                done, of = now.sweep.scenarios_done, now.sweep.scenarios
-                text = f"{done:,} of {of:,} scenarios"
-            bars.update(tasks[now.stage], completed=done, total=of, text=text)
+                text += f", {now.complete:,} complete mountings"
+            bars.update(tasks[now.stage], completed=now.scenarios, text=text)
 
         yield show
 
@@ -112,9 +118,7 @@ def _most(most: dict[str, int | None]) -> str:
     """Message with the largest number of plans, in total and by stage."""
     searched, *others = most.values()
     first = "those of the search, as many as its time allows, and " if searched is None else ""
-    words = {"search": "to search", "confirm": "to confirm", "disturbed": "of disturbed mountings",
-             "tolerance": "for tolerances"}  # fmt: skip
-    parts = ", ".join(f"{count:,} {words[stage]}" for stage, count in most.items() if count)
+    parts = ", ".join(f"{count:,} to {WORDS[stage]}" for stage, count in most.items() if count)
     return f"up to {first}{(searched or 0) + sum(others):,} plans: {parts}"
 
 
@@ -122,9 +126,8 @@ def _print(found: Placed) -> None:
     search, console = found.search, stdout()
     off = search.file.off
     facts = {
-        "judged": f"{found.scenarios:,} scenarios, {sum(len(each.values) for each in found.judged):,} mountings by "
-        f"{search.file.screen}",
-        "do the whole work": f"{found.complete:,} of them",
+        "evaluated": f"{sum(len(each.values) for each in found.judged):,} mountings by {search.file.screen}",
+        "complete": f"{found.complete:,} of them",
         **_seams(found),
         "confirmed": f"{len(found.mountings)} as proven motions by {search.file.confirm}",
     }
@@ -135,8 +138,8 @@ def _print(found: Placed) -> None:
         console.print()
         text = (
             f"Margin: the clearance that a mounting is planned with; its job file, {found.jobs[0][0]} and on, has it. "
-            f"When off: the least while every parameter is off by up to {off.mm:g} mm and {off.deg:g}°. Tolerates: "
-            f"within this a motion to the end was found with a margin of {1e3 * search.job.margin_m:g} mm every time."
+            f"Perturbed: the minimum if every parameter changes by up to {off.mm:g} mm and {off.deg:g}°. Tolerates: up "
+            f"to this, every motion tried could be completed with a margin of {1e3 * search.job.margin_m:g} mm."
         )
         console.print(Text(text, style="dim"))
         console.print(Text.assemble(("plan   ", "cyan"), f"htcp plan {found.folder / found.jobs[0][0]}"))
@@ -163,7 +166,10 @@ def _table(found: Placed) -> Table:
     columns += [Column(axis.name, axis.name.rpartition(".")[2] if axis.element is None else _short(axis.name),
                        axis.unit[0], ".4g") for axis in axes]  # fmt: skip
     for name in aims:
-        columns += [Column(name, name, UNITS[name][0], ".3g"), Column(f"{name} off", "when off", UNITS[name][0], ".3g")]
+        columns += [
+            Column(name, name, UNITS[name][0], ".3g"),
+            Column(f"{name} off", "perturbed", UNITS[name][0], ".3g"),
+        ]
     columns += [Column("margin_mm", "margin", "mm", ".4g"), Column("tolerates", "tolerates")]
     rows = [
         (
@@ -188,7 +194,7 @@ def _told(aim: str, value: float) -> float:
 
 def _tolerated(found: Placed, one) -> str:
     if one.tolerance is None:
-        return f"{100 * one.held:.0f} % of those off do it" if one.held < 1 else ""
+        return f"{100 * one.held:.0f} % of the perturbed mountings are complete" if one.held < 1 else ""
     off = found.search.file.off
     if not one.tolerance.together:
         return f"less than {LEVELS[0] * off.mm:g} mm and {LEVELS[0] * off.deg:g}°"

@@ -15,13 +15,19 @@ from htcp_jax.runs.plan_folder import written_whole
 COMPLETE, INCOMPLETE = 0, 3
 
 
-Config = Annotated[Path | None, typer.Argument(metavar="CONFIG.yaml", help="The job or an example; else the default.")]
+Config = Annotated[
+    Path | None, typer.Argument(metavar="CONFIG.yaml", help="A job file or an example; the default job without one.")
+]
 Method = Annotated[
     str | None,
-    typer.Option(metavar="NAME", help="A method; htcp methods lists them.", autocompletion=complete_method),
+    typer.Option(metavar="NAME", help="Planning method; htcp methods lists them.", autocompletion=complete_method),
 ]
-Retract = Annotated[bool, typer.Option("--retract", help="Let motion.csv lead back to home or the start, too.")]
-Out = Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.")]
+Retract = Annotated[
+    bool, typer.Option("--retract", help="Append the motion back to the start, or to home, to motion.csv.")
+]
+Out = Annotated[Path, typer.Option(metavar="DIR", help="Output folder.")]
+Seed = Annotated[int | None, typer.Option(metavar="S", help="Random seed.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print more rows: smoothness, joint paths, clearance.")]
 
 
 def plan(
@@ -29,22 +35,27 @@ def plan(
     method: Method = None,
     overrides: Overrides = None,
     out: Out = Path("out/plan"),
+    seed: Seed = None,
     retract: Retract = False,
     device: Device = None,
+    verbose: Verbose = False,
     as_json: Json = False,
 ) -> int:
-    """Plan one job: track every target of the path while every capsule keeps clear of the workpiece.
+    """Plan one job: a collision-free motion that moves the tool along the path.
 
-    Writes motion.csv, which is what an arm may follow, trajectory.csv, trajectory.npz, summary.json and plan.png.
-    Exits with 0 when a proven motion leads to the last target, else with 3 (what was tracked is saved), with 2 on bad
-    input.
+    Writes motion.csv (the configurations to execute), trajectory.csv and trajectory.npz (one row per target),
+    summary.json and plan.png.
+
+    Exit codes: 0 if a proven motion leads to the last target, 3 if not (what was tracked is saved), 2 on bad input.
 
     \b
-    htcp plan                                 the default job, which is the example duct
-    htcp plan pipe                            another example; htcp example lists them
-    htcp plan cone --method hybrid            a third one, by another method
-    htcp plan --set settings.alpha_rad=0.05 --set "start_rad=[0, -2.3, 0.5, 0, 0.5, 0]"
+    Examples:
+      htcp plan                                 the default job, the generated duct
+      htcp plan pipe                            another example; htcp example lists them
+      htcp plan cone --method hybrid            a third one, by another method
+      htcp plan --set settings.alpha_rad=0.05 --set "start_rad=[0, -2.3, 0.5, 0, 0.5, 0]"
     """
+    overrides = [*(overrides or ()), *([] if seed is None else [f"settings.seed={seed}"])]
     with written_whole(out) as folder:
         made = plan_with_progress(config, overrides, method, device)
         made.write(folder, retract=retract)
@@ -52,7 +63,7 @@ def plan(
     if as_json:
         print_json(made.record())
     else:
-        print_facts(str(made), made.facts() | {"files": str(out)})
+        print_facts(str(made), made.facts(verbose=verbose) | {"files": str(out)})
         for where, why in made.failure().items():
             stdout().print(Text.assemble((f"{where}: ", "red"), why))
     return COMPLETE if made.complete else INCOMPLETE

@@ -26,28 +26,32 @@ from htcp_jax.trajectory.of_plan import OfPlan, asked_feed, program_of, with_pro
 from htcp_jax.validation.timed_check import check_timed
 
 REFUTED, OVERLOADED = 1, 3  # exit codes
+STOP = "stop"  # reason of a feed drop to 0
 CHECKED = (
-    "{refuted} of {postures:,} postures refuted; clearance {clearance_min_mm:.3g} mm at least, "
-    "TCP {off_max_mm:.3g} mm off its path at most"
+    "{refuted} of {postures:,} configurations refuted; minimum clearance {clearance_min_mm:.3g} mm, "
+    "maximum path deviation {off_max_mm:.3g} mm"
 )
 COLUMNS = (
     Column("begin_mm", "from", "mm", ".2f"),
     Column("end_mm", "to", "mm", ".2f"),
-    Column("feed_mm_s", "least feed", "mm/s", ".2f"),
-    Column("reason", "because of"),
+    Column("feed_mm_s", "lowest feed", "mm/s", ".2f"),
+    Column("reason", "limited by"),
 )
 
-Run = Annotated[Path, typer.Argument(metavar="RUN", help="The folder that htcp plan or htcp sweep wrote.")]
-Format = Annotated[str | None, typer.Option(metavar="NAME", help=f"One of {', '.join(FORMATS)}; csv by default.")]
-Out = Annotated[Path | None, typer.Option(metavar="FILE", help="The file to write; its stem is the program's name.")]
-All = Annotated[bool, typer.Option("--all", help="Time every scenario of a run, in place of one program.")]
-Scenario = Annotated[int | None, typer.Option(metavar="K", help="Its number, as in the tables; a plan has only 0.")]
+Run = Annotated[Path, typer.Argument(metavar="RUN", help="Output folder of htcp plan or htcp sweep.")]
+Format = Annotated[str | None, typer.Option(metavar="NAME", help=f"File format: {', '.join(FORMATS)}; by default csv.")]
+Out = Annotated[Path | None, typer.Option(metavar="FILE", help="Output file; its stem is the program's name.")]
+All = Annotated[bool, typer.Option("--all", help="Time every scenario of a sweep; write no program.")]
+Scenario = Annotated[int | None, typer.Option(metavar="K", help="Number of the scenario in the sweep; by default 0.")]
 Method = Annotated[
-    str | None, typer.Option(metavar="NAME", help="By default the run's first.", autocompletion=complete_method)
+    str | None,
+    typer.Option(metavar="NAME", help="Planning method; by default the run's first.", autocompletion=complete_method),
 ]
-Check = Annotated[bool, typer.Option("--check", help="Look at every millisecond by MuJoCo alone, which takes longer.")]
-AllowEffort = Annotated[bool, typer.Option("--allow-effort", help="Exit with 0 if a joint's effort exceeds its limit.")]
-Step = Annotated[float | None, typer.Option(metavar="MS", help="Between postures; by default the format's own.")]
+Check = Annotated[bool, typer.Option("--check", help="Check the configuration at every millisecond with MuJoCo.")]
+AllowEffort = Annotated[bool, typer.Option("--allow-effort", help="Accept joint torques above the effort limits.")]
+Step = Annotated[
+    float | None, typer.Option(metavar="MS", help="Time between configurations; the default depends on the format.")
+]
 
 
 def program(
@@ -65,25 +69,26 @@ def program(
     overrides: ProgramKeys = None,
     as_json: Json = False,
 ) -> int:
-    """Give the motion of a plan its time, and write it as a controller takes it.
+    """Time the motion of a plan and write it as a robot program for a controller.
 
-    From home over the approach and along the path to the last target, and back: on the path the TCP has the feed that
-    is asked for, elsewhere the arm is as fast as its limits allow. Where a limit would be exceeded on the path the feed
-    dips, and the table says where, how far and because of which joint. Limits and what a controller has to be told are
-    in the job's section program. Exits with 1 when --check refutes a posture, with 2 on bad input, a plan that does not
-    lead to its last target among it, with 3 if a joint needs more than its effort limit; the file is written all the
-    same.
+    The motion leads from home over the approach and along the path to the last target, and back. Along the path the TCP
+    moves at the required feed rate, elsewhere as fast as the joint limits allow. Where a limit requires a lower feed,
+    the table lists where, how low, and which joint limits it. The job's section program has limits and controller data.
 
-    With --all every scenario of a sweep's run is timed: cycle time, feed and limits are columns of the run from then
-    on, which htcp report draws and htcp gate holds. With the same feed and limits only what is missing is timed.
+    With --all, every scenario of a sweep is timed instead: cycle time, feed and limits become columns of the run, for
+    htcp report and htcp gate. Scenarios that are timed already with the same feed and limits are skipped.
+
+    Exit codes: 0, 1 if --check refutes a configuration, 3 if a torque exceeds its limit (the file is written in both
+    cases), 2 on bad input or if the plan does not lead to its last target.
 
     \b
-    htcp plan
-    htcp program out/plan --feed 20mm/s --out weld.csv
-    htcp program out/plan --feed 20mm/s --format ros --out weld.yaml
-    htcp sweep sweeps/workpiece --methods roadmap
-    htcp program out/workpiece --scenario 17 --feed 1.2m/min --out pose.csv --set program.full_speed_s=0.4
-    htcp program out/workpiece --all --feed 20mm/s
+    Examples:
+      htcp plan
+      htcp program out/plan --feed 20mm/s --out weld.csv
+      htcp program out/plan --feed 20mm/s --format ros --out weld.yaml
+      htcp sweep sweeps/workpiece --methods roadmap
+      htcp program out/workpiece --scenario 17 --feed 1.2m/min --out pose.csv --set program.full_speed_s=0.4
+      htcp program out/workpiece --all --feed 20mm/s
     """
     if all_:
         alone = {"--out": out, "--format": format, "--scenario": scenario, "--step-ms": step_ms}
@@ -91,10 +96,10 @@ def program(
         flags = {"--one-way": one_way, "--check": check, "--allow-effort": allow_effort}
         given += [name for name, is_set in flags.items() if is_set]
         if given:
-            raise InputError(f"{given[0]} is of one program; --all times every scenario, from home and back")
+            raise InputError(f"{given[0]} is for one program; --all times every scenario, from home and back")
         return _time_all(run, feed, method, overrides or (), as_json)
     if out is None:
-        raise InputError("no --out: the file to write; or --all times every scenario of a run and writes none")
+        raise InputError("--out is missing: the file to write; or use --all to time every scenario of a sweep")
     format, scenario = format or "csv", scenario or 0
     format_of(format)
     if feed is not None:
@@ -123,6 +128,8 @@ def program(
     if found.dips:
         stdout().print()
         print_table(stdout(), dips)
+        if any(dip.reason == STOP for dip in found.dips):
+            stdout().print(Text(f"{STOP}: the arm starts or stops there, as at both ends of the path.", style="dim"))
     return code
 
 

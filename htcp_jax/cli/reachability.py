@@ -41,12 +41,12 @@ from htcp_jax.runs.run_folder import Run, open_run
 
 Resolution = Annotated[
     float,
-    typer.Option(metavar="RAD", min=0.01, help="Of the tool's orientations, where a target looks out of reach."),
+    typer.Option(metavar="RAD", min=0.01, help="Angular resolution of the tool orientations searched."),
 ]
 ProofCells = Annotated[
-    int, typer.Option(metavar="CELLS", min=0, help="Of a proof that a target is out of reach, at a time; 0: no proofs.")
+    int, typer.Option(metavar="CELLS", min=0, help="Size of a proof that a target is unreachable; 0: no proofs.")
 ]
-Out = Annotated[Path | None, typer.Option(metavar="DIR", help="The run folder to compare with and to write into.")]
+Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Output folder, and the run to compare with.")]
 
 
 def reachability(
@@ -59,15 +59,18 @@ def reachability(
     overrides: Overrides = None,
     as_json: Json = False,
 ) -> int:
-    """Look for any clear configuration at every target, scenario by scenario, and count the targets in a row.
+    """Bound the number of consecutive targets in each scenario that any method can reach.
 
-    What is found is reachable; what is not found, and not proven to be out of reach, may be. Writes reachability.json
-    into the run folder, where `htcp report` finds it, and names every method of that folder that gets further. Stopped
-    by a signal, it writes what was found until then, marked as incomplete, unless there is such a file already.
+    Lower bound: a collision-free configuration was found. Upper bound: the next target is proven to be unreachable.
+    Writes reachability.json into the run folder, for htcp report, and lists methods of that run that get further. After
+    a signal, the targets searched so far are saved and marked as incomplete, unless the file exists.
+
+    Exit codes: 0, 2 on bad input, 130 or 143 after a signal.
 
     \b
-    htcp reachability sweeps/workpiece                     into out/workpiece, where the sweep writes
-    htcp reachability sweeps/workpiece --resolution 0.06
+    Examples:
+      htcp reachability sweeps/workpiece                     into out/workpiece, where the sweep writes
+      htcp reachability sweeps/workpiece --resolution 0.06
     """
     if out is None:
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
@@ -172,12 +175,12 @@ def _print(name: str, batch: Batch, found: Reachability, record: dict, out: Path
     targets, reachable, most = record["targets"], int(found.prefix.sum()), int(found.most.sum())
     complete = int((found.prefix == batch.scenarios.count).sum())
     rows = {
-        "reachable at least": f"{reachable:,} of {targets:,} targets, {100 * reachable / targets:.2f} %",
+        "lower bound": f"{reachable:,} of {targets:,} targets, {100 * reachable / targets:.2f} %",
         "complete": f"{complete:,} of {len(found.prefix):,} scenarios",
-        "at most, by proof": f"{most:,} targets, {100 * most / targets:.2f} %",
-        "resolution": "none: postures spread over the joint limits were tried, as the task holds the TCP at no place"
+        "upper bound": f"{most:,} targets, {100 * most / targets:.2f} %; the others are proven to be unreachable",
+        "resolution": "none: the task leaves the TCP free, so configurations spread over the joint limits were tried"
         if (resolution := record["resolution_rad"]) is None
-        else f"{resolution:.3g} rad of the tool's orientations",
+        else f"tool orientations every {resolution:.3g} rad",
         "files": str(out / "reachability.json"),
     }
     print_facts(name, rows)

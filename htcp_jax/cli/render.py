@@ -24,26 +24,27 @@ LEAST, MOST = 160, 3840  # pixels across
 ASPECT = 11 / 16
 SLOWEST, FASTEST = 0.1, 100.0
 
-Run = Annotated[Path, typer.Argument(metavar="RUN", help="The folder that htcp sweep or htcp plan wrote.")]
-Scenario = Annotated[int, typer.Option(metavar="K", help="Its number, as in the tables; a plan has only 0.")]
+Run = Annotated[Path, typer.Argument(metavar="RUN", help="Output folder of htcp plan or htcp sweep.")]
+Scenario = Annotated[int, typer.Option(metavar="K", help="Number of the scenario in the sweep.")]
 Method = Annotated[
-    str | None, typer.Option(metavar="NAME", help="By default the run's first.", autocompletion=complete_method)
+    str | None,
+    typer.Option(metavar="NAME", help="Planning method; by default the run's first.", autocompletion=complete_method),
 ]
 Target = Annotated[
-    int | None, typer.Option(metavar="T", help="Where the arm is in the picture; by default the last tracked.")
+    int | None, typer.Option(metavar="T", help="Target at which the arm is drawn; by default the last tracked.")
 ]
 Movie = Annotated[
-    str | None, typer.Option(metavar="KIND", help=f"One of {', '.join(KINDS)}, none; by default {KINDS[0]}.")
+    str | None, typer.Option(metavar="KIND", help=f"Kind of movie: {', '.join(KINDS)}, none; by default {KINDS[0]}.")
 ]
 Speed = Annotated[
     float | None,
-    typer.Option(metavar="X", help="Times real time that the program is shown at; 1 where nothing is said."),
+    typer.Option(metavar="X", help="Playback speed with --feed; by default 1 (real time)."),
 ]
-Close = Annotated[bool, typer.Option("--close", help="Look at the workpiece, not at the whole arm.")]
-Width = Annotated[int, typer.Option(metavar="PIXELS", help="Of the picture; the movie has half of it.")]
+Close = Annotated[bool, typer.Option("--close", help="Show the workpiece close up instead of the whole arm.")]
+Width = Annotated[int, typer.Option(metavar="PIXELS", help="Width of the picture; the movie has half of it.")]
 Out = Annotated[
     Path,
-    typer.Option(metavar="DIR", help="Where the files go; or the movie's own name, weld.mp4 say, without a picture."),
+    typer.Option(metavar="DIR", help="Output folder; or a movie file, for example weld.mp4, without a picture."),
 ]
 
 
@@ -74,21 +75,23 @@ def render(
     overrides: ProgramKeys = None,
     as_json: Json = False,
 ) -> int:
-    """Draw one plan by MuJoCo, without a screen: a picture, and a movie along the targets or, with --feed, in time.
+    """Draw one plan without a screen, as a picture and a movie.
 
-    The workpiece is cut open. Targets are blue where they are tracked, orange after an escape, red where the plan
-    failed, grey beyond; a green cube is a target at which the arm changes its posture, a purple ball the place where
-    the least clearance is proven. With --feed the movie takes as long as the program of htcp program, with the speeds
-    of the TCP and of the joints beneath. Needs EGL or OSMesa of the system. Exits with 2 on bad input, and where both
-    are missing.
+    The workpiece is cut open. Targets are blue if tracked, orange if tracked after a recovery, red if the plan failed
+    there, grey beyond. A green cube marks a target at which the arm changes its configuration, a purple ball the
+    minimum guaranteed clearance. With --feed the movie shows the timed motion of htcp program, with plots of TCP and
+    joint speeds. Needs EGL or OSMesa.
+
+    Exit codes: 0, 2 on bad input or without EGL and OSMesa.
 
     \b
-    htcp plan
-    htcp render out/plan                                         the plan of htcp plan
-    htcp render out/plan --movie mp4 --close --width 1920        needs the extra "movie"
-    htcp render out/plan --feed 200mm/s --out weld.mp4           the movie alone, at true speed
-    htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
-    htcp render out/workpiece --scenario 24 --method nspace-sqp  one of a sweep
+    Examples:
+      htcp plan
+      htcp render out/plan                                         the plan of htcp plan
+      htcp render out/plan --movie mp4 --close --width 1920        needs the extra "movie"
+      htcp render out/plan --feed 200mm/s --out weld.mp4           the movie alone, at true speed
+      htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
+      htcp render out/workpiece --scenario 24 --method nspace-sqp  one of a sweep
     """
     if movie not in (None, "none"):
         check_kind(movie)
@@ -155,13 +158,13 @@ def _print(
             record["program"] = {**_lasts(made), "speed": speed}
         print_json({**record, "motion": replay.summary.record(), "files": files})
         return
-    facts = {"targets tracked": tracked, **replay.summary.facts()}
+    facts = {**replay.summary.facts(), "targets tracked": tracked}
     if shown is not None:
         facts["the arm is at"] = f"target {shown}"
     if replay.failed is not None:
         facts["failed at"] = f"target {replay.failed}"
     if replay.obstruction is not None:
-        facts["in the way"] = replay.obstruction.description
+        facts[replay.obstruction.heading] = replay.obstruction.description
     if made is not None:
         facts["program"] = "{duration_s:.2f} s at {feed_mm_s:g} mm/s, shown {how}".format(
             **_lasts(made), how=shown_as(speed)

@@ -11,23 +11,24 @@ from htcp_jax.report.chapter import facts
 from htcp_jax.report.report import make_report, record, write_report
 from htcp_jax.runs.plan_folder import written_whole
 
-Runs = Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders that htcp sweep wrote.")]
-Out = Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.")]
+Runs = Annotated[list[Path], typer.Argument(metavar="RUN...", help="Output folders of htcp sweep.")]
+Out = Annotated[Path, typer.Option(metavar="DIR", help="Output folder.")]
 
 
 def report(runs: Runs, out: Out = Path("out/report"), as_json: Json = False) -> int:
-    """Tell what runs came to: the paper's tables beside its own figures, what stopped each method, and charts.
+    """Summarise runs in tables and charts: success, clearance, times, why methods failed, and the paper's figures.
 
-    Writes report.html, one file with everything in it, report.md with its pictures, and a CSV file a table:
-    results, stops, joint-steps, times, scenarios; timing where the run is timed. Exits with 2 on a folder that is no
-    run and on a damaged file.
+    Writes report.html (self-contained), report.md with its pictures, and a CSV file for each table.
+
+    Exit codes: 0, 2 if a folder is no run or a file is damaged.
 
     \b
-    htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
-    htcp report out/workpiece                       one run
-    htcp report out/workpiece --json                its tables for another program
-    htcp sweep sweeps/workpiece --methods nspace-sqp --config paper
-    htcp report out/workpiece out/workpiece-paper   several runs
+    Examples:
+      htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
+      htcp report out/workpiece                       one run
+      htcp report out/workpiece --json                its tables for another program
+      htcp sweep sweeps/workpiece --methods nspace-sqp --config paper
+      htcp report out/workpiece out/workpiece-paper   several runs
     """
     made = make_report(runs)
     with written_whole(out) as folder:

@@ -32,15 +32,13 @@ COLUMNS = (
     Column("shapes", "about"),
 )
 
-Model = Annotated[Path, typer.Argument(metavar="MODEL", help="A URDF or MJCF file, beside its meshes.")]
-Tcp = Annotated[str | None, typer.Option(metavar="NAME", help="The TCP: a site or body of the model, or the flange.")]
-Out = Annotated[Path, typer.Option(metavar="ARM.xml", help="The file to write; its picture goes beside it.")]
-Most = Annotated[int, typer.Option(metavar="N", min=1, max=20, help="Capsules fitted to a body.")]
-Visual = Annotated[bool, typer.Option("--visual", help="Hold what is drawn, not the shapes for contact.")]
-Srdf = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="An SRDF file, whose disabled collisions are excluded.")
-]
-Replace = Annotated[bool, typer.Option("--replace", help="Write over an arm that is there.")]
+Model = Annotated[Path, typer.Argument(metavar="MODEL", help="URDF or MJCF file, with its meshes next to it.")]
+Tcp = Annotated[str | None, typer.Option(metavar="NAME", help="TCP: a site or body of the model; by default the last.")]
+Out = Annotated[Path, typer.Option(metavar="ARM.xml", help="Output file; a picture is written next to it.")]
+Most = Annotated[int, typer.Option(metavar="N", min=1, max=20, help="Maximum number of capsules fitted to a body.")]
+Visual = Annotated[bool, typer.Option("--visual", help="Enclose the visual meshes instead of the collision geometry.")]
+Srdf = Annotated[Path | None, typer.Option(metavar="FILE", help="SRDF file with disabled collision pairs.")]
+Replace = Annotated[bool, typer.Option("--replace", help="Overwrite existing files.")]
 
 
 def robot(
@@ -53,19 +51,21 @@ def robot(
     replace: Replace = False,
     as_json: Json = False,
 ) -> int:
-    """Make an arm of capsules of a robot's model, URDF or MJCF, as its maker ships it.
+    """Convert a vendor's URDF or MJCF model to an arm of capsules.
 
-    The joints from the world to the TCP stay; all others, a gripper's say, are frozen as they are drawn. A body keeps
-    the capsules and spheres that it has; its meshes, boxes and cylinders are held by capsules that are fitted to them.
-    Writes ARM.xml, to be looked at and corrected, and ARM.png, where the capsules are drawn over what they hold.
-    ARM.xml lists the pairs of capsules that are not checked against each other, and why: the model or the SRDF excludes
-    them, they nearly always overlap, or they overlap where the meshes in them do not touch.
-    Exits with 2 on bad input, and where ARM.xml is there already.
+    The joints from base to TCP are kept, all others are frozen, for example a gripper's. Capsules and spheres of the
+    model are kept; meshes, boxes and cylinders are enclosed by fitted capsules. Writes ARM.xml, for you to review, and
+    ARM.png, which shows the capsules over the model. ARM.xml lists the pairs of capsules that are not checked for
+    self-collision, with the reason: disabled by the model or the SRDF file, nearly always overlapping, or overlapping
+    where the meshes inside do not touch.
+
+    Exit codes: 0, 2 on bad input or if ARM.xml exists.
 
     \b
-    htcp example pipe pipe                                 one with a model to try: pipe/arm.xml
-    htcp robot pipe/arm.xml --out arm.xml
-    htcp robot pipe/arm.xml --tcp link7 --most 5 --out flange.xml
+    Examples:
+      htcp example pipe pipe                                 one with a model to try: pipe/arm.xml
+      htcp robot pipe/arm.xml --out arm.xml
+      htcp robot pipe/arm.xml --tcp link7 --most 5 --out flange.xml
     """
     if out.suffix.lower() != ".xml":
         raise InputError(f"--out is {out}; an arm is an MJCF file and ends in .xml")

@@ -37,12 +37,18 @@ from htcp_jax.runs.summary import summarise
 from htcp_jax.status import NOT_TRIED
 
 Methods = Annotated[
-    str, typer.Option(metavar="A,B|all", help="Planners; htcp methods lists them.", autocompletion=complete_methods)
+    str,
+    typer.Option(metavar="A,B|all", help="Planning methods; htcp methods lists them.", autocompletion=complete_methods),
 ]
-Out = Annotated[Path | None, typer.Option(metavar="DIR", help="The run folder; by default out/<name of the sweep>.")]
-Seed = Annotated[int | None, typer.Option(metavar="S", help="Of everything random: settings.seed.")]
-On = Annotated[str, typer.Option(metavar="here|ray[:ADDRESS]", help="This process, or the workers of a Ray cluster.")]
-Shard = Annotated[int | None, typer.Option(metavar="N", help="Scenarios planned together, and lost together.")]
+Out = Annotated[
+    Path | None, typer.Option(metavar="DIR", help="Output folder (run); by default out/<name of the sweep>.")
+]
+Seed = Annotated[int | None, typer.Option(metavar="S", help="Random seed.")]
+On = Annotated[str, typer.Option(metavar="here|ray[:ADDRESS]", help="Run in this process or on a Ray cluster.")]
+Shard = Annotated[
+    int | None,
+    typer.Option(metavar="N", help="Scenarios per work unit; a failed unit is planned again as a whole."),
+]
 
 
 def sweep(
@@ -59,22 +65,22 @@ def sweep(
     device: Device = None,
     as_json: Json = False,
 ) -> int:
-    """Plan every scenario of a grid by every method asked for.
+    """Plan every scenario of a parameter grid by several methods.
 
-    The run folder gets manifest.json and Parquet files, one row per method, scenario and target in targets/ and one
-    per method and scenario in scenarios/. The same command again goes on where the last one stopped; --methods and
-    --limit may grow. Exits with 0 when all is planned, with 1 when a cluster's workers are lost, with 2 on bad input,
-    with 130 or 143 when a signal stopped it; what is finished by then is kept.
+    Writes a run folder: manifest.json and Parquet files, with one row per method, scenario and target in targets/, and
+    one per method and scenario in scenarios/. The same command resumes an interrupted run; --methods and --limit may be
+    extended. With --feed, or program.feed in the job, complete motions are timed, as by htcp program.
 
-    With --feed, or program.feed in the job, every plan whose motion leads to its last target is timed afterwards, as
-    htcp program does, and cycle time, feed and limits are columns, too.
+    Exit codes: 0 if everything is planned, 1 if the workers of a cluster are lost, 2 on bad input, 130 or 143 after a
+    signal; finished work is kept.
 
     \b
-    htcp sweep sweeps/robot                                125 starts by all methods; htcp example lists more
-    htcp sweep sweeps/workpiece --methods baseline,nspace-sqp --config paper
-    htcp sweep sweeps/robot --limit 3 --set settings.alpha_rad=0.05 --out out/try
-    htcp sweep sweeps/workpiece --methods roadmap --feed 20mm/s
-    htcp sweep sweeps/cross --methods baseline --on ray    on all cores, or on the cluster that Ray knows of
+    Examples:
+      htcp sweep sweeps/robot                                125 starts by all methods; htcp example lists more
+      htcp sweep sweeps/workpiece --methods baseline,nspace-sqp --config paper
+      htcp sweep sweeps/robot --limit 3 --set settings.alpha_rad=0.05 --out out/try
+      htcp sweep sweeps/workpiece --methods roadmap --feed 20mm/s
+      htcp sweep sweeps/cross --methods baseline --on ray    on all cores, or on the cluster that Ray knows of
     """
     if out is None:
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
@@ -188,16 +194,16 @@ def _print_table(run: Run, running: RunningSummary) -> None:
         print_table(console, without_empty(Table("sweep", columns, tuple(rows))))
         console.print()
     print_timing(run, list(plans))
-    console.print(Text("Executable: tracked, and led to from the given start by a proven motion.", style="dim"))
+    console.print(Text("Executable: tracked, and a proven motion leads there from the given start.", style="dim"))
     if plans:
         asked = _margins(running.margins_m(run, *plans))
-        text = f"Tracked: with at least the {asked} mm of clearance that were asked for."
+        text = f"Tracked: reached with the required clearance of {asked} mm or more."
         console.print(Text(text, style="dim"))
     for text in dict.fromkeys(_not_tried(whole.status) for whole in plans.values()):
         if text:
             console.print(Text.assemble(("not tried  ", "yellow"), text))
     for method, count in run.unfinished().items():
-        text = f"{count:,} of {run.manifest.count:,} scenarios left; --methods {method} plans them"
+        text = f"{count:,} of {run.manifest.count:,} scenarios left; run again with --methods {method} to plan them"
         console.print(Text.assemble(("unfinished  ", "yellow"), f"{method}: {text}"))
     console.print(Text.assemble(("files  ", "cyan"), str(run.folder)))
 

@@ -9,6 +9,7 @@ import typer
 from rich.text import Text
 
 from htcp_jax.cli.output import Json, print_json, print_table, progress_bar, stdout
+from htcp_jax.jobs.feed import feed_of
 from htcp_jax.report.validation import notes, scenarios_named, validation_tables
 from htcp_jax.runs.labels import named
 from htcp_jax.runs.manifest import MANIFEST
@@ -23,33 +24,43 @@ VALIDATED, REFUTED = 0, 1
 WORTH_SAYING_S = 60  # longer checks are announced
 LISTED = 10  # refuted configurations on the terminal
 
-Run = Annotated[Path, typer.Argument(metavar="RUN", help="The folder that htcp sweep or htcp plan wrote.")]
-Between = Annotated[int, typer.Option(metavar="N", help="Least steps of each joint path; 0 skips them.")]
-Feed = Annotated[float, typer.Option(metavar="MM/S", help="Feed rate that joint speeds are told for.")]
+Run = Annotated[Path, typer.Argument(metavar="RUN", help="Output folder of htcp plan or htcp sweep.")]
+Between = Annotated[int, typer.Option(metavar="N", help="Minimum number of samples of each segment; 0 skips segments.")]
+FeedMmS = Annotated[float, typer.Option(metavar="MM/S", hidden=True)]
+Feed = Annotated[
+    str | None, typer.Option(metavar="SPEED", help="Feed rate for the joint speeds in the table; by default 10mm/s.")
+]
 
 
-def validate(run: Run, between: Between = 20, feed_mm_s: Feed = 10.0, as_json: Json = False) -> int:
-    """Check results by MuJoCo's own kinematics and distances, on the robot's model file, without the planner's code.
+def validate(
+    run: Run, between: Between = 20, feed: Feed = None, feed_mm_s: FeedMmS = 10.0, as_json: Json = False
+) -> int:
+    """Check results independently: MuJoCo's kinematics and distances on the robot's model file, no code of the planner.
 
-    At the targets: is every tracked configuration clear, on its target, within the joint limits and as recorded? Along
-    the joint paths between them: how many touch, how far the TCP leaves the straight line, how fast joints must move.
-    Writes validation.json into the folder, which htcp report reads; one of the same results that looked closer at the
-    joint paths stays. Exits with 0 when no target is refuted, with 1 when one is, with 2 on bad input.
+    At every tracked target: clearance, TCP error, joint limits, and agreement with the saved values. Between targets:
+    collisions at samples, path deviation, joint speeds. Writes validation.json into the folder, for htcp report; an
+    earlier check of the same results with more samples is kept.
+
+    Exit codes: 0 if no target is refuted, 1 if one is, 2 on bad input.
 
     \b
-    htcp plan
-    htcp validate out/plan --feed-mm-s 50       one plan, ground at 50 mm/s
-    htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
-    htcp validate out/workpiece                 every method of a sweep
-    htcp validate out/workpiece --between 0 --json  the targets alone, for another program
+    Examples:
+      htcp plan
+      htcp validate out/plan --feed 50mm/s        one plan, executed at 50 mm/s
+      htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
+      htcp validate out/workpiece                 every method of a sweep
+      htcp validate out/workpiece --between 0 --json  only the targets, for another program
     """
+    feed_mm_s = feed_mm_s if feed is None else 1e3 * feed_of(feed)
     run = run_folder(run)
     began = time.perf_counter()
     with progress_bar("plans", time_left=True) as progress:
 
         def show(done: int, count: int) -> None:
             if done == 1 and (seconds := (time.perf_counter() - began) * count) > WORTH_SAYING_S:
-                print(f"about {seconds:,.0f} s for {count:,} plans, as the first one took", file=sys.stderr, flush=True)
+                print(
+                    f"about {seconds:,.0f} s for {count:,} plans, estimated from the first", file=sys.stderr, flush=True
+                )
             progress(done, count)
 
         found = check(run, between=between, feed_mm_s=feed_mm_s, progress=show)

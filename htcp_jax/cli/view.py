@@ -1,6 +1,7 @@
 """`htcp view`: plans in the browser."""
 
 import importlib.util
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
@@ -12,25 +13,27 @@ from htcp_jax.cli.feed import OneWay, PlayedFeed, played_feed
 from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Overrides, stdout
 from htcp_jax.cli.plan import plan_with_progress
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.jobs.examples import example_or_path
+from htcp_jax.process_exit import stop_message
 from htcp_jax.runs.open import open_plans
 from htcp_jax.trajectory.of_plan import OfPlan, program_of, program_of_plans
 from htcp_jax.viewer.replay import Replays, recorded_replays, replays_of
 
+CLOSED = "closed"
 What = Annotated[
     Path | None,
-    typer.Argument(metavar="RUN|CONFIG.yaml", help="A folder of htcp sweep or htcp plan, or a job as of htcp plan."),
+    typer.Argument(metavar="RUN|CONFIG.yaml", help="Output folder of htcp plan or htcp sweep, or a job to plan."),
 ]
-Scenario = Annotated[int | None, typer.Option(metavar="K", help="The first shown; by default one that failed.")]
+Scenario = Annotated[int | None, typer.Option(metavar="K", help="Scenario shown first; by default one that failed.")]
 Method = Annotated[
     str | None,
-    typer.Option(metavar="NAME", help="The first shown; of a job, the one that plans.", autocompletion=complete_method),
+    typer.Option(
+        metavar="NAME", help="Method shown first; for a job, the planning method.", autocompletion=complete_method
+    ),
 ]
-Host = Annotated[
-    str, typer.Option(metavar="ADDRESS", help="To listen on; 0.0.0.0 lets other machines look, with a token.")
-]
-Port = Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="To listen on; 0 takes any that is free.")]
+Host = Annotated[str, typer.Option(metavar="ADDRESS", help="Address to listen on; 0.0.0.0 admits other machines.")]
+Port = Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="Port to listen on; 0 selects a free one.")]
 
 
 def view(
@@ -43,21 +46,23 @@ def view(
     feed: PlayedFeed = None,
     one_way: OneWay = False,
 ) -> int:
-    """Look at plans in the browser: the arm with its capsules, the workpiece cut open, the targets, the clearance.
+    """Show plans in the browser: the arm with its capsules, the workpiece cut open, targets, clearance.
 
-    A run folder is shown as it is, failed scenarios first; a job is planned first. With --feed what is played is the
-    program of htcp program, in real time, with the speeds of the TCP and of the joints; --set then changes keys of
-    program of a plan on record, too. Only this machine can connect,
-    unless --host says otherwise; then the page needs the token in the address that is printed. Needs the extra "view".
-    Ctrl-C ends it; exits with 2 on bad input.
+    A run folder opens with its failed scenarios first; a job is planned first. With --feed, the timed motion of htcp
+    program is played in real time, with TCP and joint speeds; --set then changes keys of the job's section program.
+    Only this machine can connect, unless --host admits others, who need the token in the printed address.
+    Needs the extra "view". Writes nothing.
+
+    Exit codes: 130 after Ctrl-C, 2 on bad input.
 
     \b
-    htcp view                                    the default job
-    htcp view pipe --set margin_m=0.001 --port 8081
-    htcp plan
-    htcp view out/plan --feed 20mm/s             in real time
-    htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
-    htcp view out/workpiece --method nspace-sqp  a sweep
+    Examples:
+      htcp view                                    the default job
+      htcp view pipe --set margin_m=0.001 --port 8081
+      htcp plan
+      htcp view out/plan --feed 20mm/s             in real time
+      htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
+      htcp view out/workpiece --method nspace-sqp  a sweep
     """
     if importlib.util.find_spec("viser") is None:
         raise InputError("htcp view needs viser: pip install 'htcp_jax[view]'")
@@ -67,8 +72,11 @@ def view(
 
     viewer = Viewer(replays, host, port, scenario, method, programs if feed_m_s else None)
     try:
-        stdout().print(Text.assemble(("viewer  ", "cyan"), viewer.address, ("  (Ctrl-C ends it)", "dim")))
-        viewer.wait()
+        with stop_message(lambda: CLOSED):
+            stdout().print(Text.assemble(("viewer  ", "cyan"), viewer.address, ("  (Ctrl-C ends it)", "dim")))
+            viewer.wait()
+    except KeyboardInterrupt:
+        raise Interrupted(CLOSED, signal.SIGINT) from None
     finally:
         viewer.stop()
     return 0

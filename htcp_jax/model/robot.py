@@ -95,9 +95,13 @@ class Robot:
         return html_facts(f"{self.name}: {len(self.joint_names)} joints", facts)
 
 
-def capsule_in_words(name: str) -> str:
-    """Return a capsule's name for a message, which names the capsule, not the link inside it."""
-    return name if name.startswith("capsule") else f"capsule {name}"
+def capsule_in_words(robot: Robot, name: str) -> str:
+    """Return a capsule's name for a message. One that is only numbered comes with the name of its link, if known."""
+    if not name.startswith("capsule"):
+        return f"capsule {name}"
+    link = robot.capsule_link[robot.capsule_names.index(name)]
+    own = (frame.name for frame in robot.frames if frame.link == link and not any(frame.origin_m))
+    return f"{body} ({name})" if (body := next(own, None)) else name
 
 
 def mesh_note(robot: Robot, capsule: str, x: Float[np.ndarray, "N"], point: Float[np.ndarray, "3"]) -> str:

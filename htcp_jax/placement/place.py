@@ -50,18 +50,25 @@ from htcp_jax.trajectory.whole_run import time_run
 MARGINS = 1.7, 1.4, 1.2, 1.05, 0.95, 0.8, 0.5  # margins of a confirmed motion, in shares of the quick plan's clearance
 LOWERED = 0.8, 0.4  # margins of a perturbed mounting, in shares of its own, tried before the job's
 TOLERANCES = 3  # number of mountings whose tolerances are determined
+STAGES = {
+    "rounds": "search",
+    "raised": "search",
+    "confirmed": "confirm",
+    "disturbed": "perturb",
+    "tolerance": "tolerance",
+}
 
 
 class PlaceProgress(NamedTuple):
     """Progress of a search."""
 
-    stage: str
-    scenarios: int  # planned so far
-    of: int | None  # in total; None: as many as time allows
-    complete: int  # mountings
+    stage: str  # of STAGES
+    scenarios: int  # plans of this stage so far
+    of: int | None  # the most that the stage makes; None: as many as time allows
+    complete: int  # mountings that the search has found complete
     best: float  # first objective's best value so far; -inf: none
     sweep: sweeps.SweepProgress | None = None  # the current one
-    most: dict[str, int] | None = None  # largest number of plans of each stage; None if time decides
+    most: dict[str, int | None] | None = None  # see `most_plans`
 
 
 def place(
@@ -91,13 +98,13 @@ def place(
         tell = _Teller(search, progress)
 
         def plan(grid: Sweep, method: str, into: Path) -> Run:
+            tell.begin(STAGES[into.relative_to(folder).parts[0]])
             run = sweeps.sweep(grid, [method], into, progress=tell.sweep, on=on, device=device, threads=threads)
+            tell.planned(run)
             return time_run(run, search.file.feed, (method,)) if CYCLE_TIME in search.file.spare else run
 
         judged = list(_rounds(search, folder / "rounds", plan, tell))
-        tell.stage = "confirm"
         confirmed = _confirmed(search, judged, folder / "confirmed", plan)
-        tell.stage = "tolerance"
         for mountings, is_final in _ranked(search, confirmed, folder, plan):
             motions = _motions(search, confirmed, mountings, folder)
             found = write(folder, search, judged, mountings, motions, is_final)
@@ -115,12 +122,13 @@ def most_plans(search: Search) -> dict[str, int | None]:
     """Largest number of plans that each stage makes; None if time decides."""
     file, k = search.file, max(1, len(search.seams))
     is_raised = CLEARANCE in file.spare
-    scenarios = file.within.scenarios
+    scenarios, aims = file.within.scenarios, len(file.spare)
+    best = aims * -(-file.best // aims)  # as many by each objective
     return {
         "search": None if scenarios is None else scenarios // k * k * (1 + RAISED * is_raised),
-        "confirm": k * file.best * (len(MARGINS) if is_raised else 1),
-        "disturbed": k * file.best * TRIED * (1 + len(LOWERED) * is_raised),
-        "tolerance": k * min(TOLERANCES, file.best) * most_tried(len(search.ranges.axes)),
+        "confirm": k * best * (len(MARGINS) if is_raised else 1),
+        "perturb": k * best * TRIED * (1 + len(LOWERED) * is_raised),
+        "tolerance": k * min(TOLERANCES, best) * most_tried(len(search.ranges.axes)),
     }
 
 
@@ -128,18 +136,29 @@ class _Teller:
     """Progress reporter of the stages."""
 
     def __init__(self, search: Search, progress: Callable[[PlaceProgress], None] | None):
-        self.stage, self._progress, self._of = "search", progress, search.file.within.scenarios
-        self._scenarios, self._complete, self._best, self._most = 0, 0, -np.inf, most_plans(search)
+        self._stage, self._progress, self._most = "search", progress, most_plans(search)
+        self._scenarios, self._complete, self._best = 0, 0, -np.inf
+
+    def begin(self, stage: str) -> None:
+        """Count from 0 if the stage is a new one."""
+        if stage != self._stage:
+            self._stage, self._scenarios = stage, 0
+
+    def planned(self, run: Run) -> None:
+        """Add the plans of a finished sweep."""
+        self._scenarios += run.manifest.count
 
     def judged(self, found: Judged) -> None:
-        self._scenarios += len(found.plans.status)
+        """Add the mountings of a finished round."""
         self._complete += int(found.complete.sum())
         self._best = max(self._best, float(found.spare[:, 0].max(initial=-np.inf)))
 
     def sweep(self, now: sweeps.SweepProgress) -> None:
+        """Report the progress of the current sweep."""
         if self._progress is not None:
-            counts = self._scenarios, self._of, self._complete, self._best
-            self._progress(PlaceProgress(self.stage, *counts, now, self._most))
+            done = self._scenarios + min(now.scenarios_done, now.scenarios)
+            counts = done, self._most[self._stage], self._complete, self._best
+            self._progress(PlaceProgress(self._stage, *counts, now, self._most))
 
 
 def _rounds(search: Search, folder: Path, plan: Planner, tell: _Teller) -> Iterator[Judged]:

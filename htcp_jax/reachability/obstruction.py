@@ -43,6 +43,9 @@ class Obstruction(NamedTuple):
     x: Float[np.ndarray, "N"]  # the configuration [rad or m]
     other: str = "the workpiece"  # the obstacle nearest to the body
     from_mesh: str = ""  # distance from the capsule to its mesh there, if the arm's file refers to meshes
+    in_words: str = ""  # the body with its link, for messages
+    angle_rad: float = 0.0  # from the orientation that the task holds; 0 if it holds none
+    within_bands: bool = True  # False if a cone or band of the task is violated
 
     @property
     def collides(self) -> bool:
@@ -54,11 +57,18 @@ class Obstruction(NamedTuple):
         return self.body if self.collides else otherwise if self.reached else "out of reach"
 
     @property
+    def heading(self) -> str:
+        """Label of the description."""
+        return "colliding body" if self.collides else "nearest body" if self.reached else "reach"
+
+    @property
     def description(self) -> str:
         """Message that names the colliding body, or says that there is none."""
         if not self.reached:
-            return f"the arm comes only to within {_mm(self.residual_m)} of it"
-        body = capsule_in_words(self.body)
+            angle = f" and {np.rad2deg(self.angle_rad):.3g} deg" if self.angle_rad else ""
+            outside = "" if self.within_bands else ", outside of the task's cones and bands"
+            return f"the arm comes only to within {_mm(self.residual_m)}{angle} of it{outside}"
+        body = self.in_words or self.body
         where = f"at ({', '.join(f'{value:.2f}' for value in self.point)}) m there"
         if self.depth_m > 0:
             return f"{body} is {_mm(self.depth_m)} inside {self.other} {where}{self.from_mesh}"
@@ -106,12 +116,25 @@ def obstructions(
     found = []
     for k, (row, point, surface, depth, off, x) in enumerate(zip(*measured, strict=True)):
         here = jax.tree.map(lambda leaf, k=k: jnp.asarray(leaf[k]), where)
-        other = nearest_to(own_scene(scene, here.tool_extension_m).robot, obstacles, here, jnp.asarray(x), int(row))
+        own = own_scene(scene, here.tool_extension_m).robot
+        other = nearest_to(own, obstacles, here, jnp.asarray(x), int(row))
         number, reached = scene.rows.body[int(row)], bool(task.reached(np.asarray(off)))
         body = robot.capsule_names[number]
         note = mesh_note(robot, body, x, surface)
-        found.append(Obstruction(body, point, float(depth), float(off), reached, x, other, note))
+        one = Obstruction(
+            body, point, float(depth), float(off), reached, x, other, note, in_words=capsule_in_words(robot, body)
+        )
+        if not (reached or task.is_points):
+            distance, angle, within = _apart(own, task, jnp.asarray(x), jnp.asarray(goals[k]))
+            one = one._replace(residual_m=distance, angle_rad=angle, within_bands=within)
+        found.append(one)
     return found
+
+
+def _apart(robot: Robot, task: Task, x: jax.Array, goal: jax.Array) -> tuple[float, float, bool]:
+    """Return the distance [m] and the angle [rad] from a goal, and False if a cone or band is violated."""
+    distance, angle = map(float, task.errors(robot, x, goal))
+    return distance, angle, bool(task.room(task.value(robot, x), goal) >= 0)
 
 
 def blocked_target(plans: Plans, scenario: int) -> int | None:

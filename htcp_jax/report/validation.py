@@ -18,24 +18,24 @@ AT_TARGETS = (
     Column("clearance_min_mm", "clearance", "min mm", ".3g"),
     Column("clearance_min_at", "scenario:", "target"),
     Column("clearance_less_cover_min_mm", "less cover", "min mm", ".3g"),
-    Column("clearance_off_max_mm", "off record", "max mm", ".1e"),
+    Column("clearance_off_max_mm", "differs from plan", "max mm", ".1e"),
 )
 ON_THE_WAY = (
     Column("method", "method"),
-    Column("paths", "paths", "joint", ",d"),
-    Column("paths_touching", "touch", "", ",d"),
-    Column("paths_blocked_on_record", "on record", "blocked", ",d"),
+    Column("paths", "joint paths", "", ",d"),
+    Column("paths_touching", "collide", "", ",d"),
+    Column("paths_blocked_on_record", "blocked", "in the plan", ",d"),
     Column("clearance_between_min_mm", "clearance", "min mm", ".3g"),
     Column("clearance_between_min_at", "scenario:", "target"),
-    Column("line_deviation_max_mm", "off the line", "max mm", ".2f"),
+    Column("line_deviation_max_mm", "path deviation", "max mm", ".2f"),
     Column("speed_ratio_max", "joint speed", "of limit", ".3f"),
-    Column("speed_joint", "of"),
+    Column("speed_joint", "at"),
     Column("in_place_max_rad", "in place", "max rad", ".2f"),
 )
 ROWS = (
     Column("method", "method"),
     Column("row", "row of the task"),
-    Column("off", "off", "at most", ".4g"),
+    Column("off", "error", "max", ".4g"),
     Column("most", "allowed", "", ".4g"),
     Column("unit", "", ""),
     Column("at", "scenario:", "target"),
@@ -115,26 +115,28 @@ def scenarios_named(found: dict[str, Any], labels: dict[int, str]) -> list[str]:
 def notes(found: dict[str, Any]) -> list[str]:
     """Explanations of the filled columns."""
     lines = []
+    if any(check.get("clearance_off_max_mm") is not None for check in found["methods"].values()):
+        lines.append("Differs from plan: the largest difference between a clearance in the plan and MuJoCo's.")
     if found.get("excluded"):
         lines.append(f"Deepest overlap of two capsules that are not checked against each other: {found['excluded']}.")
     if any(check.get("clearance_less_cover_min_mm") is not None for check in found["methods"].values()):
         lines.append(
-            "Clearance is to the triangles of the mesh. Less cover: less the covering radius of the points that the "
-            "planner has on the mesh, which plans, sweeps and reports subtract from every clearance."
+            "Clearance is to the triangles of the mesh. Less cover: minus the covering radius of the planner's points "
+            "on the mesh, which plans, sweeps and reports subtract from every clearance."
         )
     if found["between"]:
         lines.append(
-            "Paths are the straight joint paths between tracked targets and from the start to the first, in at least "
-            f"{found['between']} steps, in none of which a joint turns by more than {STEP_RAD:g} rad. What touches "
-            "there refutes nothing, as no target is there; on record as blocked is what the planner found itself. "
-            "Off the line: how far the TCP leaves that of its targets."
+            "Joint paths are the straight joint paths between tracked targets, and from the start to the first, with "
+            f"{found['between']} or more samples each, at most {STEP_RAD:g} rad apart. Collisions on them refute no "
+            'target; "blocked" counts those that the planner found itself. Path deviation: the TCP\'s distance from '
+            "the straight line between its targets."
         )
     if any(check.get("speed_ratio_max") is not None for check in found["methods"].values()):
         lines.append(
-            f"Joint speeds are for a feed rate of {found['feed_mm_s']:g} mm/s, and in proportion to it; the limits are "
-            "the model file's, for the GP50 its data-sheet's. In place: the joint change between targets closer to "
-            "each other than the tolerance, and from the start to the first, which the feed rate leaves no time for."
+            f"Joint speeds are for a feed rate of {found['feed_mm_s']:g} mm/s and proportional to it; the limits are "
+            "the model file's, for the GP50 its data sheet's. In place: the joint change between targets that are "
+            "closer together than the tolerance, and from the start to the first; the feed rate sets no time for it."
         )
     elif any(check["paths"] for check in found["methods"].values()):
-        lines.append("There is no column of joint speeds, because the model states none to hold them against.")
+        lines.append("There are no joint speeds, because the model states no limits.")
     return lines

@@ -27,26 +27,37 @@ class MotionSummary(NamedTuple):
     transfer_legs: int  # its straight joint paths; 0 without a transfer
 
     def facts(self) -> dict[str, str]:
-        """Return texts by name: executable targets and the reason why the motion ends, guaranteed clearance, transfer,
-        dwells and smoothness."""
-        end = self.end
-        text = f"{end.executable} of {end.targets} targets"
-        if end.executable < end.tracked:
-            text += f"; to target {end.executable}: {end.way.message}"
+        """Return texts by name: how far the motion can be run and why not farther, guaranteed clearance, transfer."""
+        end, there = self.end, self._can_be_run()
         if not end.executable:
-            return {"executable": text}
-        return {
-            "executable": text,
-            "proven clearance": f"{self.proven} all along; tightest on the way to target {self.tightest}",
-            **self._transfer(),
-            "dwells": f"{len(self.dwells)}, {_at(self.dwells)}" if self.dwells else "none",
-            "smoothness": self._smoothness(),
-        }
+            return {"can be run": there}
+        least = f"{self.proven}; minimum on the segment to target {self.tightest}"
+        return {"can be run": there, "guaranteed clearance": least, **self._transfer()}
+
+    def _can_be_run(self) -> str:
+        end, n = self.end, self.end.executable
+        if n == end.targets:
+            return f"yes: all {n} targets"
+        if n < end.tracked:
+            why = f"the segment to target {n} is {end.way.words}"
+        else:
+            why = f"target {n}: {end.status.ended}"
+        return f"no: {f'only the first {n} of {end.targets} targets' if n else f'none of {end.targets} targets'}; {why}"
 
     def _transfer(self) -> dict[str, str]:
         legs = self.transfer_legs
         paths = f"{legs} straight joint paths" if legs > 1 else "one straight joint path"
-        return {"transfer": f"{self.transfer_rad:.3g} rad by {paths}"} if legs else {}
+        return {"transfer": f"{self.transfer_rad:.3g} rad to the first configuration, by {paths}"} if legs else {}
+
+    def details(self) -> dict[str, str]:
+        """Return texts by name: dwells and smoothness; empty if there is no motion."""
+        if not self.end.executable:
+            return {}
+        turns = f"{len(self.dwells)}, {_at(self.dwells)}" if self.dwells else "none"
+        return {
+            "dwells": f"{turns} (changes of configuration while the tool stays at a target)",
+            "smoothness": self._smoothness(),
+        }
 
     @property
     def proven(self) -> str:
@@ -55,9 +66,9 @@ class MotionSummary(NamedTuple):
         return f"at least {least:.3g} mm" if least >= LEAST_MM else "more than 0 mm"
 
     def _smoothness(self) -> str:
-        text = f"cost {self.cost_rad2:.4g} rad2"
+        text = f"sum of squared joint steps {self.cost_rad2:.4g} rad2"
         if not math.isnan(self.path_step_max_rad):
-            text += f"; on the path steps up to {self.path_step_max_rad:.3g} rad"
+            text += f"; on the path, steps up to {self.path_step_max_rad:.3g} rad"
         if self.curvature_at is not None:
             text += f", curvature up to {self.curvature_max_rad_m2:.4g} rad/m2 (target {self.curvature_at})"
         return text

@@ -59,7 +59,7 @@ class SelfCollision(Exact):
 
     def hit(self, robot: Robot, row: int, p: Ends, q: Ends) -> str:
         """Return the name of the capsule nearest to the body of a row, for messages."""
-        return capsule_in_words(robot.capsule_names[self.pairs[int(_nearest(self, robot, p, q)[row])][1]])
+        return capsule_in_words(robot, robot.capsule_names[self.pairs[int(_nearest(self, robot, p, q)[row])][1]])
 
     def described(self, robot: Robot) -> str:
         """Describe the number of checked pairs and of excluded pairs by rule."""
