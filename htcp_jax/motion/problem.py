@@ -99,10 +99,10 @@ class Problem:
         return other
 
     def as_planned(self, plans: Plans) -> "Problem":
-        """Return the problem with the targets that a method's plans have: where the plans replaced targets of an
-        approach by the path's first point, with the goals of that point."""
+        """Return the problem with the targets that a method's plans have: from the first target of an approach that the
+        plans replaced by the path's first point, all up to that have its goals."""
         before = np.arange(plans.target.shape[1]) < self.scenarios.on_path[:, None]
-        left = before & (plans.target != self.scenarios.targets).any(axis=2)
+        left = np.logical_or.accumulate((plans.target != self.scenarios.targets).any(axis=2), axis=1) & before
         return self.with_scenarios(off_their_lines(self.scenarios, left)) if left.any() else self
 
 
