@@ -28,6 +28,7 @@ from htcp_jax.device.programs import PROGRAMS, Kernels
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model.kinematics import point_jacobians, tcp_position
 from htcp_jax.motion import kernels
+from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.kernels import MEASURED as READS_OF_MEASURED
 from htcp_jax.motion.kernels import measured
 from htcp_jax.motion.plans import Plans
@@ -418,7 +419,8 @@ class OnHost:
         """Plan with `HostKernels`."""
         own = replace(problem, threads=1)
         scene = Scene(problem.robot, problem.obstacles, problem.task)
-        vars(own)["kernels"] = [HostKernels(self.direction, scene, problem.settings, problem.devices[0])]
+        kernels = HostKernels(self.direction, scene, problem.settings, problem.devices[0])
+        vars(own)["checkers"] = (CollisionChecker(kernels, problem.settings),)
         return StepQPs(self.name, self.title, self.description, stages=(NullSpace(lambda *_: None),)).plan(own)
 
 

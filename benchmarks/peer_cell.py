@@ -16,7 +16,6 @@ from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.motion.motion_check import tubes
 from htcp_jax.motion.plans import Plans
 from htcp_jax.motion.problem import Problem
-from htcp_jax.motion.proofs import proofs_of
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status, Way
 
@@ -61,7 +60,7 @@ class Cell:
 
     def bring(self, x: np.ndarray, target: int) -> Brought:
         """Postures (n, N), n >= 1, brought onto a target; not all arrive, nor clear."""
-        return Brought(*self.problem.kernels[0](BRING, self._lanes(np.full(len(x), target)), x))
+        return Brought(*self.problem.checkers[0].kernels(BRING, self._lanes(np.full(len(x), target)), x))
 
     def counts(self, here: Brought) -> np.ndarray:
         """Which of them are on their target and keep the margin."""
@@ -76,10 +75,8 @@ class Cell:
         """Which straight joint paths from a to b (n, N), n >= 1, are proven as (a part of) the way to a target. turns:
         whether the arm changes its posture at the target before."""
         target, turns = np.full(len(a), target), np.broadcast_to(turns, len(a))
-        problem = self.problem
-        scenario = np.full(len(a), self.scenario)
-        tube = tubes(problem.scenarios, problem.task, problem.settings.tube_m, scenario, target, turns)
-        return proofs_of(problem.kernels[0], self._lanes(target), a, b, tube).verdict == Way.PROVEN
+        tube = tubes(self.problem, np.full(len(a), self.scenario), target, turns)
+        return self.problem.checkers[0].edges(self._lanes(target), a, b, tube).verdict == Way.PROVEN
 
     def uniform(self, draw: np.random.Generator, count: int) -> np.ndarray:
         """Postures drawn within the joint limits."""

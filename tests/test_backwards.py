@@ -9,7 +9,7 @@ import pytest
 from htcp_jax.device.programs import Kernels
 from htcp_jax.device.tables import concatenate, gather
 from htcp_jax.model.scenario import make_scenario
-from htcp_jax.motion.kernels import Measured
+from htcp_jax.motion.kernels import State
 from htcp_jax.motion.motion import transfers
 from htcp_jax.motion.plans import Plans, is_tracked
 from htcp_jax.planning.batch import plan
@@ -17,7 +17,6 @@ from htcp_jax.planning.methods import BUILT_IN
 from htcp_jax.planning.tracking.backwards import BackwardPlans
 from htcp_jax.planning.tracking.lane_checks import LaneChecks
 from htcp_jax.planning.tracking.lanes import Lanes, new_lanes
-from htcp_jax.planning.tracking.null_space import Anchored
 from htcp_jax.planning.tracking.record import Record
 from htcp_jax.planning.tracking.stages import Escapes
 from htcp_jax.settings import Settings
@@ -44,24 +43,24 @@ class Toy(LaneChecks):
     def inputs(self, lanes: Lanes, round_=0) -> Inputs:
         return Inputs(lanes, np.broadcast_to(round_, lanes.scenario.shape))
 
-    def kernels(self, kernel, inputs: Inputs, *tables) -> Anchored:
+    def kernels(self, kernel, inputs: Inputs, *tables) -> State:
         self.calls.append((kernel.name, inputs.lanes.scenario.tolist(), inputs.lanes.target.tolist()))
         if kernel.name == "draw":
             name = 100.0 * inputs.lanes.scenario + 10.0 * inputs.round
             x = (name[:, None] + np.arange(DRAWN))[:, :, None]
         else:
             x = tables[0] + 0.1
-        return Anchored(x, np.ones(x.shape[:-1]), np.zeros(x.shape[:-1]))
+        return State(x, clearance=np.ones(x.shape[:-1]), residual=np.zeros(x.shape[:-1]))
 
-    def at_target(self, lanes: Lanes, here: Anchored) -> np.ndarray:
+    def at_target(self, lanes: Lanes, here: State) -> np.ndarray:
         return np.array([self._good(int(x), row) for x, row in zip(here.x[:, 0], lanes.target, strict=True)], bool)
 
     def path_clear(self, lanes: Lanes, x: np.ndarray, asked: bool) -> np.ndarray:
         return np.array([self._clear(int(one)) for one in x[:, 0]], np.int8)
 
-    def measured(self, lanes: Lanes, x: np.ndarray) -> Measured:
+    def measured(self, lanes: Lanes, x: np.ndarray) -> State:
         linear = new_lanes((3, 1), np.zeros(len(x)), 0, x, x).linear
-        return Measured(x, linear, np.ones(len(x)), np.zeros(len(x)), np.zeros((len(x), 3)))
+        return State(x, linear, np.ones(len(x)), np.zeros(len(x)), np.zeros((len(x), 3)))
 
 
 def lost(*targets: int) -> Lanes:

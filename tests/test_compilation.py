@@ -10,13 +10,14 @@ import made_once
 import numpy as np
 import pytest
 
-from htcp_jax.clearance.proof.motion_proof import RESOLUTION_M, proven_clear
+from htcp_jax.clearance.proof.motion_proof import proven_clear
 from htcp_jax.device.batching import Loop, chunked, refilled
 from htcp_jax.device.kernel import STEP, Kernel
 from htcp_jax.device.programs import COMPILER, Kernels, Programs, Stopwatch
 from htcp_jax.model.scenario import stack
+from htcp_jax.motion.collision_checker import CollisionChecker, prove_call
+from htcp_jax.motion.kernels import PROVE
 from htcp_jax.motion.lane_inputs import lane_inputs
-from htcp_jax.motion.proofs import PROVE, clear_paths, free_tubes, prove_call
 from htcp_jax.numerics import fold_keys
 from htcp_jax.settings import Settings
 
@@ -33,13 +34,12 @@ def test_what_is_prepared_is_what_is_called():
     """Check that a kernel is compiled once: the first call waits for the prepared program, later calls do not wait."""
     programs = Programs()
     kernels = Kernels(made_once.scene(), Settings(), programs=programs)
-    inputs, a, b = asked(20)
-    tubes = free_tubes(kernels.task, inputs)
-    with kernels.preparing([prove_call(inputs, a, b, tubes)]):
-        clear = clear_paths(kernels, inputs, a, b, RESOLUTION_M)
+    checker, (inputs, a, b) = CollisionChecker(kernels, Settings()), asked(20)
+    with kernels.preparing([prove_call(checker.task, inputs, a, b)]):
+        clear = checker.path_clear(inputs, a, b)
         assert len(programs) == 1 and kernels.compile_s > 0 and programs.of(PROVE)
     before = kernels.compile_s
-    assert clear_paths(kernels, inputs, a, b, RESOLUTION_M).tolist() == clear.tolist()
+    assert checker.path_clear(inputs, a, b).tolist() == clear.tolist()
     assert len(programs) == 1 and kernels.compile_s == before
     one = jax.jit(lambda a, b: proven_clear(made_once.scene(), made_once.nominal(), a, b))
     assert clear.tolist() == [bool(one(*way)) for way in zip(a, b, strict=True)]
@@ -50,7 +50,7 @@ def test_what_is_prepared_is_there_in_the_end_and_a_fault_of_it_is_told():
     programs = Programs()
     kernels = Kernels(made_once.scene(), Settings(), programs=programs)
     inputs, a, b = asked(2)
-    with kernels.preparing([prove_call(inputs, a, b, free_tubes(kernels.task, inputs))]):
+    with kernels.preparing([prove_call(kernels.task, inputs, a, b)]):
         pass
     assert programs.of(PROVE)
     faulty = Kernel("faulty", lambda settings, scene, x: x + settings.samples, STEP)

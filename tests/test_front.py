@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from htcp_jax.motion.front import best_first, dispersed
-from htcp_jax.motion.posture_tree import LEAST, BeamTree, Nodes, Posture
+from htcp_jax.motion.kernels import State
+from htcp_jax.motion.posture_tree import LEAST, BeamTree, Nodes
 
 numbers = st.floats(-1, 1)
 postures = st.lists(st.tuples(numbers, numbers), min_size=1, max_size=20)
@@ -19,9 +20,9 @@ def array(places) -> np.ndarray:
     return np.array(list(places), float).reshape(-1, 2)
 
 
-def at(x) -> Posture:
+def at(x) -> State:
     x = array(x)
-    return Posture(x, x[:, 0], x[:, 1], np.zeros((len(x), 3)))
+    return State(x, clearance=x[:, 0], residual=x[:, 1], tcp=np.zeros((len(x), 3)))
 
 
 @st.composite

@@ -13,17 +13,16 @@ from test_clearance import few_points
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
-from htcp_jax.clearance.proof.motion_proof import Tube, Verdict
+from htcp_jax.clearance.proof.motion_proof import Verdict
 from htcp_jax.device.programs import Kernels
 from htcp_jax.errors import InputError
 from htcp_jax.io.robot_file import load_robot
 from htcp_jax.io.workpiece_file import load_workpiece
 from htcp_jax.model.robot import GP50
 from htcp_jax.model.scenario import make_scenario, stack
+from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.joint_search import join
 from htcp_jax.motion.lane_inputs import lane_inputs
-from htcp_jax.motion.proofs import proofs_of
-from htcp_jax.motion.tip_check import TipCheck
 from htcp_jax.settings import Settings, settings_of
 from htcp_jax.validation.mujoco_arm import Arm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
@@ -34,8 +33,8 @@ SETTINGS = Settings(search_rounds=150)
 
 
 @cache
-def kernels():
-    return Kernels(made_once.scene(), SETTINGS)
+def checker(guard=None):
+    return CollisionChecker(Kernels(made_once.scene(), SETTINGS), SETTINGS, guard)
 
 
 @cache
@@ -62,10 +61,10 @@ def ends():
     return np.broadcast_to(np.array(made_once.START), b.shape).copy(), b
 
 
-def joined(which, settings=SETTINGS, pair=0, tip=None):
+def joined(which, settings=SETTINGS, pair=0, guard=None):
     which = np.asarray(which, int)
     a, b = (end[which] for end in ends())
-    return join(kernels(), tip, scenarios(), which, np.full(len(which), pair), a, b, settings)
+    return join(checker(guard), scenarios(), which, np.full(len(which), pair), a, b, settings)
 
 
 @cache
@@ -81,9 +80,8 @@ def ways(knots=None):
 
 
 def verdicts(s, a, b):
-    nowhere, which = np.zeros((len(a), 3)), np.full(len(a), s)
-    tube = Tube(nowhere, nowhere, np.full(len(a), np.inf))
-    return proofs_of(kernels(), lane_inputs(scenarios(), which, np.zeros_like(which)), a, b, tube).verdict
+    which = np.full(len(a), s)
+    return checker().edges(lane_inputs(scenarios(), which, np.zeros_like(which)), a, b).verdict
 
 
 def length(way):
@@ -108,7 +106,7 @@ def test_another_engine_finds_nothing_that_touches_at_a_thousand_places_of_every
 
 def test_every_step_is_proven_and_within_the_limits():
     """Check with the kernel that validates the segments of plans; no two successive configurations are equal."""
-    lower, upper = kernels().limits
+    lower, upper = checker().kernels.limits
     for s, way in ways():
         assert (verdicts(s, way[:-1], way[1:]) == Verdict.PROVEN).all()
         assert (way >= lower).all() and (way <= upper).all()
@@ -121,7 +119,7 @@ def test_where_the_straight_joint_path_is_proven_there_are_no_knots_and_elsewher
     assert [len(way) == 2 for _, way in ways()] == straight and not all(straight)
     near = a + 1e-3
     (none, same) = join(
-        kernels(), None, scenarios(), np.arange(2), np.zeros(2, int), a[:2], np.stack([near[0], a[1]]), SETTINGS
+        checker(), scenarios(), np.arange(2), np.zeros(2, int), a[:2], np.stack([near[0], a[1]]), SETTINGS
     )
     assert none.shape == same.shape == (0, a.shape[1])
 
@@ -132,7 +130,7 @@ def test_an_end_in_collision_is_joined_with_nothing():
     clear = [(verdicts(s, b[s][None], b[s][None]) == Verdict.PROVEN).all() for s in range(len(NUMBERS))]
     assert [own is not None for own in found()] == clear and not all(clear)
     s = np.array([clear.index(False)])
-    assert join(kernels(), None, scenarios(), s, s, b[s], a[s], SETTINGS) == [None]
+    assert join(checker(), scenarios(), s, s, b[s], a[s], SETTINGS) == [None]
 
 
 def test_who_else_is_joined_has_no_influence():
@@ -197,25 +195,26 @@ def test_an_arm_between_two_columns_does_not_get_out_and_beside_one_it_does(angl
     robot, part = load_robot(file, limits="model"), few_points(columns(*angles))
     start, inside = np.array([2.0, 0.4, 0.0]), np.array([0.0, 0.5, -0.5])
     one = stack([make_scenario(robot, part, start, rotation=(0.0, 0.0))])
-    own = Kernels(Scene(robot, make_obstacle(part)), SETTINGS)
+    own = CollisionChecker(Kernels(Scene(robot, make_obstacle(part)), SETTINGS), SETTINGS)
     zero = np.zeros(1, int)
     for a, b in ((start, inside), (inside, start)):
-        (knots,) = join(own, None, one, zero, zero, a[None], b[None], replace(SETTINGS, search_rounds=60))
+        (knots,) = join(own, one, zero, zero, a[None], b[None], replace(SETTINGS, search_rounds=60))
         assert (knots is not None) == way
 
 
 def test_the_bare_tip_keeps_out_of_the_walls():
     """Compare searches with and without the tip check: without it some paths pass through a wall, with it none."""
-    tip = TipCheck(kernels(), make_tip_guard(load_workpiece(tip_contact_m=0.01)))
+    guard = make_tip_guard(load_workpiece(tip_contact_m=0.01))
 
     def passes(s, knots):
-        steps = _steps(s, knots)
-        return tip.along(
-            lane_inputs(scenarios(), np.full(len(steps[0]), s), np.zeros(len(steps[0]), int)), *steps
-        ).any()
+        a, b = _steps(s, knots)
+        inputs = lane_inputs(scenarios(), np.full(len(a), s), np.zeros(len(a), int))
+        free, guarded = checker().edges(inputs, a, b), checker(guard).edges(inputs, a, b)
+        assert (free.verdict == Verdict.PROVEN).all()
+        return (guarded.verdict == Verdict.COLLIDES).any()
 
     which = [s for s, own in enumerate(found()) if own is not None][::2]
-    heedful = dict(zip(which, joined(which, replace(SETTINGS, search_rounds=20), tip=tip), strict=True))
+    heedful = dict(zip(which, joined(which, replace(SETTINGS, search_rounds=20), guard=guard), strict=True))
     assert any(own is not None for own in heedful.values())
     assert not any(passes(s, own) for s, own in heedful.items() if own is not None)
     assert any(passes(s, found()[s]) for s in which)
@@ -234,7 +233,7 @@ def test_of_each_scenario_s_pairs_that_is_joined_which_takes_least_whoever_else_
     s = np.flatnonzero([own is not None and len(own) > 0 for own in found()])[:2]
     scenario, pair = np.repeat(s, 3), np.tile(np.arange(3), 2)
     to = np.stack([b[s], b[s], a[s] + 1e-3], axis=1).reshape(6, -1)
-    of = partial(join, kernels(), None, scenarios())
+    of = partial(join, checker(), scenarios())
     ways = of(scenario, pair, a[scenario], to, SETTINGS, soonest=True)
     assert [way is None for way in ways] == [True, True, False] * 2
     far = np.arange(6) % 3 < 2  # only the two long searches, where the one with fewer queries wins

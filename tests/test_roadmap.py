@@ -178,8 +178,7 @@ def judged(one, settings=SMALL, threads=1, **changes):
     plans.way[:], plans.way_clearance[:] = Way.UNKNOWN, np.nan
     scene, devices, task = made_once.scene(), choose(None), Task(tolerance_m=settings.tolerance_m)
     problem = Problem(scene[0], made_once.duct(), stack([one]), settings, task, scene[1], devices, threads)
-    judge_motions(problem, plans)
-    return plans
+    return judge_motions(problem, plans)
 
 
 def ends(plans, target, *verdicts):

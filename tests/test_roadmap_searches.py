@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from htcp_jax.motion.posture_tree import BeamTree, Posture
+from htcp_jax.motion.kernels import State
+from htcp_jax.motion.posture_tree import BeamTree
 from htcp_jax.planning.beam.searches import NONE, Members, Searches
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
@@ -13,9 +14,9 @@ from htcp_jax.status import Status
 FEW = replace(Settings(), thin_front=2, walks=3, walk_rounds=2, front=8, front_apart_rad=0.1)
 
 
-def at(x) -> Posture:
+def at(x) -> State:
     x = np.asarray(x, float).reshape(-1, 2)
-    return Posture(x, x[:, 0], x[:, 1], np.zeros((len(x), 3)))
+    return State(x, clearance=x[:, 0], residual=x[:, 1], tcp=np.zeros((len(x), 3)))
 
 
 def begun(targets, settings=FEW, can_walk=True) -> Searches:

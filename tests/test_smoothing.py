@@ -71,10 +71,8 @@ def smooth_again(scenarios, plans, settings=SMOOTH, **changes):
     plans = plans._replace(**{name: array.copy() for name, array in plans.arrays().items()})._replace(**changes)
     scene, devices, task = made_once.scene(), choose(None), Task(tolerance_m=settings.tolerance_m)
     problem = Problem(scene[0], made_once.duct(), stack(scenarios), settings, task, scene[1], devices, 1)
-    judge_motions(problem, plans)
-    plans = smoothing.smooth(problem, plans)
-    judge_motions(problem, plans)
-    return plans
+    plans = smoothing.smooth(problem, judge_motions(problem, plans))
+    return judge_motions(problem, plans)
 
 
 @pytest.mark.parametrize(

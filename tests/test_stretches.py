@@ -18,20 +18,21 @@ from htcp_jax.device.programs import Kernels, Programs
 from htcp_jax.device.stretches import by_stretches
 from htcp_jax.device.tables import gather
 from htcp_jax.model.scenario import stack
+from htcp_jax.motion.collision_checker import CollisionChecker
+from htcp_jax.motion.kernels import Closely
 from htcp_jax.motion.lane_inputs import lane_inputs
-from htcp_jax.motion.proofs import proofs_of
 from htcp_jax.settings import Settings
 from htcp_jax.status import Way
 
 
 @cache
-def kernels():
-    return Kernels(made_once.scene(), Settings())
+def checker():
+    return CollisionChecker(Kernels(made_once.scene(), Settings()), Settings())
 
 
 @cache
 def asked():
-    """Inputs of the proofs, each path with its tube and without. (inputs, a, b, tube, kept, resolution_m, deepest)."""
+    """Inputs of the proofs, each path with its tube and without. (inputs, a, b, tube), and its resolution."""
     nominal = jax.tree.map(np.asarray, made_once.nominal())
     ways, a, b, tubes = zip(*motions(), strict=True)
     poses = [replace(nominal, **jax.tree.map(np.asarray, where)._asdict()) for where in ways]
@@ -42,24 +43,13 @@ def asked():
     rng = np.random.default_rng(0)
     kept, deepest = rng.choice([0.0, 0.5, 0.99], len(which)), rng.choice([3, 20, 30], len(which))
     resolution_m = rng.choice([-1e-9, 1e-5], len(which))
-    return inputs, np.stack(a + a), np.stack(b + b), tube, kept, resolution_m, deepest
+    return (inputs, np.stack(a + a), np.stack(b + b), tube), Closely(kept, resolution_m, deepest)
 
 
 @cache
 def unbroken():
-    return proofs_of(kernels(), *asked())
-
-
-def test_several_paths_of_a_lane_are_proven_as_those_of_as_many_lanes():
-    inputs, a, b, tube, *closely = asked()
-    lane, few = np.repeat([3, 0, 3], 10), slice(30)
-    ways, closely = gather((a, b), few), gather(closely, few)
-    own_inputs, own_tube = gather((inputs, tube), lane)
-    apart = proofs_of(kernels(), own_inputs, *ways, own_tube, *closely)
-    found = proofs_of(kernels(), inputs, *ways, tube, *closely, lane=lane)
-    assert len(np.unique(found.verdict)) > 1
-    for one, other in zip(apart, found, strict=True):
-        np.testing.assert_array_equal(one, other)
+    ways, closely = asked()
+    return checker().edges(*ways, **closely._asdict())
 
 
 @pytest.mark.parametrize("table", [Table(16, 1, True), Table(64, 8, True), Table(512, 300, True)])
@@ -72,9 +62,10 @@ def test_proofs_in_stretches_are_unbroken_ones(table, monkeypatch):
     expected = unbroken()
     assert np.unique(expected.verdict).tolist() == [Way.PROVEN, Way.COLLIDES, Way.LEAVES, Way.TURNS_BACK, Way.OPEN]
     monkeypatch.setattr(Load, "on", lambda load, device: table)
-    in_stretches = Kernels(made_once.scene(), Settings(), programs=Programs())
+    in_stretches = CollisionChecker(Kernels(made_once.scene(), Settings(), programs=Programs()), Settings())
     for rows in (slice(None), slice(7, None, 20), [int(np.argmax(expected.queries))]):
-        found, own = proofs_of(in_stretches, *gather(asked(), rows)), gather(expected, rows)
+        (ways, closely), own = gather(asked(), rows), gather(expected, rows)
+        found = in_stretches.edges(*ways, **closely._asdict())
         for name, value in found._asdict().items():
             rounds = 1e-14 * (name == "clearance")
             np.testing.assert_allclose(value, getattr(own, name), rtol=0, atol=rounds, err_msg=name)

@@ -66,9 +66,9 @@ def test_a_task_that_holds_the_tcp_nowhere_is_searched_from_postures_all_over():
     robot, part, one = scene(job)
     problem = problem_of(job, robot, part, one)
     inputs = lane_inputs(problem.scenarios, np.zeros(1, int), np.array([40]))
-    here = search(problem.kernels[0], known_postures(robot, np.zeros(1)), inputs, 0.1)
-    assert (here.clearance[0] > one.margin_m).sum() > 30 and here.resolution_rad[0] == np.pi
-    assert not broken(job, part, one, here.x[0, here.clearance[0] > -np.inf], np.full(64, 40))
+    here = search(problem.checkers[0], known_postures(robot, np.zeros(1)), inputs, 0.1)
+    assert (here.at.clearance[0] > one.margin_m).sum() > 30 and here.resolution_rad[0] == np.pi
+    assert not broken(job, part, one, here.at.x[0, here.at.clearance[0] > -np.inf], np.full(64, 40))
 
 
 def problem_of(job, robot, part, one):
@@ -82,7 +82,7 @@ def test_other_postures_at_the_path_s_first_point_hold_the_task_there(row):
     job = job_of([ON_PATH, row])
     robot, part, one = scene(job)
     problem, first = problem_of(job, robot, part, one), int(one.on_path)
-    x = other_postures(problem, problem.kernels[0], None, 0, 0, first).x
+    x = other_postures(problem, problem.checkers[0], 0, 0, first).x
     assert len(x) > 3
     assert not broken(job, part, one, x, np.full(len(x), first))
 

@@ -33,6 +33,14 @@ def concatenate(parts: Sequence[Tables]) -> Tables:
     return parts[0] if len(parts) == 1 else jax.tree.map(lambda *tables: np.concatenate(tables), *parts)
 
 
+def interleaved(parts: Sequence[Tables]) -> Tables:
+    """Return the rows of all parts in their original order; part k of n has the rows k, k + n, k + 2 n and so on."""
+    whole = concatenate(parts)
+    count = len(jax.tree.leaves(whole)[0])
+    order = np.concatenate([np.arange(number, count, len(parts)) for number in range(len(parts))])
+    return gather(whole, np.argsort(order))
+
+
 def gather_from(places: Sequence[tuple[Tables, np.ndarray]]) -> Tables:
     """Return the rows at one or more places, in their order; a place is a table and some of its rows. Each table is
     indexed once, however many places are in it."""

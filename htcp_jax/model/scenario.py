@@ -178,6 +178,16 @@ def stack(scenarios: Sequence[Scenario]) -> Scenario:
     return jax.tree.map(lambda *leaves: np.stack(leaves), *padded)
 
 
+def off_their_lines(scenarios: Scenario, which: Bool[np.ndarray, "S T"]) -> Scenario:
+    """Return stacked scenarios whose approaches leave their lines: the chosen targets become the path's first point."""
+    s, first = np.arange(len(which)), np.minimum(scenarios.on_path, which.shape[1] - 1)
+    targets, goals = (
+        None if table is None else np.where(which[..., None], table[s, first][:, None], table)
+        for table in (scenarios.targets, scenarios.goals)
+    )
+    return replace(scenarios, targets=targets, goals=goals)
+
+
 _TCP, _LONGER = jax.jit(tcp_position), jax.jit(lengthen_tool)
 
 

@@ -25,14 +25,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.clearance.proof.motion_proof import DEEPEST
-from htcp_jax.device.programs import Kernels
-from htcp_jax.device.tables import gather
 from htcp_jax.model.scenario import Scenario
+from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.posture_tree import NO_PARENT, Tree
-from htcp_jax.motion.proofs import clear_paths
-from htcp_jax.motion.tip_check import TipCheck
 from htcp_jax.settings import Settings
+from htcp_jax.status import Way
 
 IN_FLIGHT = 4  # pairs joined together: the number of lanes divided by this
 DRAWS = 16  # samples per round, and shortcuts per round
@@ -54,8 +52,7 @@ Limits = tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]
 
 
 def join(
-    kernels: Kernels,
-    tip: TipCheck | None,
+    checker: CollisionChecker,
     scenarios: Scenario,
     scenario: Int[np.ndarray, "n"],
     pair: Int[np.ndarray, "n"],
@@ -69,12 +66,12 @@ def join(
     was found in `settings.search_rounds`.
 
     scenario: each pair's, by its row in `scenarios` (stacked, numpy). pair: its number within the scenario, 0 or more,
-    which seeds its random numbers. a, b: within the joint limits [rad or m]. tip: also keeps the tool's bare tip out of
-    the walls, checked at samples. soonest: of each scenario's pairs, return only the one joined in the fewest rounds of
-    queries, the first if several are; the others are abandoned.
+    which seeds its random numbers. a, b: within the joint limits [rad or m]. soonest: of each scenario's pairs,
+    return only the one joined in the fewest rounds of queries, the first if several are; the others are abandoned.
     """
     found: list[np.ndarray | None] = [None] * len(a)
-    waiting, most, limits = iter(range(len(a))), max(1, kernels.lanes // IN_FLIGHT), kernels.limits
+    waiting, limits = iter(range(len(a))), checker.kernels.limits
+    most = max(1, checker.kernels.lanes // IN_FLIGHT)
     going: dict[int, Joining] = {}
     told: dict[int, np.ndarray] = {}
     asks, best = [0] * len(a), {}
@@ -100,21 +97,20 @@ def join(
                     found[k], best[scenario[k]] = end.value, (asks[k], k)
         asked = {k: paths for k, paths in asked.items() if wanted(k)}
         going = {k: going[k] for k in asked}
-        told = _told(kernels, tip, scenarios, scenario, asked) if asked else {}
+        told = _told(checker, scenarios, scenario, asked) if asked else {}
 
 
 def _told(
-    kernels: Kernels, tip: TipCheck | None, scenarios: Scenario, scenario: np.ndarray, asked: dict[int, JointPaths]
+    checker: CollisionChecker, scenarios: Scenario, scenario: np.ndarray, asked: dict[int, JointPaths]
 ) -> dict[int, np.ndarray]:
     """Return, for each search, True for the queried joint paths that are proven."""
     counts = [len(paths.a) for paths in asked.values()]
     own = np.repeat(scenario[list(asked)], counts)
     a, b, deepest = (np.concatenate(column) for column in zip(*asked.values(), strict=True))
     inputs = lane_inputs(scenarios, own, np.zeros_like(own))
-    clear = clear_paths(kernels, inputs, a, b, deepest=deepest)
-    if tip is not None and clear.any():
-        pick = gather((inputs, a, b), clear)
-        clear[clear] = ~(tip.at(*pick[:2]) | tip.at(pick[0], pick[2]) | tip.along(*pick))
+    clear = checker.edges(inputs, a, b, deepest=deepest).verdict == Way.PROVEN
+    for end in (a, b):
+        clear = checker.tip_free(inputs, end, clear)
     return dict(zip(asked, np.split(clear, np.cumsum(counts)[:-1]), strict=True))
 
 

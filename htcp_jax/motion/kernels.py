@@ -10,30 +10,33 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance.obstacles.linearisation import Linearisation, linearise
+from htcp_jax.clearance.obstacles.obstacle import in_workpiece
 from htcp_jax.clearance.obstacles.scene import Scene, own_scene
-from htcp_jax.clearance.proof.motion_proof import path_clear
+from htcp_jax.clearance.proof.bisection import begun, of_proven
+from htcp_jax.clearance.proof.motion_proof import Tube, look_on, path_clear
 from htcp_jax.device.batching import Loop
 from htcp_jax.device.kernel import STEP, TRACKED, Kernel
+from htcp_jax.device.stretches import by_stretches
 from htcp_jax.model.inverse_kinematics import reanchor
-from htcp_jax.model.kinematics import tcp_position
+from htcp_jax.model.kinematics import tcp_position, tip_segment
 from htcp_jax.model.task import TaskLinear
 from htcp_jax.motion.lane_inputs import LaneInputs
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import step_qp
 from htcp_jax.solvers.active_set import solve_step
-from htcp_jax.types import Int, Joints
+from htcp_jax.types import Anywhere, Float, Int, Joints
 
 STEPS_A_BURST = 5  # step QPs, or null-space steps, per call
 
 
-class Measured(NamedTuple):
-    """A configuration, its linearisation, its clearance, and its error at the target."""
+class State(NamedTuple):
+    """A measured configuration at its target, or many of them, one per row; None for what was not measured."""
 
-    x: jax.Array
-    linear: Linearisation
-    clearance: jax.Array  # the smallest [m]
-    residual: jax.Array  # [m]
-    tcp: jax.Array  # world [m]
+    x: Float[Anywhere, "*n N"]  # configuration [rad or m]
+    linear: Linearisation | None = None  # task and clearance to first order
+    clearance: Float[Anywhere, "*n"] | None = None  # D, the smallest [m]
+    residual: Float[Anywhere, "*n"] | None = None  # of the task [m]
+    tcp: Float[Anywhere, "*n 3"] | None = None  # world [m]
 
 
 def prepare(
@@ -60,22 +63,22 @@ def prepare(
 
 def advance(
     settings: Settings, scene: Scene, lane: LaneInputs, x_ref: Joints, y: Joints, smallest: bool = False
-) -> Measured:
+) -> State:
     """Return the lane after a step y: clipped to the limits exactly, linearised by equations (6) to (8), and measured
     against its target. smallest: see `linearise`."""
     scene = own_scene(scene, lane.tool_extension_m)
     x = jnp.clip(x_ref + y, scene.robot.lower, scene.robot.upper)
     linear = linearise(scene.robot, scene.obstacles, lane, x, scene.task, smallest)
     residual = scene.task.residual(linear.task.value, lane.target)
-    return Measured(x, linear, jnp.min(linear.clearance.distance), residual, tcp_position(scene.robot, x))
+    return State(x, linear, jnp.min(linear.clearance.distance), residual, tcp_position(scene.robot, x))
 
 
-def advance_smallest(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, y) -> Measured:
+def advance_smallest(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, y) -> State:
     """`advance` for step QPs that use the smallest clearance only."""
     return advance(settings, scene, lane, x_ref, y, smallest=True)
 
 
-def measured(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Measured:
+def measured(settings: Settings, scene: Scene, lane: LaneInputs, x) -> State:
     """Return the lane at x, linearised as its step QP needs it."""
     return advance(settings, scene, lane, x, jnp.zeros_like(x), settings.clearance_rows == "smallest")
 
@@ -88,7 +91,7 @@ def nothing_known(look: Callable, *arguments) -> Any:
 class Tracked(NamedTuple):
     """A lane after a chunk of step QPs: its state, the number of step QPs at this target, and the last one's status."""
 
-    now: Measured
+    now: State
     iteration: jax.Array
     verdict: jax.Array
 
@@ -119,7 +122,7 @@ def track(
 
     # At a new target, and in a candidate's first burst, nothing is reached before the first step QP.
     nowhere = jnp.zeros(3)  # the TCP is not recorded before
-    known = Measured(x_ref, linear, jnp.full((), -jnp.inf), jnp.full((), jnp.inf), nowhere)
+    known = State(x_ref, linear, jnp.full((), -jnp.inf), jnp.full((), jnp.inf), nowhere)
     return Loop(Tracked(known, iteration, jnp.full((), int(step_qp.QPStatus.SOLVED), jnp.int32)), going, step)
 
 
@@ -133,6 +136,27 @@ def settle(settings: Settings, scene: Scene, lane: LaneInputs, x):
     """Bring x onto its target, to a tenth of the tolerance that inverse kinematics has elsewhere."""
     scene = own_scene(scene, lane.tool_extension_m)
     return reanchor(scene.robot, x, lane.target, 0.1 * scene.task.fine_m, task=scene.task)[0]
+
+
+def tip(settings: Settings, scene: Scene, lane: LaneInputs, x):
+    """Return the tool's bare tip at x in the workpiece's frame, from the last body to the TCP."""
+    return in_workpiece(lane, tip_segment(own_scene(scene, lane.tool_extension_m).robot, x))
+
+
+class Closely(NamedTuple):
+    """Resolution of a proof, see `clearance.proof.motion_proof.prove`."""
+
+    kept: Float[jax.Array, ""]
+    resolution_m: Float[jax.Array, ""]  # [m]
+    deepest: Int[jax.Array, ""]
+
+
+def prove_way(settings: Settings, scene: Scene, lane: LaneInputs, a, b, tube: Tube, closely: Closely) -> Loop:
+    """Prove or refute that the straight joint path from a to b is a motion. The conditions on it are data, so that one
+    executable serves all callers. The loop's result is a `Proof`, see `of_proven`."""
+    own = own_scene(scene, lane.tool_extension_m)
+    look = look_on(own, lane, a, b, tube, closely.resolution_m, closely.deepest, closely.kept)
+    return Loop(jax.tree.map(jnp.asarray, begun()), lambda far: far.going, look, lambda far: of_proven(far.proof))
 
 
 def hold(settings: Settings, scene: Scene, lane: LaneInputs, linear: Linearisation) -> TaskLinear:
@@ -152,6 +176,8 @@ TRACK_BURST = Kernel("track", track, TRACKED, (*_STEP_QP, "max_step_qps", "qp_to
 CHECK_PATH = Kernel("check_path", check_path, STEP, ("path_test", "path_steps"))
 SETTLE = Kernel("settle", settle, STEP)
 HOLD = Kernel("hold", hold, STEP)
+TIP = Kernel("tip", tip, STEP)
+PROVE = Kernel("prove", prove_way, TRACKED, refill=by_stretches)
 
 
 def advance_of(settings: Settings) -> Kernel:

@@ -5,7 +5,6 @@ target, and advances along it; if the arm changes its configuration on the segme
 previous target. Segments before the path may leave their lines. Targets closer than `ONE_POINT_M` count as one.
 """
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -13,16 +12,13 @@ from jaxtyping import Bool, Float, Int
 
 from htcp_jax.clearance.proof.bisection import Proof
 from htcp_jax.clearance.proof.motion_proof import Tube
-from htcp_jax.device.programs import Kernels
-from htcp_jax.device.tables import concatenate, gather, portions
-from htcp_jax.model.scenario import Scenario
-from htcp_jax.model.task import TCP_POSITION, Task
+from htcp_jax.device.tables import concatenate, gather, interleaved, portions
+from htcp_jax.model.task import TCP_POSITION
+from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.motion import ONE_POINT_M
 from htcp_jax.motion.plans import Plans
 from htcp_jax.motion.problem import Problem
-from htcp_jax.motion.proofs import proofs_of
-from htcp_jax.motion.tip_check import TipCheck, tip_checks
 from htcp_jax.status import Way
 
 KEPT = 0.5  # share of the clearance that the recorded bound of a segment keeps
@@ -40,35 +36,49 @@ class Segments(NamedTuple):
     turns: Bool[np.ndarray, "n"]  # True if the arm changes its configuration at the target before
 
 
-def tubes(
-    scenarios: Scenario, task: Task, radius_m: float, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray
-) -> Tube:
+def tubes(problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray) -> Tube:
     """Return the tubes that the TCP has to stay in on the segments to targets, and the task's goals on the path;
     unbounded before the path, and if the task does not hold the TCP's position. turns: see `Segments`."""
+    scenarios, task = problem.scenarios, problem.task
     free = (target <= scenarios.on_path[scenario]) | (not task.holds_tcp)
-    rows = _rows(scenarios, task, scenario, target, turns)
+    rows = _rows(problem, scenario, target, turns)
     if free.all():
         return Tube(np.zeros((len(target), 3)), np.zeros((len(target), 3)), np.full(len(target), np.inf), *rows)
     a, b = (task.tcp_place(scenarios.aims[scenario, row]) for row in (np.maximum(target - 1, 0), target))
     a = np.where((np.linalg.norm(b - a, axis=1) < ONE_POINT_M)[:, None], b, a)
-    return Tube(a, np.where(turns[:, None], a, b), np.where(free, np.inf, radius_m), *rows)
+    return Tube(a, np.where(turns[:, None], a, b), np.where(free, np.inf, problem.settings.tube_m), *rows)
 
 
 def _rows(
-    scenarios: Scenario, task: Task, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray
+    problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray
 ) -> tuple[Float[np.ndarray, "n 2 G"], Bool[np.ndarray, "n"]] | tuple[()]:
     """Return the task's goals at the previous target and at this one, and True if they hold on the segment, i.e. on the
     path. Empty for the paper's task, which the tube alone enforces."""
-    if task.parts == TCP_POSITION.parts:
+    if problem.task.parts == TCP_POSITION.parts:
         return ()
-    before = np.maximum(target - 1, 0)
+    scenarios, before = problem.scenarios, np.maximum(target - 1, 0)
     goals = np.stack([scenarios.aims[scenario, row] for row in (before, np.where(turns, before, target))], axis=1)
     return goals, target > scenarios.on_path[scenario]
 
 
-def judge_motions(problem: Problem, plans: Plans) -> None:
-    """Fill in `way` and `way_clearance` of every scenario, up to the end of its motion."""
-    scenarios = problem.scenarios
+def check_remaining_paths(problem: Problem, plans: Plans) -> Plans:
+    """Return the plans with `path_clear` of all tracked targets whose path was not checked while planning."""
+    s, t = np.nonzero(plans.tracked & (plans.path_clear < 0))
+    plans = plans.with_own("path_clear")
+
+    def check(checker: CollisionChecker, share: slice) -> None:
+        for row, at in portions((s[share], t[share])):
+            inputs = lane_inputs(problem.scenarios, row, at)
+            plans.path_clear[row, at] = checker.path_clear(inputs, plans.before(row, at), plans.x[row, at])
+
+    if len(s):
+        problem.in_threads(check)
+    return plans
+
+
+def judge_motions(problem: Problem, plans: Plans) -> Plans:
+    """Return the plans with `way` and `way_clearance` of every scenario, up to the end of its motion."""
+    scenarios, plans = problem.scenarios, plans.with_own("way", "way_clearance")
     elsewhere = plans.tracked[:, 0] & np.any(plans.start != scenarios.x_home, axis=1) & ~scenarios.begins_anywhere
     plans.way[elsewhere, 0] = Way.ELSEWHERE
     going = np.flatnonzero(plans.tracked[:, 0] & ~elsewhere)
@@ -84,20 +94,21 @@ def judge_motions(problem: Problem, plans: Plans) -> None:
         going = going[plans.executable[going, last]]
     ended = np.logical_or.accumulate(plans.way != Way.PROVEN, axis=1)[:, :-1]
     plans.way[:, 1:][ended], plans.way_clearance[:, 1:][ended] = Way.UNKNOWN, np.nan
+    return plans
 
 
-def tighten(problem: Problem, plans: Plans) -> None:
-    """Prove again, with a tighter bound, the executable segments whose bound is below the clearance at every target:
+def tighten(problem: Problem, plans: Plans) -> Plans:
+    """Return the plans with a tighter bound on executable segments whose bound is below the clearance at every target:
     the minimum `way_clearance` of a scenario is reported as its guaranteed clearance."""
     clear = np.where(plans.executable, plans.clearance, np.inf).min(axis=1)
     loose = plans.executable & (plans.way_clearance < TIGHT * clear[:, None])
     if not loose.any():
-        return
+        return plans
     segments = segments_of(plans, loose)
     proofs = _proofs(problem, segments, TIGHT)
     found = np.full_like(plans.way_clearance, np.inf)
     np.minimum.at(found, (segments.scenario, segments.target), proofs.clearance)
-    plans.way_clearance[loose] = np.maximum(plans.way_clearance, found)[loose]
+    return plans._replace(way_clearance=np.where(loose, np.maximum(plans.way_clearance, found), plans.way_clearance))
 
 
 def segments_of(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> Segments:
@@ -115,36 +126,20 @@ def segments_of(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> Segments:
     return Segments(scenario, target, a, b, turns)
 
 
-def prove_segments(
-    problem: Problem, kernels: Kernels, tip: TipCheck | None, segments: Segments, kept: float = 0.0
-) -> Proof:
-    """Return one proof per segment; if the tool's bare tip passes through a wall, its verdict is a collision. kept: see
-    `prove`."""
+def prove_segments(problem: Problem, checker: CollisionChecker, segments: Segments, kept: float = 0.0) -> Proof:
+    """Return one proof per segment. kept: see `CollisionChecker.edges`."""
     inputs = lane_inputs(problem.scenarios, segments.scenario, segments.target)
-    radius = problem.settings.tube_m
-    tube = tubes(problem.scenarios, problem.task, radius, segments.scenario, segments.target, segments.turns)
-    proof = proofs_of(kernels, inputs, segments.a, segments.b, tube, kept)
-    if tip is not None:
-        through = (proof.verdict == Way.PROVEN) & tip.along(inputs, segments.a, segments.b)
-        proof = proof._replace(verdict=np.where(through, int(Way.COLLIDES), proof.verdict))
-    return proof
+    tube = tubes(problem, segments.scenario, segments.target, segments.turns)
+    return checker.edges(inputs, segments.a, segments.b, tube, kept=kept)
 
 
 def _proofs(problem: Problem, segments: Segments, kept: float = KEPT) -> Proof:
     """Return one proof per segment, computed by all threads."""
-    kernels = problem.kernels  # made here, before there are threads
-    tips = tip_checks(kernels, problem.tip_guard)
-    count, threads = len(segments.target), min(problem.threads, len(segments.target))
 
-    def look(number: int) -> Proof:
-        own, mine = number % len(kernels), gather(segments, slice(number, None, threads))
-        proven = [prove_segments(problem, kernels[own], tips[own], part, kept) for part in portions(mine)]
-        return concatenate(proven)
+    def prove(checker: CollisionChecker, share: slice) -> Proof:
+        return concatenate([prove_segments(problem, checker, part, kept) for part in portions(gather(segments, share))])
 
-    with ThreadPoolExecutor(threads) as pool:
-        proofs = concatenate(list(pool.map(look, range(threads))))
-    order = np.argsort(np.concatenate([np.arange(number, count, threads) for number in range(threads)]))
-    return gather(proofs, order)
+    return interleaved(problem.in_threads(prove, min(problem.threads, len(segments.target))))
 
 
 def _record(plans: Plans, segments: Segments, proofs: Proof) -> None:

@@ -4,6 +4,10 @@
     plans.outcomes.complete           # (S,)   True where all targets of a scenario are
     plans.outcome(12).failed          # the first target of scenario 12 that is not; None where all are
 
+A method fills in the arrays of `problem.empty_plans()`, and adds via points by `_replace`. The plans that it returns
+are final: each later step (`check_remaining_paths`, `begin_at_home`, `judge_motions`, `smooth`, `tighten`) returns new
+ones, with copies of the columns that it changes.
+
 Only this module derives a scenario's end from the statuses: charts and viewers that have only statuses use `outcomes`.
 """
 
@@ -95,7 +99,8 @@ class Plans(NamedTuple):
     start: Float[np.ndarray, "S N"]  # the configuration that the plan starts from [rad or m]
     x: Float[np.ndarray, "S T N"]  # configurations [rad or m]
     tcp: Float[np.ndarray, "S T 3"]  # tool centre point, world [m]
-    target: Float[np.ndarray, "S T M"]  # goal of the task's rows, the TCP's xyz [m]; NaN if there is none
+    # The targets as planned, of an approach that leaves its lines the path's first point; NaN if there is none
+    target: Float[np.ndarray, "S T M"]  # goal of the task's rows, the TCP's xyz [m]
     clearance: Float[np.ndarray, "S T"]  # D(x, O), smallest over all rows [m]
     residual: Float[np.ndarray, "S T"]  # error of the task's points: |tcp - target| [m]
     orientation_error: Float[np.ndarray, "S T"]  # largest angle error of the task [rad]; NaN if it holds no angle
@@ -117,8 +122,7 @@ class Plans(NamedTuple):
         target: Float[np.ndarray, "S T M"],
         count: Int[np.ndarray, "S"] | int | None = None,
     ) -> "Plans":
-        """Return plans in which nothing is attempted yet, with arrays to write into: `start` is copied, `target` is
-        not.
+        """Return plans in which nothing is attempted yet, with arrays of their own to write into.
 
         count: number of targets of each scenario, the first of its row; None: all of them.
         """
@@ -129,8 +133,8 @@ class Plans(NamedTuple):
                   for name, kind in _KINDS.items()}  # fmt: skip
         arrays["tcp"] = np.full((*shape, 3), EMPTY["tcp"])
         arrays["status"][exists] = Status.NOT_ATTEMPTED
-        knots = Knots.none(joints)
-        return cls(start=np.array(start, float), target=target, **arrays, knots=knots, compile_s=0.0, run_s=0.0)
+        arrays |= {"start": np.array(start, float), "target": np.array(target)}
+        return cls(**arrays, knots=Knots.none(joints), compile_s=0.0, run_s=0.0)
 
     @classmethod
     def concatenate(cls, parts: "Sequence[Plans]") -> "Plans":
@@ -213,6 +217,10 @@ class Plans(NamedTuple):
         last axis' columns."""
         bare = {name: getattr(self, name)[..., :0].copy() for name in ("start", "x", "tcp", "target")}
         return self._replace(**bare, knots=Knots.none(0))
+
+    def with_own(self, *names: str) -> "Plans":
+        """Return the plans with copies of some fields, to write into."""
+        return self._replace(**{name: getattr(self, name).copy() for name in names})
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the fields with one row per scenario, by name."""

@@ -9,24 +9,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.device.tables import gather
+from htcp_jax.motion.kernels import State
 
 NO_PARENT = -1
 LEAST = 4096  # minimum rows of a table
 
 
-class Posture(NamedTuple):
-    """A lane's configuration, and its clearance and error at its target; or many of them, one per row."""
-
-    x: jax.Array  # [rad or m]
-    clearance: jax.Array  # [m]
-    residual: jax.Array  # [m]
-    tcp: jax.Array  # world [m]
-
-
 class Nodes(NamedTuple):
     """Configurations, and the motion to each from its parent."""
 
-    at: Posture
+    at: State
     target: Int[np.ndarray, "n"]
     parent: Int[np.ndarray, "n"]  # its row; NO_PARENT for a root
     walked: Bool[np.ndarray, "n"]  # True if reached by self-motion at its target, False if extended to it
@@ -69,7 +61,8 @@ class BeamTree(Tree):
     """All configurations of some searches. Those without descendants in a beam are pruned from time to time."""
 
     def __init__(self, joints: int):
-        at = Posture(*(np.empty((LEAST, *shape)) for shape in ((joints,), (), (), (3,))))
+        names = {"x": (joints,), "clearance": (), "residual": (), "tcp": (3,)}
+        at = State(**{name: np.empty((LEAST, *shape)) for name, shape in names.items()})
         whole = (np.empty(LEAST, kind) for kind in (np.int32, np.int64, bool, np.int32, np.int32))
         super().__init__(Nodes(at, *whole, np.empty(LEAST)))
         self._count, self._kept = 0, LEAST
@@ -88,13 +81,13 @@ class BeamTree(Tree):
         """Return the nodes in some rows."""
         return gather(self._table, rows)
 
-    def plant(self, at: Posture, target: int) -> Int[np.ndarray, "m"]:
+    def plant(self, at: State, target: int) -> Int[np.ndarray, "m"]:
         """Add roots at a target; returns their rows."""
         none = np.full(len(at.x), NO_PARENT)
         return self.add(Nodes(at, none * 0 + target, none, none > 0, none * 0, none * 0, np.zeros(len(none))))
 
     def grow(
-        self, parent: Int[np.ndarray, "m"], at: Posture, target, step_qps=0, walked: bool = False, dwells=0
+        self, parent: Int[np.ndarray, "m"], at: State, target, step_qps=0, walked: bool = False, dwells=0
     ) -> Int[np.ndarray, "m"]:
         """Add a child to each parent, at a target; returns their rows. walked: see `Nodes`. dwells: changes of
         configuration that begin on the motion from the parent."""

@@ -1,8 +1,10 @@
 """`Problem`: the input of a planning method."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeVar
 
 import jax
 import numpy as np
@@ -10,14 +12,17 @@ from jaxtyping import Bool, Int
 
 from htcp_jax.clearance.obstacles.obstacle import Obstacles
 from htcp_jax.clearance.obstacles.scene import Scene
-from htcp_jax.clearance.obstacles.tip_guard import TipGuard, make_tip_guard
+from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
 from htcp_jax.device.programs import Kernels
 from htcp_jax.model.robot import Robot
-from htcp_jax.model.scenario import NOT_REFUSED, Scenario
+from htcp_jax.model.scenario import NOT_REFUSED, Scenario, off_their_lines
 from htcp_jax.model.task import Task
 from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.plans import Plans
 from htcp_jax.settings import Settings
+
+Found = TypeVar("Found")
 
 
 def ignore(tracked: int, finished: int) -> None:
@@ -28,6 +33,7 @@ def ignore(tracked: int, finished: int) -> None:
 class Problem:
     """S scenarios of up to T targets for one arm at one workpiece, and the devices and threads to plan them with.
 
+    A problem is final: starts are chosen and scenarios refused before a method gets it, and its arrays are read-only.
     progress(targets newly tracked, scenarios newly finished) may be called at any time, on any thread; an exception in
     it ends the work. After a method's `plan`, joint paths that it did not check are checked if `check_paths` is set.
     """
@@ -43,22 +49,21 @@ class Problem:
     check_paths: bool = True
     progress: Callable[[int, int], None] = ignore
 
+    def __post_init__(self):
+        object.__setattr__(self, "scenarios", jax.tree.map(_read_only, self.scenarios))
+
     @cached_property
-    def kernels(self) -> list[Kernels]:
-        """Executors of kernels in this scene, one for each device."""
-        scene = Scene(self.robot, self.obstacles, self.task)
+    def checkers(self) -> tuple[CollisionChecker, ...]:
+        """Collision checkers of this scene, one for each device."""
+        scene, guard = Scene(self.robot, self.obstacles, self.task), make_tip_guard(self.workpiece)
         spare = max(1, self.threads // max(1, len(self.to_plan)))  # threads without a scenario of their own
-        return [Kernels(scene, self.settings, device, threads=spare) for device in self.devices]
+        each = (Kernels(scene, self.settings, device, threads=spare) for device in self.devices)
+        return tuple(CollisionChecker(kernels, self.settings, guard) for kernels in each)
 
     @cached_property
     def begins_anywhere(self) -> Bool[np.ndarray, "S"]:
         """`Scenario.begins_anywhere` of all scenarios, computed once for lookups scenario by scenario."""
-        return self.scenarios.begins_anywhere
-
-    @cached_property
-    def tip_guard(self) -> TipGuard | None:
-        """The walls that the tool's bare tip must not pass through; None if it may touch anywhere."""
-        return make_tip_guard(self.workpiece)
+        return _read_only(self.scenarios.begins_anywhere)
 
     @property
     def to_plan(self) -> Int[np.ndarray, "_"]:
@@ -72,3 +77,37 @@ class Problem:
         refused = self.scenarios.refused != NOT_REFUSED
         plans.status[refused, 0] = self.scenarios.refused[refused]
         return plans
+
+    def in_threads(self, work: Callable[[CollisionChecker, slice], Found], threads: int | None = None) -> list[Found]:
+        """Return the results of work(checker, share), one per thread, each with the checker of its device. share: the
+        thread's rows of any table, every so many. threads: by default all of the problem's."""
+        checkers, threads = self.checkers, threads or self.threads  # checkers are made before there are threads
+
+        def run(number: int) -> Found:
+            return work(checkers[number % len(checkers)], slice(number, None, threads))
+
+        if threads == 1:
+            return [run(0)]
+        with ThreadPoolExecutor(threads) as pool:
+            # Not `map`: if one fails it cancels those that have not begun, and others may wait for them.
+            return [each.result() for each in [pool.submit(run, number) for number in range(threads)]]
+
+    def with_scenarios(self, scenarios: Scenario) -> "Problem":
+        """Return the problem with other scenarios, and the same checkers."""
+        other = replace(self, scenarios=scenarios)
+        vars(other)["checkers"] = self.checkers
+        return other
+
+    def as_planned(self, plans: Plans) -> "Problem":
+        """Return the problem with the targets that a method's plans have: from the first target of an approach that the
+        plans replaced by the path's first point, all up to that have its goals."""
+        before = np.arange(plans.target.shape[1]) < self.scenarios.on_path[:, None]
+        left = np.logical_or.accumulate((plans.target != self.scenarios.targets).any(axis=2), axis=1) & before
+        return self.with_scenarios(off_their_lines(self.scenarios, left)) if left.any() else self
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    """Return a view of an array that cannot be written into."""
+    view = np.asarray(array).view()
+    view.flags.writeable = False
+    return view

@@ -9,7 +9,6 @@ Via points, at which the tool dwells, take part; they are dropped if the straigh
 """
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import jax
@@ -17,15 +16,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.clearance.obstacles.linearisation import Linearisation
-from htcp_jax.device.programs import Kernels
 from htcp_jax.device.tables import concatenate, gather
-from htcp_jax.motion.kernels import ADVANCE, HOLD, SETTLE, Measured
+from htcp_jax.motion.collision_checker import CollisionChecker
+from htcp_jax.motion.kernels import HOLD, State
 from htcp_jax.motion.knots import Knots
 from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.motion.motion_check import Segments, prove_segments
 from htcp_jax.motion.plans import Outcome, Plans
 from htcp_jax.motion.problem import Problem
-from htcp_jax.motion.tip_check import TipCheck, out_of_walls, tip_checks
 from htcp_jax.solvers.path_qp import PathQP, path_cost, solve_path_qp
 from htcp_jax.status import Way
 
@@ -100,28 +98,24 @@ class Path:
 
 def smooth(problem: Problem, plans: Plans) -> Plans:
     """Return the plans with their executable motions smoothed; `way` and `way_clearance` have to be verified again."""
-    kernels = problem.kernels  # made here, before there are threads
-    tips = tip_checks(kernels, problem.tip_guard)
     ends = plans.outcomes  # of all scenarios at once
     going = np.flatnonzero(ends.executable).tolist()
     paths = [Path.of(problem, plans, ends.of(s)) for s in going]
 
-    def work(number: int) -> None:
-        own, mine = number % len(kernels), paths[number :: problem.threads]
-        smoothing = Smoothing(problem, kernels[own], tips[own])
+    def work(checker: CollisionChecker, share: slice) -> None:
+        smoothing, mine = Smoothing(problem, checker), paths[share]
         for first in range(0, len(mine), TOGETHER):
             smoothing.run(mine[first : first + TOGETHER])
 
-    with ThreadPoolExecutor(problem.threads) as pool:
-        list(pool.map(work, range(problem.threads)))
+    problem.in_threads(work)
     return _written(problem, plans, paths)
 
 
 class Smoothing:
     """Smooth paths together, round by round."""
 
-    def __init__(self, problem: Problem, kernels: Kernels, tip: TipCheck | None):
-        self._problem, self._kernels, self._tip = problem, kernels, tip
+    def __init__(self, problem: Problem, checker: CollisionChecker):
+        self._problem, self._checker = problem, checker
         settings, joints = problem.settings, problem.scenarios.x_start.shape[1]
         self._lower, self._upper = np.asarray(problem.robot.lower), np.asarray(problem.robot.upper)
         self._weights = np.ones(joints) if settings.path_weights is None else np.array(settings.path_weights)
@@ -197,7 +191,7 @@ class Smoothing:
         count = len(path.target)
         inputs = jax.tree.map(lambda table: np.repeat(table, 2, axis=0), self._inputs([path]))
         flat = jax.tree.map(lambda table: table.reshape(2 * count, *table.shape[2:]), path.seen)
-        held = self._kernels(HOLD, inputs, flat)
+        held = self._checker.kernels(HOLD, inputs, flat)
         held = jax.tree.map(lambda table: table.reshape(count, 2, *table.shape[1:]), held)
         asked = np.stack([path.held, path.target > path.on_path], axis=1)
         room = np.where(asked[:, :, None], np.maximum(held.room, 0.0), np.inf)
@@ -232,7 +226,7 @@ class Smoothing:
         x = np.concatenate([np.clip(path.x[1:] + y, self._lower, self._upper) for path, y in steps])
         off = np.concatenate([path.held & y.any(axis=1) for path, y in steps])
         if off.any():
-            x[off] = self._kernels(SETTLE, gather(self._inputs(paths), off), x[off])
+            x[off] = self._checker.project(gather(self._inputs(paths), off), x[off])
         return [
             np.concatenate([own[:1] if path.begins_anywhere else path.x[:1], own])
             for path, own in zip(paths, _split(x, paths), strict=True)
@@ -241,20 +235,19 @@ class Smoothing:
     def _measured(self, paths: list[Path], x: list[np.ndarray]) -> tuple[list[Linearisation], list[np.ndarray]]:
         """Return the linearisations at the configurations and at the midpoints before them, and True for configurations
         that meet the success criterion."""
-        inputs = jax.tree.map(lambda table: np.repeat(table, 2, axis=0), self._inputs(paths))
+        inputs = self._inputs(paths)
         places = np.concatenate([np.stack([at[1:], 0.5 * (at[1:] + at[:-1])], axis=1) for at in x])
         flat = places.reshape(-1, places.shape[-1])
-        seen: Measured = self._kernels(ADVANCE, inputs, flat, np.zeros_like(flat))
+        seen = self._checker.states(jax.tree.map(lambda table: np.repeat(table, 2, axis=0), inputs), flat)
         seen = jax.tree.map(lambda table: table.reshape(-1, 2, *table.shape[1:]), seen)
         residual = np.where(np.concatenate([path.held for path in paths]), seen.residual[:, 0], 0.0)
-        good = self._problem.task.counts(seen.clearance[:, 0], residual, inputs.margin_m[::2])
-        good = out_of_walls(self._tip, self._inputs(paths), places[:, 0], good)
+        good = self._checker.valid(inputs, State(places[:, 0], clearance=seen.clearance[:, 0], residual=residual))
         linear = [gather(seen.linear, rows) for rows in _split(np.arange(len(good)), paths)]
         return linear, _split(good, paths)
 
     def _motions(self, segments: Segments, most_queries: int | None = None) -> Bool[np.ndarray, "n"]:
         """True for each joint path that is proven, with at most `most_queries`."""
-        proofs = prove_segments(self._problem, self._kernels, self._tip, segments)
+        proofs = prove_segments(self._problem, self._checker, segments)
         few = True if most_queries is None else proofs.queries <= most_queries
         return (proofs.verdict == Way.PROVEN) & few
 
@@ -277,13 +270,14 @@ def _written(problem: Problem, plans: Plans, paths: list[Path]) -> Plans:
     s = np.concatenate([np.full((~path.on_way).sum(), path.scenario) for path in paths] or [np.zeros(0, int)])
     if not len(s):
         return plans
+    plans = plans.with_own("start", "x", "tcp", "clearance", "residual", "joint_step")
     for path in paths:
         plans.start[path.scenario] = path.x[0]
     t, x = (
         np.concatenate(column)
         for column in zip(*((p.target[~p.on_way], p.x[1:][~p.on_way]) for p in paths), strict=True)
     )
-    seen = problem.kernels[0](ADVANCE, lane_inputs(problem.scenarios, s, t), x, np.zeros_like(x))
+    seen = problem.checkers[0].states(lane_inputs(problem.scenarios, s, t), x)
     plans.x[s, t], plans.tcp[s, t] = x, seen.tcp
     plans.clearance[s, t], plans.residual[s, t] = seen.clearance, seen.residual
     plans.joint_step[s, t] = np.linalg.norm(x - plans.before(s, t), axis=1)

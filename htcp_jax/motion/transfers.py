@@ -8,24 +8,20 @@ configuration there by any joint path that is proven clear.
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.device.programs import Kernels
 from htcp_jax.device.tables import gather
+from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.front import dispersed
 from htcp_jax.motion.joint_search import Limits, join
-from htcp_jax.motion.kernels import ADVANCE, SETTLE
+from htcp_jax.motion.kernels import State
 from htcp_jax.motion.lane_inputs import lane_inputs
-from htcp_jax.motion.posture_tree import Posture
 from htcp_jax.motion.problem import Problem
-from htcp_jax.motion.tip_check import TipCheck, out_of_walls
 
 DRAWS = 512  # configurations sampled at the first target
 STREAM = 1_000_000  # first stream of random numbers; smaller ones belong to `joint_search`
 MOST_ROOTS = 16  # maximum number of configurations to join
 
 
-def other_postures(
-    problem: Problem, kernels: Kernels, tip: TipCheck | None, s: int, round_: int, target: int = 0
-) -> Posture:
+def other_postures(problem: Problem, checker: CollisionChecker, s: int, round_: int, target: int = 0) -> State:
     """Return valid configurations of scenario s at a target, sampled uniformly within the joint limits and far apart,
     new ones in every round; they are not yet joined to the start. Of equivalent joint turns, those nearest to home are
     returned."""
@@ -33,12 +29,10 @@ def other_postures(
     rng = np.random.default_rng([settings.seed, int(scenarios.number[s]), STREAM + round_])
     inputs = lane_inputs(scenarios, np.full(DRAWS, s), np.full(DRAWS, target))
     about = scenarios.x_start[s] if problem.begins_anywhere[s] else scenarios.x_home[s]
-    x = kernels(SETTLE, inputs, _drawn(problem.robot.slides, kernels.limits, about, rng))
-    x = _unwound(x, kernels.limits, about)
-    here = kernels(ADVANCE, inputs, x, np.zeros_like(x))
-    good = problem.task.counts(here.clearance, here.residual, scenarios.margin_m[s])
-    good = out_of_walls(tip, inputs, x, good)
-    found = gather(Posture(x, here.clearance, here.residual, here.tcp), good)
+    limits = checker.kernels.limits
+    x = _unwound(checker.project(inputs, _drawn(problem.robot.slides, limits, about, rng)), limits, about)
+    here = checker.states(inputs, x)._replace(x=x, linear=None)
+    found = gather(here, checker.valid(inputs, here))
     one = np.zeros(len(found.x), int)
     return gather(found, dispersed(found.x, one, settings.front, settings.front_apart_rad))
 
@@ -61,7 +55,7 @@ def _unwound(x: Float[np.ndarray, "n N"], limits: Limits, about: Float[np.ndarra
 
 
 def joined(
-    problem: Problem, kernels: Kernels, tip: TipCheck | None, s: int, start: np.ndarray, to: Float[np.ndarray, "n N"]
+    problem: Problem, checker: CollisionChecker, s: int, start: np.ndarray, to: Float[np.ndarray, "n N"]
 ) -> list[Float[np.ndarray, "_ N"] | None]:
     """Return the via points from a configuration of scenario s, `start`, to the one of `to` that is joined in the
     fewest rounds of queries; None for the others, and for all if none can be joined. Only the first MOST_ROOTS are
@@ -69,4 +63,4 @@ def joined(
     to = to[:MOST_ROOTS]
     scenario, pair = np.full(len(to), s), np.arange(len(to))
     starts = np.broadcast_to(start, to.shape)
-    return join(kernels, tip, problem.scenarios, scenario, pair, starts, to, problem.settings, soonest=True)
+    return join(checker, problem.scenarios, scenario, pair, starts, to, problem.settings, soonest=True)

@@ -4,6 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -88,8 +89,7 @@ def plan(
         scenarios = stack(scenarios)
     elif scenarios.x_start.ndim == 1:
         scenarios = stack([scenarios])
-    scenarios = jax.tree.map(np.array, scenarios)  # a copy, as starts may be chosen, and approaches leave their lines
-    _refuse_starts(robot, obstacles, scenarios, check_starts)
+    scenarios = _with_refused(robot, obstacles, jax.tree.map(np.asarray, scenarios), check_starts)
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
     _check_task(task, robot, scenarios)
     devices = choose(device)
@@ -120,29 +120,27 @@ def plan(
     )
     # Imported here, as methods are: no kernels are loaded before a method is looked up.
     from htcp_jax.motion.home import begin_at_home, leave_home
-    from htcp_jax.motion.motion_check import judge_motions, tighten
-    from htcp_jax.planning.tracking.lane_checks import check_remaining_paths
+    from htcp_jax.motion.motion_check import check_remaining_paths, judge_motions, tighten
     from htcp_jax.planning.tracking.record import with_separate_errors
 
     with _preparing(problem, chosen):
         if check_starts:
             _check_starts(problem, obstacles)
-        ways = leave_home(problem)
+        problem, ways = leave_home(problem)
         plans = _of_these(chosen.plan(problem), problem, method)
+        problem = problem.as_planned(plans)
         if check_paths:
-            check_remaining_paths(problem, plans)
+            plans = check_remaining_paths(problem, plans)
         plans = begin_at_home(problem, plans, ways)
         if check_paths:
-            judge_motions(problem, plans)
+            plans = judge_motions(problem, plans)
             if getattr(chosen, "smooth", False) if settings.smooth is None else settings.smooth:
                 from htcp_jax.motion.smoothing import smooth
 
-                plans = smooth(problem, plans)
-                judge_motions(problem, plans)
-                tighten(problem, plans)
-        plans = with_separate_errors(plans, problem)
+                plans = tighten(problem, judge_motions(problem, smooth(problem, plans)))
+        plans = with_separate_errors(problem, plans)
     spent = time.perf_counter() - began
-    compile_s = plans.compile_s + max(each.compile_s for each in problem.kernels)
+    compile_s = plans.compile_s + max(each.kernels.compile_s for each in problem.checkers)
     return plans._replace(compile_s=compile_s, run_s=spent - compile_s)
 
 
@@ -219,29 +217,28 @@ def _preparing(problem: Problem, method: Method) -> Iterator[None]:
     """Compile the calls that a method announces, while the context is open."""
     calls = getattr(method, "first_calls", None)
     with ExitStack() as stack:
-        for each in problem.kernels if calls is not None and len(problem.to_plan) else ():
-            stack.enter_context(each.preparing(calls(problem)))
+        for each in problem.checkers if calls is not None and len(problem.to_plan) else ():
+            stack.enter_context(each.kernels.preparing(calls(problem)))
         yield
 
 
 def _check_starts(problem: Problem, obstacles: Obstacles) -> None:
     """`check_start` for every scenario, by an executable that planning needs anyway."""
-    from htcp_jax.motion.kernels import ADVANCE
-
     for s in problem.to_plan.tolist():
         one = jax.tree.map(lambda leaf, s=s: leaf[s], problem.scenarios)
         inputs = lane_inputs(problem.scenarios, np.array([s]), np.zeros(1, int))
         for x in _begins_at(one).values():
-            if problem.kernels[0](ADVANCE, inputs, x[None], np.zeros_like(x)[None]).clearance[0] <= 0:
+            if problem.checkers[0].states(inputs, x[None]).clearance[0] <= 0:
                 check_start(problem.robot, problem.workpiece, one, obstacles)
 
 
-def _refuse_starts(robot: Robot, obstacles: Obstacles, scenarios: Scenario, raises: bool) -> None:
-    """Refuse the scenarios that begin with an overlap of capsules whose collision is not checked, see
+def _with_refused(robot: Robot, obstacles: Obstacles, scenarios: Scenario, raises: bool) -> Scenario:
+    """Return the scenarios, those refused that begin with an overlap of capsules whose collision is not checked, see
     `refused_overlap`; or raise InputError."""
+    refused = scenarios.refused.copy()
     for own in (each for each in obstacles if isinstance(each, SelfCollision)):
         known: dict[bytes, str | None] = {}
-        for s in np.flatnonzero(scenarios.refused == NOT_REFUSED):
+        for s in np.flatnonzero(refused == NOT_REFUSED):
             for what, x in _begins_at(jax.tree.map(lambda leaf, s=s: leaf[s], scenarios)).items():
                 if x.tobytes() not in known:
                     known[x.tobytes()] = refused_overlap(own, robot, x)
@@ -250,7 +247,8 @@ def _refuse_starts(robot: Robot, obstacles: Obstacles, scenarios: Scenario, rais
                 if raises:
                     raise InputError(f"{what} is in collision: {reason}")
                 home = what == "home"
-                scenarios.refused[s] = Status.HOME_IN_COLLISION if home else Status.START_IN_COLLISION
+                refused[s] = Status.HOME_IN_COLLISION if home else Status.START_IN_COLLISION
+    return replace(scenarios, refused=refused)
 
 
 def _check_task(task: Task, robot: Robot, scenarios: Scenario) -> None:
@@ -282,7 +280,8 @@ def _counter(scenarios: Scenario, progress: Callable[[Progress], None] | None) -
 def _of_these(plans: Any, problem: Problem, method: str) -> Plans:
     """Return the plans unchanged. Raises InputError if a method returns others than those of the problem."""
     expected = problem.scenarios.targets.shape[:2]
-    if not isinstance(plans, Plans) or plans.status.shape != expected or plans.x.shape[:2] != expected:
+    shapes = {each.shape[:2] for each in (plans.status, plans.x, plans.target)} if isinstance(plans, Plans) else set()
+    if shapes != {expected}:
         raise InputError(f"method {method!r} returned no Plans of {expected[0]} scenarios with {expected[1]} targets")
     return plans
 

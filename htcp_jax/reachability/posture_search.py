@@ -24,18 +24,17 @@ from scipy.stats import qmc
 from htcp_jax.clearance.obstacles.obstacles import clearance
 from htcp_jax.clearance.obstacles.scene import Scene, own_scene
 from htcp_jax.device.kernel import Kernel
-from htcp_jax.device.programs import Kernels
 from htcp_jax.device.tables import gather
 from htcp_jax.model.inverse_kinematics import damped_step, reanchor
 from htcp_jax.model.kinematics import jacobian, link_poses, tcp_position
 from htcp_jax.model.robot import Robot, lengthen_tool
 from htcp_jax.model.rotations import quaternion_matrix, sine_error
 from htcp_jax.model.task import Task
+from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.front import first_apart
-from htcp_jax.motion.kernels import ADVANCE, SETTLE
+from htcp_jax.motion.kernels import State
 from htcp_jax.motion.lane_inputs import LaneInputs
 from htcp_jax.numerics import product
-from htcp_jax.planning.tracking.null_space import Anchored
 from htcp_jax.planning.tracking.stages import PUSH
 from htcp_jax.reachability.tool_cells import MANY, Cells, tool_cells
 from htcp_jax.settings import Settings
@@ -53,22 +52,17 @@ TURN_M = LENGTH_M / np.sqrt(2)  # for rotation matrices, whose distance is sqrt(
 KnownPostures = dict[float, tuple[np.ndarray, cKDTree]]  # by tool extension: configurations, and a tree of their poses
 
 
-class OnTarget(NamedTuple):
-    """Configurations on targets."""
-
-    lane: Int[np.ndarray, "m"]  # index of the target
-    x: Float[np.ndarray, "m N"]
+OnTarget = tuple[Int[np.ndarray, "m"], Float[np.ndarray, "m N"]]  # indices of targets, and configurations on them
 
 
 class Found(NamedTuple):
     """Result of a search at n targets."""
 
-    x: Float[np.ndarray, "n PUSHED N"]  # pushed configurations, clearest first
-    clearance: Float[np.ndarray, "n PUSHED"]  # [m]; -inf for none
+    at: State  # (n, PUSHED, ...): pushed configurations, clearest first; a clearance of -inf for none
     resolution_rad: Float[np.ndarray, "n"]  # radius of the cells; 0 where the tool collides in every orientation
 
 
-def aim(settings: Settings, scene: Scene, lane: LaneInputs, x, quaternion) -> Anchored:
+def aim(settings: Settings, scene: Scene, lane: LaneInputs, x, quaternion) -> State:
     """Move x as near as the arm gets to the target with the last link in the orientation `quaternion`; then bring it
     onto the target. Damped least squares within the joint limits (Siciliano et al., Robotics, section 3.7)."""
     scene = own_scene(scene, lane.tool_extension_m)
@@ -83,7 +77,7 @@ def aim(settings: Settings, scene: Scene, lane: LaneInputs, x, quaternion) -> An
 
     x = jax.lax.fori_loop(0, STEPS, step, x)
     x, residual = reanchor(robot, x, lane.target, task.fine_m, task=task)
-    return Anchored(x, jnp.zeros(()), residual)
+    return State(x, clearance=jnp.zeros(()), residual=residual)
 
 
 def measure(settings: Settings, scene: Scene, lane: LaneInputs, x):
@@ -111,32 +105,35 @@ def _pose(robot: Robot, x):
     return jnp.concatenate([tcp_position(robot, x), TURN_M * link_poses(robot, x)[-1, :3, :3].ravel()])
 
 
-def search(kernels: Kernels, known: KnownPostures, inputs: LaneInputs, resolution_rad: float) -> Found:
+def search(checker: CollisionChecker, known: KnownPostures, inputs: LaneInputs, resolution_rad: float) -> Found:
     """Return clear configurations at n targets, each searched independently."""
-    lanes, joints = len(inputs.row), len(kernels.limits[0])
+    lanes, joints = len(inputs.row), len(checker.kernels.limits[0])
     x, best = np.zeros((lanes, PUSHED, joints)), np.full((lanes, PUSHED), -np.inf)
-    if kernels.task.holds_tcp:
-        cells = tool_cells(kernels, inputs, resolution_rad, CELLS)
-        lane, radius_rad, on = cells.lane, cells.radius_rad, _aimed(kernels, known, inputs, cells)
+    if checker.task.holds_tcp:
+        cells = tool_cells(checker.kernels, inputs, resolution_rad, CELLS)
+        lane, radius_rad, on = cells.lane, cells.radius_rad, _aimed(checker, known, inputs, cells)
     else:
-        lane, radius_rad, on = np.arange(lanes), np.full(lanes, np.pi), _settled(kernels, known, inputs)
-    _push(kernels, inputs, x, best, *_candidates(kernels, inputs, on))
+        lane, radius_rad, on = np.arange(lanes), np.full(lanes, np.pi), _settled(checker, known, inputs)
+    _push(checker, inputs, x, best, *_candidates(checker, inputs, *on))
     for round_ in range(HOPS):
         lost = np.flatnonzero((best[:, 0] < inputs.margin_m) & (best[:, 0] > -np.inf)).tolist()
         moves = [_moves(inputs, k, round_, joints) for k in lost]
         aside = [np.repeat(x[k, :HOPPED], PUSHED // HOPPED, axis=0) + own for k, own in zip(lost, moves, strict=True)]
-        _push(kernels, inputs, x, best, np.repeat(lost, PUSHED), np.concatenate([np.empty((0, joints)), *aside]))
+        _push(checker, inputs, x, best, np.repeat(lost, PUSHED), np.concatenate([np.empty((0, joints)), *aside]))
     coarsest = np.zeros(lanes)
     np.maximum.at(coarsest, lane, radius_rad)
-    return Found(x, best, coarsest)
+    residual = np.where(best > -np.inf, 0.0, np.inf)  # excludes empty rows
+    return Found(State(x, clearance=best, residual=residual), coarsest)
 
 
-def _push(kernels: Kernels, inputs: LaneInputs, x: np.ndarray, best: np.ndarray, lane: np.ndarray, start: np.ndarray):
+def _push(
+    checker: CollisionChecker, inputs: LaneInputs, x: np.ndarray, best: np.ndarray, lane: np.ndarray, start: np.ndarray
+):
     """Push configurations clear, and merge the clearest of each target into `x` and `best`."""
     if not len(lane):
         return
-    pushed = kernels(PUSH, gather(inputs, lane), start)
-    on = np.where(kernels.task.reached(pushed.residual), pushed.clearance, -np.inf)
+    pushed = checker.kernels(PUSH, gather(inputs, lane), start)
+    on = np.where(checker.task.reached(pushed.residual), pushed.clearance, -np.inf)
     for k in np.unique(lane):
         own = lane == k
         D, both = np.concatenate([best[k], on[own]]), np.concatenate([x[k], pushed.x[own]])
@@ -150,36 +147,36 @@ def _moves(inputs: LaneInputs, k: int, round_: int, joints: int) -> np.ndarray:
     return HOP * 0.6**round_ * own.normal(size=(PUSHED, joints))
 
 
-def _aimed(kernels: Kernels, known: KnownPostures, inputs: LaneInputs, cells: Cells) -> OnTarget:
+def _aimed(checker: CollisionChecker, known: KnownPostures, inputs: LaneInputs, cells: Cells) -> OnTarget:
     """Return configurations on the target in all cells."""
-    which, seeds = _seeds(kernels.task, known, inputs, cells)
+    which, seeds = _seeds(checker.task, known, inputs, cells)
     lane = cells.lane[which]
     if not len(lane):
-        return OnTarget(lane, seeds)
-    at = kernels(AIM, gather(inputs, lane), seeds, cells.quaternion[which])
-    on = kernels.task.reached(at.residual)
-    return OnTarget(lane[on], at.x[on])
+        return lane, seeds
+    at = checker.kernels(AIM, gather(inputs, lane), seeds, cells.quaternion[which])
+    on = checker.task.reached(at.residual)
+    return lane[on], at.x[on]
 
 
-def _settled(kernels: Kernels, known: KnownPostures, inputs: LaneInputs) -> OnTarget:
+def _settled(checker: CollisionChecker, known: KnownPostures, inputs: LaneInputs) -> OnTarget:
     """Return configurations on the targets, from seeds spread over the joint limits."""
     lane = np.repeat(np.arange(len(inputs.row)), SPREAD)
     seeds = np.concatenate([known[own_m][0][:SPREAD] for own_m in inputs.tool_extension_m.tolist()])
-    x = kernels(SETTLE, gather(inputs, lane), seeds)
-    on = kernels.task.reached(kernels(ADVANCE, gather(inputs, lane), x, np.zeros_like(x)).residual)
-    return OnTarget(lane[on], x[on])
+    x = checker.project(gather(inputs, lane), seeds)
+    on = checker.task.reached(checker.states(gather(inputs, lane), x).residual)
+    return lane[on], x[on]
 
 
-def _candidates(kernels: Kernels, inputs: LaneInputs, on: OnTarget) -> OnTarget:
+def _candidates(checker: CollisionChecker, inputs: LaneInputs, lane: np.ndarray, x: np.ndarray) -> OnTarget:
     """Return the clearest configurations that are far apart."""
     kept: list[np.ndarray] = [np.empty(0, int)]
-    for k in np.unique(on.lane):
-        own = np.flatnonzero(on.lane == k)
-        own = own[np.unique(np.round(on.x[own] / (0.5 * APART_RAD)).astype(int), axis=0, return_index=True)[1]]
-        D = kernels(MEASURE, gather(inputs, on.lane[own]), on.x[own])
+    for k in np.unique(lane):
+        own = np.flatnonzero(lane == k)
+        own = own[np.unique(np.round(x[own] / (0.5 * APART_RAD)).astype(int), axis=0, return_index=True)[1]]
+        D = checker.kernels(MEASURE, gather(inputs, lane[own]), x[own])
         own = own[np.argsort(-D, kind="stable")]
-        kept.append(own[first_apart(on.x[own], PUSHED, APART_RAD)])
-    return gather(on, np.concatenate(kept))
+        kept.append(own[first_apart(x[own], PUSHED, APART_RAD)])
+    return gather((lane, x), np.concatenate(kept))
 
 
 def _seeds(task: Task, known: KnownPostures, inputs: LaneInputs, cells: Cells):

@@ -25,15 +25,15 @@ from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
 from htcp_jax.device.devices import default_threads
 from htcp_jax.device.programs import Kernels
-from htcp_jax.device.tables import concatenate, gather
+from htcp_jax.device.tables import gather, interleaved
 from htcp_jax.model.robot import Robot
-from htcp_jax.model.scenario import Scenario
+from htcp_jax.model.scenario import Scenario, off_their_lines
 from htcp_jax.model.task import Task
 from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.front import farthest_first
+from htcp_jax.motion.kernels import State
 from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
-from htcp_jax.motion.tip_check import TipCheck, tip_checks
-from htcp_jax.planning.tracking.null_space import Anchored
 from htcp_jax.planning.tracking.stages import PUSH
 from htcp_jax.reachability.posture_search import APART_RAD, PUSHED, KnownPostures, known_postures, search
 from htcp_jax.reachability.tool_cells import excluded
@@ -83,13 +83,12 @@ def reachable_prefixes(
     position, there are no proofs. obstacles: in addition to the workpiece; proofs ignore them. Threads, one per core,
     share the scenarios. progress(target, targets) is called after each target. Raises Stopped on Ctrl-C."""
     settings = settings or Settings()
-    scenarios = jax.tree.map(np.array, scenarios)  # a copy: approaches leave their lines
+    scenarios = jax.tree.map(np.asarray, scenarios)
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
     scene = Scene(robot, all_obstacles(workpiece, obstacles), task)
-    kernels = Kernels(scene, settings)
-    [tip] = tip_checks([kernels], make_tip_guard(workpiece))
+    checker = CollisionChecker(Kernels(scene, settings), settings, make_tip_guard(workpiece))
     known = known_postures(robot, scenarios.tool_extension_m)
-    threads = default_threads([kernels.device], settings.qp)
+    threads = default_threads([checker.kernels.device], settings.qp)
     parts = [nothing_found(gather(scenarios, slice(number, None, threads))) for number in range(threads)]
     stop = threading.Event()
 
@@ -103,22 +102,19 @@ def reachable_prefixes(
                 progress(row, rows)
 
         found = parts[number]
-        _prefixes(kernels, tip, known, own, settings.seed, resolution_rad, found, report)
-        parts[number] = found._replace(most=_most(kernels, robot, own, found, proof_cells if task.holds_tcp else 0))
-
-    def in_order() -> Reachability:
-        order = np.concatenate([np.arange(len(scenarios.count))[number::threads] for number in range(threads)])
-        return gather(concatenate(parts), np.argsort(order))
+        own = _prefixes(checker, known, own, settings.seed, resolution_rad, found, report)
+        cells = proof_cells if task.holds_tcp else 0
+        parts[number] = found._replace(most=_most(checker.kernels, robot, own, found, cells))
 
     pool = ThreadPoolExecutor(threads)
     try:
         list(pool.map(work, range(threads)))
     except KeyboardInterrupt:
-        raise Stopped(in_order()) from None
+        raise Stopped(interleaved(parts)) from None
     finally:
         stop.set()
         pool.shutdown(wait=False, cancel_futures=True)
-    return in_order()
+    return interleaved(parts)
 
 
 def nothing_found(scenarios: Scenario) -> Reachability:
@@ -131,9 +127,16 @@ def nothing_found(scenarios: Scenario) -> Reachability:
 
 
 def _prefixes(
-    kernels, tip, known, scenarios: Scenario, seed: int, resolution_rad: float, found: Reachability, progress: Callable
-) -> None:
-    """Search, and write the result into `found`, except `most`."""
+    checker: CollisionChecker,
+    known: KnownPostures,
+    scenarios: Scenario,
+    seed: int,
+    resolution_rad: float,
+    found: Reachability,
+    progress: Callable,
+) -> Scenario:
+    """Search, and write the result into `found`, except `most`. Returns the scenarios as they were searched, see
+    `_off_lines`."""
     count, rows = scenarios.targets.shape[:2]
     front = [x[None] for x in scenarios.x_start]
     alive = np.arange(count)
@@ -144,46 +147,48 @@ def _prefixes(
         looked = alive
         while len(looked):
             inputs = lane_inputs(scenarios, looked, np.full(len(looked), row), seed=seed)
-            clear, best, coarsest = _looked_at(kernels, tip, known, inputs, [front[s] for s in looked], resolution_rad)
+            clear, best, coarsest = _looked_at(checker, known, inputs, [front[s] for s in looked], resolution_rad)
             for k, s in enumerate(looked):
                 found.best[s], found.resolution_rad[s] = best[k], coarsest[k]
                 if len(clear[k]):
                     front[s], found.x[s, row] = clear[k], clear[k][0]
                     found.prefix[s] += 1
             looked = looked[[not len(own) for own in clear]]
-            looked = looked[_off_lines(scenarios, looked, row)]
+            leave = _off_lines(scenarios, looked, row)
+            scenarios = off_their_lines(scenarios, leave) if leave.any() else scenarios
+            looked = looked[leave[looked, row]]
         alive = alive[found.prefix[alive] > row]
         progress(row + 1, rows)
+    return scenarios
 
 
 def _looked_at(
-    kernels: Kernels, tip: TipCheck | None, known: KnownPostures, inputs: LaneInputs, front: list, resolution_rad: float
+    checker: CollisionChecker, known: KnownPostures, inputs: LaneInputs, front: list, resolution_rad: float
 ) -> tuple[list[np.ndarray], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """Return the clear configurations at n targets, carried over from each `front` or else searched for; and, at
     targets without any, the best clearance [m] and the resolution [rad], NaN and 0 elsewhere."""
-    clear = _carried(kernels, tip, inputs, front)
+    clear = _carried(checker, inputs, front)
     best, coarsest = np.full(len(front), np.nan), np.zeros(len(front))
-    for coarser in COARSE_FIRST if kernels.task.holds_tcp else (1,):
+    for coarser in COARSE_FIRST if checker.task.holds_tcp else (1,):
         which = np.flatnonzero([not len(own) for own in clear])
         if not len(which):
             break
-        here = search(kernels, known, gather(inputs, which), coarser * resolution_rad)
-        for k, own in zip(which, _searched(kernels, tip, gather(inputs, which), here), strict=True):
+        here = search(checker, known, gather(inputs, which), coarser * resolution_rad)
+        for k, own in zip(which, _searched(checker, gather(inputs, which), here.at), strict=True):
             clear[k] = own
         lost = np.array([not len(clear[k]) for k in which])
-        best[which], coarsest[which] = np.where(lost, here.clearance[:, 0], np.nan), lost * here.resolution_rad
+        best[which], coarsest[which] = np.where(lost, here.at.clearance[:, 0], np.nan), lost * here.resolution_rad
     return clear, best, coarsest
 
 
-def _off_lines(scenarios: Scenario, rows: Int[np.ndarray, "n"], target: int) -> Bool[np.ndarray, "n"]:
-    """Let approaches leave their lines, as a planner may: from a target before the path on, all become the path's first
-    point. Returns True for the scenarios that did so."""
+def _off_lines(scenarios: Scenario, rows: Int[np.ndarray, "n"], target: int) -> Bool[np.ndarray, "S T"]:
+    """Return the targets at which approaches leave their lines, as a planner's may: of scenarios that have not reached
+    a target before the path, that one and the following ones up to the path's first point."""
     aims, on_path = scenarios.aims, scenarios.on_path[rows]
     leave = (0 < target) & (target < on_path) & (aims[rows, target] != aims[rows, on_path]).any(axis=1)
-    for s, first in zip(rows[leave], on_path[leave], strict=True):
-        for table in (scenarios.targets, aims):
-            table[s, target:first] = table[s, first]
-    return leave
+    which = np.zeros(aims.shape[:2], bool)
+    which[rows[leave], target:] = True
+    return which & (np.arange(aims.shape[1]) < scenarios.on_path[:, None])
 
 
 def _most(kernels: Kernels, robot: Robot, scenarios: Scenario, found: Reachability, cells: int) -> np.ndarray:
@@ -198,27 +203,25 @@ def _most(kernels: Kernels, robot: Robot, scenarios: Scenario, found: Reachabili
     return high
 
 
-def _carried(kernels: Kernels, tip: TipCheck | None, inputs: LaneInputs, front: list[np.ndarray]) -> list[np.ndarray]:
+def _carried(checker: CollisionChecker, inputs: LaneInputs, front: list[np.ndarray]) -> list[np.ndarray]:
     """Return, for each target, the configurations of its `front` that are clear there, far apart, clearest first."""
     lane = np.repeat(np.arange(len(front)), [len(own) for own in front])
-    here = kernels(PUSH, gather(inputs, lane), np.concatenate(front))
-    return _clear(kernels, tip, gather(inputs, lane), lane, len(front), here)
+    here = checker.kernels(PUSH, gather(inputs, lane), np.concatenate(front))
+    return _clear(checker, gather(inputs, lane), lane, len(front), here)
 
 
-def _searched(kernels: Kernels, tip: TipCheck | None, inputs: LaneInputs, here) -> list[np.ndarray]:
+def _searched(checker: CollisionChecker, inputs: LaneInputs, here: State) -> list[np.ndarray]:
     """Return, for each target, the configurations found by a search that are clear, far apart, clearest first."""
-    lane = np.repeat(np.arange(len(here.x)), PUSHED)
-    residual = np.where(here.clearance > -np.inf, 0.0, np.inf).ravel()  # excludes empty rows
-    at = Anchored(here.x.reshape(len(lane), -1), here.clearance.ravel(), residual)
-    return _clear(kernels, tip, gather(inputs, lane), lane, len(here.x), at)
+    lanes = len(here.x)
+    lane = np.repeat(np.arange(lanes), PUSHED)
+    at = jax.tree.map(lambda table: table.reshape(len(lane), *table.shape[2:]), here)
+    return _clear(checker, gather(inputs, lane), lane, lanes, at)
 
 
 def _clear(
-    kernels: Kernels, tip: TipCheck | None, inputs: LaneInputs, lane: np.ndarray, lanes: int, here: Anchored
+    checker: CollisionChecker, inputs: LaneInputs, lane: np.ndarray, lanes: int, here: State
 ) -> list[np.ndarray]:
-    good = kernels.task.counts(here.clearance, here.residual, inputs.margin_m)
-    if tip is not None and good.any():
-        good[good] = ~tip.at(gather(inputs, good), here.x[good])
+    good = checker.valid(inputs, here)
     return [_dispersed(here.x[own], here.clearance[own]) for own in (good & (lane == k) for k in range(lanes))]
 
 

@@ -17,25 +17,21 @@ scenarios are planned together.
 """
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import islice
 
 import jax
 import numpy as np
 
-from htcp_jax.clearance.proof.motion_proof import Tube
-from htcp_jax.device.programs import Kernels
 from htcp_jax.device.tables import gather
-from htcp_jax.motion.kernels import ADVANCE, SETTLE
+from htcp_jax.motion.collision_checker import CollisionChecker, prove_call
+from htcp_jax.motion.kernels import ADVANCE, SETTLE, State
 from htcp_jax.motion.knots import Knots
-from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
+from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.motion_check import tubes
 from htcp_jax.motion.plans import Plans
-from htcp_jax.motion.posture_tree import BeamTree, Posture
+from htcp_jax.motion.posture_tree import BeamTree
 from htcp_jax.motion.problem import Problem
-from htcp_jax.motion.proofs import proofs_of, prove_call
-from htcp_jax.motion.tip_check import TipCheck, out_of_walls, tip_checks
 from htcp_jax.motion.transfers import other_postures
 from htcp_jax.planning.beam.functions import FEED, WALK
 from htcp_jax.planning.beam.record import Knotted, RoadmapRecord
@@ -61,19 +57,15 @@ class Roadmap:
 
     def plan(self, problem: Problem) -> Plans:
         """Plan all scenarios; they are dealt out to threads, which write into different rows."""
-        plans = problem.empty_plans()
-        kernels = problem.kernels  # made here, before there are threads
-        tips = tip_checks(kernels, problem.tip_guard)
-        # Two per GPU: while it computes for one, the other builds its tables.
-        threads = problem.threads if kernels[0].pays_by_lane else max(problem.threads, 2 * len(kernels))
+        plans, threads = problem.empty_plans(), problem.threads
+        if not problem.checkers[0].kernels.pays_by_lane:
+            # Two per GPU: while it computes for one, the other builds its tables.
+            threads = max(threads, 2 * len(problem.checkers))
 
-        def work(number: int) -> list[Knotted]:
-            own = number % len(kernels)
-            growing = Growing(problem, plans, kernels[own], tips[own])
-            return growing.run(iter(problem.to_plan.tolist()[number::threads]))
+        def work(checker: CollisionChecker, share: slice) -> list[Knotted]:
+            return Growing(problem, plans, checker).run(iter(problem.to_plan[share].tolist()))
 
-        with ThreadPoolExecutor(threads) as pool:
-            ways = [way for part in pool.map(work, range(threads)) for way in part]
+        ways = [way for part in problem.in_threads(work, threads) for way in part]
         return plans._replace(knots=Knots.of(ways, plans.x.shape[2]))
 
 
@@ -82,24 +74,24 @@ def _calls(problem: Problem) -> list[tuple]:
     one, zero = problem.to_plan[:1], np.zeros(1, int)
     x, turns = problem.scenarios.x_start[one], np.zeros(1, bool)
     inputs = lane_inputs(problem.scenarios, one, zero)
-    tube = tubes(problem.scenarios, problem.task, problem.settings.tube_m, one, zero, turns)
-    walks = [(WALK, inputs, x, zero.astype(np.int32))] if problem.kernels[0].freedom else []
+    proof = prove_call(problem.task, inputs, x, x, tubes(problem, one, zero, turns))
+    walks = [(WALK, inputs, x, zero.astype(np.int32))] if problem.checkers[0].kernels.freedom else []
     smooths = [] if problem.settings.smooth is False else [(SETTLE, inputs, x)]
-    return [(ADVANCE, inputs, x, x), (FEED, inputs, x), prove_call(inputs, x, x, tube), *walks, *smooths]
+    return [(ADVANCE, inputs, x, x), (FEED, inputs, x), proof, *walks, *smooths]
 
 
 class Growing:
     """Plan many scenarios at a time, in dense batches of all their configurations."""
 
-    def __init__(self, problem: Problem, plans: Plans, kernels: Kernels, tip: TipCheck | None):
-        self._problem, self._kernels, self._tip = problem, kernels, tip
+    def __init__(self, problem: Problem, plans: Plans, checker: CollisionChecker):
+        self._problem, self._checker = problem, checker
         self._tree = BeamTree(plans.x.shape[2])
-        self._searches = Searches(problem.settings, self._tree, kernels.freedom > 0)
-        self._record = RoadmapRecord(problem, plans, kernels, tip, self._searches)
+        self._searches = Searches(problem.settings, self._tree, checker.kernels.freedom > 0)
+        self._record = RoadmapRecord(problem, plans, checker, self._searches)
 
     def run(self, scenarios: Iterator[int]) -> list[Knotted]:
         """Plan until the iterator is exhausted."""
-        ways, searches, most = [], self._searches, max(1, self._kernels.lanes // IN_FLIGHT)
+        ways, searches, most = [], self._searches, max(1, self._checker.kernels.lanes // IN_FLIGHT)
         while True:
             before = searches.tracked
             self._begin(list(islice(scenarios, most - int(searches.going.sum()))))
@@ -123,7 +115,8 @@ class Growing:
         if not new:
             return
         start, unknown = self._problem.scenarios.x_start[new], np.full((len(new), 3), np.nan)
-        roots = list(self._tree.plant(Posture(start, *unknown[:, :2].T, unknown), -1)[:, None])
+        at = State(start, clearance=unknown[:, 0], residual=unknown[:, 0], tcp=unknown)
+        roots = list(self._tree.plant(at, -1)[:, None])
         for k in np.flatnonzero(self._problem.begins_anywhere[new]).tolist():
             others = self._other_postures(new[k], 0, 0)
             roots[k] = others if len(others) else roots[k]
@@ -145,7 +138,7 @@ class Growing:
         return len(roots) > 0
 
     def _other_postures(self, s: int, round_: int, target: int) -> np.ndarray:
-        return self._tree.plant(other_postures(self._problem, self._kernels, self._tip, s, round_, target), target)
+        return self._tree.plant(other_postures(self._problem, self._checker, s, round_, target), target)
 
     def _feed(self) -> None:
         """Extend pending configurations to the next target; accepted if the joint path is a proven motion."""
@@ -155,10 +148,12 @@ class Growing:
         scenario, target = searches.columns.scenario[unfed.search], self._tree.target[unfed.node] + 1
         x = self._tree.x[unfed.node]
         inputs, tube = self._inputs(scenario, target, np.zeros_like(target), False)
-        fed = self._kernels(FEED, inputs, x)
-        good = out_of_walls(self._tip, inputs, fed.at.x, fed.reached)
+        fed = self._checker.kernels(FEED, inputs, x)
+        good = self._checker.valid(inputs, fed.at)
         proven = good.copy()
-        proven[good] = self._proven(*gather((inputs, x, fed.at.x, tube), good))
+        if good.any():
+            edges = self._checker.edges(*gather((inputs, x, fed.at.x, tube), good))
+            proven[good] = edges.verdict == Way.PROVEN
         new = self._tree.grow(*gather((unfed.node, fed.at, target, fed.step_qps), proven))
         arrived = Members(unfed.search[proven], new)
         self._say_why(searches.has(unfed), searches.has(arrived), searches.has(gather(unfed, good)))
@@ -172,32 +167,23 @@ class Growing:
         scenario, draws = gather((searches.columns.scenario, searches.columns.draws), walkers.search)
         target, x = self._tree.target[walkers.node], self._tree.x[walkers.node]
         inputs, tube = self._inputs(scenario, target, draws, True)
-        walked = self._kernels(WALK, inputs, x, walker.astype(np.int32))
+        walked = self._checker.kernels(WALK, inputs, x, walker.astype(np.int32))
         lane, step = np.nonzero(np.arange(walked.path.x.shape[1]) < walked.steps[:, None])
         before = np.concatenate([x[:, None], walked.path.x], axis=1)
         proven = np.zeros(walked.path.clearance.shape, bool)
-        proven[lane, step] = self._proven(inputs, before[lane, step], before[lane, step + 1], tube, lane)
+        if len(lane):  # the tip is checked only at a walk's end
+            edges = before[lane, step], before[lane, step + 1]
+            proof = self._checker.edges(gather(inputs, lane), *edges, gather(tube, lane), tip=False)
+            proven[lane, step] = proof.verdict == Way.PROVEN
         steps = np.logical_and.accumulate(proven, axis=1).sum(axis=1)
         last = walked.path.x[np.arange(len(x)), np.maximum(steps - 1, 0)]
-        good = out_of_walls(self._tip, inputs, last, steps > 0)
+        good = self._checker.tip_free(inputs, last, steps > 0)
         node, dwells = walkers.node.copy(), (target >= self._problem.scenarios.on_path[scenario]).astype(int)
         for k in range(walked.path.x.shape[1]):
             on = np.flatnonzero(good & (steps > k))
             at = jax.tree.map(lambda leaf, on=on, k=k: leaf[on, k], walked.path)
             node[on] = self._tree.grow(node[on], at, target[on], walked=True, dwells=dwells[on] * (k == 0))
         searches.take_walked(walkers, Members(walkers.search[good], node[good]))
-
-    def _proven(
-        self, inputs: LaneInputs, a: np.ndarray, b: np.ndarray, tube: Tube, lane: np.ndarray | None = None
-    ) -> np.ndarray:
-        """True for each straight joint path from a to b that is a motion, one per lane, with the bare tip out of the
-        walls all along; or, with `lane`, for each step of its walk, whose tip is checked only at the end."""
-        if not len(a):
-            return np.zeros(0, bool)
-        good = proofs_of(self._kernels, inputs, a, b, tube, lane=lane).verdict == Way.PROVEN
-        if lane is None and self._tip is not None and good.any():
-            good[good] = ~self._tip.along(*gather((inputs, a, b), good))
-        return good
 
     def _say_why(self, fed: np.ndarray, arrived: np.ndarray, reached: np.ndarray) -> None:
         """Set the status of the extended searches in case no more configurations reach the next target. If some did,
@@ -207,8 +193,8 @@ class Growing:
         lost = np.flatnonzero(fed & ~arrived & (columns.target < 0))
         if len(lost):
             s = columns.scenario[lost]
-            inputs, x = lane_inputs(scenarios, s, np.zeros_like(s)), scenarios.x_start[s]
-            collides = self._kernels(ADVANCE, inputs, x, np.zeros_like(x)).clearance <= 0
+            inputs = lane_inputs(scenarios, s, np.zeros_like(s))
+            collides = self._checker.states(inputs, scenarios.x_start[s]).clearance <= 0
             columns.failure[lost[collides]] = Status.START_IN_COLLISION
 
     def _inputs(self, scenario: np.ndarray, target: np.ndarray, draws: np.ndarray, turns: bool):
@@ -216,4 +202,4 @@ class Growing:
         problem = self._problem
         inputs = lane_inputs(problem.scenarios, scenario, target, seed=problem.settings.seed, round_=draws)
         towards, which = target + turns, np.full(len(target), turns)
-        return inputs, tubes(problem.scenarios, problem.task, problem.settings.tube_m, scenario, towards, which)
+        return inputs, tubes(problem, scenario, towards, which)

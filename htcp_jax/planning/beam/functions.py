@@ -1,6 +1,7 @@
 """Device functions of the beam search: extend a configuration to the next target, and move in the null space of one.
 
-Pure functions of one lane, as in `kernels`. `proofs` verifies whether the results are motions, for many lanes at once.
+Pure functions of one lane, as in `kernels`. `CollisionChecker.edges` proves that the results are motions, for many
+lanes at once.
 """
 
 from functools import partial
@@ -15,9 +16,8 @@ from htcp_jax.device.batching import Loop
 from htcp_jax.device.kernel import TRACKED, Kernel
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import tcp_position
-from htcp_jax.motion.kernels import advance, nothing_known
+from htcp_jax.motion.kernels import State, advance, nothing_known
 from htcp_jax.motion.lane_inputs import LaneInputs
-from htcp_jax.motion.posture_tree import Posture
 from htcp_jax.numerics import fold_keys, null_basis, product, safe_norm
 from htcp_jax.settings import Settings
 from htcp_jax.solvers.active_set import solve_step
@@ -31,7 +31,7 @@ LEAST_STEP = 0.3  # minimum share of a step's length; shorter ones are blocked b
 class Fed(NamedTuple):
     """A lane at its next target."""
 
-    at: Posture
+    at: State
     reached: jax.Array  # True if it meets the success criterion there
     step_qps: jax.Array
 
@@ -39,7 +39,7 @@ class Fed(NamedTuple):
 class Walked(NamedTuple):
     """A lane's self-motion, step by step."""
 
-    path: Posture  # (steps, ...), of which the first `steps` are valid
+    path: State  # (steps, ...), of which the first `steps` are valid
     steps: jax.Array
 
 
@@ -73,8 +73,8 @@ def feed(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Loop:
 
     def fed(state) -> Fed:
         here, *_, count = state
-        posture = Posture(here.x, here.clearance, here.residual, here.tcp)
-        return Fed(posture, task.counts(here.clearance, here.residual, lane.margin_m), jnp.maximum(count - 1, 0))
+        reached = task.counts(here.clearance, here.residual, lane.margin_m)
+        return Fed(here._replace(linear=None), reached, jnp.maximum(count - 1, 0))
 
     straight, _ = reanchor(robot, x, lane.target, task.fine_m, task=task)
     zero = jnp.zeros((), jnp.int32)
@@ -107,12 +107,13 @@ def walk(settings: Settings, scene: Scene, lane: LaneInputs, x, walker) -> Loop:
         D = clearance(robot, scene.obstacles, lane, there)
         good = task.counts(D, residual, lane.margin_m)
         good &= safe_norm(there - x) >= LEAST_STEP * settings.walk_step_rad
-        here = Posture(there, D, residual, tcp_position(robot, there))
+        here = State(there, clearance=D, residual=residual, tcp=tcp_position(robot, there))
         path = jax.tree.map(lambda all_, new: all_.at[steps].set(jnp.where(good, new, all_[steps])), path, here)
         return good, there, direction, path, steps + good.astype(jnp.int32)
 
     n, most = len(x), settings.walk_steps
-    path = Posture(*(jnp.zeros((most, *shape)) for shape in ((n,), (), (), (3,))))
+    names = {"x": (n,), "clearance": (), "residual": (), "tcp": (3,)}
+    path = State(**{name: jnp.zeros((most, *shape)) for name, shape in names.items()})
     # The first direction is drawn in the null space, in the first entries of this vector.
     first = jax.random.normal(towards, x.shape)
     start = (jnp.full((), True), x, first, path, jnp.zeros((), jnp.int32))

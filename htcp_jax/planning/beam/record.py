@@ -4,12 +4,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from htcp_jax.device.programs import Kernels
 from htcp_jax.device.tables import gather
+from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.plans import Plans
 from htcp_jax.motion.posture_tree import Nodes
 from htcp_jax.motion.problem import Problem
-from htcp_jax.motion.tip_check import TipCheck
 from htcp_jax.motion.transfers import joined
 from htcp_jax.planning.beam.searches import NONE, Searches
 from htcp_jax.status import Status
@@ -21,8 +20,8 @@ Knotted = tuple[int, int, np.ndarray]  # via points of a segment: (scenario, tar
 class RoadmapRecord:
     """Write the results of searches into `plans`."""
 
-    def __init__(self, problem: Problem, plans: Plans, kernels: Kernels, tip: TipCheck | None, searches: Searches):
-        self._problem, self._plans, self._kernels, self._tip = problem, plans, kernels, tip
+    def __init__(self, problem: Problem, plans: Plans, checker: CollisionChecker, searches: Searches):
+        self._problem, self._plans, self._checker = problem, plans, checker
         self._searches, self._tree = searches, searches.tree
 
     def chosen(self, last: int) -> tuple[int, int, np.ndarray | None]:
@@ -37,7 +36,7 @@ class RoadmapRecord:
             roots = {leaf: int(self._tree.path(leaf)[0]) for leaf in leaves}
             start = self._tree.x[self._row_0(chain[-1])] if self._is_approach(search) else scenarios.x_start[s]
             distinct = list(dict.fromkeys(roots.values()))
-            ways = joined(self._problem, self._kernels, self._tip, s, start, self._tree.x[distinct])
+            ways = joined(self._problem, self._checker, s, start, self._tree.x[distinct])
             known = {root: way for root, way in zip(distinct, ways, strict=False) if way is not None}
             if found := [leaf for leaf in leaves if roots[leaf] in known]:
                 return search, found[0], known[roots[found[0]]]
@@ -89,8 +88,7 @@ class RoadmapRecord:
             plans.status[s, 0], plans.escape[s, 0] = Status.TRACKED_AFTER_ESCAPE, TRANSFERRED
             return 0
         on_path, row_0 = int(self._problem.scenarios.on_path[s]), self._row_0(self._searches.chain(search)[-1])
-        for table in (self._problem.scenarios.targets, self._problem.scenarios.aims):
-            table[s, 1:on_path] = table[s, on_path]
+        plans.target[s, 1:on_path] = plans.target[s, on_path]
         stays = np.arange(1, on_path)
         self._write_rows(s, stays, self._tree.nodes(np.full(len(stays), root)))
         self._write_rows(s, np.zeros(1, int), self._tree.nodes(np.array([row_0])))

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.device.tables import gather
-from htcp_jax.motion.kernels import Measured
+from htcp_jax.motion.kernels import State
 from htcp_jax.planning.tracking.lane_checks import LaneChecks
 from htcp_jax.planning.tracking.lanes import CHECKING, DRAWING, PUSHING, Lanes
 from htcp_jax.planning.tracking.record import Record
@@ -41,7 +41,7 @@ class Replanned(NamedTuple):
 
     going: Lanes  # in their next phases
     found: Lanes  # with a recorded chain; they are at their target
-    now: Measured | None  # of these; None where there are none
+    now: State | None  # of these; None where there are none
     lost: int  # scenarios
 
 
@@ -130,7 +130,7 @@ class BackwardPlans:
         iteration[end] = many.iteration[end]
         return many._replace(target=target.astype(np.int32), x_previous=before, iteration=iteration)
 
-    def _write(self, many: Lanes, now: Measured) -> None:
+    def _write(self, many: Lanes, now: State) -> None:
         self._record.track(many, now, Status.TRACKED_AFTER_ESCAPE, self._escape, np.ones(many.size, np.int8))
         self._record.tracked -= many.size - len(np.unique(many.scenario))  # all but the lost one were counted before
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from htcp_jax.device.tables import gather, gather_from
-from htcp_jax.motion.kernels import Measured
+from htcp_jax.motion.kernels import State
 from htcp_jax.planning.tracking.lane_checks import LaneChecks
 from htcp_jax.planning.tracking.lanes import Lanes, new_lanes
 from htcp_jax.planning.tracking.sampling import Candidates
@@ -20,7 +20,7 @@ class Ends(NamedTuple):
     """Candidates that reached their target, and their state there."""
 
     number: np.ndarray
-    now: Measured
+    now: State
 
 
 @dataclass
@@ -46,7 +46,7 @@ class Arrived(NamedTuple):
     """Lanes that a stage has brought to their target."""
 
     lanes: Lanes
-    now: Measured
+    now: State
     clear: np.ndarray  # the joint path there: 1 clear, 0 not; -1: not checked
 
 
@@ -83,10 +83,8 @@ class CandidateSearch:
     def _without_passing_tips(self, lanes: Lanes, found: Candidates) -> np.ndarray:
         """True for candidates (lanes, C) that are done and whose tip passes through no wall."""
         owner, number = np.nonzero(found.done)
-        x = found.x[owner, number]
-        through = self._checks.tip_passes(gather(lanes, owner), x, np.ones(len(owner), bool))
         done = found.done.copy()
-        done[owner[through], number[through]] = False
+        done[owner, number] = self._checks.tip_free(gather(lanes, owner), found.x[owner, number], done[owner, number])
         return done
 
     def track_from(self, lanes: Lanes, x: np.ndarray, valid: np.ndarray, stage: int) -> Outcome:
@@ -105,7 +103,7 @@ class CandidateSearch:
             stage, spent, candidates=new_lanes(self._checks.kernels.sizes, *at, x[owner, number], candidate=number)
         )
 
-    def decide(self, lanes: Lanes, now: Measured, reached: np.ndarray, stuck: np.ndarray) -> list[Outcome]:
+    def decide(self, lanes: Lanes, now: State, reached: np.ndarray, stuck: np.ndarray) -> list[Outcome]:
         """Register candidates that reached the target, and those that did not; returns outcomes of scenarios whose last
         candidate is decided."""
         decided = np.flatnonzero(reached | stuck)

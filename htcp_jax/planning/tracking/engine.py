@@ -17,16 +17,13 @@ This module does the bookkeeping on numpy tables (`lanes`). The mathematics is i
 it over tables.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 
-from htcp_jax.device.programs import Kernels
 from htcp_jax.device.tables import concatenate, gather, scatter
-from htcp_jax.model.scenario import Scenario
-from htcp_jax.motion.kernels import PREPARE, STEPS_A_BURST, TRACK_BURST, Measured
+from htcp_jax.motion.collision_checker import CollisionChecker
+from htcp_jax.motion.kernels import PREPARE, STEPS_A_BURST, TRACK_BURST, State
 from htcp_jax.motion.plans import Plans
-from htcp_jax.motion.tip_check import TipCheck
+from htcp_jax.motion.problem import Problem
 from htcp_jax.planning.tracking.backwards import BackwardPlans, Replanned
 from htcp_jax.planning.tracking.candidates import CandidateSearch, Outcome, Waiting
 from htcp_jax.planning.tracking.lane_checks import LaneChecks
@@ -35,47 +32,43 @@ from htcp_jax.planning.tracking.lanes import BACKWARDS, ENTERING, MAIN, NEW, TRA
 from htcp_jax.planning.tracking.record import Record
 from htcp_jax.planning.tracking.stages import ASCEND, ENTER, Escapes, NullSpace
 from htcp_jax.planning.tracking.work import Work
-from htcp_jax.settings import Settings
 from htcp_jax.solvers.step_qp import QPSolver, QPStatus
 from htcp_jax.status import Status
 
 
 class Engine:
     """Plan scenarios taken from `work`, writing into `plans`; one engine per thread. Without a solver the step QPs are
-    solved on the device. work, waiting: shared by all engines. With `tip`, no target counts as reached if the tool's
-    bare tip passes through a wall there."""
+    solved on the device. work, waiting: shared by all engines."""
 
     def __init__(
         self,
-        kernels: Kernels,
+        problem: Problem,
+        checker: CollisionChecker,
         solver: QPSolver | None,
         escapes: Escapes,
-        settings: Settings,
-        scenarios: Scenario,
         plans: Plans,
         work: Work,
         waiting: Waiting,
-        tip: TipCheck | None = None,
     ):
-        self._kernels, self._solver, self._escapes = kernels, solver, escapes
+        settings, scenarios, self._progress = problem.settings, problem.scenarios, problem.progress
+        self._kernels, self._solver, self._escapes = checker.kernels, solver, escapes
         self._settings, self._counts = settings, scenarios.count
-        self._table = LaneTable(kernels, scenarios, work)
-        self._checks = LaneChecks(kernels, scenarios, settings, escapes.check_paths, tip)
+        self._table = LaneTable(checker.kernels, scenarios, work)
+        self._checks = LaneChecks(problem, checker, escapes.check_paths)
         self._record = Record(plans)
         self._candidates = CandidateSearch(self._checks, escapes, waiting)
         self._backwards = BackwardPlans(self._checks, self._record, escapes, settings, scenarios.x_start)
         # Without a null space, the stages in it have nothing to do.
-        self._possible = [kernels.freedom > 0 or not stage.in_null_space for stage in escapes.stages]
+        self._possible = [checker.kernels.freedom > 0 or not stage.in_null_space for stage in escapes.stages]
         self._walks = [stage.kernel(k) for k, stage in enumerate(escapes.stages)]
 
-    def run(self, progress: Callable[[int, int], None]) -> None:
-        """Plan until no work is left; progress(targets newly tracked, scenarios newly finished) is called every
-        round."""
+    def run(self) -> None:
+        """Plan until no work is left; the problem's `progress` is called every round."""
         while self._table.fill():
             self._record.tracked = self._record.finished = 0
             for phase, lanes in self._table.turn():
                 self._advance(phase, lanes)
-            progress(self._record.tracked, self._record.finished)
+            self._progress(self._record.tracked, self._record.finished)
 
     def _advance(self, phase: int, lanes: Lanes) -> None:
         if phase == NEW:
@@ -103,9 +96,8 @@ class Engine:
         now, iteration, verdict = self._burst(lanes) if self._solver is None else self._step(lanes)
         lanes = lanes._replace(x_ref=now.x, linear=now.linear, iteration=iteration)
         solved = verdict == QPStatus.SOLVED
-        reached = solved & self._checks.keeps_margin(lanes, now)
-        tip_blocked = self._checks.tip_passes(lanes, now.x, reached)
-        reached &= ~tip_blocked
+        reached = self._checks.at_target(lanes, now, solved)
+        tip_blocked = solved & ~reached & self._checks.keeps_margin(lanes, now)
         stuck = tip_blocked | ~reached & (~solved | (iteration >= self._settings.max_step_qps))
         self._table.keep(gather(lanes, ~reached & ~stuck))
 
@@ -121,16 +113,16 @@ class Engine:
         for outcome in self._candidates.decide(lanes, now, reached & ~main, stuck & ~main):
             self._come_to(outcome)
 
-    def _step(self, lanes: Lanes) -> tuple[Measured, np.ndarray, np.ndarray]:
+    def _step(self, lanes: Lanes) -> tuple[State, np.ndarray, np.ndarray]:
         qps = self._kernels(PREPARE, self._checks.inputs(lanes), lanes.x_ref, lanes.x_previous, lanes.linear)
         y, verdict = self._solver.solve(qps)
         return self._checks.advanced(lanes, y), lanes.iteration + 1, verdict
 
-    def _burst(self, lanes: Lanes) -> tuple[Measured, np.ndarray, np.ndarray]:
+    def _burst(self, lanes: Lanes) -> tuple[State, np.ndarray, np.ndarray]:
         state = lanes.x_ref, lanes.x_previous, lanes.linear, lanes.iteration
         return self._kernels(TRACK_BURST, self._checks.inputs(lanes), *state)
 
-    def _reached(self, lanes: Lanes, now: Measured) -> None:
+    def _reached(self, lanes: Lanes, now: State) -> None:
         """Continue main lanes whose step QP reached the target: ascend if the method does, check the path, accept."""
         if not lanes.size:
             return
@@ -141,7 +133,7 @@ class Engine:
         self._accept(gather(lanes, ~blocked), gather(now, ~blocked), Status.TRACKED, 0, clear[~blocked])
         self._enter(gather(lanes, blocked), 0, Status.PATH_BLOCKED)
 
-    def _ascended(self, lanes: Lanes, now: Measured) -> tuple[Lanes, Measured]:
+    def _ascended(self, lanes: Lanes, now: State) -> tuple[Lanes, State]:
         """Return the lanes moved in the null space to larger D where D is small, unless that blocks a path that was
         clear."""
         low = now.clearance < self._settings.keep_clear_m
@@ -150,18 +142,18 @@ class Engine:
         near = gather(lanes, low)
         higher = self._kernels(ASCEND, self._checks.inputs(near), now.x[low]).x
         clear = self._checks.path_clear(near, higher, self._checks.of_steps)
-        clear[self._checks.tip_passes(near, higher, clear != 0)] = 0
+        clear[~self._checks.tip_free(near, higher, clear != 0)] = 0
         higher = np.where(clear[:, None] != 0, higher, now.x[low])
         now = scatter(now, low, self._checks.measured(near, higher))
         return lanes._replace(x_ref=now.x, linear=now.linear), now
 
-    def _accept(self, lanes: Lanes, now: Measured, status: Status, escape: int, clear: np.ndarray) -> None:
+    def _accept(self, lanes: Lanes, now: State, status: Status, escape: int, clear: np.ndarray) -> None:
         """Record the target and continue with the next one, or finish."""
         if lanes.size:
             self._record.track(lanes, now, status, escape, clear)
             self._go_on(lanes, now)
 
-    def _go_on(self, lanes: Lanes, now: Measured) -> None:
+    def _go_on(self, lanes: Lanes, now: State) -> None:
         zero = np.zeros_like(lanes.target)
         lanes = lanes._replace(
             x_previous=now.x,
@@ -205,7 +197,7 @@ class Engine:
             now, walked = self._kernels(self._walks[stage], self._checks.inputs(lanes), *state)
             self._table.keep(self._arrived(lanes._replace(walked=walked), now, stage))
 
-    def _arrived(self, lanes: Lanes, now: Measured, stage: int) -> Lanes:
+    def _arrived(self, lanes: Lanes, now: State, stage: int) -> Lanes:
         """Return the lanes whose recovery in the null space continues; those that meet the success criterion, or have
         spent their steps, leave it."""
         lanes = lanes._replace(x_ref=now.x)
@@ -222,7 +214,7 @@ class Engine:
             self._escaped(free, gather(now, out), clear, stage)
         return gather(lanes, ~out & ~spent)
 
-    def _escaped(self, lanes: Lanes, now: Measured, clear: np.ndarray, stage: int) -> None:
+    def _escaped(self, lanes: Lanes, now: State, clear: np.ndarray, stage: int) -> None:
         """Accept lanes that a stage has brought to their target if the path there is clear, or not checked."""
         good = clear != 0
         self._accept(gather(lanes, good), gather(now, good), Status.TRACKED_AFTER_ESCAPE, stage + 1, clear[good])

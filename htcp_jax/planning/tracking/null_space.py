@@ -17,6 +17,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import configuration
 from htcp_jax.model.robot import Robot
+from htcp_jax.motion.kernels import State
 from htcp_jax.motion.lane_inputs import LaneInputs
 from htcp_jax.numerics import fold_keys, null_basis, of_shape, product, with_gradient
 from htcp_jax.settings import Settings, settings_of
@@ -143,21 +144,13 @@ def _objective(
     return -problem.measure(w)
 
 
-class Anchored(NamedTuple):
-    """A configuration on (or near) the target, its clearance and its error."""
-
-    x: Joints
-    clearance: Scalar  # D [m]
-    residual: Scalar  # the task's [m]
-
-
-def anchor(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Float[Array, "G"]) -> Anchored:
+def anchor(scene: Scene, settings: Settings, where: Posed, x: Joints, target: Float[Array, "G"]) -> State:
     """Re-anchor x, (5b), if it is off the target [m] by more than xi, Algorithm 1, line 13; then measure it."""
     robot, obstacles, task = scene
     off = task.off(robot, x, target)
     anchored, _ = reanchor(robot, x, target, task.fine_m, task=task)
     x = jnp.where(task.reached(off), x, anchored)
-    return Anchored(x, clearance(robot, obstacles, where, x), task.off(robot, x, target))
+    return State(x, clearance=clearance(robot, obstacles, where, x), residual=task.off(robot, x, target))
 
 
 Minimise = Callable[[sphere.Sphere, HeldContacts, jax.Array, Settings], sphere.Best]
@@ -171,7 +164,7 @@ def null_space_step(
     stuck: Stuck,
     x_ref: Joints,
     count: Int[Array, ""],
-) -> Anchored:
+) -> State:
     """Algorithm 1, lines 11 to 13: minimise J2 on the sphere, x = x_ref + alpha N w, re-anchor."""
     problem, held, step_basis = sphere_problem(scene, settings, where, x_ref, stuck.target)
     best = minimise(problem, held, jax.random.fold_in(stuck.key, count), settings)
@@ -187,7 +180,7 @@ def keep_clear_ascent(
     target: Float[Array, "G"],
     enough_m: Scalar | float | None = None,
     steps: int | None = None,
-) -> Anchored:
+) -> State:
     """Max-min null-space steps away from the workpiece while D is below `enough_m`, at most `steps` of them (by default
     `keep_clear_m` and `keep_clear_steps`); the result is never worse than the start. target: where the task stays [m].
 
@@ -217,7 +210,7 @@ def keep_clear_ascent(
     return best
 
 
-def push_clear(scene: Scene, settings: Settings, where: Asked, x: Joints, target: Float[Array, "G"]) -> Anchored:
+def push_clear(scene: Scene, settings: Settings, where: Asked, x: Joints, target: Float[Array, "G"]) -> State:
     """Bring x onto the target and push it in the null space until it keeps the margin, or as far as possible."""
     enough_m = jnp.maximum(1e-9, where.margin_m)
     x = anchor(scene, settings, where, x, target).x

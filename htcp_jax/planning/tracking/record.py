@@ -4,7 +4,7 @@ import jax
 import numpy as np
 
 from htcp_jax.model.robot import lengthen_tool
-from htcp_jax.motion.kernels import Measured
+from htcp_jax.motion.kernels import State
 from htcp_jax.motion.plans import Plans
 from htcp_jax.motion.problem import Problem
 from htcp_jax.planning.tracking.lanes import Lanes
@@ -18,7 +18,7 @@ class Record:
         self._plans = plans
         self.tracked = self.finished = 0
 
-    def track(self, lanes: Lanes, now: Measured, status: Status, escape: int, clear: np.ndarray) -> None:
+    def track(self, lanes: Lanes, now: State, status: Status, escape: int, clear: np.ndarray) -> None:
         """Record that every lane has reached its target; clear: see `Plans.path_clear`."""
         s, t, plans = lanes.scenario, lanes.target, self._plans
         plans.x[s, t], plans.tcp[s, t] = now.x, now.tcp
@@ -40,7 +40,7 @@ class Record:
         self.finished += lanes.size
 
 
-def with_separate_errors(plans: Plans, problem: Problem) -> Plans:
+def with_separate_errors(problem: Problem, plans: Plans) -> Plans:
     """Return the plans with the residual split into a distance and an angle, if the task holds angles."""
     if not problem.task.holds_angles:
         return plans

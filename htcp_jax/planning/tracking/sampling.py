@@ -13,8 +13,9 @@ from htcp_jax.clearance.obstacles.obstacles import is_clear
 from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.model.inverse_kinematics import inside, reanchor
 from htcp_jax.model.task import Task
+from htcp_jax.motion.kernels import State
 from htcp_jax.numerics import null_basis, product, safe_norm
-from htcp_jax.planning.tracking.null_space import DRAWS, PUSHED, Anchored, Asked, Stuck, anchor, push_clear
+from htcp_jax.planning.tracking.null_space import DRAWS, PUSHED, Asked, Stuck, anchor, push_clear
 from htcp_jax.settings import Settings
 from htcp_jax.types import Array, Bool, Float
 
@@ -87,7 +88,7 @@ def best_nspace_samples(
     return Candidates(here.x, done | (near & worth & ~jnp.any(done)), done)
 
 
-def draw_clear(scene: Scene, settings: Settings, where: Asked, stuck: Stuck, spread: Bool[Array, ""]) -> Anchored:
+def draw_clear(scene: Scene, settings: Settings, where: Asked, stuck: Stuck, spread: Bool[Array, ""]) -> State:
     """The best of a round of seeded uniform draws within the joint limits, clearest first (PUSHED rows): each draw is
     brought onto the target, and some are pushed clear: the clearest, or with `spread` any of the clearer quarter.
 
@@ -106,5 +107,5 @@ def draw_clear(scene: Scene, settings: Settings, where: Asked, stuck: Stuck, spr
     return jax.tree.map(lambda leaf: leaf[order], pushed)
 
 
-def _rank(task: Task, here: Anchored) -> Float[Array, "*n"]:
+def _rank(task: Task, here: State) -> Float[Array, "*n"]:
     return jnp.where(task.reached(here.residual), here.clearance, -jnp.inf)

@@ -11,11 +11,10 @@ from htcp_jax.clearance.obstacles.scene import Scene, own_scene
 from htcp_jax.device.batching import Loop
 from htcp_jax.device.kernel import DEEP, SAMPLED, WALKED, Kernel
 from htcp_jax.model.inverse_kinematics import reanchor
-from htcp_jax.motion.kernels import MEASURED, Measured, measured, nothing_known
+from htcp_jax.motion.kernels import MEASURED, State, measured, nothing_known
 from htcp_jax.motion.lane_inputs import LaneInputs
 from htcp_jax.planning.tracking.null_space import (
     READS,
-    Anchored,
     Minimise,
     anchor,
     keep_clear_ascent,
@@ -77,7 +76,7 @@ class Escapes:
 class Walked(NamedTuple):
     """A lane after a chunk of null-space steps: its state, and the number of steps so far."""
 
-    now: Measured
+    now: State
     walked: jax.Array
 
 
@@ -116,19 +115,19 @@ def propose(
     return proposed(scene, settings, lane, stuck_at(lane, x_previous, index))
 
 
-def enter_null_space(settings: Settings, scene: Scene, lane: LaneInputs, x_previous: Joints) -> Measured:
+def enter_null_space(settings: Settings, scene: Scene, lane: LaneInputs, x_previous: Joints) -> State:
     """Algorithm 1, line 9: inverse kinematics (5b) of the stuck target from x_{t-1}."""
     own = own_scene(scene, lane.tool_extension_m)
     x, _ = reanchor(own.robot, x_previous, lane.target, own.task.fine_m, task=own.task)
     return measured(settings, scene, lane, anchor(own, settings, lane, x, lane.target).x)
 
 
-def push(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Anchored:
+def push(settings: Settings, scene: Scene, lane: LaneInputs, x) -> State:
     """Carry x over to the lane's target and push it clear."""
     return push_clear(own_scene(scene, lane.tool_extension_m), settings, lane, x, lane.target)
 
 
-def draw(settings: Settings, scene: Scene, lane: LaneInputs) -> Anchored:
+def draw(settings: Settings, scene: Scene, lane: LaneInputs) -> State:
     """Return the best of a round of draws at the lane's target; the lane holds the round's number."""
     scene = own_scene(scene, lane.tool_extension_m)
     stuck = stuck_at(lane, jnp.zeros_like(scene.robot.lower), DRAW_STAGE)

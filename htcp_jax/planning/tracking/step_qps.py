@@ -1,15 +1,14 @@
 """Base of the built-in methods that track targets by step QPs and try recovery stages when stuck."""
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
 from htcp_jax.errors import InputError
+from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.plans import Plans
 from htcp_jax.motion.problem import Problem
-from htcp_jax.motion.tip_check import tip_checks
 from htcp_jax.planning.tracking.candidates import Waiting
 from htcp_jax.planning.tracking.engine import Engine
 from htcp_jax.planning.tracking.first_calls import first_calls
@@ -38,32 +37,20 @@ class StepQPs(Escapes):
 
         One engine per thread; all share the work, and write into different rows.
         """
-        plans = problem.empty_plans()
-        count = len(problem.scenarios.number)
+        plans, count = problem.empty_plans(), len(problem.scenarios.number)
         threads = min(problem.threads, count)
         work, waiting = Work(problem.to_plan.tolist(), threads), Waiting()
-        kernels = problem.kernels  # made here, before there are threads
-        tips = tip_checks(kernels, problem.tip_guard)
 
-        def run(number: int) -> None:
-            robot, settings = problem.robot, problem.settings
-            task, (_, rows) = problem.task, kernels[0].sizes
+        def run(checker: CollisionChecker, _: slice) -> None:
+            settings, task, (_, rows) = problem.settings, problem.task, checker.kernels.sizes
             try:
-                solver = make_solver(settings, len(robot.joint_names), row_count(settings, rows, task.bands), task.rows)
-                own = number % len(kernels)
-                scenarios, tip = problem.scenarios, tips[own]
-                engine = Engine(kernels[own], solver, self, settings, scenarios, plans, work, waiting, tip)
-                engine.run(problem.progress)
+                rows = row_count(settings, rows, task.bands)
+                solver = make_solver(settings, len(problem.robot.joint_names), rows, task.rows)
+                Engine(problem, checker, solver, self, plans, work, waiting).run()
             finally:
                 work.end()
 
-        if threads == 1:
-            run(0)
-            return plans
-        with ThreadPoolExecutor(threads) as pool:
-            # Not `map`: if one fails it cancels those that have not begun, and the others would wait for them.
-            for engine in [pool.submit(run, number) for number in range(threads)]:
-                engine.result()
+        problem.in_threads(run, threads)
         return plans
 
 

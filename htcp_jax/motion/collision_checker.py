@@ -1,0 +1,130 @@
+"""`CollisionChecker`: states and validity of configurations, and proofs of the straight joint paths between them.
+
+    checker = problem.checkers[0]
+    inputs = lane_inputs(problem.scenarios, scenario, target)
+    here = checker.states(inputs, checker.project(inputs, q))
+    good = checker.valid(inputs, here)
+    proof = checker.edges(inputs, a, b, tube)
+
+There is one checker per device. Compiled functions, padded tables and the walls around the tool's bare tip are behind
+it. The tip is not a collision body: it has to come near the wall, and the job defines what it may touch (`tip_guard`).
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from htcp_jax.clearance.obstacles.tip_guard import TipGuard
+from htcp_jax.clearance.proof.bisection import Proof
+from htcp_jax.clearance.proof.motion_bound import ROUNDING_M
+from htcp_jax.clearance.proof.motion_proof import DEEPEST, RESOLUTION_M, Tube
+from htcp_jax.device.programs import Kernels
+from htcp_jax.device.tables import gather
+from htcp_jax.model.task import TCP_POSITION, Task
+from htcp_jax.motion.kernels import ADVANCE, CHECK_PATH, PROVE, SETTLE, TIP, Closely, State, advance_of
+from htcp_jax.motion.lane_inputs import LaneInputs
+from htcp_jax.settings import Settings
+from htcp_jax.status import Way
+
+PLACES = 100  # intervals of a joint path at whose ends the tip is checked
+
+Configurations = Float[np.ndarray, "n N"]
+Rows = Bool[np.ndarray, "n"]
+
+
+class CollisionChecker:
+    """Checks of configurations and of straight joint paths, in one scene and on one device.
+
+    All arguments are tables with one row per lane: `inputs` has the scenario's data and the target, see `lane_inputs`,
+    `q`, `a` and `b` have configurations [rad or m]. Rows do not influence each other. `kernels` runs a planner's own
+    compiled functions in the same scene. guard: the walls that the tool's bare tip must not pass through; None if it
+    may touch anywhere.
+    """
+
+    def __init__(self, kernels: Kernels, settings: Settings, guard: TipGuard | None = None):
+        self.kernels, self.task = kernels, kernels.task
+        self._settings, self._guard, self._advance = settings, guard, advance_of(settings)
+
+    def states(self, inputs: LaneInputs, q: Configurations) -> State:
+        """Return clearance, residual, TCP and linearisation of configurations at their targets."""
+        return self.kernels(ADVANCE, inputs, q, np.zeros_like(q))
+
+    def stepped(self, inputs: LaneInputs, q: Configurations, y: Configurations) -> State:
+        """Return the states after steps y [rad or m] of step QPs, with the rows of clearance that these use
+        (`settings.clearance_rows`)."""
+        return self.kernels(self._advance, inputs, q, y)
+
+    def valid(self, inputs: LaneInputs, at: State, among: Rows | bool = True) -> Rows:
+        """True for states of `among` that satisfy the task and keep the margin, with the bare tip out of the walls."""
+        return self.tip_free(inputs, at.x, self.task.counts(at.clearance, at.residual, inputs.margin_m) & among)
+
+    def tip_free(self, inputs: LaneInputs, q: Configurations, among: Rows) -> Rows:
+        """True for configurations of `among` whose bare tip passes through no wall."""
+        good = np.array(among)
+        if self._guard is not None and good.any():
+            tip = self.kernels(TIP, *gather((inputs, q), good))
+            good[good] = ~self._guard.passes(tip[:, 0], tip[:, 1])
+        return good
+
+    def project(self, inputs: LaneInputs, q: Configurations) -> Configurations:
+        """Return configurations brought onto their targets, as far as inverse kinematics gets; they may collide."""
+        return self.kernels(SETTLE, inputs, q)
+
+    def edges(
+        self,
+        inputs: LaneInputs,
+        a: Configurations,
+        b: Configurations,
+        tube: Tube | None = None,
+        *,
+        kept: float | Float[np.ndarray, "n"] = 0.0,
+        resolution_m: float | Float[np.ndarray, "n"] = -ROUNDING_M,
+        deepest: int | Int[np.ndarray, "n"] = DEEPEST,
+        tip: bool = True,
+    ) -> Proof:
+        """Return proofs that the straight joint paths from a to b are valid all along: the bodies are clear, the TCP
+        stays in its tube, the task's rows hold where the tube says so, and the bare tip is out of the walls.
+
+        tube: None if the TCP may be anywhere. kept, resolution_m, deepest: see `clearance.proof.motion_proof.prove`.
+        tip: False if the tip is not checked; else at PLACES - 1 places between a and b, and the verdict of a path on
+        which it passes through a wall is COLLIDES.
+        """
+        proof = self.kernels(*prove_call(self.task, inputs, a, b, tube, kept, resolution_m, deepest))
+        if self._guard is None or not tip:
+            return proof
+        proven = proof.verdict == Way.PROVEN
+        passes = proven & ~self._tip_free_along(inputs, a, b, proven)
+        return proof._replace(verdict=np.where(passes, int(Way.COLLIDES), proof.verdict))
+
+    def path_clear(self, inputs: LaneInputs, a: Configurations, b: Configurations) -> Rows:
+        """True for straight joint paths from a to b that are clear by the test of `settings.path_test`, with the bare
+        tip out of the walls. The test by proof uses the executable for motions, so that no other one is compiled."""
+        if self._settings.path_test == "bisection":
+            return self.edges(inputs, a, b, resolution_m=RESOLUTION_M).verdict == Way.PROVEN
+        return self._tip_free_along(inputs, a, b, self.kernels(CHECK_PATH, inputs, a, b))
+
+    def _tip_free_along(self, inputs: LaneInputs, a: Configurations, b: Configurations, among: Rows) -> Rows:
+        good = np.array(among)
+        if self._guard is not None and good.any():
+            inputs, a, b = gather((inputs, a, b), good)
+            x = a[:, None] + (np.arange(1, PLACES) / PLACES)[None, :, None] * (b - a)[:, None]
+            many = gather(inputs, np.repeat(np.arange(len(a)), PLACES - 1))
+            free = self.tip_free(many, x.reshape(-1, a.shape[1]), np.ones(len(a) * (PLACES - 1), bool))
+            good[good] = free.reshape(len(a), -1).all(axis=1)
+        return good
+
+
+def prove_call(
+    task: Task, inputs: LaneInputs, a, b, tube: Tube | None = None, kept=0.0, resolution_m=-ROUNDING_M, deepest=DEEPEST
+) -> tuple:
+    """Return the kernel and the tables of `CollisionChecker.edges`, see `Kernels.preparing`."""
+    closely = Closely(*(np.broadcast_to(value, len(a)) for value in (kept, resolution_m, np.asarray(deepest, int))))
+    return PROVE, inputs, a, b, free_tubes(task, inputs) if tube is None else tube, closely
+
+
+def free_tubes(task: Task, inputs: LaneInputs) -> Tube:
+    """Return tubes without conditions on the TCP or the task."""
+    count = len(inputs.row)
+    rows = ()
+    if task.parts != TCP_POSITION.parts:
+        rows = np.stack([inputs.target, inputs.target], axis=1), np.zeros(count, bool)
+    return Tube(np.zeros((count, 3)), np.zeros((count, 3)), np.full(count, np.inf), *rows)

@@ -1,0 +1,276 @@
+"""The collision checker: its answers are those of plain computations, for any batch and number of threads; and a
+problem is final: a method gets it with all starts chosen, and nothing can write into it."""
+
+from dataclasses import replace
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import made_once
+import numpy as np
+import pytest
+from small_motions import SMALL, D_everywhere, off_line, planned, poses
+from sphere_references import place
+
+from htcp_jax.clearance.obstacles.obstacle import in_workpiece
+from htcp_jax.clearance.obstacles.tip_guard import make_tip_guard
+from htcp_jax.clearance.proof.motion_proof import Tube
+from htcp_jax.device.devices import choose
+from htcp_jax.device.programs import Kernels
+from htcp_jax.device.tables import gather
+from htcp_jax.io.workpiece_file import load_workpiece
+from htcp_jax.model.kinematics import tcp_position, tip_segment
+from htcp_jax.model.scenario import make_scenario, stack
+from htcp_jax.model.task import Task
+from htcp_jax.motion.collision_checker import PLACES, CollisionChecker
+from htcp_jax.motion.home import begin_at_home, leave_home
+from htcp_jax.motion.lane_inputs import lane_inputs
+from htcp_jax.motion.motion_check import check_remaining_paths, judge_motions, tighten
+from htcp_jax.motion.plans import ARRAYS
+from htcp_jax.motion.problem import Problem
+from htcp_jax.motion.smoothing import smooth
+from htcp_jax.planning import registry
+from htcp_jax.planning.batch import plan
+from htcp_jax.settings import Settings
+from htcp_jax.status import Status, Way
+
+MANY, MARGIN_M = 200, 0.001
+TIPS = jax.jit(jax.vmap(lambda robot, where, x: in_workpiece(where, tip_segment(robot, x)), (None, None, 0)))
+TCPS = jax.jit(jax.vmap(tcp_position, (None, 0)))
+
+
+@cache
+def guard():
+    return make_tip_guard(load_workpiece(tip_contact_m=0.01))
+
+
+@cache
+def checker(threads=1, guarded=True):
+    kernels = Kernels(made_once.scene(), Settings(), threads=threads)
+    return CollisionChecker(kernels, Settings(), guard() if guarded else None)
+
+
+@cache
+def one():
+    """A scenario with the pose of a recorded configuration deep in the duct, and that configuration."""
+    where, x = place(86)
+    pose = {"T_world_workpiece": where.T_world_workpiece, "interior_plane": where.interior_plane}
+    return jax.tree.map(np.asarray, replace(made_once.nominal(), **pose)), np.asarray(x)
+
+
+@cache
+def lanes():
+    """Configurations in the duct, most with their own TCP as the target, and others to move to; many collide."""
+    scenario, x = one()
+    a = made_once.configurations_near(x, MANY, 0.05)
+    inputs = lane_inputs(stack([scenario]), np.zeros(MANY, int), np.zeros(MANY, int))
+    own = np.asarray(TCPS(made_once.robot(), a))
+    target = np.where((np.arange(MANY) % 3 == 0)[:, None], own + 0.002, own)
+    return inputs._replace(target=target, margin_m=np.full(MANY, MARGIN_M)), a, a + 0.3 * (a - x)[::-1]
+
+
+def clearances(x):
+    robot, obstacles, _ = made_once.scene()
+    return np.asarray(D_everywhere(robot, obstacles, one()[0], jnp.asarray(x)))
+
+
+def tip_passes(x):
+    tips = np.asarray(TIPS(made_once.robot(), one()[0], x))
+    return guard().passes(tips[:, 0], tips[:, 1])
+
+
+def places(a, b, count):
+    """Configurations (count, N) between two, without the ends."""
+    return a + np.arange(1, count)[:, None] / count * (b - a)
+
+
+def test_states_are_those_of_the_functions_of_one_configuration():
+    inputs, q, _ = lanes()
+    here = checker().states(inputs, q)
+    np.testing.assert_array_equal(here.x, q)
+    np.testing.assert_allclose(here.clearance, clearances(q), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(here.tcp, TCPS(made_once.robot(), q), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(here.residual, np.linalg.norm(here.tcp - inputs.target, axis=1), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(here.linear.clearance.distance.min(axis=1), here.clearance, rtol=0, atol=1e-12)
+
+
+def test_valid_is_what_keeps_the_margin_on_the_target_with_its_tip_out_of_the_walls():
+    inputs, q, _ = lanes()
+    on, clear, free = np.arange(MANY) % 3 != 0, clearances(q) >= MARGIN_M, ~tip_passes(q)
+    here, among = checker().states(inputs, q), np.arange(MANY) % 2 == 0
+    assert checker().valid(inputs, here).tolist() == (on & clear & free).tolist()
+    assert checker(guarded=False).valid(inputs, here).tolist() == (on & clear).tolist()
+    assert checker().valid(inputs, here, among).tolist() == (on & clear & free & among).tolist()
+    for one, other in ((on & clear, ~free), (on & free, ~clear), (clear & free, ~on), (on & clear, free)):
+        assert (one & other).any()
+
+
+def test_what_is_projected_is_on_its_target():
+    inputs, q, _ = lanes()
+    x = checker().project(inputs, q)
+    assert np.linalg.norm(TCPS(made_once.robot(), x) - inputs.target, axis=1).max() < 1e-4
+    assert (x[::3] != q[::3]).any(axis=1).all()
+
+
+def test_proven_edges_are_clear_at_all_places_and_refuted_ones_collide_where_they_say():
+    inputs, a, b = lanes()
+    bare, guarded = checker(guarded=False).edges(inputs, a, b), checker().edges(inputs, a, b)
+    passes = np.array([tip_passes(places(*way, PLACES)).any() for way in zip(a, b, strict=True)])
+    for k, verdict in enumerate(bare.verdict):
+        if verdict == Way.PROVEN:
+            assert clearances(places(a[k], b[k], PLACES)).min() >= bare.clearance[k] > 0
+        else:
+            assert verdict == Way.COLLIDES and clearances((a[k] + bare.place[k] * (b[k] - a[k]))[None]) <= 0
+    expected = np.where(passes & (bare.verdict == Way.PROVEN), int(Way.COLLIDES), bare.verdict)
+    assert guarded.verdict.tolist() == expected.tolist() != bare.verdict.tolist()
+    assert len(np.unique(bare.verdict)) == 2
+
+
+def test_the_tcp_of_a_proven_edge_stays_in_its_tube():
+    inputs, a, b = lanes()
+    start, end = (np.asarray(TCPS(made_once.robot(), x)) for x in (a, b))
+    robot, radius = made_once.robot(), np.full(MANY, 1e-4)
+    found = checker(guarded=False).edges(inputs, a, b, Tube(start, end, radius)).verdict
+    for k, verdict in enumerate(found):
+        off = off_line(start[k], end[k], np.asarray(TCPS(robot, places(a[k], b[k], PLACES)))).max()
+        assert verdict != Way.PROVEN or off <= 1e-4
+    assert {Way.PROVEN, Way.LEAVES} <= set(found.tolist())
+
+
+@pytest.mark.parametrize("test", ["bisection", "samples"])
+def test_a_path_is_clear_by_the_test_of_the_settings(test):
+    """By samples, one of a hundred places is enough to refute it; the tip is checked in either case."""
+    inputs, a, b = lanes()
+    settings = Settings(path_test=test, path_steps=PLACES)
+    found = CollisionChecker(
+        checker().kernels if test == "bisection" else Kernels(made_once.scene(), settings), settings, guard()
+    )
+    sampled = [places(*way, PLACES) for way in zip(a, b, strict=True)]
+    clear = np.array([clearances(x).min() > 0 and not tip_passes(x).any() for x in sampled])
+    assert found.path_clear(inputs, a, b).tolist() == clear.tolist()
+    assert clear.any() and not clear.all()
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_other_rows_and_threads_have_no_influence(threads):
+    inputs, a, b = lanes()
+    whole = checker().states(inputs, a), checker().edges(inputs, a, b)
+    for rows in (slice(None), slice(3, None, 7), [MANY - 1]):
+        own, x, y = gather((inputs, a, b), rows)
+        found = checker(threads).states(own, x), checker(threads).edges(own, x, y)
+        jax.tree.map(np.testing.assert_array_equal, found, gather(whole, rows))
+
+
+# A problem
+
+
+def problem_of(scenarios, threads=1, settings=SMALL):
+    robot, obstacles, _ = made_once.scene()
+    task = Task(tolerance_m=settings.tolerance_m)
+    return Problem(robot, made_once.duct(), stack(scenarios), settings, task, obstacles, choose(None), threads)
+
+
+def test_nothing_in_a_problem_can_be_written_into():
+    given = stack(poses())
+    problem = replace(problem_of(poses()), scenarios=given)
+    for array in (*jax.tree.leaves(problem.scenarios), problem.begins_anywhere):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0
+    with pytest.raises(AttributeError):
+        problem.scenarios = given
+    given.refused[:] = 7  # what the problem was made of stays the caller's
+
+
+class Spy:
+    """A planner that keeps its problem, after `act`."""
+
+    name, title, description = "spy", "Spy", "keeps its problem"
+
+    def __init__(self, act=lambda problem: None):
+        self._act = act
+
+    def plan(self, problem):
+        self.problem = problem
+        self._act(problem)
+        return problem.empty_plans()
+
+
+def planned_by(spy, scenarios):
+    registry.register(spy)
+    try:
+        return plan(made_once.robot(), made_once.duct(), scenarios, "spy", SMALL, threads=1)
+    finally:
+        registry.unregister("spy")
+
+
+@pytest.mark.parametrize("column", ["refused", "x_start", "targets"])
+def test_a_method_that_writes_into_its_problem_fails(column):
+    def write(problem):
+        getattr(problem.scenarios, column)[0] = 0
+
+    with pytest.raises(ValueError, match="read-only"):
+        planned_by(Spy(write), poses()[:1])
+
+
+def test_a_method_gets_chosen_starts_and_known_refusals():
+    """A start chosen at the first target, a home in collision; the scenarios that were given stay as they are."""
+    free, home = make_scenario(made_once.robot(), made_once.duct(), None, number=3), np.array(made_once.START)
+    touching = one()[1] + np.array([0.3, 0, 0, 0, 0, 0])
+    scenarios = stack([free, replace(free, x_home=home), replace(free, x_home=touching)])
+    before = jax.tree.map(np.array, scenarios)
+    plans = planned_by(spy := Spy(), scenarios)
+    final = spy.problem.scenarios
+    assert spy.problem.to_plan.tolist() == [0, 1]
+    assert plans.status[:, 0].tolist() == [Status.NOT_ATTEMPTED, Status.NOT_ATTEMPTED, Status.HOME_IN_COLLISION]
+    inputs = lane_inputs(final, np.arange(2), np.zeros(2, int))
+    own = spy.problem.checkers[0]
+    assert own.valid(inputs, own.states(inputs, final.x_start[:2])).all()
+    jax.tree.map(np.testing.assert_array_equal, scenarios, before)
+
+
+def test_every_thread_gets_a_checker_and_its_share_of_the_rows():
+    problem, rows = problem_of(poses(), threads=3), np.arange(10)
+    found = problem.in_threads(lambda checker, share: (checker in problem.checkers, rows[share].tolist()))
+    assert found == [(True, [0, 3, 6, 9]), (True, [1, 4, 7]), (True, [2, 5, 8])]
+    with pytest.raises(ZeroDivisionError):
+        problem.in_threads(lambda checker, share: 1 // share.start, 2)
+
+
+def test_goals_follow_the_targets_of_an_approach_that_left_its_lines():
+    one = poses()[0]
+    first, goals = int(one.on_path), np.arange(4.0 * len(one.targets)).reshape(-1, 4)
+    problem = problem_of([replace(one, goals=goals)] * 2)
+    plans = problem.empty_plans()
+    assert problem.as_planned(plans) is problem
+    plans.target[1, 1:first] = plans.target[1, first]
+    there = problem.as_planned(plans)
+    np.testing.assert_array_equal(there.scenarios.targets, plans.target)
+    np.testing.assert_array_equal(there.scenarios.goals[0], goals)
+    assert (there.scenarios.goals[1, 1:first] == goals[first]).all() and there.checkers is problem.checkers
+    np.testing.assert_array_equal(
+        np.delete(there.scenarios.goals[1], range(1, first), 0), np.delete(goals, range(1, first), 0)
+    )
+
+
+def test_steps_after_a_method_return_plans_and_change_none():
+    """Arrays that cannot be written into go through every step."""
+    problem, ways = leave_home(problem_of(poses()))
+    plans = planned()
+    plans = plans._replace(path_clear=np.full_like(plans.path_clear, -1), way=np.full_like(plans.way, Way.UNKNOWN))
+    steps = (
+        check_remaining_paths,
+        lambda p, each: begin_at_home(p, each, ways),
+        judge_motions,
+        smooth,
+        judge_motions,
+        tighten,
+    )
+    for step in steps:
+        for name in ARRAYS:
+            getattr(plans, name).flags.writeable = False
+        before = {name: array.copy() for name, array in plans.arrays().items()}
+        after = step(problem, plans)
+        for name, array in before.items():
+            np.testing.assert_array_equal(getattr(plans, name), array, err_msg=name)
+        plans = after
+    assert (plans.way == planned().way).all() and plans.executable.any()
