@@ -179,7 +179,9 @@ class Workpiece:
 
 def _direction(value: object, hull: Hull, inlet: np.ndarray | None) -> Float[np.ndarray, "3"] | None:
     """Return the unit vector into the part; None for the world's x, and without an interior."""
-    if value is InletDirection.WORLD_X or (value is InletDirection.HULL_FACET and not len(hull.offset)):
+    if value is None or value is InletDirection.WORLD_X:  # None: a copy of a workpiece, see `dataclasses.replace`
+        return None
+    if value is InletDirection.HULL_FACET and not len(hull.offset):
         return None
     if value is InletDirection.HULL_FACET:
         return -hull.normal[np.argmax(hull.normal @ inlet - hull.offset)]
