@@ -177,8 +177,8 @@ def from_record(record: Mapping[str, Any], joints: Sequence[str]) -> Group:
     return Group(record["name"], tuple(tuple(column(*item) for item in axis.items()) for axis in record["axes"]))
 
 
-def absolute(name: str, words: Collection[str]) -> str:
-    """Return an absolute file name; the names of built-in parts stay."""
+def absolute(name: str | None, words: Collection[str | None]) -> str | None:
+    """Return an absolute file name; None and the names of built-in parts stay if they are among `words`."""
     return name if name in words else str(Path(name).resolve())
 
 
