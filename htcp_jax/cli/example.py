@@ -42,7 +42,7 @@ def example(name: Name = None, folder: Folder = None, as_json: Json = False) -> 
     Examples:
       htcp example                              the list
       htcp example pipe my-job                  copy one example as a start for your own job
-      htcp plan my-job/job.yaml --set margin_m=0.001
+      htcp plan my-job/job.yaml --set settings.seed=1
       htcp plan pipe                            the example itself
     """
     known = examples()

@@ -93,7 +93,7 @@ def htcp(
     First steps:
       htcp plan                                  plan the default job; the picture is out/plan/plan.png
       htcp plan --method baseline                the same job by another method
-      htcp plan pipe --set settings.seed=1        an example with one key changed; htcp example lists them
+      htcp plan pipe --set settings.seed=1       an example with one key changed; htcp example lists them
       htcp example pipe mine                     copy its files as a start for your own job: mine/job.yaml
 
     \b

@@ -58,7 +58,7 @@ def view(
     \b
     Examples:
       htcp view                                    the default job
-      htcp view pipe --set margin_m=0.001 --port 8081
+      htcp view pipe --set settings.seed=1 --port 8081
       htcp plan
       htcp view out/plan --feed 20mm/s             in real time
       htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
