@@ -10,7 +10,7 @@ from jax.experimental import pallas as pl
 
 try:
     from jax.experimental.pallas import triton
-except ImportError:  # JAX means to take it out
+except ImportError:  # JAX plans to remove it
     triton = None
 
 HAS_KERNEL = triton is not None
@@ -22,8 +22,15 @@ def has_gpu() -> bool:
 
 
 def kernel(program: Callable, out, programs: int, interpret: bool, warps: int = 1) -> Callable:
-    """Return a function that maps arrays to arrays of the shapes `out`, computed by `programs` instances of
-    `program`."""
+    """Return a function that computes arrays by a Pallas kernel.
+
+    Args:
+        program: Body of the kernel, called with references to the inputs and outputs.
+        out: Shapes and types of the outputs.
+        programs: Number of instances of `program`, the size of the grid.
+        interpret: True: run in Pallas' interpreter, on any machine.
+        warps: Warps per instance.
+    """
     return pl.pallas_call(
         program,
         out_shape=out,

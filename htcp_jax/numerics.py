@@ -15,8 +15,18 @@ from htcp_jax.types import Array, Float, Joints, Scalar
 
 
 def of_shape(value: object, shape: tuple[int, ...], name: str) -> Float[Array, "..."]:
-    """Return `value`, an array or lists of numbers, as floats. Raises InputError for another shape; the check runs
-    while a function is traced, so it costs nothing when the function runs."""
+    """Return `value` as an array of floats, after a check of its shape.
+
+    The check runs while a function is traced, so it costs nothing when the function runs.
+
+    Args:
+        value: An array, or lists of numbers.
+        shape: The only valid shape.
+        name: Name of the value in the message.
+
+    Raises:
+        InputError: For another shape.
+    """
     array = jnp.asarray(value, float)
     if array.shape != shape:
         raise InputError(f"{name} has the shape {array.shape}, {shape} is needed; for many at once use jax.vmap")
@@ -51,11 +61,20 @@ def capsule_point_distance(
     radius: Float[ArrayLike, "*batch"],
     point: Float[Array, "*batch 3"],
 ) -> Float[Array, "*batch"]:
-    """Distance [m] from `point` to the capsule of that radius about the segment from p to q; negative inside.
+    """Distance [m] from a point to a capsule; negative inside.
 
     To the closest point of the segment: Ericson, Real-Time Collision Detection, section 5.1.2.
     A sphere has p == q. The gradient is defined everywhere: 0 for a point on the capsule's own axis, and where
-    p == q that of the sphere about p. Raises InputError for a last axis other than 3.
+    p == q that of the sphere about p.
+
+    Args:
+        p: First end of the capsule's axis [m].
+        q: Second end of the axis [m].
+        radius: Radius of the capsule [m].
+        point: The point [m].
+
+    Raises:
+        InputError: For a last axis other than 3, and for values that are not numbers.
 
     ```python
     >>> import jax
@@ -96,10 +115,14 @@ def _points(value: object, name: str) -> Float[Array, "*batch 3"]:
 
 
 def with_gradient(value: Callable, closed_form: Callable) -> Callable:
-    """Return the function value(x, *data) with the derivative in x that closed_form(x, *data) -> (value, gradient)
-    gives: `jax.grad`, `jax.jvp` and `jax.jacfwd` evaluate the closed form and trace nothing else.
+    """Return `value` as a function of (x, *data) whose derivative in x is given in closed form.
 
-    value: (R,) or (); gradient: (R, N) or (N,). Derivatives in the data are those of autodiff through the value.
+    `jax.grad`, `jax.jvp` and `jax.jacfwd` in x evaluate the closed form and trace nothing else. Derivatives in the data
+    are those of autodiff through `value`.
+
+    Args:
+        value: Function value(x, *data), (R,) or ().
+        closed_form: Function closed_form(x, *data) -> (value, gradient) with a gradient (R, N) or (N,).
     """
     differentiable = jax.custom_jvp(value)
 
@@ -129,11 +152,10 @@ def value_and_jacobian(function: Callable, x: Float[Array, "N"]) -> tuple[Float[
 
 @jax.jit
 def product(a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Return a @ b for small matrices and vectors, batched over leading axes like `jnp.matmul`, as a plain sum of
-    products.
+    """Return a @ b for small matrices and vectors, as a plain sum of products.
 
-    `jnp.matmul` may call a library, on a GPU with a launch of its own; this is fused into the surrounding code. Traced
-    once for every shape.
+    Batched over leading axes like `jnp.matmul`, which may call a library, on a GPU with a launch of its own; this is
+    fused into the surrounding code. Traced once for every shape.
     """
     left, right = a.ndim == 1, b.ndim == 1
     a, b = a[None, :] if left else a, b[:, None] if right else b
@@ -146,8 +168,13 @@ def product(a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "...
 def solve_spd(a: Float[Array, "n n"], b: Float[Array, "n"], floor: float = 1e-300) -> Float[Array, "n"]:
     """Solve a x = b for a small symmetric positive definite a, by an unrolled Cholesky factorisation.
 
-    Batched LAPACK calls cost microseconds per 3 x 3 system under vmap; the unrolled form fuses. A pivot below
-    `floor` is lifted to it, so that a singular matrix gives a large, finite answer and not NaN.
+    Batched LAPACK calls cost microseconds per 3 x 3 system under vmap; the unrolled form fuses.
+
+    Args:
+        a: The matrix.
+        b: The right-hand side.
+        floor: Smallest pivot. A smaller one is replaced by it, so that a singular matrix gives a large, finite solution
+            and not NaN.
     """
     return jnp.stack(solve_spd_scalars(a, b, floor))
 
@@ -173,20 +200,25 @@ def solve_spd_scalars(a, b, floor: float) -> list[Scalar]:
 
 
 def fold_keys(key: jax.Array, *data) -> jax.Array:
-    """Return the random key of one (scenario, target, ...): the numbers are folded in one by one, so it depends on
-    nothing else."""
+    """Return the random key of one (scenario, target, ...).
+
+    The numbers are folded in one by one, so the key depends on nothing else.
+    """
     values = jnp.stack([jnp.asarray(value).astype(jnp.uint32) for value in data])
-    # One loop in place of a program for each, but on a GPU, where every turn is a launch.
+    # A loop compiles faster; on a GPU it is unrolled, because every iteration would be a launch.
     unroll = 1 if jax.default_backend() == "cpu" else len(data)
     return jax.lax.scan(lambda key, value: (jax.random.fold_in(key, value), None), key, values, unroll=unroll)[0]
 
 
 def one_by_one(function: Callable) -> Callable:
-    """Return `function(shared, *arguments)`, a search whose effort differs from lane to lane, with its own batching
-    rule: under vmap over the arguments, lanes run one after the other on a CPU and in parallel on other devices.
+    """Return `function(shared, *arguments)`, a search of uneven effort, with a batching rule of its own.
 
-    Under a plain vmap every lane waits for the slowest one, and a branch not taken is computed all the same; a CPU,
-    which gains nothing from vectorising over lanes here, would be slower.
+    Under vmap over the arguments, lanes run one after the other on a CPU and in parallel on other devices. Under a
+    plain vmap every lane waits for the slowest one, and a branch not taken is computed all the same; a CPU, which gains
+    nothing from vectorising over lanes here, would be slower.
+
+    Args:
+        function: Function of `shared`, which must not be batched, and of arrays.
     """
     alone = custom_vmap(function)
 
@@ -213,7 +245,10 @@ def null_basis(task_jacobian: Float[Array, "M N"]) -> Float[Array, "N D"]:
 
     (The paper prints its shape as M x (N - M); N x (N - M) is meant.) Gram-Schmidt on the rows, then on the unit
     vectors, each time the one furthest from the span (the first of equals), positive along it: unlike a singular
-    value decomposition, sign and rotation are the same on every machine. Raises InputError unless it is a matrix.
+    value decomposition, sign and rotation are the same on every machine.
+
+    Raises:
+        InputError: For an array that is not a matrix.
     """
     task_jacobian = jnp.asarray(task_jacobian)
     if task_jacobian.ndim != 2:
@@ -224,7 +259,7 @@ def null_basis(task_jacobian: Float[Array, "M N"]) -> Float[Array, "N D"]:
         v = _without(found, task_jacobian[row])
         found.append(v / jnp.maximum(safe_norm(v), 1e-12))
     for _ in range(n - m):
-        # Squared distance of each unit vector from the span of those found.
+        # Squared distance of each unit vector from the span of the vectors found so far.
         furthest = jnp.argmax(1.0 - sum(u * u for u in found))
         v = _without(found, jnp.where(jnp.arange(n) == furthest, 1.0, 0.0))
         found.append(v / safe_norm(v))
@@ -232,7 +267,7 @@ def null_basis(task_jacobian: Float[Array, "M N"]) -> Float[Array, "N D"]:
 
 
 def _without(found: list[Joints], v: Joints) -> Joints:
-    """Return v less its components along the unit vectors found; twice, because once leaves rounding errors."""
+    """Return v less its components along the given unit vectors; twice, because once leaves rounding errors."""
     for _ in range(2):
         for u in found:
             v = v - product(v, u) * u

@@ -1,7 +1,7 @@
-"""Frozen dataclasses as pytrees, rebuilt without passing through `__init__`.
+"""Frozen dataclasses as pytrees, rebuilt without a call of `__init__`.
 
-JAX rebuilds pytrees around things that are no arrays: shapes, booleans, batch axes. The checks of `__init__` and of the
-type annotations are for those who make a robot or a scenario, not for those passes.
+JAX rebuilds pytrees with leaves that are not arrays: shapes, booleans, batch axes. The checks of `__init__` and of the
+type annotations apply when a robot or a scenario is constructed, not in these passes.
 """
 
 import dataclasses
@@ -10,8 +10,10 @@ import jax
 
 
 def register_pytree(cls: type) -> type:
-    """Register a dataclass as a pytree: a class decorator above `@dataclass(frozen=True)`. Fields with metadata
-    {"static": True} are not leaves."""
+    """Register a dataclass as a pytree: a class decorator above `@dataclass(frozen=True)`.
+
+    Fields with metadata {"static": True} are not leaves.
+    """
     fields = dataclasses.fields(cls)
     leaves = [f.name for f in fields if not f.metadata.get("static")]
     static = [f.name for f in fields if f.metadata.get("static")]

@@ -1,4 +1,4 @@
-"""Numbers and choices of the method. The scene (robot, workpiece, start, margin) is not here.
+"""Parameters of the planning methods. The scene (robot, workpiece, start, margin) is not here.
 
 The defaults are what works best; `configs/paper.yaml` holds the paper's choices.
 """
@@ -20,7 +20,7 @@ def _could_be_a_solver(name: str) -> str:
 
 
 # Values beyond these are typing or unit errors: a target "reached" within a kilometre, a step of many turns.
-SMALLEST = 1e-15  # of numbers that divide or that steps are made of
+SMALLEST = 1e-15  # smallest divisor and smallest step
 Weight = Annotated[float, Field(ge=SMALLEST, le=1e6)]
 Distance = Annotated[float, Field(ge=0, le=1)]  # [m]
 Tolerance = Annotated[float, Field(ge=SMALLEST, le=0.1)]  # [m]
@@ -35,8 +35,10 @@ Solver = Annotated[str, AfterValidator(_could_be_a_solver)]
 class Settings:
     """Constants of the planner; hashable, so it can be a static argument of a jitted function.
 
-    Equation numbers are the paper's; where no equation stands, the value is a choice the paper leaves open.
-    Raises InputError for a value outside its range.
+    Equation numbers are the paper's; where there is none, the value is a choice that the paper leaves open.
+
+    Raises:
+        InputError: For a value outside its range.
     """
 
     # Step QP, equation (9)
@@ -55,7 +57,7 @@ class Settings:
     # Null space, equations (10) and (11)
     alpha_rad: Angle = 0.1  # length of a null-space step, alpha in (11c)
     j1_weight: Annotated[float, Field(ge=0, le=1e6)] = 0.0  # of J1 in J2 = -D + J1, (5a) and (11a); the paper's is 1
-    max_null_space_steps: Steps = 20  # null-space steps of one escape
+    max_null_space_steps: Steps = 20  # null-space steps of one recovery
     include_proximal_bodies: bool = True  # True: J2 includes the capsules far from the workpiece
     # Where the optimisers start on the sphere; random_for_cmaes: CMA-ES alone at random, as in configs/paper.yaml
     first_direction: Literal["best_of_64", "random", "random_for_cmaes"] = "best_of_64"
@@ -63,11 +65,11 @@ class Settings:
 
     # Between consecutive configurations
     path_check: Literal["none", "escapes", "all"] = "all"  # segments that must be clear
-    path_test: Literal["bisection", "samples"] = "bisection"  # by proof, or at the ends of `path_steps` equal steps
+    path_test: Literal["bisection", "samples"] = "bisection"  # a proof, or samples at the ends of `path_steps` steps
     path_steps: Steps = 20
     path_tolerance_m: Tolerance | None = None  # allowed TCP distance from the line between targets; None: the tolerance
 
-    # Sampling escapes
+    # Recovery by sampling
     samples: Count = 50  # configurations or directions tried at one stuck target
     sample_steps: Count = 100  # steps along one null-space direction
     sample_step_rad: Angle = 0.02  # length of each of them
@@ -81,7 +83,7 @@ class Settings:
     keep_clear_m: Distance = 0.02
     keep_clear_steps: Count = 5
 
-    # Roadmap
+    # Beam search
     front: Count = 64  # beam width: most configurations kept at one target
     thin_front: Count = 16  # with fewer, the beam is widened by self-motions
     front_apart_rad: Angle = 0.12  # closer configurations count as one
@@ -119,10 +121,12 @@ _RANGES = TypeAdapter(create_model("_Ranges", **{one.name: (one.type, ...) for o
 
 
 def settings_of(values: Settings | Mapping[str, Any] | None) -> Settings:
-    """Return the settings as they are; for a mapping, {"alpha_rad": 0.05}, the defaults with these values; for None,
-    the defaults.
+    """Return the settings as they are; for a mapping, {"alpha_rad": 0.05}, the defaults with these values.
 
-    Raises InputError for an unknown name and for a value of the wrong type or outside its range.
+    None means the defaults.
+
+    Raises:
+        InputError: For an unknown name and for a value of the wrong type or outside its range.
     """
     if isinstance(values, Settings):
         return values

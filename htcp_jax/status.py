@@ -4,8 +4,10 @@ import enum
 
 
 class Status(enum.IntEnum):
-    """Result for one target; stored as int8. The first target of a scenario that is not tracked ends it, and all later
-    ones are NOT_ATTEMPTED."""
+    """Result for one target; stored as int8.
+
+    The first target of a scenario that is not tracked ends it, and all later ones are NOT_ATTEMPTED.
+    """
 
     TRACKED = 0
     TRACKED_AFTER_ESCAPE = 1

@@ -11,6 +11,6 @@ Scalar = Float[Array, ""]
 Vector3 = Float[Array, "3"]
 Pose = Float[Array, "4 4"]
 Joints = Float[Array, "N"]
-Triple = tuple[float, float, float]  # of Python's own numbers: what a file or a static field holds
+Triple = tuple[float, float, float]  # Python's own numbers, as in files and static fields
 
 __all__ = ["Anywhere", "Array", "Bool", "Float", "Int", "Joints", "Pose", "Scalar", "Triple", "Vector3"]

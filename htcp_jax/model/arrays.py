@@ -9,8 +9,16 @@ LARGEST_COORDINATE = 1e9  # [m]
 
 
 def points(value: object, source: str, at_least: int) -> Float[np.ndarray, "P 3"]:
-    """Return the value as points [m]. Raises InputError, naming `source`, for another shape and as `check_points`
-    does."""
+    """Return `value` as an array of points [m].
+
+    Args:
+        value: An array or lists of numbers, (P, 3).
+        source: Name of the value in messages.
+        at_least: Smallest valid number of points.
+
+    Raises:
+        InputError: For another shape, and as `check_points` does.
+    """
     found = _numbers(value, source)
     if found.ndim != 2 or found.shape[1] != 3:
         raise InputError(f"{source}: shape {found.shape}, (points, 3) is needed")
@@ -19,7 +27,15 @@ def points(value: object, source: str, at_least: int) -> Float[np.ndarray, "P 3"
 
 
 def triple(value: object, source: str) -> Float[np.ndarray, "3"]:
-    """Return the value as three numbers [m]. Raises InputError, naming `source`, for another shape and for NaN."""
+    """Return `value` as three numbers [m].
+
+    Args:
+        value: An array or a sequence of three numbers.
+        source: Name of the value in messages.
+
+    Raises:
+        InputError: For another shape, and for numbers that are not finite.
+    """
     found = _numbers(value, source)
     if found.shape != (3,) or not np.isfinite(found).all():
         raise InputError(f"{source} is {value!r}; three finite numbers [m] are needed")

@@ -20,11 +20,17 @@ class Hull(NamedTuple):
 def convex_hull(points: Float[np.ndarray, "P 3"], tolerance_m: float, source: str) -> Hull:
     """Return the hull of P points [m]: exact at tolerance 0, else with fewer facets.
 
-    With a tolerance the half-spaces still hold every point and each touches one; they extend beyond
+    With a tolerance the half-spaces still contain every point and each touches one; they extend beyond
     the exact hull by about the tolerance at most. A smooth convex surface needs that: nearly all points on
     it are vertices, and each vertex costs two facets.
 
-    Raises InputError, naming `source`, for points in one plane.
+    Args:
+        points: The points [m].
+        tolerance_m: Distance from the hull below which a point adds no vertex.
+        source: Name of the points in the message.
+
+    Raises:
+        InputError: For points in one plane.
     """
     try:
         exact = ConvexHull(points)
@@ -37,7 +43,7 @@ def convex_hull(points: Float[np.ndarray, "P 3"], tolerance_m: float, source: st
     # Qhull's W: a point becomes a vertex only if it lies farther than this outside the facets so far.
     thinned = ConvexHull(vertices, qhull_options=f"Qt W{tolerance_m:.17g}")
     normal = _distinct(thinned.equations)[:, :3].copy()
-    # Push every facet out to its farthest point, so that no point is called outside.
+    # Push every facet out to its farthest point, so that no point is outside.
     return Hull(normal, np.max(normal @ vertices.T, axis=1), vertices)
 
 

@@ -1,9 +1,9 @@
 """The workpiece that ships with the package: a generated duct, round inlet to flat outlet, and its weld.
 
-Closed sections in the y-z plane stand at every x. Each half of a section (above and below the height zc) is
-half a superellipse |y/a|^n + |(z - zc)/b|^n = 1 with its own b and n; the halves meet at (+-a, zc). The six
-figures of a section run through the stations below by monotone cubics, which add no bulge between them. Both
-ends are open, as in the measured duct that the figures were fitted to.
+A section in the y-z plane is a closed curve. Each of its halves (above and below the height zc) is half a
+superellipse |y/a|^n + |(z - zc)/b|^n = 1 with its own b and n; the halves meet at (+-a, zc). The six parameters of
+the sections are interpolated along x through the stations below by monotone cubics, which add no bulge between them.
+Both ends are open, as in the measured duct that the parameters were fitted to.
 """
 
 from collections.abc import Callable
@@ -41,7 +41,7 @@ POINTS = 50_015  # as many as the paper's cloud
 WELD_POINTS = 94
 INLET = (0.0, 0.0, 0.19138)  # centre of the inlet, the via point of the approach [m]
 
-# Where the duct stands in the paper's scene, see `Workpiece.T_world`, and how far behind the inlet its interior begins.
+# The duct's place in the paper's scene, see `Workpiece.T_world`, and the depth at which its interior begins.
 PIVOT = (1.73205679, -0.0037799, 0.57539635)  # [m] world
 NEUTRAL_TRANSLATION = (1.24549547, -0.0037799, 0.87525497)  # [m] workpiece origin at wy = wz = 0
 INTERIOR_DEPTH_M = 0.2
@@ -70,8 +70,10 @@ def section(x: Float[np.ndarray, "P"]) -> Section:
 
 
 def section_value(points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P"]:
-    """Return |y/a|^n + |(z - zc)/b|^n - 1 at P points [m]: 0 on the surface, negative in the bore, NaN before the inlet
-    and behind the outlet. It is not a distance."""
+    """Return |y/a|^n + |(z - zc)/b|^n - 1 at P points [m]. It is not a distance.
+
+    0 on the surface, negative in the bore, NaN before the inlet and behind the outlet.
+    """
     x, y, z = points.T
     at = section(x)
     b, n = at.half(z >= at.zc)
@@ -91,10 +93,10 @@ def surface(x: Float[np.ndarray, "P"], angle: Float[np.ndarray, "P"]) -> Float[n
 
 
 def duct_cloud(points: int = POINTS, seed: int = 0) -> Float[np.ndarray, "{points} 3"]:
-    """Return `points` points [m], uniform by area on the duct's surface. Same seed, same bytes.
+    """Return `points` points [m], uniform by area on the duct's surface; the same bytes for the same seed.
 
     A cell of a fine grid is drawn by its area, then a place in the cell: cells of 2 mm are nearly flat, so
-    what is uniform in a cell is uniform on the surface.
+    a distribution that is uniform in each cell is uniform on the surface.
     """
     rows, columns = 480, 720
     x = np.linspace(STATIONS[0, 0], STATIONS[-1, 0], rows + 1)
@@ -112,8 +114,10 @@ def duct_cloud(points: int = POINTS, seed: int = 0) -> Float[np.ndarray, "{point
 
 
 def weld(points: int = WELD_POINTS) -> Float[np.ndarray, "{points} 3"]:
-    """Return the weld on the duct's wall, from the inlet inwards: `points` points [m], equally spaced by arc length
-    along the cubic spline through WELD_KNOTS."""
+    """Return the weld on the duct's wall, from the inlet inwards: `points` points [m].
+
+    They are equally spaced by arc length along the cubic spline through WELD_KNOTS.
+    """
     chord = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(WELD_KNOTS, axis=0), axis=1)))
     return equal_steps(CubicSpline(chord, WELD_KNOTS), chord[-1], points)
 
@@ -121,8 +125,14 @@ def weld(points: int = WELD_POINTS) -> Float[np.ndarray, "{points} 3"]:
 def equal_steps(
     curve: Callable[[Float[np.ndarray, "n"]], Float[np.ndarray, "n 3"]], end: float, points: int, closed: bool = False
 ) -> Float[np.ndarray, "{points} 3"]:
-    """Return points on a curve, whose parameter runs from 0 to `end`, equally spaced by arc length; on a closed curve
-    the last is one step short of the first."""
+    """Return points on a curve, equally spaced by arc length.
+
+    Args:
+        curve: Function from parameters (n,) to points (n, 3).
+        end: Last parameter; the first is 0.
+        points: Number of points.
+        closed: True: the last point is one step short of the first.
+    """
     fine = np.linspace(0.0, end, 20_001)
     length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(curve(fine), axis=0), axis=1)))
     return curve(np.interp(np.linspace(0.0, length[-1], points, endpoint=not closed), length, fine))

@@ -18,14 +18,14 @@ class Fixture(NamedTuple):
 
     name: str
     kind: str  # one of KINDS
-    T_world: Float[np.ndarray, "4 4"]  # MuJoCo's frame; for a mesh the world's
-    size: Float[np.ndarray, "3"]  # MuJoCo's [m]
+    T_world: Float[np.ndarray, "4 4"]  # MuJoCo's frame of the shape [m]; the world's for a mesh
+    size: Float[np.ndarray, "3"]  # MuJoCo's sizes of the shape [m]
     triangles: Float[np.ndarray, "F 3 3"]  # of a mesh, world [m]
 
     @property
     def surface(self) -> Float[np.ndarray, "F 3 3"]:
         """Triangles for pictures, world [m]; none for a plane."""
-        import trimesh  # here, because it takes a while to load, and only pictures need it
+        import trimesh  # here, because it loads slowly and only pictures need it
 
         make, size = trimesh.creation, self.size
         if self.kind in ("mesh", "plane"):
@@ -43,8 +43,10 @@ class Fixture(NamedTuple):
 
     @property
     def convex(self) -> bool:
-        """True if a mesh is closed and convex and has few faces: its triangles lie on its hull and have the hull's
-        area."""
+        """True if a mesh is closed and convex and has few faces.
+
+        Its triangles lie on its hull and have the hull's area.
+        """
         if len(self.triangles) > MOST_FACES:
             return False
         try:

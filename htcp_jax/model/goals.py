@@ -1,4 +1,4 @@
-"""Convert the rows of a task list to the planner's: a task for a robot, and its goals at every target.
+"""Conversion of the rows of a task list to the planner's: a task for a robot, and its goals at every target.
 
 Before the path's first point the goals are interpolated evenly from the start's values to those of the first point, as
 the tool's position is. So the start always satisfies its goal.
@@ -41,8 +41,15 @@ class Posed(NamedTuple):
 def task_of(rows: Sequence[TaskRow], robot: Robot, tolerance_m: float = 1e-3, tolerance_rad: float = 2e-3) -> Task:
     """Return the task of the given rows for a robot; without rows, the paper's.
 
-    Raises InputError for a name that the robot lacks, for more equalities than joints, and for a row that repeats or
-    contradicts those before it.
+    Args:
+        rows: Rows of the task list.
+        robot: The robot, whose sites and bodies the rows may name.
+        tolerance_m: Tolerance of the norm of the error.
+        tolerance_rad: Tolerance of angles in it.
+
+    Raises:
+        InputError: For a name that the robot lacks, for more equalities than joints, and for a row that repeats or
+            contradicts those before it.
     """
     parts: list[Row] = []
     for k, row in enumerate(rows or ON_PATH, 1):
@@ -59,18 +66,30 @@ def task_of(rows: Sequence[TaskRow], robot: Robot, tolerance_m: float = 1e-3, to
 
 
 def follower(rows: Sequence[TaskRow], robot: Robot, x: Float[np.ndarray, "N"]) -> Float[np.ndarray, "3"]:
-    """Return the position at x [rad or m], in the world [m], of the point that follows the path; the TCP if no row
-    names one. Raises InputError for a name that the robot lacks."""
+    """Return the world position [m] of the point that follows the path, at the configuration x [rad or m].
+
+    It is the TCP if no row names one.
+
+    Raises:
+        InputError: For a name that the robot lacks.
+    """
     row = next((row for row in rows if row.on == "path"), ON_PATH[0])
     part = PointAlong(*_place(row, robot), 3)
     return np.asarray(_VALUE(robot, jnp.asarray(x), Task((part,))))
 
 
 def with_goals(scenario: Scenario, rows: Sequence[TaskRow], task: Task, robot: Robot, workpiece: Workpiece) -> Scenario:
-    """Return the scenario with the rows' goals at all of its targets, the last of which are the path.
+    """Return the scenario with the rows' goals at all of its targets.
 
-    task: the rows' task, see `task_of`. robot: without the scenario's tool extension.
-    Raises InputError for a path without the frames that the rows require, and for axes that contradict each other.
+    Args:
+        scenario: A scenario; its last targets are the path.
+        rows: Rows of the task list; without any, the paper's task.
+        task: The rows' task, see `task_of`.
+        robot: The robot without the scenario's tool extension.
+        workpiece: The scenario's workpiece.
+
+    Raises:
+        InputError: For a path without the frames that the rows require, and for axes that contradict each other.
     """
     rows = rows or ON_PATH
     if task.parts == (TaskPoint(),) and rows[0].on == "path":
@@ -94,9 +113,7 @@ def with_goals(scenario: Scenario, rows: Sequence[TaskRow], task: Task, robot: R
     return replace(scenario, goals=np.concatenate(columns, axis=1))
 
 
-# The rows' kinds
-
-
+# Kinds of rows
 def _part(row: TaskRow, robot: Robot) -> Row:
     if row.orientation is not None:
         frame = _frame(row.of, robot, "frame")
@@ -110,7 +127,7 @@ def _part(row: TaskRow, robot: Robot) -> Row:
     link, offset = _place(row, robot)
     if row.on in ("plane", "line"):
         return PointAlong(link, offset, 1 if row.on == "plane" else 2, row.within_m is not None)
-    of_world = (row.frame == "world" or row.axes == "xyz") and row.within_m is None  # all three say the same anywhere
+    of_world = (row.frame == "world" or row.axes == "xyz") and row.within_m is None  # xyz is the same in every frame
     if of_world and not (link is None and any(offset)):
         return TaskPoint(link, offset, tuple("xyz".index(axis) for axis in row.axes))
     return PointAlong(link, offset, len(row.axes), row.within_m is not None)
@@ -131,7 +148,7 @@ def _frame(name: str, robot: Robot, what: str) -> ArmFrame:
 
 
 def _rank(robot: Robot, task: Task) -> int:
-    """Return the rank of the equalities' Jacobian: the largest of some random configurations and goals."""
+    """Return the rank of the equalities' Jacobian: the largest one at some random configurations and goals."""
     rng = np.random.default_rng(0)
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     found = 0
@@ -156,9 +173,7 @@ _VALUE = jax.jit(lambda robot, x, task: task.value(robot, x), static_argnums=2)
 _JACOBIAN = jax.jit(lambda robot, x, goal, task: task.linear_at(robot, x, goal).jacobian, static_argnums=3)
 
 
-# Their goals
-
-
+# Goals on the path
 def _wanted(row: TaskRow, part: Row, posed: Posed) -> Float[np.ndarray, "T g"]:
     """Return the goals of one part at the points of the path."""
     count = len(posed.path)
@@ -224,9 +239,7 @@ def _in_world(row: TaskRow, vector: np.ndarray, posed: Posed, is_place: bool = F
     return posed.rotate @ vector + (posed.translate if is_place else 0.0)
 
 
-# Before the path
-
-
+# Goals before the path
 def _eased(
     part: Row,
     start: Float[np.ndarray, "v"],
@@ -234,9 +247,15 @@ def _eased(
     share: Float[np.ndarray, "A"],
     places: Float[np.ndarray, "A 3"] | None,
 ) -> Float[np.ndarray, "A g"]:
-    """Return the goals of one part before the path. start: its features at the start; first: its goal at the path's
-    first point. share: fraction of the interpolation at each target. places: positions of the point that follows the
-    path."""
+    """Return the goals of one part before the path.
+
+    Args:
+        part: The part.
+        start: Its features at the start.
+        first: Its goal at the path's first point.
+        share: Fraction of the interpolation at each target.
+        places: Positions of the point that follows the path [m]; None for other parts.
+    """
     goals = np.tile(first, (len(share), 1))
     if isinstance(part, TaskPoint):
         wanted = start + share[:, None] * (first - start)

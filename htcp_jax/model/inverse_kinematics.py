@@ -23,12 +23,24 @@ def reanchor(
     iterations: int = 20,
     task: Task = TCP_POSITION,
 ) -> tuple[Joints, Scalar]:
-    """Damped Newton inverse kinematics inside the joint limits: (x, residual [m]), equation (5b).
+    """Move a configuration onto a target by damped Newton steps within the joint limits, equation (5b).
 
-    target: the task's goal, in the format of its rows. Stops at tolerance_m or after `iterations`. The damping
-    (1e-3 m/rad)^2 keeps steps bounded at singularities and costs 1e-6 of a Newton step elsewhere; a joint at its limit
-    stays there while the others compensate. A violated band or cone is a row of a step. Raises InputError
-    for more than one configuration or target.
+    The damping (1e-3 m/rad)^2 keeps steps bounded at singularities and costs 1e-6 of a Newton step elsewhere; a joint
+    at its limit stays there while the others compensate. A violated band or cone is an additional row of a step.
+
+    Args:
+        robot: The robot.
+        x: The configuration to begin with [rad or m].
+        target: The task's goal, in the format of its rows.
+        tolerance_m: Residual at which to stop.
+        iterations: Most steps.
+        task: The task; static.
+
+    Returns:
+        The new configuration [rad or m] and its residual [m].
+
+    Raises:
+        InputError: For more than one configuration or target.
     """
     x, target = configuration(robot, x), of_shape(target, (task.numbers,), "target")
     off, slopes = partial(_off, robot, task, target), partial(_slopes, robot, task, target)
@@ -44,7 +56,7 @@ def reanchor(
         (_, error, _), count = state
         return (count < 0) | (safe_norm(error) > tolerance_m) & (count < iterations)
 
-    # The first iteration evaluates x itself: so the kinematics is compiled once.
+    # The first iteration evaluates x itself, so that the kinematics is compiled once.
     blank = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(look, x))
     (x, error, _), _ = jax.lax.while_loop(going, step, ((x, *blank[1:]), jnp.full((), -1, jnp.int32)))
     return x, task.off(robot, x, target) if task.bands else safe_norm(error)
@@ -53,9 +65,11 @@ def reanchor(
 def damped_step(robot: Robot, x: Joints, error: Float[Array, "M"], jac: Float[Array, "M N"], damping: float) -> Joints:
     """Return x after a damped least-squares step within the joint limits (Siciliano et al., Robotics, section 3.7).
 
-    A joint at its limit that the step would push further out takes no part.
+    A joint at its limit that the step would push further out is excluded.
 
     Args:
+        robot: The robot.
+        x: The configuration [rad or m].
         error: The error that the step removes [m].
         jac: Its Jacobian [m/rad or m/m].
         damping: Added to the diagonal of J J^T [m2/rad2].
@@ -78,7 +92,7 @@ def _off(robot: Robot, task: Task, target: Float[Array, "G"], x: Joints) -> Floa
 
 
 def _slopes(robot: Robot, task: Task, target: Float[Array, "G"], x: Joints) -> Float[Array, "R N"]:
-    """Return minus the Jacobian of that residual [m/rad or m/m]."""
+    """Return minus the Jacobian of the residual in `_off` [m/rad or m/m]."""
     if task.is_points:
         return task.jacobian(robot, x)
     linear = task.linear_at(robot, x, target)
@@ -86,5 +100,5 @@ def _slopes(robot: Robot, task: Task, target: Float[Array, "G"], x: Joints) -> F
 
 
 def inside(robot: Robot, x: Joints) -> Bool[Array, ""]:
-    """Return True if x respects the joint limits."""
+    """Return True if x is within the joint limits."""
     return jnp.all((x >= robot.lower) & (x <= robot.upper))

@@ -2,9 +2,9 @@
 
 The paper's Gamma and Jac; the geometric Jacobian is that of Siciliano et al., Robotics, section 3.1.
 
-The loop over the joints is unrolled and nothing is inverted or decomposed: it compiles fast and batches well.
-Several of these in one jitted function cost one pass over the joints, as the compiler merges what they share. A list
-serves as x, too; InputError for an x that is not one configuration of the robot.
+The loop over the joints is unrolled on a GPU, and nothing is inverted or decomposed: it compiles fast and batches well.
+Several of these in one jitted function cost one pass over the joints, as the compiler merges what they share. x may be
+a list, too. An x that is not one configuration of the robot raises InputError.
 """
 
 from typing import NamedTuple
@@ -45,8 +45,8 @@ def capsule_segments(robot: Robot, x: Joints) -> tuple[Float[Array, "K 3"], Floa
 def tip_segment(robot: Robot, x: Joints) -> Float[Array, "2 3"]:
     """Return the bare tip in the world [m]: from the capsule end nearest to the TCP, to the TCP.
 
-    Only capsules on the last link count, or else on the last link that has any; nearest at x = 0, so that it is the
-    same end in every configuration.
+    Only capsules on the last link that has any are considered. The end is the nearest one at x = 0, so that it is the
+    same in every configuration.
     """
     last = np.flatnonzero(np.array(robot.capsule_link) == max(robot.capsule_link))
     zero, here = (jnp.concatenate([e[last] for e in capsule_segments(robot, at)]) for at in (jnp.zeros_like(x), x))
@@ -69,8 +69,10 @@ class ArmShape(NamedTuple):
 
 @jax.jit
 def capsules_and_tcp(robot: Robot, x: Float[Array, "W N"]) -> ArmShape:
-    """Return the arm at several configurations [rad or m]; compiled once per robot structure and number of
-    configurations."""
+    """Return the arm's geometry at several configurations [rad or m].
+
+    Compiled once per robot structure and number of configurations.
+    """
 
     def one(x: Joints) -> ArmShape:
         return ArmShape(*capsule_segments(robot, x), *tip_segment(robot, x))
@@ -79,8 +81,10 @@ def capsules_and_tcp(robot: Robot, x: Float[Array, "W N"]) -> ArmShape:
 
 
 def jacobian(robot: Robot, x: Joints) -> Float[Array, "3 N"]:
-    """Return the geometric Jacobian of the TCP's position, d tcp_position / dx [m/rad or m/m]; the paper's Jac(x) of
-    (7)."""
+    """Return the geometric Jacobian of the TCP's position, d tcp_position / dx [m/rad or m/m].
+
+    The paper's Jac(x) of (7).
+    """
     links = _link_frames(robot, x)
     tcp = _to_world(_row(links, -1), robot.T_link_tcp[:3, 3])
     return _velocities(robot, links, tcp[None])[0].T
@@ -91,10 +95,13 @@ def point_jacobians(
 ) -> Float[Array, "P 3 N"]:
     """Return the translational Jacobians at x of points that are fixed to links [m/rad or m/m].
 
-    points: their positions at x, in the world [m]. links: each point's link, -1 for the world; `robot.capsule_link` for
-    one point per capsule.
-
     Joints beyond its link do not move a point: their columns are zero.
+
+    Args:
+        robot: The robot.
+        x: The configuration [rad or m].
+        points: Positions of the points at x, in the world [m].
+        links: Each point's link, -1 for the world; `robot.capsule_link` for one point per capsule.
     """
     moves = jnp.arange(len(robot.slides))[None, :] <= jnp.asarray(links)[:, None]
     velocities = _velocities(robot, _link_frames(robot, x), points)
@@ -106,15 +113,23 @@ def point_positions(
 ) -> Float[Array, "P 3"]:
     """Return the positions at x, in the world [m], of points that are fixed to links.
 
-    points: in the frames of their links [m]; links: each point's link, -1 for the world.
+    Args:
+        robot: The robot.
+        x: The configuration [rad or m].
+        points: Positions in the frames of the points' links [m].
+        links: Each point's link, -1 for the world.
     """
     return _to_world(_frames_of(robot, x, links), points)
 
 
 def directions(robot: Robot, x: Joints, vectors: Float[Array, "P 3"], links: tuple[int, ...]) -> Float[Array, "P 3"]:
-    """Rotate directions that are fixed to links into the world at x; lengths are kept, without a unit.
+    """Rotate directions that are fixed to links into the world at x; lengths are kept.
 
-    vectors: in the frames of their links; links: each one's link, -1 for the world.
+    Args:
+        robot: The robot.
+        x: The configuration [rad or m].
+        vectors: Directions in the frames of their links, without a unit.
+        links: Each direction's link, -1 for the world.
     """
     return product(_frames_of(robot, x, links).rotation, vectors[:, :, None])[..., 0]
 
@@ -124,7 +139,11 @@ def direction_jacobians(
 ) -> Float[Array, "P 3 N"]:
     """Return the derivatives of `directions` at x: axis x direction for a hinge [1/rad], 0 for a slide [1/m].
 
-    directions: in the world at x; links: each one's link, -1 for the world.
+    Args:
+        robot: The robot.
+        x: The configuration [rad or m].
+        directions: Directions in the world at x, without a unit.
+        links: Each direction's link, -1 for the world.
     """
     frames = _link_frames(robot, x)
     axes = product(frames.rotation, robot.axis[:, :, None])[..., 0]
@@ -135,14 +154,24 @@ def direction_jacobians(
 
 
 def configuration(robot: Robot, x: Joints, name: str = "x") -> Joints:
-    """Return x as an array of N joint positions. Raises InputError for another shape, and for several
-    configurations."""
+    """Return x as an array of N joint positions.
+
+    Args:
+        robot: The robot.
+        x: One configuration [rad or m], an array or a list.
+        name: Name of x in the message.
+
+    Raises:
+        InputError: For another shape, and for several configurations.
+    """
     return of_shape(x, (len(robot.slides),), f"{name} of {robot.name}")
 
 
 def reach(robot: Robot) -> float:
-    """Return a bound on the TCP's distance from the origin of the first joint's frame [m]: the summed lengths of links
-    and tool, and the travel of the slides; infinite if a slide has no limits."""
+    """Return a bound on the TCP's distance from the origin of the first joint's frame [m].
+
+    It is the sum of the lengths of links and tool and of the travel of the slides; infinite if a slide has no limits.
+    """
     links = np.linalg.norm(np.asarray(robot.T_parent_joint)[1:, :3, 3], axis=1)
     travel = np.maximum(np.abs(robot.lower), np.abs(robot.upper))[np.array(robot.slides)]
     return float(links.sum() + travel.sum() + np.linalg.norm(np.asarray(robot.T_link_tcp)[:3, 3]))
@@ -178,7 +207,7 @@ def _frames_of(robot: Robot, x: Joints, links: tuple[int, ...]) -> _Frames:
     """Return the frames of the given links, -1 for the world."""
     moving = _link_frames(robot, x)
     world = jnp.eye(3, 4, dtype=moving.origin.dtype)[None]
-    with_world = _Frames(  # last, so that link -1 finds it
+    with_world = _Frames(  # the world last, so that it is link -1
         jnp.concatenate([moving.rotation, world[:, :, :3]]), jnp.concatenate([moving.origin, world[:, :, 3]])
     )
     return _row(with_world, np.array(links))

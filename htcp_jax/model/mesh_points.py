@@ -1,7 +1,7 @@
 """Points that cover a mesh: no point of its triangles is further than a known distance from one of them.
 
-Every triangle is cut at the middle of its longest edge until its own three corners cover it. Nothing is drawn at
-random: the same mesh gives the same points, evenly spread for any shapes of its triangles.
+Every triangle is cut at the middle of its longest edge until its own three corners cover it. Nothing is random: the
+same mesh gives the same points, evenly spread for any shapes of its triangles.
 
 A triangle's covering radius is the largest distance of any of its points to the nearest corner. Where no angle is
 obtuse, that is attained at the circumcentre. Otherwise the circumcentre lies outside, and it is attained where the
@@ -17,7 +17,7 @@ from htcp_jax.errors import InputError
 
 MOST = 3_000_000  # points
 ABOUT = 200_000  # default number of points, unless the bodies require more
-ROUNDING = 1e-6  # of a covering radius: nearly flat triangles cost digits
+ROUNDING = 1e-6  # relative rounding error of a covering radius; nearly flat triangles cost digits
 KEY = "workpiece.mesh_spacing_m"
 
 Triangles = Float[np.ndarray, "F 3 3"]
@@ -32,12 +32,20 @@ class Cover(NamedTuple):
 
 
 def cover(triangles: Triangles, source: str, spacing: float | None = None, thinnest_m: float = np.inf) -> Cover:
-    """Sample F >= 1 triangles [m]: their corners and those of their pieces, until these cover the mesh.
+    """Sample triangles: their corners and those of their pieces, until these cover the mesh.
 
-    spacing: the widest gap between points [m], that is, every point of the mesh has one of them within half of it.
-    None: about ABOUT points, and more if half the radius `thinnest_m` of the thinnest body requires them. A finer mesh
-    keeps all of its corners. Raises InputError, naming `source`, for a mesh without an area, a spacing that is not
-    positive, and if more than MOST points would be needed.
+    A finer mesh keeps all of its corners.
+
+    Args:
+        triangles: F >= 1 triangles [m].
+        source: Name of the mesh in messages.
+        spacing: The widest gap between points [m]: every point of the mesh has one of them within half of it. None:
+            about ABOUT points, and more if half of `thinnest_m` requires them.
+        thinnest_m: Radius of the thinnest body.
+
+    Raises:
+        InputError: For a mesh without an area, a spacing that is not positive, and if more than MOST points would be
+            needed.
     """
     total = area(triangles).sum()
     if not total > 0:
@@ -62,7 +70,11 @@ def cover(triangles: Triangles, source: str, spacing: float | None = None, thinn
 
 
 def pieces(triangles: Triangles, edge_m: float, source: str) -> Float[np.ndarray, "G 3 3"]:
-    """Cut the triangles until no edge is longer than `edge_m`. Raises InputError for more than 2 MOST."""
+    """Cut the triangles until no edge is longer than `edge_m`.
+
+    Raises:
+        InputError: For more than 2 MOST pieces.
+    """
     left = np.ascontiguousarray(np.moveaxis(triangles, 0, 2))
     done, count = [], 0
     while left.shape[2]:
@@ -82,7 +94,7 @@ def area(triangles: Triangles) -> Float[np.ndarray, "F"]:
 
 
 def covering_radius(triangles: Triangles) -> Float[np.ndarray, "F"]:
-    """Return the exact covering radius of each triangle by its own corners [m]; see the module."""
+    """Return the exact covering radius of each triangle by its own corners [m]; see the module's docstring."""
     return _covering_radius(_longest_edge_first(np.moveaxis(triangles, 0, 2)))
 
 
@@ -100,8 +112,10 @@ def _covering_radius(corners: Corners) -> Float[np.ndarray, "F"]:
 
 
 def _halves(corners: Corners) -> tuple[Float[np.ndarray, "3 3 2*F"], Float[np.ndarray, "3 F"]]:
-    """Cut each triangle in two at the middle of its longest edge, the first; return the halves and these middles. Two
-    neighbours with this edge have the same middle to the last bit."""
+    """Cut each triangle in two at the middle of its longest edge, the first; return the halves and these middles.
+
+    Two neighbours with this edge have the same middle to the last bit.
+    """
     b, c, a = corners
     middle = (b + c) / 2
     return np.concatenate([np.stack([a, b, middle]), np.stack([c, a, middle])], axis=2), middle

@@ -1,5 +1,7 @@
-"""Directions along a tool path: normals, which point from the wall into the free space, tangents, and orientations;
-read from its file, or computed from the path and the cloud."""
+"""Directions along a tool path: normals, which point from the wall into the free space, tangents, and orientations.
+
+They are read from the path's file; normals and tangents may also be computed from the cloud and the path.
+"""
 
 from typing import NamedTuple
 
@@ -28,8 +30,11 @@ def wall_normals(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]
 
 
 def tangents(path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
-    """Return the unit tangents of a path, by central differences; coincident neighbours share one. Raises InputError
-    for a path of zero length."""
+    """Return the unit tangents of a path, by central differences; coincident neighbours share one.
+
+    Raises:
+        InputError: For a path of zero length.
+    """
     ahead = np.linalg.norm(np.diff(path, axis=0), axis=1)
     apart = np.concatenate([[True], ahead > 1e-9])
     if not (ahead > 1e-9).any():

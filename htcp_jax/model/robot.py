@@ -36,12 +36,12 @@ class Exclusion(NamedTuple):
     first: int  # farther from the base than the second
     second: int
     rule: str  # of `clearance.obstacles.self_exclusions`: a, b or c
-    share: float  # of the sampled configurations in which the capsules overlap [1]; 0 of rule a
+    share: float  # of the sampled configurations, in which the capsules overlap or nearly so [1]; 0 by rule a
 
 
 @runtime_checkable
 class LinkMeshes(Protocol):
-    """The vendor's meshes in an arm's capsules. Equal and hashable by the files that they are read from."""
+    """The vendor's meshes in an arm's capsules; equal and hashable by the files that they are read from."""
 
     def deepest_m(self, first: str, second: str, x: Float[np.ndarray, "N"]) -> float:
         """Return the depth of the deepest contact between the meshes in two capsules at x [m]; 0 without meshes."""
@@ -49,7 +49,14 @@ class LinkMeshes(Protocol):
     def outside_m(
         self, capsule: str, robot: "Robot", x: Float[np.ndarray, "N"], point: Float[np.ndarray, "3"]
     ) -> float | None:
-        """Return the distance of a point in the world from the mesh in a capsule at x [m]; None without a mesh."""
+        """Return the distance of a point in the world from the mesh in a capsule at x [m]; None without a mesh.
+
+        Args:
+            capsule: Name of the capsule.
+            robot: The robot.
+            x: The configuration [rad or m].
+            point: The point, in the world [m].
+        """
 
 
 @register_pytree
@@ -58,7 +65,7 @@ class Robot:
     """A serial arm of N hinge or slide joints with K capsules, in metres and radians.
 
     The frame of link i is the frame of joint i after its motion: its origin lies on the joint's axis, and at
-    x = 0 it stands at T_parent_joint[i] in the frame of link i - 1 (of the world for i = 0).
+    x = 0 it is T_parent_joint[i] in the frame of link i - 1 (of the world for i = 0).
     """
 
     T_parent_joint: Float[Array, "N 4 4"]  # joint i's frame at x = 0, in link i - 1
@@ -80,7 +87,7 @@ class Robot:
     capsule_link: tuple[int, ...] = dataclasses.field(metadata=_STATIC)  # -1 is the world
     ignored_geoms: tuple[str, ...] = dataclasses.field(metadata=_STATIC)  # neither capsule nor sphere
     exclusions: tuple[Exclusion, ...] = dataclasses.field(default=(), metadata=_STATIC)  # that the model states
-    listed: bool = dataclasses.field(default=False, metadata=_STATIC)  # True: these are all except those of `mounted`
+    listed: bool = dataclasses.field(default=False, metadata=_STATIC)  # True: complete, except pairs of `mounted`
     mounted: tuple[int, ...] = dataclasses.field(default=(), metadata=_STATIC)  # capsules of the job's own tool
     meshes: LinkMeshes | None = dataclasses.field(default=None, metadata=_STATIC)  # None if its file refers to none
     frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=_STATIC)  # that a task may name
@@ -96,7 +103,7 @@ class Robot:
 
 
 def capsule_in_words(robot: Robot, name: str) -> str:
-    """Return a capsule's name for a message. One that is only numbered comes with the name of its link, if known."""
+    """Return a capsule's name for a message; a capsule that is only numbered comes with its link's name, if known."""
     if not name.startswith("capsule"):
         return f"capsule {name}"
     link = robot.capsule_link[robot.capsule_names.index(name)]
@@ -105,8 +112,17 @@ def capsule_in_words(robot: Robot, name: str) -> str:
 
 
 def mesh_note(robot: Robot, capsule: str, x: Float[np.ndarray, "N"], point: Float[np.ndarray, "3"]) -> str:
-    """Return the end of a message: the distance of a capsule from its mesh, at a point of its surface in the world [m];
-    "" if the arm's file refers to no meshes."""
+    """Return the end of a message: the distance of a capsule's surface from its mesh.
+
+    Args:
+        robot: The robot.
+        capsule: Name of the capsule.
+        x: The configuration [rad or m].
+        point: The point of the capsule's surface, in the world [m].
+
+    Returns:
+        The end of the message, "" if the arm's file refers to no mesh for this capsule.
+    """
     outside_m = robot.meshes.outside_m(capsule, robot, x, point) if robot.meshes else None
     if outside_m is None:
         return ""
@@ -117,7 +133,7 @@ def lengthen_tool(robot: Robot, extension_m: float | Scalar) -> Robot:
     """Return the robot with its tool longer by `extension_m` [m] along the tool's z axis; negative shortens.
 
     The TCP moves, and so do the capsules of the body that carries the TCP. The first of them starts at the flange: it
-    keeps that end and is stretched. The extension may be traced.
+    keeps that end and is lengthened. The extension may be traced.
     """
     shift = extension_m * robot.T_link_tcp[:3, 2]
     ends = robot.on_tool[:, :, None] * shift[None, None, :]

@@ -1,4 +1,4 @@
-"""Rotations: exponential and logarithm map, quaternions, and turns between directions.
+"""Rotations: exponential and logarithm map, quaternions, and the smallest rotation between directions.
 
 jaxlie has these maps too, but stores a rotation as a quaternion, so matrices would be converted and rounded
 differently; it also depends on jax_dataclasses and tyro.
@@ -51,8 +51,10 @@ def quaternion_matrix(quaternion: Float[Array, "4"]) -> Float[Array, "3 3"]:
 
 
 def sine_error(now: Float[Array, "3 3"], wanted: Float[Array, "3 3"]) -> Vector3:
-    """Return the axis from one rotation to another times sin(angle), the axis alone beyond a right angle: half of
-    sum_k r_k x t_k over the columns of both (Siciliano et al., Robotics, section 3.7.3)."""
+    """Return the axis from one rotation to another times sin(angle), beyond a right angle the axis alone.
+
+    It is half of sum_k r_k x t_k over the columns of both (Siciliano et al., Robotics, section 3.7.3).
+    """
     v = 0.5 * jnp.sum(jnp.cross(now.T, wanted.T), axis=0)
     size = safe_norm(v)
     return jnp.where(jnp.sum(now * wanted) < 1.0, v / jnp.maximum(size, 1e-9), v)
@@ -64,8 +66,10 @@ def angle(a: Vector3, b: Vector3) -> Scalar:
 
 
 def axis_error(axis: Vector3, direction: Vector3) -> Float[Array, "2"]:
-    """Return the rotation vector [rad], the logarithm map, from one direction of length 1 to another, as components in
-    two directions perpendicular to the latter; for opposite directions half a turn about any axis."""
+    """Return the rotation vector from one unit direction to another, the logarithm map, as two components [rad].
+
+    They are along two directions perpendicular to `direction`; for opposite directions half a turn about any axis.
+    """
     least = jnp.argmin(jnp.abs(direction))
     first = jnp.cross(direction, jnp.where(jnp.arange(3) == least, 1.0, 0.0))
     first = first / safe_norm(first)

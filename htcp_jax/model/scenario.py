@@ -27,7 +27,7 @@ class OutOfReach(InputError):
 class Scenario:
     """The data that differs between members of a batch. Stacked, every leaf has a leading axis S."""
 
-    x_start: Float[Anywhere, "*S N"]  # [rad or m]; with `auto_start` home or any, until it is chosen
+    x_start: Float[Anywhere, "*S N"]  # [rad or m]; with `auto_start` home or arbitrary, until it is chosen
     x_home: Float[Anywhere, "*S N"]  # start of the motion [rad or m]; NaN: x_start, still to be chosen
     auto_start: Bool[Anywhere, "*S"]  # True: the planner chooses the start, at the path's first point
     T_world_workpiece: Float[Anywhere, "*S 4 4"]  # [m]
@@ -35,9 +35,9 @@ class Scenario:
     targets: Float[Anywhere, "*S T M"]  # positions of the tool, world [m]; rows from `count` on are padding
     count: Int[Anywhere, "*S"]  # targets to track
     on_path: Int[Anywhere, "*S"]  # the first target that is a point of the path; those before it lead there
-    margin_m: Float[Anywhere, "*S"]  # least clearance with which a target counts
+    margin_m: Float[Anywhere, "*S"]  # required clearance
     tool_extension_m: Float[Anywhere, "*S"]
-    number: Int[Anywhere, "*S"]  # identity: the random keys are folded from it
+    number: Int[Anywhere, "*S"]  # identity, from which the random keys are folded
     refused: Int[Anywhere, "*S"]  # NOT_REFUSED, or the Status of a scenario that is not planned
     goals: Float[Anywhere, "*S T G"] | None = None  # of the task, see `task_rows` [m]; None: the targets
 
@@ -58,9 +58,16 @@ def path_targets(
     path: Float[np.ndarray, "W 3"],
     approach: tuple[int, int] = (5, 5),
 ) -> Float[np.ndarray, "T 3"]:
-    """Return the targets of one scenario [m], all in one frame: the start TCP itself, `approach[0]` equal steps to the
-    inlet's centre, `approach[1]` equal steps from there to the first path point, then the complete path (so that its
-    first point is met again). Without an inlet the steps lead straight from the start to the path."""
+    """Return the targets of one scenario [m]: the start TCP, the steps of the approach, and the complete path.
+
+    The path's first point is the last step of the approach, too, so it occurs twice. All points are in one frame.
+
+    Args:
+        tcp: The start TCP.
+        inlet: The inlet's centre, via point of the approach; None: the steps lead straight from the start to the path.
+        path: Points of the path.
+        approach: Number of equal steps to the inlet's centre, and of equal steps from there to the path.
+    """
     stops = [tcp, path[0]] if inlet is None else [tcp, inlet, path[0]]
     steps = [sum(approach)] if inlet is None else approach
     legs = [
@@ -87,15 +94,26 @@ def make_scenario(
 ) -> Scenario:
     """Build a scenario: a start, a workpiece pose and the targets.
 
-    start: N joint positions [rad or m]; None: the planner chooses them, at the path's first point, which is then the
-    first target, without an approach. home: joint positions in which the motion begins; None: the start. rotation:
-    workpiece about world y, then z [rad], after rotation_x_rad about world x; shift: of the workpiece, world [m];
-    margin_m: least clearance with which a target counts; tool_extension_m: see `robot.lengthen_tool`; number: identity
-    for the random keys. beyond_reach: "raise" an OutOfReach for a target beyond the arm's reach, or "record" it: the
-    scenario is then planned as a failure with that reason. follows: position at the start of the point that follows the
-    path, world [m]; None: the TCP.
+    Args:
+        robot: The robot.
+        workpiece: The workpiece.
+        start: N joint positions [rad or m]; None: the planner chooses them, at the path's first point, which is then
+            the first target, without an approach.
+        home: Joint positions in which the motion begins [rad or m]; None: the start.
+        rotation: Workpiece about world y, then z [rad], after `rotation_x_rad`.
+        rotation_x_rad: Workpiece about world x.
+        shift: Of the workpiece, world [m].
+        approach: Steps of the approach, see `path_targets`.
+        margin_m: Required clearance.
+        tool_extension_m: See `robot.lengthen_tool`.
+        number: Identity, for the random keys.
+        beyond_reach: "raise" an OutOfReach for a target beyond the arm's maximum reach, or "record" it: the scenario is
+            then planned as a failure with that reason.
+        follows: Position at the start of the point that follows the path, world [m]; None: the TCP.
 
-    Raises InputError for a start or home of the wrong length or outside the joint limits, and OutOfReach, which is one.
+    Raises:
+        InputError: For a start or home of the wrong length or outside the joint limits.
+        OutOfReach: For a target beyond the arm's maximum reach, an InputError, too.
     """
     x_start, x_home = _begins(robot, start, home)
     longer = _LONGER(robot, float(tool_extension_m)) if tool_extension_m else robot
@@ -133,11 +151,11 @@ def make_scenario(
 def interior_plane_of(
     robot: Robot, workpiece: Workpiece, T_world_workpiece: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "4"]:
-    """Return the unit normal n and offset [m]: capsule ends with n @ x > offset in the world must lie inside the
-    workpiece.
+    """Return the plane beyond which capsule ends must lie inside the workpiece: its unit normal n and offset [m].
 
-    If the robot itself stands beyond that plane, next to the workpiece, the plane separates nothing: the offset is
-    infinite and the rule off. The paper's rule, along the world's x, always applies.
+    Beyond is n @ x > offset, in the world. If the robot's own base is beyond that plane, next to the workpiece, the
+    plane separates nothing: the offset is infinite and the rule off. The paper's rule, along the world's x, always
+    applies.
     """
     plane = workpiece.interior_plane(T_world_workpiece)
     fixed = np.asarray(robot.capsule_link) < 0
@@ -149,21 +167,28 @@ def interior_plane_of(
 
 
 def interior_rule(workpiece: Workpiece, scenario: Scenario) -> str:
-    """Describe the rule that bodies deep in the workpiece must lie in its hull, or why it is off."""
+    """Describe the rule that bodies deep in the workpiece must lie in its hull, or the reason that it is off."""
     beside = np.isinf(scenario.interior_plane[3]) and len(workpiece.hull_offset)
     return "off: the robot stands beyond the inlet" if beside else workpiece.interior_rule
 
 
 def with_own_tool(robot: Robot, scenario: Scenario) -> tuple[Robot, Scenario]:
-    """Return the robot with one scenario's tool, and the scenario without its tool extension: together they are
-    equivalent to the originals."""
+    """Return the robot with one scenario's tool, and the scenario without its tool extension.
+
+    Together they are equivalent to the originals.
+    """
     own = replace(scenario, tool_extension_m=np.zeros_like(scenario.tool_extension_m))
     return _LONGER(robot, float(scenario.tool_extension_m)), own
 
 
 def stack(scenarios: Sequence[Scenario]) -> Scenario:
-    """Stack scenarios into one batch (numpy leaves with a leading axis S); shorter target lists are padded with their
-    last. Raises InputError for an empty list."""
+    """Stack scenarios into one batch: numpy leaves with a leading axis S.
+
+    Shorter target lists are padded with their last target.
+
+    Raises:
+        InputError: For an empty list.
+    """
     if not scenarios:
         raise InputError("no scenarios to plan")
     longest = max(len(s.targets) for s in scenarios)
@@ -179,7 +204,12 @@ def stack(scenarios: Sequence[Scenario]) -> Scenario:
 
 
 def off_their_lines(scenarios: Scenario, which: Bool[np.ndarray, "S T"]) -> Scenario:
-    """Return stacked scenarios whose approaches leave their lines: the chosen targets become the path's first point."""
+    """Return stacked scenarios whose approaches leave their lines: the chosen targets become the path's first point.
+
+    Args:
+        scenarios: Stacked scenarios.
+        which: True at the chosen targets.
+    """
     s, first = np.arange(len(which)), np.minimum(scenarios.on_path, which.shape[1] - 1)
     targets, goals = (
         None if table is None else np.where(which[..., None], table[s, first][:, None], table)
@@ -201,7 +231,11 @@ def _begins(robot: Robot, start: Sequence[float] | Anywhere | None, home: Sequen
 
 
 def _posture(robot: Robot, positions: Sequence[float] | Anywhere, what: str) -> Float[np.ndarray, "N"]:
-    """Return joint positions within the robot's limits. Raises InputError that calls them `what`."""
+    """Return joint positions within the robot's limits; messages call them `what`.
+
+    Raises:
+        InputError: For a wrong number of positions, and for one outside its limits.
+    """
     x, lower, upper = np.asarray(positions, float), np.asarray(robot.lower), np.asarray(robot.upper)
     if x.shape != lower.shape:
         raise InputError(f"{what} has {x.size} joint positions, the robot {robot.name} has {lower.size} joints")

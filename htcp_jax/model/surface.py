@@ -19,11 +19,11 @@ class Surface(NamedTuple):
     radius: Float[np.ndarray, "P"]  # of the discs
 
     def only(self, which: Bool[np.ndarray, "P"] | Int[np.ndarray, "n"]) -> "Surface":
-        """Return the points of a mask, or with these numbers."""
+        """Return the points selected by a mask or by indices."""
         return Surface(*(values[which] for values in self))
 
     def placed(self, T: Float[np.ndarray, "4 4"]) -> "Surface":
-        """Return the surface transformed by T."""
+        """Return the surface transformed by T [m]."""
         rotate, translate = T[:3, :3], T[:3, 3]
         return Surface(self.points @ rotate.T + translate, self.normals @ rotate.T, self.radius)
 
@@ -47,7 +47,7 @@ class Mesh(NamedTuple):
 
 
 def surface_of(cloud: Float[np.ndarray, "P 3"]) -> Surface:
-    """Return the surface of a cloud: all of its points, or MOST of them drawn at random, the same each time."""
+    """Return the surface of a cloud: all of its points, or a random choice of MOST, the same each time."""
     if len(cloud) > MOST:
         cloud = cloud[np.sort(np.random.default_rng(0).choice(len(cloud), MOST, replace=False))]
     count = min(NEIGHBOURS, len(cloud) - 1)
@@ -59,8 +59,16 @@ def surface_of(cloud: Float[np.ndarray, "P 3"]) -> Surface:
 def fitted_normals(
     points: Float[np.ndarray, "P 3"], near: Float[np.ndarray, "P K 3"], cloud: Float[np.ndarray, "C 3"]
 ) -> Float[np.ndarray, "P 3"]:
-    """Return the unit normals of the cloud's surface at points: perpendicular to the planes fitted to the points near
-    each, towards the side on which most of the surroundings lie, the inside."""
+    """Return the unit normals of the cloud's surface at points, towards the inside.
+
+    A normal is perpendicular to the plane fitted to the points near its point, towards the side on which most of the
+    surroundings lie.
+
+    Args:
+        points: Points at which to fit [m].
+        near: Neighbours of each point [m].
+        cloud: The complete cloud [m].
+    """
     spread = near - near.mean(axis=1, keepdims=True)
     _, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", spread, spread))
     return _inwards(points, axes[:, :, 0], cloud)
@@ -79,8 +87,13 @@ def _inwards(
 
 
 def discs(surface: Surface, side: int = 1, corners: int = CORNERS) -> Mesh:
-    """Return a polygon with `corners` corners for every point, visible from the side of its normal, or with `side` -1
-    from the other side."""
+    """Return a polygon for every point, visible from the side of its normal.
+
+    Args:
+        surface: The points, their normals and radii.
+        side: 1, or -1 for polygons visible from the other side.
+        corners: Number of corners of each polygon.
+    """
     normals = side * surface.normals
     first = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
     first *= (surface.radius / np.linalg.norm(first, axis=1))[:, None]

@@ -38,8 +38,8 @@ class TaskLinear(NamedTuple):
 
     error: Float[Array, "M"]  # the error that a step has to remove [m]
     jacobian: Float[Array, "M N"]  # [m/rad or m/m]; the paper's Jac(x)
-    room: Float[Array, "B"]  # less the small distance inside at which a step aims [m]
-    gradient: Float[Array, "B N"]
+    room: Float[Array, "B"]  # slack, less the small distance inside at which a step aims [m]
+    gradient: Float[Array, "B N"]  # of the slack [m/rad or m/m]
 
 
 @jax.tree_util.register_static
@@ -100,7 +100,11 @@ class Task:
         return tuple(feature for part in self.parts for feature in part.features)
 
     def freedom(self, robot: Robot) -> int:
-        """D = N - M, the dimension of the null space. Raises InputError for more rows than joints."""
+        """Return D = N - M, the dimension of the null space.
+
+        Raises:
+            InputError: For more rows than joints.
+        """
         joints = len(robot.slides)
         if self.rows > joints:
             raise InputError(f"the task has {self.rows} rows, the robot {robot.name} has {joints} joints")
@@ -115,7 +119,13 @@ class Task:
         return _joined([_held(feature, _moves(robot, x, feature)) for feature in self._features])
 
     def linear(self, value: Float[Array, "V"], slopes: Float[Array, "V N"], goal: Float[Array, "G"]) -> TaskLinear:
-        """Return the rows to first order, given the features' value [m] and Jacobian [m/rad]; equation (7)."""
+        """Return the rows to first order, equation (7).
+
+        Args:
+            value: The features' value: points [m], and directions without a unit.
+            slopes: The features' Jacobian [m/rad or m/m, of directions 1/rad].
+            goal: The goal, in the format of the rows, in metres and without a unit.
+        """
         if self.is_points:
             return TaskLinear(goal - value, slopes, jnp.zeros(0), jnp.zeros((0, slopes.shape[1])))
         error, room = self.error(value, goal), self._room(value, goal) - self._together("aim", value, goal)
@@ -127,7 +137,13 @@ class Task:
         )
 
     def linear_at(self, robot: Robot, x: Joints, goal: Float[Array, "G"]) -> TaskLinear:
-        """Return the rows to first order at x [rad or m]; goal: as the rows have it, in metres and without a unit."""
+        """Return the rows to first order at x [rad or m].
+
+        Args:
+            robot: The robot.
+            x: The configuration.
+            goal: The goal, in the format of the rows, in metres and without a unit.
+        """
         return self.linear(self.value(robot, x), self.jacobian(robot, x), goal)
 
     def error(self, value: Float[Array, "V"], goal: Float[Array, "G"]) -> Float[Array, "M"]:
@@ -139,7 +155,7 @@ class Task:
         return jnp.min(self._room(value, goal), initial=jnp.inf)
 
     def residual(self, value: Float[Array, "V"], goal: Float[Array, "G"]) -> Scalar:
-        """Return the error's norm [m], which a plan records; if a band or cone is broken, more than the tolerance."""
+        """Return the error's norm [m], which a plan records; if a band or cone is violated, more than the tolerance."""
         off = safe_norm(self.error(value, goal))
         if not self.bands:
             return off
@@ -152,8 +168,10 @@ class Task:
         return any(part.angular and part.equalities for part in self.parts)
 
     def errors(self, robot: Robot, x: Joints, goal: Float[Array, "G"]) -> tuple[Scalar, Scalar]:
-        """Return the distance of the constrained points from their goals [m] and the largest angle error [rad], which
-        the residual combines."""
+        """Return the distance of the constrained points from their goals [m] and the largest angle error [rad].
+
+        The residual combines them.
+        """
         value, v = self.value(robot, x), 0
         lengths, angles = [jnp.zeros(0)], [jnp.zeros(())]
         for start, part in zip(self.starts, self.parts, strict=True):
@@ -168,8 +186,16 @@ class Task:
         return self.residual(self.value(robot, x), goal)
 
     def least_turn(self, robot: Robot, rotation: Float[Array, "3 3"], goal: Float[Array, "G"]) -> Scalar:
-        """Return a lower bound on the turn of the last link from a rotation until every row holds [rad]. Only rows that
-        depend on nothing but its orientation count. Turned by an angle, none of its axes turns by more."""
+        """Return a lower bound on the last link's rotation until every row is satisfied [rad].
+
+        Only rows that depend on nothing but the last link's orientation are considered. When it turns by an angle, none
+        of its axes turns by more.
+
+        Args:
+            robot: The robot.
+            rotation: The orientation to turn from, in the world.
+            goal: The goal, in the format of the rows.
+        """
         found = [jnp.zeros(())]
         for start, part in zip(self.starts, self.parts, strict=True):
             if all(_turns_with_last(robot, feature) for feature in part.features):
@@ -189,11 +215,15 @@ class Task:
         return residual <= self.tolerance_m
 
     def counts(self, clearance: Numbers, residual: Numbers, margin_m: Numbers) -> Numbers:
-        """Return True where a configuration is accepted: D > 0 and D >= margin_m [m], and the target reached;
-        elementwise.
+        """Return True where a configuration is accepted; elementwise, numpy or JAX.
 
-        The only acceptance test, on the host and on the device. A margin of 0 requires D > 0, as the paper does:
-        touching is not clear.
+        The only acceptance test, on the host and on the device: D > 0, D >= margin_m, and the target reached. A margin
+        of 0 requires D > 0, as the paper does: touching is not clear.
+
+        Args:
+            clearance: D [m].
+            residual: The residual [m].
+            margin_m: Required clearance.
         """
         return (clearance > 0) & (clearance >= margin_m) & self.reached(residual)
 
@@ -201,7 +231,7 @@ class Task:
         return self._together("room", value, goal)
 
     def _together(self, what: str, value: Array, goal: Array) -> Array:
-        """Return one quantity of all parts, with angles as lengths."""
+        """Return the quantity `what` of all parts, with angles as lengths."""
         found, v, g = [], 0, 0
         for part in self.parts:
             size = sum(len(feature.rows) for feature in part.features)

@@ -1,4 +1,4 @@
-"""A task in a job file: a list of rows, each a point, an axis or an orientation that is constrained.
+"""The task of a job file: a list of rows, each a point, an axis or an orientation that is constrained.
 
     task:
       - {point: tcp, on: path}
@@ -26,12 +26,15 @@ NEEDED = {"path": (), "plane": ("through_m", "normal"), "line": ("through_m", "d
 
 @dataclass(frozen=True)
 class TaskRow:
-    """One row; `KINDS` lists which fields belong together. Raises InputError for others, for a place or a direction
-    that is none, and for an angle out of its range.
+    """One row; `KINDS` lists which fields belong together.
 
     A name is the TCP's, tcp, or that of a site or body of the model. frame: for places and directions given in numbers,
     the workpiece's or the world's; for a point on the path, the frame of its axes, which may also be the path's own,
     with x along the tangent and z along the normal.
+
+    Raises:
+        InputError: For fields that do not belong together, an invalid place or direction, and an angle out of its
+            range.
     """
 
     point: str | None = None  # a name
@@ -40,13 +43,13 @@ class TaskRow:
     through_m: Triple | None = None  # a point of the plane or the line
     normal: Triple | None = None  # of the plane, any length
     direction: Triple | None = None  # of the line, any length
-    axes: str = "xyz"  # in which a point on the path or at a place is held
+    axes: str = "xyz"  # in which a point on the path or at a place is constrained
     frame: str = "world"
     within_m: float | None = None  # tolerance to both sides in each direction; None: exactly
     axis: str | None = None  # a name and x, y or z of its frame, tcp.z; a minus reverses it
     towards: str | Triple | None = None  # one of DIRECTIONS, or in numbers, of any length
     looks_at_m: Triple | None = None  # a place, from the origin of the axis's frame
-    cone_deg: float | None = None  # half angle [degrees, pi rad are 180]; 0 or none: exactly
+    cone_deg: float | None = None  # half angle [degrees, pi rad are 180]; 0 or None: exactly
     within_deg: float | None = None  # the same, and of an orientation [degrees, pi rad are 180]
     orientation: str | tuple[float, float, float, float] | None = None  # path, or a quaternion without a unit, w first
     of: str = "tcp"  # a name: whose orientation

@@ -1,4 +1,4 @@
-"""The kinds of rows of a task: the features of the arm that each compares with its goal, and their errors.
+"""Kinds of rows of a task: the features of the arm that each compares with its goal, and their errors.
 
 Features are points and directions that are fixed to a link. From their values and the numbers of its goal at one
 target, a row computes the deviation (`error`, an equality) or the slack (`room`, an inequality, violated below 0).
@@ -19,7 +19,7 @@ from htcp_jax.types import Array, Float, Triple, Vector3
 
 XYZ = (0, 1, 2)
 AIM_RAD, AIM_M = 1e-3, 2e-4  # distance inside an inequality at which a step aims, as rows are linearised,
-AIM_SHARE = 0.25  # at most this share of it
+AIM_SHARE = 0.25  # but at most this share of the tolerance
 
 
 class Feature(NamedTuple):
@@ -28,13 +28,16 @@ class Feature(NamedTuple):
     link: int | None  # to which it is fixed; None: the TCP's frame
     vector: Triple  # in that frame: of a point [m], of a direction of length 1
     is_direction: bool = False
-    rows: tuple[int, ...] = XYZ  # the coordinates that count
+    rows: tuple[int, ...] = XYZ  # the coordinates in use
 
 
 @dataclass(frozen=True)
 class TaskPoint:
-    """A point of the arm and its constrained world coordinates; a goal is these coordinates [m]. Raises InputError for
-    no coordinates, or for others than 0, 1, 2."""
+    """A point of the arm and its constrained world coordinates; a goal is these coordinates [m].
+
+    Raises:
+        InputError: For no coordinates, for others than 0, 1, 2, and for an offset of the TCP.
+    """
 
     link: int | None = None  # to which it is fixed; None: the TCP
     offset_m: Triple = (0.0, 0.0, 0.0)  # in the frame of the link; the TCP has none
@@ -69,7 +72,7 @@ class TaskPoint:
         return goal - value
 
     def room(self, value: Float[Array, "m"], goal: Float[Array, "m"]) -> Float[Array, "0"]:
-        """Return no inequalities."""
+        """Return an empty array: there are no inequalities."""
         return jnp.zeros(0)
 
     aim = room
@@ -77,8 +80,10 @@ class TaskPoint:
 
 @dataclass(frozen=True)
 class PointAlong:
-    """A point of the arm that is constrained in `count` directions u: u p = offset, or within a band about that. A goal
-    is u and the offset [m] of each direction and, with a band, its half width [m]."""
+    """A point of the arm that is constrained in `count` directions u: u p = offset, or within a band about that.
+
+    A goal is u and the offset [m] of each direction and, with a band, its half width [m].
+    """
 
     link: int | None
     offset_m: Triple
@@ -112,14 +117,14 @@ class PointAlong:
         return jnp.zeros(0) if self.band else self._ahead(value, goal)
 
     def room(self, value: Vector3, goal: Float[Array, "g"]) -> Float[Array, "b"]:
-        """Return the distances to both sides of the band [m]."""
+        """Return the slack to both sides of the band [m]."""
         if not self.band:
             return jnp.zeros(0)
         ahead = self._ahead(value, goal)
         return jnp.concatenate([goal[-1] - ahead, goal[-1] + ahead])
 
     def aim(self, value: Vector3, goal: Float[Array, "g"]) -> Float[Array, "b"]:
-        """Return how far inside the band a step aims [m]."""
+        """Return the distance inside the band at which a step aims [m]."""
         return jnp.broadcast_to(jnp.minimum(AIM_M, AIM_SHARE * goal[-1]), (self.inequalities,))
 
     def _ahead(self, point: Vector3, goal: Float[Array, "g"]) -> Float[Array, "count"]:
@@ -129,8 +134,10 @@ class PointAlong:
 
 @dataclass(frozen=True)
 class AxisTowards:
-    """An axis of the arm turned in a direction, or towards a place as seen from `looks_from_m`: exactly, or within a
-    cone. A goal is the direction, or the place [m], and with a cone its half angle [rad]."""
+    """An axis of the arm turned in a direction, or from `looks_from_m` towards a place: exactly, or within a cone.
+
+    A goal is the direction, or the place [m], and with a cone its half angle [rad].
+    """
 
     link: int | None
     axis: Triple  # of length 1, in the frame of the link
@@ -161,8 +168,7 @@ class AxisTowards:
         return 3 + self.cone
 
     def error(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "m"]:
-        """Return the rotation vector from the axis to the direction, as components in two directions perpendicular to
-        the latter [rad]."""
+        """Return the rotation vector from axis to direction [rad], as two components perpendicular to the direction."""
         if self.cone:
             return jnp.zeros(0)
         return axis_error(value[:3], self._direction(value, goal))
@@ -174,7 +180,7 @@ class AxisTowards:
         return (goal[3] - angle(value[:3], self._direction(value, goal)))[None]
 
     def aim(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
-        """Return how far inside the cone a step aims [rad]."""
+        """Return the angle inside the cone at which a step aims [rad]."""
         return jnp.broadcast_to(jnp.minimum(AIM_RAD, AIM_SHARE * goal[-1]), (self.inequalities,))
 
     def _direction(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Vector3:
@@ -186,8 +192,10 @@ class AxisTowards:
 
 @dataclass(frozen=True)
 class Turned:
-    """A frame of the arm turned to a rotation: exactly, or within an angle. A goal is the rotation matrix, row by row,
-    and with a tolerance the angle [rad]."""
+    """A frame of the arm turned to a rotation: exactly, or within an angle.
+
+    A goal is the rotation matrix, row by row, and with a tolerance the angle [rad].
+    """
 
     link: int | None
     columns: tuple[Triple, Triple, Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # the frame's axes
@@ -220,11 +228,11 @@ class Turned:
         return jnp.zeros(0) if self.cone else self._to_go(value, goal)
 
     def room(self, value: Float[Array, "9"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
-        """Return the rest of the angle tolerance [rad]."""
+        """Return the angle tolerance less the angle to the wanted rotation [rad]."""
         return (goal[-1] - safe_norm(self._to_go(value, goal)))[None] if self.cone else jnp.zeros(0)
 
     def aim(self, value: Float[Array, "9"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
-        """Return how far inside the tolerance a step aims [rad]."""
+        """Return the angle inside the tolerance at which a step aims [rad]."""
         return jnp.broadcast_to(jnp.minimum(AIM_RAD, AIM_SHARE * goal[-1]), (self.inequalities,))
 
     def _to_go(self, value: Float[Array, "9"], goal: Float[Array, "g"]) -> Vector3:

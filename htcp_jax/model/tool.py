@@ -17,7 +17,8 @@ LARGEST = 1e6  # [m]; beyond, the tolerance is lost to rounding
 class ToolBody:
     """A capsule of the tool, or with p_m = q_m a sphere: ends of its axis in the flange's frame [m].
 
-    Raises InputError for a number that is not finite and a radius that is not positive.
+    Raises:
+        InputError: For a number that is not finite and a radius that is not positive.
     """
 
     name: str
@@ -36,9 +37,14 @@ class ToolBody:
 class Tool:
     """A tool on the flange, the frame that would be the TCP without it; all in that frame.
 
-    tip_m, tip_rpy_rad: the TCP; its z axis points out of the tool. bodies: collision bodies; a longer tool
-    (`robot.lengthen_tool`) moves them, and stretches the first. Without any, the capsules of the flange's own body are
-    the tool. Raises InputError for a number that is not finite and two bodies of one name.
+    Attributes:
+        tip_m: Position of the TCP.
+        tip_rpy_rad: Orientation of the TCP, whose z axis points out of the tool.
+        bodies: Collision bodies; a longer tool (`robot.lengthen_tool`) moves them, and lengthens the first. Without
+            any, the capsules of the flange's own body are the tool.
+
+    Raises:
+        InputError: For a number that is not finite and two bodies of one name.
     """
 
     tip_m: Triple = ZERO
@@ -55,14 +61,16 @@ class Tool:
 
 
 def pose(position_m: Triple, rpy_rad: Triple) -> Float[np.ndarray, "4 4"]:
-    """Return a frame at `position_m`, turned about the fixed axes x (roll), then y (pitch), then z (yaw), as in a
-    URDF."""
+    """Return a frame at `position_m`, rotated by roll, pitch and yaw.
+
+    They are about the fixed axes x, then y, then z, as in a URDF.
+    """
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy_rad), np.sin(rpy_rad)
     T = np.eye(4)
     T[:3, :3] = [
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
         [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [0.0 - sp, cp * sr, cp * cr],  # never -0.0: a frame that is not turned changes no bit of another
+        [0.0 - sp, cp * sr, cp * cr],  # never -0.0: a frame without rotation changes no bit of another
     ]
     T[:3, 3] = position_m
     return T

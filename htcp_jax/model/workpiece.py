@@ -24,7 +24,7 @@ from htcp_jax.types import Triple
 
 
 class InletDirection(enum.Enum):
-    """Directions into the part that are not given in numbers."""
+    """Directions into the part that are not given as a vector."""
 
     WORLD_X = enum.auto()  # the world's x, for any rotation of the part, as in the paper
     HULL_FACET = enum.auto()  # inward normal of the hull's facet nearest to the inlet; without an inlet no interior
@@ -34,24 +34,30 @@ class InletDirection(enum.Enum):
 class Workpiece:
     """A cloud and a tool path, both [m] in the workpiece frame. Immutable: arrays are read-only copies.
 
-    inlet: centre of the inlet, via-point of the approach; None means none.
-    pivot, neutral_translation: see `T_world`.
-    interior_depth_m: distance behind its nearest point at which the interior begins, see `interior_plane`.
-    interior: "hull" computes the half-spaces below; "none" leaves them empty (F = 0), for flat clouds.
-    hull_tolerance_m: 0 for the exact hull; above, fewer facets that extend beyond it by about that much at
-        most and still enclose the cloud.
-    inlet_direction: into the part, made unit; once constructed an array, or None for the world's x.
-    triangles: of the mesh that the cloud was sampled on [m]; none for a cloud.
-    covering_radius_m: largest distance from the mesh to its nearest point of the cloud; 0 for a cloud.
-    tip_contact_m: length at the TCP of the bare tip (last body to TCP) that may touch walls; None: all of it.
-    frames: the path's normals, tangents and orientations, as far as given.
-
-    Computed once: the cloud's convex hull is where hull_normal @ x <= hull_offset (unit outward normals);
-    hull_vertices are the vertices of the exact hull (the whole cloud with interior "none").
-
     Without points there is no cloud, only a path.
 
-    Raises InputError for wrong shapes and counts, NaN, 1 to 3 points, no path, and a flat cloud with "hull".
+    Attributes:
+        name: Name of the part.
+        cloud: Points on the walls.
+        path: Points of the tool path.
+        inlet: Centre of the inlet, via point of the approach; None: no inlet.
+        pivot: Fixed point of the rotation, see `T_world`.
+        neutral_translation: Translation without a rotation, see `T_world`.
+        interior_depth_m: Distance behind its nearest point at which the interior begins, see `interior_plane`.
+        interior: "hull" computes the half-spaces below; "none" leaves them empty (F = 0), for flat clouds.
+        hull_tolerance_m: 0 for the exact hull; above, fewer facets that extend beyond it by about that much at most and
+            still enclose the cloud.
+        inlet_direction: Into the part, made unit; once constructed an array, or None for the world's x.
+        triangles: The mesh that the cloud was sampled on [m]; none for a cloud.
+        covering_radius_m: Largest distance from the mesh to its nearest point of the cloud; 0 for a cloud.
+        tip_contact_m: Length at the TCP of the bare tip (last body to TCP) that may touch walls; None: all of it.
+        frames: The path's normals, tangents and orientations, as far as given.
+        hull_normal: Unit outward normals of the cloud's convex hull, which is where hull_normal @ x <= hull_offset.
+        hull_offset: Offsets of its half-spaces.
+        hull_vertices: Vertices of the exact hull, with interior "none" the complete cloud.
+
+    Raises:
+        InputError: For wrong shapes and counts, NaN, 1 to 3 points, no path, and a flat cloud with "hull".
     """
 
     name: str
@@ -83,7 +89,7 @@ class Workpiece:
             if directions is not None and len(directions) != len(path):
                 raise InputError(f"{name} of the path: {len(directions)} for its {len(path)} points")
         triangles = np.array(self.triangles, dtype=np.float64)
-        corners = triangles.reshape(-1, 3) if len(triangles) else cloud  # what is sampled between adds no vertex
+        corners = triangles.reshape(-1, 3) if len(triangles) else cloud  # sampled points between corners add no vertex
         lost = inlet is None and self.inlet_direction is InletDirection.HULL_FACET
         hull = _hull(corners, "none" if lost else self.interior, self.hull_tolerance_m, self.name)
         arrays = {
@@ -96,19 +102,23 @@ class Workpiece:
         for name, array in arrays.items():
             if array is not None:
                 array.setflags(write=False)
-            object.__setattr__(self, name, array)  # the one way into a frozen dataclass, taken only here
+            object.__setattr__(self, name, array)  # a frozen dataclass; written here only
 
     def T_world(
         self, wy: float, wz: float, shift: Triple = (0.0, 0.0, 0.0), wx: float = 0.0
     ) -> Float[np.ndarray, "4 4"]:
         """Return T_world_workpiece: x_world = pivot + Rz(wz) Ry(wy) Rx(wx) (x + neutral_translation - pivot) + shift.
 
-        wx, wy, wz [rad] about world x, then world y, then world z; shift [m] in the world.
+        Args:
+            wy: Rotation about world y [rad], after that about x.
+            wz: Rotation about world z [rad], the last one.
+            shift: Translation in the world [m].
+            wx: Rotation about world x [rad], the first one.
         """
         cy, sy, cz, sz = np.cos(wy), np.sin(wy), np.cos(wz), np.sin(wz)
         T = np.eye(4)
         T[:3, :3] = [[cz * cy, -sz, cz * sy], [sz * cy, cz, sz * sy], [-sy, 0.0, cy]]
-        if wx:  # else not a bit of the others changes
+        if wx:  # without it the result is the same bit for bit
             cx, sx = np.cos(wx), np.sin(wx)
             T[:3, :3] = T[:3, :3] @ [[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]]
         T[:3, 3] = self.pivot + T[:3, :3] @ (self.neutral_translation - self.pivot) + shift
@@ -116,7 +126,11 @@ class Workpiece:
 
     @cached_property
     def normals(self) -> Float[np.ndarray, "T 3"]:
-        """The path's unit normals, from the wall into the free space: as given, else fitted to the cloud."""
+        """The path's unit normals, from the wall into the free space: as given, else fitted to the cloud.
+
+        Raises:
+            InputError: If they are not given, and there is no cloud.
+        """
         if self.frames.normals is not None:
             return self.frames.normals
         if not len(self.cloud):
@@ -135,7 +149,7 @@ class Workpiece:
 
     @cached_property
     def largest_gap_m(self) -> float:
-        """The largest distance from a point of the cloud to its neighbour: holes are at least as wide."""
+        """The largest distance from a point of the cloud to its nearest neighbour: holes are at least as wide."""
         return float(cKDTree(self.cloud).query(self.cloud, k=2)[0][:, 1].max())
 
     @property
@@ -169,8 +183,11 @@ class Workpiece:
         return html_facts(self.name, facts)
 
     def interior_plane(self, T_world_workpiece: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4"]:
-        """Return the unit normal n and offset: a point of the robot with n @ x > offset [m] in the world must lie in
-        the hull. n is the inlet's direction; the plane lies interior_depth_m behind the part's first point along n."""
+        """Return the plane beyond which points of the robot must lie in the hull: its unit normal n and offset [m].
+
+        Beyond is n @ x > offset, in the world. n is the inlet's direction; the plane lies interior_depth_m behind the
+        part's first point along n.
+        """
         rotate, translate = T_world_workpiece[:3, :3], T_world_workpiece[:3, 3]
         n = np.array([1.0, 0.0, 0.0]) if self.inlet_direction is None else rotate @ self.inlet_direction
         along = self.hull_vertices @ (rotate.T @ n) + translate @ n
