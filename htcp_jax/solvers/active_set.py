@@ -1,7 +1,7 @@
 """The step QP solved on the device: a dual active-set method in the null space of the task, exact to rounding.
 
-The equalities leave N - 3 unknowns. In coordinates u in which the cost is 1/2 |u - u0|^2, the solution is the point of
-a polyhedron closest to u0, with at most N - 3 active rows. Goldfarb and Idnani (1983) start at u0 and add the most
+The equalities leave N - M unknowns. In coordinates u in which the cost is 1/2 |u - u0|^2, the solution is the point of
+a polyhedron closest to u0, with at most N - M active rows. Goldfarb and Idnani (1983) start at u0 and add the most
 violated row, one after the other; an active row leaves when its multiplier would become negative. The cost rises in
 every step, so the method ends; and when a violated row is a combination of the active ones with multipliers of the
 wrong sign only, these multipliers are Farkas' certificate that no point satisfies all rows.
@@ -34,9 +34,16 @@ class _Active(NamedTuple):
 
 
 def solve_step(qp: StepQP, tolerance: float = 1e-8) -> QPSolution:
-    """Solve one step QP, equation (9); a row counts as violated beyond `tolerance`, in its own unit.
+    """Solve one step QP, equation (9).
 
-    Infinite limits add no rows. FAILED if numbers are not finite or the method does not end.
+    Infinite limits add no rows.
+
+    Args:
+        qp: The QP.
+        tolerance: Largest violation of a row that counts as satisfied, in the row's own unit.
+
+    Returns:
+        The step and its status; FAILED if numbers are not finite or the method does not end.
     """
     n = qp.q.shape[0]
     if qp.A.shape[0] == n:
@@ -86,7 +93,7 @@ def _closest_point(normal, offset, tolerance, u0) -> _Active:
         new = normal[entering]
         across, along = _split(normal, state.row, new)
 
-        # How far until an active multiplier is used up, and until the entering row is met.
+        # Step lengths at which an active multiplier becomes 0, and at which the entering row is met.
         uses = (state.row >= 0) & (along > 1e-14)
         left = jnp.where(uses, state.multiplier / jnp.where(uses, along, 1.0), jnp.inf)
         leaving = jnp.argmin(left)
@@ -100,7 +107,7 @@ def _closest_point(normal, offset, tolerance, u0) -> _Active:
 
         multiplier = jnp.maximum(state.multiplier - length * along, 0.0)
         entering_multiplier = state.entering_multiplier + length
-        place = jnp.where(met, jnp.argmin(state.row), leaving)  # a free place has -1, the smallest
+        place = jnp.where(met, jnp.argmin(state.row), leaving)  # a free slot has -1, the smallest
         here = jnp.arange(dimension) == place
         after = _Active(
             state.u - jnp.where(free, length, 0.0) * across,
@@ -123,8 +130,10 @@ def _closest_point(normal, offset, tolerance, u0) -> _Active:
 
 
 def _split(normal, rows, new):
-    """Return a unit vector as across + sum along_k normal[rows_k]: its part orthogonal to the active rows, and its
-    coordinates in them. By Gram-Schmidt, twice, and back substitution."""
+    """Return a unit vector as across + sum along_k normal[rows_k], by Gram-Schmidt, twice, and back substitution.
+
+    `across` is its part orthogonal to the active rows, `along` its coordinates in them.
+    """
     dimension = new.shape[0]
     unit, factor = [], [[jnp.zeros(())] * dimension for _ in range(dimension)]
     for k in range(dimension):

@@ -1,8 +1,8 @@
 """Clarabel, an interior point solver with infeasibility certificates, with one fixed sparsity pattern.
 
 Building a solver costs more than solving, and so does building sparse matrices: one solver is built from a fixed first
-problem, later ones only write their numbers into it. Presolve and equilibration stay off, so a solver remembers nothing
-of the QPs before, and an answer is the same to the last bit in any order, in any batch, on any thread.
+problem, later ones only write their numbers into it. Presolve and equilibration stay off, so a solver keeps nothing of
+earlier QPs, and a solution is the same to the last bit in any order, in any batch, on any thread.
 """
 
 import clarabel
@@ -20,10 +20,15 @@ _VERDICT = {
 
 
 class ClarabelSolver:
-    """Solver of step QPs, equation (9), with `rows` clearance rows, `task_rows` of the task and the cost diag(P), one
-    after the other, on the caller's thread.
+    """Solver of step QPs, equation (9), one after the other, on the caller's thread.
 
     The interpreter's lock is released while a QP is solved: give every thread its own solver.
+
+    Args:
+        P: Diagonal of the cost.
+        rows: Number of inequality rows, without the bounds.
+        tolerance: Clarabel's, of residuals and gap.
+        task_rows: Number of equations.
     """
 
     def __init__(self, P: np.ndarray, rows: int, tolerance: float = 1e-8, task_rows: int = 3):
@@ -47,8 +52,8 @@ class ClarabelSolver:
         return clarabel.DefaultSolver(cost, np.zeros(n), pattern, bound, cones, self._settings)
 
     def solve(self, qps: StepQP) -> QPSolution:
-        """Return the steps (B, N) and verdicts (B,) of a batch."""
-        # What is infinitely far away, and a joint without a limit: the row 0 y <= 1. Clarabel takes no infinite bounds.
+        """Return the steps (B, N) and the status (B,) of every QP of a batch."""
+        # Obstacles infinitely far away and joints without a limit: the row 0 y <= 1. Clarabel takes no infinite bounds.
         far = np.isposinf(qps.h) & np.isfinite(qps.G).all(axis=2)
         G, h = np.where(far[:, :, None], 0.0, qps.G), np.where(far, 1.0, qps.h)
         columns = np.concatenate([qps.A, G], axis=1).transpose(0, 2, 1)
@@ -59,7 +64,7 @@ class ClarabelSolver:
         limits = np.where(free, 1.0, limits).transpose(0, 2, 1).reshape(batch, -1)
         values = np.concatenate([columns, signs], axis=2).reshape(batch, -1)
         bounds = np.concatenate([qps.b, h, limits], axis=1)
-        # As lists: Clarabel takes numbers one by one, and those of an array it has made into objects first.
+        # As lists: Clarabel reads numbers one by one, and each of an array's would be converted to an object first.
         rows = zip(qps.q.tolist(), values.tolist(), bounds.tolist(), strict=True)
         found = [self._solve_one(*row) for row in rows]
         y = np.array([step or [0.0] * n for step, _ in found]).reshape(batch, n)

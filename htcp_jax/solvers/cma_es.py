@@ -67,7 +67,13 @@ def start(mean: Float[Array, "n"], sigma: float) -> Distribution:
 
 
 def ask(distribution: Distribution, key: jax.Array, population: int) -> Float[Array, "population n"]:
-    """Draw a population from the distribution."""
+    """Draw a population from the distribution.
+
+    Args:
+        distribution: The search distribution.
+        key: Random key.
+        population: Number of samples.
+    """
     n = distribution.mean.shape[0]
     axes, _ = _square_roots(distribution.C)
     normal = jax.random.normal(key, (population, n), distribution.mean.dtype)
@@ -77,7 +83,14 @@ def ask(distribution: Distribution, key: jax.Array, population: int) -> Float[Ar
 def tell(
     distribution: Distribution, samples: Float[Array, "population n"], cost: Float[Array, "population"], r: Rates
 ) -> Distribution:
-    """Update the distribution from samples ranked by cost, lowest first; equations (41) to (47)."""
+    """Update the distribution from samples ranked by cost, lowest first; equations (41) to (47).
+
+    Args:
+        distribution: The distribution that the samples were drawn from.
+        samples: The population.
+        cost: Cost of each sample.
+        r: Parameters of the strategy.
+    """
     n = distribution.mean.shape[0]
     best = samples[jnp.argsort(cost)[: len(r.weights)]]
     steps = (best - distribution.mean[None, :]) / distribution.sigma
@@ -107,7 +120,7 @@ def _square_roots(C):
     return B * D[None, :], (B / D[None, :]) @ B.T
 
 
-# On a GPU a product proper is a call into a library, apart from what is around it; on a CPU the two round otherwise.
+# On a GPU a matrix product is a library call, apart from the code around it; on a CPU the two forms round differently.
 
 
 def _times(a, b):

@@ -45,7 +45,19 @@ def solve_dense(
     tolerance: float = 1e-11,
     iterations: int = 30,
 ) -> DenseSolution:
-    """Solve one QP, H positive semidefinite and G of full column rank. Mehrotra (1992); Wright (1997), ch. 14."""
+    """Solve one QP, H positive semidefinite and G of full column rank. Mehrotra (1992); Wright (1997), ch. 14.
+
+    Args:
+        H: Matrix of the cost.
+        c: Vector of the cost.
+        G: Inequality rows.
+        h: Their bounds.
+        tolerance: Error at which to stop.
+        iterations: Most iterations.
+
+    Returns:
+        The iterate with the smallest error.
+    """
     if has_gpu():
         return DenseSolution(*interior_point_gpu.solve(H, c, G, h, tolerance, iterations))
     m = len(h)
@@ -88,5 +100,5 @@ def solve_dense(
     y = jnp.zeros_like(c)
     nothing = DenseSolution(y, jnp.zeros(m), jnp.full((), jnp.inf))
     start = _Iterate(y, jnp.maximum(h, 0.1), jnp.full(m, 0.1), nothing, jnp.zeros((), jnp.int32))
-    # Beyond what rounding allows the error grows again (or turns NaN, which compares false): the best one counts.
+    # Beyond what rounding allows the error grows again (or turns NaN, which compares false): return the best one.
     return jax.lax.while_loop(lambda s: (s.best.error > tolerance) & (s.count < iterations), body, start).best

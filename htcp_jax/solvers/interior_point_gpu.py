@@ -1,4 +1,4 @@
-"""`interior_point.solve_dense` as one GPU kernel: each program solves a QP from start to end, its rows in parallel.
+"""`interior_point.solve_dense` as one GPU kernel: each instance solves a QP from start to end, its rows in parallel.
 
 As XLA code every iteration would be some twenty launches, after each of which the host checks for convergence; QPs that
 are solved one after the other in loops would mostly wait for that. Same formulas in the same order: only sums over rows
@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from htcp_jax.gpu_kernel import kernel
 from htcp_jax.numerics import solve_spd_scalars
 
-ROWS_OF_A_WARP = 64  # two rows a thread: fewer threads wait for each other less, and divide more
+ROWS_OF_A_WARP = 64  # two rows per thread: with fewer threads, less synchronisation, but more divisions by each
 
 
 def solve(H, c, G, h, tolerance: float, iterations: int, interpret: bool = False):

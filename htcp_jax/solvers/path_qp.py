@@ -60,8 +60,10 @@ def solve_path_qp(qp: PathQP) -> Float[np.ndarray, "P N"]:
 
 
 def _constraints(qp: PathQP) -> tuple[sparse.csc_matrix, np.ndarray, int]:
-    """Return rows, bounds, and the number of equations among the rows. Clearance rows that no step can violate are
-    excluded."""
+    """Return rows, bounds, and the number of equations among the rows.
+
+    Clearance rows that no step can violate are excluded.
+    """
     count, joints = qp.lower.shape
     most = np.maximum(-qp.lower, qp.upper)
     between = 0.5 * (most + np.concatenate([np.zeros((1, joints)), most[:-1]]))

@@ -1,4 +1,4 @@
-"""Any solver in qpsolvers, one QP at a time: a reference for the tests, and a way to try another solver."""
+"""Any solver in qpsolvers, one QP at a time: a reference for the tests, and a means to try another solver."""
 
 import numpy as np
 import qpsolvers
@@ -8,10 +8,16 @@ from htcp_jax.solvers.step_qp import QPSolution, QPStatus, StepQP
 
 
 class QPSolversSolver:
-    """Solver of step QPs by `qpsolvers.solve_problem`. Raises InputError for a solver that is not installed.
+    """Solver of step QPs by `qpsolvers.solve_problem`.
 
     qpsolvers does not distinguish an infeasible problem from a failure to converge: both count as INFEASIBLE unless the
     solver raised or returned NaN.
+
+    Args:
+        name: The solver's name in qpsolvers.
+
+    Raises:
+        InputError: For a solver that is not installed.
     """
 
     def __init__(self, name: str):
@@ -20,7 +26,7 @@ class QPSolversSolver:
         self._name = name
 
     def solve(self, qps: StepQP) -> QPSolution:
-        """Return the steps (B, N) and verdicts (B,) of a batch."""
+        """Return the steps (B, N) and the status (B,) of every QP of a batch."""
         y = np.zeros(qps.q.shape)
         status = np.full(len(y), QPStatus.FAILED, np.int32)
         for k in range(len(y)):
@@ -28,9 +34,9 @@ class QPSolversSolver:
             limits = np.stack([one.lb, one.ub])
             rest = one.P, one.q, one.A, one.b, one.G, one.h
             if not all(np.isfinite(field).all() for field in rest) or np.isnan(limits).any():
-                continue  # some solvers answer such a problem with numbers
+                continue  # some solvers return numbers for such a problem
             cost = np.diag(one.P)
-            # clarabel, scs, highs and others want sparse matrices, quadprog wants dense ones; qpsolvers converts
+            # clarabel, scs, highs and others need sparse matrices, quadprog needs dense ones; qpsolvers converts
             problem = qpsolvers.Problem(cost, one.q, one.G, one.h, one.A, one.b, one.lb, one.ub)
             try:
                 solution = qpsolvers.solve_problem(problem, solver=self._name)

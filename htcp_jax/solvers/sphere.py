@@ -2,10 +2,10 @@
 
     maximise  min_k f_k(w)   over |w| = 1,  G w <= h,     f_k(w) = D_k(x_ref + alpha N w) - J1
 
-f_k belongs to body k, so the objective is a minimum of functions, each itself a minimum over points: kinked where it
-matters most. `observe` measures it exactly and is expensive; every observation returns K contacts, one per body.
-`predict` measures the distance to the contacts seen so far at another w: cheap, never below f_k, and equal to it where
-the right ones have been seen. The minimisers depend on nothing else of robots or clouds.
+f_k belongs to body k, so the objective is a minimum of functions, each itself a minimum over points: it has kinks, and
+its maximum is usually at one. `observe` measures it exactly and is expensive; every observation returns K contacts, one
+per body. `predict` measures the distance to the contacts seen so far at another w: cheap, never below f_k, and equal to
+it where the contacts at w have been seen. The minimisers depend on nothing else of robots or clouds.
 """
 
 from collections.abc import Callable
@@ -23,12 +23,15 @@ from htcp_jax.solvers.interior_point import solve_dense
 from htcp_jax.types import Array, Bool, Float, Int, Scalar
 
 Direction = Float[Array, "D"]
-Held = PyTree[Array]  # contacts: leaves have a leading axis R, of all rows, or a multiple of it
+Held = PyTree[Array]  # contacts: leaves have a leading axis of all rows, R, or of a multiple of R
 
 
 class Sphere(NamedTuple):
-    """The problem above. J1(w) = 1/2 w' curvature w is already subtracted in the f_k [m] that observe, measure and
-    predict return, which are differentiable in w; w and with it G and h have no unit."""
+    """The problem in the module's docstring.
+
+    J1(w) = 1/2 w' curvature w is already subtracted in the f_k [m] that observe, measure and predict return, which are
+    differentiable in w; w and with it G and h have no unit.
+    """
 
     observe: Callable[[Direction], tuple[Float[Array, "K"], Held]]
     measure: Callable[[Direction], Scalar]  # min_k f_k(w) alone: cheaper than observe
@@ -66,8 +69,17 @@ def _merit(sphere: Sphere, w: Direction, value: Scalar) -> Scalar:
 
 
 def first_direction(sphere: Sphere, seen: Held, key: jax.Array | None = None, count: int = 64) -> Direction:
-    """Return a minimiser's start: the best of `count` spread directions by the given contacts, without an observation,
-    or with a key a random one, uniform on the sphere."""
+    """Return the initial direction of a minimiser.
+
+    It is the best of `count` spread directions by the given contacts, without an observation, or with a key a random
+    one, uniform on the sphere.
+
+    Args:
+        sphere: The problem.
+        seen: Contacts for the prediction.
+        key: Random key; None: the best of the spread directions.
+        count: Number of spread directions.
+    """
     if key is not None:
         return _unit(jax.random.normal(key, sphere.curvature.shape[:1]))
     directions = jnp.asarray(spread_directions(count, sphere.curvature.shape[0]))
@@ -76,7 +88,7 @@ def first_direction(sphere: Sphere, seen: Held, key: jax.Array | None = None, co
 
 
 def _better_of_two(sphere: Sphere) -> Best:
-    """Return the better of the two directions of a one-dimensional sphere (an arm with four joints)."""
+    """Return the better of the two directions of a sphere with D = 1."""
     directions = jnp.array([[1.0], [-1.0]])
     merit = jnp.stack([_merit(sphere, w, sphere.measure(w)) for w in directions])
     return Best(directions[jnp.argmax(merit)], jnp.max(merit))
@@ -89,7 +101,14 @@ def sqp(
 
     An outer approximation: climb on the prediction by the contacts seen, observe the result, and repeat from the best
     direction observed. The prediction is never below the truth, so the search ends at a local maximum once nothing near
-    is predicted to be better. Usually three observations are needed; the contacts of the last `memory` are kept.
+    is predicted to be better. Usually three observations are needed.
+
+    Args:
+        sphere: The problem.
+        seen: Contacts of the current configuration.
+        observations: Most observations.
+        memory: Number of observations whose contacts are kept.
+        start_key: Random key for the initial direction; None: see `first_direction`.
     """
     if sphere.curvature.shape[0] == 1:
         return _better_of_two(sphere)
@@ -161,11 +180,10 @@ def _climb(sphere: Sphere, w: Direction, seen: Held, steps: int = 12) -> _Climb:
 
 
 def _tangent_step(sphere: Sphere, climb: _Climb) -> tuple[Direction, Float[Array, "R"], Scalar]:
-    """Solve the tangent QP at w: return a step in R^D, no longer than the radius along any axis, the contacts'
-    multipliers, and the predicted gain.
+    """Solve the tangent QP at w: return a step in R^D, the contacts' multipliers, and the predicted gain.
 
-    Along the arc w -> unit(w + T d), a function with gradient g gains g'T d - 1/2 (g'w) |d|^2 to second order; the QP
-    contains this curvature and that of J1.
+    No component of the step in the tangent plane exceeds the radius. Along the arc w -> unit(w + T d), a function with
+    gradient g gains g'T d - 1/2 (g'w) |d|^2 to second order; the QP contains this curvature and that of J1.
     """
     w, value, gradient, multipliers, radius = climb.w, climb.value, climb.gradient, climb.multipliers, climb.radius
     dimension = w.shape[0]
@@ -173,7 +191,7 @@ def _tangent_step(sphere: Sphere, climb: _Climb) -> tuple[Direction, Float[Array
     hessian = jnp.sum(multipliers * product(gradient, w)) * jnp.eye(dimension - 1) + product(
         tangent.T, product(sphere.curvature, tangent)
     )
-    # Where the objective bends upwards the QP is held convex (Gershgorin); its rows and the box bound the step.
+    # Where the objective bends upwards the QP is made convex (Gershgorin); its rows and the box bound the step.
     disc = jnp.diag(hessian) - (jnp.sum(jnp.abs(hessian), axis=1) - jnp.abs(jnp.diag(hessian)))
     regularisation = jnp.maximum(1e-3 - jnp.min(disc), 0.0)
     H = jnp.pad(hessian + regularisation * jnp.eye(dimension - 1), (0, 1))
@@ -188,10 +206,15 @@ def _tangent_step(sphere: Sphere, climb: _Climb) -> tuple[Direction, Float[Array
 
 
 def max_min_step(sphere: Sphere, seen: Held, longest: Scalar) -> Direction:
-    """Return the step w, |w| <= longest, that raises the smallest contact seen from w = 0 the most: one QP, no
-    observation.
+    """Return the step w, |w| <= longest, that raises the smallest contact seen from w = 0 the most.
 
-    The epigraph at first order with slight damping, so that a flat optimum gives the shortest step.
+    One QP, no observation: the epigraph at first order, with slight damping, so that a flat optimum gives the shortest
+    step.
+
+    Args:
+        sphere: The problem.
+        seen: Contacts for the prediction.
+        longest: Largest length of the step.
     """
     dimension = sphere.curvature.shape[0]
     value, gradient = sphere.predict_with_gradient(jnp.zeros(dimension), seen)
@@ -211,6 +234,12 @@ def interior_point(sphere: Sphere, seen: Held, iterations: int = 24, start_key: 
     t is eliminated (its optimum solves sum mu / (f_k - t) = 1), which leaves a smooth minimum over the bodies, repelled
     by the joint limits. Newton steps in the tangent plane with the barrier's own curvature; a step that does not raise
     the barrier is rejected and the next is shorter; two steps for every mu.
+
+    Args:
+        sphere: The problem.
+        seen: Contacts of the current configuration.
+        iterations: Newton steps, one observation each.
+        start_key: Random key for the initial direction; None: see `first_direction`.
     """
     dimension = sphere.curvature.shape[0]
     if dimension == 1:
@@ -261,8 +290,10 @@ def interior_point(sphere: Sphere, seen: Held, iterations: int = 24, start_key: 
 
 
 def _epigraph(values, mu):
-    """Return t below all values with sum mu / (values - t) = 1: between min - K mu and min - mu; Newton on the convex
-    side."""
+    """Return t below all values with sum mu / (values - t) = 1, by Newton on the convex side.
+
+    It lies between min - K mu and min - mu.
+    """
     low = jnp.min(values) - values.shape[0] * mu
 
     def newton(_, t):
@@ -272,7 +303,7 @@ def _epigraph(values, mu):
         slope = jnp.sum(mu / gap**2)
         return t + (1 - total) * total / slope
 
-    # On a GPU every turn of a loop is a launch or more, and the host waits for each.
+    # On a GPU every iteration of a loop is a launch or more, and the host waits for each.
     return jax.lax.fori_loop(0, 8, newton, low, unroll=None if jax.default_backend() == "cpu" else 8)
 
 
@@ -280,7 +311,14 @@ def adam(
     sphere: Sphere, seen: Held, iterations: int = 40, rate: float = 0.15, start_key: jax.Array | None = None
 ) -> Best:
     """Adam (optax) on the gradient of J2 by autodiff, projected onto the sphere after every step.
-    rate: of the first step, no unit; it falls to 0 by a cosine."""
+
+    Args:
+        sphere: The problem.
+        seen: Contacts of the current configuration, for the initial direction.
+        iterations: Number of steps.
+        rate: Learning rate of the first step, no unit; it falls to 0 by a cosine.
+        start_key: Random key for the initial direction; None: see `first_direction`.
+    """
     schedule = optax.cosine_decay_schedule(rate, iterations)
     optimiser = optax.adam(schedule)
 
@@ -316,8 +354,14 @@ def cmaes(
 ) -> Best:
     """CMA-ES over directions: samples are normalised before they are measured; the best measured direction is kept.
 
-    population and generations are the paper's; sigma (no unit), which the paper leaves open, covers a hemisphere at
-    0.5.
+    Args:
+        sphere: The problem.
+        seen: Contacts of the current configuration, for the initial direction.
+        key: Random key of the samples.
+        population: Samples per generation; the default is the paper's.
+        generations: Number of generations; the default is the paper's.
+        sigma: Initial standard deviation (no unit), which the paper leaves open; 0.5 covers a hemisphere.
+        start_key: Random key for the initial direction; None: see `first_direction`.
     """
     strategy = cma_es.rates(population, sphere.curvature.shape[0])
 

@@ -1,4 +1,4 @@
-"""Square roots of a small symmetric matrix as one GPU kernel, for `cma_es`: one program per matrix.
+"""Square roots of a small symmetric matrix as one GPU kernel, for `cma_es`: one instance per matrix.
 
 On a GPU an eigendecomposition is a library call, which separates launches that could be issued together. Jacobi's
 cyclic method (Golub and Van Loan, Matrix Computations, section 8.5) needs only rotations of two rows, written out.
@@ -13,8 +13,10 @@ SWEEPS = 8  # quadratic convergence: 3 x 3 matrices need four, 7 x 7 six
 
 
 def square_roots(C, interpret: bool = False):
-    """Return B D with B D^2 B' = C, and C^(-1/2); eigenvalues in ascending order, each axis positive in its largest
-    component."""
+    """Return B D with B D^2 B' = C, and C^(-1/2).
+
+    Eigenvalues are in ascending order; each axis is positive in its largest component.
+    """
     shape = jax.ShapeDtypeStruct(C.shape, C.dtype)
     return kernel(_square_roots, (shape, shape), 1, interpret)(C)
 
@@ -47,10 +49,9 @@ def _eigen(C):
 
 
 def _rotate(A, B, p, q):
-    """Return A after the rotation that makes A[p][q] zero, and B, whose rows become the eigenvectors, rotated with
-    it."""
+    """Return A after the rotation that makes A[p][q] zero, and B, rotated with it; B's rows become the eigenvectors."""
     off = A[p][q]
-    # The smaller of two rotations, by its tangent; none where there is nothing to do.
+    # The smaller of two rotations, by its tangent; none where A[p][q] is 0 already.
     ratio = (A[q][q] - A[p][p]) / (2 * jnp.where(off == 0, 1.0, off))
     tangent = 1 / (jnp.abs(ratio) + jnp.sqrt(1 + ratio * ratio))
     tangent = jnp.where(off == 0, 0.0, jnp.where(ratio < 0, -tangent, tangent))
@@ -68,8 +69,7 @@ def _rotate(A, B, p, q):
 
 
 def _ordered(square, B):
-    """Return the eigenvalues from low to high and their vectors, by exchanges of neighbours; signs by the largest
-    component."""
+    """Return the eigenvalues in ascending order and their vectors, by exchanges of neighbours; see `_positive`."""
     n = len(square)
     pairs = [(square[i], *_positive(B[i])) for i in range(n)]
     for last in reversed(range(n)):

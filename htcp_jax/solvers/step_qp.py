@@ -5,7 +5,7 @@
                 G y <= h         the clearance rows (8), then the task's bands and cones
                 lb <= y <= ub
 
-A solver takes a batch of them on the host and returns steps and verdicts. INFEASIBLE is a normal result: the arm is
+A solver takes a batch of them on the host and returns steps and statuses. INFEASIBLE is a normal result: the arm is
 stuck. FAILED is a failure of the solver itself (no convergence, NaN), and never counts as infeasible.
 """
 
@@ -19,7 +19,7 @@ from htcp_jax.types import Array, Float, Int, Joints, Scalar
 
 
 class QPStatus(enum.IntEnum):
-    """Verdict on one QP; stored as int32."""
+    """Result of one QP; stored as int32."""
 
     SOLVED = 0
     INFEASIBLE = 1
@@ -40,7 +40,7 @@ class StepQP(NamedTuple):
 
 
 class QPSolution(NamedTuple):
-    """Step (zeros where the QP is not solved) and verdict."""
+    """Step (zeros where the QP is not solved) and status."""
 
     y: Joints
     status: Int[Array, ""]
@@ -48,8 +48,10 @@ class QPSolution(NamedTuple):
 
 @runtime_checkable
 class QPSolver(Protocol):
-    """Solver of a batch of step QPs given as numpy arrays with a leading axis B; results must not depend on the
-    batch."""
+    """Solver of a batch of step QPs given as numpy arrays with a leading axis B.
+
+    Results must not depend on the batch.
+    """
 
     def solve(self, qps: StepQP) -> QPSolution:
         """Return the solutions of the batch, as numpy arrays with the same leading axis B."""
@@ -69,11 +71,22 @@ def assemble(
     room: Float[Array, "B"] | None = None,
     room_gradient: Float[Array, "B N"] | None = None,
 ) -> StepQP:
-    """Assemble equation (9) about x_ref: `to_target` is Delta C = C_next - C_ref [m]; see `Settings` for the two
-    options.
+    """Assemble equation (9) about x_ref.
 
-    cost_about: J1 about x_ref (9), or about x_{t-1} (4). clearance_rows: all (8), or only the smallest D's (9). room:
-    slack of the task's bands and cones [m], if there are any.
+    Args:
+        settings: Weights of J1; `cost_about`: J1 about x_ref (9), or about x_{t-1} (4); `clearance_rows`: all (8), or
+            only the smallest D's (9).
+        x_ref: The current configuration [rad or m].
+        x_previous: The configuration at the previous target, x_{t-1} [rad or m].
+        to_target: Delta C = C_next - C_ref [m].
+        task_jacobian: Jac(x_ref) [m/rad or m/m].
+        clearance: D of every row [m].
+        gradient: Gradients of D [m/rad or m/m].
+        margin_m: Required clearance.
+        lower: Lower joint limits [rad or m].
+        upper: Upper joint limits [rad or m].
+        room: Slack of the task's bands and cones [m], if there are any.
+        room_gradient: Its gradient [m/rad or m/m].
     """
     weights = jnp.asarray(settings.q_weights)
     about = x_ref if settings.cost_about == "reference" else x_previous
@@ -96,5 +109,11 @@ def assemble(
 
 
 def row_count(settings: Settings, rows: int, bands: int = 0) -> int:
-    """Return the number of inequality rows of one step QP, for `rows` clearance rows; bands: the task's rows."""
+    """Return the number of inequality rows of one step QP, without the bounds.
+
+    Args:
+        settings: Of the planner.
+        rows: Number of clearance rows.
+        bands: Number of the task's bands and cones.
+    """
     return (1 if settings.clearance_rows == "smallest" else rows) + bands
