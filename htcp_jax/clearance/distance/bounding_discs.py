@@ -45,7 +45,7 @@ def single(segments: Segments) -> Segments:
 
 
 def spread(segments: Segments, axes: int) -> Segments:
-    """Return the segments with extra axes, to broadcast against what each is measured against."""
+    """Return the segments with extra axes, for broadcasting against points or discs."""
     return jax.tree.map(lambda a: a.reshape(*a.shape, *[1] * axes), segments)
 
 
@@ -90,8 +90,10 @@ def bounding_discs(groups: Float[np.ndarray, "n points 3"]) -> Float[np.ndarray,
 
 
 def _middle(a, b):
-    """Return the middle of the smallest circle about the points (a, b) of each group, to about 1 % of its radius: from
-    the middle of their box, steps towards the furthest point, each shorter than the one before."""
+    """Return the middle of the smallest circle about the points (a, b) of each group, to about 1 % of its radius.
+
+    From the middle of their box, steps towards the furthest point, each shorter than the one before.
+    """
     x, y = (a.max(1) + a.min(1)) / 2, (b.max(1) + b.min(1)) / 2
     groups = np.arange(len(a))
     for step in 0.25 * 0.85 ** np.arange(10):

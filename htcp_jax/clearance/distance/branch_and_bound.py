@@ -1,7 +1,7 @@
 """Clusters for branch and bound: balanced cuts, and searches in the order of the bounds.
 
-A bound is a 32-bit float that carries the number of its cluster in its low bits (rounded down), so that one integer
-minimum finds both; a sort or an argmin costs ten times that on a CPU.
+A key is a 32-bit bound (rounded down) with the number of its cluster in its low bits, so that one integer minimum
+finds both; a sort or an argmin costs ten times that on a CPU.
 """
 
 import jax
@@ -15,7 +15,13 @@ NONE_LEFT = np.int32(2**31 - 1)
 
 
 def cut(points: Float[np.ndarray, "P d"], rows: Int[np.ndarray, "n"], parts: int) -> list[Int[np.ndarray, "..."]]:
-    """Cut rows into `parts` groups of nearly equal size, each time across the longest axis of inertia."""
+    """Cut rows into `parts` groups of nearly equal size, each time across the longest axis of inertia.
+
+    Args:
+        points: All points.
+        rows: Rows of the points to group.
+        parts: Number of groups.
+    """
     if parts == 1 or len(rows) <= 1:
         return [rows] * parts
     centred = points[rows] - points[rows].mean(axis=0)

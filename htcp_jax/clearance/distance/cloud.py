@@ -1,5 +1,4 @@
-"""The workpiece's points: the paper's D, per body the distance from the capsule's segment to the nearest of all points,
-less the radius.
+"""A workpiece's points: the paper's D, the distance from a capsule's segment to the nearest point, less the radius.
 
 Where the points were sampled on a mesh, D is reduced by their covering radius: a bound on the clearance to the mesh
 itself. The nearest point is found once and then fixed, so the gradient is that of a distance to a fixed point: exact
@@ -70,12 +69,15 @@ class Cloud:
         return capsule_point_distance(p, q, reach[body], self.points[row])
 
     def touches(self, robot: Robot, where: Posed, bodies: Bodies) -> Bool[jax.Array, ""]:
-        """Return True in collision; cheaper still, because the search skips all points beyond the capsules' radii."""
+        """Return True in collision.
+
+        Cheaper than `smallest`, because the search skips all points beyond the capsules' radii.
+        """
         reach = robot.capsule_radius + self.cover
         return nearest_body(self.index, bodies.p_workpiece, bodies.q_workpiece, reach, below=0.0).row >= 0
 
     def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "K"]:
-        """Return the distance itself."""
+        """Return the distance, which is a free radius."""
         return self.contacts(robot, where, bodies).distance
 
     def clear_along(
@@ -93,8 +95,10 @@ class Cloud:
         q: Float[jax.Array, "n 3"],
         within: Float[jax.Array, "n"],
     ) -> Bool[jax.Array, ""]:
-        """Return True if a point is closer to any of n segments in the world than its `within` [m]; a negative `within`
-        never counts."""
+        """Return True if a point is closer to any of n segments in the world than its `within` [m].
+
+        A segment with a negative `within` is ignored.
+        """
         own = in_workpiece(where, p), in_workpiece(where, q)
         return nearest_body(self.index, *own, within + self.cover, below=0.0).row >= 0
 
@@ -107,6 +111,6 @@ class Cloud:
 
 
 def cloud_of(points: Float[np.ndarray, "P 3"], covering_radius_m: float) -> Cloud:
-    """Return the obstacle of a cloud. The order of its points does not change any distance."""
+    """Return the obstacle of a cloud of points [m]. Their order does not change any distance."""
     points = np.asarray(points)
     return Cloud(jax.device_put(points), build_index(points), jax.device_put(np.asarray(covering_radius_m, float)))

@@ -7,8 +7,8 @@ so that on the complete motion
 
     distance >= min(n.(p - w) - h |n.p'|, n.(q - w) - h |n.q'|) - b.
 
-Only motion towards the point counts, as in the directed bounds of conservative advancement (Tang, Kim and Manocha, C2A,
-ICRA 2009): motion along a wall costs nothing, while a bound by travel needs that much clearance. Points farther
+Only motion towards the point reduces it, as in the directed bounds of conservative advancement (Tang, Kim and Manocha,
+C2A, ICRA 2009): motion along a wall costs nothing, while a bound by travel needs that much clearance. Points farther
 away than the body's travel are skipped by the bounds of their clusters.
 """
 
@@ -34,9 +34,22 @@ def clear_along(
     asked: Bool[Array, "K"],
     wanted: Wanted,
 ) -> Float[Array, "K"]:
-    """Return lower bounds on the clearance [m] of bodies of radius `reach` about the segments p q along the sweep, all
-    in the cloud's frame; at most `wanted.enough`, which is also the value of bodies not in `asked`. Once a body has
-    less than `wanted.least`, the search ends, for the other bodies as well."""
+    """Return lower bounds on the clearance [m] of bodies along a sweep.
+
+    Once a body has less than `wanted.least`, the search ends, for the other bodies as well.
+
+    Args:
+        index: The cloud's tree.
+        p: First ends of the bodies' axes, in the cloud's frame like all positions here [m].
+        q: Second ends [m].
+        sweep: The bodies' motion.
+        reach: Radii of the bodies [m].
+        asked: True for the bodies to bound.
+        wanted: Clearance required, and the largest to compute.
+
+    Returns:
+        The bounds; at most `wanted.enough`, which is also the value of bodies not in `asked`.
+    """
     return _clear_along(index, p, q, *sweep, reach, asked, *wanted)
 
 
@@ -65,8 +78,7 @@ def _clear_along(index: CloudIndex, p, q, p_moves, q_moves, bend, travel, reach,
 
 
 def _stays_clear(segment: Segments, p, q, p_moves, q_moves, bend, travel, reach, points):
-    """Return one body's least clearance to points (3, n), by the plane between each of them and the body, or by its
-    travel."""
+    """Return one body's least clearance to points (3, n), by the plane between it and each point, or by its travel."""
     towards = [-a for a in arm(segment, points)]
     distance = jnp.sqrt(sum(a * a for a in towards))
     first, second = (

@@ -39,7 +39,7 @@ def build_index(points: Float[np.ndarray, "P 3"]) -> CloudIndex:
         points=points[leaves].transpose(0, 2, 1),
         rows=leaves.astype(np.int32),
     )
-    return jax.device_put(index)  # as it is: JAX would compile a program for every array that it is to convert
+    return jax.device_put(index)  # in its types: JAX would compile an executable for every array that it converts
 
 
 def _tree(points, rows, parts: int, levels: int):
@@ -63,10 +63,15 @@ def nearest_rows(
     q: Float[Array, "K 3"],
     within: Float[Array, "K"] | None = None,
 ) -> Int[Array, "K"]:
-    """Return the row of the cloud nearest to each of K segments p q [m], exact (ties: one of the nearest).
+    """Return the row of the cloud nearest to each of K segments, exact (ties: one of the nearest).
 
-    within: -1 where no point is nearer than this [m]. An integer carries no gradient: differentiate the distance to the
-    point with that number.
+    An integer carries no gradient: differentiate the distance to the point with that number.
+
+    Args:
+        index: The cloud's tree.
+        p: First ends of the segments [m].
+        q: Second ends [m].
+        within: Largest distance [m]: -1 is returned where no point is nearer. None: no limit.
     """
     limit = jnp.full(p.shape[0], 1e150, float) if within is None else within
     return _nearest_rows(index, *jax.lax.stop_gradient((p, q, limit)))
@@ -79,11 +84,17 @@ def nearest_body(
     radius: Float[Array, "K"],
     below: float = 1e150,
 ) -> Nearest:
-    """Return the pair of body and point with the smallest distance(segment, point) - radius, if that is below `below`
-    [m].
+    """Return the pair of body and point with the smallest distance(segment, point) - radius.
 
     Cheaper than the nearest point of every body, because each point found excludes all points of other bodies farther
     away.
+
+    Args:
+        index: The cloud's tree.
+        p: First ends of the bodies' axes [m].
+        q: Second ends [m].
+        radius: Radii of the bodies [m].
+        below: Upper limit of the difference [m], see `Nearest`.
     """
     return _nearest_body(index, *jax.lax.stop_gradient((p, q, radius, jnp.asarray(below, float))))
 
@@ -101,8 +112,10 @@ def _nearest_body(index: CloudIndex, p, q, radius, below):
 
 
 def _search(index: CloudIndex, p, q, radius, limit, shared: bool):
-    """Return the row of the nearest point of each of K bodies, -1 if none has distance - radius below its limit; with a
-    shared limit only the body that is nearest of all gets a row."""
+    """Return the row of the nearest point of each of K bodies, -1 if none has distance - radius below its limit.
+
+    With a shared limit only the body that is nearest of all gets a row.
+    """
     leaf = (cloud_tree_gpu if has_gpu() else cloud_tree_walk).nearest_leaves(index, p, q, radius, limit, shared)
     square = squared_distance(spread(as_segments(p, q), 1), index.points[leaf].transpose(1, 0, 2))
     return jnp.where(leaf < 0, -1, _row_of_least(square, index.rows[leaf]))

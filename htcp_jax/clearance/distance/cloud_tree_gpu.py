@@ -1,8 +1,7 @@
-"""The searches of `cloud_tree` and `cloud_sweep` as GPU kernels: one program per body, or per configuration, traverses
-the tree.
+"""The searches of `cloud_tree` and `cloud_sweep` as GPU kernels: an instance per body, or per configuration.
 
-As XLA loops every iteration would be a launch that reads and writes the keys of all bodies. A program treats a tree of
-any depth as two levels: the clusters of 16 leaves, its branches, and these leaves.
+As XLA loops every iteration would be a launch that reads and writes the keys of all bodies. An instance treats a tree
+of any depth as two levels: the clusters of 16 leaves, its branches, and these leaves.
 """
 
 from collections.abc import Callable
@@ -21,8 +20,10 @@ from htcp_jax.types import Array, Float, Int
 
 
 def nearest_leaves(index, p, q, radius, limit, shared: bool, interpret: bool = False) -> Int[Array, "K"]:
-    """Return the leaf of each body's nearest point, -1 for none below the body's limit; with a shared limit, for the
-    nearest body only."""
+    """Return the leaf of each body's nearest point, -1 for none below the body's limit.
+
+    With a shared limit it is returned for the nearest body only.
+    """
     bodies, count = p.shape[0], _branch_count(index)
     walk = partial(_walk, shared, count, bodies)
     tables = p, q, radius, limit, _branches(index), index.levels[-1], index.points
@@ -33,9 +34,18 @@ def nearest_leaves(index, p, q, radius, limit, shared: bool, interpret: bool = F
 def least_in_reach(
     index: CloudIndex, p, q, reach, start, measure: Callable, *rows, interpret: bool = False
 ) -> Float[Array, "K"]:
-    """Return, for each body p q, the smallest measure(segment, *a body's rows, points) over points (3, n) of the cloud:
-    over all points within reach [m], none if that is negative, and over some others; at most its `start`. rows: tables
-    (K,), or (K, 3), from which a body's row is a list."""
+    """Return each body's smallest measure(segment, *the body's rows, points) over points (3, n) of the cloud.
+
+    Args:
+        index: The cloud's tree.
+        p: First ends of the bodies' axes [m].
+        q: Second ends [m].
+        reach: Distance of the points to measure from each body [m], none if negative; some others may be measured, too.
+        start: Largest result of each body.
+        measure: The function to minimise.
+        *rows: Tables (K,), or (K, 3), from which a body's row is a list.
+        interpret: True: run on any machine.
+    """
     least = partial(_least, measure, _branch_count(index), len(rows))
     tables = p, q, reach, start, *rows, _branches(index), index.points
     return kernel(least, jax.ShapeDtypeStruct(start.shape, start.dtype), start.shape[0], interpret)(*tables)
@@ -60,7 +70,7 @@ def _walk(shared, branch_count, bodies, p, q, radius, limit, branches, leaves, p
         return
 
     def search(k, state):
-        body = bodies - 1 - k  # the tool is nearest, most of the time
+        body = bodies - 1 - k  # the tool first, as it is usually nearest
         lowest, best, found = state
         lowest, leaf = one(body, lowest)
         return lowest, jnp.where(leaf >= 0, body, best), jnp.where(leaf >= 0, leaf, found)
@@ -89,7 +99,7 @@ def _nearest_leaf(branch_count, p, q, radius, branches, leaves, points, body, li
     def nearest_middle(load):
         return least_number(squared_distance(single(segment), [load(i) for i in range(3)]))
 
-    # Not from nothing: the leaf whose middle is nearest gives the first limit.
+    # The leaf whose middle is nearest gives the first limit.
     first = jnp.minimum(nearest_middle(lambda i: branches[i, :]), branch_count - 1)
     start = measure(first * FAN + nearest_middle(lambda i: leaves[first, i, :]), (limit, jnp.int32(-1)))
     return _for_each(segment, lambda i: branches[i, :], branch_count, reach, descend, start)
@@ -124,9 +134,11 @@ def _segment(p, q, body) -> Segments:
 
 
 def _for_each(segment: Segments, load: Callable, count: int, reach: Callable, take: Callable, state: Any) -> Any:
-    """Return state after state = take(cluster, state) for each of `count` clusters that may have a point within
-    reach(state) [m] of the segment, in the order of their bounds. load: reads a row of their discs, which may continue
-    after the last one."""
+    """Return state after state = take(cluster, state) for each of `count` clusters, in the order of their bounds.
+
+    Clusters that cannot have a point within reach(state) [m] of the segment are skipped. `load` reads a row of their
+    discs, which may continue after the last one.
+    """
     keys = order_keys(jnp.maximum(lower_bounds(single(segment), [load(i) for i in range(8)]), 0.0))
     mask = number_mask(len(keys))
     keys = jnp.where((keys & mask) < count, keys, NONE_LEFT)

@@ -1,10 +1,10 @@
-"""The search of `cloud_tree` in plain JAX, for a CPU: level by level, every cluster in reach.
+"""The search of `cloud_tree` in plain JAX, for a CPU: level by level, every cluster within the search radius.
 
 It begins with two quick descents for all bodies in parallel: from each of the two nearest clusters at the top to the
 child with the nearest middle, down to a leaf, which is measured. The result is usually within millimetres of the
-minimum. So the search needs no priority order: it opens every cluster in reach, one body after the other, and each
-level before the next. Iterations do not depend on each other's results, so a CPU overlaps them; a best-first search
-waits for every square root, and takes two and a half times as long.
+minimum. So the search needs no priority order: it opens every cluster within that radius, one body after the other, and
+each level before the next. Iterations do not depend on each other's results, so a CPU overlaps them; a best-first
+search waits for every square root, and takes two and a half times as long.
 """
 
 from collections.abc import Callable
@@ -27,8 +27,10 @@ from htcp_jax.types import Array, Int, Scalar
 
 
 class _Opened(NamedTuple):
-    """Groups of clusters, the first `count` of a list: their numbers, and a bit mask of their clusters in reach, never
-    0."""
+    """Groups of clusters, the first `count` of a list.
+
+    Each has its number, and a bit mask of its clusters within the search radius, never 0.
+    """
 
     group: Int[Array, "n"]
     bits: Int[Array, "n"]
@@ -39,8 +41,10 @@ Lists = list[_Opened]  # one per level, from the second
 
 
 def nearest_leaves(index: CloudIndex, p, q, radius, limit, shared: bool) -> Int[Array, "K"]:
-    """Return the leaf of each body's nearest point, -1 for none below the body's limit; with a shared limit, for the
-    nearest body only."""
+    """Return the leaf of each body's nearest point, -1 for none below the body's limit.
+
+    With a shared limit it is returned for the nearest body only.
+    """
     segments, body = as_segments(p, q), jnp.arange(p.shape[0])
     distance, leaf = _descend(index, segments)
     found = distance - radius
@@ -54,7 +58,7 @@ def nearest_leaves(index: CloudIndex, p, q, radius, limit, shared: bool) -> Int[
         limit, leaf, lists = state
         one = jax.tree.map(lambda a: a[..., k], (segments, radius, limit, top))
         lowest, found, lists = _search_one(index, *one, lists)
-        others = jnp.where(found < 0, leaf, -1) if shared else leaf  # what is found beats all that was found before
+        others = jnp.where(found < 0, leaf, -1) if shared else leaf  # a new find is nearer than all earlier ones
         leaf = jnp.where((body == k) & (found >= 0), found, others)
         return jnp.broadcast_to(lowest, limit.shape) if shared else limit, leaf, lists
 
@@ -79,8 +83,7 @@ def _descend(index: CloudIndex, segments: Segments):
 
 
 def _search_one(index: CloudIndex, segment: Segments, radius, limit, top, lists: Lists):
-    """Return one body's limit, lowered to the distance found, the leaf with that distance, -1 for none, and the
-    lists."""
+    """Return one body's limit, lowered to the distance found, the leaf with that distance or -1, and the lists."""
 
     def measure(leaf, state):
         limit, best = state
@@ -99,8 +102,17 @@ def empty_lists(index: CloudIndex) -> Lists:
 def for_each_leaf(
     index: CloudIndex, segment: Segments, reach: Scalar, top: Int[Array, ""], take: Callable, state: Any, lists: Lists
 ) -> tuple[Any, Lists]:
-    """Return state after state = take(leaf, state) for every leaf that may have a point within reach [m] of a segment,
-    and the lists, for the next search. top: the clusters at the top that are `in_reach`."""
+    """Return state after state = take(leaf, state) for every leaf that may have a point near a segment, and the lists.
+
+    Args:
+        index: The cloud's tree.
+        segment: The segment.
+        reach: Distance of the points from the segment [m].
+        top: The clusters at the top that are `in_reach`.
+        take: Function of a leaf and a state.
+        state: The initial state.
+        lists: From `empty_lists`, or from the previous search.
+    """
     segment32 = single(segment)
     opened, filled = _Opened(jnp.zeros(1, jnp.int32), top[None], (top != 0).astype(jnp.int32)), []
     for above, level, room in zip(index.levels[:-1], index.levels[1:], lists, strict=True):
@@ -120,7 +132,7 @@ def for_each_leaf(
 
 
 def _for_each(opened: _Opened, fan: int, take: Callable, state):
-    """Return state after state = take(cluster, state) for every cluster in reach, in order."""
+    """Return state after state = take(cluster, state) for every opened cluster, in order."""
 
     def step(carry):
         entry, bits, state = carry
@@ -135,8 +147,10 @@ def _for_each(opened: _Opened, fan: int, take: Callable, state):
 
 
 def in_reach(segment: Segments, bound, reach):
-    """Return a bit mask of the discs (8, ..., n) that may have a point within reach of the segment; none if reach is
-    negative."""
+    """Return a bit mask of the discs (8, ..., n) that may have a point within `reach` [m] of the segment.
+
+    It is empty if `reach` is negative.
+    """
     reach32 = jnp.where(reach < 0, -jnp.inf, jnp.minimum(reach * (1 + 1e-6), 1e30)).astype(jnp.float32)
     near = lower_bounds(segment, bound) <= reach32
     bit = jnp.left_shift(jnp.int32(1), jax.lax.broadcasted_iota(jnp.int32, near.shape, near.ndim - 1))
@@ -144,7 +158,9 @@ def in_reach(segment: Segments, bound, reach):
 
 
 def _distance(segment: Segments, points):
-    """Return the distance from a segment to the nearest of points (3, ..., n). Squares order like their bits, and an
-    integer minimum takes half the time: there is no NaN among them."""
+    """Return the distance from a segment to the nearest of points (3, ..., n).
+
+    Squares order like their bits, and an integer minimum takes half the time: there is no NaN among them.
+    """
     bits = jax.lax.bitcast_convert_type(squared_distance(segment, points), jnp.int64)
     return jnp.sqrt(jax.lax.bitcast_convert_type(jnp.min(bits, axis=-1), float))

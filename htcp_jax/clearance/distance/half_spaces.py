@@ -1,8 +1,8 @@
 """The facet of a convex hull that a point has crossed, for the clearance's interior rule.
 
-Usually none. Most points lie inside a small polytope within the hull, its core, which is tested in 32-bit with a
-tolerance for its error. The others, one in ten, are measured against every facet in 64-bit: one after another on a CPU,
-in parallel on a GPU (`half_spaces_gpu`).
+Usually there is none. Most points lie inside a small polytope within the hull, its core, which is tested in 32-bit with
+a tolerance for its error. The others, one in ten, are measured against every facet in 64-bit: one after another on a
+CPU, in parallel on a GPU (`half_spaces_gpu`).
 """
 
 from functools import partial
@@ -24,8 +24,10 @@ FAN = 16  # facets in a row of the table, as an argmax takes ten times as long a
 
 
 class HalfSpaces(NamedTuple):
-    """The convex set normal @ x <= offset, unit normals outwards, F facets; its core likewise, C facets; and the facets
-    again as a table, padded with the last one: normal xyz, offset."""
+    """The convex set normal @ x <= offset, unit normals outwards, F facets.
+
+    Its core likewise, C facets; and the facets again as a table, padded with the last one: normal xyz, offset.
+    """
 
     normal: Float[Array, "F 3"]
     offset: Float[Array, "F"]
@@ -37,7 +39,13 @@ class HalfSpaces(NamedTuple):
 def half_spaces(
     normal: Float[np.ndarray, "F 3"], offset: Float[np.ndarray, "F"], vertices: Float[np.ndarray, "V 3"]
 ) -> HalfSpaces:
-    """Return the set with F facets; `vertices` are points of it [m] that extend well into its corners."""
+    """Return the set with F facets and its core.
+
+    Args:
+        normal: Unit outward normals of the facets.
+        offset: Their offsets [m].
+        vertices: Points of the set [m] that extend well into its corners.
+    """
     core = _core(vertices) if len(offset) else np.zeros((0, 4))
     facets = np.column_stack([normal, offset])
     filled = np.concatenate([facets, np.repeat(facets[-1:], -len(facets) % FAN, axis=0)])
@@ -58,8 +66,7 @@ def _core(vertices: np.ndarray) -> Float[np.ndarray, "C 4"]:
 
 
 def crossed_facets(hull: HalfSpaces, points: Float[Array, "n 3"], asked: Bool[Array, "n"]) -> Int[Array, "n"]:
-    """Return, for each point in `asked` that lies outside, the facet that it is furthest beyond; otherwise -1. F >=
-    1."""
+    """Return the facet that each point in `asked` is furthest beyond, -1 for points inside and all others. F >= 1."""
     return _crossed(hull, *jax.lax.stop_gradient((points, asked)))
 
 
@@ -83,7 +90,7 @@ def _depths(hull: HalfSpaces, points, asked):
 
 
 def _measured(hull: HalfSpaces, take, left, points, results):
-    """Return the results, with take(highest facet) for the points in `left`."""
+    """Return `results`, replaced by take(highest facet) for the points in `left`."""
     if has_gpu():
         return jnp.where(left, take(_Highest(*highest(hull.table, points, left))), results)
     if jax.default_backend() != "cpu":

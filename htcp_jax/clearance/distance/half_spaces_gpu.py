@@ -1,5 +1,7 @@
-"""The facet of a hull that a point is highest above, as a GPU kernel: one program per point, which returns at once if
-the point need not be measured."""
+"""The facet of a hull that a point is highest above, as a GPU kernel.
+
+One instance per point, which returns at once if the point need not be measured.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -14,8 +16,14 @@ BLOCK = 256  # facets at a time
 def highest(
     table: Float[Array, "4 rows FAN"], points: Float[Array, "n 3"], left: Bool[Array, "n"], interpret: bool = False
 ) -> tuple[Int[Array, "n"], Float[Array, "n"]]:
-    """Return, for each point in `left`, the first of the facets that it is highest above, and the height [m]. The table
-    repeats its last facet."""
+    """Return, for each point in `left`, the first of the facets that it is highest above, and the height [m].
+
+    Args:
+        table: The facets: normal xyz, offset; it repeats the last one.
+        points: The points [m].
+        left: True for the points to measure.
+        interpret: True: run on any machine.
+    """
     facets = table.reshape(4, -1)
     blocks = -(-facets.shape[1] // BLOCK)
     filled = jnp.pad(facets, ((0, 0), (0, blocks * BLOCK - facets.shape[1])), mode="edge")

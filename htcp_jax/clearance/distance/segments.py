@@ -26,8 +26,16 @@ class Nearest(NamedTuple):
 def nearest_points(
     p: Float[Array, "*n 3"], q: Float[Array, "*n 3"], r: Float[Array, "*n 3"], s: Float[Array, "*n 3"]
 ) -> Nearest:
-    """Return the nearest points of the segments p q and r s, row by row; the parameters carry no gradient, which leaves
-    the gradient of the distance unchanged."""
+    """Return the nearest points of the segments p q and r s, row by row.
+
+    The parameters carry no gradient, which leaves the gradient of the distance unchanged.
+
+    Args:
+        p: First ends of the first segments [m].
+        q: Their second ends [m].
+        r: First ends of the second segments [m].
+        s: Their second ends [m].
+    """
     t, u = _parameters(*jax.lax.stop_gradient((p, q, r, s)))
     return Nearest(t, u, p + t[..., None] * (q - p), r + u[..., None] * (s - r))
 

@@ -24,11 +24,11 @@ from htcp_jax.numerics import product, safe_divide, safe_norm, segment_parameter
 from htcp_jax.types import Array, Bool, Float, Int, Scalar, Vector3
 
 HALVINGS = 48  # bisections of a segment: to 1e-14 of its length
-TOUCHES_M = 1e-9  # nearer, a normal would be rounding
+TOUCHES_M = 1e-9  # below this distance a normal would be rounding
 
 
 class Seen(NamedTuple):
-    """Signed distance from a solid to a segment, and where it is attained."""
+    """Signed distance from a solid to a segment, and the place at which it is attained."""
 
     t: Scalar  # parameter on the segment, 0 to 1
     normal: Vector3  # from the solid to the segment, unit
@@ -110,8 +110,10 @@ class Cylinder(NamedTuple):
         return _turned(self, _either(_outside(t, self._off(p + t * d)), self._across(p, q)))
 
     def _across(self, p: Vector3, q: Vector3) -> Seen:
-        """Return the contact with a segment that crosses: along normals of the caps, of the side, and perpendicular to
-        the segment."""
+        """Return the contact with a segment that crosses the cylinder.
+
+        Along the normals of the caps, of the side, and one perpendicular to the segment.
+        """
         x, z, flat = jnp.array([1.0, 0.0, 0.0]), jnp.array([0.0, 0.0, 1.0]), jnp.array([1.0, 1.0, 0.0])
         d = q - p
         middle = segment_parameter(p * flat, q * flat, jnp.zeros(3))
@@ -200,8 +202,10 @@ class Piece(NamedTuple):
         return enters <= leaves
 
     def _normals(self, p: Vector3, q: Vector3):
-        """Return the normals of the faces and of planes along silhouette edges as seen along the segment; with the
-        segment, their support values h(n) and the segment's parameters nearest to the surface."""
+        """Return the normals of the faces and of planes along silhouette edges as seen along the segment.
+
+        With them the segment's ends, the support values h(n), and the segment's parameters nearest to the surface.
+        """
         ways = product(self.normal, q - p)[self.beside]
         outline = ways[:, 0] * ways[:, 1] <= 0
         edges = self.edges[:, 1] - self.edges[:, 0]
@@ -234,8 +238,10 @@ def _outside(t: Scalar, arm: Vector3) -> Seen:
 def _best(
     normals: Float[Array, "n 3"], p: Vector3, q: Vector3, reach: Float[Array, "n"], places: Float[Array, "n"]
 ) -> Seen:
-    """Return the contact along the normal of least penetration; `reach` is h(n), `places` are the segment's parameters
-    nearest to the surface. A normal of length 0 is ignored."""
+    """Return the contact along the normal of least penetration.
+
+    `reach` is h(n), `places` are the segment's parameters nearest to the surface. A normal of length 0 is ignored.
+    """
     ends = product(jnp.stack([p, q]), normals.T)
     depth = jnp.where(jnp.any(normals != 0, axis=1), jnp.min(ends, axis=0) - reach, -jnp.inf)
     k = jnp.argmax(depth)
@@ -250,15 +256,19 @@ def _lower(normals: Float[Array, "n 3"], p: Vector3, q: Vector3) -> Float[Array,
 def _level(
     normals: Float[Array, "n 3"], p: Vector3, q: Vector3, points: Float[Array, "n 3"], edges: Float[Array, "n 3"]
 ) -> Float[Array, "n"]:
-    """Return the segment's parameter at which it passes over an edge through each point, in the projection along a
-    normal perpendicular to both."""
+    """Return the segment's parameter at which it passes over an edge through each point.
+
+    In the projection along a normal perpendicular to both.
+    """
     over = jnp.sum(jnp.cross(points - p[None], edges) * normals, axis=1)
     return jnp.clip(safe_divide(over, jnp.sum(jnp.cross((q - p)[None], edges) * normals, axis=1)), 0, 1)
 
 
 def _halved(short: Callable[[Scalar], Bool[Array, ""]], low: Scalar) -> Scalar:
-    """Bisect between `low` and 1 for the place where `short` becomes false; exactly `low` or 1 if it is false or true
-    everywhere."""
+    """Bisect between `low` and 1 for the place where `short` becomes false.
+
+    The result is exactly `low` or 1 if it is false or true everywhere.
+    """
 
     def halve(_, between):
         low, high = between

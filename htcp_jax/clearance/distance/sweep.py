@@ -1,4 +1,4 @@
-"""Motion of bodies about a configuration, and the clearance that is wanted along it."""
+"""Motion of bodies about a configuration, and the clearance that is required along it."""
 
 from typing import NamedTuple
 

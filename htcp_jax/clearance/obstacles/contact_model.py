@@ -1,9 +1,9 @@
-"""Clearance predicted from the contacts held so far: an upper bound, exact where they were seen, and cheap.
+"""Clearance predicted from the contacts seen so far: an upper bound, exact where they were seen, and cheap.
 
 A contact seen at one configuration stays valid for its body at every other one: the obstacle's point is still there, or
-moved with its link. So the distance to it bounds the row's from above, and the smallest over all contacts held is a
+moved with its link. So the distance to it bounds the row's from above, and the smallest over all contacts seen is a
 model of D that equals D once the right ones have been seen. A plane in place of the point would be cheaper still, but
-false away from where it was seen: it excludes configurations that are clear.
+wrong away from the configuration at which it was seen: it excludes configurations that are clear.
 """
 
 from functools import partial
@@ -50,7 +50,14 @@ def hold_contacts(robot: Robot, x: Joints, rows: Rows, touch: Contacts) -> HeldC
 def predict_distances(
     robot: Robot, x: Joints, rows: Rows, held: HeldContacts
 ) -> tuple[Float[Array, "H"], Float[Array, "H N"]]:
-    """Return the distance at x [m] by each contact held, and its gradient [m/rad]."""
+    """Return the distance at x [m] by each contact held, and its gradient [m/rad].
+
+    Args:
+        robot: The robot.
+        x: The configuration [rad or m].
+        rows: The pairs of one observation.
+        held: The contacts of one or several observations.
+    """
     rounds = held.offset.shape[0] // len(rows.body)
     T = _poses(robot, x, _links(robot, rows))
     body = slice(None) if rows.body == tuple(range(len(robot.capsule_link))) else jnp.asarray(rows.body)
@@ -75,7 +82,7 @@ def _moves(rows: Rows) -> bool:
 
 
 def _poses(robot: Robot, x: Joints, links: tuple[int, ...]) -> Float[Array, "n 4 4"]:
-    T = jnp.concatenate([link_poses(robot, x), jnp.eye(4)[None]])  # the world last, so that link -1 finds it
+    T = jnp.concatenate([link_poses(robot, x), jnp.eye(4)[None]])  # the world last, so that it is link -1
     return T[jnp.asarray(links)]
 
 

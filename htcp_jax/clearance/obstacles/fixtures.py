@@ -33,7 +33,7 @@ class Fixtures(Exact):
     simple: tuple[HalfSpace | Rod | Box | Cylinder, ...]
     pieces: Piece | None
     balls: Float[jax.Array, "P 4"]  # about the pieces: centre, radius [m]
-    heeds: Bool[jax.Array, "G K"]  # the simple ones first
+    heeds: Bool[jax.Array, "G K"]  # True: the pair is checked; the simple solids first
     names: tuple[str, ...] = field(metadata={"static": True})
 
     per_body = True

@@ -1,4 +1,4 @@
-"""The interior rule: "outside the tunnel is negative".
+"""The interior rule: outside the tunnel is negative.
 
 A capsule end in the interior (deeper than a set depth behind where the cloud begins, along its inlet's direction) must
 lie in the cloud's convex hull; where it does not, the body's clearance is at most minus its distance outside. A body
@@ -17,7 +17,7 @@ from htcp_jax.numerics import product
 from htcp_jax.pytree import register_pytree
 from htcp_jax.types import Bool, Float, Int, Scalar
 
-NEAR_M = 0.05  # distance before the interior within which depth in the hull already counts
+NEAR_M = 0.05  # distance before the interior within which the depth in the hull is computed
 
 
 @register_pytree
@@ -70,8 +70,10 @@ class Interior:
         q: Float[jax.Array, "n 3"],
         moves: Float[jax.Array, "n"],
     ) -> Bool[jax.Array, ""]:
-        """Return True if an end of any of n segments in the world is outside, and deep, by more than it can move
-        [m]."""
+        """Return True if a deep end of any of n segments in the world is outside by more than it can move [m].
+
+        An end is deep if it is beyond the plane by more than it can move, too.
+        """
         own, moves = in_workpiece(where, jnp.concatenate([p, q])), jnp.concatenate([moves, moves])
         facet = crossed_facets(self.hull, own, _beyond(where, p, q) > moves)
         outside = jnp.sum(self.hull.normal[facet] * own, axis=1) - self.hull.offset[facet]
@@ -86,8 +88,10 @@ class Interior:
         return jnp.any(crossed_facets(self.hull, ends, jnp.concatenate([asked, asked]) & deep) >= 0)
 
     def _outside(self, where: Posed, bodies: Bodies):
-        """Return per body the distance of its furthest deep end outside the hull [m] (-inf if none is outside), True if
-        that is the second end, and the inward normal of the facet it crossed (workpiece frame)."""
+        """Return for every body the distance [m] of its furthest deep end outside the hull, -inf if none is outside.
+
+        With it, True if that is the second end, and the inward normal of the facet it crossed, in the workpiece frame.
+        """
         both = jnp.concatenate([bodies.p_workpiece, bodies.q_workpiece])
         facet = crossed_facets(self.hull, both, _beyond(where, bodies.p, bodies.q) > 0)
         normal = self.hull.normal[facet]

@@ -14,7 +14,7 @@ from htcp_jax.types import Array, Float, Joints
 class TaskRows(NamedTuple):
     """The task at one configuration, to first order."""
 
-    value: Float[Array, "V"]  # what the goals are compared with [m]
+    value: Float[Array, "V"]  # the features, which are compared with the goals [m]
     jacobian: Float[Array, "V N"]
 
 
@@ -28,12 +28,20 @@ class Linearisation(NamedTuple):
 def linearise(
     robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, task: Task = TCP_POSITION, smallest: bool = False
 ) -> Linearisation:
-    """Return task and clearance at x [rad or m], with their Jacobian and gradients; `where` is a scenario, or another
-    `Posed`.
+    """Return task and clearance at x, with their Jacobian and gradients.
 
-    Equations (6) and (7) for the task, (8), the convex feasible set, for the clearance. The default task is the TCP's
-    position. smallest: only the clearance row of the smallest distance, which costs less. Raises InputError for an x of
-    another shape.
+    Equations (6) and (7) for the task, (8), the convex feasible set, for the clearance.
+
+    Args:
+        robot: The robot.
+        obstacles: The obstacles.
+        where: A scenario, or another `Posed`.
+        x: The configuration [rad or m].
+        task: The task; by default the TCP's position.
+        smallest: True: only the clearance row of the smallest distance, which costs less.
+
+    Raises:
+        InputError: For an x of another shape.
     """
     held = TaskRows(task.value(robot, x), task.jacobian(robot, x))
     rows = clearance_rows(robot, obstacles, where, x, smallest)

@@ -2,7 +2,7 @@
 
 A kind of obstacle is a small pytree with the methods of `Obstacle`, in a file of its own. Its rows are distances [m]
 between a body of the arm and something: the surroundings, or another body. Kinds with `per_body`, `Surroundings`, have
-one row per body, which they share: the nearest counts. Any other kind has its own rows.
+one row per body, which they share: its distance is the smallest one. Any other kind has its own rows.
 """
 
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -44,7 +44,7 @@ class Contacts(NamedTuple):
     distance: Float[jax.Array, "R"]  # D [m]
     point: Float[jax.Array, "R 3"]  # on the body's axis, world [m]
     normal: Float[jax.Array, "R 3"]  # unit, from the obstacle to the body, world
-    reach: Float[jax.Array, "R"]  # from the axis to where D is 0 [m]: see `witness`
+    reach: Float[jax.Array, "R"]  # distance from the axis at which D is 0 [m], see `witness`
     plane: Bool[jax.Array, "R"]  # True: a plane fixed in the world that an end of the body has crossed
 
     @property
@@ -85,8 +85,11 @@ class Obstacle(Protocol):
         ...
 
     def contacts(self, robot: Robot, where: Posed, bodies: Bodies) -> Contacts:
-        """Return every row's contact. At other configurations, a fixed contact must never predict less than the true
-        distance, see `contact_model`. For a kind with `per_body`, a body without a contact has infinite distance."""
+        """Return every row's contact.
+
+        At other configurations, a fixed contact must never predict less than the true distance, see `contact_model`.
+        For a kind with `per_body`, a body without a contact has infinite distance.
+        """
         ...
 
     def smallest(self, robot: Robot, where: Posed, bodies: Bodies) -> Scalar:
@@ -98,8 +101,11 @@ class Obstacle(Protocol):
         ...
 
     def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "R"]:
-        """Return each row's free radius: a displacement of all points of its body, in any direction, as seen from the
-        link of the row's other, within which it surely stays clear; at most 0 in collision."""
+        """Return each row's free radius; at most 0 in collision.
+
+        It is a displacement of all points of the row's body, in any direction, as seen from the link of the row's
+        other, within which the body is proven to stay clear.
+        """
         ...
 
 
@@ -110,8 +116,15 @@ class Surroundings(Obstacle, Protocol):
     def touches_along(
         self, robot: Robot, where: Posed, bodies: Bodies, body: Int[jax.Array, ""], asked: Bool[jax.Array, "S"]
     ) -> Bool[jax.Array, ""]:
-        """Return True if one body touches at any of the S configurations marked in `asked`; `bodies` are those at all
-        of them."""
+        """Return True if one body touches at any of the S configurations marked in `asked`.
+
+        Args:
+            robot: The robot.
+            where: Pose of the workpiece.
+            bodies: The bodies at all S configurations.
+            body: Number of the body.
+            asked: True for the configurations to test.
+        """
         ...
 
 
@@ -122,8 +135,18 @@ class Sweepable(Surroundings, Protocol):
     def clear_along(
         self, robot: Robot, where: Posed, bodies: Bodies, sweep: Sweep, asked: Bool[jax.Array, "K"], wanted: Wanted
     ) -> Float[jax.Array, "K"]:
-        """Return a lower bound on the clearance of each body in `asked` along the sweep. Once one has less than
-        `wanted.least`, the values of the others are arbitrary."""
+        """Return a lower bound on the clearance of each body in `asked` along the sweep.
+
+        Once one has less than `wanted.least`, the values of the others are arbitrary.
+
+        Args:
+            robot: The robot.
+            where: Pose of the workpiece.
+            bodies: The bodies in the middle of the sweep.
+            sweep: Their motion.
+            asked: True for the bodies to bound.
+            wanted: Clearance required, and the largest to compute.
+        """
         ...
 
 
@@ -139,7 +162,7 @@ class Exact:
         return self.smallest(robot, where, bodies) <= 0
 
     def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "R"]:
-        """Return the distance itself."""
+        """Return the distance, which is a free radius."""
         return self.contacts(robot, where, bodies).distance
 
 
@@ -166,8 +189,16 @@ def slopes(
     point: Float[jax.Array, "R 3"],
     witness: Float[jax.Array, "R 3"],
 ) -> Float[jax.Array, "R N"]:
-    """Return the rate at which a point of each row's body leaves the obstacle's along the normal [m/rad]; both points
-    at x."""
+    """Return the rate at which a point of each row's body leaves the obstacle's along the normal [m/rad].
+
+    Args:
+        robot: The robot.
+        x: The configuration [rad or m].
+        rows: The pairs.
+        normal: Unit vectors from the obstacle to the body, world.
+        point: Points of the bodies at x, world [m].
+        witness: Points of the obstacles at x, world [m].
+    """
     motion = point_jacobians(robot, x, point, tuple(robot.capsule_link[body] for body in rows.body))
     if any(link >= 0 for link in rows.other):
         motion = motion - point_jacobians(robot, x, witness, rows.other)

@@ -2,7 +2,7 @@
 
 O is a tuple of obstacles, see `obstacle`; a workpiece's are its points and, if it has one, the interior rule. Their
 rows are combined here: those of the bodies first, each with the nearest contact of all kinds with `per_body`, then
-every other kind's own.
+those of every other kind.
 """
 
 from collections.abc import Callable
@@ -36,9 +36,16 @@ class ClearanceRows(NamedTuple):
 
 @partial(jax.jit, static_argnames="smallest")
 def contacts(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, smallest: bool = False) -> Contacts:
-    """Return the nearest contact of every row at configuration x [rad]; the robot's tool is the scenario's. smallest:
-    only the row of the smallest distance has to be exact, others may be overestimated: kinds with a method `closest`
-    compute that faster."""
+    """Return the nearest contact of every row at configuration x.
+
+    Args:
+        robot: The robot, with the scenario's tool.
+        obstacles: The obstacles O.
+        where: A scenario, or another `Posed`.
+        x: The configuration [rad or m].
+        smallest: True: only the row of the smallest distance has to be exact, others may be overestimated; kinds with a
+            method `closest` compute that faster.
+    """
     bodies = bodies_at(robot, where, x)
     ask = lambda each: getattr(each, "closest", each.contacts) if smallest else each.contacts  # noqa: E731
     groups = [[ask(each)(robot, where, bodies) for each in own] for own in grouped(obstacles)]
@@ -48,21 +55,38 @@ def contacts(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, smalle
 def clearances(
     robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, smallest: bool = False
 ) -> Float[jax.Array, "R"]:
-    """Return D per row [m]. Its derivative in x [m/rad] is n' (J_body - J_other) at the nearest points, which are fixed
-    (envelope theorem). smallest: only the row of the smallest distance has to be exact, see `contacts`."""
+    """Return D per row [m].
+
+    Its derivative in x [m/rad] is n' (J_body - J_other) at the nearest points, which are fixed (envelope theorem).
+
+    Args:
+        robot: The robot, with the scenario's tool.
+        obstacles: The obstacles O.
+        where: A scenario, or another `Posed`.
+        x: The configuration [rad or m].
+        smallest: True: only the row of the smallest distance has to be exact, see `contacts`.
+    """
     distance = lambda x, *scene: contacts(*scene, x, smallest).distance  # noqa: E731
     return with_gradient(distance, partial(_rows, smallest))(configuration(robot, x), robot, obstacles, where)
 
 
 @jax.jit
 def clearance(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Scalar:
-    """Return D(x, O) [m], the smallest over all rows, exact: cheaper than `clearances`. Its derivative is that
-    row's."""
+    """Return D(x, O) [m], the smallest over all rows, exact; its derivative is that row's.
+
+    Cheaper than `clearances`.
+
+    Args:
+        robot: The robot, with the scenario's tool.
+        obstacles: The obstacles O.
+        where: A scenario, or another `Posed`.
+        x: The configuration [rad or m].
+    """
     return _smallest(configuration(robot, x), robot, obstacles, where)
 
 
 def is_clear(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Bool[jax.Array, ""]:
-    """Return True if D(x, O) > 0; cheaper still."""
+    """Return True if D(x, O) > 0; cheaper than `clearance`."""
     bodies = bodies_at(robot, where, x)
     return ~_together(jnp.logical_or, [each.touches(robot, where, bodies) for each in obstacles])
 
@@ -97,8 +121,7 @@ def all_clear(robot: Robot, obstacles: Obstacles, where: Posed, x: Float[jax.Arr
 
 
 def room(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Float[jax.Array, "R"]:
-    """Return each row's free radius [m]: a displacement of all points of its body from x, in any direction, as seen
-    from the link of the row's other, within which it surely stays clear; at most 0 in collision."""
+    """Return each row's free radius [m] at x, see `Obstacle.room`; at most 0 in collision."""
     bodies = bodies_at(robot, where, x)
     groups = [[each.room(robot, where, bodies) for each in own] for own in grouped(obstacles)]
     return _one_after_another([_together(jnp.minimum, own) for own in groups])
@@ -107,8 +130,7 @@ def room(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints) -> Float[j
 def clearance_rows(
     robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, smallest: bool = False
 ) -> ClearanceRows:
-    """Return the distances and their gradients at x [rad]: `clearances` and its autodiff Jacobian, from one
-    evaluation."""
+    """Return the distances and their gradients at x: `clearances` and its autodiff Jacobian, from one evaluation."""
     return ClearanceRows(*value_and_jacobian(lambda x: clearances(robot, obstacles, where, x, smallest), x))
 
 
@@ -137,8 +159,10 @@ _clearances, _bodies_at = jax.jit(clearances), jax.jit(bodies_at)
 
 
 def nearest_to(robot: Robot, obstacles: Obstacles, where: Posed, x: Joints, row: int) -> str:
-    """Return a description of the obstacle nearest to a row's body at x; kinds with a method `hit` describe
-    themselves."""
+    """Return a description of the obstacle nearest to a row's body at x.
+
+    Kinds with a method `hit` describe themselves.
+    """
     if not any(hasattr(each, "hit") for each in obstacles):
         return "the workpiece"
     rows = 0

@@ -27,7 +27,7 @@ from htcp_jax.numerics import product
 from htcp_jax.pytree import register_pytree
 from htcp_jax.types import Bool, Float, Int, Pose, Scalar
 
-FINER, COARSEST_M = 4, 0.01  # points on a mesh: thinnest radius by widest gap, and the largest gap;
+FINER, COARSEST_M = 4, 0.01  # points on a mesh: ratio of the thinnest radius to the widest gap, and the largest gap;
 MANY = 300_000  # about the most points on one mesh, for any body
 FAR_M = 1e6  # distance between bodies and obstacles that are both fixed in the world
 
@@ -65,7 +65,7 @@ class PlacedCloud:
         return self.cloud.touches(*self._seen(robot, bodies))
 
     def room(self, robot: Robot, where: Posed, bodies: Bodies) -> Float[jax.Array, "K"]:
-        """Return the distance itself."""
+        """Return the distance, which is a free radius."""
         return self.cloud.room(*self._seen(robot, bodies))
 
     def clear_along(
@@ -90,8 +90,10 @@ class PlacedCloud:
         return f"the fixture {self.name!r}"
 
     def _seen(self, robot: Robot, bodies: Bodies) -> tuple[Robot, _Place, Bodies]:
-        """Return the robot, with bodies that are fixed in the world infinitely thin, the pose, and the bodies in the
-        cloud's frame."""
+        """Return robot, pose and bodies for the cloud's own methods, with the bodies in the cloud's frame.
+
+        Bodies that are fixed in the world become infinitely thin.
+        """
         R, t = self.T_world[:3, :3], self.T_world[:3, 3].reshape((1,) * (bodies.p.ndim - 1) + (3,))
         own = bodies._replace(p_workpiece=product(bodies.p - t, R), q_workpiece=product(bodies.q - t, R))
         radius = jnp.where(np.array(robot.capsule_link) >= 0, robot.capsule_radius, -FAR_M)
@@ -99,7 +101,11 @@ class PlacedCloud:
 
 
 def make_fixtures(robot: Robot, shapes: Sequence[Fixture]) -> Obstacles:
-    """Return the obstacles of a cell's shapes for a robot. Raises InputError, naming it, for a mesh without an area."""
+    """Return the obstacles of a cell's shapes for a robot.
+
+    Raises:
+        InputError: For a mesh without an area, which the message names.
+    """
     solids = [(each.name, found) for each in shapes if (found := solid_of(each)) is not None]
     meshes = [each for each in shapes if each.kind == "mesh" and not each.convex]
     clouds = []
@@ -117,8 +123,19 @@ def placed_cloud(
     source: str,
     name: str,
 ) -> PlacedCloud:
-    """Return a cloud of points [m], or of points on a mesh if there are triangles [m], at the pose `T_world`. Raises
-    InputError, naming `source`, as `mesh_points.cover` does."""
+    """Return a cloud at a pose: the given points, or if there are triangles, points on their mesh.
+
+    Args:
+        robot: The robot, whose thinnest body determines the distance of points on a mesh.
+        points: The points [m].
+        triangles: The mesh [m]; none for a cloud of the given points.
+        T_world: The pose [m].
+        source: Name of the mesh in messages.
+        name: Name of the obstacle.
+
+    Raises:
+        InputError: As `mesh_points.cover` does.
+    """
     found = _covered(robot, triangles, source) if len(triangles) else Cover(points, 0.0)
     return PlacedCloud(cloud_of(*found), jnp.asarray(T_world), name)
 

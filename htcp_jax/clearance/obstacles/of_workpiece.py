@@ -12,8 +12,10 @@ from htcp_jax.model.workpiece import Workpiece
 
 @lru_cache(maxsize=2)
 def make_obstacle(workpiece: Workpiece) -> Obstacles:
-    """Return a workpiece's obstacles, on the device, cached for the next plan: its points, and its interior rule.
-    Without a cloud there are none."""
+    """Return a workpiece's obstacles: its points, and its interior rule. Without a cloud there are none.
+
+    They are on the device, and cached for the next plan.
+    """
     if not len(workpiece.cloud):
         return ()
     cloud = cloud_of(workpiece.cloud, workpiece.covering_radius_m)
@@ -23,7 +25,11 @@ def make_obstacle(workpiece: Workpiece) -> Obstacles:
 
 
 def all_obstacles(workpiece: Workpiece, others: Obstacles) -> Obstacles:
-    """Return the workpiece's obstacles and the others. Raises InputError if there are none."""
+    """Return the workpiece's obstacles and the others.
+
+    Raises:
+        InputError: If there are none.
+    """
     found = (*make_obstacle(workpiece), *others)
     if not found:
         raise InputError(

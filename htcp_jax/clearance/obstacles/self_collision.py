@@ -1,6 +1,6 @@
 """The arm's own bodies as an obstacle: pairs of capsules that must not touch.
 
-A row is a body against those of one link before it, with the nearest pair.
+A row is a body against the bodies of one link before it; its contact is that of the nearest pair.
 
 Pairs that need no check are excluded, see self_exclusions.py.
 """
@@ -29,7 +29,7 @@ from htcp_jax.numerics import safe_divide, safe_norm
 from htcp_jax.pytree import register_pytree
 from htcp_jax.types import Float, Int
 
-USUAL = 0.99  # share of random configurations in which an excluded pair must be less deep than at a start
+USUAL = 0.99  # a start is refused where an excluded pair is deeper than in this share of random configurations
 RULES = {"a": "by the model", "b": "that nearly always overlap", "c": "whose links do not touch where they overlap"}
 Ends = Float[jax.Array, "K 3"]
 
@@ -84,8 +84,13 @@ class SelfCollision(Exact):
 
 
 def self_collision(robot: Robot) -> SelfCollision | None:
-    """Return the robot's pairs, with its current tool; None if no pair is left to check. A UserWarning names excluded
-    pairs with the job's own tool. Raises InputError for a model that excludes every pair."""
+    """Return the robot's pairs, with its current tool; None if no pair is left to check.
+
+    A UserWarning names excluded pairs with the job's own tool.
+
+    Raises:
+        InputError: For a model that excludes every pair.
+    """
     excluded = (*robot.exclusions, *_found(_Hashable(robot)))
     ours = {(each.first, each.second) for each in excluded}
     known = candidates(robot)
@@ -105,7 +110,7 @@ def self_collision(robot: Robot) -> SelfCollision | None:
 def refused_overlap(own: SelfCollision, robot: Robot, x: Float[np.ndarray, "N"]) -> str | None:
     """Describe an excluded pair that nevertheless collides at a start x [rad or m], with its depth; None without one.
 
-    A pair of rule c counts if the meshes in it touch. One of rule a or b counts if its links are not adjacent and it is
+    A pair of rule c collides if the meshes in it touch. One of rule a or b does if its links are not adjacent and it is
     deeper than in USUAL of the `samples`.
     """
     link, names = robot.capsule_link, robot.capsule_names

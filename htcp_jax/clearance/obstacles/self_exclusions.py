@@ -1,6 +1,6 @@
 """Pairs of capsules that need no check against each other.
 
-Capsules are larger than links, so some of them overlap wherever the arm is. A pair is excluded only if
+Capsules are larger than links, so some of them overlap in every configuration. A pair is excluded only if
 
 a  the model excludes it: an <exclude> of MJCF, a <disable_collisions> of SRDF; or
 b  it overlaps, or is within NEAR_M, in at least 95 % of 10,000 random configurations within the joint limits; or its
@@ -26,7 +26,7 @@ from htcp_jax.types import Float, Joints
 
 SAMPLES, SEED = 10_000, 0
 ALWAYS = 0.95
-NEAR_M = 1e-3  # a pair that is always as near could keep no usual margin
+NEAR_M = 1e-3  # a pair that is always this near could not satisfy a usual margin
 SLIDE_M = 1.0  # range of a slide without limits, to either side
 TOGETHER = 500  # configurations measured at a time
 
@@ -42,8 +42,10 @@ def candidates(robot: Robot) -> Pairs:
 
 
 def samples(robot: Robot) -> Samples:
-    """Return random configurations, uniform within the joint limits [rad or m]; joints without limits within half a
-    turn, or SLIDE_M, of zero."""
+    """Return random configurations, uniform within the joint limits [rad or m].
+
+    Joints without limits are within half a turn, or SLIDE_M, of zero.
+    """
     free = np.where(robot.slides, SLIDE_M, np.pi)
     lower, upper = np.asarray(robot.lower), np.asarray(robot.upper)
     lower, upper = np.where(np.isfinite(lower), lower, -free), np.where(np.isfinite(upper), upper, free)
@@ -56,8 +58,13 @@ def distances(robot: Robot, pairs: Sequence[tuple[int, int]], x: Samples) -> Flo
 
 
 def find_exclusions(robot: Robot, touch: Touch | None = None) -> tuple[Exclusion, ...]:
-    """Return the pairs that rules b and c exclude and the model does not. touch: True if the vendor's meshes in two
-    capsules touch in some of the marked `samples`, see `LinkMeshes.touch`; None without meshes."""
+    """Return the pairs that rules b and c exclude and the model does not.
+
+    Args:
+        robot: The robot.
+        touch: Function of a pair and of a mask of the `samples`: True if the vendor's meshes in the two capsules touch
+            in some of the marked samples. None: there are no meshes.
+    """
     stated = {(each.first, each.second) for each in robot.exclusions}
     pairs = [pair for pair in candidates(robot) if pair not in stated]
     if robot.listed:

@@ -2,8 +2,7 @@
 
 The tip has to come near the wall, so it is not a collision body. But a wall that it crosses, except with its very end,
 lies between the tool and its target. The walls are the triangles of a mesh, or for a cloud one flat disc per point, as
-pictures draw them: each extends beyond its point's eighth neighbour, so that discs overlap where points are spread
-evenly.
+in pictures: each extends beyond its point's eighth neighbour, so that discs overlap where points are spread evenly.
 
 A triangle or disc lies in a ball about its middle; the radius of the largest of these balls is the grain. The tip is
 cut into samples of a grain at most: anything that a sample crosses has its middle within one and a half grains of the
@@ -60,8 +59,10 @@ class Discs:
         self._surface, self.middle, self.grain = surface, surface.points, float(surface.radius.max())
 
     def crossed(self, rows: Int[np.ndarray, "n"], p: Ends, q: Ends) -> Bool[np.ndarray, "n"]:
-        """Return True where the straight line from p to q passes through the disc in that row: its ends lie on both
-        sides of the plane, and its point in the plane within the disc."""
+        """Return True where the straight line from p to q passes through the disc in that row.
+
+        Its ends lie on both sides of the plane, and its point in the plane within the disc.
+        """
         disc = self._surface.only(rows)
         before, after = _dot(p - disc.points, disc.normals), _dot(q - disc.points, disc.normals)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -108,8 +109,7 @@ class _Stretches(NamedTuple):
 
 
 def _stretches(p: Ends, way: Ends, counts: Int[np.ndarray, "n"]) -> _Stretches:
-    """Cut the segments that begin at p into `counts` equal samples each; return each sample's segment number and
-    middle."""
+    """Cut the segments that begin at p into `counts` equal samples each; return their segment numbers and middles."""
     row = np.repeat(np.arange(len(p)), counts)
     before = np.cumsum(counts) - counts
     fraction = (np.arange(len(row)) - before[row] + 0.5) / counts[row]

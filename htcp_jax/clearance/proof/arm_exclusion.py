@@ -42,8 +42,7 @@ class Cell(NamedTuple):
 
 
 def has_wrist(robot: Robot) -> bool:
-    """Return True if the last three joints are hinges whose axes meet, behind others among which every slide has
-    limits."""
+    """Return True if the last three joints are hinges whose axes meet, behind others whose slides all have limits."""
     if len(robot.slides) <= WRIST or any(robot.slides[-WRIST:]):
         return False
     endless = np.array(robot.slides) & ~np.isfinite(np.asarray(robot.upper - robot.lower))
@@ -51,8 +50,10 @@ def has_wrist(robot: Robot) -> bool:
 
 
 def wrist(robot: Robot) -> Wrist:
-    """Return the point of the second of the last three axes nearest to the first of them; infinitely far off for an arm
-    with fewer joints."""
+    """Return the point of the second of the last three axes nearest to the first of them.
+
+    For an arm with fewer joints `missed_m` is infinite.
+    """
     if len(robot.slides) < WRIST:
         return Wrist(jnp.zeros(3), jnp.zeros(3), jnp.asarray(jnp.inf))
     first, second, third = robot.axis[-WRIST:]
@@ -69,7 +70,7 @@ def wrist(robot: Robot) -> Wrist:
 def tool_cell(
     scene: Scene, where: Posed, margin_m: Scalar, target: Vector3, quaternion: Float[Array, "4"], rho: Scalar
 ) -> Cell:
-    """Return the cell of all configurations of `exclusion.tool_collides`."""
+    """Return the cell of all configurations of `exclusion.tool_collides`, which has the same arguments."""
     arm = wrist(scene.robot).on_tool - scene.robot.T_link_tcp[:3, 3]
     moves = 2 * safe_norm(arm) * jnp.sin(0.5 * jnp.minimum(rho, jnp.pi)) + scene.task.tolerance_m
     collides = tool_collides(scene, where, margin_m, target, quaternion, rho)
@@ -77,9 +78,19 @@ def tool_cell(
 
 
 def arm_cell(scene: Scene, where: Posed, margin_m: Scalar, target: Vector3, x: Joints, turns: Joints) -> Cell:
-    """Return the cell of all configurations that have the TCP within the tolerance of the target, world [m], and every
-    joint before the wrist within `turns` of x [rad or m]; the values for the last three are ignored. They also collide
-    if the wrist is too near to the target for the tool, or too far; see docs/equations.md, section Exclusion."""
+    """Return the cell of all configurations near x that have the TCP within the tolerance of the target.
+
+    They also collide if the wrist is too near to the target for the tool, or too far; see docs/equations.md, section
+    Exclusion.
+
+    Args:
+        scene: The scene.
+        where: A scenario, or another `Posed`.
+        margin_m: Required clearance.
+        target: The target, world [m].
+        x: Middle of the cell [rad or m]; the values of the last three joints are ignored.
+        turns: Largest distance of every joint from x [rad or m]; likewise.
+    """
     robot, tool = scene.robot, wrist(scene.robot)
     first = len(robot.slides) - WRIST
     free = jnp.arange(len(robot.slides)) < first
@@ -97,8 +108,9 @@ def arm_cell(scene: Scene, where: Posed, margin_m: Scalar, target: Vector3, x: J
 
 def _before_wrist(robot: Robot):
     """Return the pieces of the bodies up to the link that carries the wrist, in their links' frames, and their links.
-    That link turns with the first joint of the wrist: its bodies are placed on that axis, with their distance from
-    it."""
+
+    That link turns with the first joint of the wrist: its bodies are placed on that axis, with their distance from it.
+    """
     first = len(robot.slides) - WRIST
     links = np.array(robot.capsule_link)
     here = np.flatnonzero((links >= 0) & (links <= first))

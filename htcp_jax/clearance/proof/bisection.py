@@ -20,8 +20,8 @@ class Verdict(enum.IntEnum):
 
     PROVEN = 0
     COLLIDES = 1  # refuted: a body touches
-    LEAVES = 2  # refuted: the TCP leaves its tube, or a row of the task is broken
-    TURNS_BACK = 3  # refuted: the TCP moves against its line
+    LEAVES = 2  # refuted: the TCP leaves its tube, or a row of the task is violated
+    TURNS_BACK = 3  # refuted: the TCP moves backwards along its line
     OPEN = 4  # neither proven nor refuted
 
 
@@ -29,15 +29,18 @@ class Proof(NamedTuple):
     """Result of the bisection of a joint path, or of a chunk of one."""
 
     verdict: Int[Array, ""]
-    place: Scalar  # 0 to 1: the middle of the interval that is refuted or open; 1 where all are proven
+    place: Scalar  # 0 to 1: the middle of the interval that is refuted or undecided; 1 if all are proven
     clearance: Scalar  # lower bound on D along the proven part [m]
     queries: Int[Array, ""]  # checked intervals
     depth: Int[Array, ""]  # halvings of the shortest interval
 
 
 class Bisection(NamedTuple):
-    """State of the proof for a chunk of a joint path: up to interval number `index` of those of length 2^-depth, which
-    is next. It ends at `end`, in units of 1/WHOLE."""
+    """State of the proof for a chunk of a joint path.
+
+    It is proven up to interval number `index` of those of length 2^-depth, which is next. It ends at `end`, in units of
+    1/WHOLE.
+    """
 
     index: Int[Array, "*n"]
     depth: Int[Array, "*n"]
@@ -62,8 +65,10 @@ def begun() -> Bisection:
 
 
 def of_proven(proof: Proof) -> Proof:
-    """Return the proof; for a path that is not proven only its verdict and place, and initial values otherwise, as the
-    rest depends on the order of the checks."""
+    """Return the proof; for a path that is not proven only its verdict and place, and initial values otherwise.
+
+    The other values would depend on the order of the checks.
+    """
     proven = proof.verdict == Verdict.PROVEN
     told = jax.tree.map(partial(jnp.where, proven), proof, begun().proof)
     return told._replace(verdict=proof.verdict, place=proof.place)

@@ -4,9 +4,9 @@ A configuration in a cell is known up to a bound on the distance of each point o
 middle. A body whose axis comes so near to a wall that it still touches after moving by that much touches in all of
 them; so does one with an end further outside of the interior's hull than it can move.
 
-With its tip on the target, the tool is known but for its orientation: turned by at most rho, a point of it at distance
-r from the tip moves by at most 2 r sin(rho / 2). The link before it turns about the last joint's axis, which moves with
-the tool: as seen from the axis, a body of that link is never further away than its own distance from it.
+With its tip on the target, the tool is known except for its orientation: turned by at most rho, a point of it at
+distance r from the tip moves by at most 2 r sin(rho / 2). The link before it turns about the last joint's axis, which
+moves with the tool: as seen from the axis, a body of that link is never further away than its own distance from it.
 """
 
 from functools import partial
@@ -39,9 +39,17 @@ class Segments(NamedTuple):
 
 
 def surely_touches(obstacles: Obstacles, where: Posed, margin_m: Scalar, bodies: Segments) -> Bool[jax.Array, ""]:
-    """Return True if some body has clearance less than margin_m [m] wherever its points are within `moves` of the
-    segments, which are in the world. Obstacles other than points and the interior are ignored. By the triangle
-    inequality (docs/equations.md, section Exclusion)."""
+    """Return True if some body has clearance less than margin_m wherever its points are within `moves` of the segments.
+
+    By the triangle inequality (docs/equations.md, section Exclusion). Obstacles other than points and the interior are
+    ignored.
+
+    Args:
+        obstacles: The obstacles.
+        where: A scenario, or another `Posed`.
+        margin_m: Required clearance.
+        bodies: Segments in the world, with bounds on the displacement of their points [m].
+    """
     p, q, radius, moves = bodies
     moves, found = moves + ROUNDING_M, jnp.zeros((), bool)
     for each in obstacles:
@@ -60,9 +68,19 @@ def tool_collides(
     quaternion: Float[Array, "4"],
     rho: Scalar,
 ) -> Bool[jax.Array, ""]:
-    """Return True if the tool, or the link before it, has clearance less than margin_m [m] in every configuration that
-    has the TCP within the tolerance of the target, world [m], and the last link turned by at most rho [rad] from the
-    quaternion; see docs/equations.md, section Exclusion."""
+    """Return True if the tool, or the link before it, has less than the margin in every configuration of a cell.
+
+    The cell has the TCP within the tolerance of the target, and the last link turned by at most rho from the
+    quaternion; see docs/equations.md, section Exclusion.
+
+    Args:
+        scene: The scene.
+        where: A scenario, or another `Posed`.
+        margin_m: Required clearance, the margin.
+        target: The target, world [m].
+        quaternion: Orientation of the last link, w first, without a unit.
+        rho: Largest angle from it [rad].
+    """
     R, own = quaternion_matrix(quaternion), _about_tip(scene.robot)
     farthest = jnp.maximum(safe_norm(own.p), safe_norm(own.q))
     moves = own.moves + 2 * farthest * jnp.sin(0.5 * jnp.minimum(rho, jnp.pi)) + scene.task.tolerance_m
@@ -73,8 +91,10 @@ def tool_collides(
 
 
 def _about_tip(robot: Robot) -> Segments:
-    """Return the tool's bodies relative to the TCP, in the last link's frame, and those of the link before it, placed
-    on the last joint's axis."""
+    """Return the tool's bodies relative to the TCP, in the last link's frame, and those of the link before it.
+
+    The latter are placed on the last joint's axis.
+    """
     last = len(robot.slides) - 1
     links, tip = np.array(robot.capsule_link), robot.T_link_tcp[:3, 3]
     tool, wrist = np.flatnonzero(links == last), np.flatnonzero((links == last - 1) & (links >= 0))
@@ -88,8 +108,10 @@ def _about_tip(robot: Robot) -> Segments:
 
 
 def _on_axis(robot: Robot, points: Float[Array, "n 3"]):
-    """Return the points of the last joint's axis nearest to points of the link before it, in the last link's frame, and
-    their distances."""
+    """Return the points of the last joint's axis nearest to points of the link before it, and their distances.
+
+    They are in the last link's frame.
+    """
     T, axis = robot.T_parent_joint[-1], robot.axis[-1]
     own = product(points - T[None, :3, 3], T[:3, :3])
     return seen_from(axis, own)

@@ -47,10 +47,19 @@ def on_interval(
     keeps: Bool[Array, ""],
     asked: Bool[Array, ""],
 ) -> Interval:
-    """Return bounds on D on the joint path x + s `rates` [rad or m] with |s| <= half.
+    """Return bounds on D on the joint path x + s `rates` with |s| <= half.
 
-    least: the required clearance [m]; where it `keeps`, also the share `kept` of D in the middle. Where it is not
-    `asked`, only the bodies' travel is used.
+    Args:
+        robot: The robot.
+        obstacles: The obstacles.
+        where: A scenario, or another `Posed`.
+        x: The middle [rad or m].
+        rates: Its derivative in s [rad or m].
+        half: Half of the interval's length.
+        least: Required clearance [m].
+        kept: Share of D in the middle that is required, too, where `keeps`.
+        keeps: True: `kept` is required.
+        asked: True: obstacles' own bounds are used; False: only the bodies' travel.
     """
     bodies, moves = bodies_at(robot, where, x), sweep(robot, x, rates, half)
     room = [each.room(robot, where, bodies) for each in obstacles]
@@ -79,8 +88,10 @@ def _closer(
     wanted: Wanted,
     asked: Bool[Array, ""],
 ) -> Float[Array, "K"]:
-    """Return a lower bound on the bodies' clearance, by the obstacle's own bound for those that travel too far; it is
-    skipped if for one of them it can hardly succeed, as the body would come too near even along a flat wall."""
+    """Return a lower bound on the bodies' clearance, by the obstacle's own bound for those that travel too far.
+
+    It is skipped if it can hardly succeed for one of them: if the body would come too near even along a flat wall.
+    """
     by_travel = room - moves.travel
     open_, nearer = by_travel < good, moves.travel**2 / (2 * robot.capsule_radius)  # of a point that it moves towards
     asked &= jnp.all(~open_ | (room - moves.bend >= wanted.least) & (nearer <= 4 * room))
@@ -88,8 +99,20 @@ def _closer(
 
 
 def row_travel_bound(robot: Robot, rows: Rows, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "R"]:
-    """Return `travel_bound` of each row's body, relative to the link of the row's other, before it in the chain [m]:
-    with all joints up to that link at rest."""
+    """Return `travel_bound` of each row's body, relative to the link of the row's other, before it in the chain [m].
+
+    All joints up to that link are at rest.
+
+    Args:
+        robot: The robot.
+        rows: The pairs.
+        x: The middle [rad or m].
+        rates: Its derivative in s [rad or m].
+        half: Half of the interval's length.
+
+    Raises:
+        ValueError: For a row whose body does not lie beyond the link of its other.
+    """
     if any(0 <= other >= robot.capsule_link[body] for body, other in zip(*rows, strict=True)):
         raise ValueError("the body of a row must lie beyond the link of its other")
     seen_from = sorted(set(rows.other))

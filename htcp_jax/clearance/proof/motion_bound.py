@@ -55,15 +55,28 @@ class _Bounds(NamedTuple):
 
 
 def motion_bound(robot: Robot, x: Joints, turns: Joints) -> Float[Array, "K"]:
-    """Return a bound [m] on the displacement of any point of each body from x, while every joint stays within `turns`
-    [rad or m] of x."""
+    """Return a bound [m] on the displacement of any point of each body from x.
+
+    Args:
+        robot: The robot.
+        x: The configuration [rad or m].
+        turns: Largest distance of every joint from x [rad or m].
+    """
     return _larger(point_motion_bound(robot, x, turns, *_ends(robot, capsule_segments(robot, x))))
 
 
 def point_motion_bound(
     robot: Robot, x: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Array, "P"]
 ) -> Float[Array, "P"]:
-    """Return `motion_bound` for points at x, world [m], that are fixed to links, -1 for the world."""
+    """Return `motion_bound` for points that are fixed to links.
+
+    Args:
+        robot: The robot.
+        x: The configuration [rad or m].
+        turns: Largest distance of every joint from x [rad or m].
+        points: The points at x, world [m].
+        links: Each point's link, -1 for the world.
+    """
     return _bounds(robot, x, jnp.zeros_like(x), turns, points, links).moved
 
 
@@ -78,29 +91,45 @@ def sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Sweep:
 
 
 def tcp_sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> TcpSweep:
-    """Return the motion of the TCP on that path. In a function that also calls `sweep`, it costs next to nothing."""
+    """Return the motion of the TCP on the joint path x + s `rates` [rad or m] with |s| <= half.
+
+    In a function that also calls `sweep`, it costs next to nothing.
+    """
     points, within = _of_arm(robot, x, rates, half)
     return TcpSweep(points[-1], within.velocity[-1], within.bend[-1])
 
 
 def travel_bound(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "K"]:
-    """Return a bound [m] on the displacement of any point of each body from x on the joint path x + s `rates` [rad or
-    m] with |s| <= half."""
+    """Return a bound [m] on the displacement of any point of each body from x on a straight joint path.
+
+    Args:
+        robot: The robot.
+        x: The middle of the path x + s `rates` [rad or m].
+        rates: Its derivative in s [rad or m].
+        half: Largest |s|.
+    """
     return sweep(robot, x, rates, half).travel
 
 
 def point_bend_bound(
     robot: Robot, x: Joints, rates: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Array, "P"]
 ) -> Float[Array, "P"]:
-    """Return a bound [m] on the second derivative |p''| of points fixed to links, at x in the world [m], on a straight
-    joint path of x' = `rates` [rad or m], while every joint stays within `turns` of x."""
+    """Return a bound [m] on the second derivative |p''| of points fixed to links, on a straight joint path.
+
+    Args:
+        robot: The robot.
+        x: The configuration [rad or m].
+        rates: The path's derivative x' [rad or m].
+        turns: Largest distance of every joint from x [rad or m].
+        points: The points at x, world [m].
+        links: Each point's link, -1 for the world.
+    """
     return _bounds(robot, x, rates, turns, points, links).bend
 
 
 @jax.jit
 def _of_arm(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> tuple[Float[Array, "P 3"], _Bounds]:
-    """Return the ends of the bodies' axes and, last, the TCP, and their bounds: in one function, so that it is compiled
-    once."""
+    """Return the ends of the bodies' axes and, last, the TCP, with their bounds; one function, compiled once."""
     points, links = arm_points(robot, x)
     return points, _bounds(robot, x, rates, half * jnp.abs(rates), points, links)
 
@@ -140,7 +169,10 @@ def lever_bounds(
 ) -> tuple[list[Float[Anywhere, "... P"]], Float[Anywhere, "... P"]]:
     """Return r_j + M_{j+1} for each joint (r_j for a slide) and M_1, numpy or JAX.
 
-    levers: r_j of points, 0 of a joint that does not move the point. turns: d_j [rad or m].
+    Args:
+        levers: r_j of points [m], 0 of a joint that does not move the point.
+        turns: d_j [rad or m].
+        hinge: True for hinges.
     """
     bounds, moved = [], 0.0
     for j in reversed(range(len(hinge))):

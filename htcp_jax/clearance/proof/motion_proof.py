@@ -33,15 +33,17 @@ from htcp_jax.numerics import capsule_point_distance, product, safe_norm
 from htcp_jax.settings import Settings
 from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
 
-RESOLUTION_M = 1e-5  # penetration that `path_clear` may miss: grazing paths take many halvings to prove
+RESOLUTION_M = 1e-5  # penetration that `path_clear` may miss, as grazing paths take many halvings to prove
 KEPT_DEPTH = 6  # halvings to raise the proven clearance
 DEEPEST = 30  # halvings; a joint turns by less than 1e-8 rad then
 
 
 class Tube(NamedTuple):
-    """Allowed region of the TCP: within `radius` of the line from `start` to `end`, along which it only advances. If
-    the two are one point it may move in any direction; with an infinite radius it may be anywhere. And the task's other
-    goals."""
+    """Allowed region of the TCP: within `radius` of the line from `start` to `end`, along which it only advances.
+
+    If the two are one point it may move in any direction; with an infinite radius it may be anywhere. And the task's
+    other goals.
+    """
 
     start: Vector3  # world [m]
     end: Vector3
@@ -60,13 +62,18 @@ def prove(
     deepest: Int[ArrayLike, ""] = DEEPEST,
     kept: Float[ArrayLike, ""] = 0.0,
 ) -> Proof:
-    """Prove or refute that the straight joint path from a to b [rad or m] is clear, and keeps the TCP in the tube, if
-    there is one.
+    """Prove or refute that a straight joint path is clear, and keeps the TCP in the tube, if there is one.
 
-    resolution_m: D is proven to be more than minus that; sampled configurations have to be clear in any case. deepest:
-    the most halvings; with fewer, near contacts remain undecided. kept: the share of D in the middle that must remain
-    on all of an interval; else it is halved further, up to KEPT_DEPTH times. Without it, the clearance of a proof may
-    be next to nothing where D is not.
+    Args:
+        scene: The scene.
+        where: A scenario, or another `Posed`.
+        a: Start of the path [rad or m].
+        b: End of the path [rad or m].
+        tube: Allowed region of the TCP; None: anywhere.
+        resolution_m: D is proven to be more than minus that; sampled configurations have to be clear in any case.
+        deepest: Most halvings; with fewer, near contacts remain undecided.
+        kept: Share of D in the middle that must remain on all of an interval; else it is halved further, up to
+            KEPT_DEPTH times. With 0, the proven clearance may be almost 0 where D is not.
     """
     look = look_on(scene, where, a, b, tube, resolution_m, deepest, kept)
     return jax.lax.while_loop(lambda far: far.going, look, begun()).proof
@@ -120,8 +127,17 @@ def look_on(
 
 
 def path_clear(scene: Scene, settings: Settings, where: Posed, a: Joints, b: Joints) -> Bool[jax.Array, ""]:
-    """Return True if the straight joint path from a to b, without its ends, is clear by the test of
-    `settings.path_test`: `bisection`, or `samples`, which tests a number of places and nothing between them."""
+    """Return True if the straight joint path from a to b, without its ends, is clear by `settings.path_test`.
+
+    The test is `bisection`, or `samples`, which tests a number of places and nothing between them.
+
+    Args:
+        scene: The scene.
+        settings: `path_test`, and the number of steps for `samples`.
+        where: A scenario, or another `Posed`.
+        a: Start of the path [rad or m].
+        b: End of the path [rad or m].
+    """
     if settings.path_test == "bisection":
         return proven_clear(scene, where, a, b)
     if settings.path_steps == 1:
@@ -131,13 +147,12 @@ def path_clear(scene: Scene, settings: Settings, where: Posed, a: Joints, b: Joi
 
 
 def proven_clear(scene: Scene, where: Posed, a: Joints, b: Joints) -> Bool[jax.Array, ""]:
-    """Return True if D > 0 wherever bisection samples it, and D > -RESOLUTION_M is proven everywhere else on the
-    path."""
+    """Return True if D > 0 wherever bisection samples the path, and D > -RESOLUTION_M is proven everywhere else."""
     return prove(scene, where, a, b, resolution_m=RESOLUTION_M).verdict == Verdict.PROVEN
 
 
 def _in_tube(scene: Scene, tube: Tube, forwards: Vector3, x: Joints, rates: Joints, half: Scalar):
-    """Return True if the TCP surely stays in the tube on an interval about x, and the verdict at x itself."""
+    """Return True if the TCP is proven to stay in the tube on an interval about x, and the verdict at x itself."""
     p, v, bend = tcp_sweep(scene.robot, x, rates, half)
     bend = bend * half
     off, before, after = _off_line(tube, jnp.stack([p, p - half * v, p + half * v]))

@@ -4,8 +4,8 @@ On a segment a row's goal lies between that of the previous target, 0, and that 
 
     a place       f_k = u_k p - o_k, its deviation in a direction by either: min f_k <= w and max f_k >= -w
     an axis       the angle to d_0, to d_1, or to the direction half way, is at most the limit
-    a frame       so is the angle of the rotation to R_0, to R_1, or to the rotation half way
-    a view        so is the angle to the direction of the place
+    a frame       the angle of the rotation to R_0, to R_1, or to the rotation half way, is at most the limit
+    a view        the angle to the direction of the place is at most the limit
 
 w is the band plus the tolerance of lengths; the limit is the half angle, half way at least half the turn from 0 to 1,
 plus the tolerance of angles.
@@ -35,12 +35,11 @@ from htcp_jax.numerics import product, safe_norm
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar, Vector3
 
 ROUNDING = 1e-12  # of a chord
-HELD_ELSEWHERE = TaskPoint()  # the TCP at a place: by its tube
+HELD_ELSEWHERE = TaskPoint()  # the TCP at a place, which its tube constrains
 
 
 class Slabs(NamedTuple):
-    """Allowed region of a point: c directions and, for either target, the offsets along them and the allowed deviation
-    [m]."""
+    """Allowed region of a point: c directions and, for either target, the offsets along them and the deviation [m]."""
 
     across: Float[Array, "2 c 3"]
     offset: Float[Array, "2 c"]
@@ -73,8 +72,12 @@ class Left(NamedTuple):
 
 
 def between(task: Task, goals: Float[Array, "2 G"]) -> tuple[Between, ...]:
-    """Return the constraint of every part of a task between two targets with these goals; None for the TCP at a
-    place."""
+    """Return the constraint of every part of a task between two targets; None for the TCP at a place.
+
+    Args:
+        task: The task.
+        goals: The goals of the two targets.
+    """
     return tuple(
         None if part == HELD_ELSEWHERE else _BETWEEN[type(part)](task, part, goals[:, start : start + part.numbers])
         for start, part in zip(task.starts, task.parts, strict=True)
@@ -89,7 +92,16 @@ def heeded(parts: tuple[Row, ...]) -> tuple[Row, ...]:
 def rows_left(
     robot: Robot, parts: tuple[Row, ...], asked: tuple[Between, ...], x: Joints, rates: Joints, half: Scalar
 ) -> Left:
-    """Return the slack of each of the `heeded` parts on the joint path x + s `rates` [rad or m] with |s| <= half."""
+    """Return the slack of each of the `heeded` parts on a straight joint path.
+
+    Args:
+        robot: The robot.
+        parts: All parts of the task.
+        asked: Their constraints, see `between`.
+        x: The middle of the path x + s `rates` [rad or m].
+        rates: Its derivative in s [rad or m].
+        half: Largest |s|.
+    """
     given = [(part, own) for part, own in zip(parts, asked, strict=True) if own is not None]
     found = [_LEFT[type(own)](robot, part.features, own, x, rates, half) for part, own in given]
     return Left(*(jnp.stack(each) for each in zip(*found, strict=True)))
@@ -98,7 +110,7 @@ def rows_left(
 def rows_hold(
     robot: Robot, parts: tuple[Row, ...], asked: tuple[Between, ...], x: Joints, rates: Joints, half: Scalar
 ) -> tuple[Bool[Array, "P"], Bool[Array, "P"]]:
-    """Return True for parts that surely hold on such a joint path, and True for parts that are violated at x."""
+    """Return True for parts proven to hold on the joint path of `rows_left`, and True for parts violated at x."""
     found = rows_left(robot, parts, asked, x, rates, half)
     return found.left >= 0, found.broken
 
@@ -213,7 +225,7 @@ def _bend(robot: Robot, x: Joints, rates: Joints, half: Scalar, feature: Feature
 
 
 def _turning(robot: Robot, rates: Joints) -> Scalar:
-    """Return the sum of the hinges' turns."""
+    """Return the sum of the hinges' turns [rad]."""
     return jnp.sum(jnp.where(np.array(robot.slides), 0.0, jnp.abs(rates)))
 
 
