@@ -1,5 +1,6 @@
-"""Functions of one lane, run over tables with one lane per row: one executable serves any number of lanes, and a lane's
-result does not depend on how many others there are.
+"""Functions of one lane, run over tables with one lane per row.
+
+One executable serves any number of lanes, and a lane's result does not depend on how many others there are.
 """
 
 from collections.abc import Callable
@@ -14,9 +15,11 @@ from htcp_jax.types import Bool, Int
 
 
 class Loop(NamedTuple):
-    """Loop that a function of one lane returns in place of its result, so that lanes with different numbers of steps
-    fill a GPU. The result is `result(state)` once `going(state)` is false. All functions know their lane; values that a
-    step needs and the state does not hold are recomputed in every step."""
+    """Loop that a function of one lane returns in place of its result, so that lanes of uneven length fill a GPU.
+
+    The result is `result(state)` once `going(state)` is false. All functions know their lane; values that a step needs
+    and the state does not hold are recomputed in every step.
+    """
 
     state: Any
     going: Callable[[Any], jax.Array]
@@ -32,9 +35,16 @@ def finished(found: Any) -> Any:
 
 
 def chunked(function: Callable, width: int) -> Callable:
-    """Return `function(scene, *one lane)` over tables with a leading axis of capacity C: run(scene, lanes, *tables)
-    computes the first `lanes` rows, `width` at a time; rows from `lanes` on are undefined. With width 1 the function is
-    not batched: its loops then run as long as their own lane needs, and the executable is a fifth shorter."""
+    """Return a compiled function that applies `function` to the rows of tables, `width` at a time.
+
+    It is run(scene, lanes, *tables): tables have a leading axis of capacity C, of which the first `lanes` rows are
+    computed; rows of the results from `lanes` on are undefined. With width 1 the function is not batched: its loops
+    then run as long as their own lane needs, and the executable is a fifth shorter.
+
+    Args:
+        function: Function of (scene, *one lane).
+        width: Number of lanes computed side by side.
+    """
 
     @jax.jit  # traced once, for the result shapes and for the loop
     def one_chunk(scene, tables, start):
@@ -72,9 +82,11 @@ class Slots(NamedTuple):
 
 
 def refilled(function: Callable, width: int) -> Callable:
-    """Return `chunked` for a function that returns a `Loop`: a finished lane's slot takes the next lane, so that no
-    lane waits for the longest in its chunk. While lanes are left, up to an eighth of the slots may be idle before they
-    are refilled."""
+    """Return `chunked` for a function that returns a `Loop`: a finished lane's slot takes the next lane.
+
+    So no lane waits for the longest in its chunk. While lanes are left, up to an eighth of the slots may be idle before
+    they are refilled.
+    """
 
     def run(scene, lanes, *tables):
         capacity = jax.tree.leaves(tables)[0].shape[0]
@@ -122,15 +134,20 @@ def refilled(function: Callable, width: int) -> Callable:
 def next_rows(
     free: Bool[jax.Array, "width"], first: jax.Array, lanes: jax.Array
 ) -> tuple[Int[jax.Array, "width"], Bool[jax.Array, "width"], jax.Array]:
-    """Return the row that each free slot takes, from `first` on, the slots that take one, and the first row that is
-    left."""
+    """Return the row that each free slot takes, the slots that take one, and the first row that is left.
+
+    Args:
+        free: True for free slots.
+        first: The first row to take (scalar,).
+        lanes: Number of rows (scalar,).
+    """
     row = first + jnp.cumsum(free, dtype=jnp.int32) - 1
     new = free & (row < lanes)
     return row, new, first + jnp.sum(new, dtype=jnp.int32)
 
 
 def _empty(few: Any, capacity: int) -> Any:
-    """Tables of zeros with `capacity` rows of the same shape and type as those of `few`."""
+    """Return tables of zeros with `capacity` rows of the same shape and type as those of `few`."""
     return jax.tree.map(lambda table: jnp.zeros((capacity, *table.shape[1:]), table.dtype), few)
 
 

@@ -20,8 +20,11 @@ except ImportError:  # no POSIX system: processes that start together compile th
 def enable() -> Path | None:
     """Keep executables in the user's cache folder, or in HTCP_CACHE; HTCP_CACHE=off disables the cache.
 
-    Returns the folder, or None if nothing is kept. A folder already set through JAX takes precedence. A folder that is
-    not writable disables the cache: it must never stop a plan.
+    A folder already set through JAX takes precedence. A folder that is not writable disables the cache: it must never
+    stop a plan.
+
+    Returns:
+        The folder, or None if nothing is kept.
     """
     choice = os.environ.get("HTCP_CACHE", "")
     if choice.lower() in ("off", "0", "no"):
@@ -42,8 +45,10 @@ def enable() -> Path | None:
 
 @contextlib.contextmanager
 def alone(program: str) -> Iterator[None]:
-    """Lock the compilation of this executable among processes that share the cache folder: the others wait, then load
-    it. If the lock is not available, continue without it."""
+    """Lock the compilation of this executable among processes that share the cache folder.
+
+    The others wait, then load it. If the lock is not available, continue without it.
+    """
     with contextlib.ExitStack() as held:
         with contextlib.suppress(OSError):
             if fcntl is not None and jax.config.jax_compilation_cache_dir:

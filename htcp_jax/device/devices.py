@@ -11,8 +11,13 @@ from htcp_jax.errors import InputError
 
 
 def choose(name: str | None = None) -> list[jax.Device]:
-    """Return the devices with that name; `cpu` can be chosen on a host with GPUs before anything is computed. Raises
-    InputError for a name that is no device here."""
+    """Return the devices with that name; None: those that JAX prefers.
+
+    `cpu` can be chosen on a host with GPUs before anything is computed.
+
+    Raises:
+        InputError: For a name that is no device here.
+    """
     if name == "cpu":
         jax.config.update("jax_platforms", "cpu")
     here = jax.local_devices()
@@ -26,13 +31,15 @@ def choose(name: str | None = None) -> list[jax.Device]:
 
 
 def default_threads(devices: list[jax.Device], qp: str) -> int:
-    """Number of engines that share the scenarios. On a CPU one per core. On GPUs one each, for the largest batches;
-    more if the host solves the step QPs."""
+    """Return the number of engines that share the scenarios.
+
+    On a CPU one per core. On GPUs one each, for the largest batches; more if the host solves the step QPs.
+    """
     if devices[0].platform == "cpu":
         return cores()
     return len(devices) if qp == "device" else max(cores(), 2 * len(devices))
 
 
 def cores() -> int:
-    """Number of CPU cores that this process may use."""
+    """Return the number of CPU cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

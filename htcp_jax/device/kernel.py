@@ -15,8 +15,11 @@ _SETTINGS = frozenset(field.name for field in fields(Settings))
 
 
 class Table(NamedTuple):
-    """Number of rows that a function is compiled for, and how many lanes it computes side by side. A table that refills
-    gives a finished lane's slot to the next lane, see `Kernel.refill`; calls with few lanes then get a short table."""
+    """Number of rows that a function is compiled for, and how many lanes it computes side by side.
+
+    A table that refills gives a finished lane's slot to the next lane, see `Kernel.refill`; calls with few lanes then
+    get a short table.
+    """
 
     capacity: int
     width: int
@@ -28,9 +31,11 @@ class Table(NamedTuple):
 
 
 class Load(NamedTuple):
-    """Tables of a class of kernels, one per platform for any number of lanes, as a table of another size would round
-    differently. A CPU gains nothing from lanes side by side; a GPU from thousands, fewer if each lane has hundreds of
-    samples."""
+    """Tables of a class of lane functions, one per platform for any number of lanes.
+
+    A table of another size would round differently. A CPU gains nothing from lanes side by side; a GPU from thousands,
+    fewer if each lane has hundreds of samples.
+    """
 
     cpu: Table
     gpu: Table
@@ -45,22 +50,22 @@ STEP = Load(cpu=ALONE, gpu=Table(4096, 4096))  # for every lane, in every round
 DEEP = Load(cpu=ALONE, gpu=Table(2048, 512))  # for few lanes, or with vectorised inner loops
 TRACKED = Load(cpu=ALONE, gpu=Table(PORTION, 4096, refills=True))  # loops of some steps, in the longest calls
 WALKED = Load(cpu=ALONE, gpu=Table(2048, 512, refills=True))  # DEEP, for functions that return a `Loop`
-SAMPLED = Load(cpu=ALONE, gpu=Table(256, 128))  # with hundreds of configurations a lane
+SAMPLED = Load(cpu=ALONE, gpu=Table(256, 128))  # with hundreds of configurations per lane
 
 
 @dataclass(frozen=True)
 class Kernel:
     """A function of one lane, function(*parts, settings, scene, lane, ...), and how it is compiled.
 
-    settings: names of those that it reads. Executables are compiled for these values only, so a new seed, for example,
-    compiles nothing. Reading a setting that is not named raises AttributeError when the kernel is compiled.
+    Executables are compiled for the values of the named settings only, so a new seed, for example, compiles nothing.
+    Reading a setting that is not named raises AttributeError when the function is compiled.
     """
 
     name: str
     function: Callable
     load: Load
-    settings: tuple[str, ...] = ()
-    parts: tuple = ()  # hashable; distinguishes kernels that share a function
+    settings: tuple[str, ...] = ()  # names of those that the function reads
+    parts: tuple = ()  # hashable; distinguishes instances that share a function
     refill: Callable = refilled  # `refilled` or a replacement, if the table refills
 
     def values(self, settings: Settings) -> tuple:
@@ -78,7 +83,7 @@ class Kernel:
 
 
 class _NamedSettings(Settings):
-    """Settings restricted to those that a kernel names."""
+    """Settings restricted to those that a `Kernel` names."""
 
     @classmethod
     def of(cls, settings: Settings, kernel: Kernel) -> "_NamedSettings":

@@ -1,5 +1,6 @@
-"""Work shared among processes of this machine. Engines in one process take turns, as Python runs one thread at a time;
-engines in separate processes do not.
+"""Work shared among processes of this machine.
+
+Engines in one process take turns, as Python runs one thread at a time; engines in separate processes do not.
 
 The workers are loky's. They are started once and kept for the next call; they import this package and never their
 caller's main module, which may be a notebook or a script without a guard; and a worker that dies raises an error
@@ -29,8 +30,8 @@ from htcp_jax.unfinished import temporary_folder
 
 LOOK_S = 0.1  # interval at which progress is polled
 IDLE_S = 300  # idle time after which workers end
-START_PAYS = 10_000  # targets that outweigh starting workers, which takes as long as some thousands of them
-EACH_PAYS = 8  # scenarios per worker that is already running
+START_PAYS = 10_000  # targets from which starting workers pays: it takes as long as some thousands of them
+EACH_PAYS = 8  # scenarios from which each worker pays that is already running
 MOST_TOGETHER = 64  # scenarios per part: fewer make calls with fewer lanes, more make the last part take longer
 
 _workers: list[Any] = []  # the executor, once needed
@@ -38,8 +39,11 @@ _asked: list[int] = []  # targets of the calls that were large enough
 
 
 def that_pay(cores: int, scenarios: int, targets: int) -> int:
-    """Return the number of processes for so many scenarios with so many targets in all. Workers are started once the
-    targets of all calls so far outweigh the start, so one large call or many small ones start them."""
+    """Return the number of processes for so many scenarios with so many targets in all.
+
+    Workers are started once the targets of all calls so far outweigh the start, so one large call or many small ones
+    start them.
+    """
     if (most := min(cores, scenarios // EACH_PAYS)) < 2:
         return 1
     _asked.append(targets)
@@ -47,15 +51,19 @@ def that_pay(cores: int, scenarios: int, targets: int) -> int:
 
 
 def shares(count: int, processes: int) -> list[Int[np.ndarray, "_"]]:
-    """Divide so many scenarios into parts, each planned by the next free process; returns their positions. Neighbours
-    in a grid are alike, so scenarios are dealt out in turn and each part gets its share of the hard ones."""
+    """Divide so many scenarios into parts, each planned by the next free process; return their positions.
+
+    Neighbours in a grid are alike, so scenarios are dealt out in turn and each part gets its share of the hard ones.
+    """
     parts = min(count, max(processes, -(-count // MOST_TOGETHER)))
     return [np.arange(first, count, parts) for first in range(parts)]
 
 
 def portable(*things: Any) -> bytes | None:
-    """Pickle objects for a process that can import this package and all installed ones, but not the caller's main
-    module; None if they cannot be pickled or need that module."""
+    """Pickle objects for a process that imports this package and all installed ones, but not the caller's main module.
+
+    None if they cannot be pickled or need that module.
+    """
     try:
         data = pickle.dumps(things)
     except Exception:  # of many kinds
@@ -73,11 +81,21 @@ class Spread(NamedTuple):
 def spread(
     processes: int, call: Callable, shared: bytes, parts: Sequence, report: Callable[[np.ndarray], None] | None
 ) -> Spread:
-    """Return call(tell, *shared, part) for every part. shared: see `portable`; it is sent to each worker once and kept
-    there for the next call. tell(a, b): sets two counts of a part's progress; report is called repeatedly with those of
-    all parts (P, 2), and an exception in it ends the work.
+    """Return call(tell, *shared, part) for every part.
 
-    Raises the exception of the first part that fails, and Lost if a worker dies.
+    tell(a, b) sets two counts of a part's progress.
+
+    Args:
+        processes: Number of workers.
+        call: The function; it must be importable in a worker.
+        shared: Objects for all parts, see `portable`; they are sent to each worker once and kept there for the next
+            call.
+        parts: One argument of `call` each.
+        report: Called repeatedly with the counts of all parts (P, 2); an exception in it ends the work.
+
+    Raises:
+        Exception: The one of the first part that fails.
+        Lost: If a worker dies.
     """
     with temporary_folder() as folder:
         file = folder / sha256(shared).hexdigest()
@@ -101,7 +119,7 @@ def spread(
 
 
 def _watched(asked: Sequence[Future], look: Callable[[], Any]) -> None:
-    """Wait for all futures, calling `look` at intervals. Raises the first exception among them."""
+    """Wait for all futures, calling `look` at intervals; raise the first exception among them."""
     left = set(asked)
     while left:
         done, left = wait(left, LOOK_S, FIRST_EXCEPTION)
@@ -136,8 +154,10 @@ def _begin(cache: str | None, least_s: float) -> None:
 
 
 def _end_with(parent: int) -> None:
-    """End this process with its parent. A killed process sends its workers no signal; on Windows they end after
-    `IDLE_S` without work."""
+    """End this process with its parent.
+
+    A killed process sends its workers no signal; on Windows they end after `IDLE_S` without work.
+    """
     while os.getppid() == parent:
         time.sleep(1.0)
     os._exit(1)

@@ -1,4 +1,4 @@
-"""Execution of a method's kernels on one scene and device, and the cache of their executables."""
+"""Execution of a method's lane functions on one scene and device, and the cache of their executables."""
 
 import threading
 import time
@@ -28,11 +28,14 @@ COMPILER = {
 }
 
 
-NOBODY = nullcontext()  # waits
+NOBODY = nullcontext()  # in place of a stopwatch for the time spent waiting
 
 
 class Programs:
-    """Cache of executables, one per kernel, values of the settings that it reads, device, and argument shapes."""
+    """Cache of executables.
+
+    One per `Kernel`, values of the settings that it reads, device, and shapes of the arguments.
+    """
 
     def __init__(self):
         self._compiled: dict[tuple, jax.stages.Compiled] = {}
@@ -54,8 +57,17 @@ class Programs:
         arguments: tuple,
         waiting: AbstractContextManager = NOBODY,
     ) -> jax.stages.Compiled:
-        """Return the executable for arguments of these shapes, compiling it if there is none, within the context
-        `waiting`. Python traces one function at a time; compilation runs in parallel."""
+        """Return the executable for arguments of these shapes, compiling it if there is none.
+
+        Python traces one function at a time; compilation runs in parallel.
+
+        Args:
+            kernel: The function and how it is compiled.
+            settings: Settings of the planner.
+            device: The device to compile for.
+            arguments: Scene, number of lanes, and tables.
+            waiting: Context in which the executable is compiled.
+        """
         leaves, structure = jax.tree.flatten(arguments)
         shapes = tuple((x.shape, x.dtype) for x in leaves)
         key = (kernel, kernel.values(settings), device, structure, shapes)
@@ -69,14 +81,14 @@ class Programs:
         return self._compiled[key]
 
     def of(self, *kernels: Kernel) -> list[tuple[Kernel, jax.stages.Compiled]]:
-        """Return the executables of some kernels."""
+        """Return the executables of some lane functions."""
         return [(kernel, self._compiled[key]) for kernel in kernels for key in self._compiled if key[0] == kernel]
 
 
 PROGRAMS = Programs()  # of this process
 
 
-FEW = 4  # lanes, too few to share among threads
+FEW = 4  # so few lanes are not shared among threads
 
 
 class Stopwatch:
@@ -100,11 +112,17 @@ class Stopwatch:
 
 
 class Kernels:
-    """Run kernels on one scene and one device. They are compiled on first use, once for any number of scenarios;
-    `compile_s` is the time spent waiting for that.
+    """Run lane functions on one scene and one device.
 
-    threads: number of threads that share a call's lanes on a CPU; each lane is computed by itself, so results do not
-    depend on it.
+    They are compiled on first use, once for any number of scenarios; `compile_s` is the time spent waiting for that.
+
+    Args:
+        scene: The scene.
+        settings: Settings of the planner.
+        device: The device; None: the default one.
+        programs: The cache of executables.
+        threads: Number of threads that share a call's lanes on a CPU; each lane is computed by itself, so results do
+            not depend on it.
     """
 
     def __init__(
@@ -158,7 +176,7 @@ class Kernels:
         return self.task.values, 1 if self._settings.clearance_rows == "smallest" else len(self._scene.rows.body)
 
     def __call__(self, kernel: Kernel, *tables) -> Any:
-        """Run a kernel over tables of n >= 1 lanes; returns numpy tables of n lanes."""
+        """Run a lane function over tables of n >= 1 lanes; return numpy tables of n lanes."""
         lanes = len(jax.tree.leaves(tables)[0])
         most = min(kernel.load.on(self.device).capacity, max(FEW, -(-lanes // self._threads)))
         if lanes <= most:
@@ -169,8 +187,13 @@ class Kernels:
 
     @contextmanager
     def preparing(self, calls: Sequence[tuple]) -> Iterator[None]:
-        """Compile the given calls on all cores, in this order, while the caller continues and waits only for what it
-        needs. calls: (kernel, tables) as they will be made, with any values and any number of lanes."""
+        """Compile the given calls on all cores, in this order, while the caller continues.
+
+        The caller waits only for executables that it uses in the meantime.
+
+        Args:
+            calls: (kernel, tables) as they will be made, with any values and any number of lanes.
+        """
         with ThreadPoolExecutor(cores()) as pool:
             begun = [pool.submit(self._ready, kernel, tables) for kernel, *tables in calls]
             try:
@@ -189,7 +212,7 @@ class Kernels:
         lanes = len(jax.tree.leaves(tables)[0])
         arguments = self._arguments(kernel, tables)
         result = self._program(kernel, arguments)(*arguments)
-        # Waiting for an array holds the interpreter's lock, which other engines need; this does not.
+        # Unlike waiting for an array, this does not hold the interpreter's lock, which other engines need.
         jax.block_until_ready(result)
         if self.device.platform != "cpu":
             result = jax.device_get(result)  # all copies at once
@@ -203,7 +226,7 @@ class Kernels:
         return self._scene, np.int32(lanes), *padded
 
     def _program(self, kernel: Kernel, arguments: tuple) -> jax.stages.Compiled:
-        key = kernel, len(jax.tree.leaves(arguments)[-1])  # of the tables, as some kernels have a short one, too
+        key = kernel, len(jax.tree.leaves(arguments)[-1])  # the tables' length, as some have a short table, too
         if key not in self._own:
             self._own[key] = self._programs.get(kernel, self._settings, self.device, arguments, self._waiting)
         return self._own[key]

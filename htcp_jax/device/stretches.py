@@ -19,7 +19,7 @@ from htcp_jax.types import Bool, Int
 
 
 class Slots(NamedTuple):
-    """Chunks computed side by side, one per slot, and the state of their proofs; in a free slot nothing has begun."""
+    """Chunks computed side by side, one per slot, and the state of their proofs; initial states in free slots."""
 
     row: Int[jax.Array, "width"]  # the path's row in the tables; their length if the slot is free
     far: Bisection
@@ -33,8 +33,10 @@ class Known(NamedTuple):
 
 
 def by_stretches(function: Callable, width: int) -> Callable:
-    """Return `batching.refilled` for a function whose loop is a bisection: its state is a `Bisection` that has not
-    begun, every step one clearance query, and its result `of_proven`."""
+    """Return `batching.refilled` for a function whose loop is a bisection.
+
+    Its state is a `Bisection` that has not begun, every step one clearance query, and its result `of_proven`.
+    """
 
     def run(scene, lanes, *tables) -> Proof:
         capacity = jax.tree.leaves(tables)[0].shape[0]
@@ -107,5 +109,5 @@ def _put_together(slots: Slots, looked: Bisection, known: Known, capacity: int) 
 
 
 def _table(one: Any, length: int) -> Any:
-    """Table of so many rows, all equal to `one`."""
+    """Return a table of so many rows, all equal to `one`."""
     return jax.tree.map(lambda value: jnp.full(length, value), one)

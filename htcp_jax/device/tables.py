@@ -8,7 +8,7 @@ import numpy as np
 
 Tables = TypeVar("Tables")
 
-PORTION = 16384  # rows, as many as the largest table of a kernel has
+PORTION = 16384  # rows, as many as the largest table of a lane function has
 
 
 def gather(tables: Tables, rows) -> Tables:
@@ -23,7 +23,7 @@ def gather(tables: Tables, rows) -> Tables:
 
 
 def portions(tables: Tables) -> Iterator[Tables]:
-    """Yield all rows in chunks, which bounds the memory of what is computed from them."""
+    """Yield all rows in chunks, which limits the memory of results computed from them."""
     for first in range(0, len(jax.tree.leaves(tables)[0]), PORTION):
         yield gather(tables, slice(first, first + PORTION))
 
@@ -42,8 +42,10 @@ def interleaved(parts: Sequence[Tables]) -> Tables:
 
 
 def gather_from(places: Sequence[tuple[Tables, np.ndarray]]) -> Tables:
-    """Return the rows at one or more places, in their order; a place is a table and some of its rows. Each table is
-    indexed once, however many places are in it."""
+    """Return the rows at one or more places, in their order; a place is a table and some of its rows.
+
+    Each table is indexed once, however many places are in it.
+    """
     found: dict[int, tuple[Tables, list[int]]] = {}
     for place, (tables, _) in enumerate(places):
         found.setdefault(id(tables), (tables, []))[1].append(place)
@@ -66,8 +68,10 @@ def scatter(tables: Tables, rows, new: Tables) -> Tables:
 
 
 def pad(table: np.ndarray, capacity: int, filled: int) -> np.ndarray:
-    """Return the table with `capacity` rows: its first row repeated up to `filled`, so that padding holds valid
-    numbers; the rows beyond are not set and must not be read."""
+    """Return the table with `capacity` rows: its first row repeated up to `filled`, so that padding is valid.
+
+    The rows beyond are not set and must not be read.
+    """
     lanes = len(table)
     if lanes == capacity:
         return table
