@@ -36,8 +36,12 @@ class CollisionChecker:
 
     All arguments are tables with one row per lane: `inputs` has the scenario's data and the target, see `lane_inputs`,
     `q`, `a` and `b` have configurations [rad or m]. Rows do not influence each other. `kernels` runs a planner's own
-    compiled functions in the same scene. guard: the walls that the tool's bare tip must not pass through; None if it
-    may touch anywhere.
+    compiled functions in the same scene.
+
+    Args:
+        kernels: Runs compiled functions in the scene.
+        settings: Settings of the planner.
+        guard: The walls that the tool's bare tip must not pass through; None if it may touch anywhere.
     """
 
     def __init__(self, kernels: Kernels, settings: Settings, guard: TipGuard | None = None):
@@ -49,16 +53,19 @@ class CollisionChecker:
         return self.kernels(ADVANCE, inputs, q, np.zeros_like(q))
 
     def stepped(self, inputs: LaneInputs, q: Configurations, y: Configurations) -> State:
-        """Return the states after steps y [rad or m] of step QPs, with the rows of clearance that these use
-        (`settings.clearance_rows`)."""
+        """Return the states after steps y [rad or m] of step QPs.
+
+        Their linearisation has the rows of clearance that step QPs use (`settings.clearance_rows`).
+        """
         return self.kernels(self._advance, inputs, q, y)
 
     def valid(self, inputs: LaneInputs, at: State, among: Rows | bool = True) -> Rows:
-        """True for states of `among` that satisfy the task and keep the margin, with the bare tip out of the walls."""
+        """Return True for states of `among` that satisfy the task and the margin, with the bare tip out of the walls.
+        """
         return self.tip_free(inputs, at.x, self.task.counts(at.clearance, at.residual, inputs.margin_m) & among)
 
     def tip_free(self, inputs: LaneInputs, q: Configurations, among: Rows) -> Rows:
-        """True for configurations of `among` whose bare tip passes through no wall."""
+        """Return True for configurations of `among` whose bare tip passes through no wall."""
         good = np.array(among)
         if self._guard is not None and good.any():
             tip = self.kernels(TIP, *gather((inputs, q), good))
@@ -81,12 +88,21 @@ class CollisionChecker:
         deepest: int | Int[np.ndarray, "n"] = DEEPEST,
         tip: bool = True,
     ) -> Proof:
-        """Return proofs that the straight joint paths from a to b are valid all along: the bodies are clear, the TCP
-        stays in its tube, the task's rows hold where the tube says so, and the bare tip is out of the walls.
+        """Return proofs that the straight joint paths from a to b are valid all along.
 
-        tube: None if the TCP may be anywhere. kept, resolution_m, deepest: see `clearance.proof.motion_proof.prove`.
-        tip: False if the tip is not checked; else at PLACES - 1 places between a and b, and the verdict of a path on
-        which it passes through a wall is COLLIDES.
+        The bodies are clear, the TCP stays in its tube, the task's rows hold where the tube requires them, and the bare
+        tip is out of the walls.
+
+        Args:
+            inputs: Scenario and target of each path.
+            a: Starts of the paths [rad or m].
+            b: Ends of the paths [rad or m].
+            tube: Allowed regions of the TCP; None: anywhere.
+            kept: Share of D that must remain, see `clearance.proof.motion_proof.prove`.
+            resolution_m: D is proven to be more than minus that, see `prove`.
+            deepest: Most halvings, see `prove`.
+            tip: False if the tip is not checked; else it is at PLACES - 1 places between a and b, and the verdict of a
+                path on which it passes through a wall is COLLIDES.
         """
         proof = self.kernels(*prove_call(self.task, inputs, a, b, tube, kept, resolution_m, deepest))
         if self._guard is None or not tip:
@@ -96,8 +112,10 @@ class CollisionChecker:
         return proof._replace(verdict=np.where(passes, int(Way.COLLIDES), proof.verdict))
 
     def path_clear(self, inputs: LaneInputs, a: Configurations, b: Configurations) -> Rows:
-        """True for straight joint paths from a to b that are clear by the test of `settings.path_test`, with the bare
-        tip out of the walls. The test by proof uses the executable for motions, so that no other one is compiled."""
+        """Return True for straight joint paths that are clear by `settings.path_test`, the bare tip included.
+
+        The test by proof uses the executable for motions, so that no other one is compiled.
+        """
         if self._settings.path_test == "bisection":
             return self.edges(inputs, a, b, resolution_m=RESOLUTION_M).verdict == Way.PROVEN
         return self._tip_free_along(inputs, a, b, self.kernels(CHECK_PATH, inputs, a, b))
@@ -116,7 +134,7 @@ class CollisionChecker:
 def prove_call(
     task: Task, inputs: LaneInputs, a, b, tube: Tube | None = None, kept=0.0, resolution_m=-ROUNDING_M, deepest=DEEPEST
 ) -> tuple:
-    """Return the kernel and the tables of `CollisionChecker.edges`, see `Kernels.preparing`."""
+    """Return the lane function and the tables of `CollisionChecker.edges`, see `Kernels.preparing`."""
     closely = Closely(*(np.broadcast_to(value, len(a)) for value in (kept, resolution_m, np.asarray(deepest, int))))
     return PROVE, inputs, a, b, free_tubes(task, inputs) if tube is None else tube, closely
 

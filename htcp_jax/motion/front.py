@@ -1,5 +1,7 @@
-"""Selection of a beam: of the configurations that reach a target, the best of close ones, and those far apart. Works on
-many searches at once: rows with the same number belong to one search, and searches do not influence each other.
+"""Selection of a beam: of the configurations that reach a target, the best of close ones, and those far apart.
+
+Works on many searches at once: rows with the same number belong to one search, and searches do not influence each
+other.
 """
 
 import numpy as np
@@ -20,11 +22,20 @@ def dispersed(
     apart: float,
     known: tuple[Float[np.ndarray, "m N"], Int[np.ndarray, "m"]] | None = None,
 ) -> Int[np.ndarray, "k"]:
-    """Return the indices of up to `most` configurations per search, all further than `apart` [rad] from each other and
-    from the known ones: the first of close ones and, if more remain, those far from each other (farthest-point
-    selection). Rows are given search by search, best first, and returned in that order.
+    """Return the indices of up to `most` configurations per search, all at least `apart` from each other.
 
-    search: the number of each row's search, 0 or more. known: configurations that are kept already, and their searches.
+    Of close ones the first is kept, and none that is close to a known one. If more than `most` remain, those far from
+    each other are (farthest-point selection).
+
+    Args:
+        x: Configurations [rad], search by search, best first.
+        search: Number of each row's search, 0 or more.
+        most: Largest number of configurations per search.
+        apart: Least distance [rad].
+        known: Configurations that are kept already, and their searches.
+
+    Returns:
+        The indices in the order of the rows.
     """
     count, every, number = 0, x, search
     if known is not None:
@@ -42,8 +53,10 @@ def dispersed(
 
 
 def _apart(x: Float[np.ndarray, "n N"], search: Int[np.ndarray, "n"], known: np.ndarray, apart: float) -> np.ndarray:
-    """True for the rows, sorted by search, that are kept: the known ones, and each that is near no row kept before it.
-    The k-th rows of all searches are compared at once; searches with many rows come first."""
+    """Return True for the rows, sorted by search, to keep: the known ones, and those near no row kept before them.
+
+    The k-th rows of all searches are compared at once; searches with many rows come first.
+    """
     first = np.flatnonzero(np.diff(search, prepend=-1))
     count = np.diff(np.append(first, len(x)))
     by_count = np.argsort(-count, kind="stable")
@@ -62,8 +75,14 @@ def _apart(x: Float[np.ndarray, "n N"], search: Int[np.ndarray, "n"], known: np.
 
 
 def farthest_first(x: Float[np.ndarray, "n N"], first: int, most: int, apart: float) -> list[int]:
-    """Return up to `most` rows of x, starting from `first`, always the one farthest from those chosen; none nearer than
-    `apart`."""
+    """Return up to `most` rows of x, starting from `first`, always the one farthest from those chosen.
+
+    Args:
+        x: Configurations [rad].
+        first: The first row.
+        most: Largest number of rows.
+        apart: Least distance [rad].
+    """
     kept, distance = [first], np.linalg.norm(x - x[first], axis=1)
     while len(kept) < most and distance.max() >= apart:
         kept.append(int(np.argmax(distance)))
@@ -74,7 +93,11 @@ def farthest_first(x: Float[np.ndarray, "n N"], first: int, most: int, apart: fl
 def first_apart(x: Float[np.ndarray, "n N"], most: int, apart: float, norm: float = 2) -> Int[np.ndarray, "k"]:
     """Return up to `most` rows of x, in their order: each that is at least `apart` from the rows kept before it.
 
-    norm: Order of the norm, as in `numpy.linalg.norm`.
+    Args:
+        x: Configurations [rad].
+        most: Largest number of rows.
+        apart: Least distance [rad].
+        norm: Order of the norm, as in `numpy.linalg.norm`.
     """
     kept: list[int] = []
     left = np.ones(len(x), bool)

@@ -24,7 +24,7 @@ from htcp_jax.motion.problem import Problem
 from htcp_jax.motion.transfers import other_postures
 from htcp_jax.status import Status
 
-ROUNDS, FIRST_ROUND = 4, 100  # rounds of sampled starts; numbered beyond those of transfers
+ROUNDS, FIRST_ROUND = 4, 100  # rounds of sampled starts, and the first one's number, beyond those of transfers
 TOGETHER, MOST_TRIED = 4, 16  # starts of a round to join at a time, and in total
 PAIR = 500_000  # first number of pairs that begin at home; smaller ones belong to transfers
 
@@ -48,8 +48,10 @@ class Start(NamedTuple):
 
 
 def leave_home(problem: Problem) -> tuple[Problem, Ways]:
-    """Return the problem with all starts chosen and the scenarios refused that cannot begin, and the via points from
-    home to the start, for every other scenario whose start is not home."""
+    """Return the problem with all starts chosen, and the via points from home to the start.
+
+    Scenarios that cannot begin are refused. There are via points for every other scenario whose start is not home.
+    """
     scenarios = problem.scenarios
     apart = scenarios.auto_start | (scenarios.x_home != scenarios.x_start).any(axis=1)
     rows = problem.to_plan[apart[problem.to_plan]].tolist()
@@ -130,8 +132,13 @@ class HomeConnector:
 
 
 def begin_at_home(problem: Problem, plans: Plans, ways: Ways) -> Plans:
-    """Return the plans with the paths from home prepended: starts become via points on the segment to the first
-    target."""
+    """Return the plans with the paths from home prepended: starts become via points on the segment to the first target.
+
+    Args:
+        problem: The problem as returned by `leave_home`.
+        plans: Its plans, from the starts.
+        ways: The via points as returned by `leave_home`.
+    """
     scenarios, plans = problem.scenarios, plans.with_own("start", "joint_step")
     mine = (plans.start == scenarios.x_start).all(axis=1) & ~scenarios.begins_anywhere
     plans.start[mine] = scenarios.x_home[mine]

@@ -5,7 +5,7 @@ they meet:
 
     straight   the joint path from end to end; if it is proven, the search is done
     grow       the smaller tree: from random nodes in random directions, in steps, as far as these are proven
-    meet       from the other tree's nearest node towards each end of what has grown, in the same way
+    meet       from the other tree's nearest node towards each end of the new branches, in the same way
     shorten    the path found, by straight joint paths between random points on it
 
 These are expansive trees (Hsu, Latombe and Motwani, 1997), joined as in RRT-Connect (Kuffner and LaValle, 2000).
@@ -61,13 +61,24 @@ def join(
     settings: Settings,
     soonest: bool = False,
 ) -> list[Float[np.ndarray, "_ N"] | None]:
-    """Return the via points strictly between each pair of configurations, such that every straight joint path from a
-    through them to b is proven clear; empty if the straight joint path is. None if an end is not clear, or if nothing
-    was found in `settings.search_rounds`.
+    """Return the via points strictly between the two configurations of each pair.
 
-    scenario: each pair's, by its row in `scenarios` (stacked, numpy). pair: its number within the scenario, 0 or more,
-    which seeds its random numbers. a, b: within the joint limits [rad or m]. soonest: of each scenario's pairs,
-    return only the one joined in the fewest rounds of queries, the first if several are; the others are abandoned.
+    Every straight joint path from a through them to b is proven clear.
+
+    Args:
+        checker: Collision checker of the scene.
+        scenarios: Stacked scenarios (numpy).
+        scenario: Each pair's scenario, by its row.
+        pair: Its number within the scenario, 0 or more, which seeds its random numbers.
+        a: First configurations, within the joint limits [rad or m].
+        b: Second configurations, likewise.
+        settings: Settings of the search.
+        soonest: True: of each scenario's pairs, return only the one joined in the fewest rounds of queries, the first
+            if several are; the others are abandoned.
+
+    Returns:
+        The via points of each pair, empty if the straight joint path is clear. None if an end is not clear, or if
+            nothing was found in `settings.search_rounds`.
     """
     found: list[np.ndarray | None] = [None] * len(a)
     waiting, limits = iter(range(len(a))), checker.kernels.limits
@@ -133,8 +144,7 @@ class _Nodes(NamedTuple):
 
 
 class _JointTree(Tree):
-    """Configurations connected to a root by proven steps, which lead away from it or, in a `backwards` tree, towards
-    it."""
+    """Configurations connected to a root by proven steps, which lead away from it, in a `backwards` tree towards it."""
 
     def __init__(self, root: Float[np.ndarray, "N"], backwards: bool):
         super().__init__(_Nodes(root[None], np.array([NO_PARENT])))
@@ -156,7 +166,7 @@ class _JointTree(Tree):
         return self.x[path[::-1] if self.backwards else path]
 
     def extend(self, node: Int[np.ndarray, "m"], goal: Float[np.ndarray, "m N"], step: float) -> Joining:
-        """Step from each node straight towards its goal, as far as steps are proven; returns the last nodes."""
+        """Step from each node straight towards its goal, as far as steps are proven; return the last nodes."""
         node, going = node.copy(), np.arange(len(node))
         while len(going):
             x, to = self.x[node[going]], goal[going]
@@ -215,13 +225,13 @@ def _steps(a: np.ndarray, b: np.ndarray) -> JointPaths:
 
 
 def _cuts(a: np.ndarray, b: np.ndarray) -> JointPaths:
-    """Joint paths with a limited proof: the shortest path grazes the walls, which is not wanted."""
+    """Return joint paths with a limited proof: the shortest path grazes the walls, which is not desired."""
     parts = np.linalg.norm(b - a, axis=1) / FINEST_RAD
     return JointPaths(a, b, np.clip(np.ceil(np.log2(np.maximum(parts, 1.0))), 0, DEEPEST).astype(np.int32))
 
 
 def _at(way: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Configurations on a path; a place is the number of a via point plus the fraction of the segment to the next."""
+    """Return configurations on a path; a place is a via point's number plus the fraction of the segment to the next."""
     knot = np.minimum(place.astype(int), len(way) - 2)
     return _between(way[knot], way[knot + 1], place - knot)
 

@@ -1,6 +1,6 @@
 """Device functions of the engine: pure functions of one lane.
 
-A kernel takes the arguments shared by all lanes and one lane's own; `programs` runs it over tables of lanes.
+Each takes the arguments shared by all lanes and one lane's own; `programs` runs it over tables of lanes.
 """
 
 from collections.abc import Callable
@@ -30,7 +30,7 @@ STEPS_A_BURST = 5  # step QPs, or null-space steps, per call
 
 
 class State(NamedTuple):
-    """A measured configuration at its target, or many of them, one per row; None for what was not measured."""
+    """A configuration at its target, with its measurements, or many of them, one per row; None if not measured."""
 
     x: Float[Anywhere, "*n N"]  # configuration [rad or m]
     linear: Linearisation | None = None  # task and clearance to first order
@@ -42,7 +42,16 @@ class State(NamedTuple):
 def prepare(
     settings: Settings, scene: Scene, lane: LaneInputs, x_ref, x_previous, linear: Linearisation
 ) -> step_qp.StepQP:
-    """Return the step QP of one lane, equation (9)."""
+    """Return the step QP of one lane, equation (9).
+
+    Args:
+        settings: Settings of the planner.
+        scene: The scene.
+        lane: Scenario and target.
+        x_ref: The current configuration (N,) [rad or m].
+        x_previous: The configuration at the previous target (N,) [rad or m].
+        linear: Task and clearance at x_ref to first order.
+    """
     scene = own_scene(scene, lane.tool_extension_m)
     robot, task = scene.robot, scene.task.linear(*linear.task, lane.target)
     return step_qp.assemble(
@@ -64,8 +73,16 @@ def prepare(
 def advance(
     settings: Settings, scene: Scene, lane: LaneInputs, x_ref: Joints, y: Joints, smallest: bool = False
 ) -> State:
-    """Return the lane after a step y: clipped to the limits exactly, linearised by equations (6) to (8), and measured
-    against its target. smallest: see `linearise`."""
+    """Return the lane after a step y: linearised by equations (6) to (8), and measured against its target.
+
+    Args:
+        settings: Settings of the planner.
+        scene: The scene.
+        lane: Scenario and target.
+        x_ref: The configuration before the step [rad or m].
+        y: The step [rad or m]; x_ref + y is clipped to the limits exactly.
+        smallest: See `linearise`.
+    """
     scene = own_scene(scene, lane.tool_extension_m)
     x = jnp.clip(x_ref + y, scene.robot.lower, scene.robot.upper)
     linear = linearise(scene.robot, scene.obstacles, lane, x, scene.task, smallest)
@@ -74,17 +91,17 @@ def advance(
 
 
 def advance_smallest(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, y) -> State:
-    """`advance` for step QPs that use the smallest clearance only."""
+    """Return `advance` for step QPs that use the smallest clearance only."""
     return advance(settings, scene, lane, x_ref, y, smallest=True)
 
 
 def measured(settings: Settings, scene: Scene, lane: LaneInputs, x) -> State:
-    """Return the lane at x, linearised as its step QP needs it."""
+    """Return the lane at x, linearised for its step QP."""
     return advance(settings, scene, lane, x, jnp.zeros_like(x), settings.clearance_rows == "smallest")
 
 
 def nothing_known(look: Callable, *arguments) -> Any:
-    """Zeros in the structure and shapes that `look` would return for these arguments."""
+    """Return zeros in the structure and shapes that `look` would return for these arguments."""
     return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(look, *arguments))
 
 
@@ -105,8 +122,22 @@ def track(
     linear: Linearisation,
     iteration: Int[jax.Array, ""],
 ) -> Loop:
-    """Algorithm 1, line 7: step QPs (9) on the device, one after the other, until the target is reached, the lane is
-    stuck, or the chunk of steps ends. The loop's state is `Tracked`."""
+    """Algorithm 1, line 7: solve step QPs (9) on the device, one after the other.
+
+    They end when the target is reached, the lane is stuck, or the chunk of steps is over.
+
+    Args:
+        settings: Settings of the planner.
+        scene: The scene.
+        lane: Scenario and target.
+        x_ref: The current configuration [rad or m].
+        x_previous: The configuration at the previous target [rad or m].
+        linear: Task and clearance at x_ref to first order.
+        iteration: Number of step QPs solved for this target before.
+
+    Returns:
+        A loop whose state is `Tracked`.
+    """
     most = jnp.minimum(iteration + STEPS_A_BURST, settings.max_step_qps)
 
     def going(tracked: Tracked):
@@ -120,20 +151,20 @@ def track(
         now = advance(settings, scene, lane, tracked.now.x, found.y, settings.clearance_rows == "smallest")
         return Tracked(now, tracked.iteration + 1, found.status)
 
-    # At a new target, and in a candidate's first burst, nothing is reached before the first step QP.
+    # At a new target, and in a candidate's first chunk, nothing is reached before the first step QP.
     nowhere = jnp.zeros(3)  # the TCP is not recorded before
     known = State(x_ref, linear, jnp.full((), -jnp.inf), jnp.full((), jnp.inf), nowhere)
     return Loop(Tracked(known, iteration, jnp.full((), int(step_qp.QPStatus.SOLVED), jnp.int32)), going, step)
 
 
 def check_path(settings: Settings, scene: Scene, lane: LaneInputs, a, b):
-    """True if the straight joint path from a to b is clear."""
+    """Return True if the straight joint path from a to b is clear."""
     scene = own_scene(scene, lane.tool_extension_m)
     return path_clear(scene, settings, lane, a, b)
 
 
 def settle(settings: Settings, scene: Scene, lane: LaneInputs, x):
-    """Bring x onto its target, to a tenth of the tolerance that inverse kinematics has elsewhere."""
+    """Move x onto its target, to a tenth of the tolerance that inverse kinematics has elsewhere."""
     scene = own_scene(scene, lane.tool_extension_m)
     return reanchor(scene.robot, x, lane.target, 0.1 * scene.task.fine_m, task=scene.task)[0]
 
@@ -152,8 +183,11 @@ class Closely(NamedTuple):
 
 
 def prove_way(settings: Settings, scene: Scene, lane: LaneInputs, a, b, tube: Tube, closely: Closely) -> Loop:
-    """Prove or refute that the straight joint path from a to b is a motion. The conditions on it are data, so that one
-    executable serves all callers. The loop's result is a `Proof`, see `of_proven`."""
+    """Prove or refute that the straight joint path from a to b is a motion.
+
+    The conditions on it are data, so that one executable serves all callers. The loop's result is a `Proof`, see
+    `of_proven`.
+    """
     own = own_scene(scene, lane.tool_extension_m)
     look = look_on(own, lane, a, b, tube, closely.resolution_m, closely.deepest, closely.kept)
     return Loop(jax.tree.map(jnp.asarray, begun()), lambda far: far.going, look, lambda far: of_proven(far.proof))
@@ -164,7 +198,7 @@ def hold(settings: Settings, scene: Scene, lane: LaneInputs, linear: Linearisati
     return scene.task.linear(*linear.task, lane.target)
 
 
-# Kernels by name, each with the settings that it reads
+# Lane functions by name, each with the settings that it reads
 
 MEASURED = ("clearance_rows",)  # by `measured`
 _STEP_QP = ("q_weights", "cost_about", "clearance_rows", "aim_above_m")
@@ -181,5 +215,5 @@ PROVE = Kernel("prove", prove_way, TRACKED, refill=by_stretches)
 
 
 def advance_of(settings: Settings) -> Kernel:
-    """Return the kernel with which an engine measures its lanes."""
+    """Return the lane function with which an engine measures its lanes."""
     return ADVANCE_SMALLEST if settings.clearance_rows == "smallest" else ADVANCE

@@ -16,12 +16,12 @@ class Knots(NamedTuple):
 
     @classmethod
     def none(cls, joints: int) -> "Knots":
-        """No via points: every segment is a straight joint path."""
+        """Return no via points: every segment is a straight joint path."""
         return cls(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros((0, joints)))
 
     @classmethod
     def of(cls, ways: Sequence[tuple[int, int, Float[np.ndarray, "_ N"]]], joints: int) -> "Knots":
-        """Via points from (scenario, target, configurations), in any order."""
+        """Return via points from (scenario, target, configurations), in any order."""
         if not ways:
             return cls.none(joints)
         ways = sorted(ways, key=lambda way: way[:2])
@@ -30,7 +30,12 @@ class Knots(NamedTuple):
 
     @classmethod
     def concatenate(cls, parts: "Sequence[Knots]", rows: Sequence[int]) -> "Knots":
-        """Concatenate the via points of consecutive plans; rows: number of scenarios in each."""
+        """Concatenate the via points of consecutive plans.
+
+        Args:
+            parts: The via points of each.
+            rows: Number of scenarios in each.
+        """
         first = np.concatenate([[0], np.cumsum(rows)[:-1]]).astype(np.int32)
         moved = [part._replace(scenario=part.scenario + before) for part, before in zip(parts, first, strict=True)]
         return cls(*(np.concatenate(column) for column in zip(*moved, strict=True)))

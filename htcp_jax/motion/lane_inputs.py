@@ -1,4 +1,4 @@
-"""Per-lane inputs that every kernel takes."""
+"""Inputs of a lane that every lane function takes."""
 
 from typing import NamedTuple
 
@@ -9,8 +9,10 @@ from htcp_jax.model.scenario import Scenario
 
 
 class LaneInputs(NamedTuple):
-    """Inputs of one lane: its scenario's data and its target. Each lane carries its own copy, so executables do not
-    depend on the number of scenarios."""
+    """Inputs of one lane: its scenario's data and its target.
+
+    Each lane carries its own copy, so executables do not depend on the number of scenarios.
+    """
 
     T_world_workpiece: jax.Array
     interior_plane: jax.Array
@@ -26,8 +28,15 @@ class LaneInputs(NamedTuple):
 def lane_inputs(
     scenarios: Scenario, scenario: np.ndarray, row: np.ndarray, *, seed: int = 0, round_: int | np.ndarray = 0
 ) -> LaneInputs:
-    """Return the inputs of lanes at target `row` of their `scenario`; scenarios are stacked, numpy. seed: for kernels
-    that draw; round_: of draws, one for all lanes or one each."""
+    """Return the inputs of lanes.
+
+    Args:
+        scenarios: Stacked scenarios (S, ...), numpy.
+        scenario: Each lane's scenario (n,), by its row.
+        row: Each lane's target (n,).
+        seed: For functions that draw.
+        round_: Round of draws, one for all lanes or one each (n,).
+    """
     row, scenario = np.asarray(row, np.int32), np.asarray(scenario)
     return LaneInputs(
         T_world_workpiece=scenarios.T_world_workpiece[scenario],

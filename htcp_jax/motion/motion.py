@@ -1,7 +1,7 @@
 """The rows of a motion: the configurations that an arm passes from a plan's start on, joined by straight joint paths.
 
-    motion(plans, 12, on_path)                  # of one scenario
-    motions(plans, on_path).cost(len(plans.x))  # of all of them at once
+    motion(plans, 12, on_path)                       # of one scenario
+    cost(motions(plans, on_path), len(plans.x))      # of all of them at once
 
 A motion has only the executable part of a plan.
 
@@ -52,8 +52,12 @@ class Motions(NamedTuple):
 def motion(plans: Plans, scenario: int, on_path: int, *, retract: bool = False) -> Motion:
     """Return the motion of one scenario, up to its last executable target.
 
-    scenario: its row in `plans`; on_path: the first target that is a point of the path, `Scenario.on_path`. retract:
-    also return to the beginning through the same configurations, which are clear in both directions.
+    Args:
+        plans: The plans.
+        scenario: Row of the scenario.
+        on_path: The first target that is a point of the path, `Scenario.on_path`.
+        retract: True: return to the beginning, too, through the same configurations, which are clear in both
+            directions.
     """
     there = motions(plans.rows([scenario]), on_path).of(0)
     if not retract:
@@ -64,7 +68,13 @@ def motion(plans: Plans, scenario: int, on_path: int, *, retract: bool = False) 
 
 
 def motions(plans: Plans, on_path: OnPath, rows: Bool[np.ndarray, "S T"] | None = None) -> Motions:
-    """Return the motions of all scenarios. rows: the targets to include, instead of the executable ones."""
+    """Return the motions of all scenarios.
+
+    Args:
+        plans: The plans.
+        on_path: The first target that is a point of the path, of each scenario or of all.
+        rows: The targets to include, instead of the executable ones.
+    """
     rows = plans.executable if rows is None else rows
     begun, (s, t) = np.flatnonzero(rows.any(axis=1)), np.nonzero(rows)
     knots = plans.knots
@@ -81,15 +91,17 @@ def motions(plans: Plans, on_path: OnPath, rows: Bool[np.ndarray, "S T"] | None 
 
 
 def _kinds(target: np.ndarray, place: np.ndarray, on_path: np.ndarray) -> Int8[np.ndarray, "n"]:
-    """Kind of motion that leads to each configuration, without transfers."""
+    """Return the kind of motion that leads to each configuration, without transfers."""
     kind = np.where(target > on_path, np.where(place == 1, Kind.DWELL, Kind.FEED), Kind.APPROACH)
     return kind.astype(np.int8)
 
 
 def transfers(plans: Plans) -> Bool[np.ndarray, "S"]:
-    """True for scenarios whose arm first moves to another configuration: if the segment to the first target has via
-    points, or that target was tracked after a recovery, as in a plan that begins in another configuration than the
-    start."""
+    """Return True for scenarios whose arm first moves to another configuration.
+
+    The segment to the first target has via points, or that target was tracked after a recovery, as in a plan that
+    begins in another configuration than the start.
+    """
     found = (plans.status[:, :1] == Status.TRACKED_AFTER_ESCAPE).any(axis=1)
     found[plans.knots.scenario[plans.knots.target == 0]] = True
     return found
@@ -106,7 +118,12 @@ class MotionFigures(NamedTuple):
 
 
 def figures(plans: Plans, on_path: OnPath) -> MotionFigures:
-    """Return all figures. on_path: the first target that is a point of the path, of each scenario or of all."""
+    """Return all figures.
+
+    Args:
+        plans: The plans.
+        on_path: The first target that is a point of the path, of each scenario or of all.
+    """
     found, count = motions(plans, on_path), len(plans.status)
     begun = plans.executable.any(axis=1)
     return MotionFigures(
@@ -119,8 +136,7 @@ def figures(plans: Plans, on_path: OnPath) -> MotionFigures:
 
 
 def dwells(plans: Plans, on_path: OnPath) -> Bool[np.ndarray, "S T"]:
-    """True for targets on the path at which the arm changes its configuration, so that the next target is
-    executable."""
+    """Return True for targets on the path at which the arm changes its configuration and the next is executable."""
     found = np.zeros_like(plans.tracked)
     turns = _turns(plans) & (np.arange(found.shape[1]) > np.reshape(on_path, (-1, 1)))
     found[:, :-1] = turns[:, 1:]
@@ -128,14 +144,27 @@ def dwells(plans: Plans, on_path: OnPath) -> Bool[np.ndarray, "S T"]:
 
 
 def cost(found: Motions, count: int) -> Float[np.ndarray, "S"]:
-    """Equation (3), ||x||_Q^2 with Q = V'V: the sum of |x_{k+1} - x_k|^2 over all configurations from the start to the
-    last executable target [rad^2]; count: S. Of two motions along the same path the smoother costs less."""
+    """Return the cost of equation (3), ||x||_Q^2 with Q = V'V [rad^2].
+
+    It is the sum of |x_{k+1} - x_k|^2 over all configurations from the start to the last executable target. Of two
+    motions along the same path the smoother costs less.
+
+    Args:
+        found: The motions.
+        count: Number of scenarios, S.
+    """
     return np.bincount(found.scenario, found.steps**2, count).astype(float)
 
 
 def largest_step(found: Motions, count: int) -> Float[np.ndarray, "S"]:
-    """Return the largest |x_{k+1} - x_k| on the path, dwells included [rad]; NaN if the motion does not reach the
-    path's second point. Equation (3) sums the squares of these."""
+    """Return the largest |x_{k+1} - x_k| on the path, dwells included [rad].
+
+    NaN if the motion does not reach the path's second point. Equation (3) sums the squares of these.
+
+    Args:
+        found: The motions.
+        count: Number of scenarios, S.
+    """
     most = np.full(count, np.nan)
     on_path = (found.kind == Kind.FEED) | (found.kind == Kind.DWELL)
     np.fmax.at(most, found.scenario[on_path], found.steps[on_path])
@@ -143,9 +172,10 @@ def largest_step(found: Motions, count: int) -> Float[np.ndarray, "S"]:
 
 
 def curvature(plans: Plans, on_path: OnPath) -> Float[np.ndarray, "S T"]:
-    """|q''|, the curvature of the joint path at the points of the path, by central differences over its arc length
-    [rad/m2]: proportional to the joint accelerations at a constant feed rate. It is the second difference, equation (3)
-    sums the first.
+    """Return |q''|, the curvature of the joint path at the points of the path [rad/m2].
+
+    By central differences over its arc length: proportional to the joint accelerations at a constant feed rate. It is
+    the second difference, equation (3) sums the first.
 
     Points closer than ONE_POINT_M count as one, with the last one's configuration. The arc length does not grow during
     a dwell, so |q''| is undefined at a target where the arm dwells and at the next one: NaN, as at both ends of the
@@ -167,15 +197,17 @@ def curvature(plans: Plans, on_path: OnPath) -> Float[np.ndarray, "S T"]:
 
 
 def tightest(plans: Plans) -> tuple[Int[np.ndarray, "S"], Float[np.ndarray, "S"]]:
-    """Return the target whose segment has the least guaranteed clearance, and that D [m]; -1 and NaN if no target is
-    executable."""
+    """Return the target whose segment has the least guaranteed clearance, and that D [m].
+
+    They are -1 and NaN if no target is executable.
+    """
     clear = np.where(plans.executable, plans.way_clearance, np.inf)
     target, least = clear.argmin(axis=1), clear.min(axis=1)
     return np.where(np.isinf(least), -1, target), np.where(np.isinf(least), np.nan, least)
 
 
 def _turns(plans: Plans) -> Bool[np.ndarray, "S T"]:
-    """True for executable targets whose segment has via points."""
+    """Return True for executable targets whose segment has via points."""
     found = np.zeros_like(plans.tracked)
     found[plans.knots.scenario, plans.knots.target] = True
     return found & plans.executable

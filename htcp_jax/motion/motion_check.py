@@ -37,8 +37,16 @@ class Segments(NamedTuple):
 
 
 def tubes(problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray) -> Tube:
-    """Return the tubes that the TCP has to stay in on the segments to targets, and the task's goals on the path;
-    unbounded before the path, and if the task does not hold the TCP's position. turns: see `Segments`."""
+    """Return the tubes that the TCP has to stay in on the segments to targets, and the task's goals on the path.
+
+    Tubes are unbounded before the path, and if the task does not constrain the TCP's position.
+
+    Args:
+        problem: The problem.
+        scenario: Row of each segment's scenario (n,).
+        target: Target at each segment's end (n,).
+        turns: See `Segments` (n,).
+    """
     scenarios, task = problem.scenarios, problem.task
     free = (target <= scenarios.on_path[scenario]) | (not task.holds_tcp)
     rows = _rows(problem, scenario, target, turns)
@@ -52,8 +60,10 @@ def tubes(problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.
 def _rows(
     problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray
 ) -> tuple[Float[np.ndarray, "n 2 G"], Bool[np.ndarray, "n"]] | tuple[()]:
-    """Return the task's goals at the previous target and at this one, and True if they hold on the segment, i.e. on the
-    path. Empty for the paper's task, which the tube alone enforces."""
+    """Return the task's goals at the previous target and at this one, and True if they are required on the segment.
+
+    They are on the path. Empty for the paper's task, which the tube alone enforces.
+    """
     if problem.task.parts == TCP_POSITION.parts:
         return ()
     scenarios, before = problem.scenarios, np.maximum(target - 1, 0)
@@ -98,8 +108,11 @@ def judge_motions(problem: Problem, plans: Plans) -> Plans:
 
 
 def tighten(problem: Problem, plans: Plans) -> Plans:
-    """Return the plans with a tighter bound on executable segments whose bound is below the clearance at every target:
-    the minimum `way_clearance` of a scenario is reported as its guaranteed clearance."""
+    """Return the plans with a tighter bound on segments whose bound is below the clearance at every target.
+
+    Only executable segments are considered: the minimum `way_clearance` of a scenario is reported as its guaranteed
+    clearance.
+    """
     clear = np.where(plans.executable, plans.clearance, np.inf).min(axis=1)
     loose = plans.executable & (plans.way_clearance < TIGHT * clear[:, None])
     if not loose.any():
@@ -112,8 +125,7 @@ def tighten(problem: Problem, plans: Plans) -> Plans:
 
 
 def segments_of(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> Segments:
-    """Return the straight joint paths that lead to some rows: from via point to via point, and from the last one to the
-    row."""
+    """Return the straight joint paths that lead to some rows: between via points, and from the last one to the row."""
     s, t = np.nonzero(rows)
     knots = gather(plans.knots, rows[plans.knots.scenario, plans.knots.target])
     turns = np.arange(len(knots.x) + len(s)) < len(knots.x)
@@ -127,7 +139,14 @@ def segments_of(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> Segments:
 
 
 def prove_segments(problem: Problem, checker: CollisionChecker, segments: Segments, kept: float = 0.0) -> Proof:
-    """Return one proof per segment. kept: see `CollisionChecker.edges`."""
+    """Return one proof per segment.
+
+    Args:
+        problem: The problem.
+        checker: Collision checker of the scene.
+        segments: The segments.
+        kept: Share of D that must remain, see `CollisionChecker.edges`.
+    """
     inputs = lane_inputs(problem.scenarios, segments.scenario, segments.target)
     tube = tubes(problem, segments.scenario, segments.target, segments.turns)
     return checker.edges(inputs, segments.a, segments.b, tube, kept=kept)

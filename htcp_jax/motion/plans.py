@@ -1,4 +1,4 @@
-"""Result of planning, and its evaluation: existing targets, tracked targets, and how each scenario ended.
+"""Result of planning, and its evaluation: existing targets, tracked targets, and the outcome of each scenario.
 
     plans.tracked                     # (S, T) True where a target is tracked
     plans.outcomes.complete           # (S,)   True where all targets of a scenario are
@@ -49,8 +49,10 @@ class Outcome(NamedTuple):
 
     @property
     def reason(self) -> str:
-        """The reason why its motion ended: the result of the segment to a tracked target, or of the search; "complete"
-        if none."""
+        """The reason why its motion ended: the result of the segment to a tracked target, or of the search.
+
+        "complete" if there is none.
+        """
         if self.executable < self.tracked:
             return self.way.words
         return "complete" if self.status is None else self.status.words
@@ -107,7 +109,7 @@ class Plans(NamedTuple):
     status: Int8[np.ndarray, "S T"]  # htcp_jax.status.Status, or NO_TARGET
     iterations: Int[np.ndarray, "S T"]  # step QPs solved for the target; 0 where one was pushed there
     joint_step: Float[np.ndarray, "S T"]  # |x_t - x_{t-1}|, the start being x_{-1} [rad]
-    escape: Int[np.ndarray, "S T"]  # 0 none, k = stage k of the method's recoveries, one more: planned backwards
+    escape: Int[np.ndarray, "S T"]  # 0 none, k = stage k of the method's recovery, one more: planned backwards
     path_clear: Int8[np.ndarray, "S T"]  # joint path from the row before: 1 clear, 0 blocked, -1 unknown
     way: Int8[np.ndarray, "S T"]  # `status.Way`: verification of the segment from the row before
     way_clearance: Float[np.ndarray, "S T"]  # lower bound on D along that segment [m]; NaN if it is not proven
@@ -124,7 +126,10 @@ class Plans(NamedTuple):
     ) -> "Plans":
         """Return plans in which nothing is attempted yet, with arrays of their own to write into.
 
-        count: number of targets of each scenario, the first of its row; None: all of them.
+        Args:
+            start: The configurations that the plans start from [rad or m].
+            target: The targets [m].
+            count: Number of targets of each scenario, the first of its row; None: all of them.
         """
         shape, joints = target.shape[:2], start.shape[1]
         count = np.broadcast_to(shape[1] if count is None else count, shape[:1])
@@ -170,8 +175,11 @@ class Plans(NamedTuple):
 
     @property
     def executable(self) -> Bool[np.ndarray, "S T"]:
-        """True for targets that a proven motion leads to: this one and all before it are tracked, and on every segment,
-        the first from the scenario's start, the arm is clear and the TCP keeps to its path."""
+        """True for targets that a proven motion leads to.
+
+        This one and all before it are tracked, and on every segment, the first from the scenario's start, the arm is
+        clear and the TCP keeps to its path.
+        """
         return np.logical_and.accumulate(self.tracked & (self.way == Way.PROVEN), axis=1)
 
     @property
@@ -213,8 +221,10 @@ class Plans(NamedTuple):
         return self._replace(**{name: getattr(self, name)[:, :longest] for name in (*_KINDS, "target", "tcp")})
 
     def without_postures(self) -> "Plans":
-        """Return the plans with only what a summary needs, to save memory: `start`, `x`, `tcp` and `target` lose their
-        last axis' columns."""
+        """Return the plans with only what a summary needs, to save memory.
+
+        `start`, `x`, `tcp` and `target` lose their last axis' columns, and there are no via points.
+        """
         bare = {name: getattr(self, name)[..., :0].copy() for name in ("start", "x", "tcp", "target")}
         return self._replace(**bare, knots=Knots.none(0))
 
@@ -247,7 +257,7 @@ _KINDS = {
 
 
 def is_tracked(status: np.ndarray) -> np.ndarray:
-    """True where `status` is a tracked one; any shape."""
+    """Return True where `status` is a tracked one; any shape (*n,)."""
     return (status >= 0) & (status <= Status.TRACKED_AFTER_ESCAPE)
 
 
@@ -256,7 +266,13 @@ def outcomes(
     path_clear: Int8[np.ndarray, "S T"] | None = None,
     way: Int8[np.ndarray, "S T"] | None = None,
 ) -> Outcomes:
-    """Return the outcomes of scenarios with these statuses. path_clear, way: as in `Plans`; None if unknown."""
+    """Return the outcomes of scenarios with these statuses.
+
+    Args:
+        status: As in `Plans`.
+        path_clear: As in `Plans`; None if unknown.
+        way: As in `Plans`; None if unknown.
+    """
     exists, tracked = status != NO_TARGET, is_tracked(status)
     blocked = tracked & (path_clear == 0) if path_clear is not None else np.zeros_like(tracked)
     missed = exists & ~tracked

@@ -1,5 +1,6 @@
-"""Tree of configurations of a beam search: clear, on target, each connected to a root by proven motions; tables with
-one row per node.
+"""Tree of configurations of a beam search: clear, on target, each connected to a root by proven motions.
+
+Tables with one row per node.
 """
 
 from typing import Any, NamedTuple
@@ -82,15 +83,23 @@ class BeamTree(Tree):
         return gather(self._table, rows)
 
     def plant(self, at: State, target: int) -> Int[np.ndarray, "m"]:
-        """Add roots at a target; returns their rows."""
+        """Add roots at a target; return their rows."""
         none = np.full(len(at.x), NO_PARENT)
         return self.add(Nodes(at, none * 0 + target, none, none > 0, none * 0, none * 0, np.zeros(len(none))))
 
     def grow(
         self, parent: Int[np.ndarray, "m"], at: State, target, step_qps=0, walked: bool = False, dwells=0
     ) -> Int[np.ndarray, "m"]:
-        """Add a child to each parent, at a target; returns their rows. walked: see `Nodes`. dwells: changes of
-        configuration that begin on the motion from the parent."""
+        """Add a child to each parent, at a target; return their rows.
+
+        Args:
+            parent: Rows of the parents.
+            at: The children, with `x` [rad or m].
+            target: Their target.
+            step_qps: Number of step QPs solved for them.
+            walked: See `Nodes`.
+            dwells: Changes of configuration that begin on the motion from the parent.
+        """
         step, zero = at.x - self.x[parent], np.zeros_like(parent)
         dwells = self._table.dwells[parent] + dwells
         cost = self._table.cost[parent] + (step * step).sum(axis=1)
@@ -102,7 +111,7 @@ class BeamTree(Tree):
         return self._count > 2 * self._kept
 
     def prune(self, rows: Int[np.ndarray, "m"]) -> Int[np.ndarray, "n"]:
-        """Remove all nodes but these and their ancestors; returns the new row of each old one."""
+        """Remove all nodes but these and their ancestors; return the new row of each old one."""
         alive, parent = np.zeros(self._count, bool), self._table.parent
         while len(rows):
             alive[rows] = True

@@ -71,16 +71,19 @@ class Problem:
         return np.flatnonzero(self.scenarios.refused == NOT_REFUSED)
 
     def empty_plans(self) -> Plans:
-        """Return plans in which nothing is attempted yet, to be filled in; refused scenarios already have their
-        status."""
+        """Return plans in which nothing is attempted yet, to be filled in; refused scenarios have their status."""
         plans = Plans.empty(self.scenarios.x_start, self.scenarios.targets, self.scenarios.count)
         refused = self.scenarios.refused != NOT_REFUSED
         plans.status[refused, 0] = self.scenarios.refused[refused]
         return plans
 
     def in_threads(self, work: Callable[[CollisionChecker, slice], Found], threads: int | None = None) -> list[Found]:
-        """Return the results of work(checker, share), one per thread, each with the checker of its device. share: the
-        thread's rows of any table, every so many. threads: by default all of the problem's."""
+        """Return the results of work(checker, share), one per thread, each with the checker of its device.
+
+        Args:
+            work: The function; `share` are the thread's rows of any table, every so many.
+            threads: Number of threads; by default all of the problem's.
+        """
         checkers, threads = self.checkers, threads or self.threads  # checkers are made before there are threads
 
         def run(number: int) -> Found:
@@ -89,7 +92,7 @@ class Problem:
         if threads == 1:
             return [run(0)]
         with ThreadPoolExecutor(threads) as pool:
-            # Not `map`: if one fails it cancels those that have not begun, and others may wait for them.
+            # Not `map`: if one fails it cancels those that have not begun, for which others may wait.
             return [each.result() for each in [pool.submit(run, number) for number in range(threads)]]
 
     def with_scenarios(self, scenarios: Scenario) -> "Problem":
@@ -99,8 +102,11 @@ class Problem:
         return other
 
     def as_planned(self, plans: Plans) -> "Problem":
-        """Return the problem with the targets that a method's plans have: from the first target of an approach that the
-        plans replaced by the path's first point, all up to that have its goals."""
+        """Return the problem with the targets that a method's plans have.
+
+        Plans may replace targets of an approach by the path's first point: from the first such target on, all targets
+        of the approach have its goals.
+        """
         before = np.arange(plans.target.shape[1]) < self.scenarios.on_path[:, None]
         left = np.logical_or.accumulate((plans.target != self.scenarios.targets).any(axis=2), axis=1) & before
         return self.with_scenarios(off_their_lines(self.scenarios, left)) if left.any() else self

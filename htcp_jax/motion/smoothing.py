@@ -1,9 +1,9 @@
 """Equation (3): a complete motion shortened as far as its constraints allow.
 
 Sequential quadratic programming. Each round solves one sparse QP per path about the current iterate
-(`solvers.path_qp`), brings the configurations back onto their targets, and accepts what is shorter and still proven to
-be a motion. If part of it is not, the trust region of the adjacent configurations shrinks, and the other ones move
-without them. So every accepted iterate is a motion, and smoothing can stop at any round.
+(`solvers.path_qp`), moves the configurations back onto their targets, and accepts the result where it is shorter and
+still proven to be a motion. If part of it is not, the trust region of the adjacent configurations shrinks, and the
+other ones move without them. So every accepted iterate is a motion, and smoothing can stop at any round.
 
 Via points, at which the tool dwells, take part; they are dropped if the straight segment is a motion, too.
 """
@@ -51,8 +51,11 @@ class Path:
 
     @classmethod
     def of(cls, problem: Problem, plans: Plans, end: Outcome) -> "Path":
-        """Return the executable part of a scenario; its last configuration is fixed if tracked targets follow, and so
-        is a given start between home and the first target."""
+        """Return the executable part of a scenario.
+
+        Its last configuration is fixed if tracked targets follow, and so is a given start between home and the first
+        target.
+        """
         s = end.scenario
         ways = [(t, [*plans.knots.on_the_way(s, t), plans.x[s, t]]) for t in range(end.executable)]
         x = np.array([plans.start[s], *(posture for _, way in ways for posture in way)])
@@ -67,7 +70,7 @@ class Path:
 
     @property
     def held(self) -> Bool[np.ndarray, "P"]:
-        """True for configurations that hold the task: before the path only those at targets."""
+        """True for configurations that satisfy the task: before the path only those at targets."""
         return ~self.on_way | (self.target > self.on_path)
 
     @property
@@ -183,8 +186,11 @@ class Smoothing:
         )  # fmt: skip
 
     def _held(self, path: Path, G: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the task's equations at the configurations, and the rows that limit a step, bands and cones included:
-        at configurations that hold the task, and at midpoints before those beyond the path's first point."""
+        """Return the task's equations at the configurations, and the rows that limit a step, bands and cones included.
+
+        Bands and cones limit it at configurations that satisfy the task, and at midpoints before those beyond the
+        path's first point.
+        """
         task, linear = self._problem.task, path.seen.task
         if task.is_points:
             return linear.jacobian[:, 0], G, left
@@ -198,8 +204,10 @@ class Smoothing:
         return held.jacobian[:, 0], np.concatenate([G, -held.gradient], 2), np.concatenate([left, room], 2)
 
     def _candidates(self, steps: list[tuple[Path, np.ndarray]]) -> list[tuple[np.ndarray, Linearisation, np.ndarray]]:
-        """Return, for each path after a step: its configurations, their linearisations, and True for configurations
-        that are not part of a motion. Configurations that did not move remain part of one."""
+        """Return each path's configurations after a step, their linearisations, and True for those not in a motion.
+
+        Configurations that did not move remain part of one.
+        """
         paths = [path for path, _ in steps]
         x = self._settled(steps)
         seen, good = self._measured(paths, x)
@@ -220,8 +228,10 @@ class Smoothing:
                 path.seen = seen
 
     def _settled(self, steps: list[tuple[Path, np.ndarray]]) -> list[np.ndarray]:
-        """Return the paths after a step, starts included; configurations that moved and hold the task are brought back
-        onto their targets."""
+        """Return the paths after a step, starts included.
+
+        Configurations that moved and satisfy the task are moved back onto their targets.
+        """
         paths = [path for path, _ in steps]
         x = np.concatenate([np.clip(path.x[1:] + y, self._lower, self._upper) for path, y in steps])
         off = np.concatenate([path.held & y.any(axis=1) for path, y in steps])
@@ -233,8 +243,8 @@ class Smoothing:
         ]
 
     def _measured(self, paths: list[Path], x: list[np.ndarray]) -> tuple[list[Linearisation], list[np.ndarray]]:
-        """Return the linearisations at the configurations and at the midpoints before them, and True for configurations
-        that meet the success criterion."""
+        """Return the linearisations at the configurations and midpoints before them, and True for valid configurations.
+        """
         inputs = self._inputs(paths)
         places = np.concatenate([np.stack([at[1:], 0.5 * (at[1:] + at[:-1])], axis=1) for at in x])
         flat = places.reshape(-1, places.shape[-1])
@@ -246,7 +256,7 @@ class Smoothing:
         return linear, _split(good, paths)
 
     def _motions(self, segments: Segments, most_queries: int | None = None) -> Bool[np.ndarray, "n"]:
-        """True for each joint path that is proven, with at most `most_queries`."""
+        """Return True for each joint path that is proven, with at most `most_queries`."""
         proofs = prove_segments(self._problem, self._checker, segments)
         few = True if most_queries is None else proofs.queries <= most_queries
         return (proofs.verdict == Way.PROVEN) & few

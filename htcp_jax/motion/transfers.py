@@ -22,9 +22,18 @@ MOST_ROOTS = 16  # maximum number of configurations to join
 
 
 def other_postures(problem: Problem, checker: CollisionChecker, s: int, round_: int, target: int = 0) -> State:
-    """Return valid configurations of scenario s at a target, sampled uniformly within the joint limits and far apart,
-    new ones in every round; they are not yet joined to the start. Of equivalent joint turns, those nearest to home are
-    returned."""
+    """Return valid configurations of one scenario at a target, far apart, and new ones in every round.
+
+    They are sampled uniformly within the joint limits, and not yet joined to the start. Of equivalent joint turns,
+    those nearest to home are returned.
+
+    Args:
+        problem: The problem.
+        checker: Collision checker of the scene.
+        s: Row of the scenario.
+        round_: Number of the round.
+        target: The target.
+    """
     scenarios, settings = problem.scenarios, problem.settings
     rng = np.random.default_rng([settings.seed, int(scenarios.number[s]), STREAM + round_])
     inputs = lane_inputs(scenarios, np.full(DRAWS, s), np.full(DRAWS, target))
@@ -57,9 +66,18 @@ def _unwound(x: Float[np.ndarray, "n N"], limits: Limits, about: Float[np.ndarra
 def joined(
     problem: Problem, checker: CollisionChecker, s: int, start: np.ndarray, to: Float[np.ndarray, "n N"]
 ) -> list[Float[np.ndarray, "_ N"] | None]:
-    """Return the via points from a configuration of scenario s, `start`, to the one of `to` that is joined in the
-    fewest rounds of queries; None for the others, and for all if none can be joined. Only the first MOST_ROOTS are
-    tried."""
+    """Return the via points from one configuration to the one of `to` that is joined in the fewest rounds of queries.
+
+    Args:
+        problem: The problem.
+        checker: Collision checker of the scene.
+        s: Row of the scenario.
+        start: The configuration (N,) [rad or m].
+        to: The other ends [rad or m]; only the first MOST_ROOTS are tried.
+
+    Returns:
+        None for all but that one, and for all if none can be joined.
+    """
     to = to[:MOST_ROOTS]
     scenario, pair = np.full(len(to), s), np.arange(len(to))
     starts = np.broadcast_to(start, to.shape)
