@@ -26,7 +26,7 @@ def kernel(program: Callable, out, programs: int, interpret: bool, warps: int = 
 
     Args:
         program: Body of the kernel, called with references to the inputs and outputs.
-        out: Shapes and types of the outputs.
+        out (list): Shapes and types of the outputs, in any pytree.
         programs: Number of instances of `program`, the size of the grid.
         interpret: True: run in Pallas' interpreter, on any machine.
         warps: Warps per instance.

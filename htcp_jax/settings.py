@@ -94,7 +94,7 @@ class Settings:
     walk_rounds: Count = 12  # at a target without a successor
     transfers: bool = False  # True: the arm may change its configuration before the path, if that leads further
 
-    # The whole path, equation (3)
+    # Complete path, equation (3)
     smooth: bool | None = None  # True: motions are smoothed; None: if the method requires it, as roadmap does
     path_weights: tuple[Weight, ...] | None = None  # joint weights in equation (3); None: 1 each, as in the paper
 

@@ -87,7 +87,7 @@ def spread(
 
     Args:
         processes: Number of workers.
-        call: The function; it must be importable in a worker.
+        call: The function.
         shared: Objects for all parts, see `portable`; they are sent to each worker once and kept there for the next
             call.
         parts: One argument of `call` each.

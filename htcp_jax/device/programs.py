@@ -19,7 +19,7 @@ from htcp_jax.model.task import Task
 from htcp_jax.settings import Settings
 
 # XLA hoists loop invariants before it merges common subexpressions, which then no longer match: the arm's
-# links are computed up to seven times over. On a CPU that costs more than it saves; on a GPU every launch counts.
+# links are computed up to seven times over. On a CPU that costs more than it saves; on a GPU it saves launches.
 # There, autotuning is off: the fastest of several variants changes from one compilation to the next, and rounds
 # differently.
 COMPILER = {

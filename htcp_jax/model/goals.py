@@ -66,9 +66,15 @@ def task_of(rows: Sequence[TaskRow], robot: Robot, tolerance_m: float = 1e-3, to
 
 
 def follower(rows: Sequence[TaskRow], robot: Robot, x: Float[np.ndarray, "N"]) -> Float[np.ndarray, "3"]:
-    """Return the world position [m] of the point that follows the path, at the configuration x [rad or m].
+    """Return the position [m] of the point that follows the path; the TCP if no row names one.
 
-    It is the TCP if no row names one.
+    Args:
+        rows: Rows of the task list.
+        robot: The robot.
+        x: The configuration [rad or m].
+
+    Returns:
+        The position in the world.
 
     Raises:
         InputError: For a name that the robot lacks.
@@ -215,7 +221,7 @@ def _across(row: TaskRow, posed: Posed) -> Float[np.ndarray, "T k 3"]:
 
 
 def _directions(row: TaskRow, posed: Posed) -> Float[np.ndarray, "T 3"]:
-    """Return the wanted directions of an axis; for a row with looks_at_m, the place."""
+    """Return the required directions of an axis; for a row with looks_at_m, the place."""
     count = len(posed.path)
     if row.looks_at_m is not None:
         return np.tile(_in_world(row, np.array(row.looks_at_m), posed, is_place=True), (count, 1))
@@ -296,7 +302,7 @@ def _check_frames(rows: Sequence[TaskRow], workpiece: Workpiece) -> None:
 
 
 def _check_axes(rows: Sequence[TaskRow], task: Task, goals: Sequence[np.ndarray], before: int) -> None:
-    """Raise InputError if the wanted angle between two axes of one link differs from the actual one."""
+    """Raise InputError if the required angle between two axes of one link differs from the actual one."""
     parts = task.parts
     axes = [k for k, part in enumerate(parts) if isinstance(part, AxisTowards) and part.looks_from_m is None]
     for k, i in ((k, i) for k in axes for i in axes if i < k and parts[i].link == parts[k].link):

@@ -19,7 +19,7 @@ NOT_REFUSED = -1
 
 
 class OutOfReach(InputError):
-    """Raised for a target beyond the arm's maximum reach."""
+    """A target is beyond the arm's maximum reach."""
 
 
 @register_pytree

@@ -224,11 +224,11 @@ class Turned:
         return 9 + self.cone
 
     def error(self, value: Float[Array, "9"], goal: Float[Array, "g"]) -> Float[Array, "m"]:
-        """Return the rotation vector from the frame to the wanted rotation [rad]."""
+        """Return the rotation vector from the frame to the goal's rotation [rad]."""
         return jnp.zeros(0) if self.cone else self._to_go(value, goal)
 
     def room(self, value: Float[Array, "9"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
-        """Return the angle tolerance less the angle to the wanted rotation [rad]."""
+        """Return the angle tolerance less the angle to the goal's rotation [rad]."""
         return (goal[-1] - safe_norm(self._to_go(value, goal)))[None] if self.cone else jnp.zeros(0)
 
     def aim(self, value: Float[Array, "9"], goal: Float[Array, "g"]) -> Float[Array, "b"]:

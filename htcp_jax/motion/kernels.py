@@ -1,6 +1,7 @@
 """Device functions of the engine: pure functions of one lane.
 
-Each takes the arguments shared by all lanes and one lane's own; `programs` runs it over tables of lanes.
+Each takes the settings and the scene, which all lanes share, and the inputs of its own lane; `device.programs` runs it
+over tables of lanes.
 """
 
 from collections.abc import Callable
@@ -48,8 +49,8 @@ def prepare(
         settings: Settings of the planner.
         scene: The scene.
         lane: Scenario and target.
-        x_ref: The current configuration (N,) [rad or m].
-        x_previous: The configuration at the previous target (N,) [rad or m].
+        x_ref (Joints): The current configuration [rad or m].
+        x_previous (Joints): The configuration at the previous target [rad or m].
         linear: Task and clearance at x_ref to first order.
     """
     scene = own_scene(scene, lane.tool_extension_m)
@@ -122,7 +123,7 @@ def track(
     linear: Linearisation,
     iteration: Int[jax.Array, ""],
 ) -> Loop:
-    """Algorithm 1, line 7: solve step QPs (9) on the device, one after the other.
+    """Solve step QPs (9) on the device, one after the other: Algorithm 1, line 7.
 
     They end when the target is reached, the lane is stuck, or the chunk of steps is over.
 
@@ -185,8 +186,19 @@ class Closely(NamedTuple):
 def prove_way(settings: Settings, scene: Scene, lane: LaneInputs, a, b, tube: Tube, closely: Closely) -> Loop:
     """Prove or refute that the straight joint path from a to b is a motion.
 
-    The conditions on it are data, so that one executable serves all callers. The loop's result is a `Proof`, see
-    `of_proven`.
+    The conditions on it are data, so that one executable serves all callers.
+
+    Args:
+        settings: Settings of the planner.
+        scene: The scene.
+        lane: Scenario and target.
+        a (Joints): Start of the path [rad or m].
+        b (Joints): End of the path [rad or m].
+        tube: Allowed region of the TCP.
+        closely: Resolution of the proof.
+
+    Returns:
+        A loop whose result is a `Proof`, see `of_proven`.
     """
     own = own_scene(scene, lane.tool_extension_m)
     look = look_on(own, lane, a, b, tube, closely.resolution_m, closely.deepest, closely.kept)

@@ -257,7 +257,7 @@ _KINDS = {
 
 
 def is_tracked(status: np.ndarray) -> np.ndarray:
-    """Return True where `status` is a tracked one; any shape (*n,)."""
+    """Return True where `status` is a tracked one; any shape."""
     return (status >= 0) & (status <= Status.TRACKED_AFTER_ESCAPE)
 
 

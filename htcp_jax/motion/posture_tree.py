@@ -95,10 +95,10 @@ class BeamTree(Tree):
         Args:
             parent: Rows of the parents.
             at: The children, with `x` [rad or m].
-            target: Their target.
-            step_qps: Number of step QPs solved for them.
+            target (int or array): Their target.
+            step_qps (int or array): Number of step QPs solved for them.
             walked: See `Nodes`.
-            dwells: Changes of configuration that begin on the motion from the parent.
+            dwells (int or array): Changes of configuration that begin on the motion from the parent.
         """
         step, zero = at.x - self.x[parent], np.zeros_like(parent)
         dwells = self._table.dwells[parent] + dwells

@@ -70,7 +70,7 @@ class Path:
 
     @property
     def held(self) -> Bool[np.ndarray, "P"]:
-        """True for configurations that satisfy the task: before the path only those at targets."""
+        """True for configurations at which the task is required: before the path only those at targets."""
         return ~self.on_way | (self.target > self.on_path)
 
     @property
@@ -188,8 +188,8 @@ class Smoothing:
     def _held(self, path: Path, G: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the task's equations at the configurations, and the rows that limit a step, bands and cones included.
 
-        Bands and cones limit it at configurations that satisfy the task, and at midpoints before those beyond the
-        path's first point.
+        Bands and cones limit it at configurations at which the task is required, and at midpoints before those beyond
+        the path's first point.
         """
         task, linear = self._problem.task, path.seen.task
         if task.is_points:
@@ -230,7 +230,7 @@ class Smoothing:
     def _settled(self, steps: list[tuple[Path, np.ndarray]]) -> list[np.ndarray]:
         """Return the paths after a step, starts included.
 
-        Configurations that moved and satisfy the task are moved back onto their targets.
+        Configurations that moved and at which the task is required are moved back onto their targets.
         """
         paths = [path for path, _ in steps]
         x = np.concatenate([np.clip(path.x[1:] + y, self._lower, self._upper) for path, y in steps])
@@ -243,8 +243,7 @@ class Smoothing:
         ]
 
     def _measured(self, paths: list[Path], x: list[np.ndarray]) -> tuple[list[Linearisation], list[np.ndarray]]:
-        """Return the linearisations at the configurations and midpoints before them, and True for valid configurations.
-        """
+        """Return the linearisations at configurations and the midpoints before them, and True for valid ones."""
         inputs = self._inputs(paths)
         places = np.concatenate([np.stack([at[1:], 0.5 * (at[1:] + at[:-1])], axis=1) for at in x])
         flat = places.reshape(-1, places.shape[-1])

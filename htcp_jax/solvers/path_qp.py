@@ -1,7 +1,7 @@
 """Smoothing QP, equation (3) about a path: all its configurations at once, as one sparse QP in their steps y_1 .. y_P.
 
-    minimise    sum_i  w' (x_i + y_i - x_{i-1} - y_{i-1})^2      ||x||_Q^2 with Q = V' V; the start x_0 is held, y_0 = 0
-    subject to  A_i y_i = 0                        where the task is held: it stays so, to first order
+    minimise    sum_i  w' (x_i + y_i - x_{i-1} - y_{i-1})^2      ||x||_Q^2 with Q = V' V; x_0 is fixed, y_0 = 0
+    subject to  A_i y_i = 0                        where the task is required: it stays satisfied, to first order
                 G_i y_i <= h_i                     the clearance rows (8) of a configuration,
                 C_i (y_{i-1} + y_i) / 2 <= c_i     and those half way to it
                 lower_i <= y_i <= upper_i          the trust region, inside the joint limits

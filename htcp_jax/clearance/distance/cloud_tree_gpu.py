@@ -38,12 +38,13 @@ def least_in_reach(
 
     Args:
         index: The cloud's tree.
-        p: First ends of the bodies' axes [m].
-        q: Second ends [m].
-        reach: Distance of the points to measure from each body [m], none if negative; some others may be measured, too.
-        start: Largest result of each body.
+        p (Array): First ends of the bodies' axes (K, 3) [m].
+        q (Array): Second ends (K, 3) [m].
+        reach (Array): Distance (K,) of the points to measure from each body [m], none if negative; some others may be
+            measured, too.
+        start (Array): Largest result of each body (K,).
         measure: The function to minimise.
-        *rows: Tables (K,), or (K, 3), from which a body's row is a list.
+        *rows (Array): Tables (K,), or (K, 3), from which a body's row is a list.
         interpret: True: run on any machine.
     """
     least = partial(_least, measure, _branch_count(index), len(rows))

@@ -151,7 +151,7 @@ class Sweepable(Surroundings, Protocol):
 
 
 class Exact:
-    """Base class of kinds with exact distances: its contacts answer the cheap queries, too."""
+    """Base class of kinds with exact distances, whose contacts also serve the cheap queries."""
 
     def smallest(self, robot: Robot, where: Posed, bodies: Bodies) -> Scalar:
         """Return the smallest distance of all rows."""

@@ -70,7 +70,16 @@ def wrist(robot: Robot) -> Wrist:
 def tool_cell(
     scene: Scene, where: Posed, margin_m: Scalar, target: Vector3, quaternion: Float[Array, "4"], rho: Scalar
 ) -> Cell:
-    """Return the cell of all configurations of `exclusion.tool_collides`, which has the same arguments."""
+    """Return the cell of all configurations of `exclusion.tool_collides`.
+
+    Args:
+        scene: The scene.
+        where: A scenario, or another `Posed`.
+        margin_m: Required clearance.
+        target: The target, world [m].
+        quaternion: Orientation of the last link, w first, without a unit.
+        rho: Largest angle from it [rad].
+    """
     arm = wrist(scene.robot).on_tool - scene.robot.T_link_tcp[:3, 3]
     moves = 2 * safe_norm(arm) * jnp.sin(0.5 * jnp.minimum(rho, jnp.pi)) + scene.task.tolerance_m
     collides = tool_collides(scene, where, margin_m, target, quaternion, rho)

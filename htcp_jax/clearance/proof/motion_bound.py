@@ -81,7 +81,14 @@ def point_motion_bound(
 
 
 def sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Sweep:
-    """Return the motion of the bodies on the joint path x + s `rates` [rad or m] with |s| <= half."""
+    """Return the motion of the bodies on a straight joint path.
+
+    Args:
+        robot: The robot.
+        x: The middle of the path x + s `rates` [rad or m].
+        rates: Its derivative in s [rad or m].
+        half: Largest |s|.
+    """
     within = jax.tree.map(lambda bounds: bounds[:-1], _of_arm(robot, x, rates, half)[1])
     off = 0.5 * half * half * within.bend
     along = half * safe_norm(within.velocity) + off
@@ -91,9 +98,15 @@ def sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Sweep:
 
 
 def tcp_sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> TcpSweep:
-    """Return the motion of the TCP on the joint path x + s `rates` [rad or m] with |s| <= half.
+    """Return the motion of the TCP on a straight joint path.
 
     In a function that also calls `sweep`, it costs next to nothing.
+
+    Args:
+        robot: The robot.
+        x: The middle of the path x + s `rates` [rad or m].
+        rates: Its derivative in s [rad or m].
+        half: Largest |s|.
     """
     points, within = _of_arm(robot, x, rates, half)
     return TcpSweep(points[-1], within.velocity[-1], within.bend[-1])
