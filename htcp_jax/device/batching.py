@@ -138,8 +138,8 @@ def next_rows(
 
     Args:
         free: True for free slots.
-        first: The first row to take (scalar,).
-        lanes: Number of rows (scalar,).
+        first: The first row to take, a scalar.
+        lanes: Number of rows, a scalar.
     """
     row = first + jnp.cumsum(free, dtype=jnp.int32) - 1
     new = free & (row < lanes)

@@ -30,8 +30,8 @@ from htcp_jax.unfinished import temporary_folder
 
 LOOK_S = 0.1  # interval at which progress is polled
 IDLE_S = 300  # idle time after which workers end
-START_PAYS = 10_000  # targets from which starting workers pays: it takes as long as some thousands of them
-EACH_PAYS = 8  # scenarios from which each worker pays that is already running
+START_PAYS = 10_000  # targets from which starting workers pays, which takes as long as some thousands of them
+EACH_PAYS = 8  # scenarios from which a running worker pays
 MOST_TOGETHER = 64  # scenarios per part: fewer make calls with fewer lanes, more make the last part take longer
 
 _workers: list[Any] = []  # the executor, once needed

@@ -1,7 +1,7 @@
 """Selection of a beam: of the configurations that reach a target, the best of close ones, and those far apart.
 
-Works on many searches at once: rows with the same number belong to one search, and searches do not influence each
-other.
+The functions work on many searches at once: rows with the same number belong to one search, and searches do not
+influence each other.
 """
 
 import numpy as np

@@ -174,8 +174,8 @@ def largest_step(found: Motions, count: int) -> Float[np.ndarray, "S"]:
 def curvature(plans: Plans, on_path: OnPath) -> Float[np.ndarray, "S T"]:
     """Return |q''|, the curvature of the joint path at the points of the path [rad/m2].
 
-    By central differences over its arc length: proportional to the joint accelerations at a constant feed rate. It is
-    the second difference, equation (3) sums the first.
+    It is computed by central differences over the path's arc length, and is proportional to the joint accelerations at
+    a constant feed rate. It is the second difference, equation (3) sums the first.
 
     Points closer than ONE_POINT_M count as one, with the last one's configuration. The arc length does not grow during
     a dwell, so |q''| is undefined at a target where the arm dwells and at the next one: NaN, as at both ends of the

@@ -62,7 +62,7 @@ def _rows(
 ) -> tuple[Float[np.ndarray, "n 2 G"], Bool[np.ndarray, "n"]] | tuple[()]:
     """Return the task's goals at the previous target and at this one, and True if they are required on the segment.
 
-    They are on the path. Empty for the paper's task, which the tube alone enforces.
+    They are required on the path. The result is empty for the paper's task, which the tube alone enforces.
     """
     if problem.task.parts == TCP_POSITION.parts:
         return ()

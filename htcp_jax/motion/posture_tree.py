@@ -1,6 +1,6 @@
 """Tree of configurations of a beam search: clear, on target, each connected to a root by proven motions.
 
-Tables with one row per node.
+Its tables have one row per node.
 """
 
 from typing import Any, NamedTuple

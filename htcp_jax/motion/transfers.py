@@ -76,7 +76,7 @@ def joined(
         to: The other ends [rad or m]; only the first MOST_ROOTS are tried.
 
     Returns:
-        None for all but that one, and for all if none can be joined.
+        Via points for that one, None for the others, and for all if none can be joined.
     """
     to = to[:MOST_ROOTS]
     scenario, pair = np.full(len(to), s), np.arange(len(to))

@@ -92,7 +92,7 @@ def bounding_discs(groups: Float[np.ndarray, "n points 3"]) -> Float[np.ndarray,
 def _middle(a, b):
     """Return the middle of the smallest circle about the points (a, b) of each group, to about 1 % of its radius.
 
-    From the middle of their box, steps towards the furthest point, each shorter than the one before.
+    The search begins in the middle of their box; its steps towards the furthest point become shorter and shorter.
     """
     x, y = (a.max(1) + a.min(1)) / 2, (b.max(1) + b.min(1)) / 2
     groups = np.arange(len(a))

@@ -112,7 +112,7 @@ class Cylinder(NamedTuple):
     def _across(self, p: Vector3, q: Vector3) -> Seen:
         """Return the contact with a segment that crosses the cylinder.
 
-        Along the normals of the caps, of the side, and one perpendicular to the segment.
+        The candidates are the normals of the caps, of the side, and one perpendicular to the segment.
         """
         x, z, flat = jnp.array([1.0, 0.0, 0.0]), jnp.array([0.0, 0.0, 1.0]), jnp.array([1.0, 1.0, 0.0])
         d = q - p
@@ -258,7 +258,7 @@ def _level(
 ) -> Float[Array, "n"]:
     """Return the segment's parameter at which it passes over an edge through each point.
 
-    In the projection along a normal perpendicular to both.
+    Both are projected along a normal perpendicular to both.
     """
     over = jnp.sum(jnp.cross(points - p[None], edges) * normals, axis=1)
     return jnp.clip(safe_divide(over, jnp.sum(jnp.cross((q - p)[None], edges) * normals, axis=1)), 0, 1)

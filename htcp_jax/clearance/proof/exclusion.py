@@ -41,8 +41,8 @@ class Segments(NamedTuple):
 def surely_touches(obstacles: Obstacles, where: Posed, margin_m: Scalar, bodies: Segments) -> Bool[jax.Array, ""]:
     """Return True if some body has clearance less than margin_m wherever its points are within `moves` of the segments.
 
-    By the triangle inequality (docs/equations.md, section Exclusion). Obstacles other than points and the interior are
-    ignored.
+    This follows from the triangle inequality (docs/equations.md, section Exclusion). Obstacles other than points and
+    the interior are ignored.
 
     Args:
         obstacles: The obstacles.

@@ -41,8 +41,8 @@ DEEPEST = 30  # halvings; a joint turns by less than 1e-8 rad then
 class Tube(NamedTuple):
     """Allowed region of the TCP: within `radius` of the line from `start` to `end`, along which it only advances.
 
-    If the two are one point it may move in any direction; with an infinite radius it may be anywhere. And the task's
-    other goals.
+    If the two are one point it may move in any direction; with an infinite radius it may be anywhere. The task's other
+    goals are constraints in addition to it.
     """
 
     start: Vector3  # world [m]
