@@ -45,7 +45,7 @@ class Fixture(NamedTuple):
     def convex(self) -> bool:
         """True if a mesh is closed and convex and has few faces.
 
-        Its triangles lie on its hull and have the hull's area.
+        It is if its triangles lie on its hull and have the hull's area.
         """
         if len(self.triangles) > MOST_FACES:
             return False

@@ -108,12 +108,12 @@ def make_scenario(
         tool_extension_m: See `robot.lengthen_tool`.
         number: Identity, for the random keys.
         beyond_reach: "raise" an OutOfReach for a target beyond the arm's maximum reach, or "record" it: the scenario is
-            then planned as a failure with that reason.
+            then not planned, and its status is that reason.
         follows: Position at the start of the point that follows the path, world [m]; None: the TCP.
 
     Raises:
         InputError: For a start or home of the wrong length or outside the joint limits.
-        OutOfReach: For a target beyond the arm's maximum reach, an InputError, too.
+        OutOfReach: An InputError, for a target beyond the arm's maximum reach if that is to "raise".
     """
     x_start, x_home = _begins(robot, start, home)
     longer = _LONGER(robot, float(tool_extension_m)) if tool_extension_m else robot
