@@ -1,12 +1,12 @@
-"""Planning backwards: at a lost target clear configurations are sampled, and each is carried back target by target to
-the first one. A chain that is clear all along, including from the given start to its first configuration, replaces the
-rows so far.
+"""Planning backwards from a lost target to the first one.
 
-One kernel call per round advances all lanes in the same phase:
+Clear configurations are sampled at the lost target, and each is carried back target by target. A chain that is clear
+all along, including from the given start to its first configuration, replaces the rows so far. One call of a lane
+function per round advances all lanes in the same phase:
 
     draw    a round of configurations at the lost target; each valid one begins a chain
     push    every chain one target further back; chains whose new configuration is not valid end
-    check   one chain that has reached the first target: the joint paths between its rows, and from the start
+    check   one chain that has come to the first target: the joint paths between its rows, and from the start
 """
 
 from dataclasses import dataclass
@@ -62,7 +62,7 @@ class BackwardPlans:
         self._chains: dict[int, Chains] = {}
 
     def begin(self, lanes: Lanes) -> Replanned:
-        """Begin with lanes that have lost their target; all stay lost if the method has no rounds of this."""
+        """Begin with lanes that have lost their target; all stay lost if the method does not plan backwards."""
         none = np.zeros((0, 1, lanes.x_ref.shape[1]))
         self._chains.update({scenario: Chains(none) for scenario in lanes.scenario.tolist()})
         return self._replanned(lanes, np.zeros(lanes.size, bool))
@@ -120,8 +120,10 @@ class BackwardPlans:
         return self._replanned(lanes, clear)
 
     def _rows(self, many: Lanes, x: np.ndarray, end: np.ndarray) -> Lanes:
-        """Return the lanes of complete chains x (rows of all chains, N), whose last rows are at `end`. Only the last
-        row, the lost target, has a count of step QPs: the other rows were pushed there without any."""
+        """Return the lanes of complete chains x (rows of all chains, N), whose last rows are at `end`.
+
+        Only the last row, the lost target, has a count of step QPs: the other rows were pushed there without any.
+        """
         first = np.concatenate([[0], end[:-1] + 1])
         before = np.concatenate([x[:1], x[:-1]])
         before[first] = self._starts[many.scenario[first]]

@@ -36,7 +36,16 @@ class Lanes(NamedTuple):
 
 
 def new_lanes(sizes: tuple[int, int], scenario, target, x_previous, x_ref, candidate=MAIN) -> Lanes:
-    """Return lanes that start at x_ref (L, N); sizes: number of values in the task, and of clearance rows."""
+    """Return lanes that start at x_ref.
+
+    Args:
+        sizes: Number of values in the task, and of clearance rows.
+        scenario: Rows of the scenarios (L,).
+        target: Their targets (L,).
+        x_previous: Configurations at the targets before (L, N) [rad or m].
+        x_ref: Configurations to start at (L, N) [rad or m].
+        candidate: MAIN, or the candidates' numbers (L,).
+    """
     lanes, n = x_ref.shape
 
     def column(value):

@@ -12,14 +12,22 @@ from htcp_jax.status import Status
 
 
 class Record:
-    """Write into the plans, and count newly tracked targets and newly finished scenarios."""
+    """Writer into the plans, which counts newly tracked targets and newly finished scenarios."""
 
     def __init__(self, plans: Plans):
         self._plans = plans
         self.tracked = self.finished = 0
 
     def track(self, lanes: Lanes, now: State, status: Status, escape: int, clear: np.ndarray) -> None:
-        """Record that every lane has reached its target; clear: see `Plans.path_clear`."""
+        """Record that every lane has reached its target.
+
+        Args:
+            lanes: The lanes.
+            now: Their states.
+            status: TRACKED or TRACKED_AFTER_ESCAPE.
+            escape: See `Plans.escape`.
+            clear: See `Plans.path_clear` (lanes,).
+        """
         s, t, plans = lanes.scenario, lanes.target, self._plans
         plans.x[s, t], plans.tcp[s, t] = now.x, now.tcp
         plans.clearance[s, t], plans.residual[s, t] = now.clearance, now.residual
@@ -30,7 +38,7 @@ class Record:
         self.tracked += len(s)
 
     def lose(self, lanes: Lanes, reason: np.ndarray | Status) -> None:
-        """Record that no lane has reached its target, each with its reason."""
+        """Record that no lane has reached its target; `reason` is one for all, or one per lane (lanes,)."""
         self._plans.status[lanes.scenario, lanes.target] = reason
         self._plans.iterations[lanes.scenario, lanes.target] = lanes.iteration
 
