@@ -34,7 +34,11 @@ AUTO = "auto"  # a start that the planner chooses
 
 
 def _start(value: Any, numbers: Callable[[Any], tuple[float, ...]]) -> Any:
-    """Validate joint positions, or the word AUTO. Raises InputError for any other word."""
+    """Validate joint positions, or the word AUTO.
+
+    Raises:
+        InputError: For any other word.
+    """
     if isinstance(value, str) and value != AUTO:
         raise InputError(f"{value!r} is no start; valid: {AUTO}, or a list of joint positions")
     return value if value == AUTO else numbers(value)
