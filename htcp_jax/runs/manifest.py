@@ -47,7 +47,10 @@ class Seconds(Section):
 
 
 class Manifest(Section):
-    """manifest.json. Config, grid, dtype and files identify the run; `writer` never mixes two."""
+    """Content of manifest.json.
+
+    Config, grid, dtype and files identify the run; `writer` never mixes two.
+    """
 
     format: Literal[1] = FORMAT
     name: str  # of the sweep
