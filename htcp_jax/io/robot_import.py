@@ -189,7 +189,7 @@ def _body(model: mujoco.MjModel, geom: Geom) -> int:
 
 
 def _chosen(geoms: list[Geom], model: mujoco.MjModel, visual: bool) -> list[Geom]:
-    """Select the geoms that capsules represent: a body's collision geoms, or if `visual` its visual geoms if it has any.
+    """Select the geoms that capsules represent: a body's collision geoms, or if `visual` its visual geoms, if any.
 
     Capsules and spheres are always collision geoms, as for `load_robot`.
     """

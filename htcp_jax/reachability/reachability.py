@@ -58,7 +58,7 @@ class Reachability(NamedTuple):
 
 
 class Stopped(KeyboardInterrupt):
-    """Interruption of a search, in place of KeyboardInterrupt; `found` is its result so far, with looser upper bounds."""
+    """Interruption of a search, in place of KeyboardInterrupt; `found` is its result so far, with looser bounds."""
 
     def __init__(self, found: Reachability):
         super().__init__()
